@@ -1,0 +1,87 @@
+"""Agents of a scene: recorded and generated tracks, policies, and the sizes of boxes by object type."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+class Policy(StrEnum):
+    """The paper's policy_i (section Agent Policy)."""
+
+    STRAIGHT = "straight"
+    LEFT_TURN = "left_turn"
+    RIGHT_TURN = "right_turn"
+    LANE_CHANGE = "lane_change"
+    OVERTAKE = "overtake"
+
+
+class BoxSize(tuple[float, float]):
+    """(length_m, width_m) of an oriented box."""
+
+    __slots__ = ()
+
+    def __new__(cls, length_m: float, width_m: float) -> "BoxSize":
+        """Make the pair."""
+        return super().__new__(cls, (float(length_m), float(width_m)))
+
+    @property
+    def length_m(self) -> float:
+        """Along the heading."""
+        return self[0]
+
+    @property
+    def width_m(self) -> float:
+        """Across the heading."""
+        return self[1]
+
+
+#: Sizes for tracks that carry none (medians of labelled boxes, rounded; cars a little generous to be safe).
+DEFAULT_SIZES: Mapping[str, BoxSize] = {
+    "vehicle": BoxSize(4.5, 1.9),
+    "bus": BoxSize(11.0, 2.8),
+    "motorcyclist": BoxSize(2.2, 0.9),
+    "cyclist": BoxSize(1.8, 0.6),
+    "riderless_bicycle": BoxSize(1.6, 0.5),
+    "pedestrian": BoxSize(0.6, 0.6),
+    "static": BoxSize(0.8, 0.8),
+    "background": BoxSize(0.8, 0.8),
+    "construction": BoxSize(0.8, 0.8),
+    "unknown": BoxSize(0.8, 0.8),
+}
+
+#: Object types that drive on lanes.
+VEHICLE_TYPES = frozenset({"vehicle", "bus"})
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Track:
+    """One agent over time, recorded or generated.
+
+    timesteps (T,) strictly increasing, not always without gaps; position (T, 2) m, box centre, city frame;
+    heading (T,) rad in (-pi, pi]; velocity (T, 2) m/s; category 0 fragment, 1 context, 2 scored, 3 focal.
+    """
+
+    track_id: str
+    object_type: str
+    category: int
+    timesteps: IntArray
+    position: FloatArray
+    heading: FloatArray
+    velocity: FloatArray
+    size: BoxSize
+
+    @property
+    def speed(self) -> FloatArray:
+        """(T,) m/s."""
+        return np.asarray(np.hypot(self.velocity[:, 0], self.velocity[:, 1]), dtype=np.float64)
+
+    @property
+    def path_m(self) -> float:
+        """Length of the path driven, m."""
+        return float(np.hypot(*np.diff(self.position, axis=0).T).sum())

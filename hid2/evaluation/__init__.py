@@ -1,0 +1,1 @@
+"""hid2/evaluation."""

@@ -1,0 +1,1 @@
+"""netconvert."""
