@@ -1,0 +1,139 @@
+"""hid2_<id>.json: what was asked for, what was placed, and one record for every manoeuvre, whatever became of it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from hid2.agents import Policy
+from netconvert.errors import ScenarioError
+
+SCHEMA_VERSION = "1"
+
+ManeuverKind = Literal["lane_change", "overtake", "left_turn", "right_turn"]
+ManeuverStatus = Literal["done", "aborted", "not_feasible", "not_triggered"]
+Seconds = Annotated[float, Field(ge=0)]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class GeneratorRecord(_Record):
+    """The program that made the scene."""
+
+    name: str = "hid2-sumo"
+    version: str
+
+
+class ReplayRecord(_Record):
+    """How exactly the recorded agents were replayed."""
+
+    states: int = Field(ge=0)
+    max_position_error_m: float = Field(ge=0)
+    max_heading_error_rad: float = Field(ge=0)
+
+
+class RequestedRecord(_Record):
+    """Vehicles asked for; share by policy."""
+
+    agents: Annotated[int, Field(ge=0)] | Literal["max"]
+    behaviours: Mapping[Policy, float]
+
+
+class PlacedRecord(_Record):
+    """Vehicles exported; count by policy."""
+
+    agents: int = Field(ge=0)
+    behaviours: Mapping[Policy, int]
+
+
+class SpawnRecord(_Record):
+    """Where and how fast a vehicle was inserted."""
+
+    lane_segment_id: int
+    cell: int = Field(ge=0)
+    speed_mps: float = Field(ge=0)
+
+
+class ManeuverRecord(_Record):
+    """One manoeuvre that was asked for; times in seconds from timestep 0, None for what did not come about."""
+
+    kind: ManeuverKind
+    status: ManeuverStatus
+    reason: str | None = None
+    trigger_s: Seconds | None = None
+    requested_s: Seconds | None = None
+    start_s: Seconds | None = None
+    crossing_s: Seconds | None = None
+    end_s: Seconds | None = None
+    source_lane: int | None = None
+    target_lane: int | None = None
+    leader_track_id: str | None = None
+    gap_front_m: float | None = None
+    gap_rear_m: float | None = None
+    min_ttc_s: float | None = None
+
+
+class AgentRecord(_Record):
+    """One generated vehicle; route: lane segment ids in the order driven."""
+
+    track_id: str
+    object_type: Literal["vehicle", "bus"] = "vehicle"
+    length_m: float = Field(gt=0)
+    width_m: float = Field(gt=0)
+    policy: Policy
+    spawn: SpawnRecord
+    route: tuple[int, ...]
+    maneuvers: tuple[ManeuverRecord, ...] = ()
+    end_reason: str | None = None
+    retimed: int = Field(default=0, ge=0)
+    standing: bool = False
+
+
+class RejectedRecord(_Record):
+    """Candidates that were not exported, by reason."""
+
+    reason: str
+    count: int = Field(ge=1)
+
+
+class Sidecar(_Record):
+    """The whole file. Nothing in it depends on the clock or the machine: same request, same bytes."""
+
+    schema_version: str = SCHEMA_VERSION
+    source_scenario_id: str
+    generator: GeneratorRecord
+    sumo_version: str
+    seed: int = Field(ge=0)
+    variant: int = Field(ge=0)
+    config: Mapping[str, Any]
+    config_sha256: str = Field(pattern="^[0-9a-f]{64}$")
+    replay: ReplayRecord
+    requested: RequestedRecord
+    placed: PlacedRecord
+    agents: tuple[AgentRecord, ...] = ()
+    rejected: tuple[RejectedRecord, ...] = ()
+
+
+def sidecar_path(folder: Path, scenario_id: str) -> Path:
+    """The sidecar's place in a scenario folder."""
+    return folder / f"hid2_{scenario_id}.json"
+
+
+def sidecar_bytes(sidecar: Sidecar) -> bytes:
+    """Deterministic JSON, UTF-8."""
+    return sidecar.model_dump_json(indent=1).encode() + b"\n"
+
+
+def read_sidecar(path: Path) -> Sidecar:
+    """Read a sidecar. Errors: ScenarioError with the file, the first field that is wrong and its value."""
+    try:
+        return Sidecar.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        raise ScenarioError(f"{path}: no such file, want a sidecar") from None
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        field = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise ScenarioError(f"{path}: {field}: {first['msg']} (got {str(first['input'])[:60]!r})") from error
