@@ -128,46 +128,34 @@ def _fields() -> dict[str, FieldInfo]:
 
 def _range(field: FieldInfo) -> str:
     """Bounds or choices of a field, in words."""
-    annotation, bounds = field.annotation, _bounds(field.metadata)
-    choices: list[str] = []
-    kind = "number"
-    for part in _flatten(annotation):
-        if part is bool:
-            return "true, false"
-        if part is int:
-            kind = "integer"
-        elif hasattr(part, "metadata") and not bounds:
-            bounds = _bounds(part.metadata)
-            part = part.metadata
-        if isinstance(part, str | int) and not isinstance(part, type):
-            choices.append(str(part))
+    leaves, inner = _flatten(field.annotation)
+    choices = ", ".join(str(leaf) for leaf in leaves if not isinstance(leaf, type))
     if isinstance(field.get_default(call_default_factory=True), frozenset):
-        return "any of " + ", ".join(choices)
-    if choices and not bounds:
-        return ", ".join(choices)
-    words = f"{kind} {bounds}" if bounds else kind
-    return ", ".join([words, *choices])
+        return f"any of {choices}"
+    if bool in leaves:
+        return "true, false"
+    if int not in leaves and float not in leaves:
+        return choices
+    words = f"{'integer' if int in leaves else 'number'} {_bounds([*field.metadata, *inner])}".strip()
+    return f"{words}, or {choices}" if choices else words
 
 
-def _flatten(annotation: Any) -> list[Any]:
-    """The types, annotated types and literal values inside an annotation."""
-    parts = get_args(annotation)
+def _flatten(annotation: object) -> tuple[list[object], list[object]]:
+    """The types and literal values inside an annotation, and the constraints that annotate them."""
+    parts: tuple[object, ...] = get_args(annotation)
     if not parts:
-        return [annotation]
-    here = [annotation] if hasattr(annotation, "__metadata__") else []
-    if here:
-        return [*_flatten(parts[0]), *[_Bounds(list(annotation.__metadata__))]]
-    return [leaf for part in parts for leaf in _flatten(part)]
+        return [annotation], []
+    metadata: tuple[object, ...] = getattr(annotation, "__metadata__", ())
+    leaves: list[object] = []
+    inner: list[object] = [item for entry in metadata for item in getattr(entry, "metadata", [entry])]
+    for part in parts[:1] if metadata else parts:
+        more_leaves, more_inner = _flatten(part)
+        leaves += more_leaves
+        inner += more_inner
+    return leaves, inner
 
 
-class _Bounds:
-    """Metadata of an annotated type inside a union."""
-
-    def __init__(self, metadata: list[Any]) -> None:
-        self.metadata = [item for entry in metadata for item in getattr(entry, "metadata", [entry])]
-
-
-def _bounds(metadata: Sequence[Any]) -> str:
+def _bounds(metadata: Sequence[object]) -> str:
     signs = {"gt": "> {}", "ge": ">= {}", "lt": "< {}", "le": "<= {}"}
     return ", ".join(
         sign.format(getattr(entry, name))

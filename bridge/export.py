@@ -128,12 +128,10 @@ def _check_generated(scenario: Scenario, generated: Sequence[Track], focal_track
 
 
 def _generated_columns(generated: Sequence[Track], lengths: list[int], focal_track_id: str) -> dict[str, pa.Array]:
-    def stacked(values: list[Any], shape: tuple[int, ...] = (0,)) -> Any:
-        return np.concatenate(values) if values else np.empty(shape)
-
-    timestep = stacked([track.timesteps for track in generated]).astype(np.int64)
-    position = stacked([track.position for track in generated], (0, 2))
-    velocity = stacked([track.velocity for track in generated], (0, 2))
+    timestep = np.concatenate([np.empty(0, np.int64), *(track.timesteps for track in generated)])
+    position = np.concatenate([np.empty((0, 2)), *(track.position for track in generated)])
+    velocity = np.concatenate([np.empty((0, 2)), *(track.velocity for track in generated)])
+    heading = np.concatenate([np.empty(0), *(track.heading for track in generated)])
     category = [FOCAL_CATEGORY if track.track_id == focal_track_id else track.category for track in generated]
     return {
         "observed": pa.array(timestep <= LAST_OBSERVED),
@@ -143,7 +141,7 @@ def _generated_columns(generated: Sequence[Track], lengths: list[int], focal_tra
         "timestep": pa.array(timestep),
         "position_x": pa.array(position[:, 0]),
         "position_y": pa.array(position[:, 1]),
-        "heading": pa.array(stacked([track.heading for track in generated])),
+        "heading": pa.array(heading),
         "velocity_x": pa.array(velocity[:, 0]),
         "velocity_y": pa.array(velocity[:, 1]),
     }

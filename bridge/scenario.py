@@ -1,11 +1,11 @@
-"""Argoverse 2 motion-forecasting scenarios: parquet and map of a folder -> tracks, lane graph and the untouched rows."""
+"""Argoverse 2 motion-forecasting scenarios: parquet and map of a folder -> tracks, lane graph, untouched rows."""
 
 import csv
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -72,7 +72,7 @@ class Scenario:
     table: pa.Table
     folder: Path
     map_path: Path
-    split: Literal["train", "val", "test"] | None
+    split: str | None
 
     def track(self, track_id: str) -> Track:
         """One track by id; ScenarioError where there is none."""
@@ -133,7 +133,7 @@ def read_scenario(folder: Path) -> Scenario:
         table=table,
         folder=folder,
         map_path=map_path,
-        split=next((split for split in SPLITS if split == parent), None),  # type: ignore[arg-type]
+        split=parent if parent in SPLITS else None,
     )
 
 
