@@ -27,3 +27,7 @@ class SimulationError(Hid2Error):
 
 class ExportError(Hid2Error):
     """The result cannot be written."""
+
+
+class BatchError(Hid2Error):
+    """A batch cannot go on: its scheduler is lost, its folder is in use, or its bundle cannot be read."""

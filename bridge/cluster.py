@@ -1,0 +1,127 @@
+"""The engine's tasks on Dask's distributed scheduler: a local cluster of worker processes, or one that is running."""
+
+# mypy: allow-untyped-calls
+
+import contextlib
+import itertools
+import logging
+import queue
+import time
+from collections.abc import Iterable, Iterator
+from typing import Any, cast
+
+import dask
+from distributed import Client, KilledWorker, LocalCluster, Worker, as_completed, get_worker
+from distributed.diagnostics.plugin import WorkerPlugin
+
+from bridge.engine import Outcome, Result, Settings, Task, new_process, run_task
+from bridge.isolation import Failure, IsolatedProcess
+from netconvert.errors import BatchError
+
+_PLUGIN = "hid2-scene-processes"
+#: Tasks handed to the scheduler per worker: one that runs and one that is ready when it ends.
+_AHEAD = 2
+#: Seconds after which the number of workers is looked up again.
+_LOOK_UP_S = 2.0
+#: Seconds to reach a scheduler.
+_CONNECT_S = 30
+
+
+def execute_on_dask(tasks: Iterable[Task], *, jobs: int, scheduler: str | None, settings: Settings) -> Iterator[Result]:
+    """Yield results as they come; never more than a few tasks a worker are with the scheduler.
+
+    Errors: BatchError when the scheduler cannot be reached or is lost.
+    """
+    waiting = iter(tasks)
+    number = itertools.count()
+    with _client(jobs, scheduler) as client:
+        client.register_plugin(SceneProcesses(settings), name=_PLUGIN)
+        completed = as_completed(loop=client.loop)
+        running: dict[object, Task] = {}
+        room, looked_up = 0, -_LOOK_UP_S
+        while True:
+            if time.monotonic() - looked_up >= _LOOK_UP_S:
+                room, looked_up = _AHEAD * max(1, sum(client.nthreads().values())), time.monotonic()
+            while len(running) < room and (task := next(waiting, None)) is not None:
+                future = client.submit(_run_on_worker, task, key=f"{task.key}-{next(number)}-{time.time_ns()}")
+                running[future.key] = task
+                completed.add(future)
+            if not running:
+                return
+            future = next(completed)
+            yield _result(future, running.pop(future.key), scheduler or "of this machine")
+            future.release()
+
+
+def _result(future: Any, task: Task, where: str) -> Result:  # noqa: ANN401  # a Future, generic or not by release
+    error = future.exception() if future.status == "error" else None
+    if future.status == "finished":
+        result: Result = future.result()
+        return result
+    if isinstance(error, KilledWorker):
+        failure = Failure("killed", "its Dask worker died again and again", str(error))
+        return Result(task, tuple(Outcome(item, None, failure, 1, 0.0) for item in task.items))
+    reason = f"{type(error).__name__}: {error}" if error else f"task {future.status}"
+    raise BatchError(f"scheduler {where}: {reason}") from error
+
+
+def _run_on_worker(task: Task) -> Result:
+    processes = cast(SceneProcesses, get_worker().plugins[_PLUGIN])
+    return processes.run(task)
+
+
+class SceneProcesses(WorkerPlugin):
+    """Keeps the isolated processes of a Dask worker, one for each of its threads that is at work."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._idle: queue.SimpleQueue[IsolatedProcess] = queue.SimpleQueue()
+        self._all: list[IsolatedProcess] = []
+
+    def __reduce__(self) -> tuple[type, tuple[Settings]]:
+        return SceneProcesses, (self._settings,)
+
+    def teardown(self, worker: Worker) -> None:
+        """End the processes with the worker."""
+        for process in self._all:
+            process.close()
+
+    def run(self, task: Task) -> Result:
+        """Run a task in an idle process, or in a new one."""
+        try:
+            process = self._idle.get_nowait()
+        except queue.Empty:
+            process = new_process(self._settings)
+            self._all.append(process)
+        try:
+            return run_task(task, process, self._settings)
+        finally:
+            self._idle.put(process)
+
+
+@contextlib.contextmanager
+def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
+    """Connect to the scheduler at an address, or to a cluster of `jobs` single-threaded processes started here."""
+    for name in ("distributed", "tornado", "asyncio"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    with contextlib.ExitStack() as stack:
+        address: LocalCluster | str
+        if scheduler is None:
+            stack.enter_context(dask.config.set({"logging.distributed": "critical"}))
+            address = stack.enter_context(
+                LocalCluster(
+                    n_workers=jobs,
+                    threads_per_worker=1,
+                    processes=True,
+                    memory_limit=0,
+                    dashboard_address=None,
+                    silence_logs=logging.CRITICAL,
+                )
+            )
+        else:
+            address = scheduler
+        try:
+            client = stack.enter_context(Client(address, timeout=_CONNECT_S, set_as_default=False))
+        except (OSError, ValueError) as error:
+            raise BatchError(f"scheduler {scheduler}: cannot be reached ({error})") from error
+        yield client
