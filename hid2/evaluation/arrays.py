@@ -1,0 +1,156 @@
+"""Tracks of one scene as flat arrays: the common input of every measure of the evaluation."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hid2.agents import VEHICLE_TYPES, FloatArray, IntArray, Track
+
+BoolArray = npt.NDArray[np.bool_]
+
+#: A vehicle counts as moving above this extent of its path, seen at more than MOVING_STEPS steps.
+MOVING_EXTENT_M = 5.0
+MOVING_STEPS = 10
+#: Tracker fragments (AV2's TRACK_FRAGMENT).
+FRAGMENT = 0
+
+
+def is_generated_id(track_id: str) -> bool:
+    """Whether the id is one that the export gives to generated tracks."""
+    return track_id.startswith("gen_")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SceneArrays:
+    """All tracks of a scene, row by row (N rows, sorted by agent and step; A agents; T steps).
+
+    first (A + 1,): rows first[a]:first[a + 1] belong to agent a. step (N,). agent (N,).
+    position (N, 2) m, box centre, city frame; heading (N,) rad; velocity (N, 2) m/s; length, width (A,) m.
+    generated, vehicle, fragment, moving (A,) masks; row_of (A, T): the row of an agent at a step, -1 where absent.
+    """
+
+    track_ids: tuple[str, ...]
+    object_types: tuple[str, ...]
+    category: IntArray
+    generated: BoolArray
+    vehicle: BoolArray
+    fragment: BoolArray
+    moving: BoolArray
+    length: FloatArray
+    width: FloatArray
+    first: IntArray
+    agent: IntArray
+    step: IntArray
+    position: FloatArray
+    heading: FloatArray
+    velocity: FloatArray
+    row_of: IntArray
+    step_s: float
+
+    @property
+    def num_agents(self) -> int:
+        """A."""
+        return len(self.track_ids)
+
+    @property
+    def num_steps(self) -> int:
+        """T."""
+        return int(self.row_of.shape[1])
+
+    @property
+    def rows_per_agent(self) -> IntArray:
+        """(A,) steps at which each agent is present."""
+        return np.diff(self.first)
+
+    def mean_per_agent(self, values: FloatArray) -> FloatArray:
+        """Mean of a row-wise quantity (N,) over each agent's rows: (A,)."""
+        return np.asarray(np.add.reduceat(values, self.first[:-1]) / self.rows_per_agent, dtype=np.float64)
+
+    def sum_per_agent(self, values: npt.NDArray[np.generic]) -> FloatArray:
+        """Sum of a row-wise quantity (N,) over each agent's rows: (A,)."""
+        return np.add.reduceat(np.asarray(values, dtype=np.float64), self.first[:-1])
+
+
+def stack(
+    tracks: Sequence[Track],
+    *,
+    num_steps: int | None = None,
+    step_s: float = 0.1,
+    is_generated: Callable[[str], bool] = is_generated_id,
+) -> SceneArrays:
+    """Put the tracks of a scene into flat arrays; a scene without tracks gives empty ones.
+
+    `is_generated` tells generated from recorded tracks by their id.
+    """
+    tracks = [track for track in tracks if len(track.timesteps)]
+    counts = np.array([len(track.timesteps) for track in tracks], dtype=np.int64)
+    first = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
+    if tracks:
+        step = np.concatenate([track.timesteps for track in tracks]).astype(np.int64)
+        position = np.concatenate([track.position for track in tracks])
+        heading = np.concatenate([track.heading for track in tracks])
+        velocity = np.concatenate([track.velocity for track in tracks])
+    else:
+        step, position = np.zeros(0, np.int64), np.zeros((0, 2))
+        heading, velocity = np.zeros(0), np.zeros((0, 2))
+    steps = int(step.max()) + 1 if len(step) else 0
+    steps = max(steps, num_steps or 0)
+    agent = np.repeat(np.arange(len(tracks)), counts)
+    row_of = np.full((len(tracks), steps), -1, dtype=np.int64)
+    row_of[agent, step] = np.arange(len(step))
+    vehicle = np.array([track.object_type in VEHICLE_TYPES for track in tracks], dtype=bool)
+    if tracks:
+        low = np.minimum.reduceat(position, first[:-1], axis=0)
+        high = np.maximum.reduceat(position, first[:-1], axis=0)
+        extent = np.hypot(*(high - low).T)
+    else:
+        extent = np.zeros(0)
+    category = np.array([track.category for track in tracks], dtype=np.int64)
+    return SceneArrays(
+        track_ids=tuple(track.track_id for track in tracks),
+        object_types=tuple(track.object_type for track in tracks),
+        category=category,
+        generated=np.array([is_generated(track.track_id) for track in tracks], dtype=bool),
+        vehicle=vehicle,
+        fragment=category == FRAGMENT,
+        moving=(extent > MOVING_EXTENT_M) & (counts > MOVING_STEPS),
+        length=np.array([track.size.length_m for track in tracks], dtype=np.float64),
+        width=np.array([track.size.width_m for track in tracks], dtype=np.float64),
+        first=first,
+        agent=agent,
+        step=step,
+        position=np.ascontiguousarray(position, dtype=np.float64),
+        heading=np.ascontiguousarray(heading, dtype=np.float64),
+        velocity=np.ascontiguousarray(velocity, dtype=np.float64),
+        row_of=row_of,
+        step_s=step_s,
+    )
+
+
+def between_steps(track: Track) -> Track:
+    """The track at twice its rate: poses half-way between consecutive steps are put in (gaps stay gaps).
+
+    Steps count half the original duration afterwards. Position linear, heading on the shorter arc.
+    """
+    steps = track.timesteps
+    joined = np.diff(steps) == 1
+    turn = np.diff(track.heading)
+    turn = np.arctan2(np.sin(turn), np.cos(turn))
+
+    def interleave(values: FloatArray, middle: FloatArray) -> FloatArray:
+        order = np.argsort(np.concatenate([2 * steps, 2 * steps[:-1][joined] + 1]), kind="stable")
+        return np.concatenate([values, middle[joined]])[order]
+
+    heading = interleave(track.heading, track.heading[:-1] + turn / 2)
+    return Track(
+        track_id=track.track_id,
+        object_type=track.object_type,
+        category=track.category,
+        timesteps=np.sort(np.concatenate([2 * steps, 2 * steps[:-1][joined] + 1])),
+        position=interleave(track.position, (track.position[:-1] + track.position[1:]) / 2),
+        heading=np.arctan2(np.sin(heading), np.cos(heading)),
+        velocity=interleave(track.velocity, (track.velocity[:-1] + track.velocity[1:]) / 2),
+        size=track.size,
+    )

@@ -1,0 +1,241 @@
+"""Oriented boxes against each other over a whole scene: compiled loops behind `safety`.
+
+Every kernel walks over pairs of agents and steps, throws far pairs out by their circumscribed circles and does the
+exact test on the rest. Boxes are (x, y, heading, length, width), corners counter-clockwise.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from hid2.agents import FloatArray, IntArray
+
+
+@njit(cache=True)
+def _corners(x: float, y: float, heading: float, length: float, width: float, out: FloatArray) -> None:
+    c, s = math.cos(heading), math.sin(heading)
+    for k in range(4):
+        a = length / 2 if k in (0, 3) else -length / 2
+        b = width / 2 if k in (0, 1) else -width / 2
+        out[k, 0] = x + a * c - b * s
+        out[k, 1] = y + a * s + b * c
+
+
+@njit(cache=True)
+def _area(points: FloatArray, count: int) -> float:
+    total = 0.0
+    for k in range(count):
+        n = (k + 1) % count
+        total += (points[k, 0] - points[0, 0]) * (points[n, 1] - points[0, 1])
+        total -= (points[n, 0] - points[0, 0]) * (points[k, 1] - points[0, 1])
+    return abs(total) / 2
+
+
+@njit(cache=True)
+def _intersection_area(first: FloatArray, second: FloatArray) -> float:
+    """Area shared by two convex quadrilaterals (counter-clockwise): Sutherland-Hodgman clipping."""
+    points = np.empty((16, 2))
+    clipped = np.empty((16, 2))
+    count = 4
+    for k in range(4):
+        points[k] = first[k]
+    for k in range(4):
+        ax, ay = second[k, 0], second[k, 1]
+        ex, ey = second[(k + 1) % 4, 0] - ax, second[(k + 1) % 4, 1] - ay
+        kept = 0
+        for i in range(count):
+            j = (i + 1) % count
+            di = ex * (points[i, 1] - ay) - ey * (points[i, 0] - ax)
+            dj = ex * (points[j, 1] - ay) - ey * (points[j, 0] - ax)
+            if di >= 0:
+                clipped[kept] = points[i]
+                kept += 1
+            if (di >= 0) != (dj >= 0):
+                r = di / (di - dj)
+                clipped[kept, 0] = points[i, 0] + r * (points[j, 0] - points[i, 0])
+                clipped[kept, 1] = points[i, 1] + r * (points[j, 1] - points[i, 1])
+                kept += 1
+        count = kept
+        if count < 3:
+            return 0.0
+        for i in range(count):
+            points[i] = clipped[i]
+    return _area(points, count)
+
+
+@njit(cache=True)
+def pairwise_overlap(
+    position: FloatArray, heading: FloatArray, length: FloatArray, width: FloatArray, row_of: IntArray
+) -> tuple[FloatArray, IntArray, IntArray]:
+    """For every pair of agents: largest IoU (A, A), first step with shared area and number of such steps (A, A).
+
+    Only the upper triangle is filled; the first step is -1 where a pair never overlaps.
+    """
+    agents, steps = row_of.shape
+    iou = np.zeros((agents, agents))
+    first = np.full((agents, agents), -1, dtype=np.int64)
+    count = np.zeros((agents, agents), dtype=np.int64)
+    box_a = np.empty((4, 2))
+    box_b = np.empty((4, 2))
+    for a in range(agents):
+        radius_a = math.hypot(length[a], width[a]) / 2
+        for b in range(a + 1, agents):
+            reach = radius_a + math.hypot(length[b], width[b]) / 2
+            for t in range(steps):
+                i, j = row_of[a, t], row_of[b, t]
+                if i < 0 or j < 0:
+                    continue
+                dx, dy = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
+                if dx * dx + dy * dy >= reach * reach:
+                    continue
+                # corners relative to box a: the areas keep their digits far from the origin
+                _corners(0.0, 0.0, heading[i], length[a], width[a], box_a)
+                _corners(dx, dy, heading[j], length[b], width[b], box_b)
+                shared = _intersection_area(box_a, box_b)
+                if shared > 1e-12:
+                    if first[a, b] < 0:
+                        first[a, b] = t
+                    count[a, b] += 1
+                    union = length[a] * width[a] + length[b] * width[b] - shared
+                    iou[a, b] = max(iou[a, b], shared / union)
+    return iou, first, count
+
+
+@njit(cache=True)
+def contact_time(
+    x: float, y: float, vx: float, vy: float, heading_a: float, length_a: float, width_a: float,
+    heading_b: float, length_b: float, width_b: float,
+) -> float:  # fmt: skip
+    """Time until box b, at (x, y) from box a and moving at (vx, vy) relative to it, touches it; inf if never.
+
+    Separating axes: on each of the four face normals the shadows overlap during an interval of time; the boxes
+    touch when all four intervals hold at once. 0 where they overlap already.
+    """
+    enter, leave = 0.0, math.inf
+    for k in range(4):
+        angle = heading_a if k < 2 else heading_b
+        nx, ny = math.cos(angle), math.sin(angle)
+        if k % 2:
+            nx, ny = -ny, nx
+        ca, sa = math.cos(heading_a), math.sin(heading_a)
+        cb, sb = math.cos(heading_b), math.sin(heading_b)
+        half = (
+            abs(nx * ca + ny * sa) * length_a + abs(-nx * sa + ny * ca) * width_a
+            + abs(nx * cb + ny * sb) * length_b + abs(-nx * sb + ny * cb) * width_b
+        ) / 2  # fmt: skip
+        distance = nx * x + ny * y
+        speed = nx * vx + ny * vy
+        if abs(speed) < 1e-12:
+            if abs(distance) > half:
+                return math.inf
+            continue
+        t0, t1 = (-half - distance) / speed, (half - distance) / speed
+        enter = max(enter, min(t0, t1))
+        leave = min(leave, max(t0, t1))
+    return enter if enter <= leave else math.inf
+
+
+@njit(cache=True)
+def time_to_collision(
+    position: FloatArray,
+    heading: FloatArray,
+    velocity: FloatArray,
+    length: FloatArray,
+    width: FloatArray,
+    row_of: IntArray,
+    cap_s: float,
+) -> tuple[FloatArray, IntArray]:
+    """Smallest TTC of every row to any other agent present, at most `cap_s` (N,), and that agent (N,), -1 if none."""
+    agents, steps = row_of.shape
+    rows = len(position)
+    ttc = np.full(rows, cap_s)
+    other = np.full(rows, -1, dtype=np.int64)
+    for a in range(agents):
+        radius_a = math.hypot(length[a], width[a]) / 2
+        for b in range(a + 1, agents):
+            reach = radius_a + math.hypot(length[b], width[b]) / 2
+            for t in range(steps):
+                i, j = row_of[a, t], row_of[b, t]
+                if i < 0 or j < 0:
+                    continue
+                dx, dy = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
+                vx, vy = velocity[j, 0] - velocity[i, 0], velocity[j, 1] - velocity[i, 1]
+                square = dx * dx + dy * dy
+                closing = dx * vx + dy * vy
+                if square > reach * reach:
+                    if closing >= 0:
+                        continue
+                    speed = math.hypot(vx, vy)
+                    if math.sqrt(square) - reach > speed * cap_s:
+                        continue
+                    # the line of relative motion must pass the circumscribed circles
+                    if abs(dx * vy - dy * vx) > reach * speed:
+                        continue
+                seconds = contact_time(dx, dy, vx, vy, heading[i], length[a], width[a], heading[j], length[b], width[b])
+                if seconds < ttc[i]:
+                    ttc[i], other[i] = seconds, b
+                if seconds < ttc[j]:
+                    ttc[j], other[j] = seconds, a
+    return ttc, other
+
+
+@njit(cache=True)
+def _boxes_touch(
+    x: float, y: float, heading_a: float, length_a: float, width_a: float,
+    heading_b: float, length_b: float, width_b: float,
+) -> bool:  # fmt: skip
+    return contact_time(x, y, 0.0, 0.0, heading_a, length_a, width_a, heading_b, length_b, width_b) == 0.0
+
+
+@njit(cache=True)
+def post_encroachment(
+    agents: IntArray,
+    position: FloatArray,
+    heading: FloatArray,
+    length: FloatArray,
+    width: FloatArray,
+    first: IntArray,
+    step: IntArray,
+    cap_steps: int,
+    min_angle: float,
+) -> IntArray:
+    """PET in steps for every pair of `agents` (K, K), upper triangle, -1 where their paths share no ground in time.
+
+    The smallest |t1 - t2| at which the box of one at t1 covers ground of the box of the other at t2 while their
+    headings there differ by at least `min_angle` (and at most pi - min_angle: meeting head-on is no crossing).
+    """
+    count = len(agents)
+    out = np.full((count, count), -1, dtype=np.int64)
+    low = np.empty((count, 2))
+    high = np.empty((count, 2))
+    for k in range(count):
+        a = agents[k]
+        for axis in range(2):
+            values = position[first[a] : first[a + 1], axis]
+            low[k, axis] = values.min() - length[a] / 2
+            high[k, axis] = values.max() + length[a] / 2
+    for p in range(count):
+        a = agents[p]
+        for q in range(p + 1, count):
+            if low[p, 0] > high[q, 0] or low[q, 0] > high[p, 0] or low[p, 1] > high[q, 1] or low[q, 1] > high[p, 1]:
+                continue
+            b = agents[q]
+            reach = (math.hypot(length[a], width[a]) + math.hypot(length[b], width[b])) / 2
+            best = cap_steps + 1
+            for i in range(first[a], first[a + 1]):
+                for j in range(first[b], first[b + 1]):
+                    apart = abs(step[i] - step[j])
+                    if apart >= best:
+                        continue
+                    dx, dy = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
+                    if dx * dx + dy * dy > reach * reach:
+                        continue
+                    sine = abs(math.sin(heading[i] - heading[j]))
+                    if sine < math.sin(min_angle):
+                        continue
+                    if _boxes_touch(dx, dy, heading[i], length[a], width[a], heading[j], length[b], width[b]):
+                        best = apart
+            if best <= cap_steps:
+                out[p, q] = best
+    return out

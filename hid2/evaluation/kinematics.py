@@ -1,0 +1,143 @@
+"""LO, LA, JE of the paper (section Realism and Safety), limits of motion, and the series they come from.
+
+All derivatives are taken from positions and headings by second-order central differences (one-sided at the ends of
+a track, as `numpy.gradient`), at the true times of the steps.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hid2.agents import FloatArray
+from hid2.evaluation.arrays import FRAGMENT, BoolArray, SceneArrays
+from hid2.params import Limits
+
+#: Tracks shorter than this are left out of LO, LA and JE: the third derivative needs five samples.
+MIN_STEPS = 5
+#: Curvature is not defined for a vehicle that stands; below this speed it is not checked.
+CURVATURE_SPEED_MPS = 1.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Motion:
+    """Derivatives at every row of a scene (N,), from positions and headings.
+
+    velocity, acceleration, jerk (N, 2) m/s, m/s2, m/s3; longitudinal and lateral to the heading; yaw in rad.
+    """
+
+    velocity: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+    speed: FloatArray
+    longitudinal_accel: FloatArray
+    lateral_accel: FloatArray
+    longitudinal_jerk: FloatArray
+    yaw_rate: FloatArray
+    yaw_accel: FloatArray
+
+    @property
+    def jerk_norm(self) -> FloatArray:
+        """(N,) JE: magnitude of the derivative of the acceleration vector."""
+        return np.asarray(np.hypot(self.jerk[:, 0], self.jerk[:, 1]), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Kinematics:
+    """LO, LA, JE by agent (A,): the mean over an agent's steps; `counted` marks tracks of at least MIN_STEPS."""
+
+    lo: FloatArray
+    la: FloatArray
+    je: FloatArray
+    counted: BoolArray
+
+
+def derivative(values: FloatArray, arrays: SceneArrays) -> FloatArray:
+    """Time derivative of a row-wise quantity (N,) or (N, K), track by track; 0 for tracks of one row.
+
+    The formula of `numpy.gradient` with coordinates: h_s^2 f(+) + (h_d^2 - h_s^2) f(0) - h_d^2 f(-), over
+    h_s h_d (h_s + h_d); first order at both ends.
+    """
+    out = np.zeros_like(values)
+    if len(values) < 2:
+        return out
+    gap = np.diff(arrays.step).astype(np.float64)
+    same = np.diff(arrays.agent) == 0
+    wide = (slice(None),) + (None,) * (values.ndim - 1)
+    slope = np.diff(values, axis=0) / np.where(same, gap, 1.0)[wide]
+    inner = np.flatnonzero(same[:-1] & same[1:]) + 1
+    before, after = gap[inner - 1][wide], gap[inner][wide]
+    numerator = before**2 * values[inner + 1] + (after**2 - before**2) * values[inner] - after**2 * values[inner - 1]
+    out[inner] = numerator / (before * after * (before + after))
+    starts, ends = arrays.first[:-1], arrays.first[1:] - 1
+    longer = ends > starts
+    out[starts[longer]] = slope[starts[longer]]
+    out[ends[longer]] = slope[ends[longer] - 1]
+    return np.asarray(out / arrays.step_s, dtype=np.float64)
+
+
+def unwrapped_heading(arrays: SceneArrays) -> FloatArray:
+    """(N,) headings without jumps of a full turn within a track."""
+    if not len(arrays.heading):
+        return arrays.heading
+    turn = np.diff(arrays.heading, prepend=arrays.heading[:1])
+    turn = np.arctan2(np.sin(turn), np.cos(turn))
+    total = np.cumsum(turn)
+    start = arrays.first[:-1]
+    return np.asarray(total - np.repeat(total[start] - arrays.heading[start], arrays.rows_per_agent))
+
+
+def motion(arrays: SceneArrays) -> Motion:
+    """Derivatives of every track of the scene."""
+    velocity = derivative(arrays.position, arrays)
+    acceleration = derivative(velocity, arrays)
+    jerk = derivative(acceleration, arrays)
+    cos, sin = np.cos(arrays.heading), np.sin(arrays.heading)
+    longitudinal = acceleration[:, 0] * cos + acceleration[:, 1] * sin
+    lateral = -acceleration[:, 0] * sin + acceleration[:, 1] * cos
+    yaw_rate = derivative(unwrapped_heading(arrays), arrays)
+    return Motion(
+        velocity=velocity,
+        acceleration=acceleration,
+        jerk=jerk,
+        speed=np.hypot(velocity[:, 0], velocity[:, 1]),
+        longitudinal_accel=longitudinal,
+        lateral_accel=lateral,
+        longitudinal_jerk=derivative(longitudinal, arrays),
+        yaw_rate=yaw_rate,
+        yaw_accel=derivative(yaw_rate, arrays),
+    )
+
+
+def kinematics(arrays: SceneArrays, moved: Motion) -> Kinematics:
+    """LO = |a_x cos + a_y sin|, LA = |-a_x sin + a_y cos|, JE = |da/dt|: mean over each agent's steps (paper, 4.2)."""
+    return Kinematics(
+        lo=arrays.mean_per_agent(np.abs(moved.longitudinal_accel)),
+        la=arrays.mean_per_agent(np.abs(moved.lateral_accel)),
+        je=arrays.mean_per_agent(moved.jerk_norm),
+        counted=arrays.rows_per_agent >= MIN_STEPS,
+    )
+
+
+def clean(arrays: SceneArrays) -> BoolArray:
+    """(A,) moving vehicles that are no tracker fragments: the "clean" row."""
+    return np.asarray(arrays.vehicle & arrays.moving & (arrays.category != FRAGMENT))
+
+
+def beyond_limits(arrays: SceneArrays, moved: Motion, limits: Limits, *, slack: float = 1e-6) -> dict[str, BoolArray]:
+    """Which rows (N,) exceed each limit of motion. `slack` is relative, against rounding.
+
+    Rates of heading are those of the recorded heading; the radius is that of heading rate over speed.
+    """
+    more = 1.0 + slack
+    fast = moved.speed > CURVATURE_SPEED_MPS
+    curvature = np.abs(moved.yaw_rate) / np.where(fast, moved.speed, 1.0)
+    return {
+        "acceleration": moved.longitudinal_accel > limits.accel_max_mps2 * more,
+        "braking": moved.longitudinal_accel < limits.accel_min_mps2 * more,
+        "lateral_acceleration": np.abs(moved.lateral_accel) > limits.lateral_accel_mps2 * more,
+        "yaw_rate": np.abs(moved.yaw_rate) > limits.yaw_rate_radps * more,
+        "yaw_acceleration": np.abs(moved.yaw_accel) > limits.yaw_accel_radps2 * more,
+        "longitudinal_jerk": np.abs(moved.longitudinal_jerk) > limits.longitudinal_jerk_mps3 * more,
+        "jerk": moved.jerk_norm > limits.jerk_mps3 * more,
+        "radius": fast & (curvature > more / limits.min_radius_m),
+    }

@@ -1,0 +1,166 @@
+"""SCR and ORR of the paper (section Realism and Safety), and what they do not see: footprint, TTC, PET, time gap.
+
+Per-agent and per-row results only: what is averaged over which group of agents is decided by the caller, because
+recorded and generated vehicles must be told apart (evaluation.md).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+
+from hid2.agents import FloatArray
+from hid2.evaluation.arrays import BoolArray, SceneArrays
+from hid2.evaluation.boxes import pairwise_overlap, post_encroachment, time_to_collision
+from hid2.evaluation.following import Leaders, leaders
+from hid2.evaluation.matching import FlatLanes, Matches, flatten_lanes, match_lanes
+from netconvert.geometry import box_corners
+from netconvert.lane_graph import LaneGraph
+
+#: Boxes overlapping by more than this collide ("a small IoU threshold" in the paper).
+IOU_THRESHOLD = 0.02
+#: A corner further outside than this is off the road (nuPlan).
+FOOTPRINT_TOLERANCE_M = 0.3
+#: TTC and PET above this are not told apart.
+CAP_S = 5.0
+#: Paths that meet at less than this follow each other; they do not cross (SSAM's rear-end bound).
+CROSSING_RAD = math.radians(30)
+#: Slower vehicles drive neither with nor against a lane.
+WRONG_WAY_SPEED_MPS = 1.0
+
+
+class Overlap(NamedTuple):
+    """A pair of agents (numbers, first < second) whose boxes share ground at some step."""
+
+    first: int
+    second: int
+    iou: float
+    first_step: int
+    steps: int
+
+
+class Encroachment(NamedTuple):
+    """A crossing of two vehicles' swept paths: post-encroachment time between them."""
+
+    first: int
+    second: int
+    pet_s: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Safety:
+    """Safety of a scene: overlaps of pairs, and masks and times by row (N,).
+
+    off_road: box centre outside the drivable area; off_footprint: a corner more than 0.3 m outside;
+    against_lane: moving against every lane that holds the centre; ttc_s: two-dimensional, at most CAP_S.
+    """
+
+    overlaps: tuple[Overlap, ...]
+    encroachments: tuple[Encroachment, ...]
+    off_road: BoolArray
+    off_footprint: BoolArray
+    against_lane: BoolArray
+    ttc_s: FloatArray
+    leaders: Leaders
+    matches: Matches
+    lanes: FlatLanes
+
+
+def overlaps(arrays: SceneArrays) -> tuple[Overlap, ...]:
+    """Every pair of agents, of any type, whose boxes overlap at some step."""
+    iou, first, count = pairwise_overlap(arrays.position, arrays.heading, arrays.length, arrays.width, arrays.row_of)
+    return tuple(
+        Overlap(int(a), int(b), float(iou[a, b]), int(first[a, b]), int(count[a, b]))
+        for a, b in np.argwhere(first >= 0)
+    )
+
+
+def colliding(
+    arrays: SceneArrays, pairs: tuple[Overlap, ...], members: BoolArray, *, iou: float = IOU_THRESHOLD
+) -> BoolArray:
+    """(A,) members that overlap another member with more than `iou` at any step."""
+    hit = np.zeros(arrays.num_agents, dtype=bool)
+    for pair in pairs:
+        if pair.iou > iou and members[pair.first] and members[pair.second]:
+            hit[[pair.first, pair.second]] = True
+    return hit
+
+
+def scenario_collision_rate(
+    arrays: SceneArrays, pairs: tuple[Overlap, ...], members: BoolArray, *, iou: float = IOU_THRESHOLD
+) -> float:
+    """Colliding members / members: one scene's term of the paper's SCR; 0 for a scene without members."""
+    total = int(members.sum())
+    return float(colliding(arrays, pairs, members, iou=iou).sum()) / total if total else 0.0
+
+
+def off_road(position: FloatArray, graph: LaneGraph) -> BoolArray:
+    """Which points (N, 2) lie outside the union of the drivable areas."""
+    area = graph.drivable
+    shapely.prepare(area)
+    return np.asarray(~shapely.intersects_xy(area, position[:, 0], position[:, 1]))
+
+
+def off_footprint(arrays: SceneArrays, graph: LaneGraph, *, tolerance_m: float = FOOTPRINT_TOLERANCE_M) -> BoolArray:
+    """Rows (N,) whose box has a corner more than `tolerance_m` outside the drivable area."""
+    if not len(arrays.agent):
+        return np.zeros(0, dtype=bool)
+    corners = box_corners(
+        arrays.position,
+        arrays.heading,
+        length_m=arrays.length[arrays.agent],
+        width_m=arrays.width[arrays.agent],
+    ).reshape(-1, 2)
+    outside = off_road(corners, graph)
+    points = shapely.points(corners[outside])
+    outside[outside] = ~shapely.dwithin(graph.drivable, points, tolerance_m)
+    return np.asarray(outside.reshape(-1, 4).any(axis=1))
+
+
+def encroachments(arrays: SceneArrays) -> tuple[Encroachment, ...]:
+    """PET of every pair of moving vehicles whose swept paths cross within CAP_S of each other."""
+    moving = np.flatnonzero(arrays.vehicle & arrays.moving)
+    steps = post_encroachment(
+        moving,
+        arrays.position,
+        arrays.heading,
+        arrays.length,
+        arrays.width,
+        arrays.first,
+        arrays.step,
+        round(CAP_S / arrays.step_s),
+        CROSSING_RAD,
+    )
+    return tuple(
+        Encroachment(int(moving[p]), int(moving[q]), float(steps[p, q] * arrays.step_s))
+        for p, q in np.argwhere(steps >= 0)
+    )
+
+
+def safety(arrays: SceneArrays, graph: LaneGraph) -> Safety:
+    """Every measure of safety of a scene."""
+    lanes = flatten_lanes(graph)
+    matches, against = match_lanes(arrays, lanes)
+    ttc, _ = time_to_collision(
+        arrays.position,
+        arrays.heading,
+        arrays.velocity,
+        arrays.length,
+        arrays.width,
+        arrays.row_of,
+        CAP_S,
+    )
+    fast = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1]) > WRONG_WAY_SPEED_MPS
+    return Safety(
+        overlaps=overlaps(arrays),
+        encroachments=encroachments(arrays),
+        off_road=off_road(arrays.position, graph),
+        off_footprint=off_footprint(arrays, graph),
+        against_lane=against & fast,
+        ttc_s=ttc,
+        leaders=leaders(arrays, lanes, matches),
+        matches=matches,
+        lanes=lanes,
+    )
