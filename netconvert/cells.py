@@ -1,0 +1,265 @@
+"""Lane gridification: every lane cut into cells of at most 4 m, and the links between cells.
+
+Same-direction neighbours form a row of lanes and are cut into equally many cells, so that cell j faces cell j. Facing
+cells are one SUMO edge, each of them one lane of it:
+
+      lane 12   | 0 | 1 | 2 | 3 |      edge 11#2 = cells (11, 2) and (12, 2)
+      lane 11   | 0 | 1 | 2 | 3 |      SUMO lanes 11#2_0 (right) and 11#2_1 (left)
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import shapely
+
+from netconvert.geometry import FloatArray, arc_length
+from netconvert.lane_graph import LaneGraph, LaneSegment, Side
+
+#: Cells share ground when more of it than this is common to both; cells that only touch share a sliver at most.
+MIN_OVERLAP_M2 = 0.05
+
+
+class Cell(NamedTuple):
+    """Cell number `index` of a lane segment, counted from its start."""
+
+    lane_id: int
+    index: int  # type: ignore[assignment]  # hides tuple.index, which a cell has no use for
+
+
+class LateralLink(NamedTuple):
+    """The facing cell of the neighbour lane, and whether the marking between allows a change to it."""
+
+    target: Cell
+    allowed: bool
+
+
+class LostLink(NamedTuple):
+    """A link of the source map that the grid does not have, and why."""
+
+    kind: str
+    """successor, left_neighbor or right_neighbor."""
+    source: int
+    target: int
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class CellGrid:
+    """The cells of a lane graph. Made by build_cell_grid."""
+
+    graph: LaneGraph
+    cells: tuple[Cell, ...]
+    """By lane id, then index."""
+    centers: FloatArray
+    """(C, 2) m, the middle of each cell's centreline, in the order of cells."""
+    lost_links: tuple[LostLink, ...]
+    _edges_s: dict[int, FloatArray] = field(repr=False)
+    _first: dict[int, int] = field(repr=False)
+    _rows: dict[int, tuple[tuple[int, ...], ...]] = field(repr=False)
+    """For each lane and cell index, the lanes whose cells face each other, from the right."""
+
+    def count(self, lane_id: int) -> int:
+        """Number of cells of a lane: N_l of the paper, at least."""
+        return len(self._rows[lane_id])
+
+    def edges_s(self, lane_id: int) -> FloatArray:
+        """Arc lengths at which a lane's cells begin and end; (N + 1,) m."""
+        return self._edges_s[lane_id]
+
+    def cell_at(self, lane_id: int, s: float) -> Cell:
+        """The cell that holds arc length s of a lane; the first or last one where s lies before or past the lane."""
+        count = len(self._rows[lane_id])
+        length_m = float(self._edges_s[lane_id][-1])
+        return Cell(lane_id, min(max(int(s / length_m * count), 0), count - 1))
+
+    def length_m(self, cell: Cell) -> float:
+        """Length of the cell's centreline."""
+        return float(self._edges_s[cell.lane_id][-1]) / len(self._rows[cell.lane_id])
+
+    def center(self, cell: Cell) -> FloatArray:
+        """The middle of the cell's centreline; (2,) m."""
+        center: FloatArray = self.centers[self._first[cell.lane_id] + cell.index]
+        return center
+
+    def longitudinal(self, cell: Cell) -> Cell | None:
+        """The next cell of the same lane, None at its end."""
+        return Cell(cell.lane_id, cell.index + 1) if cell.index + 1 < len(self._rows[cell.lane_id]) else None
+
+    def lateral(self, cell: Cell, side: Side) -> LateralLink | None:
+        """The facing cell of the same-direction neighbour, None where there is none or where the row is split."""
+        row = self._rows[cell.lane_id][cell.index]
+        at = row.index(cell.lane_id) + (1 if side == "left" else -1)
+        if not 0 <= at < len(row):
+            return None
+        return LateralLink(Cell(row[at], cell.index), self.graph.may_change(cell.lane_id, side))
+
+    def inter_lane(self, cell: Cell) -> tuple[Cell, ...]:
+        """First cells of the lane's successors (merges, splits), for the last cell of a lane only."""
+        if cell.index + 1 < len(self._rows[cell.lane_id]):
+            return ()
+        return tuple(Cell(target, 0) for target in self.graph.successors(cell.lane_id))
+
+    def overlaps(self, cell: Cell) -> tuple[Cell, ...]:
+        """Cells of other lanes that share ground with this one: crossing, merging and forking lanes."""
+        return self._overlaps.get(cell, ())
+
+    def row(self, cell: Cell) -> tuple[Cell, ...]:
+        """The cell and those that face it, from the right: the lanes of one SUMO edge."""
+        return tuple(Cell(lane_id, cell.index) for lane_id in self._rows[cell.lane_id][cell.index])
+
+    def edge_id(self, cell: Cell) -> str:
+        """SUMO edge that holds the cell."""
+        return f"{self._rows[cell.lane_id][cell.index][0]}#{cell.index}"
+
+    def lane_index(self, cell: Cell) -> int:
+        """Index of the cell's SUMO lane in its edge, 0 at the right."""
+        return self._rows[cell.lane_id][cell.index].index(cell.lane_id)
+
+    def sumo_lane_id(self, cell: Cell) -> str:
+        """SUMO lane that is the cell."""
+        row = self._rows[cell.lane_id][cell.index]
+        return f"{row[0]}#{cell.index}_{row.index(cell.lane_id)}"
+
+    def rows(self) -> Iterator[tuple[Cell, ...]]:
+        """Every row of facing cells once, from the right, ordered by its rightmost lane and index."""
+        for lane_id, rows in self._rows.items():
+            for index, row in enumerate(rows):
+                if row[0] == lane_id:
+                    yield tuple(Cell(member, index) for member in row)
+
+    @cached_property
+    def index_of(self) -> Mapping[Cell, int]:
+        """Position of each cell in cells and centers."""
+        return {cell: index for index, cell in enumerate(self.cells)}
+
+    @cached_property
+    def cell_of_sumo_lane(self) -> Mapping[str, Cell]:
+        """The cell of each SUMO lane."""
+        return {self.sumo_lane_id(cell): cell for cell in self.cells}
+
+    @cached_property
+    def polygons(self) -> npt.NDArray[np.object_]:
+        """Ground of each cell, (C,) polygons in the order of cells.
+
+        Cut out of the lane's boundaries at equal fractions of their lengths; half a width to both sides of the
+        centreline where the map has no boundaries.
+        """
+        rings: list[FloatArray] = []
+        for lane_id, lane in self.graph.lanes.items():
+            left, right = _sides(lane)
+            count = len(self._rows[lane_id])
+            for left_part, right_part in zip(_cut(left, count), _cut(right, count), strict=True):
+                rings.append(np.concatenate([right_part, left_part[::-1]]))
+        owner = np.repeat(np.arange(len(rings)), [len(ring) for ring in rings])
+        polygons: npt.NDArray[np.object_] = shapely.polygons(shapely.linearrings(np.concatenate(rings), indices=owner))
+        invalid = ~shapely.is_valid(polygons)
+        if invalid.any():
+            polygons[invalid] = shapely.buffer(shapely.make_valid(polygons[invalid]), 0.0)
+        return polygons
+
+    @cached_property
+    def _overlaps(self) -> dict[Cell, tuple[Cell, ...]]:
+        lanes = np.array([cell.lane_id for cell in self.cells])
+        first, second = shapely.STRtree(self.polygons).query(self.polygons, predicate="intersects")
+        other = (first < second) & (lanes[first] != lanes[second])
+        first, second = first[other], second[other]
+        common = shapely.area(shapely.intersection(self.polygons[first], self.polygons[second]))
+        shared: dict[Cell, list[Cell]] = {}
+        for a, b in zip(first[common > MIN_OVERLAP_M2], second[common > MIN_OVERLAP_M2], strict=True):
+            shared.setdefault(self.cells[a], []).append(self.cells[b])
+            shared.setdefault(self.cells[b], []).append(self.cells[a])
+        return {cell: tuple(sorted(others)) for cell, others in shared.items()}
+
+
+def build_cell_grid(graph: LaneGraph, *, cell_m: float = 4.0, max_skew_m: float = 6.0) -> CellGrid:
+    """Cut every lane into cells of at most cell_m: N_l = ceil(L_l / cell_m), the maximum over a row of neighbours.
+
+    Facing cells whose middles lie more than max_skew_m apart along the road are not linked: the row is split there.
+    """
+    rows: dict[int, tuple[tuple[int, ...], ...]] = {}
+    edges_s: dict[int, FloatArray] = {}
+    centers: dict[int, FloatArray] = {}
+    lost = [LostLink(link.kind, link.source, link.target, link.reason) for link in graph.dropped]
+    for members in _lane_rows(graph):
+        lanes = [graph.lanes[lane_id] for lane_id in members]
+        count = max(1, *(math.ceil(lane.length_m / cell_m - 1e-9) for lane in lanes))
+        for lane in lanes:
+            edges_s[lane.lane_id] = np.linspace(0.0, lane.length_m, count + 1)
+            centers[lane.lane_id] = lane.path.point((np.arange(count) + 0.5) * (lane.length_m / count))
+        split = np.zeros((len(lanes), count), dtype=np.bool_)
+        for at in range(1, len(lanes)):
+            right, left = lanes[at - 1], lanes[at]
+            skew = _skew(right, centers[right.lane_id], centers[left.lane_id])
+            split[at] = skew > max_skew_m
+            if split[at].all():
+                reason = f"facing cells are skewed by {skew.min():.1f} m or more, {max_skew_m} m is allowed"
+                lost.append(LostLink("left_neighbor", right.lane_id, left.lane_id, reason))
+                lost.append(LostLink("right_neighbor", left.lane_id, right.lane_id, reason))
+        if not split.any():
+            rows.update(dict.fromkeys(members, (members,) * count))
+            continue
+        by_index = [_split(members, split[:, index]) for index in range(count)]
+        for lane_id in members:
+            rows[lane_id] = tuple(next(part for part in parts if lane_id in part) for parts in by_index)
+    cells: list[Cell] = []
+    first: dict[int, int] = {}
+    for lane_id in graph.lanes:
+        first[lane_id] = len(cells)
+        cells.extend(Cell(lane_id, index) for index in range(len(rows[lane_id])))
+    return CellGrid(
+        graph=graph,
+        cells=tuple(cells),
+        centers=np.concatenate([centers[lane_id] for lane_id in graph.lanes]),
+        lost_links=tuple(lost),
+        _edges_s=edges_s,
+        _first=first,
+        _rows={lane_id: rows[lane_id] for lane_id in graph.lanes},
+    )
+
+
+def _lane_rows(graph: LaneGraph) -> Iterator[tuple[int, ...]]:
+    """Lanes side by side, from the right; every lane in one row."""
+    for lane_id in graph.lanes:
+        if graph.neighbor(lane_id, "right") is None:
+            row = [lane_id]
+            while (left := graph.neighbor(row[-1], "left")) is not None:
+                row.append(left)
+            yield tuple(row)
+
+
+def _skew(lane: LaneSegment, centers: FloatArray, facing_centers: FloatArray) -> FloatArray:
+    """Distance along the lane between facing cells' middles; (N,) m."""
+    s = (np.arange(len(centers)) + 0.5) * (lane.length_m / len(centers))
+    heading = lane.path.heading(s)
+    offset = facing_centers - centers
+    return np.abs(offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading))
+
+
+def _split(members: tuple[int, ...], split: npt.NDArray[np.bool_]) -> list[tuple[int, ...]]:
+    """Parts of a row, cut to the right of each member where split is true."""
+    borders = [0, *np.flatnonzero(split).tolist(), len(members)]
+    return [members[start:end] for start, end in pairwise(borders) if end > start]
+
+
+def _sides(lane: LaneSegment) -> tuple[FloatArray, FloatArray]:
+    """Left and right edge of a lane's ground, each (M, 2) m."""
+    if lane.left_boundary is not None and lane.right_boundary is not None:
+        return lane.left_boundary, lane.right_boundary
+    s, half = lane.path.s, lane.width_m / 2.0
+    return lane.path.xy(s, half), lane.path.xy(s, -half)
+
+
+def _cut(points: FloatArray, count: int) -> list[FloatArray]:
+    """Pieces of equal length of a polyline, their ends and the points between; a list of (M, 2) m."""
+    s = arc_length(points)
+    borders = np.linspace(0.0, s[-1], count + 1)
+    ends = np.column_stack([np.interp(borders, s, points[:, 0]), np.interp(borders, s, points[:, 1])])
+    start = np.searchsorted(s, borders[:-1], side="right")
+    stop = np.searchsorted(s, borders[1:], side="left")
+    return [np.concatenate([ends[k : k + 1], points[start[k] : stop[k]], ends[k + 1 : k + 2]]) for k in range(count)]

@@ -1,0 +1,167 @@
+"""Polylines (arc length, resampling, Frenet coordinates) and oriented boxes, all in the plane."""
+
+from dataclasses import dataclass, field
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+#: Corners of a unit box in its own frame (+x along the heading): front left, front right, rear right, rear left.
+_UNIT_CORNERS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
+
+
+def arc_length(points: FloatArray) -> FloatArray:
+    """Distance along a polyline from its first point to each of its points.
+
+    points: (N, 2) m. Returns (N,) m, starting at 0.
+    """
+    length = np.zeros(len(points))
+    steps = np.diff(points, axis=0)
+    np.cumsum(np.hypot(steps[:, 0], steps[:, 1]), out=length[1:])
+    return length
+
+
+def resample(points: FloatArray, *, step_m: float) -> FloatArray:
+    """Points at equal distances of at most step_m along a polyline, both ends kept.
+
+    points: (N, 2) m, of a length above 0. Returns (M, 2) m, M >= 2.
+    """
+    line = Polyline(points)
+    count = max(1, int(np.ceil(line.length_m / step_m - 1e-9)))
+    return line.point(np.linspace(0.0, line.length_m, count + 1))
+
+
+def wrap_angle(angle: npt.ArrayLike) -> FloatArray:
+    """The same angle in (-pi, pi], rad; any shape."""
+    wrapped = np.pi - np.mod(np.pi - np.asarray(angle, dtype=np.float64), 2.0 * np.pi)
+    return np.asarray(wrapped, dtype=np.float64)
+
+
+def box_corners(
+    center: npt.ArrayLike, heading: npt.ArrayLike, *, length_m: npt.ArrayLike, width_m: npt.ArrayLike
+) -> FloatArray:
+    """Corners of oriented boxes: front left, front right, rear right, rear left.
+
+    center: (..., 2) m; heading: (...) rad; length_m, width_m: anything that broadcasts to (...). Returns (..., 4, 2) m.
+    """
+    center = np.asarray(center, dtype=np.float64)
+    heading = np.asarray(heading, dtype=np.float64)[..., None]
+    along = np.asarray(length_m, dtype=np.float64)[..., None] * _UNIT_CORNERS[:, 0]
+    across = np.asarray(width_m, dtype=np.float64)[..., None] * _UNIT_CORNERS[:, 1]
+    cos, sin = np.cos(heading), np.sin(heading)
+    x = center[..., 0, None] + cos * along - sin * across
+    y = center[..., 1, None] + sin * along + cos * across
+    return np.stack(np.broadcast_arrays(x, y), axis=-1)
+
+
+def boxes_overlap(corners_a: FloatArray, corners_b: FloatArray) -> BoolArray:
+    """Whether boxes share ground, by the separating axis theorem; boxes that only touch do not.
+
+    corners_a, corners_b: (..., 4, 2) m as box_corners gives them, broadcast against each other. Returns (...) bool.
+    """
+    shape = np.broadcast_shapes(corners_a.shape[:-2], corners_b.shape[:-2])
+    apart = np.zeros(shape, dtype=np.bool_)
+    for corners in (corners_a, corners_b):
+        for first, second in ((0, 1), (1, 2)):
+            axis = corners[..., first, :] - corners[..., second, :]
+            a = np.einsum("...ij,...j->...i", corners_a, axis)
+            b = np.einsum("...ij,...j->...i", corners_b, axis)
+            apart |= (a.max(axis=-1) <= b.min(axis=-1)) | (b.max(axis=-1) <= a.min(axis=-1))
+    return ~apart
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _project(points, s, xy, out_s, out_d):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Nearest point of the polyline for each row of xy; past an end, along the tangent of that end."""
+    last = points.shape[0] - 2
+    for i in range(xy.shape[0]):
+        x, y = xy[i, 0], xy[i, 1]
+        best = np.inf
+        for k in range(last + 1):
+            dx = points[k + 1, 0] - points[k, 0]
+            dy = points[k + 1, 1] - points[k, 1]
+            square = dx * dx + dy * dy
+            if square == 0.0:
+                continue
+            px, py = x - points[k, 0], y - points[k, 1]
+            along = (px * dx + py * dy) / square
+            clipped = min(max(along, 0.0), 1.0)
+            ex, ey = px - clipped * dx, py - clipped * dy
+            distance = ex * ex + ey * ey
+            if distance < best:
+                best = distance
+                length = np.sqrt(square)
+                cross = dx * py - dy * px
+                if (k == 0 and along < 0.0) or (k == last and along > 1.0):
+                    out_s[i] = s[k] + along * length
+                    out_d[i] = cross / length
+                else:
+                    out_s[i] = s[k] + clipped * length
+                    out_d[i] = np.sqrt(distance) if cross >= 0.0 else -np.sqrt(distance)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Polyline:
+    """A directed polyline and the Frenet frame along it (s from its start, d positive to the left).
+
+    Past its two ends it goes on straight: s may be negative or above length_m, in both directions of the conversion.
+    """
+
+    points: FloatArray
+    """(N, 2) m, N >= 2."""
+    s: FloatArray = field(init=False, repr=False)
+    """(N,) m, arc length at each point."""
+    _heading: FloatArray = field(init=False, repr=False)
+    """(N - 1,) rad, direction of each segment."""
+
+    def __post_init__(self) -> None:
+        points = np.ascontiguousarray(self.points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
+            raise ValueError(f"polyline of shape {points.shape}, want (N, 2) with N >= 2")
+        s = arc_length(points)
+        if not s[-1] > 0.0 or not np.isfinite(s[-1]):
+            raise ValueError(f"polyline of length {s[-1]} m, want a finite length above 0")
+        steps = np.diff(points, axis=0)
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "s", s)
+        object.__setattr__(self, "_heading", np.arctan2(steps[:, 1], steps[:, 0]))
+
+    @property
+    def length_m(self) -> float:
+        """Length from the first to the last point."""
+        return float(self.s[-1])
+
+    def point(self, s: npt.ArrayLike) -> FloatArray:
+        """Points at arc lengths s. s: (M,) m. Returns (M, 2) m."""
+        return self.xy(s, 0.0)
+
+    def heading(self, s: npt.ArrayLike) -> FloatArray:
+        """Direction at arc lengths s, that of the segment ahead where two segments meet. (M,) m. Returns (M,) rad."""
+        return self._heading[self._segment(np.asarray(s, dtype=np.float64))]
+
+    def xy(self, s: npt.ArrayLike, d: npt.ArrayLike) -> FloatArray:
+        """City coordinates of Frenet coordinates, the inverse of frenet. s, d: (M,) m. Returns (M, 2) m."""
+        s, d = np.broadcast_arrays(np.asarray(s, dtype=np.float64), np.asarray(d, dtype=np.float64))
+        segment = self._segment(s)
+        heading = self._heading[segment]
+        cos, sin = np.cos(heading), np.sin(heading)
+        along = s - self.s[segment]
+        start = self.points[segment]
+        return np.stack([start[..., 0] + along * cos - d * sin, start[..., 1] + along * sin + d * cos], axis=-1)
+
+    def frenet(self, xy: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Frenet coordinates of points, on the nearest segment. xy: (M, 2) m. Returns s (M,) m, d (M,) m.
+
+        Past an end of the line, s and d are those of the line's straight extension: s < 0 or s > length_m.
+        """
+        xy = np.ascontiguousarray(np.asarray(xy, dtype=np.float64).reshape(-1, 2))
+        s, d = np.full(len(xy), np.nan), np.full(len(xy), np.nan)
+        _project(self.points, self.s, xy, s, d)
+        return s, d
+
+    def _segment(self, s: FloatArray) -> npt.NDArray[np.int64]:
+        """Index of the segment that holds each s, of the last one for repeated points."""
+        return np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.points) - 2)

@@ -1,0 +1,255 @@
+"""The lane graph of a scene, whatever map it came from: segments, successors, same-direction neighbours."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import shapely
+
+from netconvert.errors import MapError
+from netconvert.geometry import FloatArray, Polyline, wrap_angle
+
+Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")
+
+#: A segment in an intersection turns when its heading changes by more than this from end to end.
+TURN_RAD = math.radians(30.0)
+#: A successor that starts farther than this from the end of a lane cannot be driven to. Real maps: 0.
+MAX_SUCCESSOR_GAP_M = 2.0
+LANE_TYPES = frozenset({"VEHICLE", "BIKE", "BUS"})
+
+REASON_OUTSIDE = "the other lane is outside the map"
+REASON_ITSELF = "the lane names itself"
+REASON_OPPOSITE = "the other lane runs the opposite way"
+REASON_CONTRADICTED = "the other lane has another neighbour on that side"
+REASON_RING = "the neighbours would form a ring"
+REASON_GAP = "the other lane starts elsewhere"
+
+
+class TurnType(StrEnum):
+    """What a vehicle does that follows the lane segment."""
+
+    STRAIGHT = "straight"
+    LEFT = "left_turn"
+    RIGHT = "right_turn"
+
+
+@dataclass(frozen=True, slots=True)
+class DroppedLink:
+    """A link of the source map that the graph does not follow, and why."""
+
+    kind: str
+    """successor, left_neighbor or right_neighbor."""
+    source: int
+    target: int
+    reason: str
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LaneSegment:
+    """One lane segment. Links are those of the source map, unchecked: LaneGraph has the ones to follow."""
+
+    lane_id: int
+    centerline: FloatArray
+    """(N, 2) m in the city frame, in driving direction."""
+    left_boundary: FloatArray | None
+    """(M, 2) m, or None where the map has no boundaries."""
+    right_boundary: FloatArray | None
+    """(M, 2) m, or None where the map has no boundaries."""
+    lane_type: str
+    """VEHICLE, BIKE or BUS."""
+    is_intersection: bool
+    successors: tuple[int, ...]
+    left_neighbor_id: int | None
+    right_neighbor_id: int | None
+    left_mark_type: str
+    right_mark_type: str
+    width_m: float
+    """Mean distance between the boundaries."""
+    turn: TurnType
+    path: Polyline = field(init=False, repr=False)
+    """The centreline with its Frenet frame."""
+
+    def __post_init__(self) -> None:
+        shape = self.centerline.shape
+        if self.centerline.ndim != 2 or shape[1] != 2 or shape[0] < 2:
+            raise MapError(f"lane {self.lane_id}: centerline of shape {shape}, want (N, 2) with N >= 2")
+        if self.lane_type not in LANE_TYPES:
+            raise MapError(f"lane {self.lane_id}: lane_type {self.lane_type!r}, want one of {sorted(LANE_TYPES)}")
+        try:
+            path = Polyline(self.centerline)
+        except ValueError as error:
+            raise MapError(f"lane {self.lane_id}: centerline: {error}") from error
+        object.__setattr__(self, "path", path)
+
+    @property
+    def length_m(self) -> float:
+        """Length of the centreline."""
+        return self.path.length_m
+
+    def neighbor_id(self, side: Side) -> int | None:
+        """The neighbour on a side as the source map names it, in whatever direction it runs."""
+        return self.left_neighbor_id if side == "left" else self.right_neighbor_id
+
+    def mark_type(self, side: Side) -> str:
+        """The marking of the boundary on a side, as this lane sees it (its own side first in DASH_SOLID)."""
+        return self.left_mark_type if side == "left" else self.right_mark_type
+
+
+@dataclass(frozen=True, eq=False)
+class LaneGraph:
+    """Lane segments and the links between them that can be driven.
+
+    Neighbour links are same-direction and mutual: neighbor(a, "left") == b exactly where neighbor(b, "right") == a. A
+    link that only one of the two lanes states counts for both. Whatever the source states beyond that is in `dropped`.
+    """
+
+    lanes: Mapping[int, LaneSegment]
+    """By lane id, in ascending order."""
+    drivable_areas: tuple[FloatArray, ...] = ()
+    """Closed rings, each (N, 2) m with the first point repeated at the end."""
+    dropped: tuple[DroppedLink, ...] = field(init=False)
+    _successors: dict[int, tuple[int, ...]] = field(init=False, repr=False)
+    _predecessors: dict[int, tuple[int, ...]] = field(init=False, repr=False)
+    _neighbors: dict[Side, dict[int, int]] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lanes", dict(sorted(self.lanes.items())))
+        dropped: list[DroppedLink] = []
+        successors = self._drivable_successors(dropped)
+        predecessors: dict[int, list[int]] = {lane_id: [] for lane_id in self.lanes}
+        for lane_id, targets in successors.items():
+            for target in targets:
+                predecessors[target].append(lane_id)
+        object.__setattr__(self, "_successors", successors)
+        object.__setattr__(self, "_predecessors", {lane_id: tuple(ids) for lane_id, ids in predecessors.items()})
+        object.__setattr__(self, "_neighbors", self._mutual_neighbors(dropped))
+        object.__setattr__(self, "dropped", tuple(dropped))
+
+    def successors(self, lane_id: int) -> tuple[int, ...]:
+        """Lanes of the map that follow this one, in the source's order."""
+        return self._successors[lane_id]
+
+    def predecessors(self, lane_id: int) -> tuple[int, ...]:
+        """Lanes that have this one as successor, ascending. The source's own list is not used: it is incomplete."""
+        return self._predecessors[lane_id]
+
+    def neighbor(self, lane_id: int, side: Side) -> int | None:
+        """The lane beside this one that runs the same way, of whatever type."""
+        return self._neighbors[side].get(lane_id)
+
+    def may_change(self, lane_id: int, side: Side) -> bool:
+        """Whether there is a neighbour on that side and the marking between allows a vehicle of this lane to cross."""
+        return self.neighbor(lane_id, side) is not None and crossable(self.lanes[lane_id].mark_type(side))
+
+    @cached_property
+    def drivable(self) -> shapely.Geometry:
+        """Union of the drivable areas, prepared for containment tests."""
+        areas = [shapely.make_valid(shapely.Polygon(ring)) for ring in self.drivable_areas if len(ring) >= 4]
+        union = shapely.union_all(areas)
+        shapely.prepare(union)
+        return union
+
+    def _drivable_successors(self, dropped: list[DroppedLink]) -> dict[int, tuple[int, ...]]:
+        successors: dict[int, tuple[int, ...]] = {}
+        for lane_id, lane in self.lanes.items():
+            kept = []
+            end_x, end_y = lane.centerline[-1]
+            for target in dict.fromkeys(lane.successors):
+                reason = None
+                if target == lane_id:
+                    reason = REASON_ITSELF
+                elif target not in self.lanes:
+                    reason = REASON_OUTSIDE
+                else:
+                    start_x, start_y = self.lanes[target].centerline[0]
+                    if math.hypot(start_x - end_x, start_y - end_y) > MAX_SUCCESSOR_GAP_M:
+                        reason = REASON_GAP
+                if reason is None:
+                    kept.append(target)
+                else:
+                    dropped.append(DroppedLink("successor", lane_id, target, reason))
+            successors[lane_id] = tuple(kept)
+        return successors
+
+    def _mutual_neighbors(self, dropped: list[DroppedLink]) -> dict[Side, dict[int, int]]:
+        direction = {lane_id: _direction(lane) for lane_id, lane in self.lanes.items()}
+        stated: list[tuple[bool, int, Side, int]] = []
+        for lane_id, lane in self.lanes.items():
+            for side in SIDES:
+                target = lane.neighbor_id(side)
+                if target is None:
+                    continue
+                reason = None
+                if target == lane_id:
+                    reason = REASON_ITSELF
+                elif target not in self.lanes:
+                    reason = REASON_OUTSIDE
+                elif np.dot(direction[lane_id], direction[target]) <= 0.0:
+                    reason = REASON_OPPOSITE
+                if reason is None:
+                    one_sided = self.lanes[target].neighbor_id(_other(side)) != lane_id
+                    stated.append((one_sided, lane_id, side, target))
+                else:
+                    dropped.append(DroppedLink(f"{side}_neighbor", lane_id, target, reason))
+        # Links that both lanes state come first, so that a one-sided claim never displaces one of them.
+        stated.sort(key=lambda link: (link[0], link[1], link[2]))
+        neighbors: dict[Side, dict[int, int]] = {"left": {}, "right": {}}
+        for _, lane_id, side, target in stated:
+            mine, theirs = neighbors[side], neighbors[_other(side)]
+            if mine.get(lane_id) == target and theirs.get(target) == lane_id:
+                continue
+            if lane_id in mine or target in theirs:
+                dropped.append(DroppedLink(f"{side}_neighbor", lane_id, target, REASON_CONTRADICTED))
+            elif _walk_reaches(neighbors[side], target, lane_id):
+                dropped.append(DroppedLink(f"{side}_neighbor", lane_id, target, REASON_RING))
+            else:
+                mine[lane_id] = target
+                theirs[target] = lane_id
+        return neighbors
+
+
+def crossable(mark_type: str) -> bool:
+    """Whether a marking may be crossed from the lane that states it: unmarked, dashed, or dashed on the lane's side.
+
+    A mark type names its lines from the stating lane outwards (a centre turn lane has DASH_SOLID_YELLOW on both sides).
+    """
+    return mark_type in {"NONE", "UNKNOWN"} or mark_type.startswith(("DASHED_", "DASH_SOLID_", "DOUBLE_DASH_"))
+
+
+def turn_type(centerline: FloatArray, *, is_intersection: bool) -> TurnType:
+    """Left or right turn where the heading changes by more than TURN_RAD over a lane of an intersection.
+
+    centerline: (N, 2) m without repeated points.
+    """
+    if not is_intersection:
+        return TurnType.STRAIGHT
+    steps = np.diff(centerline, axis=0)
+    change = float(np.sum(wrap_angle(np.diff(np.arctan2(steps[:, 1], steps[:, 0])))))
+    if abs(change) <= TURN_RAD:
+        return TurnType.STRAIGHT
+    return TurnType.LEFT if change > 0.0 else TurnType.RIGHT
+
+
+def _direction(lane: LaneSegment) -> FloatArray:
+    """Chord of the lane, m; for a lane that ends where it starts, its first segment."""
+    chord: FloatArray = lane.centerline[-1] - lane.centerline[0]
+    return chord if np.any(np.abs(chord) > 1e-6) else lane.path.point(1e-3) - lane.centerline[0]
+
+
+def _other(side: Side) -> Side:
+    return "right" if side == "left" else "left"
+
+
+def _walk_reaches(links: Mapping[int, int], start: int, goal: int) -> bool:
+    """Whether following the links from start arrives at goal."""
+    lane: int | None = start
+    while lane is not None:
+        if lane == goal:
+            return True
+        lane = links.get(lane)
+    return False
