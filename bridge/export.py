@@ -97,14 +97,14 @@ def scene_table(scenario: Scenario, generated: Sequence[Track], *, new_id: str, 
         chunks = recorded.chunks if isinstance(recorded, pa.ChunkedArray) else [recorded]
         columns.append(pa.concat_arrays([*chunks, new]))
     schema = pa.schema([pa.field(field.name, field.type) for field in source.schema])
-    table = pa.Table.from_arrays(columns, schema=schema)
-    return table.replace_schema_metadata({"pandas": json.dumps(_pandas_metadata(table))})
+    return pa.Table.from_arrays(columns, schema=schema)
 
 
 def parquet_bytes(table: pa.Table) -> bytes:
     """The file that pandas would write for it. Same rows, same bytes."""
     sink = io.BytesIO()
-    pq.write_table(table, sink, compression="snappy")
+    metadata = {"pandas": json.dumps(_pandas_metadata(table))}
+    pq.write_table(table.replace_schema_metadata(metadata), sink, compression="snappy")
     return sink.getvalue()
 
 
