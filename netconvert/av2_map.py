@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -62,10 +63,12 @@ def lane_graph_from_json(data: Any, *, name: str) -> LaneGraph:  # noqa: ANN401
     """Build the lane graph of a decoded map; name stands for the file in messages."""
     segments = _objects(data, "lane_segments", name=name)
     areas = _objects(data, "drivable_areas", name=name)
+    shapes = [_Shape.of(segment, where=f"{name}: lane {key}") for key, segment in segments.items()]
+    rungs = _rungs([boundary for shape in shapes for boundary in (shape.left, shape.right)])
     lanes: dict[int, LaneSegment] = {}
-    for key, segment in segments.items():
+    for number, (key, segment) in enumerate(segments.items()):
         where = f"{name}: lane {key}"
-        lane = _lane_segment(segment, where=where)
+        lane = _lane_segment(segment, shapes[number], rungs[2 * number], rungs[2 * number + 1], where=where)
         if lane.lane_id in lanes:
             raise MapError(f"{where}: id {lane.lane_id} appears twice, want one segment an id")
         lanes[lane.lane_id] = lane
@@ -88,19 +91,42 @@ def _objects(data: Any, key: str, *, name: str) -> Mapping[str, Any]:  # noqa: A
     return objects
 
 
-def _lane_segment(segment: Any, *, where: str) -> LaneSegment:  # noqa: ANN401
-    if not isinstance(segment, dict):
-        raise MapError(f"{where}: {type(segment).__name__}, want an object")
-    missing = [field for field in _FIELDS if field not in segment]
-    if missing:
-        raise MapError(f"{where}: no {', '.join(missing)}, want the fields of an Argoverse 2 lane segment")
-    left = _points(segment["left_lane_boundary"], where=f"{where}: left_lane_boundary", axes="xyz", at_least=2)
-    right = _points(segment["right_lane_boundary"], where=f"{where}: right_lane_boundary", axes="xyz", at_least=2)
-    left_rungs, right_rungs = _rungs(left), _rungs(right)
-    if segment.get("centerline") is None:
+@dataclass(frozen=True, eq=False, slots=True)
+class _Shape:
+    """What a segment's lists of points hold."""
+
+    left: FloatArray
+    """(M, 3) m."""
+    right: FloatArray
+    """(M, 3) m."""
+    centerline: FloatArray | None
+    """(N, 2) m, None where the source has none."""
+
+    @staticmethod
+    def of(segment: Any, *, where: str) -> "_Shape":  # noqa: ANN401
+        if not isinstance(segment, dict):
+            raise MapError(f"{where}: {type(segment).__name__}, want an object")
+        missing = [field for field in _FIELDS if field not in segment]
+        if missing:
+            raise MapError(f"{where}: no {', '.join(missing)}, want the fields of an Argoverse 2 lane segment")
+        centerline = segment.get("centerline")
+        return _Shape(
+            left=_points(segment["left_lane_boundary"], where=f"{where}: left_lane_boundary", axes="xyz", at_least=2),
+            right=_points(
+                segment["right_lane_boundary"], where=f"{where}: right_lane_boundary", axes="xyz", at_least=2
+            ),
+            centerline=None
+            if centerline is None
+            else _points(centerline, where=f"{where}: centerline", axes="xy", at_least=2),
+        )
+
+
+def _lane_segment(
+    segment: Mapping[str, Any], shape: _Shape, left_rungs: FloatArray, right_rungs: FloatArray, *, where: str
+) -> LaneSegment:
+    centerline = shape.centerline
+    if centerline is None:
         centerline = (left_rungs[:, :2] + right_rungs[:, :2]) / 2.0
-    else:
-        centerline = _points(segment["centerline"], where=f"{where}: centerline", axes="xy", at_least=2)
     centerline = _without_repeats(centerline)
     length_m = float(arc_length(centerline)[-1])
     if length_m < MIN_LENGTH_M:
@@ -112,8 +138,8 @@ def _lane_segment(segment: Any, *, where: str) -> LaneSegment:  # noqa: ANN401
     return LaneSegment(
         lane_id=_lane_id(segment["id"], where=f"{where}: id"),
         centerline=centerline,
-        left_boundary=np.ascontiguousarray(left[:, :2]),
-        right_boundary=np.ascontiguousarray(right[:, :2]),
+        left_boundary=np.ascontiguousarray(shape.left[:, :2]),
+        right_boundary=np.ascontiguousarray(shape.right[:, :2]),
         lane_type=_one_of(segment["lane_type"], LANE_TYPES, where=f"{where}: lane_type"),
         is_intersection=is_intersection,
         successors=_lane_ids(segment["successors"], where=f"{where}: successors"),
@@ -121,7 +147,7 @@ def _lane_segment(segment: Any, *, where: str) -> LaneSegment:  # noqa: ANN401
         right_neighbor_id=_neighbor_id(segment["right_neighbor_id"], where=f"{where}: right_neighbor_id"),
         left_mark_type=_one_of(segment["left_lane_mark_type"], MARK_TYPES, where=f"{where}: left_lane_mark_type"),
         right_mark_type=_one_of(segment["right_lane_mark_type"], MARK_TYPES, where=f"{where}: right_lane_mark_type"),
-        width_m=float(np.mean(np.hypot(gaps[:, 0], gaps[:, 1]))),
+        width_m=float(np.hypot(gaps[:, 0], gaps[:, 1]).mean()),
         turn=turn_type(centerline, is_intersection=is_intersection),
     )
 
@@ -145,13 +171,26 @@ def _points(value: Any, *, where: str, axes: str, at_least: int) -> FloatArray: 
     return points
 
 
-def _rungs(boundary: FloatArray) -> FloatArray:
-    """CENTERLINE_POINTS points at equal distances (in space) along a boundary; (M, 3) m to (10, 3) m."""
-    steps = np.diff(boundary, axis=0)
-    s = np.zeros(len(boundary))
-    np.cumsum(np.sqrt(np.einsum("ij,ij->i", steps, steps)), out=s[1:])
-    at = np.linspace(0.0, s[-1], CENTERLINE_POINTS)
-    return np.column_stack([np.interp(at, s, boundary[:, axis]) for axis in range(3)])
+def _rungs(boundaries: Sequence[FloatArray]) -> FloatArray:
+    """CENTERLINE_POINTS points at equal distances (in space) along each boundary.
+
+    boundaries: B arrays (M, 3) m, all interpolated in one go on one long axis of arc length. Returns (B, 10, 3) m.
+    """
+    if not boundaries:
+        return np.zeros((0, CENTERLINE_POINTS, 3))
+    points = np.concatenate(boundaries)
+    first = np.cumsum([0, *(len(boundary) for boundary in boundaries[:-1])])
+    steps = np.zeros(len(points))
+    steps[1:] = np.sqrt(np.square(points[1:] - points[:-1]).sum(axis=1))
+    # The step from one boundary to the next stays on the axis: no point is asked for there.
+    s = np.cumsum(steps)
+    start, end = s[first], s[np.append(first[1:], len(points)) - 1]
+    at = start[:, None] + (end - start)[:, None] * np.linspace(0.0, 1.0, CENTERLINE_POINTS)
+    at[:, -1] = end
+    rungs = np.stack([np.interp(at, s, points[:, axis]) for axis in range(3)], axis=-1)
+    # Boundaries that meet lie at one place of the axis: each keeps its own ends.
+    rungs[:, 0], rungs[:, -1] = points[first], points[np.append(first[1:], len(points)) - 1]
+    return rungs
 
 
 def _without_repeats(points: FloatArray) -> FloatArray:

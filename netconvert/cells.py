@@ -60,6 +60,7 @@ class CellGrid:
     """(C, 2) m, the middle of each cell's centreline, in the order of cells."""
     lost_links: tuple[LostLink, ...]
     _edges_s: dict[int, FloatArray] = field(repr=False)
+    _borders: dict[int, FloatArray] = field(repr=False)
     _first: dict[int, int] = field(repr=False)
     _rows: dict[int, tuple[tuple[int, ...], ...]] = field(repr=False)
     """For each lane and cell index, the lanes whose cells face each other, from the right."""
@@ -71,6 +72,10 @@ class CellGrid:
     def edges_s(self, lane_id: int) -> FloatArray:
         """Arc lengths at which a lane's cells begin and end; (N + 1,) m."""
         return self._edges_s[lane_id]
+
+    def borders(self, lane_id: int) -> FloatArray:
+        """Points of the centreline at which a lane's cells begin and end; (N + 1, 2) m."""
+        return self._borders[lane_id]
 
     def cell_at(self, lane_id: int, s: float) -> Cell:
         """The cell that holds arc length s of a lane; the first or last one where s lies before or past the lane."""
@@ -184,14 +189,21 @@ def build_cell_grid(graph: LaneGraph, *, cell_m: float = 4.0, max_skew_m: float 
     """
     rows: dict[int, tuple[tuple[int, ...], ...]] = {}
     edges_s: dict[int, FloatArray] = {}
+    borders: dict[int, FloatArray] = {}
     centers: dict[int, FloatArray] = {}
     lost = [LostLink(link.kind, link.source, link.target, link.reason) for link in graph.dropped]
     for members in _lane_rows(graph):
         lanes = [graph.lanes[lane_id] for lane_id in members]
         count = max(1, *(math.ceil(lane.length_m / cell_m - 1e-9) for lane in lanes))
         for lane in lanes:
-            edges_s[lane.lane_id] = np.linspace(0.0, lane.length_m, count + 1)
-            centers[lane.lane_id] = lane.path.point((np.arange(count) + 0.5) * (lane.length_m / count))
+            halves_s: FloatArray = np.arange(2 * count + 1) * (lane.length_m / (2 * count))
+            halves_s[-1] = lane.length_m
+            halves = lane.path.point(halves_s)
+            edges_s[lane.lane_id], borders[lane.lane_id] = halves_s[::2], halves[::2]
+            centers[lane.lane_id] = halves[1::2]
+        if len(lanes) == 1:
+            rows[members[0]] = (members,) * count
+            continue
         split = np.zeros((len(lanes), count), dtype=np.bool_)
         for at in range(1, len(lanes)):
             right, left = lanes[at - 1], lanes[at]
@@ -218,6 +230,7 @@ def build_cell_grid(graph: LaneGraph, *, cell_m: float = 4.0, max_skew_m: float 
         centers=np.concatenate([centers[lane_id] for lane_id in graph.lanes]),
         lost_links=tuple(lost),
         _edges_s=edges_s,
+        _borders=borders,
         _first=first,
         _rows={lane_id: rows[lane_id] for lane_id in graph.lanes},
     )

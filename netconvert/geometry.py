@@ -19,7 +19,7 @@ def arc_length(points: FloatArray) -> FloatArray:
     points: (N, 2) m. Returns (N,) m, starting at 0.
     """
     length = np.zeros(len(points))
-    steps = np.diff(points, axis=0)
+    steps = points[1:] - points[:-1]
     np.cumsum(np.hypot(steps[:, 0], steps[:, 1]), out=length[1:])
     return length
 
@@ -122,9 +122,9 @@ class Polyline:
         if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
             raise ValueError(f"polyline of shape {points.shape}, want (N, 2) with N >= 2")
         s = arc_length(points)
-        if not s[-1] > 0.0 or not np.isfinite(s[-1]):
+        if not 0.0 < s[-1] < np.inf:
             raise ValueError(f"polyline of length {s[-1]} m, want a finite length above 0")
-        steps = np.diff(points, axis=0)
+        steps = points[1:] - points[:-1]
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "s", s)
         object.__setattr__(self, "_heading", np.arctan2(steps[:, 1], steps[:, 0]))
@@ -136,7 +136,13 @@ class Polyline:
 
     def point(self, s: npt.ArrayLike) -> FloatArray:
         """Points at arc lengths s. s: (M,) m. Returns (M, 2) m."""
-        return self.xy(s, 0.0)
+        s = np.asarray(s, dtype=np.float64)
+        if s.size and (s.min() < 0.0 or s.max() > self.s[-1]):
+            return self.xy(s, 0.0)
+        points = np.empty((*s.shape, 2))
+        points[..., 0] = np.interp(s, self.s, self.points[:, 0])
+        points[..., 1] = np.interp(s, self.s, self.points[:, 1])
+        return points
 
     def heading(self, s: npt.ArrayLike) -> FloatArray:
         """Direction at arc lengths s, that of the segment ahead where two segments meet. (M,) m. Returns (M,) rad."""

@@ -155,10 +155,12 @@ class LaneGraph:
         return union
 
     def _drivable_successors(self, dropped: list[DroppedLink]) -> dict[int, tuple[int, ...]]:
+        starts = {lane_id: lane.centerline[0].tolist() for lane_id, lane in self.lanes.items()}
+        ends = {lane_id: lane.centerline[-1].tolist() for lane_id, lane in self.lanes.items()}
         successors: dict[int, tuple[int, ...]] = {}
         for lane_id, lane in self.lanes.items():
             kept = []
-            end_x, end_y = lane.centerline[-1]
+            end_x, end_y = ends[lane_id]
             for target in dict.fromkeys(lane.successors):
                 reason = None
                 if target == lane_id:
@@ -166,7 +168,7 @@ class LaneGraph:
                 elif target not in self.lanes:
                     reason = REASON_OUTSIDE
                 else:
-                    start_x, start_y = self.lanes[target].centerline[0]
+                    start_x, start_y = starts[target]
                     if math.hypot(start_x - end_x, start_y - end_y) > MAX_SUCCESSOR_GAP_M:
                         reason = REASON_GAP
                 if reason is None:
@@ -189,7 +191,7 @@ class LaneGraph:
                     reason = REASON_ITSELF
                 elif target not in self.lanes:
                     reason = REASON_OUTSIDE
-                elif np.dot(direction[lane_id], direction[target]) <= 0.0:
+                elif not _same_way(direction[lane_id], direction[target]):
                     reason = REASON_OPPOSITE
                 if reason is None:
                     one_sided = self.lanes[target].neighbor_id(_other(side)) != lane_id
@@ -235,10 +237,17 @@ def turn_type(centerline: FloatArray, *, is_intersection: bool) -> TurnType:
     return TurnType.LEFT if change > 0.0 else TurnType.RIGHT
 
 
-def _direction(lane: LaneSegment) -> FloatArray:
+def _direction(lane: LaneSegment) -> tuple[float, float]:
     """Chord of the lane, m; for a lane that ends where it starts, its first segment."""
-    chord: FloatArray = lane.centerline[-1] - lane.centerline[0]
-    return chord if np.any(np.abs(chord) > 1e-6) else lane.path.point(1e-3) - lane.centerline[0]
+    start_x, start_y = lane.centerline[0].tolist()
+    end_x, end_y = lane.centerline[-1].tolist()
+    if math.hypot(end_x - start_x, end_y - start_y) < 1e-6:
+        end_x, end_y = lane.path.point(1e-3).tolist()
+    return end_x - start_x, end_y - start_y
+
+
+def _same_way(a: tuple[float, float], b: tuple[float, float]) -> bool:
+    return a[0] * b[0] + a[1] * b[1] > 0.0
 
 
 def _other(side: Side) -> Side:
