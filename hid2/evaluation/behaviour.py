@@ -1,0 +1,437 @@
+"""What a vehicle did, seen from its positions and the map alone: lane changes, turns, overtakes.
+
+Definitions (evaluation.md):
+- lane change: the centre crosses to a same-direction neighbour lane, stays at least 0.5 s on each side and moves at
+  least half a lane width; it starts and ends where the lateral speed passes 0.1 m/s;
+- turn: the vehicle drives a turning lane of an intersection and its own direction changes by as much as makes a turn;
+- overtake: behind another vehicle on the same lane path, then in the adjacent same-direction lane, then ahead, then
+  back; without the return it is a pass; round a vehicle that stands all the while it is obstacle avoidance.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from hid2.agents import FloatArray, IntArray, Policy
+from hid2.evaluation.arrays import BoolArray, SceneArrays
+from hid2.evaluation.following import straightest_successors
+from hid2.evaluation.matching import FlatLanes, Matches
+from netconvert.geometry import Polyline
+from netconvert.lane_graph import TURN_RAD
+
+#: A lane change keeps to each side of the marking for this long.
+STAY_S = 0.5
+#: A lane change starts and ends where the lateral speed passes this.
+LATERAL_SPEED_MPS = 0.1
+#: Lateral speed is the slope of a parabola fitted over this time: recorded positions jitter by centimetres.
+LATERAL_WINDOW_S = 1.1
+#: No lane change is sought further than this from its crossing.
+LONGEST_HALF_S = 6.0
+#: The direction of a turn is measured from this long before the turning lane to this long after it.
+TURN_MARGIN_S = 1.0
+#: A vehicle overtaken is at most this far ahead when the change begins.
+OVERTAKE_REACH_M = 60.0
+#: A vehicle that never moves faster while it is passed is an obstacle.
+PARKED_MPS = 0.5
+#: Lane paths are laid out this far beyond the lane of a change.
+_PATH_AHEAD_M = 150.0
+#: Times off every lane shorter than this do not end a run on a lane.
+_SHORT_OFF_S = 1.0
+
+
+class ManeuverKind(StrEnum):
+    """Kinds that the detector tells apart."""
+
+    LANE_CHANGE = "lane_change"
+    LEFT_TURN = "left_turn"
+    RIGHT_TURN = "right_turn"
+    OVERTAKE = "overtake"
+    PASS = "pass"  # noqa: S105
+    OBSTACLE_AVOIDANCE = "obstacle_avoidance"
+
+
+@dataclass(frozen=True, slots=True)
+class Maneuver:
+    """One manoeuvre seen. Times in s from timestep 0; lanes are lane segment ids; side +1 left, -1 right.
+
+    crossing_s: when the centre crosses between the lanes (overtakes: when the vehicle draws level; turns: half-way).
+    complete: a lane change or turn whose start and end both lie within the track; an overtake is complete by
+    definition. part_of: the overtake, pass or obstacle avoidance that a lane change belongs to.
+    """
+
+    track_id: str
+    kind: ManeuverKind
+    start_s: float
+    crossing_s: float
+    end_s: float
+    source_lane: int
+    target_lane: int
+    side: int
+    complete: bool
+    other_track_id: str | None = None
+    part_of: ManeuverKind | None = None
+
+    @property
+    def duration_s(self) -> float:
+        """From start to end."""
+        return self.end_s - self.start_s
+
+
+class _Run(NamedTuple):
+    """Rows first to last (inclusive) of one vehicle on one lane."""
+
+    lane: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Change:
+    """A lane change with what an overtake needs of it."""
+
+    maneuver: Maneuver
+    source: int
+    target: int
+    row: int
+    path: Polyline
+    path_lanes: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _View:
+    """Everything the detectors read."""
+
+    arrays: SceneArrays
+    lanes: FlatLanes
+    matches: Matches
+    straight: IntArray
+
+
+def detect(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> list[Maneuver]:
+    """Every manoeuvre of every moving vehicle, in the order of the tracks and of their start."""
+    view = _View(arrays, lanes, matches, straightest_successors(lanes))
+    found: list[Maneuver] = []
+    for agent in np.flatnonzero(arrays.vehicle & arrays.moving):
+        runs = _runs(view, int(agent))
+        changes = list(_lane_changes(view, int(agent), runs))
+        overtakes, changes = _overtakes(view, int(agent), changes)
+        seen = [change.maneuver for change in changes] + overtakes + list(_turns(view, int(agent), runs))
+        found += sorted(seen, key=lambda maneuver: (maneuver.start_s, maneuver.kind))
+    return found
+
+
+def policies(arrays: SceneArrays, maneuvers: Sequence[Maneuver]) -> dict[str, Policy]:
+    """One policy of the paper per moving vehicle, by track id: the rarest of what it did, else straight."""
+    rank = {
+        ManeuverKind.RIGHT_TURN: Policy.RIGHT_TURN,
+        ManeuverKind.LEFT_TURN: Policy.LEFT_TURN,
+        ManeuverKind.PASS: Policy.LANE_CHANGE,
+        ManeuverKind.OBSTACLE_AVOIDANCE: Policy.LANE_CHANGE,
+        ManeuverKind.LANE_CHANGE: Policy.LANE_CHANGE,
+        ManeuverKind.OVERTAKE: Policy.OVERTAKE,
+    }
+    order = list(rank)
+    moving = np.flatnonzero(arrays.vehicle & arrays.moving)
+    out = {arrays.track_ids[agent]: Policy.STRAIGHT for agent in moving}
+    for maneuver in sorted(maneuvers, key=lambda maneuver: order.index(maneuver.kind)):
+        out[maneuver.track_id] = rank[maneuver.kind]
+    return out
+
+
+def _runs(view: _View, agent: int) -> list[_Run]:
+    """Lanes in the order driven; short times off every lane are bridged, longer ones are runs of lane -1."""
+    start, stop = int(view.arrays.first[agent]), int(view.arrays.first[agent + 1])
+    lane = view.matches.lane[start:stop]
+    borders = np.flatnonzero(np.diff(lane)) + 1
+    edges = [0, *borders.tolist(), len(lane)]
+    runs = [_Run(int(lane[a]), start + a, start + b - 1) for a, b in pairwise(edges)]
+    short = round(_SHORT_OFF_S / view.arrays.step_s)
+    return [run for run in runs if run.lane >= 0 or run.last - run.first + 1 > short]
+
+
+# Lane changes
+
+
+def _lane_changes(view: _View, agent: int, runs: list[_Run]) -> Iterator[_Change]:
+    for k in range(1, len(runs)):
+        before, after = runs[k - 1], runs[k]
+        if before.lane < 0 or after.lane < 0 or view.lanes.link[before.lane, after.lane] != 1:
+            continue
+        change = _lane_change(view, agent, runs, k)
+        if change is not None:
+            yield change
+
+
+def _lane_change(view: _View, agent: int, runs: list[_Run], k: int) -> _Change | None:
+    """Measure the change from run k - 1 to run k; None where it does not meet the definition."""
+    arrays, lanes = view.arrays, view.lanes
+    source, target = runs[k - 1].lane, runs[k].lane
+    source_path, source_lanes = _source_path(view, runs, k)
+    target_path, _ = _target_path(view, runs, k)
+    start, stop = int(arrays.first[agent]), int(arrays.first[agent + 1])
+    position = arrays.position[start:stop]
+    time = np.asarray(arrays.step[start:stop] * arrays.step_s, dtype=np.float64)
+    side, lateral, known = _lateral(position, source_path, target_path, lanes.half_width[[source, target]].sum())
+    switch = runs[k].first - start
+    if not known[max(0, switch - 1)] or not known[switch]:
+        return None
+    toward = lateral * side
+    crossing = _crossing(toward, known, time, switch)
+    if crossing is None:
+        return None
+    at, crossing_s = crossing
+    smooth = _slope(toward, time)
+    first, started = _edge(smooth, known, at, -1, time)
+    last, ended = _edge(smooth, known, at + 1, +1, time)
+    width = float(lanes.half_width[source] + lanes.half_width[target])
+    if toward[last] - toward[first] < width / 2:
+        return None
+    maneuver = Maneuver(
+        track_id=arrays.track_ids[agent],
+        kind=ManeuverKind.LANE_CHANGE,
+        start_s=float(time[first]),
+        crossing_s=crossing_s,
+        end_s=float(time[last]),
+        source_lane=int(lanes.lane_ids[source]),
+        target_lane=int(lanes.lane_ids[target]),
+        side=side,
+        complete=started and ended,
+    )
+    return _Change(maneuver, source, target, start + at, source_path, source_lanes)
+
+
+def _lateral(
+    position: FloatArray, source: Polyline, target: Polyline, default_width: float
+) -> tuple[int, FloatArray, BoolArray]:
+    """Side of the target lane, offset (T,) m from half-way between the two lanes, and where it is known (T,).
+
+    Half-way is the mean of the offsets to both centrelines; where only one of the lanes lies beside the vehicle it is
+    half the distance between them away from that one.
+    """
+    s_source, d_source = source.frenet(position)
+    s_target, d_target = target.frenet(position)
+    by_source = (s_source > -2.0) & (s_source < source.length_m + 2.0)
+    by_target = (s_target > -2.0) & (s_target < target.length_m + 2.0)
+    both = by_source & by_target
+    apart = d_source - d_target
+    side = 1 if (np.median(apart[both]) if both.any() else d_source.mean()) > 0 else -1
+    rows = np.arange(len(position))
+    width = np.interp(rows, rows[both], apart[both]) if both.any() else np.full(len(rows), side * default_width)
+    lateral = np.where(both, (d_source + d_target) / 2, np.where(by_source, d_source - width / 2, d_target + width / 2))
+    return side, lateral, by_source | by_target
+
+
+def _crossing(toward: FloatArray, known: BoolArray, time: FloatArray, switch: int) -> tuple[int, float] | None:
+    """The crossing nearest to row `switch` with STAY_S on each side: the last row before it and its time."""
+    sign = np.where(toward >= 0, 1, -1)
+    rows = np.flatnonzero((sign[:-1] < 0) & (sign[1:] > 0) & known[:-1] & known[1:])
+    for at in sorted(rows, key=lambda row: abs(int(row) + 1 - switch)):
+        share = -toward[at] / (toward[at + 1] - toward[at])
+        crossing = float(time[at] + share * (time[at + 1] - time[at]))
+        before = (time >= crossing - STAY_S) & (time <= time[at])
+        after = (time <= crossing + STAY_S) & (time >= time[at + 1])
+        long_enough = time[0] <= crossing - STAY_S + 1e-9 and time[-1] >= crossing + STAY_S - 1e-9
+        if long_enough and (sign[before] < 0).all() and (sign[after] > 0).all() and abs(time[at] - time[switch]) < 3.0:
+            return int(at), crossing
+    return None
+
+
+def _slope(values: FloatArray, time: FloatArray) -> FloatArray:
+    step = float(np.median(np.diff(time)))
+    window = round(LATERAL_WINDOW_S / step) | 1
+    if len(values) < window:
+        return np.gradient(values, time)
+    return np.asarray(savgol_filter(values, window, 2, deriv=1, delta=step), dtype=np.float64)
+
+
+def _edge(slope: FloatArray, known: BoolArray, at: int, direction: int, time: FloatArray) -> tuple[int, bool]:
+    """Walk from row `at` until the lateral speed falls below the threshold: that row, and whether it did."""
+    row = at
+    while True:
+        following = row + direction
+        if not 0 <= following < len(slope) or not known[following]:
+            return row, False
+        if abs(time[following] - time[at]) > LONGEST_HALF_S:
+            return row, False
+        if slope[row] < LATERAL_SPEED_MPS and row != at:
+            return row, True
+        row = following
+
+
+def _source_path(view: _View, runs: list[_Run], k: int) -> tuple[Polyline, tuple[int, ...]]:
+    """The lane path that the vehicle leaves: its lanes so far, then those beside the lanes that it drives later."""
+    chain = _chain_back(view, runs, k - 1)
+    beside = {n for run in runs[k:] if run.lane >= 0 for n in _beside(view.lanes, run.lane)}
+    return _path(view, chain, beside)
+
+
+def _target_path(view: _View, runs: list[_Run], k: int) -> tuple[Polyline, tuple[int, ...]]:
+    """The lane path that the vehicle joins: the lane and those that it drives later, begun beside its lanes so far."""
+    chain = [runs[k].lane]
+    beside = {n for run in runs[:k] if run.lane >= 0 for n in _beside(view.lanes, run.lane)}
+    while len(chain) < 20:
+        before = [n for n in np.flatnonzero(view.lanes.link[:, chain[0]] == 0) if int(n) in beside]
+        before = [n for n in before if chain[0] in view.lanes.successors[n] and n not in chain]
+        if not before:
+            break
+        chain.insert(0, int(before[0]))
+    own = {run.lane for run in runs[k:]}
+    return _path(view, chain, own)
+
+
+def _chain_back(view: _View, runs: list[_Run], k: int) -> list[int]:
+    chain = [runs[k].lane]
+    for run in reversed(runs[:k]):
+        if run.lane < 0 or chain[0] not in view.lanes.successors[run.lane]:
+            break
+        chain.insert(0, run.lane)
+    return chain
+
+
+def _beside(lanes: FlatLanes, lane: int) -> list[int]:
+    return [int(n) for n in (lanes.left[lane], lanes.right[lane]) if n >= 0]
+
+
+def _path(view: _View, chain: list[int], preferred: set[int]) -> tuple[Polyline, tuple[int, ...]]:
+    """The polyline of `chain`, extended over preferred successors, else the straightest, by _PATH_AHEAD_M."""
+    lanes = list(chain)
+    ahead = 0.0
+    while ahead < _PATH_AHEAD_M and len(lanes) < 100:
+        targets = view.lanes.successors[lanes[-1]]
+        wanted = [n for n in targets if n in preferred]
+        following = wanted[0] if wanted else int(view.straight[lanes[-1]])
+        if following < 0 or following in lanes:
+            break
+        lanes.append(following)
+        ahead += float(view.lanes.length_m[following])
+    points = np.concatenate([view.lanes.lane_points(lane) for lane in lanes])
+    keep = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
+    return Polyline(points[keep]), tuple(lanes)
+
+
+# Turns
+
+
+def _turns(view: _View, agent: int, runs: list[_Run]) -> Iterator[Maneuver]:
+    arrays, lanes = view.arrays, view.lanes
+    start, stop = int(arrays.first[agent]), int(arrays.first[agent + 1])
+    margin = round(TURN_MARGIN_S / arrays.step_s)
+    direction = np.unwrap(view.matches.direction[start:stop])
+    k = 0
+    while k < len(runs):
+        sign = int(lanes.turn[runs[k].lane]) if runs[k].lane >= 0 else 0
+        if sign == 0:
+            k += 1
+            continue
+        end = k
+        while end + 1 < len(runs) and runs[end + 1].lane >= 0 and lanes.turn[runs[end + 1].lane] == sign:
+            end += 1
+        first, last = runs[k].first - start, runs[end].last - start
+        change = direction[min(last + margin, stop - start - 1)] - direction[max(first - margin, 0)]
+        if change * sign >= TURN_RAD:
+            time = arrays.step[[start + first, start + last]] * arrays.step_s
+            yield Maneuver(
+                track_id=arrays.track_ids[agent],
+                kind=ManeuverKind.LEFT_TURN if sign > 0 else ManeuverKind.RIGHT_TURN,
+                start_s=float(time[0]),
+                crossing_s=float(time.mean()),
+                end_s=float(time[1]),
+                source_lane=int(lanes.lane_ids[runs[k].lane]),
+                target_lane=int(lanes.lane_ids[runs[end].lane]),
+                side=sign,
+                complete=first > 0 and last < stop - start - 1,
+            )
+        k = end + 1
+
+
+# Overtakes
+
+
+def _overtakes(view: _View, agent: int, changes: list[_Change]) -> tuple[list[Maneuver], list[_Change]]:
+    """Overtakes, passes and obstacle avoidances begun by each change; the changes, marked with what they belong to."""
+    found: list[Maneuver] = []
+    marked = list(changes)
+    for k, change in enumerate(changes):
+        if marked[k].maneuver.part_of is not None:
+            continue
+        back = next((m for m in range(k + 1, len(changes)) if changes[m].maneuver.side == -change.maneuver.side), None)
+        passed = _overtake(view, agent, change, changes[back] if back is not None else None)
+        if passed is None:
+            continue
+        maneuver, returned = passed
+        found.append(maneuver)
+        for m in (k, back) if returned and back is not None else (k,):
+            marked[m] = replace(marked[m], maneuver=replace(marked[m].maneuver, part_of=maneuver.kind))
+    return found, marked
+
+
+def _overtake(view: _View, agent: int, change: _Change, back: _Change | None) -> tuple[Maneuver, bool] | None:
+    """What is passed between a change and its return (if any), and whether the return followed.
+
+    Of several vehicles a moving one, else an obstacle; of those the last one drawn level with.
+    """
+    arrays = view.arrays
+    own = slice(int(arrays.first[agent]), int(arrays.first[agent + 1]))
+    s_own, _ = change.path.frenet(arrays.position[own])
+    step_own = arrays.step[own]
+    row = change.row - own.start
+    until = change.maneuver.end_s if back is None else back.maneuver.crossing_s
+    found: list[tuple[bool, float, Maneuver, bool]] = []
+    for other in _ahead_on_path(view, agent, change, float(s_own[row])):
+        rows = arrays.row_of[other, step_own]
+        shared = np.flatnonzero(rows >= 0)
+        s_other, d_other = change.path.frenet(arrays.position[rows[shared]])
+        lead = s_own[shared] - s_other
+        half = (arrays.length[agent] + arrays.length[other]) / 2
+        on_path = np.abs(d_other) <= view.lanes.half_width[change.source]
+        behind = shared[(lead < -half) & on_path & (shared <= row)]
+        ahead = shared[(lead > half) & on_path & (shared > row)]
+        if not len(behind) or not len(ahead):
+            continue
+        time_ahead = step_own[ahead[0]] * arrays.step_s
+        returned = back is not None and back.maneuver.crossing_s >= time_ahead - 1e-9
+        if back is not None and not returned and time_ahead > until:
+            continue  # back in the lane before it was ahead: not passed in the adjacent lane
+        speed = np.hypot(*arrays.velocity[rows[shared]].T)
+        within = (shared >= behind[-1]) & (shared <= ahead[0])
+        parked = bool((speed[within] < PARKED_MPS).all())
+        level = shared[np.flatnonzero(lead >= 0)[0]]
+        moving_kind = ManeuverKind.OVERTAKE if returned else ManeuverKind.PASS
+        kind = ManeuverKind.OBSTACLE_AVOIDANCE if parked else moving_kind
+        level_s = float(step_own[level] * arrays.step_s)
+        end_s = back.maneuver.end_s if returned and back is not None else float(time_ahead)
+        maneuver = Maneuver(
+            track_id=arrays.track_ids[agent],
+            kind=kind,
+            start_s=change.maneuver.start_s,
+            crossing_s=level_s,
+            end_s=max(end_s, change.maneuver.end_s),
+            source_lane=change.maneuver.source_lane,
+            target_lane=change.maneuver.target_lane,
+            side=change.maneuver.side,
+            complete=True,
+            other_track_id=arrays.track_ids[other],
+        )
+        found.append((not parked, level_s, maneuver, returned))
+    if not found:
+        return None
+    _, _, maneuver, returned = max(found, key=lambda item: item[:2])
+    return maneuver, returned
+
+
+def _ahead_on_path(view: _View, agent: int, change: _Change, s_own: float) -> Iterator[int]:
+    """Vehicles on the lanes of the path that was left, ahead of the vehicle when it crosses."""
+    arrays = view.arrays
+    step = int(arrays.step[change.row])
+    for other in np.flatnonzero(arrays.vehicle):
+        row = int(arrays.row_of[other, step])
+        if other == agent or row < 0 or int(view.matches.lane[row]) not in change.path_lanes:
+            continue
+        s_other, _ = change.path.frenet(arrays.position[row : row + 1])
+        if -2.0 < float(s_other[0]) - s_own <= OVERTAKE_REACH_M:
+            yield int(other)
