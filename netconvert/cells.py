@@ -196,7 +196,7 @@ def build_cell_grid(graph: LaneGraph, *, cell_m: float = 4.0, max_skew_m: float 
         lanes = [graph.lanes[lane_id] for lane_id in members]
         count = max(1, *(math.ceil(lane.length_m / cell_m - 1e-9) for lane in lanes))
         for lane in lanes:
-            halves_s: FloatArray = np.arange(2 * count + 1) * (lane.length_m / (2 * count))
+            halves_s = np.arange(2 * count + 1, dtype=np.float64) * (lane.length_m / (2 * count))
             halves_s[-1] = lane.length_m
             halves = lane.path.point(halves_s)
             edges_s[lane.lane_id], borders[lane.lane_id] = halves_s[::2], halves[::2]
