@@ -435,14 +435,12 @@ def intersection() -> Scene:
 
     drive = scene.drive
     focal = route("wl_in", "wl_left", "sl_out")
-    drive(
-        focal, 58.0, [(0.0, 8.5), (3.0, 5.6), (5.6, 5.6), (8.6, 9.0)], category=3
-    )  # turns left before the others come
-    drive(route("er_in", "er_right", "sl_out"), 32.0, [(0.0, 9.0), (2.0, 9.0), (6.0, 4.2), (8.5, 4.2), (11.0, 6.5)],
-          category=2, sway=1)  # turns right  # fmt: skip
+    drive(focal, 62.0, [(0.0, 8.5), (3.0, 5.3), (6.4, 5.3), (9.6, 9.0)], category=3)  # turns left ahead of the AV
+    right_turn = [(0.0, 9.0), (2.0, 9.0), (6.0, 4.2), (10.0, 4.2), (13.0, 6.5)]
+    drive(route("er_in", "er_right", "sl_out"), 32.0, right_turn, category=2, sway=1)
     drive(route("wl_in", "wl_straight", "wl_out"), 22.0, 8.5, object_type="bus", category=2, sway=3)
     drive(route("wr_in", "wr_straight", "wr_out"), 68.0, 4.6, object_type="cyclist", category=2, sway=2, offset_m=-1.0)
-    drive(route("nl_in", "nl_right", "er_out"), 75.0, [(0.0, 0.0), (7.4, 0.0), (11.0, 4.0), (12.0, 4.2)])  # yields
+    drive(route("nl_in", "nl_right", "er_out"), 72.0, [(0.0, 0.0), (7.4, 0.0), (11.0, 4.0), (12.0, 4.2)])  # yields
     drive(route("nl_in"), 42.0, [(0.0, 6.5), (5.5, 0.0)], sway=0)  # queues behind it
     drive(route("sl_in"), 36.0, [(0.0, 8.2), (1.0, 8.2), (7.5, 0.0)], category=2)  # stops for the crossing pedestrians
     drive(route("el_in", "el_straight", "el_out"), 112.0, 11.5, category=0, sway=4, steps=(0, 66))  # leaves the scene
@@ -454,7 +452,7 @@ def intersection() -> Scene:
     pedestrian(scene, line((-7.0, 17.6), (12.0, 17.6)), 0.6, 1.2, sway=1)
     pedestrian(scene, line((7.0, 18.6), (-12.0, 18.6)), 0.9, 1.1, sway=4)
     pedestrian(scene, line((-70.0, 9.2), (-20.0, 9.2)), 4.0, 1.4, sway=2)
-    drive(route("el_in", "el_straight", "el_out"), 16.0, 10.6, sway=2)  # AV
+    drive(route("el_in", "el_straight", "el_out"), 4.0, 9.9, sway=2)  # AV
     return scene
 
 
