@@ -11,16 +11,15 @@ Definitions (evaluation.md):
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import savgol_filter
 
-from hid2.agents import FloatArray, IntArray, Policy
+from hid2.agents import FloatArray, Policy
 from hid2.evaluation.arrays import BoolArray, SceneArrays
 from hid2.evaluation.following import straightest_successors
 from hid2.evaluation.matching import FlatLanes, Matches
+from hid2.evaluation.paths import LaneView, Run, runs_of, source_path, target_path
 from netconvert.geometry import Polyline
 from netconvert.lane_graph import TURN_RAD
 
@@ -38,10 +37,6 @@ TURN_MARGIN_S = 1.0
 OVERTAKE_REACH_M = 60.0
 #: A vehicle that never moves faster while it is passed is an obstacle.
 PARKED_MPS = 0.5
-#: Lane paths are laid out this far beyond the lane of a change.
-_PATH_AHEAD_M = 150.0
-#: Times off every lane shorter than this do not end a run on a lane.
-_SHORT_OFF_S = 1.0
 
 
 class ManeuverKind(StrEnum):
@@ -82,14 +77,6 @@ class Maneuver:
         return self.end_s - self.start_s
 
 
-class _Run(NamedTuple):
-    """Rows first to last (inclusive) of one vehicle on one lane."""
-
-    lane: int
-    first: int
-    last: int
-
-
 @dataclass(frozen=True, eq=False, slots=True)
 class _Change:
     """A lane change with what an overtake needs of it."""
@@ -102,22 +89,12 @@ class _Change:
     path_lanes: tuple[int, ...]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _View:
-    """Everything the detectors read."""
-
-    arrays: SceneArrays
-    lanes: FlatLanes
-    matches: Matches
-    straight: IntArray
-
-
 def detect(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> list[Maneuver]:
     """Every manoeuvre of every moving vehicle, in the order of the tracks and of their start."""
-    view = _View(arrays, lanes, matches, straightest_successors(lanes))
+    view = LaneView(arrays, lanes, matches, straightest_successors(lanes))
     found: list[Maneuver] = []
     for agent in np.flatnonzero(arrays.vehicle & arrays.moving):
-        runs = _runs(view, int(agent))
+        runs = runs_of(view, int(agent))
         changes = list(_lane_changes(view, int(agent), runs))
         overtakes, changes = _overtakes(view, int(agent), changes)
         seen = [change.maneuver for change in changes] + overtakes + list(_turns(view, int(agent), runs))
@@ -143,21 +120,10 @@ def policies(arrays: SceneArrays, maneuvers: Sequence[Maneuver]) -> dict[str, Po
     return out
 
 
-def _runs(view: _View, agent: int) -> list[_Run]:
-    """Lanes in the order driven; short times off every lane are bridged, longer ones are runs of lane -1."""
-    start, stop = int(view.arrays.first[agent]), int(view.arrays.first[agent + 1])
-    lane = view.matches.lane[start:stop]
-    borders = np.flatnonzero(np.diff(lane)) + 1
-    edges = [0, *borders.tolist(), len(lane)]
-    runs = [_Run(int(lane[a]), start + a, start + b - 1) for a, b in pairwise(edges)]
-    short = round(_SHORT_OFF_S / view.arrays.step_s)
-    return [run for run in runs if run.lane >= 0 or run.last - run.first + 1 > short]
-
-
 # Lane changes
 
 
-def _lane_changes(view: _View, agent: int, runs: list[_Run]) -> Iterator[_Change]:
+def _lane_changes(view: LaneView, agent: int, runs: list[Run]) -> Iterator[_Change]:
     for k in range(1, len(runs)):
         before, after = runs[k - 1], runs[k]
         if before.lane < 0 or after.lane < 0 or view.lanes.link[before.lane, after.lane] != 1:
@@ -167,16 +133,16 @@ def _lane_changes(view: _View, agent: int, runs: list[_Run]) -> Iterator[_Change
             yield change
 
 
-def _lane_change(view: _View, agent: int, runs: list[_Run], k: int) -> _Change | None:
+def _lane_change(view: LaneView, agent: int, runs: list[Run], k: int) -> _Change | None:
     """Measure the change from run k - 1 to run k; None where it does not meet the definition."""
     arrays, lanes = view.arrays, view.lanes
     source, target = runs[k - 1].lane, runs[k].lane
-    source_path, source_lanes = _source_path(view, runs, k)
-    target_path, _ = _target_path(view, runs, k)
+    left, left_lanes = source_path(view, runs, k)
+    joined, _ = target_path(view, runs, k)
     start, stop = int(arrays.first[agent]), int(arrays.first[agent + 1])
     position = arrays.position[start:stop]
     time = np.asarray(arrays.step[start:stop] * arrays.step_s, dtype=np.float64)
-    side, lateral, known = _lateral(position, source_path, target_path, lanes.half_width[[source, target]].sum())
+    side, lateral, known = _lateral(position, left, joined, lanes.half_width[[source, target]].sum())
     switch = runs[k].first - start
     if not known[max(0, switch - 1)] or not known[switch]:
         return None
@@ -202,7 +168,7 @@ def _lane_change(view: _View, agent: int, runs: list[_Run], k: int) -> _Change |
         side=side,
         complete=started and ended,
     )
-    return _Change(maneuver, source, target, start + at, source_path, source_lanes)
+    return _Change(maneuver, source, target, start + at, left, left_lanes)
 
 
 def _lateral(
@@ -263,61 +229,10 @@ def _edge(slope: FloatArray, known: BoolArray, at: int, direction: int, time: Fl
         row = following
 
 
-def _source_path(view: _View, runs: list[_Run], k: int) -> tuple[Polyline, tuple[int, ...]]:
-    """The lane path that the vehicle leaves: its lanes so far, then those beside the lanes that it drives later."""
-    chain = _chain_back(view, runs, k - 1)
-    beside = {n for run in runs[k:] if run.lane >= 0 for n in _beside(view.lanes, run.lane)}
-    return _path(view, chain, beside)
-
-
-def _target_path(view: _View, runs: list[_Run], k: int) -> tuple[Polyline, tuple[int, ...]]:
-    """The lane path that the vehicle joins: the lane and those that it drives later, begun beside its lanes so far."""
-    chain = [runs[k].lane]
-    beside = {n for run in runs[:k] if run.lane >= 0 for n in _beside(view.lanes, run.lane)}
-    while len(chain) < 20:
-        before = [n for n in np.flatnonzero(view.lanes.link[:, chain[0]] == 0) if int(n) in beside]
-        before = [n for n in before if chain[0] in view.lanes.successors[n] and n not in chain]
-        if not before:
-            break
-        chain.insert(0, int(before[0]))
-    own = {run.lane for run in runs[k:]}
-    return _path(view, chain, own)
-
-
-def _chain_back(view: _View, runs: list[_Run], k: int) -> list[int]:
-    chain = [runs[k].lane]
-    for run in reversed(runs[:k]):
-        if run.lane < 0 or chain[0] not in view.lanes.successors[run.lane]:
-            break
-        chain.insert(0, run.lane)
-    return chain
-
-
-def _beside(lanes: FlatLanes, lane: int) -> list[int]:
-    return [int(n) for n in (lanes.left[lane], lanes.right[lane]) if n >= 0]
-
-
-def _path(view: _View, chain: list[int], preferred: set[int]) -> tuple[Polyline, tuple[int, ...]]:
-    """The polyline of `chain`, extended over preferred successors, else the straightest, by _PATH_AHEAD_M."""
-    lanes = list(chain)
-    ahead = 0.0
-    while ahead < _PATH_AHEAD_M and len(lanes) < 100:
-        targets = view.lanes.successors[lanes[-1]]
-        wanted = [n for n in targets if n in preferred]
-        following = wanted[0] if wanted else int(view.straight[lanes[-1]])
-        if following < 0 or following in lanes:
-            break
-        lanes.append(following)
-        ahead += float(view.lanes.length_m[following])
-    points = np.concatenate([view.lanes.lane_points(lane) for lane in lanes])
-    keep = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
-    return Polyline(points[keep]), tuple(lanes)
-
-
 # Turns
 
 
-def _turns(view: _View, agent: int, runs: list[_Run]) -> Iterator[Maneuver]:
+def _turns(view: LaneView, agent: int, runs: list[Run]) -> Iterator[Maneuver]:
     arrays, lanes = view.arrays, view.lanes
     start, stop = int(arrays.first[agent]), int(arrays.first[agent + 1])
     margin = round(TURN_MARGIN_S / arrays.step_s)
@@ -352,7 +267,7 @@ def _turns(view: _View, agent: int, runs: list[_Run]) -> Iterator[Maneuver]:
 # Overtakes
 
 
-def _overtakes(view: _View, agent: int, changes: list[_Change]) -> tuple[list[Maneuver], list[_Change]]:
+def _overtakes(view: LaneView, agent: int, changes: list[_Change]) -> tuple[list[Maneuver], list[_Change]]:
     """Overtakes, passes and obstacle avoidances begun by each change; the changes, marked with what they belong to."""
     found: list[Maneuver] = []
     marked = list(changes)
@@ -370,7 +285,7 @@ def _overtakes(view: _View, agent: int, changes: list[_Change]) -> tuple[list[Ma
     return found, marked
 
 
-def _overtake(view: _View, agent: int, change: _Change, back: _Change | None) -> tuple[Maneuver, bool] | None:
+def _overtake(view: LaneView, agent: int, change: _Change, back: _Change | None) -> tuple[Maneuver, bool] | None:
     """What is passed between a change and its return (if any), and whether the return followed.
 
     Of several vehicles a moving one, else an obstacle; of those the last one drawn level with.
@@ -424,7 +339,7 @@ def _overtake(view: _View, agent: int, change: _Change, back: _Change | None) ->
     return maneuver, returned
 
 
-def _ahead_on_path(view: _View, agent: int, change: _Change, s_own: float) -> Iterator[int]:
+def _ahead_on_path(view: LaneView, agent: int, change: _Change, s_own: float) -> Iterator[int]:
     """Vehicles on the lanes of the path that was left, ahead of the vehicle when it crosses."""
     arrays = view.arrays
     step = int(arrays.step[change.row])
