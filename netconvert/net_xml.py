@@ -18,6 +18,8 @@ from netconvert.lane_graph import LaneSegment, TurnType
 SPEED_LIMIT_MPS = 20.0
 #: Classes that may use a lane, by lane type; None is every class.
 ALLOWED_CLASSES: dict[str, str | None] = {"VEHICLE": None, "BUS": None, "BIKE": "bicycle"}
+#: Who may cross a marking that forbids it. SUMO needs at least one class; it draws such a line solid.
+_MAY_ALWAYS_CROSS = "emergency"
 #: The net format that SUMO 1.28 writes. Without it a broken reference crashes SUMO instead of raising.
 NET_VERSION = "1.20"
 #: Vertices of a lane closer than this to a border of its cell are left out of the cell's shape.
@@ -43,16 +45,13 @@ def net_bytes(grid: CellGrid, *, speed_limit_mps: float = SPEED_LIMIT_MPS) -> by
         ends = {"from": names[2 * edge], "to": names[2 * edge + 1]}
         element = etree.SubElement(net, "edge", {"id": edge_id, **ends, "priority": "0"})
         for index, (lane_id, cell_index) in enumerate(row):
-            lane = etree.SubElement(
-                element,
-                "lane",
-                {
-                    "id": f"{edge_id}_{index}",
-                    "index": str(index),
-                    **templates[lane_id],
-                    "shape": shapes[lane_id][cell_index],
-                },
-            )
+            attributes = {"id": f"{edge_id}_{index}", "index": str(index), **templates[lane_id]}
+            attributes["shape"] = shapes[lane_id][cell_index]
+            if index > 0 and not grid.graph.may_change(lane_id, "right"):
+                attributes["changeRight"] = _MAY_ALWAYS_CROSS
+            if index + 1 < len(row) and not grid.graph.may_change(lane_id, "left"):
+                attributes["changeLeft"] = _MAY_ALWAYS_CROSS
+            lane = etree.SubElement(element, "lane", attributes)
             etree.SubElement(lane, "param", {"key": "av2.lane_segment_id", "value": str(lane_id)})
     for attributes in _junctions(grid, rows, edge_ids, names):
         etree.SubElement(net, "junction", attributes)

@@ -1,0 +1,53 @@
+"""A scene's map as files for SUMO: what `hid2 net` does."""
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from netconvert.av2_map import read_lane_graph
+from netconvert.cells import build_cell_grid
+from netconvert.errors import MapError, NetError
+from netconvert.fidelity import FidelityReport, measure_fidelity
+from netconvert.gui_files import gui_files
+from netconvert.net_xml import net_bytes
+
+_MAP_PREFIX = "log_map_archive_"
+
+
+def convert(scene: Path, out_dir: Path, *, cell_m: float = 4.0, max_skew_m: float = 6.0) -> FidelityReport:
+    """Write <id>.net.xml, .sumocfg, .poly.xml, .view.xml and .cells.csv of a scene's map into out_dir.
+
+    scene: a folder with one log_map_archive_<id>.json, or that file; the recorded tracks are not needed. Files of an
+    earlier run are replaced, all of them or, after an error, none. Errors: MapError, NetError.
+    """
+    path = _map_file(scene)
+    name = path.stem.removeprefix(_MAP_PREFIX)
+    grid = build_cell_grid(read_lane_graph(path), cell_m=cell_m, max_skew_m=max_skew_m)
+    net = net_bytes(grid)
+    report = measure_fidelity(grid, net)
+    _write_all(out_dir, {f"{name}.net.xml": net, **gui_files(grid, name)})
+    return report
+
+
+def _map_file(scene: Path) -> Path:
+    if scene.is_file():
+        return scene
+    if not scene.is_dir():
+        raise MapError(f"{scene}: no such folder, want a scenario folder")
+    found = sorted(scene.glob(f"{_MAP_PREFIX}*.json"))
+    if len(found) != 1:
+        raise MapError(f"{scene}: {len(found)} files {_MAP_PREFIX}*.json, want one")
+    return found[0]
+
+
+def _write_all(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write every file to a hidden folder beside its place, then move all of them there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".hid2-net-", dir=folder) as beside:
+            for name, content in files.items():
+                (Path(beside) / name).write_bytes(content)
+            for name in files:
+                (Path(beside) / name).replace(folder / name)
+    except OSError as error:
+        raise NetError(f"{folder}: cannot write the net: {error.strerror}") from error

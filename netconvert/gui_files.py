@@ -1,0 +1,112 @@
+"""Files that open a net in plain sumo-gui, and the table of its cells."""
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+from lxml import etree
+
+from netconvert.cells import CellGrid
+from netconvert.errors import NetError
+from netconvert.lane_graph import LaneGraph
+
+CELL_COLUMNS = (
+    "lane_segment_id",
+    "cell_index",
+    "sumo_lane_id",
+    "length_m",
+    "center_x_m",
+    "center_y_m",
+    "lane_type",
+)
+#: Grey of the drivable area, darker than the lanes of sumo-gui's scheme "real world".
+_AREA_COLOR = "175,175,170"
+#: Milliseconds that sumo-gui waits between steps of 0.1 s: real time.
+_DELAY_MS = 100
+
+
+def gui_files(grid: CellGrid, name: str) -> dict[str, bytes]:
+    """Contents by file name of everything beside <name>.net.xml.
+
+    <name>.sumocfg refers to the net, the drivable area (<name>.poly.xml) and the view (<name>.view.xml) by file names,
+    so that the folder can be moved; <name>.cells.csv has one row a cell.
+    """
+    return {
+        f"{name}.sumocfg": _configuration(name),
+        f"{name}.poly.xml": _polygons(grid.graph),
+        f"{name}.view.xml": _view(grid),
+        f"{name}.cells.csv": cells_csv(grid),
+    }
+
+
+def write_gui_files(grid: CellGrid, folder: Path | str, name: str) -> None:
+    """Write gui_files into a folder that exists. NetError if a file cannot be written."""
+    for file_name, content in gui_files(grid, name).items():
+        path = Path(folder) / file_name
+        try:
+            path.write_bytes(content)
+        except OSError as error:
+            raise NetError(f"{path}: cannot write: {error.strerror}") from error
+
+
+def cells_csv(grid: CellGrid) -> bytes:
+    """One row a cell, with the columns CELL_COLUMNS, in the order of the grid's cells."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(CELL_COLUMNS)
+    writer.writerows(
+        (
+            cell.lane_id,
+            cell.index,
+            grid.sumo_lane_id(cell),
+            f"{grid.length_m(cell):.3f}",
+            f"{x:.3f}",
+            f"{y:.3f}",
+            grid.graph.lanes[cell.lane_id].lane_type,
+        )
+        for cell, (x, y) in zip(grid.cells, grid.centers.tolist(), strict=True)
+    )
+    return text.getvalue().encode()
+
+
+def _configuration(name: str) -> bytes:
+    root = etree.Element("configuration")
+    inputs = etree.SubElement(root, "input")
+    etree.SubElement(inputs, "net-file", {"value": f"{name}.net.xml"})
+    etree.SubElement(inputs, "additional-files", {"value": f"{name}.poly.xml"})
+    time = etree.SubElement(root, "time")
+    etree.SubElement(time, "step-length", {"value": "0.1"})
+    gui = etree.SubElement(root, "gui_only")
+    etree.SubElement(gui, "gui-settings-file", {"value": f"{name}.view.xml"})
+    return _content(root)
+
+
+def _polygons(graph: LaneGraph) -> bytes:
+    root = etree.Element("additional")
+    for number, ring in enumerate(graph.drivable_areas):
+        attributes = {
+            "id": f"drivable_area_{number}",
+            "type": "drivable_area",
+            "color": _AREA_COLOR,
+            "fill": "1",
+            "layer": "-10",
+            "shape": " ".join(f"{x:.2f},{y:.2f}" for x, y in ring.tolist()),
+        }
+        etree.SubElement(root, "poly", attributes)
+    return _content(root)
+
+
+def _view(grid: CellGrid) -> bytes:
+    points = np.concatenate([lane.centerline for lane in grid.graph.lanes.values()])
+    x, y = ((points.min(axis=0) + points.max(axis=0)) / 2.0).tolist()
+    root = etree.Element("viewsettings")
+    etree.SubElement(root, "scheme", {"name": "real world"})
+    etree.SubElement(root, "delay", {"value": str(_DELAY_MS)})
+    etree.SubElement(root, "viewport", {"zoom": "100", "x": f"{x:.2f}", "y": f"{y:.2f}"})
+    return _content(root)
+
+
+def _content(root: etree._Element) -> bytes:
+    content: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+    return content
