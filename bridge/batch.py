@@ -1,0 +1,332 @@
+"""Many scenes: what to do, what is done already, who does it, and what became of each.
+
+Every scene runs in an isolated process (see `bridge.engine`). A scene that has no result is quarantined: it leaves a
+bundle in OUT/quarantine that reproduces the failure, and the batch goes on.
+"""
+
+import contextlib
+import fcntl
+import re
+import shutil
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version as installed_version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from bridge.config import config_sha256
+from bridge.engine import Outcome, Settings, Task, execute
+from bridge.isolation import Failure, describe_error
+from bridge.manifest import DONE, QUARANTINED, Manifest, ManifestRow, files_sha256, output_files, source_files
+from bridge.quarantine import Bundle, read_bundle, write_bundle
+from bridge.scenario import SPLITS
+from hid2.agents import Policy
+from hid2.params import Config
+from netconvert.errors import BatchError, ExportError
+
+if TYPE_CHECKING:
+    from bridge.sidecar import Sidecar
+
+QUARANTINE = "quarantine"
+GENERATE = "bridge.batch:generate_runs"
+
+_HALF_WRITTEN = re.compile(r"\.[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}-.*")
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One generated scene that is wanted."""
+
+    config: Config
+    variant: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SceneJob:
+    """A source scene (its folder) and the runs on it, which share its map, net and replay."""
+
+    folder: Path
+    runs: tuple[Run, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a scene is read and where its results are written."""
+
+    folder: Path
+    out: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How a batch runs. scheduler: address of a Dask scheduler; resume: skip what is complete and unchanged."""
+
+    jobs: int = 1
+    scheduler: str | None = None
+    timeout_s: float = 300.0
+    resume: bool = False
+    function: str = GENERATE
+    recycle_after: int = 200
+
+    @property
+    def settings(self) -> Settings:
+        """The engine's part."""
+        return Settings(timeout_s=self.timeout_s, recycle_after=self.recycle_after)
+
+
+@dataclass(slots=True)
+class Progress:
+    """Counts so far. total: runs in all; skipped: found complete and unchanged."""
+
+    total: int
+    done: int = 0
+    skipped: int = 0
+    quarantined: int = 0
+    began: float = field(default_factory=time.monotonic)
+
+    @property
+    def finished(self) -> int:
+        """Runs that need no more work."""
+        return self.done + self.skipped + self.quarantined
+
+    @property
+    def rate(self) -> float:
+        """Runs made a second, 0 before the first."""
+        made = self.done + self.quarantined
+        return made / max(time.monotonic() - self.began, 1e-9) if made else 0.0
+
+    @property
+    def left_s(self) -> float | None:
+        """Estimated time left, None before the first run is made."""
+        return (self.total - self.finished) / self.rate if self.rate else None
+
+
+def plan(folders: Iterable[Path], config: Config) -> list[SceneJob]:
+    """One job for every scene folder, with the variants that the configuration asks for.
+
+    The number of variants is taken out of each run's configuration: variant 0 is the same scene however many there are.
+    """
+    request = config.request.model_copy(update={"variants": 1})
+    single = config.model_copy(update={"request": request})
+    runs = tuple(Run(single, variant) for variant in range(config.request.variants))
+    return [SceneJob(folder, runs) for folder in folders]
+
+
+def run_batch(
+    jobs: Sequence[SceneJob],
+    out_dir: Path,
+    options: Options | None = None,
+    *,
+    on_row: Callable[[ManifestRow, Progress], None] | None = None,
+) -> list[ManifestRow]:
+    """Do the jobs, write OUT/manifest.csv, return the rows of these jobs in the manifest's order.
+
+    on_row is called after every run, also for those found complete. When it is interrupted, the manifest holds what is
+    done and nothing is half-written; a later call with `resume` goes on from there.
+    Errors: BatchError, ExportError where OUT cannot be written.
+    """
+    options = options or Options()
+    on_row = on_row or (lambda row, progress: None)
+    out_dir = out_dir.resolve()
+    progress = Progress(total=sum(len(job.runs) for job in jobs))
+    rows: list[ManifestRow] = []
+    with _locked(out_dir):
+        remove_half_written(out_dir)
+        manifest = Manifest(out_dir)
+        sources: dict[Path, str] = {}
+        tasks = _tasks(jobs, out_dir, options, manifest, sources, lambda row: note(row, skipped=True))
+
+        def note(row: ManifestRow, *, skipped: bool = False) -> None:
+            rows.append(row)
+            progress.skipped += skipped
+            progress.done += row.status == DONE and not skipped
+            progress.quarantined += row.status == QUARANTINED
+            on_row(row, progress)
+
+        try:
+            results = execute(tasks, jobs=options.jobs, scheduler=options.scheduler, settings=options.settings)
+            with contextlib.closing(results):
+                for result in results:
+                    place: Place = result.task.shared
+                    for outcome in result.outcomes:
+                        row = _row(place, outcome, source_sha256=sources[place.folder], options=options)
+                        manifest.add(row)
+                        note(row)
+        finally:
+            manifest.save()
+            remove_half_written(out_dir)
+    return sorted(rows, key=lambda row: row.key)
+
+
+def generate_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+    """The work of a scene process: read the scene once, generate and write each run."""
+    from bridge.generate import generate, write  # libsumo: in the scene process only
+    from bridge.scenario import read_scenario
+
+    scenario, unreadable = None, None
+    try:
+        scenario = read_scenario(place.folder)
+    except Exception as error:  # noqa: BLE001  # every run of the scene is quarantined with it
+        unreadable = describe_error(error)
+    for run in runs:
+        if scenario is None:
+            assert unreadable is not None
+            yield unreadable
+            continue
+        try:
+            scene = generate(scenario, run.config, variant=run.variant)
+            folder = write(scene, place.out)
+            yield summarise(scene.sidecar, base_row(place, run))._replace(
+                city=scenario.city,
+                recorded=len(scenario.tracks),
+                folder=folder.relative_to(place.out).as_posix(),
+                output_sha256=files_sha256(output_files(folder)),
+            )
+        except Exception as error:  # noqa: BLE001  # quarantined with its traceback
+            yield describe_error(error)
+
+
+def base_row(place: Place, run: Run) -> ManifestRow:
+    """What is known about a run before it starts."""
+    split = place.folder.resolve().parent.name
+    return ManifestRow(
+        scenario=place.folder.name,
+        split=split if split in SPLITS else "",
+        variant=run.variant,
+        seed=run.config.request.seed,
+        status=DONE,
+        requested=str(run.config.request.agents),
+        config_sha256=config_sha256(run.config),
+        version=installed_version("hid2-sumo"),
+    )
+
+
+def summarise(sidecar: "Sidecar", row: ManifestRow) -> ManifestRow:
+    """Add what a sidecar says about vehicles and manoeuvres."""
+    maneuvers = [maneuver for agent in sidecar.agents for maneuver in agent.maneuvers]
+    done = Counter(maneuver.kind for maneuver in maneuvers if maneuver.status == "done")
+    not_done = Counter(
+        f"{maneuver.kind}: {maneuver.reason or maneuver.status}" for maneuver in maneuvers if maneuver.status != "done"
+    )
+    return row._replace(
+        placed=sidecar.placed.agents,
+        straight=sidecar.placed.behaviours.get(Policy.STRAIGHT, 0),
+        left_turn=done["left_turn"],
+        right_turn=done["right_turn"],
+        lane_change=done["lane_change"],
+        overtake=done["overtake"],
+        maneuvers_requested=len(maneuvers),
+        maneuvers_done=sum(done.values()),
+        rejected=join_counts({entry.reason: entry.count for entry in sidecar.rejected}),
+        not_done=join_counts(not_done),
+    )
+
+
+def join_counts(counts: "dict[str, int] | Counter[str]") -> str:
+    """One text "reason (count); ...", most frequent first."""
+    ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+    return "; ".join(f"{reason} ({count})" for reason, count in ordered)
+
+
+def reproduce(path: Path, out_dir: Path) -> tuple[Bundle, ManifestRow]:
+    """Run what a bundle holds again, isolated, with its own limits; its scene is written to out_dir if it succeeds now.
+
+    Errors: BatchError for a file that is no bundle.
+    """
+    with TemporaryDirectory(prefix="hid2-repro-") as scratch:
+        bundle = read_bundle(path, Path(scratch))
+        options = Options(timeout_s=bundle.timeout_s, function=bundle.function)
+        job = SceneJob(bundle.folder, (Run(bundle.config, bundle.variant),))
+        (row,) = run_batch([job], out_dir, options)
+    return bundle, row
+
+
+def remove_half_written(out_dir: Path) -> None:
+    """Remove the hidden folders in which a process that was ended was writing."""
+    for parent in (out_dir, *(out_dir / split for split in SPLITS)):
+        if parent.is_dir():
+            for entry in parent.iterdir():
+                if entry.is_dir() and _HALF_WRITTEN.fullmatch(entry.name):
+                    shutil.rmtree(entry, ignore_errors=True)
+
+
+def _tasks(
+    jobs: Sequence[SceneJob],
+    out_dir: Path,
+    options: Options,
+    manifest: Manifest,
+    sources: dict[Path, str],
+    skip: Callable[[ManifestRow], None],
+) -> Iterator[Task]:
+    """Yield a task for every job that has something to do; called as workers become free."""
+    for job in jobs:
+        place = Place(job.folder.resolve(), out_dir)
+        source_sha256 = files_sha256(source_files(place.folder))
+        wanted = []
+        for run in job.runs:
+            row = manifest.get(base_row(place, run).key) if options.resume else None
+            if row is not None and _is_complete(row, base_row(place, run), out_dir, source_sha256):
+                skip(row)
+            else:
+                wanted.append(run)
+        if wanted:
+            sources[place.folder] = source_sha256
+            yield Task(place.folder.name, options.function, place, tuple(wanted))
+
+
+def _is_complete(row: ManifestRow, base: ManifestRow, out_dir: Path, source_sha256: str) -> bool:
+    return (
+        row.status == DONE
+        and (row.version, row.source_sha256) == (base.version, source_sha256)
+        and row.output_sha256 != ""
+        and row.output_sha256 == files_sha256(output_files(out_dir / row.folder))
+    )
+
+
+def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options) -> ManifestRow:
+    """The manifest's row about an outcome; a failure leaves its bundle."""
+    run: Run = outcome.item
+    failure = outcome.failure or (outcome.value if isinstance(outcome.value, Failure) else None)
+    row = base_row(place, run) if failure else outcome.value
+    row = row._replace(attempts=outcome.attempts, seconds=round(outcome.seconds, 3), source_sha256=source_sha256)
+    name = f"{row.scenario}_{row.config_sha256[:8]}_{row.variant}.zip"
+    path = place.out / QUARANTINE / (row.split or ".") / name
+    if failure is None:
+        path.unlink(missing_ok=True)
+        return row
+    bundle = Bundle(
+        folder=place.folder,
+        split=row.split or None,
+        config=run.config,
+        variant=run.variant,
+        timeout_s=options.timeout_s,
+        function=options.function,
+        failure=failure,
+        version=row.version,
+    )
+    write_bundle(bundle, path)
+    return row._replace(
+        status=QUARANTINED,
+        failure=failure.kind,
+        reason=" ".join(failure.message.split()),
+        bundle=path.relative_to(place.out).as_posix(),
+    )
+
+
+@contextlib.contextmanager
+def _locked(out_dir: Path) -> Iterator[None]:
+    """Keep other batches out of a folder. Errors: BatchError, ExportError."""
+    try:
+        out_dir.mkdir(parents=True, exist_ok=True)
+        file = (out_dir / ".hid2.lock").open("w")
+    except OSError as error:
+        raise ExportError(f"{out_dir}: cannot be written ({error.strerror or error})") from error
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise BatchError(f"{out_dir}: another run is writing there") from error
+        yield

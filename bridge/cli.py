@@ -1,0 +1,333 @@
+"""The command `hid2`. Every command is a thin shell round a function of the package; imports wait until one is called.
+
+Exit codes: 0 all done, 1 some scene could not be done, 2 usage or configuration, 130 interrupted. Results go to stdout,
+messages to stderr.
+"""
+
+import logging
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from netconvert.errors import ConfigError, Hid2Error
+
+if TYPE_CHECKING:
+    from bridge.scan import Selection
+
+ALL_DONE, SOME_FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
+
+app = typer.Typer(
+    name="hid2",
+    help="Dense traffic and rare manoeuvres for Argoverse 2 scenes, driven by SUMO (HiD2).",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Scenes = Annotated[
+    list[Path], typer.Argument(help="Scenario folder, split folder or data-set root; several may be given.")
+]
+Scene = Annotated[Path, typer.Argument(help="Scenario folder.")]
+Out = Annotated[Path, typer.Option("-o", "--out", help="Folder to write to.")]
+Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="Worker processes on this machine.")]
+Scheduler = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Use a running Dask scheduler, tcp://HOST:PORT.")
+]
+ConfigFile = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE.toml", help="Parameters, as `hid2 config` lists them.")
+]
+Settings = Annotated[
+    list[str], typer.Option("--set", metavar="KEY=VALUE", help="One parameter, section.key=value; repeatable.")
+]
+Timeout = Annotated[
+    float, typer.Option("--scene-timeout", min=1, metavar="S", help="Seconds a scene may take before it is ended.")
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Skip what is complete and unchanged.")]
+Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say more.")]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Say only what went wrong.")]
+MinAgents = Annotated[int, typer.Option(min=0, help="Only scenes with at least this many recorded tracks.")]
+City = Annotated[list[str], typer.Option(help="Only scenes of this city; repeatable.")]
+Split = Annotated[list[str], typer.Option(help="Only scenes of this split (train, val, test); repeatable.")]
+Can = Annotated[list[str], typer.Option(help="Only maps with room for this manoeuvre (lane_change, ...); repeatable.")]
+Sample = Annotated[int | None, typer.Option(min=1, metavar="N", help="N of the selected scenes, drawn with the seed.")]
+
+
+@app.command()
+def generate(
+    *,
+    scenes: Annotated[list[Path] | None, typer.Argument(help="Scenario, split or data-set folders.")] = None,
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder to write to.")] = None,
+    agents: Annotated[str | None, typer.Option(metavar="N|max", help="Vehicles to insert into each scene.")] = None,
+    behaviours: Annotated[
+        str | None,
+        typer.Option(metavar="NAME=SHARE,...", help="straight, left_turn, right_turn, lane_change, overtake."),
+    ] = None,
+    trigger_time: Annotated[
+        str | None, typer.Option(metavar="S|A:B", help="When manoeuvres are triggered: seconds, or a range.")
+    ] = None,
+    variants: Annotated[int | None, typer.Option(min=1, metavar="K", help="Scenes written per source scene.")] = None,
+    focal: Annotated[
+        str | None, typer.Option(metavar="recorded|generated", help="Which track is the focal one.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of every random choice.")] = None,
+    spawn_leaders: Annotated[
+        bool | None, typer.Option(help="May an overtake without a slower leader spawn one?")
+    ] = None,
+    without: Annotated[
+        list[str],
+        typer.Option(metavar="topology|collision|smoothing", help="Ablation: leave a component out; repeatable."),
+    ] = [],  # noqa: B006  # typer copies it
+    config: ConfigFile = None,
+    settings: Settings = [],  # noqa: B006
+    min_agents: MinAgents = 0,
+    city: City = [],  # noqa: B006
+    split: Split = [],  # noqa: B006
+    can: Can = [],  # noqa: B006
+    sample: Sample = None,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
+    scene_timeout: Timeout = 300.0,
+    resume: Resume = False,
+    repro: Annotated[Path | None, typer.Option(metavar="BUNDLE", help="Run a quarantined scene again.")] = None,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write denser scenes: insert vehicles with the behaviours asked for, beside the recorded ones."""
+    _set_up(verbose=verbose, quiet=quiet)
+    if repro is not None:
+        raise typer.Exit(_reproduce(repro, out))
+    if not scenes or out is None:
+        raise typer.BadParameter("want SCENE... and -o OUT (or --repro BUNDLE)")
+    from bridge.config import load_config, parse_behaviours, parse_trigger_time
+    from bridge.scan import Selection
+
+    flags: dict[str, object] = {
+        "request.agents": None if agents is None else _agents(agents),
+        "request.variants": variants,
+        "request.focal": focal,
+        "request.seed": seed,
+        "request.spawn_leaders": spawn_leaders,
+        "without": [part for text in without for part in text.split(",")] or None,
+    }
+    flags |= parse_behaviours(behaviours) if behaviours is not None else {}
+    flags |= parse_trigger_time(trigger_time) if trigger_time is not None else {}
+    resolved = load_config(config, settings, {key: value for key, value in flags.items() if value is not None})
+    selection = Selection(min_agents, tuple(city), tuple(split), tuple(can), sample, resolved.request.seed)
+    folders = _select(scenes, selection, jobs=jobs, quiet=quiet)
+
+    from bridge.batch import Options, plan, run_batch
+    from bridge.console import BatchDisplay, print_batch, say
+    from bridge.manifest import DONE
+
+    options = Options(jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume)
+    try:
+        with BatchDisplay(quiet=quiet, verbose=verbose) as display:
+            rows = run_batch(plan(folders, resolved), out, options, on_row=display.show)
+    except KeyboardInterrupt:
+        say(f"interrupted; what is done is in {out / 'manifest.csv'}, go on with --resume")
+        raise typer.Exit(INTERRUPTED) from None
+    if not quiet:
+        print_batch(rows)
+        for row in rows[: 3 * len(folders)] if len(rows) <= _SHOWN_PATHS else []:
+            if row.folder:
+                print(out / row.folder)
+        print(out / "manifest.csv")
+    raise typer.Exit(ALL_DONE if all(row.status == DONE for row in rows) else SOME_FAILED)
+
+
+#: Batches up to this size list every folder that was written.
+_SHOWN_PATHS = 24
+
+
+@app.command()
+def net(scene: Scene, out: Out, *, verbose: Verbose = False, quiet: Quiet = False) -> None:
+    """Write the scene's lane graph as a SUMO net of 4 m cells, with files for sumo-gui, and report its fidelity."""
+    _set_up(verbose=verbose, quiet=quiet)
+    from bridge.console import print_table
+    from bridge.net import convert
+
+    report = convert(scene, out)
+    if not quiet:
+        print_table(f"{scene.name}: fidelity of the net", ("what", "value"), report.rows())
+
+
+@app.command()
+def validate(
+    out: Annotated[Path, typer.Argument(help="Generated scenes: a scenario folder, a split or a root.")],
+    *,
+    source: Annotated[
+        Path | None, typer.Option(help="Where the source scenes are, to compare recorded tracks.")
+    ] = None,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Check that scenes keep the whole contract with their readers; findings go to stdout."""
+    _set_up(verbose=verbose, quiet=quiet)
+    from bridge.console import say
+    from bridge.validate import validate_folder
+
+    findings = validate_folder(out, source=source)
+    for finding in findings:
+        print(f"{finding.file}: {finding.rule}: {finding.message}")
+    if not quiet:
+        say(f"{out}: {len(findings) or 'no'} finding{'' if len(findings) == 1 else 's'}")
+    raise typer.Exit(SOME_FAILED if findings else ALL_DONE)
+
+
+@app.command("config")
+def show_config(
+    *,
+    config: ConfigFile = None,
+    settings: Settings = [],  # noqa: B006
+    toml: Annotated[bool, typer.Option("--toml", help="Print the resolved configuration as a TOML file.")] = False,
+) -> None:
+    """List every parameter with default, unit, range and source."""
+    from bridge.config import config_to_toml, describe_config, load_config
+
+    if toml or config is not None or settings:
+        print(config_to_toml(load_config(config, settings)), end="")
+        return
+    from bridge.console import print_table
+
+    print_table("Parameters", ("key", "default", "unit", "range", "source"), describe_config())
+
+
+@app.command()
+def scan(
+    scenes: Scenes,
+    *,
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="CSV file; without it a table is printed.")] = None,
+    min_agents: MinAgents = 0,
+    city: City = [],  # noqa: B006
+    split: Split = [],  # noqa: B006
+    can: Can = [],  # noqa: B006
+    sample: Sample = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of --sample.")] = 0,
+    jobs: Jobs = 1,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Tabulate a data set: agents, density, lanes, neighbours, and room for each manoeuvre."""
+    _set_up(verbose=verbose, quiet=quiet)
+    from bridge.console import print_table, say
+    from bridge.scan import SceneFacts, Selection, facts_of, select, write_facts
+    from bridge.scenario import find_scenarios
+
+    folders = [folder for path in scenes for folder in find_scenarios(path)]
+    facts, failures = facts_of(folders, jobs=jobs)
+    for folder, reason in failures:
+        say(f"{folder}: {reason}")
+    chosen = select(facts, Selection(min_agents, tuple(city), tuple(split), tuple(can), sample, seed))
+    if out is not None:
+        write_facts(out, chosen)
+        print(out)
+    else:
+        print_table(f"{len(chosen)} of {len(folders)} scenes", SceneFacts.columns(), [fact.values() for fact in chosen])
+    raise typer.Exit(SOME_FAILED if failures else ALL_DONE)
+
+
+@app.command()
+def study(
+    file: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="The study, see data/study_*.toml.")],
+    out: Out,
+    *,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
+    scene_timeout: Timeout = 300.0,
+    keep_scenes: Annotated[bool, typer.Option(help="Keep the generated scenes beside the tables.")] = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a parameter study; it goes on from where it was when it is called again."""
+    _set_up(verbose=verbose, quiet=quiet)
+    from bridge.batch import Options
+    from bridge.console import BatchDisplay, say
+    from bridge.study import read_study, run_study
+
+    options = Options(jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=True)
+    try:
+        with BatchDisplay(quiet=quiet, verbose=verbose) as display:
+            report = run_study(read_study(file), out, options, keep_scenes=keep_scenes, on_row=display.show)
+    except KeyboardInterrupt:
+        say("interrupted; call it again to go on")
+        raise typer.Exit(INTERRUPTED) from None
+    if not quiet:
+        for path in report.files:
+            print(path)
+    raise typer.Exit(SOME_FAILED if report.failed else ALL_DONE)
+
+
+def main() -> None:
+    """Run the command; an explained error is one line on stderr, never a traceback."""
+    try:
+        app()
+    except Hid2Error as error:
+        print(f"hid2: {error}", file=sys.stderr)
+        sys.exit(USAGE if isinstance(error, ConfigError) else SOME_FAILED)
+
+
+def _set_up(*, verbose: bool, quiet: bool) -> None:
+    """Logging as asked for; SIGTERM ends the command as Ctrl-C does."""
+    level = logging.DEBUG if verbose else logging.ERROR if quiet else logging.WARNING
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    for package in ("bridge", "hid2", "netconvert"):
+        logging.getLogger(package).setLevel(level)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
+def _agents(text: str) -> int | str:
+    if text == "max":
+        return text
+    try:
+        return int(text)
+    except ValueError:
+        raise ConfigError(f"--agents {text!r}: want a number or max") from None
+
+
+def _select(paths: Sequence[Path], selection: "Selection", *, jobs: int, quiet: bool) -> list[Path]:
+    """The scenario folders at `paths` that are wanted. Errors: ConfigError where a path holds none or none is left."""
+    from bridge.console import say
+    from bridge.scan import facts_of, select
+    from bridge.scenario import find_scenarios
+
+    try:
+        folders = list(dict.fromkeys(folder for path in paths for folder in find_scenarios(path)))
+    except Hid2Error as error:
+        raise ConfigError(str(error)) from error
+    if not selection.needs_facts:
+        return folders
+    facts, failures = facts_of(folders, jobs=jobs)
+    for folder, reason in failures:
+        say(f"{folder}: not selected, {reason}")
+    chosen = [fact.folder for fact in select(facts, selection)]
+    if not chosen:
+        raise ConfigError(f"none of {len(folders)} scenes is left by the selection (see `hid2 scan`)")
+    if not quiet:
+        say(f"{len(chosen)} of {len(folders)} scenes selected")
+    return chosen
+
+
+def _reproduce(bundle_path: Path, out: Path | None) -> int:
+    """Run a bundle; without an output folder nothing is kept. Returns the exit code."""
+    import tempfile
+
+    from bridge.batch import reproduce
+    from bridge.manifest import DONE
+
+    with tempfile.TemporaryDirectory(prefix="hid2-") as scratch:
+        bundle, row = reproduce(bundle_path, out or Path(scratch))
+    print(f"{bundle.folder.name} variant {bundle.variant}, made by hid2-sumo {bundle.version}")
+    print(f"then: {bundle.failure.kind}: {bundle.failure.message}")
+    print(f"now:  {'done' if row.status == DONE else f'{row.failure}: {row.reason}'}")
+    if bundle.failure.details:
+        print(bundle.failure.details)
+    return ALL_DONE if row.status == DONE else SOME_FAILED
+
+
+if __name__ == "__main__":
+    main()
