@@ -1,0 +1,132 @@
+"""What every picture shares: colours that colour-blind readers can tell apart, the map underneath, axes with units."""
+
+import base64
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+import shapely
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as MplPath
+
+from hid2.agents import FloatArray, Policy
+from netconvert.cells import build_cell_grid
+from netconvert.errors import ExportError
+from netconvert.lane_graph import LaneGraph, LaneSegment
+
+#: Okabe and Ito's palette, without its yellow, which is too light on white.
+BLACK, ORANGE, SKY, GREEN, BLUE, VERMILION, PURPLE = (
+    "#000000", "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7",
+)  # fmt: skip
+GREY, LIGHT_GREY, DARK_GREY = "#8C8C8C", "#E4E4E4", "#4D4D4D"
+RECORDED, GENERATED, COMBINED = GREY, VERMILION, BLUE
+
+POLICY_COLORS = {
+    Policy.STRAIGHT: VERMILION,
+    Policy.LEFT_TURN: GREEN,
+    Policy.RIGHT_TURN: PURPLE,
+    Policy.LANE_CHANGE: BLUE,
+    Policy.OVERTAKE: ORANGE,
+}
+POLICY_NAMES = {
+    Policy.STRAIGHT: "straight (ST)",
+    Policy.LEFT_TURN: "left turn (LT)",
+    Policy.RIGHT_TURN: "right turn (RT)",
+    Policy.LANE_CHANGE: "lane change (LC)",
+    Policy.OVERTAKE: "overtake (OT)",
+}
+
+
+def style() -> None:
+    """Settings of every figure."""
+    plt.rcParams.update(
+        {
+            "font.size": 9,
+            "axes.titlesize": 10,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "axes.grid": False,
+            "legend.frameon": False,
+            "figure.dpi": 100,
+            "savefig.dpi": 130,
+            "svg.hashsalt": "hid2",
+        }
+    )
+
+
+def draw_map(axes: Axes, graph: LaneGraph, *, cells: bool = False) -> None:
+    """The map from above, in city coordinates: drivable area, lane boundaries, centrelines, cells on request."""
+    areas = [_patch(part) for part in _polygons(graph.drivable)]
+    axes.add_collection(PatchCollection(areas, facecolor="#F1F1EF", edgecolor="#C9C9C4", linewidth=0.6, zorder=0))
+    bike = [_outline(lane) for lane in graph.lanes.values() if lane.lane_type == "BIKE"]
+    axes.add_collection(
+        PolyCollection([b for b in bike if b is not None], facecolor="#E3EEF4", edgecolor="none", zorder=1)
+    )
+    edges = [line for lane in graph.lanes.values() for line in (lane.left_boundary, lane.right_boundary)]
+    axes.add_collection(LineCollection([e for e in edges if e is not None], colors="#BDBDB8", linewidths=0.5, zorder=2))
+    centers = [lane.centerline for lane in graph.lanes.values() if lane.lane_type != "BIKE"]
+    axes.add_collection(LineCollection(centers, colors="#CFCFCA", linewidths=0.5, linestyles=(0, (4, 4)), zorder=2))
+    if cells:
+        outlines = [shapely.get_coordinates(p.exterior) for p in build_cell_grid(graph).polygons if not p.is_empty]
+        axes.add_collection(LineCollection(outlines, colors="#A8C4D6", linewidths=0.35, zorder=2))
+
+
+def frame(axes: Axes, low: FloatArray, high: FloatArray, *, origin: FloatArray, aspect: float = 1.0) -> None:
+    """Show the ground from `low` to `high` at the same scale both ways; ticks in m from `origin`.
+
+    aspect: width over height that the shown ground is widened to.
+    """
+    middle, half = (low + high) / 2, (high - low) / 2
+    half = np.array([max(half[0], half[1] * aspect), max(half[1], half[0] / aspect)])
+    axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
+    axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
+    axes.set_aspect("equal")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value - origin[0]:.0f}")
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value - origin[1]:.0f}")
+    axes.set_xlabel("east, m")
+    axes.set_ylabel("north, m")
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG and close it. Errors: ExportError where the file cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, format=path.suffix.lstrip(".").lower() or "png", metadata={"Software": None})
+    except (OSError, ValueError) as error:
+        raise ExportError(f"{path}: cannot write the picture ({error})") from error
+    finally:
+        plt.close(figure)
+
+
+def data_uri(figure: Figure) -> str:
+    """A figure as a PNG inside a data: address; the figure is closed."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None})
+    plt.close(figure)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def _polygons(geometry: shapely.Geometry) -> Sequence[shapely.Polygon]:
+    parts = shapely.get_parts(geometry)
+    return [part for part in parts if isinstance(part, shapely.Polygon) and not part.is_empty]
+
+
+def _patch(polygon: shapely.Polygon) -> PathPatch:
+    rings = [np.asarray(ring.coords) for ring in (polygon.exterior, *polygon.interiors)]
+    return PathPatch(MplPath.make_compound_path(*[MplPath(ring, closed=True) for ring in rings]))
+
+
+def _outline(lane: LaneSegment) -> FloatArray | None:
+    left, right = lane.left_boundary, lane.right_boundary
+    if left is None or right is None:
+        return None
+    return np.concatenate([left, right[::-1]])
