@@ -103,8 +103,8 @@ def find_scenarios(path: Path) -> list[Path]:
         return [path]
     children = _subfolders(path)
     found = [child for child in children if _is_scenario_folder(child)]
-    if not found:
-        found = [folder for child in children for folder in _subfolders(child) if _is_scenario_folder(folder)]
+    splits = [child for child in children if not _is_scenario_folder(child)]
+    found += [folder for child in splits for folder in _subfolders(child) if _is_scenario_folder(folder)]
     if not found:
         raise ScenarioError(f"{path}: no scenario here, want scenario_<id>.parquet in it or one or two folders below")
     return sorted(found)
