@@ -20,8 +20,9 @@ CELL_COLUMNS = (
     "center_y_m",
     "lane_type",
 )
-#: Grey of the drivable area, darker than the lanes of sumo-gui's scheme "real world".
-_AREA_COLOR = "175,175,170"
+_AREA_COLOR = "205,205,200"
+_LANE_COLOR = "96,99,104"
+_BICYCLE_COLOR = "178,96,76"
 #: Milliseconds that sumo-gui waits between steps of 0.1 s: real time.
 _DELAY_MS = 100
 
@@ -101,7 +102,15 @@ def _view(grid: CellGrid) -> bytes:
     points = np.concatenate([lane.centerline for lane in grid.graph.lanes.values()])
     x, y = ((points.min(axis=0) + points.max(axis=0)) / 2.0).tolist()
     root = etree.Element("viewsettings")
-    etree.SubElement(root, "scheme", {"name": "real world"})
+    scheme = etree.SubElement(root, "scheme", {"name": "hid2"})
+    etree.SubElement(scheme, "background", {"backgroundColor": "250,250,248", "showGrid": "0"})
+    # Every cell ends in a junction: the arrows and stop lines there would hide the lanes.
+    edges = etree.SubElement(
+        scheme, "edges", {"showLinkDecals": "0", "showLinkRules": "0", "laneShowBorders": "1", "showBikeMarkings": "0"}
+    )
+    colors = etree.SubElement(edges, "colorScheme", {"name": "uniform"})
+    etree.SubElement(colors, "entry", {"color": _LANE_COLOR, "name": "road"})
+    etree.SubElement(colors, "entry", {"color": _BICYCLE_COLOR, "name": "bike lane"})
     etree.SubElement(root, "delay", {"value": str(_DELAY_MS)})
     etree.SubElement(root, "viewport", {"zoom": "100", "x": f"{x:.2f}", "y": f"{y:.2f}"})
     return _content(root)
