@@ -72,7 +72,7 @@ def cells_csv(grid: CellGrid) -> bytes:
 
 
 def _configuration(name: str) -> bytes:
-    root = etree.Element("configuration")
+    root = etree.Element("sumoConfiguration")
     inputs = etree.SubElement(root, "input")
     etree.SubElement(inputs, "net-file", {"value": f"{name}.net.xml"})
     etree.SubElement(inputs, "additional-files", {"value": f"{name}.poly.xml"})
@@ -80,6 +80,7 @@ def _configuration(name: str) -> bytes:
     etree.SubElement(time, "step-length", {"value": "0.1"})
     gui = etree.SubElement(root, "gui_only")
     etree.SubElement(gui, "gui-settings-file", {"value": f"{name}.view.xml"})
+    etree.SubElement(gui, "delay", {"value": str(_DELAY_MS)})
     return _content(root)
 
 
@@ -111,7 +112,6 @@ def _view(grid: CellGrid) -> bytes:
     colors = etree.SubElement(edges, "colorScheme", {"name": "uniform"})
     etree.SubElement(colors, "entry", {"color": _LANE_COLOR, "name": "road"})
     etree.SubElement(colors, "entry", {"color": _BICYCLE_COLOR, "name": "bike lane"})
-    etree.SubElement(root, "delay", {"value": str(_DELAY_MS)})
     etree.SubElement(root, "viewport", {"zoom": "100", "x": f"{x:.2f}", "y": f"{y:.2f}"})
     return _content(root)
 
