@@ -88,7 +88,7 @@ class LaneChange(_Section):
     give_up_s: float = _param(6.0, "s", "from the trigger on, the request ends after this", ge=0, le=60)
     min_duration_s: float = _param(2.5, "s", "shortest lateral motion (11 s scenes)", ge=1.5, le=10)
     max_duration_s: float = _param(6.0, "s", "longest lateral motion", ge=1.5, le=15)
-    lateral_accel_mps2: float = _param(0.8, "m/s2", "peak lateral acceleration sought in a change", gt=0, le=4)
+    lateral_accel_mps2: float = _param(1.3, "m/s2", "peak lateral acceleration sought in a change", gt=0, le=4)
     min_speed_mps: float = _param(2.0, "m/s", "slower vehicles cannot shift a lane in time", ge=0, le=20)
 
     @model_validator(mode="after")

@@ -1,0 +1,279 @@
+"""One scenario: observe, plan, insert, decide, step, record, smooth, verify, export."""
+
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from bridge.config import config_sha256
+from bridge.export import new_scenario_id, write_scene
+from bridge.records import agent_record
+from bridge.replay import Replay, ReplayErrors
+from bridge.scenario import LAST_OBSERVED, Scenario
+from bridge.sidecar import (
+    AgentRecord,
+    GeneratorRecord,
+    PlacedRecord,
+    RejectedRecord,
+    ReplayRecord,
+    RequestedRecord,
+    Sidecar,
+)
+from bridge.simulation import Simulation
+from bridge.steering import Driver, Steering
+from hid2.agents import Policy, Track
+from hid2.conflicts import DT_S
+from hid2.params import Config
+from hid2.repair import SettledVehicle, settle, settled_traffic
+from hid2.spawning import Spawner
+from hid2.traffic import Traffic
+from hid2.world import PlannedVehicle, World, build_world, predicted_traffic
+from netconvert.cells import CellGrid, build_cell_grid
+from netconvert.errors import ScenarioError
+from netconvert.net_xml import net_bytes
+
+_ATTEMPTS = 60
+_ATTEMPTS_LATE = 250
+_MAX_AGENTS = 400
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Settled:
+    """A vehicle in the scene, with how SUMO drove it."""
+
+    vehicle: SettledVehicle
+    driver: Driver
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class GeneratedScene:
+    """A recorded scene with generated vehicles in it, before it is written.
+
+    generated: tracks gen_0, gen_1, ...; vehicles: their paths and motion, in the same order.
+    """
+
+    scenario: Scenario
+    generated: tuple[Track, ...]
+    sidecar: Sidecar
+    focal_track_id: str
+    new_id: str
+    vehicles: tuple[SettledVehicle, ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PreparedScene:
+    """What the variants of one scene share: grid and net."""
+
+    scenario: Scenario
+    grid: CellGrid
+    net: bytes
+
+
+def prepare(scenario: Scenario, config: Config) -> PreparedScene:
+    """Grid and net of a scenario. Errors: MapError, NetError."""
+    grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m, max_skew_m=config.grid.max_skew_m)
+    return PreparedScene(scenario=scenario, grid=grid, net=net_bytes(grid))
+
+
+def generate(scenario: Scenario | PreparedScene, config: Config, *, variant: int = 0) -> GeneratedScene:
+    """Insert vehicles into a recorded scene as `config` asks; nothing is written.
+
+    Same scenario, configuration and variant: the same result. Errors: MapError, NetError, SimulationError,
+    ScenarioError where a generated focal track was asked for and no vehicle lives through the scene.
+    """
+    prepared = scenario if isinstance(scenario, PreparedScene) else prepare(scenario, config)
+    scene = prepared.scenario
+    new_id = new_scenario_id(scene.scenario_id, config, config.request.seed, variant)
+    rng = np.random.default_rng([config.request.seed, variant, int(new_id[:8], 16)])
+    world = build_world(
+        prepared.grid, scene.tracks, config=config, num_steps=scene.num_steps,
+        last_observed_step=min(LAST_OBSERVED, scene.num_steps - 1),
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory(prefix="hid2-") as folder:
+        net = Path(folder) / "scene.net.xml"
+        net.write_bytes(prepared.net)
+        run = _Run(world, net, rng)
+        run.fill()
+    vehicles = sorted(run.settled, key=lambda item: int(item.vehicle.driven.spec.vehicle_id.removeprefix("v")))
+    tracks = [_track(item.vehicle, f"gen_{row}", config.request.generated_category) for row, item in enumerate(vehicles)]
+    focal = scene.focal_track_id
+    if config.request.focal == "generated":
+        focal = _focal(scene, vehicles, tracks)
+        tracks = [_with_category(t, 3) if t.track_id == focal else t for t in tracks]
+    sidecar = _sidecar(prepared, world, run, vehicles, variant=variant, sumo_version=run.sumo_version)
+    return GeneratedScene(
+        scenario=scene, generated=tuple(tracks), sidecar=sidecar, focal_track_id=focal, new_id=new_id,
+        vehicles=tuple(item.vehicle for item in vehicles),
+    )  # fmt: skip
+
+
+def write(scene: GeneratedScene, out_dir: Path) -> Path:
+    """Write a generated scene; returns its folder. Errors: ExportError."""
+    return write_scene(
+        scene.scenario, scene.generated, scene.sidecar, out_dir, new_id=scene.new_id, focal_track_id=scene.focal_track_id
+    )
+
+
+class _Run:
+    """Rounds of planning, driving and settling until the count is reached or nothing more fits."""
+
+    def __init__(self, world: World, net: Path, rng: np.random.Generator) -> None:
+        self.world, self.net, self.rng = world, net, rng
+        self.settled: list[Settled] = []
+        self.reasons: Counter[str] = Counter()
+        self.unmet: list[tuple[Policy, float, str]] = []
+        self.fixed: Traffic = predicted_traffic([], world.num_steps)
+        self.replay_errors = ReplayErrors()
+        self.sumo_version = ""
+        self._next = 0
+
+    def fill(self) -> None:
+        """All rounds."""
+        request = self.world.config.request
+        target = _MAX_AGENTS if request.agents == "max" else request.agents
+        pending = _mix(request.behaviours, 20 if request.agents == "max" else target, self.rng)
+        dry = 0
+        for number in range(self.world.config.spawn.rounds if request.agents != "max" else 40):
+            missing = target - len(self.settled)
+            if missing <= 0 and number > 0:
+                break
+            if request.agents == "max":
+                wanted = pending if number == 0 else [Policy.STRAIGHT] * 40
+            else:
+                wanted = pending[:missing]
+            before = len(self.settled)
+            failed = self._round(wanted, missing, last=number >= 2)
+            pending = failed + [Policy.STRAIGHT] * max(0, missing - len(failed))
+            gained = len(self.settled) - before
+            dry = 0 if gained else dry + 1
+            if dry >= 2:
+                break
+
+    def _round(self, wanted: Sequence[Policy], missing: int, *, last: bool) -> list[Policy]:
+        """Plan, drive and settle; returns the policies still wanted."""
+        spawner = Spawner(self.world, self.rng, self.fixed)
+        failed: list[Policy] = []
+        attempts = _ATTEMPTS_LATE if last else _ATTEMPTS
+        # manoeuvres need the room most, so they choose first
+        for policy in sorted(wanted, key=list(Policy).index, reverse=True):
+            if len(spawner.planned) >= missing:
+                break
+            if policy is Policy.OVERTAKE and missing - len(spawner.planned) >= 2:
+                got = spawner.spawn_overtake(self._new_id(), self._new_id(), attempts=_ATTEMPTS // 2)
+                if got:
+                    continue
+            elif policy is not Policy.OVERTAKE and spawner.spawn(policy, self._new_id(), attempts=attempts, allow_standing=last):
+                continue
+            if policy is not Policy.STRAIGHT:
+                self._unmet(policy)
+                if spawner.spawn(Policy.STRAIGHT, self._new_id(), attempts=attempts, allow_standing=last):
+                    continue
+            failed.append(Policy.STRAIGHT)
+        self.reasons.update(spawner.reasons)
+        if spawner.planned or self.replay_errors.states == 0:
+            failed += self._drive(spawner.planned)
+        return failed
+
+    def _drive(self, planned: Sequence[PlannedVehicle]) -> list[Policy]:
+        world = self.world
+        with Simulation(self.net, seed=world.config.request.seed, step_s=DT_S) as simulation:
+            self.sumo_version = simulation.version()
+            recorded = Replay(simulation, world.traffic, "r")
+            steering = Steering(world, simulation, self.fixed, self.rng)
+            drivers = steering.run(planned, [recorded, Replay(simulation, self.fixed, "f")])
+        if self.replay_errors.states == 0:
+            self.replay_errors = recorded.errors
+        by_id = {driver.spec.vehicle_id: driver for driver in drivers}
+        settled, failed = settle(world, steering.driven(), self.fixed)
+        refused = [driver.spec for driver in drivers if driver.objection is not None]
+        self.reasons.update(reason for _, reason in failed)
+        self.reasons.update(driver.objection for driver in drivers if driver.objection is not None)
+        self.settled += [Settled(vehicle, by_id[vehicle.driven.spec.vehicle_id]) for vehicle in settled]
+        self.fixed = self.fixed.joined(settled_traffic(settled, world.num_steps))
+        return [spec.policy for spec, _ in failed] + [spec.policy for spec in refused]
+
+    def _unmet(self, policy: Policy) -> None:
+        self.unmet.append((policy, 0.0, f"no_room_for_{policy.value}"))
+
+    def _new_id(self) -> str:
+        self._next += 1
+        return f"v{self._next}"
+
+
+def _mix(shares: "dict[Policy, float] | object", count: int, rng: np.random.Generator) -> list[Policy]:
+    """Policies of `count` vehicles by largest remainder: the mix asked for, not a draw from it."""
+    table = dict(shares)  # type: ignore[call-overload]
+    total = sum(table.values())
+    exact = {policy: count * share / total for policy, share in table.items()}
+    counts = {policy: int(value) for policy, value in exact.items()}
+    rest = sorted(exact, key=lambda p: (counts[p] - exact[p], list(Policy).index(p)))
+    for policy in rest[: count - sum(counts.values())]:
+        counts[policy] += 1
+    mixed = [policy for policy in Policy for _ in range(counts[policy])]
+    return [mixed[i] for i in rng.permutation(len(mixed)).tolist()]
+
+
+def _track(vehicle: SettledVehicle, track_id: str, category: int) -> Track:
+    trajectory = vehicle.trajectory
+    return Track(
+        track_id=track_id,
+        object_type=vehicle.driven.spec.object_type,
+        category=category,
+        timesteps=np.arange(vehicle.num_steps, dtype=np.int64),
+        position=trajectory.position,
+        heading=trajectory.heading,
+        velocity=trajectory.velocity,
+        size=vehicle.driven.spec.own_size,
+    )
+
+
+def _with_category(track: Track, category: int) -> Track:
+    return Track(
+        track.track_id, track.object_type, category, track.timesteps, track.position, track.heading, track.velocity, track.size
+    )
+
+
+def _focal(scene: Scenario, vehicles: Sequence[Settled], tracks: Sequence[Track]) -> str:
+    """Generated focal track: lives through the scene; a manoeuvre done before none, a longer path before a shorter."""
+    through = [
+        (bool(item.driver.shifts) or item.driver.spec.policy is not Policy.STRAIGHT, track.path_m, track.track_id)
+        for item, track in zip(vehicles, tracks, strict=True)
+        if track.timesteps.size == scene.num_steps
+    ]
+    if not through:
+        raise ScenarioError(f"{scene.folder}: no generated vehicle lives through the scene, want one as focal track")
+    return max(through)[2]
+
+
+def _sidecar(
+    prepared: PreparedScene, world: World, run: _Run, vehicles: Sequence[Settled], *, variant: int, sumo_version: str
+) -> Sidecar:
+    config = world.config
+    agents = [agent_record(item.vehicle, item.driver, f"gen_{row}", world) for row, item in enumerate(vehicles)]
+    placed = Counter(record.policy for record in agents)
+    return Sidecar(
+        source_scenario_id=prepared.scenario.scenario_id,
+        generator=GeneratorRecord(version=version("hid2-sumo")),
+        sumo_version=sumo_version,
+        seed=config.request.seed,
+        variant=variant,
+        config=config.model_dump(mode="json"),
+        config_sha256=config_sha256(config),
+        replay=ReplayRecord(
+            states=run.replay_errors.states,
+            max_position_error_m=round(run.replay_errors.max_position_error_m, 9),
+            max_heading_error_rad=round(run.replay_errors.max_heading_error_rad, 9),
+        ),
+        requested=RequestedRecord(agents=config.request.agents, behaviours=config.request.behaviours),
+        placed=PlacedRecord(agents=len(agents), behaviours={policy: placed[policy] for policy in Policy if placed[policy]}),
+        agents=tuple(agents),
+        rejected=tuple(RejectedRecord(reason=reason, count=count) for reason, count in sorted(run.reasons.items())),
+    )  # fmt: skip
+
+
+__all__ = ["AgentRecord", "GeneratedScene", "Literal", "PreparedScene", "generate", "prepare", "write"]

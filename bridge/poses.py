@@ -1,0 +1,28 @@
+"""Pose of the box (city frame, radians, centre) <-> pose in SUMO (degrees clockwise from north, front bumper).
+
+The only home of degrees and front bumpers.
+"""
+
+import numpy as np
+
+from hid2.agents import FloatArray
+
+
+def sumo_poses(position: FloatArray, heading: FloatArray, length_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(..., 2) m front bumpers and (...) degrees from box centres, headings and lengths."""
+    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    front = position + 0.5 * np.asarray(length_m)[..., None] * direction
+    return front, np.asarray((90.0 - np.degrees(heading)) % 360.0)
+
+
+def box_poses(front: FloatArray, angle_deg: FloatArray, length_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Inverse of `sumo_poses`: box centres (..., 2) m and headings (...) rad in (-pi, pi]."""
+    heading = np.radians(90.0 - np.asarray(angle_deg))
+    heading = np.arctan2(np.sin(heading), np.cos(heading))
+    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    return front - 0.5 * np.asarray(length_m)[..., None] * direction, heading
+
+
+def front_arc_m(center_s: float, length_m: float) -> float:
+    """Arc length of the front bumper of a box whose centre is at center_s, m."""
+    return center_s + 0.5 * length_m

@@ -1,0 +1,140 @@
+"""What became of every manoeuvre that was asked for, as rows of the sidecar."""
+
+import math
+
+import numpy as np
+
+from bridge.sidecar import AgentRecord, ManeuverRecord, SpawnRecord
+from bridge.steering import Driver
+from hid2.agents import FloatArray, Policy
+from hid2.conflicts import DT_S
+from hid2.lane_change import lateral_share
+from hid2.overtake import Stage
+from hid2.repair import SettledVehicle
+from hid2.world import World
+from netconvert.lane_graph import TurnType
+
+_VISIBLE_MPS = 0.1
+_TURN = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
+
+
+def agent_record(vehicle: SettledVehicle, driver: Driver, track_id: str, world: World) -> AgentRecord:
+    """Record of one exported vehicle; times are those of the exported motion."""
+    spec = vehicle.driven.spec
+    cell = world.cell_at(spec.path, spec.s0)
+    end_s = float(vehicle.motion.s[-1])
+    route = [segment.lane_id for segment in vehicle.driven.path.segments if spec.s0 < segment.end and segment.start <= end_s]
+    return AgentRecord(
+        track_id=track_id,
+        object_type="bus" if spec.object_type == "bus" else "vehicle",
+        length_m=spec.own_size.length_m,
+        width_m=spec.own_size.width_m,
+        policy=spec.policy,
+        spawn=SpawnRecord(lane_segment_id=cell.lane_id, cell=cell.index, speed_mps=round(spec.v0, 6)),
+        route=tuple(route),
+        maneuvers=tuple(_maneuvers(vehicle, driver, world)),
+        end_reason="map_edge" if vehicle.num_steps < world.num_steps else None,
+        retimed=vehicle.retimed,
+        standing=bool(end_s - spec.s0 < 2.0),
+    )
+
+
+def _maneuvers(vehicle: SettledVehicle, driver: Driver, world: World) -> list[ManeuverRecord]:
+    policy = vehicle.driven.spec.policy
+    if policy in _TURN:
+        return [_turn(vehicle, world)]
+    if policy is Policy.LANE_CHANGE:
+        return [_lane_change(vehicle, driver)]
+    if policy is Policy.OVERTAKE:
+        return [_overtake(vehicle, driver, world)]
+    return []
+
+
+def _turn(vehicle: SettledVehicle, world: World) -> ManeuverRecord:
+    spec, s = vehicle.driven.spec, vehicle.motion.s
+    kind = _TURN[spec.policy]
+    lanes = world.grid.graph.lanes
+    segments = vehicle.driven.path.segments
+    row = next(i for i, g in enumerate(segments) if lanes[g.lane_id].turn is kind and g.start > spec.s0)
+    turn = segments[row]
+    start, end = _time(s, turn.start), _time(s, turn.end)
+    return ManeuverRecord(
+        kind="left_turn" if kind is TurnType.LEFT else "right_turn",
+        status="done" if end is not None else "aborted" if start is not None else "not_feasible",
+        reason=None if end is not None else "scene_ended",
+        trigger_s=0.0,
+        requested_s=0.0,
+        start_s=start,
+        end_s=end,
+        source_lane=segments[row - 1].lane_id if row else None,
+        target_lane=turn.lane_id,
+        min_ttc_s=_finite(vehicle.min_ttc_s),
+    )
+
+
+def _lane_change(vehicle: SettledVehicle, driver: Driver) -> ManeuverRecord:
+    spec = vehicle.driven.spec
+    trigger = round(spec.trigger_s, 6)
+    if not driver.shifts:
+        status = "not_triggered" if trigger > (vehicle.num_steps - 1) * DT_S else "not_feasible"
+        return ManeuverRecord(kind="lane_change", status=status, reason=driver.reason or "scene_ended", trigger_s=trigger)
+    shift = driver.shifts[0]
+    start, crossing, end = _shift_times(vehicle, 0)
+    done = end is not None
+    return ManeuverRecord(
+        kind="lane_change", status="done" if done else "aborted", reason=None if done else "scene_ended",
+        trigger_s=trigger, requested_s=round(shift.requested_step * DT_S, 6), start_s=start, crossing_s=crossing, end_s=end,
+        source_lane=shift.source_lane, target_lane=shift.target_lane, gap_front_m=_finite(shift.gap_front_m),
+        gap_rear_m=_finite(shift.gap_rear_m), min_ttc_s=_finite(vehicle.min_ttc_s),
+    )  # fmt: skip
+
+
+def _overtake(vehicle: SettledVehicle, driver: Driver, world: World) -> ManeuverRecord:
+    spec = vehicle.driven.spec
+    trigger = round(spec.trigger_s, 6)
+    if not driver.shifts:
+        status = "not_triggered" if trigger > (vehicle.num_steps - 1) * DT_S else "not_feasible"
+        return ManeuverRecord(kind="overtake", status=status, reason=driver.reason or "scene_ended", trigger_s=trigger)
+    enter = driver.shifts[0]
+    start, crossing, entered = _shift_times(vehicle, 0)
+    end = _shift_times(vehicle, 1)[2] if len(driver.shifts) > 1 else None
+    if end is not None:
+        status, reason = "done", None
+    elif entered is None:
+        status, reason = "aborted", "scene_ended_entering"
+    elif len(driver.shifts) > 1:
+        status, reason = "aborted", "scene_ended_returning"
+    elif driver.stage is Stage.PASS and driver.reason == "not_ahead":
+        status, reason = "aborted", "not_passed"
+    else:
+        status, reason = "aborted", f"passed_without_return:{driver.reason or 'scene_ended'}"
+    return ManeuverRecord(
+        kind="overtake", status=status, reason=reason, trigger_s=trigger,
+        requested_s=round(enter.requested_step * DT_S, 6), start_s=start, crossing_s=crossing, end_s=end,
+        source_lane=enter.source_lane, target_lane=enter.target_lane, leader_track_id=driver.leader_id,
+        gap_front_m=_finite(enter.gap_front_m), gap_rear_m=_finite(enter.gap_rear_m), min_ttc_s=_finite(vehicle.min_ttc_s),
+    )  # fmt: skip
+
+
+def _shift_times(vehicle: SettledVehicle, index: int) -> tuple[float | None, float | None, float | None]:
+    """Start, crossing and end of a lateral motion: where |d'| passes 0.1 m/s, and half way between the lanes."""
+    start_m, end_m = vehicle.driven.path.shifts[index]
+    s = vehicle.motion.s
+    share = lateral_share((s - start_m) / max(end_m - start_m, 1e-9))
+    lateral_mps = np.abs(np.gradient(share * 3.5, DT_S))
+    moving = np.flatnonzero(lateral_mps > _VISIBLE_MPS)
+    start = round(float(moving[0]) * DT_S, 6) if moving.size else None
+    crossing = _time(s, 0.5 * (start_m + end_m))
+    finished = float(share[-1]) > 0.98
+    end = round(min(float(moving[-1]) + 1, s.size - 1) * DT_S, 6) if finished and moving.size else None
+    return start, crossing, end
+
+
+def _time(s: FloatArray, place: float) -> float | None:
+    """First time at which s(t) has passed a place, s; None where it never does."""
+    passed = np.flatnonzero(s >= place)
+    return round(float(passed[0]) * DT_S, 6) if passed.size else None
+
+
+def _finite(value: float) -> float | None:
+    return round(float(value), 6) if math.isfinite(value) else None

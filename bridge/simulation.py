@@ -1,0 +1,168 @@
+"""The only file that imports libsumo: one simulation per process, as a context manager with an explicit seed."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import ClassVar, Self
+
+os.environ.setdefault("LIBSUMO_AS_TRACI", "quiet")  # read on import: silences a remark about pyarrow on stdout
+
+import libsumo
+
+from netconvert.errors import SimulationError
+
+#: TraCI lane-change mode: no change of SUMO's own; one asked for waits for a gap.
+_ONLY_ASKED_WITH_GAP = 512
+_REPLAY_KEEP_ROUTE = 6
+_REPLAY_MATCH_M = 3.0
+
+
+class Simulation:
+    """A running SUMO. Use as `with Simulation(net, seed=0, step_s=0.1) as sumo:`.
+
+    Errors: SimulationError for a net that SUMO refuses, and for a second simulation in one process.
+    """
+
+    _running: ClassVar[bool] = False
+
+    def __init__(self, net: Path, *, seed: int, step_s: float) -> None:
+        self._net = net
+        self._seed = seed
+        self._step_s = step_s
+        self._types: set[str] = set()
+        self._routes = 0
+
+    def __enter__(self) -> Self:
+        """Start SUMO."""
+        if Simulation._running:
+            raise SimulationError("a simulation is already running in this process, want one at a time")
+        command = [
+            "sumo", "--net-file", str(self._net), "--step-length", f"{self._step_s}", "--seed", str(self._seed),
+            "--collision.action", "none", "--time-to-teleport", "-1", "--lanechange.duration", "0",
+            "--no-step-log", "true", "--no-warnings", "true", "--duration-log.disable", "true",
+        ]  # fmt: skip
+        try:
+            libsumo.start(command)
+        except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
+            raise SimulationError(f"{self._net}: SUMO does not load the net: {error}") from error
+        Simulation._running = True
+        edge = next(e for e in libsumo.edge.getIDList() if not e.startswith(":"))
+        libsumo.route.add("replay", [edge])
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close SUMO, also behind an error."""
+        Simulation._running = False
+        libsumo.close()
+
+    @staticmethod
+    def version() -> str:
+        """SUMO's version as it names itself, e.g. `SUMO 1.28.0`."""
+        return str(libsumo.getVersion()[1]) if Simulation._running else str(libsumo.__version__)
+
+    def add_replayed(self, vehicle_id: str, *, length_m: float, width_m: float) -> None:
+        """Add a vehicle that is placed by hand at every step from now on."""
+        libsumo.vehicle.add(vehicle_id, "replay", typeID=self._type("replay", length_m, width_m), depart="now")
+
+    def place(self, vehicle_id: str, x: float, y: float, angle_deg: float) -> None:
+        """Put a replayed vehicle's front bumper at its exact pose for the coming step."""
+        libsumo.vehicle.moveToXY(
+            vehicle_id, "", -1, x, y, angle_deg, keepRoute=_REPLAY_KEEP_ROUTE, matchThreshold=_REPLAY_MATCH_M
+        )
+
+    def pose(self, vehicle_id: str) -> tuple[float, float, float]:
+        """Front bumper x, y in m and angle in degrees, as SUMO has them now."""
+        x, y = libsumo.vehicle.getPosition(vehicle_id)
+        return x, y, libsumo.vehicle.getAngle(vehicle_id)
+
+    def remove(self, vehicle_id: str) -> None:
+        """Take a vehicle out."""
+        libsumo.vehicle.remove(vehicle_id)
+
+    def insert(
+        self,
+        vehicle_id: str,
+        *,
+        edges: Sequence[str],
+        lane_index: int,
+        front_m: float,
+        speed_mps: float,
+        length_m: float,
+        width_m: float,
+        accel_mps2: float,
+        decel_mps2: float,
+        tau_s: float,
+        min_gap_m: float,
+        max_speed_mps: float,
+    ) -> str | None:
+        """Insert a vehicle that SUMO drives; front_m on the first edge. Returns SUMO's objection, None if accepted."""
+        type_id = f"driven_{vehicle_id}"
+        libsumo.vehicletype.copy("DEFAULT_VEHTYPE", type_id)
+        libsumo.vehicletype.setLength(type_id, length_m)
+        libsumo.vehicletype.setWidth(type_id, width_m)
+        libsumo.vehicletype.setAccel(type_id, accel_mps2)
+        libsumo.vehicletype.setDecel(type_id, decel_mps2)
+        libsumo.vehicletype.setEmergencyDecel(type_id, max(decel_mps2, 9.0))
+        libsumo.vehicletype.setTau(type_id, tau_s)
+        libsumo.vehicletype.setMinGap(type_id, min_gap_m)
+        libsumo.vehicletype.setMaxSpeed(type_id, max_speed_mps)
+        libsumo.vehicletype.setImperfection(type_id, 0.0)
+        libsumo.vehicletype.setSpeedFactor(type_id, 1.0)
+        libsumo.vehicletype.setSpeedDeviation(type_id, 0.0)
+        try:
+            libsumo.vehicle.add(
+                vehicle_id, self._route(edges), typeID=type_id, depart="now", departLane=str(lane_index),
+                departPos=f"{front_m:.4f}", departSpeed=f"{speed_mps:.4f}",
+            )  # fmt: skip
+        except libsumo.TraCIException as error:
+            return str(error)
+        libsumo.vehicle.setLaneChangeMode(vehicle_id, _ONLY_ASKED_WITH_GAP)
+        return None
+
+    def set_speed(self, vehicle_id: str, speed_mps: float) -> None:
+        """Ask for a speed in the coming steps; SUMO's car following stays the upper bound."""
+        libsumo.vehicle.setSpeed(vehicle_id, float(speed_mps))
+
+    def change_lane(self, vehicle_id: str, lane_index: int, *, edges: Sequence[str]) -> None:
+        """Ask for an instant change within the edge, onto a route that the new lane continues."""
+        libsumo.vehicle.setRoute(vehicle_id, list(edges))
+        libsumo.vehicle.changeLane(vehicle_id, lane_index, self._step_s)
+
+    def set_route(self, vehicle_id: str, edges: Sequence[str]) -> None:
+        """Replace the route, from the current edge on."""
+        libsumo.vehicle.setRoute(vehicle_id, list(edges))
+
+    def step(self) -> None:
+        """One step of step_s."""
+        libsumo.simulationStep()
+
+    def driven(self) -> frozenset[str]:
+        """Ids of all vehicles in the net."""
+        return frozenset(libsumo.vehicle.getIDList())
+
+    def speed(self, vehicle_id: str) -> float:
+        """Speed in m/s over the last step."""
+        return float(libsumo.vehicle.getSpeed(vehicle_id))
+
+    def lane(self, vehicle_id: str) -> tuple[str, float]:
+        """SUMO lane id and position of the front bumper on it, m."""
+        return libsumo.vehicle.getLaneID(vehicle_id), float(libsumo.vehicle.getLanePosition(vehicle_id))
+
+    def _route(self, edges: Sequence[str]) -> str:
+        self._routes += 1
+        route_id = f"route_{self._routes}"
+        libsumo.route.add(route_id, list(edges))
+        return route_id
+
+    def _type(self, prefix: str, length_m: float, width_m: float) -> str:
+        type_id = f"{prefix}_{length_m:.3f}_{width_m:.3f}"
+        if type_id not in self._types:
+            libsumo.vehicletype.copy("DEFAULT_VEHTYPE", type_id)
+            libsumo.vehicletype.setLength(type_id, length_m)
+            libsumo.vehicletype.setWidth(type_id, width_m)
+            libsumo.vehicletype.setVehicleClass(type_id, "ignoring")  # recorded agents are where they are, on any lane
+            self._types.add(type_id)
+        return type_id

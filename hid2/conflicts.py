@@ -1,0 +1,143 @@
+"""Conflict resolution (paper, Trajectory Generation): the three cases.
+
+1. A transition into a cell with sigma = 1 is rejected (`transition_rejected`).
+2. Generated against generated: executing before pending, then closer before farther, then the lower id (`priority`).
+3. Future conflicts: predicted boxes over the horizon, recorded agents by their true future. `Prospect.plan` adjusts the
+   timing on a path; where it finds none the caller reroutes, then aborts the manoeuvre.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hid2.agents import BoxSize, FloatArray
+from hid2.occupancy import ORIGINAL
+from hid2.params import Config
+from hid2.reference_line import TABLE_STEP_M
+from hid2.route import DrivenPath
+from hid2.smoothing import SpeedBounds
+from hid2.space_time import PathOccupancy, SpaceTime, SpeedPlan, path_occupancy, plan_speed, space_time
+from hid2.traffic import Traffic
+
+#: The last observed step of the forecasting task is given by the scene; a vehicle may leave the map only behind it.
+DT_S = 0.1
+
+
+def transition_rejected(sigma: int) -> bool:
+    """Case 1: the target cell is held by an original agent."""
+    return sigma == ORIGINAL
+
+
+def priority(*, executing: bool, distance_m: float, vehicle_id: str) -> tuple[bool, float, str]:
+    """Case 2: sort key, first wins."""
+    return (not executing, distance_m, vehicle_id)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Prospect:
+    """A path with everybody who will be on it: what timing can be chosen from.
+
+    low, high and the rest in arc length of the box centre; desired (S,) m/s at the line's table.
+    """
+
+    path: DrivenPath
+    size: BoxSize
+    desired: FloatArray
+    occupancy: PathOccupancy
+    tables: SpaceTime
+    margin_m: float
+    ttc_s: float
+
+    def plan(
+        self, *, s0: float, v0: float, a0: float, first_step: int, config: Config, reference: FloatArray | None = None
+    ) -> SpeedPlan | None:
+        """Case 3, adjust timing: the best speed profile from the state at first_step on; None where all collide."""
+        return plan_speed(
+            self.tables,
+            self.desired,
+            s0=s0,
+            v0=v0,
+            a0=a0,
+            first_step=first_step,
+            accel_max=min(config.car_following.accel_mps2, config.limits.accel_max_mps2),
+            accel_min=max(-config.car_following.decel_mps2 - 0.7, config.limits.accel_min_mps2),
+            step_s=DT_S,
+            reference=reference,
+        )
+
+    def is_blocked(self, s: FloatArray, first_step: int) -> bool:
+        """Whether a driven s(t), (T - first_step,) m, meets anybody or comes closer than the margin."""
+        cells = np.minimum((s / TABLE_STEP_M + 0.5).astype(np.int64), self.tables.blocked.shape[1] - 1)
+        steps = np.arange(first_step, first_step + s.size)
+        return bool(self.tables.blocked[steps, np.maximum(cells, 0)].any())
+
+    def bounds(self, s: FloatArray) -> SpeedBounds | None:
+        """Constraints that keep a driven s(t) (T,) on the same side of everybody; None where it is inside somebody."""
+        steps = s.size
+        low = self.occupancy.low[:, :steps] - self.margin_m
+        high = self.occupancy.high[:, :steps] + self.margin_m
+        along, aligned = self.occupancy.along[:, :steps], self.occupancy.aligned[:, :steps]
+        touched = np.isfinite(self.occupancy.low[:, :steps])
+        middle = np.where(touched, low, 0.0) / 2 + np.where(touched, high, 0.0) / 2
+        ahead = touched & (s[None, :] < middle)
+        behind = touched & ~ahead
+        upper = np.where(ahead, low, np.inf).min(axis=0, initial=np.inf)
+        lower = np.where(behind, high, -np.inf).max(axis=0, initial=-np.inf)
+        leads = ahead & aligned
+        room = np.where(leads, low + self.ttc_s * np.maximum(along, 0.0), np.inf).min(axis=0, initial=np.inf)
+        if np.any(lower >= upper):
+            return None
+        cells = np.clip((s / TABLE_STEP_M + 0.5).astype(np.int64), 0, self.desired.size - 1)
+        fastest = self.desired[cells]
+        return SpeedBounds(low=lower, high=upper, fastest=fastest, ttc_room=room, ttc_s=self.ttc_s)
+
+    def min_ttc_s(self, s: FloatArray, v: FloatArray) -> float:
+        """Smallest TTC to an aligned leader on the path over a driven (T,) s(t), v(t); inf when never closing."""
+        steps = s.size
+        low, along = self.occupancy.low[:, :steps], np.maximum(self.occupancy.along[:, :steps], 0.0)
+        ahead = np.isfinite(low) & self.occupancy.aligned[:, :steps] & (s[None, :] < low + 1.0)
+        closing = v[None, :] - along
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ttc = np.where(ahead & (closing > 1e-3), (low - s[None, :]) / closing, np.inf)
+        return float(ttc.min(initial=np.inf))
+
+
+def prospect(
+    path: DrivenPath,
+    size: BoxSize,
+    desired: FloatArray,
+    others: tuple[Traffic, ...],
+    *,
+    config: Config,
+    num_steps: int,
+    earliest_exit_step: int,
+    known: PathOccupancy | None = None,
+) -> Prospect:
+    """Look along a path: everybody in `others`, after `known` (intervals that were computed before), is an obstacle."""
+    occupancy = known
+    for traffic in others:
+        found = path_occupancy(
+            path.line,
+            traffic,
+            length_m=size.length_m,
+            width_m=size.width_m,
+            margin_lateral_m=config.conflict.margin_lateral_m,
+        )
+        occupancy = found if occupancy is None else occupancy.joined(found)
+    if occupancy is None:
+        raise ValueError("prospect: neither others nor known")
+    ttc_s = config.conflict.ttc_min_s + 0.2
+    tables = space_time(
+        occupancy,
+        table_length=path.line.table_xy.shape[0],
+        num_steps=num_steps,
+        margin_m=config.conflict.margin_front_m,
+        ttc_s=ttc_s,
+        time_gap_s=config.conflict.follow_time_s,
+        exit_s=path.exit_s - size.length_m / 2,
+        earliest_exit_step=earliest_exit_step,
+    )
+    return Prospect(
+        path=path, size=size, desired=desired, occupancy=occupancy, tables=tables,
+        margin_m=0.6 * config.conflict.margin_front_m, ttc_s=ttc_s,
+    )  # fmt: skip

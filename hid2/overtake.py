@@ -1,0 +1,78 @@
+"""Overtaking in three stages: enter, pass, return; each with its own feasibility check (paper, Overtaking)."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from hid2.lane_change import Gap
+from hid2.params import Overtake
+
+
+class Stage(StrEnum):
+    """Where an overtake stands. ABORTED is a state: the vehicle stays in the lane it is in."""
+
+    WAITING = "waiting"
+    ENTER = "enter"
+    PASS = "pass"
+    RETURN = "return"
+    DONE = "done"
+    ABORTED = "aborted"
+
+
+@dataclass(frozen=True, slots=True)
+class Leader:
+    """Next vehicle on the lane path: bumper gap m, speed m/s, length m."""
+
+    track_id: str
+    gap_m: float
+    speed_mps: float
+    length_m: float
+
+
+def corridor_m(leader: Leader, *, own_length_m: float, own_mps: float, params: Overtake) -> float:
+    """Length of free lane l' needed to get ahead of the leader, in the leader's frame plus what it drives meanwhile.
+
+    Never below d_overtake; m * delta s is compared with it.
+    """
+    relative = leader.gap_m + leader.length_m + own_length_m + params.return_gap_m
+    gain = max(own_mps - leader.speed_mps, 0.5)
+    return max(params.d_overtake_m, relative * own_mps / gain if leader.speed_mps > 0 else relative)
+
+
+def enter_reason(
+    *,
+    leader: Leader | None,
+    desired_mps: float,
+    lane_available: bool,
+    ahead: Gap,
+    behind: Gap,
+    free_corridor_m: float,
+    params: Overtake,
+) -> str | None:
+    """Why the overtake cannot begin now; None where it can.
+
+    The paper's three conditions: a free overtaking lane l', gaps ahead and behind, m * delta s >= d_overtake.
+    """
+    if leader is None or leader.gap_m > params.d_obs_m:
+        return "no_leader"
+    if desired_mps - leader.speed_mps < params.speed_advantage_mps:
+        return "leader_not_slower"
+    if not lane_available:
+        return "no_lane"
+    if ahead.distance_m < params.safe_front_m:
+        return "front_gap"
+    if behind.distance_m < params.safe_rear_m:
+        return "rear_gap"
+    if free_corridor_m < params.d_overtake_m:
+        return "corridor_short"
+    return None
+
+
+def return_reason(*, lead_gap_m: float, lane_available: bool, ahead: Gap, params: Overtake) -> str | None:
+    """Why the return cannot begin now: lead_gap_m is the bumper gap to the passed vehicle, negative beside it."""
+    if lead_gap_m < params.return_gap_m:
+        return "not_ahead"
+    if not lane_available:
+        return "no_lane"
+    if ahead.distance_m < params.safe_front_m:
+        return "front_gap"
+    return None

@@ -1,0 +1,205 @@
+"""From driven traces to exported motion: smoothing, the last word, and re-timing of what does not hold.
+
+Vehicles are settled one after the other, leaders before followers; each one settled is an obstacle to the next.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hid2.agents import FloatArray
+from hid2.conflicts import DT_S, Prospect, priority
+from hid2.route import DrivenPath
+from hid2.smoothing import Motion, SpeedBounds, SpeedLimits, Trajectory, poses, smooth_speed
+from hid2.traffic import Traffic
+from hid2.verify import first_overlap, limit_exceeded, off_road_steps
+from hid2.world import PlannedVehicle, World, predicted_traffic
+from netconvert.geometry import Polyline
+
+#: Share of the limits that the smoothing aims at: differences of sampled positions see a little more than the cubics.
+_AIM = 0.9
+_BOX_MARGIN_M = 0.05
+_CAPS = (1.0, 1.0, 0.85, 0.7, 0.5)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DrivenVehicle:
+    """What SUMO made of a planned vehicle: s (T,) m and v (T,) m/s on the path that it ended up with."""
+
+    spec: PlannedVehicle
+    path: DrivenPath
+    s: FloatArray
+    v: FloatArray
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SettledVehicle:
+    """A vehicle as it is exported: trajectory of steps 0 .. T_i - 1. retimed: profiles tried beyond the driven one."""
+
+    driven: DrivenVehicle
+    motion: Motion
+    trajectory: Trajectory
+    retimed: int
+    min_ttc_s: float
+
+    @property
+    def num_steps(self) -> int:
+        """T_i."""
+        return int(self.motion.s.size)
+
+
+def settle(
+    world: World, driven: Sequence[DrivenVehicle], fixed: Traffic
+) -> tuple[list[SettledVehicle], list[tuple[PlannedVehicle, str]]]:
+    """Smooth and check every driven vehicle; those that cannot be made safe come back with the reason."""
+    settled: list[SettledVehicle] = []
+    failed: list[tuple[PlannedVehicle, str]] = []
+    others = fixed
+    for vehicle in _leaders_first(driven):
+        result = _settle_one(world, vehicle, others)
+        if isinstance(result, str):
+            failed.append((vehicle.spec, result))
+            continue
+        settled.append(result)
+        others = others.joined(settled_traffic([result], world.num_steps))
+    return settled, failed
+
+
+def settled_traffic(vehicles: Sequence[SettledVehicle], num_steps: int) -> Traffic:
+    """Boxes of settled vehicles."""
+    rows = [(v.driven.spec.vehicle_id, v.driven.path, v.driven.spec.size, v.motion.s) for v in vehicles]
+    return predicted_traffic(rows, num_steps)
+
+
+def _leaders_first(driven: Sequence[DrivenVehicle]) -> list[DrivenVehicle]:
+    """Executing before pending, then who has fewer of the others ahead of it (conflict case 2), then the lower id."""
+    start = np.array([v.path.line.position(v.s[:1])[0] for v in driven]).reshape(-1, 2)
+    ahead = []
+    for row, vehicle in enumerate(driven):
+        heading = vehicle.path.line.heading(vehicle.s[:1])[0]
+        offset = start - start[row]
+        along = offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading)
+        across = np.abs(-offset[:, 0] * np.sin(heading) + offset[:, 1] * np.cos(heading))
+        ahead.append(float(((along > 0.5) & (along < 40.0) & (across < 2.5)).sum()))
+    order = sorted(
+        range(len(driven)),
+        key=lambda row: priority(
+            executing=bool(driven[row].path.shifts), distance_m=ahead[row], vehicle_id=driven[row].spec.vehicle_id
+        ),
+    )
+    return [driven[row] for row in order]
+
+
+def _settle_one(world: World, vehicle: DrivenVehicle, others: Traffic) -> SettledVehicle | str:
+    config = world.config
+    spec = vehicle.spec
+    if "smoothing" in config.without:
+        return _unsmoothed(world, vehicle, others)
+    unchecked = "collision" in config.without
+    look = world.prospect(
+        vehicle.path, spec.size, cruise_mps=spec.cruise_mps, others=() if unchecked else (others,)
+    )
+    limits = SpeedLimits(
+        accel_min=_AIM * config.limits.accel_min_mps2,
+        accel_max=_AIM * config.limits.accel_max_mps2,
+        jerk=0.8 * config.limits.longitudinal_jerk_mps3,
+    )
+    reason = "no_safe_timing"
+    for attempt, cap in enumerate(_CAPS):
+        reference, speed = vehicle.s, vehicle.v
+        if cap < 1.0:
+            slower = np.minimum(look.desired, np.maximum(cap * spec.cruise_mps, 0.0))
+            slower[: int(spec.s0 / 0.5) + 1] = np.maximum(slower[: int(spec.s0 / 0.5) + 1], spec.v0)
+            look = _with_desired(look, slower)
+        if not unchecked and (attempt > 0 or look.is_blocked(reference, 0)):
+            plan = look.plan(
+                s0=spec.s0, v0=spec.v0, a0=0.0, first_step=0, config=config, reference=reference if cap == 1.0 else None
+            )
+            if plan is None:
+                continue
+            reference, speed = plan.s, plan.v
+        result = _smooth_and_check(world, vehicle, look, reference, speed, limits, others, unchecked=unchecked)
+        if not isinstance(result, str):
+            return SettledVehicle(vehicle, result[0], result[1], attempt, result[2])
+        reason = result
+    return reason
+
+
+def _smooth_and_check(
+    world: World, vehicle: DrivenVehicle, look: Prospect, reference: FloatArray, speed: FloatArray,
+    limits: SpeedLimits, others: Traffic, *, unchecked: bool,
+) -> tuple[Motion, Trajectory, float] | str:  # fmt: skip
+    config, spec = world.config, vehicle.spec
+    motion: Motion | None = None
+    target, target_v = reference, speed
+    for _ in range(2):  # the speed cap is by place, the programme by time: once more from where it came out
+        bounds = look.bounds(target)
+        if bounds is None:
+            return "no_safe_timing"
+        motion = smooth_speed(
+            target, target_v, _eased(bounds, spec.v0), limits, a0=0.0, step_s=DT_S,
+            jerk_weight=config.smoothing.jerk_weight,
+        )  # fmt: skip
+        if motion is None:
+            return "no_smooth_timing"
+        target, target_v = motion.s, motion.v
+    if motion is None:
+        return "no_smooth_timing"
+    end = vehicle.path.exit_s - spec.size.length_m / 2
+    steps = int((motion.s <= end).sum())
+    if steps < min(world.earliest_exit_step, world.num_steps):
+        return "leaves_too_early"
+    motion = Motion(s=motion.s[:steps], v=motion.v[:steps], a=motion.a[:steps])
+    trajectory = poses(vehicle.path.line, motion)
+    exceeded = limit_exceeded(trajectory, config.limits, step_s=DT_S)
+    if exceeded is not None:
+        return f"limit_{exceeded}"
+    ttc = np.inf
+    if not unchecked:
+        if first_overlap(trajectory, spec.size, world.traffic, margin_m=_BOX_MARGIN_M) is not None:
+            return "meets_recorded"
+        if first_overlap(trajectory, spec.size, others, margin_m=_BOX_MARGIN_M) is not None:
+            return "meets_generated"
+        ttc = look.min_ttc_s(motion.s, motion.v)
+        if ttc < config.conflict.ttc_min_s:
+            return "ttc"
+    if "topology" not in config.without:
+        off = off_road_steps(
+            trajectory, spec.size, world.grid.graph.drivable, tolerance_m=0.9 * config.limits.drivable_tolerance_m
+        )
+        if off.any():
+            return "off_road"
+    return motion, trajectory, ttc
+
+
+def _eased(bounds: SpeedBounds, v0: float) -> SpeedBounds:
+    """Bounds whose speed cap can be reached from v0 by braking gently: a start above it is given, not chosen."""
+    slowing = v0 - 1.0 * DT_S * np.arange(bounds.fastest.size)
+    return replace(bounds, fastest=np.maximum(bounds.fastest, slowing))
+
+
+def _with_desired(look: Prospect, desired: FloatArray) -> Prospect:
+    return replace(look, desired=desired)
+
+
+def _unsmoothed(world: World, vehicle: DrivenVehicle, others: Traffic) -> SettledVehicle | str:
+    """Ablation without smoothing: the grid's polyline, straight from point to point, at SUMO's own speeds."""
+    path, spec = vehicle.path, vehicle.spec
+    end = path.exit_s - spec.size.length_m / 2
+    steps = int((vehicle.s <= end).sum())
+    if steps < world.earliest_exit_step:
+        return "leaves_too_early"
+    s, v = vehicle.s[:steps], vehicle.v[:steps]
+    motion = Motion(s=s, v=v, a=np.gradient(v, DT_S))
+    raw = Polyline(path.raw)
+    at = np.array([path.to_raw(float(value)) for value in s])
+    at = np.minimum(at, raw.length_m)
+    heading = raw.heading(at)
+    direction = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    trajectory = Trajectory(position=raw.point(at), heading=heading, velocity=direction * v[:, None], s=s)
+    if "collision" not in world.config.without:
+        for met, traffic in (("meets_recorded", world.traffic), ("meets_generated", others)):
+            if first_overlap(trajectory, spec.size, traffic, margin_m=_BOX_MARGIN_M) is not None:
+                return met
+    return SettledVehicle(vehicle, motion, trajectory, 0, float("inf"))

@@ -1,0 +1,153 @@
+"""Routes through the lane graph, and the path that a vehicle drives along one (with its lane changes)."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hid2.agents import FloatArray
+from hid2.lane_change import Blend
+from hid2.params import Limits, Smoothing
+from hid2.reference_line import ReferenceLine, build_reference_line
+from netconvert.geometry import arc_length
+from netconvert.lane_graph import LaneGraph, TurnType
+
+Route = tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Stretch of a path on one lane: start, end in arc length of the path, m; lane_s at its start and end, m."""
+
+    lane_id: int
+    start: float
+    end: float
+    lane_start: float
+    lane_end: float
+
+    def lane_s(self, s: float) -> float:
+        """Arc length on the lane at arc length s of the path."""
+        share = (s - self.start) / max(self.end - self.start, 1e-9)
+        return self.lane_start + min(max(share, 0.0), 1.0) * (self.lane_end - self.lane_start)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DrivenPath:
+    """Where a vehicle goes: the smoothed line, the polyline below it, and the lanes along it.
+
+    raw (N, 2) m; shifts: (start, end) of each lateral motion, m on the line; exit_s: the end of the last lane.
+    """
+
+    line: ReferenceLine
+    raw: FloatArray
+    segments: tuple[Segment, ...]
+    shifts: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def exit_s(self) -> float:
+        """Arc length where the last lane ends, m."""
+        return self.line.length_m
+
+    def segment_at(self, s: float) -> Segment:
+        """Lane stretch at arc length s; the last one beyond the end."""
+        for segment in self.segments:
+            if s < segment.end:
+                return segment
+        return self.segments[-1]
+
+    def to_line(self, raw_s: float) -> float:
+        """Arc length on the line of an arc length on the raw polyline."""
+        return float(np.interp(raw_s, *self._scales()))
+
+    def to_raw(self, s: float) -> float:
+        """Arc length on the raw polyline of an arc length on the line."""
+        raw, line = self._scales()
+        return float(np.interp(s, line, raw))
+
+    def _scales(self) -> tuple[FloatArray, FloatArray]:
+        total = float(arc_length(self.raw)[-1])
+        return np.linspace(0.0, total, self.line.points_s.size), self.line.points_s
+
+
+def route_points(graph: LaneGraph, route: Route) -> FloatArray:
+    """(N, 2) m centrelines of a route's lanes, one after the other, joints once."""
+    pieces = [graph.lanes[route[0]].centerline]
+    for lane_id in route[1:]:
+        pieces.append(graph.lanes[lane_id].centerline[1:])
+    return np.concatenate(pieces)
+
+
+def path_along(graph: LaneGraph, route: Route, *, smoothing: Smoothing, limits: Limits) -> DrivenPath:
+    """Path on the middle of a route's lanes, from the start of the first to the end of the last."""
+    raw = route_points(graph, route)
+    line = build_reference_line(
+        raw, step_m=smoothing.path_step_m, min_radius_m=limits.min_radius_m, max_offset_m=smoothing.max_offset_m
+    )
+    bare = DrivenPath(line=line, raw=raw, segments=())
+    segments, at = [], 0.0
+    for lane_id in route:
+        length = graph.lanes[lane_id].length_m
+        segments.append(Segment(lane_id, bare.to_line(at), bare.to_line(at + length), 0.0, length))
+        at += length
+    return DrivenPath(line=line, raw=raw, segments=tuple(segments))
+
+
+def shifted_path(
+    path: DrivenPath, target: DrivenPath, blend: Blend, *, smoothing: Smoothing, limits: Limits
+) -> DrivenPath:
+    """Path that changes from the lanes of `path` to those of `target` along `blend`; the lane changes half way."""
+    line = build_reference_line(
+        blend.points, step_m=smoothing.path_step_m, min_radius_m=limits.min_radius_m, max_offset_m=smoothing.max_offset_m
+    )
+    bare = DrivenPath(line=line, raw=blend.points, segments=())
+    middle = bare.to_line(0.5 * (blend.start_m + blend.end_m))
+    segments: list[Segment] = []
+    for segment in path.segments:
+        if segment.start >= middle:
+            break
+        end = min(segment.end, middle)
+        segments.append(Segment(segment.lane_id, segment.start, end, segment.lane_start, segment.lane_s(end)))
+    for segment in target.segments:
+        start = bare.to_line(target.to_raw(segment.start) - blend.target_offset_m)
+        end = bare.to_line(target.to_raw(segment.end) - blend.target_offset_m)
+        if end <= middle:
+            continue
+        share = max(0.0, (middle - start) / max(end - start, 1e-9))
+        lane_start = segment.lane_start + share * (segment.lane_end - segment.lane_start)
+        segments.append(Segment(segment.lane_id, max(start, middle), end, lane_start, segment.lane_end))
+    shift = (bare.to_line(blend.start_m), bare.to_line(blend.end_m))
+    return DrivenPath(line=line, raw=blend.points, segments=tuple(segments), shifts=(*path.shifts, shift))
+
+
+def turn_segments(graph: LaneGraph, path: DrivenPath) -> list[tuple[float, float, TurnType]]:
+    """(start, end, turn type) of each stretch of a path."""
+    return [(segment.start, segment.end, graph.lanes[segment.lane_id].turn) for segment in path.segments]
+
+
+def routes_from(
+    graph: LaneGraph,
+    lane_id: int,
+    *,
+    choose: Callable[[tuple[int, ...]], tuple[int, ...]],
+    usable: Callable[[int], bool],
+    most: int,
+    longest_m: float,
+) -> Iterator[Route]:
+    """Routes from a lane to where the map ends, depth first; `choose` orders the successors at each split.
+
+    A route stops growing beyond longest_m; cycles are not entered twice. At most `most` routes.
+    """
+    found = 0
+    stack: list[tuple[Route, float]] = [((lane_id,), 0.0)]
+    while stack and found < most:
+        route, length = stack.pop()
+        length += graph.lanes[route[-1]].length_m
+        onward = tuple(n for n in graph.successors(route[-1]) if usable(n) and n not in route)
+        blocked = not onward and any(not usable(n) for n in graph.successors(route[-1]))
+        if blocked:
+            continue
+        if not onward or length > longest_m:
+            found += 1
+            yield route
+            continue
+        stack.extend(((*route, n), length) for n in reversed(choose(onward)))

@@ -1,0 +1,164 @@
+"""Frenet smoothing: s(t) as piecewise cubics within limits, and the pose at every step (paper, Trajectory Smoothing).
+
+The lateral half, d(t), is in `lane_change`; it is already part of the reference line when s(t) is smoothed here.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import osqp
+import scipy.sparse as sparse
+
+from hid2.agents import FloatArray
+from hid2.reference_line import ReferenceLine
+
+_FREE = 1e4
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SpeedBounds:
+    """Box constraints on s(t): low, high (T,) m; fastest (T,) m/s; ttc_room (T,) m, s + ttc_s * v stays below it."""
+
+    low: FloatArray
+    high: FloatArray
+    fastest: FloatArray
+    ttc_room: FloatArray
+    ttc_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLimits:
+    """Limits that the smoothing aims at, a little inside those of the last check."""
+
+    accel_min: float
+    accel_max: float
+    jerk: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Motion:
+    """s (T,) m, v (T,) m/s, a (T,) m/s2 at every step: knots of cubics, jerk constant between them."""
+
+    s: FloatArray
+    v: FloatArray
+    a: FloatArray
+
+
+@lru_cache(maxsize=64)
+def _problem(count: int, step_s: float, ttc_s: float, jerk_weight: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
+    """Hessian (upper) and constraint rows over (s, v, a): dynamics, jerk, boxes, TTC."""
+    eye = sparse.identity(count, format="csc")
+    zero = sparse.csc_matrix((count, count))
+    first = sparse.eye(count - 1, count, format="csc")
+    second = sparse.eye(count - 1, count, k=1, format="csc")
+    change = second - first
+    s_rows = sparse.hstack([change, -step_s * first, -(step_s**2) * (first / 3 + second / 6)])
+    v_rows = sparse.hstack([sparse.csc_matrix((count - 1, count)), change, -step_s / 2 * (first + second)])
+    j_rows = sparse.hstack([sparse.csc_matrix((count - 1, 2 * count)), change / step_s])
+    ttc_rows = sparse.hstack([eye, ttc_s * eye, zero])
+    rows = sparse.vstack([s_rows, v_rows, j_rows, sparse.identity(3 * count), ttc_rows], format="csc")
+    jerk = change / step_s
+    hessian = sparse.block_diag([eye, 0.5 * eye, 0.3 * eye + 0.3 * jerk_weight * (jerk.T @ jerk)], format="csc")
+    return sparse.triu(hessian, format="csc"), rows
+
+
+def smooth_speed(
+    s_driven: FloatArray,
+    v_driven: FloatArray,
+    bounds: SpeedBounds,
+    limits: SpeedLimits,
+    *,
+    a0: float,
+    step_s: float,
+    jerk_weight: float,
+) -> Motion | None:
+    """Nearest s(t) to the driven one with bounded jerk and acceleration inside the bounds; None where there is none.
+
+    s_driven, v_driven (T,). s(0) and v(0) are kept, a(0) = a0; the last acceleration is kept small, since a
+    difference at the end of a track sees half of it. Cubics: paper, s(t) = a0 + a1 t + a2 t2 + a3 t3 in each step.
+    """
+    count = s_driven.size
+    hessian, rows = _problem(count, step_s, bounds.ttc_s, jerk_weight)
+    origin = float(s_driven[0])
+    target = s_driven - origin
+    linear = np.concatenate([-target, -0.5 * v_driven, np.zeros(count)])
+    edge = np.zeros(count)
+    edge[-1] = 1.0
+    room = np.minimum(bounds.ttc_room - origin, _FREE)
+    lower = np.concatenate([
+        np.zeros(2 * (count - 1)),
+        np.full(count - 1, -limits.jerk),
+        np.maximum(bounds.low - origin, -_FREE),
+        np.zeros(count),
+        np.where(edge > 0, -1.2, limits.accel_min),
+        np.full(count, -_FREE),
+    ])  # fmt: skip
+    upper = np.concatenate([
+        np.zeros(2 * (count - 1)),
+        np.full(count - 1, limits.jerk),
+        np.minimum(bounds.high - origin, _FREE),
+        bounds.fastest,
+        np.where(edge > 0, 1.2, limits.accel_max),
+        room,
+    ])  # fmt: skip
+    at_s, at_v, at_a = 3 * (count - 1), 3 * (count - 1) + count, 3 * (count - 1) + 2 * count
+    v0 = float(v_driven[0])
+    for index, value in ((at_s, 0.0), (at_v, v0), (at_a, a0)):
+        lower[index] = upper[index] = value
+    upper[at_a + count] = max(upper[at_a + count], bounds.ttc_s * v0)  # the first state is given, not chosen
+    if np.any(lower > upper):
+        return None
+    solver = osqp.OSQP()
+    solver.setup(
+        hessian, linear, rows, lower, upper,
+        verbose=False, eps_abs=2e-4, eps_rel=2e-4, max_iter=1500, rho=0.1, adaptive_rho_interval=50,
+        check_termination=25, polishing=False,
+    )  # fmt: skip
+    result = solver.solve()
+    if result.info.status not in ("solved", "solved inaccurate"):
+        return None
+    accel = result.x[2 * count :].copy()
+    accel[0] = a0
+    return integrate(origin, v0, accel, step_s=step_s, jerk=limits.jerk)
+
+
+def integrate(s0: float, v0: float, accel: FloatArray, *, step_s: float, jerk: float) -> Motion:
+    """Exact cubics from accelerations at the knots; jerk is clipped, and a vehicle that would roll back stands."""
+    count = accel.size
+    s, v, a = np.empty(count), np.empty(count), np.empty(count)
+    s[0], v[0], a[0] = s0, v0, accel[0]
+    most = jerk * step_s
+    for k in range(count - 1):
+        now = a[k]
+        then = min(max(accel[k + 1], now - most), now + most)
+        speed = v[k] + step_s * (now + then) / 2
+        if speed < 0.0:  # solver residue at standstill
+            then = -now - 2 * v[k] / step_s if v[k] > 0 else 0.0
+            speed, then = 0.0, max(then, now - most)
+            step = max(0.0, v[k] * step_s / 2)
+        else:
+            step = step_s * v[k] + step_s**2 * (now / 3 + then / 6)
+        s[k + 1], v[k + 1], a[k + 1] = s[k] + max(0.0, step), speed, then
+    return Motion(s=s, v=v, a=a)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Trajectory:
+    """A smoothed vehicle, tau_i of the paper: position (T, 2) m, heading (T,) rad, velocity (T, 2) m/s, from step 0."""
+
+    position: FloatArray
+    heading: FloatArray
+    velocity: FloatArray
+    s: FloatArray
+
+
+def poses(line: ReferenceLine, motion: Motion) -> Trajectory:
+    """p = r(s) on the driven line; heading from its tangent, velocity its time derivative."""
+    tangent = line.tangent(motion.s)
+    return Trajectory(
+        position=line.position(motion.s),
+        heading=np.asarray(np.arctan2(tangent[:, 1], tangent[:, 0]), dtype=np.float64),
+        velocity=np.asarray(tangent * (motion.v * line.pace(motion.s))[:, None], dtype=np.float64),
+        s=motion.s,
+    )

@@ -1,0 +1,85 @@
+"""Boxes of many agents over time, as dense arrays: what is known, or predicted, of everybody else."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hid2.agents import FloatArray, Track
+
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Traffic:
+    """Oriented boxes of A agents at T steps.
+
+    position (A, T, 2) m, box centres; heading (A, T) rad; velocity (A, T, 2) m/s, from the positions; present (A, T):
+    the agent has a state at that step or lies between two of its states (interpolated: it is somewhere there);
+    length_m, width_m (A,).
+    """
+
+    ids: tuple[str, ...]
+    position: FloatArray
+    heading: FloatArray
+    velocity: FloatArray
+    present: BoolArray
+    length_m: FloatArray
+    width_m: FloatArray
+
+    @property
+    def num_steps(self) -> int:
+        """T."""
+        return int(self.present.shape[1])
+
+    def joined(self, other: "Traffic") -> "Traffic":
+        """Agents of both, self first."""
+        return Traffic(
+            ids=self.ids + other.ids,
+            position=np.concatenate([self.position, other.position]),
+            heading=np.concatenate([self.heading, other.heading]),
+            velocity=np.concatenate([self.velocity, other.velocity]),
+            present=np.concatenate([self.present, other.present]),
+            length_m=np.concatenate([self.length_m, other.length_m]),
+            width_m=np.concatenate([self.width_m, other.width_m]),
+        )
+
+
+def traffic_of(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> Traffic:
+    """Dense arrays of recorded tracks; gaps inside a track are interpolated, headings the short way round."""
+    count = len(tracks)
+    position = np.zeros((count, num_steps, 2))
+    heading = np.zeros((count, num_steps))
+    velocity = np.zeros((count, num_steps, 2))
+    present = np.zeros((count, num_steps), dtype=np.bool_)
+    for row, track in enumerate(tracks):
+        first, last = int(track.timesteps[0]), int(track.timesteps[-1])
+        if last - first + 1 == track.timesteps.size:
+            xy, angle = track.position, track.heading
+        else:
+            steps = np.arange(first, last + 1)
+            xy = np.stack([np.interp(steps, track.timesteps, track.position[:, axis]) for axis in (0, 1)], axis=1)
+            angle = np.interp(steps, track.timesteps, np.unwrap(track.heading))
+        position[row, first : last + 1] = xy
+        heading[row, first : last + 1] = angle
+        present[row, first : last + 1] = True
+        velocity[row, first : last + 1] = _velocity(xy, step_s)
+    return Traffic(
+        ids=tuple(track.track_id for track in tracks),
+        position=position,
+        heading=heading,
+        velocity=velocity,
+        present=present,
+        length_m=np.array([track.size.length_m for track in tracks]),
+        width_m=np.array([track.size.width_m for track in tracks]),
+    )
+
+
+def _velocity(xy: FloatArray, step_s: float) -> FloatArray:
+    """Difference over up to half a second around each step: trackers jitter, leaders' speeds must not."""
+    count = len(xy)
+    index = np.arange(count)
+    before, after = np.maximum(index - 2, 0), np.minimum(index + 2, count - 1)
+    span = np.maximum(after - before, 1) * step_s
+    return np.asarray((xy[after] - xy[before]) / span[:, None], dtype=np.float64)

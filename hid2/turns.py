@@ -1,0 +1,85 @@
+"""Speeds of straight, left-turn and right-turn lanes (paper, Straight, Left Turn and Right Turn)."""
+
+import numpy as np
+from numba import njit
+
+from hid2.agents import FloatArray
+from hid2.params import Limits, Turn
+from hid2.reference_line import TABLE_STEP_M, ReferenceLine
+from netconvert.lane_graph import TurnType
+
+
+def turn_shape(alpha: FloatArray, trough: float, trough_at: float) -> FloatArray:
+    """f(alpha): 1 at both ends, `trough` at alpha = trough_at, smooth, below 1 between (paper, f_left and f_right).
+
+    alpha (M,) in [0, 1], normalised progress s / L_l. Two half cosines, so f' = 0 at the ends and at the trough.
+    """
+    before = alpha < trough_at
+    phase = np.where(before, alpha / trough_at, (1.0 - alpha) / (1.0 - trough_at))
+    return np.asarray(1.0 - (1.0 - trough) * 0.5 * (1.0 - np.cos(np.pi * np.clip(phase, 0.0, 1.0))))
+
+
+def f_left(alpha: FloatArray, turn: Turn) -> FloatArray:
+    """Shaping function of left turns; slower in the early and middle segments."""
+    return turn_shape(alpha, turn.left_trough, turn.trough_at)
+
+
+def f_right(alpha: FloatArray, turn: Turn) -> FloatArray:
+    """Shaping function of right turns: milder, f_right(alpha) > f_left(alpha) inside the lane."""
+    return turn_shape(alpha, turn.right_trough, turn.trough_at)
+
+
+def speed_cap(line: ReferenceLine, turn: Turn, limits: Limits) -> FloatArray:
+    """(S,) m/s at the line's table: what its curvature and sharpness allow.
+
+    v <= sqrt(a_y / kappa) with the comfortable a_y of `turn`; yaw rate, yaw acceleration and lateral jerk with a
+    margin to the limits, so that speeding up or slowing within the curve has room left.
+    """
+    curvature = np.maximum(np.abs(line.table_curvature), 1e-6)
+    sharpness = np.maximum(np.abs(line.table_sharpness), 1e-6)
+    return np.asarray(
+        np.minimum.reduce([
+            np.sqrt(turn.lateral_accel_mps2 / curvature),
+            0.8 * limits.yaw_rate_radps / curvature,
+            np.sqrt(0.5 * limits.yaw_accel_radps2 / sharpness),
+            np.cbrt(0.5 * limits.jerk_mps3 / sharpness),
+        ])
+    )  # fmt: skip
+
+
+def desired_speed(
+    line: ReferenceLine,
+    *,
+    turn: Turn,
+    limits: Limits,
+    cruise_mps: float,
+    segments: list[tuple[float, float, TurnType]],
+    accel_mps2: float,
+) -> FloatArray:
+    """(S,) m/s target speed along a route: cruise, shaped on turn lanes, capped by curvature, reachable.
+
+    segments: (start, end, turn type) of each lane in arc length of the line, m. Slowing begins before the entrance at
+    approach_decel_mps2; speeding up after the exit at accel_mps2.
+    """
+    s = np.arange(line.table_xy.shape[0]) * TABLE_STEP_M
+    speed = np.minimum(speed_cap(line, turn, limits), cruise_mps)
+    for start, end, kind in segments:
+        if kind is TurnType.STRAIGHT or end <= start:
+            continue
+        inside = (s >= start) & (s <= end)
+        alpha = (s[inside] - start) / (end - start)
+        shape = f_left(alpha, turn) if kind is TurnType.LEFT else f_right(alpha, turn)
+        entry = cruise_mps
+        speed[inside] = np.minimum(speed[inside], entry * shape)
+    return np.asarray(_reachable(speed, TABLE_STEP_M, turn.approach_decel_mps2, accel_mps2))
+
+
+@njit(cache=True)
+def _reachable(speed, step, decel, accel):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Backward pass for slowing in time, forward pass for speeding up."""
+    out = speed.copy()
+    for i in range(out.size - 2, -1, -1):
+        out[i] = min(out[i], np.sqrt(out[i + 1] ** 2 + 2 * decel * step))
+    for i in range(1, out.size):
+        out[i] = min(out[i], np.sqrt(out[i - 1] ** 2 + 2 * accel * step))
+    return out

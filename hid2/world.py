@@ -1,0 +1,194 @@
+"""A scene as the method sees it: grid, recorded future, occupancy, speeds that belong there, and paths."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, Policy, Track
+from hid2.conflicts import DT_S, Prospect, prospect
+from hid2.occupancy import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
+from hid2.params import Config
+from hid2.route import DrivenPath, Route, path_along, turn_segments
+from hid2.space_time import PathOccupancy, path_occupancy
+from hid2.traffic import Traffic, traffic_of
+from hid2.turns import desired_speed
+from netconvert.cells import Cell, CellGrid
+
+#: Cars, trucks and cars towing nothing drive on these.
+DRIVABLE_TYPES = frozenset({"VEHICLE"})
+_MOVING_M, _MOVING_MPS = 5.0, 1.0
+
+
+@dataclass(slots=True)
+class World:
+    """Everything about a scene that does not change while vehicles are inserted, and caches of what follows from it.
+
+    earliest_exit_step: a generated vehicle may leave the map only from this step on.
+    """
+
+    grid: CellGrid
+    config: Config
+    traffic: Traffic
+    occupancy: OriginalOccupancy
+    boxes: CellBoxes
+    num_steps: int
+    earliest_exit_step: int
+    lane_speeds: dict[int, list[float]]
+    scene_speeds: list[float]
+    _paths: dict[Route, DrivenPath] = field(default_factory=dict)
+    _known: dict[tuple[int, BoxSize], tuple[DrivenPath, PathOccupancy]] = field(default_factory=dict)
+
+    def path(self, route: Route) -> DrivenPath:
+        """Path on the middle of a route's lanes; built once."""
+        if route not in self._paths:
+            self._paths[route] = path_along(
+                self.grid.graph, route, smoothing=self.config.smoothing, limits=self.config.limits
+            )
+        return self._paths[route]
+
+    def recorded_on(self, path: DrivenPath, size: BoxSize) -> PathOccupancy:
+        """Intervals of the recorded agents on a path, by their true future; computed once for each path and size."""
+        key = (id(path), size)
+        if key not in self._known:
+            found = path_occupancy(
+                path.line, self.traffic, length_m=size.length_m, width_m=size.width_m,
+                margin_lateral_m=self.config.conflict.margin_lateral_m,
+            )  # fmt: skip
+            self._known[key] = (path, found)  # the path is kept so that its id stays its own
+        return self._known[key][1]
+
+    def desired(self, path: DrivenPath, cruise_mps: float) -> FloatArray:
+        """(S,) target speed along a path, m/s."""
+        return desired_speed(
+            path.line,
+            turn=self.config.turn,
+            limits=self.config.limits,
+            cruise_mps=cruise_mps,
+            segments=turn_segments(self.grid.graph, path),
+            accel_mps2=self.config.car_following.accel_mps2,
+        )
+
+    def prospect(
+        self, path: DrivenPath, size: BoxSize, *, cruise_mps: float, others: Sequence[Traffic], earliest_exit_step: int | None = None
+    ) -> Prospect:
+        """Look along a path: the recorded agents and `others`."""
+        return prospect(
+            path,
+            size,
+            self.desired(path, cruise_mps),
+            tuple(others),
+            config=self.config,
+            num_steps=self.num_steps,
+            earliest_exit_step=self.earliest_exit_step if earliest_exit_step is None else earliest_exit_step,
+            known=self.recorded_on(path, size),
+        )
+
+    def cell_at(self, path: DrivenPath, s: float) -> Cell:
+        """Cell of a path's lane at arc length s."""
+        segment = path.segment_at(s)
+        return self.grid.cell_at(segment.lane_id, segment.lane_s(s))
+
+    def speed_sample(self, lane_id: int, rng: np.random.Generator) -> float:
+        """Desired speed, m/s: from recorded moving traffic of the lane, else of the scene, else the prior."""
+        spawn = self.config.spawn
+        pool = self.lane_speeds.get(lane_id) or self.scene_speeds or [spawn.prior_speed_mps]
+        speed = pool[int(rng.integers(len(pool)))] * (1.0 + spawn.speed_noise * float(rng.standard_normal()))
+        return float(np.clip(speed, spawn.min_speed_mps, spawn.max_speed_mps))
+
+
+def build_world(
+    grid: CellGrid, tracks: Sequence[Track], *, config: Config, num_steps: int, last_observed_step: int
+) -> World:
+    """World of a recorded scene. last_observed_step: every generated vehicle is there at least until then."""
+    traffic = traffic_of(tracks, num_steps, step_s=DT_S)
+    boxes = cell_boxes(grid)
+    occupancy = original_occupancy(boxes, traffic)
+    through = config.request.focal == "generated" or config.request.generated_category >= 2
+    lane_speeds, scene_speeds = _speeds(grid, tracks, traffic, occupancy)
+    return World(
+        grid=grid,
+        config=config,
+        traffic=traffic,
+        occupancy=occupancy,
+        boxes=boxes,
+        num_steps=num_steps,
+        earliest_exit_step=num_steps if through else min(last_observed_step + 2, num_steps),
+        lane_speeds=lane_speeds,
+        scene_speeds=scene_speeds,
+    )
+
+
+def _speeds(
+    grid: CellGrid, tracks: Sequence[Track], traffic: Traffic, occupancy: OriginalOccupancy
+) -> tuple[dict[int, list[float]], list[float]]:
+    """Upper-quartile speed of each moving vehicle: over the scene, and over its time on each lane."""
+    lane_of = np.array([cell.lane_id for cell in grid.cells])
+    by_lane: dict[int, list[float]] = {}
+    scene: list[float] = []
+    for row, track in enumerate(tracks):
+        if track.object_type not in VEHICLE_TYPES or track.category < 1 or track.path_m < _MOVING_M:
+            continue
+        speed = np.hypot(*traffic.velocity[row].T)
+        moving = traffic.present[row] & (speed > _MOVING_MPS)
+        if moving.sum() < 10:
+            continue
+        scene.append(float(np.percentile(speed[moving], 75)))
+        on_lane = moving & occupancy.mapped[row]
+        lanes = lane_of[occupancy.cell[row, on_lane]]
+        for lane_id in np.unique(lanes):
+            here = speed[on_lane][lanes == lane_id]
+            if here.size >= 5:
+                by_lane.setdefault(int(lane_id), []).append(float(np.percentile(here, 75)))
+    return by_lane, scene
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PlannedVehicle:
+    """A vehicle ready to be inserted: where, how fast, on which route, to do what.
+
+    s0, v0: state of the box centre on the path at step 0; plan_s (T,) m: its predicted s(t) if nobody delays it.
+    size: the larger of its own box and the one that readers without the sidecar assume; own_size is exported.
+    """
+
+    vehicle_id: str
+    policy: Policy
+    object_type: str
+    size: BoxSize
+    own_size: BoxSize
+    route: Route
+    path: DrivenPath
+    s0: float
+    v0: float
+    cruise_mps: float
+    trigger_s: float
+    plan_s: FloatArray
+    plan_v: FloatArray
+
+
+def predicted_traffic(
+    entries: Sequence[tuple[str, DrivenPath, BoxSize, FloatArray]], num_steps: int, *, first_step: int = 0
+) -> Traffic:
+    """Boxes of generated vehicles along their plans: (id, path, size, s (T - first_step,) m)."""
+    count = len(entries)
+    position = np.zeros((count, num_steps, 2))
+    heading = np.zeros((count, num_steps))
+    velocity = np.zeros((count, num_steps, 2))
+    present = np.zeros((count, num_steps), dtype=np.bool_)
+    for row, (_, path, size, s) in enumerate(entries):
+        span = slice(first_step, first_step + s.size)
+        tangent = path.line.tangent(s)
+        position[row, span] = path.line.position(s)
+        heading[row, span] = np.arctan2(tangent[:, 1], tangent[:, 0])
+        speed = np.gradient(s, DT_S) if s.size > 1 else np.zeros(s.size)
+        velocity[row, span] = tangent * speed[:, None]
+        present[row, span] = s <= path.exit_s - size.length_m / 2
+    return Traffic(
+        ids=tuple(entry[0] for entry in entries),
+        position=position,
+        heading=heading,
+        velocity=velocity,
+        present=present,
+        length_m=np.array([entry[2].length_m for entry in entries]),
+        width_m=np.array([entry[2].width_m for entry in entries]),
+    )
