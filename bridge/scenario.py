@@ -289,9 +289,11 @@ def _check_columns(table: pa.Table, name: str) -> None:
         found = schema.field(indices[0]).type
         if found not in types:
             raise ScenarioError(f"{name}: column {column!r} is {found}, want {types[0]}")
-        if table.column(indices[0]).null_count:
-            row = int(np.flatnonzero(table.column(indices[0]).is_null().to_numpy(zero_copy_only=False))[0])
-            raise ScenarioError(f"{name}: column {column!r} is missing in row {row}, want {types[0]}")
+    for column, types in REQUIRED_COLUMNS.items():
+        if table.column(column).null_count:  # what pandas makes of NaN
+            row = int(np.flatnonzero(table.column(column).is_null().to_numpy())[0])
+            track, step = table.column("track_id")[row].as_py(), table.column("timestep")[row].as_py()
+            raise ScenarioError(f"{name}: track {track!r}, timestep {step}: {column} is null or NaN, want {types[0]}")
     if table.num_rows == 0:
         raise ScenarioError(f"{name}: no rows, want at least one track")
 

@@ -1,0 +1,106 @@
+"""Where the scenes are: the synthetic ones in data/, the real ones beside the checkout; and copies of them to spoil."""
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+ROOT = Path(__file__).parents[1]
+REAL_IDS = (
+    "0a0af725-fbc3-41de-b969-3be718f694e2",
+    "3b3570b4-7b0b-3268-a571-b0889dbf40b6",
+    "7fab2350-7eaf-3b7e-a39d-6937a4c1bede",
+    "00a0ec58-1fb9-4a2b-bfd7-f4e5da7a9eff",
+    "0a0ef009-9d44-4399-99e6-50004d345f34",
+    "0a1e6f0a-1817-4a98-b02e-db8c9327d151",
+)
+DATA_IDS = {
+    "arterial": "c58d7c2e-a9c9-5311-9808-c6a914afd19f",
+    "intersection": "bf8c5e9d-76de-5c6f-a44b-69cc2c9a318a",
+    "curve": "2112b63e-58e4-5604-a86c-b243689827da",
+}
+
+
+def find_folder(root: Path, scenario_id: str) -> Path:
+    found = sorted(root.glob(f"*/{scenario_id}"))
+    assert len(found) == 1, f"want one folder {scenario_id} under {root}, have {found}"
+    return found[0]
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder with real Argoverse data; a test that needs it fails without."""
+    path = Path(os.environ.get("HID2_SHARED_DATA", ROOT.parent / "shared" / "data"))
+    assert (path / "av2").is_dir(), f"{path}/av2: real scenes are missing; set HID2_SHARED_DATA"
+    return path
+
+
+@pytest.fixture(scope="session")
+def real_scenes(shared_data: Path) -> list[Path]:
+    """The folders of the six real scenes."""
+    return [find_folder(shared_data / "av2", scenario_id) for scenario_id in REAL_IDS]
+
+
+@pytest.fixture(scope="session", params=REAL_IDS, ids=[scenario_id[:8] for scenario_id in REAL_IDS])
+def real_scene(request: pytest.FixtureRequest, shared_data: Path) -> Path:
+    """One folder of a real scene after the other."""
+    return find_folder(shared_data / "av2", request.param)
+
+
+@pytest.fixture(scope="session")
+def data_root() -> Path:
+    """The root of the synthetic data set."""
+    return ROOT / "data" / "av2"
+
+
+@pytest.fixture(scope="session")
+def data_scenes(data_root: Path) -> dict[str, Path]:
+    """The folders of the synthetic scenes by name."""
+    return {name: find_folder(data_root, scenario_id) for name, scenario_id in DATA_IDS.items()}
+
+
+@pytest.fixture(scope="session", params=DATA_IDS)
+def data_scene(request: pytest.FixtureRequest, data_scenes: dict[str, Path]) -> Path:
+    """One folder of a synthetic scene after the other."""
+    return data_scenes[request.param]
+
+
+@pytest.fixture
+def copy_scene(tmp_path: Path, data_scenes: dict[str, Path]) -> Callable[..., Path]:
+    """copy_scene("arterial", folder=None): a copy of a scenario folder that a test may spoil."""
+
+    def copy(name: str = "arterial", *, folder: Path | None = None) -> Path:
+        source = folder or data_scenes[name]
+        target = tmp_path / "copy" / source.parent.name / source.name
+        shutil.copytree(source, target)
+        return target
+
+    return copy
+
+
+@pytest.fixture
+def edit_rows() -> Callable[[Path, Callable[[pd.DataFrame], pd.DataFrame]], None]:
+    """edit_rows(folder, change): rewrite the parquet of a scenario folder."""
+
+    def edit(folder: Path, change: Callable[[pd.DataFrame], pd.DataFrame]) -> None:
+        (path,) = folder.glob("scenario_*.parquet")
+        change(pd.read_parquet(path)).reset_index(drop=True).to_parquet(path)
+
+    return edit
+
+
+@pytest.fixture
+def edit_json() -> Callable[[Path, Callable[[dict[str, Any]], None]], None]:
+    """edit_json(path, change): change a JSON file in place."""
+
+    def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+        document = json.loads(path.read_text())
+        change(document)
+        path.write_text(json.dumps(document))
+
+    return edit

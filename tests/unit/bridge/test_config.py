@@ -1,0 +1,185 @@
+"""Configuration: what overrides what, what is refused and how, and the way to TOML and back."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bridge.config import (
+    config_from_dict,
+    config_sha256,
+    config_to_dict,
+    config_to_toml,
+    describe_config,
+    load_config,
+    parse_behaviours,
+    parse_trigger_time,
+)
+from hid2.params import Config
+from netconvert.errors import ConfigError
+
+
+def test_defaults_are_those_of_the_parameters() -> None:
+    assert load_config() == Config()
+
+
+def test_set_overrides_options_and_options_override_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text("[request]\nagents = 3\nseed = 3\nvariants = 3\n")
+    config = load_config(path, ["request.agents=1"], {"request.agents": 2, "request.seed": 2})
+    assert (config.request.agents, config.request.seed, config.request.variants) == (1, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("override", "section", "name", "value"),
+    [
+        ("request.agents=max", "request", "agents", "max"),
+        ("request.agents = 12", "request", "agents", 12),
+        ("request.focal=generated", "request", "focal", "generated"),
+        ('request.focal="generated"', "request", "focal", "generated"),
+        ("request.spawn_leaders=false", "request", "spawn_leaders", False),
+        ("limits.accel_min_mps2=-3", "limits", "accel_min_mps2", -3.0),
+    ],
+)
+def test_set_takes_values_of_every_type(override: str, section: str, name: str, value: object) -> None:
+    assert getattr(getattr(load_config(None, [override]), section), name) == value
+
+
+def test_ablations_are_a_list() -> None:
+    assert load_config(None, ["without=topology,smoothing"]).without == {"topology", "smoothing"}
+    assert load_config(None, ["without="]).without == frozenset()
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("request.agents=-3", "request.agents = -3, want integer >= 0, <= 500, or max"),
+        ("request.agents=many", "request.agents = 'many', want integer"),
+        ("request.agents=2.5", "request.agents = 2.5, want integer"),
+        ("request.agent=3", "unknown key 'request.agent' .* want one of request.agents"),
+        ("reqest.agents=3", "unknown key 'reqest.agents' .* want one of car_following"),
+        ("request=3", "unknown key 'request'"),
+        ("request.agents", "want section.key=value"),
+        ("turn.trough_at=0.95", "turn.trough_at = 0.95, want number >= 0.1, <= 0.9"),
+        ("turn.trough_at=nan", "turn.trough_at = nan, want number >= 0.1"),
+        ("request.trigger_max_s=0.1", "trigger_max_s 0.1 is below trigger_min_s 0.5"),
+        ("request.spawn_leaders=1", "request.spawn_leaders = 1, want true, false"),
+        ("request.focal=nobody", "request.focal = 'nobody', want recorded, generated"),
+        ("without=brakes", "without = .*brakes.*, want any of topology, collision, smoothing"),
+    ],
+)
+def test_an_override_that_is_wrong_is_named_with_value_and_range(override: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        load_config(None, [override])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[request]\nagents = '3'\n", "request.agents = '3', want integer"),
+        ("[request]\nagnts = 3\n", "unknown key 'request.agnts'"),
+        ("[rqst]\nagents = 3\n", "unknown key 'rqst'"),
+        ("request = 3\n", "request = 3, want a table"),
+        ("[request.agents]\na = 1\n", "request.agents = {'a': 1}"),
+        ("[request\n", "not TOML"),
+        ("without = 'all'\n", "without = 'all'"),
+        ("[turn]\nleft_trough = 0.9\n", "must be above left_trough 0.9"),
+    ],
+)
+def test_a_file_that_is_wrong_is_named_with_key_value_and_range(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=said) as caught:
+        load_config(path)
+    assert "c.toml" in str(caught.value)
+
+
+def test_a_file_that_is_missing_or_binary_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no such file"):
+        load_config(tmp_path / "none.toml")
+    (tmp_path / "b.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(ConfigError, match="not TOML"):
+        load_config(tmp_path / "b.toml")
+    with pytest.raises(ConfigError, match="not TOML"):
+        load_config(tmp_path)
+
+
+def test_behaviours_that_are_given_replace_all_shares() -> None:
+    config = load_config(None, [], parse_behaviours("lane_change=1, overtake=0.5"))
+    shares = {policy.value: share for policy, share in config.request.behaviours.items()}
+    assert shares == {"straight": 0, "left_turn": 0, "right_turn": 0, "lane_change": 1, "overtake": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("lane_chnge=1", "'lane_chnge=1', want name=share with a name of straight"),
+        ("lane_change", "want name=share"),
+        ("", "want name=share"),
+        ("straight=a", "straight: 'a', want a share"),
+        ("straight=1,straight=0", "'straight' is given twice"),
+        ("straight=2", "request.straight = 2.0, want number >= 0, <= 1"),
+        ("straight=-1", "request.straight = -1.0, want number >= 0"),
+        ("straight=nan", "request.straight = nan"),
+        ("straight=0", "the behaviour shares sum to 0"),
+    ],
+)
+def test_behaviours_that_are_wrong_are_named(text: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        load_config(None, [], parse_behaviours(text))
+
+
+@pytest.mark.parametrize(("text", "low", "high"), [("2", 2, 2), ("0.5:4", 0.5, 4), (" 1 : 2 ", 1, 2)])
+def test_trigger_time_is_a_time_or_a_range(text: str, low: float, high: float) -> None:
+    request = load_config(None, [], parse_trigger_time(text)).request
+    assert (request.trigger_min_s, request.trigger_max_s) == (low, high)
+
+
+@pytest.mark.parametrize("text", ["", "a", "1:", ":1", "1:2:3", "4:1", "-1", "inf"])
+def test_a_trigger_time_that_is_wrong_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"trigger"):
+        load_config(None, [], parse_trigger_time(text))
+
+
+CHANGED = ["request.agents=max", "without=topology,collision", "turn.trough_at=0.3", "request.seed=7"]
+
+
+@pytest.mark.parametrize("overrides", [[], CHANGED])
+def test_toml_and_back(tmp_path: Path, overrides: list[str]) -> None:
+    config = load_config(None, overrides)
+    path = tmp_path / "c.toml"
+    path.write_text(config_to_toml(config))
+    assert load_config(path) == config
+
+
+def test_values_and_back() -> None:
+    config = load_config(None, CHANGED)
+    assert config_from_dict(config_to_dict(config)) == config
+
+
+def test_digest_names_the_configuration_whatever_the_hash_seed() -> None:
+    """The ablations are a set, whose order changes from process to process."""
+    code = (
+        "from bridge.config import *; "
+        "c = load_config(None, ['without=topology,collision,smoothing']); print(config_sha256(c), config_to_dict(c))"
+    )
+    outputs = {
+        subprocess.run(
+            [sys.executable, "-c", code], env={"PYTHONHASHSEED": seed}, capture_output=True, text=True, check=True
+        ).stdout
+        for seed in ("1", "2", "3")
+    }
+    assert len(outputs) == 1
+    assert config_sha256(load_config()) != config_sha256(load_config(None, ["request.seed=1"]))
+
+
+def test_every_parameter_is_described() -> None:
+    rows = {row.key: row for row in describe_config()}
+    assert len(rows) == sum(
+        len(values) if isinstance(values, dict) else 1 for values in config_to_dict(Config()).values()
+    )
+    assert all(row.default and row.unit and row.range and row.source for row in rows.values())
+    assert rows["grid.cell_m"][1:4] == ("4.0", "m", "number >= 1, <= 20")
+    assert rows["request.agents"].range == "integer >= 0, <= 500, or max"
+    assert rows["without"][1:4] == ("none", "-", "any of topology, collision, smoothing")
