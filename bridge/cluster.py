@@ -6,8 +6,11 @@ import contextlib
 import itertools
 import logging
 import queue
+import signal
+import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from typing import Any, cast
 
 import dask
@@ -35,7 +38,7 @@ def execute_on_dask(tasks: Iterable[Task], *, jobs: int, scheduler: str | None, 
     waiting = iter(tasks)
     number = itertools.count()
     with _client(jobs, scheduler) as client:
-        client.register_plugin(SceneProcesses(settings), name=_PLUGIN)
+        client.register_plugin(SceneProcesses(settings, own_cluster=scheduler is None), name=_PLUGIN)
         completed = as_completed(loop=client.loop)
         running: dict[object, Task] = {}
         room, looked_up = 0, -_LOOK_UP_S
@@ -71,15 +74,24 @@ def _run_on_worker(task: Task) -> Result:
 
 
 class SceneProcesses(WorkerPlugin):
-    """Keeps the isolated processes of a Dask worker, one for each of its threads that is at work."""
+    """Keeps the isolated processes of a Dask worker, one for each of its threads that is at work.
 
-    def __init__(self, settings: Settings) -> None:
+    own_cluster: the worker was started by this program and leaves Ctrl-C to it.
+    """
+
+    def __init__(self, settings: Settings, *, own_cluster: bool) -> None:
         self._settings = settings
+        self._own_cluster = own_cluster
         self._idle: queue.SimpleQueue[IsolatedProcess] = queue.SimpleQueue()
         self._all: list[IsolatedProcess] = []
 
-    def __reduce__(self) -> tuple[type, tuple[Settings]]:
-        return SceneProcesses, (self._settings,)
+    def __reduce__(self) -> tuple[Callable[..., "SceneProcesses"], tuple[()]]:
+        return partial(SceneProcesses, self._settings, own_cluster=self._own_cluster), ()
+
+    def setup(self, worker: Worker) -> None:
+        """Leave Ctrl-C, which a terminal sends to every process, to the program that started the cluster."""
+        if self._own_cluster and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def teardown(self, worker: Worker) -> None:
         """End the processes with the worker."""

@@ -1,0 +1,115 @@
+"""Work for scene processes in tests; imported there by name, see the fixture `faults`.
+
+A file FAULT in a source folder says what its scene does: segfault, hang, killed, exit, raise. "... once" does it at the
+first attempt only (a file beside the output remembers it).
+"""
+
+import os
+import signal
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from bridge.batch import Place, Run, base_row, generate_runs
+from bridge.config import config_sha256, config_to_dict
+from bridge.isolation import Failure, describe_error
+from bridge.manifest import ManifestRow, files_sha256, output_files
+
+FAULT = "FAULT"
+
+#: SUMO 1.28 ends by SIGSEGV on a net without a version that has a connection to an edge it does not know.
+BAD_NET = """<net>
+    <edge id="a" from="j" to="k" priority="1">
+        <lane id="a_0" index="0" speed="13.9" length="10.0" shape="0,0 10,0"/>
+    </edge>
+    <junction id="j" type="unregulated" x="0" y="0" incLanes="" intLanes="" shape="0,0"/>
+    <junction id="k" type="unregulated" x="10" y="0" incLanes="a_0" intLanes="" shape="10,0"/>
+    <connection from="a" to="missing" fromLane="0" toLane="0" dir="s" state="M"/>
+</net>
+"""
+
+
+def numbers(shared: str, items: Sequence[object]) -> Iterator[tuple[str, object, int]]:
+    """Yield each item with the process id; a text names a fault."""
+    for item in items:
+        if isinstance(item, str):
+            fail(item, Path())
+        yield shared, item, os.getpid()
+
+
+def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+    """Write each scene with nothing added: quick, and independent of the simulation."""
+    from bridge.export import new_scenario_id, write_scene
+    from bridge.scenario import read_scenario
+    from bridge.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
+
+    for run in runs:
+        try:
+            meet_fault(place, run)
+            scenario = read_scenario(place.folder)
+            request = run.config.request
+            sidecar = Sidecar(
+                source_scenario_id=scenario.scenario_id,
+                generator=GeneratorRecord(version="test"),
+                sumo_version="none",
+                seed=request.seed,
+                variant=run.variant,
+                config=config_to_dict(run.config),
+                config_sha256=config_sha256(run.config),
+                replay=ReplayRecord(states=0, max_position_error_m=0, max_heading_error_rad=0),
+                requested=RequestedRecord(agents=0, behaviours={}),
+                placed=PlacedRecord(agents=0, behaviours={}),
+            )
+            new_id = new_scenario_id(scenario.scenario_id, run.config, request.seed, run.variant)
+            focal = scenario.focal_track_id
+            folder = write_scene(scenario, [], sidecar, place.out, new_id=new_id, focal_track_id=focal)
+            time.sleep(float(os.environ.get("FAULTS_SLEEP_S", "0")))
+            yield base_row(place, run)._replace(
+                folder=folder.relative_to(place.out).as_posix(), output_sha256=files_sha256(output_files(folder))
+            )
+        except Exception as error:  # noqa: BLE001
+            yield describe_error(error)
+
+
+def generated(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+    """Generate as the product does, after the scene's fault."""
+    for run in runs:
+        try:
+            meet_fault(place, run)
+        except Exception as error:  # noqa: BLE001
+            yield describe_error(error)
+        else:
+            yield from generate_runs(place, [run])
+
+
+def meet_fault(place: Place, run: Run) -> None:
+    """Do what the source folder's FAULT says."""
+    file = place.folder / FAULT
+    if not file.exists():
+        return
+    fault, _, once = file.read_text().strip().partition(" ")
+    done = place.out / f"{place.folder.name}-{run.variant}.fault"
+    if once and done.exists():
+        return
+    done.touch()
+    fail(fault, place.out)
+
+
+def fail(fault: str, scratch: Path) -> None:
+    """Fail in the way that is named."""
+    if fault == "segfault":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    elif fault == "sumo":
+        import libsumo
+
+        net = scratch / f"bad-{os.getpid()}.net.xml"
+        net.write_text(BAD_NET)
+        libsumo.start(["sumo", "-n", str(net), "--no-step-log"])
+    elif fault == "killed":
+        os.kill(os.getpid(), signal.SIGKILL)
+    elif fault == "exit":
+        os._exit(3)
+    elif fault == "hang":
+        while True:
+            pass
+    raise RuntimeError(f"fault {fault}")

@@ -1,0 +1,239 @@
+"""Batches: manifest, quarantine, resume, interruption, faults; the work is that of faults.py, which is quick."""
+
+import csv
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+from bridge.batch import Options, plan, reproduce, run_batch
+from bridge.config import load_config
+from bridge.manifest import DONE, QUARANTINED, ManifestRow, files_sha256, output_files
+from hid2.params import Config
+from netconvert.errors import BatchError
+
+COPIES = "faults:copies"
+MakeDataSet = Callable[..., list[Path]]
+
+
+def contents(out: Path) -> dict[str, str]:
+    """Digest of every scenario folder below out, by its path."""
+    folders = {path.parent for path in out.rglob("scenario_*.parquet")}
+    return {folder.relative_to(out).as_posix(): files_sha256(output_files(folder)) for folder in folders}
+
+
+def statuses(rows: Sequence[ManifestRow]) -> dict[str, str]:
+    return {row.scenario: row.failure or row.status for row in rows}
+
+
+def assert_nothing_half_written(out: Path) -> None:
+    assert [path for path in out.rglob(".*") if path.name != ".hid2.lock"] == []
+
+
+def test_every_run_has_a_row_and_a_folder(make_data_set: MakeDataSet, tmp_path: Path) -> None:
+    config = load_config(flags={"request.variants": 2})
+    rows = run_batch(plan(make_data_set(3), config), tmp_path / "out", Options(function=COPIES))
+    with (tmp_path / "out" / "manifest.csv").open() as file:
+        written = list(csv.DictReader(file))
+    assert [(row["scenario"], row["variant"], row["status"]) for row in written] == [
+        (f"scene-{number:03d}", str(variant), DONE) for number in range(3) for variant in range(2)
+    ]
+    assert len({row.folder for row in rows}) == 6
+    assert all((tmp_path / "out" / row.folder).is_dir() for row in rows)
+    assert {row.split for row in rows} == {"val"}
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_bad_scenes_are_quarantined_and_good_ones_complete(
+    make_data_set: MakeDataSet, tmp_path: Path, jobs: int
+) -> None:
+    faults = {1: "sumo", 2: "hang", 3: "corrupt", 4: "raise", 5: "killed", 6: "segfault once", 7: "hang once"}
+    folders = make_data_set(9, faults)
+    rows = run_batch(plan(folders, Config()), tmp_path / "out", Options(jobs=jobs, timeout_s=3, function=COPIES))
+    assert statuses(rows) == {
+        "scene-000": DONE,
+        "scene-001": "crashed",
+        "scene-002": "timeout",
+        "scene-003": "error",
+        "scene-004": "exception",
+        "scene-005": "killed",
+        "scene-006": DONE,
+        "scene-007": DONE,
+        "scene-008": DONE,
+    }
+    attempts = {row.scenario: row.attempts for row in rows}
+    assert [attempts[f"scene-{number:03d}"] for number in (0, 1, 2, 3, 5, 6, 7)] == [1, 2, 2, 1, 2, 2, 2]
+    assert_nothing_half_written(tmp_path / "out")
+    assert len(contents(tmp_path / "out")) == 4
+    for row in rows:
+        assert bool(row.bundle) == (row.status == QUARANTINED)
+    assert list((tmp_path / "out").rglob("*.parquet")) == [
+        path for path in (tmp_path / "out").rglob("*.parquet") if path.name.startswith("scenario_")
+    ], "readers take every parquet file they find: a bundle shows none"
+
+
+@pytest.mark.parametrize("fault", ["sumo", "corrupt", "raise"])
+def test_bundle_reproduces_its_failure(make_data_set: MakeDataSet, tmp_path: Path, fault: str) -> None:
+    folders = make_data_set(1, {0: fault})
+    (row,) = run_batch(plan(folders, Config()), tmp_path / "out", Options(timeout_s=20, function=COPIES))
+    shutil.rmtree(tmp_path / "source")  # the bundle holds all that is needed
+    bundle, again = reproduce(tmp_path / "out" / row.bundle, tmp_path / "again")
+    assert (again.failure, again.reason) == (row.failure, row.reason.replace(str(folders[0]), str(bundle.folder)))
+    assert bundle.failure.kind == row.failure
+    assert bundle.variant == 0
+
+
+def test_no_bundle_is_an_explained_error(tmp_path: Path) -> None:
+    (tmp_path / "x.zip").write_text("no zip")
+    with pytest.raises(BatchError, match=r"x\.zip: not a bundle"):
+        reproduce(tmp_path / "x.zip", tmp_path / "out")
+
+
+def test_workers_make_no_difference_to_the_bytes(make_data_set: MakeDataSet, tmp_path: Path) -> None:
+    jobs = plan(make_data_set(8), load_config(flags={"request.variants": 2}))
+    run_batch(jobs, tmp_path / "one", Options(function=COPIES))
+    run_batch(jobs, tmp_path / "two", Options(jobs=2, function=COPIES))
+    assert len(contents(tmp_path / "one")) == 16
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+
+
+class TestResume:
+    """--resume trusts contents, nothing else."""
+
+    @pytest.fixture
+    def first(self, make_data_set: MakeDataSet, tmp_path: Path) -> tuple[list[Path], Path]:
+        folders, out = make_data_set(3), tmp_path / "out"
+        run_batch(plan(folders, Config()), out, Options(function=COPIES))
+        return folders, out
+
+    @staticmethod
+    def redone(folders: Sequence[Path], out: Path, config: Config | None = None) -> list[str]:
+        """Names of the scenes that a resumed batch makes again."""
+        made = []
+
+        def note(row: ManifestRow, progress: object) -> None:
+            if (progress.done, progress.quarantined) != tuple(note.counts):  # type: ignore[attr-defined]
+                note.counts = (progress.done, progress.quarantined)  # type: ignore[attr-defined]
+                made.append(row.scenario)
+
+        note.counts = (0, 0)  # type: ignore[attr-defined]
+        run_batch(plan(folders, config or Config()), out, Options(resume=True, function=COPIES), on_row=note)
+        return made
+
+    def test_complete_scenes_are_skipped(self, first: tuple[list[Path], Path]) -> None:
+        assert self.redone(*first) == []
+
+    def test_changed_source_is_redone(self, first: tuple[list[Path], Path]) -> None:
+        folders, out = first
+        map_path = next(folders[1].glob("log_map_archive_*.json"))
+        map_path.write_bytes(map_path.read_bytes() + b"\n")
+        assert self.redone(folders, out) == ["scene-001"]
+
+    def test_changed_configuration_is_redone(self, first: tuple[list[Path], Path]) -> None:
+        folders, out = first
+        assert len(self.redone(folders, out, load_config(flags={"request.seed": 1}))) == 3
+        assert self.redone(folders, out) == [], "the scenes of the first configuration are still there"
+
+    def test_more_variants_keep_the_first(self, first: tuple[list[Path], Path]) -> None:
+        folders, out = first
+        assert len(self.redone(folders, out, load_config(flags={"request.variants": 2}))) == 3
+
+    def test_damaged_output_is_redone(self, first: tuple[list[Path], Path]) -> None:
+        folders, out = first
+        rows = run_batch(plan(folders, Config()), out, Options(resume=True, function=COPIES))
+        next((out / rows[0].folder).glob("*.parquet")).write_bytes(b"half")
+        shutil.rmtree(out / rows[2].folder)
+        before = contents(out)
+        assert self.redone(folders, out) == ["scene-000", "scene-002"]
+        assert len(contents(out)) == len(before) + 1
+
+    def test_scene_without_a_row_is_redone(self, first: tuple[list[Path], Path]) -> None:
+        folders, out = first
+        lines = (out / "manifest.csv").read_text().splitlines(keepends=True)
+        (out / "manifest.csv").write_text("".join(lines[:-1]) + lines[-1][:40])  # cut within a line
+        assert self.redone(folders, out) == ["scene-002"]
+
+    def test_half_written_folder_is_removed(self, first: tuple[list[Path], Path]) -> None:
+        folders, out = first
+        half = out / "val" / ".b8b7a5f0-8a0e-5c2e-9a52-0e4b5a1c2d3e-x1y2z3"
+        half.mkdir()
+        (half / "scenario.parquet").write_bytes(b"half")
+        assert self.redone(folders, out) == []
+        assert not half.exists()
+
+    def test_quarantined_scene_is_tried_again(self, make_data_set: MakeDataSet, tmp_path: Path) -> None:
+        folders, out = make_data_set(2, {1: "raise"}), tmp_path / "out"
+        (_, bad) = run_batch(plan(folders, Config()), out, Options(function=COPIES))
+        assert (out / bad.bundle).exists()
+        (folders[1] / "FAULT").unlink()
+        assert self.redone(folders, out) == ["scene-001"]
+        assert not (out / bad.bundle).exists(), "a scene that is done leaves no bundle"
+
+
+def test_second_batch_on_the_same_folder_is_refused(make_data_set: MakeDataSet, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setenv("FAULTS_SLEEP_S", "1")
+    jobs = plan(make_data_set(2), Config())
+    thread = threading.Thread(target=run_batch, args=(jobs, tmp_path / "out", Options(function=COPIES)))
+    thread.start()
+    while not (tmp_path / "out" / "manifest.csv").exists():
+        time.sleep(0.02)
+    with pytest.raises(BatchError, match="another run"):
+        run_batch(jobs, tmp_path / "out", Options(function=COPIES))
+    thread.join()
+
+
+RUN = """
+import sys
+from pathlib import Path
+from bridge.batch import Options, plan, run_batch
+from hid2.params import Config
+import signal
+if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    folders = sorted(Path(sys.argv[1]).iterdir())
+    try:
+        run_batch(plan(folders, Config()), Path(sys.argv[2]), Options(jobs=int(sys.argv[3]), function="faults:copies"))
+    except KeyboardInterrupt:
+        sys.exit(130)
+"""
+
+
+@pytest.mark.parametrize(("jobs", "sent"), [(1, signal.SIGTERM), (2, signal.SIGINT), (2, signal.SIGKILL)])
+def test_interrupted_batch_is_resumed_to_the_same_bytes(
+    make_data_set: MakeDataSet, tmp_path: Path, jobs: int, sent: signal.Signals
+) -> None:
+    folders = make_data_set(8)
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    run_batch(plan(folders, Config()), whole, Options(function=COPIES))
+    script = tmp_path / "run.py"
+    script.write_text(RUN)
+    environment = os.environ | {"FAULTS_SLEEP_S": "0.4", "PYTHONPATH": str(Path(__file__).parent)}
+    command = [sys.executable, str(script), str(folders[0].parent), str(out), str(jobs)]
+    process = subprocess.Popen(command, env=environment, start_new_session=True, stderr=subprocess.PIPE, text=True)
+    manifest = out / "manifest.csv"
+    while not manifest.exists() or len(manifest.read_text().splitlines()) < 4:
+        assert process.poll() is None
+        time.sleep(0.05)
+    if sent == signal.SIGKILL:
+        process.kill()
+    else:
+        os.killpg(process.pid, sent)  # as a terminal does: to the whole foreground group
+    _, errors = process.communicate(timeout=30)
+    time.sleep(1.0)  # orphans leave
+    if sent != signal.SIGKILL:
+        assert process.returncode == 130
+        assert "Traceback" not in errors
+        assert_nothing_half_written(out)
+    finished = len(manifest.read_text().splitlines()) - 1
+    assert 3 <= finished < 8
+    rows = run_batch(plan(folders, Config()), out, Options(jobs=jobs, resume=True, function=COPIES))
+    assert {row.status for row in rows} == {DONE}
+    assert contents(out) == contents(whole)
+    assert_nothing_half_written(out)

@@ -1,0 +1,108 @@
+"""An isolated process survives nothing and endangers nobody."""
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.isolation import IsolatedProcess, WorkFailedError
+
+
+@pytest.fixture
+def process() -> Iterator[IsolatedProcess]:
+    made = IsolatedProcess(timeout_s=2.0)
+    yield made
+    made.close()
+
+
+def test_values_come_in_order_from_one_other_process(process: IsolatedProcess) -> None:
+    values = list(process.stream("faults:numbers", "shared", (1, 2, 3)))
+    assert [value[:2] for value in values] == [("shared", 1), ("shared", 2), ("shared", 3)]
+    assert {value[2] for value in values} == {process.pid}
+    assert process.pid != os.getpid()
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "words"),
+    [
+        ("segfault", "crashed", "SIGSEGV"),
+        ("sumo", "crashed", "SIGSEGV"),
+        ("killed", "killed", "SIGKILL"),
+        ("exit", "crashed", "status 3"),
+        ("hang", "timeout", "2 s"),
+        ("raise", "exception", "RuntimeError: fault raise"),
+    ],
+)
+def test_failure_says_how_the_process_ended(
+    process: IsolatedProcess, fault: str, kind: str, words: str, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    received = []
+    with pytest.raises(WorkFailedError) as caught:
+        received.extend(process.stream("faults:numbers", "", (1, fault, 2)))
+    assert caught.value.failure.kind == kind
+    assert words in caught.value.failure.message
+    if kind not in ("killed",) and fault != "exit":
+        assert "faults.py" in caught.value.failure.details, "the traceback of the child is kept"
+    assert [value[1] for value in process.stream("faults:numbers", "", (4,))] == [4], (
+        "the next call has a process again"
+    )
+
+
+def test_hang_is_ended_in_time(process: IsolatedProcess) -> None:
+    list(process.stream("faults:numbers", "", (1,)))
+    began = time.monotonic()
+    with pytest.raises(WorkFailedError):
+        list(process.stream("faults:numbers", "", ("hang",)))
+    assert time.monotonic() - began < 6.0
+
+
+def test_stopped_process_is_killed_after_its_time(process: IsolatedProcess) -> None:
+    """SIGSTOP freezes the child's own watchdog too: the caller's ends it."""
+    list(process.stream("faults:numbers", "", (1,)))
+    stream = process.stream("faults:numbers", "", (1, "hang"))
+    next(stream)
+    assert process.pid is not None
+    os.kill(process.pid, signal.SIGSTOP)
+    with pytest.raises(WorkFailedError) as caught:
+        next(stream)
+    assert caught.value.failure.kind == "timeout"
+
+
+def test_process_is_replaced_after_so_many_calls() -> None:
+    process = IsolatedProcess(timeout_s=2.0, recycle_after=2)
+    pids = [next(iter(list(process.stream("faults:numbers", "", (1,)))))[2] for _ in range(5)]
+    process.close()
+    assert pids[0] == pids[1]
+    assert pids[2] == pids[3]
+    assert len(set(pids)) == 3
+
+
+def test_child_leaves_when_its_caller_is_killed(tmp_path) -> None:
+    import subprocess
+    import sys
+
+    script = (
+        "import sys, time\n"
+        f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from bridge.isolation import IsolatedProcess\n"
+        "p = IsolatedProcess(timeout_s=60)\n"
+        "list(p.stream('faults:numbers', '', (1,)))\n"
+        "print(p.pid, flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    caller = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    assert caller.stdout is not None
+    child = int(caller.stdout.readline())
+    caller.kill()
+    caller.wait()
+    for _ in range(50):
+        time.sleep(0.1)
+        try:
+            os.kill(child, 0)
+        except ProcessLookupError:
+            return
+    pytest.fail("the child is still there 5 s after its caller was killed")
