@@ -84,8 +84,6 @@ def _project(points, s, xy, out_s, out_d):  # type: ignore[no-untyped-def]  # no
             dx = points[k + 1, 0] - points[k, 0]
             dy = points[k + 1, 1] - points[k, 1]
             square = dx * dx + dy * dy
-            if square == 0.0:
-                continue
             px, py = x - points[k, 0], y - points[k, 1]
             along = (px * dx + py * dy) / square
             clipped = min(max(along, 0.0), 1.0)
@@ -111,7 +109,7 @@ class Polyline:
     """
 
     points: FloatArray
-    """(N, 2) m, N >= 2."""
+    """(N, 2) m, N >= 2; points that repeat the one before are dropped."""
     s: FloatArray = field(init=False, repr=False)
     """(N,) m, arc length at each point."""
     _heading: FloatArray = field(init=False, repr=False)
@@ -124,6 +122,10 @@ class Polyline:
         s = arc_length(points)
         if not 0.0 < s[-1] < np.inf:
             raise ValueError(f"polyline of length {s[-1]} m, want a finite length above 0")
+        moved = s[1:] > s[:-1]
+        if not moved.all():
+            keep = np.append(True, moved)
+            points, s = np.ascontiguousarray(points[keep]), s[keep]
         steps = points[1:] - points[:-1]
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "s", s)
@@ -169,5 +171,5 @@ class Polyline:
         return s, d
 
     def _segment(self, s: FloatArray) -> npt.NDArray[np.int64]:
-        """Index of the segment that holds each s, of the last one for repeated points."""
+        """Index of the segment that holds each s, of the one ahead where two meet."""
         return np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.points) - 2)

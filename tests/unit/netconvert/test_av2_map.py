@@ -1,0 +1,165 @@
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from av2.map.map_api import ArgoverseStaticMap
+
+from netconvert.av2_map import lane_graph_from_json, read_lane_graph
+from netconvert.errors import MapError
+from netconvert.lane_graph import TurnType
+
+Json = Callable[..., dict[str, Any]]
+STRAIGHT = [(0.0, 0.0), (50.0, 0.0)]
+
+
+def test_a_lane_segment_keeps_what_the_file_says(lane_json: Json, map_json: Json) -> None:
+    segment = lane_json(5, STRAIGHT, left_neighbor_id=8, successors=[6], is_intersection=True, lane_type="BUS")
+    other = lane_json(6, [(50.0, 0.0), (60.0, 0.0)])
+    graph = lane_graph_from_json(map_json(segment, other), name="map")
+    lane = graph.lanes[5]
+    assert lane.centerline.tolist() == [[0.0, 0.0], [50.0, 0.0]]
+    assert lane.left_boundary is not None
+    assert lane.left_boundary.tolist() == [[0.0, 2.0], [50.0, 2.0]]
+    assert (lane.lane_type, lane.is_intersection, lane.successors) == ("BUS", True, (6,))
+    assert (lane.left_neighbor_id, lane.right_neighbor_id) == (8, None)
+    assert (lane.left_mark_type, lane.right_mark_type) == ("DASHED_WHITE", "SOLID_WHITE")
+    assert (lane.width_m, lane.length_m, lane.turn) == (4.0, 50.0, TurnType.STRAIGHT)
+    assert graph.drivable_areas[0].shape == (5, 2)
+    assert (graph.drivable_areas[0][0] == graph.drivable_areas[0][-1]).all()
+
+
+def test_a_missing_centerline_is_the_mid_line_that_av2_derives(tmp_path: Path, lane_json: Json, map_json: Json) -> None:
+    """Boundaries with different numbers of points and different heights: av2 spaces its ten rungs in space."""
+    rng = np.random.default_rng(3)
+    segments = []
+    for lane_id in range(1, 5):
+        left = np.column_stack([np.sort(rng.uniform(0, 60, 7)), 2 + rng.normal(0, 1, 7), rng.normal(0, 2, 7)])
+        right = np.column_stack([np.sort(rng.uniform(0, 60, 4)), -2 + rng.normal(0, 1, 4), rng.normal(0, 2, 4)])
+        boundaries = {
+            f"{side}_lane_boundary": [dict(zip("xyz", point, strict=True)) for point in points.tolist()]
+            for side, points in (("left", left), ("right", right))
+        }
+        segments.append(lane_json(lane_id, STRAIGHT, **boundaries, centerline=None))
+        del segments[-1]["centerline"]
+    path = tmp_path / "log_map_archive_x.json"
+    path.write_text(json.dumps(map_json(*segments)))
+    graph, theirs = read_lane_graph(path), ArgoverseStaticMap.from_json(path)
+    for lane_id, lane in graph.lanes.items():
+        expected = theirs.get_lane_segment_centerline(lane_id)[:, :2]
+        assert np.abs(lane.centerline - expected).max() < 1e-9
+
+
+def test_repeated_points_of_a_centerline_are_dropped(lane_json: Json, map_json: Json) -> None:
+    segment = lane_json(5, [(0.0, 0.0), (0.0, 0.0), (20.0, 0.0), (20.0, 0.0), (50.0, 0.0)])
+    lane = lane_graph_from_json(map_json(segment), name="map").lanes[5]
+    assert lane.centerline.tolist() == [[0.0, 0.0], [20.0, 0.0], [50.0, 0.0]]
+
+
+def test_links_that_lead_nowhere_do_not_stop_the_map(lane_json: Json, map_json: Json) -> None:
+    """A successor outside the map, a neighbour that is the lane itself, one that is missing, a cycle of two."""
+    graph = lane_graph_from_json(
+        map_json(
+            lane_json(1, STRAIGHT, successors=[2, 77], left_neighbor_id=1, right_neighbor_id=88),
+            lane_json(2, [(50.0, 0.0), (50.0, 9.0), (0.0, 9.0), (0.0, 0.0)], successors=[1]),
+        ),
+        name="map",
+    )
+    assert graph.successors(1) == (2,)
+    assert graph.successors(2) == (1,)
+    assert {(link.kind, link.target) for link in graph.dropped} == {
+        ("successor", 77),
+        ("left_neighbor", 1),
+        ("right_neighbor", 88),
+    }
+
+
+# Each case: what is wrong, the field changed, and what the message must say beside the file's name.
+BAD_LANES = {
+    "zero length": ({"centerline": [{"x": 1, "y": 2, "z": 0}] * 2}, r"lane 5: centerline is 0\.000000 m long, want"),
+    "one point": ({"centerline": [{"x": 1, "y": 2, "z": 0}]}, "lane 5: centerline: 1 points, want at least 2"),
+    "boundary of one point": (
+        {"left_lane_boundary": [{"x": 1, "y": 2, "z": 0}]},
+        "lane 5: left_lane_boundary: 1 points, want at least 2",
+    ),
+    "NaN": (
+        {"centerline": [{"x": 1, "y": 2, "z": 0}, {"x": float("nan"), "y": 2, "z": 0}]},
+        r"lane 5: centerline: point \[nan\s+2\.?\], want finite",
+    ),
+    "no y": ({"centerline": [{"x": 1}, {"x": 2}]}, "lane 5: centerline: a point has no 'y'"),
+    "words": ({"centerline": [{"x": "a", "y": 1}, {"x": 2, "y": 1}]}, "lane 5: centerline: a point is not made of"),
+    "no points": ({"right_lane_boundary": None}, "lane 5: right_lane_boundary: None, want at least 2 points"),
+    "lane type": ({"lane_type": "TRAM"}, "lane 5: lane_type: 'TRAM', want one of BIKE, BUS, VEHICLE"),
+    "mark type": ({"left_lane_mark_type": None}, "lane 5: left_lane_mark_type: None, want one of DASHED_WHITE"),
+    "intersection": ({"is_intersection": "no"}, "lane 5: is_intersection 'no', want true or false"),
+    "successors": ({"successors": "7"}, "lane 5: successors: '7', want a list of lane ids"),
+    "neighbour": ({"left_neighbor_id": 1.5}, "lane 5: left_neighbor_id: 1.5, want an integer"),
+    "id": ({"id": "5"}, "lane 5: id: '5', want an integer"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_LANES)
+def test_a_broken_lane_is_refused_with_its_id_and_value(case: str, lane_json: Json, map_json: Json) -> None:
+    change, message = BAD_LANES[case]
+    data = map_json(lane_json(5, STRAIGHT) | change)
+    with pytest.raises(MapError, match=f"^the/map.json: {message}"):
+        lane_graph_from_json(data, name="the/map.json")
+
+
+def test_a_missing_field_is_named(lane_json: Json, map_json: Json) -> None:
+    segment = lane_json(5, STRAIGHT)
+    del segment["successors"], segment["lane_type"]
+    with pytest.raises(MapError, match="map: lane 5: no lane_type, successors, want"):
+        lane_graph_from_json(map_json(segment), name="map")
+
+
+def test_a_map_without_vehicle_lane_is_refused(lane_json: Json, map_json: Json) -> None:
+    data = map_json(lane_json(5, STRAIGHT, lane_type="BIKE"), lane_json(6, STRAIGHT, lane_type="BUS"))
+    with pytest.raises(MapError, match="map: no lane of type VEHICLE among 2 lane segments, want at least one"):
+        lane_graph_from_json(data, name="map")
+
+
+def test_an_id_that_appears_twice_is_refused(lane_json: Json, map_json: Json) -> None:
+    data = map_json(lane_json(5, STRAIGHT))
+    data["lane_segments"]["6"] = lane_json(5, STRAIGHT)
+    with pytest.raises(MapError, match="lane 6: id 5 appears twice"):
+        lane_graph_from_json(data, name="map")
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ([], "no object 'lane_segments'"),
+        ({}, "no object 'lane_segments'"),
+        ({"lane_segments": []}, "no object 'lane_segments'"),
+        ({"lane_segments": {}}, "no object 'drivable_areas'"),
+        ({"lane_segments": {}, "drivable_areas": {}}, "no lane of type VEHICLE among 0 lane segments"),
+        ({"lane_segments": {"5": None}, "drivable_areas": {}}, "lane 5: NoneType, want an object"),
+    ],
+)
+def test_json_that_is_no_map_is_refused(data: Any, message: str) -> None:
+    with pytest.raises(MapError, match=f"map: {message}"):
+        lane_graph_from_json(data, name="map")
+
+
+def test_a_drivable_area_without_boundary_is_refused(lane_json: Json, map_json: Json) -> None:
+    data = map_json(lane_json(5, STRAIGHT))
+    data["drivable_areas"]["7"] = {"id": 7}
+    with pytest.raises(MapError, match="map: drivable area 7: no area_boundary"):
+        lane_graph_from_json(data, name="map")
+
+
+def test_a_missing_file_is_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "log_map_archive_x.json"
+    with pytest.raises(MapError, match=r"log_map_archive_x\.json: cannot read the map"):
+        read_lane_graph(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe\x00", b"PAR1"])
+def test_a_file_that_is_not_json_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "log_map_archive_x.json"
+    path.write_bytes(content)
+    with pytest.raises(MapError, match=r"log_map_archive_x\.json: not JSON"):
+        read_lane_graph(path)

@@ -1,0 +1,202 @@
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from netconvert.cells import Cell, CellGrid, LateralLink, build_cell_grid
+from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
+
+Lane = Callable[..., LaneSegment]
+Graph = Callable[..., LaneGraph]
+
+
+@pytest.fixture
+def two_lanes(lane: Lane, graph: Graph) -> CellGrid:
+    """
+    lane 2 (10 m)    | 0 | 1 | 2 | 3 |   --> lane 3 (5 m)   | 0 | 1 |
+    lane 1 (12.5 m)  | 0 | 1 | 2 | 3 |
+
+    ceil(10 / 4) = 3 and ceil(12.5 / 4) = 4: both lanes get 4 cells.
+    """
+    return build_cell_grid(
+        graph(
+            lane(1, [(0, 0), (12.5, 0)], left=2, left_mark="SOLID_WHITE"),
+            lane(2, [(0, 4), (10, 4)], right=1, right_mark="DASHED_WHITE", successors=(3,)),
+            lane(3, [(10, 4), (15, 4)]),
+        )
+    )
+
+
+@pytest.mark.parametrize(("length_m", "count"), [(0.25, 1), (4.0, 1), (4.001, 2), (8.0, 2), (41.0, 11)])
+def test_a_lane_has_as_many_cells_as_the_paper_says(lane: Lane, graph: Graph, length_m: float, count: int) -> None:
+    """N_l = ceil(L_l / 4.0)."""
+    grid = build_cell_grid(graph(lane(1, [(0, 0), (length_m, 0)])))
+    assert grid.count(1) == count
+
+
+def test_neighbours_share_the_larger_number_of_cells(two_lanes: CellGrid) -> None:
+    assert [two_lanes.count(lane_id) for lane_id in (1, 2, 3)] == [4, 4, 2]
+    assert two_lanes.edges_s(1).tolist() == [0.0, 3.125, 6.25, 9.375, 12.5]
+    assert two_lanes.edges_s(2).tolist() == [0.0, 2.5, 5.0, 7.5, 10.0]
+    assert two_lanes.borders(2).tolist() == [[0.0, 4.0], [2.5, 4.0], [5.0, 4.0], [7.5, 4.0], [10.0, 4.0]]
+
+
+def test_cells_come_by_lane_and_index(two_lanes: CellGrid) -> None:
+    assert two_lanes.cells[3:6] == (Cell(1, 3), Cell(2, 0), Cell(2, 1))
+    assert all(two_lanes.index_of[cell] == index for index, cell in enumerate(two_lanes.cells))
+    assert two_lanes.centers.shape == (10, 2)
+
+
+def test_the_center_of_a_cell_is_the_middle_of_its_centreline(two_lanes: CellGrid) -> None:
+    assert two_lanes.center(Cell(2, 1)).tolist() == [3.75, 4.0]
+    assert two_lanes.length_m(Cell(1, 0)) == 3.125
+
+
+def test_an_arc_length_lies_in_the_cell_between_whose_borders_it_is(two_lanes: CellGrid) -> None:
+    assert [two_lanes.cell_at(2, s).index for s in (-1.0, 0.0, 2.4, 2.5, 9.9, 10.0, 30.0)] == [0, 0, 0, 1, 3, 3, 3]
+
+
+def test_longitudinal_links_end_with_the_lane(two_lanes: CellGrid) -> None:
+    assert two_lanes.longitudinal(Cell(2, 2)) == Cell(2, 3)
+    assert two_lanes.longitudinal(Cell(2, 3)) is None
+
+
+def test_inter_lane_links_leave_from_the_last_cell(two_lanes: CellGrid) -> None:
+    assert two_lanes.inter_lane(Cell(2, 3)) == (Cell(3, 0),)
+    assert two_lanes.inter_lane(Cell(2, 2)) == ()
+    assert two_lanes.inter_lane(Cell(1, 3)) == ()
+
+
+def test_lateral_links_face_each_other_and_say_whether_the_marking_allows_a_change(two_lanes: CellGrid) -> None:
+    assert two_lanes.lateral(Cell(1, 2), "left") == LateralLink(Cell(2, 2), allowed=False)
+    assert two_lanes.lateral(Cell(2, 2), "right") == LateralLink(Cell(1, 2), allowed=True)
+    assert two_lanes.lateral(Cell(2, 2), "left") is None
+    assert two_lanes.lateral(Cell(3, 0), "right") is None
+
+
+def test_facing_cells_are_lanes_of_one_edge_counted_from_the_right(two_lanes: CellGrid) -> None:
+    assert two_lanes.sumo_lane_id(Cell(1, 2)) == "1#2_0"
+    assert two_lanes.sumo_lane_id(Cell(2, 2)) == "1#2_1"
+    assert two_lanes.edge_id(Cell(2, 2)) == "1#2"
+    assert two_lanes.lane_index(Cell(2, 2)) == 1
+    assert two_lanes.cell_of_sumo_lane["1#2_1"] == Cell(2, 2)
+    assert two_lanes.row(Cell(2, 2)) == (Cell(1, 2), Cell(2, 2))
+    assert [len(row) for row in two_lanes.rows()] == [2, 2, 2, 2, 1, 1]
+
+
+def test_a_row_is_split_where_its_cells_are_skewed(lane: Lane, graph: Graph) -> None:
+    """Lane 2 runs 6 m ahead of lane 1 at its start and 0 m at its end.
+
+    lane 2 (14 m)        |  0  |  1  |  2  |  3  |  4  |
+    lane 1 (20 m)  |   0   |   1   |   2   |   3   |   4   |
+
+    Middles of cells at 2, 6, 10, 14, 18 m and at 7.4, 10.2, 13, 15.8, 18.6 m: skews 5.4, 4.2, 3.0, 1.8, 0.6 m.
+    """
+    lanes = graph(lane(1, [(0, 0), (20, 0)], left=2), lane(2, [(6, 4), (20, 4)], right=1))
+    grid = build_cell_grid(lanes, max_skew_m=4.0)
+    assert grid.count(1) == grid.count(2) == 5
+    assert [grid.lateral(Cell(1, index), "left") is not None for index in range(5)] == [False, False, True, True, True]
+    assert [grid.sumo_lane_id(Cell(2, index)) for index in (1, 2)] == ["2#1_0", "1#2_1"]
+    assert grid.lost_links == ()
+    assert len(set(grid.cell_of_sumo_lane)) == len(grid.cells)
+
+
+def test_a_neighbour_link_is_lost_where_every_row_is_skewed(lane: Lane, graph: Graph) -> None:
+    grid = build_cell_grid(graph(lane(1, [(0, 0), (20, 0)], left=2), lane(2, [(12, 4), (32, 4)], right=1)))
+    assert {(link.kind, link.source, link.target) for link in grid.lost_links} == {
+        ("left_neighbor", 1, 2),
+        ("right_neighbor", 2, 1),
+    }
+    assert grid.lost_links[0].reason == "facing cells are skewed by 12.0 m or more, 6.0 m is allowed"
+
+
+def test_a_split_of_three_lanes_keeps_the_pair_that_is_not_skewed(lane: Lane, graph: Graph) -> None:
+    grid = build_cell_grid(
+        graph(
+            lane(1, [(0, 0), (20, 0)], left=2),
+            lane(2, [(0, 4), (20, 4)], left=3, right=1),
+            lane(3, [(12, 8), (32, 8)], right=2),
+        )
+    )
+    assert grid.lateral(Cell(1, 0), "left") == LateralLink(Cell(2, 0), allowed=True)
+    assert grid.lateral(Cell(2, 0), "left") is None
+    assert grid.sumo_lane_id(Cell(3, 0)) == "3#0_0"
+
+
+def test_links_that_the_graph_dropped_are_lost_in_the_grid(lane: Lane, graph: Graph) -> None:
+    grid = build_cell_grid(graph(lane(1, [(0, 0), (10, 0)], successors=(7,))))
+    assert grid.lost_links == (("successor", 1, 7, "the other lane is outside the map"),)
+
+
+def test_crossing_cells_overlap_and_touching_ones_do_not(lane: Lane, graph: Graph) -> None:
+    """
+                 |   | lane 2, northbound, x in 8 .. 12
+         --------+---+--------
+    lane 1   0   | 2 |            cells of 4 m: (1, 2) is x in 8 .. 12
+         --------+---+--------
+                 |   |
+    Lane 3 lies beside lane 1 and touches it along its whole length.
+    """
+    grid = build_cell_grid(
+        graph(
+            lane(1, [(0, 0), (20, 0)], left=3, successors=(4,)),
+            lane(2, [(10, -10), (10, 2)]),
+            lane(3, [(0, 4), (20, 4)], right=1),
+            lane(4, [(20, 0), (28, 0)]),
+        )
+    )
+    assert grid.overlaps(Cell(1, 2)) == (Cell(2, 2),)
+    assert grid.overlaps(Cell(2, 2)) == (Cell(1, 2),)
+    assert grid.overlaps(Cell(1, 1)) == ()
+    assert grid.overlaps(Cell(3, 2)) == ()
+    assert grid.overlaps(Cell(1, 4)) == ()
+
+
+def test_a_cell_covers_its_part_of_the_lane_between_the_boundaries(lane: Lane, graph: Graph) -> None:
+    grid = build_cell_grid(graph(lane(1, [(0, 0), (10, 0)])))
+    assert shapely.bounds(grid.polygons[1]).tolist() == pytest.approx([10 / 3, -2.0, 20 / 3, 2.0])
+    assert sum(shapely.area(grid.polygons)) == pytest.approx(40.0)
+
+
+def test_boundaries_are_cut_at_equal_fractions() -> None:
+    """A lane whose left boundary starts 2 m farther ahead: the middle cut goes from (8, -2) to (9, 2)."""
+    lane = LaneSegment(
+        lane_id=1,
+        centerline=np.array([[1.0, 0.0], [16.0, 0.0]]),
+        left_boundary=np.array([[2.0, 2.0], [16.0, 2.0]]),
+        right_boundary=np.array([[0.0, -2.0], [16.0, -2.0]]),
+        lane_type="VEHICLE",
+        is_intersection=False,
+        successors=(),
+        left_neighbor_id=None,
+        right_neighbor_id=None,
+        left_mark_type="NONE",
+        right_mark_type="NONE",
+        width_m=4.0,
+        turn=TurnType.STRAIGHT,
+    )
+    grid = build_cell_grid(LaneGraph({1: lane}))
+    assert grid.count(1) == 4
+    corners = {tuple(point) for point in shapely.get_coordinates(grid.polygons[2]).tolist()}
+    assert corners == {(8.0, -2.0), (12.0, -2.0), (12.5, 2.0), (9.0, 2.0)}
+
+
+@settings(deadline=None)
+@given(
+    length_m=st.floats(0.01, 300.0),
+    cell_m=st.floats(1.0, 20.0),
+    s=st.floats(0.0, 1.0),
+)
+def test_every_arc_length_is_in_exactly_one_cell_no_longer_than_asked(length_m: float, cell_m: float, s: float) -> None:
+    points = np.array([[0.0, 0.0], [length_m / 2, 0.0], [length_m / 2, length_m / 2]])
+    lane = LaneSegment(1, points, None, None, "VEHICLE", False, (), None, None, "NONE", "NONE", 3.5, TurnType.STRAIGHT)
+    grid = build_cell_grid(LaneGraph({1: lane}), cell_m=cell_m)
+    assert grid.count(1) == max(1, math.ceil(lane.length_m / cell_m - 1e-9))
+    assert np.diff(grid.edges_s(1)).max() <= cell_m + 1e-6
+    assert grid.edges_s(1)[-1] == lane.length_m
+    index = grid.cell_at(1, s * lane.length_m).index
+    assert grid.edges_s(1)[index] - 1e-9 <= s * lane.length_m <= grid.edges_s(1)[index + 1] + 1e-9

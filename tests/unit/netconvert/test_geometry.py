@@ -1,0 +1,175 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from netconvert.geometry import Polyline, arc_length, box_corners, boxes_overlap, resample, wrap_angle
+
+# An L: 10 m east, then 10 m north.
+#        |
+#     ---+
+BEND = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]])
+
+
+def test_arc_length_counts_from_the_first_point() -> None:
+    assert arc_length(BEND).tolist() == [0.0, 10.0, 20.0]
+
+
+def test_resampled_line_keeps_both_ends_and_never_steps_farther_than_asked() -> None:
+    """20 m in steps of at most 6 m: four of 5 m."""
+    points = resample(BEND, step_m=6.0)
+    assert points.tolist() == [[0.0, 0.0], [5.0, 0.0], [10.0, 0.0], [10.0, 5.0], [10.0, 10.0]]
+
+
+def test_resampling_by_an_exact_divisor_adds_no_extra_point() -> None:
+    assert len(resample(BEND, step_m=5.0)) == 5
+
+
+@pytest.mark.parametrize(
+    ("angle", "wrapped"),
+    [(0.0, 0.0), (math.pi, math.pi), (-math.pi, math.pi), (1.5 * math.pi, -0.5 * math.pi), (-7.0, -7.0 + 2 * math.pi)],
+)
+def test_wrapped_angle_lies_above_minus_pi_up_to_pi(angle: float, wrapped: float) -> None:
+    assert wrap_angle(angle) == pytest.approx(wrapped)
+
+
+def test_point_and_heading_change_at_the_bend() -> None:
+    line = Polyline(BEND)
+    assert line.length_m == 20.0
+    assert line.point([5.0, 10.0, 15.0]).tolist() == [[5.0, 0.0], [10.0, 0.0], [10.0, 5.0]]
+    assert line.heading([5.0, 10.0, 15.0]).tolist() == pytest.approx([0.0, math.pi / 2, math.pi / 2])
+
+
+def test_a_point_left_of_the_line_has_positive_d() -> None:
+    """(4, 2) is 2 m left of the first leg; (12, 6) is 2 m right of the second, 6 m up it."""
+    s, d = Polyline(BEND).frenet([[4.0, 2.0], [12.0, 6.0]])
+    assert s.tolist() == pytest.approx([4.0, 16.0])
+    assert d.tolist() == pytest.approx([2.0, -2.0])
+
+
+def test_a_point_outside_the_bend_projects_on_the_corner() -> None:
+    """(13, -4) is 5 m from the corner, right of both legs."""
+    s, d = Polyline(BEND).frenet([[13.0, -4.0]])
+    assert (s[0], d[0]) == pytest.approx((10.0, -5.0))
+
+
+def test_past_its_ends_the_line_goes_on_straight() -> None:
+    line = Polyline(BEND)
+    s, d = line.frenet([[-3.0, 1.0], [9.0, 14.0]])
+    assert s.tolist() == pytest.approx([-3.0, 24.0])
+    assert d.tolist() == pytest.approx([1.0, 1.0])
+    assert line.point([-3.0, 24.0]).tolist() == [[-3.0, 0.0], pytest.approx([10.0, 14.0])]
+
+
+def test_repeated_points_do_not_disturb_the_frame() -> None:
+    line = Polyline(np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 5.0], [0.0, 5.0], [0.0, 10.0], [0.0, 10.0]]))
+    s, d = line.frenet([[-1.0, 5.0], [-1.0, -1.0], [-1.0, 12.0]])
+    assert s.tolist() == pytest.approx([5.0, -1.0, 12.0])
+    assert d.tolist() == pytest.approx([1.0, 1.0, 1.0])
+    assert line.heading([0.0, 5.0, 10.0]).tolist() == pytest.approx([math.pi / 2] * 3)
+
+
+@pytest.mark.parametrize(
+    "points", [[[1.0, 2.0]], [[1.0, 2.0], [1.0, 2.0]], [[0.0, 0.0], [np.nan, 1.0]], [[1.0], [2.0]]]
+)
+def test_a_line_without_direction_is_refused(points: list[list[float]]) -> None:
+    with pytest.raises(ValueError, match="polyline of"):
+        Polyline(np.array(points))
+
+
+def _arc(radius_m: float, angle: float) -> np.ndarray:
+    phi = np.linspace(0.0, abs(angle), 40)
+    return radius_m * np.column_stack([np.sin(phi), np.copysign(1.0, angle) * (1.0 - np.cos(phi))])
+
+
+@settings(deadline=None)
+@given(
+    radius_m=st.floats(20.0, 200.0),
+    angle=st.floats(-2.0, 2.0).filter(lambda angle: abs(angle) > 0.05),
+    along=st.floats(-0.2, 1.2),
+    d=st.floats(-6.0, 6.0),
+)
+def test_city_coordinates_come_back_from_frenet_coordinates(
+    radius_m: float, angle: float, along: float, d: float
+) -> None:
+    """Off a vertex of the outer side a point has no (s, d) of its own: start from xy, and from points on a segment."""
+    line = Polyline(_arc(radius_m, angle))
+    xy = line.xy([along * line.length_m], [d])
+    s, back = line.frenet(xy)
+    returned = line.xy(s, back)
+    segment_m = line.length_m / 39
+    # In the wedge outside a vertex the normal turns by at most the angle between two segments.
+    assert np.abs(returned - xy).max() <= abs(d) * abs(angle) / 39 + 1e-9
+    assert abs(s[0] - along * line.length_m) <= segment_m
+    assert abs(back[0] - d) <= 1e-3 * abs(d) + 1e-9
+
+
+@settings(deadline=None)
+@given(st.floats(-30.0, 130.0), st.floats(-50.0, 50.0), st.floats(-np.pi, np.pi))
+def test_the_round_trip_along_a_straight_line_is_exact(s: float, d: float, heading: float) -> None:
+    line = Polyline(np.array([[3.0, -7.0], [3.0 + 100.0 * math.cos(heading), -7.0 + 100.0 * math.sin(heading)]]))
+    s_back, d_back = line.frenet(line.xy([s], [d]))
+    assert (s_back[0], d_back[0]) == pytest.approx((s, d), abs=1e-9)
+
+
+def test_box_corners_go_round_from_the_front_left() -> None:
+    r"""A 4 m x 2 m box at (10, 20) that faces north: its front is up, its left is west.
+
+    (9, 22) +--+ (11, 22)
+            |  |
+    (9, 18) +--+ (11, 18)
+    """
+    corners = box_corners([10.0, 20.0], math.pi / 2, length_m=4.0, width_m=2.0)
+    assert corners == pytest.approx(np.array([[9.0, 22.0], [11.0, 22.0], [11.0, 18.0], [9.0, 18.0]]))
+
+
+def test_box_sizes_broadcast_over_centers() -> None:
+    corners = box_corners(np.zeros((3, 5, 2)), np.zeros((3, 5)), length_m=np.array([[2.0], [4.0], [6.0]]), width_m=1.0)
+    assert corners.shape == (3, 5, 4, 2)
+    assert corners[:, 0, 0, 0].tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "heading", "overlap"),
+    [
+        (3.9, 0.0, 0.0, True),  # bumper 0.1 m into the other
+        (4.0, 0.0, 0.0, False),  # bumpers touch
+        (4.1, 0.0, 0.0, False),
+        (0.0, 1.9, 0.0, True),
+        (0.0, 2.1, 0.0, False),
+        (2.9, 0.0, math.pi / 2, True),  # crosswise: half of 4 m and half of 2 m
+        (3.1, 0.0, math.pi / 2, False),
+        # At 45 degrees only the turned box's own axes separate the corners: the boxes' bounds do overlap.
+        (3.0, 2.0, math.pi / 4, True),
+        (3.6, 2.6, math.pi / 4 * 3, False),
+    ],
+)
+def test_boxes_overlap_only_where_they_share_ground(x: float, y: float, heading: float, overlap: bool) -> None:
+    """A 4 m x 2 m box at the origin against one of the same size."""
+    a = box_corners([0.0, 0.0], 0.0, length_m=4.0, width_m=2.0)
+    b = box_corners([x, y], heading, length_m=4.0, width_m=2.0)
+    assert bool(boxes_overlap(a, b)) is overlap
+    assert bool(boxes_overlap(b, a)) is overlap
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(-6.0, 6.0), min_size=2, max_size=2), st.floats(-4.0, 4.0), st.floats(-4.0, 4.0))
+def test_box_overlap_agrees_with_polygon_areas(offset: list[float], heading_a: float, heading_b: float) -> None:
+    import shapely
+
+    a = box_corners([0.0, 0.0], heading_a, length_m=4.5, width_m=1.9)
+    b = box_corners(offset, heading_b, length_m=2.2, width_m=0.9)
+    common = shapely.area(shapely.intersection(shapely.Polygon(a), shapely.Polygon(b)))
+    if bool(boxes_overlap(a, b)):
+        assert shapely.distance(shapely.Polygon(a), shapely.Polygon(b)) == pytest.approx(0.0, abs=1e-9)
+    else:
+        assert common == pytest.approx(0.0, abs=1e-9)
+
+
+def test_overlap_of_many_against_many_broadcasts() -> None:
+    x = np.arange(4) * 3.0
+    boxes = box_corners(np.column_stack([x, np.zeros(4)]), np.zeros(4), length_m=4.0, width_m=2.0)
+    overlap = boxes_overlap(boxes[:, None], boxes[None, :])
+    assert overlap.tolist() == [[abs(i - j) <= 1 for j in range(4)] for i in range(4)]

@@ -1,0 +1,63 @@
+import csv
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lxml import etree
+
+from netconvert.cells import CellGrid, build_cell_grid
+from netconvert.errors import NetError
+from netconvert.gui_files import CELL_COLUMNS, cells_csv, gui_files, write_gui_files
+from netconvert.lane_graph import LaneGraph, LaneSegment
+
+
+@pytest.fixture
+def grid(lane: Callable[..., LaneSegment]) -> CellGrid:
+    ring = np.array([[0.0, -5.0], [20.0, -5.0], [20.0, 5.0], [0.0, -5.0]])
+    return build_cell_grid(LaneGraph({5: lane(5, [(0, 0), (10, 0)], lane_type="BUS")}, (ring,)))
+
+
+def test_the_cell_table_has_a_row_for_every_cell(grid: CellGrid) -> None:
+    """10 m in three cells of 3.333 m."""
+    rows = list(csv.DictReader(io.StringIO(cells_csv(grid).decode())))
+    assert tuple(rows[0]) == CELL_COLUMNS
+    assert rows[1] == {
+        "lane_segment_id": "5",
+        "cell_index": "1",
+        "sumo_lane_id": "5#1_0",
+        "length_m": "3.333",
+        "center_x_m": "5.000",
+        "center_y_m": "0.000",
+        "lane_type": "BUS",
+    }
+    assert len(rows) == 3
+
+
+def test_the_configuration_names_files_beside_it(grid: CellGrid) -> None:
+    files = gui_files(grid, "scene")
+    configuration = etree.fromstring(files["scene.sumocfg"])
+    named = {
+        element.get("value") for element in configuration.iter("net-file", "additional-files", "gui-settings-file")
+    }
+    assert named == {"scene.net.xml", "scene.poly.xml", "scene.view.xml"}
+    assert set(files) == {"scene.sumocfg", "scene.poly.xml", "scene.view.xml", "scene.cells.csv"}
+
+
+def test_the_drivable_area_lies_under_the_lanes(grid: CellGrid) -> None:
+    (area,) = etree.fromstring(gui_files(grid, "scene")["scene.poly.xml"]).iterfind("poly")
+    assert area.get("shape") == "0.00,-5.00 20.00,-5.00 20.00,5.00 0.00,-5.00"
+    assert float(area.get("layer")) < 0
+
+
+def test_the_view_looks_at_the_middle_of_the_lanes(grid: CellGrid) -> None:
+    view = etree.fromstring(gui_files(grid, "scene")["scene.view.xml"]).find("viewport")
+    assert (view.get("x"), view.get("y")) == ("5.00", "0.00")
+
+
+def test_files_that_cannot_be_written_are_an_error_that_names_one(grid: CellGrid, tmp_path: Path) -> None:
+    write_gui_files(grid, tmp_path, "scene")
+    assert (tmp_path / "scene.cells.csv").read_bytes() == cells_csv(grid)
+    with pytest.raises(NetError, match=r"missing/scene\.sumocfg: cannot write"):
+        write_gui_files(grid, tmp_path / "missing", "scene")

@@ -1,0 +1,216 @@
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from netconvert.errors import MapError
+from netconvert.lane_graph import DroppedLink, LaneGraph, LaneSegment, TurnType, crossable, turn_type
+
+Lane = Callable[..., LaneSegment]
+Graph = Callable[..., LaneGraph]
+
+
+def _links(graph: LaneGraph) -> list[tuple[str, int, int]]:
+    return [(link.kind, link.source, link.target) for link in graph.dropped]
+
+
+def test_lanes_come_in_ascending_order(lane: Lane, graph: Graph) -> None:
+    made = graph(lane(9, [(0, 0), (5, 0)]), lane(3, [(0, 9), (5, 9)]))
+    assert list(made.lanes) == [3, 9]
+
+
+def test_predecessors_are_the_lanes_that_name_the_lane_as_successor(lane: Lane, graph: Graph) -> None:
+    """
+    1 ---\\
+          3 --- 4
+    2 ---/
+    """
+    made = graph(
+        lane(1, [(0, 0), (10, 0)], successors=(3,)),
+        lane(2, [(0, -1), (10, 0)], successors=(3,)),
+        lane(3, [(10, 0), (20, 0)], successors=(4,)),
+        lane(4, [(20, 0), (30, 0)]),
+    )
+    assert made.successors(3) == (4,)
+    assert made.predecessors(3) == (1, 2)
+    assert made.predecessors(1) == ()
+    assert made.dropped == ()
+
+
+def test_a_successor_outside_the_map_is_dropped_with_its_reason(lane: Lane, graph: Graph) -> None:
+    made = graph(lane(1, [(0, 0), (10, 0)], successors=(99,)))
+    assert made.successors(1) == ()
+    assert made.dropped == (DroppedLink("successor", 1, 99, "the other lane is outside the map"),)
+
+
+def test_a_lane_that_follows_itself_is_not_followed(lane: Lane, graph: Graph) -> None:
+    made = graph(lane(1, [(0, 0), (10, 0)], successors=(1,)))
+    assert made.successors(1) == ()
+    assert _links(made) == [("successor", 1, 1)]
+
+
+def test_a_successor_that_starts_elsewhere_is_dropped(lane: Lane, graph: Graph) -> None:
+    made = graph(lane(1, [(0, 0), (10, 0)], successors=(2,)), lane(2, [(30, 0), (40, 0)]))
+    assert made.successors(1) == ()
+    assert made.dropped[0].reason == "the other lane starts elsewhere"
+
+
+def test_a_cycle_of_successors_is_kept(lane: Lane, graph: Graph) -> None:
+    corners = [(0, 0), (10, 0), (5, 8)]
+    made = graph(*(lane(k, [corners[k], corners[(k + 1) % 3]], successors=((k + 1) % 3,)) for k in range(3)))
+    assert [made.successors(k) for k in range(3)] == [(1,), (2,), (0,)]
+    assert made.dropped == ()
+
+
+def test_the_neighbour_that_runs_the_opposite_way_is_no_neighbour(lane: Lane, graph: Graph) -> None:
+    """
+    3 <------
+    2 ------>
+    1 ------>
+    """
+    made = graph(
+        lane(1, [(0, 0), (10, 0)], left=2),
+        lane(2, [(0, 4), (10, 4)], left=3, right=1),
+        lane(3, [(10, 8), (0, 8)], left=2),
+    )
+    assert made.neighbor(1, "left") == 2
+    assert made.neighbor(2, "right") == 1
+    assert made.neighbor(2, "left") is None
+    assert {(link.source, link.reason) for link in made.dropped} == {
+        (2, "the other lane runs the opposite way"),
+        (3, "the other lane runs the opposite way"),
+    }
+
+
+def test_direction_is_that_of_the_whole_lane_not_of_its_start(lane: Lane, graph: Graph) -> None:
+    """Two lanes of a bend whose first metres point back: their chords agree."""
+    made = graph(
+        lane(1, [(0, 0), (-1, 1), (10, 10)], left=2),
+        lane(2, [(0, 4), (9, 14)], right=1),
+    )
+    assert made.neighbor(1, "left") == 2
+
+
+@pytest.mark.parametrize(
+    ("target", "reason"), [(1, "the lane names itself"), (99, "the other lane is outside the map")]
+)
+def test_a_neighbour_that_cannot_be_is_dropped_with_its_reason(
+    lane: Lane, graph: Graph, target: int, reason: str
+) -> None:
+    made = graph(lane(1, [(0, 0), (10, 0)], left=target, right=target))
+    assert made.neighbor(1, "left") is None
+    assert made.neighbor(1, "right") is None
+    assert {link.reason for link in made.dropped} == {reason}
+
+
+def test_a_neighbour_link_that_one_lane_states_counts_for_both(lane: Lane, graph: Graph) -> None:
+    made = graph(lane(1, [(0, 0), (10, 0)], left=2), lane(2, [(0, 4), (10, 4)]))
+    assert made.neighbor(2, "right") == 1
+
+
+def test_two_lanes_cannot_have_the_same_lane_on_their_left(lane: Lane, graph: Graph) -> None:
+    """Lane 2 names lane 3 as its right neighbour, so lane 1's claim to be beside it falls."""
+    made = graph(
+        lane(1, [(0, 0), (10, 0)], left=2),
+        lane(2, [(0, 4), (10, 4)], right=3),
+        lane(3, [(0, 0.5), (10, 0.5)], left=2),
+    )
+    assert made.neighbor(3, "left") == 2
+    assert made.neighbor(1, "left") is None
+    assert made.dropped == (DroppedLink("left_neighbor", 1, 2, "the other lane has another neighbour on that side"),)
+
+
+def test_neighbours_never_form_a_ring(lane: Lane, graph: Graph) -> None:
+    made = graph(
+        lane(1, [(0, 0), (10, 0)], left=2, right=3),
+        lane(2, [(0, 4), (10, 4)], left=3, right=1),
+        lane(3, [(0, 8), (10, 8)], left=1, right=2),
+    )
+    leftmost = [lane_id for lane_id in made.lanes if made.neighbor(lane_id, "left") is None]
+    rightmost = [lane_id for lane_id in made.lanes if made.neighbor(lane_id, "right") is None]
+    assert len(leftmost) == len(rightmost) == 1
+    assert {link.reason for link in made.dropped} == {"the neighbours would form a ring"}
+
+
+@pytest.mark.parametrize(
+    ("mark", "allowed"),
+    [
+        ("NONE", True),
+        ("UNKNOWN", True),
+        ("DASHED_WHITE", True),
+        ("DASHED_YELLOW", True),
+        ("DOUBLE_DASH_WHITE", True),
+        ("DASH_SOLID_YELLOW", True),  # dashed on the lane's own side
+        ("SOLID_DASH_YELLOW", False),
+        ("SOLID_WHITE", False),
+        ("DOUBLE_SOLID_YELLOW", False),
+        ("SOLID_BLUE", False),
+    ],
+)
+def test_a_line_may_be_crossed_from_its_dashed_side_only(mark: str, allowed: bool) -> None:
+    assert crossable(mark) is allowed
+
+
+def test_a_change_needs_a_neighbour_and_a_marking_that_allows_it(lane: Lane, graph: Graph) -> None:
+    made = graph(
+        lane(1, [(0, 0), (10, 0)], left=2, left_mark="SOLID_DASH_WHITE"),
+        lane(2, [(0, 4), (10, 4)], right=1, right_mark="DASH_SOLID_WHITE"),
+    )
+    assert not made.may_change(1, "left")
+    assert made.may_change(2, "right")
+    assert not made.may_change(2, "left")
+
+
+def _arc(degrees: float) -> np.ndarray:
+    phi = np.radians(np.linspace(0.0, abs(degrees), 10))
+    return 10.0 * np.column_stack([np.sin(phi), np.copysign(1, degrees) * (1.0 - np.cos(phi))])
+
+
+@pytest.mark.parametrize(
+    ("degrees", "turn"),
+    [
+        (90, TurnType.LEFT),
+        (-90, TurnType.RIGHT),
+        (20, TurnType.STRAIGHT),
+        (-20, TurnType.STRAIGHT),
+        (200, TurnType.LEFT),
+    ],
+)
+def test_turn_type_follows_the_net_change_of_heading(degrees: float, turn: TurnType) -> None:
+    assert turn_type(_arc(degrees), is_intersection=True) is turn
+
+
+def test_a_bend_outside_an_intersection_is_no_turn() -> None:
+    assert turn_type(_arc(90), is_intersection=False) is TurnType.STRAIGHT
+
+
+def test_an_s_bend_in_an_intersection_is_straight() -> None:
+    """60 degrees left, then 60 degrees right: net change 0."""
+    steps = np.array([(math.cos(a), math.sin(a)) for a in np.radians([0, 30, 60, 60, 30, 0])])
+    points = np.concatenate([[[0.0, 0.0]], np.cumsum(steps, axis=0)])
+    assert turn_type(points, is_intersection=True) is TurnType.STRAIGHT
+
+
+def test_the_drivable_area_is_the_union_of_its_parts(lane: Lane) -> None:
+    import shapely
+
+    ring = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0], [0.0, 0.0]])
+    made = LaneGraph({1: lane(1, [(0, 5), (20, 5)])}, (ring, ring + np.array([10.0, 0.0])))
+    assert shapely.area(made.drivable) == pytest.approx(200.0)
+    assert shapely.contains_xy(made.drivable, 10.0, 5.0)
+    assert not shapely.contains_xy(made.drivable, 25.0, 5.0)
+
+
+def test_a_map_without_drivable_area_has_an_empty_one(lane: Lane, graph: Graph) -> None:
+    assert graph(lane(1, [(0, 0), (10, 0)])).drivable.is_empty
+
+
+def test_a_lane_of_unknown_type_is_refused(lane: Lane) -> None:
+    with pytest.raises(MapError, match="lane 5: lane_type 'TRAM', want one of"):
+        lane(5, [(0, 0), (10, 0)], lane_type="TRAM")
+
+
+def test_a_lane_without_length_is_refused(lane: Lane) -> None:
+    with pytest.raises(MapError, match="lane 5: centerline"):
+        lane(5, [(3, 3), (3, 3)])

@@ -1,0 +1,132 @@
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from lxml import etree
+
+from netconvert.cells import build_cell_grid
+from netconvert.errors import NetError
+from netconvert.lane_graph import LaneGraph, LaneSegment
+from netconvert.net_xml import net_bytes, write_net
+
+Lane = Callable[..., LaneSegment]
+Graph = Callable[..., LaneGraph]
+
+
+@pytest.fixture
+def fork(lane: Lane, graph: Graph) -> LaneGraph:
+    """
+    2 (bicycles)  -------->
+    1             --------+--> 3 (straight on)
+                           \\-> 4 (right turn)
+    """
+    return graph(
+        lane(1, [(0, 0), (5, 0), (8, 0)], left=2, successors=(3, 4), left_mark="SOLID_WHITE"),
+        lane(2, [(0, 3), (8, 3)], right=1, lane_type="BIKE", width_m=1.5),
+        lane(3, [(8, 0), (12, 0)]),
+        lane(4, [(8, 0), (10, 0), (11, -1), (11, -3)], is_intersection=True),
+    )
+
+
+def _net(graph: LaneGraph) -> etree._Element:
+    return etree.fromstring(net_bytes(build_cell_grid(graph)))
+
+
+def test_a_row_of_cells_is_an_edge_and_a_cell_is_a_lane(fork: LaneGraph) -> None:
+    net = _net(fork)
+    lanes = {edge.get("id"): [lane.get("id") for lane in edge.iterfind("lane")] for edge in net.iterfind("edge")}
+    assert lanes == {
+        "1#0": ["1#0_0", "1#0_1"],
+        "1#1": ["1#1_0", "1#1_1"],
+        "3#0": ["3#0_0"],
+        "4#0": ["4#0_0"],
+        "4#1": ["4#1_0"],
+    }
+
+
+def test_a_lane_says_which_segment_it_is_part_of(fork: LaneGraph) -> None:
+    params = [lane.find("param").attrib for lane in _net(fork).iter("lane")]
+    assert params[1] == {"key": "av2.lane_segment_id", "value": "2"}
+
+
+def test_shapes_keep_the_vertices_of_the_centreline_and_join_at_the_borders(fork: LaneGraph) -> None:
+    """Lane 1 is cut at 4 m; its vertex at 5 m belongs to the second cell."""
+    shapes = {lane.get("id"): lane.get("shape") for lane in _net(fork).iter("lane")}
+    assert shapes["1#0_0"] == "0.000,0.000 4.000,0.000"
+    assert shapes["1#1_0"] == "4.000,0.000 5.000,0.000 8.000,0.000"
+
+
+def test_a_vertex_on_a_border_appears_once_in_each_cell(lane: Lane, graph: Graph) -> None:
+    shapes = [lane.get("shape") for lane in _net(graph(lane(1, [(0, 0), (4, 0), (8, 0)]))).iter("lane")]
+    assert shapes == ["0.000,0.000 4.000,0.000", "4.000,0.000 8.000,0.000"]
+
+
+def test_lengths_are_arc_lengths_and_widths_those_of_the_lane(fork: LaneGraph) -> None:
+    """Lane 4 is 2 + sqrt(2) + 2 = 5.414214 m long: two cells of 2.707107 m."""
+    lanes = {lane.get("id"): lane for lane in _net(fork).iter("lane")}
+    assert lanes["4#0_0"].get("length") == "2.707107"
+    assert lanes["1#0_1"].get("width") == "1.50"
+
+
+def test_only_bicycles_use_bicycle_lanes(fork: LaneGraph) -> None:
+    allowed = {lane.get("id"): lane.get("allow") for lane in _net(fork).iter("lane")}
+    assert allowed["1#0_1"] == "bicycle"
+    assert allowed["1#0_0"] is None
+
+
+def test_a_solid_line_is_crossed_by_emergency_vehicles_only(fork: LaneGraph) -> None:
+    """Lane 1 sees a solid line on its left, lane 2 a dashed one on its right; the outer sides need no rule."""
+    lanes = {lane.get("id"): lane for lane in _net(fork).iter("lane")}
+    assert (lanes["1#0_0"].get("changeLeft"), lanes["1#0_0"].get("changeRight")) == ("emergency", None)
+    assert (lanes["1#0_1"].get("changeLeft"), lanes["1#0_1"].get("changeRight")) == (None, None)
+
+
+def test_connections_are_the_longitudinal_and_inter_lane_links(fork: LaneGraph) -> None:
+    links = {
+        tuple(link.get(key) for key in ("from", "fromLane", "to", "toLane", "dir"))
+        for link in _net(fork).iterfind("connection")
+    }
+    assert links == {
+        ("1#0", "0", "1#1", "0", "s"),
+        ("1#0", "1", "1#1", "1", "s"),
+        ("1#1", "0", "3#0", "0", "s"),
+        ("1#1", "0", "4#0", "0", "r"),
+        ("4#0", "0", "4#1", "0", "s"),
+    }
+
+
+def test_connected_edges_meet_in_one_junction(fork: LaneGraph) -> None:
+    net = _net(fork)
+    ends = {edge.get("id"): (edge.get("from"), edge.get("to")) for edge in net.iterfind("edge")}
+    assert ends["1#1"][1] == ends["3#0"][0] == ends["4#0"][0]
+    assert len({junction for pair in ends.values() for junction in pair}) == len(list(net.iterfind("junction"))) == 6
+    (meeting,) = [j for j in net.iterfind("junction") if j.get("id") == ends["1#1"][1]]
+    assert meeting.get("incLanes") == "1#1_0 1#1_1"
+    assert meeting.get("type") == "unregulated"
+    # The middle of the ends at (8, 0), (8, 3), (8, 0), (8, 0).
+    assert (meeting.get("x"), meeting.get("y")) == ("8.000", "0.750")
+
+
+def test_the_net_has_a_version_and_no_offset(fork: LaneGraph) -> None:
+    """Without a version attribute a broken reference would crash SUMO."""
+    net = _net(fork)
+    assert net.get("version") == "1.20"
+    assert net.find("location").get("netOffset") == "0.00,0.00"
+    assert net.find("location").get("convBoundary") == "0.00,-3.00,12.00,3.00"
+
+
+def test_the_speed_limit_is_the_caller_s(fork: LaneGraph) -> None:
+    net = etree.fromstring(net_bytes(build_cell_grid(fork), speed_limit_mps=13.9))
+    assert {lane.get("speed") for lane in net.iter("lane")} == {"13.9"}
+
+
+def test_equal_grids_give_equal_bytes(fork: LaneGraph) -> None:
+    assert net_bytes(build_cell_grid(fork)) == net_bytes(build_cell_grid(LaneGraph(fork.lanes)))
+
+
+def test_a_net_that_cannot_be_written_is_an_error_that_names_the_file(fork: LaneGraph, tmp_path: Path) -> None:
+    grid = build_cell_grid(fork)
+    write_net(grid, tmp_path / "x.net.xml")
+    assert (tmp_path / "x.net.xml").read_bytes() == net_bytes(grid)
+    with pytest.raises(NetError, match=r"missing/x\.net\.xml: cannot write the net"):
+        write_net(grid, tmp_path / "missing" / "x.net.xml")
