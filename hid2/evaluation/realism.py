@@ -192,12 +192,12 @@ def count_scene(
             rows = slice(int(arrays.first[agent]), int(arrays.first[agent + 1]))
             _count(counts, feature, histogram(feature, values[rows][defined[rows]]), split)
     duration = FEATURES[-1]
-    for agent in np.flatnonzero(generated | recorded):
-        found = histogram(duration, durations.get(arrays.track_ids[agent], ()))
-        if generated[agent]:
+    for member in np.flatnonzero(generated | recorded):
+        found = histogram(duration, durations.get(arrays.track_ids[member], ()))
+        if generated[member]:
             counts.generated[duration.name] += found
         else:
-            _count(counts, duration, found, splits[int(agent)])
+            _count(counts, duration, found, splits[int(member)])
     return counts
 
 
