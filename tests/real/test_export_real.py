@@ -1,0 +1,60 @@
+"""Real scenes written with vehicles added: av2 loads them, validation passes, every recorded bit is kept."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
+from av2.map.map_api import ArgoverseStaticMap
+
+from bridge.export import write_scene
+from bridge.scenario import read_scenario
+from bridge.validate import validate_folder
+
+
+@pytest.mark.parametrize("focal", ["recorded", "generated"])
+def test_real_scene_with_vehicles_added_is_valid(
+    real_scene: Path, tmp_path: Path, fake_generated: Callable[..., Any], focal: str, shared_data: Path
+) -> None:
+    scenario = read_scenario(real_scene)
+    tracks, sidecar, new_id = fake_generated(scenario)
+    focal_track_id = scenario.focal_track_id if focal == "recorded" else "gen_1"
+    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal_track_id)
+    assert validate_folder(tmp_path, source=shared_data / "av2") == []
+
+    table = pq.read_table(folder / f"scenario_{new_id}.parquet")
+    source = pq.read_table(real_scene / f"scenario_{real_scene.name}.parquet")
+    assert table.schema.names == source.schema.names
+    for name in ("position_x", "position_y", "heading", "velocity_x", "velocity_y"):
+        ours, theirs = (column.to_numpy().view(np.int64) for column in (table.column(name), source.column(name)))
+        assert np.array_equal(ours[: len(theirs)], theirs)
+    again = load_argoverse_scenario_parquet(folder / f"scenario_{new_id}.parquet")
+    assert len(again.tracks) == len(scenario.tracks) + 2
+    assert again.focal_track_id == focal_track_id
+    path = folder / f"log_map_archive_{new_id}.json"
+    assert path.read_bytes() == scenario.map_path.read_bytes()
+    assert len(ArgoverseStaticMap.from_json(path).vector_lane_segments) == len(
+        json.loads(path.read_bytes())["lane_segments"]
+    )
+
+
+def test_a_changed_bit_of_a_real_scene_is_found(
+    real_scene: Path, tmp_path: Path, fake_generated: Callable[..., Any], edit_rows: Callable[..., None]
+) -> None:
+    scenario = read_scenario(real_scene)
+    tracks, sidecar, new_id = fake_generated(scenario)
+    focal = scenario.focal_track_id
+    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
+
+    def change(rows: Any) -> Any:
+        rows.loc[7, "position_y"] = np.nextafter(rows.loc[7, "position_y"], np.inf)
+        return rows
+
+    edit_rows(folder, change)
+    findings = validate_folder(tmp_path, source=real_scene)
+    assert [finding.rule for finding in findings] == ["source"]
+    assert "position_y" in findings[0].message

@@ -1,0 +1,202 @@
+"""The synthetic data set: made byte for byte by its script, in the format, and like traffic."""
+
+import importlib.util
+import json
+from collections import Counter
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+import shapely
+from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
+from av2.map.lane_segment import LaneType
+from av2.map.map_api import ArgoverseStaticMap
+
+from bridge.config import load_config
+from bridge.scenario import Scenario, read_scenario
+from netconvert.geometry import box_corners, boxes_overlap
+
+
+@pytest.fixture(scope="module")
+def script(data_root: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location("make_data", data_root.parent / "make_data.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def scenario(data_scene: Path) -> Scenario:
+    return read_scenario(data_scene)
+
+
+def test_script_makes_the_data_set_byte_for_byte(script: ModuleType, data_root: Path, tmp_path: Path) -> None:
+    """A parquet file also names the pyarrow that wrote it: with another one the tables are compared instead."""
+    script.make(tmp_path)
+    made = sorted(path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file())
+    assert made == sorted(path.relative_to(data_root) for path in data_root.rglob("*") if path.is_file())
+    assert len(made) == 6
+    for path in made:
+        ours, theirs = data_root / path, tmp_path / path
+        if path.suffix == ".parquet" and _writer(ours) != _writer(theirs):
+            assert pq.read_table(ours).equals(pq.read_table(theirs))
+        else:
+            assert ours.read_bytes() == theirs.read_bytes(), path
+
+
+def test_own_sines_and_angles_are_right(script: ModuleType) -> None:
+    angles = np.linspace(-7, 7, 1001)
+    assert np.abs(script.sin(angles) - np.sin(angles)).max() < 1e-13
+    assert np.abs(script.cos(angles) - np.cos(angles)).max() < 1e-13
+    vectors = 3 * np.column_stack([np.cos(angles), np.sin(angles)])
+    error = script.direction(vectors) - np.arctan2(vectors[:, 1], vectors[:, 0])
+    assert np.abs(np.sin(error / 2)).max() < 1e-13
+
+
+def test_av2_loads_scene_and_map(data_scene: Path) -> None:
+    theirs = load_argoverse_scenario_parquet(data_scene / f"scenario_{data_scene.name}.parquet")
+    assert len(theirs.timestamps_ns) == 110
+    assert np.diff(theirs.timestamps_ns) == pytest.approx(1e8)
+    static_map = ArgoverseStaticMap.from_json(data_scene / f"log_map_archive_{data_scene.name}.json")
+    assert all(lane.lane_type is LaneType.VEHICLE for lane in static_map.vector_lane_segments.values())
+    for lane in static_map.vector_lane_segments.values():
+        centre = static_map.get_lane_segment_centerline(lane.id)
+        assert len(centre) == 10
+        document = json.loads((data_scene / f"log_map_archive_{data_scene.name}.json").read_bytes())
+        ours = np.array([[p["x"], p["y"]] for p in document["lane_segments"][str(lane.id)]["centerline"]])
+        gap = shapely.LineString(ours).hausdorff_distance(shapely.LineString(centre[:, :2]))
+        assert gap < 0.1, f"{lane.id}: centreline {gap:.2f} m from the middle of its boundaries"
+
+
+def test_scene_has_the_cast_that_was_asked_for(scenario: Scenario) -> None:
+    kinds = Counter(track.object_type for track in scenario.tracks)
+    assert kinds["bus"] == 1
+    assert kinds["cyclist"] == 1
+    assert kinds["pedestrian"] >= 3
+    moving = [track for track in scenario.tracks if track.object_type == "vehicle" and track.path_m > 5]
+    assert len(moving) >= 10
+    parked = [track for track in scenario.tracks if track.object_type == "vehicle" and track.path_m == 0]
+    assert len(parked) >= 6
+    late = [track for track in moving if track.timesteps[0] > 49]
+    assert len(late) == 1
+    assert [track.track_id for track in scenario.tracks].count("AV") == 1
+    assert scenario.num_steps == 110
+    assert all(len(track.timesteps) == 110 for track in scenario.tracks if track.category >= 2)
+    assert all(track.track_id == "AV" or track.track_id.isdigit() for track in scenario.tracks)
+
+
+def test_no_box_overlaps_another(scenario: Scenario) -> None:
+    for step in range(scenario.num_steps):
+        boxes = [
+            box_corners(
+                track.position[track.timesteps == step],
+                track.heading[track.timesteps == step],
+                length_m=track.size.length_m,
+                width_m=track.size.width_m,
+            )
+            for track in scenario.tracks
+            if step in track.timesteps
+        ]
+        corners = np.concatenate(boxes)
+        overlap = boxes_overlap(corners[:, None], corners[None, :])
+        assert not np.triu(overlap, 1).any(), step
+
+
+def test_motion_is_smooth_and_possible(scenario: Scenario) -> None:
+    """Velocity is the derivative of position; accelerations, yaw rates and jerks of a calm driver."""
+    for track in scenario.tracks:
+        derivative = np.gradient(track.position, 0.1, axis=0)
+        assert np.hypot(*(derivative - track.velocity)[1:-1].T).max() < 0.01, track.track_id
+        speed = track.speed
+        acceleration = np.diff(track.velocity, axis=0) / 0.1
+        jerk = np.diff(acceleration, axis=0) / 0.1
+        turning = np.diff(np.unwrap(track.heading)) / 0.1
+        assert np.abs(np.diff(speed) / 0.1).max() < 2.5
+        assert np.hypot(*acceleration.T).max() < 3.0
+        assert np.hypot(*jerk.T).max() < 4.0
+        assert np.abs(turning).max() < 0.7
+        fast = speed > 0.5
+        course = np.arctan2(track.velocity[fast, 1], track.velocity[fast, 0])
+        assert np.abs(np.sin((track.heading[fast] - course) / 2)).max(initial=0.0) < 0.001
+
+
+def test_vehicles_and_lanes_lie_on_drivable_ground(scenario: Scenario) -> None:
+    """But for vehicles that are on their way in or out of the map."""
+    ground = shapely.union_all([shapely.Polygon(area) for area in scenario.graph.drivable_areas]).buffer(0.05)
+    for lane in scenario.graph.lanes.values():
+        assert lane.left_boundary is not None
+        assert lane.right_boundary is not None
+        assert ground.covers(shapely.Polygon(np.vstack([lane.left_boundary, lane.right_boundary[::-1]]))), lane.lane_id
+    for track in scenario.tracks:
+        if track.object_type in ("vehicle", "bus"):
+            whole = len(track.timesteps) == scenario.num_steps
+            corners = box_corners(
+                track.position, track.heading, length_m=track.size.length_m, width_m=track.size.width_m
+            )
+            points = corners.reshape(-1, 2) if whole else track.position
+            assert ground.covers(shapely.MultiPoint(points)), track.track_id
+
+
+def test_links_are_mutual_and_meet(scenario: Scenario) -> None:
+    lanes = scenario.graph.lanes
+    for lane in lanes.values():
+        for successor in lane.successors:
+            assert np.array_equal(lane.centerline[-1], lanes[successor].centerline[0])
+        for side, other in (("left", "right"), ("right", "left")):
+            neighbor = scenario.graph.neighbor(lane.lane_id, side)
+            assert neighbor is None or scenario.graph.neighbor(neighbor, other) == lane.lane_id
+    assert all(link.kind in ("left_neighbor", "right_neighbor") for link in scenario.graph.dropped)
+
+
+def test_arterial_has_slow_leaders_beside_free_lanes(data_scenes: dict[str, Path]) -> None:
+    scenario = read_scenario(data_scenes["arterial"])
+    rows = {lane_id for lane_id in scenario.graph.lanes if scenario.graph.neighbor(lane_id, "left") is not None}
+    middle = [lane_id for lane_id in rows if scenario.graph.neighbor(lane_id, "right") is not None]
+    assert len(middle) == 6
+    assert sum(scenario.graph.lanes[lane_id].length_m for lane_id in middle) == pytest.approx(320, abs=2)
+    assert all(scenario.graph.may_change(lane_id, side) for lane_id in middle for side in ("left", "right"))
+    speeds = [track.speed.mean() for track in scenario.tracks if track.object_type == "vehicle" and track.path_m > 5]
+    assert sum(5 <= speed <= 6.5 for speed in speeds) == 2
+    assert sum(10 <= speed <= 14.1 for speed in speeds) >= 6
+
+
+def test_intersection_has_turns_both_ways_and_straight_on(data_scenes: dict[str, Path]) -> None:
+    lanes = read_scenario(data_scenes["intersection"]).graph.lanes.values()
+    assert Counter(lane.turn.value for lane in lanes if lane.is_intersection) == {
+        "straight": 6,
+        "left_turn": 4,
+        "right_turn": 4,
+    }
+
+
+def test_curve_splits_and_merges(data_scenes: dict[str, Path]) -> None:
+    graph = read_scenario(data_scenes["curve"]).graph
+    assert sorted(len(lane.successors) for lane in graph.lanes.values()).count(2) == 1
+    assert sorted(len(graph.predecessors(lane_id)) for lane_id in graph.lanes).count(2) == 1
+
+
+def test_example_configurations_are_valid(data_root: Path) -> None:
+    examples = sorted((data_root.parent / "configs").glob("*.toml"))
+    assert examples
+    for path in examples:
+        load_config(path)
+
+
+def test_pandas_reads_the_types_of_a_recorded_file(data_scene: Path) -> None:
+    rows = pd.read_parquet(data_scene / f"scenario_{data_scene.name}.parquet")
+    assert rows.index.equals(pd.RangeIndex(len(rows)))
+    assert {name: str(rows[name].dtype) for name in ("observed", "timestep", "position_x", "map_id")} == {
+        "observed": "bool",
+        "timestep": "int64",
+        "position_x": "float64",
+        "map_id": "uint64",
+    }
+
+
+def _writer(path: Path) -> str:
+    return str(pq.ParquetFile(path).metadata.created_by)
