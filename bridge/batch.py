@@ -9,7 +9,6 @@ import fcntl
 import re
 import shutil
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version as installed_version
@@ -19,19 +18,18 @@ from typing import TYPE_CHECKING
 
 from bridge.config import config_sha256
 from bridge.engine import Outcome, Settings, Task, execute
-from bridge.isolation import Failure, describe_error
+from bridge.isolation import Failure
 from bridge.manifest import DONE, QUARANTINED, Manifest, ManifestRow, files_sha256, output_files, source_files
 from bridge.quarantine import Bundle, read_bundle, write_bundle
 from bridge.scenario import SPLITS
-from hid2.agents import Policy
 from hid2.params import Config
 from netconvert.errors import BatchError, ExportError
 
 if TYPE_CHECKING:
-    from bridge.sidecar import Sidecar
+    pass
 
 QUARANTINE = "quarantine"
-GENERATE = "bridge.batch:generate_runs"
+GENERATE = "bridge.scene_work:generate_runs"
 
 _HALF_WRITTEN = re.compile(r"\.[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}-.*")
 
@@ -161,34 +159,6 @@ def run_batch(
     return sorted(rows, key=lambda row: row.key)
 
 
-def generate_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
-    """The work of a scene process: read the scene once, generate and write each run."""
-    from bridge.generate import generate, write  # libsumo: in the scene process only
-    from bridge.scenario import read_scenario
-
-    scenario, unreadable = None, None
-    try:
-        scenario = read_scenario(place.folder)
-    except Exception as error:  # noqa: BLE001  # every run of the scene is quarantined with it
-        unreadable = describe_error(error)
-    for run in runs:
-        if scenario is None:
-            assert unreadable is not None
-            yield unreadable
-            continue
-        try:
-            scene = generate(scenario, run.config, variant=run.variant)
-            folder = write(scene, place.out)
-            yield summarise(scene.sidecar, base_row(place, run))._replace(
-                city=scenario.city,
-                recorded=len(scenario.tracks),
-                folder=folder.relative_to(place.out).as_posix(),
-                output_sha256=files_sha256(output_files(folder)),
-            )
-        except Exception as error:  # noqa: BLE001  # quarantined with its traceback
-            yield describe_error(error)
-
-
 def base_row(place: Place, run: Run) -> ManifestRow:
     """What is known about a run before it starts."""
     split = place.folder.resolve().parent.name
@@ -202,33 +172,6 @@ def base_row(place: Place, run: Run) -> ManifestRow:
         config_sha256=config_sha256(run.config),
         version=installed_version("hid2-sumo"),
     )
-
-
-def summarise(sidecar: "Sidecar", row: ManifestRow) -> ManifestRow:
-    """Add what a sidecar says about vehicles and manoeuvres."""
-    maneuvers = [maneuver for agent in sidecar.agents for maneuver in agent.maneuvers]
-    done = Counter(maneuver.kind for maneuver in maneuvers if maneuver.status == "done")
-    not_done = Counter(
-        f"{maneuver.kind}: {maneuver.reason or maneuver.status}" for maneuver in maneuvers if maneuver.status != "done"
-    )
-    return row._replace(
-        placed=sidecar.placed.agents,
-        straight=sidecar.placed.behaviours.get(Policy.STRAIGHT, 0),
-        left_turn=done["left_turn"],
-        right_turn=done["right_turn"],
-        lane_change=done["lane_change"],
-        overtake=done["overtake"],
-        maneuvers_requested=len(maneuvers),
-        maneuvers_done=sum(done.values()),
-        rejected=join_counts({entry.reason: entry.count for entry in sidecar.rejected}),
-        not_done=join_counts(not_done),
-    )
-
-
-def join_counts(counts: "dict[str, int] | Counter[str]") -> str:
-    """One text "reason (count); ...", most frequent first."""
-    ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
-    return "; ".join(f"{reason} ({count})" for reason, count in ordered)
 
 
 def reproduce(path: Path, out_dir: Path) -> tuple[Bundle, ManifestRow]:

@@ -133,7 +133,7 @@ def generate(
         raise typer.Exit(INTERRUPTED) from None
     if not quiet:
         print_batch(rows)
-        for row in rows[: 3 * len(folders)] if len(rows) <= _SHOWN_PATHS else []:
+        for row in rows if len(rows) <= _SHOWN_PATHS else []:
             if row.folder:
                 print(out / row.folder)
         print(out / "manifest.csv")
@@ -177,6 +177,43 @@ def validate(
     if not quiet:
         say(f"{out}: {len(findings) or 'no'} finding{'' if len(findings) == 1 else 's'}")
     raise typer.Exit(SOME_FAILED if findings else ALL_DONE)
+
+
+@app.command()
+def render(
+    scene: Scene,
+    out: Annotated[Path, typer.Option("-o", "--out", help="File to write: .png, .gif or .mp4.")],
+    *,
+    source: Annotated[Path | None, typer.Option(help="The source scene, shown before the generated one.")] = None,
+    agent: Annotated[str | None, typer.Option(metavar="ID", help="Show the surroundings of this track.")] = None,
+    cells: Annotated[bool, typer.Option("--cells", help="Show the cells of the lanes.")] = False,
+    step: Annotated[
+        int | None, typer.Option(min=0, help="Timestep of a picture; the last observed one by default.")
+    ] = None,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Draw a scene from above, before and after: a picture or a film."""
+    _set_up(verbose=verbose, quiet=quiet)
+    from bridge.render import render_scene
+
+    print(render_scene(scene, out, source=source, agent=agent, cells=cells, step=step))
+
+
+@app.command()
+def plot(
+    scene: Scene,
+    out: Annotated[Path, typer.Option("-o", "--out", help="File to write: .png.")],
+    agent: Annotated[str, typer.Option(metavar="ID", help="The track, for example gen_0.")],
+    *,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Draw one track over time: speed, acceleration, jerk, lateral offset and cells, with its manoeuvres marked."""
+    _set_up(verbose=verbose, quiet=quiet)
+    from bridge.plot import plot_agent
+
+    print(plot_agent(scene, agent, out))
 
 
 @app.command("config")

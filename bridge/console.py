@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from types import TracebackType
 
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
@@ -19,6 +20,8 @@ _PLAIN_EVERY_S = 10.0
 #: A batch with more runs than this is summed up instead of listed.
 _LISTED_RUNS = 24
 _PLAIN_WIDTH = 200
+#: Reasons shown in a row of the table; manifest.csv has them all.
+_REASONS = 3
 
 
 def say(message: str) -> None:
@@ -30,9 +33,8 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
     """Print a table on stdout; columns of numbers are aligned right, the last column wraps."""
     terminal = sys.stdout.isatty()
     console = Console(width=None if terminal else _PLAIN_WIDTH, highlight=False, soft_wrap=False)
-    table = Table(title=title if terminal else None, title_justify="left", header_style="bold" if terminal else "")
+    table = Table(title=title if terminal else None, title_justify="left", box=box.SIMPLE_HEAD if terminal else None)
     if not terminal:
-        table.box = None  # plain
         table.pad_edge = False
         console.print(title)
     for index, column in enumerate(columns):
@@ -141,7 +143,14 @@ def print_batch(rows: Sequence[ManifestRow]) -> None:
 def _line(row: ManifestRow) -> tuple[object, ...]:
     if row.status != DONE:
         return (row.scenario, row.variant, "-", "-", "-", "-", "-", "-", row.seconds, f"{row.failure}: {row.reason}")
-    remarks = "; ".join(filter(None, (f"not placed: {row.rejected}" if row.rejected else "", row.not_done)))
+    remarks = "; ".join(
+        f"{what}: {', '.join(reasons.split('; ')[:_REASONS])}"
+        for what, reasons, told in (
+            ("not done", row.not_done, True),
+            ("candidates rejected", row.rejected, row.requested == "max" or row.placed < int(row.requested)),
+        )
+        if reasons and told
+    )
     return (
         row.scenario,
         row.variant,

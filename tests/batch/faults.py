@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from bridge.batch import Place, Run, base_row, generate_runs
+from bridge.batch import Place, Run, base_row
 from bridge.config import config_sha256, config_to_dict
 from bridge.isolation import Failure, describe_error
 from bridge.manifest import ManifestRow, files_sha256, output_files
@@ -73,6 +73,8 @@ def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]
 
 def generated(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
     """Generate as the product does, after the scene's fault."""
+    from bridge.scene_work import generate_runs
+
     for run in runs:
         try:
             meet_fault(place, run)

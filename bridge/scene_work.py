@@ -1,0 +1,69 @@
+"""What a scene process does: generate and write the runs on one scene. Imports libsumo, so the caller must not."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+
+from bridge.batch import Place, Run, base_row
+from bridge.generate import PreparedScene, generate, prepare, write
+from bridge.isolation import Failure, describe_error
+from bridge.manifest import ManifestRow, files_sha256, output_files
+from bridge.scenario import read_scenario
+from bridge.sidecar import Sidecar
+from hid2.agents import Policy
+from hid2.params import Grid
+
+
+def generate_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+    """The work of a scene process: read the scene and build its net once, generate and write each run."""
+    scenario, unreadable = None, None
+    prepared: dict[Grid, PreparedScene] = {}
+    try:
+        scenario = read_scenario(place.folder)
+    except Exception as error:  # noqa: BLE001  # every run of the scene is quarantined with it
+        unreadable = describe_error(error)
+    for run in runs:
+        if scenario is None:
+            assert unreadable is not None
+            yield unreadable
+            continue
+        try:
+            grid = run.config.grid
+            if grid not in prepared:
+                prepared[grid] = prepare(scenario, run.config)
+            scene = generate(prepared[grid], run.config, variant=run.variant)
+            folder = write(scene, place.out)
+            yield summarise(scene.sidecar, base_row(place, run))._replace(
+                city=scenario.city,
+                recorded=len(scenario.tracks),
+                folder=folder.relative_to(place.out).as_posix(),
+                output_sha256=files_sha256(output_files(folder)),
+            )
+        except Exception as error:  # noqa: BLE001  # quarantined with its traceback
+            yield describe_error(error)
+
+
+def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
+    """Add what a sidecar says about vehicles and manoeuvres."""
+    maneuvers = [maneuver for agent in sidecar.agents for maneuver in agent.maneuvers]
+    done = Counter(maneuver.kind for maneuver in maneuvers if maneuver.status == "done")
+    not_done = Counter(
+        f"{maneuver.kind}: {maneuver.reason or maneuver.status}" for maneuver in maneuvers if maneuver.status != "done"
+    )
+    return row._replace(
+        placed=sidecar.placed.agents,
+        straight=sidecar.placed.behaviours.get(Policy.STRAIGHT, 0),
+        left_turn=done["left_turn"],
+        right_turn=done["right_turn"],
+        lane_change=done["lane_change"],
+        overtake=done["overtake"],
+        maneuvers_requested=len(maneuvers),
+        maneuvers_done=sum(done.values()),
+        rejected=join_counts({entry.reason: entry.count for entry in sidecar.rejected}),
+        not_done=join_counts(not_done),
+    )
+
+
+def join_counts(counts: Mapping[str, int]) -> str:
+    """One text "reason (count); ...", most frequent first."""
+    ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+    return "; ".join(f"{reason} ({count})" for reason, count in ordered)
