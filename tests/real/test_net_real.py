@@ -1,0 +1,133 @@
+"""Maps and nets of the real scenes: the same contents as av2's own map API, and everything of them in the net."""
+
+import copy
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from av2.map.map_api import ArgoverseStaticMap
+
+from bridge.net import convert
+from netconvert.av2_map import lane_graph_from_json, read_lane_graph
+from netconvert.cells import build_cell_grid
+from netconvert.fidelity import UNEXPLAINED
+from netconvert.lane_graph import SIDES, LaneGraph
+
+
+def _map_path(scene: Path) -> Path:
+    (path,) = scene.glob("log_map_archive_*.json")
+    return path
+
+
+def _check_against_av2(graph: LaneGraph, theirs: ArgoverseStaticMap) -> None:
+    assert set(graph.lanes) == set(theirs.vector_lane_segments)
+    for lane_id, lane in graph.lanes.items():
+        other = theirs.vector_lane_segments[lane_id]
+        assert lane.left_boundary is not None
+        assert lane.right_boundary is not None
+        assert np.array_equal(lane.left_boundary, other.left_lane_boundary.xyz[:, :2])
+        assert np.array_equal(lane.right_boundary, other.right_lane_boundary.xyz[:, :2])
+        assert lane.lane_type == other.lane_type.value
+        assert lane.is_intersection is other.is_intersection is theirs.lane_is_in_intersection(lane_id)
+        assert list(lane.successors) == other.successors == theirs.get_lane_segment_successor_ids(lane_id)
+        assert lane.left_neighbor_id == theirs.get_lane_segment_left_neighbor_id(lane_id)
+        assert lane.right_neighbor_id == theirs.get_lane_segment_right_neighbor_id(lane_id)
+        assert lane.left_mark_type == other.left_mark_type.value
+        assert lane.right_mark_type == other.right_mark_type.value
+    areas = list(theirs.vector_drivable_areas.values())
+    assert len(graph.drivable_areas) == len(areas)
+    for ring, area in zip(graph.drivable_areas, areas, strict=True):
+        assert np.array_equal(ring, area.xyz[:, :2])
+
+
+def test_the_lane_graph_holds_what_av2_reads(real_scene: Path) -> None:
+    path = _map_path(real_scene)
+    _check_against_av2(read_lane_graph(path), ArgoverseStaticMap.from_json(path))
+
+
+def test_centrelines_are_those_of_the_file(real_scene: Path) -> None:
+    """av2 ignores them; the file's are finer than the ten points that it derives."""
+    path = _map_path(real_scene)
+    source = {
+        segment["id"]: [(point["x"], point["y"]) for point in segment["centerline"]]
+        for segment in json.loads(path.read_text())["lane_segments"].values()
+    }
+    for lane_id, lane in read_lane_graph(path).lanes.items():
+        assert lane.centerline.tolist() == [list(point) for point in source[lane_id]]
+
+
+def test_without_centrelines_the_mid_lines_are_those_that_av2_derives(real_scene: Path) -> None:
+    path = _map_path(real_scene)
+    data = copy.deepcopy(json.loads(path.read_text()))
+    for segment in data["lane_segments"].values():
+        del segment["centerline"]
+    theirs = ArgoverseStaticMap.from_json(path)
+    for lane_id, lane in lane_graph_from_json(data, name="map").lanes.items():
+        expected = theirs.get_lane_segment_centerline(lane_id)[:, :2]
+        assert np.abs(lane.centerline - expected).max() <= 1e-6
+
+
+def test_followed_links_are_the_file_s_links_within_the_map(real_scene: Path) -> None:
+    """Every successor in the map and every neighbour whose chord points the same way; the rest is accounted for."""
+    graph = read_lane_graph(_map_path(real_scene))
+    chord = {lane_id: lane.centerline[-1] - lane.centerline[0] for lane_id, lane in graph.lanes.items()}
+    dropped = {(link.kind, link.source, link.target) for link in graph.dropped}
+    for lane_id, lane in graph.lanes.items():
+        assert graph.successors(lane_id) == tuple(target for target in lane.successors if target in graph.lanes)
+        for target in set(lane.successors) - set(graph.lanes):
+            assert ("successor", lane_id, target) in dropped
+        for target in graph.successors(lane_id):
+            assert lane_id in graph.predecessors(target)
+            assert np.hypot(*(graph.lanes[target].centerline[0] - lane.centerline[-1])) < 0.01
+        for side in SIDES:
+            stated = lane.neighbor_id(side)
+            same_way = stated in graph.lanes and float(np.dot(chord[lane_id], chord[stated])) > 0.0
+            assert graph.neighbor(lane_id, side) == (stated if same_way else None)
+            assert (stated is None) or same_way or (f"{side}_neighbor", lane_id, stated) in dropped
+
+
+def test_no_cell_is_longer_than_asked_and_its_middle_lies_on_its_ground(real_scene: Path) -> None:
+    grid = build_cell_grid(read_lane_graph(_map_path(real_scene)))
+    assert max(grid.length_m(cell) for cell in grid.cells) <= 4.0 + 1e-9
+    assert shapely.contains_xy(grid.polygons, grid.centers[:, 0], grid.centers[:, 1]).all()
+
+
+def test_neighbours_have_equally_many_cells_that_face_each_other(real_scene: Path) -> None:
+    grid = build_cell_grid(read_lane_graph(_map_path(real_scene)))
+    for cell in grid.cells:
+        for side, other in (("left", "right"), ("right", "left")):
+            link = grid.lateral(cell, side)  # type: ignore[arg-type]
+            if link is None:
+                assert grid.graph.neighbor(cell.lane_id, side) is None  # type: ignore[arg-type]
+                continue
+            assert link.target == (grid.graph.neighbor(cell.lane_id, side), cell.index)  # type: ignore[arg-type]
+            back = grid.lateral(link.target, other)  # type: ignore[arg-type]
+            assert back is not None
+            assert back.target == cell
+
+
+def test_overlaps_are_mutual_and_found_between_lanes_only(real_scene: Path) -> None:
+    """370 to 1,320 pairs a map were counted when the design was made, with another measure of touching."""
+    grid = build_cell_grid(read_lane_graph(_map_path(real_scene)))
+    pairs = 0
+    for cell in grid.cells:
+        for other in grid.overlaps(cell):
+            pairs += 1
+            assert other.lane_id != cell.lane_id
+            assert cell in grid.overlaps(other)
+    assert 100 <= pairs // 2 <= 2000
+
+
+@pytest.mark.parametrize("cell_m", [4.0, 2.5])
+def test_the_net_has_every_lane_on_its_centreline_and_every_link_or_its_reason(
+    real_scene: Path, tmp_path: Path, cell_m: float
+) -> None:
+    report = convert(real_scene, tmp_path, cell_m=cell_m)
+    assert report.lanes_in == report.lanes_out > 0
+    assert report.largest_distance_m <= 0.01
+    assert report.successors_kept + sum(link.kind == "successor" for link in report.lost) == report.successors_in
+    assert report.neighbors_kept + sum(link.kind != "successor" for link in report.lost) == report.neighbors_in
+    assert UNEXPLAINED not in {link.reason for link in report.lost}
+    assert {link.reason for link in report.lost} == {"the other lane is outside the map"}

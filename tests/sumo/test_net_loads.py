@@ -1,0 +1,183 @@
+"""SUMO itself reads the nets: against its schemas, with the sumo program, through libsumo. No warning anywhere."""
+
+import importlib.util
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from lxml import etree
+
+from bridge.net import convert
+from netconvert.av2_map import read_lane_graph
+from netconvert.cells import CellGrid, build_cell_grid
+from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
+from netconvert.net_xml import write_net
+
+# libsumo allows one simulation a process and prints its warnings past Python: each net gets a process of its own.
+DUMP = """
+import json, os, sys
+os.environ["LIBSUMO_AS_TRACI"] = "quiet"
+import libsumo
+libsumo.start(["sumo", "-n", sys.argv[1], "--step-length", "0.1", "--no-step-log", "--message-log", os.devnull])
+lanes = {
+    lane: {
+        "segment": libsumo.lane.getParameter(lane, "av2.lane_segment_id"),
+        "shape": libsumo.lane.getShape(lane),
+        "length": libsumo.lane.getLength(lane),
+        "links": sorted(link[0] for link in libsumo.lane.getLinks(lane)),
+        "allowed": libsumo.lane.getAllowed(lane),
+        "left": libsumo.lane.getChangePermissions(lane, 1),
+    }
+    for lane in libsumo.lane.getIDList()
+}
+for _ in range(3):
+    libsumo.simulationStep()
+libsumo.close()
+json.dump(lanes, open(sys.argv[2], "w"))
+"""
+
+
+def _schema(name: str) -> etree.XMLSchema:
+    spec = importlib.util.find_spec("sumo_data")
+    assert spec is not None, "sumo-data comes with libsumo"
+    assert spec.submodule_search_locations is not None
+    return etree.XMLSchema(etree.parse(Path(next(iter(spec.submodule_search_locations))) / "data" / "xsd" / name))
+
+
+def _messages(*arguments: str) -> str:
+    """Everything that the sumo program prints about a run of one step, which must end well."""
+    sumo = shutil.which("sumo", path=str(Path(sys.executable).parent)) or shutil.which("sumo")
+    assert sumo, "sumo is not installed: use the extra gui or the dev group"
+    command = [sumo, *arguments, "--end", "1", "--no-step-log", "--xml-validation", "never"]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    return (result.stdout + result.stderr).strip()
+
+
+def _dump(net: Path, folder: Path) -> dict[str, dict]:
+    """What libsumo says of each lane, after it has loaded the net without printing anything."""
+    result = subprocess.run([sys.executable, "-c", DUMP, net, folder / "lanes.json"], capture_output=True, text=True)
+    assert (result.returncode, result.stdout.strip(), result.stderr.strip()) == (0, "", "")
+    return json.loads((folder / "lanes.json").read_text())
+
+
+def _check_libsumo_sees_the_grid(grid: CellGrid, lanes: dict[str, dict]) -> None:
+    assert set(lanes) == set(grid.cell_of_sumo_lane)
+    for cell in grid.cells:
+        lane = lanes[grid.sumo_lane_id(cell)]
+        assert lane["segment"] == str(cell.lane_id)
+        assert lane["length"] == pytest.approx(grid.length_m(cell), abs=1e-5)
+        centerline = shapely.LineString(grid.graph.lanes[cell.lane_id].centerline)
+        assert shapely.distance(shapely.points(np.array(lane["shape"])), centerline).max() <= 0.01
+        following = grid.longitudinal(cell)
+        targets = grid.inter_lane(cell) if following is None else (following,)
+        assert lane["links"] == sorted(grid.sumo_lane_id(target) for target in targets)
+        assert (lane["allowed"] == ["bicycle"]) == (grid.graph.lanes[cell.lane_id].lane_type == "BIKE")
+        link = grid.lateral(cell, "left")
+        if link is not None:
+            assert (lane["left"] == ["emergency"]) is not link.allowed
+
+
+def _check_scene(scene: Path, folder: Path) -> None:
+    convert(scene, folder)
+    (net,) = folder.glob("*.net.xml")
+    for suffix, name in ((".net.xml", "net_file"), (".sumocfg", "sumoConfiguration"), (".poly.xml", "additional_file")):
+        schema = _schema(f"{name}.xsd")
+        document = etree.parse(net.with_name(net.name.replace(".net.xml", suffix)))
+        assert schema.validate(document), schema.error_log.last_error
+    assert _messages("-n", str(net)) == ""
+    assert _messages("-c", str(net).replace(".net.xml", ".sumocfg")) == ""
+    (map_path,) = scene.glob("log_map_archive_*.json")
+    _check_libsumo_sees_the_grid(build_cell_grid(read_lane_graph(map_path)), _dump(net, folder))
+
+
+def test_sumo_loads_the_net_of_a_real_scene_without_a_word(real_scene: Path, tmp_path: Path) -> None:
+    _check_scene(real_scene, tmp_path)
+
+
+def test_sumo_loads_the_net_of_a_synthetic_scene_without_a_word(data_scene: Path, tmp_path: Path) -> None:
+    _check_scene(data_scene, tmp_path)
+
+
+def _lane(
+    lane_id: int,
+    points: Sequence[tuple[float, float]],
+    *,
+    successors: tuple[int, ...] = (),
+    left: int | None = None,
+    lane_type: str = "VEHICLE",
+) -> LaneSegment:
+    return LaneSegment(
+        lane_id=lane_id,
+        centerline=np.array(points, dtype=np.float64),
+        left_boundary=None,
+        right_boundary=None,
+        lane_type=lane_type,
+        is_intersection=False,
+        successors=successors,
+        left_neighbor_id=left,
+        right_neighbor_id=None,
+        left_mark_type="NONE",
+        right_mark_type="SOLID_WHITE",
+        width_m=3.5,
+        turn=TurnType.STRAIGHT,
+    )
+
+
+# Maps that are legal but odd; each has been a problem for some reader of maps.
+ODD_MAPS = {
+    "cycle of three": [
+        _lane(1, [(0, 0), (10, 0)], successors=(2,)),
+        _lane(2, [(10, 0), (5, 8)], successors=(3,)),
+        _lane(3, [(5, 8), (0, 0)], successors=(1,)),
+    ],
+    "cycle of two single cells": [
+        _lane(1, [(0, 0), (2, 1), (3, 0)], successors=(2,)),
+        _lane(2, [(3, 0), (1, -1), (0, 0)], successors=(1,)),
+    ],
+    # Lane 1 leads to 2 and 3, and 2 leads to 3: the single cell of lane 2 starts and ends in one junction.
+    "a short cut round a short lane": [
+        _lane(1, [(0, 0), (10, 0)], successors=(2, 3)),
+        _lane(2, [(10, 0), (11, 0)], successors=(3,)),
+        _lane(3, [(11, 0), (20, 0)]),
+    ],
+    "lane of a millimetre": [
+        _lane(1, [(0, 0), (10, 0)], successors=(2,)),
+        _lane(2, [(10, 0), (10.001, 0)], successors=(3,)),
+        _lane(3, [(10.001, 0), (20, 0)]),
+    ],
+    "a millimetre beside a long lane": [
+        _lane(1, [(0, 0), (30, 0)], left=2),
+        _lane(2, [(15, 3), (15.001, 3)]),
+    ],
+    "points a tenth of a millimetre apart": [_lane(1, [(0, 0), (3, 0), (3.0001, 0), (3.0001, 0.0001), (6, 3)])],
+    "two lanes in the same place": [_lane(1, [(0, 0), (10, 0)]), _lane(2, [(0, 0), (10, 0)])],
+    "neighbours at both ends of the skew": [
+        _lane(1, [(0, 0), (20, 0)], left=2),
+        _lane(2, [(6, 4), (20, 4)], left=3, lane_type="BIKE"),
+        _lane(3, [(12, 8), (32, 8)]),
+    ],
+    "a hairpin": [_lane(1, [(0, 0), (9, 0), (9, 0.2), (0, 0.2)])],
+    "negative ids and far coordinates": [
+        _lane(-5, [(-123456.78, 987654.32), (-123446.78, 987654.32)], successors=(-4,)),
+        _lane(-4, [(-123446.78, 987654.32), (-123440.0, 987650.0)]),
+    ],
+    "no way between the lanes": [_lane(1, [(0, 0), (10, 0)]), _lane(2, [(50, 0), (60, 0)])],
+}
+
+
+@pytest.mark.parametrize("name", ODD_MAPS)
+def test_sumo_loads_an_odd_map_without_a_word(name: str, tmp_path: Path) -> None:
+    grid = build_cell_grid(LaneGraph({lane.lane_id: lane for lane in ODD_MAPS[name]}), max_skew_m=4.0)
+    net = tmp_path / "odd.net.xml"
+    write_net(grid, net)
+    schema = _schema("net_file.xsd")
+    assert schema.validate(etree.parse(net)), schema.error_log.last_error
+    assert _messages("-n", str(net)) == ""
+    _check_libsumo_sees_the_grid(grid, _dump(net, tmp_path))
