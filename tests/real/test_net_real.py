@@ -98,12 +98,12 @@ def test_neighbours_have_equally_many_cells_that_face_each_other(real_scene: Pat
     grid = build_cell_grid(read_lane_graph(_map_path(real_scene)))
     for cell in grid.cells:
         for side, other in (("left", "right"), ("right", "left")):
-            link = grid.lateral(cell, side)  # type: ignore[arg-type]
+            link = grid.lateral(cell, side)
             if link is None:
-                assert grid.graph.neighbor(cell.lane_id, side) is None  # type: ignore[arg-type]
+                assert grid.graph.neighbor(cell.lane_id, side) is None
                 continue
-            assert link.target == (grid.graph.neighbor(cell.lane_id, side), cell.index)  # type: ignore[arg-type]
-            back = grid.lateral(link.target, other)  # type: ignore[arg-type]
+            assert link.target == (grid.graph.neighbor(cell.lane_id, side), cell.index)
+            back = grid.lateral(link.target, other)
             assert back is not None
             assert back.target == cell
 
