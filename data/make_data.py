@@ -343,10 +343,10 @@ def arterial() -> Scene:
 
     drive, r, m, left = scene.drive, there["r"], there["m"], there["l"]
     drive(left, 20.0, 13.0, category=3, sway=1)  # the focal vehicle, fast
-    drive(r, 92.0, 5.5, category=2, sway=2)  # slow leaders: with free lanes beside them they can be overtaken
-    drive(m, 182.0, 6.0, category=2, sway=3)
-    drive(m, 12.0, 11.0, category=2, sway=4)
-    drive(r, 16.0, [(0.0, 10.5), (7.0, 10.5), (10.5, 7.5)], sway=5)  # slows behind the slow leader
+    drive(r, 92.0, 5.2, category=2, sway=2)  # slow leaders: with free lanes beside them they can be overtaken
+    drive(m, 190.0, 5.4, category=2, sway=3)
+    drive(m, 8.0, 12.2, category=2, sway=4)
+    drive(r, 8.0, [(0.0, 11.5), (6.0, 11.5), (10.5, 7.0)], sway=5)  # slows behind the slow leader
     drive(left, 236.0, 13.5, category=0, sway=6, steps=(0, 62))  # leaves the scene
     drive(r, 218.0, 8.0, object_type="bus", sway=1)
     drive(r, 152.0, 4.2, object_type="cyclist", category=2, sway=2, offset_m=-1.1)
@@ -364,7 +364,7 @@ def arterial() -> Scene:
     pedestrian(scene, sideways(base, 19.6), 60.0, 1.5, sway=5)
     xy, heading = base.at(np.array([307.0]), offset_m=-4.4)
     scene.stand(xy[0], float(heading[0]) + 1.57, object_type="pedestrian", category=0)
-    drive(m, 72.0, 11.8, sway=2)  # AV
+    drive(m, 66.0, 12.3, sway=2)  # AV
     return scene
 
 
