@@ -27,7 +27,9 @@ _AHEAD = 2
 #: Seconds after which the number of workers is looked up again.
 _LOOK_UP_S = 2.0
 #: Seconds to reach a scheduler.
-_CONNECT_S = 30
+_CONNECT_S = 10
+#: Tries to start a local cluster: a worker that is killed as it starts takes the cluster with it.
+_STARTS = 3
 
 
 def execute_on_dask(tasks: Iterable[Task], *, jobs: int, scheduler: str | None, settings: Settings) -> Iterator[Result]:
@@ -120,16 +122,7 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
         address: LocalCluster | str
         if scheduler is None:
             stack.enter_context(dask.config.set({"logging.distributed": "critical"}))
-            address = stack.enter_context(
-                LocalCluster(
-                    n_workers=jobs,
-                    threads_per_worker=1,
-                    processes=True,
-                    memory_limit=0,
-                    dashboard_address=None,
-                    silence_logs=logging.CRITICAL,
-                )
-            )
+            address = stack.enter_context(_local_cluster(jobs))
         else:
             address = scheduler
         try:
@@ -137,3 +130,20 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
         except (OSError, ValueError) as error:
             raise BatchError(f"scheduler {scheduler}: cannot be reached ({error})") from error
         yield client
+
+
+def _local_cluster(jobs: int) -> LocalCluster:
+    for attempt in range(1, _STARTS + 1):
+        try:
+            return LocalCluster(
+                n_workers=jobs,
+                threads_per_worker=1,
+                processes=True,
+                memory_limit=0,
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+            )
+        except RuntimeError as error:
+            if attempt == _STARTS:
+                raise BatchError(f"{jobs} Dask workers cannot be started on this machine ({error})") from error
+    raise AssertionError

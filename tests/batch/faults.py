@@ -75,7 +75,10 @@ def generated(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failu
     """Generate as the product does, after the scene's fault."""
     from bridge.scene_work import generate_runs
 
+    started = os.environ.get("FAULTS_STARTED")
     for run in runs:
+        if started:  # tells the test which process is at which scene
+            (Path(started) / str(os.getpid())).write_text(place.folder.name)
         try:
             meet_fault(place, run)
         except Exception as error:  # noqa: BLE001
