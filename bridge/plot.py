@@ -10,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from bridge import figures
-from bridge.render import MARK_NAMES, sidecar_of
+from bridge.render import MARK_NAMES
 from bridge.scenario import STEP_S, Scenario, read_scenario
+from bridge.sidecar import sidecar_in
 from hid2.agents import FloatArray
 from hid2.evaluation.arrays import SceneArrays, stack
 from hid2.evaluation.behaviour import Maneuver, detect
@@ -82,7 +83,7 @@ def plot_agent(folder: Path, agent_id: str, out_file: Path) -> Path:
 
 def _moments(scenario: Scenario, agent_id: str, seen: list[Maneuver]) -> tuple[list[_Moment], str]:
     """Moments to mark, and what the title says of the manoeuvres."""
-    sidecar = sidecar_of(scenario)
+    sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
     record = next((agent for agent in sidecar.agents if agent.track_id == agent_id), None) if sidecar else None
     if record is None:
         moments = [m for maneuver in seen for m in _seen_moments(maneuver)]

@@ -12,13 +12,14 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from PIL import Image
 
 from bridge import figures
 from bridge.scenario import AV_ID, LAST_OBSERVED, STEP_S, Scenario, read_scenario
-from bridge.sidecar import ManeuverRecord, Sidecar, read_sidecar, sidecar_path
+from bridge.sidecar import ManeuverRecord, sidecar_in
 from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
 from hid2.evaluation.arrays import is_generated_id
 from netconvert.errors import ExportError, ScenarioError
@@ -109,14 +110,16 @@ def render_scene(
     return out_file
 
 
-def sidecar_of(scenario: Scenario) -> Sidecar | None:
-    """The sidecar beside a scenario; None for a recorded scene."""
-    path = sidecar_path(scenario.folder, scenario.scenario_id)
-    return read_sidecar(path) if path.is_file() else None
+def scene_figure(folder: Path, *, source: Path | None = None) -> Figure:
+    """A scene folder at its last observed step, before | after, as a figure. Errors: ScenarioError, MapError."""
+    scenario = read_scenario(folder)
+    drawing = _Drawing(_panels(scenario, source), _window(scenario, None), cells=False)
+    drawing.show(min(LAST_OBSERVED, scenario.num_steps - 1), whole_paths=True)
+    return drawing.figure
 
 
 def _panels(scenario: Scenario, source: Path | None) -> list[_Panel]:
-    sidecar = sidecar_of(scenario)
+    sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
     generated = {track.track_id for track in scenario.tracks if is_generated_id(track.track_id)}
     policies = {record.track_id: record.policy for record in sidecar.agents} if sidecar else {}
     maneuvers = tuple(

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from bridge.isolation import Failure, describe_error
-from bridge.render import sidecar_of
 from bridge.scenario import LAST_OBSERVED, STEP_S, Scenario, read_scenario
-from bridge.sidecar import ManeuverRecord, Sidecar
+from bridge.sidecar import ManeuverRecord, Sidecar, sidecar_in
 from hid2.agents import FloatArray, Policy, Track
 from hid2.evaluation.arrays import BoolArray, SceneArrays, stack
 from hid2.evaluation.behaviour import Maneuver, ManeuverKind, detect, policies
@@ -66,7 +65,7 @@ def measure_folders(limits: Limits, folders: Sequence[Path]) -> Iterator[SceneMe
 def measure_folder(folder: Path, limits: Limits) -> SceneMeasures:
     """Measure one recorded or generated scene folder. Errors: ScenarioError, MapError."""
     scenario = read_scenario(folder)
-    sidecar = sidecar_of(scenario)
+    sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
     measures = measure(scenario.tracks, scenario.graph, sidecar, limits=limits, num_steps=scenario.num_steps,
                        source=sidecar.source_scenario_id if sidecar else scenario.scenario_id)  # fmt: skip
     return _named(measures, scenario)
@@ -279,13 +278,13 @@ def _maneuver_rows(view: _View, sidecar: Sidecar | None) -> list[Row]:
             found = _seen(agent.track_id, record, left)
             if found is not None:
                 left.remove(found)
-            known = {"track_id": agent.track_id, "group": "generated", "kind": record.kind, "recorded": True}
+            known: Row = {"track_id": agent.track_id, "group": "generated", "kind": record.kind, "recorded": True}
             rows.append(known | _record_row(record) | _seen_row(found))
     generated = {view.arrays.track_ids[a] for a in np.flatnonzero(view.arrays.generated)}
     for maneuver in left:
         group = "generated" if maneuver.track_id in generated else "original"
-        known: Row = {"track_id": maneuver.track_id, "group": group, "kind": maneuver.kind.value, "recorded": False}
-        rows.append(known | _record_row(None) | _seen_row(maneuver))
+        unasked: Row = {"track_id": maneuver.track_id, "group": group, "kind": maneuver.kind.value, "recorded": False}
+        rows.append(unasked | _record_row(None) | _seen_row(maneuver))
     return rows
 
 
@@ -306,8 +305,8 @@ def _seen(track_id: str, record: ManeuverRecord, candidates: Sequence[Maneuver])
 
 
 def _record_row(record: ManeuverRecord | None) -> Row:
-    names = ("status", "reason", "trigger_s", "requested_s", "start_s", "crossing_s", "end_s")
-    names += ("gap_front_m", "gap_rear_m", "min_ttc_s", "leader_track_id")
+    times = ("trigger_s", "requested_s", "start_s", "crossing_s", "end_s")
+    names = ("status", "reason", *times, "gap_front_m", "gap_rear_m", "min_ttc_s", "leader_track_id")
     return {name: getattr(record, name) if record is not None else None for name in names}
 
 

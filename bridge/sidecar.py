@@ -137,3 +137,9 @@ def read_sidecar(path: Path) -> Sidecar:
         first = error.errors(include_url=False)[0]
         field = ".".join(str(part) for part in first["loc"]) or "the file"
         raise ScenarioError(f"{path}: {field}: {first['msg']} (got {str(first['input'])[:60]!r})") from error
+
+
+def sidecar_in(folder: Path, scenario_id: str) -> Sidecar | None:
+    """The sidecar of a scenario folder; None where there is none: the scene was recorded. Errors: ScenarioError."""
+    path = sidecar_path(folder, scenario_id)
+    return read_sidecar(path) if path.is_file() else None

@@ -1,0 +1,63 @@
+"""Charts of the report and of the paper's experiments."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from bridge import figures
+from hid2.agents import Policy
+from hid2.evaluation.realism import FEATURES, FINE, RealismCounts
+
+
+def distribution_figure(counts: RealismCounts) -> Figure:
+    """Generated and recorded distribution of every feature as steps over the same bins."""
+    figure, axes = plt.subplots(2, 4, figsize=(13, 5.6), layout="constrained")
+    for ax, feature in zip(axes.flat, FEATURES, strict=True):
+        edges = np.linspace(feature.low, feature.high, feature.bins + 1)
+        for name, data, color, line in (
+            ("recorded", counts.recorded, figures.DARK_GREY, "-"),
+            ("generated", counts.generated, figures.GENERATED, "--"),
+        ):
+            binned = data[feature.name].reshape(feature.bins, FINE).sum(axis=1)
+            if binned.sum():
+                ax.stairs(binned / binned.sum(), edges, color=color, linestyle=line, linewidth=1.8, label=name)
+        ax.set_xlabel(f"{feature.label}, {feature.unit}")
+        ax.set_ylabel("share")
+        ax.set_ylim(bottom=0)
+    axes.flat[0].legend(fontsize=8)
+    return figure
+
+
+def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
+    """The paper's diversity figure: scenes by density and by behaviour, before and after."""
+    figure, axes = plt.subplots(1, 3, figsize=(13, 3.8), layout="constrained", width_ratios=[1, 1, 1.1])
+    for ax, name, label in ((axes[0], "tracks", "agents in the scene"), (axes[1], "tracks_at_49", "agents at 4.9 s")):
+        density = diversity["density"][name]
+        top = max([*density["before"], *density["after"], 10])
+        edges = np.arange(0, top + 20, 10)
+        for when, color, hatch in (("before", figures.GREY, ""), ("after", figures.BLUE, "//")):
+            heights, _ = np.histogram(density[when], edges)
+            levels = heights / max(1, len(density[when]))
+            ax.stairs(levels, edges, fill=True, color=color, alpha=0.35, hatch=hatch, label=when)
+            ax.stairs(levels, edges, color=color, linewidth=1.6)
+        ax.set_xlabel(label)
+        ax.set_ylabel("share of scenes")
+    axes[0].legend()
+    behaviours = diversity["behaviours"]
+    policies = list(Policy)
+    short = {"straight": "ST", "left_turn": "LT", "right_turn": "RT", "lane_change": "LC", "overtake": "OT"}
+    place = np.arange(len(policies))
+    for offset, when, color, hatch in ((-0.2, "before", figures.GREY, ""), (0.2, "after", figures.BLUE, "//")):
+        part = behaviours[when]
+        shares = [part["scenes_with"][policy.value] / max(1, part["scenes"]) for policy in policies]
+        bars = axes[2].bar(
+            place + offset, shares, 0.4, color=color, alpha=0.7, hatch=hatch, edgecolor="white", label=when
+        )
+        axes[2].bar_label(bars, fmt="%.2f", fontsize=7)
+    axes[2].set_xticks(place, [f"{short[p.value]}\n{p.value.replace('_', ' ')}" for p in policies], fontsize=8)
+    axes[2].set_ylabel("share of scenes with it")
+    axes[2].set_ylim(0, 1.1)
+    return figure
