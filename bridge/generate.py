@@ -38,7 +38,7 @@ from netconvert.errors import ScenarioError
 from netconvert.net_xml import net_bytes
 
 _ATTEMPTS = 60
-_ATTEMPTS_LATE = 250
+_ATTEMPTS_LATE = 10_000
 _MAX_AGENTS = 400
 
 
@@ -138,27 +138,27 @@ class _Run:
         target = _MAX_AGENTS if request.agents == "max" else request.agents
         pending = _mix(request.behaviours, 20 if request.agents == "max" else target, self.rng)
         dry = 0
-        for number in range(self.world.config.spawn.rounds if request.agents != "max" else 40):
+        for number in range(self.world.config.spawn.rounds):
             missing = target - len(self.settled)
             if missing <= 0 and number > 0:
                 break
             if request.agents == "max":
-                wanted = pending if number == 0 else [Policy.STRAIGHT] * 40
+                wanted = pending if number == 0 else [Policy.STRAIGHT] * _MAX_AGENTS
             else:
                 wanted = pending[:missing]
             before = len(self.settled)
-            failed = self._round(wanted, missing, last=number >= 2)
+            failed = self._round(wanted, missing, patience=number)
             pending = failed + [Policy.STRAIGHT] * max(0, missing - len(failed))
             gained = len(self.settled) - before
             dry = 0 if gained else dry + 1
-            if dry >= 2:
+            if dry >= 2 and number >= 3:
                 break
 
-    def _round(self, wanted: Sequence[Policy], missing: int, *, last: bool) -> list[Policy]:
+    def _round(self, wanted: Sequence[Policy], missing: int, *, patience: int) -> list[Policy]:
         """Plan, drive and settle; returns the policies still wanted."""
-        spawner = Spawner(self.world, self.rng, self.fixed)
+        spawner = Spawner(self.world, self.rng, self.fixed, patience)
         failed: list[Policy] = []
-        attempts = _ATTEMPTS_LATE if last else _ATTEMPTS
+        attempts = _ATTEMPTS_LATE if patience >= 2 else _ATTEMPTS
         # manoeuvres need the room most, so they choose first
         for policy in sorted(wanted, key=list(Policy).index, reverse=True):
             if len(spawner.planned) >= missing:
@@ -167,11 +167,11 @@ class _Run:
                 got = spawner.spawn_overtake(self._new_id(), self._new_id(), attempts=_ATTEMPTS // 2)
                 if got:
                     continue
-            elif policy is not Policy.OVERTAKE and spawner.spawn(policy, self._new_id(), attempts=attempts, allow_standing=last):
+            elif policy is not Policy.OVERTAKE and spawner.spawn(policy, self._new_id(), attempts=attempts):
                 continue
             if policy is not Policy.STRAIGHT:
                 self._unmet(policy)
-                if spawner.spawn(Policy.STRAIGHT, self._new_id(), attempts=attempts, allow_standing=last):
+                if spawner.spawn(Policy.STRAIGHT, self._new_id(), attempts=attempts):
                     continue
             failed.append(Policy.STRAIGHT)
         self.reasons.update(spawner.reasons)
@@ -184,7 +184,7 @@ class _Run:
         with Simulation(self.net, seed=world.config.request.seed, step_s=DT_S) as simulation:
             self.sumo_version = simulation.version()
             recorded = Replay(simulation, world.traffic, "r")
-            steering = Steering(world, simulation, self.fixed, self.rng)
+            steering = Steering(world, simulation, self.fixed)
             drivers = steering.run(planned, [recorded, Replay(simulation, self.fixed, "f")])
         if self.replay_errors.states == 0:
             self.replay_errors = recorded.errors

@@ -1,6 +1,5 @@
 """Decision -> libsumo calls: inserted vehicles, step by step (paper, Algorithm 1; conflict cases 1 to 3)."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -9,20 +8,16 @@ import numpy as np
 from bridge.insertion import edges_along, insert
 from bridge.replay import Replay
 from bridge.simulation import Simulation
-from hid2.agents import BoxSize, FloatArray, Policy
+from hid2.agents import FloatArray, Policy
 from hid2.conflicts import DT_S, Prospect
 from hid2.decision import Decision, LaneOption, Observation, Side, decide
-from hid2.lane_change import Gap, blend_paths, duration_s
-from hid2.occupancy import FREE, GENERATED, cells_under
+from hid2.maneuver import gap_ahead_of, lane_options, lay_across, leader_on
 from hid2.overtake import Leader, Stage
 from hid2.repair import DrivenVehicle
-from hid2.route import DrivenPath, Route, routes_from, shifted_path
-from hid2.space_time import path_occupancy
-from hid2.spawning import admissible_neighbor
+from hid2.route import DrivenPath
 from hid2.traffic import Traffic
-from hid2.world import DRIVABLE_TYPES, PlannedVehicle, World, predicted_traffic
+from hid2.world import PlannedVehicle, World, predicted_traffic
 
-_MAX_SHIFT_M = 5.5
 _RETRY_STEPS = 3
 _LAG_M = 2.5
 _REPLAN_STEPS = 10
@@ -92,19 +87,16 @@ class Steering:
     world: World
     simulation: Simulation
     fixed: Traffic
-    rng: np.random.Generator
     drivers: list[Driver] = field(default_factory=list)
     _fleet: Traffic = field(init=False)
 
     def run(self, planned: Sequence[PlannedVehicle], replays: Sequence[Replay]) -> list[Driver]:
         """All steps of the scene: replay, insert, decide, apply, step, record."""
         for spec in planned:
-            sides: tuple[Side, ...] = ("left", "right") if self.rng.random() < 0.5 else ("right", "left")
-            if spec.policy is Policy.OVERTAKE:
-                sides = ("left", "right")
-            self.drivers.append(Driver(spec, spec.path, spec.plan_s.copy(), spec.plan_v.copy(), sides))
+            self.drivers.append(Driver(spec, spec.path, spec.plan_s.copy(), spec.plan_v.copy(), spec.sides))
         self._fleet = predicted_traffic(
-            [(d.spec.vehicle_id, d.path, d.spec.size, d.plan_s) for d in self.drivers], self.world.num_steps
+            [(d.spec.vehicle_id, d.spec.intended_path, d.spec.size, d.spec.intended_s) for d in self.drivers],
+            self.world.num_steps,
         )
         for step in range(self.world.num_steps):
             for replay in replays:
@@ -183,8 +175,19 @@ class Steering:
             return []
         if now < driver.retry_at:
             return []
-        options = {option.side: (option, target) for option, target in self._options(driver, now)}
-        leader = self._leader(driver, now) if spec.policy is Policy.OVERTAKE else None
+        sides = driver.sides
+        if driver.stage is Stage.PASS:
+            sides = ("right",) if driver.shifts[-1].side == "left" else ("left",)
+        found = lane_options(
+            self.world, driver.path, spec.size, s=driver.s[now], step=now, sides=sides, others=(self.fixed, self._others(driver))
+        )
+        options = {option.side: (option, target) for option, target in found}
+        leader = None
+        if spec.policy is Policy.OVERTAKE:
+            leader = leader_on(
+                driver.path, spec.size, s=driver.s[now], step=now, d_obs_m=config.overtake.d_obs_m,
+                everybody=self._everybody(driver),
+            )  # fmt: skip
         seen = self._observation(driver, now, tuple(option for option, _ in options.values()), leader)
         choice = decide(seen, lane_change=config.lane_change, overtake=config.overtake)
         if choice.side is None:
@@ -205,7 +208,9 @@ class Steering:
         cell = self.world.cell_at(driver.path, s)
         passed = -1.0
         if driver.stage is Stage.PASS and driver.leader_id is not None:
-            passed = self._gap_to(driver, now, driver.leader_id)
+            passed = gap_ahead_of(
+                driver.path, driver.spec.size, s=s, step=now, passed_id=driver.leader_id, everybody=self._everybody(driver)
+            )
         return Observation(
             time_s=now * DT_S,
             cell=cell,
@@ -221,141 +226,17 @@ class Steering:
             passed_gap_m=passed,
         )
 
-    def _options(self, driver: Driver, now: int) -> list[tuple[LaneOption, DrivenPath]]:
-        """Adjacent lanes at the vehicle's own arc length, with who is on them."""
-        s, size = driver.s[now], driver.spec.size
-        segment = driver.path.segment_at(s)
-        xy = driver.path.line.position(np.array([s]))
-        found = []
-        sides = driver.sides
-        if driver.stage is Stage.PASS:
-            entered = driver.shifts[-1].side
-            sides = ("right",) if entered == "left" else ("left",)
-        for side in sides:
-            lane_id = admissible_neighbor(self.world, segment.lane_id, side)
-            if lane_id is None:
-                continue
-            lane_s = float(self.world.grid.graph.lanes[lane_id].path.frenet(xy)[0][0])
-            cell = self.world.grid.cell_at(lane_id, lane_s)
-            target = self._target_path(driver, lane_id, s)
-            at = self._place_on(target, lane_id, lane_s)
-            front, rear = self._gaps(target, size, at, now, driver)
-            free = self._cells_free(cell, now, driver)
-            remaining = target.exit_s - at
-            option = LaneOption(
-                side=side, target=cell, allowed=True, cells_free=free, front=front, rear=rear,
-                remaining_m=remaining, corridor_m=min(remaining, front.distance_m),
-            )  # fmt: skip
-            found.append((option, target))
-        return found
-
-    def _target_path(self, driver: Driver, lane_id: int, s: float) -> DrivenPath:
-        """Path of l': a lane before it, for who comes from behind, then on beside the own route where possible."""
-        graph = self.world.grid.graph
-        own = [segment.lane_id for segment in driver.path.segments if segment.end > s]
-        beside = {n for lane in own for side in ("left", "right") if (n := graph.neighbor(lane, side)) is not None}  # type: ignore[arg-type]
-
-        def choose(onward: tuple[int, ...]) -> tuple[int, ...]:
-            return tuple(sorted(onward, key=lambda n: (n not in beside, graph.lanes[n].turn.value != "straight", n)))
-
-        def usable(lane: int) -> bool:
-            return graph.lanes[lane].lane_type in DRIVABLE_TYPES
-
-        ahead = next(routes_from(graph, lane_id, choose=choose, usable=usable, most=1, longest_m=260.0), (lane_id,))
-        route: Route = ahead
-        behind_m = 0.0
-        while behind_m < 50.0:
-            before = sorted(p for p in graph.predecessors(route[0]) if usable(p) and p not in route)
-            if not before:
-                break
-            behind_m += graph.lanes[before[0]].length_m
-            route = (before[0], *route)
-        return self.world.path(route)
-
-    def _place_on(self, target: DrivenPath, lane_id: int, lane_s: float) -> float:
-        for segment in target.segments:
-            if segment.lane_id == lane_id:
-                share = (lane_s - segment.lane_start) / max(segment.lane_end - segment.lane_start, 1e-9)
-                return segment.start + share * (segment.end - segment.start)
-        return 0.0
-
-    def _gaps(self, target: DrivenPath, size: BoxSize, at: float, now: int, driver: Driver) -> tuple[Gap, Gap]:
-        """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres."""
-        known = self.world.recorded_on(target, size)
-        low, high, along = known.low[:, now], known.high[:, now], known.along[:, now]
-        for traffic in (self._now(self.fixed, now), self._now(self._others(driver), now)):
-            more = path_occupancy(
-                target.line, traffic, length_m=size.length_m, width_m=size.width_m, margin_lateral_m=0.1
-            )
-            low = np.concatenate([low, more.low[:, 0]])
-            high = np.concatenate([high, more.high[:, 0]])
-            along = np.concatenate([along, more.along[:, 0]])
-        touched = np.isfinite(low)
-        low, high, along = low[touched], high[touched], along[touched]
-        front, rear = Gap.none(), Gap.none()
-        ahead = np.where(0.5 * (low + high) >= at, low - at, np.inf)
-        if ahead.size and np.isfinite(ahead.min()):
-            row = int(np.argmin(ahead))
-            front = Gap(float(ahead[row]), max(0.0, float(along[row])))
-        behind = np.where(0.5 * (low + high) < at, at - high, np.inf)
-        if behind.size and np.isfinite(behind.min()):
-            row = int(np.argmin(behind))
-            rear = Gap(float(behind[row]), max(0.0, float(along[row])))
-        return front, rear
-
-    def _leader(self, driver: Driver, now: int) -> Leader | None:
-        """Next vehicle on the own lane path within d_obs."""
-        s, size = driver.s[now], driver.spec.size
-        d_obs = self.world.config.overtake.d_obs_m
-        best: Leader | None = None
-        everybody = self._everybody(driver)
-        here = self._now(everybody, now)
-        xy = here.position[:, 0]
-        reach = d_obs + 15.0
-        own = driver.path.line.position(np.array([s]))[0]
-        for row in np.flatnonzero(here.present[:, 0] & (np.abs(xy - own).max(axis=1) < reach)).tolist():
-            one = _rows(here, [row])
-            found = path_occupancy(
-                driver.path.line, one, length_m=size.length_m, width_m=size.width_m, margin_lateral_m=0.0
-            )
-            if found.low.shape[0] == 0 or not bool(found.aligned[0, 0]):
-                continue
-            gap = float(found.low[0, 0]) - s
-            if -1.0 < gap < d_obs and (best is None or gap < best.gap_m):
-                best = Leader(here.ids[row], gap, max(0.0, float(found.along[0, 0])), float(here.length_m[row]))
-        return best
-
-    def _gap_to(self, driver: Driver, now: int, leader_id: str) -> float:
-        """Own rear bumper to the passed vehicle's front, m, along the own path; large once it is gone."""
-        everybody = self._everybody(driver)
-        row = everybody.ids.index(leader_id)
-        if not everybody.present[row, now]:
-            return math.inf
-        offset = driver.path.line.position(np.array([driver.s[now]]))[0] - everybody.position[row, now]
-        heading = float(driver.path.line.heading(np.array([driver.s[now]]))[0])
-        along = float(offset[0] * math.cos(heading) + offset[1] * math.sin(heading))
-        return along - driver.spec.size.length_m / 2 - float(everybody.length_m[row]) / 2
-
     def _attempt(
         self, driver: Driver, now: int, choice: Decision, option: LaneOption, target: DrivenPath, leader: Leader | None
     ) -> _Attempt | str:
         """Lay the path across, look along it (conflict case 3), and ask SUMO; or the reason not to."""
         config, spec, s, v = self.world.config, driver.spec, driver.s[now], driver.v[now]
-        change = config.lane_change
-        lateral = abs(float(target.line.points.shape[0] and self._lateral(driver, s, target)))
-        quick = spec.policy is Policy.OVERTAKE
-        lasting = duration_s(lateral_m=lateral, speed_mps=v, remaining_m=option.remaining_m, params=change)
-        if quick:
-            lasting = max(change.min_duration_s, 0.75 * lasting)
-        pace = max(v, 0.5 * (v + float(driver.plan_v[min(now + 20, driver.plan_v.size - 1)])), change.min_speed_mps)
-        raw_s = driver.path.to_raw(s)
-        blend = blend_paths(
-            driver.path.raw, target.raw, start_m=raw_s, length_m=pace * lasting,
-            step_m=config.smoothing.path_step_m, max_shift_m=_MAX_SHIFT_M,
-        )  # fmt: skip
-        if blend is None:
-            return "lanes_not_side_by_side"
-        path = shifted_path(driver.path, target, blend, smoothing=config.smoothing, limits=config.limits)
+        pace = max(v, 0.5 * (v + float(driver.plan_v[min(now + 20, driver.plan_v.size - 1)])))
+        path = lay_across(
+            self.world, driver.path, target, s=s, pace_mps=pace, remaining_m=option.remaining_m, policy=spec.policy
+        )
+        if isinstance(path, str):
+            return path
         look = self.world.prospect(
             path, spec.size, cruise_mps=spec.cruise_mps, others=(self.fixed, self._others(driver))
         )
@@ -365,7 +246,7 @@ class Steering:
             plan = look.plan(s0=s, v0=v, a0=float(np.clip(accel, -2.0, 1.5)), first_step=now, config=config)
             if plan is None:
                 return "conflict_predicted"
-            if plan.s[-1] < path.shifts[-1][1] + 0.5 and self.world.num_steps - now > 30:
+            if plan.s[-1] < path.shifts[-1][1] + 0.5:
                 return "would_not_complete"
             plan_s = np.concatenate([driver.plan_s[:now], plan.s])
             plan_v = np.concatenate([driver.plan_v[:now], plan.v])
@@ -444,38 +325,10 @@ class Steering:
 
     def _others(self, driver: Driver) -> Traffic:
         rows = [row for row, other in enumerate(self.drivers) if other is not driver and other.objection is None]
-        return _rows(self._fleet, rows)
+        return self._fleet.rows(rows)
 
     def _everybody(self, driver: Driver) -> Traffic:
         return self.world.traffic.joined(self.fixed).joined(self._others(driver))
-
-    @staticmethod
-    def _now(traffic: Traffic, now: int) -> Traffic:
-        return Traffic(
-            ids=traffic.ids, position=traffic.position[:, now : now + 1], heading=traffic.heading[:, now : now + 1],
-            velocity=traffic.velocity[:, now : now + 1], present=traffic.present[:, now : now + 1],
-            length_m=traffic.length_m, width_m=traffic.width_m,
-        )  # fmt: skip
-
-    def _cells_free(self, cell: "object", now: int, driver: Driver) -> bool:
-        """Cells j-1, j, j+1 of l' have sigma = 0 (paper, Lane Change)."""
-        lane_id, index = cell  # type: ignore[misc]
-        grid = self.world.grid
-        sigma = self.world.occupancy.sigma[now].copy()
-        for traffic in (self.fixed, self._others(driver)):
-            for row in np.flatnonzero(traffic.present[:, now]).tolist():
-                x, y = traffic.position[row, now].tolist()
-                under = cells_under(
-                    self.world.boxes, x, y, float(traffic.heading[row, now]),
-                    length_m=float(traffic.length_m[row]), width_m=0.8 * float(traffic.width_m[row]),
-                )  # fmt: skip
-                sigma[under[sigma[under] == FREE]] = GENERATED
-        wanted = [i for i in (index - 1, index, index + 1) if 0 <= i < grid.count(lane_id)]
-        return all(sigma[grid.index_of[type(grid.cells[0])(lane_id, i)]] == FREE for i in wanted)
-
-    def _lateral(self, driver: Driver, s: float, target: DrivenPath) -> float:
-        offset = target.line.points - driver.path.line.position(np.array([s]))[0]
-        return float(np.hypot(offset[:, 0], offset[:, 1]).min())
 
     def driven(self) -> list[DrivenVehicle]:
         """Traces of the vehicles that SUMO took; beyond the map's edge they roll on at their last speed."""
@@ -490,11 +343,3 @@ class Steering:
                 s, v = np.concatenate([s, onward]), np.concatenate([v, np.full(missing, v[-1])])
             traces.append(DrivenVehicle(driver.spec, driver.path, s, v))
         return traces
-
-
-def _rows(traffic: Traffic, rows: list[int]) -> Traffic:
-    return Traffic(
-        ids=tuple(traffic.ids[row] for row in rows), position=traffic.position[rows], heading=traffic.heading[rows],
-        velocity=traffic.velocity[rows], present=traffic.present[rows], length_m=traffic.length_m[rows],
-        width_m=traffic.width_m[rows],
-    )  # fmt: skip

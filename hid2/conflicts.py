@@ -37,7 +37,8 @@ def priority(*, executing: bool, distance_m: float, vehicle_id: str) -> tuple[bo
 class Prospect:
     """A path with everybody who will be on it: what timing can be chosen from.
 
-    low, high and the rest in arc length of the box centre; desired (S,) m/s at the line's table.
+    low, high and the rest in arc length of the box centre; desired (S,) m/s at the line's table. The first
+    recorded_rows agents of the occupancy are recorded ones, the others generated.
     """
 
     path: DrivenPath
@@ -47,6 +48,7 @@ class Prospect:
     tables: SpaceTime
     margin_m: float
     ttc_s: float
+    recorded_rows: int
 
     def plan(
         self, *, s0: float, v0: float, a0: float, first_step: int, config: Config, reference: FloatArray | None = None
@@ -84,21 +86,34 @@ class Prospect:
         upper = np.where(ahead, low, np.inf).min(axis=0, initial=np.inf)
         lower = np.where(behind, high, -np.inf).max(axis=0, initial=-np.inf)
         leads = ahead & aligned
-        room = np.where(leads, low + self.ttc_s * np.maximum(along, 0.0), np.inf).min(axis=0, initial=np.inf)
-        if np.any(lower >= upper):
+        room = np.where(leads, low + self.ttc_s * along, np.inf).min(axis=0, initial=np.inf)
+        needs = behind & aligned
+        needs[: self.recorded_rows] = False
+        need = np.where(needs, high + self.ttc_s * along, -np.inf).max(axis=0, initial=-np.inf)
+        if np.any(lower >= upper) or np.any(need >= room):
             return None
         cells = np.clip((s / TABLE_STEP_M + 0.5).astype(np.int64), 0, self.desired.size - 1)
         fastest = self.desired[cells]
-        return SpeedBounds(low=lower, high=upper, fastest=fastest, ttc_room=room, ttc_s=self.ttc_s)
+        return SpeedBounds(low=lower, high=upper, fastest=fastest, ttc_room=room, ttc_need=need, ttc_s=self.ttc_s)
 
     def min_ttc_s(self, s: FloatArray, v: FloatArray) -> float:
         """Smallest TTC to an aligned leader on the path over a driven (T,) s(t), v(t); inf when never closing."""
         steps = s.size
-        low, along = self.occupancy.low[:, :steps], np.maximum(self.occupancy.along[:, :steps], 0.0)
+        low, along = self.occupancy.low[:, :steps], self.occupancy.along[:, :steps]
         ahead = np.isfinite(low) & self.occupancy.aligned[:, :steps] & (s[None, :] < low + 1.0)
         closing = v[None, :] - along
         with np.errstate(divide="ignore", invalid="ignore"):
             ttc = np.where(ahead & (closing > 1e-3), (low - s[None, :]) / closing, np.inf)
+        return float(ttc.min(initial=np.inf))
+
+    def min_follower_ttc_s(self, s: FloatArray, v: FloatArray) -> float:
+        """Smallest TTC of an aligned generated follower to this vehicle; inf when none ever closes in."""
+        steps, rows = s.size, slice(self.recorded_rows, None)
+        high, along = self.occupancy.high[rows, :steps], self.occupancy.along[rows, :steps]
+        behind = np.isfinite(high) & self.occupancy.aligned[rows, :steps] & (s[None, :] > high - 1.0)
+        closing = along - v[None, :]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ttc = np.where(behind & (closing > 1e-3), (s[None, :] - high) / closing, np.inf)
         return float(ttc.min(initial=np.inf))
 
 
@@ -140,4 +155,5 @@ def prospect(
     return Prospect(
         path=path, size=size, desired=desired, occupancy=occupancy, tables=tables,
         margin_m=0.6 * config.conflict.margin_front_m, ttc_s=ttc_s,
+        recorded_rows=0 if known is None else known.low.shape[0],
     )  # fmt: skip

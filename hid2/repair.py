@@ -20,7 +20,8 @@ from netconvert.geometry import Polyline
 #: Share of the limits that the smoothing aims at: differences of sampled positions see a little more than the cubics.
 _AIM = 0.9
 _BOX_MARGIN_M = 0.05
-_CAPS = (1.0, 1.0, 0.85, 0.7, 0.5)
+#: Shares of the cruising speed that are tried in turn.
+_CAPS = (1.0, 1.0, 0.85, 0.65)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -162,7 +163,7 @@ def _smooth_and_check(
         if first_overlap(trajectory, spec.size, others, margin_m=_BOX_MARGIN_M) is not None:
             return "meets_generated"
         ttc = look.min_ttc_s(motion.s, motion.v)
-        if ttc < config.conflict.ttc_min_s:
+        if min(ttc, look.min_follower_ttc_s(motion.s, motion.v)) < config.conflict.ttc_min_s:
             return "ttc"
     if "topology" not in config.without:
         off = off_road_steps(

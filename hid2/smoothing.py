@@ -14,16 +14,22 @@ from hid2.agents import FloatArray
 from hid2.reference_line import ReferenceLine
 
 _FREE = 1e4
+_SPEEDING_WEIGHT = 20.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SpeedBounds:
-    """Box constraints on s(t): low, high (T,) m; fastest (T,) m/s; ttc_room (T,) m, s + ttc_s * v stays below it."""
+    """Constraints on s(t), each (T,).
+
+    low, high m. fastest m/s, soft: comfort in curves gives way to safety. ttc_room m: s + ttc_s * v stays below it, the
+    leader's; ttc_need m: and above it, the follower's.
+    """
 
     low: FloatArray
     high: FloatArray
     fastest: FloatArray
     ttc_room: FloatArray
+    ttc_need: FloatArray
     ttc_s: float
 
 
@@ -47,7 +53,7 @@ class Motion:
 
 @lru_cache(maxsize=64)
 def _problem(count: int, step_s: float, ttc_s: float, jerk_weight: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
-    """Hessian (upper) and constraint rows over (s, v, a): dynamics, jerk, boxes, TTC."""
+    """Hessian (upper) and constraint rows over (s, v, a, e): dynamics, jerk, boxes, TTC, soft speed (v - e)."""
     eye = sparse.identity(count, format="csc")
     zero = sparse.csc_matrix((count, count))
     first = sparse.eye(count - 1, count, format="csc")
@@ -57,9 +63,13 @@ def _problem(count: int, step_s: float, ttc_s: float, jerk_weight: float) -> tup
     v_rows = sparse.hstack([sparse.csc_matrix((count - 1, count)), change, -step_s / 2 * (first + second)])
     j_rows = sparse.hstack([sparse.csc_matrix((count - 1, 2 * count)), change / step_s])
     ttc_rows = sparse.hstack([eye, ttc_s * eye, zero])
-    rows = sparse.vstack([s_rows, v_rows, j_rows, sparse.identity(3 * count), ttc_rows], format="csc")
+    hard = sparse.vstack([s_rows, v_rows, j_rows, sparse.identity(3 * count), ttc_rows])
+    soft = sparse.hstack([zero, eye, zero, -eye])
+    rows = sparse.vstack([sparse.hstack([hard, sparse.csc_matrix((hard.shape[0], count))]), soft], format="csc")
     jerk = change / step_s
-    hessian = sparse.block_diag([eye, 0.5 * eye, 0.3 * eye + 0.3 * jerk_weight * (jerk.T @ jerk)], format="csc")
+    hessian = sparse.block_diag(
+        [eye, 0.5 * eye, 0.3 * eye + 0.3 * jerk_weight * (jerk.T @ jerk), _SPEEDING_WEIGHT * eye], format="csc"
+    )
     return sparse.triu(hessian, format="csc"), rows
 
 
@@ -82,7 +92,7 @@ def smooth_speed(
     hessian, rows = _problem(count, step_s, bounds.ttc_s, jerk_weight)
     origin = float(s_driven[0])
     target = s_driven - origin
-    linear = np.concatenate([-target, -0.5 * v_driven, np.zeros(count)])
+    linear = np.concatenate([-target, -0.5 * v_driven, np.zeros(2 * count)])
     edge = np.zeros(count)
     edge[-1] = 1.0
     room = np.minimum(bounds.ttc_room - origin, _FREE)
@@ -92,21 +102,25 @@ def smooth_speed(
         np.maximum(bounds.low - origin, -_FREE),
         np.zeros(count),
         np.where(edge > 0, -1.2, limits.accel_min),
+        np.maximum(bounds.ttc_need - origin, -_FREE),
         np.full(count, -_FREE),
     ])  # fmt: skip
     upper = np.concatenate([
         np.zeros(2 * (count - 1)),
         np.full(count - 1, limits.jerk),
         np.minimum(bounds.high - origin, _FREE),
-        bounds.fastest,
+        np.full(count, _FREE),
         np.where(edge > 0, 1.2, limits.accel_max),
         room,
+        bounds.fastest,
     ])  # fmt: skip
     at_s, at_v, at_a = 3 * (count - 1), 3 * (count - 1) + count, 3 * (count - 1) + 2 * count
     v0 = float(v_driven[0])
     for index, value in ((at_s, 0.0), (at_v, v0), (at_a, a0)):
         lower[index] = upper[index] = value
-    upper[at_a + count] = max(upper[at_a + count], bounds.ttc_s * v0)  # the first state is given, not chosen
+    at_ttc = at_a + count  # the first state is given, not chosen
+    upper[at_ttc] = max(upper[at_ttc], bounds.ttc_s * v0)
+    lower[at_ttc] = min(lower[at_ttc], bounds.ttc_s * v0)
     if np.any(lower > upper):
         return None
     solver = osqp.OSQP()
@@ -118,7 +132,7 @@ def smooth_speed(
     result = solver.solve()
     if result.info.status not in ("solved", "solved inaccurate"):
         return None
-    accel = result.x[2 * count :].copy()
+    accel = result.x[2 * count : 3 * count].copy()
     accel[0] = a0
     return integrate(origin, v0, accel, step_s=step_s, jerk=limits.jerk)
 

@@ -177,7 +177,7 @@ def _tables(low, high, along, aligned, steps, cells, step, margin, ttc, time_gap
                 blocked[t, i] = 1
             if not aligned[a, t]:
                 continue
-            speed = max(0.0, along[a, t])
+            speed = along[a, t]
             for i in range(max(0, first - int(80.0 / step)), first):
                 gap = front - i * step
                 limit = speed + gap / ttc
@@ -221,7 +221,7 @@ def plan_speed(
     reference (T,) m: a driven s(t) to stay near, where given. This is "adjust timing" of conflict case 3.
     """
     steps = tables.blocked.shape[0]
-    accels = np.array([accel_min, 0.6 * accel_min, -1.2, -0.6, 0.0, 0.5, 0.5 * accel_max + 0.25, accel_max])
+    accels = np.array([accel_min, 0.75 * accel_min, 0.5 * accel_min, 0.25 * accel_min, 0.0, accel_max / 3, accel_max * 2 / 3, accel_max])
     use_reference = reference is not None
     ok, s, v, cost = _search(
         tables.blocked, tables.fastest, tables.pushed, desired, TABLE_STEP_M, s0, v0, a0, first_step, steps, accels,
@@ -261,7 +261,7 @@ def _search(blocked, fastest, pushed, desired, step, s0, v0, a0, first, steps, a
         for index in range(counts[k]):
             s, v, previous, cost = all_s[k, index], all_v[k, index], all_a[k, index], all_c[k, index]
             for accel in accels:
-                if abs(accel - previous) > 2.6:
+                if abs(accel - previous) > 1.7:  # what bounded jerk reaches within a stage
                     continue
                 vn, sn = v, s
                 good = True
@@ -281,13 +281,11 @@ def _search(blocked, fastest, pushed, desired, step, s0, v0, a0, first, steps, a
                     if blocked[t0 + m, cell] == 1:
                         good = False
                         break
-                    if vn > fastest[t0 + m, cell] and accel > accels[0]:
+                    if vn > fastest[t0 + m, cell]:
                         good = False
                         break
-                    if vn > fastest[t0 + m, cell] + 0.3:
-                        extra += 3.0
                     if vn < pushed[t0 + m, cell]:
-                        extra += 1.0 * (pushed[t0 + m, cell] - vn)
+                        extra += 3.0 * (pushed[t0 + m, cell] - vn)
                     if vn > desired[cell] + 0.2:
                         over = vn - desired[cell]
                         if over > 4.0:

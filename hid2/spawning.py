@@ -10,10 +10,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.conflicts import DT_S, Prospect
+from hid2.decision import LaneOption, Side
+from hid2.lane_change import lane_change_reason
+from hid2.maneuver import admissible_neighbor, gap_ahead_of, lane_options, lay_across, leader_on
 from hid2.occupancy import FREE, GENERATED, cells_under
+from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath, Route, routes_from
+from hid2.overtake import Leader, enter_reason, return_reason
 from hid2.space_time import SpeedPlan
 from hid2.traffic import Traffic
 from hid2.world import DRIVABLE_TYPES, PlannedVehicle, World, predicted_traffic
@@ -27,23 +32,57 @@ _BUS = ((0.0, 10.5, 2.7), (0.5, 11.6, 2.9), (1.0, 12.3, 2.95))
 _TURN = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
 _ROUTE_LONGEST_M = 260.0
 _MIN_MOVE_M = 10.0
+_MIN_MOVE_LATE_M = 3.0
+_OVERTAKER_MPS = 10.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Intention:
+    """What a vehicle is foreseen to do: path with its manoeuvre, s (T,) m on it; sides where it looks for a lane."""
+
+    path: DrivenPath
+    s: FloatArray
+    sides: tuple[Side, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Wish:
+    """A vehicle that is looked for a place."""
+
+    policy: Policy
+    vehicle_id: str
+    object_type: str
+    own_size: BoxSize
+    trigger_s: float
+    cruise_mps: float | None = None
+    steady: bool = False
+
+    @property
+    def size(self) -> BoxSize:
+        """Box that covers the vehicle and what a reader without the sidecar takes it for."""
+        assumed = DEFAULT_SIZES[self.object_type]
+        return BoxSize(max(self.own_size.length_m, assumed.length_m), max(self.own_size.width_m, assumed.width_m))
 
 
 @dataclass(slots=True)
 class Spawner:
     """Chooses vehicles one after the other; each one planned is an obstacle to the next.
 
-    fixed: generated vehicles of earlier rounds, with their final motion. reasons counts what was turned down.
+    fixed: generated vehicles of earlier rounds, with their final motion. patience: 0 takes only places where a vehicle
+    drives as it likes; from 1 on it may start slowly, from 2 on it may stand in a queue. reasons counts what was turned
+    down.
     """
 
     world: World
     rng: np.random.Generator
     fixed: Traffic
+    patience: int = 0
     planned: list[PlannedVehicle] = field(default_factory=list)
     reasons: Counter[str] = field(default_factory=Counter)
     _sigma: np.ndarray[tuple[int], np.dtype[np.uint8]] = field(init=False)
     _lanes: tuple[int, ...] = field(init=False)
     _predicted: Traffic = field(init=False)
+    _streams: dict[Policy, Iterator[tuple[Route, float]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Occupancy at step 0, with the fixed vehicles in it."""
@@ -53,140 +92,140 @@ class Spawner:
         for row in range(len(self.fixed.ids)):
             if self.fixed.present[row, 0]:
                 x, y = self.fixed.position[row, 0].tolist()
-                self._mark(x, y, float(self.fixed.heading[row, 0]), BoxSize(self.fixed.length_m[row], self.fixed.width_m[row]))
+                size = BoxSize(self.fixed.length_m[row], self.fixed.width_m[row])
+                self._mark(x, y, float(self.fixed.heading[row, 0]), size)
         self._predicted = predicted_traffic([], self.world.num_steps)
 
-    def spawn(self, policy: Policy, vehicle_id: str, *, attempts: int, allow_standing: bool = False) -> PlannedVehicle | None:
-        """Plan one vehicle for a policy; None, with the reasons counted, where no candidate of `attempts` holds."""
+    def spawn(self, policy: Policy, vehicle_id: str, *, attempts: int) -> PlannedVehicle | None:
+        """Plan one vehicle for a policy; None, with the reasons counted, where no candidate of `attempts` holds.
+
+        Candidates that were turned down are not tried again by this spawner: there is only less room later.
+        """
         object_type, own = self._draw_size()
-        trigger_s = self._draw_trigger(policy)
-        offered = False
-        for tried, (route, s0) in enumerate(self._candidates(policy)):
-            offered = True
-            if tried >= attempts:
-                break
-            vehicle = self._try(policy, vehicle_id, object_type, own, route, s0, trigger_s, allow_standing=allow_standing)
+        wish = _Wish(policy, vehicle_id, object_type, own, self._draw_trigger(policy))
+        for route, s0 in self._some(policy, attempts):
+            vehicle = self._try(wish, route, s0)
             if isinstance(vehicle, PlannedVehicle):
                 self._add(vehicle)
                 return vehicle
             self.reasons[vehicle] += 1
-        if not offered:
-            self.reasons[f"map_offers_no_{policy.value}"] += 1
         return None
 
     def spawn_overtake(self, vehicle_id: str, leader_id: str, *, attempts: int) -> tuple[PlannedVehicle, ...]:
         """Plan an overtaker, behind a slower vehicle that is there or, if allowed, behind a new slow leader."""
-        trigger_s = self._draw_trigger(Policy.OVERTAKE)
         object_type, own = self._draw_size()
-        tried = 0
-        for route, s0 in self._candidates(Policy.OVERTAKE):
-            tried += 1
-            if tried > attempts:
-                break
-            cruise = max(self.world.speed_sample(route[0], self.rng), 9.0)
-            found = self._overtake_pair(vehicle_id, leader_id, object_type, own, route, s0, trigger_s, cruise)
+        trigger_s = self._draw_trigger(Policy.OVERTAKE)
+        for route, s0 in self._some(Policy.OVERTAKE, attempts):
+            cruise = max(self.world.speed_sample(route[0], self.rng), _OVERTAKER_MPS)
+            wish = _Wish(Policy.OVERTAKE, vehicle_id, object_type, own, trigger_s, cruise)
+            found = self._overtaker(wish, route, s0, leader_id)
             if isinstance(found, tuple):
                 return found
             self.reasons[found] += 1
-        if tried == 0:
-            self.reasons["map_offers_no_overtake"] += 1
         return ()
 
-    def _overtake_pair(
-        self, vehicle_id: str, leader_id: str, object_type: str, own: BoxSize, route: Route, s0: float,
-        trigger_s: float, cruise: float,
-    ) -> tuple[PlannedVehicle, ...] | str:  # fmt: skip
-        path, size = self.world.path(route), _safe_size(object_type, own)
-        look = self.world.prospect(path, size, cruise_mps=cruise, others=(self.fixed, self._predicted))
-        step = min(int(trigger_s / DT_S), self.world.num_steps - 1)
-        low = np.where(look.occupancy.aligned[:, step], look.occupancy.low[:, step], np.inf)
-        gaps = low - s0
-        row = int(np.argmin(np.where(gaps > 0, gaps, np.inf))) if gaps.size else -1
-        overtake = self.world.config.overtake
-        if row >= 0 and 4.0 < gaps[row] < overtake.d_obs_m:
-            slow = float(np.median(look.occupancy.along[row, step:]))
-            if overtake.parked_mps < slow < 0.6 * cruise:
-                vehicle = self._try(Policy.OVERTAKE, vehicle_id, object_type, own, route, s0, trigger_s, cruise=cruise)
-                if isinstance(vehicle, PlannedVehicle):
-                    self._add(vehicle)
-                    return (vehicle,)
-                return vehicle
-        if not self.world.config.request.spawn_leaders:
-            return "no_slower_leader"
-        slow = min(0.38 * cruise, 4.5)
-        lead_type, lead_own = "vehicle", BoxSize(*_quantile(_CAR, float(self.rng.random())))
-        ahead = s0 + 14.0 + 1.6 * (cruise - slow) + (cruise - slow) * trigger_s * 0.5
-        leader = self._try(Policy.STRAIGHT, leader_id, lead_type, lead_own, route, ahead, 0.0, cruise=slow, steady=True)
+    def _some(self, policy: Policy, attempts: int) -> Iterator[tuple[Route, float]]:
+        """The next candidates of a policy that stand on free cells; occupied ones cost nothing and do not count."""
+        if policy not in self._streams:
+            self._streams[policy] = self._candidates(policy)
+        first = True
+        for _ in range(attempts):
+            candidate = next(self._streams[policy], None)
+            if candidate is None:
+                if first:
+                    self.reasons[f"map_offers_no_more_{policy.value}"] += 1
+                return
+            first = False
+            yield candidate
+
+    def _overtaker(self, wish: _Wish, route: Route, s0: float, leader_id: str) -> tuple[PlannedVehicle, ...] | str:
+        vehicle = self._try(wish, route, s0)
+        if isinstance(vehicle, PlannedVehicle):
+            self._add(vehicle)
+            return (vehicle,)
+        if vehicle != "no_leader" or not self.world.config.request.spawn_leaders or wish.cruise_mps is None:
+            return vehicle
+        slow = float(np.clip(0.35 * wish.cruise_mps, 3.0, 4.5))
+        closing = wish.cruise_mps - slow
+        lead = _Wish(
+            Policy.STRAIGHT, leader_id, "vehicle", BoxSize(*_quantile(_CAR, float(self.rng.random()))), 0.0, slow, steady=True
+        )
+        ahead = s0 + 12.0 + 1.7 * closing + 0.6 * closing * wish.trigger_s
+        leader = self._try(lead, route, ahead)
         if not isinstance(leader, PlannedVehicle):
-            return leader
+            return f"leader_{leader}"
         self._add(leader)
-        vehicle = self._try(Policy.OVERTAKE, vehicle_id, object_type, own, route, s0, trigger_s, cruise=cruise)
+        vehicle = self._try(wish, route, s0)
         if isinstance(vehicle, PlannedVehicle):
             self._add(vehicle)
             return (vehicle, leader)
         self._drop_last()
         return vehicle
 
-    def _try(
-        self, policy: Policy, vehicle_id: str, object_type: str, own: BoxSize, route: Route, s0: float,
-        trigger_s: float, *, cruise: float | None = None, allow_standing: bool = False, steady: bool = False,
-    ) -> PlannedVehicle | str:  # fmt: skip
+    def _try(self, wish: _Wish, route: Route, s0: float) -> PlannedVehicle | str:
         """A planned vehicle, or the reason against it."""
-        world, config = self.world, self.world.config
+        world, config, size = self.world, self.world.config, wish.size
         path = world.path(route)
-        size = _safe_size(object_type, own)
         if s0 < size.length_m / 2 or s0 + size.length_m / 2 > path.exit_s - 1.0:
             return "no_room_on_lane"
+        cruise = world.speed_sample(route[0], self.rng) if wish.cruise_mps is None else wish.cruise_mps
+        if "collision" in config.without:
+            return self._unchecked(wish, route, path, s0, cruise)
         xy, heading = path.line.position(np.array([s0]))[0], float(path.line.heading(np.array([s0]))[0])
-        under = cells_under(world.boxes, float(xy[0]), float(xy[1]), heading, length_m=size.length_m, width_m=0.8 * size.width_m)
-        if "collision" not in config.without and np.any(self._sigma[under] != FREE):
+        under = cells_under(
+            world.boxes, float(xy[0]), float(xy[1]), heading, length_m=size.length_m, width_m=0.8 * size.width_m
+        )
+        if np.any(self._sigma[under] != FREE):
             return "cells_occupied"
-        if cruise is None:
-            cruise = world.speed_sample(route[0], self.rng)
         stay_s = world.earliest_exit_step * DT_S
-        if path.exit_s - s0 < size.length_m + 0.75 * min(cruise, 6.0) * stay_s:
+        slowest = 6.0 if self.patience == 0 else 3.0
+        if path.exit_s - s0 < size.length_m + 0.75 * min(cruise, slowest) * stay_s:
             return "leaves_too_early"
         look = world.prospect(path, size, cruise_mps=cruise, others=(self.fixed, self._predicted))
-        if "collision" in config.without:
-            return self._unchecked(policy, vehicle_id, object_type, own, size, route, path, s0, cruise, trigger_s, look)
-        v0 = self._entry_speed(look, s0, cruise if steady else cruise * float(self.rng.uniform(0.85, 1.0)))
+        v0 = self._entry_speed(look, s0, cruise if wish.steady else cruise * float(self.rng.uniform(0.85, 1.0)))
         if isinstance(v0, str):
             return v0
-        plan = look.plan(s0=s0, v0=v0, a0=0.0, first_step=0, config=config)
+        plan: SpeedPlan | None = None
+        for share in (1.0,) if self.patience == 0 else (1.0, 0.5, 0.0):
+            plan = look.plan(s0=s0, v0=share * v0, a0=0.0, first_step=0, config=config)
+            if plan is not None:
+                v0 = share * v0
+                break
         if plan is None:
             return "no_safe_timing"
         moved = float(plan.s[-1] - plan.s[0])
-        if moved < _MIN_MOVE_M and not (allow_standing and self._queues(look, s0)):
-            return "would_stand"
-        reason = self._misses(policy, path, plan, s0, trigger_s)
-        if reason is not None:
-            return reason
+        if moved < _MIN_MOVE_M and not (self.patience >= 1 and moved > _MIN_MOVE_LATE_M):
+            if self.patience < 2 or not self._queues(look, s0):
+                return "would_stand"
+        intention = self._intend(wish, path, look, plan, s0, cruise)
+        if isinstance(intention, str):
+            return intention
         return PlannedVehicle(
-            vehicle_id=vehicle_id, policy=policy, object_type=object_type, size=size, own_size=own, route=route,
-            path=path, s0=s0, v0=v0, cruise_mps=cruise, trigger_s=trigger_s, plan_s=plan.s, plan_v=plan.v,
+            vehicle_id=wish.vehicle_id, policy=wish.policy, object_type=wish.object_type, size=size,
+            own_size=wish.own_size, route=route, path=path, s0=s0, v0=v0, cruise_mps=cruise, trigger_s=wish.trigger_s,
+            plan_s=plan.s, plan_v=plan.v, sides=intention.sides, intended_path=intention.path, intended_s=intention.s,
         )  # fmt: skip
 
-    def _unchecked(
-        self, policy: Policy, vehicle_id: str, object_type: str, own: BoxSize, size: BoxSize, route: Route,
-        path: DrivenPath, s0: float, cruise: float, trigger_s: float, look: Prospect,
-    ) -> PlannedVehicle:  # fmt: skip
+    def _unchecked(self, wish: _Wish, route: Route, path: DrivenPath, s0: float, cruise: float) -> PlannedVehicle:
         """Ablation without collision checks: any cell, the desired speed, nobody looked at."""
+        desired = self.world.desired(path, cruise)
         steps = self.world.num_steps
         s, v = np.empty(steps), np.empty(steps)
         s[0] = s0
         for k in range(steps):
-            v[k] = look.desired[min(int(s[k] / 0.5), look.desired.size - 1)]
+            v[k] = desired[min(int(s[k] / TABLE_STEP_M), desired.size - 1)]
             if k + 1 < steps:
                 s[k + 1] = s[k] + v[k] * DT_S
         return PlannedVehicle(
-            vehicle_id=vehicle_id, policy=policy, object_type=object_type, size=size, own_size=own, route=route,
-            path=path, s0=s0, v0=float(v[0]), cruise_mps=cruise, trigger_s=trigger_s, plan_s=s, plan_v=v,
+            vehicle_id=wish.vehicle_id, policy=wish.policy, object_type=wish.object_type, size=wish.size,
+            own_size=wish.own_size, route=route, path=path, s0=s0, v0=float(v[0]), cruise_mps=cruise,
+            trigger_s=wish.trigger_s, plan_s=s, plan_v=v, sides=("left", "right"), intended_path=path, intended_s=s,
         )  # fmt: skip
 
     def _entry_speed(self, look: Prospect, s0: float, wanted: float) -> float | str:
         """Spawn speed that suits the road and the gaps ahead and behind at step 0, or what forbids any."""
-        spawn = self.world.config.spawn
-        cell = int(s0 / 0.5 + 0.5)
+        spawn, driving = self.world.config.spawn, self.world.config.car_following
+        cell = int(s0 / TABLE_STEP_M + 0.5)
         occupancy = look.occupancy
         low, high = occupancy.low[:, 0], occupancy.high[:, 0]
         if np.any((low - spawn.clear_gap_m < s0) & (s0 < high + spawn.clear_gap_m)):
@@ -196,45 +235,142 @@ class Spawner:
         if ahead.any():
             row = int(np.argmin(np.where(ahead, low, np.inf)))
             gap, speed = low[row] - s0, max(0.0, float(occupancy.along[row, 0]))
-            room = max(0.0, gap - self.world.config.car_following.min_gap_m) / self.world.config.car_following.tau_s
+            room = max(0.0, gap - driving.min_gap_m) / driving.tau_s
             v0 = min(v0, max(room, min(speed, 0.8 * gap)))
-        if v0 < float(look.tables.pushed[0, cell]):
+        if v0 < max(0.0, float(look.tables.pushed[0, cell])):
             return "follower_too_fast"
         return v0
 
-    def _misses(self, policy: Policy, path: DrivenPath, plan: SpeedPlan, s0: float, trigger_s: float) -> str | None:
-        """Why the plan does not let the policy come about in the scene."""
-        if policy in _TURN:
-            turn = next((g for g in path.segments if self._turn(g.lane_id) is _TURN[policy] and g.start > s0), None)
-            if turn is None or plan.s[-1] < turn.end + 1.0:
+    def _intend(
+        self, wish: _Wish, path: DrivenPath, look: Prospect, plan: SpeedPlan, s0: float, cruise: float
+    ) -> _Intention | str:
+        """The manoeuvre as it can be foreseen, or why it would not come about in the scene."""
+        if wish.policy in _TURN:
+            turn = next((g for g in path.segments if self._turn(g.lane_id) is _TURN[wish.policy] and g.start > s0), None)
+            if turn is None or plan.s[-3] < turn.end + 1.0:
                 return "turn_not_reached"
-            done = float(np.searchsorted(plan.s, turn.end + 1.0))
-            if done * DT_S > self.world.num_steps * DT_S - 0.3:
-                return "turn_not_reached"
-        if policy in (Policy.LANE_CHANGE, Policy.OVERTAKE):
-            change = self.world.config.lane_change
-            at = min(int(trigger_s / DT_S), self.world.num_steps - 1)
-            if plan.v[at] < change.min_speed_mps and plan.v[min(at + 15, plan.v.size - 1)] < change.min_speed_mps:
-                return "too_slow_at_trigger"
-            reach = plan.s[at] + max(change.min_remaining_m, 3.0 * plan.v[at])
-            if not self._side_by_side(path, float(plan.s[at]), float(reach)):
-                return "no_lane_beside_at_trigger"
-        return None
+        if wish.policy is Policy.LANE_CHANGE:
+            return self._intend_lane_change(wish, path, plan, cruise)
+        if wish.policy is Policy.OVERTAKE:
+            return self._intend_overtake(wish, path, plan, cruise)
+        return _Intention(path, plan.s)
 
-    def _side_by_side(self, path: DrivenPath, start: float, end: float) -> bool:
-        """Whether one side of the path has an admissible lane all the way from start to end."""
-        for side in ("left", "right"):
-            if all(
-                self.world_neighbor(segment.lane_id, side) is not None
-                for segment in path.segments
-                if segment.end > start and segment.start < end
-            ) and end < path.exit_s:
-                return True
-        return False
+    def _intend_lane_change(self, wish: _Wish, path: DrivenPath, plan: SpeedPlan, cruise: float) -> _Intention | str:
+        """Try the change at the trigger, then a little later."""
+        change = self.world.config.lane_change
+        sides: tuple[Side, ...] = ("left", "right") if self.rng.random() < 0.5 else ("right", "left")
+        trigger = int(np.ceil(wish.trigger_s / DT_S))
+        reason = "scene_too_short"
+        for step in (trigger, trigger + 8, trigger + 20):
+            if step >= plan.s.size - int(change.min_duration_s / DT_S):
+                break
+            speed = float(plan.v[step])
+            for option, target in self._options(wish, path, step, float(plan.s[step]), sides):
+                unmet = lane_change_reason(
+                    speed_mps=speed, cells_free=option.cells_free, allowed=option.allowed, front=option.front,
+                    rear=option.rear, remaining_m=option.remaining_m, params=change,
+                )  # fmt: skip
+                if unmet is not None:
+                    reason = unmet
+                    continue
+                across = self._across(wish, path, target, plan, step, option.remaining_m, cruise)
+                if isinstance(across, str):
+                    reason = across
+                    continue
+                other: Side = "right" if option.side == "left" else "left"
+                return _Intention(across[0], across[1].s, (option.side, other))
+            reason = reason if reason != "scene_too_short" else "no_adjacent_lane"
+        return f"lane_change_{reason}"
 
-    def world_neighbor(self, lane_id: int, side: str) -> int | None:
-        """Adjacent lane on which a lane change is admissible."""
-        return admissible_neighbor(self.world, lane_id, side)
+    def _intend_overtake(self, wish: _Wish, path: DrivenPath, plan: SpeedPlan, cruise: float) -> _Intention | str:
+        """Enter at the trigger or a little later, pass, and find room to return before the scene ends."""
+        overtake = self.world.config.overtake
+        everybody = self.world.traffic.joined(self.fixed).joined(self._predicted)
+        trigger = int(np.ceil(wish.trigger_s / DT_S))
+        reason = "scene_too_short"
+        for step in (trigger, trigger + 8, trigger + 16):
+            if step >= plan.s.size - 50:
+                break
+            s = float(plan.s[step])
+            leader = leader_on(path, wish.size, s=s, step=step, d_obs_m=overtake.d_obs_m, everybody=everybody)
+            if leader is None or leader.speed_mps < overtake.parked_mps:
+                reason = "no_leader"
+                continue
+            for option, target in self._options(wish, path, step, s, ("left", "right")):
+                unmet = enter_reason(
+                    leader=leader, desired_mps=cruise, lane_available=option.allowed and option.cells_free,
+                    ahead=option.front, behind=option.rear, free_corridor_m=option.corridor_m, params=overtake,
+                )  # fmt: skip
+                if unmet is not None:
+                    reason = unmet
+                    continue
+                across = self._across(wish, path, target, plan, step, option.remaining_m, cruise)
+                if isinstance(across, str):
+                    reason = across
+                    continue
+                back: Side = "right" if option.side == "left" else "left"
+                done = self._return(wish, across[0], across[1], leader, back, everybody, cruise)
+                if isinstance(done, str):
+                    reason = done
+                    continue
+                return _Intention(done[0], done[1].s, (option.side, back))
+        return "no_leader" if reason == "no_leader" else f"overtake_{reason}"
+
+    def _return(
+        self, wish: _Wish, path: DrivenPath, plan: SpeedPlan, leader: Leader, side: Side, everybody: Traffic, cruise: float
+    ) -> tuple[DrivenPath, SpeedPlan] | str:
+        """Third stage, foreseen: the first steps at which the passed vehicle is far enough behind."""
+        overtake = self.world.config.overtake
+        passed = np.flatnonzero(plan.s >= path.shifts[-1][1])
+        reason = "not_passed"
+        for step in passed[::4].tolist():
+            if step >= plan.s.size - 26:
+                break
+            s = float(plan.s[step])
+            gap = gap_ahead_of(path, wish.size, s=s, step=step, passed_id=leader.track_id, everybody=everybody)
+            if gap < overtake.return_gap_m:
+                continue
+            for option, target in self._options(wish, path, step, s, (side,)):
+                unmet = return_reason(
+                    lead_gap_m=gap, lane_available=option.allowed and option.cells_free, ahead=option.front, params=overtake
+                )
+                if unmet is not None:
+                    reason = f"return_{unmet}"
+                    continue
+                back = self._across(wish, path, target, plan, step, option.remaining_m, cruise)
+                if not isinstance(back, str):
+                    return back
+                reason = f"return_{back}"
+        return reason
+
+    def _options(
+        self, wish: _Wish, path: DrivenPath, step: int, s: float, sides: tuple[Side, ...]
+    ) -> list[tuple[LaneOption, DrivenPath]]:
+        return lane_options(
+            self.world, path, wish.size, s=s, step=step, sides=sides, others=(self.fixed, self._predicted)
+        )
+
+    def _across(
+        self, wish: _Wish, path: DrivenPath, target: DrivenPath, plan: SpeedPlan, step: int, remaining_m: float, cruise: float
+    ) -> tuple[DrivenPath, SpeedPlan] | str:
+        """The path across from a step of a plan on, and the plan on it; or why there is none."""
+        speed, s = float(plan.v[step]), float(plan.s[step])
+        pace = max(speed, 0.5 * (speed + float(plan.v[min(step + 20, plan.v.size - 1)])))
+        across = lay_across(
+            self.world, path, target, s=s, pace_mps=pace, remaining_m=remaining_m, policy=wish.policy
+        )
+        if isinstance(across, str):
+            return across
+        look = self.world.prospect(across, wish.size, cruise_mps=cruise, others=(self.fixed, self._predicted))
+        accel = float(np.clip((plan.v[step] - plan.v[max(step - 1, 0)]) / DT_S, -2.0, 1.5))
+        onward = look.plan(s0=s, v0=speed, a0=accel, first_step=step, config=self.world.config)
+        if onward is None:
+            return "conflict_predicted"
+        if onward.s[-1] < across.shifts[-1][1] + 0.5:
+            return "would_not_complete"
+        return across, SpeedPlan(
+            s=np.concatenate([plan.s[:step], onward.s]), v=np.concatenate([plan.v[:step], onward.v]), cost=onward.cost
+        )
 
     def _turn(self, lane_id: int) -> TurnType:
         return self.world.grid.graph.lanes[lane_id].turn
@@ -253,10 +389,14 @@ class Spawner:
             if policy is Policy.STRAIGHT or self._may_start(policy, lane_id)
             for index in range(self.world.grid.count(lane_id))
         ]
+        place_of = [self.world.grid.index_of[cell] for cell in cells]
         for place in self.rng.permutation(len(cells)).tolist():
             cell = cells[place]
             borders = self.world.grid.edges_s(cell.lane_id)
             s0 = float(self.rng.uniform(borders[cell.index], borders[cell.index + 1]))
+            if "collision" not in self.world.config.without and self._sigma[place_of[place]] != FREE:
+                self.reasons["cells_occupied"] += 1
+                continue
             route = self._route(policy, cell.lane_id, s0)
             if route is None:
                 continue
@@ -307,9 +447,13 @@ class Spawner:
         return "vehicle", BoxSize(*_quantile(_CAR, share))
 
     def _draw_trigger(self, policy: Policy) -> float:
-        """t_trigger, uniform in the range asked for; overtakes, which need most of a scene, from its first quarter."""
+        """t_trigger, uniform in the range asked for, within the first 40 % of the scene where the range allows.
+
+        Overtakes, which need most of a scene, take it from the first quarter of the range.
+        """
         request = self.world.config.request
         low, high = request.trigger_min_s, request.trigger_max_s
+        high = max(low, min(high, 0.4 * self.world.num_steps * DT_S))  # a short scene still has time for the manoeuvre
         if policy is Policy.OVERTAKE:
             high = low + 0.25 * (high - low)
         return float(self.rng.uniform(low, high)) if high > low else low
@@ -319,33 +463,20 @@ class Spawner:
         start = np.array([vehicle.s0])
         xy = vehicle.path.line.position(start)[0]
         self._mark(float(xy[0]), float(xy[1]), float(vehicle.path.line.heading(start)[0]), vehicle.size)
-        one = predicted_traffic([(vehicle.vehicle_id, vehicle.path, vehicle.size, vehicle.plan_s)], self.world.num_steps)
+        one = predicted_traffic(
+            [(vehicle.vehicle_id, vehicle.intended_path, vehicle.size, vehicle.intended_s)], self.world.num_steps
+        )
         self._predicted = self._predicted.joined(one)
 
     def _drop_last(self) -> None:
         """Take the vehicle planned last back."""
         self.planned.pop()
-        entries = [(v.vehicle_id, v.path, v.size, v.plan_s) for v in self.planned]
+        entries = [(v.vehicle_id, v.intended_path, v.size, v.intended_s) for v in self.planned]
         self._predicted = predicted_traffic(entries, self.world.num_steps)
 
     def _mark(self, x: float, y: float, heading: float, size: BoxSize) -> None:
         under = cells_under(self.world.boxes, x, y, heading, length_m=size.length_m, width_m=0.8 * size.width_m)
         self._sigma[under[self._sigma[under] == FREE]] = GENERATED
-
-
-def admissible_neighbor(world: World, lane_id: int, side: str) -> int | None:
-    """Same-direction neighbour that a vehicle may change to: of a drivable type, and the marking allows it."""
-    graph = world.grid.graph
-    neighbor = graph.neighbor(lane_id, "left" if side == "left" else "right")
-    if neighbor is None or graph.lanes[neighbor].lane_type not in DRIVABLE_TYPES:
-        return None
-    return neighbor if graph.may_change(lane_id, "left" if side == "left" else "right") else None
-
-
-def _safe_size(object_type: str, own: BoxSize) -> BoxSize:
-    """Box that covers the vehicle and what a reader without the sidecar takes it for."""
-    assumed = DEFAULT_SIZES[object_type]
-    return BoxSize(max(own.length_m, assumed.length_m), max(own.width_m, assumed.width_m))
 
 
 def _quantile(table: tuple[tuple[float, float, float], ...], share: float) -> tuple[float, float]:

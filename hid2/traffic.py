@@ -1,12 +1,12 @@
 """Boxes of many agents over time, as dense arrays: what is known, or predicted, of everybody else."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from hid2.agents import FloatArray, Track
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -32,6 +32,30 @@ class Traffic:
     def num_steps(self) -> int:
         """T."""
         return int(self.present.shape[1])
+
+    def at(self, step: int) -> "Traffic":
+        """The same agents at one step, T = 1."""
+        span = slice(step, step + 1)
+        return replace(
+            self,
+            position=self.position[:, span],
+            heading=self.heading[:, span],
+            velocity=self.velocity[:, span],
+            present=self.present[:, span],
+        )
+
+    def rows(self, rows: Sequence[int]) -> "Traffic":
+        """Some of the agents."""
+        index = np.asarray(rows, dtype=np.int64)
+        return Traffic(
+            ids=tuple(self.ids[row] for row in rows),
+            position=self.position[index],
+            heading=self.heading[index],
+            velocity=self.velocity[index],
+            present=self.present[index],
+            length_m=self.length_m[index],
+            width_m=self.width_m[index],
+        )
 
     def joined(self, other: "Traffic") -> "Traffic":
         """Agents of both, self first."""
@@ -71,9 +95,15 @@ def traffic_of(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> Tra
         heading=heading,
         velocity=velocity,
         present=present,
-        length_m=np.array([track.size.length_m for track in tracks]),
-        width_m=np.array([track.size.width_m for track in tracks]),
+        length_m=np.array([_covering(track).length_m for track in tracks]),
+        width_m=np.array([_covering(track).width_m for track in tracks]),
     )
+
+
+def _covering(track: Track) -> BoxSize:
+    """Box that covers the labelled one and the one that readers assume, to whom the format gives no sizes."""
+    assumed = DEFAULT_SIZES[track.object_type]
+    return BoxSize(max(track.size.length_m, assumed.length_m), max(track.size.width_m, assumed.width_m))
 
 
 def _velocity(xy: FloatArray, step_s: float) -> FloatArray:

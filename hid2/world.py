@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -147,7 +148,9 @@ def _speeds(
 class PlannedVehicle:
     """A vehicle ready to be inserted: where, how fast, on which route, to do what.
 
-    s0, v0: state of the box centre on the path at step 0; plan_s (T,) m: its predicted s(t) if nobody delays it.
+    s0, v0: state of the box centre on the path at step 0; plan_s (T,) m, plan_v (T,) m/s: its motion on that path.
+    intended_path, intended_s (T,) m: the same with its manoeuvre, as the others foresee it; sides: where it looks for a
+    lane, in this order.
     size: the larger of its own box and the one that readers without the sidecar assume; own_size is exported.
     """
 
@@ -164,6 +167,9 @@ class PlannedVehicle:
     trigger_s: float
     plan_s: FloatArray
     plan_v: FloatArray
+    sides: tuple[Literal["left", "right"], ...]
+    intended_path: DrivenPath
+    intended_s: FloatArray
 
 
 def predicted_traffic(

@@ -1,0 +1,188 @@
+"""A manoeuvre on the map: adjacent lanes with who is on them, and the path across (paper, Lane Change, Overtaking)."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hid2.agents import BoxSize, Policy
+from hid2.decision import LaneOption, Side
+from hid2.lane_change import Gap, blend_paths, duration_s
+from hid2.occupancy import FREE, cells_under
+from hid2.overtake import Leader
+from hid2.route import DrivenPath, Route, routes_from, shifted_path
+from hid2.space_time import path_occupancy
+from hid2.traffic import Traffic
+from hid2.world import DRIVABLE_TYPES, World
+from netconvert.cells import Cell
+
+_MAX_SHIFT_M = 5.5
+_LOOK_BACK_M = 50.0
+_ROUTE_LONGEST_M = 260.0
+
+
+def admissible_neighbor(world: World, lane_id: int, side: Side) -> int | None:
+    """Same-direction neighbour that a vehicle may change to: of a drivable type, and the marking allows it."""
+    graph = world.grid.graph
+    neighbor = graph.neighbor(lane_id, side)
+    if neighbor is None or graph.lanes[neighbor].lane_type not in DRIVABLE_TYPES:
+        return None
+    return neighbor if graph.may_change(lane_id, side) else None
+
+
+def lane_options(
+    world: World, path: DrivenPath, size: BoxSize, *, s: float, step: int, sides: Sequence[Side], others: Sequence[Traffic]
+) -> list[tuple[LaneOption, DrivenPath]]:
+    """Adjacent lanes at arc length s of a path at one step, each with the path that continues on it."""
+    segment = path.segment_at(s)
+    xy = path.line.position(np.array([s]))
+    found = []
+    for side in sides:
+        lane_id = admissible_neighbor(world, segment.lane_id, side)
+        if lane_id is None:
+            continue
+        lane_s = float(world.grid.graph.lanes[lane_id].path.frenet(xy)[0][0])
+        lane_s = min(max(lane_s, 0.0), world.grid.graph.lanes[lane_id].length_m)
+        target = target_path(world, path, lane_id, s=s)
+        at = _place_on(target, lane_id, lane_s)
+        front, rear = gaps_on(world, target, size, at=at, step=step, others=others)
+        cell = world.grid.cell_at(lane_id, lane_s)
+        remaining = target.exit_s - at
+        option = LaneOption(
+            side=side, target=cell, allowed=True, cells_free=_cells_free(world, cell, step=step, others=others),
+            front=front, rear=rear, remaining_m=remaining, corridor_m=min(remaining, front.distance_m),
+        )  # fmt: skip
+        found.append((option, target))
+    return found
+
+
+def target_path(world: World, path: DrivenPath, lane_id: int, *, s: float) -> DrivenPath:
+    """Path of l': lanes before it, for who comes from behind, then on beside the own route where possible."""
+    graph = world.grid.graph
+    own = [segment.lane_id for segment in path.segments if segment.end > s]
+    beside = {n for lane in own for n in (graph.neighbor(lane, "left"), graph.neighbor(lane, "right")) if n is not None}
+
+    def choose(onward: tuple[int, ...]) -> tuple[int, ...]:
+        return tuple(sorted(onward, key=lambda n: (n not in beside, graph.lanes[n].turn.value != "straight", n)))
+
+    def usable(lane: int) -> bool:
+        return graph.lanes[lane].lane_type in DRIVABLE_TYPES
+
+    ahead = routes_from(graph, lane_id, choose=choose, usable=usable, most=1, longest_m=_ROUTE_LONGEST_M)
+    route: Route = next(ahead, (lane_id,))
+    behind_m = 0.0
+    while behind_m < _LOOK_BACK_M:
+        before = sorted(p for p in graph.predecessors(route[0]) if usable(p) and p not in route)
+        if not before:
+            break
+        behind_m += graph.lanes[before[0]].length_m
+        route = (before[0], *route)
+    return world.path(route)
+
+
+def gaps_on(
+    world: World, target: DrivenPath, size: BoxSize, *, at: float, step: int, others: Sequence[Traffic]
+) -> tuple[Gap, Gap]:
+    """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres."""
+    known = world.recorded_on(target, size)
+    low, high, along = known.low[:, step], known.high[:, step], known.along[:, step]
+    for traffic in others:
+        more = path_occupancy(
+            target.line, traffic.at(step), length_m=size.length_m, width_m=size.width_m, margin_lateral_m=0.1
+        )
+        low = np.concatenate([low, more.low[:, 0]])
+        high = np.concatenate([high, more.high[:, 0]])
+        along = np.concatenate([along, more.along[:, 0]])
+    touched = np.isfinite(low)
+    low, high, along = low[touched], high[touched], along[touched]
+    front, rear = Gap.none(), Gap.none()
+    ahead = np.where(0.5 * (low + high) >= at, low - at, np.inf)
+    if ahead.size and np.isfinite(ahead.min()):
+        row = int(np.argmin(ahead))
+        front = Gap(float(ahead[row]), max(0.0, float(along[row])))
+    behind = np.where(0.5 * (low + high) < at, at - high, np.inf)
+    if behind.size and np.isfinite(behind.min()):
+        row = int(np.argmin(behind))
+        rear = Gap(float(behind[row]), max(0.0, float(along[row])))
+    return front, rear
+
+
+def leader_on(
+    path: DrivenPath, size: BoxSize, *, s: float, step: int, d_obs_m: float, everybody: Traffic
+) -> Leader | None:
+    """Next vehicle on the lane path within d_obs, at one step."""
+    here = everybody.at(step)
+    own = path.line.position(np.array([s]))[0]
+    near = np.abs(here.position[:, 0] - own).max(axis=1) < d_obs_m + 15.0
+    best: Leader | None = None
+    for row in np.flatnonzero(here.present[:, 0] & near).tolist():
+        found = path_occupancy(
+            path.line, here.rows([row]), length_m=size.length_m, width_m=size.width_m, margin_lateral_m=0.0
+        )
+        if found.low.shape[0] == 0 or not bool(found.aligned[0, 0]):
+            continue
+        gap = float(found.low[0, 0]) - s
+        if -1.0 < gap < d_obs_m and (best is None or gap < best.gap_m):
+            best = Leader(here.ids[row], gap, max(0.0, float(found.along[0, 0])), float(here.length_m[row]))
+    return best
+
+
+def gap_ahead_of(path: DrivenPath, size: BoxSize, *, s: float, step: int, passed_id: str, everybody: Traffic) -> float:
+    """Own rear bumper to the passed vehicle's front, m, along the own heading; inf once that vehicle is gone."""
+    row = everybody.ids.index(passed_id)
+    if not everybody.present[row, step]:
+        return math.inf
+    offset = path.line.position(np.array([s]))[0] - everybody.position[row, step]
+    heading = float(path.line.heading(np.array([s]))[0])
+    along = float(offset[0] * math.cos(heading) + offset[1] * math.sin(heading))
+    return along - size.length_m / 2 - float(everybody.length_m[row]) / 2
+
+
+def lay_across(
+    world: World, path: DrivenPath, target: DrivenPath, *, s: float, pace_mps: float, remaining_m: float, policy: Policy
+) -> DrivenPath | str:
+    """Path that shifts to `target` from arc length s on at about pace_mps; or why there is none."""
+    change, smoothing = world.config.lane_change, world.config.smoothing
+    offset = target.line.points - path.line.position(np.array([s]))[0]
+    lateral = float(np.hypot(offset[:, 0], offset[:, 1]).min())
+    pace = max(pace_mps, change.min_speed_mps)
+    lasting = duration_s(lateral_m=lateral, speed_mps=pace, remaining_m=remaining_m, params=change)
+    if policy is Policy.OVERTAKE:  # out and back must fit in one scene
+        lasting = max(change.min_duration_s, 0.75 * lasting)
+    blend = blend_paths(
+        path.raw, target.raw, start_m=path.to_raw(s), length_m=pace * lasting, step_m=smoothing.path_step_m,
+        max_shift_m=_MAX_SHIFT_M,
+    )  # fmt: skip
+    if blend is None:
+        return "lanes_not_side_by_side"
+    return shifted_path(path, target, blend, smoothing=smoothing, limits=world.config.limits)
+
+
+def _place_on(target: DrivenPath, lane_id: int, lane_s: float) -> float:
+    segment = next(segment for segment in target.segments if segment.lane_id == lane_id)
+    share = (lane_s - segment.lane_start) / max(segment.lane_end - segment.lane_start, 1e-9)
+    return segment.start + share * (segment.end - segment.start)
+
+
+def _cells_free(world: World, cell: Cell, *, step: int, others: Sequence[Traffic]) -> bool:
+    """Cells j-1, j, j+1 of l' have sigma = 0 (paper, Lane Change)."""
+    grid = world.grid
+    wanted = [
+        grid.index_of[Cell(cell.lane_id, index)]
+        for index in (cell.index - 1, cell.index, cell.index + 1)
+        if 0 <= index < grid.count(cell.lane_id)
+    ]
+    if np.any(world.occupancy.sigma[step, wanted] != FREE):
+        return False
+    center = world.boxes.center[wanted].mean(axis=0)
+    for traffic in others:
+        near = traffic.present[:, step] & (np.abs(traffic.position[:, step] - center).max(axis=1) < 25.0)
+        for row in np.flatnonzero(near).tolist():
+            x, y = traffic.position[row, step].tolist()
+            under = cells_under(
+                world.boxes, x, y, float(traffic.heading[row, step]),
+                length_m=float(traffic.length_m[row]), width_m=0.8 * float(traffic.width_m[row]),
+            )  # fmt: skip
+            if np.isin(under, wanted).any():
+                return False
+    return True
