@@ -189,6 +189,27 @@ def _boxes_touch(
 
 
 @njit(cache=True)
+def _paths_cross(
+    position: FloatArray, heading: FloatArray, start_a: int, end_a: int, start_b: int, end_b: int, min_sine: float
+) -> bool:
+    """Whether the paths of two centres cut each other where the headings differ by the given angle at least."""
+    for i in range(start_a, end_a - 1):
+        ax, ay = position[i, 0], position[i, 1]
+        ux, uy = position[i + 1, 0] - ax, position[i + 1, 1] - ay
+        for j in range(start_b, end_b - 1):
+            dx, dy = position[j, 0] - ax, position[j, 1] - ay
+            vx, vy = position[j + 1, 0] - position[j, 0], position[j + 1, 1] - position[j, 1]
+            across = ux * vy - uy * vx
+            if across == 0.0:
+                continue
+            r = (dx * vy - dy * vx) / across
+            q = (dx * uy - dy * ux) / across
+            if 0.0 <= r <= 1.0 and 0.0 <= q <= 1.0 and abs(math.sin(heading[i] - heading[j])) >= min_sine:
+                return True
+    return False
+
+
+@njit(cache=True)
 def post_encroachment(
     agents: IntArray,
     position: FloatArray,
@@ -200,10 +221,11 @@ def post_encroachment(
     cap_steps: int,
     min_angle: float,
 ) -> IntArray:
-    """PET in steps for every pair of `agents` (K, K), upper triangle, -1 where their paths share no ground in time.
+    """PET in steps for every pair of `agents` (K, K), upper triangle, -1 where their paths do not cross in time.
 
-    The smallest |t1 - t2| at which the box of one at t1 covers ground of the box of the other at t2 while their
-    headings there differ by at least `min_angle` (and at most pi - min_angle: meeting head-on is no crossing).
+    Paths cross where the centres' paths cut each other at `min_angle` at least (and at most pi - min_angle: meeting
+    head-on is no crossing). PET is then the smallest |t1 - t2| at which the box of one at t1 covers ground of the box
+    of the other at t2 while their headings differ that much.
     """
     count = len(agents)
     out = np.full((count, count), -1, dtype=np.int64)
@@ -222,6 +244,8 @@ def post_encroachment(
                 continue
             b = agents[q]
             reach = (math.hypot(length[a], width[a]) + math.hypot(length[b], width[b])) / 2
+            if not _paths_cross(position, heading, first[a], first[a + 1], first[b], first[b + 1], math.sin(min_angle)):
+                continue
             best = cap_steps + 1
             for i in range(first[a], first[a + 1]):
                 for j in range(first[b], first[b + 1]):
