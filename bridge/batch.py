@@ -96,11 +96,6 @@ class Progress:
         made = self.done + self.quarantined
         return made / max(time.monotonic() - self.began, 1e-9) if made else 0.0
 
-    @property
-    def left_s(self) -> float | None:
-        """Estimated time left, None before the first run is made."""
-        return (self.total - self.finished) / self.rate if self.rate else None
-
 
 def plan(folders: Iterable[Path], config: Config) -> list[SceneJob]:
     """One job for every scene folder, with the variants that the configuration asks for.

@@ -127,7 +127,7 @@ def generate(
     options = Options(jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume)
     try:
         with BatchDisplay(quiet=quiet, verbose=verbose) as display:
-            rows = run_batch(plan(folders, resolved), out, options, on_row=display.show)
+            rows = run_batch(plan(folders, resolved), out, options, on_row=display.note)
     except KeyboardInterrupt:
         say(f"interrupted; what is done is in {out / 'manifest.csv'}, go on with --resume")
         raise typer.Exit(INTERRUPTED) from None
@@ -177,6 +177,30 @@ def validate(
     if not quiet:
         say(f"{out}: {len(findings) or 'no'} finding{'' if len(findings) == 1 else 's'}")
     raise typer.Exit(SOME_FAILED if findings else ALL_DONE)
+
+
+@app.command()
+def evaluate(
+    out: Annotated[Path, typer.Argument(help="Scenes to measure, generated or recorded: a folder, a split or a root.")],
+    report: Annotated[Path, typer.Option("-o", "--out", help="Folder for metrics.json, the tables and report.html.")],
+    *,
+    source: Annotated[Path | None, typer.Option(help="Where the source scenes are, for before and after.")] = None,
+    jobs: Jobs = 1,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure density, diversity, safety, kinematics and realism of any number of scenes."""
+    _set_up(verbose=verbose, quiet=quiet)
+    from bridge.console import Counter, say
+    from bridge.evaluate import evaluate_folder
+
+    with Counter("measuring", quiet=quiet) as counter:
+        evaluation = evaluate_folder(out, report_dir=report, source=source, jobs=jobs, on_scene=counter.show)
+    for folder, reason in evaluation.failures:
+        say(f"{folder}: {reason}")
+    if not quiet:
+        print(report / "report.html")
+    raise typer.Exit(SOME_FAILED if evaluation.failures else ALL_DONE)
 
 
 @app.command()
@@ -251,12 +275,12 @@ def scan(
 ) -> None:
     """Tabulate a data set: agents, density, lanes, neighbours, and room for each manoeuvre."""
     _set_up(verbose=verbose, quiet=quiet)
-    from bridge.console import print_table, say
+    from bridge.console import Counter, print_table, say
     from bridge.scan import SceneFacts, Selection, facts_of, select, write_facts
-    from bridge.scenario import find_scenarios
 
-    folders = [folder for path in scenes for folder in find_scenarios(path)]
-    facts, failures = facts_of(folders, jobs=jobs)
+    folders = _find(scenes)
+    with Counter("scanning", quiet=quiet) as counter:
+        facts, failures = facts_of(folders, jobs=jobs, on_scene=counter.show)
     for folder, reason in failures:
         say(f"{folder}: {reason}")
     chosen = select(facts, Selection(min_agents, tuple(city), tuple(split), tuple(can), sample, seed))
@@ -289,7 +313,7 @@ def study(
     options = Options(jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=True)
     try:
         with BatchDisplay(quiet=quiet, verbose=verbose) as display:
-            report = run_study(read_study(file), out, options, keep_scenes=keep_scenes, on_row=display.show)
+            report = run_study(read_study(file), out, options, keep_scenes=keep_scenes, on_row=display.note)
     except KeyboardInterrupt:
         say("interrupted; call it again to go on")
         raise typer.Exit(INTERRUPTED) from None
@@ -326,19 +350,26 @@ def _agents(text: str) -> int | str:
         raise ConfigError(f"--agents {text!r}: want a number or max") from None
 
 
-def _select(paths: Sequence[Path], selection: "Selection", *, jobs: int, quiet: bool) -> list[Path]:
-    """The scenario folders at `paths` that are wanted. Errors: ConfigError where a path holds none or none is left."""
-    from bridge.console import say
-    from bridge.scan import facts_of, select
+def _find(paths: Sequence[Path]) -> list[Path]:
+    """The scenario folders at `paths`, each once. Errors: ConfigError where a path holds none."""
     from bridge.scenario import find_scenarios
 
     try:
-        folders = list(dict.fromkeys(folder for path in paths for folder in find_scenarios(path)))
+        return list(dict.fromkeys(folder for path in paths for folder in find_scenarios(path)))
     except Hid2Error as error:
         raise ConfigError(str(error)) from error
+
+
+def _select(paths: Sequence[Path], selection: "Selection", *, jobs: int, quiet: bool) -> list[Path]:
+    """The scenario folders at `paths` that are wanted. Errors: ConfigError where none is left."""
+    from bridge.console import Counter, say
+    from bridge.scan import facts_of, select
+
+    folders = _find(paths)
     if not selection.needs_facts:
         return folders
-    facts, failures = facts_of(folders, jobs=jobs)
+    with Counter("scanning", quiet=quiet) as counter:
+        facts, failures = facts_of(folders, jobs=jobs, on_scene=counter.show)
     for folder, reason in failures:
         say(f"{folder}: not selected, {reason}")
     chosen = [fact.folder for fact in select(facts, selection)]

@@ -4,6 +4,7 @@ import sys
 import time
 from collections.abc import Sequence
 from types import TracebackType
+from typing import Self
 
 from rich import box
 from rich.console import Console
@@ -46,16 +47,16 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
     console.print(table)
 
 
-class BatchDisplay:
-    """Progress of a batch: a bar on a terminal, a line now and then elsewhere, nothing when quiet."""
+class Counter:
+    """Progress of work that is counted: a bar on a terminal, a line now and then elsewhere, nothing when quiet."""
 
-    def __init__(self, *, quiet: bool, verbose: bool) -> None:
-        self._quiet, self._verbose = quiet, verbose
+    def __init__(self, what: str, *, quiet: bool) -> None:
+        self._what, self._quiet = what, quiet
         self._bar: Bar | None = None
         self._task: TaskID | None = None
-        self._said = time.monotonic()
+        self._began = self._said = time.monotonic()
 
-    def __enter__(self) -> "BatchDisplay":
+    def __enter__(self) -> Self:
         if not self._quiet and sys.stderr.isatty():
             self._bar = Bar(
                 TextColumn("{task.description}"),
@@ -74,36 +75,43 @@ class BatchDisplay:
         if self._bar:
             self._bar.stop()
 
-    def show(self, row: ManifestRow, progress: Progress) -> None:
-        """Take note of one more run."""
-        if row.status != DONE:
-            self._say(f"{row.scenario} variant {row.variant}: {row.reason}")
-        elif self._verbose:
-            self._say(
-                f"{row.scenario} variant {row.variant}: {row.placed} of {row.requested} placed, {row.seconds:.1f} s"
-            )
+    def show(self, done: int, total: int, rate: float | None = None, details: str = "") -> None:
+        """Take note of what is done so far; rate: items a second, by the count if not given."""
+        now = time.monotonic()
+        rate = done / max(now - self._began, 1e-9) if rate is None else rate
         if self._bar:
             if self._task is None:
-                self._task = self._bar.add_task("generating", total=progress.total, rate="")
-            self._bar.update(self._task, completed=progress.finished, rate=f"{progress.rate:.1f}/s")
-        elif not self._quiet and time.monotonic() - self._said > _PLAIN_EVERY_S:
-            self._said = time.monotonic()
-            say(progress_line(progress))
+                self._task = self._bar.add_task(self._what, total=total, rate="")
+            self._bar.update(self._task, completed=done, rate=f"{rate:.1f}/s")
+        elif not self._quiet and now - self._said > _PLAIN_EVERY_S:
+            self._said = now
+            left = f", {duration((total - done) / rate)} left" if rate > 0 else ""
+            say(f"{self._what}: {done} of {total}{details}, {rate:.1f}/s{left}")
 
-    def _say(self, message: str) -> None:
+    def message(self, text: str) -> None:
+        """A message beside the progress."""
         if self._bar:
-            self._bar.console.print(Text(message))
+            self._bar.console.print(Text(text))
         else:
-            say(message)
+            say(text)
 
 
-def progress_line(progress: Progress) -> str:
-    """One line: counts, rate, time left."""
-    left = "" if progress.left_s is None else f", {duration(progress.left_s)} left"
-    return (
-        f"{progress.finished} of {progress.total}: {progress.done} done, {progress.skipped} complete before, "
-        f"{progress.quarantined} quarantined, {progress.rate:.1f}/s{left}"
-    )
+class BatchDisplay(Counter):
+    """Progress of a batch, with a message for every scene that could not be done (and when verbose, every other)."""
+
+    def __init__(self, *, quiet: bool, verbose: bool) -> None:
+        super().__init__("generating", quiet=quiet)
+        self._verbose = verbose
+
+    def note(self, row: ManifestRow, progress: Progress) -> None:
+        """Take note of one more run."""
+        if row.status != DONE:
+            self.message(f"{row.scenario} variant {row.variant}: {row.reason}")
+        elif self._verbose:
+            placed = f"{row.placed} of {row.requested} placed, {row.seconds:.1f} s"
+            self.message(f"{row.scenario} variant {row.variant}: {placed}")
+        details = f" ({progress.skipped} complete before, {progress.quarantined} quarantined)"
+        self.show(progress.finished, progress.total, progress.rate, details)
 
 
 def duration(seconds: float) -> str:

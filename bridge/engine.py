@@ -7,7 +7,7 @@ The death of a Dask worker itself is no scene's fault: the scheduler gives its t
 
 import contextlib
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,7 +60,7 @@ class Settings:
 
 def execute(
     tasks: Iterable[Task], *, jobs: int = 1, scheduler: str | None = None, settings: Settings | None = None
-) -> Iterator[Result]:
+) -> Generator[Result, None, None]:
     """Yield the result of every task as it is done; `tasks` is consumed as workers become free.
 
     jobs: worker processes on this machine; scheduler: address of a running Dask scheduler, whose workers are used

@@ -2,7 +2,7 @@
 
 import csv
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -83,8 +83,13 @@ class Selection(NamedTuple):
         return self._replace(seed=0) != Selection()
 
 
-def facts_of(folders: Sequence[Path], *, jobs: int = 1) -> tuple[list[SceneFacts], list[tuple[Path, str]]]:
-    """Facts of scenes in the order of folders, and the scenes that cannot be read with the reason."""
+def facts_of(
+    folders: Sequence[Path], *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
+) -> tuple[list[SceneFacts], list[tuple[Path, str]]]:
+    """Facts of scenes in the order of folders, and the scenes that cannot be read with the reason.
+
+    on_scene(done, total) is called as scenes are done.
+    """
     chunks = [tuple(folders[start : start + _CHUNK]) for start in range(0, len(folders), _CHUNK)]
     tasks = (Task(f"scan-{number}", "bridge.scan:scan_folders", Config(), chunk) for number, chunk in enumerate(chunks))
     found: dict[Path, SceneFacts] = {}
@@ -96,6 +101,8 @@ def facts_of(folders: Sequence[Path], *, jobs: int = 1) -> tuple[list[SceneFacts
                 failures[outcome.item] = failure.message
             else:
                 found[outcome.item] = outcome.value
+            if on_scene is not None:
+                on_scene(len(found) + len(failures), len(folders))
     return [found[path] for path in folders if path in found], [
         (path, failures[path]) for path in folders if path in failures
     ]
