@@ -6,11 +6,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bridge.scene_metrics import GROUPS
-from hid2.agents import FloatArray
+from hid2.agents import FloatArray, Policy
+from hid2.evaluation.behaviour import ManeuverKind
 from hid2.params import Limits
 
 #: Resamples of the bootstrap.
 RESAMPLES = 2000
+#: Bounds of the agent-count bands of the paper.
+BANDS = (40, 50, 70, 90)
 #: Interval reported, percent.
 INTERVAL = (2.5, 97.5)
 
@@ -109,6 +112,53 @@ def ratio_estimate(numerator: FloatArray, denominator: FloatArray, *, seed: int 
     return Estimate(value, float(low), float(high))
 
 
-def table(rows: Sequence[Row], metrics: Sequence[Metric] = METRICS) -> dict[str, dict[str, Estimate]]:
-    """Every metric for every group: table[metric.key][group]."""
-    return {metric.key: {group: estimate(rows, metric, group) for group in GROUPS} for metric in metrics}
+def table(rows: Sequence[Row], metrics: Sequence[Metric]) -> dict[str, Any]:
+    """Every metric with its interval for every group, ready for JSON: table[metric.key][group]."""
+    return {
+        metric.key: {
+            "label": metric.label,
+            "unit": metric.unit,
+            **{group: estimate(rows, metric, group).as_dict() for group in GROUPS},
+        }
+        for metric in metrics
+    }
+
+
+def diversity(rows: Sequence[Row], before: Sequence[Row]) -> dict[str, Any]:
+    """Agents per scene and behaviours, before and after; before: source scenes, else what was recorded in each."""
+    first = list(before) or list(rows)
+
+    def counts(rows: Sequence[Row], *, after: bool, at_49: bool) -> list[int]:
+        name = "_at_49" if at_49 else ""
+        return [row[f"tracks{name}"] - (0 if after else row[f"generated{name}"]) for row in rows]
+
+    def behaviours(rows: Sequence[Row], group: str) -> dict[str, Any]:
+        return {
+            "vehicles": {p.value: sum(row[f"{group}_policy_{p.value}"] for row in rows) for p in Policy},
+            "scenes_with": {p.value: sum(row[f"{group}_policy_{p.value}"] > 0 for row in rows) for p in Policy},
+            "maneuvers": {k.value: sum(row[f"{group}_seen_{k.value}"] for row in rows) for k in ManeuverKind},
+            "scenes": len(rows),
+        }
+
+    density = {}
+    for name, at_49 in (("tracks", False), ("tracks_at_49", True)):
+        old, new = counts(first, after=False, at_49=at_49), counts(rows, after=True, at_49=at_49)
+        density[name] = {
+            "before": old,
+            "after": new,
+            "mean_before": float(np.mean(old)) if old else None,
+            "mean_after": float(np.mean(new)) if new else None,
+            "share_above": {str(b): {"before": _share(old, b), "after": _share(new, b)} for b in BANDS},
+        }
+    return {
+        "density": density,
+        "behaviours": {
+            "before": behaviours(first, "original"),
+            "generated": behaviours(rows, "generated"),
+            "after": behaviours(rows, "combined"),
+        },
+    }
+
+
+def _share(values: Sequence[int], bound: int) -> float | None:
+    return sum(value > bound for value in values) / len(values) if values else None

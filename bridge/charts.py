@@ -37,15 +37,16 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
     for ax, name, label in ((axes[0], "tracks", "agents in the scene"), (axes[1], "tracks_at_49", "agents at 4.9 s")):
         density = diversity["density"][name]
         top = max([*density["before"], *density["after"], 10])
-        edges = np.arange(0, top + 20, 10)
+        edges = np.arange(0, top + 40, 20)
         for when, color, hatch in (("before", figures.GREY, ""), ("after", figures.BLUE, "//")):
             heights, _ = np.histogram(density[when], edges)
             levels = heights / max(1, len(density[when]))
             ax.stairs(levels, edges, fill=True, color=color, alpha=0.35, hatch=hatch, label=when)
             ax.stairs(levels, edges, color=color, linewidth=1.6)
+            ax.set_ylim(0, 1.15 * max(ax.get_ylim()[1] / 1.05, levels.max()))
         ax.set_xlabel(label)
         ax.set_ylabel("share of scenes")
-    axes[0].legend()
+    axes[0].legend(loc="upper left")
     behaviours = diversity["behaviours"]
     policies = list(Policy)
     short = {"straight": "ST", "left_turn": "LT", "right_turn": "RT", "lane_change": "LC", "overtake": "OT"}

@@ -10,14 +10,13 @@ from typing import IO, Any
 
 import numpy as np
 
-from bridge.aggregate import CLEAN, KINEMATIC, LIMITS, SAFETY, Metric, estimate
+from bridge.aggregate import CLEAN, KINEMATIC, LIMITS, SAFETY, diversity, table
 from bridge.engine import Settings, Task, execute
 from bridge.isolation import Failure
 from bridge.scenario import find_scenarios
-from bridge.scene_metrics import GROUPS, Row, SceneMeasures
-from hid2.agents import FloatArray, Policy
+from bridge.scene_metrics import Row, SceneMeasures
+from hid2.agents import FloatArray
 from hid2.evaluation.arrays import BoolArray
-from hid2.evaluation.behaviour import ManeuverKind
 from hid2.evaluation.realism import DRIVING_FEATURES, RealismCounts, classifier_test
 from hid2.params import Limits
 from netconvert.av2_map import read_lane_graph
@@ -31,8 +30,6 @@ _CHUNK = 8
 _MOST_SAMPLES = 50_000
 #: Nets of at most this many different maps are measured.
 _MOST_NETS = 20
-#: Bounds of the agent-count bands of the paper.
-BANDS = (40, 50, 70, 90)
 PAIRS = ("original_original", "generated_original", "generated_generated")
 
 
@@ -214,9 +211,9 @@ def _metrics(evaluation: Evaluation, samples: _Samples) -> dict[str, Any]:
             "generated_vehicles": sum(row["generated"] for row in rows),
             "failed": [{"folder": str(folder), "reason": reason} for folder, reason in evaluation.failures],
         },
-        "kinematics": {"paper": _table(rows, KINEMATIC), "clean": _table(rows, CLEAN), "limits": _table(rows, LIMITS)},
-        "safety": _table(rows, SAFETY) | {"pairs": _pairs(rows)},
-        "diversity": _diversity(rows, evaluation.before),
+        "kinematics": {"paper": table(rows, KINEMATIC), "clean": table(rows, CLEAN), "limits": table(rows, LIMITS)},
+        "safety": table(rows, SAFETY) | {"pairs": _pairs(rows)},
+        "diversity": diversity(rows, evaluation.before),
         "realism": {
             "distances": [
                 {
@@ -244,17 +241,6 @@ def _metrics(evaluation: Evaluation, samples: _Samples) -> dict[str, Any]:
     }
 
 
-def _table(rows: Sequence[Row], metrics: Sequence[Metric]) -> dict[str, Any]:
-    return {
-        metric.key: {
-            "label": metric.label,
-            "unit": metric.unit,
-            **{group: estimate(rows, metric, group).as_dict() for group in GROUPS},
-        }
-        for metric in metrics
-    }
-
-
 def _ratio(value: float | None, floor: float | None) -> float | None:
     return value / floor if value is not None and floor else None
 
@@ -262,46 +248,6 @@ def _ratio(value: float | None, floor: float | None) -> float | None:
 def _pairs(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
     kinds = ("pairs_vehicles", "pairs_all", "touching_all", "crossings", "pet_critical")
     return {kind: {name: sum(row[f"{kind}_{name}"] for row in rows) for name in PAIRS} for kind in kinds}
-
-
-def _diversity(rows: Sequence[Row], before: Sequence[Row]) -> dict[str, Any]:
-    """Agents per scene and behaviours, before and after; before: source scenes, else what was recorded in each."""
-    first = list(before) or list(rows)
-
-    def counts(rows: Sequence[Row], *, after: bool, at_49: bool) -> list[int]:
-        name = "_at_49" if at_49 else ""
-        return [row[f"tracks{name}"] - (0 if after else row[f"generated{name}"]) for row in rows]
-
-    def behaviours(rows: Sequence[Row], group: str) -> dict[str, Any]:
-        return {
-            "vehicles": {p.value: sum(row[f"{group}_policy_{p.value}"] for row in rows) for p in Policy},
-            "scenes_with": {p.value: sum(row[f"{group}_policy_{p.value}"] > 0 for row in rows) for p in Policy},
-            "maneuvers": {k.value: sum(row[f"{group}_seen_{k.value}"] for row in rows) for k in ManeuverKind},
-            "scenes": len(rows),
-        }
-
-    density = {}
-    for name, at_49 in (("tracks", False), ("tracks_at_49", True)):
-        old, new = counts(first, after=False, at_49=at_49), counts(rows, after=True, at_49=at_49)
-        density[name] = {
-            "before": old,
-            "after": new,
-            "mean_before": float(np.mean(old)) if old else None,
-            "mean_after": float(np.mean(new)) if new else None,
-            "share_above": {str(b): {"before": _share(old, b), "after": _share(new, b)} for b in BANDS},
-        }
-    return {
-        "density": density,
-        "behaviours": {
-            "before": behaviours(first, "original"),
-            "generated": behaviours(rows, "generated"),
-            "after": behaviours(rows, "combined"),
-        },
-    }
-
-
-def _share(values: Sequence[int], bound: int) -> float | None:
-    return sum(value > bound for value in values) / len(values) if values else None
 
 
 def _requests(rows: Sequence[Row], maneuvers: ManeuverCounts) -> dict[str, Any]:

@@ -30,7 +30,7 @@ body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:1080px;margin:2em a
 h1{font-size:1.6em}h2{font-size:1.25em;margin-top:2.2em;border-bottom:1px solid #ccc}
 table{border-collapse:collapse;margin:.8em 0;font-size:.92em}
 th,td{padding:.25em .8em;border-bottom:1px solid #e4e4e4;text-align:left;vertical-align:top}
-td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}small{color:#666}
+td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}small{color:#666;white-space:nowrap}
 img{max-width:100%;margin:.5em 0}figcaption{color:#555;font-size:.92em}figure{margin:1em 0}
 .good{color:#00684c;font-weight:600}.bad{color:#a03c00;font-weight:600}
 """
@@ -292,7 +292,10 @@ def _diversity(metrics: Mapping[str, Any]) -> str:
     kinds = [
         (
             kind.replace("_", " "),
-            *(str(behaviours[when]["maneuvers"][kind]) for when in ("before", "generated", "after")),
+            *(
+                number(behaviours[when]["maneuvers"][kind] / max(1, behaviours[when]["scenes"]), 2)
+                for when in ("before", "generated", "after")
+            ),
         )
         for kind in behaviours["before"]["maneuvers"]
     ]
@@ -307,7 +310,7 @@ def _diversity(metrics: Mapping[str, Any]) -> str:
         + table(
             ("share of scenes with agents …", "tracks, before", "after", "at 4.9 s, before", "after"), [means, *bands]
         )
-        + "<p>Manoeuvres seen in the positions, by a detector that knows nothing of what was asked "
+        + "<p>Manoeuvres per scene, seen in the positions by a detector that knows nothing of what was asked "
         "for (before: recorded; "
         "after: all):</p>" + table(("", "before", "generated", "after"), kinds)
     )

@@ -90,6 +90,9 @@ class Prospect:
         needs = behind & aligned
         needs[: self.recorded_rows] = False
         need = np.where(needs, high + self.ttc_s * along, -np.inf).max(axis=0, initial=-np.inf)
+        gone = s >= self.path.exit_s - self.size.length_m / 2
+        upper[gone], room[gone] = np.inf, np.inf
+        lower[gone], need[gone] = -np.inf, -np.inf
         if np.any(lower >= upper) or np.any(need >= room):
             return None
         cells = np.clip((s / TABLE_STEP_M + 0.5).astype(np.int64), 0, self.desired.size - 1)

@@ -157,7 +157,11 @@ def space_time(
         ttc_s,
         time_gap_s,
     )
-    blocked[:earliest_exit_step, int(exit_s / TABLE_STEP_M) :] = 1
+    beyond = int(exit_s / TABLE_STEP_M)  # off the map nobody is met; to be there too early is forbidden
+    blocked[:, beyond:] = 0
+    fastest[:, beyond:] = np.inf
+    pushed[:, beyond:] = 0.0
+    blocked[:earliest_exit_step, beyond:] = 1
     return SpaceTime(blocked=blocked, fastest=fastest, pushed=pushed)
 
 
