@@ -14,6 +14,8 @@ from hid2.params import Limits
 RESAMPLES = 2000
 #: Bounds of the agent-count bands of the paper.
 BANDS = (40, 50, 70, 90)
+#: Indices drawn at a time: the memory of the bootstrap does not grow with the scenes.
+_BLOCK = 2_000_000
 #: Interval reported, percent.
 INTERVAL = (2.5, 97.5)
 
@@ -104,11 +106,13 @@ def ratio_estimate(numerator: FloatArray, denominator: FloatArray, *, seed: int 
     if len(numerator) < 2:
         return Estimate(value, None, None)
     rng = np.random.default_rng(seed)
-    drawn = rng.integers(0, len(numerator), size=(RESAMPLES, len(numerator)))
-    below = denominator[drawn].sum(axis=1)
-    some = below > 0
-    ratios = numerator[drawn].sum(axis=1)[some] / below[some]
-    low, high = np.percentile(ratios, INTERVAL)
+    ratios: list[FloatArray] = []
+    block = max(1, _BLOCK // len(numerator))
+    for start in range(0, RESAMPLES, block):
+        drawn = rng.integers(0, len(numerator), size=(min(block, RESAMPLES - start), len(numerator)))
+        below = denominator[drawn].sum(axis=1)
+        ratios.append(numerator[drawn].sum(axis=1)[below > 0] / below[below > 0])
+    low, high = np.percentile(np.concatenate(ratios), INTERVAL)
     return Estimate(value, float(low), float(high))
 
 

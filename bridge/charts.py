@@ -1,6 +1,6 @@
 """Charts of the report and of the paper's experiments."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bridge import figures
+from bridge.aggregate import Estimate
 from hid2.agents import Policy
 from hid2.evaluation.realism import FEATURES, FINE, RealismCounts
 
@@ -61,4 +62,31 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
     axes[2].set_xticks(place, [f"{short[p.value]}\n{p.value.replace('_', ' ')}" for p in policies], fontsize=8)
     axes[2].set_ylabel("share of scenes with it")
     axes[2].set_ylim(0, 1.1)
+    return figure
+
+
+def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[int, Estimate]]]]) -> Figure:
+    """The paper's figure of added agents: LO, LA, JE, SCR, ORR against the number added; series[metric][group]."""
+    figure, axes = plt.subplots(1, len(series), figsize=(3.1 * len(series), 3.2), layout="constrained")
+    labels = {"lo": "LO, m/s²", "la": "LA, m/s²", "je": "JE, m/s³", "scr": "SCR, share", "orr": "ORR, share"}
+    looks = {"combined": (figures.COMBINED, "-", "o"), "generated": (figures.GENERATED, "--", "s")}
+    for ax, (metric, groups) in zip(axes, series.items(), strict=True):
+        for group, points in groups.items():
+            color, line, marker = looks[group]
+            known = [(x, e) for x, e in points if e.value is not None]
+            x = [x for x, _ in known]
+            name = "recorded and generated" if group == "combined" else "generated alone"
+            ax.plot(
+                x, [e.value for _, e in known], color=color, linestyle=line, marker=marker, markersize=4, label=name
+            )
+            band = [(x, e.low, e.high) for x, e in known if e.low is not None and e.high is not None]
+            if band and group == "combined":
+                ax.fill_between(
+                    [b[0] for b in band], [b[1] for b in band], [b[2] for b in band], color=color, alpha=0.15
+                )
+        ax.set_xlabel("vehicles added")
+        ax.set_ylabel(labels[metric])
+        ax.set_ylim(bottom=0)
+        ax.set_xticks(sorted({x for points in groups.values() for x, _ in points}))
+    axes[0].legend(fontsize=7, loc="lower left")
     return figure

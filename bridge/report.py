@@ -47,7 +47,8 @@ def write_report(evaluation: "Evaluation", path: Path) -> None:
         _safety(metrics),
         _kinematics(metrics),
         _realism(evaluation),
-        _diversity(metrics),
+        "<h2>Diversity</h2>",
+        *diversity_parts(metrics["diversity"]),
         _requests(metrics),
         _fidelity(metrics),
         _words(),
@@ -271,8 +272,8 @@ def _realism(evaluation: "Evaluation") -> str:
     )
 
 
-def _diversity(metrics: Mapping[str, Any]) -> str:
-    diversity = metrics["diversity"]
+def diversity_parts(diversity: Mapping[str, Any]) -> list[str]:
+    """Figure and tables of scenes by density and behaviour, before and after."""
     bands = [
         (
             f"more than {bound}",
@@ -299,21 +300,19 @@ def _diversity(metrics: Mapping[str, Any]) -> str:
         )
         for kind in behaviours["before"]["maneuvers"]
     ]
-    return (
-        "<h2>Diversity</h2>"
-        + picture(
+    return [
+        picture(
             diversity_figure(diversity),
-            "Left: scenes by number of agents, before and after vehicles were added (all tracks of a "
-            "scene, and those present "
-            "at the last observed moment). Right: share of scenes in which some moving vehicle shows the behaviour.",
-        )
-        + table(
+            "Left: scenes by number of agents, before and after vehicles were added (all tracks of a scene, and those "
+            "present at the last observed moment). Right: share of scenes in which some moving vehicle "
+            "shows the behaviour.",
+        ),
+        table(
             ("share of scenes with agents …", "tracks, before", "after", "at 4.9 s, before", "after"), [means, *bands]
-        )
-        + "<p>Manoeuvres per scene, seen in the positions by a detector that knows nothing of what was asked "
-        "for (before: recorded; "
-        "after: all):</p>" + table(("", "before", "generated", "after"), kinds)
-    )
+        ),
+        "<p>Manoeuvres per scene, as a detector sees them in the positions (before: recorded; after: all):</p>",
+        table(("", "before", "generated", "after"), kinds),
+    ]
 
 
 def _shares(diversity: Mapping[str, Any]) -> list[Mapping[str, Any]]:
