@@ -294,9 +294,10 @@ def scan(
 
 @app.command()
 def study(
-    file: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="The study, see data/study_*.toml.")],
+    file: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="The study, see data/studies.")],
     out: Out,
     *,
+    scenes: Annotated[list[Path], typer.Option(help="Scenes instead of those in the file; repeatable.")] = [],  # noqa: B006
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     scene_timeout: Timeout = 300.0,
@@ -313,7 +314,9 @@ def study(
     options = Options(jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=True)
     try:
         with BatchDisplay(quiet=quiet, verbose=verbose) as display:
-            report = run_study(read_study(file), out, options, keep_scenes=keep_scenes, on_row=display.note)
+            report = run_study(
+                read_study(file, scenes=scenes), out, options, keep_scenes=keep_scenes, on_row=display.note
+            )
     except KeyboardInterrupt:
         say("interrupted; call it again to go on")
         raise typer.Exit(INTERRUPTED) from None

@@ -1,10 +1,11 @@
 """What a scene process does: generate and write the runs on one scene. Imports libsumo, so the caller must not."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 
 from bridge.batch import Place, Run, base_row
-from bridge.generate import PreparedScene, generate, prepare, write
+from bridge.generate import GeneratedScene, PreparedScene, generate, prepare, write
 from bridge.isolation import Failure, describe_error
 from bridge.manifest import ManifestRow, files_sha256, output_files
 from bridge.scenario import read_scenario
@@ -14,7 +15,14 @@ from hid2.params import Grid
 
 
 def generate_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
-    """The work of a scene process: read the scene and build its net once, generate and write each run."""
+    """Generate and write each run."""
+    yield from run_each(place, runs, lambda scene: write(scene, place.out))
+
+
+def run_each(
+    place: Place, runs: Sequence[Run], finish: Callable[[GeneratedScene], Path]
+) -> Iterator[ManifestRow | Failure]:
+    """Read the scene and build its net once, generate each run, let `finish` write it to a folder."""
     scenario, unreadable = None, None
     prepared: dict[Grid, PreparedScene] = {}
     try:
@@ -31,7 +39,7 @@ def generate_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | F
             if grid not in prepared:
                 prepared[grid] = prepare(scenario, run.config)
             scene = generate(prepared[grid], run.config, variant=run.variant)
-            folder = write(scene, place.out)
+            folder = finish(scene)
             yield summarise(scene.sidecar, base_row(place, run))._replace(
                 city=scenario.city,
                 recorded=len(scenario.tracks),
