@@ -13,7 +13,7 @@ import libsumo
 from netconvert.errors import SimulationError
 
 #: TraCI lane-change mode: no change of SUMO's own; one asked for waits for a gap.
-_ONLY_ASKED_WITH_GAP = 512
+_ONLY_ASKED_WITH_GAP = 256
 _REPLAY_KEEP_ROUTE = 6
 _REPLAY_MATCH_M = 3.0
 

@@ -9,7 +9,7 @@ from bridge.insertion import edges_along, insert
 from bridge.replay import Replay
 from bridge.simulation import Simulation
 from hid2.agents import FloatArray, Policy
-from hid2.conflicts import DT_S, Prospect
+from hid2.conflicts import DT_S
 from hid2.decision import Decision, LaneOption, Observation, Side, decide
 from hid2.maneuver import gap_ahead_of, lane_options, lay_across, leader_on
 from hid2.overtake import Leader, Stage
@@ -68,16 +68,13 @@ class _Attempt:
     """A lane change that SUMO was asked for and has not carried out yet."""
 
     driver: Driver
-    side: Side
-    look: Prospect
     path: DrivenPath
+    target: DrivenPath
     plan_s: FloatArray
     plan_v: FloatArray
     target_sumo_lane: str
     shift: Shift
     stage: Stage
-    edges: tuple[str, ...]
-    old_edges: tuple[str, ...]
 
 
 @dataclass(slots=True)
@@ -257,10 +254,9 @@ class Steering:
         link = self.world.grid.lateral(cell, option.side)
         if link is None:
             return "no_adjacent_lane"
-        edges = edges_along(self.world, path, link.target)
+        edges = edges_along(self.world, target, link.target)
         if edges is None:
-            return "lane_ends"
-        old = edges_along(self.world, driver.path, cell) or ()
+            return "target_not_beside_front"
         sumo_target = self.world.grid.sumo_lane_id(link.target)
         self.simulation.change_lane(spec.vehicle_id, self.world.grid.lane_index(link.target), edges=edges)
         shift = Shift(
@@ -272,7 +268,7 @@ class Steering:
         if leader is not None and stage is Stage.ENTER:
             driver.leader_id = leader.track_id
         return _Attempt(
-            driver, option.side, look, path, plan_s, plan_v, sumo_target, shift, stage, edges, old
+            driver, path, target, plan_s, plan_v, sumo_target, shift, stage
         )
 
     def _conclude(self, attempt: _Attempt, step: int) -> None:
@@ -282,8 +278,10 @@ class Steering:
             return
         lane, _ = self.simulation.lane(driver.spec.vehicle_id)
         cell = self.world.grid.cell_of_sumo_lane.get(lane)
-        on_target = cell is not None and cell.lane_id in {segment.lane_id for segment in attempt.path.segments}
-        if lane != attempt.target_sumo_lane and not (on_target and cell is not None and cell.lane_id != attempt.shift.source_lane):
+        beside = {segment.lane_id for segment in attempt.target.segments}
+        own = {segment.lane_id for segment in driver.path.segments}
+        changed = lane == attempt.target_sumo_lane or (cell is not None and cell.lane_id in beside - own)
+        if not changed:
             driver.reason = "sumo_waits_for_gap"
             driver.retry_at = step + _RETRY_STEPS
             edges = edges_along(self.world, driver.path, cell) if cell is not None else None
