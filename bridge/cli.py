@@ -326,6 +326,33 @@ def study(
     raise typer.Exit(SOME_FAILED if report.failed else ALL_DONE)
 
 
+@app.command()
+def paper(
+    experiment: Annotated[str, typer.Argument(metavar="table1|ablation|density|diversity", help="Which experiment.")],
+    out: Out,
+    *,
+    scenes: Annotated[Path, typer.Option(help="Recorded scenes to run it on.")] = Path("data/av2"),
+    seeds: Annotated[int, typer.Option(min=1, help="Seeds per scene.")] = 10,
+    agents: Annotated[int, typer.Option(min=0, help="Vehicles added, but for density.")] = 10,
+    jobs: Jobs = 1,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run an experiment of the paper that needs no training, from generation to the table beside the paper's."""
+    _set_up(verbose=verbose, quiet=quiet)
+    from bridge.console import Counter
+    from bridge.paper import EXPERIMENTS, run_experiment
+
+    named = next((name for name in EXPERIMENTS if name == experiment), None)
+    if named is None:
+        raise ConfigError(f"experiment {experiment!r}, want one of {', '.join(EXPERIMENTS)}")
+    with Counter("generating and measuring", quiet=quiet) as counter:
+        page = run_experiment(
+            named, scenes=scenes, out_dir=out, seeds=seeds, agents=agents, jobs=jobs, on_scene=counter.show
+        )
+    print(page)
+
+
 def main() -> None:
     """Run the command; an explained error is one line on stderr, never a traceback."""
     try:

@@ -78,8 +78,12 @@ def _draw(study: "Study", records: Sequence[Record], key: str, path: Path) -> No
         panel.set_ylim(bottom=0)
         if len(lines) > 1:
             panel.legend(fontsize=8)
-    axes[0, 0].set_ylim(0, 1)
+        if not panel.lines:
+            panel.annotate("none", (0.5, 0.5), xycoords="axes fraction", ha="center", color=figures.GREY)
+            panel.set_xlim(min(x.min(), 0), x.max() * 1.05)
+    axes[0, 0].set_ylim(0, 1.03)
     for panel, critical in ((axes[0, 2], _CRITICAL_TTC_S), (axes[1, 0], _CRITICAL_PET_S)):
+        panel.set_ylim(0, max(panel.get_ylim()[1], 1.5 * critical))
         panel.axhline(critical, color=figures.VERMILION, linewidth=0.8, linestyle=":")
         panel.annotate(
             "critical", (1, critical), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=7

@@ -1,0 +1,119 @@
+"""The other commands, each once, and what all of them share."""
+
+import csv
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Run = Callable[..., object]
+COMMANDS = ("generate", "net", "validate", "evaluate", "render", "plot", "config", "scan", "study", "paper")
+
+
+@pytest.fixture(scope="module")
+def generated(hid2: Run, data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A generated scene folder."""
+    out = tmp_path_factory.mktemp("generated")
+    assert hid2("generate", data_scenes["arterial"], "-o", out, "--agents", 4, "-q").returncode == 0
+    return next(out.rglob("scenario_*.parquet")).parent
+
+
+def test_help_lists_every_command_and_is_quick(hid2: Run) -> None:
+    began = time.monotonic()
+    result = hid2("--help")
+    assert time.monotonic() - began < 3.0
+    assert result.returncode == 0
+    for command in COMMANDS:
+        assert command in result.stdout
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_command_has_help(hid2: Run, command: str) -> None:
+    assert hid2(command, "--help").returncode == 0
+
+
+def test_help_imports_neither_sumo_nor_pandas() -> None:
+    heavy = ("libsumo", "pandas", "pyarrow", "distributed")
+    code = f"import sys, bridge.cli; sys.exit(any(name in sys.modules for name in {heavy}))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_net_writes_its_files_and_reports(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    result = hid2("net", data_scenes["intersection"], "-o", tmp_path)
+    assert result.returncode == 0
+    assert "largest distance from the centreline" in result.stdout
+    scenario_id = data_scenes["intersection"].name
+    assert {f"{scenario_id}.net.xml", f"{scenario_id}.sumocfg", f"{scenario_id}.cells.csv"} <= {
+        path.name for path in tmp_path.iterdir()
+    }
+
+
+def test_net_of_a_folder_without_map_is_one_line(hid2: Run, tmp_path: Path) -> None:
+    result = hid2("net", tmp_path, "-o", tmp_path / "out")
+    assert result.returncode == 1
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_validate_names_file_and_rule(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    assert hid2("generate", data_scenes["curve"], "-o", tmp_path, "--agents", 1, "-q").returncode == 0
+    sidecar = next(tmp_path.rglob("hid2_*.json"))
+    sidecar.unlink()
+    result = hid2("validate", tmp_path)
+    assert result.returncode == 1
+    assert str(sidecar) in result.stdout
+
+
+def test_evaluate_writes_a_report(hid2: Run, generated: Path, tmp_path: Path) -> None:
+    result = hid2("evaluate", generated, "-o", tmp_path / "report")
+    assert result.returncode == 0
+    assert result.stdout.strip() == str(tmp_path / "report" / "report.html")
+    assert {"metrics.json", "scenes.csv", "report.html"} <= {path.name for path in (tmp_path / "report").iterdir()}
+
+
+def test_render_and_plot_write_pictures(hid2: Run, generated: Path, tmp_path: Path) -> None:
+    assert hid2("render", generated, "-o", tmp_path / "scene.png", "--cells").returncode == 0
+    assert hid2("plot", generated, "--agent", "gen_0", "-o", tmp_path / "agent.png").returncode == 0
+    assert all((tmp_path / name).read_bytes()[:4] == b"\x89PNG" for name in ("scene.png", "agent.png"))
+    assert hid2("plot", generated, "--agent", "gen_99", "-o", tmp_path / "x.png").returncode == 1
+
+
+def test_config_lists_every_parameter(hid2: Run) -> None:
+    result = hid2("config")
+    assert result.returncode == 0
+    assert "lane_change.time_gap_front_s" in result.stdout
+    assert "nuPlan" in result.stdout
+
+
+def test_config_as_toml_can_be_read_back(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    file = tmp_path / "all.toml"
+    file.write_text(hid2("config", "--toml", "--set", "request.agents=1").stdout)
+    result = hid2("generate", data_scenes["curve"], "-o", tmp_path / "out", "--config", file)
+    assert result.returncode == 0
+    assert "1 of 1 scenes done; vehicles placed: 1 of 1" in result.stdout
+
+
+def test_scan_tabulates_scenes(hid2: Run, data_root: Path, tmp_path: Path) -> None:
+    assert "3 of 3 scenes" in hid2("scan", data_root).stdout
+    assert hid2("scan", data_root, "-o", tmp_path / "facts.csv", "--can", "overtake").returncode == 0
+    with (tmp_path / "facts.csv").open() as file:
+        facts = list(csv.DictReader(file))
+    assert facts
+    assert all(float(fact["overtake_m"]) > 0 for fact in facts)
+    assert hid2("scan", tmp_path / "nowhere").returncode == 2
+
+
+def test_study_writes_tables_and_a_figure(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    file = tmp_path / "small.toml"
+    file.write_text(
+        f'scenes = ["{data_scenes["arterial"]}"]\nseeds = 2\n[vary]\ntrigger_s = [1.0, 3.0]\n'
+        "[config.request]\nagents = 3\nlane_change = 1.0\nstraight = 0.0\n"
+    )
+    result = hid2("study", file, "-o", tmp_path / "out")
+    assert result.returncode == 0
+    names = [Path(line).name for line in result.stdout.splitlines()]
+    assert names == ["runs.csv", "manoeuvres.csv", "small_trigger_s.png"]
+    with (tmp_path / "out" / "runs.csv").open() as table:
+        assert len(list(csv.DictReader(table))) == 4

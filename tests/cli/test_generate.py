@@ -1,0 +1,149 @@
+"""`hid2 generate`: what it writes, what it says, and its exit codes."""
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from bridge.sidecar import Sidecar, read_sidecar
+
+Run = Callable[..., object]
+
+
+def rows_of(out: Path) -> list[dict[str, str]]:
+    with (out / "manifest.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def sidecar_of(out: Path, row: dict[str, str]) -> Sidecar:
+    return read_sidecar(next((out / row["folder"]).glob("hid2_*.json")))
+
+
+def test_quick_start_ends_with_what_was_written_and_a_table(hid2: Run, data_root: Path, tmp_path: Path) -> None:
+    result = hid2("generate", data_root, "--agents", 10, "-o", tmp_path / "out")
+    assert result.returncode == 0
+    lines = result.stdout.splitlines()
+    assert lines[-1] == str(tmp_path / "out" / "manifest.csv")
+    assert "3 of 3 scenes done" in result.stdout
+    assert result.stdout.count("10 of 10") == 3
+    for row in rows_of(tmp_path / "out"):
+        assert str(tmp_path / "out" / row["folder"]) in lines
+    checked = hid2("validate", tmp_path / "out", "--source", data_root)
+    assert (checked.returncode, checked.stdout) == (0, "")
+
+
+def test_request_ends_up_in_the_sidecar(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    file = tmp_path / "c.toml"
+    file.write_text("[lane_change]\nmin_gap_m = 3.0\n[request]\nagents = 9\n")
+    result = hid2(
+        "generate", data_scenes["arterial"], "-o", tmp_path / "out", "--config", file, "--agents", 4,
+        "--behaviours", "lane_change=0.5,straight=0.5", "--trigger-time", "1:2", "--seed", 7, "--variants", 2,
+        "--focal", "generated", "--set", "overtake.d_obs_m=50", "--no-spawn-leaders", "--without", "smoothing",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    rows = rows_of(tmp_path / "out")
+    assert [row["variant"] for row in rows] == ["0", "1"]
+    for row in rows:
+        config = sidecar_of(tmp_path / "out", row).config
+        request = config["request"]
+        assert (request["agents"], request["seed"], request["focal"]) == (4, 7, "generated")
+        assert (request["straight"], request["lane_change"], request["overtake"]) == (0.5, 0.5, 0.0)
+        assert (request["trigger_min_s"], request["trigger_max_s"], request["spawn_leaders"]) == (1.0, 2.0, False)
+        assert config["lane_change"]["min_gap_m"] == 3.0
+        assert config["overtake"]["d_obs_m"] == 50
+        assert config["without"] == ["smoothing"]
+
+
+def test_same_request_gives_the_same_bytes(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        assert hid2("generate", data_scenes["curve"], "-o", tmp_path / name, "--agents", 5, "-q").returncode == 0
+    (a,), (b,) = rows_of(tmp_path / "a"), rows_of(tmp_path / "b")
+    assert a["folder"] == b["folder"]
+    assert a["output_sha256"] == b["output_sha256"]
+
+
+def test_scene_that_fails_costs_exit_code_1_and_not_the_others(
+    hid2: Run, data_scenes: dict[str, Path], copy_scene: Callable[..., Path], tmp_path: Path
+) -> None:
+    broken = copy_scene("curve")
+    next(broken.glob("log_map_archive_*.json")).write_text("{")
+    result = hid2("generate", data_scenes["arterial"], broken, "-o", tmp_path / "out", "--agents", 2)
+    assert result.returncode == 1
+    assert "not JSON" in result.stderr
+    assert "1 of 2 scenes done" in result.stdout
+    (bad,) = [row for row in rows_of(tmp_path / "out") if row["status"] == "quarantined"]
+    again = hid2("generate", "--repro", tmp_path / "out" / bad["bundle"])
+    assert again.returncode == 1
+    assert "now:  error:" in again.stdout
+
+
+def test_resume_makes_nothing_twice(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    arguments = ("generate", data_scenes["curve"], "-o", tmp_path / "out", "--agents", 2)
+    assert hid2(*arguments).returncode == 0
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.parquet")}
+    assert hid2(*arguments, "--resume").returncode == 0
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.parquet")} == before
+    assert len(rows_of(tmp_path / "out")) == 1
+
+
+def test_zero_agents_is_a_scene_like_any_other(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    assert hid2("generate", data_scenes["curve"], "-o", tmp_path / "out", "--agents", 0).returncode == 0
+    assert hid2("validate", tmp_path / "out", "--source", data_scenes["curve"]).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--agents", "some"], "--agents 'some': want a number or max"),
+        (["--agents", "-1"], "request.agents = -1, want"),
+        (["--set", "lane_change.gap=1"], "unknown key 'lane_change.gap'"),
+        (["--set", "limits.min_radius_m=0"], "limits.min_radius_m = 0, want"),
+        (["--behaviours", "fly=1"], "behaviours: 'fly=1'"),
+        (["--trigger-time", "soon"], "trigger-time: 'soon'"),
+        (["--focal", "nobody"], "request.focal = 'nobody'"),
+        (["--without", "brakes"], "without"),
+        (["--config", "missing.toml"], "missing.toml: no such file"),
+        (["--can", "fly"], "--can 'fly'"),
+        (["--min-agents", "10000"], "none of 3 scenes is left"),
+        (["--no-such-option"], "No such option"),
+    ],
+)
+def test_wrong_request_is_exit_code_2_and_named(
+    hid2: Run, data_root: Path, tmp_path: Path, arguments: list[str], words: str
+) -> None:
+    result = hid2("generate", data_root, "-o", tmp_path / "out", *arguments)
+    assert result.returncode == 2
+    assert words in result.stderr
+    assert not (tmp_path / "out").exists()
+    assert result.stdout == ""
+
+
+def test_missing_scene_is_exit_code_2(hid2: Run, tmp_path: Path) -> None:
+    result = hid2("generate", tmp_path / "nowhere", "-o", tmp_path / "out")
+    assert result.returncode == 2
+    assert result.stderr.splitlines()[-1].startswith(f"hid2: {tmp_path / 'nowhere'}: no such folder")
+
+
+def test_quiet_says_nothing_when_all_is_well(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    result = hid2("generate", data_scenes["curve"], "-o", tmp_path / "out", "--agents", 1, "-q")
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+
+
+def test_selection_by_facts(hid2: Run, data_root: Path, tmp_path: Path) -> None:
+    result = hid2("generate", data_root, "-o", tmp_path / "out", "--agents", 1, "--can", "left_turn", "--split", "val")
+    assert result.returncode == 0
+    assert [row["split"] for row in rows_of(tmp_path / "out")] == ["val"]
+    assert "1 of 3 scenes selected" in result.stderr
+
+
+def test_manifest_counts_are_those_of_the_sidecars(hid2: Run, data_root: Path, tmp_path: Path) -> None:
+    assert hid2("generate", data_root, "-o", tmp_path / "out", "--behaviours", "lane_change=1").returncode == 0
+    for row in rows_of(tmp_path / "out"):
+        sidecar = sidecar_of(tmp_path / "out", row)
+        maneuvers = [maneuver for agent in sidecar.agents for maneuver in agent.maneuvers]
+        assert int(row["placed"]) == sidecar.placed.agents == len(sidecar.agents)
+        assert int(row["maneuvers_requested"]) == len(maneuvers)
+        assert int(row["lane_change"]) == sum(m.kind == "lane_change" and m.status == "done" for m in maneuvers)
+        assert json.loads(json.dumps(row["config_sha256"])) == sidecar.config_sha256
