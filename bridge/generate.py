@@ -164,7 +164,7 @@ class _Run:
             if len(spawner.planned) >= missing:
                 break
             if policy is Policy.OVERTAKE and missing - len(spawner.planned) >= 2:
-                got = spawner.spawn_overtake(self._new_id(), self._new_id(), attempts=_ATTEMPTS // 2)
+                got = spawner.spawn_overtake(self._new_id(), self._new_id(), attempts=_ATTEMPTS)
                 if got:
                     continue
             elif policy is not Policy.OVERTAKE and spawner.spawn(policy, self._new_id(), attempts=attempts):

@@ -230,8 +230,9 @@ class Steering:
         config, spec, s, v = self.world.config, driver.spec, driver.s[now], driver.v[now]
         pace = max(v, 0.5 * (v + float(driver.plan_v[min(now + 20, driver.plan_v.size - 1)])))
         path = lay_across(
-            self.world, driver.path, target, s=s, pace_mps=pace, remaining_m=option.remaining_m, policy=spec.policy
-        )
+            self.world, driver.path, target, s=s, step=now, pace_mps=pace, remaining_m=option.remaining_m,
+            policy=spec.policy,
+        )  # fmt: skip
         if isinstance(path, str):
             return path
         look = self.world.prospect(

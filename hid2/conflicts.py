@@ -6,7 +6,7 @@
    timing on a path; where it finds none the caller reroutes, then aborts the manoeuvre.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,6 +49,13 @@ class Prospect:
     margin_m: float
     ttc_s: float
     recorded_rows: int
+
+    def held_back(self, until_step: int, s: float) -> "Prospect":
+        """The same, but not beyond arc length s before until_step: a manoeuvre does not begin before its trigger."""
+        held = self.occupancy.joined(_barrier(self.tables.blocked.shape[0], until_step, s + self.margin_m))
+        blocked = self.tables.blocked.copy()
+        blocked[:until_step, int(s / TABLE_STEP_M) + 1 :] = 1
+        return replace(self, occupancy=held, tables=replace(self.tables, blocked=blocked))
 
     def plan(
         self, *, s0: float, v0: float, a0: float, first_step: int, config: Config, reference: FloatArray | None = None
@@ -118,6 +125,16 @@ class Prospect:
         with np.errstate(divide="ignore", invalid="ignore"):
             ttc = np.where(behind & (closing > 1e-3), (s[None, :] - high) / closing, np.inf)
         return float(ttc.min(initial=np.inf))
+
+
+def _barrier(num_steps: int, until_step: int, s: float) -> PathOccupancy:
+    """An obstacle across the path from s on, gone from until_step on. It is nobody's leader."""
+    low = np.full((1, num_steps), np.inf)
+    high = np.full((1, num_steps), -np.inf)
+    low[0, :until_step], high[0, :until_step] = s, s + 1e3
+    return PathOccupancy(
+        low=low, high=high, along=np.zeros((1, num_steps)), aligned=np.zeros((1, num_steps), dtype=np.bool_)
+    )
 
 
 def prospect(

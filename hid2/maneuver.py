@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hid2.agents import BoxSize, Policy
+from hid2.conflicts import DT_S
 from hid2.decision import LaneOption, Side
 from hid2.lane_change import Gap, blend_paths, duration_s
 from hid2.occupancy import FREE, cells_under
@@ -18,6 +19,7 @@ from netconvert.cells import Cell
 
 _MAX_SHIFT_M = 5.5
 _LOOK_BACK_M = 50.0
+_SPARE_S = 0.5
 _ROUTE_LONGEST_M = 260.0
 
 
@@ -139,16 +141,22 @@ def gap_ahead_of(path: DrivenPath, size: BoxSize, *, s: float, step: int, passed
 
 
 def lay_across(
-    world: World, path: DrivenPath, target: DrivenPath, *, s: float, pace_mps: float, remaining_m: float, policy: Policy
-) -> DrivenPath | str:
-    """Path that shifts to `target` from arc length s on at about pace_mps; or why there is none."""
+    world: World, path: DrivenPath, target: DrivenPath, *, s: float, step: int, pace_mps: float, remaining_m: float,
+    policy: Policy,
+) -> DrivenPath | str:  # fmt: skip
+    """Path that shifts to `target` from arc length s on at about pace_mps; or why there is none.
+
+    The shift is no longer than the scene has time for behind `step`, down to the shortest duration allowed.
+    """
     change, smoothing = world.config.lane_change, world.config.smoothing
     offset = target.line.points - path.line.position(np.array([s]))[0]
     lateral = float(np.hypot(offset[:, 0], offset[:, 1]).min())
     pace = max(pace_mps, change.min_speed_mps)
     lasting = duration_s(lateral_m=lateral, speed_mps=pace, remaining_m=remaining_m, params=change)
     if policy is Policy.OVERTAKE:  # out and back must fit in one scene
-        lasting = max(change.min_duration_s, 0.75 * lasting)
+        lasting = 0.7 * lasting
+    time_left_s = (world.num_steps - 1 - step) * DT_S - _SPARE_S
+    lasting = max(change.min_duration_s, min(lasting, time_left_s))
     blend = blend_paths(
         path.raw, target.raw, start_m=path.to_raw(s), length_m=pace * lasting, step_m=smoothing.path_step_m,
         max_shift_m=_MAX_SHIFT_M,

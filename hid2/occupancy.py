@@ -1,5 +1,6 @@
 """Occupancy sigma of the cells (paper, Lane Gridification and Occupancy): 0 free, 1 original, 2 generated."""
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -158,3 +159,13 @@ def _under(center, c_heading, c_length, c_width, x, y, heading, half_l, half_w):
             out[count] = c
             count += 1
     return out[:count]
+
+
+def dwell_steps(*, cell_m: float, speed_mps: float, step_s: float) -> int | None:
+    """n_i = ceil(delta s / v_i / delta): steps that a vehicle takes to move on by one cell; None where it stands.
+
+    Paper, Trajectory Generation. The motion itself is SUMO's, at every step.
+    """
+    if speed_mps <= 0.0:
+        return None
+    return math.ceil(cell_m / speed_mps / step_s - 1e-9)

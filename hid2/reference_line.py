@@ -11,13 +11,15 @@ from netconvert.geometry import arc_length, resample
 
 #: Spacing of the tables of pose and curvature along a line, m.
 TABLE_STEP_M = 0.5
+_BEYOND_M = 40.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ReferenceLine:
     """A curve with continuous curvature, by arc length.
 
-    spline: s (m) -> (2,) m. The tables stand every TABLE_STEP_M from 0: table_xy (K, 2) m, table_heading (K,) rad,
+    spline: s (m) -> (2,) m. The tables stand every TABLE_STEP_M from 0 to some
+    way straight on beyond the end, where a leader may still be seen: table_xy (K, 2) m, table_heading (K,) rad,
     unwrapped, table_curvature (K,) 1/m, signed, table_sharpness (K,) 1/m2 (its derivative).
     """
 
@@ -110,15 +112,17 @@ def _line_through(points: FloatArray) -> ReferenceLine:
     parameter = np.concatenate([[0.0], np.cumsum(np.diff(parameter) * pace)])
     spline = make_interp_spline(parameter, points, k=5)
     length = float(parameter[-1])
-    table_s = np.minimum(np.arange(int(length / TABLE_STEP_M) + 2) * TABLE_STEP_M, length)
-    first, second, third = (spline(table_s, nu=order) for order in (1, 2, 3))
+    table_s = np.arange(int(length / TABLE_STEP_M) + 2 + int(_BEYOND_M / TABLE_STEP_M)) * TABLE_STEP_M
+    over = np.maximum(table_s - length, 0.0)
+    first, second, third = (spline(table_s - over, nu=order) for order in (1, 2, 3))
+    second[over > 0], third[over > 0] = 0.0, 0.0
     norm = np.linalg.norm(first, axis=1)
     curvature = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / norm**3
     sharpness = (first[:, 0] * third[:, 1] - first[:, 1] * third[:, 0]) / norm**4
     return ReferenceLine(
         spline=spline,
         length_m=length,
-        table_xy=np.ascontiguousarray(spline(table_s)),
+        table_xy=np.ascontiguousarray(spline(table_s - over) + over[:, None] * first / norm[:, None]),
         table_heading=np.unwrap(np.arctan2(first[:, 1], first[:, 0])),
         table_curvature=curvature,
         table_sharpness=sharpness,

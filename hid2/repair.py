@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hid2.agents import FloatArray
+from hid2.agents import FloatArray, Policy
 from hid2.conflicts import DT_S, Prospect, priority
 from hid2.route import DrivenPath
 from hid2.smoothing import Motion, SpeedBounds, SpeedLimits, Trajectory, poses, smooth_speed
@@ -16,6 +16,7 @@ from hid2.traffic import Traffic
 from hid2.verify import first_overlap, limit_exceeded, off_road_steps
 from hid2.world import PlannedVehicle, World, predicted_traffic
 from netconvert.geometry import Polyline
+from netconvert.lane_graph import TurnType
 
 #: Share of the limits that the smoothing aims at: differences of sampled positions see a little more than the cubics.
 _AIM = 0.9
@@ -101,21 +102,24 @@ def _settle_one(world: World, vehicle: DrivenVehicle, others: Traffic) -> Settle
     look = world.prospect(
         vehicle.path, spec.size, cruise_mps=spec.cruise_mps, others=() if unchecked else (others,)
     )
+    if vehicle.path.shifts and not unchecked:
+        look = look.held_back(int(np.ceil(spec.trigger_s / DT_S)), vehicle.path.shifts[0][0])
     limits = SpeedLimits(
         accel_min=_AIM * config.limits.accel_min_mps2,
         accel_max=_AIM * config.limits.accel_max_mps2,
         jerk=0.8 * config.limits.longitudinal_jerk_mps3,
     )
     reason = "no_safe_timing"
+    aim = _aim(world, vehicle)
     for attempt, cap in enumerate(_CAPS):
-        reference, speed = vehicle.s, vehicle.v
+        reference, speed = (vehicle.s, vehicle.v) if attempt == 0 else (aim, vehicle.v)
         if cap < 1.0:
             slower = np.minimum(look.desired, np.maximum(cap * spec.cruise_mps, 0.0))
             slower[: int(spec.s0 / 0.5) + 1] = np.maximum(slower[: int(spec.s0 / 0.5) + 1], spec.v0)
             look = _with_desired(look, slower)
-        if not unchecked and (attempt > 0 or look.is_blocked(reference, 0)):
+        if not unchecked and (attempt > 0 or aim is not reference or look.is_blocked(reference, 0)):
             plan = look.plan(
-                s0=spec.s0, v0=spec.v0, a0=0.0, first_step=0, config=config, reference=reference if cap == 1.0 else None
+                s0=spec.s0, v0=spec.v0, a0=0.0, first_step=0, config=config, reference=aim if cap == 1.0 else None
             )
             if plan is None:
                 continue
@@ -125,6 +129,17 @@ def _settle_one(world: World, vehicle: DrivenVehicle, others: Traffic) -> Settle
             return SettledVehicle(vehicle, result[0], result[1], attempt, result[2])
         reason = result
     return reason
+
+
+def _aim(world: World, vehicle: DrivenVehicle) -> FloatArray:
+    """s(t) to stay near: the driven one, or where that misses the turn that was planned, the planned one."""
+    spec = vehicle.spec
+    kind = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}.get(spec.policy)
+    if kind is None:
+        return vehicle.s
+    lanes = world.grid.graph.lanes
+    end = next((g.end for g in spec.path.segments if lanes[g.lane_id].turn is kind and g.start > spec.s0), 0.0)
+    return vehicle.s if vehicle.s[-1] > end + 0.5 else spec.plan_s
 
 
 def _smooth_and_check(

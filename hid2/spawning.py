@@ -33,7 +33,10 @@ _TURN = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
 _ROUTE_LONGEST_M = 260.0
 _MIN_MOVE_M = 10.0
 _MIN_MOVE_LATE_M = 3.0
-_OVERTAKER_MPS = 10.0
+_OVERTAKER_MPS = (11.0, 14.0)
+_SPARE_STEPS = 4  # a foreseen manoeuvre ends this long before the scene does: SUMO will be a little later
+_RETURN_STEPS = 30
+_LEAVING_S = 1.6  # until the box is out of the leader's way
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -116,7 +119,7 @@ class Spawner:
         object_type, own = self._draw_size()
         trigger_s = self._draw_trigger(Policy.OVERTAKE)
         for route, s0 in self._some(Policy.OVERTAKE, attempts):
-            cruise = max(self.world.speed_sample(route[0], self.rng), _OVERTAKER_MPS)
+            cruise = max(self.world.speed_sample(route[0], self.rng), float(self.rng.uniform(*_OVERTAKER_MPS)))
             wish = _Wish(Policy.OVERTAKE, vehicle_id, object_type, own, trigger_s, cruise)
             found = self._overtaker(wish, route, s0, leader_id)
             if isinstance(found, tuple):
@@ -145,12 +148,13 @@ class Spawner:
             return (vehicle,)
         if vehicle != "no_leader" or not self.world.config.request.spawn_leaders or wish.cruise_mps is None:
             return vehicle
-        slow = float(np.clip(0.35 * wish.cruise_mps, 3.0, 4.5))
+        slow = float(np.clip(0.28 * wish.cruise_mps, 2.8, 4.0))
         closing = wish.cruise_mps - slow
         lead = _Wish(
             Policy.STRAIGHT, leader_id, "vehicle", BoxSize(*_quantile(_CAR, float(self.rng.random()))), 0.0, slow, steady=True
         )
-        ahead = s0 + 12.0 + 1.7 * closing + 0.6 * closing * wish.trigger_s
+        ttc_s = self.world.config.conflict.ttc_min_s + 0.2
+        ahead = s0 + 6.0 + closing * (ttc_s + wish.trigger_s + _LEAVING_S)
         leader = self._try(lead, route, ahead)
         if not isinstance(leader, PlannedVehicle):
             return f"leader_{leader}"
@@ -247,7 +251,7 @@ class Spawner:
         """The manoeuvre as it can be foreseen, or why it would not come about in the scene."""
         if wish.policy in _TURN:
             turn = next((g for g in path.segments if self._turn(g.lane_id) is _TURN[wish.policy] and g.start > s0), None)
-            if turn is None or plan.s[-3] < turn.end + 1.0:
+            if turn is None or plan.s[-_SPARE_STEPS] < turn.end + 1.0:
                 return "turn_not_reached"
         if wish.policy is Policy.LANE_CHANGE:
             return self._intend_lane_change(wish, path, plan, cruise)
@@ -324,7 +328,7 @@ class Spawner:
         passed = np.flatnonzero(plan.s >= path.shifts[-1][1])
         reason = "not_passed"
         for step in passed[::4].tolist():
-            if step >= plan.s.size - 26:
+            if step >= plan.s.size - _RETURN_STEPS:
                 break
             s = float(plan.s[step])
             gap = gap_ahead_of(path, wish.size, s=s, step=step, passed_id=leader.track_id, everybody=everybody)
@@ -357,7 +361,7 @@ class Spawner:
         speed, s = float(plan.v[step]), float(plan.s[step])
         pace = max(speed, 0.5 * (speed + float(plan.v[min(step + 20, plan.v.size - 1)])))
         across = lay_across(
-            self.world, path, target, s=s, pace_mps=pace, remaining_m=remaining_m, policy=wish.policy
+            self.world, path, target, s=s, step=step, pace_mps=pace, remaining_m=remaining_m, policy=wish.policy
         )
         if isinstance(across, str):
             return across
@@ -366,7 +370,7 @@ class Spawner:
         onward = look.plan(s0=s, v0=speed, a0=accel, first_step=step, config=self.world.config)
         if onward is None:
             return "conflict_predicted"
-        if onward.s[-1] < across.shifts[-1][1] + 0.5:
+        if onward.s[-_SPARE_STEPS] < across.shifts[-1][1]:
             return "would_not_complete"
         return across, SpeedPlan(
             s=np.concatenate([plan.s[:step], onward.s]), v=np.concatenate([plan.v[:step], onward.v]), cost=onward.cost
