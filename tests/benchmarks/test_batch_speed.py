@@ -1,0 +1,120 @@
+"""Scenes per second by the number of workers, and the memory of one worker over many scenes, on the real scenes.
+
+Not part of the default run: `pytest -m benchmark -s`, or as a script:
+
+    python tests/benchmarks/test_batch_speed.py speed --agents 10 20 40 --scenes 240
+    python tests/benchmarks/test_batch_speed.py memory --scenes 2000
+
+Speed counts from the first scene that is done to the last, so that starting processes and compiling is left out; it
+wants idle cores. Memory is the resident size of the scene process, which is not recycled here, after each scene.
+"""
+
+import argparse
+import os
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from bridge.batch import Options, Progress, Run, SceneJob, run_batch
+from bridge.manifest import ManifestRow
+from bridge.scenario import find_scenarios
+from hid2.params import Config, Request
+
+#: What a worker may take, and how much it may grow per scene once it is warm.
+MOST_MB, MOST_KB_PER_SCENE = 600.0, 20.0
+LEAST_SPEED_UP = 1.8
+
+
+def jobs_for(folders: Sequence[Path], *, scenes: int, agents: int) -> list[SceneJob]:
+    """Single runs on the folders in turn, each with a seed of its own."""
+    return [
+        SceneJob(folders[k % len(folders)], (Run(Config(request=Request(agents=agents, seed=k // len(folders)))),))
+        for k in range(scenes)
+    ]
+
+
+def scenes_per_second(folders: Sequence[Path], *, scenes: int, agents: int, workers: int) -> float:
+    """Rate of a batch, without its start: every worker is warm when half of the scenes are done."""
+    times: list[float] = []
+    with tempfile.TemporaryDirectory(prefix="hid2-speed-") as out:
+        rows = run_batch(
+            jobs_for(folders, scenes=scenes, agents=agents),
+            Path(out),
+            Options(jobs=workers),
+            on_row=lambda row, progress: times.append(time.monotonic()),
+        )
+    assert {row.status for row in rows} == {"done"}
+    skipped = max(len(folders), scenes // 4)
+    return (scenes - 1 - skipped) / (times[-1] - times[skipped])
+
+
+def memory_of_one_worker(folders: Sequence[Path], *, scenes: int, agents: int) -> list[float]:
+    """Resident MB of the scene process after each scene."""
+    sizes: list[float] = []
+
+    def sample(row: ManifestRow, progress: Progress) -> None:
+        children = psutil.Process().children(recursive=True)
+        sizes.append(max(child.memory_info().rss for child in children) / 1e6)
+
+    with tempfile.TemporaryDirectory(prefix="hid2-memory-") as out:
+        jobs = jobs_for(folders, scenes=scenes, agents=agents)
+        run_batch(jobs, Path(out), Options(recycle_after=10**9), on_row=sample)
+    return sizes
+
+
+def slope_kb(sizes: Sequence[float]) -> float:
+    """Growth per scene in kB over the last three quarters."""
+    tail = np.asarray(sizes[len(sizes) // 4 :])
+    return float(np.polyfit(np.arange(len(tail)), tail, 1)[0]) * 1e3
+
+
+@pytest.mark.benchmark
+@pytest.mark.timeout(3000)
+def test_two_workers_are_nearly_twice_as_fast(real_scenes: list[Path]) -> None:
+    one = scenes_per_second(real_scenes, scenes=60, agents=10, workers=1)
+    two = scenes_per_second(real_scenes, scenes=120, agents=10, workers=2)
+    print(f"\nscenes/s: {one:.2f} with one worker, {two:.2f} with two, ratio {two / one:.2f}")
+    assert two / one >= LEAST_SPEED_UP
+
+
+@pytest.mark.benchmark
+@pytest.mark.timeout(3000)
+def test_memory_of_a_worker_stays_flat(real_scenes: list[Path]) -> None:
+    sizes = memory_of_one_worker(real_scenes, scenes=300, agents=10)
+    print(f"\nworker: {sizes[-1]:.0f} MB after {len(sizes)} scenes, growing by {slope_kb(sizes):.1f} kB a scene")
+    assert max(sizes) <= MOST_MB
+    assert slope_kb(sizes) <= MOST_KB_PER_SCENE
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("speed", "memory"))
+    parser.add_argument("--root", type=Path, default=None, help="data set (default: the real scenes)")
+    parser.add_argument("--scenes", type=int, default=120)
+    parser.add_argument("--agents", type=int, nargs="+", default=[10])
+    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
+    arguments = parser.parse_args()
+    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
+    folders = find_scenarios(arguments.root or shared / "av2")
+    if arguments.what == "memory":
+        sizes = memory_of_one_worker(folders, scenes=arguments.scenes, agents=arguments.agents[0])
+        shown = [round(size) for size in sizes[:: max(1, len(sizes) // 10)]]
+        print(f"MB along the way {shown}; largest {max(sizes):.0f} MB, slope {slope_kb(sizes):.2f} kB a scene")
+        return
+    for agents in arguments.agents:
+        rates = [
+            scenes_per_second(folders, scenes=arguments.scenes, agents=agents, workers=workers)
+            for workers in arguments.workers
+        ]
+        words = ", ".join(f"{rate:.2f}/s with {n}" for n, rate in zip(arguments.workers, rates, strict=True))
+        print(f"{agents} vehicles: {words}; ratio {rates[-1] / rates[0]:.2f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
