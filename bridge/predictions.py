@@ -217,7 +217,7 @@ def _write(result: PredictionScores, report_dir: Path) -> None:
     about = (
         "<p>How far forecasts end up from where vehicles really went, 6 s after the last observed moment. minADE: mean "
         "distance of the best forecast over all steps; minFDE: its distance at the end; MR: share of vehicles whose "
-        "best forecast ends more than 2 m off. Best is the forecast that ends nearest, among the k most probable ones.</p>"
+        "best forecast ends more than 2 m off. Best is the one of the k most probable forecasts that ends nearest.</p>"
     )
     parts = [
         about,
