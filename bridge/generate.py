@@ -12,7 +12,7 @@ import numpy as np
 
 from bridge.config import config_sha256
 from bridge.export import new_scenario_id, write_scene
-from bridge.records import agent_record
+from bridge.records import agent_record, with_unmet
 from bridge.replay import Replay, ReplayErrors
 from bridge.scenario import LAST_OBSERVED, Scenario
 from bridge.sidecar import (
@@ -126,58 +126,71 @@ class _Run:
         self.world, self.net, self.rng = world, net, rng
         self.settled: list[Settled] = []
         self.reasons: Counter[str] = Counter()
-        self.unmet: list[tuple[Policy, float, str]] = []
+        self.unmet: list[tuple[Policy, str]] = []
         self.fixed: Traffic = predicted_traffic([], world.num_steps)
         self.replay_errors = ReplayErrors()
         self.sumo_version = ""
         self._next = 0
 
     def fill(self) -> None:
-        """All rounds."""
+        """All rounds; where they do not reach the count, once more from an empty road, packed, if that gives more."""
         request = self.world.config.request
         target = _MAX_AGENTS if request.agents == "max" else request.agents
         pending = _mix(request.behaviours, 20 if request.agents == "max" else target, self.rng)
+        if request.agents != "max":
+            self._rounds(pending, target, packed=False)
+            if len(self.settled) == target or "collision" in self.world.config.without:
+                return
+        loose = self.settled, self.fixed, self.unmet
+        self.settled, self.fixed, self.unmet = [], predicted_traffic([], self.world.num_steps), []
+        self._rounds(pending, target, packed=True)
+        if len(self.settled) < len(loose[0]):
+            self.settled, self.fixed, self.unmet = loose
+
+    def _rounds(self, pending: list[Policy], target: int, *, packed: bool) -> None:
         dry = 0
         for number in range(self.world.config.spawn.rounds):
             missing = target - len(self.settled)
             if missing <= 0 and number > 0:
                 break
-            if request.agents == "max":
-                wanted = pending if number == 0 else [Policy.STRAIGHT] * _MAX_AGENTS
-            else:
-                wanted = pending[:missing]
+            wanted = pending[:missing] + [Policy.STRAIGHT] * (missing - len(pending))
             before = len(self.settled)
-            failed = self._round(wanted, missing, patience=number)
-            pending = failed + [Policy.STRAIGHT] * max(0, missing - len(failed))
-            gained = len(self.settled) - before
-            dry = 0 if gained else dry + 1
-            if dry >= 2 and number >= 3:
+            patience = number + 2 if packed else number
+            failed = self._round(wanted, missing, patience=patience, packed=packed)
+            pending = failed + [Policy.STRAIGHT] * max(0, target - len(self.settled) - len(failed))
+            dry = 0 if len(self.settled) > before else dry + 1
+            if dry >= 2 or (dry and number >= 1):
                 break
 
-    def _round(self, wanted: Sequence[Policy], missing: int, *, patience: int) -> list[Policy]:
+    def _round(self, wanted: Sequence[Policy], missing: int, *, patience: int, packed: bool) -> list[Policy]:
         """Plan, drive and settle; returns the policies still wanted."""
-        spawner = Spawner(self.world, self.rng, self.fixed, patience)
+        spawner = Spawner(self.world, self.rng, self.fixed, patience, packed)
         failed: list[Policy] = []
-        attempts = _ATTEMPTS_LATE if patience >= 2 else _ATTEMPTS
+        attempts = _ATTEMPTS_LATE if patience >= 2 or packed else _ATTEMPTS
         # manoeuvres need the room most, so they choose first
         for policy in sorted(wanted, key=list(Policy).index, reverse=True):
             if len(spawner.planned) >= missing:
                 break
-            if policy is Policy.OVERTAKE and missing - len(spawner.planned) >= 2:
-                got = spawner.spawn_overtake(self._new_id(), self._new_id(), attempts=_ATTEMPTS)
-                if got:
-                    continue
-            elif policy is not Policy.OVERTAKE and spawner.spawn(policy, self._new_id(), attempts=attempts):
+            if self._plan(spawner, policy, missing - len(spawner.planned), attempts):
                 continue
-            if policy is not Policy.STRAIGHT:
-                self._unmet(policy)
-                if spawner.spawn(Policy.STRAIGHT, self._new_id(), attempts=attempts):
-                    continue
+            if policy is not Policy.STRAIGHT and patience == 0 and spawner.offers(policy):
+                failed.append(policy)  # once more, among those who are settled then
+                continue
             failed.append(Policy.STRAIGHT)
+            if policy is not Policy.STRAIGHT:
+                reason = spawner.last_reason if spawner.offers(policy) else f"map_offers_no_{policy.value}"
+                self.unmet.append((policy, reason))
+                if self._plan(spawner, Policy.STRAIGHT, 1, attempts):
+                    failed.pop()
         self.reasons.update(spawner.reasons)
         if spawner.planned or self.replay_errors.states == 0:
             failed += self._drive(spawner.planned)
         return failed
+
+    def _plan(self, spawner: Spawner, policy: Policy, room: int, attempts: int) -> bool:
+        if policy is not Policy.OVERTAKE:
+            return spawner.spawn(policy, self._new_id(), attempts=attempts) is not None
+        return room >= 2 and bool(spawner.spawn_overtake(self._new_id(), self._new_id(), attempts=attempts))
 
     def _drive(self, planned: Sequence[PlannedVehicle]) -> list[Policy]:
         world = self.world
@@ -189,16 +202,13 @@ class _Run:
         if self.replay_errors.states == 0:
             self.replay_errors = recorded.errors
         by_id = {driver.spec.vehicle_id: driver for driver in drivers}
-        settled, failed = settle(world, steering.driven(), self.fixed)
+        settled, failed = settle(world, steering.driven(), [item.vehicle for item in self.settled], self.fixed)
         refused = [driver.spec for driver in drivers if driver.objection is not None]
         self.reasons.update(reason for _, reason in failed)
         self.reasons.update(driver.objection for driver in drivers if driver.objection is not None)
         self.settled += [Settled(vehicle, by_id[vehicle.driven.spec.vehicle_id]) for vehicle in settled]
         self.fixed = self.fixed.joined(settled_traffic(settled, world.num_steps))
         return [spec.policy for spec, _ in failed] + [spec.policy for spec in refused]
-
-    def _unmet(self, policy: Policy) -> None:
-        self.unmet.append((policy, 0.0, f"no_room_for_{policy.value}"))
 
     def _new_id(self) -> str:
         self._next += 1
@@ -255,6 +265,7 @@ def _sidecar(
 ) -> Sidecar:
     config = world.config
     agents = [agent_record(item.vehicle, item.driver, f"gen_{row}", world) for row, item in enumerate(vehicles)]
+    agents = with_unmet(agents, run.unmet)
     placed = Counter(record.policy for record in agents)
     return Sidecar(
         source_scenario_id=prepared.scenario.scenario_id,

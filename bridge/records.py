@@ -1,10 +1,11 @@
 """What became of every manoeuvre that was asked for, as rows of the sidecar."""
 
 import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bridge.sidecar import AgentRecord, ManeuverRecord, SpawnRecord
+from bridge.sidecar import AgentRecord, ManeuverKind, ManeuverRecord, SpawnRecord
 from bridge.steering import Driver
 from hid2.agents import FloatArray, Policy
 from hid2.conflicts import DT_S
@@ -15,6 +16,12 @@ from hid2.world import World
 from netconvert.lane_graph import TurnType
 
 _VISIBLE_MPS = 0.1
+_KIND: Mapping[Policy, ManeuverKind] = {
+    Policy.LEFT_TURN: "left_turn",
+    Policy.RIGHT_TURN: "right_turn",
+    Policy.LANE_CHANGE: "lane_change",
+    Policy.OVERTAKE: "overtake",
+}
 _TURN = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
 
 
@@ -37,6 +44,19 @@ def agent_record(vehicle: SettledVehicle, driver: Driver, track_id: str, world: 
         retimed=vehicle.retimed,
         standing=bool(end_s - spec.s0 < 2.0),
     )
+
+
+def with_unmet(agents: Sequence[AgentRecord], unmet: Sequence[tuple[Policy, str]]) -> list[AgentRecord]:
+    """Give each manoeuvre that found no place a record, on a vehicle that was placed to go straight instead of it."""
+    records, left = [], list(unmet)
+    for record in agents:
+        if left and record.policy is Policy.STRAIGHT and not record.maneuvers:
+            policy, reason = left.pop(0)
+            if policy is not Policy.STRAIGHT:
+                missed = ManeuverRecord(kind=_KIND[policy], status="not_feasible", reason=reason)
+                record = record.model_copy(update={"maneuvers": (missed,)})
+        records.append(record)
+    return records
 
 
 def _maneuvers(vehicle: SettledVehicle, driver: Driver, world: World) -> list[ManeuverRecord]:

@@ -108,13 +108,7 @@ class Prospect:
 
     def min_ttc_s(self, s: FloatArray, v: FloatArray) -> float:
         """Smallest TTC to an aligned leader on the path over a driven (T,) s(t), v(t); inf when never closing."""
-        steps = s.size
-        low, along = self.occupancy.low[:, :steps], self.occupancy.along[:, :steps]
-        ahead = np.isfinite(low) & self.occupancy.aligned[:, :steps] & (s[None, :] < low + 1.0)
-        closing = v[None, :] - along
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ttc = np.where(ahead & (closing > 1e-3), (low - s[None, :]) / closing, np.inf)
-        return float(ttc.min(initial=np.inf))
+        return min_leader_ttc_s(self.occupancy, s, v)
 
     def min_follower_ttc_s(self, s: FloatArray, v: FloatArray) -> float:
         """Smallest TTC of an aligned generated follower to this vehicle; inf when none ever closes in."""
@@ -125,6 +119,17 @@ class Prospect:
         with np.errstate(divide="ignore", invalid="ignore"):
             ttc = np.where(behind & (closing > 1e-3), (s[None, :] - high) / closing, np.inf)
         return float(ttc.min(initial=np.inf))
+
+
+def min_leader_ttc_s(occupancy: PathOccupancy, s: FloatArray, v: FloatArray) -> float:
+    """Smallest TTC to an aligned leader over a driven (T,) s(t) m, v(t) m/s; inf when never closing."""
+    steps = s.size
+    low, along = occupancy.low[:, :steps], occupancy.along[:, :steps]
+    ahead = np.isfinite(low) & occupancy.aligned[:, :steps] & (s[None, :] < low + 1.0)
+    closing = v[None, :] - along
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ttc = np.where(ahead & (closing > 1e-3), (low - s[None, :]) / closing, np.inf)
+    return float(ttc.min(initial=np.inf))
 
 
 def _barrier(num_steps: int, until_step: int, s: float) -> PathOccupancy:

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hid2.agents import FloatArray, Policy
-from hid2.conflicts import DT_S, Prospect, priority
+from hid2.conflicts import DT_S, Prospect, min_leader_ttc_s, priority
 from hid2.route import DrivenPath
 from hid2.smoothing import Motion, SpeedBounds, SpeedLimits, Trajectory, poses, smooth_speed
+from hid2.space_time import path_occupancy
 from hid2.traffic import Traffic
 from hid2.verify import first_overlap, limit_exceeded, off_road_steps
 from hid2.world import PlannedVehicle, World, predicted_traffic
@@ -21,6 +22,7 @@ from netconvert.lane_graph import TurnType
 #: Share of the limits that the smoothing aims at: differences of sampled positions see a little more than the cubics.
 _AIM = 0.9
 _BOX_MARGIN_M = 0.05
+_NEAR_M = 50.0
 #: Shares of the cruising speed that are tried in turn.
 _CAPS = (1.0, 1.0, 0.85, 0.65)
 
@@ -52,14 +54,17 @@ class SettledVehicle:
 
 
 def settle(
-    world: World, driven: Sequence[DrivenVehicle], fixed: Traffic
+    world: World, driven: Sequence[DrivenVehicle], earlier: Sequence[SettledVehicle], fixed: Traffic
 ) -> tuple[list[SettledVehicle], list[tuple[PlannedVehicle, str]]]:
-    """Smooth and check every driven vehicle; those that cannot be made safe come back with the reason."""
+    """Smooth and check every driven vehicle; those that cannot be made safe come back with the reason.
+
+    earlier: vehicles settled in rounds before, the agents of `fixed`.
+    """
     settled: list[SettledVehicle] = []
     failed: list[tuple[PlannedVehicle, str]] = []
     others = fixed
     for vehicle in _leaders_first(driven):
-        result = _settle_one(world, vehicle, others)
+        result = _settle_one(world, vehicle, others, [*earlier, *settled])
         if isinstance(result, str):
             failed.append((vehicle.spec, result))
             continue
@@ -93,7 +98,9 @@ def _leaders_first(driven: Sequence[DrivenVehicle]) -> list[DrivenVehicle]:
     return [driven[row] for row in order]
 
 
-def _settle_one(world: World, vehicle: DrivenVehicle, others: Traffic) -> SettledVehicle | str:
+def _settle_one(
+    world: World, vehicle: DrivenVehicle, others: Traffic, known: Sequence[SettledVehicle]
+) -> SettledVehicle | str:
     config = world.config
     spec = vehicle.spec
     if "smoothing" in config.without:
@@ -125,10 +132,32 @@ def _settle_one(world: World, vehicle: DrivenVehicle, others: Traffic) -> Settle
                 continue
             reference, speed = plan.s, plan.v
         result = _smooth_and_check(world, vehicle, look, reference, speed, limits, others, unchecked=unchecked)
-        if not isinstance(result, str):
-            return SettledVehicle(vehicle, result[0], result[1], attempt, result[2])
-        reason = result
+        if isinstance(result, str):
+            reason = result
+            continue
+        candidate = SettledVehicle(vehicle, result[0], result[1], attempt, result[2])
+        if unchecked or not _presses_anybody(world, candidate, known):
+            return candidate
+        reason = "ttc_of_follower"
     return reason
+
+
+def _presses_anybody(world: World, candidate: SettledVehicle, known: Sequence[SettledVehicle]) -> bool:
+    """Whether a settled vehicle would have the candidate as a leader at less than the critical TTC on its own path."""
+    conflict = world.config.conflict
+    box = settled_traffic([candidate], world.num_steps)
+    for follower in known:
+        spec, steps = follower.driven.spec, min(follower.num_steps, candidate.num_steps)
+        distance = np.hypot(*(follower.trajectory.position[:steps] - candidate.trajectory.position[:steps]).T)
+        if distance.min() > _NEAR_M:
+            continue
+        found = path_occupancy(
+            follower.driven.path.line, box, length_m=spec.size.length_m, width_m=spec.size.width_m,
+            margin_lateral_m=conflict.margin_lateral_m,
+        )  # fmt: skip
+        if min_leader_ttc_s(found, follower.motion.s, follower.motion.v) < conflict.ttc_min_s:
+            return True
+    return False
 
 
 def _aim(world: World, vehicle: DrivenVehicle) -> FloatArray:

@@ -7,6 +7,7 @@ would run into it, nobody appears inside it, and a speed profile exists that mee
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 
 import numpy as np
 
@@ -32,6 +33,7 @@ _BUS = ((0.0, 10.5, 2.7), (0.5, 11.6, 2.9), (1.0, 12.3, 2.95))
 _TURN = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
 _ROUTE_LONGEST_M = 260.0
 _MIN_MOVE_M = 10.0
+_FASTEST_MPS = 9.0  # mean over approach and turn
 _MIN_MOVE_LATE_M = 3.0
 _OVERTAKER_MPS = (11.0, 14.0)
 _SPARE_STEPS = 4  # a foreseen manoeuvre ends this long before the scene does: SUMO will be a little later
@@ -71,20 +73,24 @@ class _Wish:
 class Spawner:
     """Chooses vehicles one after the other; each one planned is an obstacle to the next.
 
+    last_reason: what was said most often against the candidates of the last call that found none.
+
     fixed: generated vehicles of earlier rounds, with their final motion. patience: 0 takes only places where a vehicle
     drives as it likes; from 1 on it may start slowly, from 2 on it may stand in a queue. reasons counts what was turned
-    down.
+    down. packed: fill each lane from its downstream end, so that everybody can adapt to who is ahead.
     """
 
     world: World
     rng: np.random.Generator
     fixed: Traffic
     patience: int = 0
+    packed: bool = False
     planned: list[PlannedVehicle] = field(default_factory=list)
     reasons: Counter[str] = field(default_factory=Counter)
     _sigma: np.ndarray[tuple[int], np.dtype[np.uint8]] = field(init=False)
     _lanes: tuple[int, ...] = field(init=False)
     _predicted: Traffic = field(init=False)
+    last_reason: str = ""
     _streams: dict[Policy, Iterator[tuple[Route, float]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -106,40 +112,49 @@ class Spawner:
         """
         object_type, own = self._draw_size()
         wish = _Wish(policy, vehicle_id, object_type, own, self._draw_trigger(policy))
+        against: Counter[str] = Counter()
         for route, s0 in self._some(policy, attempts):
             vehicle = self._try(wish, route, s0)
             if isinstance(vehicle, PlannedVehicle):
                 self._add(vehicle)
                 return vehicle
-            self.reasons[vehicle] += 1
+            against[vehicle] += 1
+        self._note(policy, against)
         return None
 
     def spawn_overtake(self, vehicle_id: str, leader_id: str, *, attempts: int) -> tuple[PlannedVehicle, ...]:
         """Plan an overtaker, behind a slower vehicle that is there or, if allowed, behind a new slow leader."""
         object_type, own = self._draw_size()
         trigger_s = self._draw_trigger(Policy.OVERTAKE)
+        against: Counter[str] = Counter()
         for route, s0 in self._some(Policy.OVERTAKE, attempts):
             cruise = max(self.world.speed_sample(route[0], self.rng), float(self.rng.uniform(*_OVERTAKER_MPS)))
             wish = _Wish(Policy.OVERTAKE, vehicle_id, object_type, own, trigger_s, cruise)
             found = self._overtaker(wish, route, s0, leader_id)
             if isinstance(found, tuple):
                 return found
-            self.reasons[found] += 1
+            against[found] += 1
+        self._note(Policy.OVERTAKE, against)
         return ()
 
+    def _note(self, policy: Policy, against: Counter[str]) -> None:
+        self.reasons.update(against)
+        self.last_reason = against.most_common(1)[0][0] if against else f"no_free_cell_for_{policy.value}"
+
     def _some(self, policy: Policy, attempts: int) -> Iterator[tuple[Route, float]]:
-        """The next candidates of a policy that stand on free cells; occupied ones cost nothing and do not count."""
+        """The next candidates of a policy; occupied cells are passed over and do not count."""
         if policy not in self._streams:
             self._streams[policy] = self._candidates(policy)
-        first = True
-        for _ in range(attempts):
-            candidate = next(self._streams[policy], None)
-            if candidate is None:
-                if first:
-                    self.reasons[f"map_offers_no_more_{policy.value}"] += 1
-                return
-            first = False
-            yield candidate
+        yield from islice(self._streams[policy], attempts)
+
+    def offers(self, policy: Policy) -> bool:
+        """Whether the map has any place at all for a policy, whoever is on it."""
+        if policy is Policy.STRAIGHT:
+            return bool(self._lanes)
+        graph = self.world.grid.graph
+        if policy in _TURN:
+            return any(self._turn(lane_id) is _TURN[policy] and graph.predecessors(lane_id) for lane_id in self._lanes)
+        return any(self._may_start(policy, lane_id) for lane_id in self._lanes)
 
     def _overtaker(self, wish: _Wish, route: Route, s0: float, leader_id: str) -> tuple[PlannedVehicle, ...] | str:
         vehicle = self._try(wish, route, s0)
@@ -394,31 +409,55 @@ class Spawner:
             for index in range(self.world.grid.count(lane_id))
         ]
         place_of = [self.world.grid.index_of[cell] for cell in cells]
-        for place in self.rng.permutation(len(cells)).tolist():
+        order = self.rng.permutation(len(cells)).tolist()
+        if self.packed and policy is Policy.STRAIGHT:
+            left_m = self._distance_to_exit()
+            order.sort(key=lambda place: left_m[cells[place].lane_id] - self.world.grid.edges_s(cells[place].lane_id)[cells[place].index])
+        for place in order:
             cell = cells[place]
             borders = self.world.grid.edges_s(cell.lane_id)
             s0 = float(self.rng.uniform(borders[cell.index], borders[cell.index + 1]))
             if "collision" not in self.world.config.without and self._sigma[place_of[place]] != FREE:
                 self.reasons["cells_occupied"] += 1
                 continue
-            route = self._route(policy, cell.lane_id, s0)
-            if route is None:
-                continue
-            if s0 < 3.0:  # start on the lane before, so that the box lies on the path
-                before = [p for p in graph.predecessors(cell.lane_id) if p in self._lanes and p not in route]
-                if before:
-                    first = before[int(self.rng.integers(len(before)))]
-                    s0 += self.world.path((first,)).line.length_m
-                    route = (first, *route)
-            yield route, s0
+            for route in self._routes(policy, cell.lane_id, s0):
+                if self._sigma[place_of[place]] != FREE and "collision" not in self.world.config.without:
+                    break  # taken meanwhile: by the vehicle that the route before was for
+                yield self._with_run_up(route, s0)
+
+    def _with_run_up(self, route: Route, s0: float) -> tuple[Route, float]:
+        """Start on the lane before where the box would stand out behind the first."""
+        if s0 >= 3.0:
+            return route, s0
+        graph = self.world.grid.graph
+        before = [p for p in graph.predecessors(route[0]) if p in self._lanes and p not in route]
+        if not before:
+            return route, s0
+        first = before[int(self.rng.integers(len(before)))]
+        return (first, *route), s0 + self.world.path((first,)).line.length_m
+
+    def _distance_to_exit(self) -> dict[int, float]:
+        """From the start of each lane to the nearest edge of the map, m; lanes that only lead back count as far."""
+        graph = self.world.grid.graph
+        left = dict.fromkeys(self._lanes, 1e6)
+        for _ in range(len(left)):  # Bellman-Ford; maps are a few lanes deep
+            changed = False
+            for lane_id in self._lanes:
+                onward = [left[n] for n in graph.successors(lane_id) if n in left]
+                new = graph.lanes[lane_id].length_m + (min(onward) if onward else 0.0)
+                if new < left[lane_id]:
+                    left[lane_id], changed = new, True
+            if not changed:
+                break
+        return left
 
     def _may_start(self, policy: Policy, lane_id: int) -> bool:
         if policy in _TURN:
             return self._turn(lane_id) is TurnType.STRAIGHT
         return any(admissible_neighbor(self.world, lane_id, side) is not None for side in ("left", "right"))
 
-    def _route(self, policy: Policy, lane_id: int, s0: float) -> Route | None:
-        """Route that serves the policy, None where none does."""
+    def _routes(self, policy: Policy, lane_id: int, s0: float) -> Iterator[Route]:
+        """Routes from a place that serve the policy; more than one only where patience asks for it (reroute)."""
         graph = self.world.grid.graph
         wanted = _TURN.get(policy, TurnType.STRAIGHT)
 
@@ -427,19 +466,23 @@ class Spawner:
             return tuple(sorted((onward[i] for i in order), key=lambda n: self._turn(n) is not wanted))
 
         usable = set(self._lanes).__contains__
-        most = 6 if policy in _TURN else 1
+        most = 6 if policy in _TURN else 1 if self.patience == 0 else 3
         for route in routes_from(graph, lane_id, choose=choose, usable=usable, most=most, longest_m=_ROUTE_LONGEST_M):
-            if policy not in _TURN:
-                return route
-            travelled = graph.lanes[lane_id].length_m - s0
-            for lane in route[1:]:
-                kind = self._turn(lane)
-                if kind is wanted and travelled > 3.0 and travelled + graph.lanes[lane].length_m < 9.0 * self.world.num_steps * DT_S:
-                    return route
-                if kind is not TurnType.STRAIGHT:
-                    break
-                travelled += graph.lanes[lane].length_m
-        return None
+            if policy not in _TURN or self._leads_into(route, wanted, s0):
+                yield route
+                if policy in _TURN and self.patience == 0:
+                    return
+
+    def _leads_into(self, route: Route, wanted: TurnType, s0: float) -> bool:
+        """Whether the first turn of a route is the wanted one and may be through before the scene ends."""
+        graph = self.world.grid.graph
+        travelled = graph.lanes[route[0]].length_m - s0
+        for lane_id in route[1:]:
+            kind, length = self._turn(lane_id), graph.lanes[lane_id].length_m
+            if kind is not TurnType.STRAIGHT:
+                return kind is wanted and travelled > 3.0 and travelled + length < _FASTEST_MPS * self.world.num_steps * DT_S
+            travelled += length
+        return False
 
     def _draw_size(self) -> tuple[str, BoxSize]:
         request = self.world.config.request
