@@ -225,9 +225,17 @@ def post_encroachment(
 
     Paths cross where the centres' paths cut each other at `min_angle` at least (and at most pi - min_angle: meeting
     head-on is no crossing). PET is then the smallest |t1 - t2| at which the box of one at t1 covers ground of the box
-    of the other at t2 while their headings differ that much.
+    of the other at t2 while their headings differ that much. Each box is as much longer as its vehicle drives in a step,
+    so that the boxes of all steps cover the swept path: right to a step.
     """
     count = len(agents)
+    long = np.empty(len(position))
+    for k in range(count):
+        a = agents[k]
+        for i in range(first[a], first[a + 1]):
+            before, after = max(first[a], i - 1), min(first[a + 1] - 1, i + 1)
+            dx, dy = position[after, 0] - position[before, 0], position[after, 1] - position[before, 1]
+            long[i] = length[a] + math.hypot(dx, dy) / max(1, after - before)
     out = np.full((count, count), -1, dtype=np.int64)
     low = np.empty((count, 2))
     high = np.empty((count, 2))
@@ -253,12 +261,12 @@ def post_encroachment(
                     if apart >= best:
                         continue
                     dx, dy = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
-                    if dx * dx + dy * dy > reach * reach:
+                    if math.hypot(dx, dy) > reach + (long[i] - length[a] + long[j] - length[b]) / 2:
                         continue
                     sine = abs(math.sin(heading[i] - heading[j]))
                     if sine < math.sin(min_angle):
                         continue
-                    if _boxes_touch(dx, dy, heading[i], length[a], width[a], heading[j], length[b], width[b]):
+                    if _boxes_touch(dx, dy, heading[i], long[i], width[a], heading[j], long[j], width[b]):
                         best = apart
             if best <= cap_steps:
                 out[p, q] = best
