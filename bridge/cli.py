@@ -146,14 +146,18 @@ _SHOWN_PATHS = 24
 
 @app.command()
 def net(scene: Scene, out: Out, *, verbose: Verbose = False, quiet: Quiet = False) -> None:
-    """Write the scene's lane graph as a SUMO net of 4 m cells, with files for sumo-gui, and report its fidelity."""
+    """Write the scene's lane graph as a SUMO net of 4 m cells, with files to play it in sumo-gui; report its fidelity."""
     _set_up(verbose=verbose, quiet=quiet)
     from bridge.console import print_table
     from bridge.net import convert
+    from bridge.playable import write_playable
 
     report = convert(scene, out)
+    playable = write_playable(scene, out) if any(scene.glob("scenario_*.parquet")) else None
     if not quiet:
         print_table(f"{scene.name}: fidelity of the net", ("what", "value"), report.rows())
+        if playable is not None:
+            print(f"to play it: sumo-gui -c {playable}")
 
 
 @app.command()
@@ -185,12 +189,24 @@ def evaluate(
     report: Annotated[Path, typer.Option("-o", "--out", help="Folder for metrics.json, the tables and report.html.")],
     *,
     source: Annotated[Path | None, typer.Option(help="Where the source scenes are, for before and after.")] = None,
+    predictions: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|constant-velocity|constant-turn-rate",
+            help="Score forecasts instead: a file in av2's submission format, or a baseline.",
+        ),
+    ] = None,
+    bands: Annotated[
+        str, typer.Option(metavar="N,N,...", help="With --predictions: scenes of more agents than these.")
+    ] = "50,70,90",
     jobs: Jobs = 1,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure density, diversity, safety, kinematics and realism of any number of scenes."""
+    """Measure density, diversity, safety, kinematics and realism of any number of scenes, or score forecasts."""
     _set_up(verbose=verbose, quiet=quiet)
+    if predictions is not None:
+        raise typer.Exit(_score(out, predictions, bands, report, quiet=quiet))
     from bridge.console import Counter, say
     from bridge.evaluate import evaluate_folder
 
@@ -238,6 +254,27 @@ def plot(
     from bridge.plot import plot_agent
 
     print(plot_agent(scene, agent, out))
+
+
+@app.command()
+def gui(
+    scene: Scene,
+    *,
+    delay: Annotated[int, typer.Option(min=0, metavar="MS", help="Wait between steps of 0.1 s.")] = 100,
+    screenshot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Take a picture and close.")] = None,
+    step: Annotated[
+        int | None, typer.Option(min=0, help="Timestep of the picture; the last observed one by default.")
+    ] = None,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Play a scene in sumo-gui: recorded vehicles grey, generated ones coloured by policy (needs the extra `gui`)."""
+    _set_up(verbose=verbose, quiet=quiet)
+    from bridge.gui import play_scene
+
+    picture = play_scene(scene, delay_ms=delay, screenshot=screenshot, step=step)
+    if picture is not None:
+        print(picture)
 
 
 @app.command("config")
@@ -408,6 +445,28 @@ def _select(paths: Sequence[Path], selection: "Selection", *, jobs: int, quiet: 
     if not quiet:
         say(f"{len(chosen)} of {len(folders)} scenes selected")
     return chosen
+
+
+def _score(out: Path, predictions: str, bands: str, report: Path, *, quiet: bool) -> int:
+    """Score forecasts; returns the exit code."""
+    from bridge.console import Counter, print_table, say
+    from bridge.predictions import BASELINES, TABLE_HEAD, score_predictions
+
+    try:
+        bounds = [int(band) for band in bands.split(",")]
+    except ValueError:
+        raise ConfigError(f"--bands {bands!r}: want numbers of agents, joined by commas") from None
+    baseline = next((name for name in BASELINES if name == predictions), None)
+    with Counter("scoring", quiet=quiet) as counter:
+        scored = score_predictions(
+            out, predictions=baseline or Path(predictions), report_dir=report, bounds=bounds, on_scene=counter.show
+        )
+    for reason in scored.left_out:
+        say(f"not scored: {reason}")
+    if not quiet:
+        print_table(f"{len(scored.scores)} scores", TABLE_HEAD, scored.rows())
+        print(report / "predictions.html")
+    return SOME_FAILED if scored.left_out else ALL_DONE
 
 
 def _reproduce(bundle_path: Path, out: Path | None) -> int:

@@ -88,7 +88,7 @@ class LaneChange(_Section):
     give_up_s: float = _param(6.0, "s", "from the trigger on, the request ends after this", ge=0, le=60)
     min_duration_s: float = _param(2.5, "s", "shortest lateral motion (11 s scenes)", ge=1.5, le=10)
     max_duration_s: float = _param(6.0, "s", "longest lateral motion", ge=1.5, le=15)
-    lateral_accel_mps2: float = _param(1.3, "m/s2", "peak lateral acceleration sought in a change", gt=0, le=4)
+    lateral_accel_mps2: float = _param(1.0, "m/s2", "peak lateral acceleration sought in a change", gt=0, le=4)
     min_speed_mps: float = _param(2.0, "m/s", "slower vehicles cannot shift a lane in time", ge=0, le=20)
 
     @model_validator(mode="after")
@@ -116,7 +116,7 @@ class Turn(_Section):
     left_trough: float = _param(0.65, "ratio", "min of f_left(alpha)", gt=0, le=1)
     right_trough: float = _param(0.75, "ratio", "min of f_right(alpha), above left_trough", gt=0, le=1)
     trough_at: float = _param(0.4, "share", "alpha of the trough, early to mid-turn", ge=0.1, le=0.9)
-    lateral_accel_mps2: float = _param(2.5, "m/s2", "speed cap sqrt(a_y / kappa) on the lane (comfort is 3)", gt=0, le=4.89)
+    lateral_accel_mps2: float = _param(1.8, "m/s2", "speed cap sqrt(a_y / kappa) on the lane; what drivers take, comfort ends at 3", gt=0, le=4.89)
     approach_decel_mps2: float = _param(1.5, "m/s2", "slowing before the entrance", gt=0, le=4)
 
     @model_validator(mode="after")
@@ -164,7 +164,7 @@ class Smoothing(_Section):
     """Frenet smoothing: s(t), d(t) piecewise cubics."""
 
     path_step_m: float = _param(1.0, "m", "spacing of the reference line's points", gt=0.1, le=4)
-    max_offset_m: float = _param(0.6, "m", "the smoothed reference line stays this close to the centrelines", ge=0, le=2)
+    max_offset_m: float = _param(0.9, "m", "the smoothed reference line stays this close to the centrelines", ge=0, le=2)
     jerk_weight: float = _param(1.0, "m2 / (m/s3)2", "weight of jerk against distance to the driven s(t)", gt=0, le=1000)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from hid2.agents import FloatArray, Policy
 from hid2.conflicts import DT_S, Prospect, min_leader_ttc_s, priority
+from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath
 from hid2.smoothing import Motion, SpeedBounds, SpeedLimits, Trajectory, poses, smooth_speed
 from hid2.space_time import path_occupancy
@@ -197,6 +198,9 @@ def _smooth_and_check(
         return "leaves_too_early"
     motion = Motion(s=motion.s[:steps], v=motion.v[:steps], a=motion.a[:steps])
     trajectory = poses(vehicle.path.line, motion)
+    cells = np.arange(int(motion.s[0] / TABLE_STEP_M), int(motion.s[-1] / TABLE_STEP_M) + 2)
+    if np.abs(vehicle.path.line.table_curvature[cells]).max() > 1.0 / config.limits.min_radius_m:
+        return "limit_curvature"
     exceeded = limit_exceeded(trajectory, config.limits, step_s=DT_S)
     if exceeded is not None:
         return f"limit_{exceeded}"

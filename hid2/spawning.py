@@ -200,6 +200,8 @@ class Spawner:
         slowest = 6.0 if self.patience == 0 else 3.0
         if path.exit_s - s0 < size.length_m + 0.75 * min(cruise, slowest) * stay_s:
             return "leaves_too_early"
+        if wish.policy is Policy.STRAIGHT and self.patience == 0 and self._turns_within(path, s0, cruise):
+            return "would_turn"
         look = world.prospect(path, size, cruise_mps=cruise, others=(self.fixed, self._predicted))
         v0 = self._entry_speed(look, s0, cruise if wish.steady else cruise * float(self.rng.uniform(0.85, 1.0)))
         if isinstance(v0, str):
@@ -216,6 +218,8 @@ class Spawner:
         if moved < _MIN_MOVE_M and not (self.patience >= 1 and moved > _MIN_MOVE_LATE_M):
             if self.patience < 2 or not self._queues(look, s0):
                 return "would_stand"
+        if self._too_sharp(path, s0, float(plan.s[-1])):
+            return "curve_too_sharp"
         intention = self._intend(wish, path, look, plan, s0, cruise)
         if isinstance(intention, str):
             return intention
@@ -390,6 +394,20 @@ class Spawner:
         return across, SpeedPlan(
             s=np.concatenate([plan.s[:step], onward.s]), v=np.concatenate([plan.v[:step], onward.v]), cost=onward.cost
         )
+
+    def _turns_within(self, path: DrivenPath, s0: float, cruise: float) -> bool:
+        """Whether a route has a turn lane within what is driven in the scene."""
+        reach = s0 + cruise * self.world.num_steps * DT_S
+        return any(
+            self._turn(segment.lane_id) is not TurnType.STRAIGHT
+            for segment in path.segments
+            if segment.end > s0 and segment.start < reach
+        )
+
+    def _too_sharp(self, path: DrivenPath, start: float, end: float) -> bool:
+        """Whether the path bends more than kappa_max = 1 / R_min between two arc lengths (paper, Trajectory Smoothing)."""
+        cells = slice(int(start / TABLE_STEP_M), int(end / TABLE_STEP_M) + 2)
+        return bool(np.abs(path.line.table_curvature[cells]).max(initial=0.0) > 1.0 / self.world.config.limits.min_radius_m)
 
     def _turn(self, lane_id: int) -> TurnType:
         return self.world.grid.graph.lanes[lane_id].turn

@@ -225,7 +225,7 @@ def post_encroachment(
 
     Paths cross where the centres' paths cut each other at `min_angle` at least (and at most pi - min_angle: meeting
     head-on is no crossing). PET is then the smallest |t1 - t2| at which the box of one at t1 covers ground of the box
-    of the other at t2 while their headings differ that much. Each box is as much longer as its vehicle drives in a step,
+    of the other at t2 while their headings differ that much. Each box is longer by what its vehicle drives in a step,
     so that the boxes of all steps cover the swept path: right to a step.
     """
     count = len(agents)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 Run = Callable[..., object]
-COMMANDS = ("generate", "net", "validate", "evaluate", "render", "plot", "config", "scan", "study", "paper")
+COMMANDS = ("generate", "net", "validate", "evaluate", "render", "plot", "config", "scan", "study", "paper", "gui")
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +71,25 @@ def test_evaluate_writes_a_report(hid2: Run, generated: Path, tmp_path: Path) ->
     assert result.returncode == 0
     assert result.stdout.strip() == str(tmp_path / "report" / "report.html")
     assert {"metrics.json", "scenes.csv", "report.html"} <= {path.name for path in (tmp_path / "report").iterdir()}
+
+
+def test_evaluate_scores_a_baseline(hid2: Run, generated: Path, tmp_path: Path) -> None:
+    result = hid2("evaluate", generated, "-o", tmp_path, "--predictions", "constant-velocity")
+    assert result.returncode == 0, result.stderr
+    assert "minADE, m" in result.stdout
+    assert hid2("evaluate", generated, "-o", tmp_path, "--predictions", tmp_path / "none.parquet").returncode == 1
+    assert (
+        hid2("evaluate", generated, "-o", tmp_path, "--predictions", "constant-velocity", "--bands", "x").returncode
+        == 2
+    )
+
+
+def test_paper_makes_a_table(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    arterial = data_scenes["arterial"]
+    result = hid2("paper", "table1", "--scenes", arterial, "--seeds", 1, "--agents", 3, "-o", tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert Path(result.stdout.strip()).is_file()
+    assert hid2("paper", "table9", "-o", tmp_path).returncode == 2
 
 
 def test_render_and_plot_write_pictures(hid2: Run, generated: Path, tmp_path: Path) -> None:
