@@ -1,0 +1,356 @@
+"""The equations of the paper's method, one test each, in the paper's order and with its symbols."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hid2.agents import BoxSize, Policy, Track
+from hid2.conflicts import priority, prospect, transition_rejected
+from hid2.decision import LaneOption, Observation, decide
+from hid2.lane_change import Gap, lateral_share
+from hid2.maneuver import lane_options
+from hid2.occupancy import FREE, GENERATED, ORIGINAL, cell_boxes, cells_under, dwell_steps, original_occupancy
+from hid2.overtake import Leader, Stage, enter_reason
+from hid2.params import Config, LaneChange, Limits, Overtake, Turn
+from hid2.reference_line import build_reference_line
+from hid2.smoothing import integrate, poses
+from hid2.spawning import Spawner
+from hid2.traffic import Traffic, traffic_of
+from hid2.turns import desired_speed, f_left, f_right
+from hid2.verify import motion_profile
+from hid2.world import World, build_world, predicted_traffic
+from netconvert.cells import Cell, build_cell_grid
+from netconvert.geometry import Polyline, arc_length
+from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType, turn_type
+
+CAR = BoxSize(4.5, 1.9)
+DELTA_S, DELTA = 4.0, 0.1
+
+
+def _lane(lane_id: int, points: Any, **more: Any) -> LaneSegment:
+    centerline = np.array(points, dtype=np.float64)
+    return LaneSegment(**{
+        "lane_id": lane_id, "centerline": centerline, "left_boundary": None, "right_boundary": None,
+        "lane_type": "VEHICLE", "is_intersection": False, "successors": (), "left_neighbor_id": None,
+        "right_neighbor_id": None, "left_mark_type": "DASHED_WHITE", "right_mark_type": "DASHED_WHITE", "width_m": 3.5,
+        "turn": turn_type(centerline, is_intersection=False), **more,
+    })  # fmt: skip
+
+
+def _road() -> LaneGraph:
+    """Lane 1 (right, y = 0) and lane 2 (left, y = 3.5), 200 m along +x."""
+    ring = np.array([(-20.0, -1.75), (220.0, -1.75), (220.0, 5.25), (-20.0, 5.25), (-20.0, -1.75)])
+    right = _lane(1, [(0, 0), (200, 0)], left_neighbor_id=2)
+    left = _lane(2, [(0, 3.5), (200, 3.5)], right_neighbor_id=1)
+    return LaneGraph({1: right, 2: left}, drivable_areas=(ring,))
+
+
+def _track(x: float, y: float, speed: float = 0.0, *, heading: float = 0.0, length_m: float = 4.5) -> Track:
+    s = 0.1 * speed * np.arange(110)
+    position = np.column_stack([x + s * math.cos(heading), y + s * math.sin(heading)])
+    size = BoxSize(length_m, 1.9)
+    return Track("t", "vehicle", 1, np.arange(110), position, np.full(110, heading), np.zeros((110, 2)), size)
+
+
+def _world(*tracks: Track) -> World:
+    return build_world(build_cell_grid(_road()), tracks, config=Config(), num_steps=110, last_observed_step=49)
+
+
+def _box(x: float, y: float, *, length_m: float = 4.5) -> Traffic:
+    """A box that stands, of exactly this size (a recorded one is taken for 4.5 m at least)."""
+    return Traffic(
+        ids=("b",), position=np.tile([x, y], (1, 110, 1)), heading=np.zeros((1, 110)), velocity=np.zeros((1, 110, 2)),
+        present=np.ones((1, 110), dtype=bool), length_m=np.array([length_m]), width_m=np.array([1.9]),
+    )  # fmt: skip
+
+
+# Preliminary ----------------------------------------------------------------------------------------------------------
+
+
+def test_arc_length_s_i_is_the_sum_of_the_steps_before() -> None:
+    """(0, 0), (3, 4), (3, 10): s = 0, 5, 11 = L_l."""
+    points = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 10.0]])
+    assert arc_length(points).tolist() == [0.0, 5.0, 11.0]
+    assert _lane(1, points).length_m == 11.0
+
+
+# Lane gridification and occupancy -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("length", "count"), [(0.25, 1), (4.0, 1), (4.01, 2), (18.0, 5), (200.0, 50)])
+def test_n_l_is_the_lane_length_over_4_m_rounded_up(length: float, count: int) -> None:
+    """N_l = ceil(L_l / 4): at least one cell; the cells of a lane are of one size, 18 / 5 = 3.6 m."""
+    grid = build_cell_grid(LaneGraph({1: _lane(1, [(0, 0), (length, 0)])}), cell_m=DELTA_S)
+    assert grid.count(1) == count == math.ceil(length / DELTA_S)
+    assert np.diff(grid.edges_s(1)) == pytest.approx(np.full(count, length / count))
+
+
+def test_cell_centres_stand_at_equal_arc_lengths_on_the_centreline() -> None:
+    """A lane of 6 m east and 6 m north has three cells; their centres lie at s = 2, 6, 10: (2, 0), (6, 0), (6, 4)."""
+    grid = build_cell_grid(LaneGraph({1: _lane(1, [(0, 0), (6, 0), (6, 6)])}), cell_m=DELTA_S)
+    assert grid.centers == pytest.approx(np.array([[2.0, 0.0], [6.0, 0.0], [6.0, 4.0]]))
+
+
+def test_grid_topology_has_longitudinal_lateral_and_inter_lane_links() -> None:
+    graph = LaneGraph({
+        1: _lane(1, [(0, 0), (8, 0)], left_neighbor_id=2, successors=(3, 4)),
+        2: _lane(2, [(0, 3.5), (8, 3.5)], right_neighbor_id=1),
+        3: _lane(3, [(8, 0), (20, 0)]),
+        4: _lane(4, [(8, 0), (20, 4)]),
+    })  # fmt: skip
+    grid = build_cell_grid(graph, cell_m=DELTA_S)
+    assert grid.longitudinal(Cell(1, 0)) == Cell(1, 1)
+    link = grid.lateral(Cell(1, 1), "left")
+    assert link is not None
+    assert (link.target, link.allowed) == (Cell(2, 1), True)
+    assert grid.inter_lane(Cell(1, 1)) == (Cell(3, 0), Cell(4, 0))
+
+
+def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
+    """Originals hold their cells against generated ones: a generated vehicle is placed on sigma = 0 only."""
+    assert (FREE, ORIGINAL, GENERATED) == (0, 1, 2)
+    world = _world(_track(60.0, 0.0), _track(100.0, 3.5))
+    sigma = world.occupancy.sigma[0]
+    assert set(np.unique(sigma)) == {FREE, ORIGINAL}
+    spawner = Spawner(world, np.random.default_rng(0), predicted_traffic([], 110))
+    placed = [v for k in range(6) if (v := spawner.spawn(Policy.STRAIGHT, f"v{k}", attempts=60)) is not None]
+    assert len(placed) >= 4
+    taken: set[int] = set()
+    for vehicle in placed:
+        x, y = vehicle.path.line.position(np.array([vehicle.s0]))[0].tolist()
+        under = cells_under(world.boxes, x, y, 0.0, length_m=vehicle.size.length_m, width_m=0.8 * vehicle.size.width_m)
+        assert np.all(sigma[under] == FREE)
+        assert not taken & set(under.tolist())
+        taken |= set(under.tolist())
+
+
+def test_original_occupancy_follows_the_recorded_trajectory() -> None:
+    """10 m/s from x = 2.5: in cell floor(x / 4) at every step, which is known for all steps beforehand."""
+    grid = build_cell_grid(_road())
+    found = original_occupancy(cell_boxes(grid), traffic_of([_track(2.5, 0.0, 10.0)], 110, step_s=DELTA))
+    cells = [grid.cells[row] for row in found.cell[0]]
+    assert cells == [Cell(1, int((2.5 + k) / DELTA_S)) for k in range(110)]
+
+
+# Agent policy: lane change --------------------------------------------------------------------------------------------
+
+
+def test_policies_are_those_of_the_paper() -> None:
+    assert {p.value for p in Policy} == {"straight", "left_turn", "right_turn", "lane_change", "overtake"}
+
+
+@pytest.mark.parametrize("k", [-3, -2, -1, 0, 1, 2, 3])
+def test_lane_change_needs_sigma_0_in_cells_j_minus_1_to_j_plus_1_of_the_target_lane(k: int) -> None:
+    """The agent is in cell j = 10 of lane 1 (40 .. 44 m); somebody of 3 m stands in cell j + k of lane 2.
+
+    lane 2    |    |    | -1 |  0 | +1 |    |    |
+    lane 1                   | ag |
+    """
+    world = _world()
+    (option, _), *_ = lane_options(
+        world, world.path((1,)), CAR, s=42.0, step=0, sides=("left",),
+        others=(_box(42.0 + DELTA_S * k, 3.5, length_m=3.0),),
+    )  # fmt: skip
+    assert option.target == Cell(2, 10)
+    assert option.cells_free is (abs(k) > 1)
+
+
+OPTION = LaneOption("left", Cell(2, 10), True, True, Gap.none(), Gap.none(), 150.0, 150.0)
+SEEN: dict[str, Any] = {
+    "time_s": 2.0, "cell": Cell(1, 10), "next_cell": Cell(1, 11), "lane_turn": TurnType.STRAIGHT, "speed_mps": 10.0,
+    "desired_mps": 10.0, "request": Policy.LANE_CHANGE, "trigger_s": 2.0, "stage": Stage.WAITING, "leader": None,
+    "options": (OPTION,),
+}  # fmt: skip
+
+
+def _decide(**changes: Any) -> Any:
+    return decide(Observation(**{**SEEN, **changes}), lane_change=LaneChange(), overtake=Overtake())
+
+
+def test_next_cell_is_g_l_prime_j_when_feasible_else_g_l_j_plus_1() -> None:
+    blocked = LaneOption("left", Cell(2, 10), True, False, Gap.none(), Gap.none(), 150.0, 150.0)
+    assert _decide().target == Cell(2, 10)
+    assert _decide(options=(blocked,)).target == Cell(1, 11)
+
+
+def test_trigger_holds_from_t_trigger_on() -> None:
+    """t >= t_trigger."""
+    assert _decide(time_s=1.99).policy is Policy.STRAIGHT
+    assert _decide(time_s=2.0).policy is Policy.LANE_CHANGE
+    assert _decide(time_s=5.0).policy is Policy.LANE_CHANGE
+
+
+def test_remaining_length_of_the_target_lane_exceeds_a_threshold() -> None:
+    """25 m are asked for by default: 24 m are too few."""
+    short = LaneOption("left", Cell(2, 44), True, True, Gap.none(), Gap.none(), 24.0, 24.0)
+    assert _decide(options=(short,)).reason == "lane_ends"
+
+
+# Agent policy: overtaking ---------------------------------------------------------------------------------------------
+
+FREE_LANE: dict[str, Any] = {
+    "desired_mps": 12.0, "lane_available": True, "ahead": Gap.none(), "behind": Gap.none(), "free_corridor_m": 100.0,
+    "params": Overtake(d_obs_m=40.0, safe_front_m=6.0, safe_rear_m=8.0, d_overtake_m=40.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("gap", "evaluated"), [(4.0, True), (40.0, True), (41.0, False)])
+def test_overtake_is_evaluated_for_a_leader_within_d_obs(gap: float, evaluated: bool) -> None:
+    """k <= d_obs / delta s = 10 cells."""
+    assert (enter_reason(leader=Leader("1", gap, 5.0, 4.5), **FREE_LANE) is None) is evaluated
+
+
+def test_overtake_needs_safe_gaps_ahead_and_behind() -> None:
+    leader = Leader("1", 20.0, 5.0, 4.5)
+    for ahead, behind, reason in ((6.0, 8.0, None), (5.9, 8.0, "front_gap"), (6.0, 7.9, "rear_gap")):
+        lane = {**FREE_LANE, "ahead": Gap(ahead, 12.0), "behind": Gap(behind, 12.0)}
+        assert enter_reason(leader=leader, **lane) == reason
+
+
+def test_overtake_needs_a_corridor_of_m_cells() -> None:
+    """m * 4 m >= 40 m: ten cells do, nine do not."""
+    leader = Leader("1", 20.0, 5.0, 4.5)
+    for m, reason in ((10, None), (9, "corridor_short")):
+        assert enter_reason(leader=leader, **{**FREE_LANE, "free_corridor_m": m * DELTA_S}) == reason
+
+
+def test_overtake_enters_passes_and_returns_ahead_of_where_it_left() -> None:
+    """Enter at g_{l',j}; pass; return at g_{l,j+k'} once the leader is behind, k' > k."""
+    leader = Leader("1", 20.0, 5.0, 4.5)
+    enter = _decide(request=Policy.OVERTAKE, leader=leader, desired_mps=12.0)
+    assert (enter.policy, enter.target) == (Policy.OVERTAKE, Cell(2, 10))
+    back = LaneOption("right", Cell(1, 25), True, True, Gap.none(), Gap.none(), 100.0, 100.0)
+    passing = {"request": Policy.OVERTAKE, "stage": Stage.PASS, "options": (back,), "cell": Cell(2, 25)}
+    assert _decide(**passing, passed_gap_m=-2.0).policy is Policy.STRAIGHT
+    assert _decide(**passing, passed_gap_m=6.0).target == Cell(1, 25)
+
+
+# Agent policy: straight, left turn and right turn ---------------------------------------------------------------------
+
+
+def test_speed_on_a_straight_lane_stays() -> None:
+    """v(t + dt) ~ v(t)."""
+    line = build_reference_line(np.array([[0.0, 0.0], [200.0, 0.0]]), step_m=1.0, min_radius_m=5.0, max_offset_m=0.6)
+    speed = desired_speed(
+        line, turn=Turn(), limits=Limits(), cruise_mps=11.0, segments=[(0.0, 200.0, TurnType.STRAIGHT)], accel_mps2=1.8
+    )
+    assert np.ptp(speed) == pytest.approx(0.0)
+
+
+def test_f_left_is_below_f_right_is_at_most_1_with_its_trough_early_to_mid_turn() -> None:
+    """v = v_0 f(alpha), f_right(alpha) > f_left(alpha); 1 at the entrance and the exit."""
+    alpha, turn = np.linspace(0.0, 1.0, 201), Turn()
+    left, right = f_left(alpha, turn), f_right(alpha, turn)
+    assert np.all(left[1:-1] < right[1:-1])
+    assert np.all(right <= 1.0)
+    assert left[[0, -1]] == pytest.approx([1.0, 1.0])
+    assert 0.1 <= alpha[np.argmin(left)] <= 0.6
+
+
+# Trajectory generation ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("speed", "steps"), [(10.0, 4), (12.0, 4), (13.4, 3), (1.0, 40), (40.1, 1)])
+def test_dwell_time_n_i(speed: float, steps: int) -> None:
+    """n_i = ceil(delta s / v_i / delta): at 12 m/s 0.333 s, 4 steps of 0.1 s."""
+    assert dwell_steps(cell_m=DELTA_S, speed_mps=speed, step_s=DELTA) == steps
+
+
+def test_vehicle_at_constant_speed_is_in_the_next_cell_after_n_i_steps() -> None:
+    steps = dwell_steps(cell_m=DELTA_S, speed_mps=9.0, step_s=DELTA)
+    assert steps is not None
+    assert 9.0 * DELTA * (steps - 1) < DELTA_S <= 9.0 * DELTA * steps
+
+
+def test_conflict_1_sigma_1_rejects_the_transition() -> None:
+    assert [transition_rejected(sigma) for sigma in (FREE, ORIGINAL, GENERATED)] == [False, True, False]
+
+
+def test_conflict_2_executing_before_pending_closer_before_farther() -> None:
+    assert priority(executing=True, distance_m=50.0, vehicle_id="b") < priority(
+        executing=False, distance_m=5.0, vehicle_id="a"
+    )
+    assert priority(executing=False, distance_m=5.0, vehicle_id="b") < priority(
+        executing=False, distance_m=6.0, vehicle_id="a"
+    )
+
+
+def test_conflict_3_predicted_collision_changes_the_timing() -> None:
+    """Somebody recorded crosses x = 90 at 8 m/s and is there after 6 s, as 14 m/s from x = 6 would be."""
+    world = _world(_track(90.0, -48.0, 8.0, heading=math.pi / 2))
+    path = world.path((1,))
+    look = prospect(
+        path, CAR, np.full(path.line.table_xy.shape[0], 14.0), (world.traffic,), config=Config(), num_steps=110,
+        earliest_exit_step=110,
+    )  # fmt: skip
+    constant = 6.0 + 1.4 * np.arange(110)
+    assert look.is_blocked(constant[:80], 0)
+    plan = look.plan(s0=6.0, v0=14.0, a0=0.0, first_step=0, config=Config())
+    assert plan is not None
+    assert not look.is_blocked(plan.s, 0)
+
+
+# Trajectory smoothing -------------------------------------------------------------------------------------------------
+
+
+def test_frenet_inverse_p_is_r_of_s_plus_d_times_the_normal() -> None:
+    """East at s = 3 with d = 2: (3, 2). North leg from (10, 0): s = 14, d = 2 is to the left, west: (8, 4)."""
+    line = Polyline(np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]]))
+    assert line.xy(np.array([3.0, 14.0]), np.array([2.0, 2.0])) == pytest.approx(np.array([[3.0, 2.0], [8.0, 4.0]]))
+    s, d = line.frenet(np.array([[3.0, 2.0], [9.0, 6.0]]))
+    assert (s.tolist(), d.tolist()) == (pytest.approx([3.0, 16.0]), pytest.approx([2.0, 1.0]))
+
+
+def test_s_of_t_is_a_cubic_from_position_speed_and_acceleration() -> None:
+    """s = a0 + a1 t + a2 t2 + a3 t3 with s(0) = 5, v(0) = 8, a(0) = 0 and jerk 1.2: a3 = 0.2.
+
+    At t = 1: 5 + 8 + 0.2 = 13.2 m; v = 8 + 0.6 = 8.6 m/s; a = 1.2 m/s2. Knots meet in all three.
+    """
+    accel = 1.2 * np.arange(11) * DELTA
+    motion = integrate(5.0, 8.0, accel, step_s=DELTA, jerk=2.0)
+    t = np.arange(11) * DELTA
+    assert motion.s == pytest.approx(5.0 + 8.0 * t + 0.2 * t**3)
+    assert (motion.s[-1], motion.v[-1], motion.a[-1]) == (pytest.approx(13.2), pytest.approx(8.6), pytest.approx(1.2))
+
+
+def test_d_of_t_is_piecewise_cubic_with_continuous_acceleration() -> None:
+    """d(t) = b0 + b1 t + b2 t2 + b3 t3 in each quarter: fourth differences vanish inside, the jerk is 32 D / T^3."""
+    lateral_m, duration = 3.5, 4.0
+    for quarter in range(4):
+        tau = quarter / 4 + np.linspace(0.01, 0.24, 12)
+        d = lateral_m * lateral_share(tau)
+        step = float(tau[1] - tau[0]) * duration
+        assert np.abs(np.diff(d, 4)).max() < 1e-9
+        assert abs(np.diff(d, 3)[0]) / step**3 == pytest.approx(32 * lateral_m / duration**3, rel=1e-6)
+
+
+def test_curvature_of_a_trajectory_is_the_cross_product_over_speed_cubed() -> None:
+    """kappa = |x' y'' - y' x''| / (x'^2 + y'^2)^1.5 of a motion on a circle of 20 m is 1 / 20."""
+    angle = np.radians(np.arange(0.0, 181.0, 3.0))
+    line = build_reference_line(
+        20.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]), step_m=1.0, min_radius_m=5.0, max_offset_m=0.6
+    )
+    motion = integrate(5.0, 8.0, np.zeros(60), step_s=DELTA, jerk=1.0)
+    position = poses(line, motion).position
+    first = np.gradient(position, DELTA, axis=0)
+    second = np.gradient(first, DELTA, axis=0)
+    kappa = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / np.hypot(*first.T) ** 3
+    assert kappa[3:-3] == pytest.approx(np.full(54, 0.05), rel=0.03)
+
+
+def test_curvature_stays_below_1_over_r_min() -> None:
+    """A turn of 90 degrees drawn with only two kinks of 45, as coarse maps have it."""
+    turn = np.array([[0.0, 0.0], [20.0, 0.0], [26.0, 6.0], [26.0, 26.0]])
+    line = build_reference_line(turn, step_m=1.0, min_radius_m=5.0, max_offset_m=0.6)
+    assert np.abs(line.table_curvature).max() <= 1.0 / 5.0
+
+
+def test_lateral_acceleration_is_curvature_times_speed_squared() -> None:
+    """R = 20 m at 8 m/s: 0.05 * 64 = 3.2 m/s2, below a_y,max = 4.89."""
+    angle = 8.0 / 20.0 * DELTA * np.arange(40)
+    velocity = 8.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    profile = motion_profile(velocity, angle, step_s=DELTA)
+    assert profile.lateral_accel_mps2[1:-1] == pytest.approx(np.full(38, 3.2), rel=2e-3)
+    assert Limits().lateral_accel_mps2 == 4.89
