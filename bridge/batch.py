@@ -229,6 +229,8 @@ def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options
     run: Run = outcome.item
     failure = outcome.failure or (outcome.value if isinstance(outcome.value, Failure) else None)
     row = base_row(place, run) if failure else outcome.value
+    if row.version != installed_version("hid2-sumo"):
+        raise BatchError(f"a worker runs hid2-sumo {row.version}, want {installed_version('hid2-sumo')} as here")
     row = row._replace(attempts=outcome.attempts, seconds=round(outcome.seconds, 3), source_sha256=source_sha256)
     name = f"{row.scenario}_{row.config_sha256[:8]}_{row.variant}.zip"
     path = place.out / QUARANTINE / (row.split or ".") / name

@@ -146,7 +146,7 @@ _SHOWN_PATHS = 24
 
 @app.command()
 def net(scene: Scene, out: Out, *, verbose: Verbose = False, quiet: Quiet = False) -> None:
-    """Write the lane graph as a SUMO net of 4 m cells, with files to play the scene in sumo-gui; report its fidelity."""
+    """Write the lane graph as a SUMO net of 4 m cells, with files to play the scene in sumo-gui, and a report."""
     _set_up(verbose=verbose, quiet=quiet)
     from bridge.console import print_table
     from bridge.net import convert

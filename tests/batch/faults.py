@@ -71,6 +71,12 @@ def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]
             yield describe_error(error)
 
 
+def other_version(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow]:
+    """What a worker with another version of the package returns."""
+    for run in runs:
+        yield base_row(place, run)._replace(version="0.0.1")
+
+
 def generated(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
     """Generate as the product does, after the scene's fault."""
     from bridge.scene_work import generate_runs

@@ -189,6 +189,11 @@ def test_second_batch_on_the_same_folder_is_refused(make_data_set: MakeDataSet, 
     thread.join()
 
 
+def test_worker_of_another_version_ends_the_batch(make_data_set: MakeDataSet, tmp_path: Path) -> None:
+    with pytest.raises(BatchError, match=r"a worker runs hid2-sumo 0\.0\.1"):
+        run_batch(plan(make_data_set(1), Config()), tmp_path / "out", Options(function="faults:other_version"))
+
+
 RUN = """
 import sys
 from pathlib import Path
