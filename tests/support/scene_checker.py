@@ -1,0 +1,247 @@
+"""A checker of generated scenes: loops over numpy and shapely that share nothing with the code they judge.
+
+check_scene(scene) returns one sentence for each violation: overlaps, corners off the road, limits of motion, velocity
+and heading against the positions, driving against a lane, time to collision, and the replay's own figures.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+import shapely
+import shapely.affinity
+
+from bridge.generate import GeneratedScene
+from hid2.agents import DEFAULT_SIZES, Track
+from netconvert.geometry import Polyline
+
+DT_S = 0.1
+LAST_OBSERVED = 49
+TOLERANCE_M = 0.3
+TTC_MIN_S = 1.5
+#: method.md's limits (nuPlan's comfort bounds).
+LIMITS = {
+    "acceleration": (-4.05, 2.40),
+    "lateral acceleration": (-4.89, 4.89),
+    "yaw rate": (-0.95, 0.95),
+    "yaw acceleration": (-1.93, 1.93),
+    "longitudinal jerk": (-4.13, 4.13),
+    "jerk": (0.0, 8.37),
+}
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Moving:
+    """A box at twice the steps: pose k at timestep k / 2; None where the agent is not there."""
+
+    track_id: str
+    length_m: float
+    width_m: float
+    poses: list[tuple[float, float, float] | None]
+
+    def polygon(self, k: int) -> shapely.Polygon:
+        pose = self.poses[k]
+        assert pose is not None
+        x, y, heading = pose
+        half_l, half_w = self.length_m / 2, self.width_m / 2
+        flat = shapely.box(-half_l, -half_w, half_l, half_w)
+        return shapely.affinity.translate(shapely.affinity.rotate(flat, heading, origin=(0, 0), use_radians=True), x, y)
+
+
+@dataclass
+class Verdict:
+    """Violations found, as sentences."""
+
+    found: list[str] = field(default_factory=list)
+
+    def note(self, *parts: object) -> None:
+        self.found.append(" ".join(str(part) for part in parts))
+
+
+def moving_boxes(track: Track, length_m: float, width_m: float, num_steps: int) -> Moving:
+    """States at the steps and, where both neighbours exist, half way between them, turning the short way round."""
+    poses: list[tuple[float, float, float] | None] = [None] * (2 * num_steps - 1)
+    states = dict(
+        zip(track.timesteps.tolist(), zip(track.position.tolist(), track.heading.tolist(), strict=True), strict=True)
+    )
+    for step, ((x, y), heading) in states.items():
+        poses[2 * step] = (x, y, heading)
+        if step + 1 in states:
+            (x1, y1), heading1 = states[step + 1]
+            turn = math.remainder(heading1 - heading, 2 * math.pi)
+            poses[2 * step + 1] = ((x + x1) / 2, (y + y1) / 2, heading + turn / 2)
+    return Moving(track.track_id, length_m, width_m, poses)
+
+
+def check_overlaps(generated: list[Moving], recorded: list[Moving], verdict: Verdict) -> None:
+    """No generated box shares ground with any other, at every step and half step."""
+    for place, own in enumerate(generated):
+        others = recorded + generated[place + 1 :]
+        for k, pose in enumerate(own.poses):
+            if pose is None:
+                continue
+            near = []
+            for other in others:
+                pose2 = other.poses[k]
+                if pose2 is None:
+                    continue
+                reach = (math.hypot(own.length_m, own.width_m) + math.hypot(other.length_m, other.width_m)) / 2
+                if math.hypot(pose[0] - pose2[0], pose[1] - pose2[1]) < reach:
+                    near.append(other)
+            if near:
+                ground = own.polygon(k)
+                for other in near:
+                    if ground.intersection(other.polygon(k)).area > 1e-6:
+                        verdict.note("overlap", own.track_id, other.track_id, "at timestep", k / 2)
+
+
+def check_drivable(boxes: Moving, drivable: shapely.Geometry, verdict: Verdict) -> None:
+    """Every corner at most 0.3 m outside the drivable area."""
+    for k in range(0, len(boxes.poses), 2):
+        if boxes.poses[k] is None:
+            continue
+        corners = np.array(boxes.polygon(k).exterior.coords)[:4]
+        worst = max(drivable.distance(shapely.Point(corner)) for corner in corners)
+        if worst > TOLERANCE_M:
+            verdict.note("off road", boxes.track_id, "by", round(worst, 3), "m at timestep", k / 2)
+
+
+def central(values: Floats) -> Floats:
+    """Central differences over time, one-sided at the ends."""
+    rate = np.empty_like(values)
+    rate[1:-1] = (values[2:] - values[:-2]) / (2 * DT_S)
+    rate[0], rate[-1] = (values[1] - values[0]) / DT_S, (values[-1] - values[-2]) / DT_S
+    return rate
+
+
+def check_motion(track: Track, verdict: Verdict) -> None:
+    """Limits, by the stated velocity and by the positions; velocity against positions; heading against motion."""
+    derived = central(track.position)
+    forward = np.column_stack([np.cos(track.heading), np.sin(track.heading)])
+    left = forward[:, ::-1] * [-1.0, 1.0]
+    yaw_rate = central(np.unwrap(track.heading))
+    for source, velocity in (("velocity", track.velocity), ("positions", derived)):
+        acceleration = central(velocity)
+        along = np.sum(acceleration * forward, axis=1)
+        quantities = {
+            "acceleration": along,
+            "lateral acceleration": np.sum(acceleration * left, axis=1),
+            "yaw rate": yaw_rate,
+            "yaw acceleration": central(yaw_rate),
+            "longitudinal jerk": central(along),
+            "jerk": np.linalg.norm(central(acceleration), axis=1),
+        }
+        for name, values in quantities.items():
+            low, high = LIMITS[name]
+            if values.min() < low or values.max() > high:
+                worst = values[np.argmax(np.maximum(low - values, values - high))]
+                verdict.note("limit", name, round(float(worst), 3), "of", track.track_id, "by its", source)
+    error = np.abs(derived - track.velocity)[1:-1].max()
+    if error > 0.1:  # central differences of a jerk of 8 m/s3 are off by 8 * 0.1^2 / 6 = 0.013 m/s, in curves by more
+        verdict.note("velocity of", track.track_id, "is off its positions by", round(float(error), 3), "m/s")
+    for step in range(1, len(derived) - 1):
+        vx, vy = derived[step]
+        if math.hypot(vx, vy) > 0.5:
+            slip = math.remainder(math.atan2(vy, vx) - float(track.heading[step]), 2 * math.pi)
+            if abs(slip) > 0.1:
+                verdict.note("heading of", track.track_id, "is off its motion by", round(slip, 3), "rad at", step)
+                break
+
+
+def check_direction(track: Track, lanes: list[tuple[Polyline, float]], verdict: Verdict) -> None:
+    """At every step some lane under the centre (half a width plus 0.5 m) runs within 60 degrees of the heading."""
+    agrees = np.zeros(len(track.heading), dtype=bool)
+    covered = np.zeros(len(track.heading), dtype=bool)
+    for path, half_width in lanes:
+        s, d = path.frenet(track.position)
+        on = (np.abs(d) <= half_width + 0.5) & (s >= 0.0) & (s <= path.length_m)
+        turn = np.abs(np.angle(np.exp(1j * (path.heading(np.clip(s, 0.0, path.length_m)) - track.heading))))
+        covered |= on
+        agrees |= on & (turn < math.pi / 3)
+    against = covered & ~agrees
+    if against.any():
+        verdict.note("against the lane", track.track_id, "at", np.flatnonzero(against).tolist())
+
+
+def check_leaders(scene: GeneratedScene, track: Track, sizes: dict[str, tuple[float, float]], verdict: Verdict) -> None:
+    """TTC to who is ahead on the path driven: aligned, overlapping the swept width, closing by positions.
+
+    A recorded vehicle that rolls backwards against its heading is noise of the tracker, not a leader to be closed on.
+    """
+    moved = np.append(True, np.hypot(*np.diff(track.position, axis=0).T) > 1e-3)
+    ahead = track.position[-1] + 60.0 * np.array([math.cos(track.heading[-1]), math.sin(track.heading[-1])])
+    path = Polyline(np.vstack([track.position[moved], ahead]))
+    own_s, _ = path.frenet(track.position)
+    own_v = np.hypot(*track.velocity.T)
+    length, width = sizes[track.track_id]
+    for other in (*scene.scenario.tracks, *scene.generated):
+        if other.track_id == track.track_id or len(other.timesteps) < 2:
+            continue
+        steps, at, _ = np.intersect1d(other.timesteps, track.timesteps, assume_unique=True, return_indices=True)
+        if steps.size == 0 or np.hypot(*(other.position[at] - track.position[steps]).T).min() > 80.0:
+            continue
+        s, d = path.frenet(other.position[at])
+        heading = path.heading(s)
+        elapsed = np.gradient(other.timesteps * DT_S)
+        speed = np.gradient(other.position, axis=0) / elapsed[:, None]
+        along = speed[at, 0] * np.cos(heading) + speed[at, 1] * np.sin(heading)
+        other_length, other_width = sizes[other.track_id]
+        leads = (
+            (np.cos(other.heading[at] - heading) > 0.7)
+            & (np.abs(d) < (width + other_width) / 2 - 0.1)
+            & (s > own_s[steps] + 1.0)
+            & (s < path.length_m - 1.0)
+        )
+        if other.track_id not in {one.track_id for one in scene.generated}:
+            leads &= along > -0.2
+        gap = s - own_s[steps] - (length + other_length) / 2
+        closing = own_v[steps] - along
+        for row in np.flatnonzero(leads & (closing > 0.05)):
+            if gap[row] / closing[row] < TTC_MIN_S:
+                verdict.note(
+                    "TTC", round(float(gap[row] / closing[row]), 2), "s:", track.track_id, "to", other.object_type,
+                    other.track_id, "at timestep", int(steps[row]), "gap", round(float(gap[row]), 2),
+                    "own", round(float(own_v[steps[row]]), 2), "leader", round(float(along[row]), 2),
+                )  # fmt: skip
+                break
+
+
+def assumed(track: Track, sizes: dict[str, tuple[float, float]]) -> tuple[float, float]:
+    """The larger of the labelled box and the one that a reader without labels takes: neither may overlap."""
+    default = DEFAULT_SIZES[track.object_type]
+    return max(sizes[track.track_id][0], default.length_m), max(sizes[track.track_id][1], default.width_m)
+
+
+def check_scene(scene: GeneratedScene) -> list[str]:
+    """Everything issue-worthy about an exported scene."""
+    scenario, verdict = scene.scenario, Verdict()
+    sizes = {track.track_id: (track.size.length_m, track.size.width_m) for track in scenario.tracks}
+    sizes |= {agent.track_id: (agent.length_m, agent.width_m) for agent in scene.sidecar.agents}
+    recorded = [moving_boxes(t, *assumed(t, sizes), scenario.num_steps) for t in scenario.tracks]
+    generated = [moving_boxes(t, *sizes[t.track_id], scenario.num_steps) for t in scene.generated]
+    widest = [moving_boxes(t, *assumed(t, sizes), scenario.num_steps) for t in scene.generated]
+    lanes = [(lane.path, lane.width_m / 2) for lane in scenario.graph.lanes.values() if lane.lane_type == "VEHICLE"]
+    check_overlaps(widest, recorded, verdict)
+    for track, boxes in zip(scene.generated, generated, strict=True):
+        if not np.array_equal(track.timesteps, np.arange(len(track.timesteps))):
+            verdict.note("gaps or a late start in", track.track_id)
+        if track.timesteps[-1] < min(LAST_OBSERVED, scenario.num_steps - 1):
+            verdict.note(track.track_id, "ends before it is predicted")
+        if not (
+            np.isfinite(track.position).all() and np.isfinite(track.heading).all() and np.isfinite(track.velocity).all()
+        ):
+            verdict.note("a number that is none in", track.track_id)
+            continue
+        check_drivable(boxes, scenario.graph.drivable, verdict)
+        check_motion(track, verdict)
+        check_direction(track, lanes, verdict)
+        check_leaders(scene, track, sizes, verdict)
+    replay = scene.sidecar.replay
+    if replay.max_position_error_m > 0.001 or replay.max_heading_error_rad > 0.001:
+        verdict.note("replay is off by", replay.max_position_error_m, "m or", replay.max_heading_error_rad, "rad")
+    states = sum(len(track.timesteps) for track in scenario.tracks)
+    if replay.states < states:
+        verdict.note("replayed", replay.states, "states of", states)
+    return verdict.found
