@@ -304,10 +304,10 @@ def _search(blocked, fastest, pushed, desired, step, s0, v0, a0, first, steps, a
                     off = sn - reference[t0 + sub]
                     new_cost = cost + 0.05 * off * off + 0.1 * lag * lag
                 else:
-                    new_cost = cost + 0.35 * lag * lag
+                    new_cost = cost + 0.6 * lag * lag
                 if vn < 0.5:
                     new_cost += 1.0
-                new_cost += extra + 0.6 * accel * accel + 0.8 * (accel - previous) ** 2
+                new_cost += extra + 0.5 * accel * accel + 0.8 * (accel - previous) ** 2
                 vb = min(_V_BINS - 1, int(vn / _V_BIN + 0.5))
                 sb = min(s_bins, int(sn / _S_BIN + 0.5))
                 key = sb * _V_BINS + vb

@@ -123,7 +123,7 @@ def build_world(
 def _speeds(
     grid: CellGrid, tracks: Sequence[Track], traffic: Traffic, occupancy: OriginalOccupancy
 ) -> tuple[dict[int, list[float]], list[float]]:
-    """Upper-quartile speed of each moving vehicle: over the scene, and over its time on each lane."""
+    """Cruising speed (90th percentile while moving) of each moving vehicle: over the scene, and by lane driven on."""
     lane_of = np.array([cell.lane_id for cell in grid.cells])
     by_lane: dict[int, list[float]] = {}
     scene: list[float] = []
@@ -134,13 +134,10 @@ def _speeds(
         moving = traffic.present[row] & (speed > _MOVING_MPS)
         if moving.sum() < 10:
             continue
-        scene.append(float(np.percentile(speed[moving], 75)))
-        on_lane = moving & occupancy.mapped[row]
-        lanes = lane_of[occupancy.cell[row, on_lane]]
-        for lane_id in np.unique(lanes):
-            here = speed[on_lane][lanes == lane_id]
-            if here.size >= 5:
-                by_lane.setdefault(int(lane_id), []).append(float(np.percentile(here, 75)))
+        cruise = float(np.percentile(speed[moving], 90))
+        scene.append(cruise)
+        for lane_id in np.unique(lane_of[occupancy.cell[row, moving & occupancy.mapped[row]]]):
+            by_lane.setdefault(int(lane_id), []).append(cruise)
     return by_lane, scene
 
 

@@ -144,7 +144,7 @@ def test_recorded_means_are_near_the_papers(real_scenes):
 
 
 #: What a person sees. Each track was drawn over the map with lane markings and centrelines and a dot for every second;
-#: those near a marking also turned so that they run to the right and stretched across it. Before the colon: the manoeuvre
+#: those near a marking also turned so that they run to the right and stretched across. Before the colon: the manoeuvre
 #: and its side, nothing for driving on. Tracks whose lane a person could not tell were left out.
 LABELS = {
     "3b3570b4": {
