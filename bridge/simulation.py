@@ -122,6 +122,12 @@ class Simulation:
         libsumo.vehicle.setLaneChangeMode(vehicle_id, _ONLY_ASKED_WITH_GAP)
         return None
 
+    def disregard_others(self, vehicle_id: str, lane_id: str, front_m: float) -> None:
+        """Put an inserted vehicle in place whoever is there, and switch SUMO's regard for others off."""
+        libsumo.vehicle.setSpeedMode(vehicle_id, 0)
+        libsumo.vehicle.setLaneChangeMode(vehicle_id, 0)
+        libsumo.vehicle.moveTo(vehicle_id, lane_id, front_m)
+
     def set_speed(self, vehicle_id: str, speed_mps: float) -> None:
         """Ask for a speed in the coming steps; SUMO's car following stays the upper bound."""
         libsumo.vehicle.setSpeed(vehicle_id, float(speed_mps))

@@ -106,6 +106,14 @@ class Prospect:
         fastest = self.desired[cells]
         return SpeedBounds(low=lower, high=upper, fastest=fastest, ttc_room=room, ttc_need=need, ttc_s=self.ttc_s)
 
+    def speed_bounds_only(self, s: FloatArray) -> SpeedBounds:
+        """Constraints of the road alone, nobody's box (the ablation without collision checks)."""
+        cells = np.clip((s / TABLE_STEP_M + 0.5).astype(np.int64), 0, self.desired.size - 1)
+        nowhere = np.full(s.size, np.inf)
+        return SpeedBounds(
+            low=-nowhere, high=nowhere, fastest=self.desired[cells], ttc_room=nowhere, ttc_need=-nowhere, ttc_s=self.ttc_s
+        )
+
     def min_ttc_s(self, s: FloatArray, v: FloatArray) -> float:
         """Smallest TTC to an aligned leader on the path over a driven (T,) s(t), v(t); inf when never closing."""
         return min_leader_ttc_s(self.occupancy, s, v)
@@ -152,8 +160,12 @@ def prospect(
     num_steps: int,
     earliest_exit_step: int,
     known: PathOccupancy | None = None,
+    seen_to_s: float | None = None,
 ) -> Prospect:
-    """Look along a path: everybody in `others`, after `known` (intervals that were computed before), is an obstacle."""
+    """Look along a path: everybody in `others`, after `known` (intervals that were computed before), is an obstacle.
+
+    seen_to_s: nobody is seen beyond it, m (the ablation without topology: conflicts are looked up in linked cells).
+    """
     occupancy = known
     for traffic in others:
         found = path_occupancy(
@@ -166,6 +178,11 @@ def prospect(
         occupancy = found if occupancy is None else occupancy.joined(found)
     if occupancy is None:
         raise ValueError("prospect: neither others nor known")
+    if seen_to_s is not None:
+        unseen = occupancy.low > seen_to_s
+        occupancy = replace(
+            occupancy, low=np.where(unseen, np.inf, occupancy.low), high=np.where(unseen, -np.inf, occupancy.high)
+        )
     ttc_s = config.conflict.ttc_min_s + 0.2
     tables = space_time(
         occupancy,

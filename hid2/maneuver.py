@@ -26,6 +26,8 @@ _ROUTE_LONGEST_M = 260.0
 def admissible_neighbor(world: World, lane_id: int, side: Side) -> int | None:
     """Same-direction neighbour that a vehicle may change to: of a drivable type, and the marking allows it."""
     graph = world.grid.graph
+    if "topology" in world.config.without:
+        return None
     neighbor = graph.neighbor(lane_id, side)
     if neighbor is None or graph.lanes[neighbor].lane_type not in DRIVABLE_TYPES:
         return None

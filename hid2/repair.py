@@ -137,7 +137,7 @@ def _settle_one(
             reason = result
             continue
         candidate = SettledVehicle(vehicle, result[0], result[1], attempt, result[2])
-        if unchecked or not _presses_anybody(world, candidate, known):
+        if unchecked or "topology" in config.without or not _presses_anybody(world, candidate, known):
             return candidate
         reason = "ttc_of_follower"
     return reason
@@ -180,7 +180,7 @@ def _smooth_and_check(
     motion: Motion | None = None
     target, target_v = reference, speed
     for _ in range(2):  # the speed cap is by place, the programme by time: once more from where it came out
-        bounds = look.bounds(target)
+        bounds = look.speed_bounds_only(target) if unchecked else look.bounds(target)
         if bounds is None:
             return "no_safe_timing"
         motion = smooth_speed(
@@ -206,12 +206,16 @@ def _smooth_and_check(
         return f"limit_{exceeded}"
     ttc = np.inf
     if not unchecked:
-        if first_overlap(trajectory, spec.size, world.traffic, margin_m=_BOX_MARGIN_M) is not None:
+        checked = trajectory
+        if "topology" in config.without:  # off the grid there are no cells to look conflicts up in
+            checked = trajectory.first(int((motion.s <= vehicle.path.grid_end_s).sum()))
+        if first_overlap(checked, spec.size, world.traffic, margin_m=_BOX_MARGIN_M) is not None:
             return "meets_recorded"
-        if first_overlap(trajectory, spec.size, others, margin_m=_BOX_MARGIN_M) is not None:
+        if first_overlap(checked, spec.size, others, margin_m=_BOX_MARGIN_M) is not None:
             return "meets_generated"
-        ttc = look.min_ttc_s(motion.s, motion.v)
-        if min(ttc, look.min_follower_ttc_s(motion.s, motion.v)) < config.conflict.ttc_min_s:
+        on_grid = checked.s.size
+        ttc = look.min_ttc_s(motion.s[:on_grid], motion.v[:on_grid])
+        if min(ttc, look.min_follower_ttc_s(motion.s[:on_grid], motion.v[:on_grid])) < config.conflict.ttc_min_s:
             return "ttc"
     if "topology" not in config.without:
         off = off_road_steps(

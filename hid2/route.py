@@ -44,6 +44,11 @@ class DrivenPath:
     shifts: tuple[tuple[float, float], ...] = ()
 
     @property
+    def grid_end_s(self) -> float:
+        """Arc length up to which the path lies on cells, m."""
+        return self.segments[-1].end
+
+    @property
     def exit_s(self) -> float:
         """Arc length where the last lane ends, m."""
         return self.line.length_m
@@ -77,9 +82,17 @@ def route_points(graph: LaneGraph, route: Route) -> FloatArray:
     return np.concatenate(pieces)
 
 
-def path_along(graph: LaneGraph, route: Route, *, smoothing: Smoothing, limits: Limits) -> DrivenPath:
-    """Path on the middle of a route's lanes, from the start of the first to the end of the last."""
+def path_along(
+    graph: LaneGraph, route: Route, *, smoothing: Smoothing, limits: Limits, run_on_m: float = 0.0
+) -> DrivenPath:
+    """Path on the middle of a route's lanes, from the start of the first to the end of the last.
+
+    run_on_m: so much farther straight on, off the grid (the ablation without topology, where nothing links lanes).
+    """
     raw = route_points(graph, route)
+    if run_on_m > 0:
+        last = raw[-1] - raw[-2]
+        raw = np.concatenate([raw, raw[-1:] + run_on_m * last / np.hypot(last[0], last[1])])
     line = build_reference_line(
         raw, step_m=smoothing.path_step_m, min_radius_m=limits.min_radius_m, max_offset_m=smoothing.max_offset_m
     )

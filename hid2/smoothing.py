@@ -166,6 +166,10 @@ class Trajectory:
     velocity: FloatArray
     s: FloatArray
 
+    def first(self, steps: int) -> "Trajectory":
+        """Its first steps."""
+        return Trajectory(self.position[:steps], self.heading[:steps], self.velocity[:steps], self.s[:steps])
+
 
 def poses(line: ReferenceLine, motion: Motion) -> Trajectory:
     """p = r(s) on the driven line; heading from its tangent, velocity its time derivative."""

@@ -445,7 +445,7 @@ class Spawner:
 
     def _with_run_up(self, route: Route, s0: float) -> tuple[Route, float]:
         """Start on the lane before where the box would stand out behind the first."""
-        if s0 >= 3.0:
+        if s0 >= 3.0 or "topology" in self.world.config.without:
             return route, s0
         graph = self.world.grid.graph
         before = [p for p in graph.predecessors(route[0]) if p in self._lanes and p not in route]
@@ -477,6 +477,9 @@ class Spawner:
     def _routes(self, policy: Policy, lane_id: int, s0: float) -> Iterator[Route]:
         """Routes from a place that serve the policy; more than one only where patience asks for it (reroute)."""
         graph = self.world.grid.graph
+        if "topology" in self.world.config.without:
+            yield (lane_id,)
+            return
         wanted = _TURN.get(policy, TurnType.STRAIGHT)
 
         def choose(onward: tuple[int, ...]) -> tuple[int, ...]:

@@ -18,6 +18,7 @@ from netconvert.cells import Cell, CellGrid
 
 #: Cars, trucks and cars towing nothing drive on these.
 DRIVABLE_TYPES = frozenset({"VEHICLE"})
+_RUN_ON_M = 250.0
 _MOVING_M, _MOVING_MPS = 5.0, 1.0
 
 
@@ -44,8 +45,9 @@ class World:
         """Path on the middle of a route's lanes; built once."""
         if route not in self._paths:
             self._paths[route] = path_along(
-                self.grid.graph, route, smoothing=self.config.smoothing, limits=self.config.limits
-            )
+                self.grid.graph, route, smoothing=self.config.smoothing, limits=self.config.limits,
+                run_on_m=_RUN_ON_M if "topology" in self.config.without else 0.0,
+            )  # fmt: skip
         return self._paths[route]
 
     def recorded_on(self, path: DrivenPath, size: BoxSize) -> PathOccupancy:
@@ -83,6 +85,7 @@ class World:
             num_steps=self.num_steps,
             earliest_exit_step=self.earliest_exit_step if earliest_exit_step is None else earliest_exit_step,
             known=self.recorded_on(path, size),
+            seen_to_s=path.grid_end_s if "topology" in self.config.without else None,
         )
 
     def cell_at(self, path: DrivenPath, s: float) -> Cell:
