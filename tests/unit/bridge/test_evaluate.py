@@ -1,0 +1,143 @@
+"""The evaluation of folders: figures, tables and the report."""
+
+import csv
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+from bridge.aggregate import KINEMATIC, estimate, ratio_estimate
+from bridge.evaluate import evaluate_folder
+from bridge.scenario import find_scenarios, read_scenario
+from bridge.scene_metrics import measure_folder
+from hid2.params import Limits
+from netconvert.errors import ExportError, ScenarioError
+
+
+@pytest.fixture(scope="module")
+def report(made_root, data_root, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    return evaluate_folder(made_root, report_dir=folder, source=data_root), folder
+
+
+def read_csv(path):
+    with path.open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_report_has_every_file_and_json_reads_back(report):
+    evaluation, folder = report
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"metrics.json", "scenes.csv", "tracks.csv", "maneuvers.csv", "realism.csv", "report.html"}
+    assert json.loads((folder / "metrics.json").read_text()) == evaluation.metrics
+
+
+def test_tables_have_one_row_per_scene_track_and_maneuver(report, made_root):
+    _, folder = report
+    scenarios = [read_scenario(path) for path in find_scenarios(made_root)]
+    assert len(read_csv(folder / "scenes.csv")) == len(scenarios)
+    tracks = read_csv(folder / "tracks.csv")
+    assert len(tracks) == sum(len(scenario.tracks) for scenario in scenarios)
+    assert {row["group"] for row in tracks} == {"original", "generated"}
+    recorded = [row for row in read_csv(folder / "maneuvers.csv") if row["recorded"] == "True"]
+    requested = json.loads((folder / "metrics.json").read_text())["requests"]["maneuvers"]
+    statuses = ("done", "aborted", "not_feasible", "not_triggered")
+    assert len(recorded) == sum(entry[status] for entry in requested.values() for status in statuses)
+
+
+def test_groups_are_kept_apart(report):
+    """Combined is the mean of the other two, weighted by tracks, and generated vehicles are clean."""
+    evaluation, _ = report
+    rows = evaluation.scenes
+    kinematics = evaluation.metrics["kinematics"]["paper"]["lo"]
+    tracks = {
+        group: sum(row[f"{group}_paper_tracks"] for row in rows) for group in ("original", "generated", "combined")
+    }
+    assert tracks["combined"] == tracks["original"] + tracks["generated"]
+    both = sum(kinematics[group]["value"] * tracks[group] for group in ("original", "generated"))
+    assert kinematics["combined"]["value"] == pytest.approx(both / tracks["combined"])
+    assert evaluation.metrics["safety"]["scr"]["generated"]["value"] == 0.0
+    assert evaluation.metrics["safety"]["footprint_orr"]["generated"]["value"] == 0.0
+
+
+def test_before_is_the_source_and_after_holds_what_was_added(report, data_root):
+    evaluation, _ = report
+    density = evaluation.metrics["diversity"]["density"]["tracks"]
+    assert density["before"] == [len(read_scenario(path).tracks) for path in find_scenarios(data_root)]
+    added = [row["generated"] for row in evaluation.scenes]
+    assert sum(density["after"]) == sum(row["tracks"] for row in evaluation.scenes)
+    assert all(count > 0 for count in added)
+
+
+def test_report_stands_alone_and_says_what_a_newcomer_needs(report):
+    _, folder = report
+    text = (folder / "report.html").read_text()
+    assert not re.search(r'(src|href)="(?!data:)', text)
+    for word in ("SCR", "ORR", "TTC", "Words", "Jensen-Shannon", "floor", "generated", "original", "combined", "m/s²"):
+        assert word in text
+    assert text.count("data:image/png;base64,") == 3
+
+
+def test_result_does_not_depend_on_jobs(report, made_root, data_root, tmp_path):
+    _, folder = report
+    evaluate_folder(made_root, report_dir=tmp_path, source=data_root, jobs=2)
+    for name in ("metrics.json", "scenes.csv", "tracks.csv", "maneuvers.csv"):
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
+
+
+def test_recorded_scenes_alone_are_evaluated(data_root, tmp_path):
+    evaluation = evaluate_folder(data_root, report_dir=tmp_path)
+    assert evaluation.metrics["scenes"]["generated_vehicles"] == 0
+    assert evaluation.metrics["kinematics"]["paper"]["lo"]["generated"]["value"] is None
+    assert "At a glance" not in (tmp_path / "report.html").read_text()
+
+
+def test_a_scene_that_cannot_be_read_is_listed_and_the_rest_measured(made_root, tmp_path):
+    root = tmp_path / "root"
+    shutil.copytree(made_root, root)
+    broken = find_scenarios(root)[0]
+    next(broken.glob("scenario_*.parquet")).write_bytes(b"no parquet")
+    evaluation = evaluate_folder(root, report_dir=tmp_path / "report")
+    assert [path for path, _ in evaluation.failures] == [broken]
+    assert evaluation.metrics["scenes"]["scenes"] == len(find_scenarios(root)) - 1
+    assert "not a parquet file" in (tmp_path / "report" / "report.html").read_text()
+
+
+def test_nothing_to_evaluate_and_nowhere_to_write_are_explained(made_root, tmp_path):
+    with pytest.raises(ScenarioError):
+        evaluate_folder(tmp_path, report_dir=tmp_path / "report")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ExportError, match="cannot write the report"):
+        evaluate_folder(made_root, report_dir=tmp_path / "file")
+
+
+def test_progress_is_told(made_root, tmp_path):
+    told = []
+    evaluate_folder(made_root, report_dir=tmp_path, on_scene=lambda done, total: told.append((done, total)))
+    assert told == [(1, 2), (2, 2)]
+
+
+def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():
+    """Sources with 1 of 10 and 3 of 10: 4 of 20, not the mean over anything else; two sources give 0.1 to 0.3."""
+    rows = [
+        {"source": "a", "original_paper_lo": 1.0, "original_paper_tracks": 10},
+        {"source": "b", "original_paper_lo": 2.0, "original_paper_tracks": 5},
+        {"source": "b", "original_paper_lo": 1.0, "original_paper_tracks": 5},
+    ]
+    found = estimate(rows, KINEMATIC[0], "original")
+    assert found == pytest.approx((0.2, 0.1, 0.3))
+
+
+def test_no_interval_from_one_source_and_no_value_from_none():
+    assert ratio_estimate(np.array([2.0]), np.array([4.0])) == (0.5, None, None)
+    assert ratio_estimate(np.array([0.0]), np.array([0.0])) == (None, None, None)
+
+
+def test_maneuvers_of_the_sidecar_are_found_again(made_scene):
+    """What was done is seen in the positions: every done record has a manoeuvre seen beside it."""
+    rows = measure_folder(made_scene, Limits()).maneuvers
+    done = [row for row in rows if row["status"] == "done"]
+    assert done
+    assert all(row["seen"] is not None for row in done)
