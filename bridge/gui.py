@@ -71,10 +71,15 @@ def play_scene(
 
 
 def _traci() -> ModuleType:
+    # bridge.simulation sets this for libsumo's sake; traci would then be libsumo, which has no window
+    setting = os.environ.pop("LIBSUMO_AS_TRACI", None)
     try:
         return import_module("traci")
     except ModuleNotFoundError:
         raise SimulationError("traci is not installed, want: pip install 'hid2-sumo[gui]'") from None
+    finally:
+        if setting is not None:
+            os.environ["LIBSUMO_AS_TRACI"] = setting
 
 
 def _binary() -> str:
