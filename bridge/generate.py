@@ -165,29 +165,29 @@ class _Run:
     def _round(self, wanted: Sequence[Policy], missing: int, *, patience: int, packed: bool) -> list[Policy]:
         """Plan, drive and settle; returns the policies still wanted."""
         spawner = Spawner(self.world, self.rng, self.fixed, patience, packed)
-        failed: list[Policy] = []
         attempts = _ATTEMPTS_LATE if patience >= 2 or packed else _ATTEMPTS
-        # manoeuvres need the room most, so they choose first
-        for policy in sorted(wanted, key=list(Policy).index, reverse=True):
-            if len(spawner.planned) >= missing:
-                break
-            if self._plan(spawner, policy, missing - len(spawner.planned), attempts):
-                continue
-            if policy is not Policy.STRAIGHT and patience == 0 and spawner.offers(policy):
-                failed.append(policy)  # once more, among those who are settled then
-                continue
-            failed.append(Policy.STRAIGHT)
-            if policy is not Policy.STRAIGHT:
-                reason = spawner.last_reason if spawner.offers(policy) else f"map_offers_no_{policy.value}"
-                self.unmet.append((policy, reason))
-                if self._plan(spawner, Policy.STRAIGHT, 1, attempts):
-                    failed.pop()
+        # manoeuvres need the room most, so they choose first; what finds no place looks again, with more patience
+        asked = sorted((p for p in wanted if p is not Policy.STRAIGHT), key=list(Policy).index, reverse=True)
+        without = [policy for policy in asked if not self._plan(spawner, policy, missing, attempts)]
+        if without and patience == 0:
+            spawner.look_again()
+            without = [policy for policy in without if not self._plan(spawner, policy, missing, attempts)]
+            spawner.patience = patience
+        for policy in without:
+            reason = spawner.last_reasons.get(policy) if spawner.offers(policy) else f"map_offers_no_{policy.value}"
+            self.unmet.append((policy, reason or "no_place_left"))
+        while len(spawner.planned) < missing and self._plan(spawner, Policy.STRAIGHT, missing, attempts):
+            pass
+        failed = [Policy.STRAIGHT] * (missing - len(spawner.planned))
         self.reasons.update(spawner.reasons)
         if spawner.planned or self.replay_errors.states == 0:
             failed += self._drive(spawner.planned)
         return failed
 
-    def _plan(self, spawner: Spawner, policy: Policy, room: int, attempts: int) -> bool:
+    def _plan(self, spawner: Spawner, policy: Policy, missing: int, attempts: int) -> bool:
+        room = missing - len(spawner.planned)
+        if room <= 0:
+            return False
         if policy is not Policy.OVERTAKE:
             return spawner.spawn(policy, self._new_id(), attempts=attempts) is not None
         return room >= 2 and bool(spawner.spawn_overtake(self._new_id(), self._new_id(), attempts=attempts))
@@ -196,9 +196,9 @@ class _Run:
         world = self.world
         with Simulation(self.net, seed=world.config.request.seed, step_s=DT_S) as simulation:
             self.sumo_version = simulation.version()
-            recorded = Replay(simulation, world.traffic, "r")
+            recorded = Replay(simulation, world.traffic, "r", checked=self.replay_errors.states == 0)
             steering = Steering(world, simulation, self.fixed)
-            drivers = steering.run(planned, [recorded, Replay(simulation, self.fixed, "f")])
+            drivers = steering.run(planned, [recorded, Replay(simulation, self.fixed, "f", checked=False)])
         if self.replay_errors.states == 0:
             self.replay_errors = recorded.errors
         by_id = {driver.spec.vehicle_id: driver for driver in drivers}

@@ -38,11 +38,11 @@ def insert(simulation: Simulation, world: World, spec: PlannedVehicle) -> str | 
     start = float(world.grid.edges_s(cell.lane_id)[cell.index])
     front_m = max(0.0, lane_s - start)
     objection = simulation.insert(
-        spec.vehicle_id, edges=edges, lane_index=world.grid.lane_index(cell), front_m=front_m,
+        spec.vehicle_id, edges=edges, lane_id=grid_lane, front_m=front_m,
         speed_mps=spec.v0, length_m=spec.size.length_m, width_m=spec.size.width_m, accel_mps2=driving.accel_mps2,
         decel_mps2=driving.decel_mps2, tau_s=driving.tau_s, min_gap_m=driving.min_gap_m,
         max_speed_mps=max(world.config.spawn.max_speed_mps, spec.cruise_mps),
     )  # fmt: skip
     if objection is None and "collision" in world.config.without:
-        simulation.disregard_others(spec.vehicle_id, grid_lane, front_m)
+        simulation.disregard_others(spec.vehicle_id)
     return objection

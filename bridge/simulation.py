@@ -87,7 +87,7 @@ class Simulation:
         vehicle_id: str,
         *,
         edges: Sequence[str],
-        lane_index: int,
+        lane_id: str,
         front_m: float,
         speed_mps: float,
         length_m: float,
@@ -98,7 +98,11 @@ class Simulation:
         min_gap_m: float,
         max_speed_mps: float,
     ) -> str | None:
-        """Insert a vehicle that SUMO drives; front_m on the first edge. Returns SUMO's objection, None if accepted."""
+        """Put a vehicle that SUMO drives on a lane of the first edge, now. Returns SUMO's objection, None if accepted.
+
+        SUMO's own insertion check is not asked: it knows neither crossing lanes nor what anybody will do next, and the
+        place was chosen with both.
+        """
         type_id = f"driven_{vehicle_id}"
         libsumo.vehicletype.copy("DEFAULT_VEHTYPE", type_id)
         libsumo.vehicletype.setLength(type_id, length_m)
@@ -114,19 +118,18 @@ class Simulation:
         libsumo.vehicletype.setSpeedDeviation(type_id, 0.0)
         try:
             libsumo.vehicle.add(
-                vehicle_id, self._route(edges), typeID=type_id, depart="now", departLane=str(lane_index),
-                departPos=f"{front_m:.4f}", departSpeed=f"{speed_mps:.4f}",
-            )  # fmt: skip
+                vehicle_id, self._route(edges), typeID=type_id, depart="now", departSpeed=f"{speed_mps:.6f}"
+            )
+            libsumo.vehicle.moveTo(vehicle_id, lane_id, front_m)
         except libsumo.TraCIException as error:
             return str(error)
         libsumo.vehicle.setLaneChangeMode(vehicle_id, _ONLY_ASKED_WITH_GAP)
         return None
 
-    def disregard_others(self, vehicle_id: str, lane_id: str, front_m: float) -> None:
-        """Put an inserted vehicle in place whoever is there, and switch SUMO's regard for others off."""
+    def disregard_others(self, vehicle_id: str) -> None:
+        """Switch SUMO's regard for others off, in following and in changing lanes."""
         libsumo.vehicle.setSpeedMode(vehicle_id, 0)
         libsumo.vehicle.setLaneChangeMode(vehicle_id, 0)
-        libsumo.vehicle.moveTo(vehicle_id, lane_id, front_m)
 
     def set_speed(self, vehicle_id: str, speed_mps: float) -> None:
         """Ask for a speed in the coming steps; SUMO's car following stays the upper bound."""

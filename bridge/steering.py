@@ -99,14 +99,14 @@ class Steering:
             for replay in replays:
                 replay.place(step)
             attempts: list[_Attempt] = []
-            if step == 0:
-                for driver in self.drivers:
-                    driver.objection = insert(self.simulation, self.world, driver.spec)
-            else:
+            if step > 0:
                 for driver in self.drivers:
                     if driver.running:
                         attempts += self._steer(driver, step - 1)
             self.simulation.step()
+            if step == 0:  # behind the first step, so that the state of step 0 is the planned one
+                for driver in self.drivers:
+                    driver.objection = insert(self.simulation, self.world, driver.spec)
             for replay in replays:
                 replay.check(step)
             self._read(step)

@@ -24,6 +24,7 @@ from netconvert.lane_graph import TurnType
 _AIM = 0.9
 _BOX_MARGIN_M = 0.05
 _NEAR_M = 50.0
+_SPEEDING_MPS = 0.2
 #: Shares of the cruising speed that are tried in turn.
 _CAPS = (1.0, 1.0, 0.85, 0.65)
 
@@ -189,6 +190,9 @@ def _smooth_and_check(
         )  # fmt: skip
         if motion is None:
             return "no_smooth_timing"
+        cells = np.clip((motion.s / TABLE_STEP_M + 0.5).astype(np.int64), 0, look.desired.size - 1)
+        if np.all(motion.v <= np.maximum(look.desired[cells], bounds.fastest) + _SPEEDING_MPS):
+            break
         target, target_v = motion.s, motion.v
     if motion is None:
         return "no_smooth_timing"

@@ -221,7 +221,7 @@ def plan_speed(
     """Best speed profile on the path from (s0, v0) that meets nobody; None where there is none.
 
     Search over time, arc length and speed (stages of half a second, constant acceleration in each; one
-    representative per bin of 1 m and 0.5 m/s). desired (S,) m/s: target speed along the path, never exceeded by much.
+    representative per bin of 1.5 m and 0.75 m/s). desired (S,) m/s: target speed along the path, never exceeded by much.
     reference (T,) m: a driven s(t) to stay near, where given. This is "adjust timing" of conflict case 3.
     """
     steps = tables.blocked.shape[0]
@@ -237,7 +237,7 @@ def plan_speed(
 
 
 STAGE_STEPS = 5
-_S_BIN, _V_BIN, _V_BINS = 1.0, 0.5, 70
+_S_BIN, _V_BIN, _V_BINS = 1.5, 0.75, 48
 
 
 @njit(cache=True)

@@ -73,7 +73,7 @@ class _Wish:
 class Spawner:
     """Chooses vehicles one after the other; each one planned is an obstacle to the next.
 
-    last_reason: what was said most often against the candidates of the last call that found none.
+    last_reasons: what was said most often against the candidates of the last call that found none, by policy.
 
     fixed: generated vehicles of earlier rounds, with their final motion. patience: 0 takes only places where a vehicle
     drives as it likes; from 1 on it may start slowly, from 2 on it may stand in a queue. reasons counts what was turned
@@ -90,7 +90,7 @@ class Spawner:
     _sigma: np.ndarray[tuple[int], np.dtype[np.uint8]] = field(init=False)
     _lanes: tuple[int, ...] = field(init=False)
     _predicted: Traffic = field(init=False)
-    last_reason: str = ""
+    last_reasons: dict[Policy, str] = field(default_factory=dict)
     _streams: dict[Policy, Iterator[tuple[Route, float]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -137,9 +137,14 @@ class Spawner:
         self._note(Policy.OVERTAKE, against)
         return ()
 
+    def look_again(self) -> None:
+        """Take all candidates anew, with more patience."""
+        self.patience += 1
+        self._streams = {}
+
     def _note(self, policy: Policy, against: Counter[str]) -> None:
         self.reasons.update(against)
-        self.last_reason = against.most_common(1)[0][0] if against else f"no_free_cell_for_{policy.value}"
+        self.last_reasons[policy] = against.most_common(1)[0][0] if against else "no_free_cell"
 
     def _some(self, policy: Policy, attempts: int) -> Iterator[tuple[Route, float]]:
         """The next candidates of a policy; occupied cells are passed over and do not count."""
