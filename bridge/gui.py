@@ -4,6 +4,7 @@ import os
 import shutil
 import sys
 import tempfile
+from contextlib import redirect_stdout
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -55,7 +56,8 @@ def play_scene(
         ]
         command += ["--collision.action", "none", "--time-to-teleport", "-1", "--delay", str(delay_ms)]
         try:
-            traci.start(command, stdout=sys.stderr)
+            with redirect_stdout(sys.stderr):  # traci prints that it retries
+                traci.start(command, stdout=sys.stderr)
         except (traci.exceptions.TraCIException, traci.exceptions.FatalTraCIError, OSError) as error:
             raise SimulationError(f"sumo-gui does not start: {error}") from error
         try:
