@@ -71,7 +71,7 @@ class Spawn(_Section):
     min_speed_mps: float = _param(3.0, "m/s", "slowest spawn speed drawn", ge=0, le=40)
     max_speed_mps: float = _param(20.0, "m/s", "fastest desired speed drawn", gt=0, le=50)
     speed_noise: float = _param(0.1, "share", "standard deviation of the desired speed", ge=0, le=0.5)
-    clear_ahead_s: float = _param(1.8, "s", "time gap to the next vehicle ahead at spawn (recommended time gap)", ge=0, le=10)
+    clear_ahead_s: float = _param(1.5, "s", "time gap to a slower vehicle ahead at spawn (usual 0.9 to 1.5)", gt=0, le=10)
     clear_gap_m: float = _param(3.0, "m", "smallest bumper gap at spawn", ge=0.5, le=50)
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     oversample: float = _param(1.3, "ratio", "candidates simulated per vehicle still missing", ge=1, le=5)
@@ -142,8 +142,8 @@ class CarFollowing(_Section):
 
     accel_mps2: float = _param(1.8, "m/s2", "SUMO accel", gt=0, le=2.4)
     decel_mps2: float = _param(2.5, "m/s2", "SUMO decel", gt=0, le=4.05)
-    tau_s: float = _param(1.6, "s", "SUMO tau; above the critical TTC so that closing on a standing leader stays above it", ge=0.5, le=4)
-    min_gap_m: float = _param(2.5, "m", "SUMO minGap", ge=0.5, le=10)
+    tau_s: float = _param(1.0, "s", "SUMO tau; within the usual time gaps 0.9 to 1.5, the plan keeps the critical TTC", ge=0.5, le=4)
+    min_gap_m: float = _param(1.5, "m", "SUMO minGap", ge=0.5, le=10)
 
 
 class Limits(_Section):

@@ -35,6 +35,7 @@ _ROUTE_LONGEST_M = 260.0
 _MIN_MOVE_M = 10.0
 _FASTEST_MPS = 9.0  # mean over approach and turn
 _MIN_MOVE_LATE_M = 3.0
+_KEEP_FREE_M = 4.0
 _OVERTAKER_MPS = (11.0, 14.0)
 _SPARE_STEPS = 4  # a foreseen manoeuvre ends this long before the scene does: SUMO will be a little later
 _RETURN_STEPS = 30
@@ -205,8 +206,9 @@ class Spawner:
         slowest = 6.0 if self.patience == 0 else 3.0
         if path.exit_s - s0 < size.length_m + 0.75 * min(cruise, slowest) * stay_s:
             return "leaves_too_early"
-        if wish.policy is Policy.STRAIGHT and self.patience == 0 and self._turns_within(path, s0, cruise):
-            return "would_turn"
+        unsuited = self._unsuited(wish, path, s0, cruise)
+        if unsuited is not None:
+            return unsuited
         look = world.prospect(path, size, cruise_mps=cruise, others=(self.fixed, self._predicted))
         v0 = self._entry_speed(look, s0, cruise if wish.steady else cruise * float(self.rng.uniform(0.85, 1.0)))
         if isinstance(v0, str):
@@ -252,7 +254,7 @@ class Spawner:
 
     def _entry_speed(self, look: Prospect, s0: float, wanted: float) -> float | str:
         """Spawn speed that suits the road and the gaps ahead and behind at step 0, or what forbids any."""
-        spawn, driving = self.world.config.spawn, self.world.config.car_following
+        spawn = self.world.config.spawn
         cell = int(s0 / TABLE_STEP_M + 0.5)
         occupancy = look.occupancy
         low, high = occupancy.low[:, 0], occupancy.high[:, 0]
@@ -263,7 +265,7 @@ class Spawner:
         if ahead.any():
             row = int(np.argmin(np.where(ahead, low, np.inf)))
             gap, speed = low[row] - s0, max(0.0, float(occupancy.along[row, 0]))
-            room = max(0.0, gap - driving.min_gap_m) / driving.tau_s
+            room = max(0.0, gap - spawn.clear_gap_m) / spawn.clear_ahead_s
             v0 = min(v0, max(room, min(speed, 0.8 * gap)))
         if v0 < max(0.0, float(look.tables.pushed[0, cell])):
             return "follower_too_fast"
@@ -399,6 +401,22 @@ class Spawner:
         return across, SpeedPlan(
             s=np.concatenate([plan.s[:step], onward.s]), v=np.concatenate([plan.v[:step], onward.v]), cost=onward.cost
         )
+
+    def _unsuited(self, wish: _Wish, path: DrivenPath, s0: float, cruise: float) -> str | None:
+        """What the map alone says against a candidate, before anybody is looked at."""
+        if wish.policy is Policy.STRAIGHT and self.patience == 0 and self._turns_within(path, s0, cruise):
+            return "would_turn"
+        if wish.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE):
+            beside = [
+                segment
+                for segment in path.segments
+                if any(admissible_neighbor(self.world, segment.lane_id, side) is not None for side in ("left", "right"))
+            ]
+            first = s0 + 0.3 * cruise * wish.trigger_s
+            last = s0 + cruise * (wish.trigger_s + 3.0)
+            if not any(segment.end > first and segment.start < last for segment in beside):
+                return "no_lane_beside_at_trigger"
+        return None
 
     def _turns_within(self, path: DrivenPath, s0: float, cruise: float) -> bool:
         """Whether a route has a turn lane within what is driven in the scene."""
@@ -536,20 +554,26 @@ class Spawner:
         start = np.array([vehicle.s0])
         xy = vehicle.path.line.position(start)[0]
         self._mark(float(xy[0]), float(xy[1]), float(vehicle.path.line.heading(start)[0]), vehicle.size)
-        one = predicted_traffic(
-            [(vehicle.vehicle_id, vehicle.intended_path, vehicle.size, vehicle.intended_s)], self.world.num_steps
-        )
+        one = predicted_traffic([_foreseen(vehicle)], self.world.num_steps)
         self._predicted = self._predicted.joined(one)
 
     def _drop_last(self) -> None:
         """Take the vehicle planned last back."""
         self.planned.pop()
-        entries = [(v.vehicle_id, v.intended_path, v.size, v.intended_s) for v in self.planned]
+        entries = [_foreseen(vehicle) for vehicle in self.planned]
         self._predicted = predicted_traffic(entries, self.world.num_steps)
 
     def _mark(self, x: float, y: float, heading: float, size: BoxSize) -> None:
         under = cells_under(self.world.boxes, x, y, heading, length_m=size.length_m, width_m=0.8 * size.width_m)
         self._sigma[under[self._sigma[under] == FREE]] = GENERATED
+
+
+def _foreseen(vehicle: PlannedVehicle) -> tuple[str, DrivenPath, BoxSize, FloatArray]:
+    """How the next ones see it: one that will change lanes keeps the cells free that it will ask for."""
+    size = vehicle.size
+    if vehicle.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE):
+        size = BoxSize(size.length_m + 2 * _KEEP_FREE_M, size.width_m)
+    return vehicle.vehicle_id, vehicle.intended_path, size, vehicle.intended_s
 
 
 def _quantile(table: tuple[tuple[float, float, float], ...], share: float) -> tuple[float, float]:
