@@ -36,6 +36,8 @@ PAPER_ABLATION: Mapping[str, Mapping[str, float]] = {
     "collision": {"lo": 1.449, "la": 0.433, "je": 7.087, "scr": 0.282, "orr": 0.125},
     "smoothing": {"lo": 2.379, "la": 1.188, "je": 9.156, "scr": 0.072, "orr": 0.141},
 }
+_NAMES = {"full": "everything on", "hid2": "in the mean", "dense": "default mix", "rare": "rare behaviours"}
+_NAMES |= {part: f"without {part}" for part in ("topology", "collision", "smoothing")}
 #: The mix of the diversity experiment: the paper's underrepresented behaviours.
 _RARE_MIX = {"straight": 0.2, "left_turn": 0.2, "right_turn": 0.2, "lane_change": 0.25, "overtake": 0.15}
 #: The paper's templates have more tracks than this.
@@ -287,14 +289,15 @@ def _density(series: Mapping[int, tuple[Sequence[Row], bool]]) -> dict[str, dict
 
 def _about(name: Experiment, outcomes: Sequence[Outcome], *, seeds: int, sources: int, agents: int) -> str:
     placed = [
-        f"{o.setting.name}: {sum(row['generated'] for row in o.rows) / max(1, len(o.rows)):.1f} vehicles placed a scene"
+        f"{_NAMES.get(o.setting.name, o.setting.name + ' added')}: "
+        f"{sum(row['generated'] for row in o.rows) / max(1, len(o.rows)):.1f} placed in a scene"
         for o in outcomes
         if o.setting.config is not None
     ]
     failures = [f"{o.setting.name}, {failure}" for o in outcomes for failure in o.failures]
     asked = "0 to 40 vehicles" if name == "density" else f"{agents} vehicles"
     text = (
-        f"<p>{sources} recorded scenes of Argoverse 2, {seeds} seeds each, {asked} added. "
+        f"<p>{sources} recorded scenes of Argoverse 2, {seeds} {'seed' if seeds == 1 else 'seeds'} each, {asked} added. "
         f"{'; '.join(placed)}. Small print: "
         "95 % interval by bootstrap over recorded scenes (all seeds of a scene are drawn together). The "
         "paper's lines are "

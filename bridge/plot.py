@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bridge import figures
@@ -53,9 +54,7 @@ def plot_agent(folder: Path, agent_id: str, out_file: Path) -> Path:
     moments, note = _moments(scenario, agent_id, seen)
     time = np.asarray(track.timesteps * STEP_S, dtype=np.float64)
     figures.style()
-    figure, axes = plt.subplots(
-        6, 1, figsize=(9.5, 11.5), sharex=False, layout="constrained", height_ratios=[2.2, 1, 1, 1, 1, 1]
-    )
+    figure, axes = _axes(track.position)
     _plan(axes[0], scenario, track.position, moments, time)
     moved = motion(arrays)
     _speed(axes[1], time, moved)
@@ -79,6 +78,21 @@ def plot_agent(folder: Path, agent_id: str, out_file: Path) -> Path:
     )
     figures.save(figure, out_file)
     return out_file
+
+
+def _axes(position: FloatArray) -> tuple[Figure, list[Axes]]:
+    """The plan, then five axes over time: below the plan, or beside it where the path runs north or south."""
+    names = ["speed", "acceleration", "jerk", "offset", "cells"]
+    wide, high = np.ptp(position, axis=0)
+    if high > wide:
+        layout: Any = [["plan", name] for name in names]
+        figure, found = plt.subplot_mosaic(layout, figsize=(12.5, 9.5), layout="constrained", width_ratios=[1, 2])
+    else:
+        layout = [[name] for name in ["plan", *names]]
+        figure, found = plt.subplot_mosaic(
+            layout, figsize=(9.5, 11.5), layout="constrained", height_ratios=[2.2, 1, 1, 1, 1, 1]
+        )
+    return figure, [found[name] for name in ["plan", *names]]
 
 
 def _moments(scenario: Scenario, agent_id: str, seen: list[Maneuver]) -> tuple[list[_Moment], str]:
@@ -125,7 +139,8 @@ def _plan(ax: Axes, scenario: Scenario, position: FloatArray, moments: list[_Mom
             row = int(np.argmin(np.abs(time - moment.time_s)))
             ax.plot(*position[row], "D", color=figures.BLUE, markeredgecolor="black", markersize=7, zorder=8)
     low, high = position.min(axis=0) - 10.0, position.max(axis=0) + 10.0
-    figures.frame(ax, low, high, origin=np.floor(low / 100) * 100, aspect=2.6)
+    wide, high_m = high - low
+    figures.frame(ax, low, high, origin=np.floor(low / 100) * 100, aspect=0.45 if high_m > wide else 2.6)
     ax.set_title("position every second; diamond: crossing between lanes", fontsize=9)
 
 

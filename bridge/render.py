@@ -190,7 +190,7 @@ class _Drawing:
             figures.frame(ax, low, high, origin=np.floor(low / 100) * 100, aspect=aspect)
             ax.set_title(panel.title)
         self.legend()
-        self.clock = self.figure.text(0.01, 0.985, "", ha="left", va="top", fontsize=11, fontweight="bold")
+        self.clock = self.figure.suptitle("0.0 s", x=0.01, ha="left", fontsize=11, fontweight="bold")
         self.moving: list[tuple[Axes, PolyCollection | LineCollection]] = []
 
     def legend(self) -> None:
