@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from bridge.batch import Options, Progress, Run, SceneJob, run_batch
 from bridge.config import config_from_dict, config_sha256
 from bridge.manifest import DONE, ManifestRow
+from bridge.scan import Selection, facts_of, select
 from bridge.scenario import find_scenarios
 from hid2.params import Config
 from netconvert.errors import ConfigError
@@ -38,6 +39,7 @@ class _File(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     scenes: list[str] = Field(min_length=1)
+    can: list[str] = []
     seeds: Annotated[int, Field(ge=1, le=100_000)] | list[int] = 1
     design: Literal["grid", "latin_hypercube"] = "grid"
     samples: int = Field(default=0, ge=0, le=1_000_000)
@@ -96,6 +98,11 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
         raise ConfigError(f"{path}: {key} = {first['input']!r}: {first['msg']}") from error
     places = scenes or [path.parent / scene for scene in content.scenes]
     folders = tuple(dict.fromkeys(folder for place in places for folder in find_scenarios(place)))
+    if content.can:
+        facts, _ = facts_of(folders)
+        folders = tuple(fact.folder for fact in select(facts, Selection(can=tuple(content.can))))
+        if not folders:
+            raise ConfigError(f"{path}: can = {content.can!r}: none of the scenes offers that")
     seeds = tuple(range(content.seeds)) if isinstance(content.seeds, int) else tuple(content.seeds)
     points = tuple(_grid(content.vary) if content.design == "grid" else _latin_hypercube(content, path))
     configs = tuple(
@@ -146,7 +153,8 @@ def tables(
         records = []
         if row.status == DONE:
             records = json.loads((out_dir / row.folder / RUN_FILE).read_text(encoding="utf-8"))
-        maneuvers += [{**name, **record, "wait_s": _wait(record)} for record in records]
+        # triggered_s is None where no vehicle could be found for the request; trigger_s may be a column of the design
+        maneuvers += [{**name, **_renamed(record), "wait_s": _wait(record)} for record in records]
         mine = [record for record in records if record["kind"] == study.kind]
         runs.append(
             {
@@ -163,6 +171,10 @@ def tables(
             }
         )
     return runs, maneuvers
+
+
+def _renamed(record: Mapping[str, Any]) -> dict[str, Any]:
+    return {"triggered_s" if key == TRIGGER else key: value for key, value in record.items()}
 
 
 def _wait(record: Mapping[str, Any]) -> float | None:

@@ -56,8 +56,9 @@ def _draw(study: "Study", records: Sequence[Record], key: str, path: Path) -> No
     figure, axes = plt.subplots(2, 3, figsize=(12, 6.8), layout="constrained")
     panels: list[tuple[Axes, str, list[tuple[str, str, Callable[[Record], tuple[float, float]]]]]] = [
         (axes[0, 0], "share of requests", [
-            ("done", figures.BLUE, lambda r: (r["status"] == "done", 1)),
+            ("a vehicle was there for it", figures.GREY, lambda r: (r["triggered_s"] is not None, 1)),
             ("started", figures.SKY, lambda r: (r["start_s"] is not None, 1)),
+            ("done", figures.BLUE, lambda r: (r["status"] == "done", 1)),
         ]),
         (axes[0, 1], "from trigger to start, mean, s", [("", figures.BLUE, _mean_of("wait_s"))]),
         (axes[0, 2], "smallest TTC from start to end, mean, s\n(values above 5 s count as 5 s)", [

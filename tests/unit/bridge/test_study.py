@@ -82,6 +82,7 @@ def test_tables_are_tidy(tmp_path: Path, data_scenes: dict[str, Path]) -> None:
         {**base, "kind": "lane_change", "status": "done", "start_s": 1.5, "window_ttc_s": 2.5, "reason": None},
         {
             **base,
+            "trigger_s": None,
             "kind": "lane_change",
             "status": "not_feasible",
             "start_s": None,
@@ -97,3 +98,10 @@ def test_tables_are_tidy(tmp_path: Path, data_scenes: dict[str, Path]) -> None:
     assert (run["lane_change_requested"], run["lane_change_done"], run["min_ttc_s"]) == (2, 1, 2.5)
     assert [maneuver["wait_s"] for maneuver in maneuvers] == [0.5, None, 1.0]
     assert all(maneuver["scene"] == "scene" and maneuver["point"] == 0 for maneuver in maneuvers)
+    assert [maneuver["trigger_s"] for maneuver in maneuvers] == [1.0, 1.0, 1.0]
+    assert [maneuver["triggered_s"] for maneuver in maneuvers] == [1.0, None, 1.0]
+
+
+def test_study_may_ask_for_maps_with_room(tmp_path: Path, data_root: Path) -> None:
+    study = read_study(study_file(tmp_path, 'can = ["left_turn"]\n[vary]\ntrigger_s = [1.0]\n', data_root))
+    assert [folder.name for folder in study.folders] == ["bf8c5e9d-76de-5c6f-a44b-69cc2c9a318a"]
