@@ -45,7 +45,7 @@ CLEAN = (
 SAFETY = (
     Metric("scr", "SCR: share of vehicles that collide", "share", "scr", "scr_scenes"),
     Metric("orr", "ORR: share of positions off the road", "share", "off_road", "rows"),
-    Metric("footprint_orr", "footprint ORR: share of boxes with a corner over 0.3 m off", "share", "off_footprint", "rows"),
+    Metric("footprint_orr", "footprint ORR: share of boxes over 0.3 m off", "share", "off_footprint", "rows"),
     Metric("wrong_way", "share of driving against the lane", "share", "against_lane", "moving_rows"),
     Metric("ttc_critical", "share of driving, TTC below 1.5 s to anything", "share", "ttc_critical", "moving_rows"),
     Metric(

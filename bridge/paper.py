@@ -297,7 +297,7 @@ def _about(name: Experiment, outcomes: Sequence[Outcome], *, seeds: int, sources
     failures = [f"{o.setting.name}, {failure}" for o in outcomes for failure in o.failures]
     asked = "0 to 40 vehicles" if name == "density" else f"{agents} vehicles"
     text = (
-        f"<p>{sources} recorded scenes of Argoverse 2, {seeds} {'seed' if seeds == 1 else 'seeds'} each, {asked} added. "
+        f"<p>{sources} recorded scenes of Argoverse 2, seeds 0 to {seeds - 1}, {asked} added. "
         f"{'; '.join(placed)}. Small print: "
         "95 % interval by bootstrap over recorded scenes (all seeds of a scene are drawn together). The "
         "paper's lines are "
