@@ -5,7 +5,7 @@ spoil, and hand-made generated tracks, so that export and validation are tested 
 import json
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,16 @@ DATA_IDS = {
 }
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """With CI set nothing may be left out for want of data or of a screen: a skip fails."""
+    report = yield
+    if report.skipped and os.environ.get("CI"):
+        report.outcome = "failed"
+        report.longrepr = f"CI does not allow a skip: {report.longrepr}"
+    return report
+
+
 def find_folder(root: Path, scenario_id: str) -> Path:
     found = sorted(root.glob(f"*/{scenario_id}"))
     assert len(found) == 1, f"want one folder {scenario_id} under {root}, have {found}"
@@ -52,9 +62,10 @@ def find_folder(root: Path, scenario_id: str) -> Path:
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Folder with real Argoverse data; a test that needs it fails without."""
+    """Folder with real Argoverse data. Without it a test that needs it is skipped, which fails where CI is set."""
     path = Path(os.environ.get("HID2_SHARED_DATA", ROOT.parent / "shared" / "data"))
-    assert (path / "av2").is_dir(), f"{path}/av2: real scenes are missing; set HID2_SHARED_DATA"
+    if not (path / "av2").is_dir():
+        pytest.skip(f"{path}/av2: real scenes are missing; set HID2_SHARED_DATA")
     return path
 
 
