@@ -156,7 +156,7 @@ def check_direction(track: Track, lanes: list[tuple[Polyline, float]], verdict: 
     covered = np.zeros(len(track.heading), dtype=bool)
     for path, half_width in lanes:
         s, d = path.frenet(track.position)
-        on = (np.abs(d) <= half_width + 0.5) & (s >= 0.0) & (s <= path.length_m)
+        on = (np.abs(d) <= half_width + 0.5) & (s >= -0.5) & (s <= path.length_m + 0.5)  # joints may have a kink
         turn = np.abs(np.angle(np.exp(1j * (path.heading(np.clip(s, 0.0, path.length_m)) - track.heading))))
         covered |= on
         agrees |= on & (turn < math.pi / 3)
@@ -198,14 +198,31 @@ def check_leaders(scene: GeneratedScene, track: Track, sizes: dict[str, tuple[fl
             leads &= along > -0.2
         gap = s - own_s[steps] - (length + other_length) / 2
         closing = own_v[steps] - along
-        for row in np.flatnonzero(leads & (closing > 0.05)):
-            if gap[row] / closing[row] < TTC_MIN_S:
+        for row in np.flatnonzero(leads & (closing > 0.05) & (gap < TTC_MIN_S * closing)):
+            step = int(steps[row])
+            box = Moving(
+                other.track_id, other_length, other_width, [(*other.position[at][row], other.heading[at][row])]
+            )
+            room = free_run(path, float(own_s[step]), box.polygon(0), length, width, most_m=float(gap[row]) + 15.0)
+            if room < TTC_MIN_S * closing[row]:
                 verdict.note(
-                    "TTC", round(float(gap[row] / closing[row]), 2), "s:", track.track_id, "to", other.object_type,
-                    other.track_id, "at timestep", int(steps[row]), "gap", round(float(gap[row]), 2),
-                    "own", round(float(own_v[steps[row]]), 2), "leader", round(float(along[row]), 2),
+                    "TTC", round(room / float(closing[row]), 2), "s:", track.track_id, "to", other.object_type,
+                    other.track_id, "at timestep", step, "gap", round(room, 2), "own", round(float(own_v[step]), 2),
+                    "leader", round(float(along[row]), 2), "aside", round(float(d[row]), 2),
                 )  # fmt: skip
                 break
+
+
+def free_run(
+    path: Polyline, s: float, other: shapely.Polygon, length_m: float, width_m: float, *, most_m: float
+) -> float:
+    """How far the own box can be pushed along the path until it touches the other, m, to 5 cm; inf beyond most_m."""
+    for pushed in np.arange(0.0, most_m, 0.05):
+        at = np.array([s + pushed])
+        own = Moving("", length_m, width_m, [(*path.point(at)[0], float(path.heading(at)[0]))])
+        if own.polygon(0).intersects(other):
+            return float(pushed)
+    return math.inf
 
 
 def assumed(track: Track, sizes: dict[str, tuple[float, float]]) -> tuple[float, float]:

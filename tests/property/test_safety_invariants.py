@@ -1,0 +1,183 @@
+"""Random maps, random traffic, random requests: whatever is generated breaks no rule of safety or motion.
+
+Maps are drawn as a trunk of one to three lanes, straight or bent, cut into segments; it may split or merge at one end,
+and another road may cross it. Traffic drives, stands, appears late, crosses on foot, and does not care about anybody.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import shapely
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+from scene_checker import check_scene
+
+from bridge.generate import generate
+from bridge.scenario import Scenario
+from hid2.agents import DEFAULT_SIZES, Track
+from hid2.params import Config, Request
+from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
+
+Floats = npt.NDArray[np.float64]
+LANE_M = 3.5
+
+
+@dataclass
+class Draft:
+    """A map in the making: points, links and marks by lane id."""
+
+    points: dict[int, Floats] = field(default_factory=dict)
+    successors: dict[int, list[int]] = field(default_factory=dict)
+    left: dict[int, int] = field(default_factory=dict)
+    crossing: set[int] = field(default_factory=set)
+    solid: bool = False
+
+    def add(self, points: Floats, *, crossing: bool = False) -> int:
+        lane_id = len(self.points) + 1
+        self.points[lane_id] = points
+        self.successors[lane_id] = []
+        if crossing:
+            self.crossing.add(lane_id)
+        return lane_id
+
+    def graph(self) -> LaneGraph:
+        right = {target: source for source, target in self.left.items()}
+        mark = "SOLID_WHITE" if self.solid else "DASHED_WHITE"
+        lanes = {
+            lane_id: LaneSegment(
+                lane_id=lane_id, centerline=points, left_boundary=None, right_boundary=None, lane_type="VEHICLE",
+                is_intersection=lane_id in self.crossing, successors=tuple(self.successors[lane_id]),
+                left_neighbor_id=self.left.get(lane_id), right_neighbor_id=right.get(lane_id), left_mark_type=mark,
+                right_mark_type=mark, width_m=LANE_M, turn=turn_type(points, is_intersection=lane_id in self.crossing),
+            )
+            for lane_id, points in self.points.items()
+        }  # fmt: skip
+        strips = [shapely.LineString(points).buffer(LANE_M / 2 + 0.4) for points in self.points.values()]
+        ground = shapely.union_all(strips)
+        parts = ground.geoms if ground.geom_type == "MultiPolygon" else [ground]
+        return LaneGraph(lanes, drivable_areas=tuple(np.array(part.exterior.coords) for part in parts))
+
+
+def offset(base: Floats, by: float) -> Floats:
+    """The line at a distance to the left of another."""
+    direction = np.gradient(base, axis=0)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return base + by * np.column_stack([-direction[:, 1], direction[:, 0]])
+
+
+def bent(length_m: float, curvature: float) -> Floats:
+    """A line from the origin eastwards, of constant curvature, a point every 2 m."""
+    s = np.linspace(0.0, length_m, int(length_m / 2) + 1)
+    if abs(curvature) < 1e-6:
+        return np.column_stack([s, np.zeros_like(s)])
+    return np.column_stack([np.sin(curvature * s), 1 - np.cos(curvature * s)]) / curvature
+
+
+def branch(start: Floats, toward: Floats, length_m: float, aside_m: float) -> Floats:
+    """A line from a point along a direction that drifts aside smoothly, as ramps do."""
+    u = np.linspace(0.0, 1.0, int(length_m / 2) + 1)
+    normal = np.array([-toward[1], toward[0]])
+    drift = aside_m * u * u * u * (10 + u * (6 * u - 15))
+    return start + length_m * u[:, None] * toward + drift[:, None] * normal
+
+
+@st.composite
+def maps(draw: st.DrawFn) -> LaneGraph:
+    draft = Draft(solid=draw(st.booleans()))
+    count = draw(st.integers(1, 3))
+    length = draw(st.sampled_from([120.0, 180.0, 240.0]))
+    trunk = bent(length, draw(st.sampled_from([0.0, 0.0, 1 / 150, -1 / 80, 1 / 60])))
+    pieces = draw(st.integers(1, 3))
+    cuts = np.linspace(0, len(trunk) - 1, pieces + 1).astype(int)
+    rows: list[list[int]] = []
+    for piece in range(pieces):
+        part = slice(cuts[piece], cuts[piece + 1] + 1)
+        rows.append([draft.add(offset(trunk, LANE_M * i)[part]) for i in range(count)])
+        for right, left in zip(rows[-1], rows[-1][1:], strict=False):
+            draft.left[right] = left
+        if piece:
+            for before, after in zip(rows[-2], rows[-1], strict=True):
+                draft.successors[before].append(after)
+    if draw(st.booleans()):  # a split at the end of the rightmost lane
+        last = draft.points[rows[-1][0]]
+        toward = (last[-1] - last[-2]) / np.linalg.norm(last[-1] - last[-2])
+        for aside in (0.0, -14.0):
+            draft.successors[rows[-1][0]].append(draft.add(branch(last[-1], toward, 70.0, aside)))
+    if draw(st.booleans()):  # a ramp that merges into the start of the rightmost lane
+        first = draft.points[rows[0][0]]
+        back = (first[0] - first[1]) / np.linalg.norm(first[1] - first[0])
+        for aside in (0.0, 14.0):
+            ramp = draft.add(branch(first[0], back, 70.0, aside)[::-1])
+            draft.successors[ramp].append(rows[0][0])
+    if draw(st.booleans()):  # a road that crosses
+        middle = trunk[len(trunk) // 2]
+        angle = draw(st.sampled_from([1.2, np.pi / 2, -2.0]))
+        ahead = np.array([np.cos(angle), np.sin(angle)])
+        along = np.linspace(-70.0, 70.0, 71)
+        draft.add(middle + along[:, None] * ahead, crossing=True)
+    return draft.graph()
+
+
+@st.composite
+def traffic(draw: st.DrawFn, graph: LaneGraph, steps: int) -> tuple[Track, ...]:
+    tracks = []
+    for number in range(draw(st.integers(0, 8))):
+        lane = graph.lanes[draw(st.sampled_from(sorted(graph.lanes)))]
+        kind = draw(st.sampled_from(["vehicle", "vehicle", "vehicle", "bus", "cyclist", "pedestrian"]))
+        speed = draw(st.sampled_from([0.0, 0.0, 1.5, 5.0, 9.0, 13.0])) if kind != "pedestrian" else 1.3
+        start = draw(st.floats(0.0, 0.8)) * lane.length_m
+        s = start + 0.1 * speed * np.arange(steps)
+        first = draw(st.sampled_from([0, 0, 0, 30, 70])) % steps
+        present = (s <= lane.length_m + 20.0) & (np.arange(steps) >= first)
+        if present.sum() < 2:
+            continue
+        if kind == "pedestrian":
+            at, heading = lane.path.xy(np.array([start]), 0.0)[0], float(lane.path.heading(np.array([start]))[0])
+            across = np.array([-np.sin(heading), np.cos(heading)])
+            position = at + (s - start - 6.0)[:, None] * across
+            headings = np.full(steps, heading + np.pi / 2)
+        else:
+            position = lane.path.xy(s, draw(st.sampled_from([0.0, 0.0, 0.3, -0.6])))
+            headings = lane.path.heading(np.minimum(s, lane.length_m))
+        tracks.append(
+            Track(
+                str(number), kind, 1, np.flatnonzero(present), position[present], headings[present],
+                np.gradient(position, 0.1, axis=0)[present], DEFAULT_SIZES[kind],
+            )
+        )  # fmt: skip
+    return tuple(tracks)
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> Scenario:
+    graph = draw(maps())
+    steps = draw(st.sampled_from([50, 110, 110]))
+    return Scenario(
+        scenario_id="0" * 8, city="synthetic", focal_track_id="0", num_steps=steps, tracks=draw(traffic(graph, steps)),
+        graph=graph, table=pa.table({}), folder=Path("nowhere"), map_path=Path("nowhere"), split=None,
+    )  # fmt: skip
+
+
+MIXES: tuple[dict[str, Any], ...] = (
+    {},
+    {"straight": 0, "lane_change": 1, "left_turn": 0, "right_turn": 0, "overtake": 0},
+    {"straight": 0, "lane_change": 0.3, "left_turn": 0, "right_turn": 0, "overtake": 0.7, "bus_share": 0.3},
+)
+
+
+@settings(
+    derandomize=True, database=None, deadline=None, max_examples=25, print_blob=True,
+    phases=[Phase.explicit, Phase.generate], suppress_health_check=list(HealthCheck),
+)  # fmt: skip
+@given(scene=scenes(), agents=st.integers(1, 14), mix=st.sampled_from(MIXES), seed=st.integers(0, 999))
+def test_nothing_unsafe_is_ever_generated(scene: Scenario, agents: int, mix: dict[str, Any], seed: int) -> None:
+    generated = generate(scene, Config(request=Request(agents=agents, seed=seed, **mix)))
+    assert len(generated.generated) == generated.sidecar.placed.agents <= agents
+    assert len({track.track_id for track in generated.generated}) == len(generated.generated)
+    if len(generated.generated) < agents:
+        assert generated.sidecar.rejected, "fewer than asked for, and no reason"
+    assert check_scene(generated) == []
