@@ -15,7 +15,8 @@ def edges_along(world: World, path: DrivenPath, cell: Cell) -> tuple[str, ...] |
     grid = world.grid
     edges: list[str] = []
     first = cell.index
-    for lane_id in lanes[lanes.index(cell.lane_id) :]:
+    last = len(lanes) - 1 - lanes[::-1].index(cell.lane_id)  # an overtake comes back to the lane it left
+    for lane_id in lanes[last:]:
         for index in range(first, grid.count(lane_id)):
             edge = grid.edge_id(Cell(lane_id, index))
             if not edges or edges[-1] != edge:

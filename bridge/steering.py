@@ -21,6 +21,7 @@ from hid2.world import PlannedVehicle, World, predicted_traffic
 _RETRY_STEPS = 3
 _LAG_M = 2.5
 _REPLAN_STEPS = 10
+_REPLANS_MOST = 2  # what is off then is retimed when the vehicle is settled
 
 
 @dataclass(slots=True)
@@ -55,6 +56,7 @@ class Driver:
     left_at: int | None = None
     retry_at: int = 0
     replan_at: int = 0
+    replans: int = 0
     policies: list[Policy] = field(default_factory=list)
 
     @property
@@ -143,14 +145,12 @@ class Steering:
             driver.stage = Stage.DONE
         if spec.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE) and driver.stage in (Stage.WAITING, Stage.PASS):
             attempts = self._consider(driver, now)
-        elif now % 5 == 0:
-            driver.policies.append(self._lane_policy(driver, s))
         if "collision" in self.world.config.without:
             cell = min(int(s / 0.5), self.world.desired(driver.path, spec.cruise_mps).size - 1)
             self.simulation.set_speed(spec.vehicle_id, float(self.world.desired(driver.path, spec.cruise_mps)[cell]))
             return attempts
         behind = float(driver.plan_s[now]) - s
-        if behind > _LAG_M and now >= driver.replan_at:
+        if behind > _LAG_M and now >= driver.replan_at and driver.replans < _REPLANS_MOST:
             self._replan(driver, now)
             behind = float(driver.plan_s[now]) - s
         then = min(now + 1, driver.plan_v.size - 1)
@@ -280,7 +280,7 @@ class Steering:
         lane, _ = self.simulation.lane(driver.spec.vehicle_id)
         cell = self.world.grid.cell_of_sumo_lane.get(lane)
         beside = {segment.lane_id for segment in attempt.target.segments}
-        own = {segment.lane_id for segment in driver.path.segments}
+        own = {segment.lane_id for segment in driver.path.segments if segment.end > driver.s[-1]}
         changed = lane == attempt.target_sumo_lane or (cell is not None and cell.lane_id in beside - own)
         if not changed:
             driver.reason = "sumo_waits_for_gap"
@@ -308,6 +308,7 @@ class Steering:
             s0=driver.s[now], v0=driver.v[now], a0=float(np.clip(accel, -2.0, 1.5)), first_step=now, config=self.world.config
         )
         driver.replan_at = now + _REPLAN_STEPS
+        driver.replans += 1
         if plan is not None:
             driver.plan_s = np.concatenate([driver.plan_s[:now], plan.s])
             driver.plan_v = np.concatenate([driver.plan_v[:now], plan.v])

@@ -40,14 +40,12 @@ def sumo(net: Path) -> Iterator[Simulation]:
         yield simulation
 
 
-def _insert(sumo: Simulation, name: str, front_m: float, speed: float, **changes: object) -> str | None:
+def _insert(sumo: Simulation, name: str, front_m: float, speed: float, *, lane_id: str | None = None) -> str | None:
+    """A car with its front bumper at front_m of lane 1."""
     first = int(front_m // 4.0)
     return sumo.insert(
-        name, **{
-            "edges": EDGES[first:], "lane_index": 0, "front_m": front_m - 4.0 * first, "speed_mps": speed,
-            "length_m": 4.5, "width_m": 1.9, "accel_mps2": 1.8, "decel_mps2": 2.5, "tau_s": 1.6, "min_gap_m": 2.5,
-            "max_speed_mps": 12.0, **changes,
-        }
+        name, edges=EDGES[first:], lane_id=lane_id or f"1#{first}_0", front_m=front_m - 4.0 * first, speed_mps=speed,
+        length_m=4.5, width_m=1.9, accel_mps2=1.8, decel_mps2=2.5, tau_s=1.6, min_gap_m=2.5, max_speed_mps=12.0,
     )  # fmt: skip
 
 
@@ -79,17 +77,28 @@ def test_version_names_sumo(sumo: Simulation) -> None:
 
 
 def test_inserted_vehicle_starts_where_and_as_fast_as_asked(sumo: Simulation) -> None:
-    """Front at 22.25 m: cell 5 (20 .. 24), 2.25 m into it, 8 m/s."""
-    assert _insert(sumo, "v1", 22.25, 8.0) is None
+    """Front at 22.25 m: cell 5 (20 .. 24), 2.25 m into it, 8 m/s; at once, and the next step goes on from there."""
     sumo.step()
+    assert _insert(sumo, "v1", 22.25, 8.0) is None
     assert sumo.lane("v1") == ("1#5_0", pytest.approx(2.25))
     assert sumo.speed("v1") == pytest.approx(8.0)
+    sumo.set_speed("v1", 8.0)
+    sumo.step()
+    assert sumo.pose("v1") == pytest.approx((23.05, 0.0, 90.0))
+
+
+def test_vehicle_is_inserted_close_behind_another_if_it_was_planned_so(sumo: Simulation) -> None:
+    """SUMO's own insertion check would wait: it takes the one ahead, as fast, for one that may stop at any time."""
+    sumo.step()
+    assert _insert(sumo, "v1", 40.0, 8.0) is None
+    assert _insert(sumo, "v2", 31.0, 8.0) is None
+    sumo.step()
+    assert {"v1", "v2"} <= sumo.driven()
 
 
 def test_asked_speed_is_driven_within_the_vehicle_s_acceleration(sumo: Simulation) -> None:
     """From 8 towards 10 m/s at 1.8 m/s2: 8.18 after a step, 10 after 1.2 s."""
     _insert(sumo, "v1", 22.25, 8.0)
-    sumo.step()
     sumo.set_speed("v1", 10.0)
     sumo.step()
     assert sumo.speed("v1") == pytest.approx(8.18)
@@ -127,8 +136,8 @@ def test_lane_change_waits_for_a_gap(sumo: Simulation) -> None:
     """A vehicle that stands right beside: nothing happens, nobody is touched."""
     sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
     sumo.place("r0", 24.0, 3.5, 90.0)
-    _insert(sumo, "v1", 22.25, 0.0)
     sumo.step()
+    _insert(sumo, "v1", 22.25, 0.0)
     sumo.place("r0", 24.0, 3.5, 90.0)
     sumo.set_speed("v1", 0.0)
     sumo.change_lane("v1", 1, edges=EDGES[5:])
@@ -136,8 +145,8 @@ def test_lane_change_waits_for_a_gap(sumo: Simulation) -> None:
     assert sumo.lane("v1")[0].endswith("_0")
 
 
-def test_route_that_the_net_does_not_have_is_an_objection_not_an_error(sumo: Simulation) -> None:
-    assert _insert(sumo, "v1", 2.0, 8.0, lane_index=7) is not None
+def test_lane_that_the_net_does_not_have_is_an_objection_not_an_error(sumo: Simulation) -> None:
+    assert _insert(sumo, "v1", 2.0, 8.0, lane_id="1#0_7") is not None
 
 
 def test_vehicle_leaves_at_the_end_of_its_route(sumo: Simulation) -> None:
