@@ -1,5 +1,6 @@
 """One scenario: observe, plan, insert, decide, step, record, smooth, verify, export."""
 
+import math
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
@@ -40,6 +41,7 @@ from netconvert.net_xml import net_bytes
 _ATTEMPTS = 60
 _ATTEMPTS_LATE = 10_000
 _MAX_AGENTS = 400
+_SPARE_FROM = 5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -176,12 +178,17 @@ class _Run:
         for policy in without:
             reason = spawner.last_reasons.get(policy) if spawner.offers(policy) else f"map_offers_no_{policy.value}"
             self.unmet.append((policy, reason or "no_place_left"))
-        while len(spawner.planned) < missing and self._plan(spawner, Policy.STRAIGHT, missing, attempts):
-            pass
+        spare = missing + (math.ceil(self.world.config.spawn.spare_share * missing) if missing >= _SPARE_FROM else 0)
+        for _ in range(3):
+            while len(spawner.planned) < spare and self._plan(spawner, Policy.STRAIGHT, spare, attempts):
+                pass
+            if len(spawner.planned) >= missing:
+                break
+            spawner.look_again()
         failed = [Policy.STRAIGHT] * (missing - len(spawner.planned))
         self.reasons.update(spawner.reasons)
         if spawner.planned or self.replay_errors.states == 0:
-            failed += self._drive(spawner.planned)
+            failed += self._drive(spawner.planned, missing + len(self.settled), patience)
         return failed
 
     def _plan(self, spawner: Spawner, policy: Policy, missing: int, attempts: int) -> bool:
@@ -192,7 +199,7 @@ class _Run:
             return spawner.spawn(policy, self._new_id(), attempts=attempts) is not None
         return room >= 2 and bool(spawner.spawn_overtake(self._new_id(), self._new_id(), attempts=attempts))
 
-    def _drive(self, planned: Sequence[PlannedVehicle]) -> list[Policy]:
+    def _drive(self, planned: Sequence[PlannedVehicle], target: int, patience: int) -> list[Policy]:
         world = self.world
         with Simulation(self.net, seed=world.config.request.seed, step_s=DT_S) as simulation:
             self.sumo_version = simulation.version()
@@ -203,12 +210,22 @@ class _Run:
             self.replay_errors = recorded.errors
         by_id = {driver.spec.vehicle_id: driver for driver in drivers}
         settled, failed = settle(world, steering.driven(), [item.vehicle for item in self.settled], self.fixed)
+        again = [spec.policy for spec, _ in failed if spec.policy is not Policy.STRAIGHT] if patience == 0 else []
+        surplus = len(self.settled) + len(settled) + len(again) - target  # a manoeuvre that failed gets another try
+        if surplus > 0:  # the spare ones were not needed
+            idle = [v for v in settled if v.driven.spec.policy is Policy.STRAIGHT and not self._leads_overtake(v, drivers)]
+            dropped = {id(v) for v in idle[-surplus:]}
+            settled = [v for v in settled if id(v) not in dropped]
         refused = [driver.spec for driver in drivers if driver.objection is not None]
         self.reasons.update(reason for _, reason in failed)
         self.reasons.update(driver.objection for driver in drivers if driver.objection is not None)
         self.settled += [Settled(vehicle, by_id[vehicle.driven.spec.vehicle_id]) for vehicle in settled]
         self.fixed = self.fixed.joined(settled_traffic(settled, world.num_steps))
         return [spec.policy for spec, _ in failed] + [spec.policy for spec in refused]
+
+    @staticmethod
+    def _leads_overtake(vehicle: SettledVehicle, drivers: Sequence[Driver]) -> bool:
+        return any(driver.leader_id == vehicle.driven.spec.vehicle_id for driver in drivers)
 
     def _new_id(self) -> str:
         self._next += 1

@@ -74,7 +74,7 @@ class Spawn(_Section):
     clear_ahead_s: float = _param(1.5, "s", "time gap to a slower vehicle ahead at spawn (usual 0.9 to 1.5)", gt=0, le=10)
     clear_gap_m: float = _param(3.0, "m", "smallest bumper gap at spawn", ge=0.5, le=50)
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
-    oversample: float = _param(1.3, "ratio", "candidates simulated per vehicle still missing", ge=1, le=5)
+    spare_share: float = _param(0.1, "share", "vehicles planned beyond the count, in case some cannot be made safe", ge=0, le=1)
 
 
 class LaneChange(_Section):

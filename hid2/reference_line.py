@@ -101,15 +101,13 @@ def build_reference_line(
 
 
 def _line_through(points: FloatArray) -> ReferenceLine:
-    parameter = arc_length(points)
-    spline = make_interp_spline(parameter, points, k=5)
-    # chord length is short of arc length by kappa^2 h^2 / 24: one more pass leaves nothing to speak of
-    mid = spline(0.5 * (parameter[1:] + parameter[:-1]), nu=1)
-    ends = spline(parameter, nu=1)
-    pace = (
-        np.linalg.norm(ends[1:], axis=1) + np.linalg.norm(ends[:-1], axis=1) + 4.0 * np.linalg.norm(mid, axis=1)
-    ) / 6.0
-    parameter = np.concatenate([[0.0], np.cumsum(np.diff(parameter) * pace)])
+    # arc length from chords: a chord is short by kappa^2 h^3 / 24, curvature from second differences
+    chord = np.diff(arc_length(points))
+    bend = np.zeros(len(points))
+    bend[1:-1] = np.hypot(*np.diff(points, n=2, axis=0).T) / (0.5 * (chord[1:] + chord[:-1])) ** 2
+    bend[0], bend[-1] = bend[1], bend[-2]
+    pace = 1.0 + (0.5 * (bend[1:] + bend[:-1]) * chord) ** 2 / 24.0
+    parameter = np.concatenate([[0.0], np.cumsum(chord * pace)])
     spline = make_interp_spline(parameter, points, k=5)
     length = float(parameter[-1])
     table_s = np.arange(int(length / TABLE_STEP_M) + 2 + int(_BEYOND_M / TABLE_STEP_M)) * TABLE_STEP_M

@@ -247,21 +247,23 @@ def _search(blocked, fastest, pushed, desired, step, s0, v0, a0, first, steps, a
     stages = (steps - 1 - first + STAGE_STEPS - 1) // STAGE_STEPS
     out_s = np.zeros(steps - first)
     out_v = np.zeros(steps - first)
-    capacity = 6000
-    all_s = np.zeros((stages + 1, capacity))
-    all_v = np.zeros((stages + 1, capacity))
-    all_a = np.zeros((stages + 1, capacity))
-    all_c = np.zeros((stages + 1, capacity))
-    parent = np.zeros((stages + 1, capacity), dtype=np.int32)
+    capacity = 3000
+    all_s = np.empty((stages + 1, capacity))
+    all_v = np.empty((stages + 1, capacity))
+    all_a = np.empty((stages + 1, capacity))
+    all_c = np.empty((stages + 1, capacity))
+    parent = np.empty((stages + 1, capacity), dtype=np.int32)
     counts = np.zeros(stages + 1, dtype=np.int64)
     slot = np.full((s_bins + 1) * _V_BINS, -1, dtype=np.int32)
-    all_s[0, 0], all_v[0, 0], all_a[0, 0] = s0, v0, a0
+    all_s[0, 0], all_v[0, 0], all_a[0, 0], all_c[0, 0] = s0, v0, a0, 0.0
     counts[0] = 1
     for k in range(stages):
         slot[:] = -1
         n_next = 0
         t0 = first + k * STAGE_STEPS
         sub = min(STAGE_STEPS, steps - 1 - t0)
+        widen = 1.0 + 0.06 * k  # far ahead, nearby states need not be told apart as finely
+        s_bin, v_bin = _S_BIN * widen, _V_BIN * widen
         for index in range(counts[k]):
             s, v, previous, cost = all_s[k, index], all_v[k, index], all_a[k, index], all_c[k, index]
             for accel in accels:
@@ -285,17 +287,19 @@ def _search(blocked, fastest, pushed, desired, step, s0, v0, a0, first, steps, a
                     if blocked[t0 + m, cell] == 1:
                         good = False
                         break
+                    if m != sub and m != 3:  # TTC and speed change slowly: looked up twice a stage
+                        continue
                     if vn > fastest[t0 + m, cell]:
                         good = False
                         break
                     if vn < pushed[t0 + m, cell]:
-                        extra += 3.0 * (pushed[t0 + m, cell] - vn)
+                        extra += 7.5 * (pushed[t0 + m, cell] - vn)
                     if vn > desired[cell] + 0.2:
                         over = vn - desired[cell]
                         if over > 4.0:
                             good = False
                             break
-                        extra += 2.0 * over * over
+                        extra += 5.0 * over * over
                 if not good:
                     continue
                 cell = min(cells - 1, int(sn / step + 0.5))
@@ -308,8 +312,8 @@ def _search(blocked, fastest, pushed, desired, step, s0, v0, a0, first, steps, a
                 if vn < 0.5:
                     new_cost += 1.0
                 new_cost += extra + 0.5 * accel * accel + 0.8 * (accel - previous) ** 2
-                vb = min(_V_BINS - 1, int(vn / _V_BIN + 0.5))
-                sb = min(s_bins, int(sn / _S_BIN + 0.5))
+                vb = min(_V_BINS - 1, int(vn / v_bin + 0.5))
+                sb = min(s_bins, int(sn / s_bin + 0.5))
                 key = sb * _V_BINS + vb
                 at = slot[key]
                 if at < 0:
