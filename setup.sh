@@ -13,12 +13,12 @@ WANTED = {  # shared library -> Debian package
     "libX11.so.6": "libx11-6", "libXext.so.6": "libxext6", "libXrender.so.1": "libxrender1", "libGL.so.1": "libgl1",
     "libatomic.so.1": "libatomic1", "libexpat.so.1": "libexpat1", "libglib-2.0.so.0": "libglib2.0-0",
 }
-for library, package in WANTED.items():
+for library, package in WANTED.items() if sys.platform == "linux" else ():
     try:
         ctypes.CDLL(library)
     except OSError:
         print(package)
-if "tests" in sys.argv and not shutil.which("Xvfb"):
+if "tests" in sys.argv and sys.platform == "linux" and not shutil.which("Xvfb"):
     print("xvfb xauth libglu1-mesa libgl1-mesa-dri")
 PYTHON
 )

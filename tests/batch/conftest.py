@@ -1,23 +1,27 @@
 """Data sets to run batches on, and the faulty work of `faults.py`."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from bridge.batch import Options, plan, run_batch
 from bridge.scenario import find_scenarios
+from hid2.params import Config
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 
 
-@pytest.fixture(autouse=True)
-def faults(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="session", autouse=True)
+def faults() -> Iterator[None]:
     """Let this process and its children import faults.py by name."""
-    monkeypatch.syspath_prepend(str(HERE))
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.syspath_prepend(str(HERE))
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -34,20 +38,32 @@ def make_data_set(tmp_path: Path, synthetic: list[Path]) -> Callable[..., list[P
     """
 
     def make(count: int, faults: dict[int, str] | None = None) -> list[Path]:
-        folders = []
-        for number in range(count):
-            folder = tmp_path / "source" / "val" / f"scene-{number:03d}"
-            _copy_with_new_id(synthetic[number % len(synthetic)], folder, f"{number:08d}-0000-4000-8000-000000000000")
-            fault = (faults or {}).get(number)
+        folders = _copies(synthetic, tmp_path / "source" / "val", count)
+        for number, fault in (faults or {}).items():
             if fault == "corrupt":
-                parquet = next(folder.glob("*.parquet"))
+                parquet = next(folders[number].glob("*.parquet"))
                 parquet.write_bytes(parquet.read_bytes()[:1000])
-            elif fault:
-                (folder / "FAULT").write_text(fault)
-            folders.append(folder)
+            else:
+                (folders[number] / "FAULT").write_text(fault)
         return folders
 
     return make
+
+
+@pytest.fixture(scope="session")
+def finished_batch(synthetic: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a data set of three scenes in source/val and the finished batch of them in out."""
+    place = tmp_path_factory.mktemp("finished")
+    folders = _copies(synthetic, place / "source" / "val", 3)
+    run_batch(plan(folders, Config()), place / "out", Options(function="faults:copies"))
+    return place
+
+
+def _copies(scenes: list[Path], root: Path, count: int) -> list[Path]:
+    folders = [root / f"scene-{number:03d}" for number in range(count)]
+    for number, folder in enumerate(folders):
+        _copy_with_new_id(scenes[number % len(scenes)], folder, f"{number:08d}-0000-4000-8000-000000000000")
+    return folders
 
 
 def _copy_with_new_id(source: Path, folder: Path, new_id: str) -> None:
