@@ -1,0 +1,192 @@
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hid2.agents import BoxSize, Policy, Track
+from hid2.lane_change import Gap
+from hid2.maneuver import admissible_neighbor, gap_ahead_of, gaps_on, lane_options, lay_across, leader_on, target_path
+from hid2.params import Config
+from hid2.route import DrivenPath
+from hid2.traffic import Traffic
+from hid2.world import World, build_world
+from netconvert.cells import Cell, build_cell_grid
+from netconvert.lane_graph import LaneGraph, LaneSegment
+
+CAR = BoxSize(4.5, 1.9)
+
+
+@pytest.fixture
+def world(road: Callable[..., LaneGraph]) -> Callable[..., World]:
+    """world(*tracks, graph=None, lanes=2, ...) -> a scene on a straight road of 200 m."""
+
+    def make(*tracks: Track, graph: LaneGraph | None = None, config: Config | None = None, **shape: Any) -> World:
+        grid = build_cell_grid(graph or road(**shape))
+        return build_world(grid, tracks, config=config or Config(), num_steps=110, last_observed_step=49)
+
+    return make
+
+
+def _drive(track: Callable[..., Track], x: float, y: float, speed: float, name: str = "t") -> Track:
+    return track(range(110), x + 0.1 * speed * np.arange(110), y, track_id=name)
+
+
+def test_neighbour_across_a_dashed_line_is_admissible(world: Callable[..., World]) -> None:
+    scene = world(lanes=3)
+    assert [admissible_neighbor(scene, 2, side) for side in ("left", "right")] == [3, 1]
+    assert admissible_neighbor(scene, 3, "left") is None
+
+
+def test_neighbour_across_a_solid_line_is_not(world: Callable[..., World]) -> None:
+    assert admissible_neighbor(world(mark="SOLID_WHITE"), 1, "left") is None
+
+
+def test_bicycle_lane_is_no_lane_to_change_to(world: Callable[..., World], lane: Callable[..., LaneSegment]) -> None:
+    graph = LaneGraph({
+        1: lane(1, [(0.0, 0.0), (200.0, 0.0)], left=2),
+        2: lane(2, [(0.0, 3.5), (200.0, 3.5)], right=1, lane_type="BIKE"),
+    })  # fmt: skip
+    assert admissible_neighbor(world(graph=graph), 1, "left") is None
+
+
+def test_without_topology_nobody_knows_of_a_neighbour(world: Callable[..., World]) -> None:
+    assert admissible_neighbor(world(config=Config(without=frozenset({"topology"}))), 1, "left") is None
+
+
+def test_option_is_the_facing_cell_with_what_is_left_of_its_lane(world: Callable[..., World]) -> None:
+    """At 41 m of lane 1: cell 10 of lane 2, 159 m before its end, nobody there."""
+    scene = world()
+    ((option, target),) = lane_options(scene, scene.path((1,)), CAR, s=41.0, step=0, sides=("left", "right"), others=())
+    assert (option.side, option.target, option.allowed, option.cells_free) == ("left", Cell(2, 10), True, True)
+    assert option.front == option.rear == Gap.none()
+    assert option.remaining_m == option.corridor_m == pytest.approx(159.0, abs=0.1)
+    assert [segment.lane_id for segment in target.segments] == [2]
+
+
+def test_gaps_are_bumper_to_bumper_with_the_neighbours_speeds(
+    world: Callable[..., World], track: Callable[..., Track]
+) -> None:
+    """Own centre at 80 on the target lane; centres at 60 (9 m/s) and 110 (12 m/s), all 4.5 m long.
+
+    [60]          (80)               [110]
+        |<-15.5->|    |<---25.5---->|           20 - 4.5 and 30 - 4.5, to half a metre
+    """
+    scene = world(_drive(track, 60.0, 3.5, 9.0, "rear"), _drive(track, 110.0, 3.5, 12.0, "front"))
+    front, rear = gaps_on(scene, scene.path((2,)), CAR, at=80.0, step=0, others=())
+    assert front.distance_m == pytest.approx(25.5, abs=0.6)
+    assert rear.distance_m == pytest.approx(15.5, abs=0.6)
+    assert (front.speed_mps, rear.speed_mps) == pytest.approx((12.0, 9.0))
+
+
+def test_gaps_are_those_of_the_step(world: Callable[..., World], track: Callable[..., Track]) -> None:
+    """After 5 s the one at 60 m with 9 m/s is at 105: now ahead of 80."""
+    scene = world(_drive(track, 60.0, 3.5, 9.0))
+    front, rear = gaps_on(scene, scene.path((2,)), CAR, at=80.0, step=50, others=())
+    assert front.distance_m == pytest.approx(20.5, abs=0.6)
+    assert rear == Gap.none()
+
+
+def test_generated_vehicles_count_like_recorded_ones(world: Callable[..., World], box: Callable[..., Traffic]) -> None:
+    scene = world()
+    front, _ = gaps_on(scene, scene.path((2,)), CAR, at=80.0, step=0, others=(box(110.0, 3.5, 0.0, 5.0),))
+    assert front.distance_m == pytest.approx(25.5, abs=0.6)
+    assert front.speed_mps == pytest.approx(5.0)
+
+
+def test_vehicle_beside_leaves_no_gap(world: Callable[..., World], track: Callable[..., Track]) -> None:
+    scene = world(_drive(track, 81.0, 3.5, 9.0))
+    front, _ = gaps_on(scene, scene.path((2,)), CAR, at=80.0, step=0, others=())
+    assert front.distance_m < 0.0
+
+
+def test_target_path_reaches_back_to_who_comes_from_behind(
+    world: Callable[..., World], lane: Callable[..., LaneSegment]
+) -> None:
+    """Lane 4 leads into lane 2: a follower there is a follower of who changes to the start of lane 2."""
+    graph = LaneGraph({
+        1: lane(1, [(0.0, 0.0), (100.0, 0.0)], left=2),
+        2: lane(2, [(0.0, 3.5), (100.0, 3.5)], right=1),
+        4: lane(4, [(-60.0, 3.5), (0.0, 3.5)], successors=(2,)),
+    })  # fmt: skip
+    scene = world(graph=graph)
+    assert [segment.lane_id for segment in target_path(scene, scene.path((1,)), 2, s=5.0).segments] == [4, 2]
+
+
+def test_target_path_goes_on_beside_the_own_route(
+    world: Callable[..., World], lane: Callable[..., LaneSegment]
+) -> None:
+    """Lane 2 splits into 5, which leaves, and 6, which runs on beside lane 3 of the own route."""
+    graph = LaneGraph({
+        1: lane(1, [(0.0, 0.0), (100.0, 0.0)], left=2, successors=(3,)),
+        2: lane(2, [(0.0, 3.5), (100.0, 3.5)], right=1, successors=(5, 6)),
+        3: lane(3, [(100.0, 0.0), (200.0, 0.0)], left=6),
+        5: lane(5, [(100.0, 3.5), (200.0, 40.0)]),
+        6: lane(6, [(100.0, 3.5), (200.0, 3.5)], right=3),
+    })  # fmt: skip
+    scene = world(graph=graph)
+    assert [segment.lane_id for segment in target_path(scene, scene.path((1, 3)), 2, s=5.0).segments] == [2, 6]
+
+
+def test_leader_is_the_next_one_on_the_path_within_d_obs(
+    straight_path: DrivenPath, box: Callable[..., Traffic]
+) -> None:
+    """At 50 and 70 m on the own lane, at 45 m on the next lane; own centre at 30: the one at 50, gap 20 - 4.5 m."""
+    everybody = (
+        box(70.0, 0.0, name="far").joined(box(50.0, 0.0, 0.0, 6.0, name="near")).joined(box(45.0, 3.5, name="x"))
+    )
+    leader = leader_on(straight_path, CAR, s=30.0, step=0, d_obs_m=40.0, everybody=everybody)
+    assert leader is not None
+    assert leader.track_id == "near"
+    assert leader.gap_m == pytest.approx(15.5, abs=0.6)
+    assert (leader.speed_mps, leader.length_m) == pytest.approx((6.0, 4.5))
+
+
+def test_nobody_is_a_leader_behind_beyond_d_obs_or_across(
+    straight_path: DrivenPath, box: Callable[..., Traffic]
+) -> None:
+    for other in (box(10.0, 0.0), box(80.0, 0.0), box(50.0, 0.0, np.pi / 2)):
+        assert leader_on(straight_path, CAR, s=30.0, step=0, d_obs_m=40.0, everybody=other) is None
+
+
+def test_gap_ahead_of_the_passed_vehicle_grows_from_negative(
+    straight_path: DrivenPath, box: Callable[..., Traffic]
+) -> None:
+    """It stands at 50, 3.5 m aside: own centre at 50 is 4.5 m short of clear, at 60 it is 10 - 4.5 = 5.5 m ahead."""
+    passed = box(50.0, 3.5, name="p")
+    for s, gap in ((50.0, -4.5), (60.0, 5.5)):
+        found = gap_ahead_of(straight_path, CAR, s=s, step=0, passed_id="p", everybody=passed)
+        assert found == pytest.approx(gap, abs=0.01)
+
+
+def test_passed_vehicle_that_is_gone_is_infinitely_far_behind(
+    straight_path: DrivenPath, box: Callable[..., Traffic]
+) -> None:
+    later = box(50.0, 3.5, name="p", first=10)
+    assert gap_ahead_of(straight_path, CAR, s=55.0, step=5, passed_id="p", everybody=later) == np.inf
+
+
+def test_path_across_ends_in_the_middle_of_the_other_lane(world: Callable[..., World]) -> None:
+    scene = world()
+    path = lay_across(
+        scene, scene.path((1,)), scene.path((2,)), s=40.0, step=10, pace_mps=10.0, remaining_m=160.0,
+        policy=Policy.LANE_CHANGE,
+    )  # fmt: skip
+    assert isinstance(path, DrivenPath)
+    ((start, end),) = path.shifts
+    assert start == pytest.approx(40.0, abs=1.0)
+    assert 2.5 <= (end - start) / 10.0 <= 6.1
+    assert path.line.position(np.array([end + 1.0]))[0, 1] == pytest.approx(3.5, abs=0.05)
+
+
+def test_no_path_across_to_a_lane_that_ends(world: Callable[..., World], lane: Callable[..., LaneSegment]) -> None:
+    graph = LaneGraph({
+        1: lane(1, [(0.0, 0.0), (200.0, 0.0)], left=2),
+        2: lane(2, [(0.0, 3.5), (60.0, 3.5)], right=1),
+    })  # fmt: skip
+    scene = world(graph=graph)
+    path = lay_across(
+        scene, scene.path((1,)), scene.path((2,)), s=50.0, step=10, pace_mps=10.0, remaining_m=10.0,
+        policy=Policy.LANE_CHANGE,
+    )  # fmt: skip
+    assert isinstance(path, str)

@@ -1,0 +1,186 @@
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hid2.agents import Policy, Track
+from hid2.params import Config, Request
+from hid2.smoothing import Trajectory
+from hid2.spawning import Spawner
+from hid2.verify import first_overlap
+from hid2.world import PlannedVehicle, build_world, predicted_traffic
+from netconvert.cells import build_cell_grid
+from netconvert.lane_graph import LaneGraph, LaneSegment
+
+
+@pytest.fixture
+def spawner(road: Callable[..., LaneGraph]) -> Callable[..., Spawner]:
+    """spawner(*tracks, graph=None, seed=0, request={...}) on a straight two-lane road of 200 m."""
+
+    def make(
+        *tracks: Track,
+        graph: LaneGraph | None = None,
+        seed: int = 0,
+        request: dict[str, Any] | None = None,
+        **shape: Any,
+    ) -> Spawner:
+        config = Config(request=Request(**(request or {})))
+        grid = build_cell_grid(graph or road(**shape))
+        world = build_world(grid, tracks, config=config, num_steps=110, last_observed_step=49)
+        return Spawner(world, np.random.default_rng(seed), predicted_traffic([], 110))
+
+    return make
+
+
+@pytest.fixture
+def bend(lane: Callable[..., LaneSegment]) -> LaneGraph:
+    """A straight lane of 60 m, a left turn of radius 12 m in an intersection, a straight lane of 100 m northwards."""
+    angle = np.linspace(0.0, np.pi / 2, 20)
+    turn = np.array([60.0, 0.0]) + 12.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    return LaneGraph({
+        1: lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
+        2: lane(2, turn, successors=(3,), is_intersection=True),
+        3: lane(3, [turn[-1], turn[-1] + [0.0, 100.0]]),
+    })  # fmt: skip
+
+
+def _fill(spawner: Spawner, count: int, policy: Policy = Policy.STRAIGHT) -> list[PlannedVehicle]:
+    found = [spawner.spawn(policy, f"v{k}", attempts=80) for k in range(count)]
+    return [vehicle for vehicle in found if vehicle is not None]
+
+
+def _planned(vehicle: PlannedVehicle) -> Trajectory:
+    line, s = vehicle.path.line, vehicle.plan_s
+    end = int((s <= vehicle.path.exit_s).sum())
+    return Trajectory(line.position(s)[:end], line.heading(s)[:end], np.zeros((end, 2)), s[:end])
+
+
+def _meets_recorded(spawner: Spawner, vehicle: PlannedVehicle) -> bool:
+    return first_overlap(_planned(vehicle), vehicle.size, spawner.world.traffic, margin_m=0.0) is not None
+
+
+def test_vehicles_fill_an_empty_road_without_meeting_each_other(spawner: Callable[..., Spawner]) -> None:
+    one = spawner()
+    vehicles = _fill(one, 8)
+    assert len(vehicles) >= 6
+    for place, vehicle in enumerate(vehicles):
+        others = predicted_traffic([(v.vehicle_id, v.path, v.size, v.plan_s) for v in vehicles[:place]], 110)
+        assert first_overlap(_planned(vehicle), vehicle.size, others, margin_m=0.0) is None
+
+
+def test_nobody_is_placed_where_a_recorded_track_appears_later(
+    spawner: Callable[..., Spawner], track: Callable[..., Track]
+) -> None:
+    """Parked vehicles that the tracker sees only from step 40 on: their place looks free at step 0."""
+    late = [
+        track(range(40, 110), np.full(70, x), y, track_id=f"{x}{y}") for x in (40.0, 90.0, 140.0) for y in (0.0, 3.5)
+    ]
+    one = spawner(*late)
+    vehicles = _fill(one, 6)
+    assert vehicles
+    assert not any(_meets_recorded(one, vehicle) for vehicle in vehicles)
+
+
+def test_nobody_is_placed_before_who_comes_fast_from_behind(
+    spawner: Callable[..., Spawner], track: Callable[..., Track]
+) -> None:
+    """A recorded car enters at 16 m/s on each lane and brakes for nobody."""
+    fast = [track(range(110), -30.0 + 1.6 * np.arange(110), y, track_id=str(y)) for y in (0.0, 3.5)]
+    one = spawner(*fast)
+    assert not any(_meets_recorded(one, vehicle) for vehicle in _fill(one, 6))
+
+
+def test_speed_belongs_to_the_traffic_of_the_lane(spawner: Callable[..., Spawner], track: Callable[..., Track]) -> None:
+    """Recorded traffic at 6 m/s: nobody cruises at the prior of 9, but for 10 % of noise around 6."""
+    vehicles = _fill(spawner(track(range(110), 150.0 + 0.6 * np.arange(110), 0.0)), 6)
+    assert vehicles
+    assert all(4.0 <= vehicle.cruise_mps <= 8.0 for vehicle in vehicles)
+
+
+def test_left_turn_is_planned_onto_a_route_that_turns_and_is_reached(
+    spawner: Callable[..., Spawner], bend: LaneGraph
+) -> None:
+    vehicle = spawner(graph=bend).spawn(Policy.LEFT_TURN, "v1", attempts=80)
+    assert vehicle is not None
+    turn = next(segment for segment in vehicle.path.segments if segment.lane_id == 2)
+    assert vehicle.s0 < turn.start
+    assert vehicle.plan_s[-1] > turn.end
+
+
+def test_map_without_a_turn_offers_none(spawner: Callable[..., Spawner]) -> None:
+    one = spawner()
+    assert not one.offers(Policy.RIGHT_TURN)
+    assert one.spawn(Policy.RIGHT_TURN, "v1", attempts=20) is None
+
+
+def test_lane_change_is_offered_where_a_lane_lies_beside(spawner: Callable[..., Spawner]) -> None:
+    assert spawner().offers(Policy.LANE_CHANGE)
+    assert not spawner(lanes=1).offers(Policy.LANE_CHANGE)
+    assert not spawner(mark="SOLID_WHITE").offers(Policy.LANE_CHANGE)
+
+
+def test_planned_lane_change_is_foreseen_on_both_lanes(spawner: Callable[..., Spawner]) -> None:
+    vehicles = _fill(spawner(length_m=300.0), 3, Policy.LANE_CHANGE)
+    assert vehicles
+    for vehicle in vehicles:
+        assert len(vehicle.intended_path.shifts) == 1
+        assert vehicle.intended_s[-1] > vehicle.intended_path.shifts[0][1]
+        assert len(vehicle.sides) == 2
+
+
+def test_overtake_brings_its_slower_leader_along(spawner: Callable[..., Spawner]) -> None:
+    """No traffic on 400 m of road: the leader is spawned as well, ahead on the same lane and slower."""
+    found = spawner(length_m=400.0).spawn_overtake("v1", "v2", attempts=80)
+    assert len(found) == 2
+    overtaker, leader = found
+    assert leader.s0 > overtaker.s0
+    assert leader.cruise_mps < overtaker.cruise_mps
+    assert (overtaker.policy, leader.policy) == (Policy.OVERTAKE, Policy.STRAIGHT)
+
+
+def test_overtake_without_a_leader_fails_where_none_may_be_spawned(spawner: Callable[..., Spawner]) -> None:
+    one = spawner(length_m=400.0, request={"spawn_leaders": False})
+    assert one.spawn_overtake("v1", "v2", attempts=40) == ()
+    assert one.reasons
+    assert not one.planned
+
+
+def test_trigger_is_drawn_from_the_range_asked_for(spawner: Callable[..., Spawner]) -> None:
+    one = spawner(request={"trigger_min_s": 1.0, "trigger_max_s": 2.0})
+    assert all(1.0 <= vehicle.trigger_s <= 2.0 for vehicle in _fill(one, 6))
+    fixed = spawner(request={"trigger_min_s": 1.5, "trigger_max_s": 1.5})
+    assert {vehicle.trigger_s for vehicle in _fill(fixed, 4)} == {1.5}
+
+
+@pytest.mark.parametrize(
+    ("request_", "object_type", "shortest", "longest"),
+    [({}, "vehicle", 3.8, 5.6), ({"bus_share": 1.0}, "bus", 10.5, 12.3), ({"truck_share": 1.0}, "vehicle", 7.0, 10.5)],
+)
+def test_sizes_are_drawn_from_real_labels(
+    request_: dict[str, Any], object_type: str, shortest: float, longest: float, spawner: Callable[..., Spawner]
+) -> None:
+    """The exported box has the label's size; the one that is kept clear is no smaller than what readers assume."""
+    vehicles = _fill(spawner(request=request_), 5)
+    assert vehicles
+    for vehicle in vehicles:
+        assert vehicle.object_type == object_type
+        assert shortest <= vehicle.own_size.length_m <= longest
+        assert vehicle.size.length_m >= vehicle.own_size.length_m
+        assert vehicle.size.width_m >= vehicle.own_size.width_m
+
+
+def test_same_generator_plans_the_same(spawner: Callable[..., Spawner]) -> None:
+    first, second, other = (_fill(spawner(seed=seed), 5) for seed in (3, 3, 4))
+    assert [v.s0 for v in first] == [v.s0 for v in second]
+    assert [v.s0 for v in first] != [v.s0 for v in other]
+
+
+def test_full_road_turns_vehicles_down_with_reasons(
+    spawner: Callable[..., Spawner], track: Callable[..., Track]
+) -> None:
+    """Bumper to bumper on both lanes."""
+    jam = [track(range(110), np.full(110, 5.0 * k), y, track_id=f"{k}{y}") for k in range(41) for y in (0.0, 3.5)]
+    one = spawner(*jam)
+    assert _fill(one, 3) == []
+    assert sum(one.reasons.values()) > 0 or one.last_reasons
