@@ -3,11 +3,10 @@
 import math
 import tempfile
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from bridge.records import agent_record, with_unmet
 from bridge.replay import Replay, ReplayErrors
 from bridge.scenario import LAST_OBSERVED, Scenario
 from bridge.sidecar import (
-    AgentRecord,
     GeneratorRecord,
     PlacedRecord,
     RejectedRecord,
@@ -102,7 +100,9 @@ def generate(scenario: Scenario | PreparedScene, config: Config, *, variant: int
         run = _Run(world, net, rng)
         run.fill()
     vehicles = sorted(run.settled, key=lambda item: int(item.vehicle.driven.spec.vehicle_id.removeprefix("v")))
-    tracks = [_track(item.vehicle, f"gen_{row}", config.request.generated_category) for row, item in enumerate(vehicles)]
+    tracks = [
+        _track(item.vehicle, f"gen_{row}", config.request.generated_category) for row, item in enumerate(vehicles)
+    ]
     focal = scene.focal_track_id
     if config.request.focal == "generated":
         focal = _focal(scene, vehicles, tracks)
@@ -117,7 +117,12 @@ def generate(scenario: Scenario | PreparedScene, config: Config, *, variant: int
 def write(scene: GeneratedScene, out_dir: Path) -> Path:
     """Write a generated scene; returns its folder. Errors: ExportError."""
     return write_scene(
-        scene.scenario, scene.generated, scene.sidecar, out_dir, new_id=scene.new_id, focal_track_id=scene.focal_track_id
+        scene.scenario,
+        scene.generated,
+        scene.sidecar,
+        out_dir,
+        new_id=scene.new_id,
+        focal_track_id=scene.focal_track_id,
     )
 
 
@@ -213,7 +218,9 @@ class _Run:
         again = [spec.policy for spec, _ in failed if spec.policy is not Policy.STRAIGHT] if patience == 0 else []
         surplus = len(self.settled) + len(settled) + len(again) - target  # a manoeuvre that failed gets another try
         if surplus > 0:  # the spare ones were not needed
-            idle = [v for v in settled if v.driven.spec.policy is Policy.STRAIGHT and not self._leads_overtake(v, drivers)]
+            idle = [
+                v for v in settled if v.driven.spec.policy is Policy.STRAIGHT and not self._leads_overtake(v, drivers)
+            ]
             dropped = {id(v) for v in idle[-surplus:]}
             settled = [v for v in settled if id(v) not in dropped]
         refused = [driver.spec for driver in drivers if driver.objection is not None]
@@ -232,11 +239,10 @@ class _Run:
         return f"v{self._next}"
 
 
-def _mix(shares: "dict[Policy, float] | object", count: int, rng: np.random.Generator) -> list[Policy]:
+def _mix(shares: Mapping[Policy, float], count: int, rng: np.random.Generator) -> list[Policy]:
     """Policies of `count` vehicles by largest remainder: the mix asked for, not a draw from it."""
-    table = dict(shares)  # type: ignore[call-overload]
-    total = sum(table.values())
-    exact = {policy: count * share / total for policy, share in table.items()}
+    total = sum(shares.values())
+    exact = {policy: count * share / total for policy, share in shares.items()}
     counts = {policy: int(value) for policy, value in exact.items()}
     rest = sorted(exact, key=lambda p: (counts[p] - exact[p], list(Policy).index(p)))
     for policy in rest[: count - sum(counts.values())]:
@@ -261,7 +267,14 @@ def _track(vehicle: SettledVehicle, track_id: str, category: int) -> Track:
 
 def _with_category(track: Track, category: int) -> Track:
     return Track(
-        track.track_id, track.object_type, category, track.timesteps, track.position, track.heading, track.velocity, track.size
+        track.track_id,
+        track.object_type,
+        category,
+        track.timesteps,
+        track.position,
+        track.heading,
+        track.velocity,
+        track.size,
     )
 
 
@@ -298,10 +311,7 @@ def _sidecar(
             max_heading_error_rad=round(run.replay_errors.max_heading_error_rad, 9),
         ),
         requested=RequestedRecord(agents=config.request.agents, behaviours=config.request.behaviours),
-        placed=PlacedRecord(agents=len(agents), behaviours={policy: placed[policy] for policy in Policy if placed[policy]}),
+        placed=PlacedRecord(agents=len(agents), behaviours={p: placed[p] for p in Policy if placed[p]}),
         agents=tuple(agents),
         rejected=tuple(RejectedRecord(reason=reason, count=count) for reason, count in sorted(run.reasons.items())),
     )  # fmt: skip
-
-
-__all__ = ["AgentRecord", "GeneratedScene", "Literal", "PreparedScene", "generate", "prepare", "write"]

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bridge.sidecar import AgentRecord, ManeuverKind, ManeuverRecord, SpawnRecord
+from bridge.sidecar import AgentRecord, ManeuverKind, ManeuverRecord, ManeuverStatus, SpawnRecord
 from bridge.steering import Driver
 from hid2.agents import FloatArray, Policy
 from hid2.conflicts import DT_S
@@ -30,7 +30,9 @@ def agent_record(vehicle: SettledVehicle, driver: Driver, track_id: str, world: 
     spec = vehicle.driven.spec
     cell = world.cell_at(spec.path, spec.s0)
     end_s = float(vehicle.motion.s[-1])
-    route = [segment.lane_id for segment in vehicle.driven.path.segments if spec.s0 < segment.end and segment.start <= end_s]
+    route = [
+        segment.lane_id for segment in vehicle.driven.path.segments if spec.s0 < segment.end and segment.start <= end_s
+    ]
     return AgentRecord(
         track_id=track_id,
         object_type="bus" if spec.object_type == "bus" else "vehicle",
@@ -96,14 +98,17 @@ def _lane_change(vehicle: SettledVehicle, driver: Driver) -> ManeuverRecord:
     spec = vehicle.driven.spec
     trigger = round(spec.trigger_s, 6)
     if not driver.shifts:
-        status = "not_triggered" if trigger > (vehicle.num_steps - 1) * DT_S else "not_feasible"
-        return ManeuverRecord(kind="lane_change", status=status, reason=driver.reason or "scene_ended", trigger_s=trigger)
+        missed: ManeuverStatus = "not_triggered" if trigger > (vehicle.num_steps - 1) * DT_S else "not_feasible"
+        return ManeuverRecord(
+            kind="lane_change", status=missed, reason=driver.reason or "scene_ended", trigger_s=trigger
+        )
     shift = driver.shifts[0]
     start, crossing, end = _shift_times(vehicle, 0)
     done = end is not None
     return ManeuverRecord(
         kind="lane_change", status="done" if done else "aborted", reason=None if done else "scene_ended",
-        trigger_s=trigger, requested_s=round(shift.requested_step * DT_S, 6), start_s=start, crossing_s=crossing, end_s=end,
+        trigger_s=trigger, requested_s=round(shift.requested_step * DT_S, 6),
+        start_s=start, crossing_s=crossing, end_s=end,
         source_lane=shift.source_lane, target_lane=shift.target_lane, gap_front_m=_finite(shift.gap_front_m),
         gap_rear_m=_finite(shift.gap_rear_m), min_ttc_s=_finite(vehicle.min_ttc_s),
     )  # fmt: skip
@@ -113,26 +118,27 @@ def _overtake(vehicle: SettledVehicle, driver: Driver, world: World) -> Maneuver
     spec = vehicle.driven.spec
     trigger = round(spec.trigger_s, 6)
     if not driver.shifts:
-        status = "not_triggered" if trigger > (vehicle.num_steps - 1) * DT_S else "not_feasible"
-        return ManeuverRecord(kind="overtake", status=status, reason=driver.reason or "scene_ended", trigger_s=trigger)
+        missed: ManeuverStatus = "not_triggered" if trigger > (vehicle.num_steps - 1) * DT_S else "not_feasible"
+        return ManeuverRecord(kind="overtake", status=missed, reason=driver.reason or "scene_ended", trigger_s=trigger)
     enter = driver.shifts[0]
     start, crossing, entered = _shift_times(vehicle, 0)
     end = _shift_times(vehicle, 1)[2] if len(driver.shifts) > 1 else None
     if end is not None:
-        status, reason = "done", None
+        reason = None
     elif entered is None:
-        status, reason = "aborted", "scene_ended_entering"
+        reason = "scene_ended_entering"
     elif len(driver.shifts) > 1:
-        status, reason = "aborted", "scene_ended_returning"
+        reason = "scene_ended_returning"
     elif driver.stage is Stage.PASS and driver.reason == "not_ahead":
-        status, reason = "aborted", "not_passed"
+        reason = "not_passed"
     else:
-        status, reason = "aborted", f"passed_without_return:{driver.reason or 'scene_ended'}"
+        reason = f"passed_without_return:{driver.reason or 'scene_ended'}"
     return ManeuverRecord(
-        kind="overtake", status=status, reason=reason, trigger_s=trigger,
+        kind="overtake", status="done" if end is not None else "aborted", reason=reason, trigger_s=trigger,
         requested_s=round(enter.requested_step * DT_S, 6), start_s=start, crossing_s=crossing, end_s=end,
         source_lane=enter.source_lane, target_lane=enter.target_lane, leader_track_id=driver.leader_id,
-        gap_front_m=_finite(enter.gap_front_m), gap_rear_m=_finite(enter.gap_rear_m), min_ttc_s=_finite(vehicle.min_ttc_s),
+        gap_front_m=_finite(enter.gap_front_m), gap_rear_m=_finite(enter.gap_rear_m),
+        min_ttc_s=_finite(vehicle.min_ttc_s),
     )  # fmt: skip
 
 

@@ -57,7 +57,7 @@ class Driver:
     retry_at: int = 0
     replan_at: int = 0
     replans: int = 0
-    policies: list[Policy] = field(default_factory=list)
+    decision: Decision | None = None
 
     @property
     def running(self) -> bool:
@@ -137,14 +137,12 @@ class Steering:
 
     def _steer(self, driver: Driver, now: int) -> list[_Attempt]:
         """Decide at step `now` and pass the decision on to SUMO for the coming step."""
-        attempts: list[_Attempt] = []
-        spec, s, v = driver.spec, driver.s[-1], driver.v[-1]
+        spec, s = driver.spec, driver.s[-1]
         if driver.path.shifts and driver.stage is Stage.ENTER and s >= driver.path.shifts[-1][1]:
             driver.stage = Stage.PASS if spec.policy is Policy.OVERTAKE else Stage.DONE
         if driver.stage is Stage.RETURN and s >= driver.path.shifts[-1][1]:
             driver.stage = Stage.DONE
-        if spec.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE) and driver.stage in (Stage.WAITING, Stage.PASS):
-            attempts = self._consider(driver, now)
+        attempts = self._decide(driver, now)
         if "collision" in self.world.config.without:
             cell = min(int(s / 0.5), self.world.desired(driver.path, spec.cruise_mps).size - 1)
             self.simulation.set_speed(spec.vehicle_id, float(self.world.desired(driver.path, spec.cruise_mps)[cell]))
@@ -157,46 +155,54 @@ class Steering:
         self.simulation.set_speed(spec.vehicle_id, max(0.0, float(driver.plan_v[then]) + 0.4 * behind))
         return attempts
 
-    def _lane_policy(self, driver: Driver, s: float) -> Policy:
-        seen = self._observation(driver, len(driver.s) - 1, (), None)
-        return decide(seen, lane_change=self.world.config.lane_change, overtake=self.world.config.overtake).policy
-
-    def _consider(self, driver: Driver, now: int) -> list[_Attempt]:
-        """Algorithm 1 for a vehicle whose manoeuvre is pending: its options, the decision, the attempt."""
+    def _decide(self, driver: Driver, now: int) -> list[_Attempt]:
+        """Algorithm 1 for one vehicle at one step: what it sees, the decision, and what comes of it."""
         spec, config = driver.spec, self.world.config
-        time_s = now * DT_S
-        if time_s < spec.trigger_s:
-            return []
-        if driver.stage is Stage.WAITING and time_s > spec.trigger_s + config.lane_change.give_up_s:
-            driver.stage = Stage.ABORTED
-            return []
-        if now < driver.retry_at:
-            return []
-        sides = driver.sides
-        if driver.stage is Stage.PASS:
-            sides = ("right",) if driver.shifts[-1].side == "left" else ("left",)
-        found = lane_options(
-            self.world, driver.path, spec.size, s=driver.s[now], step=now, sides=sides, others=(self.fixed, self._others(driver))
-        )
-        options = {option.side: (option, target) for option, target in found}
+        give_up_s = spec.trigger_s + config.lane_change.give_up_s
+        asks = spec.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE) and driver.stage in (Stage.WAITING, Stage.PASS)
+        if asks and driver.stage is Stage.WAITING and now * DT_S > give_up_s:
+            driver.stage, asks = Stage.ABORTED, False
+        options: dict[Side, tuple[LaneOption, DrivenPath]] = {}
         leader = None
-        if spec.policy is Policy.OVERTAKE:
-            leader = leader_on(
-                driver.path, spec.size, s=driver.s[now], step=now, d_obs_m=config.overtake.d_obs_m,
-                everybody=self._everybody(driver),
-            )  # fmt: skip
+        if asks and now * DT_S >= spec.trigger_s and now >= driver.retry_at:
+            options, leader = self._look_around(driver, now)
         seen = self._observation(driver, now, tuple(option for option, _ in options.values()), leader)
-        choice = decide(seen, lane_change=config.lane_change, overtake=config.overtake)
-        if choice.side is None:
-            driver.reason = choice.reason
+        driver.decision = decide(seen, lane_change=config.lane_change, overtake=config.overtake)
+        if driver.decision.side is None:
+            if options or (asks and driver.decision.reason is not None and now >= driver.retry_at):
+                driver.reason = driver.decision.reason
             return []
-        option, target = options[choice.side]
-        attempt = self._attempt(driver, now, choice, option, target, leader)
+        option, target = options[driver.decision.side]
+        attempt = self._attempt(driver, now, option, target, leader)
         if isinstance(attempt, str):
             driver.reason = attempt
             driver.retry_at = now + _RETRY_STEPS
             return []
         return [attempt]
+
+    def _look_around(self, driver: Driver, now: int) -> tuple[dict[Side, tuple[LaneOption, DrivenPath]], Leader | None]:
+        """Adjacent lanes, and for an overtake the leader within d_obs."""
+        spec = driver.spec
+        sides = driver.sides
+        if driver.stage is Stage.PASS:
+            sides = ("right",) if driver.shifts[-1].side == "left" else ("left",)
+        found = lane_options(
+            self.world,
+            driver.path,
+            spec.size,
+            s=driver.s[now],
+            step=now,
+            sides=sides,
+            others=(self.fixed, self._others(driver)),
+        )
+        options = {option.side: (option, target) for option, target in found}
+        leader = None
+        if spec.policy is Policy.OVERTAKE:
+            leader = leader_on(
+                driver.path, spec.size, s=driver.s[now], step=now, d_obs_m=self.world.config.overtake.d_obs_m,
+                everybody=self._everybody(driver),
+            )  # fmt: skip
+        return options, leader
 
     def _observation(
         self, driver: Driver, now: int, options: tuple[LaneOption, ...], leader: Leader | None
@@ -206,7 +212,12 @@ class Steering:
         passed = -1.0
         if driver.stage is Stage.PASS and driver.leader_id is not None:
             passed = gap_ahead_of(
-                driver.path, driver.spec.size, s=s, step=now, passed_id=driver.leader_id, everybody=self._everybody(driver)
+                driver.path,
+                driver.spec.size,
+                s=s,
+                step=now,
+                passed_id=driver.leader_id,
+                everybody=self._everybody(driver),
             )
         return Observation(
             time_s=now * DT_S,
@@ -224,7 +235,7 @@ class Steering:
         )
 
     def _attempt(
-        self, driver: Driver, now: int, choice: Decision, option: LaneOption, target: DrivenPath, leader: Leader | None
+        self, driver: Driver, now: int, option: LaneOption, target: DrivenPath, leader: Leader | None
     ) -> _Attempt | str:
         """Lay the path across, look along it (conflict case 3), and ask SUMO; or the reason not to."""
         config, spec, s, v = self.world.config, driver.spec, driver.s[now], driver.v[now]
@@ -268,9 +279,7 @@ class Steering:
         stage = Stage.RETURN if driver.stage is Stage.PASS else Stage.ENTER
         if leader is not None and stage is Stage.ENTER:
             driver.leader_id = leader.track_id
-        return _Attempt(
-            driver, path, target, plan_s, plan_v, sumo_target, shift, stage
-        )
+        return _Attempt(driver, path, target, plan_s, plan_v, sumo_target, shift, stage)
 
     def _conclude(self, attempt: _Attempt, step: int) -> None:
         """Keep the new path if SUMO did change lanes; else restore the route and try again later."""
@@ -294,7 +303,6 @@ class Steering:
         driver.shifts.append(attempt.shift)
         driver.stage = attempt.stage
         driver.reason = None
-        driver.policies.append(driver.spec.policy)
         self._publish(driver, step)
 
     def _replan(self, driver: Driver, now: int) -> None:
@@ -305,7 +313,11 @@ class Steering:
         )
         accel = (driver.v[now] - driver.v[now - 1]) / DT_S if now > 0 else 0.0
         plan = look.plan(
-            s0=driver.s[now], v0=driver.v[now], a0=float(np.clip(accel, -2.0, 1.5)), first_step=now, config=self.world.config
+            s0=driver.s[now],
+            v0=driver.v[now],
+            a0=float(np.clip(accel, -2.0, 1.5)),
+            first_step=now,
+            config=self.world.config,
         )
         driver.replan_at = now + _REPLAN_STEPS
         driver.replans += 1
@@ -318,7 +330,9 @@ class Steering:
         """Let the others see the new prediction."""
         row = self.drivers.index(driver)
         one = predicted_traffic(
-            [(driver.spec.vehicle_id, driver.path, driver.spec.size, driver.plan_s[now:])], self.world.num_steps, first_step=now
+            [(driver.spec.vehicle_id, driver.path, driver.spec.size, driver.plan_s[now:])],
+            self.world.num_steps,
+            first_step=now,
         )
         for name in ("position", "heading", "velocity", "present"):
             getattr(self._fleet, name)[row, now:] = getattr(one, name)[0, now:]

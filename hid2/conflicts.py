@@ -111,7 +111,12 @@ class Prospect:
         cells = np.clip((s / TABLE_STEP_M + 0.5).astype(np.int64), 0, self.desired.size - 1)
         nowhere = np.full(s.size, np.inf)
         return SpeedBounds(
-            low=-nowhere, high=nowhere, fastest=self.desired[cells], ttc_room=nowhere, ttc_need=-nowhere, ttc_s=self.ttc_s
+            low=-nowhere,
+            high=nowhere,
+            fastest=self.desired[cells],
+            ttc_room=nowhere,
+            ttc_need=-nowhere,
+            ttc_s=self.ttc_s,
         )
 
     def min_ttc_s(self, s: FloatArray, v: FloatArray) -> float:

@@ -35,7 +35,14 @@ def admissible_neighbor(world: World, lane_id: int, side: Side) -> int | None:
 
 
 def lane_options(
-    world: World, path: DrivenPath, size: BoxSize, *, s: float, step: int, sides: Sequence[Side], others: Sequence[Traffic]
+    world: World,
+    path: DrivenPath,
+    size: BoxSize,
+    *,
+    s: float,
+    step: int,
+    sides: Sequence[Side],
+    others: Sequence[Traffic],
 ) -> list[tuple[LaneOption, DrivenPath]]:
     """Adjacent lanes at arc length s of a path at one step, each with the path that continues on it."""
     segment = path.segment_at(s)

@@ -11,7 +11,7 @@ from numba import njit
 from hid2.agents import FloatArray
 from hid2.space_time import _overlap
 from hid2.traffic import Traffic
-from netconvert.cells import CellGrid
+from netconvert.cells import Cell, CellGrid
 
 FREE: Final = 0
 ORIGINAL: Final = 1
@@ -51,8 +51,8 @@ def cell_boxes(grid: CellGrid) -> CellBoxes:
     )
 
 
-def _cells_of(grid: CellGrid, lane_id: int) -> list[tuple[int, int]]:
-    return [(lane_id, index) for index in range(grid.count(lane_id))]
+def _cells_of(grid: CellGrid, lane_id: int) -> list[Cell]:
+    return [Cell(lane_id, index) for index in range(grid.count(lane_id))]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -138,9 +138,7 @@ def cells_under(
     boxes: CellBoxes, x: float, y: float, heading: float, *, length_m: float, width_m: float
 ) -> npt.NDArray[np.int64]:
     """Indices of the cells that a box covers."""
-    return _under(
-        boxes.center, boxes.heading, boxes.length_m, boxes.width_m, x, y, heading, length_m / 2, width_m / 2
-    )  # type: ignore[no-any-return]
+    return _under(boxes.center, boxes.heading, boxes.length_m, boxes.width_m, x, y, heading, length_m / 2, width_m / 2)  # type: ignore[no-any-return]
 
 
 @njit(cache=True)

@@ -12,7 +12,7 @@ class Stage(StrEnum):
 
     WAITING = "waiting"
     ENTER = "enter"
-    PASS = "pass"
+    PASS = "pass"  # noqa: S105
     RETURN = "return"
     DONE = "done"
     ABORTED = "aborted"

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from hid2.agents import Policy
 
 
-def _param(default: Any, unit: str, source: str, **bounds: Any) -> Any:
+def _param(default: Any, unit: str, source: str, **bounds: Any) -> Any:  # noqa: ANN401
     return Field(default=default, json_schema_extra={"unit": unit, "source": source}, **bounds)
 
 
@@ -67,14 +67,20 @@ class Grid(_Section):
 class Spawn(_Section):
     """Insertion into free cells."""
 
-    prior_speed_mps: float = _param(9.0, "m/s", "median moving speed on urban AV2 lanes; where the scene has none", gt=0, le=40)
+    prior_speed_mps: float = _param(
+        9.0, "m/s", "median moving speed on urban AV2 lanes; where the scene has none", gt=0, le=40
+    )
     min_speed_mps: float = _param(3.0, "m/s", "slowest spawn speed drawn", ge=0, le=40)
     max_speed_mps: float = _param(20.0, "m/s", "fastest desired speed drawn", gt=0, le=50)
     speed_noise: float = _param(0.1, "share", "standard deviation of the desired speed", ge=0, le=0.5)
-    clear_ahead_s: float = _param(1.5, "s", "time gap to a slower vehicle ahead at spawn (usual 0.9 to 1.5)", gt=0, le=10)
+    clear_ahead_s: float = _param(
+        1.5, "s", "time gap to a slower vehicle ahead at spawn (usual 0.9 to 1.5)", gt=0, le=10
+    )
     clear_gap_m: float = _param(3.0, "m", "smallest bumper gap at spawn", ge=0.5, le=50)
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
-    spare_share: float = _param(0.1, "share", "vehicles planned beyond the count, in case some cannot be made safe", ge=0, le=1)
+    spare_share: float = _param(
+        0.1, "share", "vehicles planned beyond the count, in case some cannot be made safe", ge=0, le=1
+    )
 
 
 class LaneChange(_Section):
@@ -116,13 +122,17 @@ class Turn(_Section):
     left_trough: float = _param(0.65, "ratio", "min of f_left(alpha)", gt=0, le=1)
     right_trough: float = _param(0.75, "ratio", "min of f_right(alpha), above left_trough", gt=0, le=1)
     trough_at: float = _param(0.4, "share", "alpha of the trough, early to mid-turn", ge=0.1, le=0.9)
-    lateral_accel_mps2: float = _param(1.8, "m/s2", "speed cap sqrt(a_y / kappa) on the lane; what drivers take, comfort ends at 3", gt=0, le=4.89)
+    lateral_accel_mps2: float = _param(
+        1.8, "m/s2", "speed cap sqrt(a_y / kappa) on the lane; what drivers take, comfort ends at 3", gt=0, le=4.89
+    )
     approach_decel_mps2: float = _param(1.5, "m/s2", "slowing before the entrance", gt=0, le=4)
 
     @model_validator(mode="after")
     def _check(self) -> "Turn":
         if self.right_trough <= self.left_trough:
-            raise ValueError(f"right_trough {self.right_trough} must be above left_trough {self.left_trough} (f_right > f_left)")
+            raise ValueError(
+                f"right_trough {self.right_trough} must be above left_trough {self.left_trough} (f_right > f_left)"
+            )
         return self
 
 
@@ -142,7 +152,9 @@ class CarFollowing(_Section):
 
     accel_mps2: float = _param(1.8, "m/s2", "SUMO accel", gt=0, le=2.4)
     decel_mps2: float = _param(2.5, "m/s2", "SUMO decel", gt=0, le=4.05)
-    tau_s: float = _param(1.0, "s", "SUMO tau; within the usual time gaps 0.9 to 1.5, the plan keeps the critical TTC", ge=0.5, le=4)
+    tau_s: float = _param(
+        1.0, "s", "SUMO tau; within the usual time gaps 0.9 to 1.5, the plan keeps the critical TTC", ge=0.5, le=4
+    )
     min_gap_m: float = _param(1.5, "m", "SUMO minGap", ge=0.5, le=10)
 
 
@@ -164,8 +176,12 @@ class Smoothing(_Section):
     """Frenet smoothing: s(t), d(t) piecewise cubics."""
 
     path_step_m: float = _param(1.0, "m", "spacing of the reference line's points", gt=0.1, le=4)
-    max_offset_m: float = _param(0.9, "m", "the smoothed reference line stays this close to the centrelines", ge=0, le=2)
-    jerk_weight: float = _param(1.0, "m2 / (m/s3)2", "weight of jerk against distance to the driven s(t)", gt=0, le=1000)
+    max_offset_m: float = _param(
+        0.9, "m", "the smoothed reference line stays this close to the centrelines", ge=0, le=2
+    )
+    jerk_weight: float = _param(
+        1.0, "m2 / (m/s3)2", "weight of jerk against distance to the driven s(t)", gt=0, le=1000
+    )
 
 
 class Config(_Section):

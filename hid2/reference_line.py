@@ -1,4 +1,4 @@
-"""The reference line r(s) of the paper's Frenet frame: a route's centrelines, smoothed only as far as curvature needs."""
+"""The reference line r(s) of the Frenet frame: a route's centrelines, smoothed only as far as curvature needs."""
 
 from dataclasses import dataclass
 

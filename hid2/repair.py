@@ -108,9 +108,7 @@ def _settle_one(
     if "smoothing" in config.without:
         return _unsmoothed(world, vehicle, others)
     unchecked = "collision" in config.without
-    look = world.prospect(
-        vehicle.path, spec.size, cruise_mps=spec.cruise_mps, others=() if unchecked else (others,)
-    )
+    look = world.prospect(vehicle.path, spec.size, cruise_mps=spec.cruise_mps, others=() if unchecked else (others,))
     if vehicle.path.shifts and not unchecked:
         look = look.held_back(int(np.ceil(spec.trigger_s / DT_S)), vehicle.path.shifts[0][0])
     limits = SpeedLimits(

@@ -77,8 +77,7 @@ class DrivenPath:
 def route_points(graph: LaneGraph, route: Route) -> FloatArray:
     """(N, 2) m centrelines of a route's lanes, one after the other, joints once."""
     pieces = [graph.lanes[route[0]].centerline]
-    for lane_id in route[1:]:
-        pieces.append(graph.lanes[lane_id].centerline[1:])
+    pieces += [graph.lanes[lane_id].centerline[1:] for lane_id in route[1:]]
     return np.concatenate(pieces)
 
 
@@ -110,7 +109,10 @@ def shifted_path(
 ) -> DrivenPath:
     """Path that changes from the lanes of `path` to those of `target` along `blend`; the lane changes half way."""
     line = build_reference_line(
-        blend.points, step_m=smoothing.path_step_m, min_radius_m=limits.min_radius_m, max_offset_m=smoothing.max_offset_m
+        blend.points,
+        step_m=smoothing.path_step_m,
+        min_radius_m=limits.min_radius_m,
+        max_offset_m=smoothing.max_offset_m,
     )
     bare = DrivenPath(line=line, raw=blend.points, segments=())
     middle = bare.to_line(0.5 * (blend.start_m + blend.end_m))

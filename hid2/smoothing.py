@@ -52,25 +52,30 @@ class Motion:
 
 
 @lru_cache(maxsize=64)
-def _problem(count: int, step_s: float, ttc_s: float, jerk_weight: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
+def _problem(
+    count: int, step_s: float, ttc_s: float, jerk_weight: float
+) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
     """Hessian (upper) and constraint rows over (s, v, a, e): dynamics, jerk, boxes, TTC, soft speed (v - e)."""
-    eye = sparse.identity(count, format="csc")
-    zero = sparse.csc_matrix((count, count))
-    first = sparse.eye(count - 1, count, format="csc")
-    second = sparse.eye(count - 1, count, k=1, format="csc")
-    change = second - first
-    s_rows = sparse.hstack([change, -step_s * first, -(step_s**2) * (first / 3 + second / 6)])
-    v_rows = sparse.hstack([sparse.csc_matrix((count - 1, count)), change, -step_s / 2 * (first + second)])
-    j_rows = sparse.hstack([sparse.csc_matrix((count - 1, 2 * count)), change / step_s])
-    ttc_rows = sparse.hstack([eye, ttc_s * eye, zero])
-    hard = sparse.vstack([s_rows, v_rows, j_rows, sparse.identity(3 * count), ttc_rows])
-    soft = sparse.hstack([zero, eye, zero, -eye])
-    rows = sparse.vstack([sparse.hstack([hard, sparse.csc_matrix((hard.shape[0], count))]), soft], format="csc")
+    eye, zero = np.eye(count), np.zeros((count, count))
+    first, second = np.eye(count - 1, count), np.eye(count - 1, count, k=1)
+    change, none = second - first, np.zeros((count - 1, count))
+    rows = np.block([
+        [change, -step_s * first, -(step_s**2) * (first / 3 + second / 6), none],
+        [none, change, -step_s / 2 * (first + second), none],
+        [none, none, change / step_s, none],
+        [eye, zero, zero, zero],
+        [zero, eye, zero, zero],
+        [zero, zero, eye, zero],
+        [eye, ttc_s * eye, zero, zero],
+        [zero, eye, zero, -eye],
+    ])  # fmt: skip
+    hessian = np.zeros((4 * count, 4 * count))
     jerk = change / step_s
-    hessian = sparse.block_diag(
-        [eye, 0.5 * eye, 0.3 * eye + 0.3 * jerk_weight * (jerk.T @ jerk), _SPEEDING_WEIGHT * eye], format="csc"
-    )
-    return sparse.triu(hessian, format="csc"), rows
+    weights = (eye, 0.5 * eye, 0.3 * eye + 0.3 * jerk_weight * (jerk.T @ jerk), _SPEEDING_WEIGHT * eye)
+    for place, block in enumerate(weights):
+        span = slice(place * count, (place + 1) * count)
+        hessian[span, span] = block
+    return sparse.csc_matrix(np.triu(hessian)), sparse.csc_matrix(rows)
 
 
 def smooth_speed(
@@ -126,7 +131,7 @@ def smooth_speed(
     solver = osqp.OSQP()
     solver.setup(
         hessian, linear, rows, lower, upper,
-        verbose=False, eps_abs=2e-4, eps_rel=2e-4, max_iter=1500, rho=0.1, adaptive_rho_interval=50,
+        verbose=False, eps_abs=2e-4, eps_rel=2e-4, max_iter=1500, rho=0.01, adaptive_rho_interval=50,
         check_termination=25, polishing=False,
     )  # fmt: skip
     result = solver.solve()
@@ -172,7 +177,7 @@ class Trajectory:
 
 
 def poses(line: ReferenceLine, motion: Motion) -> Trajectory:
-    """p = r(s) on the driven line; heading from its tangent, velocity its time derivative."""
+    """Pose p = r(s) on the driven line; heading from its tangent, velocity its time derivative."""
     tangent = line.tangent(motion.s)
     return Trajectory(
         position=line.position(motion.s),

@@ -98,10 +98,15 @@ def _intervals(xy, heading, step, own_length, own_width, position, other_heading
             if not present[a, t]:
                 continue
             x, y, angle = position[a, t, 0], position[a, t, 1], other_heading[a, t]
-            if t > 0 and present[a, t - 1]:
-                if x == position[a, t - 1, 0] and y == position[a, t - 1, 1] and angle == other_heading[a, t - 1]:
-                    low[a, t], high[a, t], near[a, t] = low[a, t - 1], high[a, t - 1], near[a, t - 1]
-                    continue
+            if (
+                t > 0
+                and present[a, t - 1]
+                and x == position[a, t - 1, 0]
+                and y == position[a, t - 1, 1]
+                and angle == other_heading[a, t - 1]
+            ):
+                low[a, t], high[a, t], near[a, t] = low[a, t - 1], high[a, t - 1], near[a, t - 1]
+                continue
             bc, bs = np.cos(angle), np.sin(angle)
             i = 0
             best = np.inf
@@ -221,11 +226,22 @@ def plan_speed(
     """Best speed profile on the path from (s0, v0) that meets nobody; None where there is none.
 
     Search over time, arc length and speed (stages of half a second, constant acceleration in each; one
-    representative per bin of 1.5 m and 0.75 m/s). desired (S,) m/s: target speed along the path, never exceeded by much.
+    representative per bin of 1.5 m and 0.75 m/s). desired (S,) m/s: target speed, never exceeded by much.
     reference (T,) m: a driven s(t) to stay near, where given. This is "adjust timing" of conflict case 3.
     """
     steps = tables.blocked.shape[0]
-    accels = np.array([accel_min, 0.75 * accel_min, 0.5 * accel_min, 0.25 * accel_min, 0.0, accel_max / 3, accel_max * 2 / 3, accel_max])
+    accels = np.array(
+        [
+            accel_min,
+            0.75 * accel_min,
+            0.5 * accel_min,
+            0.25 * accel_min,
+            0.0,
+            accel_max / 3,
+            accel_max * 2 / 3,
+            accel_max,
+        ]
+    )
     use_reference = reference is not None
     ok, s, v, cost = _search(
         tables.blocked, tables.fastest, tables.pushed, desired, TABLE_STEP_M, s0, v0, a0, first_step, steps, accels,
@@ -241,7 +257,7 @@ _S_BIN, _V_BIN, _V_BINS = 1.5, 0.75, 48
 
 
 @njit(cache=True)
-def _search(blocked, fastest, pushed, desired, step, s0, v0, a0, first, steps, accels, dt, reference, use_reference):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202, PLR0912
+def _search(blocked, fastest, pushed, desired, step, s0, v0, a0, first, steps, accels, dt, reference, use_reference):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     cells = blocked.shape[1]
     s_bins = int(cells * step / _S_BIN) + 1
     stages = (steps - 1 - first + STAGE_STEPS - 1) // STAGE_STEPS

@@ -4,6 +4,7 @@ Paper: generated agents can be placed in any unoccupied cell (sigma = 0). Here t
 would run into it, nobody appears inside it, and a speed profile exists that meets nobody on the way.
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -17,9 +18,9 @@ from hid2.decision import LaneOption, Side
 from hid2.lane_change import lane_change_reason
 from hid2.maneuver import admissible_neighbor, gap_ahead_of, lane_options, lay_across, leader_on
 from hid2.occupancy import FREE, GENERATED, cells_under
+from hid2.overtake import Leader, enter_reason, return_reason
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath, Route, routes_from
-from hid2.overtake import Leader, enter_reason, return_reason
 from hid2.space_time import SpeedPlan
 from hid2.traffic import Traffic
 from hid2.world import DRIVABLE_TYPES, PlannedVehicle, World, predicted_traffic
@@ -36,6 +37,7 @@ _MIN_MOVE_M = 10.0
 _FASTEST_MPS = 9.0  # mean over approach and turn
 _MIN_MOVE_LATE_M = 3.0
 _KEEP_FREE_M = 4.0
+_LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
 _OVERTAKER_MPS = (11.0, 14.0)
 _SPARE_STEPS = 4  # a foreseen manoeuvre ends this long before the scene does: SUMO will be a little later
 _RETURN_STEPS = 30
@@ -66,8 +68,10 @@ class _Wish:
     @property
     def size(self) -> BoxSize:
         """Box that covers the vehicle and what a reader without the sidecar takes it for."""
-        assumed = DEFAULT_SIZES[self.object_type]
-        return BoxSize(max(self.own_size.length_m, assumed.length_m), max(self.own_size.width_m, assumed.width_m))
+        assumed, own = DEFAULT_SIZES[self.object_type], self.own_size
+        # rounded up, so that vehicles of nearly the same size share what was computed about a path
+        length = math.ceil(max(own.length_m, assumed.length_m) / _LENGTH_STEP_M) * _LENGTH_STEP_M
+        return BoxSize(length, math.ceil(max(own.width_m, assumed.width_m) / _WIDTH_STEP_M) * _WIDTH_STEP_M)
 
 
 @dataclass(slots=True)
@@ -92,6 +96,7 @@ class Spawner:
     _lanes: tuple[int, ...] = field(init=False)
     _predicted: Traffic = field(init=False)
     last_reasons: dict[Policy, str] = field(default_factory=dict)
+    _known_routes: dict[tuple[TurnType, int, int], tuple[Route, ...]] = field(default_factory=dict)
     _streams: dict[Policy, Iterator[tuple[Route, float]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -172,7 +177,13 @@ class Spawner:
         slow = float(np.clip(0.28 * wish.cruise_mps, 2.8, 4.0))
         closing = wish.cruise_mps - slow
         lead = _Wish(
-            Policy.STRAIGHT, leader_id, "vehicle", BoxSize(*_quantile(_CAR, float(self.rng.random()))), 0.0, slow, steady=True
+            Policy.STRAIGHT,
+            leader_id,
+            "vehicle",
+            BoxSize(*_quantile(_CAR, float(self.rng.random()))),
+            0.0,
+            slow,
+            steady=True,
         )
         ttc_s = self.world.config.conflict.ttc_min_s + 0.2
         ahead = s0 + 6.0 + closing * (ttc_s + wish.trigger_s + _LEAVING_S)
@@ -222,9 +233,9 @@ class Spawner:
         if plan is None:
             return "no_safe_timing"
         moved = float(plan.s[-1] - plan.s[0])
-        if moved < _MIN_MOVE_M and not (self.patience >= 1 and moved > _MIN_MOVE_LATE_M):
-            if self.patience < 2 or not self._queues(look, s0):
-                return "would_stand"
+        enough = moved >= _MIN_MOVE_M or (self.patience >= 1 and moved > _MIN_MOVE_LATE_M)
+        if not enough and (self.patience < 2 or not self._queues(look, s0)):
+            return "would_stand"
         if self._too_sharp(path, s0, float(plan.s[-1])):
             return "curve_too_sharp"
         intention = self._intend(wish, path, look, plan, s0, cruise)
@@ -276,7 +287,9 @@ class Spawner:
     ) -> _Intention | str:
         """The manoeuvre as it can be foreseen, or why it would not come about in the scene."""
         if wish.policy in _TURN:
-            turn = next((g for g in path.segments if self._turn(g.lane_id) is _TURN[wish.policy] and g.start > s0), None)
+            turn = next(
+                (g for g in path.segments if self._turn(g.lane_id) is _TURN[wish.policy] and g.start > s0), None
+            )
             if turn is None or plan.s[-_SPARE_STEPS] < turn.end + 1.0:
                 return "turn_not_reached"
         if wish.policy is Policy.LANE_CHANGE:
@@ -347,7 +360,14 @@ class Spawner:
         return "no_leader" if reason == "no_leader" else f"overtake_{reason}"
 
     def _return(
-        self, wish: _Wish, path: DrivenPath, plan: SpeedPlan, leader: Leader, side: Side, everybody: Traffic, cruise: float
+        self,
+        wish: _Wish,
+        path: DrivenPath,
+        plan: SpeedPlan,
+        leader: Leader,
+        side: Side,
+        everybody: Traffic,
+        cruise: float,
     ) -> tuple[DrivenPath, SpeedPlan] | str:
         """Third stage, foreseen: the first steps at which the passed vehicle is far enough behind."""
         overtake = self.world.config.overtake
@@ -362,7 +382,10 @@ class Spawner:
                 continue
             for option, target in self._options(wish, path, step, s, (side,)):
                 unmet = return_reason(
-                    lead_gap_m=gap, lane_available=option.allowed and option.cells_free, ahead=option.front, params=overtake
+                    lead_gap_m=gap,
+                    lane_available=option.allowed and option.cells_free,
+                    ahead=option.front,
+                    params=overtake,
                 )
                 if unmet is not None:
                     reason = f"return_{unmet}"
@@ -381,7 +404,14 @@ class Spawner:
         )
 
     def _across(
-        self, wish: _Wish, path: DrivenPath, target: DrivenPath, plan: SpeedPlan, step: int, remaining_m: float, cruise: float
+        self,
+        wish: _Wish,
+        path: DrivenPath,
+        target: DrivenPath,
+        plan: SpeedPlan,
+        step: int,
+        remaining_m: float,
+        cruise: float,
     ) -> tuple[DrivenPath, SpeedPlan] | str:
         """The path across from a step of a plan on, and the plan on it; or why there is none."""
         speed, s = float(plan.v[step]), float(plan.s[step])
@@ -428,9 +458,11 @@ class Spawner:
         )
 
     def _too_sharp(self, path: DrivenPath, start: float, end: float) -> bool:
-        """Whether the path bends more than kappa_max = 1 / R_min between two arc lengths (paper, Trajectory Smoothing)."""
+        """Whether the path bends more than kappa_max = 1 / R_min between two arc lengths (Trajectory Smoothing)."""
         cells = slice(int(start / TABLE_STEP_M), int(end / TABLE_STEP_M) + 2)
-        return bool(np.abs(path.line.table_curvature[cells]).max(initial=0.0) > 1.0 / self.world.config.limits.min_radius_m)
+        return bool(
+            np.abs(path.line.table_curvature[cells]).max(initial=0.0) > 1.0 / self.world.config.limits.min_radius_m
+        )
 
     def _turn(self, lane_id: int) -> TurnType:
         return self.world.grid.graph.lanes[lane_id].turn
@@ -442,7 +474,6 @@ class Spawner:
 
     def _candidates(self, policy: Policy) -> Iterator[tuple[Route, float]]:
         """(route, s0) in random order, suited to the policy by the map alone."""
-        graph = self.world.grid.graph
         cells = [
             Cell(lane_id, index)
             for lane_id in self._lanes
@@ -453,7 +484,11 @@ class Spawner:
         order = self.rng.permutation(len(cells)).tolist()
         if self.packed and policy is Policy.STRAIGHT:
             left_m = self._distance_to_exit()
-            order.sort(key=lambda place: left_m[cells[place].lane_id] - self.world.grid.edges_s(cells[place].lane_id)[cells[place].index])
+            order.sort(
+                key=lambda place: (
+                    left_m[cells[place].lane_id] - self.world.grid.edges_s(cells[place].lane_id)[cells[place].index]
+                )
+            )
         for place in order:
             cell = cells[place]
             borders = self.world.grid.edges_s(cell.lane_id)
@@ -509,9 +544,13 @@ class Spawner:
             order = self.rng.permutation(len(onward)).tolist()
             return tuple(sorted((onward[i] for i in order), key=lambda n: self._turn(n) is not wanted))
 
-        usable = set(self._lanes).__contains__
         most = 6 if policy in _TURN else 1 if self.patience == 0 else 3
-        for route in routes_from(graph, lane_id, choose=choose, usable=usable, most=most, longest_m=_ROUTE_LONGEST_M):
+        key = wanted, lane_id, most
+        if key not in self._known_routes:
+            usable = set(self._lanes).__contains__
+            found = routes_from(graph, lane_id, choose=choose, usable=usable, most=most, longest_m=_ROUTE_LONGEST_M)
+            self._known_routes[key] = tuple(found)
+        for route in self._known_routes[key]:
             if policy not in _TURN or self._leads_into(route, wanted, s0):
                 yield route
                 if policy in _TURN and self.patience == 0:
@@ -524,7 +563,11 @@ class Spawner:
         for lane_id in route[1:]:
             kind, length = self._turn(lane_id), graph.lanes[lane_id].length_m
             if kind is not TurnType.STRAIGHT:
-                return kind is wanted and travelled > 3.0 and travelled + length < _FASTEST_MPS * self.world.num_steps * DT_S
+                return (
+                    kind is wanted
+                    and travelled > 3.0
+                    and travelled + length < _FASTEST_MPS * self.world.num_steps * DT_S
+                )
             travelled += length
         return False
 
@@ -578,4 +621,6 @@ def _foreseen(vehicle: PlannedVehicle) -> tuple[str, DrivenPath, BoxSize, FloatA
 
 def _quantile(table: tuple[tuple[float, float, float], ...], share: float) -> tuple[float, float]:
     columns = np.array(table).T
-    return round(float(np.interp(share, columns[0], columns[1])), 3), round(float(np.interp(share, columns[0], columns[2])), 3)
+    return round(float(np.interp(share, columns[0], columns[1])), 3), round(
+        float(np.interp(share, columns[0], columns[2])), 3
+    )

@@ -10,8 +10,9 @@ from netconvert.lane_graph import TurnType
 
 
 def turn_shape(alpha: FloatArray, trough: float, trough_at: float) -> FloatArray:
-    """f(alpha): 1 at both ends, `trough` at alpha = trough_at, smooth, below 1 between (paper, f_left and f_right).
+    """Shape v / v_0 over a turn: 1 at both ends, `trough` at alpha = trough_at, smooth, below 1 between.
 
+    The paper's f_left and f_right are two such shapes.
     alpha (M,) in [0, 1], normalised progress s / L_l. Two half cosines, so f' = 0 at the ends and at the trough.
     """
     before = alpha < trough_at
@@ -25,7 +26,7 @@ def f_left(alpha: FloatArray, turn: Turn) -> FloatArray:
 
 
 def f_right(alpha: FloatArray, turn: Turn) -> FloatArray:
-    """Shaping function of right turns: milder, f_right(alpha) > f_left(alpha) inside the lane."""
+    """Shaping function of right turns: milder, above that of left turns inside the lane."""
     return turn_shape(alpha, turn.right_trough, turn.trough_at)
 
 
@@ -67,7 +68,7 @@ def desired_speed(
         if kind is TurnType.STRAIGHT or end <= start:
             continue
         inside = (s >= start) & (s <= end)
-        alpha = (s[inside] - start) / (end - start)
+        alpha = np.asarray((s[inside] - start) / (end - start), dtype=np.float64)
         shape = f_left(alpha, turn) if kind is TurnType.LEFT else f_right(alpha, turn)
         entry = cruise_mps
         speed[inside] = np.minimum(speed[inside], entry * shape)

@@ -79,7 +79,9 @@ def off_road_steps(
     return np.asarray(outside.reshape(-1, 4).any(axis=1))
 
 
-def first_overlap(trajectory: Trajectory, size: BoxSize, traffic: Traffic, *, margin_m: float) -> tuple[int, int] | None:
+def first_overlap(
+    trajectory: Trajectory, size: BoxSize, traffic: Traffic, *, margin_m: float
+) -> tuple[int, int] | None:
     """(agent row, step) of the first box that the trajectory's box meets, at the steps and halfway between them.
 
     margin_m is added to each side of the own box. None: nobody is met.

@@ -73,7 +73,13 @@ class World:
         )
 
     def prospect(
-        self, path: DrivenPath, size: BoxSize, *, cruise_mps: float, others: Sequence[Traffic], earliest_exit_step: int | None = None
+        self,
+        path: DrivenPath,
+        size: BoxSize,
+        *,
+        cruise_mps: float,
+        others: Sequence[Traffic],
+        earliest_exit_step: int | None = None,
     ) -> Prospect:
         """Look along a path: the recorded agents and `others`."""
         return prospect(
