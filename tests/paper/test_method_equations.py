@@ -166,7 +166,11 @@ SEEN: dict[str, Any] = {
 
 
 def _decide(**changes: Any) -> Any:
-    return decide(Observation(**{**SEEN, **changes}), lane_change=LaneChange(), overtake=Overtake())
+    return decide(
+        Observation(**{**SEEN, **changes}),
+        lane_change=LaneChange(min_remaining_m=25.0),
+        overtake=Overtake(return_gap_m=5.0),
+    )
 
 
 def test_next_cell_is_g_l_prime_j_when_feasible_else_g_l_j_plus_1() -> None:
@@ -183,7 +187,7 @@ def test_trigger_holds_from_t_trigger_on() -> None:
 
 
 def test_remaining_length_of_the_target_lane_exceeds_a_threshold() -> None:
-    """25 m are asked for by default: 24 m are too few."""
+    """25 m are asked for: 24 m are too few."""
     short = LaneOption("left", Cell(2, 44), True, True, Gap.none(), Gap.none(), 24.0, 24.0)
     assert _decide(options=(short,)).reason == "lane_ends"
 

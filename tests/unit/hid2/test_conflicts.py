@@ -6,13 +6,13 @@ import pytest
 from hid2.agents import BoxSize
 from hid2.conflicts import Prospect, priority, prospect, transition_rejected
 from hid2.occupancy import FREE, GENERATED, ORIGINAL
-from hid2.params import Config
+from hid2.params import Config, Conflict
 from hid2.route import DrivenPath
 from hid2.space_time import path_occupancy
 from hid2.traffic import Traffic
 
 CAR = BoxSize(4.5, 1.9)
-CONFIG = Config()
+CONFIG = Config(conflict=Conflict(margin_lateral_m=0.25, margin_front_m=1.0, ttc_min_s=1.5))
 
 
 @pytest.fixture

@@ -22,11 +22,14 @@ SEEN = Observation(
     time_s=2.0, cell=Cell(1, 5), next_cell=Cell(1, 6), lane_turn=TurnType.STRAIGHT, speed_mps=10.0, desired_mps=10.0,
     request=Policy.LANE_CHANGE, trigger_s=2.0, stage=Stage.WAITING, leader=None, options=(LEFT,),
 )  # fmt: skip
+OVERTAKE = Overtake(
+    d_obs_m=40.0, d_overtake_m=40.0, speed_advantage_mps=1.5, safe_front_m=6.0, safe_rear_m=8.0, return_gap_m=5.0
+)
 SLOW = Leader("9", 15.0, 4.0, 4.5)
 
 
 def _decide(**changes: Any) -> Decision:
-    return decide(replace(SEEN, **changes), lane_change=LaneChange(), overtake=Overtake())
+    return decide(replace(SEEN, **changes), lane_change=LaneChange(), overtake=OVERTAKE)
 
 
 def test_line_1_without_a_request_the_agent_goes_straight_to_the_next_cell() -> None:

@@ -8,7 +8,11 @@ from hid2.lane_change import Gap, blend_paths, duration_s, lane_change_reason, l
 from hid2.params import LaneChange
 from netconvert.geometry import Polyline
 
-PARAMS = LaneChange()
+#: Every value that a number below is worked from; the defaults may be tuned.
+PARAMS = LaneChange(
+    time_gap_front_s=0.6, time_gap_rear_s=0.8, min_gap_m=2.5, braking_mps2=2.0, min_remaining_m=25.0,
+    min_duration_s=2.5, max_duration_s=6.0, lateral_accel_mps2=1.3, min_speed_mps=2.0,
+)  # fmt: skip
 #: A situation in which the change is feasible.
 OPEN: dict[str, Any] = {
     "speed_mps": 10.0,

@@ -6,7 +6,10 @@ from hid2.lane_change import Gap
 from hid2.overtake import Leader, corridor_m, enter_reason, return_reason
 from hid2.params import Overtake
 
-PARAMS = Overtake()
+#: Every value that a number below is worked from; the defaults may be tuned.
+PARAMS = Overtake(
+    d_obs_m=40.0, d_overtake_m=40.0, speed_advantage_mps=1.5, safe_front_m=6.0, safe_rear_m=8.0, return_gap_m=5.0
+)
 OPEN: dict[str, Any] = {
     "leader": Leader("7", 20.0, 5.0, 4.5),
     "desired_mps": 10.0,

@@ -157,7 +157,6 @@ def test_plan_follows_a_slow_leader(straight_line: ReferenceLine, box: Callable[
     gap = 40.0 + 0.5 * np.arange(110) - 4.0 - plan.s
     assert gap.min() > MARGIN_M - TABLE_STEP_M
     assert np.all(plan.v[1:] - 5.0 <= gap[1:] / TTC_S)
-    assert plan.v[-1] < 7.0
 
 
 def test_plan_passes_before_or_behind_a_car_that_crosses(

@@ -8,6 +8,8 @@ from hid2.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_lin
 from hid2.turns import desired_speed, f_left, f_right, speed_cap, turn_shape
 from netconvert.lane_graph import TurnType
 
+#: Every value that a number below is worked from; the defaults may be tuned.
+TURN = Turn(left_trough=0.65, right_trough=0.75, trough_at=0.4, lateral_accel_mps2=2.5, approach_decel_mps2=1.5)
 ALPHA = np.linspace(0.0, 1.0, 101)
 
 
@@ -44,7 +46,7 @@ def test_right_turns_slow_less_than_left_ones() -> None:
 def test_cap_on_a_circle_is_the_root_of_lateral_acceleration_times_radius() -> None:
     """R = 10 m, a_y = 2.5 m/s2: v = sqrt(25) = 5 m/s, below the yaw-rate cap of 0.8 * 0.95 * 10 = 7.6 m/s."""
     line = _circle(10.0)
-    cap = speed_cap(line, Turn(), Limits())[_inside(line)]
+    cap = speed_cap(line, TURN, Limits())[_inside(line)]
     assert np.median(cap) == pytest.approx(5.0, rel=0.02)
 
 
@@ -58,7 +60,7 @@ def test_tight_circle_is_capped_by_the_yaw_rate() -> None:
 def test_straight_lane_is_driven_at_the_cruising_speed(straight_line: ReferenceLine) -> None:
     """v(t + dt) ~ v(t)."""
     speed = desired_speed(
-        straight_line, turn=Turn(), limits=Limits(), cruise_mps=12.0,
+        straight_line, turn=TURN, limits=Limits(), cruise_mps=12.0,
         segments=[(0.0, 200.0, TurnType.STRAIGHT)], accel_mps2=1.8,
     )  # fmt: skip
     assert speed == pytest.approx(np.full(speed.size, 12.0))
@@ -73,7 +75,7 @@ def test_slowing_begins_before_the_entrance_and_speeding_up_ends_after_the_exit(
     the shape is flat at its trough.
     """
     speed = desired_speed(
-        straight_line, turn=Turn(), limits=Limits(), cruise_mps=10.0,
+        straight_line, turn=TURN, limits=Limits(), cruise_mps=10.0,
         segments=[(0.0, 100.0, TurnType.STRAIGHT), (100.0, 120.0, TurnType.LEFT), (120.0, 200.0, TurnType.STRAIGHT)],
         accel_mps2=1.8,
     )  # fmt: skip
@@ -93,7 +95,7 @@ def test_right_turn_is_driven_faster_than_a_left_one(straight_line: ReferenceLin
     left, right = (
         desired_speed(
             straight_line,
-            turn=Turn(),
+            turn=TURN,
             limits=Limits(),
             cruise_mps=10.0,
             segments=[(100.0, 120.0, kind)],
@@ -110,11 +112,11 @@ def test_curvature_has_the_last_word_in_a_turn() -> None:
     line = _circle(6.0)
     speed = desired_speed(
         line,
-        turn=Turn(),
+        turn=TURN,
         limits=Limits(),
         cruise_mps=10.0,
         segments=[(0.0, line.length_m, TurnType.LEFT)],
         accel_mps2=1.8,
     )
-    assert np.all(speed <= speed_cap(line, Turn(), Limits()) + 1e-9)
+    assert np.all(speed <= speed_cap(line, TURN, Limits()) + 1e-9)
     assert np.median(speed[_inside(line)]) == pytest.approx(math.sqrt(15.0), rel=0.03)

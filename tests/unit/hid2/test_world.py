@@ -62,7 +62,7 @@ def test_parked_vehicle_sets_no_speed(world: Callable[..., World], track: Callab
 def test_desired_speed_is_of_the_lane_else_of_the_scene_else_the_prior(
     world: Callable[..., World], track: Callable[..., Track]
 ) -> None:
-    still = Spawn(speed_noise=0.0)
+    still = Spawn(speed_noise=0.0, prior_speed_mps=9.0)
     rng = np.random.default_rng(0)
     scene = world(_moving(track, 10.0, 0.0, 8.0), spawn=still)
     assert scene.speed_sample(1, rng) == pytest.approx(8.0)
