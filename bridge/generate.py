@@ -202,7 +202,8 @@ class _Run:
             return False
         if policy is not Policy.OVERTAKE:
             return spawner.spawn(policy, self._new_id(), attempts=attempts) is not None
-        return room >= 2 and bool(spawner.spawn_overtake(self._new_id(), self._new_id(), attempts=attempts))
+        leader_id = self._new_id() if room >= 2 and self.world.config.request.spawn_leaders else None
+        return bool(spawner.spawn_overtake(self._new_id(), leader_id, attempts=attempts))
 
     def _drive(self, planned: Sequence[PlannedVehicle], target: int, patience: int) -> list[Policy]:
         world = self.world

@@ -194,6 +194,7 @@ class Steering:
             step=now,
             sides=sides,
             others=(self.fixed, self._others(driver)),
+            desired_mps=spec.cruise_mps,
         )
         options = {option.side: (option, target) for option, target in found}
         leader = None

@@ -43,8 +43,12 @@ def lane_options(
     step: int,
     sides: Sequence[Side],
     others: Sequence[Traffic],
+    desired_mps: float,
 ) -> list[tuple[LaneOption, DrivenPath]]:
-    """Adjacent lanes at arc length s of a path at one step, each with the path that continues on it."""
+    """Adjacent lanes at arc length s of a path at one step, each with the path that continues on it.
+
+    The corridor m * delta s ends with l' or at a vehicle there that is slower than desired_mps: a faster one leaves it.
+    """
     segment = path.segment_at(s)
     xy = path.line.position(np.array([s]))
     found = []
@@ -59,9 +63,10 @@ def lane_options(
         front, rear = gaps_on(world, target, size, at=at, step=step, others=others)
         cell = world.grid.cell_at(lane_id, lane_s)
         remaining = target.exit_s - at
+        corridor = remaining if front.speed_mps >= desired_mps else min(remaining, front.distance_m)
         option = LaneOption(
             side=side, target=cell, allowed=True, cells_free=_cells_free(world, cell, step=step, others=others),
-            front=front, rear=rear, remaining_m=remaining, corridor_m=min(remaining, front.distance_m),
+            front=front, rear=rear, remaining_m=remaining, corridor_m=corridor,
         )  # fmt: skip
         found.append((option, target))
     return found

@@ -40,7 +40,8 @@ _KEEP_FREE_M = 4.0
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
 _OVERTAKER_MPS = (11.0, 14.0)
 _SPARE_STEPS = 4  # a foreseen manoeuvre ends this long before the scene does: SUMO will be a little later
-_RETURN_STEPS = 30
+_RETURN_STEPS = 32
+_RETURN_SPARE_M = 1.5
 _LEAVING_S = 1.6  # until the box is out of the leader's way
 
 
@@ -128,8 +129,11 @@ class Spawner:
         self._note(policy, against)
         return None
 
-    def spawn_overtake(self, vehicle_id: str, leader_id: str, *, attempts: int) -> tuple[PlannedVehicle, ...]:
-        """Plan an overtaker, behind a slower vehicle that is there or, if allowed, behind a new slow leader."""
+    def spawn_overtake(self, vehicle_id: str, leader_id: str | None, *, attempts: int) -> tuple[PlannedVehicle, ...]:
+        """Plan an overtaker, behind a slower vehicle that is there or behind a new slow leader.
+
+        leader_id: of the new leader; None where there is no room for one in the count, or none is allowed.
+        """
         object_type, own = self._draw_size()
         trigger_s = self._draw_trigger(Policy.OVERTAKE)
         against: Counter[str] = Counter()
@@ -167,12 +171,14 @@ class Spawner:
             return any(self._turn(lane_id) is _TURN[policy] and graph.predecessors(lane_id) for lane_id in self._lanes)
         return any(self._may_start(policy, lane_id) for lane_id in self._lanes)
 
-    def _overtaker(self, wish: _Wish, route: Route, s0: float, leader_id: str) -> tuple[PlannedVehicle, ...] | str:
+    def _overtaker(
+        self, wish: _Wish, route: Route, s0: float, leader_id: str | None
+    ) -> tuple[PlannedVehicle, ...] | str:
         vehicle = self._try(wish, route, s0)
         if isinstance(vehicle, PlannedVehicle):
             self._add(vehicle)
             return (vehicle,)
-        if vehicle != "no_leader" or not self.world.config.request.spawn_leaders or wish.cruise_mps is None:
+        if vehicle != "no_leader" or leader_id is None or wish.cruise_mps is None:
             return vehicle
         slow = float(np.clip(0.28 * wish.cruise_mps, 2.8, 4.0))
         closing = wish.cruise_mps - slow
@@ -308,7 +314,7 @@ class Spawner:
             if step >= plan.s.size - int(change.min_duration_s / DT_S):
                 break
             speed = float(plan.v[step])
-            for option, target in self._options(wish, path, step, float(plan.s[step]), sides):
+            for option, target in self._options(wish, path, step, float(plan.s[step]), sides, cruise):
                 unmet = lane_change_reason(
                     speed_mps=speed, cells_free=option.cells_free, allowed=option.allowed, front=option.front,
                     rear=option.rear, remaining_m=option.remaining_m, params=change,
@@ -339,7 +345,7 @@ class Spawner:
             if leader is None or leader.speed_mps < overtake.parked_mps:
                 reason = "no_leader"
                 continue
-            for option, target in self._options(wish, path, step, s, ("left", "right")):
+            for option, target in self._options(wish, path, step, s, ("left", "right"), cruise):
                 unmet = enter_reason(
                     leader=leader, desired_mps=cruise, lane_available=option.allowed and option.cells_free,
                     ahead=option.front, behind=option.rear, free_corridor_m=option.corridor_m, params=overtake,
@@ -378,9 +384,9 @@ class Spawner:
                 break
             s = float(plan.s[step])
             gap = gap_ahead_of(path, wish.size, s=s, step=step, passed_id=leader.track_id, everybody=everybody)
-            if gap < overtake.return_gap_m:
+            if gap < overtake.return_gap_m + _RETURN_SPARE_M:
                 continue
-            for option, target in self._options(wish, path, step, s, (side,)):
+            for option, target in self._options(wish, path, step, s, (side,), cruise):
                 unmet = return_reason(
                     lead_gap_m=gap,
                     lane_available=option.allowed and option.cells_free,
@@ -397,10 +403,17 @@ class Spawner:
         return reason
 
     def _options(
-        self, wish: _Wish, path: DrivenPath, step: int, s: float, sides: tuple[Side, ...]
+        self, wish: _Wish, path: DrivenPath, step: int, s: float, sides: tuple[Side, ...], cruise: float
     ) -> list[tuple[LaneOption, DrivenPath]]:
         return lane_options(
-            self.world, path, wish.size, s=s, step=step, sides=sides, others=(self.fixed, self._predicted)
+            self.world,
+            path,
+            wish.size,
+            s=s,
+            step=step,
+            sides=sides,
+            others=(self.fixed, self._predicted),
+            desired_mps=cruise,
         )
 
     def _across(
@@ -426,7 +439,8 @@ class Spawner:
         onward = look.plan(s0=s, v0=speed, a0=accel, first_step=step, config=self.world.config)
         if onward is None:
             return "conflict_predicted"
-        if onward.s[-_SPARE_STEPS] < across.shifts[-1][1]:
+        spare = _SPARE_STEPS if wish.policy is Policy.LANE_CHANGE else 2 * _SPARE_STEPS
+        if onward.s[-spare] < across.shifts[-1][1]:
             return "would_not_complete"
         return across, SpeedPlan(
             s=np.concatenate([plan.s[:step], onward.s]), v=np.concatenate([plan.v[:step], onward.v]), cost=onward.cost
