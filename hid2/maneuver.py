@@ -43,7 +43,7 @@ def lane_options(
     step: int,
     sides: Sequence[Side],
     others: Sequence[Traffic],
-    desired_mps: float,
+    desired_mps: float = math.inf,
 ) -> list[tuple[LaneOption, DrivenPath]]:
     """Adjacent lanes at arc length s of a path at one step, each with the path that continues on it.
 
