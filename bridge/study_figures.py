@@ -81,7 +81,6 @@ def _draw(study: "Study", records: Sequence[Record], key: str, path: Path) -> No
             panel.legend(fontsize=8)
         if not panel.lines:
             panel.annotate("none", (0.5, 0.5), xycoords="axes fraction", ha="center", color=figures.GREY)
-            panel.set_xlim(min(x.min(), 0), x.max() * 1.05)
     axes[0, 0].set_ylim(0, 1.03)
     for panel, critical in ((axes[0, 2], _CRITICAL_TTC_S), (axes[1, 0], _CRITICAL_PET_S)):
         panel.set_ylim(0, max(panel.get_ylim()[1], 1.5 * critical))
@@ -91,13 +90,15 @@ def _draw(study: "Study", records: Sequence[Record], key: str, path: Path) -> No
         )
     _reasons(axes[1, 2], x, groups)
     label = LABELS.get(key, key)
+    margin = 0.06 * max(float(np.ptp(x)), 1e-9) if len(x) > 1 else 0.5
     for panel in axes.flat:
         panel.set_xlabel(label)
+        panel.set_xlim(x.min() - margin, x.max() + margin)
     scenes = len({record["scene"] for record in records})
     runs = len({(record["scene"], record["point"], record["seed"]) for record in records})
     figure.suptitle(
         f"{study.name}: {study.kind.replace('_', ' ')}, {len(records)} requests in {runs} runs on "
-        f"{scenes} scene{'s' if scenes > 1 else ''}; bars: 95 % intervals, bootstrap over scene and seed",
+        f"{scenes} scene{'s' if scenes > 1 else ''}; bars: 95 % intervals, bootstrap over runs",
         fontsize=10,
     )
     figures.save(figure, path)
@@ -117,10 +118,10 @@ def _groups(records: Sequence[Record], key: str) -> list[list[Record]]:
 
 
 def _estimate(group: Sequence[Record], value: Callable[[Record], tuple[float, float]]) -> Estimate:
-    """Ratio of sums, resampled by scene and seed: vehicles of one run are not independent."""
-    sums: dict[tuple[str, int], list[float]] = {}
+    """Ratio of sums, resampled by run: the vehicles of one run are not independent."""
+    sums: dict[tuple[str, int, int], list[float]] = {}
     for record in group:
-        total = sums.setdefault((record["scene"], record["seed"]), [0.0, 0.0])
+        total = sums.setdefault((record["scene"], record["point"], record["seed"]), [0.0, 0.0])
         above, below = value(record)
         total[0] += above
         total[1] += below
