@@ -20,7 +20,7 @@ from bridge.manifest import DONE, ManifestRow
 from bridge.scan import Selection, facts_of, select
 from bridge.scenario import find_scenarios
 from hid2.params import Config
-from netconvert.errors import ConfigError
+from netconvert.errors import ConfigError, ScenarioError
 
 #: Stands for request.trigger_min_s and request.trigger_max_s: a fixed trigger time.
 TRIGGER = "trigger_s"
@@ -97,7 +97,10 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
         key = ".".join(str(part) for part in first["loc"])
         raise ConfigError(f"{path}: {key} = {first['input']!r}: {first['msg']}") from error
     places = scenes or [path.parent / scene for scene in content.scenes]
-    folders = tuple(dict.fromkeys(folder for place in places for folder in find_scenarios(place)))
+    try:
+        folders = tuple(dict.fromkeys(folder for place in places for folder in find_scenarios(place)))
+    except ScenarioError as error:
+        raise ConfigError(f"{path}: scenes: {error}") from error
     if content.can:
         facts, _ = facts_of(folders)
         folders = tuple(fact.folder for fact in select(facts, Selection(can=tuple(content.can))))

@@ -90,7 +90,7 @@ def _draw(study: "Study", records: Sequence[Record], key: str, path: Path) -> No
         )
     _reasons(axes[1, 2], x, groups)
     label = LABELS.get(key, key)
-    margin = 0.06 * max(float(np.ptp(x)), 1e-9) if len(x) > 1 else 0.5
+    margin = 0.06 * max(float(np.ptp(x)), 1e-9) + (0.4 * float(np.diff(x).min()) if len(x) > 1 else 0.5)
     for panel in axes.flat:
         panel.set_xlabel(label)
         panel.set_xlim(x.min() - margin, x.max() + margin)

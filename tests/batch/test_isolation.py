@@ -98,7 +98,7 @@ def test_child_leaves_when_its_caller_is_killed(tmp_path) -> None:
     assert caller.stdout is not None
     child = int(caller.stdout.readline())
     caller.kill()
-    caller.wait()
+    caller.communicate()
     for _ in range(50):
         time.sleep(0.1)
         try:

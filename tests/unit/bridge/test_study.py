@@ -61,6 +61,11 @@ def test_wrong_study_is_named(tmp_path: Path, data_root: Path, text: str, words:
     assert "s.toml" in str(caught.value)
 
 
+def test_missing_scenes_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"s\.toml: scenes: .*nowhere: no such folder"):
+        read_study(study_file(tmp_path, "[vary]\ntrigger_s = [1.0]\n", tmp_path / "nowhere"))
+
+
 @pytest.mark.parametrize("name", ["lane_change_timing", "lane_change_gaps"])
 def test_example_studies_can_be_read(name: str) -> None:
     assert read_study(ROOT / "data" / "studies" / f"{name}.toml").points
