@@ -30,6 +30,10 @@ class BoxSize(tuple[float, float]):
         """Make the pair."""
         return super().__new__(cls, (float(length_m), float(width_m)))
 
+    def __getnewargs__(self) -> tuple[float, float]:
+        """Pickle and copy by the two numbers."""
+        return self[0], self[1]
+
     @property
     def length_m(self) -> float:
         """Along the heading."""

@@ -1,3 +1,6 @@
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -24,6 +27,11 @@ def test_box_size_is_a_pair_with_names() -> None:
     size = BoxSize(4, 2)
     assert (size.length_m, size.width_m) == size == (4.0, 2.0)
     assert hash(size) == hash((4.0, 2.0))
+
+
+def test_box_size_travels_between_processes() -> None:
+    size = BoxSize(4.5, 1.9)
+    assert pickle.loads(pickle.dumps(size)) == copy.deepcopy(size) == size
 
 
 def test_every_vehicle_type_has_a_size_and_the_paper_s_policies_are_five() -> None:
