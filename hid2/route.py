@@ -64,6 +64,10 @@ class DrivenPath:
         """Arc length on the line of an arc length on the raw polyline."""
         return float(np.interp(raw_s, *self._scales()))
 
+    def all_to_line(self, raw_s: FloatArray) -> FloatArray:
+        """The same for many, (M,) m."""
+        return np.interp(raw_s, *self._scales())
+
     def to_raw(self, s: float) -> float:
         """Arc length on the raw polyline of an arc length on the line."""
         raw, line = self._scales()
@@ -96,12 +100,13 @@ def path_along(
         raw, step_m=smoothing.path_step_m, min_radius_m=limits.min_radius_m, max_offset_m=smoothing.max_offset_m
     )
     bare = DrivenPath(line=line, raw=raw, segments=())
-    segments, at = [], 0.0
-    for lane_id in route:
-        length = graph.lanes[lane_id].length_m
-        segments.append(Segment(lane_id, bare.to_line(at), bare.to_line(at + length), 0.0, length))
-        at += length
-    return DrivenPath(line=line, raw=raw, segments=tuple(segments))
+    lengths = [graph.lanes[lane_id].length_m for lane_id in route]
+    ends = bare.all_to_line(np.concatenate([[0.0], np.cumsum(lengths)])).tolist()
+    segments = tuple(
+        Segment(lane_id, start, end, 0.0, length)
+        for lane_id, start, end, length in zip(route, ends[:-1], ends[1:], lengths, strict=True)
+    )
+    return DrivenPath(line=line, raw=raw, segments=segments)
 
 
 def shifted_path(

@@ -36,6 +36,7 @@ _ROUTE_LONGEST_M = 260.0
 _MIN_MOVE_M = 10.0
 _FASTEST_MPS = 9.0  # mean over approach and turn
 _MIN_MOVE_LATE_M = 3.0
+_SLOWEST_MPS = (6.0, 3.0)  # a candidate's road lasts until the last observed step at this speed; with patience
 _KEEP_FREE_M = 4.0
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
 _OVERTAKER_MPS = (11.0, 14.0)
@@ -207,10 +208,11 @@ class Spawner:
     def _try(self, wish: _Wish, route: Route, s0: float) -> PlannedVehicle | str:
         """A planned vehicle, or the reason against it."""
         world, config, size = self.world, self.world.config, wish.size
-        path = world.path(route)
-        if s0 < size.length_m / 2 or s0 + size.length_m / 2 > path.exit_s - 1.0:
-            return "no_room_on_lane"
         cruise = world.speed_sample(route[0], self.rng) if wish.cruise_mps is None else wish.cruise_mps
+        unsuited = self._unsuited(wish, route, s0, cruise)
+        if unsuited is not None:
+            return unsuited
+        path = world.path(route)
         if "collision" in config.without:
             return self._unchecked(wish, route, path, s0, cruise)
         xy, heading = path.line.position(np.array([s0]))[0], float(path.line.heading(np.array([s0]))[0])
@@ -219,13 +221,6 @@ class Spawner:
         )
         if np.any(self._sigma[under] != FREE):
             return "cells_occupied"
-        stay_s = world.earliest_exit_step * DT_S
-        slowest = 6.0 if self.patience == 0 else 3.0
-        if path.exit_s - s0 < size.length_m + 0.75 * min(cruise, slowest) * stay_s:
-            return "leaves_too_early"
-        unsuited = self._unsuited(wish, path, s0, cruise)
-        if unsuited is not None:
-            return unsuited
         look = world.prospect(path, size, cruise_mps=cruise, others=(self.fixed, self._predicted))
         v0 = self._entry_speed(look, s0, cruise if wish.steady else cruise * float(self.rng.uniform(0.85, 1.0)))
         if isinstance(v0, str):
@@ -446,30 +441,32 @@ class Spawner:
             s=np.concatenate([plan.s[:step], onward.s]), v=np.concatenate([plan.v[:step], onward.v]), cost=onward.cost
         )
 
-    def _unsuited(self, wish: _Wish, path: DrivenPath, s0: float, cruise: float) -> str | None:
-        """What the map alone says against a candidate, before anybody is looked at."""
-        if wish.policy is Policy.STRAIGHT and self.patience == 0 and self._turns_within(path, s0, cruise):
-            return "would_turn"
+    def _unsuited(self, wish: _Wish, route: Route, s0: float, cruise: float) -> str | None:
+        """What the map alone says against a candidate, before a path is laid and anybody is looked at."""
+        lanes = self.world.grid.graph.lanes
+        ends = np.cumsum([lanes[lane_id].length_m for lane_id in route])
+        half_m = wish.size.length_m / 2
+        run_on = "topology" in self.world.config.without
+        if s0 < half_m or (s0 + half_m > ends[-1] - 1.0 and not run_on):
+            return "no_room_on_lane"
+        slowest = _SLOWEST_MPS[min(self.patience, 1)]
+        stay_m = 0.75 * min(cruise, slowest) * self.world.earliest_exit_step * DT_S
+        if ends[-1] - s0 < 2 * half_m + stay_m and not run_on:
+            return "leaves_too_early"
+        starts = np.concatenate([[0.0], ends[:-1]])
+        if wish.policy is Policy.STRAIGHT and self.patience == 0:
+            reached = (ends > s0) & (starts < s0 + cruise * self.world.num_steps * DT_S)
+            if any(self._turn(route[row]) is not TurnType.STRAIGHT for row in np.flatnonzero(reached).tolist()):
+                return "would_turn"
         if wish.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE):
-            beside = [
-                segment
-                for segment in path.segments
-                if any(admissible_neighbor(self.world, segment.lane_id, side) is not None for side in ("left", "right"))
-            ]
             first = s0 + 0.3 * cruise * wish.trigger_s
             last = s0 + cruise * (wish.trigger_s + 3.0)
-            if not any(segment.end > first and segment.start < last for segment in beside):
+            if not any(self._beside(route[row]) for row in np.flatnonzero((ends > first) & (starts < last)).tolist()):
                 return "no_lane_beside_at_trigger"
         return None
 
-    def _turns_within(self, path: DrivenPath, s0: float, cruise: float) -> bool:
-        """Whether a route has a turn lane within what is driven in the scene."""
-        reach = s0 + cruise * self.world.num_steps * DT_S
-        return any(
-            self._turn(segment.lane_id) is not TurnType.STRAIGHT
-            for segment in path.segments
-            if segment.end > s0 and segment.start < reach
-        )
+    def _beside(self, lane_id: int) -> bool:
+        return any(admissible_neighbor(self.world, lane_id, side) is not None for side in ("left", "right"))
 
     def _too_sharp(self, path: DrivenPath, start: float, end: float) -> bool:
         """Whether the path bends more than kappa_max = 1 / R_min between two arc lengths (Trajectory Smoothing)."""
@@ -544,7 +541,7 @@ class Spawner:
     def _may_start(self, policy: Policy, lane_id: int) -> bool:
         if policy in _TURN:
             return self._turn(lane_id) is TurnType.STRAIGHT
-        return any(admissible_neighbor(self.world, lane_id, side) is not None for side in ("left", "right"))
+        return self._beside(lane_id)
 
     def _routes(self, policy: Policy, lane_id: int, s0: float) -> Iterator[Route]:
         """Routes from a place that serve the policy; more than one only where patience asks for it (reroute)."""
