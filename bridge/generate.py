@@ -2,6 +2,7 @@
 
 import math
 import tempfile
+import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -40,6 +41,7 @@ _ATTEMPTS = 60
 _ATTEMPTS_LATE = 10_000
 _MAX_AGENTS = 400
 _SPARE_FROM = 5
+_MIX_OF_MOST = 40
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -89,7 +91,7 @@ def generate(scenario: Scenario | PreparedScene, config: Config, *, variant: int
     prepared = scenario if isinstance(scenario, PreparedScene) else prepare(scenario, config)
     scene = prepared.scenario
     new_id = new_scenario_id(scene.scenario_id, config, config.request.seed, variant)
-    rng = np.random.default_rng([config.request.seed, variant, int(new_id[:8], 16)])
+    seed = [config.request.seed, variant, zlib.crc32(scene.scenario_id.encode())]
     world = build_world(
         prepared.grid, scene.tracks, config=config, num_steps=scene.num_steps,
         last_observed_step=min(LAST_OBSERVED, scene.num_steps - 1),
@@ -97,7 +99,7 @@ def generate(scenario: Scenario | PreparedScene, config: Config, *, variant: int
     with tempfile.TemporaryDirectory(prefix="hid2-") as folder:
         net = Path(folder) / "scene.net.xml"
         net.write_bytes(prepared.net)
-        run = _Run(world, net, rng)
+        run = _Run(world, net, seed)
         run.fill()
     vehicles = sorted(run.settled, key=lambda item: int(item.vehicle.driven.spec.vehicle_id.removeprefix("v")))
     tracks = [
@@ -129,8 +131,9 @@ def write(scene: GeneratedScene, out_dir: Path) -> Path:
 class _Run:
     """Rounds of planning, driving and settling until the count is reached or nothing more fits."""
 
-    def __init__(self, world: World, net: Path, rng: np.random.Generator) -> None:
-        self.world, self.net, self.rng = world, net, rng
+    def __init__(self, world: World, net: Path, seed: list[int]) -> None:
+        self.world, self.net, self.seed = world, net, seed
+        self.rng = np.random.default_rng([*seed, 0])
         self.settled: list[Settled] = []
         self.reasons: Counter[str] = Counter()
         self.unmet: list[tuple[Policy, str]] = []
@@ -140,17 +143,20 @@ class _Run:
         self._next = 0
 
     def fill(self) -> None:
-        """All rounds; where they do not reach the count, once more from an empty road, packed, if that gives more."""
+        """All rounds; where they do not reach the count, once more from an empty road, packed, if that gives more.
+
+        Packing takes the same course whatever the count, so that no count ends below what `max` finds, nor above it.
+        """
         request = self.world.config.request
         target = _MAX_AGENTS if request.agents == "max" else request.agents
-        pending = _mix(request.behaviours, 20 if request.agents == "max" else target, self.rng)
         if request.agents != "max":
-            self._rounds(pending, target, packed=False)
+            self._rounds(_mix(request.behaviours, target, self.rng), target, packed=False)
             if len(self.settled) == target or "collision" in self.world.config.without:
                 return
         loose = self.settled, self.fixed, self.unmet
         self.settled, self.fixed, self.unmet = [], predicted_traffic([], self.world.num_steps), []
-        self._rounds(pending, target, packed=True)
+        self.rng = np.random.default_rng([*self.seed, 1])
+        self._rounds(_mix(request.behaviours, min(target, _MIX_OF_MOST), self.rng), target, packed=True)
         if len(self.settled) < len(loose[0]):
             self.settled, self.fixed, self.unmet = loose
 

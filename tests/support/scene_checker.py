@@ -15,6 +15,7 @@ import shapely.affinity
 from bridge.generate import GeneratedScene
 from hid2.agents import DEFAULT_SIZES, Track
 from netconvert.geometry import Polyline
+from netconvert.lane_graph import LaneGraph
 
 DT_S = 0.1
 LAST_OBSERVED = 49
@@ -165,14 +166,37 @@ def check_direction(track: Track, lanes: list[tuple[Polyline, float]], verdict: 
         verdict.note("against the lane", track.track_id, "at", np.flatnonzero(against).tolist())
 
 
+def way_on(graph: LaneGraph, track: Track) -> Floats:
+    """Points beyond the end of a track, 60 m or so: along its lane and the straightest successors, then straight on."""
+    end, heading = track.position[-1], float(track.heading[-1])
+    best, lane_id, at = 1.5, None, 0.0
+    for lane in graph.lanes.values():
+        s, d = lane.path.frenet(end)
+        turn = math.remainder(float(lane.path.heading(np.clip(s, 0.0, lane.length_m))[0]) - heading, 2 * math.pi)
+        if 0.0 <= s[0] <= lane.length_m and abs(d[0]) + 2.0 * abs(turn) < best:
+            best, lane_id, at = float(abs(d[0]) + 2.0 * abs(turn)), lane.lane_id, float(s[0])
+    points: list[Floats] = []
+    left_m = 60.0
+    while lane_id is not None and left_m > 0.0:
+        path = graph.lanes[lane_id].path
+        points.append(path.point(np.arange(at + 1.0, path.length_m, 1.0)))
+        left_m -= path.length_m - at
+        heading, at = float(path.heading(np.array([path.length_m]))[0]), 0.0
+        onward = [(abs(math.remainder(float(graph.lanes[n].path.heading(np.zeros(1))[0] - heading), math.tau)), n)
+                  for n in graph.successors(lane_id)]  # fmt: skip
+        lane_id = min(onward)[1] if onward else None
+    ahead = np.array([math.cos(heading), math.sin(heading)])
+    reached = np.vstack(points) if points else np.empty((0, 2))
+    return np.vstack([reached, (reached[-1] if len(reached) else end) + max(left_m, 5.0) * ahead])
+
+
 def check_leaders(scene: GeneratedScene, track: Track, sizes: dict[str, tuple[float, float]], verdict: Verdict) -> None:
     """TTC to who is ahead on the path driven: aligned, overlapping the swept width, closing by positions.
 
     A recorded vehicle that rolls backwards against its heading is noise of the tracker, not a leader to be closed on.
     """
     moved = np.append(True, np.hypot(*np.diff(track.position, axis=0).T) > 1e-3)
-    ahead = track.position[-1] + 60.0 * np.array([math.cos(track.heading[-1]), math.sin(track.heading[-1])])
-    path = Polyline(np.vstack([track.position[moved], ahead]))
+    path = Polyline(np.vstack([track.position[moved], way_on(scene.scenario.graph, track)]))
     own_s, _ = path.frenet(track.position)
     own_v = np.hypot(*track.velocity.T)
     length, width = sizes[track.track_id]
