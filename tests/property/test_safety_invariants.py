@@ -170,7 +170,7 @@ MIXES: tuple[dict[str, Any], ...] = (
 
 
 @settings(
-    derandomize=True, database=None, deadline=None, max_examples=25, print_blob=True,
+    derandomize=True, database=None, deadline=None, max_examples=60, print_blob=True,
     phases=[Phase.explicit, Phase.generate], suppress_health_check=list(HealthCheck),
 )  # fmt: skip
 @given(scene=scenes(), agents=st.integers(1, 14), mix=st.sampled_from(MIXES), seed=st.integers(0, 999))
