@@ -143,7 +143,7 @@ class _Run:
         self._next = 0
 
     def fill(self) -> None:
-        """All rounds; where they do not reach the count, once more from an empty road, packed, if that gives more.
+        """All rounds; where they do not reach the count, again from an empty road: packed, then packed closer.
 
         Packing takes the same course whatever the count, so that no count ends below what `max` finds, nor above it.
         """
@@ -153,12 +153,15 @@ class _Run:
             self._rounds(_mix(request.behaviours, target, self.rng), target, packed=False)
             if len(self.settled) == target or "collision" in self.world.config.without:
                 return
-        loose = self.settled, self.fixed, self.unmet
-        self.settled, self.fixed, self.unmet = [], predicted_traffic([], self.world.num_steps), []
-        self.rng = np.random.default_rng([*self.seed, 1])
-        self._rounds(_mix(request.behaviours, min(target, _MIX_OF_MOST), self.rng), target, packed=True)
-        if len(self.settled) < len(loose[0]):
-            self.settled, self.fixed, self.unmet = loose
+        for world in (self.world, self.world.packed()):
+            best = self.settled, self.fixed, self.unmet
+            self.settled, self.fixed, self.unmet = [], predicted_traffic([], world.num_steps), []
+            self.rng, self.world = np.random.default_rng([*self.seed, 1]), world
+            self._rounds(_mix(request.behaviours, min(target, _MIX_OF_MOST), self.rng), target, packed=True)
+            if len(self.settled) < len(best[0]):
+                self.settled, self.fixed, self.unmet = best
+            if len(self.settled) >= target:
+                return
 
     def _rounds(self, pending: list[Policy], target: int, *, packed: bool) -> None:
         dry = 0

@@ -83,6 +83,16 @@ class Spawn(_Section):
     )
 
 
+class Packing(_Section):
+    """Closer gaps for a road that did not take the count asked for; TTC and boxes are held as always."""
+
+    clear_gap_m: float = _param(2.0, "m", "spawn.clear_gap_m where the road is packed", ge=0.5, le=50)
+    clear_ahead_s: float = _param(1.0, "s", "spawn.clear_ahead_s there", gt=0, le=10)
+    follow_time_s: float = _param(0.7, "s", "conflict.follow_time_s there", ge=0, le=5)
+    margin_lateral_m: float = _param(0.15, "m", "conflict.margin_lateral_m there", ge=0, le=2)
+    margin_front_m: float = _param(0.7, "m", "conflict.margin_front_m there", ge=0, le=10)
+
+
 class LaneChange(_Section):
     """Paper, Lane Change; Algorithm 1 lines 3 to 5."""
 
@@ -190,6 +200,7 @@ class Config(_Section):
     request: Request = Request()
     grid: Grid = Grid()
     spawn: Spawn = Spawn()
+    packing: Packing = Packing()
     car_following: CarFollowing = CarFollowing()
     lane_change: LaneChange = LaneChange()
     overtake: Overtake = Overtake()
@@ -197,6 +208,20 @@ class Config(_Section):
     conflict: Conflict = Conflict()
     limits: Limits = Limits()
     smoothing: Smoothing = Smoothing()
+
+    def packed(self) -> "Config":
+        """The same request with the gaps of `packing`."""
+        close = self.packing
+        spawn = self.spawn.model_copy(update={"clear_gap_m": close.clear_gap_m, "clear_ahead_s": close.clear_ahead_s})
+        conflict = self.conflict.model_copy(
+            update={
+                "follow_time_s": close.follow_time_s,
+                "margin_lateral_m": close.margin_lateral_m,
+                "margin_front_m": close.margin_front_m,
+            }
+        )
+        return self.model_copy(update={"spawn": spawn, "conflict": conflict})
+
     without: frozenset[Literal["topology", "collision", "smoothing"]] = Field(
         default=frozenset(),
         json_schema_extra={"unit": "-", "source": "paper, Table ablation: components switched off"},

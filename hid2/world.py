@@ -1,7 +1,7 @@
 """A scene as the method sees it: grid, recorded future, occupancy, speeds that belong there, and paths."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -40,6 +40,10 @@ class World:
     scene_speeds: list[float]
     _paths: dict[Route, DrivenPath] = field(default_factory=dict)
     _known: dict[tuple[int, BoxSize], tuple[DrivenPath, PathOccupancy]] = field(default_factory=dict)
+
+    def packed(self) -> "World":
+        """The same scene with the gaps of a packed road."""
+        return replace(self, config=self.config.packed(), _known={})
 
     def path(self, route: Route) -> DrivenPath:
         """Path on the middle of a route's lanes; built once."""
