@@ -153,10 +153,11 @@ class _Run:
             self._rounds(_mix(request.behaviours, target, self.rng), target, packed=False)
             if len(self.settled) == target or "collision" in self.world.config.without:
                 return
-        for world in (self.world, self.world.packed()):
+        close = self.world.packed()
+        for attempt, world in enumerate((self.world, *[close] * self.world.config.packing.attempts), start=1):
             best = self.settled, self.fixed, self.unmet
             self.settled, self.fixed, self.unmet = [], predicted_traffic([], world.num_steps), []
-            self.rng, self.world = np.random.default_rng([*self.seed, 1]), world
+            self.rng, self.world = np.random.default_rng([*self.seed, attempt]), world
             self._rounds(_mix(request.behaviours, min(target, _MIX_OF_MOST), self.rng), target, packed=True)
             if len(self.settled) < len(best[0]):
                 self.settled, self.fixed, self.unmet = best

@@ -86,6 +86,9 @@ class Spawn(_Section):
 class Packing(_Section):
     """Closer gaps for a road that did not take the count asked for; TTC and boxes are held as always."""
 
+    attempts: int = _param(
+        6, "attempts", "times a packed road is filled anew with these gaps; the fullest is kept", ge=0, le=20
+    )
     clear_gap_m: float = _param(2.0, "m", "spawn.clear_gap_m where the road is packed", ge=0.5, le=50)
     clear_ahead_s: float = _param(1.0, "s", "spawn.clear_ahead_s there", gt=0, le=10)
     follow_time_s: float = _param(0.7, "s", "conflict.follow_time_s there", ge=0, le=5)

@@ -11,7 +11,7 @@ import numpy as np
 from hid2.agents import FloatArray, Policy
 from hid2.conflicts import DT_S, Prospect, min_leader_ttc_s, priority
 from hid2.reference_line import TABLE_STEP_M
-from hid2.route import DrivenPath
+from hid2.route import DrivenPath, straightest_successor
 from hid2.smoothing import Motion, SpeedBounds, SpeedLimits, Trajectory, poses, smooth_speed
 from hid2.space_time import path_occupancy
 from hid2.traffic import Traffic
@@ -136,10 +136,34 @@ def _settle_one(
             reason = result
             continue
         candidate = SettledVehicle(vehicle, result[0], result[1], attempt, result[2])
+        if not unchecked and not vehicle.path.shifts and _closes_in_straight_on(world, candidate, others):
+            reason = "ttc_at_split"
+            continue
         if unchecked or "topology" in config.without or not _presses_anybody(world, candidate, known):
             return candidate
         reason = "ttc_of_follower"
     return reason
+
+
+def _closes_in_straight_on(world: World, candidate: SettledVehicle, others: Traffic) -> bool:
+    """Whether the candidate, at a split when its track ends, would be closing in on somebody on the other branch.
+
+    Nobody who sees the track alone can tell that it was about to turn off: its leader is who is straight ahead.
+    """
+    graph, path, spec = world.grid.graph, candidate.driven.path, candidate.driven.spec
+    last = path.segment_at(float(candidate.motion.s[-1]))
+    lanes = [segment.lane_id for segment in path.segments if segment.start <= last.start]
+    ahead = straightest_successor(graph, lanes[-1])
+    if ahead is None or (len(lanes) < len(path.segments) and path.segments[len(lanes)].lane_id == ahead):
+        return False
+    branch = world.path((*lanes, ahead))
+    on_lane = candidate.motion.s >= last.start
+    traffic = others.joined(world.traffic)
+    found = path_occupancy(
+        branch.line, traffic, length_m=spec.size.length_m, width_m=spec.size.width_m, margin_lateral_m=0.0
+    )
+    speed = np.where(on_lane, candidate.motion.v, -np.inf)
+    return min_leader_ttc_s(found, candidate.motion.s, speed) < world.config.conflict.ttc_min_s
 
 
 def _presses_anybody(world: World, candidate: SettledVehicle, known: Sequence[SettledVehicle]) -> bool:
