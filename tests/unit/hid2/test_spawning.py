@@ -140,8 +140,9 @@ def test_overtake_brings_its_slower_leader_along(spawner: Callable[..., Spawner]
 
 
 def test_overtake_without_a_leader_fails_where_none_may_be_spawned(spawner: Callable[..., Spawner]) -> None:
-    one = spawner(length_m=400.0, request={"spawn_leaders": False})
-    assert one.spawn_overtake("v1", "v2", attempts=40) == ()
+    """No id for a leader: none is wanted."""
+    one = spawner(length_m=400.0)
+    assert one.spawn_overtake("v1", None, attempts=40) == ()
     assert one.reasons
     assert not one.planned
 
