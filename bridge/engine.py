@@ -6,12 +6,13 @@ The death of a Dask worker itself is no scene's fault: the scheduler gives its t
 """
 
 import contextlib
+import pickle
 import time
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bridge.isolation import Failure, IsolatedProcess, WorkFailedError
+from bridge.isolation import Failure, IsolatedProcess, WorkFailedError, resolve
 
 #: Kinds of failure after which an item is tried again: the others would only repeat themselves.
 _RETRIED = frozenset({"crashed", "killed", "timeout"})
@@ -110,3 +111,10 @@ def _outcome(
     task: Task, done: list[Outcome], value: object, failure: Failure | None, attempts: int, began: float
 ) -> Outcome:
     return Outcome(task.items[len(done)], value, failure, attempts, time.monotonic() - began)
+
+
+def run_packed(shared: tuple[str, bytes], items: Sequence[bytes]) -> Iterator[bytes]:
+    """The work of an isolated process under a caller that passes bytes on: unpack, run, pack what comes."""
+    function, packed = shared
+    values = resolve(function)(pickle.loads(packed), tuple(map(pickle.loads, items)))  # noqa: S301  # our own caller
+    return map(pickle.dumps, values)

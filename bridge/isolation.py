@@ -203,10 +203,10 @@ def serve() -> None:
 def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequence[Any], *, timeout_s: float) -> None:
     # A C thread of faulthandler's own ends a hang even where native code holds the GIL, and shows where it hung.
     try:
-        work = resolve(function)
+        values = resolve(function)(*arguments)
         _reply(connection, "started", None)
         faulthandler.dump_traceback_later(timeout_s, exit=True)
-        for value in work(*arguments):
+        for value in values:
             faulthandler.cancel_dump_traceback_later()
             _reply(connection, "value", value)
             faulthandler.dump_traceback_later(timeout_s, exit=True)
