@@ -20,6 +20,9 @@ from hid2.world import PlannedVehicle, World, predicted_traffic
 
 _RETRY_STEPS = 3
 _LAG_M = 2.5
+_DROPS_BACK = frozenset({"cells_occupied", "front_gap"})
+_DROP_BACK_SHARE = 0.75
+_PATIENCE_S = 0.8
 _REPLAN_STEPS = 10
 _REPLANS_MOST = 2  # what is off then is retimed when the vehicle is settled
 
@@ -152,7 +155,10 @@ class Steering:
             self._replan(driver, now)
             behind = float(driver.plan_s[now]) - s
         then = min(now + 1, driver.plan_v.size - 1)
-        self.simulation.set_speed(spec.vehicle_id, max(0.0, float(driver.plan_v[then]) + 0.4 * behind))
+        speed = max(0.0, float(driver.plan_v[then]) + 0.4 * behind)
+        if driver.stage is Stage.WAITING and driver.reason in _DROPS_BACK and now * DT_S > spec.trigger_s + _PATIENCE_S:
+            speed *= _DROP_BACK_SHARE  # who is beside goes ahead, and the gap behind it opens
+        self.simulation.set_speed(spec.vehicle_id, speed)
         return attempts
 
     def _decide(self, driver: Driver, now: int) -> list[_Attempt]:

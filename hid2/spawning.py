@@ -38,6 +38,7 @@ _FASTEST_MPS = 9.0  # mean over approach and turn
 _MIN_MOVE_LATE_M = 3.0
 _SLOWEST_MPS = (6.0, 3.0)  # a candidate's road lasts until the last observed step at this speed; with patience
 _KEEP_FREE_M = 4.0
+_SPARE_LANE_M = 12.0  # of the lane beside, for a change that begins a little later than foreseen
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
 _OVERTAKER_MPS = (11.0, 14.0)
 _SPARE_STEPS = 4  # a foreseen manoeuvre ends this long before the scene does: SUMO will be a little later
@@ -312,8 +313,11 @@ class Spawner:
             for option, target in self._options(wish, path, step, float(plan.s[step]), sides, cruise):
                 unmet = lane_change_reason(
                     speed_mps=speed, cells_free=option.cells_free, allowed=option.allowed, front=option.front,
-                    rear=option.rear, remaining_m=option.remaining_m, params=change,
+                    rear=option.rear, remaining_m=option.remaining_m - _SPARE_LANE_M, params=change,
                 )  # fmt: skip
+                later = path.segment_at(float(plan.s[step]) + _SPARE_LANE_M).lane_id
+                if unmet is None and admissible_neighbor(self.world, later, option.side) is None:
+                    unmet = "lane_ends"
                 if unmet is not None:
                     reason = unmet
                     continue
