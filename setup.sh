@@ -1,35 +1,91 @@
 #!/bin/sh
-# Puts uv into .uv/ of this checkout and sees that the shared libraries which the SUMO wheels need are there.
-# "sh setup.sh tests" also wants a virtual screen for the tests of sumo-gui. Nothing is done twice.
+# Makes .venv/ with the command hid2 and all that it needs, at the versions that pyproject.toml pins.
+# "sh setup.sh tests" adds sumo-gui, a virtual screen for it, and the tools of the tests. What is done is not done again.
 set -eu
+UV_VERSION=0.13.8
 cd "$(dirname "$0")"
 
-[ -x .uv/bin/uv ] || python3 -m pip install -qq --disable-pip-version-check --target .uv uv
+fail() {
+    echo "setup.sh: $*" >&2
+    exit 1
+}
 
-packages=$(python3 - "${1:-}" <<'PYTHON'
+case "${1:-}" in
+"") ;;
+tests) ;;
+*) fail "unknown argument '$1', want none, or: tests" ;;
+esac
+
+# A Python for .venv, and to bring uv into .uv.
+python=
+for candidate in python3 python3.11 python3.12 python3.13; do
+    if "$candidate" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' >/dev/null 2>&1 &&
+        { [ -x .uv/bin/uv ] || "$candidate" -m pip --version >/dev/null 2>&1; }; then
+        python=$candidate
+        break
+    fi
+done
+[ -n "$python" ] || fail "found no Python 3.11, 3.12 or 3.13 with pip: please install one"
+
+# Shared libraries that the SUMO wheels need, and the virtual screen: Debian's packages, where something is missing.
+missing_packages() {
+    [ "$(uname)" = Linux ] || return 0
+    "$python" - "$@" <<'PYTHON'
 import ctypes, shutil, sys
 
 WANTED = {  # shared library -> Debian package
     "libX11.so.6": "libx11-6", "libXext.so.6": "libxext6", "libXrender.so.1": "libxrender1", "libGL.so.1": "libgl1",
     "libatomic.so.1": "libatomic1", "libexpat.so.1": "libexpat1", "libglib-2.0.so.0": "libglib2.0-0",
 }
-for library, package in WANTED.items() if sys.platform == "linux" else ():
+for library, package in WANTED.items():
     try:
         ctypes.CDLL(library)
     except OSError:
         print(package)
-if "tests" in sys.argv and sys.platform == "linux" and not shutil.which("Xvfb"):
+if "tests" in sys.argv and not (shutil.which("Xvfb") and shutil.which("xvfb-run")):
     print("xvfb xauth libglu1-mesa libgl1-mesa-dri")
 PYTHON
-)
-[ -n "$packages" ] || exit 0
-
-# shellcheck disable=SC2086  # one word per package
-set -- $packages
-if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
-    echo "setup.sh: installing $*" >&2
-    { apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq install --no-install-recommends "$@"; } >/dev/null ||
-        echo "setup.sh: could not install $*" >&2
-else
-    echo "setup.sh: please install: sudo apt-get install --no-install-recommends $*" >&2
+}
+packages=$(missing_packages "$@" | tr '\n' ' ')
+if [ -n "$packages" ]; then
+    if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+        echo "setup.sh: installing $packages" >&2
+        # shellcheck disable=SC2086  # one word a package
+        { apt-get -qq update &&
+            DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install --no-install-recommends $packages
+        } >/dev/null || fail "apt-get could not install $packages"
+    elif [ -n "$(missing_packages)" ]; then
+        fail "please install, then call this again: sudo apt-get install --no-install-recommends $packages"
+    else
+        echo "setup.sh: no virtual screen, the tests of sumo-gui will be skipped; to have it:" \
+            "sudo apt-get install --no-install-recommends $packages" >&2
+    fi
 fi
+
+case "$(.uv/bin/uv --version 2>/dev/null)" in
+"uv $UV_VERSION"*) ;;
+*) "$python" -m pip install -qq --disable-pip-version-check --upgrade --target .uv "uv==$UV_VERSION" ||
+    fail "pip could not install uv $UV_VERSION into .uv; is there a network?" ;;
+esac
+
+# Where the usual cache cannot be written, one of our own; no Python is ever downloaded.
+cache=$(.uv/bin/uv cache dir 2>/dev/null) && mkdir -p "$cache" 2>/dev/null && [ -w "$cache" ] ||
+    export UV_CACHE_DIR="$PWD/.uv/cache"
+export UV_PYTHON_DOWNLOADS=never
+
+# .venv/.hid2 says for which place, and for which pyproject.toml, the environment was made.
+place="place $PWD"
+made="pins $(cksum <pyproject.toml)"
+if ! .venv/bin/python -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null ||
+    { [ -f .venv/.hid2 ] && ! grep -qxF "$place" .venv/.hid2; }; then
+    echo "setup.sh: making .venv, which takes a minute" >&2
+    .uv/bin/uv venv -q --clear --python "$(command -v "$python")" .venv || fail "uv could not make .venv"
+fi
+if ! grep -qxF "$made ${1:-}" .venv/.hid2 2>/dev/null; then
+    if [ "${1:-}" = tests ]; then wanted="-e .[gui] --group dev"; else wanted="-e ."; fi
+    # shellcheck disable=SC2086  # several words
+    .uv/bin/uv pip install -q --python .venv/bin/python $wanted ||
+        fail "uv could not install the packages into .venv; is there a network?"
+    printf '%s\n' "$place" "$made " "$made ${1:-}" >.venv/.hid2
+fi
+.venv/bin/python -c 'import libsumo' >/dev/null || fail "SUMO's library cannot be loaded (see above)"

@@ -26,10 +26,3 @@ def test_every_command_is_in_the_table() -> None:
 
     named = {command.name or command.callback.__name__ for command in app.registered_commands if command.callback}
     assert {name for name in named if f"`hid2 {name}" not in README} == set()
-
-
-def test_ci_calls_the_test_command_of_the_readme() -> None:
-    """.ci/run takes the line from the README; this is the same pattern, so that a change of either shows here."""
-    commands = re.findall(r"^    (sh setup\.sh tests .*pytest)$", README, re.MULTILINE)
-    assert len(commands) == 1
-    assert r"s/^    \(sh setup\.sh tests .*pytest\)$/\1/p" in (ROOT / ".ci" / "run").read_text()

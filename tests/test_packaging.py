@@ -1,0 +1,205 @@
+"""What is needed, at which versions, and how setup.sh and .ci/run bring it."""
+
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from importlib.metadata import Distribution, distribution, distributions
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+README = (ROOT / "README.md").read_text()
+#: Hosts of package registries, in two halves so that this file names none.
+REGISTRIES = (
+    ("pypi", "org"), ("pythonhosted", "org"), ("npmjs", "org"), ("npmjs", "com"), ("yarnpkg", "com"),
+    ("debian", "org"), ("ubuntu", "com"), ("anaconda", "org"), ("crates", "io"), ("golang", "org"), ("ghcr", "io"),
+)  # fmt: skip
+
+
+def project_files() -> list[Path]:
+    """Every file that git tracks, and every new one that it does not ignore."""
+    listing = ["git", "-c", "safe.directory=*", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    result = subprocess.run(listing, cwd=ROOT, capture_output=True, text=True) if shutil.which("git") else None
+    if result is None or result.returncode != 0:
+        pytest.skip("no git checkout: which files belong to the project cannot be told")
+    return [path for name in sorted(filter(None, result.stdout.split("\0"))) if (path := ROOT / name).is_file()]
+
+
+def test_no_file_names_a_package_registry() -> None:
+    """Neither a lock file that records download addresses nor anything else; hosts below those listed count too."""
+    host = "|".join(rf"{name}\.{top}" for name, top in REGISTRIES)
+    pattern = re.compile(rf"\b({host})\b".encode())
+    files = project_files()
+    assert ROOT / "pyproject.toml" in files
+    assert pattern.search(b"see https://deb." + b".".join(part.encode() for part in REGISTRIES[5]))
+    found = [
+        f"{path.relative_to(ROOT)}: {hit[0].decode()}" for path in files for hit in pattern.finditer(path.read_bytes())
+    ]
+    assert found == []
+
+
+def test_there_is_no_lock_file() -> None:
+    tracked = {path.relative_to(ROOT).as_posix() for path in project_files()}
+    assert not tracked & {"uv.lock", "poetry.lock", "pdm.lock", "Pipfile.lock", "pylock.toml"}
+
+
+def test_every_module_is_listed_for_packaging() -> None:
+    """pyproject.toml lists the packages by hand: a new folder with code must be in it."""
+    listed = set(PROJECT["tool"]["setuptools"]["packages"])
+    found = {
+        str(init.parent.relative_to(ROOT)).replace("/", ".")
+        for package in ("netconvert", "hid2", "bridge")
+        for init in (ROOT / package).rglob("__init__.py")
+    }
+    assert found == listed
+
+
+def applies(requirement: Requirement, extras: tuple[str, ...] = ("",)) -> bool:
+    """Whether a requirement is one of this Python's and this system's."""
+    marker = requirement.marker
+    return marker is None or any(marker.evaluate({"extra": extra}) for extra in extras)
+
+
+def declared() -> list[Requirement]:
+    """What pyproject.toml asks for by name: the package, its extra and the tools of the tests."""
+    lines = [*PROJECT["project"]["dependencies"], *PROJECT["dependency-groups"]["dev"]]
+    return [Requirement(line) for line in (*lines, *PROJECT["project"]["optional-dependencies"]["gui"])]
+
+
+def pins() -> dict[str, str]:
+    """Version by canonical name, of the pins that apply here."""
+    found = {}
+    for line in PROJECT["tool"]["uv"]["constraint-dependencies"]:
+        requirement = Requirement(line)
+        (specifier,) = requirement.specifier
+        assert (specifier.operator, requirement.url) == ("==", None), f"{line}: want a version, name==1.2.3"
+        if applies(requirement):
+            assert canonicalize_name(requirement.name) not in found, f"{line}: pinned twice"
+            found[canonicalize_name(requirement.name)] = specifier.version
+    return found
+
+
+def left_out() -> set[str]:
+    """What dependencies declare and no system is to have."""
+    return {Requirement(line).name for line in PROJECT["tool"]["uv"]["override-dependencies"]}
+
+
+def test_pins_are_within_the_declared_ranges() -> None:
+    pinned = pins()
+    for requirement in declared():
+        version = pinned.get(canonicalize_name(requirement.name))
+        assert version is not None, f"{requirement}: no pin; run .ci/renew_pins.py"
+        assert requirement.specifier.contains(version), f"{requirement}: pinned at {version}"
+
+
+def needed() -> Iterator[tuple[str, Distribution]]:
+    """Name and distribution of all that is declared, of what that needs, and so on."""
+    waiting, seen = declared(), set(left_out())
+    while waiting:
+        requirement = waiting.pop()
+        name = canonicalize_name(requirement.name)
+        if name in seen or not applies(requirement):
+            continue
+        seen.add(name)
+        found = distribution(name)
+        yield name, found
+        extras = ("", *requirement.extras)
+        waiting += [part for line in found.requires or () if applies(part := Requirement(line), extras)]
+
+
+def test_all_that_is_needed_is_pinned_and_installed_at_that_version() -> None:
+    pinned = pins()
+    wrong = {name: (found.version, pinned.get(name)) for name, found in needed() if found.version != pinned.get(name)}
+    assert wrong == {}, "installed and pinned differ: sh setup.sh tests, or renew the pins"
+
+
+def test_environment_has_neither_torch_nor_cuda() -> None:
+    installed = {canonicalize_name(found.metadata["Name"]) for found in distributions()}
+    assert left_out() == {"torch", "kornia"}
+    assert {name for name in installed if name in left_out() or name.startswith(("nvidia-", "triton"))} == set()
+
+
+# --- setup.sh on a machine that lacks something -----------------------------------------------------------------------
+
+Setup = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def python(*, missing: str = "") -> str:
+    """A python3 of the right version with a pip that installs nothing; it finds one Debian package missing, or none."""
+    return f'case "$1" in -m) [ "$3" = --version ] ;; -) echo {missing} ;; esac'
+
+
+@pytest.fixture
+def set_up(tmp_path: Path) -> Setup:
+    """set_up(*arguments, python3="...", ...): run a copy of setup.sh where only these commands (shell code) exist."""
+    for name in ("setup.sh", "pyproject.toml"):
+        shutil.copy(ROOT / name, tmp_path)
+
+    def run(*arguments: str, **commands: str) -> subprocess.CompletedProcess[str]:
+        folder = tmp_path / "bin"
+        folder.mkdir()
+        for name in ("cksum", "dirname", "grep", "mkdir", "tr", "uname"):
+            (folder / name).symlink_to(str(shutil.which(name)))
+        for name, code in commands.items():
+            file = folder / name.replace("_", "-")
+            file.write_text(f"#!/bin/sh\n{code}\n")
+            file.chmod(0o755)
+        shell = str(shutil.which("sh"))
+        environment = {"PATH": str(folder), "HOME": str(tmp_path)}
+        command = [shell, "setup.sh", *arguments]
+        return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("arguments", "commands", "said"),
+    [
+        (["everything"], {"python3": python()}, "unknown argument 'everything'"),
+        ([], {}, "found no Python 3.11, 3.12 or 3.13 with pip"),
+        ([], {"python3": "exit 1", "python3.12": "exit 127"}, "found no Python 3.11, 3.12 or 3.13 with pip"),
+        ([], {"python3": python()}, "pip could not install uv"),
+        (
+            [],
+            {"python3": python(missing="libgl1"), "id": "echo 1000"},
+            "please install, then call this again: sudo apt-get install --no-install-recommends libgl1",
+        ),
+        (
+            ["tests"],
+            {"python3": python(missing="xvfb"), "id": "echo 0", "apt_get": "exit 100"},
+            "apt-get could not install xvfb",
+        ),
+    ],
+)
+def test_setup_fails_with_a_sentence(set_up: Setup, arguments: list[str], commands: dict[str, str], said: str) -> None:
+    if sys.platform != "linux" and ("id" in commands):
+        pytest.skip("Debian's packages are asked for on Linux only")
+    result = set_up(*arguments, **commands)
+    assert result.returncode == 1
+    assert result.stdout == ""
+    last = result.stderr.splitlines()[-1]
+    assert last.startswith("setup.sh: ")
+    assert said in last
+
+
+# --- the README's two commands ----------------------------------------------------------------------------------------
+
+
+def test_quick_start_is_two_commands_of_one_line() -> None:
+    section = README.split("## Quick start")[1].split("\n## ")[0]
+    commands = [line.strip() for line in section.splitlines() if line.startswith("    ")]
+    assert len(commands) == 2
+    assert all(command.startswith("sh setup.sh") for command in commands)
+
+
+def test_ci_calls_the_test_command_of_the_readme() -> None:
+    """.ci/run takes the line from the README; this is the same pattern, so that a change of either shows here."""
+    assert len(re.findall(r"^    (sh setup\.sh tests .*pytest)$", README, re.MULTILINE)) == 1
+    assert r"s/^    \(sh setup\.sh tests .*pytest\)$/\1/p" in (ROOT / ".ci" / "run").read_text()
