@@ -51,14 +51,15 @@ if [ -n "$packages" ]; then
     if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
         echo "setup.sh: installing $packages" >&2
         # shellcheck disable=SC2086  # one word a package
-        { apt-get -qq update &&
+        { # a list that cannot be renewed may still do
+            apt-get -qq update || true
             DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install --no-install-recommends $packages
         } >/dev/null || fail "apt-get could not install $packages"
     elif [ -n "$(missing_packages)" ]; then
-        fail "please install, then call this again: sudo apt-get install --no-install-recommends $packages"
+        fail "please install, then call this again (Debian's names): apt-get install --no-install-recommends $packages"
     else
         echo "setup.sh: no virtual screen, the tests of sumo-gui will be skipped; to have it:" \
-            "sudo apt-get install --no-install-recommends $packages" >&2
+            "apt-get install --no-install-recommends $packages" >&2
     fi
 fi
 

@@ -169,7 +169,7 @@ def set_up(tmp_path: Path) -> Setup:
         (
             [],
             {"python3": python(missing="libgl1"), "id": "echo 1000"},
-            "please install, then call this again: sudo apt-get install --no-install-recommends libgl1",
+            "please install, then call this again (Debian's names): apt-get install --no-install-recommends libgl1",
         ),
         (
             ["tests"],

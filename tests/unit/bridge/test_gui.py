@@ -23,7 +23,7 @@ needs_screen = pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="xvfb
 
 def sumo(config, *options):
     return subprocess.run(
-        [BIN / "sumo", "-c", config, "--no-step-log", "true", *options], capture_output=True, text=True, timeout=120
+        [BIN / "sumo", "-c", config, "--no-step-log", "true", *options], capture_output=True, text=True, timeout=300
     )
 
 
@@ -139,7 +139,7 @@ def test_sumo_gui_opens_the_files_and_shows_net_and_vehicles(playable, made_scen
     picture = tmp_path / "files.png"
     command = [*SCREEN, sys.executable, "-c", OPEN, playable, picture, BIN / "sumo-gui"]
     environment = {key: value for key, value in os.environ.items() if key != "LIBSUMO_AS_TRACI"}
-    result = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
+    result = subprocess.run(command, capture_output=True, text=True, timeout=300, env=environment)
     assert result.returncode == 0, result.stderr
     assert_shows_the_scene(picture, made_scene)
 
@@ -150,7 +150,7 @@ def test_gui_plays_the_scene_at_exact_positions_and_takes_a_picture(made_scene, 
     code = "import sys; from pathlib import Path; from bridge.gui import play_scene; "
     code += "print(play_scene(Path(sys.argv[1]), screenshot=Path(sys.argv[2]), delay_ms=0))"
     result = subprocess.run(
-        [*SCREEN, sys.executable, "-c", code, made_scene, picture], capture_output=True, text=True, timeout=120
+        [*SCREEN, sys.executable, "-c", code, made_scene, picture], capture_output=True, text=True, timeout=300
     )
     assert result.returncode == 0, result.stderr
     assert result.stdout.strip() == str(picture)
