@@ -18,14 +18,14 @@ esac
 
 # A Python for .venv, and to bring uv into .uv.
 python=
-for candidate in python3 python3.11 python3.12 python3.13; do
-    if "$candidate" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' >/dev/null 2>&1 &&
+for candidate in python3 python3.11 python3.12; do
+    if "$candidate" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 13))' >/dev/null 2>&1 &&
         { [ -x .uv/bin/uv ] || "$candidate" -m pip --version >/dev/null 2>&1; }; then
         python=$candidate
         break
     fi
 done
-[ -n "$python" ] || fail "found no Python 3.11, 3.12 or 3.13 with pip: please install one"
+[ -n "$python" ] || fail "found no Python 3.11 or 3.12 with pip: please install one"
 
 # Shared libraries that the SUMO wheels need, and the virtual screen: Debian's packages, where something is missing.
 missing_packages() {
@@ -77,7 +77,7 @@ export UV_PYTHON_DOWNLOADS=never
 # .venv/.hid2 says for which place, and for which pyproject.toml, the environment was made.
 place="place $PWD"
 made="pins $(cksum <pyproject.toml)"
-if ! .venv/bin/python -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null ||
+if ! .venv/bin/python -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 13))' 2>/dev/null ||
     { [ -f .venv/.hid2 ] && ! grep -qxF "$place" .venv/.hid2; }; then
     echo "setup.sh: making .venv, which takes a minute" >&2
     .uv/bin/uv venv -q --clear --python "$(command -v "$python")" .venv || fail "uv could not make .venv"

@@ -163,8 +163,8 @@ def set_up(tmp_path: Path) -> Setup:
     ("arguments", "commands", "said"),
     [
         (["everything"], {"python3": python()}, "unknown argument 'everything'"),
-        ([], {}, "found no Python 3.11, 3.12 or 3.13 with pip"),
-        ([], {"python3": "exit 1", "python3.12": "exit 127"}, "found no Python 3.11, 3.12 or 3.13 with pip"),
+        ([], {}, "found no Python 3.11 or 3.12 with pip"),
+        ([], {"python3": "exit 1", "python3.12": "exit 127"}, "found no Python 3.11 or 3.12 with pip"),
         ([], {"python3": python()}, "pip could not install uv"),
         (
             [],
