@@ -52,10 +52,8 @@ class Prospect:
 
     def held_back(self, until_step: int, s: float) -> "Prospect":
         """The same, but not beyond arc length s before until_step: a manoeuvre does not begin before its trigger."""
-        held = self.occupancy.joined(_barrier(self.tables.blocked.shape[0], until_step, s + self.margin_m))
-        blocked = self.tables.blocked.copy()
-        blocked[:until_step, int(s / TABLE_STEP_M) + 1 :] = 1
-        return replace(self, occupancy=held, tables=replace(self.tables, blocked=blocked))
+        held = self.occupancy.joined(_barrier(self.tables.num_steps, until_step, s + self.margin_m))
+        return replace(self, occupancy=held, tables=self.tables.held(until_step, s))
 
     def plan(
         self, *, s0: float, v0: float, a0: float, first_step: int, config: Config, reference: FloatArray | None = None
@@ -76,9 +74,7 @@ class Prospect:
 
     def is_blocked(self, s: FloatArray, first_step: int) -> bool:
         """Whether a driven s(t), (T - first_step,) m, meets anybody or comes closer than the margin."""
-        cells = np.minimum((s / TABLE_STEP_M + 0.5).astype(np.int64), self.tables.blocked.shape[1] - 1)
-        steps = np.arange(first_step, first_step + s.size)
-        return bool(self.tables.blocked[steps, np.maximum(cells, 0)].any())
+        return self.tables.is_blocked(s, first_step)
 
     def bounds(self, s: FloatArray) -> SpeedBounds | None:
         """Constraints that keep a driven s(t) (T,) on the same side of everybody; None where it is inside somebody."""
@@ -171,18 +167,20 @@ def prospect(
 
     seen_to_s: nobody is seen beyond it, m (the ablation without topology: conflicts are looked up in linked cells).
     """
-    occupancy = known
-    for traffic in others:
-        found = path_occupancy(
+    seen = [] if known is None else [known]
+    seen += [
+        path_occupancy(
             path.line,
             traffic,
             length_m=size.length_m,
             width_m=size.width_m,
             margin_lateral_m=config.conflict.margin_lateral_m,
         )
-        occupancy = found if occupancy is None else occupancy.joined(found)
-    if occupancy is None:
+        for traffic in others
+    ]
+    if not seen:
         raise ValueError("prospect: neither others nor known")
+    occupancy = seen[0].joined(*seen[1:])
     if seen_to_s is not None:
         unseen = occupancy.low > seen_to_s
         occupancy = replace(

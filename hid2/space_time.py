@@ -4,7 +4,8 @@ Boxes of others are turned into forbidden intervals of the own centre's arc leng
 true future, generated ones with their predicted one (paper, Trajectory Generation, conflict case 3).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -28,39 +29,80 @@ class PathOccupancy:
     along: FloatArray
     aligned: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
 
-    def joined(self, other: "PathOccupancy") -> "PathOccupancy":
-        """Agents of both, self first."""
+    def rows(self, rows: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> "PathOccupancy":
+        """Some of the agents, (A,) mask."""
+        return PathOccupancy(self.low[rows], self.high[rows], self.along[rows], self.aligned[rows])
+
+    def joined(self, *others: "PathOccupancy") -> "PathOccupancy":
+        """Agents of all, self first."""
+        every = [one for one in (self, *others) if one.low.shape[0]]
+        if len(every) <= 1:
+            return every[0] if every else self
         return PathOccupancy(
-            low=np.concatenate([self.low, other.low]),
-            high=np.concatenate([self.high, other.high]),
-            along=np.concatenate([self.along, other.along]),
-            aligned=np.concatenate([self.aligned, other.aligned]),
+            low=np.concatenate([one.low for one in every]),
+            high=np.concatenate([one.high for one in every]),
+            along=np.concatenate([one.along for one in every]),
+            aligned=np.concatenate([one.aligned for one in every]),
         )
 
 
 def path_occupancy(
     line: ReferenceLine, traffic: Traffic, *, length_m: float, width_m: float, margin_lateral_m: float
 ) -> PathOccupancy:
-    """Intervals of every agent of `traffic` on `line` for a box of the given size. Only agents that ever touch it."""
-    low, high, near = _intervals(
+    """Intervals of every agent of `traffic` on `line` for a box of the given size. Only agents that ever touch it.
+
+    What is found is kept with the traffic, part by part: vehicles are planned one after the other, and each looks along
+    the same few paths.
+    """
+    key = line, length_m, width_m, margin_lateral_m
+    parts = traffic.parts
+    missing = [part for part in parts if key not in part.known]
+    if missing:
+        others = traffic if len(missing) == len(parts) else missing[0].joined(*missing[1:])
+        touched, found = _look_along(line, others, length_m, width_m + 2 * margin_lateral_m)
+        if len(missing) == 1:
+            missing[0].known[key] = found if touched.size else None
+        else:
+            part_of = np.repeat(np.arange(len(missing)), [len(part.ids) for part in missing])[touched]
+            for part in missing:
+                part.known[key] = None
+            for number in np.unique(part_of).tolist():
+                missing[number].known[key] = found.rows(part_of == number)
+        if others is traffic:
+            return found
+    seen = [one for one in (part.known[key] for part in parts) if one is not None]
+    return seen[0].joined(*seen[1:]) if seen else _nobody(traffic.num_steps)
+
+
+def _nobody(steps: int) -> PathOccupancy:
+    nowhere = np.zeros((0, steps))
+    return PathOccupancy(nowhere, nowhere, nowhere, np.zeros((0, steps), dtype=np.bool_))
+
+
+def _look_along(
+    line: ReferenceLine, traffic: Traffic, length_m: float, width_m: float
+) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], PathOccupancy]:
+    """Rows of the agents that ever touch the line, and their intervals."""
+    low, high, near, touched = _intervals(
         line.table_xy,
         line.table_heading,
         TABLE_STEP_M,
         length_m,
-        width_m + 2 * margin_lateral_m,
+        width_m,
         traffic.position,
         traffic.heading,
         traffic.present,
         traffic.length_m,
         traffic.width_m,
     )
-    touched = np.isfinite(low).any(axis=1)
-    low, high, near = low[touched], high[touched], near[touched]
-    heading = line.table_heading[near]
-    velocity = traffic.velocity[touched]
+    rows = np.flatnonzero(touched)
+    if rows.size == 0:
+        return rows, _nobody(traffic.num_steps)
+    heading = line.table_heading[near[rows]]
+    velocity = traffic.velocity[rows]
     along = velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading)
-    aligned = np.cos(traffic.heading[touched] - heading) > 0.7
-    return PathOccupancy(low=low, high=high, along=along, aligned=aligned)
+    aligned = np.cos(traffic.heading[rows] - heading) > 0.7
+    return rows, PathOccupancy(low=low[rows], high=high[rows], along=along, aligned=aligned)
 
 
 @njit(cache=True)
@@ -82,22 +124,32 @@ def _overlap(
 
 @njit(cache=True)
 def _intervals(xy, heading, step, own_length, own_width, position, other_heading, present, lengths, widths):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """March along the path in steps that cannot jump over the agent, then test box against box."""
+    """March along the path in steps that cannot jump over the agent, then test box against box.
+
+    An agent that was so far from the whole path is not looked at again before it can have come near.
+    """
     agents, steps = present.shape
     points = xy.shape[0]
     low = np.full((agents, steps), np.inf)
     high = np.full((agents, steps), -np.inf)
     near = np.zeros((agents, steps), dtype=np.int64)
+    touched = np.zeros(agents, dtype=np.bool_)
     cosine, sine = np.cos(heading), np.sin(heading)
     own_l, own_w = own_length / 2, own_width / 2
     own_radius = np.hypot(own_l, own_w)
+    left, right, bottom, top = xy[:, 0].min(), xy[:, 0].max(), xy[:, 1].min(), xy[:, 1].max()
     for a in range(agents):
         half_l, half_w = lengths[a] / 2, widths[a] / 2
         reach = own_radius + np.hypot(half_l, half_w)
+        spare, last_x, last_y = -1.0, 0.0, 0.0  # how far it may move from there before it can touch the path
         for t in range(steps):
             if not present[a, t]:
                 continue
             x, y, angle = position[a, t, 0], position[a, t, 1], other_heading[a, t]
+            if x < left - reach or x > right + reach or y < bottom - reach or y > top + reach:
+                continue
+            if spare > 0.0 and (x - last_x) ** 2 + (y - last_y) ** 2 < spare * spare:
+                continue
             if (
                 t > 0
                 and present[a, t - 1]
@@ -109,33 +161,101 @@ def _intervals(xy, heading, step, own_length, own_width, position, other_heading
                 continue
             bc, bs = np.cos(angle), np.sin(angle)
             i = 0
-            best = np.inf
+            best, closest = np.inf, np.inf
+            before, leap = 0.0, 0  # distance at the point last looked at, and how many points behind that lies
+            hit = False
             while i < points:
-                distance = np.hypot(x - xy[i, 0], y - xy[i, 1])
-                if distance < best:
-                    best = distance
+                dx, dy = x - xy[i, 0], y - xy[i, 1]
+                square = dx * dx + dy * dy
+                if square < best:
+                    best = square
                     near[a, t] = i
-                if distance > reach:
-                    i += max(1, int((distance - reach) / step))
+                if square > reach * reach:
+                    distance = np.sqrt(square)
+                    if leap > 0:  # no point between two is nearer than half of what is left of the detour
+                        closest = min(closest, (before + distance - leap * step) / 2)
+                    before, leap = distance, max(1, int((distance - reach) / step))
+                    i += leap
                     continue
                 if _overlap(xy[i, 0], xy[i, 1], cosine[i], sine[i], own_l, own_w, x, y, bc, bs, half_l, half_w):
-                    low[a, t] = min(low[a, t], (i - 1) * step)
-                    high[a, t] = max(high[a, t], (i + 1) * step)
+                    if not hit:
+                        low[a, t] = (i - 1) * step
+                        hit = True
+                    high[a, t] = (i + 1) * step
+                closest = 0.0
                 i += 1
-    return low, high, near
+            if closest > 0.0:  # from the last point looked at to the end of the path
+                closest = min(closest, before - (points - 1 - (i - leap)) * step)
+            if hit:
+                touched[a] = True
+            spare, last_x, last_y = closest - reach - 2 * step, x, y
+    return low, high, near, touched
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SpaceTime:
-    """Tables over steps and arc length (TABLE_STEP_M) for the search of a speed profile.
+    """What the search of a speed profile looks up, by step and by arc length in cells of TABLE_STEP_M.
 
-    blocked (T, S): the own centre may not be there then. fastest (T, S) m/s: speed at which the TTC to the aligned
-    leader ahead is still the critical one. pushed (T, S) m/s: slower than this, a follower closes in too fast.
+    Rows are worked out where the search comes to, not for the whole scene. margin_m is kept to every interval of the
+    occupancy; from cell `beyond` on the path is off the map: nobody is met there, but to be there before
+    earliest_exit_step is forbidden. Before hold_until, cells from hold_from on are forbidden too.
     """
 
-    blocked: np.ndarray[tuple[int, int], np.dtype[np.uint8]]
-    fastest: FloatArray
-    pushed: FloatArray
+    occupancy: PathOccupancy
+    num_steps: int
+    cells: int
+    margin_m: float
+    ttc_s: float
+    time_gap_s: float
+    beyond: int
+    earliest_exit_step: int
+    hold_until: int = 0
+    hold_from: int = 0
+
+    @property
+    def blocked(self) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
+        """(T, S): the own centre may not be there then."""
+        return self._tables()[0]
+
+    @property
+    def fastest(self) -> FloatArray:
+        """(T, S) m/s: speed at which the TTC to the aligned leader ahead is still the critical one."""
+        return self._tables()[1]
+
+    @property
+    def pushed(self) -> FloatArray:
+        """(T, S) m/s: slower than this, a follower closes in too fast."""
+        return self._tables()[2]
+
+    def speeds_at(self, step: int, s: float) -> tuple[float, float]:
+        """`fastest` and `pushed` at one step and arc length, m/s."""
+        cell = min(int(s / TABLE_STEP_M + 0.5), self.cells - 1)
+        _, fastest, pushed = self._tables(step, step + 1, cell, cell + 1)
+        return float(fastest[0, 0]), float(pushed[0, 0])
+
+    def is_blocked(self, s: FloatArray, first_step: int) -> bool:
+        """Whether a driven s(t), (M,) m from first_step on, is anywhere that it may not be."""
+        cells = np.clip((s / TABLE_STEP_M + 0.5).astype(np.int64), 0, self.cells - 1)
+        return bool(_any_blocked(cells, first_step, self.view()))
+
+    def held(self, until_step: int, s: float) -> "SpaceTime":
+        """The same, but not beyond arc length s before until_step."""
+        return replace(self, hold_until=until_step, hold_from=int(s / TABLE_STEP_M) + 1)
+
+    def view(self) -> tuple[Any, ...]:
+        """Everything as the compiled functions take it."""
+        seen = self.occupancy
+        return (
+            seen.low, seen.high, seen.along, seen.aligned, self.cells, TABLE_STEP_M, self.margin_m, self.ttc_s,
+            self.time_gap_s, self.beyond, self.earliest_exit_step, self.hold_until, self.hold_from,
+        )  # fmt: skip
+
+    def _tables(
+        self, first: int = 0, last: int | None = None, left: int = 0, right: int | None = None
+    ) -> tuple[np.ndarray[tuple[int, int], np.dtype[np.uint8]], FloatArray, FloatArray]:
+        last = self.num_steps if last is None else last
+        right = self.cells if right is None else right
+        return _tables(first, last, left, right, self.view())  # type: ignore[no-any-return]
 
 
 def space_time(
@@ -149,56 +269,88 @@ def space_time(
     exit_s: float,
     earliest_exit_step: int,
 ) -> SpaceTime:
-    """Tables from intervals. exit_s: arc length at which the path leaves the map, not before earliest_exit_step."""
-    blocked, fastest, pushed = _tables(
-        occupancy.low,
-        occupancy.high,
-        occupancy.along,
-        occupancy.aligned,
-        num_steps,
-        table_length,
-        TABLE_STEP_M,
-        margin_m,
-        ttc_s,
-        time_gap_s,
+    """View of intervals. exit_s: arc length at which the path leaves the map, not before earliest_exit_step."""
+    return SpaceTime(
+        occupancy=occupancy,
+        num_steps=num_steps,
+        cells=table_length,
+        margin_m=margin_m,
+        ttc_s=ttc_s,
+        time_gap_s=time_gap_s,
+        beyond=int(exit_s / TABLE_STEP_M),
+        earliest_exit_step=earliest_exit_step,
     )
-    beyond = int(exit_s / TABLE_STEP_M)  # off the map nobody is met; to be there too early is forbidden
-    blocked[:, beyond:] = 0
-    fastest[:, beyond:] = np.inf
-    pushed[:, beyond:] = 0.0
-    blocked[:earliest_exit_step, beyond:] = 1
-    return SpaceTime(blocked=blocked, fastest=fastest, pushed=pushed)
 
 
 @njit(cache=True)
-def _tables(low, high, along, aligned, steps, cells, step, margin, ttc, time_gap):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    blocked = np.zeros((steps, cells), dtype=np.uint8)
-    fastest = np.full((steps, cells), 99.0)
-    pushed = np.zeros((steps, cells))
-    for a in range(low.shape[0]):
-        for t in range(steps):
-            if low[a, t] == np.inf:
-                continue
-            front, rear = low[a, t] - margin, high[a, t] + margin
-            first = min(max(0, int(np.ceil(front / step))), cells)
-            last = max(-1, min(cells - 1, int(np.floor(rear / step))))
-            for i in range(first, last + 1):
-                blocked[t, i] = 1
-            if not aligned[a, t]:
-                continue
-            speed = along[a, t]
-            for i in range(max(0, first - int(80.0 / step)), first):
-                gap = front - i * step
-                limit = speed + gap / ttc
-                if time_gap > 0:
-                    limit = min(limit, max(speed, (gap + margin) / time_gap) if gap < speed * time_gap else limit)
-                if limit < fastest[t, i]:
-                    fastest[t, i] = limit
-            for i in range(last + 1, min(cells, last + 1 + int(40.0 / step))):
-                needed = speed - (i * step - rear) / ttc
-                if needed > pushed[t, i]:
-                    pushed[t, i] = needed
+def _any_blocked(at, first_step, view):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    row = np.zeros(1, dtype=np.uint8)
+    for k in range(at.size):
+        _block_row(row, first_step + k, at[k], at[k] + 1, view)
+        if row[0] == 1:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _tables(start, end, left, right, view):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Rows `start` to `end` of all three tables, cells `left` to `right`."""
+    blocked = np.zeros((end - start, right - left), dtype=np.uint8)
+    fastest = np.empty((end - start, right - left))
+    pushed = np.empty((end - start, right - left))
+    for t in range(start, end):
+        k = t - start
+        _block_row(blocked[k], t, left, right, view)
+        _speed_rows(fastest[k], pushed[k], t, left, right, view)
     return blocked, fastest, pushed
+
+
+@njit(cache=True)
+def _block_row(row, t, left, right, view):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Whether cells left .. right - 1 are forbidden at step t, into row[0 .. right - left - 1]."""
+    low, high, _, _, cells, step, margin, _, _, beyond, earliest, until, hold = view
+    row[: right - left] = 0
+    for a in range(low.shape[0]):
+        if low[a, t] == np.inf:
+            continue
+        first = max(left, min(max(0, int(np.ceil((low[a, t] - margin) / step))), cells))
+        last = min(right - 1, max(-1, min(cells - 1, int(np.floor((high[a, t] + margin) / step)))))
+        for i in range(first, last + 1):
+            row[i - left] = 1
+    for i in range(max(left, beyond), right):  # off the map nobody is met; to be there too early is forbidden
+        row[i - left] = 1 if t < earliest else 0
+    if t < until:
+        for i in range(max(left, hold), right):
+            row[i - left] = 1
+
+
+@njit(cache=True)
+def _speed_rows(fastest, pushed, t, left, right, view):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Fastest and pushed speed in cells left .. right - 1 at step t, into [0 .. right - left - 1]."""
+    low, high, along, aligned, cells, step, margin, ttc, time_gap, beyond, _, _, _ = view
+    fastest[: right - left] = 99.0
+    pushed[: right - left] = 0.0
+    for a in range(low.shape[0]):
+        if low[a, t] == np.inf or not aligned[a, t]:
+            continue
+        front, rear = low[a, t] - margin, high[a, t] + margin
+        first = min(max(0, int(np.ceil(front / step))), cells)
+        last = max(-1, min(cells - 1, int(np.floor(rear / step))))
+        speed = along[a, t]
+        for i in range(max(left, first - int(80.0 / step)), min(right, first)):
+            gap = front - i * step
+            limit = speed + gap / ttc
+            if time_gap > 0 and gap < speed * time_gap:
+                limit = min(limit, max(speed, (gap + margin) / time_gap))
+            if limit < fastest[i - left]:
+                fastest[i - left] = limit
+        for i in range(max(left, last + 1), min(right, last + 1 + int(40.0 / step))):
+            needed = speed - (i * step - rear) / ttc
+            if needed > pushed[i - left]:
+                pushed[i - left] = needed
+    for i in range(max(left, beyond), right):
+        fastest[i - left] = np.inf
+        pushed[i - left] = 0.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -229,7 +381,6 @@ def plan_speed(
     representative per bin of 1.5 m and 0.75 m/s). desired (S,) m/s: target speed, never exceeded by much.
     reference (T,) m: a driven s(t) to stay near, where given. This is "adjust timing" of conflict case 3.
     """
-    steps = tables.blocked.shape[0]
     accels = np.array(
         [
             accel_min,
@@ -244,8 +395,8 @@ def plan_speed(
     )
     use_reference = reference is not None
     ok, s, v, cost = _search(
-        tables.blocked, tables.fastest, tables.pushed, desired, TABLE_STEP_M, s0, v0, a0, first_step, steps, accels,
-        step_s, reference if reference is not None else np.zeros(steps), use_reference,
+        tables.view(), desired, s0, v0, a0, first_step, tables.num_steps, accels, step_s,
+        reference if reference is not None else np.zeros(tables.num_steps), use_reference,
     )  # fmt: skip
     if not ok:
         return None
@@ -254,34 +405,47 @@ def plan_speed(
 
 STAGE_STEPS = 5
 _S_BIN, _V_BIN, _V_BINS = 1.5, 0.75, 48
+_STATES_MOST = 3000
 
 
 @njit(cache=True)
-def _search(blocked, fastest, pushed, desired, step, s0, v0, a0, first, steps, accels, dt, reference, use_reference):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    cells = blocked.shape[1]
+def _search(view, desired, s0, v0, a0, first, steps, accels, dt, reference, use_reference):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    cells, step = view[4], view[5]
     s_bins = int(cells * step / _S_BIN) + 1
     stages = (steps - 1 - first + STAGE_STEPS - 1) // STAGE_STEPS
     out_s = np.zeros(steps - first)
     out_v = np.zeros(steps - first)
-    capacity = 3000
-    all_s = np.empty((stages + 1, capacity))
-    all_v = np.empty((stages + 1, capacity))
-    all_a = np.empty((stages + 1, capacity))
-    all_c = np.empty((stages + 1, capacity))
-    parent = np.empty((stages + 1, capacity), dtype=np.int32)
-    counts = np.zeros(stages + 1, dtype=np.int64)
+    room = _STATES_MOST * (stages + 1)  # states of all stages one behind the other: memory is touched as it is used
+    all_s, all_v, all_a, all_c = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
+    parent, keys = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
+    begin = np.zeros(stages + 2, dtype=np.int64)
     slot = np.full((s_bins + 1) * _V_BINS, -1, dtype=np.int32)
-    all_s[0, 0], all_v[0, 0], all_a[0, 0], all_c[0, 0] = s0, v0, a0, 0.0
-    counts[0] = 1
+    blocked = np.empty((STAGE_STEPS + 1, cells), dtype=np.uint8)
+    fastest, pushed = np.empty((STAGE_STEPS + 1, cells)), np.empty((STAGE_STEPS + 1, cells))
+    most = accels.max()
+    all_s[0], all_v[0], all_a[0], all_c[0] = s0, v0, a0, 0.0
+    begin[1] = 1
     for k in range(stages):
-        slot[:] = -1
-        n_next = 0
         t0 = first + k * STAGE_STEPS
         sub = min(STAGE_STEPS, steps - 1 - t0)
+        here, there = begin[k], begin[k + 1]
+        n_next = 0
+        lasting = sub * dt
+        left, right = all_s[here], 0.0
+        for index in range(here, there):
+            left = min(left, all_s[index])
+            right = max(right, all_s[index] + all_v[index] * lasting)
+        right += 0.5 * most * lasting * lasting
+        left_cell = min(cells - 1, max(0, int(left / step + 0.5) - 1))
+        right_cell = min(cells, int(right / step + 0.5) + 2)
+        for m in range(1, sub + 1):
+            _block_row(blocked[m], t0 + m, left_cell, right_cell, view)
+            if m == sub or m == 3:
+                _speed_rows(fastest[m], pushed[m], t0 + m, left_cell, right_cell, view)
         widen = 1.0 + 0.06 * k  # far ahead, nearby states need not be told apart as finely
         s_bin, v_bin = _S_BIN * widen, _V_BIN * widen
-        for index in range(counts[k]):
-            s, v, previous, cost = all_s[k, index], all_v[k, index], all_a[k, index], all_c[k, index]
+        for index in range(here, there):
+            s, v, previous, cost = all_s[index], all_v[index], all_a[index], all_c[index]
             for accel in accels:
                 if abs(accel - previous) > 1.7:  # what bounded jerk reaches within a stage
                     continue
@@ -300,16 +464,16 @@ def _search(blocked, fastest, pushed, desired, step, s0, v0, a0, first, steps, a
                     cell = int(sn / step + 0.5)
                     if cell >= cells:
                         cell = cells - 1
-                    if blocked[t0 + m, cell] == 1:
+                    if blocked[m, cell - left_cell] == 1:
                         good = False
                         break
                     if m != sub and m != 3:  # TTC and speed change slowly: looked up twice a stage
                         continue
-                    if vn > fastest[t0 + m, cell]:
+                    if vn > fastest[m, cell - left_cell]:
                         good = False
                         break
-                    if vn < pushed[t0 + m, cell]:
-                        extra += 7.5 * (pushed[t0 + m, cell] - vn)
+                    if vn < pushed[m, cell - left_cell]:
+                        extra += 7.5 * (pushed[m, cell - left_cell] - vn)
                     if vn > desired[cell] + 0.2:
                         over = vn - desired[cell]
                         if over > 4.0:
@@ -333,28 +497,31 @@ def _search(blocked, fastest, pushed, desired, step, s0, v0, a0, first, steps, a
                 key = sb * _V_BINS + vb
                 at = slot[key]
                 if at < 0:
-                    if n_next >= capacity:
+                    if n_next >= _STATES_MOST:
                         continue
-                    at = n_next
+                    at = there + n_next
                     slot[key] = at
                     n_next += 1
-                elif all_c[k + 1, at] <= new_cost:
+                elif all_c[at] <= new_cost:
                     continue
-                all_s[k + 1, at], all_v[k + 1, at], all_a[k + 1, at] = sn, vn, accel
-                all_c[k + 1, at] = new_cost
-                parent[k + 1, at] = index
-        counts[k + 1] = n_next
+                all_s[at], all_v[at], all_a[at] = sn, vn, accel
+                all_c[at] = new_cost
+                parent[at] = index
+                keys[at] = key
+        begin[k + 2] = there + n_next
         if n_next == 0:
             return False, out_s, out_v, 0.0
-    best = 0
-    for index in range(counts[stages]):
-        if all_c[stages, index] < all_c[stages, best]:
+        for index in range(there, there + n_next):
+            slot[keys[index]] = -1
+    best = begin[stages]
+    for index in range(begin[stages], begin[stages + 1]):
+        if all_c[index] < all_c[best]:
             best = index
-    total = all_c[stages, best]
+    total = all_c[best]
     out_s[0], out_v[0] = s0, v0
     for k in range(stages, 0, -1):
-        source = parent[k, best]
-        s, v, accel = all_s[k - 1, source], all_v[k - 1, source], all_a[k, best]
+        source = parent[best]
+        s, v, accel = all_s[source], all_v[source], all_a[best]
         t0 = (k - 1) * STAGE_STEPS
         sub = min(STAGE_STEPS, steps - 1 - first - t0)
         for m in range(1, sub + 1):

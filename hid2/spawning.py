@@ -273,14 +273,15 @@ class Spawner:
         low, high = occupancy.low[:, 0], occupancy.high[:, 0]
         if np.any((low - spawn.clear_gap_m < s0) & (s0 < high + spawn.clear_gap_m)):
             return "box_too_close"
-        v0 = min(wanted, float(look.desired[cell]), float(look.tables.fastest[0, cell]))
+        fastest, pushed = look.tables.speeds_at(0, s0)
+        v0 = min(wanted, float(look.desired[cell]), fastest)
         ahead = np.isfinite(low) & (low > s0)
         if ahead.any():
             row = int(np.argmin(np.where(ahead, low, np.inf)))
             gap, speed = low[row] - s0, max(0.0, float(occupancy.along[row, 0]))
             room = max(0.0, gap - spawn.clear_gap_m) / spawn.clear_ahead_s
             v0 = min(v0, max(room, min(speed, 0.8 * gap)))
-        if v0 < max(0.0, float(look.tables.pushed[0, cell])):
+        if v0 < max(0.0, pushed):
             return "follower_too_fast"
         return v0
 

@@ -1,7 +1,8 @@
 """Boxes of many agents over time, as dense arrays: what is known, or predicted, of everybody else."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,8 @@ class Traffic:
     position (A, T, 2) m, box centres; heading (A, T) rad; velocity (A, T, 2) m/s, from the positions; present (A, T):
     the agent has a state at that step or lies between two of its states (interpolated: it is somewhere there);
     length_m, width_m (A,).
+    joined_of: what it was joined from, so that what is known of the parts need not be worked out again; the arrays do
+    not change once it is joined. known: intervals on paths, kept by `space_time.path_occupancy`.
     """
 
     ids: tuple[str, ...]
@@ -27,6 +30,13 @@ class Traffic:
     present: BoolArray
     length_m: FloatArray
     width_m: FloatArray
+    joined_of: tuple["Traffic", ...] = ()
+    known: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def parts(self) -> tuple["Traffic", ...]:
+        """What it was joined from, itself where it was not joined."""
+        return self.joined_of or (self,)
 
     @property
     def num_steps(self) -> int:
@@ -36,12 +46,14 @@ class Traffic:
     def at(self, step: int) -> "Traffic":
         """The same agents at one step, T = 1."""
         span = slice(step, step + 1)
-        return replace(
-            self,
+        return Traffic(
+            ids=self.ids,
             position=self.position[:, span],
             heading=self.heading[:, span],
             velocity=self.velocity[:, span],
             present=self.present[:, span],
+            length_m=self.length_m,
+            width_m=self.width_m,
         )
 
     def rows(self, rows: Sequence[int]) -> "Traffic":
@@ -57,16 +69,20 @@ class Traffic:
             width_m=self.width_m[index],
         )
 
-    def joined(self, other: "Traffic") -> "Traffic":
-        """Agents of both, self first."""
+    def joined(self, *others: "Traffic") -> "Traffic":
+        """Agents of all, self first."""
+        every = [traffic for traffic in (self, *others) if traffic.ids]
+        if len(every) <= 1:
+            return every[0] if every else self
         return Traffic(
-            ids=self.ids + other.ids,
-            position=np.concatenate([self.position, other.position]),
-            heading=np.concatenate([self.heading, other.heading]),
-            velocity=np.concatenate([self.velocity, other.velocity]),
-            present=np.concatenate([self.present, other.present]),
-            length_m=np.concatenate([self.length_m, other.length_m]),
-            width_m=np.concatenate([self.width_m, other.width_m]),
+            ids=tuple(track_id for traffic in every for track_id in traffic.ids),
+            position=np.concatenate([traffic.position for traffic in every]),
+            heading=np.concatenate([traffic.heading for traffic in every]),
+            velocity=np.concatenate([traffic.velocity for traffic in every]),
+            present=np.concatenate([traffic.present for traffic in every]),
+            length_m=np.concatenate([traffic.length_m for traffic in every]),
+            width_m=np.concatenate([traffic.width_m for traffic in every]),
+            joined_of=tuple(part for traffic in every for part in traffic.parts),
         )
 
 

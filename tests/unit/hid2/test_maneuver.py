@@ -174,7 +174,7 @@ def test_path_across_ends_in_the_middle_of_the_other_lane(world: Callable[..., W
     )  # fmt: skip
     assert isinstance(path, DrivenPath)
     ((start, end),) = path.shifts
-    assert start == pytest.approx(40.0, abs=1.0)
+    assert start == pytest.approx(40.0, abs=1.01)  # it begins at a point of the path, 1 m apart
     assert 2.5 <= (end - start) / 10.0 <= 6.1
     assert path.line.position(np.array([end + 1.0]))[0, 1] == pytest.approx(3.5, abs=0.05)
 
