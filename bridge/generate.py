@@ -13,7 +13,7 @@ import numpy as np
 
 from bridge.config import config_sha256
 from bridge.export import new_scenario_id, write_scene
-from bridge.records import agent_record, with_unmet
+from bridge.records import agent_record, outcomes, with_unmet
 from bridge.replay import Replay, ReplayErrors
 from bridge.scenario import LAST_OBSERVED, Scenario
 from bridge.sidecar import (
@@ -141,6 +141,7 @@ class _Run:
         self.replay_errors = ReplayErrors()
         self.sumo_version = ""
         self._next = 0
+        self._reseeded = 0
 
     def fill(self) -> None:
         """All rounds; where they do not reach the count, again from an empty road: packed, then packed closer.
@@ -173,13 +174,16 @@ class _Run:
             wanted = pending[:missing] + [Policy.STRAIGHT] * (missing - len(pending))
             before = len(self.settled)
             patience = number + 2 if packed else number
-            failed = self._round(wanted, missing, patience=patience, packed=packed)
+            reseeds = number < self.world.config.spawn.reseed_rounds
+            failed = self._round(wanted, missing, patience=patience, packed=packed, reseeds=reseeds)
             pending = failed + [Policy.STRAIGHT] * max(0, target - len(self.settled) - len(failed))
-            dry = 0 if len(self.settled) > before else dry + 1
+            dry = 0 if len(self.settled) > before or self._reseeded else dry + 1
             if dry >= 2 or (dry and number >= 1):
                 break
 
-    def _round(self, wanted: Sequence[Policy], missing: int, *, patience: int, packed: bool) -> list[Policy]:
+    def _round(
+        self, wanted: Sequence[Policy], missing: int, *, patience: int, packed: bool, reseeds: bool
+    ) -> list[Policy]:
         """Plan, drive and settle; returns the policies still wanted."""
         spawner = Spawner(self.world, self.rng, self.fixed, patience, packed)
         attempts = _ATTEMPTS_LATE if patience >= 2 or packed else _ATTEMPTS
@@ -191,8 +195,7 @@ class _Run:
             without = [policy for policy in without if not self._plan(spawner, policy, missing, attempts)]
             spawner.patience = patience
         for policy in without:
-            reason = spawner.last_reasons.get(policy) if spawner.offers(policy) else f"map_offers_no_{policy.value}"
-            self.unmet.append((policy, reason or "no_place_left"))
+            self.unmet.append((policy, spawner.why_none(policy)))
         spare = missing + (math.ceil(self.world.config.spawn.spare_share * missing) if missing >= _SPARE_FROM else 0)
         for _ in range(3):
             while len(spawner.planned) < spare and self._plan(spawner, Policy.STRAIGHT, spare, attempts):
@@ -203,7 +206,7 @@ class _Run:
         failed = [Policy.STRAIGHT] * (missing - len(spawner.planned))
         self.reasons.update(spawner.reasons)
         if spawner.planned or self.replay_errors.states == 0:
-            failed += self._drive(spawner.planned, missing + len(self.settled), patience)
+            failed += self._drive(spawner, missing + len(self.settled), reseeds=reseeds)
         return failed
 
     def _plan(self, spawner: Spawner, policy: Policy, missing: int, attempts: int) -> bool:
@@ -215,35 +218,57 @@ class _Run:
         leader_id = self._new_id() if room >= 2 and self.world.config.request.spawn_leaders else None
         return bool(spawner.spawn_overtake(self._new_id(), leader_id, attempts=attempts))
 
-    def _drive(self, planned: Sequence[PlannedVehicle], target: int, patience: int) -> list[Policy]:
+    def _drive(self, spawner: Spawner, target: int, *, reseeds: bool) -> list[Policy]:
+        """Drive and settle what was planned; returns the policies that are to be tried again.
+
+        reseeds: a vehicle that lives but did not do what it was placed for makes room for another one elsewhere.
+        """
         world = self.world
         with Simulation(self.net, seed=world.config.request.seed, step_s=DT_S) as simulation:
             self.sumo_version = simulation.version()
             recorded = Replay(simulation, world.traffic, "r", checked=self.replay_errors.states == 0)
             steering = Steering(world, simulation, self.fixed)
-            drivers = steering.run(planned, [recorded, Replay(simulation, self.fixed, "f", checked=False)])
+            drivers = steering.run(spawner.planned, [recorded, Replay(simulation, self.fixed, "f", checked=False)])
         if self.replay_errors.states == 0:
             self.replay_errors = recorded.errors
         by_id = {driver.spec.vehicle_id: driver for driver in drivers}
         settled, failed = settle(world, steering.driven(), [item.vehicle for item in self.settled], self.fixed)
-        again = [spec.policy for spec, _ in failed if spec.policy is not Policy.STRAIGHT] if patience == 0 else []
-        surplus = len(self.settled) + len(settled) + len(again) - target  # a manoeuvre that failed gets another try
+        failed += [(driver.spec, driver.objection) for driver in drivers if driver.objection is not None]
+        if reseeds:
+            settled, missed = self._keep_what_was_asked(settled, by_id, spawner.led_by)
+            failed += missed
+        again = [spec.policy for spec, _ in failed if spec.policy is not Policy.STRAIGHT] if reseeds else []
+        self._reseeded = len(again)
+        surplus = len(self.settled) + len(settled) + len(again) - target
         if surplus > 0:  # the spare ones were not needed
+            leaders = {driver.leader_id for driver in drivers}
             idle = [
-                v for v in settled if v.driven.spec.policy is Policy.STRAIGHT and not self._leads_overtake(v, drivers)
-            ]
+                v for v in settled
+                if v.driven.spec.policy is Policy.STRAIGHT and v.driven.spec.vehicle_id not in leaders
+            ]  # fmt: skip
             dropped = {id(v) for v in idle[-surplus:]}
             settled = [v for v in settled if id(v) not in dropped]
-        refused = [driver.spec for driver in drivers if driver.objection is not None]
         self.reasons.update(reason for _, reason in failed)
-        self.reasons.update(driver.objection for driver in drivers if driver.objection is not None)
         self.settled += [Settled(vehicle, by_id[vehicle.driven.spec.vehicle_id]) for vehicle in settled]
         self.fixed = self.fixed.joined(settled_traffic(settled, world.num_steps))
-        return [spec.policy for spec, _ in failed] + [spec.policy for spec in refused]
+        return [spec.policy for spec, _ in failed]
 
-    @staticmethod
-    def _leads_overtake(vehicle: SettledVehicle, drivers: Sequence[Driver]) -> bool:
-        return any(driver.leader_id == vehicle.driven.spec.vehicle_id for driver in drivers)
+    def _keep_what_was_asked(
+        self, settled: Sequence[SettledVehicle], drivers: Mapping[str, Driver], led_by: Mapping[str, str]
+    ) -> tuple[list[SettledVehicle], list[tuple[PlannedVehicle, str]]]:
+        """Vehicles that did what they were placed for; and the others, with the leaders that they brought along."""
+        traffic = self.world.traffic.joined(self.fixed).joined(settled_traffic(settled, self.world.num_steps))
+        missed: dict[str, str] = {}
+        for vehicle in settled:
+            spec = vehicle.driven.spec
+            for record in outcomes(vehicle, drivers[spec.vehicle_id], self.world, traffic):
+                if record.status != "done" and record.status != "not_triggered":
+                    missed[spec.vehicle_id] = f"{record.kind}_{record.reason}"
+                    if spec.vehicle_id in led_by:
+                        missed.setdefault(led_by[spec.vehicle_id], "led_no_overtake")
+        kept = [vehicle for vehicle in settled if vehicle.driven.spec.vehicle_id not in missed]
+        specs = {vehicle.driven.spec.vehicle_id: vehicle.driven.spec for vehicle in settled}
+        return kept, [(specs[vehicle_id], reason) for vehicle_id, reason in missed.items() if vehicle_id in specs]
 
     def _new_id(self) -> str:
         self._next += 1
@@ -305,7 +330,9 @@ def _sidecar(
     prepared: PreparedScene, world: World, run: _Run, vehicles: Sequence[Settled], *, variant: int, sumo_version: str
 ) -> Sidecar:
     config = world.config
-    agents = [agent_record(item.vehicle, item.driver, f"gen_{row}", world) for row, item in enumerate(vehicles)]
+    traffic = world.traffic.joined(run.fixed)
+    names = {item.vehicle.driven.spec.vehicle_id: f"gen_{row}" for row, item in enumerate(vehicles)}
+    agents = [agent_record(item.vehicle, item.driver, world, traffic, names) for item in vehicles]
     agents = with_unmet(agents, run.unmet)
     placed = Counter(record.policy for record in agents)
     return Sidecar(

@@ -10,11 +10,15 @@ from bridge.steering import Driver
 from hid2.agents import FloatArray, Policy
 from hid2.conflicts import DT_S
 from hid2.lane_change import lateral_share
+from hid2.maneuver import is_on_lane, returns_to
 from hid2.overtake import Stage
 from hid2.repair import SettledVehicle
+from hid2.traffic import Traffic
 from hid2.world import World
 from netconvert.lane_graph import TurnType
 
+#: Reason of a finished overtake whose leader stood all the while: evaluation counts it apart.
+OBSTACLE_AVOIDANCE = "obstacle_avoidance"
 _VISIBLE_MPS = 0.1
 _KIND: Mapping[Policy, ManeuverKind] = {
     Policy.LEFT_TURN: "left_turn",
@@ -25,8 +29,13 @@ _KIND: Mapping[Policy, ManeuverKind] = {
 _TURN = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
 
 
-def agent_record(vehicle: SettledVehicle, driver: Driver, track_id: str, world: World) -> AgentRecord:
-    """Record of one exported vehicle; times are those of the exported motion."""
+def agent_record(
+    vehicle: SettledVehicle, driver: Driver, world: World, traffic: Traffic, names: Mapping[str, str]
+) -> AgentRecord:
+    """Record of one exported vehicle; times are those of the exported motion.
+
+    traffic: everybody in the scene; names: track ids of the generated vehicles by their ids in `traffic`.
+    """
     spec = vehicle.driven.spec
     cell = world.cell_at(spec.path, spec.s0)
     end_s = float(vehicle.motion.s[-1])
@@ -34,14 +43,19 @@ def agent_record(vehicle: SettledVehicle, driver: Driver, track_id: str, world: 
         segment.lane_id for segment in vehicle.driven.path.segments if spec.s0 < segment.end and segment.start <= end_s
     ]
     return AgentRecord(
-        track_id=track_id,
+        track_id=names[spec.vehicle_id],
         object_type="bus" if spec.object_type == "bus" else "vehicle",
         length_m=spec.own_size.length_m,
         width_m=spec.own_size.width_m,
         policy=spec.policy,
         spawn=SpawnRecord(lane_segment_id=cell.lane_id, cell=cell.index, speed_mps=round(spec.v0, 6)),
         route=tuple(route),
-        maneuvers=tuple(_maneuvers(vehicle, driver, world)),
+        maneuvers=tuple(
+            record.model_copy(update={"leader_track_id": names.get(record.leader_track_id, record.leader_track_id)})
+            if record.leader_track_id is not None
+            else record
+            for record in outcomes(vehicle, driver, world, traffic)
+        ),
         end_reason="map_edge" if vehicle.num_steps < world.num_steps else None,
         retimed=vehicle.retimed,
         standing=bool(end_s - spec.s0 < 2.0),
@@ -61,14 +75,18 @@ def with_unmet(agents: Sequence[AgentRecord], unmet: Sequence[tuple[Policy, str]
     return records
 
 
-def _maneuvers(vehicle: SettledVehicle, driver: Driver, world: World) -> list[ManeuverRecord]:
+def outcomes(vehicle: SettledVehicle, driver: Driver, world: World, traffic: Traffic) -> list[ManeuverRecord]:
+    """What became of the manoeuvre that a vehicle was placed for; none for one that goes straight.
+
+    traffic: everybody in the scene. A leader's id is the one that it has there.
+    """
     policy = vehicle.driven.spec.policy
     if policy in _TURN:
         return [_turn(vehicle, world)]
     if policy is Policy.LANE_CHANGE:
         return [_lane_change(vehicle, driver)]
     if policy is Policy.OVERTAKE:
-        return [_overtake(vehicle, driver, world)]
+        return [_overtake(vehicle, driver, world, traffic)]
     return []
 
 
@@ -114,7 +132,8 @@ def _lane_change(vehicle: SettledVehicle, driver: Driver) -> ManeuverRecord:
     )  # fmt: skip
 
 
-def _overtake(vehicle: SettledVehicle, driver: Driver, world: World) -> ManeuverRecord:
+def _overtake(vehicle: SettledVehicle, driver: Driver, world: World, traffic: Traffic) -> ManeuverRecord:
+    """Done where the vehicle is back in its lane ahead of the leader, by the exported motion of both."""
     spec = vehicle.driven.spec
     trigger = round(spec.trigger_s, 6)
     if not driver.shifts:
@@ -122,24 +141,57 @@ def _overtake(vehicle: SettledVehicle, driver: Driver, world: World) -> Maneuver
         return ManeuverRecord(kind="overtake", status=missed, reason=driver.reason or "scene_ended", trigger_s=trigger)
     enter = driver.shifts[0]
     start, crossing, entered = _shift_times(vehicle, 0)
-    end = _shift_times(vehicle, 1)[2] if len(driver.shifts) > 1 else None
-    if end is not None:
-        reason = None
+    _, back_s, end = _shift_times(vehicle, 1) if len(driver.shifts) > 1 else (None, None, None)
+    leader_id = driver.leader_id if driver.leader_id in traffic.ids else None
+    reason: str | None = None
+    if leader_id is None:
+        reason = "leader_not_kept"
     elif entered is None:
         reason = "scene_ended_entering"
-    elif len(driver.shifts) > 1:
-        reason = "scene_ended_returning"
-    elif driver.stage is Stage.PASS and driver.reason == "not_ahead":
+    elif len(driver.shifts) == 1 and driver.stage is Stage.PASS and driver.reason == "not_ahead":
         reason = "not_passed"
-    else:
+    elif len(driver.shifts) == 1:
         reason = f"passed_without_return:{driver.reason or 'scene_ended'}"
+    elif end is None or back_s is None:
+        reason = "scene_ended_returning"
+    elif not returns_to(spec.path, vehicle.driven.path):
+        reason = "returned_elsewhere"
+    elif not _is_ahead(vehicle, round(back_s / DT_S), leader_id, traffic):
+        reason = "returned_behind"
+    done = reason is None
+    if done and leader_id is not None and _stands(leader_id, traffic, world.config.overtake.parked_mps):
+        reason = OBSTACLE_AVOIDANCE
     return ManeuverRecord(
-        kind="overtake", status="done" if end is not None else "aborted", reason=reason, trigger_s=trigger,
-        requested_s=round(enter.requested_step * DT_S, 6), start_s=start, crossing_s=crossing, end_s=end,
-        source_lane=enter.source_lane, target_lane=enter.target_lane, leader_track_id=driver.leader_id,
-        gap_front_m=_finite(enter.gap_front_m), gap_rear_m=_finite(enter.gap_rear_m),
+        kind="overtake", status="done" if done else "aborted", reason=reason, trigger_s=trigger,
+        requested_s=round(enter.requested_step * DT_S, 6), start_s=start, crossing_s=crossing,
+        end_s=end if done else None, source_lane=enter.source_lane, target_lane=enter.target_lane,
+        leader_track_id=leader_id, gap_front_m=_finite(enter.gap_front_m), gap_rear_m=_finite(enter.gap_rear_m),
         min_ttc_s=_finite(vehicle.min_ttc_s),
     )  # fmt: skip
+
+
+def _is_ahead(vehicle: SettledVehicle, step: int, leader_id: str, traffic: Traffic) -> bool:
+    """Whether the whole box is ahead of the leader's at a step, along the own heading; or was when it was last there.
+
+    A leader that left the lane path on which it was followed has not been overtaken.
+    """
+    row = traffic.ids.index(leader_id)
+    there = np.flatnonzero(traffic.present[row, : step + 1])
+    if there.size == 0:
+        return False
+    seen = int(there[-1])
+    if not is_on_lane(vehicle.driven.spec.path, traffic.position[row, seen]):
+        return False
+    offset = vehicle.trajectory.position[seen] - traffic.position[row, seen]
+    heading = float(vehicle.trajectory.heading[seen])
+    along = float(offset[0] * math.cos(heading) + offset[1] * math.sin(heading))
+    return along > 0.5 * (vehicle.driven.spec.own_size.length_m + float(traffic.length_m[row]))
+
+
+def _stands(track_id: str, traffic: Traffic, parked_mps: float) -> bool:
+    row = traffic.ids.index(track_id)
+    speed = np.hypot(*traffic.velocity[row, traffic.present[row]].T)
+    return bool(np.all(speed < parked_mps))
 
 
 def _shift_times(vehicle: SettledVehicle, index: int) -> tuple[float | None, float | None, float | None]:

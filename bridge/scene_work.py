@@ -53,9 +53,12 @@ def run_each(
 def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
     """Add what a sidecar says about vehicles and manoeuvres."""
     maneuvers = [maneuver for agent in sidecar.agents for maneuver in agent.maneuvers]
-    done = Counter(maneuver.kind for maneuver in maneuvers if maneuver.status == "done")
+    # passing a standing vehicle is finished, but it is no overtake: it has a reason too
+    done = Counter(maneuver.kind for maneuver in maneuvers if maneuver.status == "done" and maneuver.reason is None)
     not_done = Counter(
-        f"{maneuver.kind}: {maneuver.reason or maneuver.status}" for maneuver in maneuvers if maneuver.status != "done"
+        f"{maneuver.kind}: {maneuver.reason or maneuver.status}"
+        for maneuver in maneuvers
+        if maneuver.status != "done" or maneuver.reason is not None
     )
     return row._replace(
         placed=sidecar.placed.agents,

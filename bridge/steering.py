@@ -11,7 +11,7 @@ from bridge.simulation import Simulation
 from hid2.agents import FloatArray, Policy
 from hid2.conflicts import DT_S
 from hid2.decision import Decision, LaneOption, Observation, Side, decide
-from hid2.maneuver import gap_ahead_of, lane_options, lay_across, leader_on
+from hid2.maneuver import gap_ahead_of, lane_options, lay_across, leader_on, returns_to
 from hid2.overtake import Leader, Stage
 from hid2.repair import DrivenVehicle
 from hid2.route import DrivenPath
@@ -207,7 +207,7 @@ class Steering:
         if spec.policy is Policy.OVERTAKE:
             leader = leader_on(
                 driver.path, spec.size, s=driver.s[now], step=now, d_obs_m=self.world.config.overtake.d_obs_m,
-                everybody=self._everybody(driver),
+                vehicles=self._vehicles(driver),
             )  # fmt: skip
         return options, leader
 
@@ -221,10 +221,11 @@ class Steering:
             passed = gap_ahead_of(
                 driver.path,
                 driver.spec.size,
-                s=s,
+                s=np.asarray(driver.s),
                 step=now,
+                lane=driver.spec.path,
                 passed_id=driver.leader_id,
-                everybody=self._everybody(driver),
+                vehicles=self._vehicles(driver),
             )
         return Observation(
             time_s=now * DT_S,
@@ -253,6 +254,8 @@ class Steering:
         )  # fmt: skip
         if isinstance(path, str):
             return path
+        if driver.stage is Stage.PASS and not returns_to(spec.path, path):
+            return "lanes_part"
         look = self.world.prospect(
             path, spec.size, cruise_mps=spec.cruise_mps, others=(self.fixed, self._others(driver))
         )
@@ -348,8 +351,9 @@ class Steering:
         rows = [row for row, other in enumerate(self.drivers) if other is not driver and other.objection is None]
         return self._fleet.rows(rows)
 
-    def _everybody(self, driver: Driver) -> Traffic:
-        return self.world.traffic.joined(self.fixed).joined(self._others(driver))
+    def _vehicles(self, driver: Driver) -> Traffic:
+        """Who can be overtaken."""
+        return self.world.vehicles.joined(self.fixed).joined(self._others(driver))
 
     def driven(self) -> list[DrivenVehicle]:
         """Traces of the vehicles that SUMO took; beyond the map's edge they roll on at their last speed."""

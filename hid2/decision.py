@@ -15,7 +15,7 @@ Side = Literal["left", "right"]
 
 @dataclass(frozen=True, slots=True)
 class LaneOption:
-    """An adjacent lane l' as the agent sees it at one step.
+    """An adjacent lane l' that the marking lets the agent change to, as it sees it at one step.
 
     target: cell g_{l',j}; cells_free: sigma = 0 in j-1, j, j+1; gaps to the vehicles ahead and behind there, Frenet m;
     remaining_m: length of l' left through its successors; corridor_m: its free stretch m * delta s.
@@ -23,7 +23,6 @@ class LaneOption:
 
     side: Side
     target: Cell
-    allowed: bool
     cells_free: bool
     front: Gap
     rear: Gap
@@ -69,7 +68,6 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
             reason = lane_change_reason(
                 speed_mps=seen.speed_mps,
                 cells_free=option.cells_free,
-                allowed=option.allowed,
                 front=option.front,
                 rear=option.rear,
                 remaining_m=option.remaining_m,
@@ -83,7 +81,7 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
             if seen.stage is Stage.PASS:
                 reason = return_reason(
                     lead_gap_m=seen.passed_gap_m,
-                    lane_available=option.allowed and option.cells_free,
+                    lane_available=option.cells_free,
                     ahead=option.front,
                     params=overtake,
                 )
@@ -91,7 +89,7 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
                 reason = enter_reason(
                     leader=seen.leader,
                     desired_mps=seen.desired_mps,
-                    lane_available=option.allowed and option.cells_free,
+                    lane_available=option.cells_free,
                     ahead=option.front,
                     behind=option.rear,
                     free_corridor_m=option.corridor_m,

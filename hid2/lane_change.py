@@ -33,7 +33,6 @@ def lane_change_reason(
     *,
     speed_mps: float,
     cells_free: bool,
-    allowed: bool,
     front: Gap,
     rear: Gap,
     remaining_m: float,
@@ -43,8 +42,6 @@ def lane_change_reason(
 
     cells_free: sigma = 0 in cells j-1, j, j+1 of l'. Gaps are to the new leader and follower in Frenet metres.
     """
-    if not allowed:
-        return "marking_forbids"
     if speed_mps < params.min_speed_mps:
         return "too_slow"
     if remaining_m < params.min_remaining_m:

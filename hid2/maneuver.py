@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hid2.agents import BoxSize, Policy
+from hid2.agents import BoxSize, FloatArray, Policy
 from hid2.conflicts import DT_S
 from hid2.decision import LaneOption, Side
 from hid2.lane_change import Gap, blend_paths, duration_s
@@ -18,6 +18,7 @@ from hid2.world import DRIVABLE_TYPES, World
 from netconvert.cells import Cell
 
 _MAX_SHIFT_M = 5.5
+_HALF_LANE_M = 1.5
 _LOOK_BACK_M = 50.0
 _SPARE_S = 0.5
 _ROUTE_LONGEST_M = 260.0
@@ -65,7 +66,7 @@ def lane_options(
         remaining = target.exit_s - at
         corridor = remaining if front.speed_mps >= desired_mps else min(remaining, front.distance_m)
         option = LaneOption(
-            side=side, target=cell, allowed=True, cells_free=_cells_free(world, cell, step=step, others=others),
+            side=side, target=cell, cells_free=_cells_free(world, cell, step=step, others=others),
             front=front, rear=rear, remaining_m=remaining, corridor_m=corridor,
         )  # fmt: skip
         found.append((option, target))
@@ -124,10 +125,10 @@ def gaps_on(
 
 
 def leader_on(
-    path: DrivenPath, size: BoxSize, *, s: float, step: int, d_obs_m: float, everybody: Traffic
+    path: DrivenPath, size: BoxSize, *, s: float, step: int, d_obs_m: float, vehicles: Traffic
 ) -> Leader | None:
     """Next vehicle on the lane path within d_obs, at one step."""
-    here = everybody.at(step)
+    here = vehicles.at(step)
     own = path.line.position(np.array([s]))[0]
     near = np.abs(here.position[:, 0] - own).max(axis=1) < d_obs_m + 15.0
     best: Leader | None = None
@@ -143,15 +144,37 @@ def leader_on(
     return best
 
 
-def gap_ahead_of(path: DrivenPath, size: BoxSize, *, s: float, step: int, passed_id: str, everybody: Traffic) -> float:
-    """Own rear bumper to the passed vehicle's front, m, along the own heading; inf once that vehicle is gone."""
-    row = everybody.ids.index(passed_id)
-    if not everybody.present[row, step]:
-        return math.inf
-    offset = path.line.position(np.array([s]))[0] - everybody.position[row, step]
-    heading = float(path.line.heading(np.array([s]))[0])
+def is_on_lane(lane: DrivenPath, position: FloatArray) -> bool:
+    """Whether a box centre (2,) m lies within half a lane of a lane path's middle."""
+    offset = lane.line.table_xy - position
+    return bool(np.hypot(offset[:, 0], offset[:, 1]).min() < _HALF_LANE_M)
+
+
+def returns_to(lane: DrivenPath, path: DrivenPath) -> bool:
+    """Whether the last lateral motion of a path ends on a lane path (the return of an overtake)."""
+    return is_on_lane(lane, path.line.position(np.array([path.shifts[-1][1]]))[0])
+
+
+def gap_ahead_of(
+    path: DrivenPath, size: BoxSize, *, s: FloatArray, step: int, lane: DrivenPath, passed_id: str, vehicles: Traffic
+) -> float:
+    """Own rear bumper to the passed vehicle's front at a step, m, along the own heading; s (T,) m on the path.
+
+    lane: the lane path that both were on. Of a vehicle that has left the map, the gap is the one when it was last
+    there; -inf where it was not on the lane path then: it turned off, and nobody is passed.
+    """
+    row = vehicles.ids.index(passed_id)
+    there = np.flatnonzero(vehicles.present[row, : step + 1])
+    if there.size == 0:
+        return -math.inf
+    seen = int(there[-1])
+    if not is_on_lane(lane, vehicles.position[row, seen]):
+        return -math.inf
+    at = np.array([s[min(seen, s.size - 1)]])
+    offset = path.line.position(at)[0] - vehicles.position[row, seen]
+    heading = float(path.line.heading(at)[0])
     along = float(offset[0] * math.cos(heading) + offset[1] * math.sin(heading))
-    return along - size.length_m / 2 - float(everybody.length_m[row]) / 2
+    return along - size.length_m / 2 - float(vehicles.length_m[row]) / 2
 
 
 def lay_across(

@@ -78,6 +78,9 @@ class Spawn(_Section):
     )
     clear_gap_m: float = _param(3.0, "m", "smallest bumper gap at spawn", ge=0.5, le=50)
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
+    reseed_rounds: int = _param(
+        2, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
+    )
     spare_share: float = _param(
         0.1, "share", "vehicles planned beyond the count, in case some cannot be made safe", ge=0, le=1
     )

@@ -26,12 +26,14 @@ _MOVING_M, _MOVING_MPS = 5.0, 1.0
 class World:
     """Everything about a scene that does not change while vehicles are inserted, and caches of what follows from it.
 
-    earliest_exit_step: a generated vehicle may leave the map only from this step on.
+    earliest_exit_step: a generated vehicle may leave the map only from this step on. vehicles: the recorded cars and
+    buses of `traffic`, which an overtaker may pass; others are obstacles to it.
     """
 
     grid: CellGrid
     config: Config
     traffic: Traffic
+    vehicles: Traffic
     occupancy: OriginalOccupancy
     boxes: CellBoxes
     num_steps: int
@@ -124,6 +126,7 @@ def build_world(
         grid=grid,
         config=config,
         traffic=traffic,
+        vehicles=traffic.rows([row for row, track in enumerate(tracks) if track.object_type in VEHICLE_TYPES]),
         occupancy=occupancy,
         boxes=boxes,
         num_steps=num_steps,

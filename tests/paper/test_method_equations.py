@@ -157,7 +157,7 @@ def test_lane_change_needs_sigma_0_in_cells_j_minus_1_to_j_plus_1_of_the_target_
     assert option.cells_free is (abs(k) > 1)
 
 
-OPTION = LaneOption("left", Cell(2, 10), True, True, Gap.none(), Gap.none(), 150.0, 150.0)
+OPTION = LaneOption("left", Cell(2, 10), True, Gap.none(), Gap.none(), 150.0, 150.0)
 SEEN: dict[str, Any] = {
     "time_s": 2.0, "cell": Cell(1, 10), "next_cell": Cell(1, 11), "lane_turn": TurnType.STRAIGHT, "speed_mps": 10.0,
     "desired_mps": 10.0, "request": Policy.LANE_CHANGE, "trigger_s": 2.0, "stage": Stage.WAITING, "leader": None,
@@ -174,7 +174,7 @@ def _decide(**changes: Any) -> Any:
 
 
 def test_next_cell_is_g_l_prime_j_when_feasible_else_g_l_j_plus_1() -> None:
-    blocked = LaneOption("left", Cell(2, 10), True, False, Gap.none(), Gap.none(), 150.0, 150.0)
+    blocked = LaneOption("left", Cell(2, 10), False, Gap.none(), Gap.none(), 150.0, 150.0)
     assert _decide().target == Cell(2, 10)
     assert _decide(options=(blocked,)).target == Cell(1, 11)
 
@@ -188,7 +188,7 @@ def test_trigger_holds_from_t_trigger_on() -> None:
 
 def test_remaining_length_of_the_target_lane_exceeds_a_threshold() -> None:
     """25 m are asked for: 24 m are too few."""
-    short = LaneOption("left", Cell(2, 44), True, True, Gap.none(), Gap.none(), 24.0, 24.0)
+    short = LaneOption("left", Cell(2, 44), True, Gap.none(), Gap.none(), 24.0, 24.0)
     assert _decide(options=(short,)).reason == "lane_ends"
 
 
@@ -225,7 +225,7 @@ def test_overtake_enters_passes_and_returns_ahead_of_where_it_left() -> None:
     leader = Leader("1", 20.0, 5.0, 4.5)
     enter = _decide(request=Policy.OVERTAKE, leader=leader, desired_mps=12.0)
     assert (enter.policy, enter.target) == (Policy.OVERTAKE, Cell(2, 10))
-    back = LaneOption("right", Cell(1, 25), True, True, Gap.none(), Gap.none(), 100.0, 100.0)
+    back = LaneOption("right", Cell(1, 25), True, Gap.none(), Gap.none(), 100.0, 100.0)
     passing = {"request": Policy.OVERTAKE, "stage": Stage.PASS, "options": (back,), "cell": Cell(2, 25)}
     assert _decide(**passing, passed_gap_m=-2.0).policy is Policy.STRAIGHT
     assert _decide(**passing, passed_gap_m=6.0).target == Cell(1, 25)

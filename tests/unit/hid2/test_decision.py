@@ -14,7 +14,7 @@ from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
 LEFT = LaneOption(
-    side="left", target=Cell(2, 5), allowed=True, cells_free=True, front=Gap.none(), rear=Gap.none(),
+    side="left", target=Cell(2, 5), cells_free=True, front=Gap.none(), rear=Gap.none(),
     remaining_m=100.0, corridor_m=100.0,
 )  # fmt: skip
 RIGHT = replace(LEFT, side="right", target=Cell(3, 5))

@@ -17,7 +17,6 @@ PARAMS = LaneChange(
 OPEN: dict[str, Any] = {
     "speed_mps": 10.0,
     "cells_free": True,
-    "allowed": True,
     "front": Gap(30.0, 10.0),
     "rear": Gap(30.0, 10.0),
     "remaining_m": 100.0,
@@ -46,7 +45,6 @@ def test_lane_change_into_an_open_lane_is_feasible() -> None:
 @pytest.mark.parametrize(
     ("changed", "reason"),
     [
-        ({"allowed": False}, "marking_forbids"),
         ({"speed_mps": 1.9}, "too_slow"),
         ({"remaining_m": 24.9}, "lane_ends"),
         ({"cells_free": False}, "cells_occupied"),
@@ -63,9 +61,9 @@ def test_lane_change_waits_for_the_first_condition_that_fails(changed: dict[str,
     assert lane_change_reason(**{**OPEN, **changed}, params=PARAMS) == reason
 
 
-def test_marking_is_named_before_everything_else() -> None:
-    closed = {**OPEN, "allowed": False, "cells_free": False, "front": Gap(0.0, 0.0), "remaining_m": 0.0}
-    assert lane_change_reason(**closed, params=PARAMS) == "marking_forbids"
+def test_end_of_the_lane_is_named_before_who_is_on_it() -> None:
+    closed = {**OPEN, "cells_free": False, "front": Gap(0.0, 0.0), "remaining_m": 0.0}
+    assert lane_change_reason(**closed, params=PARAMS) == "lane_ends"
 
 
 def test_duration_is_the_comfortable_one_at_speed() -> None:

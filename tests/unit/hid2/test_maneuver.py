@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -58,7 +59,7 @@ def test_option_is_the_facing_cell_with_what_is_left_of_its_lane(world: Callable
     """At 41 m of lane 1: cell 10 of lane 2, 159 m before its end, nobody there."""
     scene = world()
     ((option, target),) = lane_options(scene, scene.path((1,)), CAR, s=41.0, step=0, sides=("left", "right"), others=())
-    assert (option.side, option.target, option.allowed, option.cells_free) == ("left", Cell(2, 10), True, True)
+    assert (option.side, option.target, option.cells_free) == ("left", Cell(2, 10), True)
     assert option.front == option.rear == Gap.none()
     assert option.remaining_m == option.corridor_m == pytest.approx(159.0, abs=0.1)
     assert [segment.lane_id for segment in target.segments] == [2]
@@ -132,10 +133,8 @@ def test_leader_is_the_next_one_on_the_path_within_d_obs(
     straight_path: DrivenPath, box: Callable[..., Traffic]
 ) -> None:
     """At 50 and 70 m on the own lane, at 45 m on the next lane; own centre at 30: the one at 50, gap 20 - 4.5 m."""
-    everybody = (
-        box(70.0, 0.0, name="far").joined(box(50.0, 0.0, 0.0, 6.0, name="near")).joined(box(45.0, 3.5, name="x"))
-    )
-    leader = leader_on(straight_path, CAR, s=30.0, step=0, d_obs_m=40.0, everybody=everybody)
+    vehicles = box(70.0, 0.0, name="far").joined(box(50.0, 0.0, 0.0, 6.0, name="near")).joined(box(45.0, 3.5, name="x"))
+    leader = leader_on(straight_path, CAR, s=30.0, step=0, d_obs_m=40.0, vehicles=vehicles)
     assert leader is not None
     assert leader.track_id == "near"
     assert leader.gap_m == pytest.approx(15.5, abs=0.6)
@@ -146,24 +145,42 @@ def test_nobody_is_a_leader_behind_beyond_d_obs_or_across(
     straight_path: DrivenPath, box: Callable[..., Traffic]
 ) -> None:
     for other in (box(10.0, 0.0), box(80.0, 0.0), box(50.0, 0.0, np.pi / 2)):
-        assert leader_on(straight_path, CAR, s=30.0, step=0, d_obs_m=40.0, everybody=other) is None
+        assert leader_on(straight_path, CAR, s=30.0, step=0, d_obs_m=40.0, vehicles=other) is None
+
+
+@pytest.fixture
+def gap_to(straight_path: DrivenPath) -> Callable[..., float]:
+    """Gap to a passed vehicle "p" at a step, driving at 10 m/s from s = 50 m on at step 0."""
+
+    def find(passed: Traffic, step: int) -> float:
+        s = 50.0 + np.arange(passed.num_steps, dtype=np.float64)
+        return gap_ahead_of(straight_path, CAR, s=s, step=step, lane=straight_path, passed_id="p", vehicles=passed)
+
+    return find
 
 
 def test_gap_ahead_of_the_passed_vehicle_grows_from_negative(
-    straight_path: DrivenPath, box: Callable[..., Traffic]
+    gap_to: Callable[..., float], box: Callable[..., Traffic]
 ) -> None:
-    """It stands at 50, 3.5 m aside: own centre at 50 is 4.5 m short of clear, at 60 it is 10 - 4.5 = 5.5 m ahead."""
-    passed = box(50.0, 3.5, name="p")
-    for s, gap in ((50.0, -4.5), (60.0, 5.5)):
-        found = gap_ahead_of(straight_path, CAR, s=s, step=0, passed_id="p", everybody=passed)
-        assert found == pytest.approx(gap, abs=0.01)
+    """It stands at 50: own centre at 50 is 4.5 m short of clear, ten steps of 1 m later 10 - 4.5 = 5.5 m ahead."""
+    passed = box(50.0, 0.0, name="p")
+    assert gap_to(passed, 0) == pytest.approx(-4.5, abs=0.01)
+    assert gap_to(passed, 10) == pytest.approx(5.5, abs=0.01)
 
 
-def test_passed_vehicle_that_is_gone_is_infinitely_far_behind(
-    straight_path: DrivenPath, box: Callable[..., Traffic]
-) -> None:
-    later = box(50.0, 3.5, name="p", first=10)
-    assert gap_ahead_of(straight_path, CAR, s=55.0, step=5, passed_id="p", everybody=later) == np.inf
+def test_who_turned_off_is_never_passed(gap_to: Callable[..., float], box: Callable[..., Traffic]) -> None:
+    assert gap_to(box(50.0, 3.5, name="p"), 10) == -np.inf
+
+
+def test_gap_to_who_is_gone_is_the_last_one(gap_to: Callable[..., float], box: Callable[..., Traffic]) -> None:
+    """It stood at 50 m until step 3, when the own centre was at 53: 3 - 4.5 m, however far the own vehicle came since.
+
+    One that comes only later was never there.
+    """
+    stood = box(50.0, 0.0, name="p")
+    until = np.arange(stood.num_steps)[None, :] <= 3
+    assert gap_to(replace(stood, present=stood.present & until), 20) == pytest.approx(-1.5, abs=0.01)
+    assert gap_to(box(50.0, 0.0, name="p", first=10), 5) == -np.inf
 
 
 def test_path_across_ends_in_the_middle_of_the_other_lane(world: Callable[..., World]) -> None:

@@ -110,14 +110,8 @@ def test_left_turn_is_planned_onto_a_route_that_turns_and_is_reached(
 
 def test_map_without_a_turn_offers_none(spawner: Callable[..., Spawner]) -> None:
     one = spawner()
-    assert not one.offers(Policy.RIGHT_TURN)
     assert one.spawn(Policy.RIGHT_TURN, "v1", attempts=20) is None
-
-
-def test_lane_change_is_offered_where_a_lane_lies_beside(spawner: Callable[..., Spawner]) -> None:
-    assert spawner().offers(Policy.LANE_CHANGE)
-    assert not spawner(lanes=1).offers(Policy.LANE_CHANGE)
-    assert not spawner(mark="SOLID_WHITE").offers(Policy.LANE_CHANGE)
+    assert one.why_none(Policy.RIGHT_TURN) == "map_offers_no_right_turn"
 
 
 def test_planned_lane_change_is_foreseen_on_both_lanes(spawner: Callable[..., Spawner]) -> None:
@@ -137,6 +131,29 @@ def test_overtake_brings_its_slower_leader_along(spawner: Callable[..., Spawner]
     assert leader.s0 > overtaker.s0
     assert leader.cruise_mps < overtaker.cruise_mps
     assert (overtaker.policy, leader.policy) == (Policy.OVERTAKE, Policy.STRAIGHT)
+
+
+def test_overtaker_starts_behind_its_leader_passes_and_comes_back(spawner: Callable[..., Spawner]) -> None:
+    """The whole of it is foreseen: out and back on the intended path, the leader's box behind at the end."""
+    one = spawner(length_m=400.0)
+    overtaker, leader = one.spawn_overtake("v1", "v2", attempts=80)
+    assert one.led_by == {"v1": "v2"}
+    assert len(overtaker.intended_path.shifts) == 2
+    assert overtaker.intended_s[-1] > overtaker.intended_path.shifts[1][1]
+    assert overtaker.sides in {("left", "right"), ("right", "left")}
+    ahead = overtaker.intended_path.line.position(overtaker.intended_s[-1:])[0]
+    behind = leader.path.line.position(leader.plan_s[-1:])[0]
+    assert ahead[0] - behind[0] > 0.5 * (overtaker.size.length_m + leader.size.length_m)
+    assert ahead[1] == pytest.approx(behind[1], abs=0.3)
+
+
+def test_leader_whose_overtaker_finds_no_way_leaves_no_trace(spawner: Callable[..., Spawner]) -> None:
+    """A road of 75 m is too short for out and back: no vehicle stays planned and no cell stays taken."""
+    one = spawner(length_m=75.0)
+    before = one._sigma.copy()
+    assert one.spawn_overtake("v1", "v2", attempts=60) == ()
+    assert np.array_equal(one._sigma, before)
+    assert not one.planned
 
 
 def test_overtake_without_a_leader_fails_where_none_may_be_spawned(spawner: Callable[..., Spawner]) -> None:

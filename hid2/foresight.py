@@ -1,0 +1,290 @@
+"""Manoeuvres as they are foreseen when a vehicle is placed: whether each would come about, and where it would lead.
+
+A vehicle is placed for a manoeuvre only where the whole of it can be seen to fit into road, traffic and scene
+(paper, Lane Change, Overtaking; the same checks are made again, at every step, while it drives).
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
+from hid2.conflicts import DT_S
+from hid2.decision import LaneOption, Side
+from hid2.lane_change import lane_change_reason
+from hid2.maneuver import admissible_neighbor, gap_ahead_of, lane_options, lay_across, leader_on, returns_to
+from hid2.overtake import Leader, enter_reason, return_reason
+from hid2.reference_line import TABLE_STEP_M
+from hid2.route import DrivenPath
+from hid2.space_time import SpeedPlan
+from hid2.traffic import Traffic
+from hid2.world import World
+from netconvert.lane_graph import TurnType
+
+TURN_OF_POLICY = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
+_SPARE_LANE_M = 8.0  # of the lane beside, for a change that begins a little later than foreseen
+_SPARE_STEPS = 4  # a foreseen manoeuvre ends this long before the scene does: SUMO will be a little later
+_RETURN_STEPS = 26  # lateral motion back into the lane, at its shortest
+_RETURN_SPARE_M = 1.5
+_PASS_STEPS = 65  # out, past and back take at least this long
+_CHANGE_DELAYS = (0, 8, 20)  # steps behind the trigger at which a manoeuvre is tried
+_OVERTAKE_DELAYS = (0, 6, 12)
+_SIGHT_M = 80.0  # to the leader at the start of the scene
+_FOLLOWING_MPS = 0.3  # faster than the leader while following it
+_SPEEDING_UP_MPS2, _SLOWING_MPS2 = 1.2, 1.5
+_LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Wish:
+    """A vehicle that is looked for a place. steady: it keeps cruise_mps from the start."""
+
+    policy: Policy
+    vehicle_id: str
+    object_type: str
+    own_size: BoxSize
+    trigger_s: float
+    cruise_mps: float | None = None
+    steady: bool = False
+
+    @property
+    def size(self) -> BoxSize:
+        """Box that covers the vehicle and what a reader without the sidecar takes it for."""
+        assumed, own = DEFAULT_SIZES[self.object_type], self.own_size
+        # rounded up, so that vehicles of nearly the same size share what was computed about a path
+        length = math.ceil(max(own.length_m, assumed.length_m) / _LENGTH_STEP_M) * _LENGTH_STEP_M
+        return BoxSize(length, math.ceil(max(own.width_m, assumed.width_m) / _WIDTH_STEP_M) * _WIDTH_STEP_M)
+
+    @property
+    def trigger_step(self) -> int:
+        """First step at which the manoeuvre is asked for."""
+        return int(np.ceil(self.trigger_s / DT_S))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Intention:
+    """What a vehicle is foreseen to do.
+
+    path: with its manoeuvre on it; plan: its motion there; own: its motion on the path without the manoeuvre, up to
+    where it begins; sides: where it looks for a lane, in order.
+    """
+
+    path: DrivenPath
+    plan: SpeedPlan
+    own: SpeedPlan
+    sides: tuple[Side, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Foresight:
+    """Looks ahead for one vehicle among the recorded ones, those of earlier rounds, and those planned before it."""
+
+    world: World
+    fixed: Traffic
+    predicted: Traffic
+
+    def turn(self, wish: Wish, path: DrivenPath, plan: SpeedPlan) -> Intention | str:
+        """The first turn of the wanted kind on the path must be through before the scene ends."""
+        lanes, kind = self.world.grid.graph.lanes, TURN_OF_POLICY[wish.policy]
+        end = next((g.end for g in path.segments if lanes[g.lane_id].turn is kind and g.start > plan.s[0]), math.inf)
+        if plan.s[-_SPARE_STEPS] < end + 1.0:
+            return "turn_not_reached"
+        return Intention(path, plan, plan)
+
+    def lane_change(
+        self, wish: Wish, path: DrivenPath, plan: SpeedPlan, cruise_mps: float, sides: tuple[Side, ...]
+    ) -> Intention | str:
+        """Try the change at the trigger, then a little later, from the plan on the own lane."""
+        change = self.world.config.lane_change
+        reason = "scene_too_short"
+        for delay in _CHANGE_DELAYS:
+            step = wish.trigger_step + delay
+            if step >= plan.s.size - int(change.min_duration_s / DT_S):
+                break
+            s, speed = float(plan.s[step]), float(plan.v[step])
+            for option, target in self._options(wish, path, step, s, sides, cruise_mps):
+                unmet = lane_change_reason(
+                    speed_mps=speed, cells_free=option.cells_free, front=option.front, rear=option.rear,
+                    remaining_m=option.remaining_m - _SPARE_LANE_M, params=change,
+                )  # fmt: skip
+                later = path.segment_at(s + _SPARE_LANE_M).lane_id
+                if unmet is None and admissible_neighbor(self.world, later, option.side) is None:
+                    unmet = "lane_ends"
+                across = unmet or self._across(wish, path, target, plan, step, option.remaining_m, cruise_mps)
+                if not isinstance(across, str):
+                    return Intention(across[0], across[1], plan, (option.side, _opposite(option.side)))
+                reason = across
+            reason = reason if reason != "scene_too_short" else "no_adjacent_lane"
+        return f"lane_change_{reason}"
+
+    def overtake(
+        self, wish: Wish, path: DrivenPath, s0: float, v0: float, cruise_mps: float, *, obstacles: bool
+    ) -> Intention | str:
+        """Enter at the trigger or a little later, pass, and find room to return before the scene ends.
+
+        The vehicle comes up to its leader at v0 where there is room for that; else it starts slower, down to the
+        leader's own speed, follows it and speeds up on its way out. obstacles: a leader that stands may be passed too.
+        """
+        vehicles = self.world.vehicles.joined(self.fixed).joined(self.predicted)
+        first = leader_on(path, wish.size, s=s0, step=0, d_obs_m=_SIGHT_M, vehicles=vehicles)
+        speeds = [v0]
+        if first is not None and first.speed_mps + _FOLLOWING_MPS < v0:
+            following = max(first.speed_mps, self.world.config.overtake.parked_mps) + _FOLLOWING_MPS
+            speeds += [0.5 * (v0 + following), following]
+        reason = "no_leader"
+        for speed in speeds:
+            found = self._overtake_from(wish, path, s0, speed, cruise_mps, vehicles, obstacles=obstacles)
+            if isinstance(found, Intention):
+                return found
+            reason = found
+            if reason != "leader_too_near":
+                break
+        return "no_leader" if reason == "no_leader" else f"overtake_{reason}"
+
+    def _overtake_from(
+        self, wish: Wish, path: DrivenPath, s0: float, v0: float, cruise_mps: float, vehicles: Traffic, *,
+        obstacles: bool,
+    ) -> Intention | str:  # fmt: skip
+        overtake = self.world.config.overtake
+        approach = self._approach(path, s0, v0)
+        reason = "scene_too_short"
+        for delay in _OVERTAKE_DELAYS:
+            step = wish.trigger_step + delay
+            if step >= self.world.num_steps - _PASS_STEPS:
+                break
+            s, speed = float(approach.s[step]), float(approach.v[step])
+            leader = leader_on(path, wish.size, s=s, step=step, d_obs_m=overtake.d_obs_m, vehicles=vehicles)
+            if leader is None or (leader.speed_mps < overtake.parked_mps and not obstacles):
+                reason = "no_leader"
+                continue
+            if leader.gap_m < self._braking_gap_m(speed, leader.speed_mps):
+                return "leader_too_near"  # nearer still later on
+            for option, target in self._options(wish, path, step, s, ("left", "right"), cruise_mps):
+                unmet = enter_reason(
+                    leader=leader, desired_mps=cruise_mps, lane_available=option.cells_free, ahead=option.front,
+                    behind=option.rear, free_corridor_m=option.corridor_m, params=overtake,
+                )  # fmt: skip
+                entered = unmet or self._enter(wish, path, target, approach, step, option.remaining_m, cruise_mps)
+                if isinstance(entered, str):
+                    reason = entered
+                    continue
+                back = _opposite(option.side)
+                done = self._return(wish, path, entered[0], entered[1], leader, back, vehicles, cruise_mps)
+                if not isinstance(done, str):
+                    return Intention(done[0], done[1], entered[1], (option.side, back))
+                reason = done
+        return reason
+
+    def following_apart_m(self, wish: Wish, lead: Wish) -> float:
+        """Centre to centre distance at which an overtaker may follow a new leader at the leader's speed."""
+        following, slow = self.world.config.car_following, lead.cruise_mps or 0.0
+        boxes = 0.5 * (wish.size.length_m + lead.size.length_m)
+        return boxes + self._braking_gap_m(slow + _FOLLOWING_MPS, slow) + following.min_gap_m
+
+    def _approach(self, path: DrivenPath, s0: float, v0: float) -> SpeedPlan:
+        """Motion at v0, slower where the road asks for it, as if nobody were ahead."""
+        desired = self.world.desired(path, v0)
+        steps = self.world.num_steps
+        s, v = np.empty(steps), np.empty(steps)
+        s[0], v[0] = s0, v0
+        for k in range(1, steps):
+            wanted = float(desired[min(int(s[k - 1] / TABLE_STEP_M), desired.size - 1)])
+            v[k] = v[k - 1] + min(max(wanted - v[k - 1], -_SLOWING_MPS2 * DT_S), _SPEEDING_UP_MPS2 * DT_S)
+            s[k] = s[k - 1] + 0.5 * (v[k] + v[k - 1]) * DT_S
+        return SpeedPlan(s=s, v=v, cost=0.0)
+
+    def _braking_gap_m(self, speed_mps: float, leader_mps: float) -> float:
+        """Gap at which SUMO's car following begins to brake for a leader; nearer than that it never overtakes."""
+        following = self.world.config.car_following
+        braking = (speed_mps**2 - leader_mps**2) / (2 * following.decel_mps2)
+        return max(braking, 0.0) + speed_mps * following.tau_s
+
+    def _enter(
+        self, wish: Wish, path: DrivenPath, target: DrivenPath, approach: SpeedPlan, step: int, remaining_m: float,
+        cruise_mps: float,
+    ) -> tuple[DrivenPath, SpeedPlan] | str:  # fmt: skip
+        """First stage, planned from the start of the scene: the path out, and the motion on it."""
+        s, pace = float(approach.s[step]), float(approach.v[step])
+        across = lay_across(
+            self.world, path, target, s=s, step=step, pace_mps=0.5 * (pace + min(cruise_mps, pace + 4.0)),
+            remaining_m=remaining_m, policy=wish.policy,
+        )  # fmt: skip
+        if isinstance(across, str):
+            return across
+        look = self.world.prospect(across, wish.size, cruise_mps=cruise_mps, others=(self.fixed, self.predicted))
+        begins = across.shifts[-1][0]
+        unhurried = look.desired.copy()  # it does not press its leader before it moves out
+        before = slice(0, int(begins / TABLE_STEP_M))
+        unhurried[before] = np.minimum(unhurried[before], max(pace, float(approach.v[0])))
+        look = replace(look, desired=unhurried).held_back(step, begins)
+        plan = look.plan(
+            s0=float(approach.s[0]), v0=float(approach.v[0]), a0=0.0, first_step=0, config=self.world.config
+        )
+        return "conflict_predicted" if plan is None else (across, plan)
+
+    def _return(
+        self, wish: Wish, lane: DrivenPath, path: DrivenPath, plan: SpeedPlan, leader: Leader, side: Side,
+        vehicles: Traffic, cruise_mps: float,
+    ) -> tuple[DrivenPath, SpeedPlan] | str:  # fmt: skip
+        """Third stage: the first steps at which the passed vehicle is far enough behind."""
+        overtake = self.world.config.overtake
+        passed = np.flatnonzero(plan.s >= path.shifts[-1][1])
+        reason = "not_passed"
+        for step in passed[::3].tolist():
+            if step >= plan.s.size - _RETURN_STEPS:
+                break
+            s = float(plan.s[step])
+            gap = gap_ahead_of(
+                path, wish.size, s=plan.s, step=step, lane=lane, passed_id=leader.track_id, vehicles=vehicles
+            )
+            if gap < overtake.return_gap_m + _RETURN_SPARE_M:
+                continue
+            reason = "return_no_adjacent_lane"
+            for option, target in self._options(wish, path, step, s, (side,), cruise_mps):
+                unmet = return_reason(
+                    lead_gap_m=gap, lane_available=option.cells_free, ahead=option.front, params=overtake
+                )
+                back = unmet or self._across(wish, path, target, plan, step, option.remaining_m, cruise_mps)
+                if not isinstance(back, str) and not returns_to(lane, back[0]):
+                    back = "lanes_part"
+                if not isinstance(back, str):
+                    return back
+                reason = f"return_{back}"
+        return reason
+
+    def _options(
+        self, wish: Wish, path: DrivenPath, step: int, s: float, sides: tuple[Side, ...], cruise_mps: float
+    ) -> Iterator[tuple[LaneOption, DrivenPath]]:
+        yield from lane_options(
+            self.world, path, wish.size, s=s, step=step, sides=sides, others=(self.fixed, self.predicted),
+            desired_mps=cruise_mps,
+        )  # fmt: skip
+
+    def _across(
+        self, wish: Wish, path: DrivenPath, target: DrivenPath, plan: SpeedPlan, step: int, remaining_m: float,
+        cruise_mps: float,
+    ) -> tuple[DrivenPath, SpeedPlan] | str:  # fmt: skip
+        """The path across from a step of a plan on, and the plan on it; or why there is none."""
+        speed, s = float(plan.v[step]), float(plan.s[step])
+        pace = max(speed, 0.5 * (speed + float(plan.v[min(step + 20, plan.v.size - 1)])))
+        across = lay_across(
+            self.world, path, target, s=s, step=step, pace_mps=pace, remaining_m=remaining_m, policy=wish.policy
+        )
+        if isinstance(across, str):
+            return across
+        look = self.world.prospect(across, wish.size, cruise_mps=cruise_mps, others=(self.fixed, self.predicted))
+        accel = float(np.clip((plan.v[step] - plan.v[max(step - 1, 0)]) / DT_S, -2.0, 1.5))
+        onward = look.plan(s0=s, v0=speed, a0=accel, first_step=step, config=self.world.config)
+        if onward is None:
+            return "conflict_predicted"
+        if onward.s[-_SPARE_STEPS] < across.shifts[-1][1]:
+            return "would_not_complete"
+        return across, SpeedPlan(
+            s=np.concatenate([plan.s[:step], onward.s]), v=np.concatenate([plan.v[:step], onward.v]), cost=onward.cost
+        )
+
+
+def _opposite(side: Side) -> Side:
+    return "right" if side == "left" else "left"

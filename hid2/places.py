@@ -1,0 +1,217 @@
+"""Where on the map a vehicle of a policy may start, and on which route: what the map alone says."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hid2.agents import Policy
+from hid2.conflicts import DT_S
+from hid2.decision import Side
+from hid2.foresight import TURN_OF_POLICY, Wish
+from hid2.maneuver import admissible_neighbor
+from hid2.reference_line import TABLE_STEP_M
+from hid2.route import DrivenPath, Route, routes_from
+from hid2.world import DRIVABLE_TYPES, World
+from netconvert.cells import Cell
+from netconvert.lane_graph import TurnType
+
+_ROUTE_LONGEST_M = 260.0
+_FASTEST_MPS = 9.0  # mean over approach and turn
+_SLOWEST_MPS = (6.0, 3.0)  # a candidate's road lasts until the last observed step at this speed; with patience
+_OVERTAKE_STRETCH_M = 55.0  # of two lanes side by side, for out, past and back at 7 m/s
+_STRETCH_MOST_M = 120.0
+_TURN_ROUTES, _OTHER_ROUTES = 6, 3
+
+
+@dataclass(slots=True)
+class Places:
+    """Candidates (route, s0 m) for each policy. patience as for the spawner; packed: from the downstream end."""
+
+    world: World
+    rng: np.random.Generator
+    packed: bool = False
+    lanes: tuple[int, ...] = field(init=False)
+    _known_routes: dict[tuple[TurnType, int, int], tuple[Route, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Lanes that cars drive on."""
+        graph = self.world.grid.graph
+        self.lanes = tuple(i for i, lane in graph.lanes.items() if lane.lane_type in DRIVABLE_TYPES)
+
+    def offers(self, policy: Policy) -> bool:
+        """Whether the map has any place at all for a policy, whoever is on it."""
+        if policy is Policy.STRAIGHT:
+            return bool(self.lanes)
+        if policy in TURN_OF_POLICY:
+            return any(self._turns_into(lane_id, TURN_OF_POLICY[policy]) for lane_id in self.lanes)
+        return any(self._may_start(policy, lane_id) for lane_id in self.lanes)
+
+    def candidates(
+        self, policy: Policy, is_free: Callable[[int], bool], patience: int
+    ) -> Iterator[tuple[Route, float] | None]:
+        """(route, s0) in random order, suited to the policy; None for a cell that is taken.
+
+        is_free tells by index whether a cell is free at step 0; it is asked again whenever the next one is taken.
+        """
+        grid = self.world.grid
+        cells = [
+            Cell(lane_id, index)
+            for lane_id in self.lanes
+            if policy is Policy.STRAIGHT or self._may_start(policy, lane_id)
+            for index in range(grid.count(lane_id))
+        ]
+        place_of = [grid.index_of[cell] for cell in cells]
+        order = self.rng.permutation(len(cells)).tolist()
+        if self.packed and policy is Policy.STRAIGHT:
+            left_m = self._distance_to_exit()
+            order.sort(key=lambda row: left_m[cells[row].lane_id] - grid.edges_s(cells[row].lane_id)[cells[row].index])
+        for row in order:
+            cell = cells[row]
+            borders = grid.edges_s(cell.lane_id)
+            s0 = float(self.rng.uniform(borders[cell.index], borders[cell.index + 1]))
+            if not is_free(place_of[row]):
+                yield None
+                continue
+            for route in self._routes(policy, cell.lane_id, s0, patience):
+                if not is_free(place_of[row]):
+                    break  # taken meanwhile: by the vehicle that the route before was for
+                yield self._with_run_up(route, s0)
+
+    def unsuited(self, wish: Wish, route: Route, s0: float, cruise_mps: float, patience: int) -> str | None:
+        """What the map says against a candidate, before a path is laid and anybody is looked at."""
+        lanes = self.world.grid.graph.lanes
+        ends = np.cumsum([lanes[lane_id].length_m for lane_id in route])
+        half_m = wish.size.length_m / 2
+        run_on = "topology" in self.world.config.without
+        if s0 < half_m or (s0 + half_m > ends[-1] - 1.0 and not run_on):
+            return "no_room_on_lane"
+        slowest = _SLOWEST_MPS[min(patience, 1)]
+        stay_m = 0.75 * min(cruise_mps, slowest) * self.world.earliest_exit_step * DT_S
+        if ends[-1] - s0 < 2 * half_m + stay_m and not run_on:
+            return "leaves_too_early"
+        starts = np.concatenate([[0.0], ends[:-1]])
+        if wish.policy is Policy.STRAIGHT and patience == 0:
+            reached = (ends > s0) & (starts < s0 + cruise_mps * self.world.num_steps * DT_S)
+            if any(self._turn(route[row]) is not TurnType.STRAIGHT for row in np.flatnonzero(reached).tolist()):
+                return "would_turn"
+        if wish.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE):
+            first = s0 + 0.3 * cruise_mps * wish.trigger_s
+            last = s0 + cruise_mps * (wish.trigger_s + 3.0)
+            if not any(self._beside(route[row]) for row in np.flatnonzero((ends > first) & (starts < last)).tolist()):
+                return "no_lane_beside_at_trigger"
+        return None
+
+    def too_sharp(self, path: DrivenPath, start: float, end: float) -> bool:
+        """Whether the path bends more than kappa_max = 1 / R_min between two arc lengths (Trajectory Smoothing)."""
+        cells = slice(int(start / TABLE_STEP_M), int(end / TABLE_STEP_M) + 2)
+        bend = float(np.abs(path.line.table_curvature[cells]).max(initial=0.0))
+        return bend > 1.0 / self.world.config.limits.min_radius_m
+
+    def _turns_into(self, lane_id: int, wanted: TurnType) -> bool:
+        """Whether a turning lane is of the wanted kind, can be entered, and is one that a car can follow."""
+        before = [p for p in self.world.grid.graph.predecessors(lane_id) if p in self.lanes]
+        if self._turn(lane_id) is not wanted or not before:
+            return False
+        path = self.world.path((before[0], lane_id, *self.world.grid.graph.successors(lane_id)[:1]))
+        return not self.too_sharp(path, path.segments[1].start, path.segments[1].end)
+
+    def _may_start(self, policy: Policy, lane_id: int) -> bool:
+        if policy in TURN_OF_POLICY:
+            return self._turn(lane_id) is TurnType.STRAIGHT
+        if "topology" in self.world.config.without:
+            return False
+        if policy is Policy.OVERTAKE:
+            sides: tuple[tuple[Side, Side], ...] = (("left", "right"), ("right", "left"))
+            return any(self._stretch_m(lane_id, out, back, 0.0) >= _OVERTAKE_STRETCH_M for out, back in sides)
+        remaining = self.world.config.lane_change.min_remaining_m
+        return any(
+            beside is not None and self._onward_m(beside, 0.0) >= remaining
+            for beside in (admissible_neighbor(self.world, lane_id, side) for side in ("left", "right"))
+        )
+
+    def _beside(self, lane_id: int) -> bool:
+        return any(admissible_neighbor(self.world, lane_id, side) is not None for side in ("left", "right"))
+
+    def _stretch_m(self, lane_id: int, out: Side, back: Side, sofar_m: float) -> float:
+        """Length from the start of a lane on over which a lane lies beside that can be entered and left again, m."""
+        beside = admissible_neighbor(self.world, lane_id, out)
+        if beside is None or admissible_neighbor(self.world, beside, back) is None or sofar_m > _STRETCH_MOST_M:
+            return sofar_m
+        sofar_m += self.world.grid.graph.lanes[lane_id].length_m
+        onward = self.world.grid.graph.successors(lane_id)
+        return max((self._stretch_m(n, out, back, sofar_m) for n in onward), default=sofar_m)
+
+    def _onward_m(self, lane_id: int, sofar_m: float) -> float:
+        """Length from the start of a lane to the end of the map or beyond the remaining length asked for, m."""
+        sofar_m += self.world.grid.graph.lanes[lane_id].length_m
+        if sofar_m >= self.world.config.lane_change.min_remaining_m:
+            return sofar_m
+        onward = [n for n in self.world.grid.graph.successors(lane_id) if n in self.lanes]
+        return max((self._onward_m(n, sofar_m) for n in onward), default=sofar_m)
+
+    def _with_run_up(self, route: Route, s0: float) -> tuple[Route, float]:
+        """Start on the lane before where the box would stand out behind the first."""
+        if s0 >= 3.0 or "topology" in self.world.config.without:
+            return route, s0
+        graph = self.world.grid.graph
+        before = [p for p in graph.predecessors(route[0]) if p in self.lanes and p not in route]
+        if not before:
+            return route, s0
+        first = before[int(self.rng.integers(len(before)))]
+        return (first, *route), s0 + self.world.path((first,)).line.length_m
+
+    def _distance_to_exit(self) -> dict[int, float]:
+        """From the start of each lane to the nearest edge of the map, m; lanes that only lead back count as far."""
+        graph = self.world.grid.graph
+        left = dict.fromkeys(self.lanes, 1e6)
+        for _ in range(len(left)):  # Bellman-Ford; maps are a few lanes deep
+            changed = False
+            for lane_id in self.lanes:
+                onward = [left[n] for n in graph.successors(lane_id) if n in left]
+                new = graph.lanes[lane_id].length_m + (min(onward) if onward else 0.0)
+                if new < left[lane_id]:
+                    left[lane_id], changed = new, True
+            if not changed:
+                break
+        return left
+
+    def _routes(self, policy: Policy, lane_id: int, s0: float, patience: int) -> Iterator[Route]:
+        """Routes from a place that serve the policy; more than one only where patience asks for it (reroute)."""
+        graph = self.world.grid.graph
+        if "topology" in self.world.config.without:
+            yield (lane_id,)
+            return
+        turns = policy in TURN_OF_POLICY
+        wanted = TURN_OF_POLICY.get(policy, TurnType.STRAIGHT)
+
+        def choose(onward: tuple[int, ...]) -> tuple[int, ...]:
+            order = self.rng.permutation(len(onward)).tolist()
+            return tuple(sorted((onward[i] for i in order), key=lambda n: self._turn(n) is not wanted))
+
+        most = _TURN_ROUTES if turns else 1 if patience == 0 else _OTHER_ROUTES
+        key = wanted, lane_id, most
+        if key not in self._known_routes:
+            usable = set(self.lanes).__contains__
+            found = routes_from(graph, lane_id, choose=choose, usable=usable, most=most, longest_m=_ROUTE_LONGEST_M)
+            self._known_routes[key] = tuple(found)
+        for route in self._known_routes[key]:
+            if not turns or self._leads_into(route, wanted, s0):
+                yield route
+                if turns and patience == 0:
+                    return
+
+    def _leads_into(self, route: Route, wanted: TurnType, s0: float) -> bool:
+        """Whether the first turn of a route is the wanted one and may be through before the scene ends."""
+        lanes = self.world.grid.graph.lanes
+        travelled = lanes[route[0]].length_m - s0
+        for lane_id in route[1:]:
+            kind, length = self._turn(lane_id), lanes[lane_id].length_m
+            if kind is not TurnType.STRAIGHT:
+                soon = travelled > 3.0 and travelled + length < _FASTEST_MPS * self.world.num_steps * DT_S
+                return kind is wanted and soon
+            travelled += length
+        return False
+
+    def _turn(self, lane_id: int) -> TurnType:
+        return self.world.grid.graph.lanes[lane_id].turn
