@@ -6,11 +6,12 @@ import numpy as np
 
 from bridge.poses import box_poses, sumo_poses
 from bridge.simulation import Simulation
+from hid2.agents import FloatArray
 from hid2.traffic import Traffic
 from netconvert.geometry import wrap_angle
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class ReplayErrors:
     """What SUMO made of the replayed states."""
 
@@ -31,50 +32,59 @@ class Replay:
     traffic: Traffic
     prefix: str
     checked: bool = True
-    errors: ReplayErrors = field(default_factory=ReplayErrors)
     _in: set[int] = field(default_factory=set)
-    _front: np.ndarray[tuple[int, ...], np.dtype[np.float64]] = field(init=False)
-    _angle: np.ndarray[tuple[int, ...], np.dtype[np.float64]] = field(init=False)
+    _names: list[str] = field(init=False)
+    _poses: list[tuple[list[float], list[float], list[float]]] = field(init=False)
+    _here: list[list[int]] = field(init=False)
+    _seen: list[tuple[int, list[int], FloatArray]] = field(default_factory=list)
+    _lost: int = 0
 
     def __post_init__(self) -> None:
         """Turn all poses at once."""
-        self._front, self._angle = sumo_poses(
-            self.traffic.position, self.traffic.heading, self.traffic.length_m[:, None]
-        )
+        front, angle = sumo_poses(self.traffic.position, self.traffic.heading, self.traffic.length_m[:, None])
+        self._names = [f"{self.prefix}{row}" for row in range(len(self.traffic.ids))]
+        by_step = zip(front[..., 0].T.tolist(), front[..., 1].T.tolist(), angle.T.tolist(), strict=True)
+        self._poses = list(by_step)
+        self._here = [np.flatnonzero(column).tolist() for column in self.traffic.present.T]
 
     def place(self, step: int) -> None:
         """Add, move and remove vehicles so that the coming step has the states of `step`."""
-        here = set(np.flatnonzero(self.traffic.present[:, step]).tolist())
-        for row in sorted(self._in - here):
-            self.simulation.remove(self._name(row))
-        for row in sorted(here - self._in):
-            self.simulation.add_replayed(
-                self._name(row),
-                length_m=float(self.traffic.length_m[row]),
-                width_m=float(self.traffic.width_m[row]),
-            )
-        for row in sorted(here):
-            x, y = self._front[row, step].tolist()
-            self.simulation.place(self._name(row), x, y, float(self._angle[row, step]))
-        self._in = here
+        rows, names = self._here[step], self._names
+        here = set(rows)
+        if here != self._in:
+            for row in sorted(self._in - here):
+                self.simulation.remove(names[row])
+            for row in sorted(here - self._in):
+                self.simulation.add_replayed(
+                    names[row],
+                    length_m=float(self.traffic.length_m[row]),
+                    width_m=float(self.traffic.width_m[row]),
+                )
+            self._in = here
+        x, y, angle = self._poses[step]
+        self.simulation.place_all([(names[row], x[row], y[row], angle[row]) for row in rows])
 
     def check(self, step: int) -> None:
-        """Compare SUMO's poses with the recorded ones, where that is asked for."""
+        """Take down SUMO's poses, where they are to be compared with the recorded ones."""
         if not self.checked:
             return
-        rows = sorted(self._in)
-        inside = self.simulation.driven()
-        kept = [row for row in rows if self._name(row) in inside]
-        self.errors.lost += len(rows) - len(kept)
-        if not kept:
-            return
-        poses = np.array([self.simulation.pose(self._name(row)) for row in kept])
-        center, heading = box_poses(poses[:, :2], poses[:, 2], self.traffic.length_m[kept])
-        off = np.hypot(*(center - self.traffic.position[kept, step]).T)
-        turned = np.abs(wrap_angle(heading - self.traffic.heading[kept, step]))
-        self.errors.states += len(kept)
-        self.errors.max_position_error_m = max(self.errors.max_position_error_m, float(off.max()))
-        self.errors.max_heading_error_rad = max(self.errors.max_heading_error_rad, float(turned.max()))
+        rows = self._here[step]
+        found = [self.simulation.pose(self._names[row]) for row in rows]
+        kept = [number for number, pose in enumerate(found) if pose is not None]
+        self._lost += len(rows) - len(kept)
+        self._seen.append(
+            (step, [rows[number] for number in kept], np.array([found[number] for number in kept]).reshape(-1, 3))
+        )
 
-    def _name(self, row: int) -> str:
-        return f"{self.prefix}{row}"
+    @property
+    def errors(self) -> ReplayErrors:
+        """What SUMO made of the states checked so far."""
+        row = np.array([row for _, rows, _ in self._seen for row in rows], dtype=np.int64)
+        if row.size == 0:
+            return ReplayErrors(lost=self._lost)
+        step = np.array([step for step, rows, _ in self._seen for _ in rows])
+        poses = np.concatenate([poses for _, _, poses in self._seen])
+        center, heading = box_poses(poses[:, :2], poses[:, 2], self.traffic.length_m[row])
+        off = np.hypot(*(center - self.traffic.position[row, step]).T)
+        turned = np.abs(wrap_angle(heading - self.traffic.heading[row, step]))
+        return ReplayErrors(row.size, float(off.max()), float(turned.max()), self._lost)

@@ -73,9 +73,20 @@ class Simulation:
             vehicle_id, "", -1, x, y, angle_deg, keepRoute=_REPLAY_KEEP_ROUTE, matchThreshold=_REPLAY_MATCH_M
         )
 
-    def pose(self, vehicle_id: str) -> tuple[float, float, float]:
-        """Front bumper x, y in m and angle in degrees, as SUMO has them now."""
-        x, y = libsumo.vehicle.getPosition(vehicle_id)
+    def place_all(self, poses: Sequence[tuple[str, float, float, float]]) -> None:
+        """The same for many: (vehicle id, x, y, angle in degrees)."""
+        move = libsumo.vehicle.moveToXY
+        for vehicle_id, x, y, angle_deg in poses:
+            move(vehicle_id, "", -1, x, y, angle_deg, _REPLAY_KEEP_ROUTE, _REPLAY_MATCH_M)
+
+    def pose(self, vehicle_id: str) -> tuple[float, float, float] | None:
+        """Front bumper x, y in m and angle in degrees, as SUMO has them now; None for a vehicle not in the net."""
+        try:
+            x, y = libsumo.vehicle.getPosition(vehicle_id)
+        except libsumo.TraCIException:
+            return None
+        if x == libsumo.INVALID_DOUBLE_VALUE:
+            return None
         return x, y, libsumo.vehicle.getAngle(vehicle_id)
 
     def remove(self, vehicle_id: str) -> None:

@@ -102,6 +102,47 @@ def test_speed_cap_gives_way_only_where_it_must() -> None:
     assert motion.a.min() >= -3.6 - 0.02
 
 
+def test_motion_without_bounds_is_the_least_squares_one() -> None:
+    """Few steps, no bound in reach: the same as solving the normal equations over the accelerations.
+
+    s = S a + s_free, v = V a + v_free by the cubics; (s - s*)^2 + (v - v*)^2 / 2 + 0.3 a^2 + 0.3 j^2, a(0) = 0.
+    """
+    count, dt = 12, 0.1
+    v_driven = 8.0 + 0.02 * np.arange(count) ** 2 / count
+    s_driven = np.concatenate([[0.0], np.cumsum(dt * v_driven[1:])])
+    s_of, v_of = np.zeros((count, count)), np.zeros((count, count))
+    for k in range(count - 1):
+        v_of[k + 1] = v_of[k]
+        v_of[k + 1, [k, k + 1]] += dt / 2
+        s_of[k + 1] = s_of[k] + dt * v_of[k]
+        s_of[k + 1, k] += dt**2 / 3
+        s_of[k + 1, k + 1] += dt**2 / 6
+    jerk = np.diff(np.eye(count), axis=0) / dt
+    rows = np.concatenate([s_of, np.sqrt(0.5) * v_of, np.sqrt(0.3) * np.eye(count), np.sqrt(0.3) * jerk])
+    wanted = np.concatenate([
+        s_driven - 8.0 * dt * np.arange(count), np.sqrt(0.5) * (v_driven - 8.0), np.zeros(count), np.zeros(count - 1),
+    ])  # fmt: skip
+    accel = np.linalg.lstsq(rows[:, 1:], wanted, rcond=None)[0]
+    far = np.full(count, np.inf)
+    bounds = SpeedBounds(low=-far, high=far, fastest=far, ttc_room=far, ttc_need=-far, ttc_s=1.7)
+    motion = smooth_speed(s_driven, v_driven, bounds, LIMITS, a0=0.0, step_s=dt, jerk_weight=1.0)
+    assert motion is not None
+    assert motion.a[1:] == pytest.approx(accel, abs=1e-4)
+
+
+def test_hard_bounds_are_kept_to_the_last_digit() -> None:
+    """A leader ahead, one behind that closes in, jumping speeds: nothing is exceeded by more than 1e-6."""
+    v = np.where((np.arange(COUNT) // 20) % 2 == 0, 9.0, 6.0)
+    s = np.concatenate([[0.0], np.cumsum(0.1 * v[1:])])
+    bounds = _bounds(high=s + 1.0, low=s - 1.5, ttc_room=s + 1.7 * 8.0 + 2.0)
+    motion = _smooth(v, bounds)
+    assert motion is not None
+    assert np.all(motion.s[1:] <= bounds.high[1:] + 1e-6)
+    assert np.all(motion.s[1:] >= bounds.low[1:] - 1e-6)
+    assert np.all((motion.s + 1.7 * motion.v)[1:] <= bounds.ttc_room[1:] + 1e-6)
+    assert np.abs(np.diff(motion.a)).max() <= 0.1 * LIMITS.jerk + 1e-6
+
+
 def test_no_motion_where_the_bounds_contradict_each_other() -> None:
     assert _smooth(np.full(COUNT, 10.0), _bounds(low=np.full(COUNT, 50.0), high=np.full(COUNT, 40.0))) is None
 
