@@ -16,12 +16,14 @@ tests) ;;
 *) fail "unknown argument '$1', want none, or: tests" ;;
 esac
 
-# A Python for .venv, and to bring uv into .uv.
+# A Python for .venv, and to bring uv into .uv: that of the machine, also where some environment is active.
+LOCATE='import sys; fits = (3, 11) <= sys.version_info < (3, 13)
+print(sys.base_prefix + "/bin/python%d.%d" % sys.version_info[:2]) if fits else sys.exit(1)'
 python=
 for candidate in python3 python3.11 python3.12; do
-    if "$candidate" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 13))' >/dev/null 2>&1 &&
-        { [ -x .uv/bin/uv ] || "$candidate" -m pip --version >/dev/null 2>&1; }; then
-        python=$candidate
+    found=$("$candidate" -c "$LOCATE" 2>/dev/null) || continue
+    if [ -x .uv/bin/uv ] || "$found" -m pip --version >/dev/null 2>&1; then
+        python=$found
         break
     fi
 done
@@ -77,10 +79,10 @@ export UV_PYTHON_DOWNLOADS=never
 # .venv/.hid2 says for which place, and for which pyproject.toml, the environment was made.
 place="place $PWD"
 made="pins $(cksum <pyproject.toml)"
-if ! .venv/bin/python -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 13))' 2>/dev/null ||
+if ! .venv/bin/python -c "$LOCATE" >/dev/null 2>&1 ||
     { [ -f .venv/.hid2 ] && ! grep -qxF "$place" .venv/.hid2; }; then
     echo "setup.sh: making .venv, which takes a minute" >&2
-    .uv/bin/uv venv -q --clear --python "$(command -v "$python")" .venv || fail "uv could not make .venv"
+    .uv/bin/uv venv -q --clear --python "$python" .venv || fail "uv could not make .venv"
 fi
 if ! grep -qxF "$made ${1:-}" .venv/.hid2 2>/dev/null; then
     if [ "${1:-}" = tests ]; then wanted="-e .[gui] --group dev"; else wanted="-e ."; fi

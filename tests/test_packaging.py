@@ -133,7 +133,7 @@ Setup = Callable[..., subprocess.CompletedProcess[str]]
 
 def python(*, missing: str = "") -> str:
     """A python3 of the right version with a pip that installs nothing; it finds one Debian package missing, or none."""
-    return f'case "$1" in -m) [ "$3" = --version ] ;; -) echo {missing} ;; esac'
+    return f'case "$1" in -m) [ "$3" = --version ] ;; -) echo {missing} ;; *) echo "$0" ;; esac'
 
 
 @pytest.fixture
