@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from importlib.metadata import version as installed_version
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 from bridge.config import config_sha256
 from bridge.engine import Outcome, Settings, Task, execute
@@ -24,9 +23,6 @@ from bridge.quarantine import Bundle, read_bundle, write_bundle
 from bridge.scenario import SPLITS
 from hid2.params import Config
 from netconvert.errors import BatchError, ExportError
-
-if TYPE_CHECKING:
-    pass
 
 QUARANTINE = "quarantine"
 GENERATE = "bridge.scene_work:generate_runs"

@@ -268,10 +268,6 @@ def _viterbi(
     cost: FloatArray,
     count: IntArray,
     link: IntArray,
-    off_lane: float,
-    change: float,
-    jump: float,
-    to_off: float,
     chosen: IntArray,
 ) -> None:
     """Fill chosen[start:end] with the slot of the likeliest lane of each row, -1 for none."""
@@ -283,7 +279,7 @@ def _viterbi(
         i = start + r
         for c in range(count[i] + 1):
             is_off = c == count[i]
-            here = off_lane if is_off else cost[i, c]
+            here = _OFF_LANE if is_off else cost[i, c]
             slot = most if is_off else c
             if r == 0:
                 total[0, slot] = here
@@ -295,13 +291,13 @@ def _viterbi(
                 if was_off and is_off:
                     move = 0.0
                 elif was_off or is_off:
-                    move = to_off
+                    move = _TO_OFF_LANE
                 else:
                     kind = link[lane[i - 1, p], lane[i, c]]
-                    move = 0.0 if kind == 0 else change if kind == 1 else jump
+                    move = 0.0 if kind == 0 else _CHANGE if kind == 1 else _JUMP
                     # the same lane backwards by metres is no driving
                     if lane[i - 1, p] == lane[i, c] and at_s[i, c] < at_s[i - 1, p] - 5.0:
-                        move = jump
+                        move = _JUMP
                 if total[r - 1, from_slot] + move < best:
                     best, best_from = total[r - 1, from_slot] + move, from_slot
             total[r, slot] = best + here
@@ -321,14 +317,10 @@ def _choose(
     cost: FloatArray,
     count: IntArray,
     link: IntArray,
-    off_lane: float,
-    change: float,
-    jump: float,
-    to_off: float,
 ) -> IntArray:
     chosen = np.full(len(lane), -1, dtype=np.int64)
     for a in agents:
-        _viterbi(first[a], first[a + 1], lane, at_s, cost, count, link, off_lane, change, jump, to_off, chosen)
+        _viterbi(first[a], first[a + 1], lane, at_s, cost, count, link, chosen)
     return chosen
 
 
@@ -353,19 +345,7 @@ def match_lanes(arrays: SceneArrays, lanes: FlatLanes) -> tuple[Matches, BoolArr
         AGREE_RAD,
         _CANDIDATES,
     )
-    chosen = _choose(
-        np.flatnonzero(arrays.vehicle),
-        arrays.first,
-        lane,
-        s,
-        cost,
-        count,
-        lanes.link,
-        _OFF_LANE,
-        _CHANGE,
-        _JUMP,
-        _TO_OFF_LANE,
-    )
+    chosen = _choose(np.flatnonzero(arrays.vehicle), arrays.first, lane, s, cost, count, lanes.link)
     rows = np.arange(len(chosen))
     on = chosen >= 0
     slot = np.where(on, chosen, 0)

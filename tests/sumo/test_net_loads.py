@@ -5,18 +5,19 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
+from hand_drawn import draw_lane
 from lxml import etree
 
 from bridge.net import convert
 from netconvert.av2_map import read_lane_graph
 from netconvert.cells import CellGrid, build_cell_grid
-from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
+from netconvert.lane_graph import LaneGraph
 from netconvert.net_xml import write_net
 
 # libsumo allows one simulation a process and prints its warnings past Python: each net gets a process of its own.
@@ -105,29 +106,7 @@ def test_sumo_loads_the_net_of_a_synthetic_scene_without_a_word(data_scene: Path
     _check_scene(data_scene, tmp_path)
 
 
-def _lane(
-    lane_id: int,
-    points: Sequence[tuple[float, float]],
-    *,
-    successors: tuple[int, ...] = (),
-    left: int | None = None,
-    lane_type: str = "VEHICLE",
-) -> LaneSegment:
-    return LaneSegment(
-        lane_id=lane_id,
-        centerline=np.array(points, dtype=np.float64),
-        left_boundary=None,
-        right_boundary=None,
-        lane_type=lane_type,
-        is_intersection=False,
-        successors=successors,
-        left_neighbor_id=left,
-        right_neighbor_id=None,
-        left_mark_type="NONE",
-        right_mark_type="SOLID_WHITE",
-        width_m=3.5,
-        turn=TurnType.STRAIGHT,
-    )
+_lane = partial(draw_lane, left_mark="NONE", right_mark="SOLID_WHITE")
 
 
 # Maps that are legal but odd; each has been a problem for some reader of maps.

@@ -4,48 +4,20 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
+from hand_drawn import draw_lane
 
 from hid2.agents import BoxSize, Track
 from hid2.params import Limits, Smoothing
 from hid2.reference_line import ReferenceLine, build_reference_line
 from hid2.route import DrivenPath, path_along
 from hid2.traffic import Traffic
-from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
+from netconvert.lane_graph import LaneGraph, LaneSegment
 
 
 @pytest.fixture(scope="session")
 def lane() -> Callable[..., LaneSegment]:
     """lane(id, points, successors=(...), left=..., right=..., ...) -> LaneSegment, 3.5 m wide."""
-
-    def make(
-        lane_id: int,
-        points: Sequence[Sequence[float]],
-        *,
-        successors: tuple[int, ...] = (),
-        left: int | None = None,
-        right: int | None = None,
-        lane_type: str = "VEHICLE",
-        is_intersection: bool = False,
-        mark: str = "DASHED_WHITE",
-    ) -> LaneSegment:
-        centerline = np.array(points, dtype=np.float64)
-        return LaneSegment(
-            lane_id=lane_id,
-            centerline=centerline,
-            left_boundary=None,
-            right_boundary=None,
-            lane_type=lane_type,
-            is_intersection=is_intersection,
-            successors=successors,
-            left_neighbor_id=left,
-            right_neighbor_id=right,
-            left_mark_type=mark,
-            right_mark_type=mark,
-            width_m=3.5,
-            turn=turn_type(centerline, is_intersection=is_intersection),
-        )
-
-    return make
+    return draw_lane
 
 
 @pytest.fixture(scope="session")
@@ -59,7 +31,8 @@ def road(lane: Callable[..., LaneSegment]) -> Callable[..., LaneGraph]:
                 [(0.0, 3.5 * i), (length_m, 3.5 * i)],
                 left=i + 2 if i + 1 < lanes else None,
                 right=i if i else None,
-                mark=mark,
+                left_mark=mark,
+                right_mark=mark,
             )
             for i in range(lanes)
         ]

@@ -109,13 +109,17 @@ def test_circle_of_lanes_is_driven_once(lane: Callable[..., LaneSegment]) -> Non
     assert routes == [(1, 2)]
 
 
+def _shifted(own: DrivenPath, target: DrivenPath, *, start_m: float, length_m: float) -> DrivenPath:
+    blend = blend_paths(own.raw, target.raw, start_m=start_m, length_m=length_m, step_m=1.0, max_shift_m=5.5)
+    assert blend is not None
+    return shifted_path(own, target, blend, smoothing=Smoothing(), limits=Limits())
+
+
 def test_shifted_path_changes_its_lane_half_way(road: Callable[..., LaneGraph]) -> None:
     """From lane 1 to lane 2 between 60 and 100 m: lane 1 up to 80, lane 2 from there; it ends with lane 2."""
     graph = road()
     own, target = _path(graph, 1), _path(graph, 2)
-    blend = blend_paths(own.raw, target.raw, start_m=60.0, length_m=40.0, step_m=1.0, max_shift_m=5.5)
-    assert blend is not None
-    path = shifted_path(own, target, blend, smoothing=Smoothing(), limits=Limits())
+    path = _shifted(own, target, start_m=60.0, length_m=40.0)
     assert [segment.lane_id for segment in path.segments] == [1, 2]
     assert path.segments[0].end == path.segments[1].start == pytest.approx(80.0, abs=1.0)
     assert path.segments[1].lane_start == pytest.approx(80.0, abs=1.0)
@@ -129,12 +133,8 @@ def test_second_shift_leaves_the_first_as_it_is(road: Callable[..., LaneGraph]) 
     """Out at 40 and back at 110 m, as an overtake does."""
     graph = road()
     right, left = _path(graph, 1), _path(graph, 2)
-    out = blend_paths(right.raw, left.raw, start_m=40.0, length_m=30.0, step_m=1.0, max_shift_m=5.5)
-    assert out is not None
-    entered = shifted_path(right, left, out, smoothing=Smoothing(), limits=Limits())
-    back = blend_paths(entered.raw, right.raw, start_m=110.0, length_m=30.0, step_m=1.0, max_shift_m=5.5)
-    assert back is not None
-    path = shifted_path(entered, right, back, smoothing=Smoothing(), limits=Limits())
+    entered = _shifted(right, left, start_m=40.0, length_m=30.0)
+    path = _shifted(entered, right, start_m=110.0, length_m=30.0)
     assert [segment.lane_id for segment in path.segments] == [1, 2, 1]
     assert len(path.shifts) == 2
     assert path.line.position(np.array([20.0, 90.0, 170.0]))[:, 1] == pytest.approx([0.0, 3.5, 0.0], abs=0.05)

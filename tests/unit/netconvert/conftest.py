@@ -1,12 +1,13 @@
 """Hand-drawn lanes: straight or bent centrelines with boundaries half a width to both sides."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
-import numpy as np
 import pytest
+from hand_drawn import draw_lane
 
-from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
+from netconvert.lane_graph import LaneGraph, LaneSegment
 
 Points = Sequence[tuple[float, float]]
 
@@ -18,38 +19,7 @@ def _json_points(points: Any) -> list[dict[str, float]]:
 @pytest.fixture
 def lane() -> Callable[..., LaneSegment]:
     """lane(id, points, successors=(...), left=..., right=..., ...) -> LaneSegment, 4 m wide."""
-
-    def make(
-        lane_id: int,
-        points: Points,
-        *,
-        successors: tuple[int, ...] = (),
-        left: int | None = None,
-        right: int | None = None,
-        lane_type: str = "VEHICLE",
-        is_intersection: bool = False,
-        left_mark: str = "DASHED_WHITE",
-        right_mark: str = "DASHED_WHITE",
-        width_m: float = 4.0,
-    ) -> LaneSegment:
-        centerline = np.array(points, dtype=np.float64)
-        return LaneSegment(
-            lane_id=lane_id,
-            centerline=centerline,
-            left_boundary=None,
-            right_boundary=None,
-            lane_type=lane_type,
-            is_intersection=is_intersection,
-            successors=successors,
-            left_neighbor_id=left,
-            right_neighbor_id=right,
-            left_mark_type=left_mark,
-            right_mark_type=right_mark,
-            width_m=width_m,
-            turn=turn_type(centerline, is_intersection=is_intersection),
-        )
-
-    return make
+    return partial(draw_lane, width_m=4.0)
 
 
 @pytest.fixture
