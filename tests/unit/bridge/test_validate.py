@@ -9,8 +9,9 @@ import pandas as pd
 import pytest
 
 from bridge.export import write_scene
+from bridge.rules import RULES
 from bridge.scenario import read_scenario
-from bridge.validate import RULES, validate_folder
+from bridge.validate import validate_folder
 from netconvert.errors import ScenarioError
 
 Change = Callable[[pd.DataFrame], pd.DataFrame]
