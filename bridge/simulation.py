@@ -16,6 +16,7 @@ from netconvert.errors import SimulationError
 _ONLY_ASKED_WITH_GAP = 256
 _REPLAY_KEEP_ROUTE = 6
 _REPLAY_MATCH_M = 3.0
+_NEVER_S = 1000.0
 
 
 class Simulation:
@@ -184,5 +185,6 @@ class Simulation:
             libsumo.vehicletype.setLength(type_id, length_m)
             libsumo.vehicletype.setWidth(type_id, width_m)
             libsumo.vehicletype.setVehicleClass(type_id, "ignoring")  # recorded agents are where they are, on any lane
+            libsumo.vehicletype.setActionStepLength(type_id, _NEVER_S)  # SUMO need not think about where they would go
             self._types.add(type_id)
         return type_id
