@@ -3,6 +3,7 @@
 import hashlib
 import io
 import json
+import re
 import shutil
 import tempfile
 import uuid
@@ -25,6 +26,8 @@ from netconvert.lane_graph import LaneGraph
 
 #: Category of a formerly focal track when a generated one takes its place: scored, as it lives through the scene.
 _FORMER_FOCAL_CATEGORY = 2
+#: A lane's centreline with at least one point, in a map file.
+_CENTERLINE = re.compile(rb'"centerline":\s*\[\s*\{')
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo")
 
 
@@ -182,10 +185,10 @@ def _pandas_metadata(table: pa.Table) -> dict[str, Any]:
 def _map_bytes(path: Path, graph: LaneGraph) -> bytes:
     """The source's map byte for byte; with centrelines where it has none."""
     raw = path.read_bytes()
+    if len(_CENTERLINE.findall(raw)) == len(graph.lanes):  # one of its points for every lane: nothing to add
+        return raw
     document = json.loads(raw)
     lanes = document["lane_segments"].values()
-    if all(lane.get("centerline") for lane in lanes):
-        return raw
     for lane in lanes:
         if not lane.get("centerline"):
             points = graph.lanes[int(lane["id"])].centerline

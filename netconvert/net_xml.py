@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from lxml import etree
-
 from netconvert.cells import Cell, CellGrid
 from netconvert.errors import NetError
 from netconvert.geometry import FloatArray
-from netconvert.lane_graph import LaneSegment, TurnType
+from netconvert.lane_graph import SIDES, LaneSegment, TurnType
 
 #: Speed limit of every lane, m/s (45 mph); the maps have none.
 SPEED_LIMIT_MPS = 20.0
@@ -26,8 +24,6 @@ NET_VERSION = "1.20"
 _MIN_STEP_M = 1e-3
 _DIRECTION = {TurnType.STRAIGHT: "s", TurnType.LEFT: "l", TurnType.RIGHT: "r"}
 
-_Attributes = dict[str, str]
-
 
 def net_bytes(grid: CellGrid, *, speed_limit_mps: float = SPEED_LIMIT_MPS) -> bytes:
     """The net.xml of a grid, in city coordinates. Equal grids give equal bytes."""
@@ -37,39 +33,30 @@ def net_bytes(grid: CellGrid, *, speed_limit_mps: float = SPEED_LIMIT_MPS) -> by
     links = _links(grid, rows, place)
     names = _junction_names(len(rows), [(from_edge, to_edge) for from_edge, _, to_edge, _, _ in links])
 
-    net = etree.Element("net", {"version": NET_VERSION})
-    etree.SubElement(net, "location", _location(grid))
+    text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', _location(grid)]
     templates = {lane_id: _lane_attributes(grid, lane, speed_limit_mps) for lane_id, lane in grid.graph.lanes.items()}
     shapes = {lane_id: _cell_shapes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
+    closed = {
+        side: {lane_id for lane_id in grid.graph.lanes if not grid.graph.may_change(lane_id, side)} for side in SIDES
+    }
     for edge, (edge_id, row) in enumerate(zip(edge_ids, rows, strict=True)):
-        ends = {"from": names[2 * edge], "to": names[2 * edge + 1]}
-        element = etree.SubElement(net, "edge", {"id": edge_id, **ends, "priority": "0"})
+        text.append(f'  <edge id="{edge_id}" from="{names[2 * edge]}" to="{names[2 * edge + 1]}" priority="0">')
         for index, (lane_id, cell_index) in enumerate(row):
-            attributes = {"id": f"{edge_id}_{index}", "index": str(index), **templates[lane_id]}
-            attributes["shape"] = shapes[lane_id][cell_index]
-            if index > 0 and not grid.graph.may_change(lane_id, "right"):
-                attributes["changeRight"] = _MAY_ALWAYS_CROSS
-            if index + 1 < len(row) and not grid.graph.may_change(lane_id, "left"):
-                attributes["changeLeft"] = _MAY_ALWAYS_CROSS
-            lane = etree.SubElement(element, "lane", attributes)
-            etree.SubElement(lane, "param", {"key": "av2.lane_segment_id", "value": str(lane_id)})
-    for attributes in _junctions(grid, rows, edge_ids, names):
-        etree.SubElement(net, "junction", attributes)
-    for from_edge, from_lane, to_edge, to_lane, direction in links:
-        etree.SubElement(
-            net,
-            "connection",
-            {
-                "from": edge_ids[from_edge],
-                "to": edge_ids[to_edge],
-                "fromLane": str(from_lane),
-                "toLane": str(to_lane),
-                "dir": direction,
-                "state": "M",
-            },
-        )
-    content: bytes = etree.tostring(net, xml_declaration=True, encoding="UTF-8", pretty_print=True)
-    return content
+            crossing = f' changeRight="{_MAY_ALWAYS_CROSS}"' if index > 0 and lane_id in closed["right"] else ""
+            if index + 1 < len(row) and lane_id in closed["left"]:
+                crossing += f' changeLeft="{_MAY_ALWAYS_CROSS}"'
+            text.append(
+                f'    <lane id="{edge_id}_{index}" index="{index}"{templates[lane_id]} shape="{shapes[lane_id][cell_index]}"'
+                f'{crossing}>\n      <param key="av2.lane_segment_id" value="{lane_id}"/>\n    </lane>'
+            )
+        text.append("  </edge>")
+    text += _junctions(grid, rows, edge_ids, names)
+    text += [
+        f'  <connection from="{edge_ids[from_edge]}" to="{edge_ids[to_edge]}" fromLane="{from_lane}" toLane="{to_lane}"'
+        f' dir="{direction}" state="M"/>'
+        for from_edge, from_lane, to_edge, to_lane, direction in links
+    ]
+    return "\n".join([*text, "</net>", ""]).encode()
 
 
 def write_net(grid: CellGrid, path: Path | str) -> None:
@@ -118,8 +105,8 @@ def _junction_names(edge_count: int, links: Sequence[tuple[int, int]]) -> list[s
 
 def _junctions(
     grid: CellGrid, rows: Sequence[tuple[Cell, ...]], edge_ids: Sequence[str], names: Sequence[str]
-) -> list[_Attributes]:
-    """Attributes of each junction; it lies in the middle of the ends of its lanes."""
+) -> list[str]:
+    """Each junction; it lies in the middle of the ends of its lanes."""
     borders = {lane_id: grid.borders(lane_id).tolist() for lane_id in grid.graph.lanes}
     points: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
     incoming: dict[str, list[str]] = {name: [] for name in names}
@@ -129,34 +116,25 @@ def _junctions(
             points[names[2 * edge + 1]].append(borders[lane_id][cell_index + 1])
             incoming[names[2 * edge + 1]].append(f"{edge_ids[edge]}_{index}")
     return [
-        {
-            "id": name,
-            "type": "unregulated",
-            "x": f"{sum(x for x, _ in ends) / len(ends):.3f}",
-            "y": f"{sum(y for _, y in ends) / len(ends):.3f}",
-            "incLanes": " ".join(incoming[name]),
-            "intLanes": "",
-        }
+        f'  <junction id="{name}" type="unregulated" x="{sum(x for x, _ in ends) / len(ends):.3f}"'
+        f' y="{sum(y for _, y in ends) / len(ends):.3f}" incLanes="{" ".join(incoming[name])}" intLanes=""/>'
         for name, ends in points.items()
     ]
 
 
-def _location(grid: CellGrid) -> _Attributes:
+def _location(grid: CellGrid) -> str:
     points = np.concatenate([lane.centerline for lane in grid.graph.lanes.values()])
     (left, bottom), (right, top) = points.min(axis=0), points.max(axis=0)
     boundary = f"{left:.2f},{bottom:.2f},{right:.2f},{top:.2f}"
-    return {"netOffset": "0.00,0.00", "convBoundary": boundary, "origBoundary": boundary, "projParameter": "!"}
+    return f'  <location netOffset="0.00,0.00" convBoundary="{boundary}" origBoundary="{boundary}" projParameter="!"/>'
 
 
-def _lane_attributes(grid: CellGrid, lane: LaneSegment, speed_limit_mps: float) -> _Attributes:
-    """What all cells of a lane have in common."""
+def _lane_attributes(grid: CellGrid, lane: LaneSegment, speed_limit_mps: float) -> str:
+    """What all cells of a lane have in common, as XML attributes."""
     allowed = ALLOWED_CLASSES[lane.lane_type]
-    return {
-        **({} if allowed is None else {"allow": allowed}),
-        "speed": f"{speed_limit_mps:g}",
-        "length": f"{lane.length_m / grid.count(lane.lane_id):.6f}",
-        "width": f"{lane.width_m:.2f}",
-    }
+    classes = "" if allowed is None else f' allow="{allowed}"'
+    length_m = lane.length_m / grid.count(lane.lane_id)
+    return f'{classes} speed="{speed_limit_mps:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"'
 
 
 def _cell_shapes(grid: CellGrid, lane: LaneSegment) -> list[str]:
@@ -171,4 +149,4 @@ def _cell_shapes(grid: CellGrid, lane: LaneSegment) -> list[str]:
 
 
 def _coordinates(points: FloatArray, digits: int) -> list[str]:
-    return [f"{x:.{digits}f},{y:.{digits}f}" for x, y in points.tolist()]
+    return [f"%.{digits}f,%.{digits}f" % (x, y) for x, y in points.tolist()]  # noqa: UP031  # twice as fast
