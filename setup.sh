@@ -39,13 +39,15 @@ WANTED = {  # shared library -> Debian package
     "libX11.so.6": "libx11-6", "libXext.so.6": "libxext6", "libXrender.so.1": "libxrender1", "libGL.so.1": "libgl1",
     "libatomic.so.1": "libatomic1", "libexpat.so.1": "libexpat1", "libglib-2.0.so.0": "libglib2.0-0",
 }
+if "tests" in sys.argv:
+    WANTED["libGLU.so.1"] = "libglu1-mesa"
 for library, package in WANTED.items():
     try:
         ctypes.CDLL(library)
     except OSError:
         print(package)
-if "tests" in sys.argv and not (shutil.which("Xvfb") and shutil.which("xvfb-run")):
-    print("xvfb xauth libglu1-mesa libgl1-mesa-dri")
+if "tests" in sys.argv and not shutil.which("Xvfb"):
+    print("xvfb libgl1-mesa-dri")
 PYTHON
 }
 packages=$(missing_packages "$@" | tr '\n' ' ')
@@ -60,7 +62,7 @@ if [ -n "$packages" ]; then
     elif [ -n "$(missing_packages)" ]; then
         fail "please install, then call this again (Debian's names): apt-get install --no-install-recommends $packages"
     else
-        echo "setup.sh: no virtual screen, the tests of sumo-gui will be skipped; to have it:" \
+        echo "setup.sh: the tests of sumo-gui want more, and may be skipped without:" \
             "apt-get install --no-install-recommends $packages" >&2
     fi
 fi

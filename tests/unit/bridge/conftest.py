@@ -1,5 +1,9 @@
-"""A generated scene on disk, made once for all tests that look at scenes."""
+"""A generated scene on disk and a virtual screen, made once for all tests that look at scenes."""
 
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -25,3 +29,20 @@ def made_scene(made_root: Path) -> Path:
     """The generated arterial scene: the one with the most lane changes."""
     folders = sorted(path.parent for path in made_root.rglob("scenario_*.parquet"))
     return max(folders, key=lambda folder: next(folder.glob("hid2_*.json")).read_text().count('"lane_change"'))
+
+
+@pytest.fixture(scope="session")
+def screen() -> Iterator[dict[str, str]]:
+    """The environment of programs on a virtual screen; the X server takes a display number that is free."""
+    if shutil.which("Xvfb") is None:
+        pytest.skip("Xvfb is not installed: sh setup.sh tests")
+    reading, writing = os.pipe()
+    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1280x1024x24", "-nolisten", "tcp", "-noreset"]
+    quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(command, pass_fds=[writing], **quiet) as server:
+        os.close(writing)
+        with os.fdopen(reading) as pipe:
+            number = pipe.readline().strip()  # nothing if the server ends
+        assert number, f"Xvfb does not start, exit code {server.wait()}"
+        yield {key: value for key, value in os.environ.items() if key != "XAUTHORITY"} | {"DISPLAY": f":{number}"}
+        server.terminate()

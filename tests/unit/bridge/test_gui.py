@@ -1,7 +1,6 @@
 """Scenes in sumo-gui: from files alone, and steered through TraCI, on a virtual screen."""
 
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -18,7 +17,6 @@ from bridge.scenario import read_scenario
 from netconvert.errors import SimulationError
 
 BIN = Path(sys.executable).parent
-needs_screen = pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="xvfb is not installed: sh setup.sh tests")
 
 
 def sumo(config, *options):
@@ -113,7 +111,6 @@ def colored(path, rgb):
     return int((np.abs(picture - np.array(rgb)).max(axis=-1) < 20).sum())
 
 
-SCREEN = ["xvfb-run", "-a", "-s", "-screen 0 1280x1024x24"]
 OPEN = """
 import sys, traci
 traci.start([sys.argv[3], "-c", sys.argv[1], "--start", "--quit-on-end", "--delay", "0"])
@@ -134,23 +131,21 @@ def assert_shows_the_scene(picture, folder):
     assert sum(colored(picture, paint.rgba[:3]) for paint in policies) > 20 * len(policies)
 
 
-@needs_screen
-def test_sumo_gui_opens_the_files_and_shows_net_and_vehicles(playable, made_scene, tmp_path):
+def test_sumo_gui_opens_the_files_and_shows_net_and_vehicles(playable, made_scene, tmp_path, screen):
     picture = tmp_path / "files.png"
-    command = [*SCREEN, sys.executable, "-c", OPEN, playable, picture, BIN / "sumo-gui"]
-    environment = {key: value for key, value in os.environ.items() if key != "LIBSUMO_AS_TRACI"}
+    command = [sys.executable, "-c", OPEN, playable, picture, BIN / "sumo-gui"]
+    environment = {key: value for key, value in screen.items() if key != "LIBSUMO_AS_TRACI"}
     result = subprocess.run(command, capture_output=True, text=True, timeout=300, env=environment)
     assert result.returncode == 0, result.stderr
     assert_shows_the_scene(picture, made_scene)
 
 
-@needs_screen
-def test_gui_plays_the_scene_at_exact_positions_and_takes_a_picture(made_scene, tmp_path):
+def test_gui_plays_the_scene_at_exact_positions_and_takes_a_picture(made_scene, tmp_path, screen):
     picture = tmp_path / "deep" / "gui.png"
     code = "import sys; from pathlib import Path; from bridge.gui import play_scene; "
     code += "print(play_scene(Path(sys.argv[1]), screenshot=Path(sys.argv[2]), delay_ms=0))"
     result = subprocess.run(
-        [*SCREEN, sys.executable, "-c", code, made_scene, picture], capture_output=True, text=True, timeout=300
+        [sys.executable, "-c", code, made_scene, picture], capture_output=True, text=True, timeout=300, env=screen
     )
     assert result.returncode == 0, result.stderr
     assert result.stdout.strip() == str(picture)
