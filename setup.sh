@@ -77,6 +77,8 @@ esac
 cache=$(.uv/bin/uv cache dir 2>/dev/null) && mkdir -p "$cache" 2>/dev/null && [ -w "$cache" ] ||
     export UV_CACHE_DIR="$PWD/.uv/cache"
 export UV_PYTHON_DOWNLOADS=never
+# The machine's certificates, as pip takes them: its network may have some of its own.
+[ ! -e /etc/ssl/certs/ca-certificates.crt ] || export UV_SYSTEM_CERTS="${UV_SYSTEM_CERTS:-true}"
 
 # .venv/.hid2 says for which place, and for which pyproject.toml, the environment was made.
 place="place $PWD"
