@@ -141,7 +141,6 @@ class _Run:
         self.replay_errors = ReplayErrors()
         self.sumo_version = ""
         self._next = 0
-        self._reseeded = 0
 
     def fill(self) -> None:
         """All rounds; where they do not reach the count, again from an empty road: packed, then packed closer.
@@ -165,37 +164,38 @@ class _Run:
             if len(self.settled) >= target:
                 return
 
-    def _rounds(self, pending: list[Policy], target: int, *, packed: bool) -> None:
-        dry = 0
+    def _rounds(self, mix: Sequence[Policy], target: int, *, packed: bool) -> None:
+        """Rounds until the count is reached; a manoeuvre that no round brought about is noted with its last reason."""
+        pending: list[tuple[Policy, str]] = [(policy, "count_reached") for policy in mix if policy is not Policy.STRAIGHT]
         for number in range(self.world.config.spawn.rounds):
             missing = target - len(self.settled)
             if missing <= 0 and number > 0:
                 break
-            wanted = pending[:missing] + [Policy.STRAIGHT] * (missing - len(pending))
             before = len(self.settled)
             patience = number + 2 if packed else number
             reseeds = number < self.world.config.spawn.reseed_rounds
-            failed = self._round(wanted, missing, patience=patience, packed=packed, reseeds=reseeds)
-            pending = failed + [Policy.STRAIGHT] * max(0, target - len(self.settled) - len(failed))
-            dry = 0 if len(self.settled) > before or self._reseeded else dry + 1
-            if dry >= 2 or (dry and number >= 1):
+            asked = [policy for policy, _ in pending[:missing]]
+            again = self._round(asked, missing, patience=patience, packed=packed, reseeds=reseeds)
+            pending = again + pending[missing:]
+            if number >= 1 and len(self.settled) == before and not (reseeds and again):
                 break
+        self.unmet += pending
 
     def _round(
-        self, wanted: Sequence[Policy], missing: int, *, patience: int, packed: bool, reseeds: bool
-    ) -> list[Policy]:
-        """Plan, drive and settle; returns the policies still wanted."""
+        self, asked: Sequence[Policy], missing: int, *, patience: int, packed: bool, reseeds: bool
+    ) -> list[tuple[Policy, str]]:
+        """Plan, drive and settle; returns the manoeuvres that are to be tried again, with what went wrong."""
         spawner = Spawner(self.world, self.rng, self.fixed, patience, packed)
         attempts = _ATTEMPTS_LATE if patience >= 2 or packed else _ATTEMPTS
         # manoeuvres need the room most, so they choose first; what finds no place looks again, with more patience
-        asked = sorted((p for p in wanted if p is not Policy.STRAIGHT), key=list(Policy).index, reverse=True)
-        without = [policy for policy in asked if not self._plan(spawner, policy, missing, attempts)]
+        order = sorted(asked, key=list(Policy).index, reverse=True)
+        without = [policy for policy in order if not self._plan(spawner, policy, missing, attempts)]
         if without and patience == 0:
             spawner.look_again()
             without = [policy for policy in without if not self._plan(spawner, policy, missing, attempts)]
             spawner.patience = patience
-        for policy in without:
-            self.unmet.append((policy, spawner.why_none(policy)))
+        full = len(spawner.planned) >= missing  # leaders of overtakes count too
+        self.unmet += [(policy, "count_reached" if full else spawner.why_none(policy)) for policy in without]
         spare = missing + (math.ceil(self.world.config.spawn.spare_share * missing) if missing >= _SPARE_FROM else 0)
         for _ in range(3):
             while len(spawner.planned) < spare and self._plan(spawner, Policy.STRAIGHT, spare, attempts):
@@ -203,11 +203,10 @@ class _Run:
             if len(spawner.planned) >= missing:
                 break
             spawner.look_again()
-        failed = [Policy.STRAIGHT] * (missing - len(spawner.planned))
         self.reasons.update(spawner.reasons)
         if spawner.planned or self.replay_errors.states == 0:
-            failed += self._drive(spawner, missing + len(self.settled), reseeds=reseeds)
-        return failed
+            return self._drive(spawner, missing + len(self.settled), reseeds=reseeds)
+        return []
 
     def _plan(self, spawner: Spawner, policy: Policy, missing: int, attempts: int) -> bool:
         room = missing - len(spawner.planned)
@@ -218,8 +217,8 @@ class _Run:
         leader_id = self._new_id() if room >= 2 and self.world.config.request.spawn_leaders else None
         return bool(spawner.spawn_overtake(self._new_id(), leader_id, attempts=attempts))
 
-    def _drive(self, spawner: Spawner, target: int, *, reseeds: bool) -> list[Policy]:
-        """Drive and settle what was planned; returns the policies that are to be tried again.
+    def _drive(self, spawner: Spawner, target: int, *, reseeds: bool) -> list[tuple[Policy, str]]:
+        """Drive and settle what was planned; returns the manoeuvres that did not come about, with the reason.
 
         reseeds: a vehicle that lives but did not do what it was placed for makes room for another one elsewhere.
         """
@@ -237,9 +236,8 @@ class _Run:
         if reseeds:
             settled, missed = self._keep_what_was_asked(settled, by_id, spawner.led_by)
             failed += missed
-        again = [spec.policy for spec, _ in failed if spec.policy is not Policy.STRAIGHT] if reseeds else []
-        self._reseeded = len(again)
-        surplus = len(self.settled) + len(settled) + len(again) - target
+        again: list[tuple[Policy, str]] = [(spec.policy, reason) for spec, reason in failed if spec.policy is not Policy.STRAIGHT]
+        surplus = len(self.settled) + len(settled) + (len(again) if reseeds else 0) - target
         if surplus > 0:  # the spare ones were not needed
             leaders = {driver.leader_id for driver in drivers}
             idle = [
@@ -251,7 +249,7 @@ class _Run:
         self.reasons.update(reason for _, reason in failed)
         self.settled += [Settled(vehicle, by_id[vehicle.driven.spec.vehicle_id]) for vehicle in settled]
         self.fixed = self.fixed.joined(settled_traffic(settled, world.num_steps))
-        return [spec.policy for spec, _ in failed]
+        return again
 
     def _keep_what_was_asked(
         self, settled: Sequence[SettledVehicle], drivers: Mapping[str, Driver], led_by: Mapping[str, str]

@@ -20,7 +20,7 @@ from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath
 from hid2.space_time import SpeedPlan
 from hid2.traffic import Traffic
-from hid2.world import World
+from hid2.world import World, predicted_traffic
 from netconvert.lane_graph import TurnType
 
 TURN_OF_POLICY = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
@@ -31,6 +31,8 @@ _RETURN_SPARE_M = 1.5
 _PASS_STEPS = 65  # out, past and back take at least this long
 _CHANGE_DELAYS = (0, 8, 20)  # steps behind the trigger at which a manoeuvre is tried
 _OVERTAKE_DELAYS = (0, 6, 12)
+_CLAIM_BOX = BoxSize(8.0, 1.4)
+_CLAIM_BEHIND_M, _CLAIM_STEPS = 8.0, 6
 _SIGHT_M = 80.0  # to the leader at the start of the scene
 _FOLLOWING_MPS = 0.3  # faster than the leader while following it
 _SPEEDING_UP_MPS2, _SLOWING_MPS2 = 1.2, 1.5
@@ -68,22 +70,27 @@ class Intention:
     """What a vehicle is foreseen to do.
 
     path: with its manoeuvre on it; plan: its motion there; own: its motion on the path without the manoeuvre, up to
-    where it begins; sides: where it looks for a lane, in order.
+    where it begins; sides: where it looks for a lane, in order; claims: room on the lane beside that it will ask for.
     """
 
     path: DrivenPath
     plan: SpeedPlan
     own: SpeedPlan
     sides: tuple[Side, ...] = ()
+    claims: Traffic | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Foresight:
-    """Looks ahead for one vehicle among the recorded ones, those of earlier rounds, and those planned before it."""
+    """Looks ahead for one vehicle among the recorded ones, those of earlier rounds, and those planned before it.
+
+    claims: room that manoeuvres planned before will ask for; nobody drives through it.
+    """
 
     world: World
     fixed: Traffic
     predicted: Traffic
+    claims: Traffic
 
     def turn(self, wish: Wish, path: DrivenPath, plan: SpeedPlan) -> Intention | str:
         """The first turn of the wanted kind on the path must be through before the scene ends."""
@@ -114,7 +121,8 @@ class Foresight:
                     unmet = "lane_ends"
                 across = unmet or self._across(wish, path, target, plan, step, option.remaining_m, cruise_mps)
                 if not isinstance(across, str):
-                    return Intention(across[0], across[1], plan, (option.side, _opposite(option.side)))
+                    claims = self._claim(target, option, speed, step, change.min_gap_m + 0.5 * speed)
+                    return Intention(across[0], across[1], plan, (option.side, _opposite(option.side)), claims)
                 reason = across
             reason = reason if reason != "scene_too_short" else "no_adjacent_lane"
         return f"lane_change_{reason}"
@@ -128,7 +136,7 @@ class Foresight:
         leader's own speed, follows it and speeds up on its way out. obstacles: a leader that stands may be passed too.
         """
         vehicles = self.world.vehicles.joined(self.fixed).joined(self.predicted)
-        first = leader_on(path, wish.size, s=s0, step=0, d_obs_m=_SIGHT_M, vehicles=vehicles)
+        first = self.leader_at_start(wish, path, s0)
         speeds = [v0]
         if first is not None and first.speed_mps + _FOLLOWING_MPS < v0:
             following = max(first.speed_mps, self.world.config.overtake.parked_mps) + _FOLLOWING_MPS
@@ -173,9 +181,15 @@ class Foresight:
                 back = _opposite(option.side)
                 done = self._return(wish, path, entered[0], entered[1], leader, back, vehicles, cruise_mps)
                 if not isinstance(done, str):
-                    return Intention(done[0], done[1], entered[1], (option.side, back))
+                    claims = self._claim(target, option, speed, step, overtake.d_overtake_m)
+                    return Intention(done[0], done[1], entered[1], (option.side, back), claims)
                 reason = done
         return reason
+
+    def leader_at_start(self, wish: Wish, path: DrivenPath, s0: float) -> Leader | None:
+        """Vehicle that one starting at s0 would have ahead of it."""
+        vehicles = self.world.vehicles.joined(self.fixed).joined(self.predicted)
+        return leader_on(path, wish.size, s=s0, step=0, d_obs_m=_SIGHT_M, vehicles=vehicles)
 
     def following_apart_m(self, wish: Wish, lead: Wish) -> float:
         """Centre to centre distance at which an overtaker may follow a new leader at the leader's speed."""
@@ -213,7 +227,9 @@ class Foresight:
         )  # fmt: skip
         if isinstance(across, str):
             return across
-        look = self.world.prospect(across, wish.size, cruise_mps=cruise_mps, others=(self.fixed, self.predicted))
+        look = self.world.prospect(
+            across, wish.size, cruise_mps=cruise_mps, others=(self.fixed, self.predicted, self.claims)
+        )
         begins = across.shifts[-1][0]
         unhurried = look.desired.copy()  # it does not press its leader before it moves out
         before = slice(0, int(begins / TABLE_STEP_M))
@@ -254,6 +270,19 @@ class Foresight:
                 reason = f"return_{back}"
         return reason
 
+    def _claim(self, target: DrivenPath, option: LaneOption, speed_mps: float, step: int, ahead_m: float) -> Traffic:
+        """Boxes that hold the lane beside free, from some metres behind to ahead_m ahead, when the change is due.
+
+        They move with the vehicle. Without them those who are planned later fill the gap that was foreseen.
+        """
+        at = target.exit_s - option.remaining_m
+        steps = np.arange(self.world.num_steps)
+        moving = at + speed_mps * (steps - step) * DT_S
+        offsets = np.arange(-_CLAIM_BEHIND_M, ahead_m + 0.5 * _CLAIM_BOX.length_m, _CLAIM_BOX.length_m)
+        rows = [("claim", target, _CLAIM_BOX, moving + offset) for offset in offsets.tolist()]
+        boxes = predicted_traffic(rows, self.world.num_steps)
+        return replace(boxes, present=boxes.present & (np.abs(steps - step) <= _CLAIM_STEPS))
+
     def _options(
         self, wish: Wish, path: DrivenPath, step: int, s: float, sides: tuple[Side, ...], cruise_mps: float
     ) -> Iterator[tuple[LaneOption, DrivenPath]]:
@@ -274,7 +303,9 @@ class Foresight:
         )
         if isinstance(across, str):
             return across
-        look = self.world.prospect(across, wish.size, cruise_mps=cruise_mps, others=(self.fixed, self.predicted))
+        look = self.world.prospect(
+            across, wish.size, cruise_mps=cruise_mps, others=(self.fixed, self.predicted, self.claims)
+        )
         accel = float(np.clip((plan.v[step] - plan.v[max(step - 1, 0)]) / DT_S, -2.0, 1.5))
         onward = look.plan(s0=s, v0=speed, a0=accel, first_step=step, config=self.world.config)
         if onward is None:

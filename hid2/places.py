@@ -19,7 +19,8 @@ from netconvert.lane_graph import TurnType
 _ROUTE_LONGEST_M = 260.0
 _FASTEST_MPS = 9.0  # mean over approach and turn
 _SLOWEST_MPS = (6.0, 3.0)  # a candidate's road lasts until the last observed step at this speed; with patience
-_OVERTAKE_STRETCH_M = 55.0  # of two lanes side by side, for out, past and back at 7 m/s
+#: Of two lanes side by side: from 3 m/s behind a slow leader out, past it and back, speeding up by 1.8 m/s2 to 9 m/s.
+_OVERTAKE_STRETCH_M = 65.0
 _STRETCH_MOST_M = 120.0
 _TURN_ROUTES, _OTHER_ROUTES = 6, 3
 
@@ -100,6 +101,10 @@ class Places:
             last = s0 + cruise_mps * (wish.trigger_s + 3.0)
             if not any(self._beside(route[row]) for row in np.flatnonzero((ends > first) & (starts < last)).tolist()):
                 return "no_lane_beside_at_trigger"
+        if wish.policy is Policy.OVERTAKE:
+            row = int(np.searchsorted(ends, s0, side="right"))
+            if self._overtaking_m(route[row]) - (s0 - starts[row]) < _OVERTAKE_STRETCH_M:
+                return "lanes_part_too_soon"
         return None
 
     def too_sharp(self, path: DrivenPath, start: float, end: float) -> bool:
@@ -122,8 +127,7 @@ class Places:
         if "topology" in self.world.config.without:
             return False
         if policy is Policy.OVERTAKE:
-            sides: tuple[tuple[Side, Side], ...] = (("left", "right"), ("right", "left"))
-            return any(self._stretch_m(lane_id, out, back, 0.0) >= _OVERTAKE_STRETCH_M for out, back in sides)
+            return self._overtaking_m(lane_id) >= _OVERTAKE_STRETCH_M
         remaining = self.world.config.lane_change.min_remaining_m
         return any(
             beside is not None and self._onward_m(beside, 0.0) >= remaining
@@ -132,6 +136,10 @@ class Places:
 
     def _beside(self, lane_id: int) -> bool:
         return any(admissible_neighbor(self.world, lane_id, side) is not None for side in ("left", "right"))
+
+    def _overtaking_m(self, lane_id: int) -> float:
+        """Length from the start of a lane on with room to overtake on either side, m."""
+        return max(self._stretch_m(lane_id, "left", "right", 0.0), self._stretch_m(lane_id, "right", "left", 0.0))
 
     def _stretch_m(self, lane_id: int, out: Side, back: Side, sofar_m: float) -> float:
         """Length from the start of a lane on over which a lane lies beside that can be entered and left again, m."""

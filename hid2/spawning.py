@@ -27,14 +27,24 @@ _TRUCK = ((0.0, 7.0, 2.3), (0.5, 9.6, 2.6), (1.0, 10.5, 2.7))
 _BUS = ((0.0, 10.5, 2.7), (0.5, 11.6, 2.9), (1.0, 12.3, 2.95))
 _MIN_MOVE_M, _MIN_MOVE_LATE_M = 10.0, 3.0
 _KEEP_FREE_M = 4.0
-_OVERTAKER_MPS = (9.0, 13.0)
-_LEADER_SHARE, _LEADER_MPS = (0.35, 0.5), 2.8  # of the overtaker's speed: slow enough to be passed within a scene
+#: Desired speed of an overtaker: slower ones do not get past within a scene, faster ones find no corridor in traffic.
+_OVERTAKER_MPS = (9.0, 11.0)
+_FASTER_MPS = 3.5  # than the leader: who is slower does not get past within a scene
+_LEADER_SHARE, _LEADER_MPS = (0.3, 0.4), 2.8  # of the overtaker's speed: slow enough to be passed within a scene
 _LEADER_SPARE_M = (0.5, 4.0, 8.0)  # beyond the gap at which the overtaker would begin to brake
 #: Speeds at spawn that are tried, as shares of the one drawn: without patience, for a turn, with patience.
 _SHARES, _TURN_SHARES, _PATIENT_SHARES = (1.0,), (1.0, 0.6), (1.0, 0.5, 0.0)
 #: Objections that cost nothing to find do not count as attempts.
 _SEEN_AT_ONCE = frozenset(
-    {"no_room_on_lane", "leaves_too_early", "would_turn", "no_lane_beside_at_trigger", "cells_occupied"}
+    {
+        "no_room_on_lane",
+        "leaves_too_early",
+        "would_turn",
+        "no_lane_beside_at_trigger",
+        "cells_occupied",
+        "lanes_part_too_soon",
+        "overtake_leader_not_slower",
+    }
 )
 
 
@@ -59,6 +69,7 @@ class Spawner:
     places: Places = field(init=False)
     _sigma: np.ndarray[tuple[int], np.dtype[np.uint8]] = field(init=False)
     _predicted: Traffic = field(init=False)
+    _claims: Traffic = field(init=False)
     _against: dict[Policy, Counter[str]] = field(default_factory=dict)
     _streams: dict[Policy, Iterator[tuple[Route, float] | None]] = field(default_factory=dict)
 
@@ -71,7 +82,7 @@ class Spawner:
                 x, y = self.fixed.position[row, 0].tolist()
                 size = BoxSize(self.fixed.length_m[row], self.fixed.width_m[row])
                 self._mark(x, y, float(self.fixed.heading[row, 0]), size)
-        self._predicted = predicted_traffic([], self.world.num_steps)
+        self._predicted = self._claims = predicted_traffic([], self.world.num_steps)
 
     def spawn(self, policy: Policy, vehicle_id: str, *, attempts: int) -> PlannedVehicle | None:
         """Plan one vehicle for a policy; None, with the reasons counted, where no candidate of `attempts` holds.
@@ -98,9 +109,12 @@ class Spawner:
         object_type, own = self._draw_size()
         against: Counter[str] = Counter()
         for route, s0 in self._some(Policy.OVERTAKE, attempts, against):
-            drawn = max(self.world.speed_sample(route[0], self.rng), float(self.rng.uniform(*_OVERTAKER_MPS)))
-            cruise = min(drawn, self._fastest_overtaker_mps())
+            cruise = float(self.rng.uniform(*_OVERTAKER_MPS))
             wish = Wish(Policy.OVERTAKE, vehicle_id, object_type, own, self._draw_trigger(Policy.OVERTAKE), cruise)
+            leader = self._foresight().leader_at_start(wish, self.world.path(route), s0)
+            if leader is not None and leader.speed_mps + _FASTER_MPS > cruise:
+                against["overtake_leader_not_slower"] += 1
+                continue
             found = self._overtaker(wish, route, s0, leader_id)
             if isinstance(found, tuple):
                 return found
@@ -141,12 +155,6 @@ class Spawner:
     def _is_free(self, cell: int) -> bool:
         return bool(self._sigma[cell] == FREE) or "collision" in self.world.config.without
 
-    def _fastest_overtaker_mps(self) -> float:
-        """Speed at which a leader within d_obs is still too far ahead for SUMO to brake behind it."""
-        following, seen_m = self.world.config.car_following, self.world.config.overtake.d_obs_m - 2.0
-        decel, tau = following.decel_mps2, following.tau_s
-        return float(decel * (np.sqrt(tau * tau + 2.0 * seen_m / decel) - tau))
-
     def _overtaker(
         self, wish: Wish, route: Route, s0: float, leader_id: str | None
     ) -> tuple[PlannedVehicle, ...] | str:
@@ -179,7 +187,7 @@ class Spawner:
         return reason
 
     def _foresight(self) -> Foresight:
-        return Foresight(self.world, self.fixed, self._predicted)
+        return Foresight(self.world, self.fixed, self._predicted, self._claims)
 
     def _try(self, wish: Wish, route: Route, s0: float) -> PlannedVehicle | str:
         """A planned vehicle, or the reason against it."""
@@ -197,7 +205,7 @@ class Spawner:
         )
         if np.any(self._sigma[under] != FREE):
             return "cells_occupied"
-        look = world.prospect(path, size, cruise_mps=cruise, others=(self.fixed, self._predicted))
+        look = world.prospect(path, size, cruise_mps=cruise, others=(self.fixed, self._predicted, self._claims))
         keeps = wish.steady or wish.policy is Policy.OVERTAKE
         v0 = self._entry_speed(look, s0, cruise if keeps else cruise * float(self.rng.uniform(0.85, 1.0)))
         if isinstance(v0, str):
@@ -209,7 +217,7 @@ class Spawner:
             vehicle_id=wish.vehicle_id, policy=wish.policy, object_type=wish.object_type, size=size,
             own_size=wish.own_size, route=route, path=path, s0=s0, v0=float(intention.own.v[0]), cruise_mps=cruise,
             trigger_s=wish.trigger_s, plan_s=intention.own.s, plan_v=intention.own.v, sides=intention.sides,
-            intended_path=intention.path, intended_s=intention.plan.s,
+            intended_path=intention.path, intended_s=intention.plan.s, claims=intention.claims,
         )  # fmt: skip
 
     def _intend(
@@ -315,6 +323,8 @@ class Spawner:
         self._mark(float(xy[0]), float(xy[1]), float(vehicle.path.line.heading(start)[0]), vehicle.size)
         one = predicted_traffic([_foreseen(vehicle)], self.world.num_steps)
         self._predicted = self._predicted.joined(one)
+        if vehicle.claims is not None:
+            self._claims = self._claims.joined(vehicle.claims)
 
     def _mark(self, x: float, y: float, heading: float, size: BoxSize) -> None:
         under = cells_under(self.world.boxes, x, y, heading, length_m=size.length_m, width_m=0.8 * size.width_m)

@@ -163,7 +163,7 @@ class PlannedVehicle:
 
     s0, v0: state of the box centre on the path at step 0; plan_s (T,) m, plan_v (T,) m/s: its motion on that path.
     intended_path, intended_s (T,) m: the same with its manoeuvre, as the others foresee it; sides: where it looks for a
-    lane, in this order.
+    lane, in this order; claims: room beside that the others keep free for it.
     size: the larger of its own box and the one that readers without the sidecar assume; own_size is exported.
     """
 
@@ -183,6 +183,7 @@ class PlannedVehicle:
     sides: tuple[Literal["left", "right"], ...]
     intended_path: DrivenPath
     intended_s: FloatArray
+    claims: Traffic | None = None
 
 
 def predicted_traffic(

@@ -59,15 +59,15 @@ def test_lane_change_is_offered_where_a_lane_lies_beside_and_goes_on(
 def test_overtake_needs_two_lanes_side_by_side_for_long_enough(
     places: Callable[..., Places], road: Callable[..., LaneGraph], lane: Callable[..., LaneSegment]
 ) -> None:
-    """55 m, which may be made of several lane segments one after the other."""
-    assert places(road(length_m=56.0)).offers(Policy.OVERTAKE)
-    assert not places(road(length_m=54.0)).offers(Policy.OVERTAKE)
+    """65 m, which may be made of several lane segments one after the other."""
+    assert places(road(length_m=66.0)).offers(Policy.OVERTAKE)
+    assert not places(road(length_m=64.0)).offers(Policy.OVERTAKE)
     assert not places(road(lanes=1)).offers(Policy.OVERTAKE)
     pieces = LaneGraph({
         1: lane(1, [(0.0, 0.0), (30.0, 0.0)], successors=(3,), left=2),
         2: lane(2, [(0.0, 3.5), (30.0, 3.5)], successors=(4,), right=1),
-        3: lane(3, [(30.0, 0.0), (60.0, 0.0)], left=4),
-        4: lane(4, [(30.0, 3.5), (60.0, 3.5)], right=3),
+        3: lane(3, [(30.0, 0.0), (70.0, 0.0)], left=4),
+        4: lane(4, [(30.0, 3.5), (70.0, 3.5)], right=3),
     })  # fmt: skip
     assert places(pieces).offers(Policy.OVERTAKE)
 

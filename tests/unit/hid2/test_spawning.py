@@ -148,10 +148,11 @@ def test_overtaker_starts_behind_its_leader_passes_and_comes_back(spawner: Calla
 
 
 def test_leader_whose_overtaker_finds_no_way_leaves_no_trace(spawner: Callable[..., Spawner]) -> None:
-    """A road of 75 m is too short for out and back: no vehicle stays planned and no cell stays taken."""
-    one = spawner(length_m=75.0)
+    """From 6 s on the scene is too short for out and back: no vehicle stays planned and no cell stays taken."""
+    one = spawner(length_m=400.0, request={"trigger_min_s": 6.0, "trigger_max_s": 6.0})
     before = one._sigma.copy()
     assert one.spawn_overtake("v1", "v2", attempts=60) == ()
+    assert one.reasons["overtake_scene_too_short"] > 0
     assert np.array_equal(one._sigma, before)
     assert not one.planned
 
