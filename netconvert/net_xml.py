@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
 from netconvert.cells import Cell, CellGrid
 from netconvert.errors import NetError
 from netconvert.geometry import FloatArray
@@ -45,9 +46,10 @@ def net_bytes(grid: CellGrid, *, speed_limit_mps: float = SPEED_LIMIT_MPS) -> by
             crossing = f' changeRight="{_MAY_ALWAYS_CROSS}"' if index > 0 and lane_id in closed["right"] else ""
             if index + 1 < len(row) and lane_id in closed["left"]:
                 crossing += f' changeLeft="{_MAY_ALWAYS_CROSS}"'
+            shape = shapes[lane_id][cell_index]
             text.append(
-                f'    <lane id="{edge_id}_{index}" index="{index}"{templates[lane_id]} shape="{shapes[lane_id][cell_index]}"'
-                f'{crossing}>\n      <param key="av2.lane_segment_id" value="{lane_id}"/>\n    </lane>'
+                f'    <lane id="{edge_id}_{index}" index="{index}"{templates[lane_id]} shape="{shape}"{crossing}>'
+                f'\n      <param key="av2.lane_segment_id" value="{lane_id}"/>\n    </lane>'
             )
         text.append("  </edge>")
     text += _junctions(grid, rows, edge_ids, names)
@@ -149,4 +151,4 @@ def _cell_shapes(grid: CellGrid, lane: LaneSegment) -> list[str]:
 
 
 def _coordinates(points: FloatArray, digits: int) -> list[str]:
-    return [f"%.{digits}f,%.{digits}f" % (x, y) for x, y in points.tolist()]  # noqa: UP031  # twice as fast
+    return [f"%.{digits}f,%.{digits}f" % (x, y) for x, y in points.tolist()]  # twice as fast
