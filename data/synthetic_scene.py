@@ -1,0 +1,251 @@
+"""A scene in the making, its lanes and agents, and its two files in the Argoverse 2 motion-forecasting format.
+
+Local frame of a scene: metres, x east, y north; it is turned and moved into the frame of a city when it is written.
+"""
+
+import json
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+from exact_paths import FloatArray, Path2d, cos, direction, norm, sin, smoothstep, wrap
+
+from bridge.export import parquet_bytes
+
+STEPS, OBSERVED, STEP_S, FINE_S = 110, 50, 0.1, 0.01
+LANE_M = 3.5
+START_NS = 315_970_000_000_000_000.0
+
+
+@dataclass
+class Lane:
+    """A lane segment in the making; points are local."""
+
+    centerline: FloatArray
+    left: FloatArray
+    right: FloatArray
+    is_intersection: bool
+    left_mark: str
+    right_mark: str
+    successors: list[str] = field(default_factory=list)
+    left_neighbor: str | None = None
+    right_neighbor: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Agent:
+    """A recorded agent: timesteps (T,), position (T, 2) m, heading (T,) rad, velocity (T, 2) m/s, local."""
+
+    object_type: str
+    category: int
+    timesteps: npt.NDArray[np.int64]
+    position: FloatArray
+    heading: FloatArray
+    velocity: FloatArray
+
+
+@dataclass
+class Scene:
+    """A scene in the making. height_m: ground height at local points (N, 2); turn and origin lead to the city frame."""
+
+    name: str
+    split: str
+    city: str
+    turn_rad: float
+    origin: tuple[float, float]
+    height_m: Callable[[FloatArray], FloatArray]
+    first_id: int
+    lanes: dict[str, Lane] = field(default_factory=dict)
+    areas: list[FloatArray] = field(default_factory=list)
+    crossings: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
+    agents: list[Agent] = field(default_factory=list)
+
+    @property
+    def scenario_id(self) -> str:
+        """UUID of the scene's name."""
+        return str(uuid.uuid5(uuid.NAMESPACE_URL, f"hid2-sumo/data/{self.name}"))
+
+    def add_lane(
+        self,
+        name: str,
+        path: Path2d,
+        between: tuple[float, float],
+        *,
+        marks: tuple[str, str] = ("NONE", "NONE"),
+        is_intersection: bool = False,
+        width_m: float = LANE_M,
+    ) -> None:
+        """A lane segment along a stretch (m) of a path; 10 centreline points, boundaries as far apart as needed."""
+        first, last = between
+        centre, _ = path.at(first + (last - first) * np.arange(10) / 9)
+        bent = float(np.ptp(path.heading))
+        count = max(2, int((last - first) / (1.5 if is_intersection else 5.0)) + 1) if bent > 0.02 else 2
+        stations = first + (last - first) * np.arange(count) / (count - 1)
+        left, _ = path.at(stations, offset_m=width_m / 2)
+        right, _ = path.at(stations, offset_m=-width_m / 2)
+        self.lanes[name] = Lane(centre, left, right, is_intersection, *marks)
+
+    def link(self, name: str, *successors: str) -> None:
+        """Successors of a lane."""
+        self.lanes[name].successors += successors
+
+    def side_by_side(self, left: str, right: str) -> None:
+        """Two lanes of one direction, side by side."""
+        self.lanes[left].right_neighbor, self.lanes[right].left_neighbor = right, left
+
+    def oncoming(self, one: str, other: str) -> None:
+        """Two lanes of opposite directions; each is the other's left neighbour."""
+        self.lanes[one].left_neighbor, self.lanes[other].left_neighbor = other, one
+
+    def drive(
+        self,
+        path: Path2d,
+        start_m: float,
+        speeds: float | Sequence[tuple[float, float]],
+        *,
+        object_type: str = "vehicle",
+        category: int = 1,
+        sway: int = 0,
+        steps: tuple[int, int] = (0, STEPS),
+        offset_m: float = 0.0,
+        shift: tuple[float, float, float] | None = None,
+    ) -> None:
+        """An agent along a path from start_m (m) at time 0.
+
+        speeds: m/s, or (time s, speed) knots; sway: phase of a small variation of speed, 0 for none; shift: (start s,
+        end s, metres to the left) of a lane change.
+        """
+        time = np.arange(round(STEPS * STEP_S / FINE_S) + 11) * FINE_S - 10 * FINE_S  # from one step before
+        knots = [(0.0, speeds), (1.0, speeds)] if isinstance(speeds, float | int) else list(speeds)
+        speed = np.full(len(time), float(knots[0][1]))
+        for (t0, v0), (t1, v1) in pairwise(knots):
+            speed = speed + (v1 - v0) * smoothstep((time - t0) / (t1 - t0))
+        if sway:
+            speed = speed * (1.0 + 0.03 * sin(0.55 * time + 0.9 * (sway % 7)))
+        s = np.concatenate([[0.0], np.cumsum((speed[:-1] + speed[1:]) / 2 * FINE_S)])
+        s = s - s[10] + start_m
+        offset = np.full(len(time), offset_m)
+        if sway:
+            offset = offset + 0.08 * sin(0.04 * s + (sway % 6)) * (speed / (speed + 2.0))
+        if shift is not None:
+            offset = offset + shift[2] * smoothstep((time - shift[0]) / (shift[1] - shift[0]))
+        if s.min() < 0 or s[10 + 10 * (steps[1] - 1)] > path.s[-1]:
+            raise ValueError(f"{self.name}: agent {len(self.agents)} leaves its path ({s.min():.1f} to {s.max():.1f})")
+        xy, heading = path.at(s, offset_m=offset)
+        velocity = np.gradient(xy, FINE_S, axis=0)
+        moving = norm(velocity) > 0.3
+        course = direction(velocity)
+        heading = np.where(moving, heading + wrap(course - heading), heading)
+        timesteps = np.arange(*steps)
+        fine = 10 + 10 * timesteps
+        self.agents.append(Agent(object_type, category, timesteps, xy[fine], wrap(heading[fine]), velocity[fine]))
+
+    def stand(self, xy: Sequence[float], heading: float, *, object_type: str = "vehicle", category: int = 1) -> None:
+        """An agent that does not move."""
+        self.agents.append(
+            Agent(
+                object_type,
+                category,
+                np.arange(STEPS),
+                np.tile(np.asarray(xy, dtype=np.float64), (STEPS, 1)),
+                np.full(STEPS, heading),
+                np.zeros((STEPS, 2)),
+            )
+        )
+
+    def city_xy(self, xy: FloatArray) -> FloatArray:
+        """Local points or, less the origin, vectors in the city frame."""
+        c, s = float(cos(self.turn_rad)), float(sin(self.turn_rad))
+        turned = np.column_stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]])
+        return turned + np.asarray(self.origin)
+
+
+def map_json(scene: Scene) -> bytes:
+    """log_map_archive_<id>.json."""
+
+    def points(xy: FloatArray, *, flat: bool = False) -> list[dict[str, float]]:
+        heights = np.zeros(len(xy)) if flat else scene.height_m(xy)
+        return [
+            {"x": round(float(x), 2), "y": round(float(y), 2), "z": round(float(z), 2)}
+            for (x, y), z in zip(scene.city_xy(xy), heights, strict=True)
+        ]
+
+    ids = {name: scene.first_id + 37 * i for i, name in enumerate(scene.lanes)}
+    predecessors: dict[str, list[int]] = {name: [] for name in scene.lanes}
+    for name, lane in scene.lanes.items():
+        for successor in lane.successors:
+            predecessors[successor].append(ids[name])
+    document: dict[str, dict[str, Any]] = {"drivable_areas": {}, "lane_segments": {}, "pedestrian_crossings": {}}
+    for i, area in enumerate(scene.areas):
+        area_id = scene.first_id // 10 + i
+        document["drivable_areas"][str(area_id)] = {"area_boundary": points(area), "id": area_id}
+    for name, lane in scene.lanes.items():
+        document["lane_segments"][str(ids[name])] = {
+            "centerline": points(lane.centerline, flat=True),
+            "id": ids[name],
+            "is_intersection": lane.is_intersection,
+            "lane_type": "VEHICLE",
+            "left_lane_boundary": points(lane.left),
+            "left_lane_mark_type": lane.left_mark,
+            "left_neighbor_id": ids[lane.left_neighbor] if lane.left_neighbor else None,
+            "predecessors": predecessors[name],
+            "right_lane_boundary": points(lane.right),
+            "right_lane_mark_type": lane.right_mark,
+            "right_neighbor_id": ids[lane.right_neighbor] if lane.right_neighbor else None,
+            "successors": [ids[successor] for successor in lane.successors],
+        }
+    for i, (edge1, edge2) in enumerate(scene.crossings):
+        crossing_id = scene.first_id // 10 + 500 + i
+        document["pedestrian_crossings"][str(crossing_id)] = {
+            "edge1": points(edge1),
+            "edge2": points(edge2),
+            "id": crossing_id,
+        }
+    return json.dumps(document).encode()
+
+
+def scenario_parquet(scene: Scene) -> bytes:
+    """scenario_<id>.parquet; the last agent is the AV, the one of category 3 is focal."""
+    count = len(scene.agents)
+    track_ids = [*(str(scene.first_id // 1000 + 7 * i) for i in range(count - 1)), "AV"]
+    focal = [track for track, agent in zip(track_ids, scene.agents, strict=True) if agent.category == 3]
+    lengths = [len(agent.timesteps) for agent in scene.agents]
+    rows_total = sum(lengths)
+
+    def each(values: Sequence[Any]) -> list[Any]:
+        return [value for value, length in zip(values, lengths, strict=True) for _ in range(length)]
+
+    c, s = float(cos(scene.turn_rad)), float(sin(scene.turn_rad))
+    timestep = np.concatenate([agent.timesteps for agent in scene.agents])
+    position = scene.city_xy(np.vstack([agent.position for agent in scene.agents])).round(6)
+    velocity = np.vstack([agent.velocity for agent in scene.agents])
+    velocity = np.column_stack([c * velocity[:, 0] - s * velocity[:, 1], s * velocity[:, 0] + c * velocity[:, 1]])
+    heading = wrap(np.concatenate([agent.heading for agent in scene.agents]) + scene.turn_rad)
+    columns = {
+        "observed": pa.array(timestep < OBSERVED),
+        "track_id": pa.array(each(track_ids), pa.string()),
+        "object_type": pa.array(each([agent.object_type for agent in scene.agents]), pa.string()),
+        "object_category": pa.array(each([agent.category for agent in scene.agents]), pa.int64()),
+        "timestep": pa.array(timestep, pa.int64()),
+        "position_x": pa.array(position[:, 0]),
+        "position_y": pa.array(position[:, 1]),
+        "heading": pa.array(heading.round(6)),
+        "velocity_x": pa.array(velocity[:, 0].round(6) + 0.0),
+        "velocity_y": pa.array(velocity[:, 1].round(6) + 0.0),
+        "scenario_id": pa.array([scene.scenario_id] * rows_total, pa.string()),
+        "start_timestamp": pa.array([START_NS] * rows_total, pa.float64()),
+        "end_timestamp": pa.array([START_NS + (STEPS - 1) * 1e8] * rows_total, pa.float64()),
+        "num_timestamps": pa.array([STEPS] * rows_total, pa.int64()),
+        "focal_track_id": pa.array(focal * rows_total, pa.string()),
+        "city": pa.array([scene.city] * rows_total, pa.string()),
+        "map_id": pa.array([scene.first_id // 1000] * rows_total, pa.uint64()),
+        "slice_id": pa.array(
+            [str(uuid.uuid5(uuid.NAMESPACE_URL, f"hid2-sumo/data/{scene.name}/slice"))] * rows_total, pa.string()
+        ),
+    }
+    return parquet_bytes(pa.table(columns))
