@@ -99,8 +99,9 @@ def generate(scenario: Scenario | PreparedScene, config: Config, *, variant: int
     with tempfile.TemporaryDirectory(prefix="hid2-") as folder:
         net = Path(folder) / "scene.net.xml"
         net.write_bytes(prepared.net)
-        run = _Run(world, net, seed)
-        run.fill()
+        with Simulation(net, seed=config.request.seed, step_s=DT_S) as simulation:
+            run = _Run(world, simulation, seed)
+            run.fill()
     vehicles = sorted(run.settled, key=lambda item: int(item.vehicle.driven.spec.vehicle_id.removeprefix("v")))
     tracks = [
         _track(item.vehicle, f"gen_{row}", config.request.generated_category) for row, item in enumerate(vehicles)
@@ -131,15 +132,15 @@ def write(scene: GeneratedScene, out_dir: Path) -> Path:
 class _Run:
     """Rounds of planning, driving and settling until the count is reached or nothing more fits."""
 
-    def __init__(self, world: World, net: Path, seed: list[int]) -> None:
-        self.world, self.net, self.seed = world, net, seed
+    def __init__(self, world: World, simulation: Simulation, seed: list[int]) -> None:
+        self.world, self.simulation, self.seed = world, simulation, seed
         self.rng = np.random.default_rng([*seed, 0])
         self.settled: list[Settled] = []
         self.reasons: Counter[str] = Counter()
         self.unmet: list[tuple[Policy, str]] = []
         self.fixed: Traffic = predicted_traffic([], world.num_steps)
         self.replay_errors = ReplayErrors()
-        self.sumo_version = ""
+        self.sumo_version = simulation.version()
         self._next = 0
 
     def fill(self) -> None:
@@ -166,7 +167,9 @@ class _Run:
 
     def _rounds(self, mix: Sequence[Policy], target: int, *, packed: bool) -> None:
         """Rounds until the count is reached; a manoeuvre that no round brought about is noted with its last reason."""
-        pending: list[tuple[Policy, str]] = [(policy, "count_reached") for policy in mix if policy is not Policy.STRAIGHT]
+        pending: list[tuple[Policy, str]] = [
+            (policy, "count_reached") for policy in mix if policy is not Policy.STRAIGHT
+        ]
         for number in range(self.world.config.spawn.rounds):
             missing = target - len(self.settled)
             if missing <= 0 and number > 0:
@@ -222,13 +225,12 @@ class _Run:
 
         reseeds: a vehicle that lives but did not do what it was placed for makes room for another one elsewhere.
         """
-        world = self.world
-        with Simulation(self.net, seed=world.config.request.seed, step_s=DT_S) as simulation:
-            self.sumo_version = simulation.version()
-            recorded = Replay(simulation, world.traffic, "r", checked=self.replay_errors.states == 0)
-            steering = Steering(world, simulation, self.fixed)
-            drivers = steering.run(spawner.planned, [recorded, Replay(simulation, self.fixed, "f", checked=False)])
-        if self.replay_errors.states == 0:
+        world, simulation, first = self.world, self.simulation, self.replay_errors.states == 0
+        simulation.rewind()
+        recorded = Replay(simulation, world.traffic, "r", checked=first)
+        steering = Steering(world, simulation, self.fixed)
+        drivers = steering.run(spawner.planned, [recorded, Replay(simulation, self.fixed, "f", checked=False)])
+        if first:
             self.replay_errors = recorded.errors
         by_id = {driver.spec.vehicle_id: driver for driver in drivers}
         settled, failed = settle(world, steering.driven(), [item.vehicle for item in self.settled], self.fixed)
@@ -236,7 +238,9 @@ class _Run:
         if reseeds:
             settled, missed = self._keep_what_was_asked(settled, by_id, spawner.led_by)
             failed += missed
-        again: list[tuple[Policy, str]] = [(spec.policy, reason) for spec, reason in failed if spec.policy is not Policy.STRAIGHT]
+        again: list[tuple[Policy, str]] = [
+            (spec.policy, reason) for spec, reason in failed if spec.policy is not Policy.STRAIGHT
+        ]
         surplus = len(self.settled) + len(settled) + (len(again) if reseeds else 0) - target
         if surplus > 0:  # the spare ones were not needed
             leaders = {driver.leader_id for driver in drivers}

@@ -1,6 +1,7 @@
 """The only file that imports libsumo: one simulation per process, as a context manager with an explicit seed."""
 
 import os
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
@@ -17,6 +18,7 @@ _ONLY_ASKED_WITH_GAP = 256
 _REPLAY_KEEP_ROUTE = 6
 _REPLAY_MATCH_M = 3.0
 _NEVER_S = 1000.0
+_START = "start.xml"
 
 
 class Simulation:
@@ -33,6 +35,8 @@ class Simulation:
         self._step_s = step_s
         self._types: set[str] = set()
         self._routes = 0
+        self._beside: tempfile.TemporaryDirectory[str] | None = None
+        self._fresh = True
 
     def __enter__(self) -> Self:
         """Start SUMO."""
@@ -50,6 +54,8 @@ class Simulation:
         Simulation._running = True
         edge = next(e for e in libsumo.edge.getIDList() if not e.startswith(":"))
         libsumo.route.add("replay", [edge])
+        self._beside = tempfile.TemporaryDirectory(prefix="hid2-sumo-")
+        libsumo.simulation.saveState(f"{self._beside.name}/{_START}")
         return self
 
     def __exit__(
@@ -58,6 +64,16 @@ class Simulation:
         """Close SUMO, also behind an error."""
         Simulation._running = False
         libsumo.close()
+        if self._beside is not None:
+            self._beside.cleanup()
+
+    def rewind(self) -> None:
+        """Back to the empty net at the start, as after a fresh start, but without loading the net again."""
+        if self._fresh or self._beside is None:
+            return
+        libsumo.simulation.loadState(f"{self._beside.name}/{_START}")
+        self._types.clear()
+        self._fresh = True
 
     @staticmethod
     def version() -> str:
@@ -158,6 +174,7 @@ class Simulation:
 
     def step(self) -> None:
         """One step of step_s."""
+        self._fresh = False
         libsumo.simulationStep()
 
     def driven(self) -> frozenset[str]:

@@ -72,6 +72,33 @@ def test_net_that_sumo_refuses_is_named(tmp_path: Path) -> None:
         pass
 
 
+def test_rewound_simulation_is_as_good_as_a_fresh_one(net: Path) -> None:
+    """A car follows a replayed one that brakes: the same in a simulation of its own and behind something else."""
+
+    def drive(sumo: Simulation) -> list[float]:
+        sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
+        speeds = []
+        for step in range(40):
+            sumo.place("r0", 50.0 + 0.8 * step - 0.01 * step**2, 0.0, 90.0)
+            sumo.step()
+            if step == 0:
+                assert _insert(sumo, "v1", 20.0, 11.0) is None
+            speeds.append(sumo.speed("v1"))
+        return speeds
+
+    with Simulation(net, seed=0, step_s=0.1) as fresh:
+        wanted = drive(fresh)
+    with Simulation(net, seed=0, step_s=0.1) as sumo:
+        sumo.rewind()
+        assert _insert(sumo, "v1", 60.0, 3.0) is None
+        for _ in range(30):
+            sumo.step()
+        sumo.rewind()
+        assert sumo.driven() == frozenset()
+        assert drive(sumo) == wanted
+    assert min(wanted) < 9.0
+
+
 def test_version_names_sumo(sumo: Simulation) -> None:
     assert "1.28" in sumo.version()
 
