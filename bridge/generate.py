@@ -14,7 +14,7 @@ import numpy as np
 from bridge.config import config_sha256
 from bridge.export import new_scenario_id, write_scene
 from bridge.records import agent_record, outcomes, with_unmet
-from bridge.replay import Replay, ReplayErrors
+from bridge.replay import Replay, ReplayErrors, met_by
 from bridge.scenario import LAST_OBSERVED, Scenario
 from bridge.sidecar import (
     GeneratorRecord,
@@ -227,9 +227,12 @@ class _Run:
         """
         world, simulation, first = self.world, self.simulation, self.replay_errors.states == 0
         simulation.rewind()
-        recorded = Replay(simulation, world.traffic, "r", checked=first)
+        traffic = world.traffic if first else met_by(world.traffic, spawner.planned)
+        recorded = Replay(simulation, traffic, "r", checked=first)
         steering = Steering(world, simulation, self.fixed)
-        drivers = steering.run(spawner.planned, [recorded, Replay(simulation, self.fixed, "f", checked=False)])
+        drivers = steering.run(
+            spawner.planned, [recorded, Replay(simulation, met_by(self.fixed, spawner.planned), "f", checked=False)]
+        )
         if first:
             self.replay_errors = recorded.errors
         by_id = {driver.spec.vehicle_id: driver for driver in drivers}

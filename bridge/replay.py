@@ -1,14 +1,20 @@
 """Recorded agents as fixed vehicles: every state at its exact pose, every step."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 
 from bridge.poses import box_poses, sumo_poses
 from bridge.simulation import Simulation
 from hid2.agents import FloatArray
 from hid2.traffic import Traffic
+from hid2.world import PlannedVehicle
 from netconvert.geometry import wrap_angle
+
+_ASIDE_M = 16.0  # the own lane and those beside it, with room for what SUMO matches to them
+_AROUND_M = 100.0  # looking ahead, and what the driving may be off the plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,3 +94,38 @@ class Replay:
         off = np.hypot(*(center - self.traffic.position[row, step]).T)
         turned = np.abs(wrap_angle(heading - self.traffic.heading[row, step]))
         return ReplayErrors(row.size, float(off.max()), float(turned.max()), self._lost)
+
+
+def met_by(traffic: Traffic, planned: Sequence[PlannedVehicle]) -> Traffic:
+    """Those of `traffic` that SUMO's car following and lane changing of the planned vehicles may have to do with.
+
+    They come within _ASIDE_M of a planned path, and within _AROUND_M of where the vehicle is meant to be then. The
+    others need no replay when only the planned vehicles' driving is asked for.
+    """
+    met = np.zeros(len(traffic.ids), dtype=np.bool_)
+    for spec in planned:
+        for path, s in ((spec.path, spec.plan_s), (spec.intended_path, spec.intended_s)):
+            if path is not spec.path or s is spec.plan_s:
+                _meet(traffic.position, traffic.present, path.line.table_xy, path.line.position(s), met)
+    return traffic if met.all() else traffic.rows(np.flatnonzero(met).tolist())
+
+
+@njit(cache=True)
+def _meet(position, present, path, plan, met):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Set met where it comes about; agents that are set already are passed over."""
+    steps = min(present.shape[1], plan.shape[0])
+    for a in range(met.size):
+        last_x, last_y = np.inf, np.inf
+        for t in range(steps):
+            if met[a]:
+                break
+            x, y = position[a, t, 0], position[a, t, 1]
+            if not present[a, t] or (x - plan[t, 0]) ** 2 + (y - plan[t, 1]) ** 2 > _AROUND_M**2:
+                continue
+            if (x - last_x) ** 2 + (y - last_y) ** 2 < 1.0:
+                continue
+            last_x, last_y = x, y
+            for i in range(0, path.shape[0], 4):
+                if (x - path[i, 0]) ** 2 + (y - path[i, 1]) ** 2 < _ASIDE_M**2:
+                    met[a] = True
+                    break

@@ -123,10 +123,24 @@ def _overlap(
 
 
 @njit(cache=True)
+def _apart(
+    ax: float, ay: float, ac: float, asn: float, al: float, aw: float,
+    bx: float, by: float, bc: float, bs: float, bl: float, bw: float,
+) -> float:  # fmt: skip
+    """The same axes: how far apart the boxes are at least, m; not above 0 where they overlap."""
+    dx, dy = bx - ax, by - ay
+    c, s = abs(ac * bc + asn * bs), abs(ac * bs - asn * bc)
+    return max(
+        max(abs(dx * ac + dy * asn) - (al + bl * c + bw * s), abs(-dx * asn + dy * ac) - (aw + bl * s + bw * c)),
+        max(abs(dx * bc + dy * bs) - (bl + al * c + aw * s), abs(-dx * bs + dy * bc) - (bw + al * s + aw * c)),
+    )
+
+
+@njit(cache=True)
 def _intervals(xy, heading, step, own_length, own_width, position, other_heading, present, lengths, widths):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """March along the path in steps that cannot jump over the agent, then test box against box.
 
-    An agent that was so far from the whole path is not looked at again before it can have come near.
+    An agent that is clear of the whole path is not looked at again before it can have come to touch it.
     """
     agents, steps = present.shape
     points = xy.shape[0]
@@ -141,15 +155,17 @@ def _intervals(xy, heading, step, own_length, own_width, position, other_heading
     for a in range(agents):
         half_l, half_w = lengths[a] / 2, widths[a] / 2
         reach = own_radius + np.hypot(half_l, half_w)
-        spare, last_x, last_y = -1.0, 0.0, 0.0  # how far it may move from there before it can touch the path
+        spare, last_x, last_y, last_angle = -1.0, 0.0, 0.0, 0.0  # how far it may move from there and stay clear
         for t in range(steps):
             if not present[a, t]:
                 continue
             x, y, angle = position[a, t, 0], position[a, t, 1], other_heading[a, t]
             if x < left - reach or x > right + reach or y < bottom - reach or y > top + reach:
                 continue
-            if spare > 0.0 and (x - last_x) ** 2 + (y - last_y) ** 2 < spare * spare:
-                continue
+            if spare > 0.0:
+                turned = abs((angle - last_angle + np.pi) % (2 * np.pi) - np.pi)
+                if np.sqrt((x - last_x) ** 2 + (y - last_y) ** 2) + turned * (half_l + half_w) < spare:
+                    continue
             if (
                 t > 0
                 and present[a, t - 1]
@@ -161,34 +177,52 @@ def _intervals(xy, heading, step, own_length, own_width, position, other_heading
                 continue
             bc, bs = np.cos(angle), np.sin(angle)
             i = 0
-            best, closest = np.inf, np.inf
+            best, closest, clear = np.inf, np.inf, np.inf
             before, leap = 0.0, 0  # distance at the point last looked at, and how many points behind that lies
-            hit = False
+            hit, first, last = False, 0, 0
+            # who stands, or jitters as trackers do, is measured more widely, once for as long as it stands
+            still = t > 0 and abs(x - position[a, t - 1, 0]) + abs(y - position[a, t - 1, 1]) < 0.1
+            far = reach + 2.0 if still else reach
             while i < points:
                 dx, dy = x - xy[i, 0], y - xy[i, 1]
                 square = dx * dx + dy * dy
                 if square < best:
                     best = square
                     near[a, t] = i
-                if square > reach * reach:
+                if square > far * far:
                     distance = np.sqrt(square)
                     if leap > 0:  # no point between two is nearer than half of what is left of the detour
                         closest = min(closest, (before + distance - leap * step) / 2)
-                    before, leap = distance, max(1, int((distance - reach) / step))
+                    before, leap = distance, max(1, int((distance - far) / step))
                     i += leap
                     continue
-                if _overlap(xy[i, 0], xy[i, 1], cosine[i], sine[i], own_l, own_w, x, y, bc, bs, half_l, half_w):
-                    if not hit:
-                        low[a, t] = (i - 1) * step
-                        hit = True
-                    high[a, t] = (i + 1) * step
-                closest = 0.0
+                if not hit:
+                    if still:
+                        apart = _apart(
+                            xy[i, 0], xy[i, 1], cosine[i], sine[i], own_l, own_w, x, y, bc, bs, half_l, half_w
+                        )
+                        clear, hit = min(clear, apart), apart <= 0.0
+                    else:
+                        clear = 0.0
+                        hit = _overlap(
+                            xy[i, 0], xy[i, 1], cosine[i], sine[i], own_l, own_w, x, y, bc, bs, half_l, half_w
+                        )
+                    first = i
+                last = i
+                leap = 0
                 i += 1
-            if closest > 0.0:  # from the last point looked at to the end of the path
-                closest = min(closest, before - (points - 1 - (i - leap)) * step)
-            if hit:
+            if hit:  # from its other end; between the two only the distance matters
+                while last > first and not _overlap(
+                    xy[last, 0], xy[last, 1], cosine[last], sine[last], own_l, own_w, x, y, bc, bs, half_l, half_w
+                ):
+                    last -= 1
+                low[a, t], high[a, t] = (first - 1) * step, (last + 1) * step
                 touched[a] = True
-            spare, last_x, last_y = closest - reach - 2 * step, x, y
+                spare = 0.0
+                continue
+            if leap > 0:  # from the last point looked at to the end of the path
+                closest = min(closest, before - (points - 1 - (i - leap)) * step)
+            spare, last_x, last_y, last_angle = min(clear, closest - reach - step) - 1e-6, x, y, angle
     return low, high, near, touched
 
 

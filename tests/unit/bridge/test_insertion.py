@@ -5,11 +5,13 @@ import numpy as np
 import pytest
 
 from bridge.insertion import edges_along, insert
+from bridge.replay import met_by
 from bridge.simulation import Simulation
 from hid2.agents import BoxSize, Policy
 from hid2.lane_change import blend_paths
 from hid2.params import Config
 from hid2.route import DrivenPath, shifted_path
+from hid2.traffic import Traffic
 from hid2.world import PlannedVehicle, World, build_world
 from netconvert.cells import Cell, build_cell_grid
 from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
@@ -89,3 +91,17 @@ def test_vehicle_is_inserted_with_its_box_where_it_was_planned(sumo: Simulation,
     assert insert(sumo, world, _spec(world, s0, 7.0)) is None
     assert sumo.pose("v1") == pytest.approx((s0 + 2.25, 0.0, 90.0), abs=0.01)
     assert sumo.speed("v1") == pytest.approx(7.0)
+
+
+def test_only_who_may_be_met_is_replayed_again(world: World) -> None:
+    """It drives from 10 to 65 m: met are who stands on its lane and beside it, not who is 30 m aside or 180 m ahead."""
+    standing = np.zeros((4, 110, 2))
+    standing[:, :, 0] = np.array([50.0, 60.0, 60.0, 250.0])[:, None]
+    standing[:, :, 1] = np.array([0.0, 7.0, 30.0, 0.0])[:, None]
+    traffic = Traffic(
+        ids=("on", "beside", "aside", "off"), position=standing, heading=np.zeros((4, 110)),
+        velocity=np.zeros((4, 110, 2)), present=np.ones((4, 110), dtype=bool), length_m=np.full(4, 4.5),
+        width_m=np.full(4, 1.9),
+    )  # fmt: skip
+    assert met_by(traffic, [_spec(world, 10.0, 5.0)]).ids == ("on", "beside")
+    assert met_by(traffic, []).ids == ()
