@@ -131,8 +131,10 @@ def _apart(
     dx, dy = bx - ax, by - ay
     c, s = abs(ac * bc + asn * bs), abs(ac * bs - asn * bc)
     return max(
-        max(abs(dx * ac + dy * asn) - (al + bl * c + bw * s), abs(-dx * asn + dy * ac) - (aw + bl * s + bw * c)),
-        max(abs(dx * bc + dy * bs) - (bl + al * c + aw * s), abs(-dx * bs + dy * bc) - (bw + al * s + aw * c)),
+        abs(dx * ac + dy * asn) - (al + bl * c + bw * s),
+        abs(-dx * asn + dy * ac) - (aw + bl * s + bw * c),
+        abs(dx * bc + dy * bs) - (bl + al * c + aw * s),
+        abs(-dx * bs + dy * bc) - (bw + al * s + aw * c),
     )
 
 
