@@ -21,6 +21,7 @@ from hid2.traffic import Traffic
 
 #: The last observed step of the forecasting task is given by the scene; a vehicle may leave the map only behind it.
 DT_S = 0.1
+_PET_MARGIN_M = 0.2
 
 
 def transition_rejected(sigma: int) -> bool:
@@ -181,6 +182,9 @@ def prospect(
     if not seen:
         raise ValueError("prospect: neither others nor known")
     occupancy = seen[0].joined(*seen[1:])
+    occupancy = occupancy.kept_clear(
+        round(config.conflict.pet_min_s / DT_S), margin_m=config.conflict.margin_front_m - _PET_MARGIN_M
+    )
     if seen_to_s is not None:
         unseen = occupancy.low > seen_to_s
         occupancy = replace(

@@ -90,7 +90,7 @@ class Packing(_Section):
     """Closer gaps for a road that did not take the count asked for; TTC and boxes are held as always."""
 
     attempts: int = _param(
-        6, "attempts", "times a packed road is filled anew with these gaps; the fullest is kept", ge=0, le=20
+        20, "attempts", "times a packed road is filled anew with these gaps; the fullest is kept", ge=0, le=100
     )
     clear_gap_m: float = _param(2.0, "m", "spawn.clear_gap_m where the road is packed", ge=0.5, le=50)
     clear_ahead_s: float = _param(1.0, "s", "spawn.clear_ahead_s there", gt=0, le=10)
@@ -160,7 +160,7 @@ class Conflict(_Section):
     margin_front_m: float = _param(1.0, "m", "kept to a box that crosses or stands ahead", ge=0, le=10)
     follow_time_s: float = _param(1.0, "s", "smallest time gap to a leader in the last check", ge=0, le=5)
     ttc_min_s: float = _param(1.5, "s", "critical TTC (SSAM)", ge=0, le=5)
-    pet_min_s: float = _param(1.0, "s", "critical PET at crossings", ge=0, le=5)
+    pet_min_s: float = _param(1.0, "s", "critical PET, kept to everybody whose path is crossed", ge=0, le=5)
 
 
 class CarFollowing(_Section):

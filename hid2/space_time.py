@@ -29,6 +29,15 @@ class PathOccupancy:
     along: FloatArray
     aligned: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
 
+    def kept_clear(self, steps: int, *, margin_m: float) -> "PathOccupancy":
+        """The same, with the place of who crosses taken so many steps before and after: PET is kept at crossings.
+
+        margin_m: what is kept to a box that is there needs not be kept to one that was or will be: the place is
+        smaller by so much on both sides then.
+        """
+        low, high, aligned = _kept_clear(self.low, self.high, self.aligned, steps, margin_m)
+        return PathOccupancy(low=low, high=high, along=self.along, aligned=aligned)
+
     def rows(self, rows: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> "PathOccupancy":
         """Some of the agents, (A,) mask."""
         return PathOccupancy(self.low[rows], self.high[rows], self.along[rows], self.aligned[rows])
@@ -103,6 +112,28 @@ def _look_along(
     along = velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading)
     aligned = np.cos(traffic.heading[rows] - heading) > 0.7
     return rows, PathOccupancy(low=low[rows], high=high[rows], along=along, aligned=aligned)
+
+
+@njit(cache=True)
+def _kept_clear(low, high, aligned, steps, margin):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Who is nobody's leader (crosses, comes against) also holds the path where it is, `steps` before and after."""
+    wide_low, wide_high, leads = low.copy(), high.copy(), aligned.copy()
+    agents, last = low.shape
+    for a in range(agents):
+        for t in range(last):
+            if low[a, t] == np.inf:
+                leads[a, t] = False
+                continue
+            if aligned[a, t]:
+                continue
+            for k in range(max(0, t - steps), min(last, t + steps + 1)):
+                if low[a, k] != np.inf and aligned[a, k]:
+                    continue
+                if high[a, t] - low[a, t] <= 2 * margin or k == t:
+                    continue
+                wide_low[a, k] = min(wide_low[a, k], low[a, t] + margin)
+                wide_high[a, k] = max(wide_high[a, k], high[a, t] - margin)
+    return wide_low, wide_high, leads
 
 
 @njit(cache=True)

@@ -222,3 +222,31 @@ def test_positions_are_the_integral_of_the_speeds(straight_line: ReferenceLine, 
     assert plan is not None
     moving = plan.v[1:] > 0
     assert np.diff(plan.s)[moving] == pytest.approx((0.05 * (plan.v[1:] + plan.v[:-1]))[moving], abs=1e-9)
+
+
+def test_place_of_who_crosses_is_kept_clear_before_and_after(
+    straight_line: ReferenceLine, box: Callable[..., Traffic]
+) -> None:
+    """A car crosses at x = 50 from the right at 10 m/s, on the line's middle at 2.0 s.
+
+    Its box (4.5 m) and the own one (1.9 m wide) touch while |y| <= 2.25 + 0.95 = 3.2 m: from 1.68 to 2.32 s, steps
+    17 to 23. With 10 steps of PET that place is taken from 0.7 to 3.3 s, 0.2 m narrower on both sides where a margin is
+    added later; at the steps of the crossing itself nothing changes.
+    """
+    crossing = box(50.0, -20.0, np.pi / 2, 10.0)
+    found = path_occupancy(straight_line, crossing, length_m=4.5, width_m=1.9, margin_lateral_m=0.0)
+    clear = found.kept_clear(10, margin_m=0.2)
+    there, kept = np.flatnonzero(np.isfinite(found.low[0])), np.flatnonzero(np.isfinite(clear.low[0]))
+    assert (there[0], there[-1]) == (17, 23)
+    assert (kept[0], kept[-1]) == (7, 33)
+    assert clear.low[0, 20] == found.low[0, 20]
+    assert clear.low[0, 10] == pytest.approx(found.low[0, 17] + 0.2)
+    assert clear.high[0, 30] == pytest.approx(found.high[0, 23] - 0.2)
+    assert not clear.aligned.any()
+
+
+def test_leader_holds_no_more_than_where_it_is(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
+    found = path_occupancy(straight_line, box(50.0, 0.0, 0.0, 10.0), length_m=4.5, width_m=1.9, margin_lateral_m=0.0)
+    clear = found.kept_clear(10, margin_m=0.2)
+    assert np.array_equal(clear.low, found.low)
+    assert np.array_equal(clear.high, found.high)
