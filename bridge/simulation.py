@@ -16,7 +16,7 @@ from netconvert.errors import SimulationError
 #: TraCI lane-change mode: no change of SUMO's own; one asked for waits for a gap.
 _ONLY_ASKED_WITH_GAP = 256
 _REPLAY_KEEP_ROUTE = 6
-_REPLAY_MATCH_M = 3.0
+_REPLAY_MATCH_M = 2.0  # half a lane and a little: farther aside nobody is ahead of anybody
 _NEVER_S = 1000.0
 _START = "start.xml"
 

@@ -1,7 +1,7 @@
 """Routes through the lane graph, and the path that a vehicle drives along one (with its lane changes)."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -42,6 +42,12 @@ class DrivenPath:
     raw: FloatArray
     segments: tuple[Segment, ...]
     shifts: tuple[tuple[float, float], ...] = ()
+    raw_s: FloatArray = field(init=False, repr=False)
+    """Arc length on raw of each of the line's points, m."""
+
+    def __post_init__(self) -> None:
+        total = float(arc_length(self.raw)[-1])
+        object.__setattr__(self, "raw_s", np.linspace(0.0, total, self.line.points_s.size))
 
     @property
     def grid_end_s(self) -> float:
@@ -62,20 +68,15 @@ class DrivenPath:
 
     def to_line(self, raw_s: float) -> float:
         """Arc length on the line of an arc length on the raw polyline."""
-        return float(np.interp(raw_s, *self._scales()))
+        return float(np.interp(raw_s, self.raw_s, self.line.points_s))
 
     def all_to_line(self, raw_s: FloatArray) -> FloatArray:
         """The same for many, (M,) m."""
-        return np.interp(raw_s, *self._scales())
+        return np.interp(raw_s, self.raw_s, self.line.points_s)
 
     def to_raw(self, s: float) -> float:
         """Arc length on the raw polyline of an arc length on the line."""
-        raw, line = self._scales()
-        return float(np.interp(s, line, raw))
-
-    def _scales(self) -> tuple[FloatArray, FloatArray]:
-        total = float(arc_length(self.raw)[-1])
-        return np.linspace(0.0, total, self.line.points_s.size), self.line.points_s
+        return float(np.interp(s, self.line.points_s, self.raw_s))
 
 
 def route_points(graph: LaneGraph, route: Route) -> FloatArray:

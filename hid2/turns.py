@@ -56,22 +56,24 @@ def desired_speed(
     cruise_mps: float,
     segments: list[tuple[float, float, TurnType]],
     accel_mps2: float,
+    cap: FloatArray | None = None,
 ) -> FloatArray:
     """(S,) m/s target speed along a route: cruise, shaped on turn lanes, capped by curvature, reachable.
 
     segments: (start, end, turn type) of each lane in arc length of the line, m. Slowing begins before the entrance at
-    approach_decel_mps2; speeding up after the exit at accel_mps2.
+    approach_decel_mps2; speeding up after the exit at accel_mps2. cap (S,) m/s: `speed_cap` of the line where it is
+    known already.
     """
-    s = np.arange(line.table_xy.shape[0]) * TABLE_STEP_M
-    speed = np.minimum(speed_cap(line, turn, limits), cruise_mps)
+    speed = np.minimum(speed_cap(line, turn, limits) if cap is None else cap, cruise_mps)
     for start, end, kind in segments:
         if kind is TurnType.STRAIGHT or end <= start:
             continue
-        inside = (s >= start) & (s <= end)
-        alpha = np.asarray((s[inside] - start) / (end - start), dtype=np.float64)
+        cells = np.arange(max(0, int(start / TABLE_STEP_M)), min(speed.size, int(end / TABLE_STEP_M) + 2))
+        s = cells * TABLE_STEP_M
+        cells, s = cells[(s >= start) & (s <= end)], s[(s >= start) & (s <= end)]
+        alpha = np.asarray((s - start) / (end - start), dtype=np.float64)
         shape = f_left(alpha, turn) if kind is TurnType.LEFT else f_right(alpha, turn)
-        entry = cruise_mps
-        speed[inside] = np.minimum(speed[inside], entry * shape)
+        speed[cells] = np.minimum(speed[cells], cruise_mps * shape)
     return np.asarray(_reachable(speed, TABLE_STEP_M, turn.approach_decel_mps2, accel_mps2))
 
 

@@ -11,7 +11,7 @@ from hid2.params import Limits
 from hid2.smoothing import Trajectory
 from hid2.space_time import _overlap
 from hid2.traffic import Traffic
-from netconvert.geometry import box_corners
+from netconvert.geometry import box_corners, differences
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -29,25 +29,25 @@ class MotionProfile:
 
 def motion_profile(velocity: FloatArray, heading: FloatArray, *, step_s: float) -> MotionProfile:
     """Derivatives of velocity (T, 2) and heading (T,) by central differences, split along the heading."""
-    accel = np.gradient(velocity, step_s, axis=0)
-    jerk = np.gradient(accel, step_s, axis=0)
+    accel = differences(velocity, step_s)
+    jerk = differences(accel, step_s)
     cosine, sine = np.cos(heading), np.sin(heading)
     along = accel[:, 0] * cosine + accel[:, 1] * sine
-    rate = np.gradient(np.unwrap(heading), step_s)
+    rate = differences(np.unwrap(heading), step_s)
     return MotionProfile(
         speed_mps=np.hypot(velocity[:, 0], velocity[:, 1]),
         accel_mps2=along,
         lateral_accel_mps2=-accel[:, 0] * sine + accel[:, 1] * cosine,
-        longitudinal_jerk_mps3=np.gradient(along, step_s),
+        longitudinal_jerk_mps3=differences(along, step_s),
         jerk_mps3=np.hypot(jerk[:, 0], jerk[:, 1]),
         yaw_rate_radps=rate,
-        yaw_accel_radps2=np.gradient(rate, step_s),
+        yaw_accel_radps2=differences(rate, step_s),
     )
 
 
 def limit_exceeded(trajectory: Trajectory, limits: Limits, *, step_s: float) -> str | None:
     """Name of the first limit that some step exceeds, from the exported velocity and from the positions alone."""
-    derived = np.gradient(trajectory.position, step_s, axis=0)
+    derived = differences(trajectory.position, step_s)
     for velocity in (trajectory.velocity, derived):
         profile = motion_profile(velocity, trajectory.heading, step_s=step_s)
         checks = (

@@ -13,8 +13,9 @@ from hid2.params import Config
 from hid2.route import DrivenPath, Route, path_along, turn_segments
 from hid2.space_time import PathOccupancy, path_occupancy
 from hid2.traffic import Traffic, traffic_of
-from hid2.turns import desired_speed
+from hid2.turns import desired_speed, speed_cap
 from netconvert.cells import Cell, CellGrid
+from netconvert.geometry import differences
 
 #: Cars, trucks and cars towing nothing drive on these.
 DRIVABLE_TYPES = frozenset({"VEHICLE"})
@@ -41,6 +42,7 @@ class World:
     lane_speeds: dict[int, list[float]]
     scene_speeds: list[float]
     _paths: dict[Route, DrivenPath] = field(default_factory=dict)
+    _caps: dict[DrivenPath, FloatArray] = field(default_factory=dict)
     _known: dict[tuple[int, BoxSize], tuple[DrivenPath, PathOccupancy]] = field(default_factory=dict)
 
     def packed(self) -> "World":
@@ -69,6 +71,8 @@ class World:
 
     def desired(self, path: DrivenPath, cruise_mps: float) -> FloatArray:
         """(S,) target speed along a path, m/s."""
+        if path not in self._caps:
+            self._caps[path] = speed_cap(path.line, self.config.turn, self.config.limits)
         return desired_speed(
             path.line,
             turn=self.config.turn,
@@ -76,6 +80,7 @@ class World:
             cruise_mps=cruise_mps,
             segments=turn_segments(self.grid.graph, path),
             accel_mps2=self.config.car_following.accel_mps2,
+            cap=self._caps[path],
         )
 
     def prospect(
@@ -197,11 +202,9 @@ def predicted_traffic(
     present = np.zeros((count, num_steps), dtype=np.bool_)
     for row, (_, path, size, s) in enumerate(entries):
         span = slice(first_step, first_step + s.size)
-        tangent = path.line.tangent(s)
-        position[row, span] = path.line.position(s)
+        position[row, span], tangent, _ = path.line.motion(s)
         heading[row, span] = np.arctan2(tangent[:, 1], tangent[:, 0])
-        speed = np.gradient(s, DT_S) if s.size > 1 else np.zeros(s.size)
-        velocity[row, span] = tangent * speed[:, None]
+        velocity[row, span] = tangent * differences(s[:, None], DT_S)
         present[row, span] = s <= path.exit_s - size.length_m / 2
     return Traffic(
         ids=tuple(entry[0] for entry in entries),

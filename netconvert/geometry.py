@@ -38,6 +38,19 @@ def resample(points: FloatArray, *, step_m: float) -> FloatArray:
     return np.column_stack([np.interp(at, s, points[:, 0]), np.interp(at, s, points[:, 1])])
 
 
+def differences(values: FloatArray, step: float) -> FloatArray:
+    """Derivative along the first axis by central differences, one-sided at the ends; np.gradient without its overhead.
+
+    values: (T, ...) at equal steps; zeros for a single one.
+    """
+    slope = np.zeros_like(values)
+    if len(values) > 1:
+        slope[1:-1] = (values[2:] - values[:-2]) / (2.0 * step)
+        slope[0] = (values[1] - values[0]) / step
+        slope[-1] = (values[-1] - values[-2]) / step
+    return slope
+
+
 def wrap_angle(angle: npt.ArrayLike) -> FloatArray:
     """The same angle in (-pi, pi], rad; any shape."""
     wrapped = np.pi - np.mod(np.pi - np.asarray(angle, dtype=np.float64), 2.0 * np.pi)
