@@ -22,6 +22,7 @@ from hid2.traffic import Traffic
 #: The last observed step of the forecasting task is given by the scene; a vehicle may leave the map only behind it.
 DT_S = 0.1
 _PET_MARGIN_M = 0.2
+_LATERAL_SHARE = 0.8  # of the lateral acceleration allowed that a plan may use: smoothing needs some of it
 
 
 def transition_rejected(sigma: int) -> bool:
@@ -60,9 +61,11 @@ class Prospect:
         self, *, s0: float, v0: float, a0: float, first_step: int, config: Config, reference: FloatArray | None = None
     ) -> SpeedPlan | None:
         """Case 3, adjust timing: the best speed profile from the state at first_step on; None where all collide."""
+        bend = np.maximum(np.abs(self.path.line.table_curvature), 1e-6)
         return plan_speed(
             self.tables,
             self.desired,
+            most=np.sqrt(_LATERAL_SHARE * config.limits.lateral_accel_mps2 / bend),
             s0=s0,
             v0=v0,
             a0=a0,

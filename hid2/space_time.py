@@ -440,12 +440,14 @@ def plan_speed(
     accel_max: float,
     accel_min: float,
     step_s: float,
+    most: FloatArray | None = None,
     reference: FloatArray | None = None,
 ) -> SpeedPlan | None:
     """Best speed profile on the path from (s0, v0) that meets nobody; None where there is none.
 
     Search over time, arc length and speed (stages of half a second, constant acceleration in each; one
-    representative per bin of 1.5 m and 0.75 m/s). desired (S,) m/s: target speed, never exceeded by much.
+    representative per bin of 1.5 m and 0.75 m/s). desired (S,) m/s: target speed, exceeded by at most 4 m/s; most (S,)
+    m/s: what the road allows at all.
     reference (T,) m: a driven s(t) to stay near, where given. This is "adjust timing" of conflict case 3.
     """
     accels = np.array(
@@ -462,7 +464,8 @@ def plan_speed(
     )
     use_reference = reference is not None
     ok, s, v, cost = _search(
-        tables.view(), desired, s0, v0, a0, first_step, tables.num_steps, accels, step_s,
+        tables.view(), desired, desired + _OVER_MPS if most is None else np.minimum(most, desired + _OVER_MPS),
+        s0, v0, a0, first_step, tables.num_steps, accels, step_s,
         reference if reference is not None else np.zeros(tables.num_steps), use_reference,
     )  # fmt: skip
     if not ok:
@@ -471,12 +474,13 @@ def plan_speed(
 
 
 STAGE_STEPS = 5
+_OVER_MPS = 4.0
 _S_BIN, _V_BIN, _V_BINS = 1.5, 0.75, 48
 _STATES_MOST = 3000
 
 
 @njit(cache=True)
-def _search(view, desired, s0, v0, a0, first, steps, accels, dt, reference, use_reference):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, reference, use_reference):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     cells, step = view[4], view[5]
     s_bins = int(cells * step / _S_BIN) + 1
     stages = (steps - 1 - first + STAGE_STEPS - 1) // STAGE_STEPS
@@ -543,7 +547,7 @@ def _search(view, desired, s0, v0, a0, first, steps, accels, dt, reference, use_
                         extra += 7.5 * (pushed[m, cell - left_cell] - vn)
                     if vn > desired[cell] + 0.2:
                         over = vn - desired[cell]
-                        if over > 4.0:
+                        if vn > ceiling[cell]:
                             good = False
                             break
                         extra += 5.0 * over * over
