@@ -92,7 +92,7 @@ def _look_along(
     line: ReferenceLine, traffic: Traffic, length_m: float, width_m: float
 ) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], PathOccupancy]:
     """Rows of the agents that ever touch the line, and their intervals."""
-    low, high, near, touched = _intervals(
+    low, high, along, aligned, touched = _intervals(
         line.table_xy,
         line.table_heading,
         TABLE_STEP_M,
@@ -100,18 +100,15 @@ def _look_along(
         width_m,
         traffic.position,
         traffic.heading,
+        traffic.velocity,
         traffic.present,
         traffic.length_m,
         traffic.width_m,
     )
     rows = np.flatnonzero(touched)
-    if rows.size == 0:
-        return rows, _nobody(traffic.num_steps)
-    heading = line.table_heading[near[rows]]
-    velocity = traffic.velocity[rows]
-    along = velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading)
-    aligned = np.cos(traffic.heading[rows] - heading) > 0.7
-    return rows, PathOccupancy(low=low[rows], high=high[rows], along=along, aligned=aligned)
+    if rows.size == len(traffic.ids):
+        return rows, PathOccupancy(low, high, along, aligned)
+    return rows, PathOccupancy(low[rows], high[rows], along[rows], aligned[rows])
 
 
 @njit(cache=True)
@@ -170,7 +167,7 @@ def _apart(
 
 
 @njit(cache=True)
-def _intervals(xy, heading, step, own_length, own_width, position, other_heading, present, lengths, widths):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _intervals(xy, heading, step, own_length, own_width, position, other_heading, velocity, present, lengths, widths):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """March along the path in steps that cannot jump over the agent, then test box against box.
 
     An agent that is clear of the whole path is not looked at again before it can have come to touch it.
@@ -179,7 +176,7 @@ def _intervals(xy, heading, step, own_length, own_width, position, other_heading
     points = xy.shape[0]
     low = np.full((agents, steps), np.inf)
     high = np.full((agents, steps), -np.inf)
-    near = np.zeros((agents, steps), dtype=np.int64)
+    along, aligned = np.zeros((agents, steps)), np.zeros((agents, steps), dtype=np.bool_)
     touched = np.zeros(agents, dtype=np.bool_)
     cosine, sine = np.cos(heading), np.sin(heading)
     own_l, own_w = own_length / 2, own_width / 2
@@ -188,6 +185,7 @@ def _intervals(xy, heading, step, own_length, own_width, position, other_heading
     for a in range(agents):
         half_l, half_w = lengths[a] / 2, widths[a] / 2
         reach = own_radius + np.hypot(half_l, half_w)
+        nearest = -1  # point of the path nearest to it, where it was touched when last looked at
         spare, last_x, last_y, last_angle = -1.0, 0.0, 0.0, 0.0  # how far it may move from there and stay clear
         for t in range(steps):
             if not present[a, t]:
@@ -206,10 +204,13 @@ def _intervals(xy, heading, step, own_length, own_width, position, other_heading
                 and y == position[a, t - 1, 1]
                 and angle == other_heading[a, t - 1]
             ):
-                low[a, t], high[a, t], near[a, t] = low[a, t - 1], high[a, t - 1], near[a, t - 1]
+                low[a, t], high[a, t], aligned[a, t] = low[a, t - 1], high[a, t - 1], aligned[a, t - 1]
+                if nearest >= 0:
+                    along[a, t] = velocity[a, t, 0] * cosine[nearest] + velocity[a, t, 1] * sine[nearest]
                 continue
+            nearest = -1
             bc, bs = np.cos(angle), np.sin(angle)
-            i = 0
+            i, near = 0, 0
             best, closest, clear = np.inf, np.inf, np.inf
             before, leap = 0.0, 0  # distance at the point last looked at, and how many points behind that lies
             hit, first, last = False, 0, 0
@@ -220,8 +221,7 @@ def _intervals(xy, heading, step, own_length, own_width, position, other_heading
                 dx, dy = x - xy[i, 0], y - xy[i, 1]
                 square = dx * dx + dy * dy
                 if square < best:
-                    best = square
-                    near[a, t] = i
+                    best, near = square, i
                 if square > far * far:
                     distance = np.sqrt(square)
                     if leap > 0:  # no point between two is nearer than half of what is left of the detour
@@ -250,13 +250,14 @@ def _intervals(xy, heading, step, own_length, own_width, position, other_heading
                 ):
                     last -= 1
                 low[a, t], high[a, t] = (first - 1) * step, (last + 1) * step
-                touched[a] = True
-                spare = 0.0
+                along[a, t] = velocity[a, t, 0] * cosine[near] + velocity[a, t, 1] * sine[near]
+                aligned[a, t] = np.cos(angle - heading[near]) > 0.7
+                nearest, spare, touched[a] = near, 0.0, True
                 continue
             if leap > 0:  # from the last point looked at to the end of the path
                 closest = min(closest, before - (points - 1 - (i - leap)) * step)
             spare, last_x, last_y, last_angle = min(clear, closest - reach - step) - 1e-6, x, y, angle
-    return low, high, near, touched
+    return low, high, along, aligned, touched
 
 
 @dataclass(frozen=True, eq=False, slots=True)
