@@ -5,7 +5,7 @@ import tempfile
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from bridge.simulation import Simulation
 from bridge.steering import Driver, Steering
 from hid2.agents import Policy, Track
 from hid2.conflicts import DT_S
+from hid2.foresight import TURN_OF_POLICY
 from hid2.params import Config
 from hid2.repair import SettledVehicle, settle, settled_traffic
 from hid2.spawning import Spawner
@@ -41,6 +42,7 @@ _ATTEMPTS = 60
 _ATTEMPTS_LATE = 10_000
 _MAX_AGENTS = 400
 _SPARE_FROM = 5
+_BEHIND_TURN_M = 1.0
 _MIX_OF_MOST = 40
 
 
@@ -102,6 +104,7 @@ def generate(scenario: Scenario | PreparedScene, config: Config, *, variant: int
         with Simulation(net, seed=config.request.seed, step_s=DT_S) as simulation:
             run = _Run(world, simulation, seed)
             run.fill()
+    run.credit_turns()
     vehicles = sorted(run.settled, key=lambda item: int(item.vehicle.driven.spec.vehicle_id.removeprefix("v")))
     tracks = [
         _track(item.vehicle, f"gen_{row}", config.request.generated_category) for row, item in enumerate(vehicles)
@@ -274,6 +277,30 @@ class _Run:
         kept = [vehicle for vehicle in settled if vehicle.driven.spec.vehicle_id not in missed]
         specs = {vehicle.driven.spec.vehicle_id: vehicle.driven.spec for vehicle in settled}
         return kept, [(specs[vehicle_id], reason) for vehicle_id, reason in missed.items() if vehicle_id in specs]
+
+    def credit_turns(self) -> None:
+        """A turn that found no place of its own is met by a vehicle that was placed to go straight and turns so."""
+        unmet: list[tuple[Policy, str]] = []
+        for policy, reason in self.unmet:
+            row = next((row for row, item in enumerate(self.settled) if self._turned(item.vehicle, policy)), None)
+            if row is None:
+                unmet.append((policy, reason))
+                continue
+            vehicle, driver = self.settled[row].vehicle, self.settled[row].driver
+            driven = replace(vehicle.driven, spec=replace(vehicle.driven.spec, policy=policy))
+            self.settled[row] = Settled(replace(vehicle, driven=driven), driver)
+        self.unmet = unmet
+
+    def _turned(self, vehicle: SettledVehicle, policy: Policy) -> bool:
+        """Whether a vehicle without a manoeuvre has driven the turn of a policy from its start to its end."""
+        kind, spec = TURN_OF_POLICY.get(policy), vehicle.driven.spec
+        if kind is None or spec.policy is not Policy.STRAIGHT:
+            return False
+        lanes = self.world.grid.graph.lanes
+        turn = next(
+            (g for g in vehicle.driven.path.segments if lanes[g.lane_id].turn is kind and g.start > spec.s0), None
+        )
+        return turn is not None and turn.end + _BEHIND_TURN_M < float(vehicle.motion.s[-1])
 
     def _new_id(self) -> str:
         self._next += 1

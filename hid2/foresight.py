@@ -26,6 +26,8 @@ from netconvert.lane_graph import TurnType
 TURN_OF_POLICY = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
 _SPARE_LANE_M = 8.0  # of the lane beside, for a change that begins a little later than foreseen
 _SPARE_STEPS = 4  # a foreseen manoeuvre ends this long before the scene does: SUMO will be a little later
+_TURN_SPARE_STEPS = 8  # yielding to who crosses costs SUMO more time than the plan
+_BEHIND_TURN_M = 1.0  # driven on the lane after it
 _RETURN_STEPS = 26  # lateral motion back into the lane, at its shortest
 _RETURN_SPARE_M = 1.5
 _PASS_STEPS = 65  # out, past and back take at least this long
@@ -93,10 +95,12 @@ class Foresight:
     claims: Traffic
 
     def turn(self, wish: Wish, path: DrivenPath, plan: SpeedPlan) -> Intention | str:
-        """The first turn of the wanted kind on the path must be through before the scene ends."""
+        """The first turn of the wanted kind on the path must be through before the scene, or the map, ends."""
         lanes, kind = self.world.grid.graph.lanes, TURN_OF_POLICY[wish.policy]
         end = next((g.end for g in path.segments if lanes[g.lane_id].turn is kind and g.start > plan.s[0]), math.inf)
-        if plan.s[-_SPARE_STEPS] < end + 1.0:
+        if end + _BEHIND_TURN_M > path.exit_s - wish.size.length_m / 2:
+            return "turn_leaves_map"
+        if plan.s[-_TURN_SPARE_STEPS] < end + _BEHIND_TURN_M:
             return "turn_not_reached"
         return Intention(path, plan, plan)
 
