@@ -12,7 +12,7 @@ from hid2.lane_change import Gap, blend_paths, duration_s
 from hid2.occupancy import FREE, cells_under
 from hid2.overtake import Leader
 from hid2.route import DrivenPath, Route, routes_from, shifted_path
-from hid2.space_time import path_occupancy
+from hid2.space_time import look_along, path_occupancy
 from hid2.traffic import Traffic
 from hid2.world import DRIVABLE_TYPES, World
 from netconvert.cells import Cell
@@ -130,18 +130,16 @@ def leader_on(
     """Next vehicle on the lane path within d_obs, at one step."""
     here = vehicles.at(step)
     own = path.line.position(np.array([s]))[0]
-    near = np.abs(here.position[:, 0] - own).max(axis=1) < d_obs_m + 15.0
-    best: Leader | None = None
-    for row in np.flatnonzero(here.present[:, 0] & near).tolist():
-        found = path_occupancy(
-            path.line, here.rows([row]), length_m=size.length_m, width_m=size.width_m, margin_lateral_m=0.0
-        )
-        if found.low.shape[0] == 0 or not bool(found.aligned[0, 0]):
-            continue
-        gap = float(found.low[0, 0]) - s
-        if -1.0 < gap < d_obs_m and (best is None or gap < best.gap_m):
-            best = Leader(here.ids[row], gap, max(0.0, float(found.along[0, 0])), float(here.length_m[row]))
-    return best
+    near = here.present[:, 0] & (np.abs(here.position[:, 0] - own).max(axis=1) < d_obs_m + 15.0)
+    here = here.rows(np.flatnonzero(near).tolist())
+    rows, found = look_along(path.line, here, size.length_m, size.width_m)
+    gap = np.where(found.aligned[:, 0], found.low[:, 0] - s, np.inf)
+    gap[gap <= -1.0] = np.inf
+    if not np.any(gap < d_obs_m):
+        return None
+    first = int(np.argmin(gap))
+    row = int(rows[first])
+    return Leader(here.ids[row], float(gap[first]), max(0.0, float(found.along[first, 0])), float(here.length_m[row]))
 
 
 def is_on_lane(lane: DrivenPath, position: FloatArray) -> bool:

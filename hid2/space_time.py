@@ -68,7 +68,7 @@ def path_occupancy(
     missing = [part for part in parts if key not in part.known]
     if missing:
         others = traffic if len(missing) == len(parts) else missing[0].joined(*missing[1:])
-        touched, found = _look_along(line, others, length_m, width_m + 2 * margin_lateral_m)
+        touched, found = look_along(line, others, length_m, width_m + 2 * margin_lateral_m)
         if len(missing) == 1:
             missing[0].known[key] = found if touched.size else None
         else:
@@ -88,10 +88,10 @@ def _nobody(steps: int) -> PathOccupancy:
     return PathOccupancy(nowhere, nowhere, nowhere, np.zeros((0, steps), dtype=np.bool_))
 
 
-def _look_along(
+def look_along(
     line: ReferenceLine, traffic: Traffic, length_m: float, width_m: float
 ) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], PathOccupancy]:
-    """Rows of the agents that ever touch the line, and their intervals."""
+    """Rows of the agents that ever touch the line, and their intervals; width_m with all margins."""
     low, high, along, aligned, touched = _intervals(
         line.table_xy,
         line.table_heading,
