@@ -42,6 +42,8 @@ _ATTEMPTS = 60
 _ATTEMPTS_LATE = 10_000
 _MAX_AGENTS = 400
 _SPARE_FROM = 5
+_FROM_EMPTY = 3
+_FEW_MOST = 4
 _BEHIND_TURN_M = 1.0
 _MIX_OF_MOST = 40
 
@@ -149,7 +151,8 @@ class _Run:
     def fill(self) -> None:
         """All rounds; where they do not reach the count, again from an empty road: packed, then packed closer.
 
-        Packing takes the same course whatever the count, so that no count ends below what `max` finds, nor above it.
+        After some packings from an empty road the fullest one has a few neighbours taken out and placed anew, over and
+        over. Packing takes the same course whatever the count, so that no count ends below what `max` finds.
         """
         request = self.world.config.request
         target = _MAX_AGENTS if request.agents == "max" else request.agents
@@ -157,16 +160,46 @@ class _Run:
             self._rounds(_mix(request.behaviours, target, self.rng), target, packed=False)
             if len(self.settled) == target or "collision" in self.world.config.without:
                 return
+        loose = self.settled, self.fixed, self.unmet
         close = self.world.packed()
+        self._keep([])
         for attempt, world in enumerate((self.world, *[close] * self.world.config.packing.attempts), start=1):
             best = self.settled, self.fixed, self.unmet
-            self.settled, self.fixed, self.unmet = [], predicted_traffic([], world.num_steps), []
             self.rng, self.world = np.random.default_rng([*self.seed, attempt]), world
-            self._rounds(_mix(request.behaviours, min(target, _MIX_OF_MOST), self.rng), target, packed=True)
+            if attempt <= _FROM_EMPTY:
+                self.unmet = []
+                self._keep([])
+                mix = _mix(request.behaviours, min(target, _MIX_OF_MOST), self.rng)
+            else:
+                self._keep(self._all_but_a_few())
+                mix = []
+            self._rounds(mix, target, packed=True)
             if len(self.settled) < len(best[0]):
                 self.settled, self.fixed, self.unmet = best
             if len(self.settled) >= target:
                 return
+        if len(self.settled) < len(loose[0]):
+            self.settled, self.fixed, self.unmet = loose
+
+    def _keep(self, settled: list[Settled]) -> None:
+        self.settled = settled
+        self.fixed = settled_traffic([item.vehicle for item in settled], self.world.num_steps)
+
+    def _all_but_a_few(self) -> list[Settled]:
+        """Without some neighbours that go straight: where those were, differently placed ones may be one more."""
+        leaders = {item.driver.leader_id for item in self.settled}
+        idle = [
+            item for item in self.settled
+            if item.vehicle.driven.spec.policy is Policy.STRAIGHT
+            and item.vehicle.driven.spec.vehicle_id not in leaders
+        ]  # fmt: skip
+        if not idle:
+            return self.settled
+        start = np.array([item.vehicle.trajectory.position[0] for item in idle])
+        middle = start[int(self.rng.integers(len(idle)))]
+        near = np.argsort(np.hypot(*(start - middle).T), kind="stable")[: int(self.rng.integers(1, _FEW_MOST + 1))]
+        gone = {id(idle[row]) for row in near.tolist()}
+        return [item for item in self.settled if id(item) not in gone]
 
     def _rounds(self, mix: Sequence[Policy], target: int, *, packed: bool) -> None:
         """Rounds until the count is reached; a manoeuvre that no round brought about is noted with its last reason."""

@@ -150,9 +150,8 @@ def _barrier(num_steps: int, until_step: int, s: float) -> PathOccupancy:
     low = np.full((1, num_steps), np.inf)
     high = np.full((1, num_steps), -np.inf)
     low[0, :until_step], high[0, :until_step] = s, s + 1e3
-    return PathOccupancy(
-        low=low, high=high, along=np.zeros((1, num_steps)), aligned=np.zeros((1, num_steps), dtype=np.bool_)
-    )
+    never = np.zeros((1, num_steps), dtype=np.bool_)
+    return PathOccupancy(low=low, high=high, along=np.zeros((1, num_steps)), aligned=never, crosses=never)
 
 
 def prospect(

@@ -21,13 +21,15 @@ class PathOccupancy:
 
     low, high (A, T) m: the own box touches the agent's (with the lateral margin) while low < s < high; low is +inf and
     high is -inf where it never does. along (A, T) m/s: the agent's speed in the path's direction there.
-    aligned (A, T): it moves with the path (a leader or follower) rather than across or against it.
+    aligned (A, T): it moves with the path (a leader or follower) rather than across or against it; crosses (A, T): it
+    moves across, rather than with or against it.
     """
 
     low: FloatArray
     high: FloatArray
     along: FloatArray
     aligned: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
+    crosses: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
 
     def kept_clear(self, steps: int, *, margin_m: float) -> "PathOccupancy":
         """The same, with the place of who crosses taken so many steps before and after: PET is kept at crossings.
@@ -35,12 +37,14 @@ class PathOccupancy:
         margin_m: what is kept to a box that is there needs not be kept to one that was or will be: the place is
         smaller by so much on both sides then.
         """
-        low, high, aligned = _kept_clear(self.low, self.high, self.aligned, steps, margin_m)
-        return PathOccupancy(low=low, high=high, along=self.along, aligned=aligned)
+        if not self.crosses.any():
+            return self
+        low, high, aligned = _kept_clear(self.low, self.high, self.aligned, self.crosses, steps, margin_m)
+        return PathOccupancy(low=low, high=high, along=self.along, aligned=aligned, crosses=self.crosses)
 
     def rows(self, rows: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> "PathOccupancy":
         """Some of the agents, (A,) mask."""
-        return PathOccupancy(self.low[rows], self.high[rows], self.along[rows], self.aligned[rows])
+        return PathOccupancy(self.low[rows], self.high[rows], self.along[rows], self.aligned[rows], self.crosses[rows])
 
     def joined(self, *others: "PathOccupancy") -> "PathOccupancy":
         """Agents of all, self first."""
@@ -52,6 +56,7 @@ class PathOccupancy:
             high=np.concatenate([one.high for one in every]),
             along=np.concatenate([one.along for one in every]),
             aligned=np.concatenate([one.aligned for one in every]),
+            crosses=np.concatenate([one.crosses for one in every]),
         )
 
 
@@ -85,14 +90,15 @@ def path_occupancy(
 
 def _nobody(steps: int) -> PathOccupancy:
     nowhere = np.zeros((0, steps))
-    return PathOccupancy(nowhere, nowhere, nowhere, np.zeros((0, steps), dtype=np.bool_))
+    never = np.zeros((0, steps), dtype=np.bool_)
+    return PathOccupancy(nowhere, nowhere, nowhere, never, never)
 
 
 def look_along(
     line: ReferenceLine, traffic: Traffic, length_m: float, width_m: float
 ) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], PathOccupancy]:
     """Rows of the agents that ever touch the line, and their intervals; width_m with all margins."""
-    low, high, along, aligned, touched = _intervals(
+    low, high, along, aligned, crosses, touched = _intervals(
         line.table_xy,
         line.table_heading,
         TABLE_STEP_M,
@@ -107,13 +113,13 @@ def look_along(
     )
     rows = np.flatnonzero(touched)
     if rows.size == len(traffic.ids):
-        return rows, PathOccupancy(low, high, along, aligned)
-    return rows, PathOccupancy(low[rows], high[rows], along[rows], aligned[rows])
+        return rows, PathOccupancy(low, high, along, aligned, crosses)
+    return rows, PathOccupancy(low[rows], high[rows], along[rows], aligned[rows], crosses[rows])
 
 
 @njit(cache=True)
-def _kept_clear(low, high, aligned, steps, margin):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Who is nobody's leader (crosses, comes against) also holds the path where it is, `steps` before and after."""
+def _kept_clear(low, high, aligned, crosses, steps, margin):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Who crosses also holds the path where it does so, `steps` before and after."""
     wide_low, wide_high, leads = low.copy(), high.copy(), aligned.copy()
     agents, last = low.shape
     for a in range(agents):
@@ -121,7 +127,7 @@ def _kept_clear(low, high, aligned, steps, margin):  # type: ignore[no-untyped-d
             if low[a, t] == np.inf:
                 leads[a, t] = False
                 continue
-            if aligned[a, t]:
+            if not crosses[a, t]:
                 continue
             for k in range(max(0, t - steps), min(last, t + steps + 1)):
                 if low[a, k] != np.inf and aligned[a, k]:
@@ -177,6 +183,7 @@ def _intervals(xy, heading, step, own_length, own_width, position, other_heading
     low = np.full((agents, steps), np.inf)
     high = np.full((agents, steps), -np.inf)
     along, aligned = np.zeros((agents, steps)), np.zeros((agents, steps), dtype=np.bool_)
+    crosses = np.zeros((agents, steps), dtype=np.bool_)
     touched = np.zeros(agents, dtype=np.bool_)
     cosine, sine = np.cos(heading), np.sin(heading)
     own_l, own_w = own_length / 2, own_width / 2
@@ -204,7 +211,8 @@ def _intervals(xy, heading, step, own_length, own_width, position, other_heading
                 and y == position[a, t - 1, 1]
                 and angle == other_heading[a, t - 1]
             ):
-                low[a, t], high[a, t], aligned[a, t] = low[a, t - 1], high[a, t - 1], aligned[a, t - 1]
+                low[a, t], high[a, t] = low[a, t - 1], high[a, t - 1]
+                aligned[a, t], crosses[a, t] = aligned[a, t - 1], crosses[a, t - 1]
                 if nearest >= 0:
                     along[a, t] = velocity[a, t, 0] * cosine[nearest] + velocity[a, t, 1] * sine[nearest]
                 continue
@@ -251,13 +259,14 @@ def _intervals(xy, heading, step, own_length, own_width, position, other_heading
                     last -= 1
                 low[a, t], high[a, t] = (first - 1) * step, (last + 1) * step
                 along[a, t] = velocity[a, t, 0] * cosine[near] + velocity[a, t, 1] * sine[near]
-                aligned[a, t] = np.cos(angle - heading[near]) > 0.7
+                turned = np.cos(angle - heading[near])
+                aligned[a, t], crosses[a, t] = turned > 0.7, abs(turned) <= 0.7
                 nearest, spare, touched[a] = near, 0.0, True
                 continue
             if leap > 0:  # from the last point looked at to the end of the path
                 closest = min(closest, before - (points - 1 - (i - leap)) * step)
             spare, last_x, last_y, last_angle = min(clear, closest - reach - step) - 1e-6, x, y, angle
-    return low, high, along, aligned, touched
+    return low, high, along, aligned, crosses, touched
 
 
 @dataclass(frozen=True, eq=False, slots=True)

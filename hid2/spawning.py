@@ -71,6 +71,7 @@ class Spawner:
     _predicted: Traffic = field(init=False)
     _claims: Traffic = field(init=False)
     _against: dict[Policy, Counter[str]] = field(default_factory=dict)
+    _exhausted: set[Policy] = field(default_factory=set)
     _streams: dict[Policy, Iterator[tuple[Route, float] | None]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -128,13 +129,18 @@ class Spawner:
         self._streams = {}
 
     def why_none(self, policy: Policy) -> str:
-        """What speaks against another vehicle of a policy: nothing on the map, else what was said most often."""
+        """What speaks against another vehicle of a policy.
+
+        map_offers_no_...: nothing on the map; no_place:...: every cell was tried, with what was said most often; else
+        what was said most often of those that were tried.
+        """
         if not self.places.offers(policy):
             return f"map_offers_no_{policy.value}"
         against = self._against.get(policy, Counter())
         # what took a closer look says more than the many cells that are simply taken
         order = sorted(against, key=lambda reason: (reason in _SEEN_AT_ONCE, -against[reason], reason))
-        return order[0] if order else "no_free_cell"
+        reason = order[0] if order else "no_free_cell"
+        return f"no_place:{reason}" if policy in self._exhausted else reason
 
     def _note(self, policy: Policy, against: Counter[str]) -> None:
         self.reasons.update(against)
@@ -144,6 +150,7 @@ class Spawner:
         """The next candidates of a policy, until `attempts` of them were turned down after a closer look."""
         if policy not in self._streams:
             self._streams[policy] = self.places.candidates(policy, self._is_free, self.patience)
+        self._exhausted.discard(policy)
         for place in self._streams[policy]:
             if place is None:
                 against["cells_occupied"] += 1
@@ -151,6 +158,7 @@ class Spawner:
             yield place
             if sum(count for reason, count in against.items() if reason not in _SEEN_AT_ONCE) >= attempts:
                 return
+        self._exhausted.add(policy)
 
     def _is_free(self, cell: int) -> bool:
         return bool(self._sigma[cell] == FREE) or "collision" in self.world.config.without
