@@ -30,7 +30,8 @@ _TURN_SPARE_STEPS = 8  # yielding to who crosses costs SUMO more time than the p
 _BEHIND_TURN_M = 1.0  # driven on the lane after it
 _RETURN_STEPS = 26  # lateral motion back into the lane, at its shortest
 _RETURN_SPARE_M = 1.5
-_PASS_STEPS = 65  # out, past and back take at least this long
+#: An overtake, out, past and back, takes at least so many steps.
+PASS_STEPS = 65
 _CHANGE_DELAYS = (0, 8, 20)  # steps behind the trigger at which a manoeuvre is tried
 _OVERTAKE_DELAYS = (0, 6, 12)
 _CLAIM_BOX = BoxSize(8.0, 1.4)
@@ -164,7 +165,7 @@ class Foresight:
         reason = "scene_too_short"
         for delay in _OVERTAKE_DELAYS:
             step = wish.trigger_step + delay
-            if step >= self.world.num_steps - _PASS_STEPS:
+            if step >= self.world.num_steps - PASS_STEPS:
                 break
             s, speed = float(approach.s[step]), float(approach.v[step])
             leader = leader_on(path, wish.size, s=s, step=step, d_obs_m=overtake.d_obs_m, vehicles=vehicles)

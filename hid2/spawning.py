@@ -13,7 +13,7 @@ import numpy as np
 from hid2.agents import BoxSize, FloatArray, Policy
 from hid2.conflicts import DT_S, Prospect
 from hid2.decision import Side
-from hid2.foresight import TURN_OF_POLICY, Foresight, Intention, Wish
+from hid2.foresight import PASS_STEPS, TURN_OF_POLICY, Foresight, Intention, Wish
 from hid2.occupancy import FREE, GENERATED, cells_under
 from hid2.places import Places
 from hid2.reference_line import TABLE_STEP_M
@@ -109,6 +109,9 @@ class Spawner:
         """
         object_type, own = self._draw_size()
         against: Counter[str] = Counter()
+        if self.world.config.request.trigger_min_s / DT_S >= self.world.num_steps - PASS_STEPS:
+            self._note(Policy.OVERTAKE, Counter({"overtake_scene_too_short": 1}))
+            return ()
         for route, s0 in self._some(Policy.OVERTAKE, attempts, against):
             cruise = float(self.rng.uniform(*_OVERTAKER_MPS))
             wish = Wish(Policy.OVERTAKE, vehicle_id, object_type, own, self._draw_trigger(Policy.OVERTAKE), cruise)
