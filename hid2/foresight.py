@@ -186,7 +186,7 @@ class Foresight:
                 back = _opposite(option.side)
                 done = self._return(wish, path, entered[0], entered[1], leader, back, vehicles, cruise_mps)
                 if not isinstance(done, str):
-                    claims = self._claim(target, option, speed, step, overtake.d_overtake_m)
+                    claims = self._claim(target, option, speed, step, overtake.d_overtake_m).joined(done[2])
                     return Intention(done[0], done[1], entered[1], (option.side, back), claims)
                 reason = done
         return reason
@@ -248,7 +248,7 @@ class Foresight:
     def _return(
         self, wish: Wish, lane: DrivenPath, path: DrivenPath, plan: SpeedPlan, leader: Leader, side: Side,
         vehicles: Traffic, cruise_mps: float,
-    ) -> tuple[DrivenPath, SpeedPlan] | str:  # fmt: skip
+    ) -> tuple[DrivenPath, SpeedPlan, Traffic] | str:  # fmt: skip
         """Third stage: the first steps at which the passed vehicle is far enough behind."""
         overtake = self.world.config.overtake
         passed = np.flatnonzero(plan.s >= path.shifts[-1][1])
@@ -263,6 +263,8 @@ class Foresight:
             if gap < overtake.return_gap_m + _RETURN_SPARE_M:
                 continue
             reason = "return_no_adjacent_lane"
+            if admissible_neighbor(self.world, path.segment_at(s + _SPARE_LANE_M).lane_id, side) is None:
+                continue
             for option, target in self._options(wish, path, step, s, (side,), cruise_mps):
                 unmet = return_reason(
                     lead_gap_m=gap, lane_available=option.cells_free, ahead=option.front, params=overtake
@@ -271,7 +273,8 @@ class Foresight:
                 if not isinstance(back, str) and not returns_to(lane, back[0]):
                     back = "lanes_part"
                 if not isinstance(back, str):
-                    return back
+                    ahead_m = overtake.safe_front_m + _CLAIM_BEHIND_M
+                    return *back, self._claim(target, option, float(plan.v[step]), step, ahead_m)
                 reason = f"return_{back}"
         return reason
 
