@@ -38,7 +38,8 @@ from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ScenarioError
 from netconvert.net_xml import net_bytes
 
-_ATTEMPTS = 60
+_ATTEMPTS = 100
+_ATTEMPTS_AGAIN = 25
 _ATTEMPTS_LATE = 10_000
 _MAX_AGENTS = 400
 _SPARE_FROM = 5
@@ -231,7 +232,7 @@ class _Run:
         without = [policy for policy in order if not self._plan(spawner, policy, missing, attempts)]
         if without and patience == 0:
             spawner.look_again()
-            without = [policy for policy in without if not self._plan(spawner, policy, missing, attempts)]
+            without = [policy for policy in without if not self._plan(spawner, policy, missing, _ATTEMPTS_AGAIN)]
             spawner.patience = patience
         full = len(spawner.planned) >= missing  # leaders of overtakes count too
         self.unmet += [(policy, "count_reached" if full else spawner.why_none(policy)) for policy in without]

@@ -153,7 +153,6 @@ class Spawner:
         """The next candidates of a policy, until `attempts` of them were turned down after a closer look."""
         if policy not in self._streams:
             self._streams[policy] = self.places.candidates(policy, self._is_free, self.patience)
-        self._exhausted.discard(policy)
         for place in self._streams[policy]:
             if place is None:
                 against["cells_occupied"] += 1
@@ -259,6 +258,8 @@ class Spawner:
             if isinstance(intention, Intention):
                 return intention
             reason = intention
+            if reason == "turn_not_reached":
+                break  # still less so from a slower start
         return reason
 
     def _moves(self, look: Prospect, s: FloatArray) -> bool:
