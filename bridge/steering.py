@@ -200,6 +200,7 @@ class Steering:
             step=now,
             sides=sides,
             others=(self.fixed, self._others(driver)),
+            speed_mps=driver.v[now],
             desired_mps=spec.cruise_mps,
         )
         options = {option.side: (option, target) for option, target in found}

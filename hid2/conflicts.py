@@ -1,6 +1,6 @@
 """Conflict resolution (paper, Trajectory Generation): the three cases.
 
-1. A transition into a cell with sigma = 1 is rejected (`transition_rejected`).
+1. A transition into a cell with sigma = 1 is rejected, now and at the predicted time (`transition_rejected`).
 2. Generated against generated: executing before pending, then closer before farther, then the lower id (`priority`).
 3. Future conflicts: predicted boxes over the horizon, recorded agents by their true future. `Prospect.plan` adjusts the
    timing on a path; where it finds none the caller reroutes, then aborts the manoeuvre.

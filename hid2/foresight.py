@@ -116,7 +116,7 @@ class Foresight:
             if step >= plan.s.size - int(change.min_duration_s / DT_S):
                 break
             s, speed = float(plan.s[step]), float(plan.v[step])
-            for option, target in self._options(wish, path, step, s, sides, cruise_mps):
+            for option, target in self._options(wish, path, step, s, speed, sides, cruise_mps):
                 unmet = lane_change_reason(
                     speed_mps=speed, cells_free=option.cells_free, front=option.front, rear=option.rear,
                     remaining_m=option.remaining_m - _SPARE_LANE_M, params=change,
@@ -174,7 +174,7 @@ class Foresight:
                 continue
             if leader.gap_m < self._braking_gap_m(speed, leader.speed_mps):
                 return "leader_too_near"  # nearer still later on
-            for option, target in self._options(wish, path, step, s, ("left", "right"), cruise_mps):
+            for option, target in self._options(wish, path, step, s, speed, ("left", "right"), cruise_mps):
                 unmet = enter_reason(
                     leader=leader, desired_mps=cruise_mps, lane_available=option.cells_free, ahead=option.front,
                     behind=option.rear, free_corridor_m=option.corridor_m, params=overtake,
@@ -265,7 +265,7 @@ class Foresight:
             reason = "return_no_adjacent_lane"
             if admissible_neighbor(self.world, path.segment_at(s + _SPARE_LANE_M).lane_id, side) is None:
                 continue
-            for option, target in self._options(wish, path, step, s, (side,), cruise_mps):
+            for option, target in self._options(wish, path, step, s, float(plan.v[step]), (side,), cruise_mps):
                 unmet = return_reason(
                     lead_gap_m=gap, lane_available=option.cells_free, ahead=option.front, params=overtake
                 )
@@ -292,11 +292,12 @@ class Foresight:
         return replace(boxes, present=boxes.present & (np.abs(steps - step) <= _CLAIM_STEPS))
 
     def _options(
-        self, wish: Wish, path: DrivenPath, step: int, s: float, sides: tuple[Side, ...], cruise_mps: float
-    ) -> Iterator[tuple[LaneOption, DrivenPath]]:
+        self, wish: Wish, path: DrivenPath, step: int, s: float, speed_mps: float, sides: tuple[Side, ...],
+        cruise_mps: float,
+    ) -> Iterator[tuple[LaneOption, DrivenPath]]:  # fmt: skip
         yield from lane_options(
             self.world, path, wish.size, s=s, step=step, sides=sides, others=(self.fixed, self.predicted),
-            desired_mps=cruise_mps,
+            speed_mps=speed_mps, desired_mps=cruise_mps,
         )  # fmt: skip
 
     def _across(

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, Policy
-from hid2.conflicts import DT_S
+from hid2.conflicts import DT_S, transition_rejected
 from hid2.decision import LaneOption, Side
 from hid2.lane_change import Gap, blend_paths, duration_s
-from hid2.occupancy import FREE, cells_under
+from hid2.occupancy import FREE, cells_under, dwell_steps
 from hid2.overtake import Leader
 from hid2.route import DrivenPath, Route, routes_from, shifted_path
 from hid2.space_time import look_along, path_occupancy
@@ -44,11 +44,14 @@ def lane_options(
     step: int,
     sides: Sequence[Side],
     others: Sequence[Traffic],
+    speed_mps: float = 0.0,
     desired_mps: float = math.inf,
 ) -> list[tuple[LaneOption, DrivenPath]]:
     """Adjacent lanes at arc length s of a path at one step, each with the path that continues on it.
 
-    The corridor m * delta s ends with l' or at a vehicle there that is slower than desired_mps: a faster one leaves it.
+    A transition into a cell that an original agent holds, now or when the vehicle (speed_mps) gets to the next one, is
+    rejected (paper, conflict case 1). The corridor m * delta s ends with l' or at a vehicle there that is slower than
+    desired_mps: a faster one leaves it.
     """
     segment = path.segment_at(s)
     xy = path.line.position(np.array([s]))
@@ -66,7 +69,10 @@ def lane_options(
         remaining = target.exit_s - at
         corridor = remaining if front.speed_mps >= desired_mps else min(remaining, front.distance_m)
         option = LaneOption(
-            side=side, target=cell, cells_free=_cells_free(world, cell, step=step, others=others),
+            side=side, target=cell,
+            cells_free=_cells_free(world, cell, step=step, others=others) and not transition_rejected(
+                _next_sigma(world, cell, step=step, speed_mps=speed_mps)
+            ),
             front=front, rear=rear, remaining_m=remaining, corridor_m=corridor,
         )  # fmt: skip
         found.append((option, target))
@@ -205,6 +211,20 @@ def _place_on(target: DrivenPath, lane_id: int, lane_s: float) -> float:
     segment = next(segment for segment in target.segments if segment.lane_id == lane_id)
     share = (lane_s - segment.lane_start) / max(segment.lane_end - segment.lane_start, 1e-9)
     return segment.start + share * (segment.end - segment.start)
+
+
+def _next_sigma(world: World, cell: Cell, *, step: int, speed_mps: float) -> int:
+    """Sigma of the cell after a cell, when the vehicle gets there; free where it does not within the scene."""
+    grid = world.grid
+    following = grid.longitudinal(cell)
+    if following is None:
+        return FREE
+    borders = grid.edges_s(cell.lane_id)
+    cell_m = float(borders[cell.index + 1] - borders[cell.index])
+    steps = dwell_steps(cell_m=cell_m, speed_mps=speed_mps, step_s=DT_S)
+    if steps is None or step + steps >= world.num_steps:
+        return FREE
+    return int(world.occupancy.sigma[step + steps, grid.index_of[following]])
 
 
 def _cells_free(world: World, cell: Cell, *, step: int, others: Sequence[Traffic]) -> bool:

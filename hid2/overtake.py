@@ -28,16 +28,6 @@ class Leader:
     length_m: float
 
 
-def corridor_m(leader: Leader, *, own_length_m: float, own_mps: float, params: Overtake) -> float:
-    """Length of free lane l' needed to get ahead of the leader, in the leader's frame plus what it drives meanwhile.
-
-    Never below d_overtake; m * delta s is compared with it.
-    """
-    relative = leader.gap_m + leader.length_m + own_length_m + params.return_gap_m
-    gain = max(own_mps - leader.speed_mps, 0.5)
-    return max(params.d_overtake_m, relative * own_mps / gain if leader.speed_mps > 0 else relative)
-
-
 def enter_reason(
     *,
     leader: Leader | None,

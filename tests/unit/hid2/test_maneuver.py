@@ -65,6 +65,27 @@ def test_option_is_the_facing_cell_with_what_is_left_of_its_lane(world: Callable
     assert [segment.lane_id for segment in target.segments] == [2]
 
 
+def test_cell_that_is_taken_when_the_vehicle_gets_there_rejects_the_transition(
+    world: Callable[..., World], track: Callable[..., Track]
+) -> None:
+    """Conflict case 1, at the predicted time: at 10 m/s the next cell is reached after ceil(4 / 10 / 0.1) = 4 steps.
+
+    Somebody appears on cell 11 of lane 2 (44 to 48 m) at step 4, far enough from cells 9 to 11 at step 0.
+    """
+    scene = world(track(range(4, 60), np.full(56, 46.0), 3.5))
+
+    def is_free(speed_mps: float, step: int) -> bool:
+        ((option, _),) = lane_options(
+            scene, scene.path((1,)), CAR, s=41.0, step=step, sides=("left",), others=(), speed_mps=speed_mps
+        )
+        return option.cells_free
+
+    assert not is_free(10.0, 0)
+    assert is_free(20.0, 0)  # two steps on the cell is still free
+    assert is_free(0.0, 0)
+    assert not is_free(0.0, 4)
+
+
 def test_gaps_are_bumper_to_bumper_with_the_neighbours_speeds(
     world: Callable[..., World], track: Callable[..., Track]
 ) -> None:

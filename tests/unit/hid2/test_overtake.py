@@ -3,7 +3,7 @@ from typing import Any
 import pytest
 
 from hid2.lane_change import Gap
-from hid2.overtake import Leader, corridor_m, enter_reason, return_reason
+from hid2.overtake import Leader, enter_reason, return_reason
 from hid2.params import Overtake
 
 #: Every value that a number below is worked from; the defaults may be tuned.
@@ -48,14 +48,3 @@ def test_return_waits_until_the_leader_is_behind() -> None:
     assert return_reason(lead_gap_m=5.0, **open_return) is None
     assert return_reason(lead_gap_m=9.0, **{**open_return, "lane_available": False}) == "no_lane"
     assert return_reason(lead_gap_m=9.0, **{**open_return, "ahead": Gap(5.9, 0.0)}) == "front_gap"
-
-
-def test_corridor_is_what_passing_takes_but_at_least_d_overtake() -> None:
-    """Gap 10 + leader 4.5 + own 4.5 + 5 m = 24 m to gain at 10 - 5 m/s: 24 * 10 / 5 = 48 m of lane.
-
-    A parked leader: 24 m, so d_overtake = 40 m counts.
-    """
-    moving = Leader("7", 10.0, 5.0, 4.5)
-    assert corridor_m(moving, own_length_m=4.5, own_mps=10.0, params=PARAMS) == pytest.approx(48.0)
-    parked = Leader("7", 10.0, 0.0, 4.5)
-    assert corridor_m(parked, own_length_m=4.5, own_mps=10.0, params=PARAMS) == pytest.approx(40.0)
