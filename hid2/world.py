@@ -110,6 +110,14 @@ class World:
         segment = path.segment_at(s)
         return self.grid.cell_at(segment.lane_id, segment.lane_s(s))
 
+    def cell_end(self, path: DrivenPath, s: float) -> float:
+        """Arc length at which a path leaves the cell that it is in at arc length s, m."""
+        segment = path.segment_at(s)
+        cell = self.grid.cell_at(segment.lane_id, segment.lane_s(s))
+        border = float(self.grid.edges_s(cell.lane_id)[cell.index + 1])
+        share = (border - segment.lane_start) / max(segment.lane_end - segment.lane_start, 1e-9)
+        return min(segment.start + share * (segment.end - segment.start), segment.end)
+
     def speed_sample(self, lane_id: int, rng: np.random.Generator) -> float:
         """Desired speed, m/s: from recorded moving traffic of the lane, else of the scene, else the prior."""
         spawn = self.config.spawn
