@@ -25,7 +25,8 @@ from netconvert.errors import ExportError, Hid2Error
 from netconvert.fidelity import measure_fidelity
 from netconvert.net_xml import net_bytes
 
-_CHUNK = 8
+#: Most scenes that a process gets at a time.
+_CHUNK = 40
 #: Most vehicles that the classifier test looks at.
 _MOST_SAMPLES = 50_000
 #: Nets of at most this many different maps are measured.
@@ -119,7 +120,7 @@ def evaluate_folder(
     """
     from bridge.report import write_report  # matplotlib: only this half needs it
 
-    folders = find_scenarios(out)
+    folders = sorted(find_scenarios(out), key=_map_size)
     sources = find_scenarios(source) if source is not None else []
     evaluation, samples = Evaluation(), _Samples()
     try:
@@ -153,7 +154,8 @@ def evaluate_folder(
 
 def _measured(folders: Sequence[Path], *, jobs: int) -> Iterator[tuple[Path, SceneMeasures | Failure]]:
     """Measures of each folder, in the order of the folders whatever the order in which they are done."""
-    chunks = [tuple(folders[start : start + _CHUNK]) for start in range(0, len(folders), _CHUNK)]
+    size = max(1, min(_CHUNK, len(folders) // (4 * jobs)))
+    chunks = [tuple(folders[start : start + size]) for start in range(0, len(folders), size)]
     tasks = (
         Task(f"evaluate-{number}", "bridge.scene_metrics:measure_folders", Limits(), chunk)
         for number, chunk in enumerate(chunks)
@@ -166,6 +168,11 @@ def _measured(folders: Sequence[Path], *, jobs: int) -> Iterator[tuple[Path, Sce
         while following in waiting:
             yield from waiting.pop(following)
             following += 1
+
+
+def _map_size(folder: Path) -> int:
+    """Bytes of a scene's map: scenes in this order have those of one map together, so that it is read once."""
+    return sum(path.stat().st_size for path in folder.glob("log_map_archive_*.json"))
 
 
 class _Table:

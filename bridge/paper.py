@@ -17,6 +17,7 @@ from bridge.engine import Settings, Task, execute
 from bridge.isolation import Failure, describe_error
 from bridge.scenario import find_scenarios, read_scenario
 from bridge.scene_metrics import Row, measure
+from hid2.evaluation.safety import survey
 from hid2.params import Config, Limits, Request
 from netconvert.errors import ConfigError, ExportError, ScenarioError
 
@@ -151,6 +152,7 @@ def generate_and_measure(
 
     folder, settings = shared
     scenario = read_scenario(folder)
+    ground = survey(scenario.graph)
     prepared = prepare(scenario, next((s.config for s in settings if s.config), Config()))
     for number, seed in items:
         config = settings[number].config
@@ -163,7 +165,7 @@ def generate_and_measure(
                 tracks, sidecar = (*scenario.tracks, *scene.generated), scene.sidecar
             measures = measure(
                 tracks,
-                scenario.graph,
+                ground,
                 sidecar,
                 limits=Limits(),
                 num_steps=scenario.num_steps,

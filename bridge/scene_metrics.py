@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 
 from bridge.isolation import Failure, describe_error
-from bridge.scenario import LAST_OBSERVED, STEP_S, Scenario, read_scenario
+from bridge.scenario import LAST_OBSERVED, SPLITS, STEP_S, Rows, read_scenario, read_sizes, read_table, split_rows
 from bridge.sidecar import ManeuverRecord, Sidecar, sidecar_in
 from hid2.agents import FloatArray, Policy, Track
 from hid2.evaluation.arrays import BoolArray, SceneArrays, stack
 from hid2.evaluation.behaviour import Maneuver, ManeuverKind, detect, policies
 from hid2.evaluation.kinematics import Kinematics, Motion, beyond_limits, clean, kinematics, motion
 from hid2.evaluation.realism import RealismCounts, count_scene, row_features, track_features
-from hid2.evaluation.safety import IOU_THRESHOLD, Safety, colliding, safety
+from hid2.evaluation.safety import IOU_THRESHOLD, Ground, Safety, colliding, safety, survey
 from hid2.params import Limits
-from netconvert.lane_graph import LaneGraph
+from netconvert.av2_map import read_lane_graph
+from netconvert.errors import ScenarioError
 
 #: The three groups that are never mixed: evaluation.md.
 GROUPS = ("original", "generated", "combined")
@@ -27,6 +28,8 @@ CRITICAL_TTC_S = 1.5
 CRITICAL_PET_S = 1.0
 #: A manoeuvre seen belongs to a record of its kind whose crossing (or start) is at most this far away.
 SAME_MANEUVER_S = 2.0
+#: Maps kept while scenes are measured.
+_MOST_MAPS = 8
 
 Row = dict[str, Any]
 
@@ -55,25 +58,58 @@ class _View:
 
 def measure_folders(limits: Limits, folders: Sequence[Path]) -> Iterator[SceneMeasures | Failure]:
     """The work of a process: measure each folder; a folder that cannot be read gives its failure."""
+    maps = Maps()
     for folder in folders:
         try:
-            yield measure_folder(folder, limits)
+            yield measure_folder(folder, limits, maps)
         except Exception as error:  # noqa: BLE001  # listed with its reason
             yield describe_error(error)
 
 
-def measure_folder(folder: Path, limits: Limits) -> SceneMeasures:
+class Maps:
+    """The last maps read, by their content: scenes made from one share its map, and reading it takes longest."""
+
+    def __init__(self) -> None:
+        self._known: dict[bytes, Ground] = {}
+
+    def read(self, path: Path) -> Ground:
+        """The map in a file. Errors: MapError."""
+        content = path.read_bytes() if path.is_file() else b""
+        ground = self._known.pop(content, None) or survey(read_lane_graph(path))
+        self._known[content] = ground  # the last one used comes last
+        while len(self._known) > _MOST_MAPS:
+            self._known.pop(next(iter(self._known)))
+        return ground
+
+
+def measure_folder(folder: Path, limits: Limits, maps: Maps) -> SceneMeasures:
     """Measure one recorded or generated scene folder. Errors: ScenarioError, MapError."""
-    scenario = read_scenario(folder)
-    sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
-    measures = measure(scenario.tracks, scenario.graph, sidecar, limits=limits, num_steps=scenario.num_steps,
-                       source=sidecar.source_scenario_id if sidecar else scenario.scenario_id)  # fmt: skip
-    return _named(measures, scenario)
+    rows, ground = _read(folder, maps)
+    sidecar = sidecar_in(folder, rows.scenario_id)
+    measures = measure(
+        rows.tracks,
+        ground,
+        sidecar,
+        limits=limits,
+        num_steps=rows.num_steps,
+        source=sidecar.source_scenario_id if sidecar else rows.scenario_id,
+    )
+    return _named(measures, rows, folder)
+
+
+def _read(folder: Path, maps: Maps) -> tuple[Rows, Ground]:
+    """As read_scenario, but a map that is known is not read again."""
+    tables, files = list(folder.glob("scenario_*.parquet")), list(folder.glob("log_map_archive_*.json"))
+    if len(tables) != 1 or len(files) != 1:
+        read_scenario(folder)  # says what is wrong
+        raise ScenarioError(f"{folder}: {len(tables)} scenarios and {len(files)} maps, want one of each")
+    rows = split_rows(read_table(tables[0]), name=str(tables[0]), sizes=read_sizes(folder))
+    return rows, maps.read(files[0])
 
 
 def measure(
     tracks: Sequence[Track],
-    graph: LaneGraph,
+    ground: Ground,
     sidecar: Sidecar | None,
     *,
     limits: Limits,
@@ -83,7 +119,7 @@ def measure(
     """Measure tracks on a map. `source`: id of the recorded scene."""
     arrays = stack(tracks, num_steps=num_steps, step_s=STEP_S)
     moved = motion(arrays)
-    safe = safety(arrays, graph)
+    safe = safety(arrays, ground)
     maneuvers = detect(arrays, safe.lanes, safe.matches)
     view = _View(arrays, moved, kinematics(arrays, moved), safe, maneuvers, beyond_limits(arrays, moved, limits))
     policy_of = policies(arrays, maneuvers)
@@ -124,10 +160,11 @@ def measure(
     )
 
 
-def _named(measures: SceneMeasures, scenario: Scenario) -> SceneMeasures:
+def _named(measures: SceneMeasures, scene: Rows, folder: Path) -> SceneMeasures:
     """Put the scene's names in front of every row."""
-    name: Row = {"scenario_id": scenario.scenario_id}
-    place: Row = {"split": scenario.split or "", "city": scenario.city, "folder": str(scenario.folder)}
+    name: Row = {"scenario_id": scene.scenario_id}
+    parent = folder.resolve().parent.name
+    place: Row = {"split": parent if parent in SPLITS else "", "city": scene.city, "folder": str(folder)}
     return SceneMeasures(
         scene=name | place | measures.scene,
         tracks=[name | row for row in measures.tracks],

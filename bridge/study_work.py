@@ -15,7 +15,7 @@ from bridge.scenario import STEP_S
 from bridge.scene_work import run_each
 from bridge.study import RUN_FILE, RUNS, SCENES
 from hid2.evaluation.arrays import stack
-from hid2.evaluation.safety import CAP_S, safety
+from hid2.evaluation.safety import CAP_S, safety, survey
 
 
 def measure_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
@@ -40,7 +40,7 @@ def measure_scene(scene: GeneratedScene) -> list[dict[str, Any]]:
     5 s; pet_s: smallest PET of the vehicle at a crossing of paths with another, None without one within 5 s.
     """
     arrays = stack([*scene.scenario.tracks, *scene.generated], num_steps=scene.scenario.num_steps, step_s=STEP_S)
-    measured = safety(arrays, scene.scenario.graph)
+    measured = safety(arrays, survey(scene.scenario.graph))
     number = {track_id: index for index, track_id in enumerate(arrays.track_ids)}
     pet: dict[int, float] = {}
     for crossing in measured.encroachments:

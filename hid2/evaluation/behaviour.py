@@ -11,13 +11,12 @@ Definitions (evaluation.md):
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cache
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from hid2.agents import FloatArray, Policy
 from hid2.evaluation.arrays import BoolArray, SceneArrays
-from hid2.evaluation.following import straightest_successors
 from hid2.evaluation.matching import FlatLanes, Matches
 from hid2.evaluation.paths import LaneView, Run, runs_of, source_path, target_path
 from netconvert.geometry import Polyline
@@ -91,7 +90,7 @@ class _Change:
 
 def detect(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> list[Maneuver]:
     """Every manoeuvre of every moving vehicle, in the order of the tracks and of their start."""
-    view = LaneView(arrays, lanes, matches, straightest_successors(lanes))
+    view = LaneView(arrays, lanes, matches)
     found: list[Maneuver] = []
     for agent in np.flatnonzero(arrays.vehicle & arrays.moving):
         runs = runs_of(view, int(agent))
@@ -151,7 +150,7 @@ def _lane_change(view: LaneView, agent: int, runs: list[Run], k: int) -> _Change
     if crossing is None:
         return None
     at, crossing_s = crossing
-    smooth = _slope(toward, time)
+    smooth = lateral_speed(toward, time)
     first, started = _edge(smooth, known, at, -1, time)
     last, ended = _edge(smooth, known, at + 1, +1, time)
     width = float(lanes.half_width[source] + lanes.half_width[target])
@@ -207,12 +206,29 @@ def _crossing(toward: FloatArray, known: BoolArray, time: FloatArray, switch: in
     return None
 
 
-def _slope(values: FloatArray, time: FloatArray) -> FloatArray:
+def lateral_speed(values: FloatArray, time: FloatArray) -> FloatArray:
+    """Slope of an offset (T,) m, m/s: of a parabola fitted over LATERAL_WINDOW_S (Savitzky and Golay 1964)."""
     step = float(np.median(np.diff(time)))
     window = round(LATERAL_WINDOW_S / step) | 1
     if len(values) < window:
         return np.gradient(values, time)
-    return np.asarray(savgol_filter(values, window, 2, deriv=1, delta=step), dtype=np.float64)
+    half = window // 2
+    weights = _parabola_slopes(window)
+    middle = np.correlate(values, weights[half], mode="valid")
+    return np.asarray(
+        np.concatenate([weights[:half] @ values[:window], middle, weights[half + 1 :] @ values[-window:]]) / step
+    )
+
+
+@cache
+def _parabola_slopes(window: int) -> FloatArray:
+    """(window, window): row k times the values of a window is the slope of the fitted parabola at its k-th point.
+
+    Row window // 2 is for the middle of a track, the others are for its ends.
+    """
+    x = np.arange(window) - window // 2
+    fit = np.linalg.pinv(np.vander(x.astype(np.float64), 3, increasing=True))
+    return np.asarray(fit[1] + 2 * x[:, None] * fit[2])
 
 
 def _edge(slope: FloatArray, known: BoolArray, at: int, direction: int, time: FloatArray) -> tuple[int, bool]:

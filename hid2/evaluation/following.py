@@ -97,22 +97,6 @@ def _leaders(
     return leader, gap
 
 
-def straightest_successors(lanes: FlatLanes) -> IntArray:
-    """(L,) the successor that turns least over the join and its own length, -1 where there is none."""
-    out = np.full(len(lanes.lane_ids), -1, dtype=np.int64)
-    for k, targets in enumerate(lanes.successors):
-        if not targets:
-            continue
-        here = _chord(lanes.lane_points(k)[-2:])
-        turns = [abs(math.remainder(_chord(lanes.lane_points(n)) - here, 2 * math.pi)) for n in targets]
-        out[k] = targets[int(np.argmin(turns))]
-    return out
-
-
-def _chord(points: FloatArray) -> float:
-    return math.atan2(float(points[-1, 1] - points[0, 1]), float(points[-1, 0] - points[0, 0]))
-
-
 def leaders(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> Leaders:
     """Leader of every vehicle row on its lane path: lane, the lanes it drives next, then the straightest successors.
 
@@ -132,7 +116,7 @@ def leaders(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> Leaders:
         arrays.width,
         lanes.length_m,
         successors,
-        straightest_successors(lanes),
+        lanes.straight,
         HORIZON_M,
     )
     speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])

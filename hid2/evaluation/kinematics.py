@@ -22,7 +22,8 @@ CURVATURE_SPEED_MPS = 1.0
 class Motion:
     """Derivatives at every row of a scene (N,), from positions and headings.
 
-    velocity, acceleration, jerk (N, 2) m/s, m/s2, m/s3; longitudinal and lateral to the heading; yaw in rad.
+    velocity, acceleration, jerk (N, 2) m/s, m/s2, m/s3; longitudinal and lateral to the heading; yaw in rad;
+    jerk_norm: JE, the magnitude of the derivative of the acceleration vector.
     """
 
     velocity: FloatArray
@@ -34,11 +35,7 @@ class Motion:
     longitudinal_jerk: FloatArray
     yaw_rate: FloatArray
     yaw_accel: FloatArray
-
-    @property
-    def jerk_norm(self) -> FloatArray:
-        """(N,) JE: magnitude of the derivative of the acceleration vector."""
-        return np.asarray(np.hypot(self.jerk[:, 0], self.jerk[:, 1]), dtype=np.float64)
+    jerk_norm: FloatArray
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -105,6 +102,7 @@ def motion(arrays: SceneArrays) -> Motion:
         longitudinal_jerk=derivative(longitudinal, arrays),
         yaw_rate=yaw_rate,
         yaw_accel=derivative(yaw_rate, arrays),
+        jerk_norm=np.hypot(jerk[:, 0], jerk[:, 1]),
     )
 
 

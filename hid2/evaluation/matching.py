@@ -5,6 +5,7 @@ picks the sequence that is near the centrelines and follows the map's links (New
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,7 +42,8 @@ class FlatLanes:
 
     lane_ids (L,); points (P, 2) m; s (P,) m along each lane; half_width (L,) m; box (L, 4) bounds, m;
     link (L, L): 0 the same lane or a successor, 1 a lane change (neighbour, or the successor of one), 2 neither;
-    left, right (L,): same-direction neighbour of a driven type, -1 where none; turn (L,): +1 left, -1 right, else 0.
+    left, right (L,): same-direction neighbour of a driven type, -1 where none; turn (L,): +1 left, -1 right, else 0;
+    straight (L,): the successor that turns least over the join and its own length, -1 where there is none.
     """
 
     lane_ids: IntArray
@@ -54,6 +56,7 @@ class FlatLanes:
     left: IntArray
     right: IntArray
     turn: IntArray
+    straight: IntArray
     successors: tuple[tuple[int, ...], ...]
     index_of: dict[int, int]
 
@@ -105,6 +108,7 @@ def flatten_lanes(graph: LaneGraph) -> FlatLanes:
                 side[name][k] = index_of[neighbor]
     sign = {TurnType.STRAIGHT: 0, TurnType.LEFT: 1, TurnType.RIGHT: -1}
     length = s[first[1:] - 1] if lanes else np.zeros(0)
+    centerlines = [lane.centerline for lane in lanes]
     return FlatLanes(
         lane_ids=np.array([lane.lane_id for lane in lanes], dtype=np.int64),
         points=np.ascontiguousarray(points, dtype=np.float64),
@@ -116,9 +120,24 @@ def flatten_lanes(graph: LaneGraph) -> FlatLanes:
         left=side["left"],
         right=side["right"],
         turn=np.array([sign[lane.turn] for lane in lanes], dtype=np.int64),
+        straight=_straightest(successors, centerlines),
         successors=successors,
         index_of=index_of,
     )
+
+
+def _straightest(successors: tuple[tuple[int, ...], ...], centerlines: Sequence[FloatArray]) -> IntArray:
+    out = np.full(len(successors), -1, dtype=np.int64)
+    for k, targets in enumerate(successors):
+        if targets:
+            here = _chord(centerlines[k][-2:])
+            turns = [abs(math.remainder(_chord(centerlines[n]) - here, 2 * math.pi)) for n in targets]
+            out[k] = targets[int(np.argmin(turns))]
+    return out
+
+
+def _chord(points: FloatArray) -> float:
+    return math.atan2(float(points[-1, 1] - points[0, 1]), float(points[-1, 0] - points[0, 0]))
 
 
 def _links(successors: tuple[tuple[int, ...], ...], left: IntArray, right: IntArray, length: FloatArray) -> IntArray:

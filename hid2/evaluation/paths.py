@@ -6,9 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hid2.agents import IntArray
 from hid2.evaluation.arrays import SceneArrays
-from hid2.evaluation.following import straightest_successors
 from hid2.evaluation.matching import FlatLanes, Matches
 from netconvert.geometry import Polyline
 
@@ -33,7 +31,6 @@ class LaneView:
     arrays: SceneArrays
     lanes: FlatLanes
     matches: Matches
-    straight: IntArray
 
 
 def first_lane_path(arrays: SceneArrays, lanes: FlatLanes, matches: Matches, agent: int) -> Polyline | None:
@@ -41,7 +38,7 @@ def first_lane_path(arrays: SceneArrays, lanes: FlatLanes, matches: Matches, age
 
     Its Frenet d is the lateral offset over time that shows a lane change as one smooth step.
     """
-    view = LaneView(arrays, lanes, matches, straightest_successors(lanes))
+    view = LaneView(arrays, lanes, matches)
     runs = [run for run in runs_of(view, agent) if run.lane >= 0]
     if not runs:
         return None
@@ -101,7 +98,7 @@ def _path(view: LaneView, chain: list[int], preferred: set[int]) -> tuple[Polyli
     while ahead < _PATH_AHEAD_M and len(lanes) < 100:
         targets = view.lanes.successors[lanes[-1]]
         wanted = [n for n in targets if n in preferred]
-        following = wanted[0] if wanted else int(view.straight[lanes[-1]])
+        following = wanted[0] if wanted else int(view.lanes.straight[lanes[-1]])
         if following < 0 or following in lanes:
             break
         lanes.append(following)

@@ -11,8 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import expit
-from scipy.stats import rankdata
 
 from hid2.agents import FloatArray, IntArray
 from hid2.evaluation.arrays import BoolArray, SceneArrays
@@ -59,10 +57,14 @@ def empty_histograms() -> Histograms:
 
 def histogram(feature: Feature, values: npt.ArrayLike) -> IntArray:
     """(bins * FINE,) counts of the values, those outside the range in the end bins."""
-    values = np.asarray(values, dtype=np.float64)
+    place = fine_bin(feature, np.asarray(values, dtype=np.float64))
+    return np.asarray(np.bincount(place, minlength=feature.bins * FINE), dtype=np.int64)
+
+
+def fine_bin(feature: Feature, values: FloatArray) -> IntArray:
+    """The fine bin of each value: the same shape."""
     fine = (values - feature.low) / (feature.high - feature.low) * feature.bins * FINE
-    index = np.clip(fine.astype(np.int64), 0, feature.bins * FINE - 1)
-    return np.asarray(np.bincount(index, minlength=feature.bins * FINE), dtype=np.int64)
+    return np.asarray(np.clip(fine.astype(np.int64), 0, feature.bins * FINE - 1))
 
 
 def jensen_shannon(feature: Feature, first: IntArray, second: IntArray) -> float | None:
@@ -182,29 +184,39 @@ def count_scene(
 
     generated, recorded (A,): the moving vehicles to compare.
     """
+    agents = np.flatnonzero(recorded)
+    # (SPLITS + 1, agents): which tracks each half holds, and in the last row all
+    member = np.ones((SPLITS + 1, len(agents)), dtype=bool)
+    for k, agent in enumerate(agents):
+        member[:-1, k] = half_of(scene, arrays.track_ids[agent])
+    number = np.full(arrays.num_agents, -1, dtype=np.int64)
+    number[agents] = np.arange(len(agents))
+    of_generated, owner = generated[arrays.agent], number[arrays.agent]
     counts = RealismCounts()
-    splits = {int(a): half_of(scene, arrays.track_ids[a]) for a in np.flatnonzero(recorded)}
     for feature in FEATURES[:-1]:
         values = features[feature.name]
         defined = np.isfinite(values)
-        counts.generated[feature.name] += histogram(feature, values[defined & generated[arrays.agent]])
-        for agent, split in splits.items():
-            rows = slice(int(arrays.first[agent]), int(arrays.first[agent + 1]))
-            _count(counts, feature, histogram(feature, values[rows][defined[rows]]), split)
+        counts.generated[feature.name] = histogram(feature, values[defined & of_generated])
+        rows = defined & (owner >= 0)
+        _count(counts, feature, values[rows], owner[rows], member)
     duration = FEATURES[-1]
-    for member in np.flatnonzero(generated | recorded):
-        found = histogram(duration, durations.get(arrays.track_ids[member], ()))
-        if generated[member]:
-            counts.generated[duration.name] += found
-        else:
-            _count(counts, duration, found, splits[int(member)])
+    seen = [(a, value) for a, name in enumerate(arrays.track_ids) for value in durations.get(name, ())]
+    counts.generated[duration.name] = histogram(duration, [value for a, value in seen if generated[a]])
+    mine = [(number[a], value) for a, value in seen if number[a] >= 0]
+    values, owners = np.array([v for _, v in mine]), np.array([n for n, _ in mine], dtype=np.int64)
+    _count(counts, duration, values, owners, member)
     return counts
 
 
-def _count(counts: RealismCounts, feature: Feature, found: IntArray, split: BoolArray) -> None:
-    counts.recorded[feature.name] += found
-    for k in np.flatnonzero(split):
-        counts.halves[k][feature.name] += found
+def _count(counts: RealismCounts, feature: Feature, values: FloatArray, owner: IntArray, member: BoolArray) -> None:
+    """Histograms of recorded values (V,), each of track `owner`, for every half in `member` and for all."""
+    place = fine_bin(feature, values)
+    for k, tracks in enumerate(member):
+        found = np.bincount(place[tracks[owner]], minlength=feature.bins * FINE)
+        if k < SPLITS:
+            counts.halves[k][feature.name] = found
+        else:
+            counts.recorded[feature.name] = found
 
 
 # Classifier two-sample test
@@ -228,7 +240,7 @@ def track_features(arrays: SceneArrays, moved: Motion, safe: Safety, agent: int)
     gap = safe.leaders.time_gap_s[rows]
     gap = gap[np.isfinite(gap)]
     accel, lateral = np.abs(moved.longitudinal_accel[rows]), np.abs(moved.lateral_accel[rows])
-    jerk, direction = moved.jerk_norm[rows], np.unwrap(safe.matches.direction[rows])
+    jerk, turn = moved.jerk_norm[rows], np.diff(safe.matches.direction[rows])
     return np.array(
         [
             speed.mean(),
@@ -237,18 +249,27 @@ def track_features(arrays: SceneArrays, moved: Motion, safe: Safety, agent: int)
             speed.max(),
             offset.mean() if len(offset) else 0.0,
             offset.std() if len(offset) else 0.0,
-            abs(direction[-1] - direction[0]),
-            min(float(np.median(gap)), 10.0) if len(gap) else 10.0,
+            abs(np.remainder(turn + np.pi, 2 * np.pi).sum() - np.pi * len(turn)),
+            min(_quantile(gap, 0.5), 10.0) if len(gap) else 10.0,
             len(gap) / len(speed),
             accel.mean(),
-            np.percentile(accel, 95),
+            _quantile(accel, 0.95),
             lateral.mean(),
-            np.percentile(lateral, 95),
+            _quantile(lateral, 0.95),
             np.abs(moved.yaw_rate[rows]).mean(),
             jerk.mean(),
-            np.percentile(jerk, 95),
+            _quantile(jerk, 0.95),
         ]
     )
+
+
+def _quantile(values: FloatArray, share: float) -> float:
+    """As numpy.quantile, without its checks, which take longer than the quantile."""
+    ordered = np.sort(values)
+    place = share * (len(ordered) - 1)
+    below = int(place)
+    above = min(below + 1, len(ordered) - 1)
+    return float(ordered[below] + (place - below) * (ordered[above] - ordered[below]))
 
 
 def area_under_curve(scores: FloatArray, labels: BoolArray) -> float | None:
@@ -257,7 +278,9 @@ def area_under_curve(scores: FloatArray, labels: BoolArray) -> float | None:
     negatives = len(labels) - positives
     if not positives or not negatives:
         return None
-    ranks = rankdata(scores)
+    # scipy.stats has both of these, and takes most of a second to import in every process
+    _, place, count = np.unique(scores, return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(count) - (count - 1) / 2)[place]
     return float((ranks[labels].sum() - positives * (positives + 1) / 2) / (positives * negatives))
 
 
@@ -272,7 +295,7 @@ def logistic_regression(x: FloatArray, y: BoolArray, *, ridge: float = 1.0) -> F
     penalty = np.diag([ridge] * x.shape[1] + [1e-6])
     weights = np.zeros(design.shape[1])
     for _ in range(50):
-        p = expit(design @ weights)
+        p = 1.0 / (1.0 + np.exp(-np.clip(design @ weights, -500.0, 500.0)))
         gradient = design.T @ (balance * (p - target)) + penalty @ weights
         hessian = (design * (balance * p * (1 - p))[:, None]).T @ design + penalty
         step = np.linalg.solve(hessian, gradient)

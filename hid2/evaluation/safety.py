@@ -29,6 +29,9 @@ CAP_S = 5.0
 CROSSING_RAD = math.radians(30)
 #: Slower vehicles drive neither with nor against a lane.
 WRONG_WAY_SPEED_MPS = 1.0
+#: Chords of a quarter circle, and slack against rounding, where the drivable area is widened.
+_ARC = 16
+_MARGIN_M = 1e-4
 
 
 class Overlap(NamedTuple):
@@ -103,8 +106,30 @@ def off_road(position: FloatArray, graph: LaneGraph) -> BoolArray:
     return np.asarray(~shapely.intersects_xy(area, position[:, 0], position[:, 1]))
 
 
-def off_footprint(arrays: SceneArrays, graph: LaneGraph, *, tolerance_m: float = FOOTPRINT_TOLERANCE_M) -> BoolArray:
-    """Rows (N,) whose box has a corner more than `tolerance_m` outside the drivable area."""
+@dataclass(frozen=True, eq=False, slots=True)
+class Ground:
+    """What the measures need of a map, worked out once for all scenes on it.
+
+    near, far: the drivable area, widened by a little less and a little more than the footprint's tolerance, prepared.
+    """
+
+    graph: LaneGraph
+    lanes: FlatLanes
+    near: shapely.Geometry
+    far: shapely.Geometry
+
+
+def survey(graph: LaneGraph) -> Ground:
+    """Work out what the measures need of a map."""
+    # a polygon inscribed in the widened area, and one around it: quarter circles of _ARC chords
+    near = graph.drivable.buffer(FOOTPRINT_TOLERANCE_M - _MARGIN_M, quad_segs=_ARC)
+    far = graph.drivable.buffer(FOOTPRINT_TOLERANCE_M / math.cos(math.pi / (4 * _ARC)) + _MARGIN_M, quad_segs=_ARC)
+    shapely.prepare([near, far])
+    return Ground(graph, flatten_lanes(graph), near, far)
+
+
+def off_footprint(arrays: SceneArrays, ground: Ground) -> BoolArray:
+    """Rows (N,) whose box has a corner more than FOOTPRINT_TOLERANCE_M outside the drivable area."""
     if not len(arrays.agent):
         return np.zeros(0, dtype=bool)
     corners = box_corners(
@@ -113,9 +138,13 @@ def off_footprint(arrays: SceneArrays, graph: LaneGraph, *, tolerance_m: float =
         length_m=arrays.length[arrays.agent],
         width_m=arrays.width[arrays.agent],
     ).reshape(-1, 2)
-    outside = off_road(corners, graph)
-    points = shapely.points(corners[outside])
-    outside[outside] = ~shapely.dwithin(graph.drivable, points, tolerance_m)
+    outside = off_road(corners, ground.graph)
+    outside[outside] = ~shapely.intersects_xy(ground.near, corners[outside, 0], corners[outside, 1])
+    # the distance itself only where it is within millimetres of the tolerance
+    doubtful = np.flatnonzero(outside)
+    doubtful = doubtful[shapely.intersects_xy(ground.far, corners[doubtful, 0], corners[doubtful, 1])]
+    points = shapely.points(corners[doubtful])
+    outside[doubtful] = ~shapely.dwithin(ground.graph.drivable, points, FOOTPRINT_TOLERANCE_M)
     return np.asarray(outside.reshape(-1, 4).any(axis=1))
 
 
@@ -139,9 +168,9 @@ def encroachments(arrays: SceneArrays) -> tuple[Encroachment, ...]:
     )
 
 
-def safety(arrays: SceneArrays, graph: LaneGraph) -> Safety:
+def safety(arrays: SceneArrays, ground: Ground) -> Safety:
     """Every measure of safety of a scene."""
-    lanes = flatten_lanes(graph)
+    lanes = ground.lanes
     matches, against = match_lanes(arrays, lanes)
     ttc, _ = time_to_collision(
         arrays.position,
@@ -156,8 +185,8 @@ def safety(arrays: SceneArrays, graph: LaneGraph) -> Safety:
     return Safety(
         overlaps=overlaps(arrays),
         encroachments=encroachments(arrays),
-        off_road=off_road(arrays.position, graph),
-        off_footprint=off_footprint(arrays, graph),
+        off_road=off_road(arrays.position, ground.graph),
+        off_footprint=off_footprint(arrays, ground),
         against_lane=against & fast,
         ttc_s=ttc,
         leaders=leaders(arrays, lanes, matches),

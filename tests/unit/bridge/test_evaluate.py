@@ -11,7 +11,7 @@ import pytest
 from bridge.aggregate import KINEMATIC, estimate, ratio_estimate
 from bridge.evaluate import evaluate_folder
 from bridge.scenario import find_scenarios, read_scenario
-from bridge.scene_metrics import measure_folder
+from bridge.scene_metrics import Maps, measure_folder
 from hid2.params import Limits
 from netconvert.errors import ExportError, ScenarioError
 
@@ -137,7 +137,7 @@ def test_no_interval_from_one_source_and_no_value_from_none():
 
 def test_maneuvers_of_the_sidecar_are_found_again(made_scene):
     """What was done is seen in the positions: every done record has a manoeuvre seen beside it."""
-    rows = measure_folder(made_scene, Limits()).maneuvers
+    rows = measure_folder(made_scene, Limits(), Maps()).maneuvers
     done = [row for row in rows if row["status"] == "done"]
     assert done
     assert all(row["seen"] is not None for row in done)

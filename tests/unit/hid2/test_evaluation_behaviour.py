@@ -7,10 +7,11 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import savgol_filter
 
 from hid2.agents import BoxSize, Policy, Track
 from hid2.evaluation.arrays import stack
-from hid2.evaluation.behaviour import ManeuverKind, detect, policies
+from hid2.evaluation.behaviour import ManeuverKind, detect, lateral_speed, policies
 from hid2.evaluation.matching import flatten_lanes, match_lanes
 from netconvert.lane_graph import LaneGraph
 
@@ -208,3 +209,11 @@ def test_everything_works_at_fifty_steps_too(road):
     time = TIME[:50]
     (found,) = seen(road(length_m=200), along(20 + 10 * time, shift(0.8, 3.0, time=time)))
     assert found.kind is ManeuverKind.LANE_CHANGE
+
+
+@pytest.mark.parametrize("steps", [11, 12, 110])
+def test_lateral_speed_is_savitzkys_and_golays(steps):
+    """A window of 1.1 s is 11 points at 0.1 s; at the ends the parabola of the outermost window is used."""
+    values = np.random.default_rng(0).normal(size=steps).cumsum()
+    expected = savgol_filter(values, 11, 2, deriv=1, delta=0.1)
+    assert lateral_speed(values, 0.1 * np.arange(steps)) == pytest.approx(expected, abs=1e-9)

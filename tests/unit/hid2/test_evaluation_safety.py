@@ -14,7 +14,7 @@ from hid2.evaluation.arrays import between_steps, stack
 from hid2.evaluation.boxes import contact_time, pairwise_overlap
 from hid2.evaluation.following import leaders
 from hid2.evaluation.matching import flatten_lanes, match_lanes
-from hid2.evaluation.safety import encroachments, off_footprint, overlaps, safety
+from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, encroachments, off_footprint, overlaps, safety, survey
 from netconvert.lane_graph import LaneGraph
 
 
@@ -73,7 +73,7 @@ def test_ttc_of_a_car_that_closes_on_a_standing_one(road):
     arrays = stack(
         [drive(0, speed=8.0, steps=10, name="a"), drive(20, steps=10, name="b"), drive(100, 3.5, steps=10, name="c")]
     )
-    safe = safety(arrays, road())
+    safe = safety(arrays, survey(road()))
     np.testing.assert_allclose(safe.ttc_s[:10], 2.0 - 0.1 * np.arange(10), atol=1e-9)
     np.testing.assert_allclose(safe.ttc_s[10:20], safe.ttc_s[:10])
     np.testing.assert_allclose(safe.ttc_s[20:], 5.0)
@@ -88,12 +88,12 @@ def test_ttc_sees_a_crossing_vehicle_that_no_lane_leads_to(road):
     arrays = stack(
         [drive(0, speed=10.0, steps=2, name="a"), drive(30, -30, math.pi / 2, speed=10.0, steps=2, name="b")]
     )
-    assert safety(arrays, road()).ttc_s[0] == pytest.approx(2.7)
+    assert safety(arrays, survey(road())).ttc_s[0] == pytest.approx(2.7)
 
 
 def test_overlapping_boxes_have_ttc_zero(road):
     arrays = stack([drive(0, speed=5.0, steps=2, name="a"), drive(1, steps=2, name="b")])
-    assert safety(arrays, road()).ttc_s.max() == 0.0
+    assert safety(arrays, survey(road())).ttc_s.max() == 0.0
 
 
 def test_pet_is_the_time_between_leaving_and_reaching_the_shared_ground():
@@ -118,7 +118,21 @@ def test_following_and_meeting_are_no_crossings():
 def test_footprint_allows_thirty_centimetres(road):
     """Right edge of the area at y = -1.75. A box of 2 m width at y = -1.0 reaches -2.0 (0.25 m out), at -1.1 0.35 m."""
     arrays = stack([drive(50, -1.0, steps=1, name="a"), drive(80, -1.1, steps=1, name="b")])
-    assert off_footprint(arrays, road()).tolist() == [False, True]
+    assert off_footprint(arrays, survey(road())).tolist() == [False, True]
+
+
+@pytest.mark.parametrize("beyond_m", [-1e-3, -1e-5, 1e-5, 1e-3])
+def test_footprint_round_a_convex_corner_is_measured_by_distance(road, beyond_m):
+    """The area's corner (x, -1.75): a point beside it is off where it is over 0.3 m away, whatever the direction.
+
+    Vehicles almost without extent, at 0.3 m and a little, all round the corner that points away from the area.
+    """
+    graph = road()
+    corner = np.array(graph.drivable.bounds[2:0:-1])  # right, lower
+    angle = np.linspace(-math.pi / 2, 0.0, 61)
+    places = corner + (FOOTPRINT_TOLERANCE_M + beyond_m) * np.column_stack([np.cos(angle), np.sin(angle)])
+    arrays = stack([drive(x, y, steps=1, name=f"{k}", size=(1e-9, 1e-9)) for k, (x, y) in enumerate(places)])
+    assert (off_footprint(arrays, survey(graph)) == (beyond_m > 0)).all()
 
 
 def test_leader_gap_time_gap_headway_and_ttc(road):
@@ -178,7 +192,7 @@ def test_driving_against_the_lane_is_seen_and_parking_across_it_is_not(road):
     right = drive(50, 3.5, 0.0, speed=8.0, name="right")
     parked = drive(180, 0, math.pi, name="parked")
     arrays = stack([wrong, right, parked])
-    share = arrays.mean_per_agent(safety(arrays, graph).against_lane.astype(float))
+    share = arrays.mean_per_agent(safety(arrays, survey(graph)).against_lane.astype(float))
     assert share.tolist() == [1.0, 0.0, 0.0]
 
 
@@ -218,6 +232,6 @@ def test_between_steps_turns_the_short_way_and_keeps_gaps():
 
 def test_a_scene_without_agents_has_nothing_to_report(road):
     arrays = stack([], num_steps=110)
-    safe = safety(arrays, road())
+    safe = safety(arrays, survey(road()))
     assert safe.overlaps == ()
     assert len(safe.ttc_s) == 0
