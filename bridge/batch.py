@@ -11,14 +11,22 @@ import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import version as installed_version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from bridge.config import config_sha256
 from bridge.engine import Outcome, Settings, Task, execute
 from bridge.isolation import Failure
-from bridge.manifest import DONE, QUARANTINED, Manifest, ManifestRow, files_sha256, output_files, source_files
+from bridge.manifest import (
+    DONE,
+    QUARANTINED,
+    Manifest,
+    ManifestRow,
+    code_version,
+    files_sha256,
+    output_files,
+    source_files,
+)
 from bridge.quarantine import Bundle, read_bundle, write_bundle
 from bridge.scenario import SPLITS
 from hid2.params import Config
@@ -161,7 +169,7 @@ def base_row(place: Place, run: Run) -> ManifestRow:
         status=DONE,
         requested=str(run.config.request.agents),
         config_sha256=config_sha256(run.config),
-        version=installed_version("hid2-sumo"),
+        version=code_version(),
     )
 
 
@@ -225,8 +233,11 @@ def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options
     run: Run = outcome.item
     failure = outcome.failure or (outcome.value if isinstance(outcome.value, Failure) else None)
     row = base_row(place, run) if failure else outcome.value
-    if row.version != installed_version("hid2-sumo"):
-        raise BatchError(f"a worker runs hid2-sumo {row.version}, want {installed_version('hid2-sumo')} as here")
+    if row.version != code_version():
+        raise BatchError(
+            f"a worker runs hid2-sumo {row.version}, want {code_version()} as here "
+            "(installed from other source, or edited while the batch ran)"
+        )
     row = row._replace(attempts=outcome.attempts, seconds=round(outcome.seconds, 3), source_sha256=source_sha256)
     name = f"{row.scenario}_{row.config_sha256[:8]}_{row.variant}.zip"
     path = place.out / QUARANTINE / (row.split or ".") / name

@@ -13,6 +13,11 @@ from hid2.agents import Policy
 from hid2.evaluation.realism import FEATURES, FINE, RealismCounts
 
 
+def reason_words(reason: str) -> str:
+    """A reason of the sidecar as a reader would say it."""
+    return reason.replace("no_place:", "no place found: ").replace("_", " ")
+
+
 def distribution_figure(counts: RealismCounts) -> Figure:
     """Generated and recorded distribution of every feature as steps over the same bins."""
     figure, axes = plt.subplots(2, 4, figsize=(13, 5.6), layout="constrained")
@@ -67,7 +72,7 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
 
 def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[int, Estimate]]]]) -> Figure:
     """The paper's figure of added agents: LO, LA, JE, SCR, ORR against the number added; series[metric][group]."""
-    figure, axes = plt.subplots(1, len(series), figsize=(3.1 * len(series), 3.2), layout="constrained")
+    figure, axes = plt.subplots(1, len(series), figsize=(3.0 * len(series), 3.4), layout="constrained")
     labels = {"lo": "LO, m/s²", "la": "LA, m/s²", "je": "JE, m/s³", "scr": "SCR, share", "orr": "ORR, share"}
     looks = {"combined": (figures.COMBINED, "-", "o"), "generated": (figures.GENERATED, "--", "s")}
     for ax, (metric, groups) in zip(axes, series.items(), strict=True):
@@ -84,9 +89,9 @@ def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[int, Estimat
                 ax.fill_between(
                     [b[0] for b in band], [b[1] for b in band], [b[2] for b in band], color=color, alpha=0.15
                 )
-        ax.set_xlabel("vehicles added")
-        ax.set_ylabel(labels[metric])
+        ax.set_xlabel("vehicles asked for")
+        ax.set_title(labels[metric])
         ax.set_ylim(bottom=0)
         ax.set_xticks(sorted({x for points in groups.values() for x, _ in points}))
-    axes[0].legend(fontsize=7, loc="lower left")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure

@@ -368,7 +368,9 @@ def paper(
     experiment: Annotated[str, typer.Argument(metavar="table1|ablation|density|diversity", help="Which experiment.")],
     out: Out,
     *,
-    scenes: Annotated[Path, typer.Option(help="Recorded scenes to run it on.")] = Path("data/av2"),
+    scenes: Annotated[Path, typer.Option(help="Recorded scenes; diversity needs real ones of over 40 agents.")] = Path(
+        "data/av2"
+    ),
     seeds: Annotated[int, typer.Option(min=1, help="Seeds per scene.")] = 10,
     agents: Annotated[int, typer.Option(min=0, help="Vehicles added, but for density.")] = 10,
     jobs: Jobs = 1,

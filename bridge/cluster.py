@@ -5,6 +5,7 @@
 import contextlib
 import itertools
 import logging
+import multiprocessing
 import pickle
 import queue
 import signal
@@ -16,7 +17,7 @@ from functools import partial
 from typing import Any, cast
 
 import dask
-from distributed import Client, KilledWorker, LocalCluster, Worker, as_completed, get_worker
+from distributed import Client, KilledWorker, LocalCluster, Worker, get_worker
 from distributed.diagnostics.plugin import WorkerPlugin
 
 from bridge.engine import Outcome, Result, Settings, Task, new_process, run_task
@@ -30,8 +31,16 @@ _AHEAD = 2
 _LOOK_UP_S = 2.0
 #: Seconds to reach a scheduler.
 _CONNECT_S = 10
+#: Seconds for which a scheduler may have no workers at all.
+_WORKERS_S = 300.0
+_NO_WORKERS = (
+    "scheduler {where}: no workers for {seconds:g} s, want some on each host: dask worker {where} --nthreads 1 "
+    "(then go on with --resume)"
+)
 #: Tries to start a local cluster: a worker that is killed as it starts takes the cluster with it.
 _STARTS = 3
+
+_LOG = logging.getLogger(__name__)
 
 
 def execute_on_dask(tasks: Iterable[Task], *, jobs: int, scheduler: str | None, settings: Settings) -> Iterator[Result]:
@@ -43,21 +52,30 @@ def execute_on_dask(tasks: Iterable[Task], *, jobs: int, scheduler: str | None, 
     number = itertools.count()
     with _client(jobs, scheduler) as client:
         client.register_plugin(SceneProcesses(settings, own_cluster=scheduler is None), name=_PLUGIN)
-        completed = as_completed(loop=client.loop)
+        completed: queue.SimpleQueue[Any] = queue.SimpleQueue()
         running: dict[object, Task] = {}
-        room, looked_up = 0, -_LOOK_UP_S
+        room, looked_up, staffed = 0, -_LOOK_UP_S, time.monotonic()
+        where = scheduler or "of this machine"
         while True:
-            if time.monotonic() - looked_up >= _LOOK_UP_S:
-                room, looked_up = _AHEAD * max(1, sum(client.nthreads().values())), time.monotonic()
+            now = time.monotonic()
+            if now - looked_up >= _LOOK_UP_S:
+                threads = sum(client.nthreads().values())
+                if not threads and now - staffed >= _WORKERS_S:
+                    raise BatchError(_NO_WORKERS.format(where=where, seconds=_WORKERS_S))
+                if not threads and room == 0:
+                    _LOG.warning("scheduler %s has no workers yet: waiting for %g s", where, _WORKERS_S)
+                staffed = now if threads else staffed
+                room, looked_up = _AHEAD * max(1, threads), now
             while len(running) < room and (task := next(waiting, None)) is not None:
                 future = client.submit(_run_on_worker, _packed(task), key=f"{task.key}-{next(number)}-{time.time_ns()}")
                 running[future.key] = task
-                completed.add(future)
+                future.add_done_callback(completed.put)
             if not running:
                 return
-            future = next(completed)
-            yield _result(future, running.pop(future.key), scheduler or "of this machine")
-            future.release()
+            with contextlib.suppress(queue.Empty):
+                future = completed.get(timeout=_LOOK_UP_S)
+                yield _result(future, running.pop(future.key), where)
+                future.release()
 
 
 def _result(future: Any, task: Task, where: str) -> Result:  # noqa: ANN401  # a Future, generic or not by release
@@ -146,6 +164,7 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
 
 
 def _local_cluster(jobs: int) -> LocalCluster:
+    _check_semaphores(jobs)
     for attempt in range(1, _STARTS + 1):
         try:
             return LocalCluster(
@@ -160,3 +179,14 @@ def _local_cluster(jobs: int) -> LocalCluster:
             if attempt == _STARTS:
                 raise BatchError(f"{jobs} Dask workers cannot be started on this machine ({error})") from error
     raise AssertionError
+
+
+def _check_semaphores(jobs: int) -> None:
+    """Dask's processes share semaphores, which Linux keeps in /dev/shm; its own message does not say so."""
+    try:
+        multiprocessing.get_context("spawn").Lock()
+    except OSError as error:
+        raise BatchError(
+            f"{jobs} Dask workers cannot be started on this machine: no semaphores ({error.strerror or error}), want a "
+            "writable /dev/shm, or --jobs 1, which works without"
+        ) from error

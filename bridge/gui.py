@@ -23,6 +23,7 @@ from netconvert.net_xml import write_net
 _KEEP_ROUTE = 6
 _MATCH_M = 3.0
 _MARGIN_M = 20.0
+_HOW = "want: sh setup.sh tests, or in an environment of your own: pip install 'eclipse-sumo==1.28.*' 'traci==1.28.*'"
 
 
 def play_scene(
@@ -78,7 +79,7 @@ def _traci() -> ModuleType:
     try:
         return import_module("traci")
     except ModuleNotFoundError:
-        raise SimulationError("traci is not installed, want: pip install 'hid2-sumo[gui]'") from None
+        raise SimulationError(f"traci is not installed, {_HOW}") from None
     finally:
         if setting is not None:
             os.environ["LIBSUMO_AS_TRACI"] = setting
@@ -90,7 +91,7 @@ def _binary() -> str:
     beside = Path(sys.executable).with_name("sumo-gui")
     binary = str(beside) if beside.is_file() else shutil.which("sumo-gui")
     if binary is None:
-        raise SimulationError("sumo-gui is not installed, want: pip install 'hid2-sumo[gui]'")
+        raise SimulationError(f"sumo-gui is not installed, {_HOW}")
     return binary
 
 

@@ -4,8 +4,14 @@ import csv
 import hashlib
 import os
 from collections.abc import Iterable
+from functools import cache
+from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import bridge
+import hid2
+import netconvert
 
 MANIFEST_NAME = "manifest.csv"
 
@@ -18,7 +24,8 @@ class ManifestRow(NamedTuple):
 
     scenario: name of the source folder; requested: number, or "max"; maneuvers_*: records of the sidecar; rejected,
     not_done: "reason (count)" joined by "; "; failure: error, exception, crashed, killed or timeout; bundle: file that
-    reproduces the failure, below the output folder; *_sha256: contents of the source's and of the written files.
+    reproduces the failure, below the output folder; *_sha256: contents of the source's and of the written files;
+    version: of the program, by its contents too (`code_version`).
     """
 
     scenario: str
@@ -126,6 +133,19 @@ def files_sha256(paths: Iterable[Path]) -> str:
         digest.update(content)
         found = True
     return digest.hexdigest() if found else ""
+
+
+@cache
+def code_version() -> str:
+    """Version of the program with a digest of its source, "0.1.0+3f2a...": edited code is another version."""
+    digest = hashlib.sha256()
+    for package in (netconvert, hid2, bridge):
+        for place in package.__path__:
+            for path in sorted(Path(place).rglob("*.py")):
+                content = path.read_bytes()
+                digest.update(f"{package.__name__}/{path.relative_to(place).as_posix()} {len(content)}\n".encode())
+                digest.update(content)
+    return f"{installed_version('hid2-sumo')}+{digest.hexdigest()[:12]}"
 
 
 def source_files(folder: Path) -> list[Path]:

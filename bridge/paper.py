@@ -37,8 +37,9 @@ PAPER_ABLATION: Mapping[str, Mapping[str, float]] = {
     "collision": {"lo": 1.449, "la": 0.433, "je": 7.087, "scr": 0.282, "orr": 0.125},
     "smoothing": {"lo": 2.379, "la": 1.188, "je": 9.156, "scr": 0.072, "orr": 0.141},
 }
-_NAMES = {"full": "everything on", "hid2": "in the mean", "dense": "default mix", "rare": "rare behaviours"}
+_NAMES = {"full": "with everything on", "dense": "with the default mix", "rare": "with a mix of rare behaviours"}
 _NAMES |= {part: f"without {part}" for part in ("topology", "collision", "smoothing")}
+_NAMES |= {str(number): f"where {number} were asked for" for number in ADDED}
 #: The mix of the diversity experiment: the paper's underrepresented behaviours.
 _RARE_MIX = {"straight": 0.2, "left_turn": 0.2, "right_turn": 0.2, "lane_change": 0.25, "overtake": 0.15}
 #: The paper's templates have more tracks than this.
@@ -85,7 +86,10 @@ def run_experiment(
     if name == "diversity":
         folders = [folder for folder in folders if len(read_scenario(folder).tracks) > TEMPLATE_AGENTS]
         if not folders:
-            raise ScenarioError(f"{scenes}: no scene of more than {TEMPLATE_AGENTS} agents, want some as templates")
+            raise ScenarioError(
+                f"{scenes}: no scene of more than {TEMPLATE_AGENTS} agents, which diversity takes as its templates: "
+                "want --scenes DIR with real ones"
+            )
     outcomes = _run(folders, _settings(name, agents), seeds=seeds, jobs=jobs, on_scene=on_scene)
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
@@ -219,8 +223,8 @@ def _lines(name: Experiment, outcomes: Sequence[Outcome]) -> list[_Line]:
         line
         for outcome in outcomes
         for line in (
-            _ours(f"{outcome.setting.name} added: recorded and generated", outcome.rows, "combined"),
-            _ours(f"{outcome.setting.name} added: generated alone", outcome.rows, "generated"),
+            _ours(f"{outcome.setting.name} asked for: recorded and generated", outcome.rows, "combined"),
+            _ours(f"{outcome.setting.name} asked for: generated alone", outcome.rows, "generated"),
         )
         if outcome.setting.config is not None or "alone" not in line.label
     ]
@@ -270,7 +274,8 @@ def _write(
 _DENSITY_CAPTION = (
     "Each panel: the measure against the number of vehicles asked for in each scene. Solid: recorded and "
     "generated together, "
-    "with the 95 % interval over scenes; dashed: generated vehicles alone."
+    "with the 95 % interval over recorded scenes (few scenes, wide interval: it is the same scenes at every number, so "
+    "that the slope is surer than the level); dashed: generated vehicles alone."
 )
 
 
@@ -291,25 +296,41 @@ def _density(series: Mapping[int, tuple[Sequence[Row], bool]]) -> dict[str, dict
 
 def _about(name: Experiment, outcomes: Sequence[Outcome], *, seeds: int, sources: int, agents: int) -> str:
     placed = [
-        f"{_NAMES.get(o.setting.name, o.setting.name + ' added')}: "
-        f"{sum(row['generated'] for row in o.rows) / max(1, len(o.rows)):.1f} placed in a scene"
+        f"{sum(row['generated'] for row in o.rows) / max(1, len(o.rows)):.1f} {_NAMES.get(o.setting.name, '')}".strip()
         for o in outcomes
         if o.setting.config is not None
     ]
     failures = [f"{o.setting.name}, {failure}" for o in outcomes for failure in o.failures]
     asked = "0 to 40 vehicles" if name == "density" else f"{agents} vehicles"
     text = (
-        f"<p>{sources} recorded scenes of Argoverse 2, seeds 0 to {seeds - 1}, {asked} added. "
-        f"{'; '.join(placed)}. Small print: "
-        "95 % interval by bootstrap over recorded scenes (all seeds of a scene are drawn together). The "
-        "paper's lines are "
-        "its own figures on its own, far larger, choice of scenes; what can be compared is the change from recorded to "
-        "generated, not the level. Generated vehicles alone are held against every road user for SCR.</p>"
-        "<p>The paper's figures for Argoverse 1 have no counterpart here: its scenes are not in this format.</p>"
+        f"<p>{sources} recorded scene{'s' if sources > 1 else ''}, each with seeds 0 to {seeds - 1}, {asked} asked for."
+        f" Placed in a scene, in the mean: {', '.join(placed)}.</p>"
     )
+    if name != "diversity":
+        text += _COLUMNS_TEXT
+    if name == "ablation":
+        text += _ABLATION_TEXT
     if failures:
         text += "<p class=bad>Not generated:</p><ul>" + "".join(f"<li>{line}</li>" for line in failures) + "</ul>"
     return text
+
+
+_COLUMNS_TEXT = (
+    "<p><b>LO</b>, <b>LA</b>, <b>JE</b>: mean magnitude of longitudinal acceleration, lateral acceleration and jerk, "
+    "from positions, over all road users. <b>SCR</b>: share of vehicles whose box overlaps another one's (IoU above "
+    "0.02) at some step. <b>ORR</b>: share of positions off the drivable area; <b>footprint ORR</b>: share of boxes "
+    "with a corner more than 0.3 m off it. Lower is smoother or safer; recorded tracks carry tracker noise, so that "
+    "even perfect driving beside them lowers every mean. Generated vehicles alone are held against every road user for "
+    "SCR, the other rows against vehicles.</p><p>Small print: 95 % interval by bootstrap over recorded scenes (all "
+    "seeds of a scene are drawn together). The paper's lines, without interval, are its own figures for Argoverse 2, "
+    "on its own, far larger choice of scenes: compare the change from row to row, not the level.</p>"
+)
+_ABLATION_TEXT = (
+    "<p>Without <b>topology</b> vehicles drive straight on where they are, whatever the lanes do: smooth, off the road."
+    " Without <b>collision</b> checks they keep to their lanes and run into others. Without <b>smoothing</b> the raw "
+    "simulated motion is exported: safe, with jerks. Each shows in the rows of generated vehicles alone; the others "
+    "dilute it.</p>"
+)
 
 
 def _html_table(lines: Sequence[_Line]) -> str:

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 
 from bridge import figures
 from bridge.aggregate import Estimate, ratio_estimate
+from bridge.charts import reason_words
 
 if TYPE_CHECKING:
     from bridge.study import Study
@@ -97,7 +98,7 @@ def _draw(study: "Study", records: Sequence[Record], key: str, path: Path) -> No
     scenes = len({record["scene"] for record in records})
     runs = len({(record["scene"], record["point"], record["seed"]) for record in records})
     figure.suptitle(
-        f"{study.name}: {study.kind.replace('_', ' ')}, {len(records)} requests in {runs} runs on "
+        f"{study.name.replace('_', ' ')}: {study.kind.replace('_', ' ')}, {len(records)} requests in {runs} runs on "
         f"{scenes} scene{'s' if scenes > 1 else ''}; bars: 95 % intervals, bootstrap over runs",
         fontsize=10,
     )
@@ -160,7 +161,7 @@ def _reasons(axes: Axes, x: "np.typing.NDArray[np.float64]", groups: Sequence[Se
             ]
         )
         if share.any():
-            axes.bar(x, share, width, bottom=bottom, color=_REASON_COLORS[number], label=reason.replace("_", " "))
+            axes.bar(x, share, width, bottom=bottom, color=_REASON_COLORS[number], label=reason_words(reason))
             bottom += share
     axes.set_title("not done, share of requests by reason")
     axes.set_ylim(0, 1)

@@ -1,6 +1,7 @@
 """Batches: manifest, quarantine, resume, interruption, faults; the work is that of faults.py, which is quick."""
 
 import csv
+import errno
 import os
 import shutil
 import signal
@@ -13,11 +14,12 @@ from pathlib import Path
 
 import psutil
 import pytest
+from distributed import LocalCluster
 from processes import still_running
 
 from bridge.batch import Options, plan, reproduce, run_batch
 from bridge.config import load_config
-from bridge.manifest import DONE, QUARANTINED, ManifestRow, files_sha256, output_files
+from bridge.manifest import DONE, QUARANTINED, ManifestRow, code_version, files_sha256, output_files
 from hid2.params import Config
 from netconvert.errors import BatchError
 
@@ -153,6 +155,16 @@ class TestResume:
         assert self.redone(folders, out) == ["scene-000", "scene-002"]
         assert len(contents(out)) == len(before) + 1
 
+    def test_scene_made_by_other_code_of_the_same_version_is_redone(self, first: tuple[list[Path], Path]) -> None:
+        folders, out = first
+        lines = (out / "manifest.csv").read_text().splitlines(keepends=True)
+        assert all(line.rstrip().endswith(code_version()) for line in lines[1:])
+        number, _, digest = code_version().partition("+")
+        lines[2] = lines[2].replace(digest, "0" * len(digest))
+        (out / "manifest.csv").write_text("".join(lines))
+        assert code_version() == f"{number}+{digest}"
+        assert self.redone(folders, out) == ["scene-001"]
+
     def test_scene_without_a_row_is_redone(self, first: tuple[list[Path], Path]) -> None:
         folders, out = first
         lines = (out / "manifest.csv").read_text().splitlines(keepends=True)
@@ -191,6 +203,30 @@ def test_second_batch_on_the_same_folder_is_refused(make_data_set: MakeDataSet, 
 def test_worker_of_another_version_ends_the_batch(make_data_set: MakeDataSet, tmp_path: Path) -> None:
     with pytest.raises(BatchError, match=r"a worker runs hid2-sumo 0\.0\.1"):
         run_batch(plan(make_data_set(1), Config()), tmp_path / "out", Options(function="faults:other_version"))
+
+
+def test_scheduler_that_gets_no_workers_is_given_up(
+    make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bridge.cluster._WORKERS_S", 1.0)
+    with LocalCluster(n_workers=0, processes=False, dashboard_address=None, host="127.0.0.1", protocol="tcp") as nobody:
+        address = nobody.scheduler_address
+        with pytest.raises(BatchError, match=rf"scheduler {address}: no workers for 1 s, want some .*dask worker"):
+            run_batch(plan(make_data_set(1), Config()), tmp_path / "out", Options(scheduler=address, function=COPIES))
+    assert_nothing_half_written(tmp_path / "out")
+
+
+def test_a_machine_without_semaphores_is_explained(
+    make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What Python says where /dev/shm is read-only; Dask's own message would be that a nanny failed to start."""
+
+    def read_only(_: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr("multiprocessing.context.BaseContext.Lock", read_only)
+    with pytest.raises(BatchError, match=r"no semaphores \(Read-only file system\), want a writable /dev/shm"):
+        run_batch(plan(make_data_set(2), Config()), tmp_path / "out", Options(jobs=2, function=COPIES))
 
 
 RUN = """

@@ -59,7 +59,7 @@ def test_ablation_switches_one_component_off_at_a_time(data_scenes, tmp_path):
 def test_density_begins_with_nothing_added(data_scenes, tmp_path):
     run_experiment("density", scenes=data_scenes["curve"], out_dir=tmp_path, seeds=1)
     found = lines(tmp_path / "density.json")
-    assert "0 added: generated alone" not in found
+    assert "0 asked for: generated alone" not in found
     assert [name.split()[0] for name in found if "recorded and" in name] == ["0", "5", "10", "20", "40"]
     assert (tmp_path / "density.png").stat().st_size > 10_000
 
