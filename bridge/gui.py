@@ -98,8 +98,7 @@ def _binary() -> str:
 def _play(traci: ModuleType, scenario: Scenario, last: int) -> None:
     colors = paints(scenario)
     _look(traci, scenario)
-    edge = next(edge for edge in traci.edge.getIDList() if not edge.startswith(":"))
-    traci.route.add("anywhere", [edge])
+    traci.route.add("anywhere", [_any_edge(traci)])
     poses = {
         track.track_id: sumo_poses(track.position, track.heading, np.full(len(track.timesteps), track.size.length_m))
         for track in scenario.tracks
@@ -123,6 +122,13 @@ def _play(traci: ModuleType, scenario: Scenario, last: int) -> None:
                 keepRoute=_KEEP_ROUTE, matchThreshold=_MATCH_M,
             )  # fmt: skip
         traci.simulationStep()
+
+
+def _any_edge(traci: ModuleType) -> str:
+    """An edge that cars may use: where vehicles enter before they are moved to their places; not a bicycle lane."""
+    lanes = (lane for lane in traci.lane.getIDList() if not lane.startswith(":"))
+    lane = next(lane for lane in lanes if not (allowed := traci.lane.getAllowed(lane)) or "passenger" in allowed)
+    return str(traci.lane.getEdgeID(lane))
 
 
 def _add(traci: ModuleType, track: Track, rgba: tuple[int, int, int, int]) -> None:

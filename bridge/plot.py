@@ -156,7 +156,7 @@ def _acceleration(ax: Axes, time: FloatArray, moved: Motion) -> None:
     ax.plot(time, moved.lateral_accel, color=figures.VERMILION, label="lateral", linestyle="--")
     _limits(ax, moved.longitudinal_accel, moved.lateral_accel, limits=(limits.accel_min_mps2, limits.accel_max_mps2))
     ax.set_ylabel("acceleration,\nm/s²")
-    ax.legend(loc="upper right", ncols=2, fontsize=8)
+    ax.legend(loc="upper right", ncols=3, fontsize=8)
 
 
 def _jerk(ax: Axes, time: FloatArray, moved: Motion) -> None:
@@ -165,13 +165,13 @@ def _jerk(ax: Axes, time: FloatArray, moved: Motion) -> None:
     ax.plot(time, moved.jerk_norm, color=figures.VERMILION, label="magnitude (JE)", linestyle="--")
     _limits(ax, moved.longitudinal_jerk, moved.jerk_norm, limits=(-bound, bound))
     ax.set_ylabel("jerk, m/s³")
-    ax.legend(loc="upper right", ncols=2, fontsize=8)
+    ax.legend(loc="upper right", ncols=3, fontsize=8)
 
 
 def _limits(ax: Axes, *series: FloatArray, limits: tuple[float, float]) -> None:
     """Dotted lines at the longitudinal limits, and room for whatever exceeds them."""
-    for value in limits:
-        ax.axhline(value, color=figures.GREY, linewidth=0.9, linestyle=":")
+    for value, label in zip(limits, ("limit (longitudinal)", None), strict=True):
+        ax.axhline(value, color=figures.GREY, linewidth=0.9, linestyle=":", label=label)
     low = min(limits[0], *(float(values.min()) for values in series))
     high = max(limits[1], *(float(values.max()) for values in series))
     ax.set_ylim(low - 0.1 * (high - low), high + 0.3 * (high - low))
@@ -188,10 +188,12 @@ def _offset(ax: Axes, time: FloatArray, arrays: SceneArrays, lanes: FlatLanes, m
     ax.plot(time, np.where(beside, d, np.nan), color=figures.GREEN)
     ax.axhline(0.0, color=figures.GREY, linewidth=0.8)
     first = matches.lane[matches.lane >= 0][0]
-    for sign in (-1, 1):
-        ax.axhline(sign * lanes.half_width[first], color=figures.GREY, linewidth=0.8, linestyle=":")
+    for sign, label in ((-1, "edge of the first lane"), (1, None)):
+        ax.axhline(sign * lanes.half_width[first], color=figures.GREY, linewidth=0.8, linestyle=":", label=label)
+    ax.legend(loc="upper right", fontsize=8)
     low, high = ax.get_ylim()
-    ax.set_ylim(min(low, -2.2), max(high, 2.2))
+    low, high = min(low, -2.2), max(high, 2.2)
+    ax.set_ylim(low, high + 0.25 * (high - low))
 
 
 def _cells(ax: Axes, time: FloatArray, scenario: Scenario, lanes: FlatLanes, matches: Matches) -> None:

@@ -32,11 +32,13 @@ TRAIL_S = 2.0
 FRAMES_PER_SECOND = 10
 #: Longest side of a GIF, pixels.
 GIF_WIDTH = 1100
+_GIF_COLORS = 128
 #: Ground shown around what moves.
 MARGIN_M = 15.0
 #: Ground shown around one agent's path.
 AGENT_MARGIN_M = 25.0
 _OTHER = "#B9A7C4"
+_RECORDED = "#B4B4B4"
 
 MARKS = {"lane_change": "D", "overtake": "*", "left_turn": "<", "right_turn": ">"}
 MARK_NAMES = {
@@ -154,7 +156,7 @@ def _look(track: Track, policy: Policy | None) -> _Look:
     if track.track_id == AV_ID:
         return _Look(figures.SKY, edge, width, 5)
     if track.object_type in VEHICLE_TYPES:
-        return _Look("#B4B4B4" if not focal else figures.DARK_GREY, edge, width, 4)
+        return _Look(_RECORDED if not focal else figures.DARK_GREY, edge, width, 4)
     return _Look(_OTHER, edge, width, 3)
 
 
@@ -197,7 +199,7 @@ class _Drawing:
         """What the colours and marks mean, for those that appear."""
         panel = self.panels[-1][0]
         faces = {look.face for look in panel.looks.values()}
-        names = [("recorded vehicle", "#B4B4B4"), ("focal vehicle (black edge)", figures.DARK_GREY)]
+        names = [("recorded vehicle", _RECORDED), ("focal vehicle (black edge)", figures.DARK_GREY)]
         names += [("recording vehicle (AV)", figures.SKY), ("other recorded agent", _OTHER)]
         names += [
             (
@@ -322,13 +324,22 @@ def _write_animation(frames: Iterator[npt.NDArray[np.uint8]], path: Path) -> Non
 
 
 def _write_gif(frames: Iterator[npt.NDArray[np.uint8]], path: Path) -> None:
-    """All frames share the palette of the first, at a reduced size: a tenth of the bytes of one palette a frame."""
+    """All frames share one palette, at a reduced size: a tenth of the bytes of one palette a frame.
+
+    It is that of the first frame, with the colours that tell vehicles apart, which cover too little ground to be kept.
+    """
     pictures: list[Image.Image] = []
+    kept = [*figures.POLICY_COLORS.values(), figures.SKY, figures.DARK_GREY, _RECORDED, _OTHER]
+    own = [int(color[k : k + 2], 16) for color in kept for k in (1, 3, 5)]
+    shared: Image.Image | None = None
     for picture in frames:
         image = Image.fromarray(picture)
         image.thumbnail((GIF_WIDTH, GIF_WIDTH), Image.Resampling.LANCZOS)
-        shared = pictures[0] if pictures else None
-        pictures.append(image.quantize(128, palette=shared, dither=Image.Dither.NONE))
+        if shared is None:
+            first = image.quantize(_GIF_COLORS - len(kept)).getpalette() or []
+            shared = Image.new("P", (1, 1))
+            shared.putpalette(first + own)
+        pictures.append(image.quantize(palette=shared, dither=Image.Dither.NONE))
     pictures[0].save(
         path, save_all=True, append_images=pictures[1:], duration=1000 // FRAMES_PER_SECOND, loop=0, disposal=1
     )

@@ -159,3 +159,16 @@ def test_without_a_display_the_reason_is_said(made_scene, monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(SimulationError, match="no display"):
         play_scene(made_scene)
+
+
+@pytest.mark.parametrize("real_scene", ["0a1e6f0a-1817-4a98-b02e-db8c9327d151"], indirect=True)
+def test_a_map_that_begins_with_a_bicycle_lane_is_played_too(real_scene, tmp_path, screen):
+    """Cars cannot enter on the first edge of this map's net, in the order of its names."""
+    picture = tmp_path / "gui.png"
+    code = "import sys; from pathlib import Path; from bridge.gui import play_scene; "
+    code += "play_scene(Path(sys.argv[1]), screenshot=Path(sys.argv[2]), delay_ms=0, step=1)"
+    result = subprocess.run(
+        [sys.executable, "-c", code, real_scene, picture], capture_output=True, text=True, timeout=300, env=screen
+    )
+    assert result.returncode == 0, result.stderr
+    assert colored(picture, LANE_GREY) > 2000
