@@ -6,9 +6,13 @@ The death of a Dask worker itself is no scene's fault: the scheduler gives its t
 """
 
 import contextlib
+import itertools
 import pickle
+import queue
+import threading
 import time
 from collections.abc import Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,13 +82,61 @@ def execute(
         yield from execute_on_dask(tasks, jobs=jobs, scheduler=scheduler, settings=settings)
 
 
+def execute_here(
+    tasks: Iterable[Task], *, jobs: int = 1, settings: Settings | None = None
+) -> Generator[Result, None, None]:
+    """As `execute` on this machine, without Dask: for work that is over before its workers would have started."""
+    if jobs == 1:
+        yield from execute(tasks, settings=settings)
+        return
+    settings = settings or Settings()
+    stop = threading.Event()
+    idle: queue.SimpleQueue[IsolatedProcess] = queue.SimpleQueue()
+    processes = [new_process(settings) for _ in range(jobs)]
+
+    def close() -> None:
+        for process in processes:
+            process.close()
+
+    def run(task: Task) -> Result:
+        mine = idle.get()
+        try:
+            return run_task(task, mine, settings, stop=stop)
+        finally:
+            idle.put(mine)
+
+    for process in processes:
+        idle.put(process)
+    waiting = iter(tasks)
+    with contextlib.ExitStack() as stack:
+        stack.callback(close)
+        pool = stack.enter_context(ThreadPoolExecutor(jobs))
+        running = {pool.submit(run, task) for task in itertools.islice(waiting, 2 * jobs)}
+        try:
+            while running:
+                done, running = wait(running, return_when=FIRST_COMPLETED)
+                running |= {pool.submit(run, task) for task in itertools.islice(waiting, len(done))}
+                for future in done:
+                    yield future.result()
+        finally:
+            stop.set()
+            for future in running:
+                future.cancel()
+            close()  # ends what the threads wait for
+
+
 def new_process(settings: Settings) -> IsolatedProcess:
     """Return a process for run_task; it starts with its first task."""
     return IsolatedProcess(timeout_s=settings.timeout_s, recycle_after=settings.recycle_after)
 
 
-def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> Result:
-    """Run the items of a task; one whose process fails is tried again in a fresh one, then given up."""
+def run_task(
+    task: Task, process: IsolatedProcess, settings: Settings, *, stop: threading.Event | None = None
+) -> Result:
+    """Run the items of a task; one whose process fails is tried again in a fresh one, then given up.
+
+    stop: when it is set, a process that ends is not replaced: the rest of the task has no outcomes.
+    """
     outcomes: list[Outcome] = []
     attempts, began = 1, time.monotonic()
     while len(outcomes) < len(task.items):
@@ -96,7 +148,7 @@ def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> Result
             failure = Failure("exception", f"{task.function} yielded nothing for {len(remaining)} items")
         except WorkFailedError as error:
             failure = error.failure
-        if len(outcomes) == len(task.items):
+        if len(outcomes) == len(task.items) or (stop is not None and stop.is_set()):
             break
         if failure.kind in _RETRIED and attempts <= settings.retries:
             attempts += 1

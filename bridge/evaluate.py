@@ -11,10 +11,11 @@ from typing import IO, Any
 import numpy as np
 
 from bridge.aggregate import CLEAN, KINEMATIC, LIMITS, SAFETY, diversity, table
-from bridge.engine import Settings, Task, execute
+from bridge.engine import Settings, Task, execute_here
 from bridge.isolation import Failure
 from bridge.scenario import find_scenarios
 from bridge.scene_metrics import Row, SceneMeasures
+from bridge.scene_table import SceneTable
 from hid2.agents import FloatArray
 from hid2.evaluation.arrays import BoolArray
 from hid2.evaluation.realism import DRIVING_FEATURES, RealismCounts, classifier_test
@@ -70,8 +71,8 @@ class Evaluation:
     not be read, with the reason.
     """
 
-    scenes: list[Row] = field(default_factory=list)
-    before: list[Row] = field(default_factory=list)
+    scenes: SceneTable = field(default_factory=SceneTable)
+    before: SceneTable = field(default_factory=SceneTable)
     failures: list[tuple[Path, str]] = field(default_factory=list)
     realism: RealismCounts = field(default_factory=RealismCounts)
     maneuvers: ManeuverCounts = field(default_factory=ManeuverCounts)
@@ -162,7 +163,7 @@ def _measured(folders: Sequence[Path], *, jobs: int) -> Iterator[tuple[Path, Sce
     )
     waiting: dict[int, list[tuple[Path, SceneMeasures | Failure]]] = {}
     following = 0
-    for result in execute(tasks, jobs=min(jobs, max(1, len(chunks))), settings=Settings(timeout_s=120)):
+    for result in execute_here(tasks, jobs=min(jobs, max(1, len(chunks))), settings=Settings(timeout_s=120)):
         number = int(result.task.key.removeprefix("evaluate-"))
         waiting[number] = [(outcome.item, outcome.failure or outcome.value) for outcome in result.outcomes]
         while following in waiting:
@@ -201,9 +202,8 @@ def _cell(value: object) -> object:
 def _write_tables(evaluation: Evaluation, report_dir: Path) -> None:
     text = json.dumps(evaluation.metrics, indent=1, allow_nan=False)
     (report_dir / "metrics.json").write_text(text + "\n", encoding="utf-8")
-    columns = dict.fromkeys(key for row in evaluation.scenes for key in row)
     with (report_dir / "scenes.csv").open("w", newline="") as stream:
-        _Table(stream).write({key: row.get(key) for key in columns} for row in evaluation.scenes)
+        _Table(stream).write(dict(row) for row in evaluation.scenes)
     with (report_dir / "realism.csv").open("w", newline="") as stream:
         _Table(stream).write(evaluation.metrics["realism"]["distances"])
 
@@ -252,12 +252,12 @@ def _ratio(value: float | None, floor: float | None) -> float | None:
     return value / floor if value is not None and floor else None
 
 
-def _pairs(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
+def _pairs(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, int]]:
     kinds = ("pairs_vehicles", "pairs_all", "touching_all", "crossings", "pet_critical")
     return {kind: {name: sum(row[f"{kind}_{name}"] for row in rows) for name in PAIRS} for kind in kinds}
 
 
-def _requests(rows: Sequence[Row], maneuvers: ManeuverCounts) -> dict[str, Any]:
+def _requests(rows: Sequence[Mapping[str, Any]], maneuvers: ManeuverCounts) -> dict[str, Any]:
     rejected: Counter[str] = Counter()
     for row in rows:
         rejected.update(row.get("rejected") or {})
@@ -288,7 +288,7 @@ def _maneuver(kind: str, counts: ManeuverCounts) -> dict[str, Any]:
     }
 
 
-def _nets(rows: Sequence[Row]) -> dict[str, Any]:
+def _nets(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Fidelity of the nets of the first maps."""
     folders: Mapping[str, str] = {str(row["source"]): str(row["folder"]) for row in reversed(rows)}
     nets: dict[str, Any] = {}

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 from bridge import report
 from bridge.aggregate import KINEMATIC, SAFETY, Metric, diversity, estimate
-from bridge.engine import Settings, Task, execute
+from bridge.engine import Settings, Task, execute_here
 from bridge.isolation import Failure, describe_error
 from bridge.scenario import find_scenarios, read_scenario
 from bridge.scene_metrics import Row, measure
@@ -130,7 +130,7 @@ def _run(
     rows: dict[tuple[int, int, int], Row] = {}
     failures: dict[int, list[str]] = {}
     done = 0
-    for result in execute(tasks, jobs=min(jobs, len(folders)), settings=Settings(timeout_s=600)):
+    for result in execute_here(tasks, jobs=min(jobs, len(folders)), settings=Settings(timeout_s=600)):
         scene = int(result.task.key.removeprefix("paper-"))
         for outcome in result.outcomes:
             done += 1

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from bridge.engine import Settings, Task, execute
+from bridge.engine import Settings, Task, execute_here
 from bridge.isolation import Failure, describe_error
 from bridge.scenario import LAST_OBSERVED, read_scenario
 from hid2.agents import VEHICLE_TYPES, Policy
@@ -94,7 +94,7 @@ def facts_of(
     tasks = (Task(f"scan-{number}", "bridge.scan:scan_folders", Config(), chunk) for number, chunk in enumerate(chunks))
     found: dict[Path, SceneFacts] = {}
     failures: dict[Path, str] = {}
-    for result in execute(tasks, jobs=min(jobs, max(1, len(chunks))), settings=Settings(timeout_s=60)):
+    for result in execute_here(tasks, jobs=min(jobs, max(1, len(chunks))), settings=Settings(timeout_s=60)):
         for outcome in result.outcomes:
             failure = outcome.failure or (outcome.value if isinstance(outcome.value, Failure) else None)
             if failure:
