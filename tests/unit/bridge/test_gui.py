@@ -166,7 +166,7 @@ def test_a_map_that_begins_with_a_bicycle_lane_is_played_too(real_scene, tmp_pat
     """Cars cannot enter on the first edge of this map's net, in the order of its names."""
     picture = tmp_path / "gui.png"
     code = "import sys; from pathlib import Path; from bridge.gui import play_scene; "
-    code += "play_scene(Path(sys.argv[1]), screenshot=Path(sys.argv[2]), delay_ms=0, step=1)"
+    code += "play_scene(Path(sys.argv[1]), screenshot=Path(sys.argv[2]), delay_ms=0)"
     result = subprocess.run(
         [sys.executable, "-c", code, real_scene, picture], capture_output=True, text=True, timeout=300, env=screen
     )
