@@ -23,6 +23,7 @@ from netconvert.net_xml import write_net
 _KEEP_ROUTE = 6
 _MATCH_M = 3.0
 _MARGIN_M = 20.0
+_WINDOW = "1280,900"
 _HOW = "want: sh setup.sh tests, or in an environment of your own: pip install 'eclipse-sumo==1.28.*' 'traci==1.28.*'"
 
 
@@ -54,6 +55,8 @@ def play_scene(
             "--quit-on-end",
             "--no-warnings",
             "true",
+            "--window-size",  # else what the user's last window had, or a small one
+            _WINDOW,
         ]
         command += ["--collision.action", "none", "--time-to-teleport", "-1", "--delay", str(delay_ms)]
         try:

@@ -51,9 +51,22 @@ class Killer:
         while len(self.hit) < self.kills and not self.stop.wait(self.random.uniform(0.3, 1.2)):
             target = self._choose()
             if target is not None:
-                with contextlib.suppress(psutil.NoSuchProcess):
-                    self.hit.append(target[1])
-                    target[0].kill()
+                with contextlib.suppress(psutil.NoSuchProcess, OSError):
+                    self._kill(*target)
+
+    def _kill(self, process: psutil.Process, kind: str) -> None:
+        """Held while it is looked at: a scene takes less time than that, and none is to lose its only retry."""
+        at_work = [process, *process.children(recursive=True)]
+        for one in at_work:
+            one.suspend()
+        names = [path.read_text() for one in at_work if (path := self.started / str(one.pid)).is_file()]
+        if any(name in self.hit for name in names):
+            for one in at_work:
+                one.resume()
+            return
+        self.hit += [*names, *([kind] if kind == "dask worker" else [])]
+        for one in reversed(at_work):
+            one.kill()
 
     def _choose(self) -> tuple[psutil.Process, str] | None:
         workers = []
