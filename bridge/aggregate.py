@@ -1,19 +1,19 @@
 """Scenes pooled: ratios of sums for each group, with bootstrap intervals over scenes."""
 
-from collections.abc import Mapping, Sequence
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bridge.scene_metrics import GROUPS
-from hid2.agents import FloatArray, Policy
-from hid2.evaluation.behaviour import ManeuverKind
+from hid2.agents import FloatArray
 from hid2.params import Limits
 
 #: Resamples of the bootstrap.
 RESAMPLES = 2000
-#: Bounds of the agent-count bands of the paper.
-BANDS = (40, 50, 70, 90)
+#: Sums are kept of at most this many source scenes; of more, they are kept of this many groups of sources.
+MOST_SOURCES = 1000
 #: Indices drawn at a time: the memory of the bootstrap does not grow with the scenes.
 _BLOCK = 2_000_000
 #: Interval reported, percent.
@@ -68,6 +68,10 @@ LIMITS = tuple(
     )
 )
 METRICS = (*KINEMATIC, *CLEAN, *SAFETY, *LIMITS)
+#: Columns of the scene rows that the metrics are made of.
+COLUMNS = tuple(
+    dict.fromkeys(f"{group}_{name}" for group in GROUPS for m in METRICS for name in (m.numerator, m.denominator))
+)
 
 
 class Estimate(NamedTuple):
@@ -82,20 +86,60 @@ class Estimate(NamedTuple):
         return {"value": self.value, "low": self.low, "high": self.high}
 
 
-def estimate(rows: Sequence[Row], metric: Metric, group: str, *, seed: int = 0) -> Estimate:
+class SourceSums:
+    """Sums of columns over the scenes of each source scene: what a bootstrap over source scenes draws from.
+
+    Memory does not grow with scenes, and not with source scenes beyond `most`: then the sources are pooled in `most`
+    groups by a hash of their names, and groups are drawn. Totals stay exact, intervals are as good as from `most`
+    scenes, and the order of the scenes does not matter.
+    """
+
+    def __init__(self, columns: Sequence[str] = COLUMNS, *, most: int = MOST_SOURCES) -> None:
+        self._columns = {name: k for k, name in enumerate(columns)}
+        self._most = most
+        self._grouped = False
+        self._sums: dict[str, FloatArray] = {}
+
+    @classmethod
+    def of(cls, rows: Iterable[Row]) -> "SourceSums":
+        """Sums over scene rows."""
+        sums = cls()
+        for row in rows:
+            sums.add(row)
+        return sums
+
+    def __len__(self) -> int:
+        return len(self._sums)
+
+    def add(self, row: Row) -> None:
+        """Take a scene row in. Errors: KeyError where it lacks a column."""
+        self._add(str(row["source"]), np.array([float(row[name]) for name in self._columns]))
+
+    def of_columns(self, *columns: str) -> tuple[FloatArray, ...]:
+        """Sums (S,) of each column, in the order of the sources' names. Errors: KeyError for an unknown column."""
+        table = np.array([self._sums[name] for name in sorted(self._sums)]).reshape(-1, len(self._columns))
+        return tuple(table[:, self._columns[name]] for name in columns)
+
+    def _add(self, source: str, values: FloatArray) -> None:
+        name = self._group_of(source) if self._grouped else source
+        if name in self._sums:
+            self._sums[name] = self._sums[name] + values
+            return
+        self._sums[name] = values
+        if len(self._sums) > self._most:
+            known, self._sums, self._grouped = self._sums, {}, True
+            for each in sorted(known):
+                self._add(each, known[each])
+
+    def _group_of(self, source: str) -> str:
+        digest = hashlib.blake2b(source.encode(), digest_size=8).digest()
+        return f"{int.from_bytes(digest) % self._most:09d}"
+
+
+def estimate(sums: SourceSums, metric: Metric, group: str, *, seed: int = 0) -> Estimate:
     """Pool a metric over scenes. The bootstrap draws source scenes: the variants of one scene are not independent."""
-    numerator, denominator = sums_by_source(rows, f"{group}_{metric.numerator}", f"{group}_{metric.denominator}")
+    numerator, denominator = sums.of_columns(f"{group}_{metric.numerator}", f"{group}_{metric.denominator}")
     return ratio_estimate(numerator, denominator, seed=seed)
-
-
-def sums_by_source(rows: Sequence[Row], *columns: str) -> tuple[FloatArray, ...]:
-    """Sums of columns over the rows of each source scene, in the order of the sources' names: (S,) each."""
-    index = {source: k for k, source in enumerate(sorted({str(row["source"]) for row in rows}))}
-    out = tuple(np.zeros(len(index)) for _ in columns)
-    for row in rows:
-        for total, column in zip(out, columns, strict=True):
-            total[index[str(row["source"])]] += float(row[column])
-    return out
 
 
 def ratio_estimate(numerator: FloatArray, denominator: FloatArray, *, seed: int = 0) -> Estimate:
@@ -116,53 +160,13 @@ def ratio_estimate(numerator: FloatArray, denominator: FloatArray, *, seed: int 
     return Estimate(value, float(low), float(high))
 
 
-def table(rows: Sequence[Row], metrics: Sequence[Metric]) -> dict[str, Any]:
+def table(sums: SourceSums, metrics: Sequence[Metric]) -> dict[str, Any]:
     """Every metric with its interval for every group, ready for JSON: table[metric.key][group]."""
     return {
         metric.key: {
             "label": metric.label,
             "unit": metric.unit,
-            **{group: estimate(rows, metric, group).as_dict() for group in GROUPS},
+            **{group: estimate(sums, metric, group).as_dict() for group in GROUPS},
         }
         for metric in metrics
     }
-
-
-def diversity(rows: Sequence[Row], before: Sequence[Row]) -> dict[str, Any]:
-    """Agents per scene and behaviours, before and after; before: source scenes, else what was recorded in each."""
-    first = list(before) or list(rows)
-
-    def counts(rows: Sequence[Row], *, after: bool, at_49: bool) -> list[int]:
-        name = "_at_49" if at_49 else ""
-        return [row[f"tracks{name}"] - (0 if after else row[f"generated{name}"]) for row in rows]
-
-    def behaviours(rows: Sequence[Row], group: str) -> dict[str, Any]:
-        return {
-            "vehicles": {p.value: sum(row[f"{group}_policy_{p.value}"] for row in rows) for p in Policy},
-            "scenes_with": {p.value: sum(row[f"{group}_policy_{p.value}"] > 0 for row in rows) for p in Policy},
-            "maneuvers": {k.value: sum(row[f"{group}_seen_{k.value}"] for row in rows) for k in ManeuverKind},
-            "scenes": len(rows),
-        }
-
-    density = {}
-    for name, at_49 in (("tracks", False), ("tracks_at_49", True)):
-        old, new = counts(first, after=False, at_49=at_49), counts(rows, after=True, at_49=at_49)
-        density[name] = {
-            "before": old,
-            "after": new,
-            "mean_before": float(np.mean(old)) if old else None,
-            "mean_after": float(np.mean(new)) if new else None,
-            "share_above": {str(b): {"before": _share(old, b), "after": _share(new, b)} for b in BANDS},
-        }
-    return {
-        "density": density,
-        "behaviours": {
-            "before": behaviours(first, "original"),
-            "generated": behaviours(rows, "generated"),
-            "after": behaviours(rows, "combined"),
-        },
-    }
-
-
-def _share(values: Sequence[int], bound: int) -> float | None:
-    return sum(value > bound for value in values) / len(values) if values else None

@@ -42,11 +42,13 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
     figure, axes = plt.subplots(1, 3, figsize=(13, 3.8), layout="constrained", width_ratios=[1, 1, 1.1])
     for ax, name, label in ((axes[0], "tracks", "agents in the scene"), (axes[1], "tracks_at_49", "agents at 4.9 s")):
         density = diversity["density"][name]
-        top = max([*density["before"], *density["after"], 10])
+        numbers = [int(number) for when in ("before", "after") for number in density[when]]
+        top = max([*numbers, 10])
         edges = np.arange(0, top + 40, 20)
         for when, color, hatch in (("before", figures.GREY, ""), ("after", figures.BLUE, "//")):
-            heights, _ = np.histogram(density[when], edges)
-            levels = heights / max(1, len(density[when]))
+            scenes = list(density[when].values())
+            heights, _ = np.histogram([int(number) for number in density[when]], edges, weights=scenes)
+            levels = heights / max(1, sum(scenes))
             ax.stairs(levels, edges, fill=True, color=color, alpha=0.35, hatch=hatch, label=when)
             ax.stairs(levels, edges, color=color, linewidth=1.6)
             ax.set_ylim(0, 1.15 * max(ax.get_ylim()[1] / 1.05, levels.max()))

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from bridge import report
-from bridge.aggregate import KINEMATIC, SAFETY, Metric, diversity, estimate
+from bridge.aggregate import KINEMATIC, SAFETY, Metric, SourceSums, estimate
+from bridge.diversity import Diversity
 from bridge.engine import Settings, Task, execute_here
 from bridge.isolation import Failure, describe_error
 from bridge.scenario import find_scenarios, read_scenario
@@ -192,7 +193,8 @@ class _Line(NamedTuple):
 
 
 def _ours(label: str, rows: Sequence[Row], group: str) -> _Line:
-    return _Line(label, {m.key: estimate(rows, m, group).as_dict() for m in (*COLUMNS, *MORE_COLUMNS)})
+    sums = SourceSums.of(rows)
+    return _Line(label, {m.key: estimate(sums, m, group).as_dict() for m in (*COLUMNS, *MORE_COLUMNS)})
 
 
 def _papers(label: str, figures: Mapping[str, float]) -> _Line:
@@ -250,7 +252,7 @@ def _write(
     content: dict[str, Any] = {"experiment": name, "seeds": seeds, "scenes": sources}
     if name == "diversity":
         before, after = outcomes[0].rows, [row for outcome in outcomes[1:] for row in outcome.rows]
-        content |= diversity(after, before)
+        content |= Diversity.of(after, before).content()
         parts += report.diversity_parts(content)
         _write_rows(_diversity_rows(content), out_dir / f"{name}.csv")
         figures.save(charts.diversity_figure(content), out_dir / f"{name}.png")
@@ -262,7 +264,7 @@ def _write(
         parts.append(_html_table(lines))
         _write_rows([_flat(line) for line in lines], out_dir / f"{name}.csv")
         if name == "density":
-            series = {int(o.setting.name): (o.rows, o.setting.config is not None) for o in outcomes}
+            series = {int(o.setting.name): (SourceSums.of(o.rows), o.setting.config is not None) for o in outcomes}
             parts.append(report.picture(charts.density_figure(_density(series)), _DENSITY_CAPTION))
             figures.save(charts.density_figure(_density(series)), out_dir / f"{name}.png")
     (out_dir / f"{name}.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
@@ -279,13 +281,13 @@ _DENSITY_CAPTION = (
 )
 
 
-def _density(series: Mapping[int, tuple[Sequence[Row], bool]]) -> dict[str, dict[str, list[tuple[int, Any]]]]:
+def _density(series: Mapping[int, tuple[SourceSums, bool]]) -> dict[str, dict[str, list[tuple[int, Any]]]]:
     """Estimates by metric and group along the numbers added."""
     return {
         metric.key: {
             group: [
-                (added, estimate(rows, metric, group))
-                for added, (rows, generates) in sorted(series.items())
+                (added, estimate(sums, metric, group))
+                for added, (sums, generates) in sorted(series.items())
                 if generates or group == "combined"
             ]
             for group in ("combined", "generated")

@@ -147,18 +147,13 @@ def _glance(metrics: Mapping[str, Any]) -> str:
 
 
 def _example(evaluation: "Evaluation") -> str:
-    with_generated = [row for row in evaluation.scenes if row["generated"]] or evaluation.scenes
-    if not with_generated:
+    example = evaluation.totals.example
+    if example is None:
         return ""
-    # the scene with the most manoeuvres shows most
-    best = max(
-        with_generated,
-        key=lambda row: (row["generated_seen_overtake"] + row["generated_seen_lane_change"], row["scenario_id"]),
-    )
-    figure = scene_figure(Path(best["folder"]))
+    figure = scene_figure(Path(example.folder))
     return "<h2>One of the scenes</h2>" + picture(
         figure,
-        f"Scene {html.escape(best['scenario_id'])} from above at its last observed moment. Boxes are "
+        f"Scene {html.escape(example.scenario_id)} from above at its last observed moment. Boxes are "
         "road users, lines the "
         "way they came; a thin line is the whole path of a generated vehicle.",
     )
@@ -229,7 +224,7 @@ def _kinematics(metrics: Mapping[str, Any]) -> str:
 
 def _realism(evaluation: "Evaluation") -> str:
     realism = evaluation.metrics["realism"]
-    if not evaluation.realism.generated["speed"].sum():
+    if not evaluation.totals.realism.generated["speed"].sum():
         return ""
     names = {feature.name: feature for feature in FEATURES}
     rows = [
@@ -264,7 +259,8 @@ def _realism(evaluation: "Evaluation") -> str:
             rows,
         )
         + picture(
-            distribution_figure(evaluation.realism), "Distributions behind the table; end bins hold what lies beyond."
+            distribution_figure(evaluation.totals.realism),
+            "Distributions behind the table; end bins hold what lies beyond.",
         )
         + "<p>Can a classifier tell generated from recorded vehicles? 0.5 is a coin toss, 1.0 "
         "always. From speeds, gaps and "

@@ -15,7 +15,14 @@ from hid2.agents import FloatArray, Policy, Track
 from hid2.evaluation.arrays import BoolArray, SceneArrays, stack
 from hid2.evaluation.behaviour import Maneuver, ManeuverKind, detect, policies
 from hid2.evaluation.kinematics import Kinematics, Motion, beyond_limits, clean, kinematics, motion
-from hid2.evaluation.realism import RealismCounts, count_scene, row_features, track_features
+from hid2.evaluation.realism import (
+    DRIVING_FEATURES,
+    MOTION_FEATURES,
+    RealismCounts,
+    count_scene,
+    row_features,
+    track_features,
+)
 from hid2.evaluation.safety import IOU_THRESHOLD, Ground, Safety, colliding, safety, survey
 from hid2.params import Limits
 from netconvert.av2_map import read_lane_graph
@@ -155,7 +162,9 @@ def measure(
         realism=count_scene(
             source, arrays, row_features(arrays, moved, safe), durations, generated=generated, recorded=recorded
         ),
-        samples=np.array([track_features(arrays, moved, safe, int(a)) for a in compared]).reshape(len(compared), -1),
+        samples=np.array([track_features(arrays, moved, safe, int(a)) for a in compared]).reshape(
+            len(compared), len(DRIVING_FEATURES) + len(MOTION_FEATURES)
+        ),
         sample_generated=generated[compared],
     )
 
@@ -239,7 +248,8 @@ def _pair_row(view: _View) -> Row:
 
 def _request_row(sidecar: Sidecar | None) -> Row:
     if sidecar is None:
-        return {"requested": None, "placed": 0, "replay_states": 0, "replay_position_error_m": None}
+        unknown = ("replay_position_error_m", "replay_heading_error_rad", "rejected", "seed", "variant")
+        return {"requested": None, "placed": 0, "replay_states": 0} | dict.fromkeys(unknown)
     asked = sidecar.requested.agents
     return {
         "requested": asked if isinstance(asked, int) else None,

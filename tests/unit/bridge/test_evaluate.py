@@ -4,14 +4,18 @@ import csv
 import json
 import re
 import shutil
+from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bridge.aggregate import KINEMATIC, estimate, ratio_estimate
+from bridge.aggregate import KINEMATIC, SourceSums, estimate, ratio_estimate
 from bridge.evaluate import evaluate_folder
 from bridge.scenario import find_scenarios, read_scenario
-from bridge.scene_metrics import Maps, measure_folder
+from bridge.scene_metrics import Maps, measure, measure_folder
+from hid2.evaluation.realism import DRIVING_FEATURES, MOTION_FEATURES
+from hid2.evaluation.safety import survey
 from hid2.params import Limits
 from netconvert.errors import ExportError, ScenarioError
 
@@ -49,11 +53,11 @@ def test_tables_have_one_row_per_scene_track_and_maneuver(report, made_root):
 
 def test_groups_are_kept_apart(report):
     """Combined is the mean of the other two, weighted by tracks, and generated vehicles are clean."""
-    evaluation, _ = report
-    rows = evaluation.scenes
+    evaluation, folder = report
+    rows = read_csv(folder / "scenes.csv")
     kinematics = evaluation.metrics["kinematics"]["paper"]["lo"]
     tracks = {
-        group: sum(row[f"{group}_paper_tracks"] for row in rows) for group in ("original", "generated", "combined")
+        group: sum(int(row[f"{group}_paper_tracks"]) for row in rows) for group in ("original", "generated", "combined")
     }
     assert tracks["combined"] == tracks["original"] + tracks["generated"]
     both = sum(kinematics[group]["value"] * tracks[group] for group in ("original", "generated"))
@@ -63,12 +67,15 @@ def test_groups_are_kept_apart(report):
 
 
 def test_before_is_the_source_and_after_holds_what_was_added(report, data_root):
-    evaluation, _ = report
+    evaluation, folder = report
     density = evaluation.metrics["diversity"]["density"]["tracks"]
-    assert density["before"] == [len(read_scenario(path).tracks) for path in find_scenarios(data_root)]
-    added = [row["generated"] for row in evaluation.scenes]
-    assert sum(density["after"]) == sum(row["tracks"] for row in evaluation.scenes)
-    assert all(count > 0 for count in added)
+    numbers = Counter(len(read_scenario(path).tracks) for path in find_scenarios(data_root))
+    assert density["before"] == {str(number): numbers[number] for number in sorted(numbers)}
+    rows = read_csv(folder / "scenes.csv")
+    assert sum(int(number) * scenes for number, scenes in density["after"].items()) == sum(
+        int(row["tracks"]) for row in rows
+    )
+    assert all(int(row["generated"]) > 0 for row in rows)
 
 
 def test_report_stands_alone_and_says_what_a_newcomer_needs(report):
@@ -121,12 +128,14 @@ def test_progress_is_told(made_root, tmp_path):
 
 def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():
     """Sources with 1 of 10 and 3 of 10: 4 of 20, not the mean over anything else; two sources give 0.1 to 0.3."""
-    rows = [
+    sums = SourceSums(("original_paper_lo", "original_paper_tracks"))
+    for row in (
         {"source": "a", "original_paper_lo": 1.0, "original_paper_tracks": 10},
         {"source": "b", "original_paper_lo": 2.0, "original_paper_tracks": 5},
         {"source": "b", "original_paper_lo": 1.0, "original_paper_tracks": 5},
-    ]
-    found = estimate(rows, KINEMATIC[0], "original")
+    ):
+        sums.add(row)
+    found = estimate(sums, KINEMATIC[0], "original")
     assert found == pytest.approx((0.2, 0.1, 0.3))
 
 
@@ -141,3 +150,25 @@ def test_maneuvers_of_the_sidecar_are_found_again(made_scene):
     done = [row for row in rows if row["status"] == "done"]
     assert done
     assert all(row["seen"] is not None for row in done)
+
+
+def test_a_scene_in_which_nothing_moves_is_measured(made_scene):
+    """No vehicle to compare: no samples, of the width that others have."""
+    scenario = read_scenario(made_scene)
+    parked = [
+        replace(track, position=np.repeat(track.position[:1], len(track.timesteps), axis=0))
+        for track in scenario.tracks[:3]
+    ]
+    measures = measure(parked, survey(scenario.graph), None, limits=Limits(), num_steps=110, source="parked")
+    assert measures.samples.shape == (0, len(DRIVING_FEATURES) + len(MOTION_FEATURES))
+    assert measures.scene["combined_moving"] == 0
+
+
+def test_recorded_and_generated_scenes_together_have_the_same_columns(made_root, data_root, tmp_path):
+    for root in (data_root, made_root):
+        for path in find_scenarios(root):
+            shutil.copytree(path, tmp_path / "both" / "train" / path.name)
+    evaluation = evaluate_folder(tmp_path / "both", report_dir=tmp_path / "report")
+    rows = read_csv(tmp_path / "report" / "scenes.csv")
+    scenes = evaluation.metrics["scenes"]
+    assert len(rows) == scenes["scenes"] > scenes["generated_scenes"] == sum(row["seed"] != "" for row in rows)

@@ -1,0 +1,118 @@
+"""Memory and time of `hid2 evaluate` by the number of scenes, main process and measuring process apart.
+
+Not part of the default run: `pytest -m benchmark -s`, or as a script:
+
+    python tests/benchmarks/test_evaluate_memory.py --scenes 200 600 1200 --jobs 1
+
+Few scenes are generated on the real scenes and linked under many names. Growth is taken from the peaks of separate runs
+over different numbers of scenes: within a run, sizes move with the map at hand.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from bridge.batch import Options, Run, SceneJob, run_batch
+from bridge.scenario import find_scenarios
+from hid2.params import Config, Request
+
+#: How much the two processes may grow with each scene: a name takes some 0.4 kB, the rest is for noise.
+MOST_KB_PER_SCENE = 2.0
+VARIANTS = 10
+AGENTS = 5
+
+_MEASURE = """
+import json, resource, sys, time
+from pathlib import Path
+import psutil
+from bridge.evaluate import evaluate_folder
+me, child, main = psutil.Process(), 0, 0
+def sample(done, total):
+    global child, main
+    if done % 20 == 0 or done == total:
+        main = max(main, me.memory_info().rss)
+        child = max([child, *(process.memory_info().rss for process in me.children(recursive=True))])
+began = time.monotonic()
+evaluate_folder(Path(sys.argv[1]), report_dir=Path(sys.argv[2]), jobs=int(sys.argv[3]), on_scene=sample)
+print(json.dumps([main / 1e6, child / 1e6, time.monotonic() - began]))
+"""
+
+
+class Size(NamedTuple):
+    """Largest resident MB of the main process and of a measuring process while scenes are measured, and seconds."""
+
+    main: float
+    child: float
+    seconds: float
+
+
+def make_scenes(sources: Sequence[Path], out: Path) -> list[Path]:
+    """Generate VARIANTS scenes on each source scene."""
+    runs = tuple(Run(Config(request=Request(agents=AGENTS, seed=seed))) for seed in range(VARIANTS))
+    rows = run_batch([SceneJob(folder, runs) for folder in sources], out, Options())
+    assert {row.status for row in rows} == {"done"}
+    return find_scenarios(out)
+
+
+def measure_many(folders: Sequence[Path], out: Path, *, scenes: int, jobs: int = 1) -> Size:
+    """Evaluate `scenes` links to the folders."""
+    for number in range(scenes):
+        source = folders[number % len(folders)]
+        folder = out / "train" / f"{source.name[:24]}{number:012d}"
+        folder.mkdir(parents=True)
+        for path in source.iterdir():
+            os.link(path, folder / path.name)
+    command = [sys.executable, "-c", _MEASURE, str(out), str(out.parent / f"report-{scenes}"), str(jobs)]
+    result = subprocess.run(command, check=True, capture_output=True, text=True)
+    return Size(*json.loads(result.stdout.splitlines()[-1]))
+
+
+def growth_kb(few: Size, many: Size, *, scenes: int) -> tuple[float, float]:
+    """Growth for each further scene, kB: main process, measuring process."""
+    return (many.main - few.main) / scenes * 1e3, (many.child - few.child) / scenes * 1e3
+
+
+@pytest.mark.benchmark
+@pytest.mark.timeout(3000)
+def test_memory_of_an_evaluation_does_not_grow_with_scenes(real_scenes: list[Path], tmp_path: Path) -> None:
+    folders = make_scenes(real_scenes, tmp_path / "made")
+    few, many = (measure_many(folders, tmp_path / str(n), scenes=n) for n in (200, 1200))
+    main, child = growth_kb(few, many, scenes=1000)
+    print(f"\n{few} of 200 scenes, {many} of 1200: {main:.2f} and {child:.2f} kB for each further scene")
+    assert main <= MOST_KB_PER_SCENE
+    assert child <= MOST_KB_PER_SCENE
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--root", type=Path, default=None, help="data set (default: the real scenes)")
+    parser.add_argument("--scenes", type=int, nargs="+", default=[200, 600, 1200])
+    parser.add_argument("--jobs", type=int, default=1)
+    arguments = parser.parse_args()
+    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
+    with tempfile.TemporaryDirectory(prefix="hid2-evaluate-") as name:
+        folders = make_scenes(find_scenarios(arguments.root or shared / "av2"), Path(name) / "made")
+        sizes = {}
+        for scenes in arguments.scenes:
+            size = measure_many(folders, Path(name) / str(scenes), scenes=scenes, jobs=arguments.jobs)
+            print(
+                f"{scenes} scenes: main {size.main:.1f} MB, child {size.child:.1f} MB, {size.seconds:.1f} s", flush=True
+            )
+            sizes[scenes] = size
+    few, many = min(sizes), max(sizes)
+    if many > few:
+        grown = growth_kb(sizes[few], sizes[many], scenes=many - few)
+        print(f"for each further scene: main {grown[0]:.2f} kB, child {grown[1]:.2f} kB")
+
+
+if __name__ == "__main__":
+    main()
