@@ -40,9 +40,9 @@ from netconvert.net_xml import net_bytes
 
 _ATTEMPTS = 100
 _ATTEMPTS_AGAIN = 25
+_ATTEMPTS_LAST = 400
 _ATTEMPTS_LATE = 10_000
 _MAX_AGENTS = 400
-_SPARE_FROM = 5
 _FROM_EMPTY = 3
 _FEW_MOST = 4
 _BEHIND_TURN_M = 1.0
@@ -214,10 +214,13 @@ class _Run:
             before = len(self.settled)
             patience = number + 2 if packed else number
             reseeds = number < self.world.config.spawn.reseed_rounds
+            if number > max(self.world.config.spawn.reseed_rounds, 1):  # the count matters more by now
+                self.unmet += pending
+                pending = []
             asked = [policy for policy, _ in pending[:missing]]
             again = self._round(asked, missing, patience=patience, packed=packed, reseeds=reseeds)
             pending = again + pending[missing:]
-            if number >= 1 and len(self.settled) == before and not (reseeds and again):
+            if number >= 1 and len(self.settled) == before and not asked:
                 break
         self.unmet += pending
 
@@ -236,9 +239,10 @@ class _Run:
             spawner.patience = patience
         full = len(spawner.planned) >= missing  # leaders of overtakes count too
         self.unmet += [(policy, "count_reached" if full else spawner.why_none(policy)) for policy in without]
-        spare = missing + (math.ceil(self.world.config.spawn.spare_share * missing) if missing >= _SPARE_FROM else 0)
-        for _ in range(3):
-            while len(spawner.planned) < spare and self._plan(spawner, Policy.STRAIGHT, spare, attempts):
+        spare = missing + math.ceil(self.world.config.spawn.spare_share * missing)
+        for last in (False, False, True):
+            closer = max(attempts, _ATTEMPTS_LAST) if last else attempts  # a place found now saves a round
+            while len(spawner.planned) < spare and self._plan(spawner, Policy.STRAIGHT, spare, closer):
                 pass
             if len(spawner.planned) >= missing:
                 break

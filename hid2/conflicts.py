@@ -6,6 +6,7 @@
    timing on a path; where it finds none the caller reroutes, then aborts the manoeuvre.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,14 +54,24 @@ class Prospect:
     recorded_rows: int
 
     def held_back(self, until_step: int, s: float) -> "Prospect":
-        """The same, but not beyond arc length s before until_step: a manoeuvre does not begin before its trigger."""
+        """The same, but not beyond arc length s before until_step."""
         held = self.occupancy.joined(_barrier(self.tables.num_steps, until_step, s + self.margin_m))
         return replace(self, occupancy=held, tables=self.tables.held(until_step, s))
 
     def plan(
-        self, *, s0: float, v0: float, a0: float, first_step: int, config: Config, reference: FloatArray | None = None
+        self,
+        *,
+        s0: float,
+        v0: float | Sequence[float],
+        a0: float,
+        first_step: int,
+        config: Config,
+        reference: FloatArray | None = None,
     ) -> SpeedPlan | None:
-        """Case 3, adjust timing: the best speed profile from the state at first_step on; None where all collide."""
+        """Case 3, adjust timing: the best speed profile from the state at first_step on; None where all collide.
+
+        v0: speed then, or several, of which the first that is possible is taken.
+        """
         bend = np.maximum(np.abs(self.path.line.table_curvature), 1e-6)
         return plan_speed(
             self.tables,

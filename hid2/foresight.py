@@ -6,28 +6,31 @@ A vehicle is placed for a manoeuvre only where the whole of it can be seen to fi
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
-from hid2.conflicts import DT_S
+from hid2.conflicts import DT_S, Prospect
 from hid2.decision import LaneOption, Side
 from hid2.lane_change import lane_change_reason
 from hid2.maneuver import admissible_neighbor, gap_ahead_of, lane_options, lay_across, leader_on, returns_to
 from hid2.overtake import Leader, enter_reason, return_reason
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath
-from hid2.space_time import SpeedPlan
+from hid2.space_time import SpeedPlan, meets
 from hid2.traffic import Traffic
+from hid2.verify import off_road_steps
 from hid2.world import World, predicted_traffic
 from netconvert.lane_graph import TurnType
 
 TURN_OF_POLICY = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
 _SPARE_LANE_M = 8.0  # of the lane beside, for a change that begins a little later than foreseen
 _SPARE_STEPS = 4  # a foreseen manoeuvre ends this long before the scene does: SUMO will be a little later
-_TURN_SPARE_STEPS = 8  # yielding to who crosses costs SUMO more time than the plan
+_TURN_SPARE_STEPS = 5  # yielding to who crosses costs SUMO more time than the plan
 _BEHIND_TURN_M = 1.0  # driven on the lane after it
+_ROAD_STEPS = 4  # between two looks at the corners of the box on a foreseen turn
+_HURRY = 1.25  # of the desired speed, at most, on the whole way into a turn and through it
 _RETURN_STEPS = 26  # lateral motion back into the lane, at its shortest
 _RETURN_SPARE_M = 1.5
 #: An overtake, out, past and back, takes at least so many steps.
@@ -53,14 +56,15 @@ class Wish:
     trigger_s: float
     cruise_mps: float | None = None
     steady: bool = False
+    size: BoxSize = field(init=False)
+    """Box that covers the vehicle and what a reader without the sidecar takes it for."""
 
-    @property
-    def size(self) -> BoxSize:
-        """Box that covers the vehicle and what a reader without the sidecar takes it for."""
+    def __post_init__(self) -> None:
+        """Round up, so that vehicles of nearly the same size share what was computed about a path."""
         assumed, own = DEFAULT_SIZES[self.object_type], self.own_size
-        # rounded up, so that vehicles of nearly the same size share what was computed about a path
         length = math.ceil(max(own.length_m, assumed.length_m) / _LENGTH_STEP_M) * _LENGTH_STEP_M
-        return BoxSize(length, math.ceil(max(own.width_m, assumed.width_m) / _WIDTH_STEP_M) * _WIDTH_STEP_M)
+        width = math.ceil(max(own.width_m, assumed.width_m) / _WIDTH_STEP_M) * _WIDTH_STEP_M
+        object.__setattr__(self, "size", BoxSize(length, width))
 
     @property
     def trigger_step(self) -> int:
@@ -94,16 +98,47 @@ class Foresight:
     fixed: Traffic
     predicted: Traffic
     claims: Traffic
+    _looks: dict[tuple[DrivenPath, BoxSize], Prospect] = field(default_factory=dict)
 
-    def turn(self, wish: Wish, path: DrivenPath, plan: SpeedPlan) -> Intention | str:
-        """The first turn of the wanted kind on the path must be through before the scene, or the map, ends."""
+    def prospect(self, path: DrivenPath, size: BoxSize, cruise_mps: float) -> Prospect:
+        """Everybody along a path, at a desired speed; looked up once for each path and size of box."""
+        look = self._looks.get((path, size))
+        if look is None:
+            everybody = self.fixed, self.predicted, self.claims
+            look = self._looks[path, size] = self.world.prospect(path, size, cruise_mps=cruise_mps, others=everybody)
+            return look
+        return replace(look, desired=self.world.desired(path, cruise_mps))
+
+    def meets_at_start(self, x: float, y: float, heading: float, size: BoxSize, gap_m: float) -> bool:
+        """Whether anybody is within gap_m straight ahead of a box, or behind it, at step 0; x, y m, heading rad."""
+        longer = BoxSize(size.length_m + 2 * gap_m, size.width_m)
+        everybody = self.world.traffic, self.fixed, self.predicted
+        return any(meets(traffic, 0, x, y, heading, longer) for traffic in everybody)
+
+    def turn_end(self, wish: Wish, path: DrivenPath, s0: float, cruise_mps: float) -> float | str:
+        """Arc length behind the first turn of the wanted kind, m; or why it cannot be driven, whoever is there.
+
+        It must be through before the scene, or the map, ends.
+        """
         lanes, kind = self.world.grid.graph.lanes, TURN_OF_POLICY[wish.policy]
-        end = next((g.end for g in path.segments if lanes[g.lane_id].turn is kind and g.start > plan.s[0]), math.inf)
-        if end + _BEHIND_TURN_M > path.exit_s - wish.size.length_m / 2:
+        end = next((g.end for g in path.segments if lanes[g.lane_id].turn is kind and g.start > s0), math.inf)
+        end += _BEHIND_TURN_M
+        if end > path.exit_s - wish.size.length_m / 2:
             return "turn_leaves_map"
-        if plan.s[-_TURN_SPARE_STEPS] < end + _BEHIND_TURN_M:
+        desired = self.world.desired(path, cruise_mps)[int(s0 / TABLE_STEP_M) : int(end / TABLE_STEP_M)]
+        lasting_s = float((TABLE_STEP_M / desired).sum()) / _HURRY
+        return end if lasting_s < (self.world.num_steps - _TURN_SPARE_STEPS) * DT_S else "turn_not_reached"
+
+    def turn(self, wish: Wish, path: DrivenPath, plan: SpeedPlan, end: float) -> Intention | str:
+        """Whether a plan gets behind the end of the turn, m, soon enough, and the box stays on the road on the way."""
+        if plan.s[-_TURN_SPARE_STEPS] < end:
             return "turn_not_reached"
-        return Intention(path, plan, plan)
+        position, tangent, _ = path.line.motion(plan.s[::_ROAD_STEPS])
+        heading = np.arctan2(tangent[:, 1], tangent[:, 0])
+        off = off_road_steps(
+            position, heading, wish.size, self.world.grid.graph.drivable, tolerance_m=self.world.road_tolerance_m
+        )
+        return "turn_off_road" if off.any() else Intention(path, plan, plan)
 
     def lane_change(
         self, wish: Wish, path: DrivenPath, plan: SpeedPlan, cruise_mps: float, sides: tuple[Side, ...]
@@ -116,14 +151,19 @@ class Foresight:
             if step >= plan.s.size - int(change.min_duration_s / DT_S):
                 break
             s, speed = float(plan.s[step]), float(plan.v[step])
-            for option, target in self._options(wish, path, step, s, speed, sides, cruise_mps):
+            if speed < change.min_speed_mps:
+                reason = "too_slow"
+                continue
+            later = path.segment_at(s + _SPARE_LANE_M).lane_id
+            lasting = tuple(side for side in sides if admissible_neighbor(self.world, later, side) is not None)
+            if not lasting:
+                reason = "lane_ends"
+                continue
+            for option, target in self._options(wish, path, step, s, speed, lasting, cruise_mps):
                 unmet = lane_change_reason(
                     speed_mps=speed, cells_free=option.cells_free, front=option.front, rear=option.rear,
                     remaining_m=option.remaining_m - _SPARE_LANE_M, params=change,
                 )  # fmt: skip
-                later = path.segment_at(s + _SPARE_LANE_M).lane_id
-                if unmet is None and admissible_neighbor(self.world, later, option.side) is None:
-                    unmet = "lane_ends"
                 across = unmet or self._across(wish, path, target, plan, step, option.remaining_m, cruise_mps)
                 if not isinstance(across, str):
                     claims = self._claim(target, option, speed, step, change.min_gap_m + 0.5 * speed)
@@ -232,9 +272,7 @@ class Foresight:
         )  # fmt: skip
         if isinstance(across, str):
             return across
-        look = self.world.prospect(
-            across, wish.size, cruise_mps=cruise_mps, others=(self.fixed, self.predicted, self.claims)
-        )
+        look = self.prospect(across, wish.size, cruise_mps)
         begins = across.shifts[-1][0]
         unhurried = look.desired.copy()  # it does not press its leader before it moves out
         before = slice(0, int(begins / TABLE_STEP_M))
@@ -312,9 +350,7 @@ class Foresight:
         )
         if isinstance(across, str):
             return across
-        look = self.world.prospect(
-            across, wish.size, cruise_mps=cruise_mps, others=(self.fixed, self.predicted, self.claims)
-        )
+        look = self.prospect(across, wish.size, cruise_mps)
         accel = float(np.clip((plan.v[step] - plan.v[max(step - 1, 0)]) / DT_S, -2.0, 1.5))
         onward = look.plan(s0=s, v0=speed, a0=accel, first_step=step, config=self.world.config)
         if onward is None:

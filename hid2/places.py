@@ -1,7 +1,9 @@
 """Where on the map a vehicle of a policy may start, and on which route: what the map alone says."""
 
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 import numpy as np
 
@@ -34,6 +36,8 @@ class Places:
     packed: bool = False
     lanes: tuple[int, ...] = field(init=False)
     _known_routes: dict[tuple[TurnType, int, int], tuple[Route, ...]] = field(default_factory=dict)
+    _known_ends: dict[Route, tuple[float, ...]] = field(default_factory=dict)
+    _known_cells: dict[Policy, tuple[list[Cell], list[int]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Lanes that cars drive on."""
@@ -56,13 +60,7 @@ class Places:
         is_free tells by index whether a cell is free at step 0; it is asked again whenever the next one is taken.
         """
         grid = self.world.grid
-        cells = [
-            Cell(lane_id, index)
-            for lane_id in self.lanes
-            if policy is Policy.STRAIGHT or self._may_start(policy, lane_id)
-            for index in range(grid.count(lane_id))
-        ]
-        place_of = [grid.index_of[cell] for cell in cells]
+        cells, place_of = self._cells(policy)
         order = self.rng.permutation(len(cells)).tolist()
         if self.packed and policy is Policy.STRAIGHT:
             left_m = self._distance_to_exit()
@@ -81,8 +79,7 @@ class Places:
 
     def unsuited(self, wish: Wish, route: Route, s0: float, cruise_mps: float, patience: int) -> str | None:
         """What the map says against a candidate, before a path is laid and anybody is looked at."""
-        lanes = self.world.grid.graph.lanes
-        ends = np.cumsum([lanes[lane_id].length_m for lane_id in route])
+        ends = self._ends(route)
         half_m = wish.size.length_m / 2
         run_on = "topology" in self.world.config.without
         if s0 < half_m or (s0 + half_m > ends[-1] - 1.0 and not run_on):
@@ -91,21 +88,55 @@ class Places:
         stay_m = 0.75 * min(cruise_mps, slowest) * self.world.earliest_exit_step * DT_S
         if ends[-1] - s0 < 2 * half_m + stay_m and not run_on:
             return "leaves_too_early"
-        starts = np.concatenate([[0.0], ends[:-1]])
+        starts = (0.0, *ends[:-1])
+
+        def between(first: float, last: float) -> Iterator[int]:
+            return (
+                lane_id for lane_id, start, end in zip(route, starts, ends, strict=True) if end > first and start < last
+            )
+
         if wish.policy is Policy.STRAIGHT and patience == 0:
-            reached = (ends > s0) & (starts < s0 + cruise_mps * self.world.num_steps * DT_S)
-            if any(self._turn(route[row]) is not TurnType.STRAIGHT for row in np.flatnonzero(reached).tolist()):
+            reached = between(s0, s0 + cruise_mps * self.world.num_steps * DT_S)
+            if any(self._turn(lane_id) is not TurnType.STRAIGHT for lane_id in reached):
                 return "would_turn"
         if wish.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE):
-            first = s0 + 0.3 * cruise_mps * wish.trigger_s
-            last = s0 + cruise_mps * (wish.trigger_s + 3.0)
-            if not any(self._beside(route[row]) for row in np.flatnonzero((ends > first) & (starts < last)).tolist()):
+            beside = between(s0 + 0.3 * cruise_mps * wish.trigger_s, s0 + cruise_mps * (wish.trigger_s + 3.0))
+            if not any(self._beside(lane_id) for lane_id in beside):
                 return "no_lane_beside_at_trigger"
         if wish.policy is Policy.OVERTAKE:
-            row = int(np.searchsorted(ends, s0, side="right"))
+            row = bisect_right(ends, s0)
             if self._overtaking_m(route[row]) - (s0 - starts[row]) < _OVERTAKE_STRETCH_M:
                 return "lanes_part_too_soon"
         return None
+
+    def _ends(self, route: Route) -> tuple[float, ...]:
+        """Arc length at the end of each lane of a route, m."""
+        if route not in self._known_ends:
+            lanes = self.world.grid.graph.lanes
+            self._known_ends[route] = tuple(accumulate(lanes[lane_id].length_m for lane_id in route))
+        return self._known_ends[route]
+
+    def _cells(self, policy: Policy) -> tuple[list[Cell], list[int]]:
+        """Cells that a policy may start from, and their indices."""
+        if policy not in self._known_cells:
+            grid = self.world.grid
+            cells = [
+                Cell(lane_id, index)
+                for lane_id in self.lanes
+                if policy is Policy.STRAIGHT or self._may_start(policy, lane_id)
+                for index in range(grid.count(lane_id))
+            ]
+            self._known_cells[policy] = cells, [grid.index_of[cell] for cell in cells]
+        return self._known_cells[policy]
+
+    def pose(self, route: Route, s0: float) -> tuple[float, float, float]:
+        """x, y m and heading rad on the middle of a route's lanes at arc length s0."""
+        ends = self._ends(route)
+        row = min(bisect_right(ends, s0), len(route) - 1)
+        middle = self.world.grid.graph.lanes[route[row]].path
+        at = np.array([s0 - (ends[row - 1] if row else 0.0)])
+        x, y = middle.point(at)[0].tolist()
+        return x, y, float(middle.heading(at)[0])
 
     def too_sharp(self, path: DrivenPath, start: float, end: float) -> bool:
         """Whether the path bends more than kappa_max = 1 / R_min between two arc lengths (Trajectory Smoothing)."""
@@ -194,6 +225,8 @@ class Places:
         wanted = TURN_OF_POLICY.get(policy, TurnType.STRAIGHT)
 
         def choose(onward: tuple[int, ...]) -> tuple[int, ...]:
+            if len(onward) == 1:
+                return onward
             order = self.rng.permutation(len(onward)).tolist()
             return tuple(sorted((onward[i] for i in order), key=lambda n: self._turn(n) is not wanted))
 

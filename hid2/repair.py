@@ -23,6 +23,7 @@ from netconvert.lane_graph import TurnType
 #: Share of the limits that the smoothing aims at: differences of sampled positions see a little more than the cubics.
 _AIM = 0.9
 _BOX_MARGIN_M = 0.05
+_UNSEEN_SHARE = 0.04
 _NEAR_M = 50.0
 _SPEEDING_MPS = 0.2
 #: Shares of the cruising speed that are tried in turn.
@@ -110,7 +111,9 @@ def _settle_one(
     unchecked = "collision" in config.without
     look = world.prospect(vehicle.path, spec.size, cruise_mps=spec.cruise_mps, others=() if unchecked else (others,))
     if vehicle.path.shifts and not unchecked:
-        look = look.held_back(int(np.ceil(spec.trigger_s / DT_S)), vehicle.path.shifts[0][0])
+        # a manoeuvre does not begin before its trigger; the first part of the shift is no more than millimetres wide
+        start, end = vehicle.path.shifts[0]
+        look = look.held_back(int(np.ceil(spec.trigger_s / DT_S)), start + _UNSEEN_SHARE * (end - start))
     limits = SpeedLimits(
         accel_min=_AIM * config.limits.accel_min_mps2,
         accel_max=_AIM * config.limits.accel_max_mps2,
@@ -245,8 +248,9 @@ def _smooth_and_check(
             return "ttc"
     if "topology" not in config.without:
         off = off_road_steps(
-            trajectory, spec.size, world.grid.graph.drivable, tolerance_m=0.9 * config.limits.drivable_tolerance_m
-        )
+            trajectory.position, trajectory.heading, spec.size, world.grid.graph.drivable,
+            tolerance_m=world.road_tolerance_m,
+        )  # fmt: skip
         if off.any():
             return "off_road"
     return motion, trajectory, ttc

@@ -4,13 +4,14 @@ Boxes of others are turned into forbidden intervals of the own centre's arc leng
 true future, generated ones with their predicted one (paper, Trajectory Generation, conflict case 3).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numba import njit
 
-from hid2.agents import FloatArray
+from hid2.agents import BoxSize, FloatArray
 from hid2.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.traffic import Traffic
 
@@ -115,6 +116,35 @@ def look_along(
     if rows.size == len(traffic.ids):
         return rows, PathOccupancy(low, high, along, aligned, crosses)
     return rows, PathOccupancy(low[rows], high[rows], along[rows], aligned[rows], crosses[rows])
+
+
+def meets(traffic: Traffic, step: int, x: float, y: float, heading: float, size: BoxSize) -> bool:
+    """Whether a box with its centre at x, y m, heading in rad, touches any agent at a step."""
+    return bool(
+        _meets(
+            x, y, heading, size.length_m, size.width_m, step,
+            traffic.position, traffic.heading, traffic.present, traffic.length_m, traffic.width_m,
+        )
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _meets(x, y, direction, length, width, step, position, heading, present, lengths, widths):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    cosine, sine = np.cos(direction), np.sin(direction)
+    reach = np.hypot(length, width) / 2
+    for a in range(present.shape[0]):
+        if not present[a, step]:
+            continue
+        dx, dy = position[a, step, 0] - x, position[a, step, 1] - y
+        if dx * dx + dy * dy > (reach + np.hypot(lengths[a], widths[a]) / 2) ** 2:
+            continue
+        angle = heading[a, step]
+        if _overlap(
+            x, y, cosine, sine, length / 2, width / 2,
+            x + dx, y + dy, np.cos(angle), np.sin(angle), lengths[a] / 2, widths[a] / 2,
+        ):  # fmt: skip
+            return True
+    return False
 
 
 @njit(cache=True)
@@ -444,7 +474,7 @@ def plan_speed(
     desired: FloatArray,
     *,
     s0: float,
-    v0: float,
+    v0: float | Sequence[float],
     a0: float,
     first_step: int,
     accel_max: float,
@@ -455,9 +485,10 @@ def plan_speed(
 ) -> SpeedPlan | None:
     """Best speed profile on the path from (s0, v0) that meets nobody; None where there is none.
 
-    Search over time, arc length and speed (stages of half a second, constant acceleration in each; one
-    representative per bin of 1.5 m and 0.75 m/s). desired (S,) m/s: target speed, exceeded by at most 4 m/s; most (S,)
-    m/s: what the road allows at all.
+    Search over time, arc length and speed (stages of half a second, constant acceleration in each but the first, in
+    which it builds up; one representative per bin of 1.5 m and 0.75 m/s).
+    desired (S,) m/s: target speed, exceeded by at most 4 m/s; most (S,) m/s: what the road allows at all.
+    v0: speed at the start, or several, of which the first that is possible is taken.
     reference (T,) m: a driven s(t) to stay near, where given. This is "adjust timing" of conflict case 3.
     """
     accels = np.array(
@@ -475,7 +506,7 @@ def plan_speed(
     use_reference = reference is not None
     ok, s, v, cost = _search(
         tables.view(), desired, desired + _OVER_MPS if most is None else np.minimum(most, desired + _OVER_MPS),
-        s0, v0, a0, first_step, tables.num_steps, accels, step_s,
+        s0, np.atleast_1d(np.asarray(v0, dtype=np.float64)), a0, first_step, tables.num_steps, accels, step_s,
         reference if reference is not None else np.zeros(tables.num_steps), use_reference,
     )  # fmt: skip
     if not ok:
@@ -484,9 +515,20 @@ def plan_speed(
 
 
 STAGE_STEPS = 5
+_STEEPEST = 1.65  # m/s2 by which the acceleration changes within a stage: a jerk that the smoothing allows too
 _OVER_MPS = 4.0
 _S_BIN, _V_BIN, _V_BINS = 1.5, 0.75, 48
 _STATES_MOST = 3000
+_SECOND_CHOICE = 1e3  # cost of a start that is not the first one named
+
+
+@njit(cache=True)
+def _advance(s, v, a, ramp, dt):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """One step at a constant jerk `ramp`; who would roll back stands."""
+    then = v + a * dt + 0.5 * ramp * dt * dt
+    if then <= 0.0:
+        return s + (0.5 * v * dt * v / (v - then) if v > 0.0 else 0.0), 0.0, 0.0
+    return s + v * dt + 0.5 * a * dt * dt + ramp * dt * dt * dt / 6.0, then, a + ramp * dt
 
 
 @njit(cache=True)
@@ -504,8 +546,9 @@ def _search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, refere
     blocked = np.empty((STAGE_STEPS + 1, cells), dtype=np.uint8)
     fastest, pushed = np.empty((STAGE_STEPS + 1, cells)), np.empty((STAGE_STEPS + 1, cells))
     most = accels.max()
-    all_s[0], all_v[0], all_a[0], all_c[0] = s0, v0, a0, 0.0
-    begin[1] = 1
+    for i in range(v0.size):
+        all_s[i], all_v[i], all_a[i], all_c[i] = s0, v0[i], a0, i * _SECOND_CHOICE
+    begin[1] = v0.size
     for k in range(stages):
         t0 = first + k * STAGE_STEPS
         sub = min(STAGE_STEPS, steps - 1 - t0)
@@ -528,20 +571,15 @@ def _search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, refere
         for index in range(here, there):
             s, v, previous, cost = all_s[index], all_v[index], all_a[index], all_c[index]
             for accel in accels:
-                if abs(accel - previous) > 1.7:  # what bounded jerk reaches within a stage
+                if abs(accel - previous) > _STEEPEST:
                     continue
-                vn, sn = v, s
+                # nothing can be prepared before the first stage: there the acceleration needs its time to build up
+                sn, vn, an = s, v, previous if k == 0 else accel
+                ramp = (accel - previous) / (STAGE_STEPS * dt) if k == 0 else 0.0
                 good = True
                 extra = 0.0
                 for m in range(1, sub + 1):
-                    tau = m * dt
-                    vn = v + accel * tau
-                    if vn <= 0.0:
-                        stop = v / -accel if accel < 0 else 0.0
-                        sn = s + v * stop + 0.5 * accel * stop * stop
-                        vn = 0.0
-                    else:
-                        sn = s + v * tau + 0.5 * accel * tau * tau
+                    sn, vn, an = _advance(sn, vn, an, ramp, dt)
                     cell = int(sn / step + 0.5)
                     if cell >= cells:
                         cell = cells - 1
@@ -576,7 +614,7 @@ def _search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, refere
                 vb = min(_V_BINS - 1, int(vn / v_bin + 0.5))
                 sb = min(s_bins, int(sn / s_bin + 0.5))
                 key = sb * _V_BINS + vb
-                at = slot[key]
+                at = slot[key] if k > 0 else -1
                 if at < 0:
                     if n_next >= _STATES_MOST:
                         continue
@@ -599,21 +637,17 @@ def _search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, refere
         if all_c[index] < all_c[best]:
             best = index
     total = all_c[best]
-    out_s[0], out_v[0] = s0, v0
+    out_s[0] = s0
     for k in range(stages, 0, -1):
         source = parent[best]
-        s, v, accel = all_s[source], all_v[source], all_a[best]
+        s, v, accel, ramp = all_s[source], all_v[source], all_a[best], 0.0
+        if k == 1:
+            accel, ramp = all_a[source], (accel - all_a[source]) / (STAGE_STEPS * dt)
         t0 = (k - 1) * STAGE_STEPS
         sub = min(STAGE_STEPS, steps - 1 - first - t0)
         for m in range(1, sub + 1):
-            tau = m * dt
-            vn = v + accel * tau
-            if vn <= 0.0:
-                stop = v / -accel if accel < 0 else 0.0
-                out_s[t0 + m] = s + v * stop + 0.5 * accel * stop * stop
-                out_v[t0 + m] = 0.0
-            else:
-                out_s[t0 + m] = s + v * tau + 0.5 * accel * tau * tau
-                out_v[t0 + m] = vn
+            s, v, accel = _advance(s, v, accel, ramp, dt)
+            out_s[t0 + m], out_v[t0 + m] = s, v
         best = source
+    out_v[0] = all_v[best]
     return True, out_s, out_v, total

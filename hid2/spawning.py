@@ -27,6 +27,7 @@ _TRUCK = ((0.0, 7.0, 2.3), (0.5, 9.6, 2.6), (1.0, 10.5, 2.7))
 _BUS = ((0.0, 10.5, 2.7), (0.5, 11.6, 2.9), (1.0, 12.3, 2.95))
 _MIN_MOVE_M, _MIN_MOVE_LATE_M = 10.0, 3.0
 _KEEP_FREE_M = 4.0
+_BEND_M = 0.3  # by which gaps along a bend may differ from those straight ahead
 #: Desired speed of an overtaker: slower ones do not get past within a scene, faster ones find no corridor in traffic.
 _OVERTAKER_MPS = (9.0, 11.0)
 _FASTER_MPS = 3.5  # than the leader: who is slower does not get past within a scene
@@ -68,8 +69,7 @@ class Spawner:
     led_by: dict[str, str] = field(default_factory=dict)
     places: Places = field(init=False)
     _sigma: np.ndarray[tuple[int], np.dtype[np.uint8]] = field(init=False)
-    _predicted: Traffic = field(init=False)
-    _claims: Traffic = field(init=False)
+    _ahead: Foresight = field(init=False)
     _against: dict[Policy, Counter[str]] = field(default_factory=dict)
     _exhausted: set[Policy] = field(default_factory=set)
     _streams: dict[Policy, Iterator[tuple[Route, float] | None]] = field(default_factory=dict)
@@ -83,7 +83,8 @@ class Spawner:
                 x, y = self.fixed.position[row, 0].tolist()
                 size = BoxSize(self.fixed.length_m[row], self.fixed.width_m[row])
                 self._mark(x, y, float(self.fixed.heading[row, 0]), size)
-        self._predicted = self._claims = predicted_traffic([], self.world.num_steps)
+        nobody = predicted_traffic([], self.world.num_steps)
+        self._ahead = Foresight(self.world, self.fixed, nobody, nobody)
 
     def spawn(self, policy: Policy, vehicle_id: str, *, attempts: int) -> PlannedVehicle | None:
         """Plan one vehicle for a policy; None, with the reasons counted, where no candidate of `attempts` holds.
@@ -115,7 +116,7 @@ class Spawner:
         for route, s0 in self._some(Policy.OVERTAKE, attempts, against):
             cruise = float(self.rng.uniform(*_OVERTAKER_MPS))
             wish = Wish(Policy.OVERTAKE, vehicle_id, object_type, own, self._draw_trigger(Policy.OVERTAKE), cruise)
-            leader = self._foresight().leader_at_start(wish, self.world.path(route), s0)
+            leader = self._ahead.leader_at_start(wish, self.world.path(route), s0)
             if leader is not None and leader.speed_mps + _FASTER_MPS > cruise:
                 against["overtake_leader_not_slower"] += 1
                 continue
@@ -177,14 +178,14 @@ class Spawner:
         slow = max(wish.cruise_mps * float(self.rng.uniform(*_LEADER_SHARE)), _LEADER_MPS)
         own = BoxSize(*_quantile(_CAR, float(self.rng.random())))
         lead = Wish(Policy.STRAIGHT, leader_id, "vehicle", own, 0.0, slow, steady=True)
-        apart = self._foresight().following_apart_m(wish, lead)
+        apart = self._ahead.following_apart_m(wish, lead)
         reason = "no_leader"
         for spare in _LEADER_SPARE_M:
             leader = self._try(lead, route, s0 + apart + spare)
             if not isinstance(leader, PlannedVehicle):
                 reason = f"leader_{leader}"
                 continue
-            before = self._sigma.copy(), self._predicted
+            before = self._sigma.copy(), self._ahead
             self._add(leader)
             vehicle = self._try(wish, route, s0)
             if isinstance(vehicle, PlannedVehicle):
@@ -192,12 +193,9 @@ class Spawner:
                 self.led_by[vehicle.vehicle_id] = leader_id
                 return (vehicle, leader)
             self.planned.pop()
-            self._sigma, self._predicted = before
+            self._sigma, self._ahead = before
             reason = vehicle
         return reason
-
-    def _foresight(self) -> Foresight:
-        return Foresight(self.world, self.fixed, self._predicted, self._claims)
 
     def _try(self, wish: Wish, route: Route, s0: float) -> PlannedVehicle | str:
         """A planned vehicle, or the reason against it."""
@@ -206,21 +204,24 @@ class Spawner:
         unsuited = self.places.unsuited(wish, route, s0, cruise, self.patience)
         if unsuited is not None:
             return unsuited
-        path = world.path(route)
         if "collision" in config.without:
-            return self._unchecked(wish, route, path, s0, cruise)
-        xy, heading = path.line.position(np.array([s0]))[0], float(path.line.heading(np.array([s0]))[0])
-        under = cells_under(
-            world.boxes, float(xy[0]), float(xy[1]), heading, length_m=size.length_m, width_m=0.8 * size.width_m
-        )
+            return self._unchecked(wish, route, world.path(route), s0, cruise)
+        x, y, heading = self.places.pose(route, s0)
+        under = cells_under(world.boxes, x, y, heading, length_m=size.length_m, width_m=0.8 * size.width_m)
         if np.any(self._sigma[under] != FREE):
             return "cells_occupied"
-        look = world.prospect(path, size, cruise_mps=cruise, others=(self.fixed, self._predicted, self._claims))
+        if self._ahead.meets_at_start(x, y, heading, size, config.spawn.clear_gap_m - _BEND_M):
+            return "box_too_close"  # seen before a path is laid and looked along
+        path = world.path(route)
+        turn_end = self._ahead.turn_end(wish, path, s0, cruise) if wish.policy in TURN_OF_POLICY else 0.0
+        if isinstance(turn_end, str):
+            return turn_end
+        look = self._ahead.prospect(path, size, cruise)
         keeps = wish.steady or wish.policy is Policy.OVERTAKE
         v0 = self._entry_speed(look, s0, cruise if keeps else cruise * float(self.rng.uniform(0.85, 1.0)))
         if isinstance(v0, str):
             return v0
-        intention = self._intend(wish, path, look, s0, v0, cruise)
+        intention = self._intend(wish, path, look, s0, v0, cruise, turn_end)
         if isinstance(intention, str):
             return intention
         return PlannedVehicle(
@@ -231,28 +232,31 @@ class Spawner:
         )  # fmt: skip
 
     def _intend(
-        self, wish: Wish, path: DrivenPath, look: Prospect, s0: float, v0: float, cruise: float
+        self, wish: Wish, path: DrivenPath, look: Prospect, s0: float, v0: float, cruise: float, turn_end: float
     ) -> Intention | str:
         """What it will do from here, starting at v0 or slower; or why nothing comes of it."""
         if wish.policy is Policy.OVERTAKE:
             if self.places.too_sharp(path, s0, s0 + cruise * self.world.num_steps * DT_S):
                 return "curve_too_sharp"
-            return self._foresight().overtake(wish, path, s0, v0, cruise, obstacles=self.patience > 0)
-        patient = _PATIENT_SHARES if self.patience > 0 else _SHARES
+            return self._ahead.overtake(wish, path, s0, v0, cruise, obstacles=self.patience > 0)
+        turns = wish.policy in TURN_OF_POLICY
+        shares = _PATIENT_SHARES if self.patience > 0 else _TURN_SHARES if turns else _SHARES
+        speeds = [share * v0 for share in shares]
         reason = "no_safe_timing"
-        for share in _TURN_SHARES if wish.policy in TURN_OF_POLICY and self.patience == 0 else patient:
-            plan = look.plan(s0=s0, v0=share * v0, a0=0.0, first_step=0, config=self.world.config)
+        # a manoeuvre may come about from a slower start only; who goes straight takes the first start that is possible
+        for start in [speeds] if wish.policy is Policy.STRAIGHT else speeds:
+            plan = look.plan(s0=s0, v0=start, a0=0.0, first_step=0, config=self.world.config)
             if plan is None:
                 continue
             if not self._moves(look, plan.s):
                 return "would_stand"
             if self.places.too_sharp(path, s0, float(plan.s[-1])):
                 return "curve_too_sharp"
-            if wish.policy in TURN_OF_POLICY:
-                intention = self._foresight().turn(wish, path, plan)
+            if turns:
+                intention = self._ahead.turn(wish, path, plan, turn_end)
             elif wish.policy is Policy.LANE_CHANGE:
                 sides: tuple[Side, ...] = ("left", "right") if self.rng.random() < 0.5 else ("right", "left")
-                intention = self._foresight().lane_change(wish, path, plan, cruise, sides)
+                intention = self._ahead.lane_change(wish, path, plan, cruise, sides)
             else:
                 intention = Intention(path, plan, plan)
             if isinstance(intention, Intention):
@@ -334,9 +338,8 @@ class Spawner:
         xy = vehicle.path.line.position(start)[0]
         self._mark(float(xy[0]), float(xy[1]), float(vehicle.path.line.heading(start)[0]), vehicle.size)
         one = predicted_traffic([_foreseen(vehicle)], self.world.num_steps)
-        self._predicted = self._predicted.joined(one)
-        if vehicle.claims is not None:
-            self._claims = self._claims.joined(vehicle.claims)
+        claims = self._ahead.claims if vehicle.claims is None else self._ahead.claims.joined(vehicle.claims)
+        self._ahead = Foresight(self.world, self.fixed, self._ahead.predicted.joined(one), claims)
 
     def _mark(self, x: float, y: float, heading: float, size: BoxSize) -> None:
         under = cells_under(self.world.boxes, x, y, heading, length_m=size.length_m, width_m=0.8 * size.width_m)

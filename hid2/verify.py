@@ -66,12 +66,13 @@ def limit_exceeded(trajectory: Trajectory, limits: Limits, *, step_s: float) -> 
 
 
 def off_road_steps(
-    trajectory: Trajectory, size: BoxSize, drivable: shapely.Geometry, *, tolerance_m: float
+    position: FloatArray, heading: FloatArray, size: BoxSize, drivable: shapely.Geometry, *, tolerance_m: float
 ) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """(T,) some corner of the box is farther than tolerance_m outside the drivable area (prepared geometry)."""
-    corners = box_corners(
-        trajectory.position, trajectory.heading, length_m=size.length_m, width_m=size.width_m
-    ).reshape(-1, 2)
+    """(T,) some corner of the box is farther than tolerance_m outside the drivable area (prepared geometry).
+
+    position (T, 2) m; heading (T,) rad.
+    """
+    corners = box_corners(position, heading, length_m=size.length_m, width_m=size.width_m).reshape(-1, 2)
     outside = ~shapely.contains_xy(drivable, corners[:, 0], corners[:, 1])
     if outside.any():
         points = shapely.points(corners[outside])

@@ -45,6 +45,11 @@ class World:
     _caps: dict[DrivenPath, FloatArray] = field(default_factory=dict)
     _known: dict[tuple[int, BoxSize], tuple[DrivenPath, PathOccupancy]] = field(default_factory=dict)
 
+    @property
+    def road_tolerance_m(self) -> float:
+        """By how much corners may stand out of the drivable area: a little less than what is allowed."""
+        return 0.9 * self.config.limits.drivable_tolerance_m
+
     def packed(self) -> "World":
         """The same scene with the gaps of a packed road."""
         return replace(self, config=self.config.packed(), _known={})
@@ -123,7 +128,7 @@ class World:
         spawn = self.config.spawn
         pool = self.lane_speeds.get(lane_id) or self.scene_speeds or [spawn.prior_speed_mps]
         speed = pool[int(rng.integers(len(pool)))] * (1.0 + spawn.speed_noise * float(rng.standard_normal()))
-        return float(np.clip(speed, spawn.min_speed_mps, spawn.max_speed_mps))
+        return float(min(max(speed, spawn.min_speed_mps), spawn.max_speed_mps))
 
 
 def build_world(

@@ -101,14 +101,17 @@ def test_corner_outside_the_road_beyond_the_tolerance_is_off_road() -> None:
     road = shapely.box(-50.0, -2.0, 250.0, 10.0)
     shapely.prepare(road)
     for y, expected in ((0.0, False), (-1.3, False), (-1.4, True)):
-        assert bool(off_road_steps(_straight(0.0, y, 10.0), CAR, road, tolerance_m=0.3).any()) is expected
+        driven = _straight(0.0, y, 10.0)
+        off = off_road_steps(driven.position, driven.heading, CAR, road, tolerance_m=0.3)
+        assert bool(off.any()) is expected
 
 
 def test_off_road_tells_the_steps() -> None:
     """The road ends at x = 20: with 2.25 m to the bumper and 0.3 m of tolerance, from x > 18.05 on, step 19."""
     road = shapely.box(-50.0, -5.0, 20.0, 5.0)
     shapely.prepare(road)
-    off = off_road_steps(_straight(0.0, 0.0, 10.0), CAR, road, tolerance_m=0.3)
+    driven = _straight(0.0, 0.0, 10.0)
+    off = off_road_steps(driven.position, driven.heading, CAR, road, tolerance_m=0.3)
     assert np.flatnonzero(off).tolist() == [19]
 
 
