@@ -134,9 +134,7 @@ class Places:
         ends = self._ends(route)
         row = min(bisect_right(ends, s0), len(route) - 1)
         middle = self.world.grid.graph.lanes[route[row]].path
-        at = np.array([s0 - (ends[row - 1] if row else 0.0)])
-        x, y = middle.point(at)[0].tolist()
-        return x, y, float(middle.heading(at)[0])
+        return middle.pose(s0 - (ends[row - 1] if row else 0.0))
 
     def too_sharp(self, path: DrivenPath, start: float, end: float) -> bool:
         """Whether the path bends more than kappa_max = 1 / R_min between two arc lengths (Trajectory Smoothing)."""

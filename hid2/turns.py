@@ -57,30 +57,40 @@ def desired_speed(
     segments: list[tuple[float, float, TurnType]],
     accel_mps2: float,
     cap: FloatArray | None = None,
+    shape: FloatArray | None = None,
 ) -> FloatArray:
     """(S,) m/s target speed along a route: cruise, shaped on turn lanes, capped by curvature, reachable.
 
     segments: (start, end, turn type) of each lane in arc length of the line, m. Slowing begins before the entrance at
-    approach_decel_mps2; speeding up after the exit at accel_mps2. cap (S,) m/s: `speed_cap` of the line where it is
-    known already.
+    approach_decel_mps2; speeding up after the exit at accel_mps2. cap (S,) m/s and shape (S,): `speed_cap` and
+    `turn_shapes` of the line where they are known already.
     """
-    speed = np.minimum(speed_cap(line, turn, limits) if cap is None else cap, cruise_mps)
+    cap = speed_cap(line, turn, limits) if cap is None else cap
+    shape = turn_shapes(line, turn, segments) if shape is None else shape
+    return np.asarray(_reachable(cap, shape, cruise_mps, TABLE_STEP_M, turn.approach_decel_mps2, accel_mps2))
+
+
+def turn_shapes(line: ReferenceLine, turn: Turn, segments: list[tuple[float, float, TurnType]]) -> FloatArray:
+    """(S,) v / v_0 at the line's table: f_left and f_right on turning lanes, 1 elsewhere; segments as above."""
+    shape = np.ones(line.table_curvature.size)
     for start, end, kind in segments:
         if kind is TurnType.STRAIGHT or end <= start:
             continue
-        cells = np.arange(max(0, int(start / TABLE_STEP_M)), min(speed.size, int(end / TABLE_STEP_M) + 2))
+        cells = np.arange(max(0, int(start / TABLE_STEP_M)), min(shape.size, int(end / TABLE_STEP_M) + 2))
         s = cells * TABLE_STEP_M
         cells, s = cells[(s >= start) & (s <= end)], s[(s >= start) & (s <= end)]
         alpha = np.asarray((s - start) / (end - start), dtype=np.float64)
-        shape = f_left(alpha, turn) if kind is TurnType.LEFT else f_right(alpha, turn)
-        speed[cells] = np.minimum(speed[cells], cruise_mps * shape)
-    return np.asarray(_reachable(speed, TABLE_STEP_M, turn.approach_decel_mps2, accel_mps2))
+        here = f_left(alpha, turn) if kind is TurnType.LEFT else f_right(alpha, turn)
+        shape[cells] = np.minimum(shape[cells], here)
+    return shape
 
 
 @njit(cache=True)
-def _reachable(speed, step, decel, accel):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _reachable(cap, shape, cruise, step, decel, accel):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Backward pass for slowing in time, forward pass for speeding up."""
-    out = speed.copy()
+    out = np.empty_like(cap)
+    for i in range(out.size):
+        out[i] = min(cap[i], cruise * shape[i])
     for i in range(out.size - 2, -1, -1):
         out[i] = min(out[i], np.sqrt(out[i + 1] ** 2 + 2 * decel * step))
     for i in range(1, out.size):

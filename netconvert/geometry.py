@@ -1,5 +1,6 @@
 """Polylines (arc length, resampling, Frenet coordinates) and oriented boxes, all in the plane."""
 
+import math
 from dataclasses import dataclass, field
 
 import numba
@@ -162,6 +163,16 @@ class Polyline:
         points[..., 0] = np.interp(s, self.s, self.points[:, 0])
         points[..., 1] = np.interp(s, self.s, self.points[:, 1])
         return points
+
+    def pose(self, s: float) -> tuple[float, float, float]:
+        """x, y in m and direction in rad at one arc length, m: the two above without arrays."""
+        segment = min(max(int(self.s.searchsorted(s, side="right")) - 1, 0), len(self._heading) - 1)
+        (x, y), along, heading = (
+            self.points[segment].tolist(),
+            s - float(self.s[segment]),
+            float(self._heading[segment]),
+        )
+        return x + along * math.cos(heading), y + along * math.sin(heading), heading
 
     def heading(self, s: npt.ArrayLike) -> FloatArray:
         """Direction at arc lengths s, that of the segment ahead where two segments meet. (M,) m. Returns (M,) rad."""
