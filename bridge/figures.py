@@ -17,6 +17,7 @@ from matplotlib.collections import LineCollection, PatchCollection, PolyCollecti
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as MplPath
+from matplotlib.ticker import MaxNLocator
 
 from hid2.agents import FloatArray, Policy
 from netconvert.cells import build_cell_grid
@@ -90,6 +91,8 @@ def frame(axes: Axes, low: FloatArray, high: FloatArray, *, origin: FloatArray, 
     axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
     axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
     axes.set_aspect("equal")
+    for axis in (axes.xaxis, axes.yaxis):  # whole metres: the labels are rounded to them
+        axis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
     axes.xaxis.set_major_formatter(lambda value, _: f"{value - origin[0]:.0f}")
     axes.yaxis.set_major_formatter(lambda value, _: f"{value - origin[1]:.0f}")
     axes.set_xlabel("east, m")

@@ -67,9 +67,16 @@ def plot_agent(folder: Path, agent_id: str, out_file: Path) -> Path:
         ax.grid(visible=True, color=figures.LIGHT_GREY, linewidth=0.5)
         for moment in moments:
             ax.axvline(moment.time_s, color=figures.DARK_GREY, linestyle=_STYLES[moment.what], linewidth=1.0)
-    axes[5].set_xlabel("time from timestep 0, s")
-    handles = [Line2D([], [], color=figures.DARK_GREY, linestyle=_STYLES[what], label=what) for what in _STYLES]
-    if moments:
+    axes[5].set_xlabel(
+        "time from timestep 0, s (acceleration and jerk: without the ends, where differences are one-sided)"
+    )
+    marked = {moment.what for moment in moments}
+    handles = [
+        Line2D([], [], color=figures.DARK_GREY, linestyle=_STYLES[what], label=what)
+        for what in _STYLES
+        if what in marked
+    ]
+    if handles:
         axes[1].legend(handles=handles, ncols=4, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     figure.suptitle(
         f"{scenario.scenario_id[:8]}, track {agent_id} ({track.object_type}, {track.size.length_m:.1f} x "
@@ -152,28 +159,37 @@ def _speed(ax: Axes, time: FloatArray, moved: Motion) -> None:
 
 def _acceleration(ax: Axes, time: FloatArray, moved: Motion) -> None:
     limits = Limits()
-    ax.plot(time, moved.longitudinal_accel, color=figures.BLUE, label="longitudinal")
-    ax.plot(time, moved.lateral_accel, color=figures.VERMILION, label="lateral", linestyle="--")
-    _limits(ax, moved.longitudinal_accel, moved.lateral_accel, limits=(limits.accel_min_mps2, limits.accel_max_mps2))
+    along, across = (_without_ends(values, 2) for values in (moved.longitudinal_accel, moved.lateral_accel))
+    ax.plot(time, along, color=figures.BLUE, label="longitudinal")
+    ax.plot(time, across, color=figures.VERMILION, label="lateral", linestyle="--")
+    _limits(ax, along, across, limits=(limits.accel_min_mps2, limits.accel_max_mps2))
     ax.set_ylabel("acceleration,\nm/s²")
     ax.legend(loc="upper right", ncols=3, fontsize=8)
 
 
 def _jerk(ax: Axes, time: FloatArray, moved: Motion) -> None:
     bound = Limits().longitudinal_jerk_mps3
-    ax.plot(time, moved.longitudinal_jerk, color=figures.BLUE, label="longitudinal")
-    ax.plot(time, moved.jerk_norm, color=figures.VERMILION, label="magnitude (JE)", linestyle="--")
-    _limits(ax, moved.longitudinal_jerk, moved.jerk_norm, limits=(-bound, bound))
+    along, norm = (_without_ends(values, 3) for values in (moved.longitudinal_jerk, moved.jerk_norm))
+    ax.plot(time, along, color=figures.BLUE, label="longitudinal")
+    ax.plot(time, norm, color=figures.VERMILION, label="magnitude (JE)", linestyle="--")
+    _limits(ax, along, norm, limits=(-bound, bound))
     ax.set_ylabel("jerk, m/s³")
     ax.legend(loc="upper right", ncols=3, fontsize=8)
+
+
+def _without_ends(values: FloatArray, steps: int) -> FloatArray:
+    """NaN for the first and last steps: the differences there are one-sided, and jump where the motion does not."""
+    inner = np.zeros(len(values), dtype=bool)
+    inner[steps : len(values) - steps] = True
+    return np.where(inner, values, np.nan)
 
 
 def _limits(ax: Axes, *series: FloatArray, limits: tuple[float, float]) -> None:
     """Dotted lines at the longitudinal limits, and room for whatever exceeds them."""
     for value, label in zip(limits, ("limit (longitudinal)", None), strict=True):
         ax.axhline(value, color=figures.GREY, linewidth=0.9, linestyle=":", label=label)
-    low = min(limits[0], *(float(values.min()) for values in series))
-    high = max(limits[1], *(float(values.max()) for values in series))
+    shown = np.concatenate([limits, *(values[np.isfinite(values)] for values in series)])
+    low, high = float(shown.min()), float(shown.max())
     ax.set_ylim(low - 0.1 * (high - low), high + 0.3 * (high - low))
 
 
@@ -207,7 +223,9 @@ def _cells(ax: Axes, time: FloatArray, scenario: Scenario, lanes: FlatLanes, mat
             continue
         lane_id = int(lanes.lane_ids[lane])
         index = [grid.cell_at(lane_id, float(s)).index for s in matches.s[rows]]
-        ax.step(time[rows], index, where="mid", color=palette[k % len(palette)])
+        # up to the next lane: one that is crossed in a single step shows too
+        after = time[rows[-1] + 1] if rows[-1] + 1 < len(time) else time[rows[-1]]
+        ax.step([*time[rows], after], [*index, index[-1]], where="post", color=palette[k % len(palette)])
         ax.annotate(str(lane_id), (time[rows[0]], index[0]), xytext=(2, 3), textcoords="offset points", fontsize=7)
     ax.set_ylabel("cell of the lane\n(label: lane)")
     ax.set_ylim(bottom=-0.5)

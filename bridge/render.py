@@ -112,10 +112,13 @@ def render_scene(
     return out_file
 
 
-def scene_figure(folder: Path, *, source: Path | None = None) -> Figure:
-    """A scene folder at its last observed step, before | after, as a figure. Errors: ScenarioError, MapError."""
+def scene_figure(folder: Path, *, source: Path | None = None, agent: str | None = None) -> Figure:
+    """A scene folder, or the surroundings of one track in it, at its last observed step, before | after, as a figure.
+
+    Errors: ScenarioError, MapError.
+    """
     scenario = read_scenario(folder)
-    drawing = _Drawing(_panels(scenario, source), _window(scenario, None), cells=False)
+    drawing = _Drawing(_panels(scenario, source), _window(scenario, agent), cells=False)
     drawing.show(min(LAST_OBSERVED, scenario.num_steps - 1), whole_paths=True)
     return drawing.figure
 

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from bridge import figures
 from bridge.charts import distribution_figure, diversity_figure, reason_words
 from bridge.render import scene_figure
+from bridge.sidecar import AgentRecord, sidecar_in
 from hid2.evaluation.realism import FEATURES
 
 if TYPE_CHECKING:
@@ -84,8 +85,11 @@ def picture(figure: Figure, caption: str) -> str:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A figure for a table; a dash where there is none."""
-    return "–" if value is None else f"{value:.{digits}f}"
+    """A figure for a table; a dash where there is none. What is more than 0 does not look like 0."""
+    if value is None:
+        return "–"
+    least = 10.0**-digits
+    return f"&lt; {least:.{digits}f}" if 0 < value < least / 2 else f"{value:.{digits}f}"
 
 
 def with_interval(entry: Mapping[str, float | None], digits: int = 3) -> str:
@@ -150,13 +154,35 @@ def _example(evaluation: "Evaluation") -> str:
     example = evaluation.totals.example
     if example is None:
         return ""
-    figure = scene_figure(Path(example.folder))
-    return "<h2>One of the scenes</h2>" + picture(
-        figure,
-        f"Scene {html.escape(example.scenario_id)} from above at its last observed moment. Boxes are "
-        "road users, lines the "
-        "way they came; a thin line is the whole path of a generated vehicle.",
-    )
+    folder = Path(example.folder)
+    parts = [
+        "<h2>One of the scenes</h2>",
+        picture(
+            scene_figure(folder),
+            f"Scene {html.escape(example.scenario_id)} from above at its last observed moment. Boxes are road users, "
+            "lines the way they came; a thin line is the whole path of a generated vehicle, and a mark the place where "
+            "it changes lanes, overtakes or turns.",
+        ),
+    ]
+    agent = _busiest(folder, example.scenario_id)
+    if agent is not None:
+        caption = f"The same moment around the path of {html.escape(agent)}, one of the generated vehicles."
+        parts.append(picture(scene_figure(folder, agent=agent), caption))
+    return "".join(parts)
+
+
+def _busiest(folder: Path, scenario_id: str) -> str | None:
+    """A generated vehicle to look at: one that overtook, else changed lanes, else any."""
+    sidecar = sidecar_in(folder, scenario_id)
+    agents = sidecar.agents if sidecar is not None else ()
+    if not agents:
+        return None
+
+    def shown(agent: AgentRecord) -> tuple[bool, bool]:
+        done = {maneuver.kind for maneuver in agent.maneuvers if maneuver.status == "done"}
+        return "overtake" in done, "lane_change" in done
+
+    return max(agents, key=shown).track_id
 
 
 def _safety(metrics: Mapping[str, Any]) -> str:
@@ -305,8 +331,9 @@ def diversity_parts(diversity: Mapping[str, Any]) -> list[str]:
         picture(
             diversity_figure(diversity),
             "Left: scenes by number of agents, before and after vehicles were added (all tracks of a scene, and those "
-            "present at the last observed moment). Right: share of scenes in which some moving vehicle "
-            "shows the behaviour.",
+            "present at the last observed moment). Right: share of scenes that have a moving vehicle of the kind; a "
+            "vehicle is of one kind, the rarest that it shows: one that changes lanes on its way to a turn counts as a "
+            "lane change.",
         ),
         table(
             ("share of scenes with agents …", "tracks, before", "after", "at 4.9 s, before", "after"), [means, *bands]
@@ -339,7 +366,9 @@ def _requests(metrics: Mapping[str, Any]) -> str:
         f"<h2>Asked for and delivered</h2><p>{requests['placed_of_requested']} vehicles placed of "
         f"{requests['requested']} "
         "asked for. Every manoeuvre asked for, what became of it, and whether the detector sees it "
-        "in the positions:</p>"
+        "in the positions. Aborted: begun and given up. Not feasible: never possible, with the reason. Not triggered: "
+        "the scene ended first. Trigger to start: median time from the moment at which the manoeuvre was asked for to "
+        "its begin, while it waited for a gap.</p>"
         + table(
             (
                 "manoeuvre",
@@ -386,7 +415,8 @@ def _fidelity(metrics: Mapping[str, Any]) -> str:
     return (
         "<h2>Fidelity of replay and road network</h2>"
         + text
-        + "<p>Each map as a SUMO network of cells of 4 m; links that lead out of the map cannot be kept.</p>"
+        + "<p>Each map as a SUMO network of cells of at most 4 m; links that lead out of the map cannot be kept, nor "
+        "neighbours that only one of the two lanes names.</p>"
         + table(("map of scene", "lanes", "cells", "largest distance, mm", "successor links", "neighbour links"), rows)
     )
 
@@ -400,8 +430,14 @@ def _words() -> str:
         "above 0.02) at any step, as a "
         "share of the vehicles of the scene; mean over scenes.</dd>"
         "<dt>ORR</dt><dd>off-road rate: positions outside the drivable area of the map, as a share of all.</dd>"
+        "<dt>footprint ORR</dt><dd>positions at which a corner of the box is more than 0.3 m outside it, as a share "
+        "of all.</dd>"
         "<dt>TTC</dt><dd>time until two boxes touch if both keep their velocity; looked at up to 5 s.</dd>"
         "<dt>time gap</dt><dd>gap to the vehicle ahead in the lane, divided by the own speed.</dd>"
+        "<dt>PET</dt><dd>post-encroachment time: from the moment at which one vehicle leaves ground that two paths "
+        "share to the moment at which the other arrives there.</dd>"
+        "<dt>overtake, pass, obstacle avoidance</dt><dd>driving past a slower vehicle by the lane beside it and back; "
+        "the same without coming back; past one that stands.</dd>"
         "<dt>IoU</dt><dd>area shared by two boxes over the area covered by either.</dd>"
         "<dt>moving</dt><dd>a vehicle whose path extends over more than 5 m, seen at more than 10 steps.</dd>"
         "<dt>fragment</dt><dd>a short, poor track; the data set marks it so.</dd></dl>"

@@ -19,6 +19,8 @@ from netconvert.lane_graph import LaneGraph, TurnType
 DRIVEN_TYPES = frozenset({"VEHICLE", "BUS"})
 #: Candidates are lanes at most this far beyond their own edge.
 BEYOND_EDGE_M = 1.0
+#: Lanes whose width varies leave slivers of ground between them that no lane holds, for each counts with one width.
+_SLIVER_M = 0.3
 #: A lane agrees with the direction of motion below this angle.
 AGREE_RAD = math.radians(60)
 #: Direction of motion: displacement over this many steps either side, where it is at least MIN_CHORD_M.
@@ -264,7 +266,7 @@ def _candidates(
                 if inside and turn > math.pi / 2:
                     against[i] = True
                 continue
-            with_lane = with_lane or inside
+            with_lane = with_lane or distance <= half_width[k] + _SLIVER_M
             value = 0.5 * (distance / _OFFSET_SIGMA_M) ** 2 + 0.5 * (turn / _HEADING_SIGMA_RAD) ** 2
             slot = count[i]
             if slot == most:
@@ -346,8 +348,8 @@ def _choose(
 def match_lanes(arrays: SceneArrays, lanes: FlatLanes) -> tuple[Matches, BoolArray]:
     """Lanes of every vehicle's rows, and the rows (N,) that go against the only lanes that hold them.
 
-    Rows of other agents have lane -1. Going against: the centre is on a lane, every lane that holds it points more
-    than 60 degrees, one of them more than 90 degrees, away from the motion.
+    Rows of other agents have lane -1. Going against: the centre is on a lane that points more than 90 degrees away from
+    the motion, and not on, nor within _SLIVER_M of, one that points less than 60 degrees away.
     """
     direction, known = _direction(arrays.position, arrays.heading, arrays.first, HALF_WINDOW, MIN_CHORD_M)
     wanted = arrays.vehicle[arrays.agent] if arrays.num_agents else np.zeros(0, dtype=bool)

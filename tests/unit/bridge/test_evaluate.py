@@ -12,6 +12,7 @@ import pytest
 
 from bridge.aggregate import KINEMATIC, SourceSums, estimate, ratio_estimate
 from bridge.evaluate import evaluate_folder
+from bridge.report import number
 from bridge.scenario import find_scenarios, read_scenario
 from bridge.scene_metrics import Maps, measure, measure_folder
 from hid2.evaluation.realism import DRIVING_FEATURES, MOTION_FEATURES
@@ -82,9 +83,21 @@ def test_report_stands_alone_and_says_what_a_newcomer_needs(report):
     _, folder = report
     text = (folder / "report.html").read_text()
     assert not re.search(r'(src|href)="(?!data:)', text)
-    for word in ("SCR", "ORR", "TTC", "Words", "Jensen-Shannon", "floor", "generated", "original", "combined", "m/s²"):
+    for word in (
+        "SCR",
+        "ORR",
+        "TTC",
+        "PET",
+        "Words",
+        "Jensen-Shannon",
+        "floor",
+        "generated",
+        "original",
+        "combined",
+        "m/s²",
+    ):
         assert word in text
-    assert text.count("data:image/png;base64,") == 3
+    assert text.count("data:image/png;base64,") == 4
 
 
 def test_result_does_not_depend_on_jobs(report, made_root, data_root, tmp_path):
@@ -172,3 +185,13 @@ def test_recorded_and_generated_scenes_together_have_the_same_columns(made_root,
     rows = read_csv(tmp_path / "report" / "scenes.csv")
     scenes = evaluation.metrics["scenes"]
     assert len(rows) == scenes["scenes"] > scenes["generated_scenes"] == sum(row["seed"] != "" for row in rows)
+
+
+def test_a_share_that_is_not_zero_does_not_look_like_it():
+    assert [number(value, 4) for value in (None, 0.0, 0.00004, 0.0002, 1.5)] == [
+        "–",
+        "0.0000",
+        "&lt; 0.0001",
+        "0.0002",
+        "1.5000",
+    ]

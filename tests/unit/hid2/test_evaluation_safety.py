@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.affinity import rotate, translate
 from shapely.geometry import box as rectangle
@@ -38,6 +38,7 @@ places = st.floats(-6, 6)
 sizes = st.floats(0.5, 12)
 
 
+@settings(deadline=None)  # the first call may compile
 @given(places, places, angles, angles, sizes, sizes, sizes, sizes)
 def test_shared_area_equals_shapelys(x, y, first, second, length_a, width_a, length_b, width_b):
     iou, _, _ = pairwise_overlap(
@@ -51,6 +52,7 @@ def test_shared_area_equals_shapelys(x, y, first, second, length_a, width_a, len
     assert iou[0, 1] == pytest.approx(a.intersection(b).area / a.union(b).area, abs=1e-9)
 
 
+@settings(deadline=None)  # the first call may compile
 @given(st.floats(-40, 40), st.floats(-40, 40), st.floats(-15, 15), st.floats(-15, 15), angles, angles)
 def test_contact_time_equals_moving_the_boxes_by_small_steps(x, y, vx, vy, first, second):
     """Boxes 4 x 2 m: at the time found they touch, and a little before they do not."""
@@ -194,6 +196,23 @@ def test_driving_against_the_lane_is_seen_and_parking_across_it_is_not(road):
     arrays = stack([wrong, right, parked])
     share = arrays.mean_per_agent(safety(arrays, survey(graph)).against_lane.astype(float))
     assert share.tolist() == [1.0, 0.0, 0.0]
+
+
+def test_a_sliver_between_two_lanes_is_not_driving_against_one_that_crosses_them(lane):
+    """Lanes 1 and 2 side by side, 0.4 m apart; 3 crosses both back and across. x keeps to 1, then drives between.
+
+    At y = 1.95 x is 0.2 m beside 1 and 2, on 3, which points 135 degrees away; at y = -2.2 it is 0.45 m beside 1.
+    """
+    graph = LaneGraph(
+        {
+            1: lane(1, [(0, 0), (200, 0)]),
+            2: lane(2, [(0, 3.9), (200, 3.9)]),
+            3: lane(3, [(130, -30), (70, 30)]),
+        }
+    )
+    for y, expected in ((0.0, False), (1.95, False), (-2.2, True)):
+        arrays = stack([drive(60, y, 0.0, speed=8.0, name="x")])
+        assert safety(arrays, survey(graph)).against_lane.any() == expected, y
 
 
 def test_lane_of_a_vehicle_near_the_marking_does_not_flicker(road):
