@@ -44,14 +44,17 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
         density = diversity["density"][name]
         numbers = [int(number) for when in ("before", "after") for number in density[when]]
         top = max([*numbers, 10])
-        edges = np.arange(0, top + 40, 20)
+        edges = np.arange(0, top + 20, 20)
+        highest = 0.0
         for when, color, hatch in (("before", figures.GREY, ""), ("after", figures.BLUE, "//")):
             scenes = list(density[when].values())
-            heights, _ = np.histogram([int(number) for number in density[when]], edges, weights=scenes)
+            # a bar from 40 to 60 holds more than 40 and up to 60, as in the table: nothing lies on an edge
+            heights, _ = np.histogram([int(number) - 0.5 for number in density[when]], edges, weights=scenes)
             levels = heights / max(1, sum(scenes))
             ax.stairs(levels, edges, fill=True, color=color, alpha=0.35, hatch=hatch, label=when)
             ax.stairs(levels, edges, color=color, linewidth=1.6)
-            ax.set_ylim(0, 1.15 * max(ax.get_ylim()[1] / 1.05, levels.max()))
+            highest = max(highest, levels.max())
+        ax.set_ylim(0, 1.25 * highest)  # room for the legend
         ax.set_xlabel(label)
         ax.set_ylabel("share of scenes")
     axes[0].legend(loc="upper left")

@@ -331,9 +331,9 @@ def diversity_parts(diversity: Mapping[str, Any]) -> list[str]:
         picture(
             diversity_figure(diversity),
             "Left: scenes by number of agents, before and after vehicles were added (all tracks of a scene, and those "
-            "present at the last observed moment). Right: share of scenes that have a moving vehicle of the kind; a "
-            "vehicle is of one kind, the rarest that it shows: one that changes lanes on its way to a turn counts as a "
-            "lane change.",
+            "present at the last observed moment); a bar from 40 to 60 holds more than 40 and up to 60. Right: share "
+            "of scenes that have a moving vehicle of the kind; a vehicle is of one kind, the rarest that it shows: one "
+            "that changes lanes on its way to a turn, or passes another and stays, counts as a lane change.",
         ),
         table(
             ("share of scenes with agents …", "tracks, before", "after", "at 4.9 s, before", "after"), [means, *bands]

@@ -57,7 +57,8 @@ class Safety:
     """Safety of a scene: overlaps of pairs, and masks and times by row (N,).
 
     off_road: box centre outside the drivable area; off_footprint: a corner more than 0.3 m outside;
-    against_lane: moving against the lanes that hold the centre (matching.match_lanes); ttc_s: two-dimensional, at most CAP_S.
+    against_lane: moving against the lanes that hold the centre (matching.match_lanes); ttc_s: two-dimensional, at most
+    CAP_S.
     """
 
     overlaps: tuple[Overlap, ...]

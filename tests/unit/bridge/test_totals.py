@@ -4,10 +4,12 @@ import pickle
 import random
 from dataclasses import replace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 from bridge.aggregate import SourceSums
+from bridge.charts import diversity_figure
 from bridge.diversity import Diversity
 from bridge.samples import Samples
 from bridge.scene_metrics import Maps, measure_folder
@@ -148,3 +150,15 @@ def test_diversity_counts_scenes_by_number_of_agents():
 def test_diversity_before_is_the_source_scenes_where_they_are_known():
     rows = [scene_row(45, 5), scene_row(45, 5)]
     assert Diversity.of(rows, [scene_row(40, 0)]).content()["density"]["tracks"]["before"] == {"40": 1}
+
+
+def test_bars_of_the_diversity_figure_agree_with_the_shares_above():
+    """40 tracks are not more than 40: before, the bar ends at 40; after, 41 tracks are in the next."""
+    found = Diversity.of([scene_row(41, 1)], []).content()
+    figure = diversity_figure(found)
+    bars = [patch.get_data() for patch in figure.axes[0].patches]
+    plt.close(figure)
+    (before, edges, _), (after, _, _) = bars[0], bars[2]
+    assert edges[np.flatnonzero(before)].tolist() == [20]
+    assert edges[np.flatnonzero(after)].tolist() == [40]
+    assert found["density"]["tracks"]["share_above"]["40"] == {"before": 0.0, "after": 1.0}
