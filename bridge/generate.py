@@ -26,9 +26,11 @@ from bridge.sidecar import (
 )
 from bridge.simulation import Simulation
 from bridge.steering import Driver, Steering
-from hid2.agents import Policy, Track
+from hid2.agents import VEHICLE_TYPES, Policy, Track
 from hid2.conflicts import DT_S
+from hid2.evaluation.matching import flatten_lanes
 from hid2.foresight import TURN_OF_POLICY
+from hid2.lane_leaders import pressing
 from hid2.params import Config
 from hid2.repair import SettledVehicle, settle, settled_traffic
 from hid2.spawning import Spawner
@@ -43,7 +45,7 @@ _ATTEMPTS_AGAIN = 25
 _ATTEMPTS_LAST = 400
 _ATTEMPTS_LATE = 10_000
 _MAX_AGENTS = 400
-_FROM_EMPTY = 3
+_FROM_EMPTY = 6
 _FEW_MOST = 4
 _BEHIND_TURN_M = 1.0
 _MIX_OF_MOST = 40
@@ -105,7 +107,7 @@ def generate(scenario: Scenario | PreparedScene, config: Config, *, variant: int
         net = Path(folder) / "scene.net.xml"
         net.write_bytes(prepared.net)
         with Simulation(net, seed=config.request.seed, step_s=DT_S) as simulation:
-            run = _Run(world, simulation, seed)
+            run = _Run(world, scene.tracks, simulation, seed)
             run.fill()
     run.credit_turns()
     vehicles = sorted(run.settled, key=lambda item: int(item.vehicle.driven.spec.vehicle_id.removeprefix("v")))
@@ -138,8 +140,10 @@ def write(scene: GeneratedScene, out_dir: Path) -> Path:
 class _Run:
     """Rounds of planning, driving and settling until the count is reached or nothing more fits."""
 
-    def __init__(self, world: World, simulation: Simulation, seed: list[int]) -> None:
+    def __init__(self, world: World, recorded: Sequence[Track], simulation: Simulation, seed: list[int]) -> None:
         self.world, self.simulation, self.seed = world, simulation, seed
+        self.recorded = [track for track in recorded if track.object_type in VEHICLE_TYPES]
+        self.lanes = flatten_lanes(world.grid.graph)
         self.rng = np.random.default_rng([*seed, 0])
         self.settled: list[Settled] = []
         self.reasons: Counter[str] = Counter()
@@ -279,6 +283,8 @@ class _Run:
         by_id = {driver.spec.vehicle_id: driver for driver in drivers}
         settled, failed = settle(world, steering.driven(), [item.vehicle for item in self.settled], self.fixed)
         failed += [(driver.spec, driver.objection) for driver in drivers if driver.objection is not None]
+        settled, gone = self._without_pressing(settled)
+        failed += gone
         if reseeds:
             settled, missed = self._keep_what_was_asked(settled, by_id, spawner.led_by)
             failed += missed
@@ -298,6 +304,27 @@ class _Run:
         self.settled += [Settled(vehicle, by_id[vehicle.driven.spec.vehicle_id]) for vehicle in settled]
         self.fixed = self.fixed.joined(settled_traffic(settled, world.num_steps))
         return again
+
+    def _without_pressing(
+        self, settled: Sequence[SettledVehicle]
+    ) -> tuple[list[SettledVehicle], list[tuple[PlannedVehicle, str]]]:
+        """Without those that a reader of the positions would see closing in on a leader below the critical TTC.
+
+        Where a vehicle of an earlier round does so behind a new one, the new one goes.
+        """
+        vehicles, gone = [*(item.vehicle for item in self.settled), *settled], []
+        if not {"collision", "topology", "smoothing"} & self.world.config.without:
+            while found := pressing(
+                self.recorded, [_track(vehicle, f"gen_{row}", 0) for row, vehicle in enumerate(vehicles)],
+                [bool(vehicle.driven.path.shifts) for vehicle in vehicles], self.lanes,
+                num_steps=self.world.num_steps, critical_s=self.world.config.conflict.ttc_min_s,
+            ):  # fmt: skip
+                follower, leader = found[-1]
+                late = leader if follower < len(self.settled) and leader is not None else follower
+                gone.append((vehicles.pop(late).driven.spec, "ttc_on_lane"))
+                if late < len(self.settled):
+                    self._keep([item for row, item in enumerate(self.settled) if row != late])
+        return vehicles[len(self.settled) :], gone
 
     def _keep_what_was_asked(
         self, settled: Sequence[SettledVehicle], drivers: Mapping[str, Driver], led_by: Mapping[str, str]

@@ -140,7 +140,7 @@ class Places:
         """Whether the path bends more than kappa_max = 1 / R_min between two arc lengths (Trajectory Smoothing)."""
         cells = slice(int(start / TABLE_STEP_M), int(end / TABLE_STEP_M) + 2)
         bend = float(np.abs(path.line.table_curvature[cells]).max(initial=0.0))
-        return bend > 1.0 / self.world.config.limits.min_radius_m
+        return bend > self.world.curvature_most
 
     def _turns_into(self, lane_id: int, wanted: TurnType) -> bool:
         """Whether a turning lane is of the wanted kind, can be entered, and is one that a car can follow."""

@@ -228,7 +228,7 @@ def _smooth_and_check(
     motion = Motion(s=motion.s[:steps], v=motion.v[:steps], a=motion.a[:steps])
     trajectory = poses(vehicle.path.line, motion)
     cells = np.arange(int(motion.s[0] / TABLE_STEP_M), int(motion.s[-1] / TABLE_STEP_M) + 2)
-    if np.abs(vehicle.path.line.table_curvature[cells]).max() > 1.0 / config.limits.min_radius_m:
+    if np.abs(vehicle.path.line.table_curvature[cells]).max() > world.curvature_most:
         return "limit_curvature"
     exceeded = limit_exceeded(trajectory, config.limits, step_s=DT_S)
     if exceeded is not None:

@@ -53,6 +53,11 @@ class World:
         """By how much corners may stand out of the drivable area: a little less than what is allowed."""
         return 0.9 * self.config.limits.drivable_tolerance_m
 
+    @property
+    def curvature_most(self) -> float:
+        """1 / R_min with a little to spare: whoever reads the positions sees chords, 1/m."""
+        return 0.98 / self.config.limits.min_radius_m
+
     def packed(self) -> "World":
         """The same scene with the gaps of a packed road."""
         return replace(self, config=self.config.packed(), _known={})

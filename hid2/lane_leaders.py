@@ -1,0 +1,119 @@
+"""TTC to the leader on the lane path, as whoever reads the exported positions sees it (evaluation.md).
+
+The driven path knows that a vehicle is about to leave its lane; its positions do not, until it has.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+
+from hid2.agents import Track
+from hid2.evaluation.arrays import SceneArrays, stack
+from hid2.evaluation.following import leaders
+from hid2.evaluation.matching import FlatLanes, match_lanes
+
+_SLACK_M = 0.5
+_ONCOMING = -0.2  # cosine of the angle between two that do not follow each other, not even round a corner
+_SHARPEST_M, _LATERAL_MPS2 = 6.0, 6.0  # radius of the bend that may lie ahead at any speed, and by the speed
+_NEAR_M = 50.0  # who is farther away all the time leads nobody at a critical TTC
+
+
+def pressing(
+    recorded: Sequence[Track],
+    generated: Sequence[Track],
+    leaving: Sequence[bool],
+    lanes: FlatLanes,
+    *,
+    num_steps: int,
+    critical_s: float,
+) -> list[tuple[int, int | None]]:
+    """Rows of `generated` whose TTC to the leader on the lane path is below critical_s at some step, in order.
+
+    Each with the row of that leader, None for a recorded one. leaving: whether a vehicle leaves its lane for another
+    one; those that do not are known by where they drive to. Lanes are matched only around vehicles that close in on
+    anybody ahead.
+    """
+    tracks = [*recorded, *generated]
+    arrays = stack(tracks, num_steps=num_steps)
+    found: list[tuple[int, int | None]] = []
+    for row, leaves in enumerate(leaving, start=len(recorded)):
+        near, closes_in = _around(
+            row,
+            arrays.row_of,
+            arrays.position,
+            arrays.heading,
+            arrays.velocity,
+            arrays.length,
+            arrays.width,
+            leaves,
+            critical_s,
+        )
+        if not closes_in:
+            continue
+        scene = [row, *np.flatnonzero(near).tolist()]  # itself first
+        leader = _pressed(stack([tracks[k] for k in scene], num_steps=num_steps), lanes, critical_s)
+        if leader is not None:
+            new = scene[leader] - len(recorded)
+            found.append((row - len(recorded), new if new >= 0 else None))
+    return found
+
+
+def _pressed(scene: SceneArrays, lanes: FlatLanes, critical_s: float) -> int | None:
+    """Leader of the first agent where its TTC is smallest, if that is below critical_s."""
+    matches, _ = match_lanes(scene, lanes)
+    seen = leaders(scene, lanes, matches)
+    own = slice(*scene.first[:2].tolist())
+    step = int(np.argmin(seen.ttc_s[own]))
+    return int(seen.agent[own][step]) if seen.ttc_s[own][step] < critical_s else None
+
+
+@njit(cache=True)
+def _aside(own, t, place, row_of, position, heading):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """How far to the left of an agent's own future track a place lies, m; straight on behind the track's end."""
+    aside = 0.0
+    for k in range(t, row_of.shape[1]):
+        i = row_of[own, k]
+        if i < 0:
+            break
+        dx, dy = place[0] - position[i, 0], place[1] - position[i, 1]
+        cosine, sine = np.cos(heading[i]), np.sin(heading[i])
+        aside = dy * cosine - dx * sine
+        if dx * cosine + dy * sine <= 0.0:
+            break
+    return aside
+
+
+@njit(cache=True)
+def _around(own, row_of, position, heading, velocity, length, width, leaves, critical):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Who is ahead of an agent at some step, not far, (A,), and whether it closes in on anybody straight ahead."""
+    agents, steps = row_of.shape
+    near, closes_in = np.zeros(agents, dtype=np.bool_), False
+    for t in range(steps):
+        i = row_of[own, t]
+        if i < 0:
+            continue
+        cosine, sine = np.cos(heading[i]), np.sin(heading[i])
+        speed = np.hypot(velocity[i, 0], velocity[i, 1])
+        radius = max(_SHARPEST_M, speed * speed / _LATERAL_MPS2)
+        for other in range(agents):
+            j = row_of[other, t]
+            if j < 0 or other == own:
+                continue
+            dx, dy = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
+            if dx * dx + dy * dy > _NEAR_M * _NEAR_M:
+                continue
+            ahead = dx * cosine + dy * sine
+            if ahead <= 0.0 or np.cos(heading[j] - heading[i]) < _ONCOMING:
+                continue
+            near[other] = True
+            closing = speed - np.hypot(velocity[j, 0], velocity[j, 1])
+            gap = np.hypot(dx, dy) - (length[own] + length[other]) / 2
+            if closes_in or closing <= 0.0 or gap > critical * closing + _SLACK_M:
+                continue
+            beside = (width[own] + width[other]) / 2 + _SLACK_M
+            if leaves:
+                closes_in = abs(dy * cosine - dx * sine) < beside + ahead * ahead / (2 * radius)
+            else:
+                closes_in = abs(_aside(own, t, position[j], row_of, position, heading)) < beside
+    return near, closes_in

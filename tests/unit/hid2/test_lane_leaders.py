@@ -1,0 +1,63 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hid2.agents import BoxSize, Track
+from hid2.evaluation.matching import FlatLanes, flatten_lanes
+from hid2.lane_leaders import pressing
+from netconvert.lane_graph import LaneGraph
+
+STEPS = 40
+
+
+def _drive(name: str, x: float, y: float, speed: float, *, aside_mps: float = 0.0, first: int = 0) -> Track:
+    """Along x from step `first` on, moving aside evenly; the heading is that of the velocity."""
+    steps = np.arange(first, STEPS)
+    time = 0.1 * (steps - first)
+    velocity = np.tile([speed, aside_mps], (steps.size, 1))
+    return Track(
+        track_id=name, object_type="vehicle", category=1, timesteps=steps,
+        position=np.array([x, y]) + time[:, None] * velocity[0], velocity=velocity,
+        heading=np.full(steps.size, np.arctan2(aside_mps, speed)), size=BoxSize(4.5, 1.9),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def lanes(road: Callable[..., LaneGraph]) -> FlatLanes:
+    """Lane 1 at y = 0 and lane 2 at y = 3.5."""
+    return flatten_lanes(road())
+
+
+def _pressing(recorded: list[Track], generated: list[Track], leaving: list[bool], lanes: FlatLanes):
+    return pressing(recorded, generated, leaving, lanes, num_steps=STEPS, critical_s=1.5)
+
+
+def test_leader_of_the_lane_that_is_being_left_counts_until_the_lane_is_left(lanes: FlatLanes) -> None:
+    """A car at 10 m/s moves out at 1 m/s behind one that stands 30 m ahead.
+
+    Boxes overlap across the lane until it is 1.9 m aside, at 1.9 s; by then the gap is 30 - 4.5 - 19 = 6.5 m: 0.65 s.
+    From 45 m the gap is 21.5 m then: 2.15 s.
+    """
+    leaves = _drive("gen_0", 0.0, 0.0, 10.0, aside_mps=1.0)
+    assert _pressing([_drive("a", 30.0, 0.0, 0.0)], [leaves], [True], lanes) == [(0, None)]
+    assert _pressing([_drive("a", 45.0, 0.0, 0.0)], [leaves], [True], lanes) == []
+
+
+def test_leader_that_is_generated_is_named(lanes: FlatLanes) -> None:
+    """Two cars in lane 2 are no part of it; gen_2 follows gen_1 at 10 against 2 m/s, 12 m apart: 7.5 / 8 = 0.94 s."""
+    others = [_drive("a", 20.0, 3.5, 0.0), _drive("b", 60.0, 3.5, 0.0)]
+    generated = [_drive("gen_0", 80.0, 3.5, 8.0), _drive("gen_1", 20.0, 0.0, 2.0), _drive("gen_2", 8.0, 0.0, 10.0)]
+    assert _pressing(others, generated, [False, False, False], lanes) == [(2, 1)]
+
+
+def test_who_stands_in_the_next_lane_is_no_leader(lanes: FlatLanes) -> None:
+    generated = [_drive("gen_0", 0.0, 0.0, 10.0)]
+    for leaving in (True, False):
+        assert _pressing([_drive("a", 20.0, 3.5, 0.0)], generated, [leaving], lanes) == []
+
+
+def test_leader_that_appears_late_counts_from_then_on(lanes: FlatLanes) -> None:
+    """At step 20 the follower is at 20 m, somebody appears 10 m before it, standing: 5.5 m at 10 m/s."""
+    appears = _drive("a", 30.0, 0.0, 0.0, first=20)
+    assert _pressing([appears], [_drive("gen_0", 0.0, 0.0, 10.0)], [False], lanes) == [(0, None)]
