@@ -42,6 +42,8 @@ from netconvert.net_xml import net_bytes
 
 _ATTEMPTS = 100
 _ATTEMPTS_AGAIN = 25
+#: Times that all places are gone through again; a lane change hangs most on where, how fast and when it is tried.
+_LOOKS_AGAIN = dict.fromkeys(Policy, 1) | {Policy.LANE_CHANGE: 3}
 _ATTEMPTS_LAST = 400
 _ATTEMPTS_LATE = 10_000
 _MAX_AGENTS = 400
@@ -237,10 +239,14 @@ class _Run:
         # manoeuvres need the room most, so they choose first; what finds no place looks again, with more patience
         order = sorted(asked, key=list(Policy).index, reverse=True)
         without = [policy for policy in order if not self._plan(spawner, policy, missing, attempts)]
-        if without and patience == 0:
-            spawner.look_again()
-            without = [policy for policy in without if not self._plan(spawner, policy, missing, _ATTEMPTS_AGAIN)]
-            spawner.patience = patience
+        for look in range(max(_LOOKS_AGAIN.values()) if patience == 0 else 0):
+            again = [policy for policy in without if look < _LOOKS_AGAIN[policy]]
+            if again:
+                spawner.look_again()
+                for policy in again:
+                    if self._plan(spawner, policy, missing, _ATTEMPTS_AGAIN):
+                        without.remove(policy)
+        spawner.patience = patience
         full = len(spawner.planned) >= missing  # leaders of overtakes count too
         self.unmet += [(policy, "count_reached" if full else spawner.why_none(policy)) for policy in without]
         spare = missing + math.ceil(self.world.config.spawn.spare_share * missing)

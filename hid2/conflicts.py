@@ -108,8 +108,11 @@ class Prospect:
         needs = behind & aligned
         needs[: self.recorded_rows] = False
         need = np.where(needs, high + self.ttc_s * along, -np.inf).max(axis=0, initial=-np.inf)
-        gone = s >= self.path.exit_s - self.size.length_m / 2
+        edge = self.path.exit_s - self.size.length_m / 2
+        gone = s >= edge
         upper[gone], room[gone] = np.inf, np.inf
+        early = slice(0, self.tables.earliest_exit_step)
+        upper[early] = np.minimum(upper[early], edge)
         lower[gone], need[gone] = -np.inf, -np.inf
         if np.any(lower >= upper) or np.any(need >= room):
             return None

@@ -27,7 +27,7 @@ from netconvert.lane_graph import TurnType
 TURN_OF_POLICY = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
 _SPARE_LANE_M = 8.0  # of the lane beside, for a change that begins a little later than foreseen
 _SPARE_STEPS = 4  # a foreseen manoeuvre ends this long before the scene does: SUMO will be a little later
-_TURN_SPARE_STEPS = 5  # yielding to who crosses costs SUMO more time than the plan
+_TURN_SPARE_SHARE = 0.09  # of the scene: yielding to who crosses costs SUMO more time than the plan
 _BEHIND_TURN_M = 1.0  # driven on the lane after it
 _ROAD_STEPS = 4  # between two looks at the corners of the box on a foreseen turn
 _HURRY = 1.25  # of the desired speed, at most, on the whole way into a turn and through it
@@ -127,11 +127,16 @@ class Foresight:
             return "turn_leaves_map"
         desired = self.world.desired(path, cruise_mps)[int(s0 / TABLE_STEP_M) : int(end / TABLE_STEP_M)]
         lasting_s = float((TABLE_STEP_M / desired).sum()) / _HURRY
-        return end if lasting_s < (self.world.num_steps - _TURN_SPARE_STEPS) * DT_S else "turn_not_reached"
+        return end if lasting_s < self._turned_by * DT_S else "turn_not_reached"
+
+    @property
+    def _turned_by(self) -> int:
+        """Step by which a foreseen turn is through."""
+        return self.world.num_steps - math.ceil(_TURN_SPARE_SHARE * self.world.num_steps)
 
     def turn(self, wish: Wish, path: DrivenPath, plan: SpeedPlan, end: float) -> Intention | str:
         """Whether a plan gets behind the end of the turn, m, soon enough, and the box stays on the road on the way."""
-        if plan.s[-_TURN_SPARE_STEPS] < end:
+        if plan.s[self._turned_by] < end:
             return "turn_not_reached"
         position, tangent, _ = path.line.motion(plan.s[::_ROAD_STEPS])
         heading = np.arctan2(tangent[:, 1], tangent[:, 0])

@@ -13,7 +13,7 @@ from hid2.decision import Side
 from hid2.foresight import TURN_OF_POLICY, Wish
 from hid2.maneuver import admissible_neighbor
 from hid2.reference_line import TABLE_STEP_M
-from hid2.route import DrivenPath, Route, routes_from
+from hid2.route import DrivenPath, Route, routes_from, straightest_successor
 from hid2.world import DRIVABLE_TYPES, World
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
@@ -24,6 +24,7 @@ _SLOWEST_MPS = (6.0, 3.0)  # a candidate's road lasts until the last observed st
 #: Of two lanes side by side: from 3 m/s behind a slow leader out, past it and back, speeding up by 1.8 m/s2 to 9 m/s.
 _OVERTAKE_STRETCH_M = 65.0
 _STRETCH_MOST_M = 120.0
+_RUN_UP_M = 150.0  # of a route before the place
 _TURN_ROUTES, _OTHER_ROUTES = 6, 3
 
 
@@ -36,6 +37,8 @@ class Places:
     packed: bool = False
     lanes: tuple[int, ...] = field(init=False)
     _known_routes: dict[tuple[TurnType, int, int], tuple[Route, ...]] = field(default_factory=dict)
+    _known_before: dict[int, tuple[int, ...]] = field(default_factory=dict)
+    _usable: frozenset[int] = field(init=False)
     _known_ends: dict[Route, tuple[float, ...]] = field(default_factory=dict)
     _known_cells: dict[Policy, tuple[list[Cell], list[int]]] = field(default_factory=dict)
 
@@ -43,6 +46,7 @@ class Places:
         """Lanes that cars drive on."""
         graph = self.world.grid.graph
         self.lanes = tuple(i for i, lane in graph.lanes.items() if lane.lane_type in DRIVABLE_TYPES)
+        self._usable = frozenset(self.lanes)
 
     def offers(self, policy: Policy) -> bool:
         """Whether the map has any place at all for a policy, whoever is on it."""
@@ -129,6 +133,10 @@ class Places:
             self._known_cells[policy] = cells, [grid.index_of[cell] for cell in cells]
         return self._known_cells[policy]
 
+    def lane_at(self, route: Route, s0: float) -> int:
+        """Lane of a route at arc length s0, m."""
+        return route[min(bisect_right(self._ends(route), s0), len(route) - 1)]
+
     def pose(self, route: Route, s0: float) -> tuple[float, float, float]:
         """x, y m and heading rad on the middle of a route's lanes at arc length s0."""
         ends = self._ends(route)
@@ -188,15 +196,32 @@ class Places:
         return max((self._onward_m(n, sofar_m) for n in onward), default=sofar_m)
 
     def _with_run_up(self, route: Route, s0: float) -> tuple[Route, float]:
-        """Start on the lane before where the box would stand out behind the first."""
-        if s0 >= 3.0 or "topology" in self.world.config.without:
+        """The same place on a route that begins at the edge of the map, or some way before it.
+
+        Who comes from behind is seen there, and places on different lanes share what is found out about a path.
+        """
+        if "topology" in self.world.config.without:
             return route, s0
-        graph = self.world.grid.graph
-        before = [p for p in graph.predecessors(route[0]) if p in self.lanes and p not in route]
-        if not before:
-            return route, s0
-        first = before[int(self.rng.integers(len(before)))]
-        return (first, *route), s0 + self.world.path((first,)).line.length_m
+        before = [lane_id for lane_id in self._lanes_before(route[0]) if lane_id not in route]
+        lanes = self.world.grid.graph.lanes
+        return (*before, *route), s0 + sum(lanes[lane_id].length_m for lane_id in before)
+
+    def _lanes_before(self, lane_id: int) -> tuple[int, ...]:
+        """Lanes that lead to a lane, the straightest way, back to the map's edge or _RUN_UP_M."""
+        if lane_id not in self._known_before:
+            graph = self.world.grid.graph
+            before: tuple[int, ...] = ()
+            length = 0.0
+            while length < _RUN_UP_M:
+                here = before[0] if before else lane_id
+                onto = [p for p in graph.predecessors(here) if p in self._usable and p not in (lane_id, *before)]
+                if not onto:
+                    break
+                first = min(onto, key=lambda p: (straightest_successor(graph, p) != here, p))
+                before = (first, *before)
+                length += graph.lanes[first].length_m
+            self._known_before[lane_id] = before
+        return self._known_before[lane_id]
 
     def _distance_to_exit(self) -> dict[int, float]:
         """From the start of each lane to the nearest edge of the map, m; lanes that only lead back count as far."""

@@ -200,7 +200,9 @@ class Spawner:
     def _try(self, wish: Wish, route: Route, s0: float) -> PlannedVehicle | str:
         """A planned vehicle, or the reason against it."""
         world, config, size = self.world, self.world.config, wish.size
-        cruise = world.speed_sample(route[0], self.rng) if wish.cruise_mps is None else wish.cruise_mps
+        cruise = (
+            world.speed_sample(self.places.lane_at(route, s0), self.rng) if wish.cruise_mps is None else wish.cruise_mps
+        )
         unsuited = self.places.unsuited(wish, route, s0, cruise, self.patience)
         if unsuited is not None:
             return unsuited
@@ -243,11 +245,10 @@ class Spawner:
         shares = _PATIENT_SHARES if self.patience > 0 else _TURN_SHARES if turns else _SHARES
         speeds = [share * v0 for share in shares]
         reason = "no_safe_timing"
-        # a manoeuvre may come about from a slower start only; who goes straight takes the first start that is possible
-        for start in [speeds] if wish.policy is Policy.STRAIGHT else speeds:
-            plan = look.plan(s0=s0, v0=start, a0=0.0, first_step=0, config=self.world.config)
+        while speeds:
+            plan = look.plan(s0=s0, v0=speeds, a0=0.0, first_step=0, config=self.world.config)
             if plan is None:
-                continue
+                break
             if not self._moves(look, plan.s):
                 return "would_stand"
             if self.places.too_sharp(path, s0, float(plan.s[-1])):
@@ -264,6 +265,7 @@ class Spawner:
             reason = intention
             if reason == "turn_not_reached":
                 break  # still less so from a slower start
+            speeds = speeds[speeds.index(float(plan.v[0])) + 1 :]  # a manoeuvre may come about from a slower start
         return reason
 
     def _moves(self, look: Prospect, s: FloatArray) -> bool:

@@ -112,3 +112,13 @@ def test_only_generated_followers_are_owed_a_ttc(look: Callable[..., Prospect], 
     s, v = 30.0 + np.arange(1), np.full(1, 10.0)
     assert look(follower).min_follower_ttc_s(s, v) == pytest.approx(3.9, abs=0.15)
     assert look(recorded=follower).min_follower_ttc_s(s, v) == np.inf
+
+
+def test_bounds_keep_a_motion_on_the_map_until_it_may_leave(
+    look: Callable[..., Prospect], box: Callable[..., Traffic]
+) -> None:
+    """The road of 200 m ends for the centre of a car of 4.5 m at 197.75 m; it may leave from step 51 on."""
+    bounds = look(box(40.0, 0.0)).bounds(100.0 + 2.0 * np.arange(110))
+    assert bounds is not None
+    assert np.all(bounds.high[:51] == pytest.approx(197.75))
+    assert np.all(np.isinf(bounds.high[51:]))

@@ -121,3 +121,32 @@ def test_map_speaks_against_places_without_room(
 ) -> None:
     """One lane of 200 m, 10 m/s: at 190 m the vehicle is off the map before the last observed step."""
     assert places(road(lanes=1)).unsuited(_wish(policy), (1,), s0, 10.0, 0) == reason
+
+
+def test_routes_begin_where_the_lanes_come_from(
+    places: Callable[..., Places], corner: Callable[..., LaneGraph]
+) -> None:
+    """Places on lanes 1, 2 and 3 are all on the route 1 - 2 - 3, and s0 counts from the start of lane 1."""
+    found = places(corner(12.0))
+    length = {lane_id: lane.length_m for lane_id, lane in found.world.grid.graph.lanes.items()}
+    start = {1: 0.0, 2: length[1], 3: length[1] + length[2]}
+    taken = [place for place in found.candidates(Policy.STRAIGHT, lambda _: True, 1) if place is not None]
+    assert {route for route, _ in taken} == {(1, 2, 3)}
+    on = [found.lane_at(route, s0) for route, s0 in taken]
+    assert set(on) == {1, 2, 3}
+    for lane_id, (route, s0) in zip(on, taken, strict=True):
+        assert start[lane_id] <= s0 <= start[lane_id] + length[lane_id]
+        x, y, _ = found.pose(route, s0)
+        assert [x, y] == pytest.approx(found.world.grid.graph.lanes[lane_id].path.point([s0 - start[lane_id]])[0])
+
+
+def test_route_goes_back_no_farther_than_it_must(
+    places: Callable[..., Places], lane: Callable[..., LaneSegment]
+) -> None:
+    """Ten lanes of 40 m in a row: from the last one 150 m back are four lanes."""
+    row = LaneGraph({
+        i: lane(i, [(40.0 * i, 0.0), (40.0 * i + 40.0, 0.0)], successors=(i + 1,) if i < 9 else ()) for i in range(10)
+    })  # fmt: skip
+    routes = {place[0] for place in places(row).candidates(Policy.STRAIGHT, lambda _: True, 1) if place is not None}
+    assert (5, 6, 7, 8, 9) in routes
+    assert max(len(route) for route in routes) <= 4 + 7  # onward, a route ends behind 260 m
