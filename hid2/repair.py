@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
 from hid2.agents import FloatArray, Policy
 from hid2.conflicts import DT_S, Prospect, min_leader_ttc_s, priority
@@ -24,7 +25,8 @@ from netconvert.lane_graph import TurnType
 _AIM = 0.9
 _BOX_MARGIN_M = 0.05
 _UNSEEN_SHARE = 0.04
-_NEAR_M = 50.0
+_NEAR_M = 2.0  # beyond the gap at which a TTC is critical: boxes at an angle, and curves
+_ALIGNED = 0.7  # of its speed, at least, a leader makes along the follower's path
 _SPEEDING_MPS = 0.2
 #: Shares of the cruising speed that are tried in turn.
 _CAPS = (1.0, 1.0, 0.85, 0.65)
@@ -172,17 +174,30 @@ def _closes_in_straight_on(world: World, candidate: SettledVehicle, others: Traf
 def _presses_anybody(world: World, candidate: SettledVehicle, known: Sequence[SettledVehicle]) -> bool:
     """Whether a settled vehicle would have the candidate as a leader at less than the critical TTC on its own path."""
     conflict = world.config.conflict
-    box = settled_traffic([candidate], world.num_steps)
+    box: Traffic | None = None
     for follower in known:
-        spec, steps = follower.driven.spec, min(follower.num_steps, candidate.num_steps)
-        distance = np.hypot(*(follower.trajectory.position[:steps] - candidate.trajectory.position[:steps]).T)
-        if distance.min() > _NEAR_M:
+        spec = follower.driven.spec
+        if not _comes_near(
+            follower.trajectory.position, candidate.trajectory.position, follower.motion.v, candidate.motion.v,
+            (spec.size.length_m + candidate.driven.spec.size.length_m) / 2, conflict.ttc_min_s,
+        ):  # fmt: skip
             continue
+        box = settled_traffic([candidate], world.num_steps) if box is None else box
         found = path_occupancy(
             follower.driven.path.line, box, length_m=spec.size.length_m, width_m=spec.size.width_m,
             margin_lateral_m=conflict.margin_lateral_m,
         )  # fmt: skip
         if min_leader_ttc_s(found, follower.motion.s, follower.motion.v) < conflict.ttc_min_s:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _comes_near(xy, leader_xy, v, leader_v, boxes, ttc):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Whether two are ever so near that one may close in on the other at a critical TTC, wherever they head."""
+    for t in range(min(v.size, leader_v.size)):
+        between = np.hypot(xy[t, 0] - leader_xy[t, 0], xy[t, 1] - leader_xy[t, 1]) - boxes
+        if between < max(ttc * (v[t] - _ALIGNED * leader_v[t]), 0.0) + _NEAR_M:
             return True
     return False
 

@@ -29,20 +29,41 @@ class MotionProfile:
 
 def motion_profile(velocity: FloatArray, heading: FloatArray, *, step_s: float) -> MotionProfile:
     """Derivatives of velocity (T, 2) and heading (T,) by central differences, split along the heading."""
-    accel = differences(velocity, step_s)
-    jerk = differences(accel, step_s)
+    return MotionProfile(*_profile(np.ascontiguousarray(velocity), np.ascontiguousarray(heading), step_s))
+
+
+@njit(cache=True)
+def _profile(velocity, heading, step):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """In the order of `MotionProfile`: short arrays, for which a compiled loop takes a tenth of the time of numpy's."""
+    count = heading.size
     cosine, sine = np.cos(heading), np.sin(heading)
-    along = accel[:, 0] * cosine + accel[:, 1] * sine
-    rate = differences(np.unwrap(heading), step_s)
-    return MotionProfile(
-        speed_mps=np.hypot(velocity[:, 0], velocity[:, 1]),
-        accel_mps2=along,
-        lateral_accel_mps2=-accel[:, 0] * sine + accel[:, 1] * cosine,
-        longitudinal_jerk_mps3=differences(along, step_s),
-        jerk_mps3=np.hypot(jerk[:, 0], jerk[:, 1]),
-        yaw_rate_radps=rate,
-        yaw_accel_radps2=differences(rate, step_s),
+    unwrapped = heading.copy()
+    for t in range(1, count):
+        unwrapped[t] = unwrapped[t - 1] + _turn(heading[t] - heading[t - 1])
+    accel_x, accel_y = _slopes(velocity[:, 0], step), _slopes(velocity[:, 1], step)
+    jerk_x, jerk_y = _slopes(accel_x, step), _slopes(accel_y, step)
+    along = accel_x * cosine + accel_y * sine
+    rate = _slopes(unwrapped, step)
+    return (
+        np.hypot(velocity[:, 0], velocity[:, 1]),
+        along,
+        accel_y * cosine - accel_x * sine,
+        _slopes(along, step),
+        np.hypot(jerk_x, jerk_y),
+        rate,
+        _slopes(rate, step),
     )
+
+
+@njit(cache=True)
+def _slopes(values, step):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Central differences, one-sided at the ends; zeros for a single value (`netconvert.geometry.differences`)."""
+    count = values.size
+    slope = np.zeros(count)
+    for t in range(count if count > 1 else 0):
+        before, after = max(t - 1, 0), min(t + 1, count - 1)
+        slope[t] = (values[after] - values[before]) / ((after - before) * step)
+    return slope
 
 
 def limit_exceeded(trajectory: Trajectory, limits: Limits, *, step_s: float) -> str | None:
