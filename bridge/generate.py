@@ -40,7 +40,7 @@ from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ScenarioError
 from netconvert.net_xml import net_bytes
 
-_ATTEMPTS = 100
+_ATTEMPTS = 50
 _ATTEMPTS_AGAIN = 25
 #: Times that all places are gone through again; a lane change hangs most on where, how fast and when it is tried.
 _LOOKS_AGAIN = dict.fromkeys(Policy, 1) | {Policy.LANE_CHANGE: 3}

@@ -1,0 +1,176 @@
+"""How time grows with the vehicles inserted and with the length of the map; prints tables and draws the figure.
+
+Not part of the default run: `pytest -m benchmark -s`, or as a script:
+
+    python tests/benchmarks/test_growth.py --figure growth.png
+
+Seconds of processor time of grid, net, planning, driving, smoothing and checking; reading and writing are left out. By
+vehicles: the real scenes, those with room for 60 vehicles and those without. By length: straight roads of three lanes
+with nobody recorded on them, so that nothing but the map grows.
+"""
+
+import argparse
+import os
+import statistics
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from bridge.generate import generate
+from bridge.scenario import Scenario, find_scenarios, read_scenario
+from hid2.params import Config, Request
+from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
+
+VEHICLES = (5, 10, 20, 40, 60)
+LENGTHS_KM = (1.5, 3.0, 6.0, 12.0, 24.0)
+SEEDS = 3
+PIECE_M, LANES = 50.0, 3
+#: Growth allowed, as a multiple of proportional growth.
+_MORE = 1.0
+
+
+class Point(NamedTuple):
+    """Mean seconds over the seeds, and the fewest vehicles placed."""
+
+    what: float
+    seconds: float
+    placed: int
+
+
+def measure(scenario: Scenario, agents: int, what: float, *, seeds: int) -> Point:
+    """One scene, warm, over some seeds."""
+    seconds, placed = [], []
+    for seed in range(seeds):
+        config = Config(request=Request(agents=agents, seed=seed))
+        start = time.process_time()
+        scene = generate(scenario, config)
+        seconds.append(time.process_time() - start)
+        placed.append(len(scene.generated))
+    return Point(what, statistics.mean(seconds), min(placed))
+
+
+def straight_road(scenario: Scenario, length_km: float) -> Scenario:
+    """The scene without its agents on a straight road of so many km of lanes, three side by side."""
+    pieces = round(1000 * length_km / LANES / PIECE_M)
+    lanes = {}
+    for piece in range(pieces):
+        for row in range(LANES):
+            one = LANES * piece + row + 1
+            lanes[one] = LaneSegment(
+                lane_id=one,
+                centerline=np.array([(PIECE_M * piece, 3.5 * row), (PIECE_M * (piece + 1), 3.5 * row)]),
+                left_boundary=None,
+                right_boundary=None,
+                lane_type="VEHICLE",
+                is_intersection=False,
+                successors=(one + LANES,) if piece + 1 < pieces else (),
+                left_neighbor_id=one + 1 if row + 1 < LANES else None,
+                right_neighbor_id=one - 1 if row else None,
+                left_mark_type="DASHED_WHITE",
+                right_mark_type="DASHED_WHITE",
+                width_m=3.5,
+                turn=TurnType.STRAIGHT,
+            )
+    end, top = PIECE_M * pieces, 3.5 * LANES
+    ring = np.array([(-9.0, -1.75), (end + 9.0, -1.75), (end + 9.0, top), (-9.0, top), (-9.0, -1.75)])
+    return replace(scenario, tracks=(), graph=LaneGraph(lanes, drivable_areas=(ring,)))
+
+
+def by_vehicles(folder: Path, counts: Sequence[int], *, seeds: int) -> list[Point]:
+    """Time against vehicles on one scene."""
+    scenario = read_scenario(folder)
+    generate(scenario, Config(request=Request(agents=counts[0])))
+    return [measure(scenario, count, count, seeds=seeds) for count in counts]
+
+
+def by_length(folder: Path, lengths_km: Sequence[float], *, seeds: int) -> list[Point]:
+    """Time against km of lanes, ten vehicles, on roads made for the scene."""
+    roads = [straight_road(read_scenario(folder), length) for length in lengths_km]
+    generate(roads[0], Config())
+    return [measure(road, 10, length, seeds=seeds) for road, length in zip(roads, lengths_km, strict=True)]
+
+
+def growth(points: Sequence[Point]) -> float:
+    """Time of the last over that of the first, as a share of what proportional growth would give."""
+    return points[-1].seconds / points[0].seconds / (points[-1].what / points[0].what)
+
+
+def table(name: str, points: Sequence[Point]) -> str:
+    """One line: seconds, and in brackets what was placed where that is less than the most."""
+    most = max(p.placed for p in points)
+    cells = [f"{p.seconds:.2f}" + (f" ({p.placed})" if p.placed < min(p.what, most) else "") for p in points]
+    return f"{name:10} " + " ".join(f"{cell:>10}" for cell in cells)
+
+
+def draw(scenes: dict[str, list[Point]], roads: list[Point], path: Path) -> None:
+    """Two panels on logarithmic axes: a straight line of slope 1 is proportional growth."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.5), layout="constrained")
+    for mark, (name, points) in zip("osD^vP", scenes.items(), strict=False):
+        full = [p.placed < p.what for p in points]
+        label = name + (" (full: packed)" if any(full) else "")
+        left.loglog([p.what for p in points], [p.seconds for p in points], f"{mark}-", label=label)
+    right.loglog([p.what for p in roads], [p.seconds for p in roads], "o-", label="straight road, 10 vehicles")
+    for axes, points in ((left, min(scenes.values(), key=lambda p: p[0].seconds)), (right, roads)):
+        x = np.array([p.what for p in points])
+        axes.loglog(x, points[0].seconds * x / x[0], "k--", linewidth=1, label="proportional")
+        axes.set_xticks(x, [f"{value:g}" for value in x], minor=False)
+        axes.minorticks_off()
+        axes.set_ylabel("processor time of a scene, s")
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+    left.set_xlabel("vehicles asked for")
+    right.set_xlabel("length of the lanes, km")
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+@pytest.mark.benchmark
+@pytest.mark.timeout(900)
+def test_time_grows_no_faster_than_the_vehicles_where_the_road_has_room(real_scenes: list[Path]) -> None:
+    """From 5 to 60; a scene whose road is full, or nearly, is packed, and that is another matter."""
+    shares = {}
+    for folder in real_scenes:
+        points = by_vehicles(folder, VEHICLES, seeds=1)
+        print(table(folder.name[:8], points))
+        if points[-1].placed == VEHICLES[-1]:
+            shares[folder.name] = growth(points)
+    assert len(shares) >= 2
+    assert statistics.median(shares.values()) <= _MORE, shares
+
+
+@pytest.mark.benchmark
+@pytest.mark.timeout(900)
+def test_time_grows_no_faster_than_the_map(real_scenes: list[Path]) -> None:
+    points = by_length(real_scenes[0], LENGTHS_KM, seeds=1)
+    print(table("road", points))
+    assert growth(points) <= _MORE
+
+
+def main() -> None:
+    """Print both tables and draw the figure."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--figure", type=Path, default=Path("growth.png"))
+    parser.add_argument("--seeds", type=int, default=SEEDS)
+    parser.add_argument("root", type=Path, nargs="?", help="data-set root, by default the shared real scenes")
+    options = parser.parse_args()
+    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
+    folders = find_scenarios(options.root or shared / "av2")
+    scenes = {}
+    print(f"{'scene':10} " + " ".join(f"{count:>10}" for count in VEHICLES) + "   vehicles")
+    for folder in folders:
+        scenes[folder.name[:8]] = by_vehicles(folder, VEHICLES, seeds=options.seeds)
+        print(table(folder.name[:8], scenes[folder.name[:8]]), flush=True)
+    roads = by_length(folders[0], LENGTHS_KM, seeds=options.seeds)
+    print(f"\n{'':10} " + " ".join(f"{length:>10g}" for length in LENGTHS_KM) + "   km of lanes")
+    print(table("road", roads))
+    draw(scenes, roads, options.figure)
+
+
+if __name__ == "__main__":
+    main()
