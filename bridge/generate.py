@@ -30,10 +30,10 @@ from hid2.agents import VEHICLE_TYPES, Policy, Track
 from hid2.conflicts import DT_S
 from hid2.evaluation.matching import flatten_lanes
 from hid2.foresight import TURN_OF_POLICY
-from hid2.lane_leaders import pressing
 from hid2.params import Config
 from hid2.repair import SettledVehicle, settle, settled_traffic
 from hid2.spawning import Spawner
+from hid2.surrogate_safety import crossing_conflicts, following_conflicts
 from hid2.traffic import Traffic
 from hid2.world import PlannedVehicle, World, build_world, predicted_traffic
 from netconvert.cells import CellGrid, build_cell_grid
@@ -289,7 +289,7 @@ class _Run:
         by_id = {driver.spec.vehicle_id: driver for driver in drivers}
         settled, failed = settle(world, steering.driven(), [item.vehicle for item in self.settled], self.fixed)
         failed += [(driver.spec, driver.objection) for driver in drivers if driver.objection is not None]
-        settled, gone = self._without_pressing(settled)
+        settled, gone = self._without_conflicts(settled)
         failed += gone
         if reseeds:
             settled, missed = self._keep_what_was_asked(settled, by_id, spawner.led_by)
@@ -311,26 +311,33 @@ class _Run:
         self.fixed = self.fixed.joined(settled_traffic(settled, world.num_steps))
         return again
 
-    def _without_pressing(
+    def _without_conflicts(
         self, settled: Sequence[SettledVehicle]
     ) -> tuple[list[SettledVehicle], list[tuple[PlannedVehicle, str]]]:
-        """Without those that a reader of the positions would see closing in on a leader below the critical TTC.
+        """Without those that a reader of the positions would see below the critical TTC or PET, and with the reason.
 
-        Where a vehicle of an earlier round does so behind a new one, the new one goes.
+        Where a vehicle of an earlier round gets there because of a new one, the new one goes.
         """
         vehicles, gone = [*(item.vehicle for item in self.settled), *settled], []
         if not {"collision", "topology", "smoothing"} & self.world.config.without:
-            while found := pressing(
-                self.recorded, [_track(vehicle, f"gen_{row}", 0) for row, vehicle in enumerate(vehicles)],
-                [bool(vehicle.driven.path.shifts) for vehicle in vehicles], self.lanes,
-                num_steps=self.world.num_steps, critical_s=self.world.config.conflict.ttc_min_s,
-            ):  # fmt: skip
-                follower, leader = found[-1]
-                late = leader if follower < len(self.settled) and leader is not None else follower
-                gone.append((vehicles.pop(late).driven.spec, "ttc_on_lane"))
+            while found := self._conflicts(vehicles):
+                row, other, reason = found[-1]
+                late = other if row < len(self.settled) and other is not None else row
+                gone.append((vehicles.pop(late).driven.spec, reason))
                 if late < len(self.settled):
                     self._keep([item for row, item in enumerate(self.settled) if row != late])
         return vehicles[len(self.settled) :], gone
+
+    def _conflicts(self, vehicles: Sequence[SettledVehicle]) -> list[tuple[int, int | None, str]]:
+        """Row of a vehicle, of the other one where that is generated too, and the reason."""
+        tracks = [_track(vehicle, f"gen_{row}", 0) for row, vehicle in enumerate(vehicles)]
+        leaving = [bool(vehicle.driven.path.shifts) for vehicle in vehicles]
+        steps, critical = self.world.num_steps, self.world.config.conflict
+        following = following_conflicts(
+            self.recorded, tracks, leaving, self.lanes, num_steps=steps, critical_s=critical.ttc_min_s
+        )
+        crossing = crossing_conflicts(self.recorded, tracks, num_steps=steps, critical_s=critical.pet_min_s)
+        return [(*pair, "ttc_on_lane") for pair in following] + [(*pair, "pet") for pair in crossing]
 
     def _keep_what_was_asked(
         self, settled: Sequence[SettledVehicle], drivers: Mapping[str, Driver], led_by: Mapping[str, str]

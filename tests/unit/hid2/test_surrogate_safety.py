@@ -5,7 +5,7 @@ import pytest
 
 from hid2.agents import BoxSize, Track
 from hid2.evaluation.matching import FlatLanes, flatten_lanes
-from hid2.lane_leaders import pressing
+from hid2.surrogate_safety import crossing_conflicts, following_conflicts
 from netconvert.lane_graph import LaneGraph
 
 STEPS = 40
@@ -30,7 +30,7 @@ def lanes(road: Callable[..., LaneGraph]) -> FlatLanes:
 
 
 def _pressing(recorded: list[Track], generated: list[Track], leaving: list[bool], lanes: FlatLanes):
-    return pressing(recorded, generated, leaving, lanes, num_steps=STEPS, critical_s=1.5)
+    return following_conflicts(recorded, generated, leaving, lanes, num_steps=STEPS, critical_s=1.5)
 
 
 def test_leader_of_the_lane_that_is_being_left_counts_until_the_lane_is_left(lanes: FlatLanes) -> None:
@@ -61,3 +61,30 @@ def test_leader_that_appears_late_counts_from_then_on(lanes: FlatLanes) -> None:
     """At step 20 the follower is at 20 m, somebody appears 10 m before it, standing: 5.5 m at 10 m/s."""
     appears = _drive("a", 30.0, 0.0, 0.0, first=20)
     assert _pressing([appears], [_drive("gen_0", 0.0, 0.0, 10.0)], [False], lanes) == [(0, None)]
+
+
+def _cross(name: str, y: float) -> Track:
+    """Northwards along x = 20 at 10 m/s."""
+    steps = np.arange(STEPS)
+    return Track(
+        track_id=name, object_type="vehicle", category=1, timesteps=steps,
+        position=np.array([20.0, y]) + 0.1 * steps[:, None] * np.array([0.0, 10.0]),
+        velocity=np.tile([0.0, 10.0], (STEPS, 1)), heading=np.full(STEPS, np.pi / 2), size=BoxSize(4.5, 1.9),
+    )  # fmt: skip
+
+
+def test_crossing_too_soon_behind_somebody_is_a_conflict() -> None:
+    """One that drives along y = 0 at 10 m/s leaves x = 20.95, the far side of the crossing path, with its rear after
+    (20.95 + 2.25) / 10 = 2.32 s. One that starts at y = -33.2 reaches y = -0.95 with its front after 3.0 s: PET 0.7 s.
+    From y = -37.2 it is 0.4 s more.
+    """
+    first = _drive("a", 0.0, 0.0, 10.0)
+    assert crossing_conflicts([first], [_cross("gen_0", -33.2)], num_steps=STEPS, critical_s=1.0) == [(0, None)]
+    assert crossing_conflicts([first], [_cross("gen_0", -37.2)], num_steps=STEPS, critical_s=1.0) == []
+
+
+def test_of_two_generated_ones_that_cross_the_later_is_named_first() -> None:
+    both = [_cross("gen_0", -33.2), _drive("gen_1", 0.0, 0.0, 10.0)]
+    assert crossing_conflicts([], both, num_steps=STEPS, critical_s=1.0) == [(1, 0)]
+    recorded = [_drive("a", 0.0, 0.0, 10.0), _cross("b", -33.2)]
+    assert crossing_conflicts(recorded, [_drive("gen_0", 0.0, 30.0, 5.0)], num_steps=STEPS, critical_s=1.0) == []

@@ -1,6 +1,7 @@
-"""TTC to the leader on the lane path, as whoever reads the exported positions sees it (evaluation.md).
+"""Conflicts by surrogate measures of safety, TTC and PET, as whoever reads the exported positions sees them.
 
-The driven path knows that a vehicle is about to leave its lane; its positions do not, until it has.
+Evaluation.md, SSAM. The driven path knows that a vehicle is about to leave its lane; its positions do not, until it
+has.
 """
 
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from hid2.agents import Track
 from hid2.evaluation.arrays import SceneArrays, stack
 from hid2.evaluation.following import leaders
 from hid2.evaluation.matching import FlatLanes, match_lanes
+from hid2.evaluation.safety import encroachments
 
 _SLACK_M = 0.5
 _ONCOMING = -0.2  # cosine of the angle between two that do not follow each other, not even round a corner
@@ -19,7 +21,7 @@ _SHARPEST_M, _LATERAL_MPS2 = 6.0, 6.0  # radius of the bend that may lie ahead a
 _NEAR_M = 50.0  # who is farther away all the time leads nobody at a critical TTC
 
 
-def pressing(
+def following_conflicts(
     recorded: Sequence[Track],
     generated: Sequence[Track],
     leaving: Sequence[bool],
@@ -57,6 +59,22 @@ def pressing(
             new = scene[leader] - len(recorded)
             found.append((row - len(recorded), new if new >= 0 else None))
     return found
+
+
+def crossing_conflicts(
+    recorded: Sequence[Track], generated: Sequence[Track], *, num_steps: int, critical_s: float
+) -> list[tuple[int, int | None]]:
+    """Rows of `generated` that cross somebody's path at a PET below critical_s, in order.
+
+    Each with the row of the other one, the earlier row second; None for a recorded one.
+    """
+    arrays = stack([*recorded, *generated], num_steps=num_steps)
+    found: list[tuple[int, int | None]] = []
+    for crossing in encroachments(arrays):
+        earlier, later = sorted((crossing.first - len(recorded), crossing.second - len(recorded)))
+        if crossing.pet_s < critical_s and later >= 0:
+            found.append((later, earlier if earlier >= 0 else None))
+    return sorted(found, key=lambda pair: pair[0])
 
 
 def _pressed(scene: SceneArrays, lanes: FlatLanes, critical_s: float) -> int | None:
