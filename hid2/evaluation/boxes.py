@@ -193,11 +193,21 @@ def _paths_cross(
     position: FloatArray, heading: FloatArray, start_a: int, end_a: int, start_b: int, end_b: int, min_sine: float
 ) -> bool:
     """Whether the paths of two centres cut each other where the headings differ by the given angle at least."""
+    longest = 1e-9  # step of b; nothing is cut before b can have come near, and so many steps are passed over
+    for j in range(start_b, end_b - 1):
+        longest = max(longest, math.hypot(position[j + 1, 0] - position[j, 0], position[j + 1, 1] - position[j, 1]))
     for i in range(start_a, end_a - 1):
         ax, ay = position[i, 0], position[i, 1]
         ux, uy = position[i + 1, 0] - ax, position[i + 1, 1] - ay
-        for j in range(start_b, end_b - 1):
+        near = math.hypot(ux, uy) + longest + 1e-6
+        j = start_b - 1
+        while j + 1 < end_b - 1:
+            j += 1
             dx, dy = position[j, 0] - ax, position[j, 1] - ay
+            square = dx * dx + dy * dy
+            if square > near * near:
+                j += int((math.sqrt(square) - near) / longest)
+                continue
             vx, vy = position[j + 1, 0] - position[j, 0], position[j + 1, 1] - position[j, 1]
             across = ux * vy - uy * vx
             if across == 0.0:
