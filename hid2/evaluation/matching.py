@@ -206,8 +206,7 @@ def project_on_lane(
     x: float, y: float, points: FloatArray, s: FloatArray, first: int, last: int
 ) -> tuple[float, float, float, float]:
     """(s, d, heading, distance) of the nearest point on points[first:last]; d positive to the left."""
-    best = math.inf
-    best_s, best_d, best_h = 0.0, 0.0, 0.0
+    best, nearest, share = math.inf, -1, 0.0
     for k in range(first, last - 1):
         ax, ay = points[k, 0], points[k, 1]
         ex, ey = points[k + 1, 0] - ax, points[k + 1, 1] - ay
@@ -219,12 +218,14 @@ def project_on_lane(
         px, py = x - ax - r * ex, y - ay - r * ey
         distance = px * px + py * py
         if distance < best:
-            best = distance
-            length = math.sqrt(square)
-            best_s = s[k] + r * length
-            best_d = (ex * py - ey * px) / length
-            best_h = math.atan2(ey, ex)
-    return best_s, best_d, best_h, math.sqrt(best)
+            best, nearest, share = distance, k, r
+    if nearest < 0:
+        return 0.0, 0.0, 0.0, math.inf
+    ax, ay = points[nearest, 0], points[nearest, 1]
+    ex, ey = points[nearest + 1, 0] - ax, points[nearest + 1, 1] - ay
+    length = math.sqrt(ex * ex + ey * ey)
+    px, py = x - ax - share * ex, y - ay - share * ey
+    return s[nearest] + share * length, (ex * py - ey * px) / length, math.atan2(ey, ex), math.sqrt(best)
 
 
 @njit(cache=True)
