@@ -1,7 +1,7 @@
 """A scene from above: recorded and generated vehicles, the focal one, trails and manoeuvres; picture, GIF or MP4."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -84,9 +84,10 @@ def render_scene(
 ) -> Path:
     """Draw a scene folder from above into a .png, .gif or .mp4 file.
 
-    A generated scene is shown before | after; before is the scene at `source` where given, else its own recorded
-    tracks. `agent` shows the surroundings of one track. `step`: the timestep of a picture (default: the last observed
-    one); an animation shows all. Errors: ScenarioError, MapError; ExportError for an unknown ending or a bad path.
+    A generated scene is shown before | after; before is the scene at `source` where given, whose sizes its recorded
+    tracks then have on both sides, else its own recorded tracks. `agent` shows the surroundings of one track. `step`:
+    the timestep of a picture (default: the last observed one); an animation shows all.
+    Errors: ScenarioError, MapError; ExportError for an unknown ending or a bad path.
     """
     suffix = out_file.suffix.lower()
     if suffix not in PICTURES + ANIMATIONS:
@@ -100,9 +101,9 @@ def render_scene(
     window = _window(scenario, agent)
     try:
         out_file.parent.mkdir(parents=True, exist_ok=True)
-        drawing = _Drawing(panels, window, cells=cells)
+        drawing = _Drawing(panels, window, cells=cells, whole_paths=suffix in PICTURES)
         if suffix in PICTURES:
-            drawing.show(min(LAST_OBSERVED, scenario.num_steps - 1) if step is None else step, whole_paths=True)
+            drawing.show(min(LAST_OBSERVED, scenario.num_steps - 1) if step is None else step)
             figures.save(drawing.figure, out_file)
         else:
             _write_animation(drawing.frames(range(scenario.num_steps)), out_file)
@@ -118,8 +119,8 @@ def scene_figure(folder: Path, *, source: Path | None = None, agent: str | None 
     Errors: ScenarioError, MapError.
     """
     scenario = read_scenario(folder)
-    drawing = _Drawing(_panels(scenario, source), _window(scenario, agent), cells=False)
-    drawing.show(min(LAST_OBSERVED, scenario.num_steps - 1), whole_paths=True)
+    drawing = _Drawing(_panels(scenario, source), _window(scenario, agent), cells=False, whole_paths=True)
+    drawing.show(min(LAST_OBSERVED, scenario.num_steps - 1))
     return drawing.figure
 
 
@@ -137,13 +138,17 @@ def _panels(scenario: Scenario, source: Path | None) -> list[_Panel]:
         return [_Panel(f"{name}: {len(recorded)} recorded agents", scenario, scenario.tracks, looks, ())]
     before = scenario if source is None else read_scenario(source)
     before_tracks = recorded if source is None else before.tracks
+    known = {track.track_id: track.size for track in before_tracks}  # labelled sizes lie beside the source only
     before_looks = {track.track_id: _look(track, None) for track in before_tracks}
     return [
         _Panel(f"before: {len(before_tracks)} recorded agents", before, before_tracks, before_looks, ()),
         _Panel(
             f"after: {len(recorded)} recorded + {len(generated)} generated vehicles",
             scenario,
-            scenario.tracks,
+            tuple(
+                t if t.track_id in generated else replace(t, size=known.get(t.track_id, t.size))
+                for t in scenario.tracks
+            ),
             looks,
             maneuvers,
         ),
@@ -176,9 +181,20 @@ def _window(scenario: Scenario, agent: str | None) -> tuple[FloatArray, FloatArr
 
 
 class _Drawing:
-    """A figure whose map is drawn once and whose vehicles are drawn for each step."""
+    """A figure whose map is drawn once and whose vehicles are drawn for each step.
 
-    def __init__(self, panels: Sequence[_Panel], window: tuple[FloatArray, FloatArray], *, cells: bool) -> None:
+    whole_paths: the generated vehicles' whole paths are drawn thinly, and all manoeuvres marked whatever the step.
+    """
+
+    def __init__(
+        self,
+        panels: Sequence[_Panel],
+        window: tuple[FloatArray, FloatArray],
+        *,
+        cells: bool,
+        whole_paths: bool,
+    ) -> None:
+        self.whole_paths = whole_paths
         figures.style()
         low, high = window
         span = high - low
@@ -228,10 +244,14 @@ class _Drawing:
         handles.append(
             Line2D([], [], color=figures.DARK_GREY, linewidth=1.6, alpha=0.5, label=f"path of the last {TRAIL_S:.0f} s")
         )
+        if self.whole_paths and any(is_generated_id(track.track_id) for track in panel.tracks):
+            handles.append(
+                Line2D([], [], color=figures.DARK_GREY, linewidth=0.8, alpha=0.8, label="whole path, generated")
+            )
         self.figure.legend(handles=handles, loc="outside lower center", ncols=min(5, len(handles)), fontsize=8.5)
 
-    def show(self, step: int, *, whole_paths: bool = False) -> None:
-        """Put every vehicle where it is at a timestep; `whole_paths` draws the generated ones' whole paths thinly."""
+    def show(self, step: int) -> None:
+        """Put every vehicle where it is at a timestep."""
         for _, artist in self.moving:
             artist.remove()
         self.moving = []
@@ -250,7 +270,7 @@ class _Drawing:
             ]
             trails = [t.position[max(0, i - trail) : i + 1] for t, i in present]
             artists: list[PolyCollection | LineCollection] = []
-            if whole_paths:
+            if self.whole_paths:
                 paths = [t for t in panel.tracks if is_generated_id(t.track_id)]
                 colors = [panel.looks[t.track_id].face for t in paths]
                 artists.append(
@@ -272,7 +292,7 @@ class _Drawing:
             for artist in artists:
                 ax.add_collection(artist, autolim=False)
                 self.moving.append((ax, artist))
-            until = None if whole_paths else step * STEP_S
+            until = None if self.whole_paths else step * STEP_S
             self._marks(panel, ax, until)
         self.clock.set_text(f"{step * STEP_S:.1f} s" + ("  (observed)" if step <= LAST_OBSERVED else "  (future)"))
 

@@ -1,10 +1,13 @@
 """Pictures of scenes: what is drawn is checked by colour in the pixels and by the words in the figure."""
 
+import shutil
+
 import imageio.v3 as iio
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.collections import PolyCollection
 from PIL import Image
 
 from bridge import figures
@@ -24,6 +27,10 @@ def pixels(path, color):
 
 def words(figure):
     return " | ".join(text.get_text() for text in figure.findobj(mpl.text.Text))
+
+
+def longest_side(box):
+    return float(np.hypot(*np.diff(box, axis=0).T).max())
 
 
 def test_picture_of_a_generated_scene_shows_before_and_after(made_scene):
@@ -61,6 +68,24 @@ def test_source_is_shown_before(made_scene, data_scenes, tmp_path):
     recorded = len(read_scenario(data_scenes["curve"]).tracks)
     assert figure.axes[0].get_title() == f"before: {recorded} recorded agents"
     plt.close(figure)
+
+
+def test_labelled_sizes_beside_the_source_are_drawn_before_and_after(made_scene, data_scenes, tmp_path):
+    """A truck of 9.5 x 3.0 m is one in both halves: its size lies beside the source, not beside the generated scene."""
+    source = shutil.copytree(data_scenes["arterial"], tmp_path / data_scenes["arterial"].name)
+    (source / "agent_sizes.csv").write_text("track_id,length_m,width_m\nAV,9.5,3.0\n")
+    figure = scene_figure(made_scene, source=source)
+    for ax in figure.axes:
+        boxes = [path.vertices for made in ax.findobj(PolyCollection) if made.zorder == 5 for path in made.get_paths()]
+        assert [round(length, 2) for length in (longest_side(box) for box in boxes) if 9 < length < 10] == [9.5]
+    plt.close(figure)
+
+
+def test_thin_whole_paths_of_a_picture_are_explained(made_scene, data_scenes):
+    for folder, explained in ((made_scene, True), (data_scenes["arterial"], False)):
+        figure = scene_figure(folder)
+        assert ("whole path, generated" in words(figure)) is explained
+        plt.close(figure)
 
 
 def test_cells_are_drawn_on_request(data_scenes, tmp_path):
