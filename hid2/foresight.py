@@ -25,7 +25,8 @@ from hid2.world import World, predicted_traffic
 from netconvert.lane_graph import TurnType
 
 TURN_OF_POLICY = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
-_SPARE_LANE_M = 8.0  # of the lane beside, for a change that begins a little later than foreseen
+#: Of the lane beside, for a change that begins a little later than foreseen.
+SPARE_LANE_M = 8.0
 _SPARE_STEPS = 4  # a foreseen manoeuvre ends this long before the scene does: SUMO will be a little later
 _TURN_SPARE_SHARE = 0.09  # of the scene: yielding to who crosses costs SUMO more time than the plan
 _BEHIND_TURN_M = 1.0  # driven on the lane after it
@@ -37,9 +38,11 @@ _RETURN_SPARE_M = 1.5
 PASS_STEPS = 65
 _CHANGE_DELAYS = (0, 8, 20)  # steps behind the trigger at which a manoeuvre is tried
 _OVERTAKE_DELAYS = (0, 6, 12)
+LATEST_S = max(*_CHANGE_DELAYS, *_OVERTAKE_DELAYS) * DT_S  # behind the trigger, that a manoeuvre is foreseen to begin
 _CLAIM_BOX = BoxSize(8.0, 1.4)
 _CLAIM_BEHIND_M, _CLAIM_STEPS = 8.0, 6
 _SIGHT_M = 80.0  # to the leader at the start of the scene
+_HASTE_MPS = 1.0  # above the desired speed, at most, while it passes
 _FOLLOWING_MPS = 0.3  # faster than the leader while following it
 _SPEEDING_UP_MPS2, _SLOWING_MPS2 = 1.2, 1.5
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
@@ -159,7 +162,7 @@ class Foresight:
             if speed < change.min_speed_mps:
                 reason = "too_slow"
                 continue
-            later = path.segment_at(s + _SPARE_LANE_M).lane_id
+            later = path.segment_at(s + SPARE_LANE_M).lane_id
             lasting = tuple(side for side in sides if admissible_neighbor(self.world, later, side) is not None)
             if not lasting:
                 reason = "lane_ends"
@@ -167,7 +170,7 @@ class Foresight:
             for option, target in self._options(wish, path, step, s, speed, lasting, cruise_mps):
                 unmet = lane_change_reason(
                     speed_mps=speed, cells_free=option.cells_free, front=option.front, rear=option.rear,
-                    remaining_m=option.remaining_m - _SPARE_LANE_M, params=change,
+                    remaining_m=option.remaining_m - SPARE_LANE_M, params=change,
                 )  # fmt: skip
                 across = unmet or self._across(wish, path, target, plan, step, option.remaining_m, cruise_mps)
                 if not isinstance(across, str):
@@ -219,6 +222,8 @@ class Foresight:
                 continue
             if leader.gap_m < self._braking_gap_m(speed, leader.speed_mps):
                 return "leader_too_near"  # nearer still later on
+            if not self._may_pass(wish, leader, vehicles, step, speed, cruise_mps):
+                return "not_passed"
             for option, target in self._options(wish, path, step, s, speed, ("left", "right"), cruise_mps):
                 unmet = enter_reason(
                     leader=leader, desired_mps=cruise_mps, lane_available=option.cells_free, ahead=option.front,
@@ -246,6 +251,21 @@ class Foresight:
         following, slow = self.world.config.car_following, lead.cruise_mps or 0.0
         boxes = 0.5 * (wish.size.length_m + lead.size.length_m)
         return boxes + self._braking_gap_m(slow + _FOLLOWING_MPS, slow) + following.min_gap_m
+
+    def _may_pass(
+        self, wish: Wish, leader: Leader, vehicles: Traffic, step: int, speed_mps: float, cruise_mps: float
+    ) -> bool:
+        """Whether one that speeds up from a step on, on a free lane, gets ahead of the leader in time to return."""
+        following, last = self.world.config.car_following, self.world.num_steps - _RETURN_STEPS
+        row = vehicles.ids.index(leader.track_id)
+        if not vehicles.present[row, last]:
+            return True
+        led_m = float(np.hypot(*(vehicles.position[row, last] - vehicles.position[row, step])))
+        lasting_s, gain_mps = (last - step) * DT_S, max(cruise_mps + _HASTE_MPS - speed_mps, 0.0)
+        speeding_s = min(gain_mps / following.accel_mps2, lasting_s)
+        own_m = speed_mps * lasting_s + following.accel_mps2 * speeding_s * (lasting_s - 0.5 * speeding_s)
+        past_m = leader.gap_m + leader.length_m + wish.size.length_m + self.world.config.overtake.return_gap_m
+        return own_m > led_m + past_m
 
     def _approach(self, path: DrivenPath, s0: float, v0: float) -> SpeedPlan:
         """Motion at v0, slower where the road asks for it, as if nobody were ahead."""
@@ -306,7 +326,7 @@ class Foresight:
             if gap < overtake.return_gap_m + _RETURN_SPARE_M:
                 continue
             reason = "return_no_adjacent_lane"
-            if admissible_neighbor(self.world, path.segment_at(s + _SPARE_LANE_M).lane_id, side) is None:
+            if admissible_neighbor(self.world, path.segment_at(s + SPARE_LANE_M).lane_id, side) is None:
                 continue
             for option, target in self._options(wish, path, step, s, float(plan.v[step]), (side,), cruise_mps):
                 unmet = return_reason(

@@ -10,7 +10,7 @@ import numpy as np
 from hid2.agents import Policy
 from hid2.conflicts import DT_S
 from hid2.decision import Side
-from hid2.foresight import TURN_OF_POLICY, Wish
+from hid2.foresight import LATEST_S, SPARE_LANE_M, TURN_OF_POLICY, Wish
 from hid2.maneuver import admissible_neighbor
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath, Route, routes_from, straightest_successor
@@ -104,7 +104,8 @@ class Places:
             if any(self._turn(lane_id) is not TurnType.STRAIGHT for lane_id in reached):
                 return "would_turn"
         if wish.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE):
-            beside = between(s0 + 0.3 * cruise_mps * wish.trigger_s, s0 + cruise_mps * (wish.trigger_s + 3.0))
+            slowest, fastest = 0.3 * cruise_mps * wish.trigger_s, cruise_mps * (wish.trigger_s + LATEST_S)
+            beside = between(s0 + slowest + SPARE_LANE_M, s0 + fastest + SPARE_LANE_M)
             if not any(self._beside(lane_id) for lane_id in beside):
                 return "no_lane_beside_at_trigger"
         if wish.policy is Policy.OVERTAKE:
