@@ -14,10 +14,12 @@ import numpy as np
 from hid2.agents import BoxSize, FloatArray
 from hid2.occupancy import ORIGINAL
 from hid2.params import Config
+from hid2.path_occupancy import PathOccupancy, path_occupancy
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath
 from hid2.smoothing import SpeedBounds
-from hid2.space_time import PathOccupancy, SpaceTime, SpeedPlan, path_occupancy, plan_speed, space_time
+from hid2.space_time import SpaceTime, space_time
+from hid2.speed_plan import SpeedPlan, plan_speed
 from hid2.traffic import Traffic
 
 #: The last observed step of the forecasting task is given by the scene; a vehicle may leave the map only behind it.

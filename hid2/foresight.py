@@ -16,9 +16,10 @@ from hid2.decision import LaneOption, Side
 from hid2.lane_change import lane_change_reason
 from hid2.maneuver import admissible_neighbor, gap_ahead_of, lane_options, lay_across, leader_on, returns_to
 from hid2.overtake import Leader, enter_reason, return_reason
+from hid2.path_occupancy import meets
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath
-from hid2.space_time import SpeedPlan, meets
+from hid2.speed_plan import SpeedPlan
 from hid2.traffic import Traffic
 from hid2.verify import off_road_steps
 from hid2.world import World, predicted_traffic

@@ -11,8 +11,8 @@ from hid2.decision import LaneOption, Side
 from hid2.lane_change import Gap, blend_paths, duration_s
 from hid2.occupancy import FREE, cells_under, dwell_steps
 from hid2.overtake import Leader
+from hid2.path_occupancy import look_along, path_occupancy
 from hid2.route import DrivenPath, Route, routes_from, shifted_path
-from hid2.space_time import look_along, path_occupancy
 from hid2.traffic import Traffic
 from hid2.world import DRIVABLE_TYPES, World
 from netconvert.cells import Cell

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from numba import njit
 
 from hid2.agents import FloatArray
-from hid2.space_time import _overlap
+from hid2.boxes import overlap
 from hid2.traffic import Traffic
 from netconvert.cells import Cell, CellGrid
 
@@ -110,7 +110,7 @@ def _occupancy(center, c_heading, c_length, c_width, position, heading, present,
                 dx, dy = x - center[c, 0], y - center[c, 1]
                 if abs(dx) > reach or abs(dy) > reach:
                     continue
-                if _overlap(
+                if overlap(
                     x, y, co, si, half_l, half_w,
                     center[c, 0], center[c, 1], cosine[c], sine[c], c_length[c] / 2, c_width[c] / 2,
                 ):  # fmt: skip
@@ -150,7 +150,7 @@ def _under(center, c_heading, c_length, c_width, x, y, heading, half_l, half_w):
         reach = half_l + half_w + c_length[c] + c_width[c]
         if abs(x - center[c, 0]) > reach or abs(y - center[c, 1]) > reach:
             continue
-        if count < 64 and _overlap(
+        if count < 64 and overlap(
             x, y, co, si, half_l, half_w,
             center[c, 0], center[c, 1], np.cos(c_heading[c]), np.sin(c_heading[c]), c_length[c] / 2, c_width[c] / 2,
         ):  # fmt: skip

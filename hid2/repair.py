@@ -11,10 +11,10 @@ from numba import njit
 
 from hid2.agents import FloatArray, Policy
 from hid2.conflicts import DT_S, Prospect, min_leader_ttc_s, priority
+from hid2.path_occupancy import path_occupancy
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath, straightest_successor
 from hid2.smoothing import Motion, SpeedBounds, SpeedLimits, Trajectory, poses, smooth_speed
-from hid2.space_time import path_occupancy
 from hid2.traffic import Traffic
 from hid2.verify import first_overlap, limit_exceeded, off_road_steps
 from hid2.world import PlannedVehicle, World, predicted_traffic

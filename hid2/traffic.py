@@ -20,7 +20,7 @@ class Traffic:
     the agent has a state at that step or lies between two of its states (interpolated: it is somewhere there);
     length_m, width_m (A,).
     joined_of: what it was joined from, so that what is known of the parts need not be worked out again; the arrays do
-    not change once it is joined. known: intervals on paths, kept by `space_time.path_occupancy`.
+    not change once it is joined. known: intervals on paths, kept by `path_occupancy`.
     """
 
     ids: tuple[str, ...]

@@ -7,9 +7,9 @@ import shapely
 from numba import njit
 
 from hid2.agents import BoxSize, FloatArray
+from hid2.boxes import overlap
 from hid2.params import Limits
 from hid2.smoothing import Trajectory
-from hid2.space_time import _overlap
 from hid2.traffic import Traffic
 from netconvert.geometry import box_corners, differences
 
@@ -136,7 +136,7 @@ def _first_overlap(xy, heading, length, width, position, other, present, lengths
                     o_angle += _turn(other[a, t + 1] - o_angle) / 2
                 if np.hypot(ox - x, oy - y) > reach:
                     continue
-                if _overlap(
+                if overlap(
                     x, y, np.cos(angle), np.sin(angle), length / 2, width / 2,
                     ox, oy, np.cos(o_angle), np.sin(o_angle), lengths[a] / 2, widths[a] / 2,
                 ):  # fmt: skip

@@ -10,8 +10,8 @@ from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, Policy, Track
 from hid2.conflicts import DT_S, Prospect, prospect
 from hid2.occupancy import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
 from hid2.params import Config
+from hid2.path_occupancy import PathOccupancy, path_occupancy
 from hid2.route import DrivenPath, Route, path_along, turn_segments
-from hid2.space_time import PathOccupancy, path_occupancy
 from hid2.traffic import Traffic, traffic_of
 from hid2.turns import desired_speed, speed_cap, turn_shapes
 from netconvert.cells import Cell, CellGrid

@@ -7,8 +7,8 @@ from hid2.agents import BoxSize
 from hid2.conflicts import Prospect, priority, prospect, transition_rejected
 from hid2.occupancy import FREE, GENERATED, ORIGINAL
 from hid2.params import Config, Conflict
+from hid2.path_occupancy import path_occupancy
 from hid2.route import DrivenPath
-from hid2.space_time import path_occupancy
 from hid2.traffic import Traffic
 
 CAR = BoxSize(4.5, 1.9)
