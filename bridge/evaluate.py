@@ -3,6 +3,7 @@
 Memory does not grow with the scenes but by their names: tables are written as scenes are done, the rest is in `Totals`.
 """
 
+import contextlib
 import csv
 import json
 import pickle
@@ -14,13 +15,15 @@ from typing import IO, Any
 
 from bridge.engine import Settings, Task, execute_here
 from bridge.isolation import Failure
-from bridge.scenario import find_scenarios
-from bridge.scene_metrics import Row, SceneMeasures, measure_folders
+from bridge.scenario import find_scenarios, read_sizes
+from bridge.scene_metrics import Labelled, Row, SceneMeasures, measure_folders
 from bridge.totals import Totals
+from hid2.agents import BoxSize
+from hid2.evaluation.arrays import is_generated_id
 from hid2.params import Limits
 from netconvert.av2_map import read_lane_graph
 from netconvert.cells import build_cell_grid
-from netconvert.errors import ExportError, Hid2Error
+from netconvert.errors import ExportError, Hid2Error, ScenarioError
 from netconvert.fidelity import measure_fidelity
 from netconvert.net_xml import net_bytes
 
@@ -51,8 +54,9 @@ def evaluate_folder(
     """Measure every scene below `out`, recorded or generated, and write the report into `report_dir`.
 
     Writes metrics.json, scenes.csv, tracks.csv, maneuvers.csv, realism.csv and report.html. `source`: where the
-    recorded scenes are; "before" is then every scene there, else the recorded tracks of the scenes in `out`. A scene
-    that cannot be read is listed and left out. on_scene(done, total) is called as scenes are done.
+    recorded scenes are; "before" is then every scene there, else the recorded tracks of the scenes in `out`, and
+    recorded vehicles have the sizes that lie beside their source. A scene that cannot be read is listed and left out.
+    on_scene(done, total) is called as scenes are done.
     Errors: ScenarioError where there is no scene; ExportError where the report cannot be written.
     """
     from bridge.report import write_report  # matplotlib: only this half needs it
@@ -70,7 +74,9 @@ def evaluate_folder(
             (report_dir / "maneuvers.csv").open("w", newline="") as maneuvers,
         ):
             tables = _Table(scenes), _Table(tracks), _Table(maneuvers)
-            for done, (folder, measures) in enumerate(_measured([*folders, *sources], jobs=jobs), 1):
+            for done, (folder, measures) in enumerate(
+                _measured([*folders, *sources], _labelled(sources), jobs=jobs), 1
+            ):
                 if isinstance(measures, Failure):
                     evaluation.failures.append((folder, measures.message))
                 elif done > len(folders):
@@ -91,12 +97,27 @@ def evaluate_folder(
     return evaluation
 
 
-def _measured(folders: Sequence[Path], *, jobs: int) -> Iterator[tuple[Path, SceneMeasures | Failure]]:
+def _labelled(sources: Sequence[Path]) -> Labelled:
+    """Sizes that lie beside source scenes; a file that cannot be read is reported with its scene."""
+    sizes: dict[str, Mapping[str, BoxSize]] = {}
+    for folder in sources:
+        with contextlib.suppress(ScenarioError):
+            own = read_sizes(folder)
+            recorded = {track_id: size for track_id, size in own.items() if not is_generated_id(track_id)}
+            if recorded:
+                sizes |= {path.stem.removeprefix("scenario_"): recorded for path in folder.glob("scenario_*.parquet")}
+    return sizes
+
+
+def _measured(
+    folders: Sequence[Path], labelled: Labelled, *, jobs: int
+) -> Iterator[tuple[Path, SceneMeasures | Failure]]:
     """Measures of each folder, in the order of the folders whatever the order in which they are done."""
     size = max(1, min(_CHUNK, len(folders) // (4 * jobs)))
     chunks = [tuple(folders[start : start + size]) for start in range(0, len(folders), size)]
     tasks = (
-        Task(f"evaluate-{number}", "bridge.evaluate:measure", Limits(), chunk) for number, chunk in enumerate(chunks)
+        Task(f"evaluate-{number}", "bridge.evaluate:measure", (Limits(), labelled), chunk)
+        for number, chunk in enumerate(chunks)
     )
     waiting: dict[int, list[tuple[Path, bytes | Failure]]] = {}
     following = 0
@@ -109,9 +130,10 @@ def _measured(folders: Sequence[Path], *, jobs: int) -> Iterator[tuple[Path, Sce
             following += 1
 
 
-def measure(limits: Limits, folders: Sequence[Path]) -> Iterator[bytes | Failure]:
+def measure(shared: tuple[Limits, Labelled], folders: Sequence[Path]) -> Iterator[bytes | Failure]:
     """The work of a process: measure each folder. A scene is packed, to a tenth: many may wait for one before them."""
-    for measures in measure_folders(limits, folders):
+    limits, labelled = shared
+    for measures in measure_folders(limits, folders, labelled):
         yield measures if isinstance(measures, Failure) else zlib.compress(pickle.dumps(measures), 1)
 
 

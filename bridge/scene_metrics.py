@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from bridge.isolation import Failure, describe_error
 from bridge.scenario import LAST_OBSERVED, SPLITS, STEP_S, Rows, read_scenario, read_sizes, read_table, split_rows
 from bridge.sidecar import ManeuverRecord, Sidecar, sidecar_in
-from hid2.agents import FloatArray, Policy, Track
+from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.arrays import BoolArray, SceneArrays, stack
 from hid2.evaluation.behaviour import Maneuver, ManeuverKind, detect, policies
 from hid2.evaluation.kinematics import Kinematics, Motion, beyond_limits, clean, kinematics, motion
@@ -39,6 +39,8 @@ SAME_MANEUVER_S = 2.0
 _MOST_MAPS = 8
 
 Row = dict[str, Any]
+#: Sizes of recorded tracks by the id of their scene, then of the track.
+Labelled = Mapping[str, Mapping[str, BoxSize]]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -63,12 +65,14 @@ class _View:
     limits: Mapping[str, BoolArray]
 
 
-def measure_folders(limits: Limits, folders: Sequence[Path]) -> Iterator[SceneMeasures | Failure]:
+def measure_folders(
+    limits: Limits, folders: Sequence[Path], labelled: Labelled | None = None
+) -> Iterator[SceneMeasures | Failure]:
     """The work of a process: measure each folder; a folder that cannot be read gives its failure."""
     maps = Maps()
     for folder in folders:
         try:
-            yield measure_folder(folder, limits, maps)
+            yield measure_folder(folder, limits, maps, labelled)
         except Exception as error:  # noqa: BLE001  # listed with its reason
             yield describe_error(error)
 
@@ -89,12 +93,18 @@ class Maps:
         return ground
 
 
-def measure_folder(folder: Path, limits: Limits, maps: Maps) -> SceneMeasures:
-    """Measure one recorded or generated scene folder. Errors: ScenarioError, MapError."""
+def measure_folder(folder: Path, limits: Limits, maps: Maps, labelled: Labelled | None = None) -> SceneMeasures:
+    """Measure one recorded or generated scene folder. Errors: ScenarioError, MapError.
+
+    labelled: sizes of the recorded tracks of source scenes; a generated scene's folder does not have them.
+    """
     rows, ground = _read(folder, maps)
     sidecar = sidecar_in(folder, rows.scenario_id)
+    sizes = (labelled or {}).get(sidecar.source_scenario_id, {}) if sidecar else {}
     measures = measure(
-        rows.tracks,
+        [replace(t, size=sizes[t.track_id]) if t.track_id in sizes else t for t in rows.tracks]
+        if sizes
+        else rows.tracks,
         ground,
         sidecar,
         limits=limits,
