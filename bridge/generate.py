@@ -33,7 +33,7 @@ from hid2.foresight import TURN_OF_POLICY
 from hid2.params import Config
 from hid2.repair import SettledVehicle, settle, settled_traffic
 from hid2.spawning import Spawner
-from hid2.surrogate_safety import crossing_conflicts, following_conflicts
+from hid2.surrogate_safety import crossing_conflicts, followed_conflicts, following_conflicts
 from hid2.traffic import Traffic
 from hid2.world import PlannedVehicle, World, build_world, predicted_traffic
 from netconvert.cells import CellGrid, build_cell_grid
@@ -337,7 +337,14 @@ class _Run:
             self.recorded, tracks, leaving, self.lanes, num_steps=steps, critical_s=critical.ttc_min_s
         )
         crossing = crossing_conflicts(self.recorded, tracks, num_steps=steps, critical_s=critical.pet_min_s)
-        return [(*pair, "ttc_on_lane") for pair in following] + [(*pair, "pet") for pair in crossing]
+        followed = [] if critical.follower_ttc_min_s <= 0 else followed_conflicts(
+            self.recorded, tracks, self.lanes, num_steps=steps, critical_s=critical.follower_ttc_min_s
+        )  # fmt: skip
+        return [
+            *((row, None, "ttc_of_recorded") for row in followed),
+            *((*pair, "ttc_on_lane") for pair in following),
+            *((*pair, "pet") for pair in crossing),
+        ]
 
     def _keep_what_was_asked(
         self, settled: Sequence[SettledVehicle], drivers: Mapping[str, Driver], led_by: Mapping[str, str]

@@ -25,7 +25,9 @@ from hid2.traffic import Traffic
 #: The last observed step of the forecasting task is given by the scene; a vehicle may leave the map only behind it.
 DT_S = 0.1
 _PET_MARGIN_M = 0.2
-_LATERAL_SHARE = 0.8  # of the lateral acceleration allowed that a plan may use: smoothing needs some of it
+_LATERAL_SHARE = (
+    0.62  # of the lateral acceleration allowed that a plan may use: some 3 m/s2, which is still comfortable
+)
 
 
 def transition_rejected(sigma: int) -> bool:

@@ -87,7 +87,7 @@ class Spawn(_Section):
 
 
 class Packing(_Section):
-    """Closer gaps for a road that did not take the count asked for; TTC and boxes are held as always."""
+    """Closer gaps for a road that did not take the count asked for; TTC to leaders and boxes are held as always."""
 
     attempts: int = _param(
         30, "attempts", "times a packed road is filled anew with these gaps; the fullest is kept", ge=0, le=100
@@ -97,6 +97,7 @@ class Packing(_Section):
     follow_time_s: float = _param(0.7, "s", "conflict.follow_time_s there", ge=0, le=5)
     margin_lateral_m: float = _param(0.15, "m", "conflict.margin_lateral_m there", ge=0, le=2)
     margin_front_m: float = _param(0.7, "m", "conflict.margin_front_m there", ge=0, le=10)
+    follower_ttc_min_s: float = _param(0.0, "s", "conflict.follower_ttc_min_s there", ge=0, le=10)
 
 
 class LaneChange(_Section):
@@ -160,6 +161,9 @@ class Conflict(_Section):
     margin_front_m: float = _param(1.0, "m", "kept to a box that crosses or stands ahead", ge=0, le=10)
     follow_time_s: float = _param(1.0, "s", "smallest time gap to a leader in the last check", ge=0, le=5)
     ttc_min_s: float = _param(1.5, "s", "critical TTC (SSAM)", ge=0, le=5)
+    follower_ttc_min_s: float = _param(
+        1.5, "s", "TTC kept to recorded vehicles behind, which do not brake for anybody inserted", ge=0, le=10
+    )
     pet_min_s: float = _param(1.0, "s", "critical PET, kept to everybody whose path is crossed", ge=0, le=5)
 
 
@@ -224,6 +228,7 @@ class Config(_Section):
                 "follow_time_s": close.follow_time_s,
                 "margin_lateral_m": close.margin_lateral_m,
                 "margin_front_m": close.margin_front_m,
+                "follower_ttc_min_s": close.follower_ttc_min_s,
             }
         )
         return self.model_copy(update={"spawn": spawn, "conflict": conflict})

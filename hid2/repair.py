@@ -28,6 +28,7 @@ _UNSEEN_SHARE = 0.04
 _NEAR_M = 2.0  # beyond the gap at which a TTC is critical: boxes at an angle, and curves
 _ALIGNED = 0.7  # of its speed, at least, a leader makes along the follower's path
 _SPEEDING_MPS = 0.2
+_STANDING_MPS, _EDGE_M = 0.5, 5.0  # nobody waits there for the step from which it may leave the map
 #: Shares of the cruising speed that are tried in turn.
 _CAPS = (1.0, 1.0, 0.85, 0.65)
 
@@ -241,6 +242,8 @@ def _smooth_and_check(
     if steps < min(world.earliest_exit_step, world.num_steps):
         return "leaves_too_early"
     motion = Motion(s=motion.s[:steps], v=motion.v[:steps], a=motion.a[:steps])
+    if np.any((motion.v < _STANDING_MPS) & (motion.s > end - _EDGE_M)):
+        return "stops_at_map_edge"
     trajectory = poses(vehicle.path.line, motion)
     cells = np.arange(int(motion.s[0] / TABLE_STEP_M), int(motion.s[-1] / TABLE_STEP_M) + 2)
     if np.abs(vehicle.path.line.table_curvature[cells]).max() > world.curvature_most:

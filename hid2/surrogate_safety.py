@@ -49,16 +49,41 @@ def following_conflicts(
             arrays.length,
             arrays.width,
             leaves,
+            0,
             critical_s,
         )
         if not closes_in:
             continue
         scene = [row, *np.flatnonzero(near).tolist()]  # itself first
-        leader = _pressed(stack([tracks[k] for k in scene], num_steps=num_steps), lanes, critical_s)
+        leader = _pressed(stack([tracks[k] for k in scene], num_steps=num_steps), 1, lanes, critical_s)
         if leader is not None:
             new = scene[leader] - len(recorded)
             found.append((row - len(recorded), new if new >= 0 else None))
     return found
+
+
+def followed_conflicts(
+    recorded: Sequence[Track], generated: Sequence[Track], lanes: FlatLanes, *, num_steps: int, critical_s: float
+) -> list[int]:
+    """Rows of `generated` that a recorded vehicle, which will not brake for them, runs up on: TTC below critical_s."""
+    tracks = [*recorded, *generated]
+    arrays = stack(tracks, num_steps=num_steps)
+    found: set[int] = set()
+    for row in np.flatnonzero(arrays.moving[: len(recorded)]).tolist():
+        near, closes_in = _around(
+            row, arrays.row_of, arrays.position, arrays.heading, arrays.velocity, arrays.length, arrays.width, False,
+            len(recorded), critical_s,
+        )  # fmt: skip
+        if not closes_in:
+            continue
+        others = [other for other in np.flatnonzero(near).tolist() if other != row]
+        mine = [other for other in others if other >= len(recorded)]
+        scene = [row, *(other for other in others if other < len(recorded)), *mine]
+        first = len(scene) - len(mine)
+        leader = _pressed(stack([tracks[k] for k in scene], num_steps=num_steps), first, lanes, critical_s)
+        if leader is not None:
+            found.add(scene[leader] - len(recorded))
+    return sorted(found)
 
 
 def crossing_conflicts(
@@ -77,13 +102,14 @@ def crossing_conflicts(
     return sorted(found, key=lambda pair: pair[0])
 
 
-def _pressed(scene: SceneArrays, lanes: FlatLanes, critical_s: float) -> int | None:
-    """Leader of the first agent where its TTC is smallest, if that is below critical_s."""
+def _pressed(scene: SceneArrays, first: int, lanes: FlatLanes, critical_s: float) -> int | None:
+    """Leader of the first agent where its TTC is smallest, if that is below critical_s; of agents `first` and later."""
     matches, _ = match_lanes(scene, lanes)
     seen = leaders(scene, lanes, matches)
     own = slice(*scene.first[:2].tolist())
-    step = int(np.argmin(seen.ttc_s[own]))
-    return int(seen.agent[own][step]) if seen.ttc_s[own][step] < critical_s else None
+    ttc_s = np.where(seen.agent[own] >= first, seen.ttc_s[own], np.inf)
+    step = int(np.argmin(ttc_s))
+    return int(seen.agent[own][step]) if ttc_s[step] < critical_s else None
 
 
 @njit(cache=True)
@@ -103,8 +129,8 @@ def _aside(own, t, place, row_of, position, heading):  # type: ignore[no-untyped
 
 
 @njit(cache=True)
-def _around(own, row_of, position, heading, velocity, length, width, leaves, critical):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Who is ahead of an agent at some step, not far, (A,), and whether it closes in on anybody straight ahead."""
+def _around(own, row_of, position, heading, velocity, length, width, leaves, first, critical):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Who is ahead of an agent at some step, not far, (A,), and whether it closes in on one of `first` and later."""
     agents, steps = row_of.shape
     near, closes_in = np.zeros(agents, dtype=np.bool_), False
     for t in range(steps):
@@ -127,7 +153,7 @@ def _around(own, row_of, position, heading, velocity, length, width, leaves, cri
             near[other] = True
             closing = speed - np.hypot(velocity[j, 0], velocity[j, 1])
             gap = np.hypot(dx, dy) - (length[own] + length[other]) / 2
-            if closes_in or closing <= 0.0 or gap > critical * closing + _SLACK_M:
+            if closes_in or other < first or closing <= 0.0 or gap > critical * closing + _SLACK_M:
                 continue
             beside = (width[own] + width[other]) / 2 + _SLACK_M
             if leaves:

@@ -126,3 +126,14 @@ def test_start_is_the_planned_one(world: Callable[..., World]) -> None:
 
 def test_nobody_to_settle_is_fine(world: Callable[..., World]) -> None:
     assert settle(world(), [], (), NOBODY) == ([], [])
+
+
+def test_nobody_waits_at_the_edge_of_the_map_for_the_step_from_which_it_may_leave(world: Callable[..., World]) -> None:
+    """Of 200 m the front reaches the end with the centre at 197.75 m: one that stops at 197 m goes on, or is dropped."""
+    scene = world()
+    v = np.maximum(3.0 - 0.06 * np.arange(110), 0.0)
+    s = 197.0 - np.sum(0.1 * v[1:]) + np.concatenate([[0.0], np.cumsum(0.1 * v[1:])])
+    settled, failed = settle(scene, [_driven(scene, s, v)], (), NOBODY)
+    assert len(settled) + len(failed) == 1
+    assert all(reason == "stops_at_map_edge" for _, reason in failed)
+    assert all(vehicle.motion.v[vehicle.motion.s > 193.0].min() >= 0.5 for vehicle in settled)

@@ -5,7 +5,7 @@ import pytest
 
 from hid2.agents import BoxSize, Track
 from hid2.evaluation.matching import FlatLanes, flatten_lanes
-from hid2.surrogate_safety import crossing_conflicts, following_conflicts
+from hid2.surrogate_safety import crossing_conflicts, followed_conflicts, following_conflicts
 from netconvert.lane_graph import LaneGraph
 
 STEPS = 40
@@ -88,3 +88,20 @@ def test_of_two_generated_ones_that_cross_the_later_is_named_first() -> None:
     assert crossing_conflicts([], both, num_steps=STEPS, critical_s=1.0) == [(1, 0)]
     recorded = [_drive("a", 0.0, 0.0, 10.0), _cross("b", -33.2)]
     assert crossing_conflicts(recorded, [_drive("gen_0", 0.0, 30.0, 5.0)], num_steps=STEPS, critical_s=1.0) == []
+
+
+def test_generated_leader_of_a_recorded_follower_that_will_not_brake_is_found(lanes: FlatLanes) -> None:
+    """A recorded car at 10 m/s comes up behind one at 2 m/s: after 3.9 s the gap is 45.7 - 4.5 - 31.2 = 10 m: 1.25 s.
+
+    One that begins 60 m ahead is still 24.3 m away then: 3.0 s. Recorded ones among themselves are none of ours.
+    """
+    comes = _drive("a", 0.0, 0.0, 10.0)
+
+    def followed(recorded: list[Track], *starts: float) -> list[int]:
+        generated = [_drive(f"gen_{row}", x, 0.0, 2.0) for row, x in enumerate(starts)]
+        return followed_conflicts(recorded, generated, lanes, num_steps=STEPS, critical_s=1.5)
+
+    assert followed([comes], 45.7) == [0]
+    assert followed([comes], 60.0) == []
+    assert followed([comes], 120.0, 45.7) == [1]
+    assert followed([comes, _drive("b", 45.7, 0.0, 2.0)], 120.0) == []
