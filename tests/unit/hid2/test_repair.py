@@ -129,7 +129,7 @@ def test_nobody_to_settle_is_fine(world: Callable[..., World]) -> None:
 
 
 def test_nobody_waits_at_the_edge_of_the_map_for_the_step_from_which_it_may_leave(world: Callable[..., World]) -> None:
-    """Of 200 m the front reaches the end with the centre at 197.75 m: one that stops at 197 m goes on, or is dropped."""
+    """Of 200 m the front reaches the end with the centre at 197.75 m: one that stops at 197 m goes on or is dropped."""
     scene = world()
     v = np.maximum(3.0 - 0.06 * np.arange(110), 0.0)
     s = 197.0 - np.sum(0.1 * v[1:]) + np.concatenate([[0.0], np.cumsum(0.1 * v[1:])])
