@@ -154,9 +154,8 @@ class Turn(_Section):
 
 
 class Conflict(_Section):
-    """The three cases of conflict resolution."""
+    """The three cases of conflict resolution. The horizon H delta is the rest of the scene: all futures are known."""
 
-    horizon_s: float = _param(4.0, "s", "H delta, horizon of predicted boxes", ge=0.5, le=11)
     margin_lateral_m: float = _param(0.25, "m", "added to each side of a box", ge=0, le=2)
     margin_front_m: float = _param(1.0, "m", "kept to a box that crosses or stands ahead", ge=0, le=10)
     follow_time_s: float = _param(1.0, "s", "smallest time gap to a leader in the last check", ge=0, le=5)
