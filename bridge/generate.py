@@ -33,7 +33,7 @@ from hid2.foresight import TURN_OF_POLICY
 from hid2.params import Config
 from hid2.repair import SettledVehicle, settle, settled_traffic
 from hid2.spawning import Spawner
-from hid2.surrogate_safety import crossing_conflicts, followed_conflicts, following_conflicts
+from hid2.surrogate_safety import ExportedPositions
 from hid2.traffic import Traffic
 from hid2.world import PlannedVehicle, World, build_world, predicted_traffic
 from netconvert.cells import CellGrid, build_cell_grid
@@ -332,14 +332,11 @@ class _Run:
         """Row of a vehicle, of the other one where that is generated too, and the reason."""
         tracks = [_track(vehicle, f"gen_{row}", 0) for row, vehicle in enumerate(vehicles)]
         leaving = [bool(vehicle.driven.path.shifts) for vehicle in vehicles]
-        steps, critical = self.world.num_steps, self.world.config.conflict
-        following = following_conflicts(
-            self.recorded, tracks, leaving, self.lanes, num_steps=steps, critical_s=critical.ttc_min_s
-        )
-        crossing = crossing_conflicts(self.recorded, tracks, num_steps=steps, critical_s=critical.pet_min_s)
-        followed = [] if critical.follower_ttc_min_s <= 0 else followed_conflicts(
-            self.recorded, tracks, self.lanes, num_steps=steps, critical_s=critical.follower_ttc_min_s
-        )  # fmt: skip
+        critical = self.world.config.conflict
+        seen = ExportedPositions(self.recorded, tracks, self.lanes, self.world.num_steps)
+        followed = seen.followed_conflicts(critical_s=critical.follower_ttc_min_s)
+        following = seen.following_conflicts(leaving, critical_s=critical.ttc_min_s)
+        crossing = seen.crossing_conflicts(critical_s=critical.pet_min_s)
         return [
             *((row, None, "ttc_of_recorded") for row in followed),
             *((*pair, "ttc_on_lane") for pair in following),

@@ -5,6 +5,7 @@ has.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
@@ -21,95 +22,80 @@ _SHARPEST_M, _LATERAL_MPS2 = 6.0, 6.0  # radius of the bend that may lie ahead a
 _NEAR_M = 50.0  # who is farther away all the time leads nobody at a critical TTC
 
 
-def following_conflicts(
-    recorded: Sequence[Track],
-    generated: Sequence[Track],
-    leaving: Sequence[bool],
-    lanes: FlatLanes,
-    *,
-    num_steps: int,
-    critical_s: float,
-) -> list[tuple[int, int | None]]:
-    """Rows of `generated` whose TTC to the leader on the lane path is below critical_s at some step, in order.
+@dataclass(frozen=True, eq=False, slots=True)
+class ExportedPositions:
+    """Recorded vehicles and generated ones as they are exported, on the lanes that vehicles drive on.
 
-    Each with the row of that leader, None for a recorded one. leaving: whether a vehicle leaves its lane for another
-    one; those that do not are known by where they drive to. Lanes are matched only around vehicles that close in on
-    anybody ahead.
+    Lanes are matched only around vehicles that close in on anybody ahead.
     """
-    tracks = [*recorded, *generated]
-    arrays = stack(tracks, num_steps=num_steps)
-    found: list[tuple[int, int | None]] = []
-    for row, leaves in enumerate(leaving, start=len(recorded)):
-        near, closes_in = _around(
-            row,
-            arrays.row_of,
-            arrays.position,
-            arrays.heading,
-            arrays.velocity,
-            arrays.length,
-            arrays.width,
-            leaves,
-            0,
-            critical_s,
+
+    recorded: Sequence[Track]
+    generated: Sequence[Track]
+    lanes: FlatLanes
+    num_steps: int
+    tracks: list[Track] = field(init=False, repr=False)
+    arrays: SceneArrays = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Put all tracks into arrays, the recorded ones first."""
+        tracks = [*self.recorded, *self.generated]
+        object.__setattr__(self, "tracks", tracks)
+        object.__setattr__(self, "arrays", stack(tracks, num_steps=self.num_steps))
+
+    def following_conflicts(self, leaving: Sequence[bool], *, critical_s: float) -> list[tuple[int, int | None]]:
+        """Rows of `generated` whose TTC to the leader on the lane path is below critical_s at some step, in order.
+
+        Each with the row of that leader, None for a recorded one. leaving: whether a vehicle leaves its lane for
+        another one; those that do not are known by where they drive to.
+        """
+        first = len(self.recorded)
+        pairs = [
+            (row - first, self._leader(row, 0, leaves=leaves, critical_s=critical_s))
+            for row, leaves in enumerate(leaving, start=first)
+        ]
+        return [(row, self._generated(leader)) for row, leader in pairs if leader is not None]
+
+    def followed_conflicts(self, *, critical_s: float) -> list[int]:
+        """Rows of `generated` that a recorded vehicle, which will not brake for them, runs up on: TTC below critical_s."""
+        first = len(self.recorded)
+        moving = np.flatnonzero(self.arrays.moving[:first]).tolist()
+        leaders_of = (self._leader(row, first, leaves=False, critical_s=critical_s) for row in moving)
+        return sorted({leader - first for leader in leaders_of if leader is not None})
+
+    def crossing_conflicts(self, *, critical_s: float) -> list[tuple[int, int | None]]:
+        """Rows of `generated` that cross somebody's path at a PET below critical_s, in order.
+
+        Each with the row of the other one, the earlier row second; None for a recorded one.
+        """
+        found = [sorted((c.first, c.second)) for c in encroachments(self.arrays) if c.pet_s < critical_s]
+        first = len(self.recorded)
+        return sorted(
+            ((later - first, self._generated(earlier)) for earlier, later in found if later >= first),
+            key=lambda pair: pair[0],
         )
-        if not closes_in:
-            continue
-        scene = [row, *np.flatnonzero(near).tolist()]  # itself first
-        leader = _pressed(stack([tracks[k] for k in scene], num_steps=num_steps), 1, lanes, critical_s)
-        if leader is not None:
-            new = scene[leader] - len(recorded)
-            found.append((row - len(recorded), new if new >= 0 else None))
-    return found
 
+    def _generated(self, row: int) -> int | None:
+        """Row of `generated` of a row of all, None of a recorded one."""
+        return row - len(self.recorded) if row >= len(self.recorded) else None
 
-def followed_conflicts(
-    recorded: Sequence[Track], generated: Sequence[Track], lanes: FlatLanes, *, num_steps: int, critical_s: float
-) -> list[int]:
-    """Rows of `generated` that a recorded vehicle, which will not brake for them, runs up on: TTC below critical_s."""
-    tracks = [*recorded, *generated]
-    arrays = stack(tracks, num_steps=num_steps)
-    found: set[int] = set()
-    for row in np.flatnonzero(arrays.moving[: len(recorded)]).tolist():
+    def _leader(self, row: int, first: int, *, leaves: bool, critical_s: float) -> int | None:
+        """Row of the leader, one of `first` and later, at the smallest TTC of a row, if that is below critical_s."""
+        seen = self.arrays
         near, closes_in = _around(
-            row, arrays.row_of, arrays.position, arrays.heading, arrays.velocity, arrays.length, arrays.width, False,
-            len(recorded), critical_s,
+            row, seen.row_of, seen.position, seen.heading, seen.velocity, seen.length, seen.width, leaves, first,
+            critical_s,
         )  # fmt: skip
         if not closes_in:
-            continue
-        others = [other for other in np.flatnonzero(near).tolist() if other != row]
-        mine = [other for other in others if other >= len(recorded)]
-        scene = [row, *(other for other in others if other < len(recorded)), *mine]
-        first = len(scene) - len(mine)
-        leader = _pressed(stack([tracks[k] for k in scene], num_steps=num_steps), first, lanes, critical_s)
-        if leader is not None:
-            found.add(scene[leader] - len(recorded))
-    return sorted(found)
-
-
-def crossing_conflicts(
-    recorded: Sequence[Track], generated: Sequence[Track], *, num_steps: int, critical_s: float
-) -> list[tuple[int, int | None]]:
-    """Rows of `generated` that cross somebody's path at a PET below critical_s, in order.
-
-    Each with the row of the other one, the earlier row second; None for a recorded one.
-    """
-    arrays = stack([*recorded, *generated], num_steps=num_steps)
-    found: list[tuple[int, int | None]] = []
-    for crossing in encroachments(arrays):
-        earlier, later = sorted((crossing.first - len(recorded), crossing.second - len(recorded)))
-        if crossing.pet_s < critical_s and later >= 0:
-            found.append((later, earlier if earlier >= 0 else None))
-    return sorted(found, key=lambda pair: pair[0])
-
-
-def _pressed(scene: SceneArrays, first: int, lanes: FlatLanes, critical_s: float) -> int | None:
-    """Leader of the first agent where its TTC is smallest, if that is below critical_s; of agents `first` and later."""
-    matches, _ = match_lanes(scene, lanes)
-    seen = leaders(scene, lanes, matches)
-    own = slice(*scene.first[:2].tolist())
-    ttc_s = np.where(seen.agent[own] >= first, seen.ttc_s[own], np.inf)
-    step = int(np.argmin(ttc_s))
-    return int(seen.agent[own][step]) if ttc_s[step] < critical_s else None
+            return None
+        rows = [row, *np.flatnonzero(near).tolist()]  # itself first
+        scene = stack([self.tracks[k] for k in rows], num_steps=self.num_steps)
+        matches, _ = match_lanes(scene, self.lanes)
+        led = leaders(scene, self.lanes, matches)
+        own = slice(*scene.first[:2].tolist())
+        counts = led.agent[own] > near[:first].sum()
+        ttc_s = np.where(counts, led.ttc_s[own], np.inf)
+        step = int(np.argmin(ttc_s))
+        return rows[int(led.agent[own][step])] if ttc_s[step] < critical_s else None
 
 
 @njit(cache=True)

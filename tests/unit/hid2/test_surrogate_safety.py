@@ -5,7 +5,7 @@ import pytest
 
 from hid2.agents import BoxSize, Track
 from hid2.evaluation.matching import FlatLanes, flatten_lanes
-from hid2.surrogate_safety import crossing_conflicts, followed_conflicts, following_conflicts
+from hid2.surrogate_safety import ExportedPositions
 from netconvert.lane_graph import LaneGraph
 
 STEPS = 40
@@ -30,7 +30,7 @@ def lanes(road: Callable[..., LaneGraph]) -> FlatLanes:
 
 
 def _pressing(recorded: list[Track], generated: list[Track], leaving: list[bool], lanes: FlatLanes):
-    return following_conflicts(recorded, generated, leaving, lanes, num_steps=STEPS, critical_s=1.5)
+    return ExportedPositions(recorded, generated, lanes, STEPS).following_conflicts(leaving, critical_s=1.5)
 
 
 def test_leader_of_the_lane_that_is_being_left_counts_until_the_lane_is_left(lanes: FlatLanes) -> None:
@@ -73,21 +73,25 @@ def _cross(name: str, y: float) -> Track:
     )  # fmt: skip
 
 
-def test_crossing_too_soon_behind_somebody_is_a_conflict() -> None:
+def _crossing(recorded: list[Track], generated: list[Track], lanes: FlatLanes):
+    return ExportedPositions(recorded, generated, lanes, STEPS).crossing_conflicts(critical_s=1.0)
+
+
+def test_crossing_too_soon_behind_somebody_is_a_conflict(lanes: FlatLanes) -> None:
     """One that drives along y = 0 at 10 m/s leaves x = 20.95, the far side of the crossing path, with its rear after
     (20.95 + 2.25) / 10 = 2.32 s. One that starts at y = -33.2 reaches y = -0.95 with its front after 3.0 s: PET 0.7 s.
     From y = -37.2 it is 0.4 s more.
     """
     first = _drive("a", 0.0, 0.0, 10.0)
-    assert crossing_conflicts([first], [_cross("gen_0", -33.2)], num_steps=STEPS, critical_s=1.0) == [(0, None)]
-    assert crossing_conflicts([first], [_cross("gen_0", -37.2)], num_steps=STEPS, critical_s=1.0) == []
+    assert _crossing([first], [_cross("gen_0", -33.2)], lanes) == [(0, None)]
+    assert _crossing([first], [_cross("gen_0", -37.2)], lanes) == []
 
 
-def test_of_two_generated_ones_that_cross_the_later_is_named_first() -> None:
+def test_of_two_generated_ones_that_cross_the_later_is_named_first(lanes: FlatLanes) -> None:
     both = [_cross("gen_0", -33.2), _drive("gen_1", 0.0, 0.0, 10.0)]
-    assert crossing_conflicts([], both, num_steps=STEPS, critical_s=1.0) == [(1, 0)]
+    assert _crossing([], both, lanes) == [(1, 0)]
     recorded = [_drive("a", 0.0, 0.0, 10.0), _cross("b", -33.2)]
-    assert crossing_conflicts(recorded, [_drive("gen_0", 0.0, 30.0, 5.0)], num_steps=STEPS, critical_s=1.0) == []
+    assert _crossing(recorded, [_drive("gen_0", 0.0, 30.0, 5.0)], lanes) == []
 
 
 def test_generated_leader_of_a_recorded_follower_that_will_not_brake_is_found(lanes: FlatLanes) -> None:
@@ -99,7 +103,7 @@ def test_generated_leader_of_a_recorded_follower_that_will_not_brake_is_found(la
 
     def followed(recorded: list[Track], *starts: float) -> list[int]:
         generated = [_drive(f"gen_{row}", x, 0.0, 2.0) for row, x in enumerate(starts)]
-        return followed_conflicts(recorded, generated, lanes, num_steps=STEPS, critical_s=1.5)
+        return ExportedPositions(recorded, generated, lanes, STEPS).followed_conflicts(critical_s=1.5)
 
     assert followed([comes], 45.7) == [0]
     assert followed([comes], 60.0) == []
