@@ -29,12 +29,14 @@ from bridge.steering import Driver, Steering
 from hid2.agents import VEHICLE_TYPES, Policy, Track
 from hid2.conflicts import DT_S
 from hid2.evaluation.matching import flatten_lanes
-from hid2.foresight import TURN_OF_POLICY
+from hid2.foresight import BEHIND_TURN_M
 from hid2.params import Config
 from hid2.repair import SettledVehicle, settle, settled_traffic
+from hid2.route import first_turn
 from hid2.spawning import Spawner
 from hid2.surrogate_safety import ExportedPositions
 from hid2.traffic import Traffic
+from hid2.turns import TURN_OF_POLICY
 from hid2.world import PlannedVehicle, World, build_world, predicted_traffic
 from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ScenarioError
@@ -49,7 +51,6 @@ _ATTEMPTS_LATE = 10_000
 _MAX_AGENTS = 400
 _FROM_EMPTY = 6
 _FEW_MOST = 4
-_BEHIND_TURN_M = 1.0
 _MIX_OF_MOST = 40
 
 
@@ -375,14 +376,11 @@ class _Run:
 
     def _turned(self, vehicle: SettledVehicle, policy: Policy) -> bool:
         """Whether a vehicle without a manoeuvre has driven the turn of a policy from its start to its end."""
-        kind, spec = TURN_OF_POLICY.get(policy), vehicle.driven.spec
-        if kind is None or spec.policy is not Policy.STRAIGHT:
+        spec = vehicle.driven.spec
+        if policy not in TURN_OF_POLICY or spec.policy is not Policy.STRAIGHT:
             return False
-        lanes = self.world.grid.graph.lanes
-        turn = next(
-            (g for g in vehicle.driven.path.segments if lanes[g.lane_id].turn is kind and g.start > spec.s0), None
-        )
-        return turn is not None and turn.end + _BEHIND_TURN_M < float(vehicle.motion.s[-1])
+        turn = first_turn(self.world.grid.graph, vehicle.driven.path, TURN_OF_POLICY[policy], after=spec.s0)
+        return turn is not None and turn.end + BEHIND_TURN_M < float(vehicle.motion.s[-1])
 
     def _new_id(self) -> str:
         self._next += 1

@@ -14,6 +14,7 @@ from hid2.maneuver import is_on_lane, returns_to
 from hid2.overtake import Stage
 from hid2.repair import SettledVehicle
 from hid2.traffic import Traffic
+from hid2.turns import TURN_OF_POLICY
 from hid2.world import World
 from netconvert.lane_graph import TurnType
 
@@ -26,7 +27,6 @@ _KIND: Mapping[Policy, ManeuverKind] = {
     Policy.LANE_CHANGE: "lane_change",
     Policy.OVERTAKE: "overtake",
 }
-_TURN = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
 
 
 def agent_record(
@@ -81,7 +81,7 @@ def outcomes(vehicle: SettledVehicle, driver: Driver, world: World, traffic: Tra
     traffic: everybody in the scene. A leader's id is the one that it has there.
     """
     policy = vehicle.driven.spec.policy
-    if policy in _TURN:
+    if policy in TURN_OF_POLICY:
         return [_turn(vehicle, world)]
     if policy is Policy.LANE_CHANGE:
         return [_lane_change(vehicle, driver)]
@@ -92,7 +92,7 @@ def outcomes(vehicle: SettledVehicle, driver: Driver, world: World, traffic: Tra
 
 def _turn(vehicle: SettledVehicle, world: World) -> ManeuverRecord:
     spec, s = vehicle.driven.spec, vehicle.motion.s
-    kind = _TURN[spec.policy]
+    kind = TURN_OF_POLICY[spec.policy]
     lanes = world.grid.graph.lanes
     segments = vehicle.driven.path.segments
     row = next(i for i, g in enumerate(segments) if lanes[g.lane_id].turn is kind and g.start > spec.s0)

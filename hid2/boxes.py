@@ -4,28 +4,11 @@ from numba import njit
 
 
 @njit(cache=True)
-def overlap(
-    ax: float, ay: float, ac: float, asn: float, al: float, aw: float,
-    bx: float, by: float, bc: float, bs: float, bl: float, bw: float,
-) -> bool:  # fmt: skip
-    """Separating axes of two boxes given by centre, cosine and sine of the heading, half length and half width."""
-    dx, dy = bx - ax, by - ay
-    c, s = abs(ac * bc + asn * bs), abs(ac * bs - asn * bc)
-    if abs(dx * ac + dy * asn) > al + bl * c + bw * s:
-        return False
-    if abs(-dx * asn + dy * ac) > aw + bl * s + bw * c:
-        return False
-    if abs(dx * bc + dy * bs) > bl + al * c + aw * s:
-        return False
-    return not abs(-dx * bs + dy * bc) > bw + al * s + aw * c
-
-
-@njit(cache=True)
 def apart(
     ax: float, ay: float, ac: float, asn: float, al: float, aw: float,
     bx: float, by: float, bc: float, bs: float, bl: float, bw: float,
 ) -> float:  # fmt: skip
-    """The same axes: how far apart the boxes are at least, m; not above 0 where they overlap."""
+    """How far apart the boxes are at least along a separating axis, m; not above 0 where they overlap."""
     dx, dy = bx - ax, by - ay
     c, s = abs(ac * bc + asn * bs), abs(ac * bs - asn * bc)
     return max(
@@ -34,3 +17,12 @@ def apart(
         abs(dx * bc + dy * bs) - (bl + al * c + aw * s),
         abs(-dx * bs + dy * bc) - (bw + al * s + aw * c),
     )
+
+
+@njit(cache=True)
+def overlap(
+    ax: float, ay: float, ac: float, asn: float, al: float, aw: float,
+    bx: float, by: float, bc: float, bs: float, bl: float, bw: float,
+) -> bool:  # fmt: skip
+    """Whether two boxes touch, given by centre, cosine and sine of the heading, half length and half width."""
+    return apart(ax, ay, ac, asn, al, aw, bx, by, bc, bs, bl, bw) <= 0.0

@@ -25,9 +25,8 @@ from hid2.traffic import Traffic
 #: The last observed step of the forecasting task is given by the scene; a vehicle may leave the map only behind it.
 DT_S = 0.1
 _PET_MARGIN_M = 0.2
-_LATERAL_SHARE = (
-    0.62  # of the lateral acceleration allowed that a plan may use: some 3 m/s2, which is still comfortable
-)
+#: Of the lateral acceleration allowed that a plan may use: some 3 m/s2, which is still comfortable.
+_LATERAL_SHARE = 0.62
 
 
 def transition_rejected(sigma: int) -> bool:

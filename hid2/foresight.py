@@ -18,19 +18,19 @@ from hid2.maneuver import admissible_neighbor, gap_ahead_of, lane_options, lay_a
 from hid2.overtake import Leader, enter_reason, return_reason
 from hid2.path_occupancy import meets
 from hid2.reference_line import TABLE_STEP_M
-from hid2.route import DrivenPath
+from hid2.route import DrivenPath, first_turn
 from hid2.speed_plan import SpeedPlan
 from hid2.traffic import Traffic
+from hid2.turns import TURN_OF_POLICY
 from hid2.verify import off_road_steps
 from hid2.world import World, predicted_traffic
-from netconvert.lane_graph import TurnType
 
-TURN_OF_POLICY = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
 #: Of the lane beside, for a change that begins a little later than foreseen.
 SPARE_LANE_M = 8.0
 _SPARE_STEPS = 4  # a foreseen manoeuvre ends this long before the scene does: SUMO will be a little later
 _TURN_SPARE_SHARE = 0.09  # of the scene: yielding to who crosses costs SUMO more time than the plan
-_BEHIND_TURN_M = 1.0  # driven on the lane after it
+#: Driven on the lane behind a turn, for it to be through.
+BEHIND_TURN_M = 1.0
 _ROAD_STEPS = 4  # between two looks at the corners of the box on a foreseen turn
 _HURRY = 1.25  # of the desired speed, at most, on the whole way into a turn and through it
 _RETURN_STEPS = 26  # lateral motion back into the lane, at its shortest
@@ -124,11 +124,10 @@ class Foresight:
 
         It must be through before the scene, or the map, ends.
         """
-        lanes, kind = self.world.grid.graph.lanes, TURN_OF_POLICY[wish.policy]
-        end = next((g.end for g in path.segments if lanes[g.lane_id].turn is kind and g.start > s0), math.inf)
-        end += _BEHIND_TURN_M
-        if end > path.exit_s - wish.size.length_m / 2:
+        turn = first_turn(self.world.grid.graph, path, TURN_OF_POLICY[wish.policy], after=s0)
+        if turn is None or turn.end + BEHIND_TURN_M > path.exit_s - wish.size.length_m / 2:
             return "turn_leaves_map"
+        end = turn.end + BEHIND_TURN_M
         desired = self.world.desired(path, cruise_mps)[int(s0 / TABLE_STEP_M) : int(end / TABLE_STEP_M)]
         lasting_s = float((TABLE_STEP_M / desired).sum()) / _HURRY
         return end if lasting_s < self._turned_by * DT_S else "turn_not_reached"

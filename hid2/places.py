@@ -10,10 +10,11 @@ import numpy as np
 from hid2.agents import Policy
 from hid2.conflicts import DT_S
 from hid2.decision import Side
-from hid2.foresight import LATEST_S, SPARE_LANE_M, TURN_OF_POLICY, Wish
+from hid2.foresight import LATEST_S, SPARE_LANE_M, Wish
 from hid2.maneuver import admissible_neighbor
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath, Route, routes_from, straightest_successor
+from hid2.turns import TURN_OF_POLICY
 from hid2.world import DRIVABLE_TYPES, World
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType

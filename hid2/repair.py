@@ -9,17 +9,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
-from hid2.agents import FloatArray, Policy
+from hid2.agents import FloatArray
 from hid2.conflicts import DT_S, Prospect, min_leader_ttc_s, priority
 from hid2.path_occupancy import path_occupancy
 from hid2.reference_line import TABLE_STEP_M
-from hid2.route import DrivenPath, straightest_successor
+from hid2.route import DrivenPath, first_turn, straightest_successor
 from hid2.smoothing import Motion, SpeedBounds, SpeedLimits, Trajectory, poses, smooth_speed
 from hid2.traffic import Traffic
+from hid2.turns import TURN_OF_POLICY
 from hid2.verify import first_overlap, limit_exceeded, off_road_steps
 from hid2.world import PlannedVehicle, World, predicted_traffic
 from netconvert.geometry import Polyline
-from netconvert.lane_graph import TurnType
 
 #: Share of the limits that the smoothing aims at: differences of sampled positions see a little more than the cubics.
 _AIM = 0.9
@@ -206,12 +206,10 @@ def _comes_near(xy, leader_xy, v, leader_v, boxes, ttc):  # type: ignore[no-unty
 def _aim(world: World, vehicle: DrivenVehicle) -> FloatArray:
     """s(t) to stay near: the driven one, or where that misses the turn that was planned, the planned one."""
     spec = vehicle.spec
-    kind = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}.get(spec.policy)
-    if kind is None:
+    if spec.policy not in TURN_OF_POLICY:
         return vehicle.s
-    lanes = world.grid.graph.lanes
-    end = next((g.end for g in spec.path.segments if lanes[g.lane_id].turn is kind and g.start > spec.s0), 0.0)
-    return vehicle.s if vehicle.s[-1] > end + 0.5 else spec.plan_s
+    turn = first_turn(world.grid.graph, spec.path, TURN_OF_POLICY[spec.policy], after=spec.s0)
+    return vehicle.s if turn is None or vehicle.s[-1] > turn.end + 0.5 else spec.plan_s
 
 
 def _smooth_and_check(

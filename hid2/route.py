@@ -145,6 +145,11 @@ def turn_segments(graph: LaneGraph, path: DrivenPath) -> list[tuple[float, float
     return [(segment.start, segment.end, graph.lanes[segment.lane_id].turn) for segment in path.segments]
 
 
+def first_turn(graph: LaneGraph, path: DrivenPath, kind: TurnType, *, after: float) -> Segment | None:
+    """The first stretch of a path on a lane of a turn type that begins behind arc length `after`, m; None if none does."""
+    return next((g for g in path.segments if graph.lanes[g.lane_id].turn is kind and g.start > after), None)
+
+
 def straightest_successor(graph: LaneGraph, lane_id: int) -> int | None:
     """The successor whose chord turns least from the lane's, the lower id of equals; None at the map's edge."""
 

@@ -13,12 +13,13 @@ import numpy as np
 from hid2.agents import BoxSize, FloatArray, Policy
 from hid2.conflicts import DT_S, Prospect
 from hid2.decision import Side
-from hid2.foresight import PASS_STEPS, TURN_OF_POLICY, Foresight, Intention, Wish
+from hid2.foresight import PASS_STEPS, Foresight, Intention, Wish
 from hid2.occupancy import FREE, GENERATED, cells_under
 from hid2.places import Places
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath, Route
 from hid2.traffic import Traffic
+from hid2.turns import TURN_OF_POLICY
 from hid2.world import PlannedVehicle, World, predicted_traffic
 
 #: Quantiles of labelled boxes (share, length m, width m): cars, box trucks, buses.

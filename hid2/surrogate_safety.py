@@ -56,7 +56,7 @@ class ExportedPositions:
         return [(row, self._generated(leader)) for row, leader in pairs if leader is not None]
 
     def followed_conflicts(self, *, critical_s: float) -> list[int]:
-        """Rows of `generated` that a recorded vehicle, which will not brake for them, runs up on: TTC below critical_s."""
+        """Rows of `generated` that a recorded vehicle, which will not brake, runs up on: TTC below critical_s."""
         first = len(self.recorded)
         moving = np.flatnonzero(self.arrays.moving[:first]).tolist()
         leaders_of = (self._leader(row, first, leaves=False, critical_s=critical_s) for row in moving)

@@ -3,10 +3,12 @@
 import numpy as np
 from numba import njit
 
-from hid2.agents import FloatArray
+from hid2.agents import FloatArray, Policy
 from hid2.params import Limits, Turn
 from hid2.reference_line import TABLE_STEP_M, ReferenceLine
 from netconvert.lane_graph import TurnType
+
+TURN_OF_POLICY = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
 
 
 def turn_shape(alpha: FloatArray, trough: float, trough_at: float) -> FloatArray:
