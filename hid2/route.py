@@ -146,7 +146,7 @@ def turn_segments(graph: LaneGraph, path: DrivenPath) -> list[tuple[float, float
 
 
 def first_turn(graph: LaneGraph, path: DrivenPath, kind: TurnType, *, after: float) -> Segment | None:
-    """The first stretch of a path on a lane of a turn type that begins behind arc length `after`, m; None if none does."""
+    """First stretch of a path on a lane of a turn type that begins behind arc length `after`, m; None if none does."""
     return next((g for g in path.segments if graph.lanes[g.lane_id].turn is kind and g.start > after), None)
 
 

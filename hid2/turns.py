@@ -1,5 +1,7 @@
 """Speeds of straight, left-turn and right-turn lanes (paper, Straight, Left Turn and Right Turn)."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 
@@ -50,30 +52,29 @@ def speed_cap(line: ReferenceLine, turn: Turn, limits: Limits) -> FloatArray:
     )  # fmt: skip
 
 
-def desired_speed(
-    line: ReferenceLine,
-    *,
-    turn: Turn,
-    limits: Limits,
-    cruise_mps: float,
-    segments: list[tuple[float, float, TurnType]],
-    accel_mps2: float,
-    cap: FloatArray | None = None,
-    shape: FloatArray | None = None,
-) -> FloatArray:
-    """(S,) m/s target speed along a route: cruise, shaped on turn lanes, capped by curvature, reachable.
+@dataclass(frozen=True, eq=False, slots=True)
+class RoadSpeeds:
+    """What a road makes of anybody's speed, at its line's table. cap (S,) m/s: `speed_cap`; shape (S,): v / v_0."""
 
-    segments: (start, end, turn type) of each lane in arc length of the line, m. Slowing begins before the entrance at
-    approach_decel_mps2; speeding up after the exit at accel_mps2. cap (S,) m/s and shape (S,): `speed_cap` and
-    `turn_shapes` of the line where they are known already.
+    cap: FloatArray
+    shape: FloatArray
+
+    def desired(self, cruise_mps: float, *, turn: Turn, accel_mps2: float) -> FloatArray:
+        """(S,) m/s target speed along a route: cruise, shaped on turn lanes, capped by curvature, reachable.
+
+        Slowing begins before the entrance at approach_decel_mps2; speeding up after the exit at accel_mps2.
+        """
+        decel_mps2 = turn.approach_decel_mps2
+        return np.asarray(_reachable(self.cap, self.shape, cruise_mps, TABLE_STEP_M, decel_mps2, accel_mps2))
+
+
+def road_speeds(
+    line: ReferenceLine, segments: list[tuple[float, float, TurnType]], *, turn: Turn, limits: Limits
+) -> RoadSpeeds:
+    """Cap of a line's curvature, and f_left and f_right on its turning lanes.
+
+    segments: (start, end, turn type) of each lane in arc length of the line, m.
     """
-    cap = speed_cap(line, turn, limits) if cap is None else cap
-    shape = turn_shapes(line, turn, segments) if shape is None else shape
-    return np.asarray(_reachable(cap, shape, cruise_mps, TABLE_STEP_M, turn.approach_decel_mps2, accel_mps2))
-
-
-def turn_shapes(line: ReferenceLine, turn: Turn, segments: list[tuple[float, float, TurnType]]) -> FloatArray:
-    """(S,) v / v_0 at the line's table: f_left and f_right on turning lanes, 1 elsewhere; segments as above."""
     shape = np.ones(line.table_curvature.size)
     for start, end, kind in segments:
         if kind is TurnType.STRAIGHT or end <= start:
@@ -84,7 +85,7 @@ def turn_shapes(line: ReferenceLine, turn: Turn, segments: list[tuple[float, flo
         alpha = np.asarray((s - start) / (end - start), dtype=np.float64)
         here = f_left(alpha, turn) if kind is TurnType.LEFT else f_right(alpha, turn)
         shape[cells] = np.minimum(shape[cells], here)
-    return shape
+    return RoadSpeeds(cap=speed_cap(line, turn, limits), shape=shape)
 
 
 @njit(cache=True)

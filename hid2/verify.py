@@ -11,7 +11,7 @@ from hid2.boxes import overlap
 from hid2.params import Limits
 from hid2.smoothing import Trajectory
 from hid2.traffic import Traffic
-from netconvert.geometry import box_corners, differences
+from netconvert.geometry import box_corners, differences, slopes
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -40,30 +40,19 @@ def _profile(velocity, heading, step):  # type: ignore[no-untyped-def]  # noqa: 
     unwrapped = heading.copy()
     for t in range(1, count):
         unwrapped[t] = unwrapped[t - 1] + _turn(heading[t] - heading[t - 1])
-    accel_x, accel_y = _slopes(velocity[:, 0], step), _slopes(velocity[:, 1], step)
-    jerk_x, jerk_y = _slopes(accel_x, step), _slopes(accel_y, step)
+    accel_x, accel_y = slopes(velocity[:, 0], step), slopes(velocity[:, 1], step)
+    jerk_x, jerk_y = slopes(accel_x, step), slopes(accel_y, step)
     along = accel_x * cosine + accel_y * sine
-    rate = _slopes(unwrapped, step)
+    rate = slopes(unwrapped, step)
     return (
         np.hypot(velocity[:, 0], velocity[:, 1]),
         along,
         accel_y * cosine - accel_x * sine,
-        _slopes(along, step),
+        slopes(along, step),
         np.hypot(jerk_x, jerk_y),
         rate,
-        _slopes(rate, step),
+        slopes(rate, step),
     )
-
-
-@njit(cache=True)
-def _slopes(values, step):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Central differences, one-sided at the ends; zeros for a single value (`netconvert.geometry.differences`)."""
-    count = values.size
-    slope = np.zeros(count)
-    for t in range(count if count > 1 else 0):
-        before, after = max(t - 1, 0), min(t + 1, count - 1)
-        slope[t] = (values[after] - values[before]) / ((after - before) * step)
-    return slope
 
 
 def limit_exceeded(trajectory: Trajectory, limits: Limits, *, step_s: float) -> str | None:

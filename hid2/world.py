@@ -13,10 +13,9 @@ from hid2.params import Config
 from hid2.path_occupancy import PathOccupancy, path_occupancy
 from hid2.route import DrivenPath, Route, path_along, turn_segments
 from hid2.traffic import Traffic, traffic_of
-from hid2.turns import desired_speed, speed_cap, turn_shapes
+from hid2.turns import RoadSpeeds, road_speeds
 from netconvert.cells import Cell, CellGrid
 from netconvert.geometry import differences
-from netconvert.lane_graph import TurnType
 
 #: Cars, trucks and cars towing nothing drive on these.
 DRIVABLE_TYPES = frozenset({"VEHICLE"})
@@ -43,9 +42,7 @@ class World:
     lane_speeds: dict[int, list[float]]
     scene_speeds: list[float]
     _paths: dict[Route, DrivenPath] = field(default_factory=dict)
-    _caps: dict[DrivenPath, tuple[FloatArray, FloatArray, list[tuple[float, float, TurnType]]]] = field(
-        default_factory=dict
-    )
+    _speeds: dict[DrivenPath, RoadSpeeds] = field(default_factory=dict)
     _known: dict[tuple[int, BoxSize], tuple[DrivenPath, PathOccupancy]] = field(default_factory=dict)
 
     @property
@@ -84,24 +81,11 @@ class World:
 
     def desired(self, path: DrivenPath, cruise_mps: float) -> FloatArray:
         """(S,) target speed along a path, m/s."""
-        if path not in self._caps:
+        config = self.config
+        if path not in self._speeds:
             segments = turn_segments(self.grid.graph, path)
-            self._caps[path] = (
-                speed_cap(path.line, self.config.turn, self.config.limits),
-                turn_shapes(path.line, self.config.turn, segments),
-                segments,
-            )
-        cap, shape, segments = self._caps[path]
-        return desired_speed(
-            path.line,
-            turn=self.config.turn,
-            limits=self.config.limits,
-            cruise_mps=cruise_mps,
-            segments=segments,
-            accel_mps2=self.config.car_following.accel_mps2,
-            cap=cap,
-            shape=shape,
-        )
+            self._speeds[path] = road_speeds(path.line, segments, turn=config.turn, limits=config.limits)
+        return self._speeds[path].desired(cruise_mps, turn=config.turn, accel_mps2=config.car_following.accel_mps2)
 
     def prospect(
         self,

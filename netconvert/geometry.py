@@ -44,11 +44,21 @@ def differences(values: FloatArray, step: float) -> FloatArray:
 
     values: (T, ...) at equal steps; zeros for a single one.
     """
-    slope = np.zeros_like(values)
-    if len(values) > 1:
-        slope[1:-1] = (values[2:] - values[:-2]) / (2.0 * step)
-        slope[0] = (values[1] - values[0]) / step
-        slope[-1] = (values[-1] - values[-2]) / step
+    columns = np.ascontiguousarray(values, dtype=np.float64).reshape(len(values), -1)
+    slope = np.empty_like(columns)
+    for k in range(columns.shape[1]):
+        slope[:, k] = slopes(columns[:, k], step)
+    return slope.reshape(values.shape)
+
+
+@numba.njit(cache=True)
+def slopes(values, step):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """`differences` of one quantity (T,), for compiled loops."""
+    count = values.size
+    slope = np.zeros(count)
+    for t in range(count if count > 1 else 0):
+        before, after = max(t - 1, 0), min(t + 1, count - 1)
+        slope[t] = (values[after] - values[before]) / ((after - before) * step)
     return slope
 
 

@@ -18,7 +18,7 @@ from hid2.reference_line import build_reference_line
 from hid2.smoothing import integrate, poses
 from hid2.spawning import Spawner
 from hid2.traffic import Traffic, traffic_of
-from hid2.turns import desired_speed, f_left, f_right
+from hid2.turns import f_left, f_right, road_speeds
 from hid2.verify import motion_profile
 from hid2.world import World, build_world, predicted_traffic
 from netconvert.cells import Cell, build_cell_grid
@@ -237,9 +237,8 @@ def test_overtake_enters_passes_and_returns_ahead_of_where_it_left() -> None:
 def test_speed_on_a_straight_lane_stays() -> None:
     """v(t + dt) ~ v(t)."""
     line = build_reference_line(np.array([[0.0, 0.0], [200.0, 0.0]]), step_m=1.0, min_radius_m=5.0, max_offset_m=0.6)
-    speed = desired_speed(
-        line, turn=Turn(), limits=Limits(), cruise_mps=11.0, segments=[(0.0, 200.0, TurnType.STRAIGHT)], accel_mps2=1.8
-    )
+    road = road_speeds(line, [(0.0, 200.0, TurnType.STRAIGHT)], turn=Turn(), limits=Limits())
+    speed = road.desired(11.0, turn=Turn(), accel_mps2=1.8)
     assert np.ptp(speed) == pytest.approx(0.0)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from hid2.params import Limits, Turn
 from hid2.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
-from hid2.turns import desired_speed, f_left, f_right, speed_cap, turn_shape
+from hid2.turns import f_left, f_right, road_speeds, speed_cap, turn_shape
 from netconvert.lane_graph import TurnType
 
 #: Every value that a number below is worked from; the defaults may be tuned.
@@ -57,12 +57,13 @@ def test_tight_circle_is_capped_by_the_yaw_rate() -> None:
     assert np.median(cap) == pytest.approx(4.0, rel=0.02)
 
 
+def _desired(line: ReferenceLine, segments: list[tuple[float, float, TurnType]], *, cruise_mps: float = 10.0):
+    return road_speeds(line, segments, turn=TURN, limits=Limits()).desired(cruise_mps, turn=TURN, accel_mps2=1.8)
+
+
 def test_straight_lane_is_driven_at_the_cruising_speed(straight_line: ReferenceLine) -> None:
     """v(t + dt) ~ v(t)."""
-    speed = desired_speed(
-        straight_line, turn=TURN, limits=Limits(), cruise_mps=12.0,
-        segments=[(0.0, 200.0, TurnType.STRAIGHT)], accel_mps2=1.8,
-    )  # fmt: skip
+    speed = _desired(straight_line, [(0.0, 200.0, TurnType.STRAIGHT)], cruise_mps=12.0)
     assert speed == pytest.approx(np.full(speed.size, 12.0))
 
 
@@ -74,11 +75,10 @@ def test_slowing_begins_before_the_entrance_and_speeding_up_ends_after_the_exit(
     entrance sqrt(42.25 + 3 * 8) = 8.14 m/s, at the exit sqrt(42.25 + 3.6 * 12) = 9.24 m/s; both a little less, since
     the shape is flat at its trough.
     """
-    speed = desired_speed(
-        straight_line, turn=TURN, limits=Limits(), cruise_mps=10.0,
-        segments=[(0.0, 100.0, TurnType.STRAIGHT), (100.0, 120.0, TurnType.LEFT), (120.0, 200.0, TurnType.STRAIGHT)],
-        accel_mps2=1.8,
-    )  # fmt: skip
+    speed = _desired(
+        straight_line,
+        [(0.0, 100.0, TurnType.STRAIGHT), (100.0, 120.0, TurnType.LEFT), (120.0, 200.0, TurnType.STRAIGHT)],
+    )
 
     def at(s: float) -> float:
         return float(speed[int(s / TABLE_STEP_M)])
@@ -92,17 +92,7 @@ def test_slowing_begins_before_the_entrance_and_speeding_up_ends_after_the_exit(
 
 
 def test_right_turn_is_driven_faster_than_a_left_one(straight_line: ReferenceLine) -> None:
-    left, right = (
-        desired_speed(
-            straight_line,
-            turn=TURN,
-            limits=Limits(),
-            cruise_mps=10.0,
-            segments=[(100.0, 120.0, kind)],
-            accel_mps2=1.8,
-        )
-        for kind in (TurnType.LEFT, TurnType.RIGHT)
-    )
+    left, right = (_desired(straight_line, [(100.0, 120.0, kind)]) for kind in (TurnType.LEFT, TurnType.RIGHT))
     assert left.min() == pytest.approx(6.5)
     assert right.min() == pytest.approx(7.5)
 
@@ -110,13 +100,6 @@ def test_right_turn_is_driven_faster_than_a_left_one(straight_line: ReferenceLin
 def test_curvature_has_the_last_word_in_a_turn() -> None:
     """On a circle of 6 m, sqrt(2.5 * 6) = 3.87 m/s: below 10 * f_left."""
     line = _circle(6.0)
-    speed = desired_speed(
-        line,
-        turn=TURN,
-        limits=Limits(),
-        cruise_mps=10.0,
-        segments=[(0.0, line.length_m, TurnType.LEFT)],
-        accel_mps2=1.8,
-    )
+    speed = _desired(line, [(0.0, line.length_m, TurnType.LEFT)])
     assert np.all(speed <= speed_cap(line, TURN, Limits()) + 1e-9)
     assert np.median(speed[_inside(line)]) == pytest.approx(math.sqrt(15.0), rel=0.03)
