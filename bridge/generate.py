@@ -1,20 +1,17 @@
 """One scenario: observe, plan, insert, decide, step, record, smooth, verify, export."""
 
-import math
 import tempfile
 import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-import numpy as np
-
 from bridge.config import config_sha256
 from bridge.export import new_scenario_id, write_scene
-from bridge.records import agent_record, outcomes, with_unmet
-from bridge.replay import Replay, ReplayErrors, met_by
+from bridge.records import agent_record, with_unmet
+from bridge.rounds import Rounds, Settled, exported_track
 from bridge.scenario import LAST_OBSERVED, Scenario
 from bridge.sidecar import (
     GeneratorRecord,
@@ -25,41 +22,14 @@ from bridge.sidecar import (
     Sidecar,
 )
 from bridge.simulation import Simulation
-from bridge.steering import Driver, Steering
-from hid2.agents import VEHICLE_TYPES, Policy, Track
+from hid2.agents import Policy, Track
 from hid2.conflicts import DT_S
-from hid2.evaluation.matching import flatten_lanes
-from hid2.foresight import BEHIND_TURN_M
 from hid2.params import Config
-from hid2.repair import SettledVehicle, settle, settled_traffic
-from hid2.route import first_turn
-from hid2.spawning import Spawner
-from hid2.surrogate_safety import ExportedPositions
-from hid2.traffic import Traffic
-from hid2.turns import TURN_OF_POLICY
-from hid2.world import PlannedVehicle, World, build_world, predicted_traffic
+from hid2.repair import SettledVehicle
+from hid2.world import World, build_world
 from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ScenarioError
 from netconvert.net_xml import net_bytes
-
-_ATTEMPTS = 50
-_ATTEMPTS_AGAIN = 25
-#: Times that all places are gone through again; a lane change hangs most on where, how fast and when it is tried.
-_LOOKS_AGAIN = dict.fromkeys(Policy, 1) | {Policy.LANE_CHANGE: 3}
-_ATTEMPTS_LAST = 400
-_ATTEMPTS_LATE = 10_000
-_MAX_AGENTS = 400
-_FROM_EMPTY = 6
-_FEW_MOST = 4
-_MIX_OF_MOST = 40
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Settled:
-    """A vehicle in the scene, with how SUMO drove it."""
-
-    vehicle: SettledVehicle
-    driver: Driver
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -110,12 +80,13 @@ def generate(scenario: Scenario | PreparedScene, config: Config, *, variant: int
         net = Path(folder) / "scene.net.xml"
         net.write_bytes(prepared.net)
         with Simulation(net, seed=config.request.seed, step_s=DT_S) as simulation:
-            run = _Run(world, scene.tracks, simulation, seed)
+            run = Rounds(world, scene.tracks, simulation, seed)
             run.fill()
     run.credit_turns()
     vehicles = sorted(run.settled, key=lambda item: int(item.vehicle.driven.spec.vehicle_id.removeprefix("v")))
     tracks = [
-        _track(item.vehicle, f"gen_{row}", config.request.generated_category) for row, item in enumerate(vehicles)
+        exported_track(item.vehicle, f"gen_{row}", config.request.generated_category)
+        for row, item in enumerate(vehicles)
     ]
     focal = scene.focal_track_id
     if config.request.focal == "generated":
@@ -137,279 +108,6 @@ def write(scene: GeneratedScene, out_dir: Path) -> Path:
         out_dir,
         new_id=scene.new_id,
         focal_track_id=scene.focal_track_id,
-    )
-
-
-class _Run:
-    """Rounds of planning, driving and settling until the count is reached or nothing more fits."""
-
-    def __init__(self, world: World, recorded: Sequence[Track], simulation: Simulation, seed: list[int]) -> None:
-        self.world, self.simulation, self.seed = world, simulation, seed
-        self.recorded = [track for track in recorded if track.object_type in VEHICLE_TYPES]
-        self.lanes = flatten_lanes(world.grid.graph)
-        self.rng = np.random.default_rng([*seed, 0])
-        self.settled: list[Settled] = []
-        self.reasons: Counter[str] = Counter()
-        self.unmet: list[tuple[Policy, str]] = []
-        self.fixed: Traffic = predicted_traffic([], world.num_steps)
-        self.replay_errors = ReplayErrors()
-        self.sumo_version = simulation.version()
-        self._next = 0
-
-    def fill(self) -> None:
-        """All rounds; where they do not reach the count, again from an empty road: packed, then packed closer.
-
-        After some packings from an empty road the fullest one has a few neighbours taken out and placed anew, over and
-        over. Packing takes the same course whatever the count, so that no count ends below what `max` finds.
-        """
-        request = self.world.config.request
-        target = _MAX_AGENTS if request.agents == "max" else request.agents
-        if request.agents != "max":
-            self._rounds(_mix(request.behaviours, target, self.rng), target, packed=False)
-            if len(self.settled) == target or "collision" in self.world.config.without:
-                return
-        loose = self.settled, self.fixed, self.unmet
-        close = self.world.packed()
-        self._keep([])
-        for attempt, world in enumerate((self.world, *[close] * self.world.config.packing.attempts), start=1):
-            best = self.settled, self.fixed, self.unmet
-            self.rng, self.world = np.random.default_rng([*self.seed, attempt]), world
-            if attempt <= _FROM_EMPTY:
-                self.unmet = []
-                self._keep([])
-                mix = _mix(request.behaviours, min(target, _MIX_OF_MOST), self.rng)
-            else:
-                self._keep(self._all_but_a_few())
-                mix = []
-            self._rounds(mix, target, packed=True)
-            if len(self.settled) < len(best[0]):
-                self.settled, self.fixed, self.unmet = best
-            if len(self.settled) >= target:
-                return
-        if len(self.settled) < len(loose[0]):
-            self.settled, self.fixed, self.unmet = loose
-
-    def _keep(self, settled: list[Settled]) -> None:
-        self.settled = settled
-        self.fixed = settled_traffic([item.vehicle for item in settled], self.world.num_steps)
-
-    def _all_but_a_few(self) -> list[Settled]:
-        """Without some neighbours that go straight: where those were, differently placed ones may be one more."""
-        leaders = {item.driver.leader_id for item in self.settled}
-        idle = [
-            item for item in self.settled
-            if item.vehicle.driven.spec.policy is Policy.STRAIGHT
-            and item.vehicle.driven.spec.vehicle_id not in leaders
-        ]  # fmt: skip
-        if not idle:
-            return self.settled
-        start = np.array([item.vehicle.trajectory.position[0] for item in idle])
-        middle = start[int(self.rng.integers(len(idle)))]
-        near = np.argsort(np.hypot(*(start - middle).T), kind="stable")[: int(self.rng.integers(1, _FEW_MOST + 1))]
-        gone = {id(idle[row]) for row in near.tolist()}
-        return [item for item in self.settled if id(item) not in gone]
-
-    def _rounds(self, mix: Sequence[Policy], target: int, *, packed: bool) -> None:
-        """Rounds until the count is reached; a manoeuvre that no round brought about is noted with its last reason."""
-        pending: list[tuple[Policy, str]] = [
-            (policy, "count_reached") for policy in mix if policy is not Policy.STRAIGHT
-        ]
-        for number in range(self.world.config.spawn.rounds):
-            missing = target - len(self.settled)
-            if missing <= 0 and number > 0:
-                break
-            before = len(self.settled)
-            patience = number + 2 if packed else number
-            reseeds = number < self.world.config.spawn.reseed_rounds
-            if number > max(self.world.config.spawn.reseed_rounds, 1):  # the count matters more by now
-                self.unmet += pending
-                pending = []
-            asked = [policy for policy, _ in pending[:missing]]
-            again = self._round(asked, missing, patience=patience, packed=packed, reseeds=reseeds)
-            pending = again + pending[missing:]
-            if number >= 1 and len(self.settled) == before and not asked:
-                break
-        self.unmet += pending
-
-    def _round(
-        self, asked: Sequence[Policy], missing: int, *, patience: int, packed: bool, reseeds: bool
-    ) -> list[tuple[Policy, str]]:
-        """Plan, drive and settle; returns the manoeuvres that are to be tried again, with what went wrong."""
-        spawner = Spawner(self.world, self.rng, self.fixed, patience, packed)
-        attempts = _ATTEMPTS_LATE if patience >= 2 or packed else _ATTEMPTS
-        # manoeuvres need the room most, so they choose first; what finds no place looks again, with more patience
-        order = sorted(asked, key=list(Policy).index, reverse=True)
-        without = [policy for policy in order if not self._plan(spawner, policy, missing, attempts)]
-        for look in range(max(_LOOKS_AGAIN.values()) if patience == 0 else 0):
-            again = [policy for policy in without if look < _LOOKS_AGAIN[policy]]
-            if again:
-                spawner.look_again()
-                for policy in again:
-                    if self._plan(spawner, policy, missing, _ATTEMPTS_AGAIN):
-                        without.remove(policy)
-        spawner.patience = patience
-        full = len(spawner.planned) >= missing  # leaders of overtakes count too
-        self.unmet += [(policy, "count_reached" if full else spawner.why_none(policy)) for policy in without]
-        spare = missing + math.ceil(self.world.config.spawn.spare_share * missing)
-        for last in (False, False, True):
-            closer = max(attempts, _ATTEMPTS_LAST) if last else attempts  # a place found now saves a round
-            while len(spawner.planned) < spare and self._plan(spawner, Policy.STRAIGHT, spare, closer):
-                pass
-            if len(spawner.planned) >= missing:
-                break
-            spawner.look_again()
-        self.reasons.update(spawner.reasons)
-        if spawner.planned or self.replay_errors.states == 0:
-            return self._drive(spawner, missing + len(self.settled), reseeds=reseeds)
-        return []
-
-    def _plan(self, spawner: Spawner, policy: Policy, missing: int, attempts: int) -> bool:
-        room = missing - len(spawner.planned)
-        if room <= 0:
-            return False
-        if policy is not Policy.OVERTAKE:
-            return spawner.spawn(policy, self._new_id(), attempts=attempts) is not None
-        leader_id = self._new_id() if room >= 2 and self.world.config.request.spawn_leaders else None
-        return bool(spawner.spawn_overtake(self._new_id(), leader_id, attempts=attempts))
-
-    def _drive(self, spawner: Spawner, target: int, *, reseeds: bool) -> list[tuple[Policy, str]]:
-        """Drive and settle what was planned; returns the manoeuvres that did not come about, with the reason.
-
-        reseeds: a vehicle that lives but did not do what it was placed for makes room for another one elsewhere.
-        """
-        world, simulation, first = self.world, self.simulation, self.replay_errors.states == 0
-        simulation.rewind()
-        traffic = world.traffic if first else met_by(world.traffic, spawner.planned)
-        recorded = Replay(simulation, traffic, "r", checked=first)
-        steering = Steering(world, simulation, self.fixed)
-        drivers = steering.run(
-            spawner.planned, [recorded, Replay(simulation, met_by(self.fixed, spawner.planned), "f", checked=False)]
-        )
-        if first:
-            self.replay_errors = recorded.errors
-        by_id = {driver.spec.vehicle_id: driver for driver in drivers}
-        settled, failed = settle(world, steering.driven(), [item.vehicle for item in self.settled], self.fixed)
-        failed += [(driver.spec, driver.objection) for driver in drivers if driver.objection is not None]
-        settled, gone = self._without_conflicts(settled)
-        failed += gone
-        if reseeds:
-            settled, missed = self._keep_what_was_asked(settled, by_id, spawner.led_by)
-            failed += missed
-        again: list[tuple[Policy, str]] = [
-            (spec.policy, reason) for spec, reason in failed if spec.policy is not Policy.STRAIGHT
-        ]
-        surplus = len(self.settled) + len(settled) + (len(again) if reseeds else 0) - target
-        if surplus > 0:  # the spare ones were not needed
-            leaders = {driver.leader_id for driver in drivers}
-            idle = [
-                v for v in settled
-                if v.driven.spec.policy is Policy.STRAIGHT and v.driven.spec.vehicle_id not in leaders
-            ]  # fmt: skip
-            dropped = {id(v) for v in idle[-surplus:]}
-            settled = [v for v in settled if id(v) not in dropped]
-        self.reasons.update(reason for _, reason in failed)
-        self.settled += [Settled(vehicle, by_id[vehicle.driven.spec.vehicle_id]) for vehicle in settled]
-        self.fixed = self.fixed.joined(settled_traffic(settled, world.num_steps))
-        return again
-
-    def _without_conflicts(
-        self, settled: Sequence[SettledVehicle]
-    ) -> tuple[list[SettledVehicle], list[tuple[PlannedVehicle, str]]]:
-        """Without those that a reader of the positions would see below the critical TTC or PET, and with the reason.
-
-        Where a vehicle of an earlier round gets there because of a new one, the new one goes.
-        """
-        vehicles, gone = [*(item.vehicle for item in self.settled), *settled], []
-        if not {"collision", "topology", "smoothing"} & self.world.config.without:
-            while found := self._conflicts(vehicles):
-                row, other, reason = found[-1]
-                late = other if row < len(self.settled) and other is not None else row
-                gone.append((vehicles.pop(late).driven.spec, reason))
-                if late < len(self.settled):
-                    self._keep([item for row, item in enumerate(self.settled) if row != late])
-        return vehicles[len(self.settled) :], gone
-
-    def _conflicts(self, vehicles: Sequence[SettledVehicle]) -> list[tuple[int, int | None, str]]:
-        """Row of a vehicle, of the other one where that is generated too, and the reason."""
-        tracks = [_track(vehicle, f"gen_{row}", 0) for row, vehicle in enumerate(vehicles)]
-        leaving = [bool(vehicle.driven.path.shifts) for vehicle in vehicles]
-        critical = self.world.config.conflict
-        seen = ExportedPositions(self.recorded, tracks, self.lanes, self.world.num_steps)
-        followed = seen.followed_conflicts(critical_s=critical.follower_ttc_min_s)
-        following = seen.following_conflicts(leaving, critical_s=critical.ttc_min_s)
-        crossing = seen.crossing_conflicts(critical_s=critical.pet_min_s)
-        return [
-            *((row, None, "ttc_of_recorded") for row in followed),
-            *((*pair, "ttc_on_lane") for pair in following),
-            *((*pair, "pet") for pair in crossing),
-        ]
-
-    def _keep_what_was_asked(
-        self, settled: Sequence[SettledVehicle], drivers: Mapping[str, Driver], led_by: Mapping[str, str]
-    ) -> tuple[list[SettledVehicle], list[tuple[PlannedVehicle, str]]]:
-        """Vehicles that did what they were placed for; and the others, with the leaders that they brought along."""
-        traffic = self.world.traffic.joined(self.fixed).joined(settled_traffic(settled, self.world.num_steps))
-        missed: dict[str, str] = {}
-        for vehicle in settled:
-            spec = vehicle.driven.spec
-            for record in outcomes(vehicle, drivers[spec.vehicle_id], self.world, traffic):
-                if record.status != "done" and record.status != "not_triggered":
-                    missed[spec.vehicle_id] = f"{record.kind}_{record.reason}"
-                    if spec.vehicle_id in led_by:
-                        missed.setdefault(led_by[spec.vehicle_id], "led_no_overtake")
-        kept = [vehicle for vehicle in settled if vehicle.driven.spec.vehicle_id not in missed]
-        specs = {vehicle.driven.spec.vehicle_id: vehicle.driven.spec for vehicle in settled}
-        return kept, [(specs[vehicle_id], reason) for vehicle_id, reason in missed.items() if vehicle_id in specs]
-
-    def credit_turns(self) -> None:
-        """A turn that found no place of its own is met by a vehicle that was placed to go straight and turns so."""
-        unmet: list[tuple[Policy, str]] = []
-        for policy, reason in self.unmet:
-            row = next((row for row, item in enumerate(self.settled) if self._turned(item.vehicle, policy)), None)
-            if row is None:
-                unmet.append((policy, reason))
-                continue
-            vehicle, driver = self.settled[row].vehicle, self.settled[row].driver
-            driven = replace(vehicle.driven, spec=replace(vehicle.driven.spec, policy=policy))
-            self.settled[row] = Settled(replace(vehicle, driven=driven), driver)
-        self.unmet = unmet
-
-    def _turned(self, vehicle: SettledVehicle, policy: Policy) -> bool:
-        """Whether a vehicle without a manoeuvre has driven the turn of a policy from its start to its end."""
-        spec = vehicle.driven.spec
-        if policy not in TURN_OF_POLICY or spec.policy is not Policy.STRAIGHT:
-            return False
-        turn = first_turn(self.world.grid.graph, vehicle.driven.path, TURN_OF_POLICY[policy], after=spec.s0)
-        return turn is not None and turn.end + BEHIND_TURN_M < float(vehicle.motion.s[-1])
-
-    def _new_id(self) -> str:
-        self._next += 1
-        return f"v{self._next}"
-
-
-def _mix(shares: Mapping[Policy, float], count: int, rng: np.random.Generator) -> list[Policy]:
-    """Policies of `count` vehicles by largest remainder: the mix asked for, not a draw from it."""
-    total = sum(shares.values())
-    exact = {policy: count * share / total for policy, share in shares.items()}
-    counts = {policy: int(value) for policy, value in exact.items()}
-    rest = sorted(exact, key=lambda p: (counts[p] - exact[p], list(Policy).index(p)))
-    for policy in rest[: count - sum(counts.values())]:
-        counts[policy] += 1
-    mixed = [policy for policy in Policy for _ in range(counts[policy])]
-    return [mixed[i] for i in rng.permutation(len(mixed)).tolist()]
-
-
-def _track(vehicle: SettledVehicle, track_id: str, category: int) -> Track:
-    trajectory = vehicle.trajectory
-    return Track(
-        track_id=track_id,
-        object_type=vehicle.driven.spec.object_type,
-        category=category,
-        timesteps=np.arange(vehicle.num_steps, dtype=np.int64),
-        position=trajectory.position,
-        heading=trajectory.heading,
-        velocity=trajectory.velocity,
-        size=vehicle.driven.spec.own_size,
     )
 
 
@@ -439,7 +137,7 @@ def _focal(scene: Scenario, vehicles: Sequence[Settled], tracks: Sequence[Track]
 
 
 def _sidecar(
-    prepared: PreparedScene, world: World, run: _Run, vehicles: Sequence[Settled], *, variant: int, sumo_version: str
+    prepared: PreparedScene, world: World, run: Rounds, vehicles: Sequence[Settled], *, variant: int, sumo_version: str
 ) -> Sidecar:
     config = world.config
     traffic = world.traffic.joined(run.fixed)
