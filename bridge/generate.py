@@ -80,7 +80,7 @@ def generate(scenario: Scenario | PreparedScene, config: Config, *, variant: int
         net = Path(folder) / "scene.net.xml"
         net.write_bytes(prepared.net)
         with Simulation(net, seed=config.request.seed, step_s=DT_S) as simulation:
-            run = Rounds(world, scene.tracks, simulation, seed)
+            run = Rounds(world, simulation, seed)
             run.fill()
     run.credit_turns()
     vehicles = sorted(run.settled, key=lambda item: int(item.vehicle.driven.spec.vehicle_id.removeprefix("v")))

@@ -75,7 +75,7 @@ class Replay:
         if not self.checked:
             return
         rows = self._here[step]
-        found = [self.simulation.pose(self._names[row]) for row in rows]
+        found = self.simulation.poses([self._names[row] for row in rows])
         kept = [number for number, pose in enumerate(found) if pose is not None]
         self._lost += len(rows) - len(kept)
         self._seen.append(

@@ -11,13 +11,11 @@ from bridge.records import outcomes
 from bridge.replay import Replay, ReplayErrors, met_by
 from bridge.simulation import Simulation
 from bridge.steering import Driver, Steering
-from hid2.agents import VEHICLE_TYPES, Policy, Track
-from hid2.evaluation.matching import flatten_lanes
+from hid2.agents import Policy, Track
 from hid2.foresight import BEHIND_TURN_M
 from hid2.repair import SettledVehicle, settle, settled_traffic
 from hid2.route import first_turn
 from hid2.spawning import Spawner
-from hid2.surrogate_safety import ExportedPositions
 from hid2.traffic import Traffic
 from hid2.turns import TURN_OF_POLICY
 from hid2.world import PlannedVehicle, World, predicted_traffic
@@ -45,10 +43,8 @@ class Settled:
 class Rounds:
     """Rounds of planning, driving and settling until the count is reached or nothing more fits."""
 
-    def __init__(self, world: World, recorded: Sequence[Track], simulation: Simulation, seed: list[int]) -> None:
+    def __init__(self, world: World, simulation: Simulation, seed: list[int]) -> None:
         self.world, self.simulation, self.seed = world, simulation, seed
-        self.recorded = [track for track in recorded if track.object_type in VEHICLE_TYPES]
-        self.lanes = flatten_lanes(world.grid.graph)
         self.rng = np.random.default_rng([*seed, 0])
         self.settled: list[Settled] = []
         self.reasons: Counter[str] = Counter()
@@ -236,7 +232,7 @@ class Rounds:
         tracks = [exported_track(vehicle, f"gen_{row}", 0) for row, vehicle in enumerate(vehicles)]
         leaving = [bool(vehicle.driven.path.shifts) for vehicle in vehicles]
         critical = self.world.config.conflict
-        seen = ExportedPositions(self.recorded, tracks, self.lanes, self.world.num_steps)
+        seen = self.world.recorded.with_generated(tracks)
         followed = seen.followed_conflicts(critical_s=critical.follower_ttc_min_s)
         following = seen.following_conflicts(leaving, critical_s=critical.ttc_min_s)
         crossing = seen.crossing_conflicts(critical_s=critical.pet_min_s)

@@ -98,13 +98,20 @@ class Simulation:
 
     def pose(self, vehicle_id: str) -> tuple[float, float, float] | None:
         """Front bumper x, y in m and angle in degrees, as SUMO has them now; None for a vehicle not in the net."""
-        try:
-            x, y = libsumo.vehicle.getPosition(vehicle_id)
-        except libsumo.TraCIException:
-            return None
-        if x == libsumo.INVALID_DOUBLE_VALUE:
-            return None
-        return x, y, libsumo.vehicle.getAngle(vehicle_id)
+        return self.poses([vehicle_id])[0]
+
+    def poses(self, vehicle_ids: Sequence[str]) -> list[tuple[float, float, float] | None]:
+        """The same for many."""
+        position, angle, nowhere = libsumo.vehicle.getPosition, libsumo.vehicle.getAngle, libsumo.INVALID_DOUBLE_VALUE
+        found: list[tuple[float, float, float] | None] = []
+        for vehicle_id in vehicle_ids:
+            try:
+                x, y = position(vehicle_id)
+            except libsumo.TraCIException:
+                found.append(None)
+                continue
+            found.append(None if x == nowhere else (x, y, angle(vehicle_id)))
+        return found
 
     def remove(self, vehicle_id: str) -> None:
         """Take a vehicle out."""

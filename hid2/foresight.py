@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
+from hid2.agents import DEFAULT_SIZES, BoxSize, Policy, Track
 from hid2.conflicts import DT_S, Prospect
 from hid2.decision import LaneOption, Side
 from hid2.lane_change import lane_change_reason
@@ -47,6 +47,7 @@ _HASTE_MPS = 1.0  # above the desired speed, at most, while it passes
 _FOLLOWING_MPS = 0.3  # faster than the leader while following it
 _SPEEDING_UP_MPS2, _SLOWING_MPS2 = 1.2, 1.5
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
+_FOLLOWER_SPARE_S = 0.1  # SUMO drives a little slower than the plan
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -118,6 +119,21 @@ class Foresight:
         longer = BoxSize(size.length_m + 2 * gap_m, size.width_m)
         everybody = self.world.traffic, self.fixed, self.predicted
         return any(meets(traffic, 0, x, y, heading, longer) for traffic in everybody)
+
+    def run_up_on(self, wish: Wish, intention: Intention) -> bool:
+        """Whether a recorded vehicle, which will not brake, would come up behind it at a critical TTC."""
+        critical_s = self.world.config.conflict.follower_ttc_min_s
+        if critical_s <= 0.0 or "collision" in self.world.config.without:
+            return False
+        one = predicted_traffic(
+            [(wish.vehicle_id, intention.path, wish.own_size, intention.plan.s)], self.world.num_steps
+        )
+        there = np.flatnonzero(one.present[0])
+        track = Track(
+            wish.vehicle_id, wish.object_type, 1, there, one.position[0, there], one.heading[0, there],
+            one.velocity[0, there], wish.own_size,
+        )  # fmt: skip
+        return self.world.recorded.run_up_on(track, critical_s=critical_s + _FOLLOWER_SPARE_S)
 
     def turn_end(self, wish: Wish, path: DrivenPath, s0: float, cruise_mps: float) -> float | str:
         """Arc length behind the first turn of the wanted kind, m; or why it cannot be driven, whoever is there.

@@ -13,7 +13,7 @@ from hid2.decision import Side
 from hid2.foresight import LATEST_S, SPARE_LANE_M, Wish
 from hid2.maneuver import admissible_neighbor
 from hid2.reference_line import TABLE_STEP_M
-from hid2.route import DrivenPath, Route, routes_from, straightest_successor
+from hid2.route import DrivenPath, Route, routes_from
 from hid2.turns import TURN_OF_POLICY
 from hid2.world import DRIVABLE_TYPES, World
 from netconvert.cells import Cell
@@ -27,6 +27,7 @@ _OVERTAKE_STRETCH_M = 65.0
 _STRETCH_MOST_M = 120.0
 _RUN_UP_M = 150.0  # of a route before the place
 _TURN_ROUTES, _OTHER_ROUTES = 6, 3
+_BEFORE_TURN_M = 3.0
 
 
 @dataclass(slots=True)
@@ -37,10 +38,11 @@ class Places:
     rng: np.random.Generator
     packed: bool = False
     lanes: tuple[int, ...] = field(init=False)
-    _known_routes: dict[tuple[TurnType, int, int], tuple[Route, ...]] = field(default_factory=dict)
+    _known_routes: dict[tuple[TurnType, int, int], tuple[tuple[Route, float, float], ...]] = field(default_factory=dict)
     _known_before: dict[int, tuple[int, ...]] = field(default_factory=dict)
     _usable: frozenset[int] = field(init=False)
     _known_ends: dict[Route, tuple[float, ...]] = field(default_factory=dict)
+    _known_run_ups: dict[Route, tuple[Route, float]] = field(default_factory=dict)
     _known_cells: dict[Policy, tuple[list[Cell], list[int]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -204,9 +206,13 @@ class Places:
         """
         if "topology" in self.world.config.without:
             return route, s0
-        before = [lane_id for lane_id in self._lanes_before(route[0]) if lane_id not in route]
-        lanes = self.world.grid.graph.lanes
-        return (*before, *route), s0 + sum(lanes[lane_id].length_m for lane_id in before)
+        if route not in self._known_run_ups:
+            before = [lane_id for lane_id in self._lanes_before(route[0]) if lane_id not in route]
+            lanes = self.world.grid.graph.lanes
+            before_m = sum(lanes[lane_id].length_m for lane_id in before)
+            self._known_run_ups[route] = (*before, *route), before_m
+        whole, before_m = self._known_run_ups[route]
+        return whole, s0 + before_m
 
     def _lanes_before(self, lane_id: int) -> tuple[int, ...]:
         """Lanes that lead to a lane, the straightest way, back to the map's edge or _RUN_UP_M."""
@@ -219,7 +225,7 @@ class Places:
                 onto = [p for p in graph.predecessors(here) if p in self._usable and p not in (lane_id, *before)]
                 if not onto:
                     break
-                first = min(onto, key=lambda p: (straightest_successor(graph, p) != here, p))
+                first = min(onto, key=lambda p: (graph.straightest_successor(p) != here, p))
                 before = (first, *before)
                 length += graph.lanes[first].length_m
             self._known_before[lane_id] = before
@@ -241,7 +247,10 @@ class Places:
         return left
 
     def _routes(self, policy: Policy, lane_id: int, s0: float, patience: int) -> Iterator[Route]:
-        """Routes from a place that serve the policy; more than one only where patience asks for it (reroute)."""
+        """Routes from a place that serve the policy; more than one only where patience asks for it (reroute).
+
+        Those for a turn have the wanted one as their first, and may be through it before the scene ends.
+        """
         graph = self.world.grid.graph
         if "topology" in self.world.config.without:
             yield (lane_id,)
@@ -252,32 +261,32 @@ class Places:
         def choose(onward: tuple[int, ...]) -> tuple[int, ...]:
             if len(onward) == 1:
                 return onward
-            order = self.rng.permutation(len(onward)).tolist()
-            return tuple(sorted((onward[i] for i in order), key=lambda n: self._turn(n) is not wanted))
+            return tuple(sorted(onward, key=lambda n: (self._turn(n) is not wanted, self.rng.random())))
 
         most = _TURN_ROUTES if turns else 1 if patience == 0 else _OTHER_ROUTES
         key = wanted, lane_id, most
         if key not in self._known_routes:
-            usable = set(self.lanes).__contains__
-            found = routes_from(graph, lane_id, choose=choose, usable=usable, most=most, longest_m=_ROUTE_LONGEST_M)
-            self._known_routes[key] = tuple(found)
-        for route in self._known_routes[key]:
-            if not turns or self._leads_into(route, wanted, s0):
+            found = routes_from(
+                graph, lane_id, choose=choose, usable=self._usable.__contains__, most=most, longest_m=_ROUTE_LONGEST_M
+            )
+            first_turns = ((route, self._first_turn(route)) for route in found)
+            self._known_routes[key] = tuple(
+                (route, start, end) for route, (kind, start, end) in first_turns if kind is wanted or not turns
+            )
+        reached_m = _FASTEST_MPS * self.world.num_steps * DT_S
+        for route, start, end in self._known_routes[key]:
+            if not turns or (start - s0 > _BEFORE_TURN_M and end - s0 < reached_m):
                 yield route
                 if turns and patience == 0:
                     return
 
-    def _leads_into(self, route: Route, wanted: TurnType, s0: float) -> bool:
-        """Whether the first turn of a route is the wanted one and may be through before the scene ends."""
-        lanes = self.world.grid.graph.lanes
-        travelled = lanes[route[0]].length_m - s0
-        for lane_id in route[1:]:
-            kind, length = self._turn(lane_id), lanes[lane_id].length_m
-            if kind is not TurnType.STRAIGHT:
-                soon = travelled > 3.0 and travelled + length < _FASTEST_MPS * self.world.num_steps * DT_S
-                return kind is wanted and soon
-            travelled += length
-        return False
+    def _first_turn(self, route: Route) -> tuple[TurnType, float, float]:
+        """Kind of the first turn of a route, and where on the route it begins and ends, m; STRAIGHT where none is."""
+        ends = self._ends(route)
+        for row in range(1, len(route)):
+            if self._turn(route[row]) is not TurnType.STRAIGHT:
+                return self._turn(route[row]), ends[row - 1], ends[row]
+        return TurnType.STRAIGHT, 0.0, 0.0
 
     def _turn(self, lane_id: int) -> TurnType:
         return self.world.grid.graph.lanes[lane_id].turn

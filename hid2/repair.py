@@ -13,7 +13,7 @@ from hid2.agents import FloatArray
 from hid2.conflicts import DT_S, Prospect, min_leader_ttc_s, priority
 from hid2.path_occupancy import path_occupancy
 from hid2.reference_line import TABLE_STEP_M
-from hid2.route import DrivenPath, first_turn, straightest_successor
+from hid2.route import DrivenPath, first_turn
 from hid2.smoothing import Motion, SpeedBounds, SpeedLimits, Trajectory, poses, smooth_speed
 from hid2.traffic import Traffic
 from hid2.turns import TURN_OF_POLICY
@@ -159,7 +159,7 @@ def _closes_in_straight_on(world: World, candidate: SettledVehicle, others: Traf
     graph, path, spec = world.grid.graph, candidate.driven.path, candidate.driven.spec
     last = path.segment_at(float(candidate.motion.s[-1]))
     lanes = [segment.lane_id for segment in path.segments if segment.start <= last.start]
-    ahead = straightest_successor(graph, lanes[-1])
+    ahead = graph.straightest_successor(lanes[-1])
     if ahead is None or (len(lanes) < len(path.segments) and path.segments[len(lanes)].lane_id == ahead):
         return False
     branch = world.path((*lanes, ahead))

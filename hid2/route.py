@@ -150,21 +150,6 @@ def first_turn(graph: LaneGraph, path: DrivenPath, kind: TurnType, *, after: flo
     return next((g for g in path.segments if graph.lanes[g.lane_id].turn is kind and g.start > after), None)
 
 
-def straightest_successor(graph: LaneGraph, lane_id: int) -> int | None:
-    """The successor whose chord turns least from the lane's, the lower id of equals; None at the map's edge."""
-
-    def turn(onward: int) -> float:
-        first, second = _chord(graph, lane_id), _chord(graph, onward)
-        return abs(float(np.arctan2(first[0] * second[1] - first[1] * second[0], first @ second)))
-
-    return min(graph.successors(lane_id), key=lambda onward: (turn(onward), onward), default=None)
-
-
-def _chord(graph: LaneGraph, lane_id: int) -> FloatArray:
-    centerline = graph.lanes[lane_id].centerline
-    return np.asarray(centerline[-1] - centerline[0], dtype=np.float64)
-
-
 def routes_from(
     graph: LaneGraph,
     lane_id: int,

@@ -227,6 +227,8 @@ class Spawner:
         intention = self._intend(wish, path, look, s0, v0, cruise, turn_end)
         if isinstance(intention, str):
             return intention
+        if self._ahead.run_up_on(wish, intention):
+            return "ttc_of_recorded"
         return PlannedVehicle(
             vehicle_id=wish.vehicle_id, policy=wish.policy, object_type=wish.object_type, size=size,
             own_size=wish.own_size, route=route, path=path, s0=s0, v0=float(intention.own.v[0]), cruise_mps=cruise,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
-from hid2.agents import Track
+from hid2.agents import IntArray, Track
 from hid2.evaluation.arrays import SceneArrays, stack
 from hid2.evaluation.following import leaders
 from hid2.evaluation.matching import FlatLanes, match_lanes
@@ -20,6 +20,38 @@ _SLACK_M = 0.5
 _ONCOMING = -0.2  # cosine of the angle between two that do not follow each other, not even round a corner
 _SHARPEST_M, _LATERAL_MPS2 = 6.0, 6.0  # radius of the bend that may lie ahead at any speed, and by the speed
 _NEAR_M = 50.0  # who is farther away all the time leads nobody at a critical TTC
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RecordedVehicles:
+    """The recorded vehicles of a scene, which do not brake for generated ones, and the lanes that vehicles drive on."""
+
+    tracks: Sequence[Track]
+    lanes: FlatLanes
+    num_steps: int
+    arrays: SceneArrays = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Put the tracks into arrays, once."""
+        object.__setattr__(self, "arrays", stack(self.tracks, num_steps=self.num_steps))
+
+    def run_up_on(self, track: Track, *, critical_s: float) -> bool:
+        """Whether any comes up behind a generated track at a TTC below critical_s."""
+        seen = self.arrays
+        if critical_s <= 0.0 or not self.tracks:
+            return False
+        rows = np.flatnonzero(
+            _followers(
+                seen.row_of, seen.position, seen.heading, seen.velocity, seen.moving,
+                (seen.length + track.size.length_m) / 2, (seen.width + track.size.width_m) / 2,
+                track.timesteps, track.position, track.heading, track.velocity, critical_s,
+            )
+        )  # fmt: skip
+        return bool(rows.size and self.with_generated([track]).followed_conflicts(critical_s=critical_s, by=rows))
+
+    def with_generated(self, generated: Sequence[Track]) -> "ExportedPositions":
+        """As they are exported together."""
+        return ExportedPositions(self.tracks, generated, self.lanes, self.num_steps)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -55,11 +87,14 @@ class ExportedPositions:
         ]
         return [(row, self._generated(leader)) for row, leader in pairs if leader is not None]
 
-    def followed_conflicts(self, *, critical_s: float) -> list[int]:
-        """Rows of `generated` that a recorded vehicle, which will not brake, runs up on: TTC below critical_s."""
+    def followed_conflicts(self, *, critical_s: float, by: IntArray | None = None) -> list[int]:
+        """Rows of `generated` that a recorded vehicle, which will not brake, runs up on: TTC below critical_s.
+
+        by: rows of `recorded` that are looked at, all that move unless told.
+        """
         first = len(self.recorded)
-        moving = np.flatnonzero(self.arrays.moving[:first]).tolist()
-        leaders_of = (self._leader(row, first, leaves=False, critical_s=critical_s) for row in moving)
+        rows = np.flatnonzero(self.arrays.moving[:first]) if by is None else by
+        leaders_of = (self._leader(row, first, leaves=False, critical_s=critical_s) for row in rows.tolist())
         return sorted({leader - first for leader in leaders_of if leader is not None})
 
     def crossing_conflicts(self, *, critical_s: float) -> list[tuple[int, int | None]]:
@@ -115,6 +150,25 @@ def _aside(own, t, place, row_of, position, heading):  # type: ignore[no-untyped
 
 
 @njit(cache=True)
+def _closes_in(own, t, i, place, motion, apart, beside, row_of, position, heading, speed, leaves, critical):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Whether an agent closes in, fast enough, on somebody ahead of it who may be on its way.
+
+    apart, beside: centre to centre where their boxes touch end to end and side to side, m.
+    """
+    dx, dy = place[0] - position[i, 0], place[1] - position[i, 1]
+    closing = speed - np.hypot(motion[0], motion[1])
+    if closing <= 0.0 or np.hypot(dx, dy) - apart > critical * closing + _SLACK_M:
+        return False
+    beside = beside + _SLACK_M
+    if not leaves:
+        return abs(_aside(own, t, place, row_of, position, heading)) < beside
+    cosine, sine = np.cos(heading[i]), np.sin(heading[i])
+    ahead = dx * cosine + dy * sine
+    radius = max(_SHARPEST_M, speed * speed / _LATERAL_MPS2)
+    return abs(dy * cosine - dx * sine) < beside + ahead * ahead / (2 * radius)
+
+
+@njit(cache=True)
 def _around(own, row_of, position, heading, velocity, length, width, leaves, first, critical):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Who is ahead of an agent at some step, not far, (A,), and whether it closes in on one of `first` and later."""
     agents, steps = row_of.shape
@@ -125,7 +179,6 @@ def _around(own, row_of, position, heading, velocity, length, width, leaves, fir
             continue
         cosine, sine = np.cos(heading[i]), np.sin(heading[i])
         speed = np.hypot(velocity[i, 0], velocity[i, 1])
-        radius = max(_SHARPEST_M, speed * speed / _LATERAL_MPS2)
         for other in range(agents):
             j = row_of[other, t]
             if j < 0 or other == own:
@@ -137,13 +190,37 @@ def _around(own, row_of, position, heading, velocity, length, width, leaves, fir
             if ahead <= 0.0 or np.cos(heading[j] - heading[i]) < _ONCOMING:
                 continue
             near[other] = True
-            closing = speed - np.hypot(velocity[j, 0], velocity[j, 1])
-            gap = np.hypot(dx, dy) - (length[own] + length[other]) / 2
-            if closes_in or other < first or closing <= 0.0 or gap > critical * closing + _SLACK_M:
+            if closes_in or other < first:
                 continue
-            beside = (width[own] + width[other]) / 2 + _SLACK_M
-            if leaves:
-                closes_in = abs(dy * cosine - dx * sine) < beside + ahead * ahead / (2 * radius)
-            else:
-                closes_in = abs(_aside(own, t, position[j], row_of, position, heading)) < beside
+            closes_in = _closes_in(
+                own, t, i, position[j], velocity[j], (length[own] + length[other]) / 2,
+                (width[own] + width[other]) / 2, row_of, position, heading, speed, leaves, critical,
+            )  # fmt: skip
     return near, closes_in
+
+
+@njit(cache=True)
+def _followers(row_of, position, heading, velocity, moving, apart, beside, steps, place, direction, motion, critical):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Which agents, (A,), close in at some step on a track of rows (M,) that is not theirs."""
+    found = np.zeros(row_of.shape[0], dtype=np.bool_)
+    for agent in range(row_of.shape[0]):
+        if not moving[agent]:
+            continue
+        for k in range(steps.shape[0]):
+            i = row_of[agent, steps[k]]
+            if i < 0:
+                continue
+            dx, dy = place[k, 0] - position[i, 0], place[k, 1] - position[i, 1]
+            if dx * dx + dy * dy > _NEAR_M * _NEAR_M:
+                continue
+            ahead = dx * np.cos(heading[i]) + dy * np.sin(heading[i])
+            if ahead <= 0.0 or np.cos(direction[k] - heading[i]) < _ONCOMING:
+                continue
+            speed = np.hypot(velocity[i, 0], velocity[i, 1])
+            if _closes_in(
+                agent, steps[k], i, place[k], motion[k], apart[agent], beside[agent], row_of, position, heading, speed,
+                False, critical,
+            ):  # fmt: skip
+                found[agent] = True
+                break
+    return found

@@ -8,10 +8,12 @@ import numpy as np
 
 from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, Policy, Track
 from hid2.conflicts import DT_S, Prospect, prospect
+from hid2.evaluation.matching import flatten_lanes
 from hid2.occupancy import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
 from hid2.params import Config
 from hid2.path_occupancy import PathOccupancy, path_occupancy
 from hid2.route import DrivenPath, Route, path_along, turn_segments
+from hid2.surrogate_safety import RecordedVehicles
 from hid2.traffic import Traffic, traffic_of
 from hid2.turns import RoadSpeeds, road_speeds
 from netconvert.cells import Cell, CellGrid
@@ -28,13 +30,14 @@ class World:
     """Everything about a scene that does not change while vehicles are inserted, and caches of what follows from it.
 
     earliest_exit_step: a generated vehicle may leave the map only from this step on. vehicles: the recorded cars and
-    buses of `traffic`, which an overtaker may pass; others are obstacles to it.
+    buses of `traffic`, which an overtaker may pass; others are obstacles to it. recorded: the same, as recorded.
     """
 
     grid: CellGrid
     config: Config
     traffic: Traffic
     vehicles: Traffic
+    recorded: RecordedVehicles
     occupancy: OriginalOccupancy
     boxes: CellBoxes
     num_steps: int
@@ -139,11 +142,13 @@ def build_world(
     occupancy = original_occupancy(boxes, traffic)
     through = config.request.focal == "generated" or config.request.generated_category >= 2
     lane_speeds, scene_speeds = _speeds(grid, tracks, traffic, occupancy)
+    rows = [row for row, track in enumerate(tracks) if track.object_type in VEHICLE_TYPES]
     return World(
         grid=grid,
         config=config,
         traffic=traffic,
-        vehicles=traffic.rows([row for row, track in enumerate(tracks) if track.object_type in VEHICLE_TYPES]),
+        vehicles=traffic.rows(rows),
+        recorded=RecordedVehicles([tracks[row] for row in rows], flatten_lanes(grid.graph), num_steps),
         occupancy=occupancy,
         boxes=boxes,
         num_steps=num_steps,

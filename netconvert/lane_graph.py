@@ -138,6 +138,20 @@ class LaneGraph:
         """Lanes that have this one as successor, ascending. The source's own list is not used: it is incomplete."""
         return self._predecessors[lane_id]
 
+    def straightest_successor(self, lane_id: int) -> int | None:
+        """The successor whose chord turns least from the lane's, the lower id of equals; None at the map's edge."""
+        return self._straightest[lane_id]
+
+    @cached_property
+    def _straightest(self) -> dict[int, int | None]:
+        chord = {lane_id: (lane.centerline[-1] - lane.centerline[0]).tolist() for lane_id, lane in self.lanes.items()}
+        way = {lane_id: math.atan2(y, x) for lane_id, (x, y) in chord.items()}
+        straightest: dict[int, int | None] = {}
+        for lane_id, onward in self._successors.items():
+            turned = [(abs(math.remainder(way[n] - way[lane_id], math.tau)), n) for n in onward]
+            straightest[lane_id] = min(turned)[1] if turned else None
+        return straightest
+
     def neighbor(self, lane_id: int, side: Side) -> int | None:
         """The lane beside this one that runs the same way, of whatever type."""
         return self._neighbors[side].get(lane_id)
