@@ -60,7 +60,7 @@ class Settings:
 
     timeout_s: float = 300.0
     retries: int = 1
-    recycle_after: int = 200
+    recycle_after: int = 1000
 
 
 def execute(

@@ -79,7 +79,8 @@ def generate(scenario: Scenario | PreparedScene, config: Config, *, variant: int
     with tempfile.TemporaryDirectory(prefix="hid2-") as folder:
         net = Path(folder) / "scene.net.xml"
         net.write_bytes(prepared.net)
-        with Simulation(net, seed=config.request.seed, step_s=DT_S) as simulation:
+        braking = config.car_following.decel_mps2
+        with Simulation(net, seed=config.request.seed, step_s=DT_S, expected_decel_mps2=braking) as simulation:
             run = Rounds(world, simulation, seed)
             run.fill()
     run.credit_turns()

@@ -20,11 +20,12 @@ from hid2.traffic import Traffic
 from hid2.turns import TURN_OF_POLICY
 from hid2.world import PlannedVehicle, World, predicted_traffic
 
-_ATTEMPTS = 50
-_ATTEMPTS_AGAIN = 25
+_ATTEMPTS = 30
+_ATTEMPTS_AGAIN = 20
 #: Times that all places are gone through again; a lane change hangs most on where, how fast and when it is tried.
 _LOOKS_AGAIN = dict.fromkeys(Policy, 1) | {Policy.LANE_CHANGE: 3}
 _ATTEMPTS_LAST = 400
+_LOOKS_MOST = 8  # for vehicles that go straight, as long as each finds one more
 _ATTEMPTS_LATE = 10_000
 _MAX_AGENTS = 400
 _FROM_EMPTY = 6
@@ -149,11 +150,12 @@ class Rounds:
         full = len(spawner.planned) >= missing  # leaders of overtakes count too
         self.unmet += [(policy, "count_reached" if full else spawner.why_none(policy)) for policy in without]
         spare = missing + math.ceil(self.world.config.spawn.spare_share * missing)
-        for last in (False, False, True):
-            closer = max(attempts, _ATTEMPTS_LAST) if last else attempts  # a place found now saves a round
+        for look in range(_LOOKS_MOST):
+            closer = attempts if look < 2 else max(attempts, _ATTEMPTS_LAST)  # a place found now saves a round
+            before = len(spawner.planned)
             while len(spawner.planned) < spare and self._plan(spawner, Policy.STRAIGHT, spare, closer):
                 pass
-            if len(spawner.planned) >= missing:
+            if len(spawner.planned) >= missing or (look >= 2 and len(spawner.planned) == before):
                 break
             spawner.look_again()
         self.reasons.update(spawner.reasons)

@@ -24,13 +24,16 @@ _START = "start.xml"
 class Simulation:
     """A running SUMO. Use as `with Simulation(net, seed=0, step_s=0.1) as sumo:`.
 
+    expected_decel_mps2: what those behind a replayed vehicle expect it to brake with at most. Where that is more than
+    they would brake with themselves, SUMO's Krauss model keeps them a braking distance farther back.
     Errors: SimulationError for a net that SUMO refuses, and for a second simulation in one process.
     """
 
     _running: ClassVar[bool] = False
 
-    def __init__(self, net: Path, *, seed: int, step_s: float) -> None:
+    def __init__(self, net: Path, *, seed: int, step_s: float, expected_decel_mps2: float = 4.5) -> None:
         self._net = net
+        self._expected_decel_mps2 = expected_decel_mps2
         self._seed = seed
         self._step_s = step_s
         self._types: set[str] = set()
@@ -208,6 +211,7 @@ class Simulation:
             libsumo.vehicletype.copy("DEFAULT_VEHTYPE", type_id)
             libsumo.vehicletype.setLength(type_id, length_m)
             libsumo.vehicletype.setWidth(type_id, width_m)
+            libsumo.vehicletype.setApparentDecel(type_id, self._expected_decel_mps2)
             libsumo.vehicletype.setVehicleClass(type_id, "ignoring")  # recorded agents are where they are, on any lane
             libsumo.vehicletype.setActionStepLength(type_id, _NEVER_S)  # SUMO need not think about where they would go
             self._types.add(type_id)

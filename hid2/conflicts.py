@@ -209,7 +209,7 @@ def prospect(
         occupancy = replace(
             occupancy, low=np.where(unseen, np.inf, occupancy.low), high=np.where(unseen, -np.inf, occupancy.high)
         )
-    ttc_s = config.conflict.ttc_min_s + 0.2
+    ttc_s, following = config.conflict.ttc_min_s + 0.2, config.car_following
     tables = space_time(
         occupancy,
         table_length=path.line.table_xy.shape[0],
@@ -217,6 +217,7 @@ def prospect(
         margin_m=config.conflict.margin_front_m,
         ttc_s=ttc_s,
         time_gap_s=config.conflict.follow_time_s,
+        follower=(following.decel_mps2, following.tau_s, following.min_gap_m),
         exit_s=path.exit_s - size.length_m / 2,
         earliest_exit_step=earliest_exit_step,
     )

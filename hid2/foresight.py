@@ -37,7 +37,7 @@ _RETURN_STEPS = 26  # lateral motion back into the lane, at its shortest
 _RETURN_SPARE_M = 1.5
 #: An overtake, out, past and back, takes at least so many steps.
 PASS_STEPS = 65
-_CHANGE_DELAYS = (0, 8, 20)  # steps behind the trigger at which a manoeuvre is tried
+_CHANGE_DELAYS = (0, 10, 24, 40)  # steps behind the trigger at which a manoeuvre is tried
 _OVERTAKE_DELAYS = (0, 6, 12)
 LATEST_S = max(*_CHANGE_DELAYS, *_OVERTAKE_DELAYS) * DT_S  # behind the trigger, that a manoeuvre is foreseen to begin
 _CLAIM_BOX = BoxSize(8.0, 1.4)
@@ -47,7 +47,7 @@ _HASTE_MPS = 1.0  # above the desired speed, at most, while it passes
 _FOLLOWING_MPS = 0.3  # faster than the leader while following it
 _SPEEDING_UP_MPS2, _SLOWING_MPS2 = 1.2, 1.5
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
-_FOLLOWER_SPARE_S = 0.1  # SUMO drives a little slower than the plan
+_FOLLOWER_SPARE_S = 0.6  # SUMO drives a little slower than the plan
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -120,11 +120,11 @@ class Foresight:
         everybody = self.world.traffic, self.fixed, self.predicted
         return any(meets(traffic, 0, x, y, heading, longer) for traffic in everybody)
 
-    def run_up_on(self, wish: Wish, intention: Intention) -> bool:
-        """Whether a recorded vehicle, which will not brake, would come up behind it at a critical TTC."""
-        critical_s = self.world.config.conflict.follower_ttc_min_s
-        if critical_s <= 0.0 or "collision" in self.world.config.without:
-            return False
+    def conflict(self, wish: Wish, intention: Intention) -> str | None:
+        """Why a reader of the positions would not think it safe among the recorded vehicles, which will not brake."""
+        critical = self.world.config.conflict
+        if {"collision", "topology"} & self.world.config.without:
+            return None
         one = predicted_traffic(
             [(wish.vehicle_id, intention.path, wish.own_size, intention.plan.s)], self.world.num_steps
         )
@@ -133,7 +133,11 @@ class Foresight:
             wish.vehicle_id, wish.object_type, 1, there, one.position[0, there], one.heading[0, there],
             one.velocity[0, there], wish.own_size,
         )  # fmt: skip
-        return self.world.recorded.run_up_on(track, critical_s=critical_s + _FOLLOWER_SPARE_S)
+        return self.world.recorded.conflict_with(
+            track,
+            ttc_s=critical.follower_ttc_min_s + (_FOLLOWER_SPARE_S if critical.follower_ttc_min_s > 0.0 else 0.0),
+            pet_s=critical.pet_min_s,
+        )
 
     def turn_end(self, wish: Wish, path: DrivenPath, s0: float, cruise_mps: float) -> float | str:
         """Arc length behind the first turn of the wanted kind, m; or why it cannot be driven, whoever is there.

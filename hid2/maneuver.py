@@ -109,7 +109,7 @@ def gaps_on(
     """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres."""
     known = world.recorded_on(target, size)
     low, high, along = known.low[:, step], known.high[:, step], known.along[:, step]
-    for traffic in others:
+    for traffic in (one for one in others if one.ids):
         more = path_occupancy(
             target.line, traffic.at(step), length_m=size.length_m, width_m=size.width_m, margin_lateral_m=0.1
         )
@@ -237,7 +237,7 @@ def _cells_free(world: World, cell: Cell, *, step: int, others: Sequence[Traffic
     ]
     if np.any(world.occupancy.sigma[step, wanted] != FREE):
         return False
-    center = world.boxes.center[wanted].mean(axis=0)
+    center, cells = world.boxes.center[wanted].mean(axis=0), frozenset(wanted)
     for traffic in others:
         near = traffic.present[:, step] & (np.abs(traffic.position[:, step] - center).max(axis=1) < 25.0)
         for row in np.flatnonzero(near).tolist():
@@ -246,6 +246,6 @@ def _cells_free(world: World, cell: Cell, *, step: int, others: Sequence[Traffic
                 world.boxes, x, y, float(traffic.heading[row, step]),
                 length_m=float(traffic.length_m[row]), width_m=0.8 * float(traffic.width_m[row]),
             )  # fmt: skip
-            if np.isin(under, wanted).any():
+            if not cells.isdisjoint(under.tolist()):
                 return False
     return True

@@ -256,7 +256,7 @@ def _intervals(xy, heading, step, own_length, own_width, position, other_heading
                 low[a, t], high[a, t] = (first - 1) * step, (last + 1) * step
                 along[a, t] = velocity[a, t, 0] * cosine[near] + velocity[a, t, 1] * sine[near]
                 turned = np.cos(angle - heading[near])
-                aligned[a, t], crosses[a, t] = turned > 0.7, abs(turned) <= 0.7
+                aligned[a, t], crosses[a, t] = turned > 0.7, abs(turned) <= 0.87
                 nearest, spare, touched[a] = near, 0.0, True
                 continue
             if leap > 0:  # from the last point looked at to the end of the path

@@ -18,6 +18,7 @@ from hid2.reference_line import TABLE_STEP_M
 class SpaceTime:
     """What the search of a speed profile looks up, by step and by arc length in cells of TABLE_STEP_M.
 
+    follower: deceleration b m/s2, reaction time tau s and smallest gap m of the car following that will drive the plan.
     Rows are worked out where the search comes to, not for the whole scene. margin_m is kept to every interval of the
     occupancy; from cell `beyond` on the path is off the map: nobody is met there, but to be there before
     earliest_exit_step is forbidden. Before hold_until, cells from hold_from on are forbidden too.
@@ -29,6 +30,7 @@ class SpaceTime:
     margin_m: float
     ttc_s: float
     time_gap_s: float
+    follower: tuple[float, float, float]
     beyond: int
     earliest_exit_step: int
     hold_until: int = 0
@@ -49,10 +51,16 @@ class SpaceTime:
         """(T, S) m/s: slower than this, a follower closes in too fast."""
         return self._tables()[2]
 
+    @property
+    def followed(self) -> FloatArray:
+        """(T, S) m/s: faster than this, car following brakes for the leader ahead (Krauss 1998, one b for both)."""
+        decel, tau, _ = self.follower
+        return np.sqrt(np.maximum(self._tables()[3], 0.0)) - tau * decel
+
     def speeds_at(self, step: int, s: float) -> tuple[float, float]:
         """`fastest` and `pushed` at one step and arc length, m/s."""
         cell = min(int(s / TABLE_STEP_M + 0.5), self.cells - 1)
-        _, fastest, pushed = self._tables(step, step + 1, cell, cell + 1)
+        _, fastest, pushed, _ = self._tables(step, step + 1, cell, cell + 1)
         return float(fastest[0, 0]), float(pushed[0, 0])
 
     def is_blocked(self, s: FloatArray, first_step: int) -> bool:
@@ -69,12 +77,12 @@ class SpaceTime:
         seen = self.occupancy
         return (
             seen.low, seen.high, seen.along, seen.aligned, self.cells, TABLE_STEP_M, self.margin_m, self.ttc_s,
-            self.time_gap_s, self.beyond, self.earliest_exit_step, self.hold_until, self.hold_from,
+            self.time_gap_s, self.beyond, self.earliest_exit_step, self.hold_until, self.hold_from, self.follower,
         )  # fmt: skip
 
     def _tables(
         self, first: int = 0, last: int | None = None, left: int = 0, right: int | None = None
-    ) -> tuple[np.ndarray[tuple[int, int], np.dtype[np.uint8]], FloatArray, FloatArray]:
+    ) -> tuple[np.ndarray[tuple[int, int], np.dtype[np.uint8]], FloatArray, FloatArray, FloatArray]:
         last = self.num_steps if last is None else last
         right = self.cells if right is None else right
         return _tables(first, last, left, right, self.view())  # type: ignore[no-any-return]
@@ -88,6 +96,7 @@ def space_time(
     margin_m: float,
     ttc_s: float,
     time_gap_s: float,
+    follower: tuple[float, float, float],
     exit_s: float,
     earliest_exit_step: int,
 ) -> SpaceTime:
@@ -99,6 +108,7 @@ def space_time(
         margin_m=margin_m,
         ttc_s=ttc_s,
         time_gap_s=time_gap_s,
+        follower=follower,
         beyond=int(exit_s / TABLE_STEP_M),
         earliest_exit_step=earliest_exit_step,
     )
@@ -119,18 +129,18 @@ def _tables(start, end, left, right, view):  # type: ignore[no-untyped-def]  # n
     """Rows `start` to `end` of all three tables, cells `left` to `right`."""
     blocked = np.zeros((end - start, right - left), dtype=np.uint8)
     fastest = np.empty((end - start, right - left))
-    pushed = np.empty((end - start, right - left))
+    pushed, followed = np.empty((end - start, right - left)), np.empty((end - start, right - left))
     for t in range(start, end):
         k = t - start
         block_row(blocked[k], t, left, right, view)
-        speed_rows(fastest[k], pushed[k], t, left, right, view)
-    return blocked, fastest, pushed
+        speed_rows(fastest[k], pushed[k], followed[k], t, left, right, view)
+    return blocked, fastest, pushed, followed
 
 
 @njit(cache=True)
 def block_row(row, t, left, right, view) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
     """Whether cells left .. right - 1 are forbidden at step t, into row[0 .. right - left - 1]."""
-    low, high, _, _, cells, step, margin, _, _, beyond, earliest, until, hold = view
+    low, high, _, _, cells, step, margin, _, _, beyond, earliest, until, hold, _ = view
     row[: right - left] = 0
     for a in range(low.shape[0]):
         if low[a, t] == np.inf:
@@ -147,11 +157,16 @@ def block_row(row, t, left, right, view) -> None:  # type: ignore[no-untyped-def
 
 
 @njit(cache=True)
-def speed_rows(fastest, pushed, t, left, right, view) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
-    """Fastest and pushed speed in cells left .. right - 1 at step t, into [0 .. right - left - 1]."""
-    low, high, along, aligned, cells, step, margin, ttc, time_gap, beyond, _, _, _ = view
+def speed_rows(fastest, pushed, followed, t, left, right, view) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
+    """Fastest and pushed speed in cells left .. right - 1 at step t, into [0 .. right - left - 1].
+
+    followed: (v + tau b)^2 of the speed v at which car following begins to brake, which saves a root for every cell.
+    """
+    low, high, along, aligned, cells, step, margin, ttc, time_gap, beyond, _, _, _, follower = view
+    decel, tau, min_gap = follower
     fastest[: right - left] = 99.0
     pushed[: right - left] = 0.0
+    followed[: right - left] = 1e4
     for a in range(low.shape[0]):
         if low[a, t] == np.inf or not aligned[a, t]:
             continue
@@ -159,8 +174,10 @@ def speed_rows(fastest, pushed, t, left, right, view) -> None:  # type: ignore[n
         first = min(max(0, int(np.ceil(front / step))), cells)
         last = max(-1, min(cells - 1, int(np.floor(rear / step))))
         speed = along[a, t]
+        still = (tau * decel) ** 2 + max(speed, 0.0) ** 2 + 2.0 * decel * (margin - min_gap)
         for i in range(max(left, first - int(80.0 / step)), min(right, first)):
             gap = front - i * step
+            followed[i - left] = min(followed[i - left], still + 2.0 * decel * gap)
             limit = speed + gap / ttc
             if time_gap > 0 and gap < speed * time_gap:
                 limit = min(limit, max(speed, (gap + margin) / time_gap))
@@ -173,3 +190,4 @@ def speed_rows(fastest, pushed, t, left, right, view) -> None:  # type: ignore[n
     for i in range(max(left, beyond), right):
         fastest[i - left] = np.inf
         pushed[i - left] = 0.0
+        followed[i - left] = 1e4

@@ -18,6 +18,7 @@ from hid2.occupancy import FREE, GENERATED, cells_under
 from hid2.places import Places
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath, Route
+from hid2.speed_plan import SpeedPlan
 from hid2.traffic import Traffic
 from hid2.turns import TURN_OF_POLICY
 from hid2.world import PlannedVehicle, World, predicted_traffic
@@ -28,6 +29,9 @@ _TRUCK = ((0.0, 7.0, 2.3), (0.5, 9.6, 2.6), (1.0, 10.5, 2.7))
 _BUS = ((0.0, 10.5, 2.7), (0.5, 11.6, 2.9), (1.0, 12.3, 2.95))
 _MIN_MOVE_M, _MIN_MOVE_LATE_M = 10.0, 3.0
 _KEEP_FREE_M = 4.0
+_BEHIND_M = 60.0
+_BEGINNING, _BEGINS_BRAKING_MPS2 = 20, 1.0  # steps of the scene in which nobody brakes harder, if it can be
+_EASES_MPS = 1.0  # by which who is behind may be too fast for its gap: it eases off the pedal
 _BEND_M = 0.3  # by which gaps along a bend may differ from those straight ahead
 #: Desired speed of an overtaker: slower ones do not get past within a scene, faster ones find no corridor in traffic.
 _OVERTAKER_MPS = (9.0, 11.0)
@@ -36,6 +40,7 @@ _LEADER_SHARE, _LEADER_MPS = (0.3, 0.4), 2.8  # of the overtaker's speed: slow e
 _LEADER_SPARE_M = (0.5, 4.0, 8.0)  # beyond the gap at which the overtaker would begin to brake
 #: Speeds at spawn that are tried, as shares of the one drawn: without patience, for a turn, with patience.
 _SHARES, _TURN_SHARES, _PATIENT_SHARES = (1.0,), (1.0, 0.6), (1.0, 0.5, 0.0)
+_NO_BETTER_SLOWER = frozenset({"turn_not_reached", "would_stand", "curve_too_sharp"})
 #: Objections that cost nothing to find do not count as attempts.
 _SEEN_AT_ONCE = frozenset(
     {
@@ -227,8 +232,9 @@ class Spawner:
         intention = self._intend(wish, path, look, s0, v0, cruise, turn_end)
         if isinstance(intention, str):
             return intention
-        if self._ahead.run_up_on(wish, intention):
-            return "ttc_of_recorded"
+        conflict = self._ahead.conflict(wish, intention)
+        if conflict is not None:
+            return conflict
         return PlannedVehicle(
             vehicle_id=wish.vehicle_id, policy=wish.policy, object_type=wish.object_type, size=size,
             own_size=wish.own_size, route=route, path=path, s0=s0, v0=float(intention.own.v[0]), cruise_mps=cruise,
@@ -252,24 +258,40 @@ class Spawner:
             plan = look.plan(s0=s0, v0=speeds, a0=0.0, first_step=0, config=self.world.config)
             if plan is None:
                 break
-            if not self._moves(look, plan.s):
-                return "would_stand"
-            if self.places.too_sharp(path, s0, float(plan.s[-1])):
-                return "curve_too_sharp"
-            if turns:
-                intention = self._ahead.turn(wish, path, plan, turn_end)
-            elif wish.policy is Policy.LANE_CHANGE:
-                sides: tuple[Side, ...] = ("left", "right") if self.rng.random() < 0.5 else ("right", "left")
-                intention = self._ahead.lane_change(wish, path, plan, cruise, sides)
-            else:
-                intention = Intention(path, plan, plan)
-            if isinstance(intention, Intention):
-                return intention
-            reason = intention
-            if reason == "turn_not_reached":
-                break  # still less so from a slower start
             speeds = speeds[speeds.index(float(plan.v[0])) + 1 :]  # a manoeuvre may come about from a slower start
+            for unhurried in self._unhurried_first(look, plan):
+                intention = self._on_plan(wish, path, look, unhurried, cruise, turn_end)
+                if isinstance(intention, Intention):
+                    return intention
+                reason = intention
+            if reason in _NO_BETTER_SLOWER:
+                break
         return reason
+
+    def _on_plan(
+        self, wish: Wish, path: DrivenPath, look: Prospect, plan: SpeedPlan, cruise: float, turn_end: float
+    ) -> Intention | str:
+        """What it will do on a plan along its own path; or why nothing comes of it."""
+        if not self._moves(look, plan.s):
+            return "would_stand"
+        if self.places.too_sharp(path, float(plan.s[0]), float(plan.s[-1])):
+            return "curve_too_sharp"
+        if wish.policy in TURN_OF_POLICY:
+            return self._ahead.turn(wish, path, plan, turn_end)
+        if wish.policy is Policy.LANE_CHANGE:
+            sides: tuple[Side, ...] = ("left", "right") if self.rng.random() < 0.5 else ("right", "left")
+            return self._ahead.lane_change(wish, path, plan, cruise, sides)
+        return Intention(path, plan, plan)
+
+    def _unhurried_first(self, look: Prospect, plan: SpeedPlan) -> Iterator[SpeedPlan]:
+        """The plan; before it, where it begins with braking, one from a slower start, as who saw that came."""
+        if float(np.diff(plan.v[: _BEGINNING + 1]).min()) < -_BEGINS_BRAKING_MPS2 * DT_S:
+            slower = look.plan(
+                s0=float(plan.s[0]), v0=float(plan.v[_BEGINNING]), a0=0.0, first_step=0, config=self.world.config
+            )
+            if slower is not None:
+                yield slower
+        yield plan
 
     def _moves(self, look: Prospect, s: FloatArray) -> bool:
         """Whether a vehicle goes anywhere, or stands for a reason that can be seen."""
@@ -312,9 +334,27 @@ class Spawner:
             gap, speed = low[row] - s0, max(0.0, float(occupancy.along[row, 0]))
             room = max(0.0, gap - spawn.clear_gap_m) / spawn.clear_ahead_s
             v0 = min(v0, max(room, min(speed, 0.8 * gap)))
-        if v0 < max(0.0, pushed):
+        if v0 < max(0.0, pushed, self._unbraked(look, s0)):
             return "follower_too_fast"
         return v0
+
+    def _unbraked(self, look: Prospect, s0: float) -> float:
+        """Slowest spawn speed, m/s, at which no generated vehicle behind has to brake at once, but gently.
+
+        Inverse of the car following's safe speed (Krauss 1998). With patience, it may have to.
+        """
+        if self.patience > 0:
+            return 0.0
+        following, rows = self.world.config.car_following, slice(look.recorded_rows, None)
+        high, along = look.occupancy.high[rows, 0], look.occupancy.along[rows, 0]
+        behind = (high < s0) & (high > s0 - _BEHIND_M) & look.occupancy.aligned[rows, 0]
+        if not behind.any():
+            return 0.0
+        reaction = following.tau_s * following.decel_mps2
+        gap = s0 - high[behind] - following.min_gap_m
+        wanted = np.maximum(along[behind] - _EASES_MPS + reaction, 0.0) ** 2
+        square = wanted - reaction**2 - 2.0 * following.decel_mps2 * gap
+        return float(np.sqrt(max(float(square.max()), 0.0)))
 
     def _draw_size(self) -> tuple[str, BoxSize]:
         request = self.world.config.request

@@ -15,6 +15,7 @@ _STEEPEST = 1.65  # m/s2 by which the acceleration changes within a stage: a jer
 _OVER_MPS = 4.0
 _S_BIN, _V_BIN, _V_BINS = 1.5, 0.75, 48
 _STATES_MOST = 3000
+_UNFOLLOWED = 2.0  # cost of a speed above the one at which car following brakes, per (m/s)^2
 _SECOND_CHOICE = 1e3  # cost of a start that is not the first one named
 
 
@@ -84,6 +85,7 @@ def _advance(s, v, a, ramp, dt):  # type: ignore[no-untyped-def]  # noqa: ANN001
 @njit(cache=True)
 def _search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, reference, use_reference):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     cells, step = view[4], view[5]
+    reaction = view[13][0] * view[13][1]
     s_bins = int(cells * step / _S_BIN) + 1
     stages = (steps - 1 - first + STAGE_STEPS - 1) // STAGE_STEPS
     out_s = np.zeros(steps - first)
@@ -95,6 +97,7 @@ def _search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, refere
     slot = np.full((s_bins + 1) * _V_BINS, -1, dtype=np.int32)
     blocked = np.empty((STAGE_STEPS + 1, cells), dtype=np.uint8)
     fastest, pushed = np.empty((STAGE_STEPS + 1, cells)), np.empty((STAGE_STEPS + 1, cells))
+    followed = np.empty((STAGE_STEPS + 1, cells))
     most = accels.max()
     for i in range(v0.size):
         all_s[i], all_v[i], all_a[i], all_c[i] = s0, v0[i], a0, i * _SECOND_CHOICE
@@ -115,7 +118,7 @@ def _search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, refere
         for m in range(1, sub + 1):
             block_row(blocked[m], t0 + m, left_cell, right_cell, view)
             if m == sub or m == 3:
-                speed_rows(fastest[m], pushed[m], t0 + m, left_cell, right_cell, view)
+                speed_rows(fastest[m], pushed[m], followed[m], t0 + m, left_cell, right_cell, view)
         widen = 1.0 + 0.06 * k  # far ahead, nearby states need not be told apart as finely
         s_bin, v_bin = _S_BIN * widen, _V_BIN * widen
         for index in range(here, there):
@@ -152,6 +155,9 @@ def _search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, refere
                 if not good:
                     continue
                 cell = min(cells - 1, int(sn / step + 0.5))
+                braked = (vn + reaction) ** 2 - followed[sub, cell - left_cell]
+                if braked > 0.0:  # car following will not drive this
+                    extra += _UNFOLLOWED * (braked / (2.0 * (vn + reaction))) ** 2
                 lag = desired[cell] - vn
                 if use_reference:
                     off = sn - reference[t0 + sub]

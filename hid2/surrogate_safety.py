@@ -35,11 +35,17 @@ class RecordedVehicles:
         """Put the tracks into arrays, once."""
         object.__setattr__(self, "arrays", stack(self.tracks, num_steps=self.num_steps))
 
-    def run_up_on(self, track: Track, *, critical_s: float) -> bool:
-        """Whether any comes up behind a generated track at a TTC below critical_s."""
+    def conflict_with(self, track: Track, *, ttc_s: float, pet_s: float) -> str | None:
+        """What would come of a generated track: one that comes up behind it at a TTC below ttc_s, a PET below pet_s."""
+        arrays = self.arrays.with_track(track)
+        if pet_s > 0.0 and any(c.pet_s < pet_s for c in encroachments(arrays, since=len(self.tracks), cap_s=pet_s)):
+            return "pet"
+        if ttc_s > 0.0 and self._run_up_on(track, ttc_s):
+            return "ttc_of_recorded"
+        return None
+
+    def _run_up_on(self, track: Track, critical_s: float) -> bool:
         seen = self.arrays
-        if critical_s <= 0.0 or not self.tracks:
-            return False
         rows = np.flatnonzero(
             _followers(
                 seen.row_of, seen.position, seen.heading, seen.velocity, seen.moving,
@@ -102,12 +108,10 @@ class ExportedPositions:
 
         Each with the row of the other one, the earlier row second; None for a recorded one.
         """
-        found = [sorted((c.first, c.second)) for c in encroachments(self.arrays) if c.pet_s < critical_s]
         first = len(self.recorded)
-        return sorted(
-            ((later - first, self._generated(earlier)) for earlier, later in found if later >= first),
-            key=lambda pair: pair[0],
-        )
+        found = encroachments(self.arrays, since=first, cap_s=critical_s)
+        pairs = [(c.second - first, self._generated(c.first)) for c in found if c.pet_s < critical_s]
+        return sorted(pairs, key=lambda pair: pair[0])
 
     def _generated(self, row: int) -> int | None:
         """Row of `generated` of a row of all, None of a recorded one."""

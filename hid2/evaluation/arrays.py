@@ -64,6 +64,32 @@ class SceneArrays:
         """(A,) steps at which each agent is present."""
         return np.diff(self.first)
 
+    def with_track(self, track: Track, *, is_generated: bool = True) -> "SceneArrays":
+        """The same scene with one more agent, the last; T stays. Its track must not be empty."""
+        rows, count = len(track.timesteps), len(self.step)
+        row_of = np.full((1, self.num_steps), -1, dtype=np.int64)
+        row_of[0, track.timesteps] = np.arange(count, count + rows)
+        extent = float(np.hypot(*(track.position.max(axis=0) - track.position.min(axis=0))))
+        return SceneArrays(
+            track_ids=(*self.track_ids, track.track_id),
+            object_types=(*self.object_types, track.object_type),
+            category=np.append(self.category, track.category),
+            generated=np.append(self.generated, is_generated),
+            vehicle=np.append(self.vehicle, track.object_type in VEHICLE_TYPES),
+            fragment=np.append(self.fragment, track.category == FRAGMENT),
+            moving=np.append(self.moving, extent > MOVING_EXTENT_M and rows > MOVING_STEPS),
+            length=np.append(self.length, track.size.length_m),
+            width=np.append(self.width, track.size.width_m),
+            first=np.append(self.first, count + rows),
+            agent=np.concatenate([self.agent, np.full(rows, self.num_agents)]),
+            step=np.concatenate([self.step, track.timesteps]),
+            position=np.concatenate([self.position, track.position]),
+            heading=np.concatenate([self.heading, track.heading]),
+            velocity=np.concatenate([self.velocity, track.velocity]),
+            row_of=np.concatenate([self.row_of, row_of]),
+            step_s=self.step_s,
+        )
+
     def mean_per_agent(self, values: FloatArray) -> FloatArray:
         """Mean of a row-wise quantity (N,) over each agent's rows: (A,)."""
         return np.asarray(np.add.reduceat(values, self.first[:-1]) / self.rows_per_agent, dtype=np.float64)

@@ -230,8 +230,11 @@ def post_encroachment(
     step: IntArray,
     cap_steps: int,
     min_angle: float,
+    since: int = 0,
 ) -> IntArray:
     """PET in steps for every pair of `agents` (K, K), upper triangle, -1 where their paths do not cross in time.
+
+    Only pairs whose second one is among agents[since:].
 
     Paths cross where the centres' paths cut each other at `min_angle` at least (and at most pi - min_angle: meeting
     head-on is no crossing). PET is then the smallest |t1 - t2| at which the box of one at t1 covers ground of the box
@@ -257,7 +260,7 @@ def post_encroachment(
             high[k, axis] = values.max() + length[a] / 2
     for p in range(count):
         a = agents[p]
-        for q in range(p + 1, count):
+        for q in range(max(p + 1, since), count):
             if low[p, 0] > high[q, 0] or low[q, 0] > high[p, 0] or low[p, 1] > high[q, 1] or low[q, 1] > high[p, 1]:
                 continue
             b = agents[q]

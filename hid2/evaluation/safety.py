@@ -149,8 +149,11 @@ def off_footprint(arrays: SceneArrays, ground: Ground) -> BoolArray:
     return np.asarray(outside.reshape(-1, 4).any(axis=1))
 
 
-def encroachments(arrays: SceneArrays) -> tuple[Encroachment, ...]:
-    """PET of every pair of moving vehicles whose swept paths cross within CAP_S of each other."""
+def encroachments(arrays: SceneArrays, *, since: int = 0, cap_s: float = CAP_S) -> tuple[Encroachment, ...]:
+    """PET of every pair of moving vehicles whose swept paths cross within cap_s of each other.
+
+    since: only pairs whose second agent is this one or a later one.
+    """
     moving = np.flatnonzero(arrays.vehicle & arrays.moving)
     steps = post_encroachment(
         moving,
@@ -160,8 +163,9 @@ def encroachments(arrays: SceneArrays) -> tuple[Encroachment, ...]:
         arrays.width,
         arrays.first,
         arrays.step,
-        round(CAP_S / arrays.step_s),
+        round(cap_s / arrays.step_s),
         CROSSING_RAD,
+        int(np.searchsorted(moving, since)),
     )
     return tuple(
         Encroachment(int(moving[p]), int(moving[q]), float(steps[p, q] * arrays.step_s))

@@ -29,6 +29,7 @@ import pytest
 
 from bridge.generate import GeneratedScene, PreparedScene, generate, prepare, write
 from bridge.insertion import edges_along
+from bridge.isolation import spare_the_collector
 from bridge.poses import front_arc_m, sumo_poses
 from bridge.scenario import find_scenarios, read_scenario
 from bridge.simulation import Simulation
@@ -154,6 +155,7 @@ def measure(folder: Path, agents: int, *, rounds: int) -> Timing:
         net.write_bytes(prepared.net)
         run_scene(folder, config, Path(beside) / "warm")
         run_floor(net, traffic, front, angle, [])
+        spare_the_collector()  # both sides run as in a worker process
         floor, scene, placed = [], [], []
         for turn, config in enumerate(configs):
             made: list[GeneratedScene] = []

@@ -22,5 +22,5 @@ def tables_of(line: ReferenceLine, *others: Traffic, exit_s: float = 1e3, earlie
         occupancy = occupancy.joined(occupancy_of(line, traffic))
     return space_time(
         occupancy, table_length=line.table_xy.shape[0], num_steps=110, margin_m=MARGIN_M, ttc_s=TTC_S, time_gap_s=1.0,
-        exit_s=min(exit_s, line.length_m), earliest_exit_step=earliest,
+        follower=(2.5, 1.0, 1.5), exit_s=min(exit_s, line.length_m), earliest_exit_step=earliest,
     )  # fmt: skip
