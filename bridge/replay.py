@@ -9,8 +9,8 @@ from numba import njit
 from bridge.poses import box_poses, sumo_poses
 from bridge.simulation import Simulation
 from hid2.agents import FloatArray
-from hid2.traffic import Traffic
-from hid2.world import PlannedVehicle
+from hid2.traffic import BoolArray, Traffic
+from hid2.world import PlannedVehicle, World
 from netconvert.geometry import wrap_angle
 
 _ASIDE_M = 16.0  # the own lane and those beside it, with room for what SUMO matches to them
@@ -31,15 +31,18 @@ class ReplayErrors:
 class Replay:
     """Drives the agents of a `Traffic` along their states. Call `place` before and `check` after each step.
 
-    checked: compare poses; a scene's first simulation does, later ones replay the same states.
+    checked: compare poses; a scene's first simulation does, later ones replay the same states. in_the_way (A,): the
+    others are put on no lane, for SUMO, to whom a vehicle there has no width, would brake for them; all unless told.
     """
 
     simulation: Simulation
     traffic: Traffic
     prefix: str
     checked: bool = True
+    in_the_way: BoolArray | None = None
     _in: set[int] = field(default_factory=set)
     _names: list[str] = field(init=False)
+    _aside: frozenset[str] = field(init=False)
     _poses: list[tuple[list[float], list[float], list[float]]] = field(init=False)
     _here: list[list[int]] = field(init=False)
     _seen: list[tuple[int, list[int], FloatArray]] = field(default_factory=list)
@@ -49,6 +52,8 @@ class Replay:
         """Turn all poses at once."""
         front, angle = sumo_poses(self.traffic.position, self.traffic.heading, self.traffic.length_m[:, None])
         self._names = [f"{self.prefix}{row}" for row in range(len(self.traffic.ids))]
+        aside = [] if self.in_the_way is None else np.flatnonzero(~self.in_the_way).tolist()
+        self._aside = frozenset(self._names[row] for row in aside)
         by_step = zip(front[..., 0].T.tolist(), front[..., 1].T.tolist(), angle.T.tolist(), strict=True)
         self._poses = list(by_step)
         self._here = [np.flatnonzero(column).tolist() for column in self.traffic.present.T]
@@ -68,7 +73,7 @@ class Replay:
                 )
             self._in = here
         x, y, angle = self._poses[step]
-        self.simulation.place_all([(names[row], x[row], y[row], angle[row]) for row in rows])
+        self.simulation.place_all([(names[row], x[row], y[row], angle[row]) for row in rows], aside=self._aside)
 
     def check(self, step: int) -> None:
         """Take down SUMO's poses, where they are to be compared with the recorded ones."""
@@ -100,7 +105,7 @@ def met_by(traffic: Traffic, planned: Sequence[PlannedVehicle]) -> Traffic:
     """Those of `traffic` that SUMO's car following and lane changing of the planned vehicles may have to do with.
 
     They come within _ASIDE_M of a planned path, and within _AROUND_M of where the vehicle is meant to be then. The
-    others need no replay when only the planned vehicles' driving is asked for.
+    others need no replay.
     """
     met = np.zeros(len(traffic.ids), dtype=np.bool_)
     for spec in planned:
@@ -108,6 +113,15 @@ def met_by(traffic: Traffic, planned: Sequence[PlannedVehicle]) -> Traffic:
             if path is not spec.path or s is spec.plan_s:
                 _meet(traffic.position, traffic.present, path.line.table_xy, path.line.position(s), met)
     return traffic if met.all() else traffic.rows(np.flatnonzero(met).tolist())
+
+
+def in_the_way(world: World, planned: Sequence[PlannedVehicle]) -> BoolArray:
+    """Which recorded agents, (A,), the box of a planned vehicle, with its margin, ever touches on its way."""
+    met = np.zeros(len(world.traffic.ids), dtype=np.bool_)
+    for spec in planned:
+        for path in (spec.path, spec.intended_path):
+            met[world.met_on(path, spec.size)] = True
+    return met
 
 
 @njit(cache=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bridge.records import outcomes
-from bridge.replay import Replay, ReplayErrors, met_by
+from bridge.replay import Replay, ReplayErrors, in_the_way, met_by
 from bridge.simulation import Simulation
 from bridge.steering import Driver, Steering
 from hid2.agents import Policy, Track
@@ -179,8 +179,9 @@ class Rounds:
         """
         world, simulation, first = self.world, self.simulation, self.replay_errors.states == 0
         simulation.rewind()
-        traffic = world.traffic if first else met_by(world.traffic, spawner.planned)
-        recorded = Replay(simulation, traffic, "r", checked=first)
+        way = in_the_way(world, spawner.planned)
+        traffic = world.traffic if first else world.traffic.rows(np.flatnonzero(way).tolist())
+        recorded = Replay(simulation, traffic, "r", checked=first, in_the_way=way if first else None)
         steering = Steering(world, simulation, self.fixed)
         drivers = steering.run(
             spawner.planned, [recorded, Replay(simulation, met_by(self.fixed, spawner.planned), "f", checked=False)]

@@ -17,6 +17,7 @@ from netconvert.errors import SimulationError
 _ONLY_ASKED_WITH_GAP = 256
 _REPLAY_KEEP_ROUTE = 6
 _REPLAY_MATCH_M = 2.0  # half a lane and a little: farther aside nobody is ahead of anybody
+_ASIDE_MATCH_M = 0.01  # on no lane
 _NEVER_S = 1000.0
 _START = "start.xml"
 
@@ -93,11 +94,12 @@ class Simulation:
             vehicle_id, "", -1, x, y, angle_deg, keepRoute=_REPLAY_KEEP_ROUTE, matchThreshold=_REPLAY_MATCH_M
         )
 
-    def place_all(self, poses: Sequence[tuple[str, float, float, float]]) -> None:
-        """The same for many: (vehicle id, x, y, angle in degrees)."""
+    def place_all(self, poses: Sequence[tuple[str, float, float, float]], *, aside: frozenset[str]) -> None:
+        """The same for many: (vehicle id, x, y, angle in degrees). Those aside are on no lane, and ahead of nobody."""
         move = libsumo.vehicle.moveToXY
         for vehicle_id, x, y, angle_deg in poses:
-            move(vehicle_id, "", -1, x, y, angle_deg, _REPLAY_KEEP_ROUTE, _REPLAY_MATCH_M)
+            match = _ASIDE_MATCH_M if vehicle_id in aside else _REPLAY_MATCH_M
+            move(vehicle_id, "", -1, x, y, angle_deg, _REPLAY_KEEP_ROUTE, match)
 
     def pose(self, vehicle_id: str) -> tuple[float, float, float] | None:
         """Front bumper x, y in m and angle in degrees, as SUMO has them now; None for a vehicle not in the net."""

@@ -15,7 +15,7 @@ _STEEPEST = 1.65  # m/s2 by which the acceleration changes within a stage: a jer
 _OVER_MPS = 4.0
 _S_BIN, _V_BIN, _V_BINS = 1.5, 0.75, 48
 _STATES_MOST = 3000
-_UNFOLLOWED = 2.0  # cost of a speed above the one at which car following brakes, per (m/s)^2
+_UNFOLLOWED = 10.0  # cost of a speed above the one at which car following brakes, per (m/s)^2
 _SECOND_CHOICE = 1e3  # cost of a start that is not the first one named
 
 

@@ -6,12 +6,12 @@ from typing import Literal
 
 import numpy as np
 
-from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, Policy, Track
+from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Policy, Track
 from hid2.conflicts import DT_S, Prospect, prospect
 from hid2.evaluation.matching import flatten_lanes
 from hid2.occupancy import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
 from hid2.params import Config
-from hid2.path_occupancy import PathOccupancy, path_occupancy
+from hid2.path_occupancy import PathOccupancy, look_along
 from hid2.route import DrivenPath, Route, path_along, turn_segments
 from hid2.surrogate_safety import RecordedVehicles
 from hid2.traffic import Traffic, traffic_of
@@ -46,7 +46,7 @@ class World:
     scene_speeds: list[float]
     _paths: dict[Route, DrivenPath] = field(default_factory=dict)
     _speeds: dict[DrivenPath, RoadSpeeds] = field(default_factory=dict)
-    _known: dict[tuple[int, BoxSize], tuple[DrivenPath, PathOccupancy]] = field(default_factory=dict)
+    _known: dict[tuple[int, BoxSize], tuple[DrivenPath, IntArray, PathOccupancy]] = field(default_factory=dict)
 
     @property
     def road_tolerance_m(self) -> float:
@@ -73,14 +73,19 @@ class World:
 
     def recorded_on(self, path: DrivenPath, size: BoxSize) -> PathOccupancy:
         """Intervals of the recorded agents on a path, by their true future; computed once for each path and size."""
+        return self._recorded_on(path, size)[1]
+
+    def met_on(self, path: DrivenPath, size: BoxSize) -> IntArray:
+        """Rows of `traffic` that a box on a path, with its margin, ever meets if it only waits for them."""
+        return self._recorded_on(path, size)[0]
+
+    def _recorded_on(self, path: DrivenPath, size: BoxSize) -> tuple[IntArray, PathOccupancy]:
         key = (id(path), size)
         if key not in self._known:
-            found = path_occupancy(
-                path.line, self.traffic, length_m=size.length_m, width_m=size.width_m,
-                margin_lateral_m=self.config.conflict.margin_lateral_m,
-            )  # fmt: skip
-            self._known[key] = (path, found)  # the path is kept so that its id stays its own
-        return self._known[key][1]
+            width_m = size.width_m + 2 * self.config.conflict.margin_lateral_m
+            rows, found = look_along(path.line, self.traffic, size.length_m, width_m)
+            self._known[key] = (path, rows, found)  # the path is kept so that its id stays its own
+        return self._known[key][1:]
 
     def desired(self, path: DrivenPath, cruise_mps: float) -> FloatArray:
         """(S,) target speed along a path, m/s."""

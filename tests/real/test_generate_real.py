@@ -5,6 +5,7 @@ The default run takes 10 vehicles and seeds 0 and 1; `pytest -m slow tests/real`
 """
 
 import hashlib
+import itertools
 import math
 import subprocess
 import sys
@@ -19,8 +20,10 @@ from scene_checker import check_scene
 
 from bridge.generate import GeneratedScene, generate, prepare
 from bridge.scenario import Scenario, read_scenario
-from hid2.agents import VEHICLE_TYPES
+from hid2.agents import VEHICLE_TYPES, Policy
 from hid2.params import Config, Request
+from hid2.spawning import Spawner
+from hid2.world import build_world, predicted_traffic
 
 Make = Callable[[Path, int, int], GeneratedScene]
 
@@ -124,22 +127,53 @@ def test_arterial_shows_complete_overtakes(data_scenes: dict[str, Path]) -> None
     assert all((status == "done") == is_seen for _, status, _, is_seen in found)
 
 
+def _offered(folder: Path, policy: Policy, most: int) -> int:
+    """How many vehicles of a policy, `most` at most, the road has places for with the recorded traffic alone on it.
+
+    Every cell is tried, with every start speed and way round, in three orders; who is found stays for the next one.
+    """
+    prepared = prepare(read_scenario(folder), Config())
+    tracks, steps = prepared.scenario.tracks, prepared.scenario.num_steps
+    counts = []
+    for seed in range(3):
+        world = build_world(prepared.grid, tracks, config=Config(), num_steps=steps, last_observed_step=49)
+        spawner = Spawner(world, np.random.default_rng(seed), predicted_traffic([], steps))
+        found = 0
+        for _ in range(4):
+            while found < most:
+                name = f"v{found}"
+                if policy is Policy.OVERTAKE:
+                    taken = bool(spawner.spawn_overtake(name, f"led{found}", attempts=10_000))
+                else:
+                    taken = spawner.spawn(policy, name, attempts=10_000) is not None
+                if not taken:
+                    break
+                found += 1
+            spawner.look_again()
+        counts.append(found)
+    return max(counts)
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("agents", [10, 20])
 def test_mix_asked_for_is_the_mix_delivered(agents: int, real_scenes: list[Path]) -> None:
-    """Seeds 0 to 9, default mix: of what the scene has a place for 90 %, 90 % and 70 % are seen; records agree."""
+    """Seeds 0 to 9, default mix: of what map and recorded traffic can offer 90 %, 90 % and 70 % are seen.
+
+    Records agree with what is seen in 98 % of all manoeuvres.
+    """
     mix = {policy.value: share for policy, share in DEFAULT_MIX.items()}
-    found = [one for folder in real_scenes for one in _outcomes(folder, range(10), agents, mix)]
+    by_scene = {folder: _outcomes(folder, range(10), agents, mix) for folder in real_scenes}
     for kinds, least in ((("left_turn", "right_turn"), 0.9), (("lane_change",), 0.9), (("overtake",), 0.7)):
-        asked = [one for one in found if one[0] in kinds]
-        by_map = [one for one in asked if not str(one[2]).startswith("map_offers_no")]
-        offered = [one for one in by_map if not str(one[2]).startswith(("no_place", "overtake_scene_too_short"))]
-        done = sum(is_seen for *_, is_seen in asked)
-        print(
-            f"\n{agents} {kinds}: asked {len(asked)}, map offers {len(by_map)}, places for {len(offered)}, seen {done}"
-        )
-        assert done >= least * len(offered)
+        asked, offered, done = 0, 0, 0
+        for folder, kind in itertools.product(real_scenes, kinds):
+            here = [is_seen for name, _, _, is_seen in by_scene[folder] if name == kind]
+            places = _offered(folder, Policy(kind), math.ceil(len(here) / 10)) if here else 0
+            print(f"{folder.name[:8]} {agents} {kind}: asked {len(here)}, offered {10 * places}, seen {sum(here)}")
+            asked, offered, done = asked + len(here), offered + min(10 * places, len(here)), done + sum(here)
+        print(f"{agents} {kinds}: asked {asked}, offered {offered}, seen {done}")
+        assert done >= least * offered
+    found = [one for outcomes in by_scene.values() for one in outcomes]
     agree = sum((status == "done") == is_seen for _, status, _, is_seen in found)
     print(f"records that agree: {agree} of {len(found)}")
     assert agree >= 0.98 * len(found)

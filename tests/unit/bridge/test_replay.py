@@ -109,3 +109,28 @@ def test_deviation_is_measured(net: Path) -> None:
         simulation.step()
         replay.check(0)
     assert replay.errors.max_position_error_m == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(("in_the_way", "slowest"), [(True, (0.0, 2.0)), (False, (8.9, 9.1))])
+def test_vehicle_follows_only_who_is_in_its_way(net: Path, in_the_way: bool, slowest: tuple[float, float]) -> None:
+    """One parked 1.9 m aside of the lane's middle, within SUMO's reach of the lane: its pose is exact all the same."""
+    standing = _traffic().rows([3])
+    standing.position[..., 1] = 1.9
+    with Simulation(net, seed=0, step_s=0.1) as sumo:
+        replay = Replay(sumo, standing, "r", in_the_way=np.array([in_the_way]))
+        speeds = []
+        for step in range(STEPS):
+            replay.place(step)
+            sumo.step()
+            replay.check(step)
+            if step == 0:
+                sumo.insert(
+                    "v1", edges=[f"1#{k}" for k in range(9, 25)], lane_id="1#9_0", front_m=0.0, speed_mps=9.0,
+                    length_m=4.5, width_m=1.9, accel_mps2=1.8, decel_mps2=4.0, tau_s=1.0, min_gap_m=1.5,
+                    max_speed_mps=9.0,
+                )  # fmt: skip
+            else:
+                speeds.append(sumo.speed("v1"))
+    assert slowest[0] <= min(speeds) <= slowest[1]
+    assert (replay.errors.states, replay.errors.lost) == (STEPS, 0)
+    assert replay.errors.max_position_error_m < 1e-6

@@ -215,3 +215,26 @@ def test_hundred_starts_in_one_process_are_fine(net: Path) -> None:
     for seed in range(100):
         with Simulation(net, seed=seed, step_s=0.1) as simulation:
             simulation.step()
+
+
+@pytest.mark.parametrize(("decel", "wanted_m"), [(2.5, 6.5), (4.5, 8.7)])
+def test_gap_behind_a_replayed_vehicle_is_what_its_expected_deceleration_asks_for(
+    net: Path, decel: float, wanted_m: float
+) -> None:
+    """Krauss: gap_min + v tau + v^2 / 2b - v^2 / 2b_leader. At 5 m/s, tau 1, gap_min 1.5 and b 2.5: 6.5 m behind one
+    that is expected to brake alike, and 25 / 5 - 25 / 9 = 2.2 m more behind one that is expected to brake with 4.5.
+    """
+    with Simulation(net, seed=0, step_s=0.1, expected_decel_mps2=decel) as sumo:
+        sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
+        for step in range(120):
+            front = 30.0 + 0.5 * step
+            sumo.place("r0", front, 0.0, 90.0)
+            sumo.step()
+            if step == 0:
+                assert sumo.insert(
+                    "v1", edges=EDGES[3:], lane_id="1#3_0", front_m=0.0, speed_mps=5.0, length_m=4.5, width_m=1.9,
+                    accel_mps2=1.8, decel_mps2=2.5, tau_s=1.0, min_gap_m=1.5, max_speed_mps=12.0,
+                ) is None  # fmt: skip
+        pose = sumo.pose("v1")
+        assert pose is not None
+        assert front - 4.5 - pose[0] == pytest.approx(wanted_m, abs=0.5)

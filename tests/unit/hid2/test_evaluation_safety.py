@@ -10,7 +10,7 @@ from shapely.affinity import rotate, translate
 from shapely.geometry import box as rectangle
 
 from hid2.agents import BoxSize, Track
-from hid2.evaluation.arrays import between_steps, stack
+from hid2.evaluation.arrays import SceneArrays, between_steps, stack
 from hid2.evaluation.boxes import contact_time, pairwise_overlap
 from hid2.evaluation.following import leaders
 from hid2.evaluation.matching import flatten_lanes, match_lanes
@@ -254,3 +254,23 @@ def test_a_scene_without_agents_has_nothing_to_report(road):
     safe = safety(arrays, survey(road()))
     assert safe.overlaps == ()
     assert len(safe.ttc_s) == 0
+
+
+def test_crossings_of_the_last_agents_alone():
+    """As above, and a third car that crosses b's path 1 s later; asked for those of the last one, only it is named."""
+    a, later = drive(0, -20, math.pi / 2, speed=10.0, name="a"), drive(8, -30, math.pi / 2, speed=10.0, name="c")
+    b = drive(-50, 0, 0.0, speed=10.0, name="b")
+    scene = stack([a, b, later])
+    assert {(c.first, c.second) for c in encroachments(scene)} == {(0, 1), (1, 2)}
+    assert {(c.first, c.second) for c in encroachments(scene, since=2)} == {(1, 2)}
+    assert encroachments(scene, since=2, cap_s=0.5) == ()
+
+
+def test_scene_with_one_more_track_is_the_scene_of_all_tracks():
+    tracks = [drive(0, -20, math.pi / 2, speed=10.0, name="a"), drive(9, steps=3, name="b")]
+    more = drive(-50, 0, 0.0, speed=10.0, name="gen_0")
+    one, whole = stack(tracks).with_track(more), stack([*tracks, more])
+    for name in SceneArrays.__dataclass_fields__:
+        got, wanted = getattr(one, name), getattr(whole, name)
+        assert np.array_equal(got, wanted), name
+        assert getattr(got, "dtype", None) == getattr(wanted, "dtype", None), name

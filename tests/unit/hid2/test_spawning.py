@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -203,3 +204,25 @@ def test_full_road_turns_vehicles_down_with_reasons(
     one = spawner(*jam)
     assert _fill(one, 3) == []
     assert sum(one.reasons.values()) > 0 or one.last_reasons
+
+
+def test_nobody_starts_with_hard_braking_where_a_slower_start_is_possible(
+    spawner: Callable[..., Spawner], track: Callable[..., Track]
+) -> None:
+    """Behind a car that stands at 150 m, whoever is near was slower already: on an empty road none has to hurry."""
+    standing = track(range(110), np.full(110, 150.0), 0.0)
+    for seed in range(8):
+        vehicle = spawner(standing, lanes=1, seed=seed).spawn(Policy.STRAIGHT, "v0", attempts=80)
+        assert vehicle is not None
+        assert np.diff(vehicle.plan_v[:21]).min() > -0.1 - 0.03  # 1 m/s2, and what the first stage overshoots
+
+
+def test_new_vehicle_does_not_make_the_one_behind_brake_at_once(spawner: Callable[..., Spawner]) -> None:
+    """Without patience, a generated follower keeps the safe speed of its car following, eased off by 1 m/s at most."""
+    one = spawner(lanes=1, seed=3)
+    vehicles = sorted((v for v in _fill(one, 8) if one.patience == 0), key=lambda v: v.s0)
+    assert len(vehicles) >= 3
+    for follower, leader in pairwise(vehicles):
+        gap = leader.s0 - follower.s0 - (leader.size.length_m + follower.size.length_m) / 2 - 1.5
+        safe = -2.5 + np.sqrt(2.5**2 + leader.v0**2 + 2 * 2.5 * max(gap, 0.0))
+        assert follower.v0 <= safe + 1.0 + 0.5

@@ -145,3 +145,15 @@ def test_first_start_that_is_possible_is_taken(straight_line: ReferenceLine, box
     assert slow is not None
     assert chosen.v[0] == 4.0
     assert chosen.s == pytest.approx(slow.s)
+
+
+@pytest.mark.parametrize(("ahead_m", "leader_mps", "v0"), [(60.0, 4.0, 10.0), (50.0, 5.0, 10.0), (45.0, 6.0, 9.0)])
+def test_plan_is_one_that_car_following_can_drive(
+    straight_line: ReferenceLine, box: Callable[..., Traffic], ahead_m: float, leader_mps: float, v0: float
+) -> None:
+    """Nowhere much faster than Krauss's safe speed, though TTC and time gap would allow 3 m/s more in the end."""
+    tables = tables_of(straight_line, box(ahead_m, 0.0, 0.0, leader_mps, **SIZE))
+    plan = _plan(tables, s0=10.0, v0=v0)
+    assert plan is not None
+    at = np.minimum((plan.s / TABLE_STEP_M + 0.5).astype(int), tables.cells - 1)
+    assert np.max(plan.v - tables.followed[np.arange(110), at]) < 1.0

@@ -214,3 +214,24 @@ def test_a_lane_of_unknown_type_is_refused(lane: Lane) -> None:
 def test_a_lane_without_length_is_refused(lane: Lane) -> None:
     with pytest.raises(MapError, match="lane 5: centerline"):
         lane(5, [(3, 3), (3, 3)])
+
+
+def test_straightest_successor_turns_least_and_of_equals_has_the_lower_id(lane: Lane, graph: Graph) -> None:
+    made = graph(
+        lane(1, [(0, 0), (10, 0)], successors=(4, 3, 2)),
+        lane(2, [(10, 0), (20, 5)]),
+        lane(3, [(10, 0), (20, -2)]),
+        lane(4, [(10, 0), (20, 2)]),
+    )
+    assert made.straightest_successor(1) == 3
+    assert made.straightest_successor(2) is None
+
+
+def test_straightest_successor_is_found_across_the_cut_of_the_angle(lane: Lane, graph: Graph) -> None:
+    """Westwards, a little to the south and a little to the north: angles near -pi and pi."""
+    made = graph(
+        lane(1, [(0, 0), (-10, -0.5)], successors=(2, 3)),
+        lane(2, [(-10, -0.5), (-20, 4)]),
+        lane(3, [(-10, -0.5), (-20, 0)]),
+    )
+    assert made.straightest_successor(1) == 3
