@@ -98,7 +98,9 @@ def _leaders_first(driven: Sequence[DrivenVehicle]) -> list[DrivenVehicle]:
     order = sorted(
         range(len(driven)),
         key=lambda row: priority(
-            executing=bool(driven[row].path.shifts), distance_m=ahead[row], vehicle_id=driven[row].spec.vehicle_id
+            executing=bool(driven[row].path.shifts) or driven[row].spec.policy in TURN_OF_POLICY,
+            distance_m=ahead[row],
+            vehicle_id=driven[row].spec.vehicle_id,
         ),
     )
     return [driven[row] for row in order]

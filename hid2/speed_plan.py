@@ -15,6 +15,7 @@ _STEEPEST = 1.65  # m/s2 by which the acceleration changes within a stage: a jer
 _OVER_MPS = 4.0
 _S_BIN, _V_BIN, _V_BINS = 1.5, 0.75, 48
 _STATES_MOST = 3000
+_SLOW_MPS = 3.0  # the cost of going slower than desired is linear beyond: nobody slows early to go at the mean speed
 _UNFOLLOWED = 10.0  # cost of a speed above the one at which car following brakes, per (m/s)^2
 _SECOND_CHOICE = 1e3  # cost of a start that is not the first one named
 
@@ -163,7 +164,8 @@ def _search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, refere
                     off = sn - reference[t0 + sub]
                     new_cost = cost + 0.05 * off * off + 0.1 * lag * lag
                 else:
-                    new_cost = cost + 0.6 * lag * lag
+                    slow = abs(lag)
+                    new_cost = cost + 0.6 * (slow * slow if slow < _SLOW_MPS else _SLOW_MPS * (2.0 * slow - _SLOW_MPS))
                 if vn < 0.5:
                     new_cost += 1.0
                 new_cost += extra + 0.5 * accel * accel + 0.8 * (accel - previous) ** 2
