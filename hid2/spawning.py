@@ -30,7 +30,7 @@ _BUS = ((0.0, 10.5, 2.7), (0.5, 11.6, 2.9), (1.0, 12.3, 2.95))
 _MIN_MOVE_M, _MIN_MOVE_LATE_M = 10.0, 3.0
 _KEEP_FREE_M = 4.0
 _BEHIND_M = 60.0
-_BEGINNING, _BEGINS_BRAKING_MPS2 = 20, 1.0  # steps of the scene in which nobody brakes harder, if it can be
+_BEGINNING, _BEGINS_BRAKING_MPS2 = 20, 2.5  # steps of the scene in which nobody brakes harder, if it can be
 _EASES_MPS = 1.0  # by which who is behind may be too fast for its gap: it eases off the pedal
 _BEND_M = 0.3  # by which gaps along a bend may differ from those straight ahead
 #: Desired speed of an overtaker: slower ones do not get past within a scene, faster ones find no corridor in traffic.

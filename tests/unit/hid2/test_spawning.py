@@ -209,12 +209,17 @@ def test_full_road_turns_vehicles_down_with_reasons(
 def test_nobody_starts_with_hard_braking_where_a_slower_start_is_possible(
     spawner: Callable[..., Spawner], track: Callable[..., Track]
 ) -> None:
-    """Behind a car that stands at 150 m, whoever is near was slower already: on an empty road none has to hurry."""
-    standing = track(range(110), np.full(110, 150.0), 0.0)
-    for seed in range(8):
-        vehicle = spawner(standing, lanes=1, seed=seed).spawn(Policy.STRAIGHT, "v0", attempts=80)
-        assert vehicle is not None
-        assert np.diff(vehicle.plan_v[:21]).min() > -0.1 - 0.03  # 1 m/s2, and what the first stage overshoots
+    """Behind a car that brakes from 12 m/s to a stop within 18 m: whoever is near was slower already.
+
+    Braking harder than 2.5 m/s2 is never needed then, though at the speed of the traffic there it would be.
+    """
+    time = np.minimum(0.1 * np.arange(110), 3.0)
+    stops = track(range(110), 60.0 + 12.0 * time - 2.0 * time**2, 0.0)
+    found = [spawner(stops, lanes=1, seed=seed).spawn(Policy.STRAIGHT, "v0", attempts=80) for seed in range(40)]
+    vehicles = [vehicle for vehicle in found if vehicle is not None]
+    assert len(vehicles) >= 20
+    for vehicle in vehicles:
+        assert np.diff(vehicle.plan_v[:21]).min() > -0.25 - 1e-9
 
 
 def test_new_vehicle_does_not_make_the_one_behind_brake_at_once(spawner: Callable[..., Spawner]) -> None:
