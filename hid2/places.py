@@ -128,13 +128,9 @@ class Places:
         """Cells that a policy may start from, and their indices."""
         if policy not in self._known_cells:
             grid = self.world.grid
-            cells = [
-                Cell(lane_id, index)
-                for lane_id in self.lanes
-                if policy is Policy.STRAIGHT or self._may_start(policy, lane_id)
-                for index in range(grid.count(lane_id))
-            ]
-            self._known_cells[policy] = cells, [grid.index_of[cell] for cell in cells]
+            allowed = {n for n in self.lanes if policy is Policy.STRAIGHT or self._may_start(policy, n)}
+            rows = [row for row, cell in enumerate(grid.cells) if cell.lane_id in allowed]
+            self._known_cells[policy] = [grid.cells[row] for row in rows], rows
         return self._known_cells[policy]
 
     def lane_at(self, route: Route, s0: float) -> int:

@@ -334,7 +334,7 @@ class Spawner:
             gap, speed = low[row] - s0, max(0.0, float(occupancy.along[row, 0]))
             room = max(0.0, gap - spawn.clear_gap_m) / spawn.clear_ahead_s
             v0 = min(v0, max(room, min(speed, 0.8 * gap)))
-        if v0 < max(0.0, pushed, self._unbraked(look, s0)):
+        if v0 < max(0.0, pushed) or v0 < self._unbraked(look, s0):
             return "follower_too_fast"
         return v0
 

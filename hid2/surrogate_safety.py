@@ -40,11 +40,11 @@ class RecordedVehicles:
         arrays = self.arrays.with_track(track)
         if pet_s > 0.0 and any(c.pet_s < pet_s for c in encroachments(arrays, since=len(self.tracks), cap_s=pet_s)):
             return "pet"
-        if ttc_s > 0.0 and self._run_up_on(track, ttc_s):
+        if ttc_s > 0.0 and self._run_up_on(track, ttc_s, arrays):
             return "ttc_of_recorded"
         return None
 
-    def _run_up_on(self, track: Track, critical_s: float) -> bool:
+    def _run_up_on(self, track: Track, critical_s: float, arrays: SceneArrays) -> bool:
         seen = self.arrays
         rows = np.flatnonzero(
             _followers(
@@ -53,11 +53,15 @@ class RecordedVehicles:
                 track.timesteps, track.position, track.heading, track.velocity, critical_s,
             )
         )  # fmt: skip
-        return bool(rows.size and self.with_generated([track]).followed_conflicts(critical_s=critical_s, by=rows))
+        if not rows.size:
+            return False
+        together = ExportedPositions(self.tracks, [track], self.lanes, self.num_steps, arrays)
+        return bool(together.followed_conflicts(critical_s=critical_s, by=rows))
 
     def with_generated(self, generated: Sequence[Track]) -> "ExportedPositions":
         """As they are exported together."""
-        return ExportedPositions(self.tracks, generated, self.lanes, self.num_steps)
+        arrays = stack([*self.tracks, *generated], num_steps=self.num_steps)
+        return ExportedPositions(self.tracks, generated, self.lanes, self.num_steps, arrays)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -71,14 +75,12 @@ class ExportedPositions:
     generated: Sequence[Track]
     lanes: FlatLanes
     num_steps: int
+    arrays: SceneArrays = field(repr=False)
     tracks: list[Track] = field(init=False, repr=False)
-    arrays: SceneArrays = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Put all tracks into arrays, the recorded ones first."""
-        tracks = [*self.recorded, *self.generated]
-        object.__setattr__(self, "tracks", tracks)
-        object.__setattr__(self, "arrays", stack(tracks, num_steps=self.num_steps))
+        """All tracks, the recorded ones first, as in `arrays`."""
+        object.__setattr__(self, "tracks", [*self.recorded, *self.generated])
 
     def following_conflicts(self, leaving: Sequence[bool], *, critical_s: float) -> list[tuple[int, int | None]]:
         """Rows of `generated` whose TTC to the leader on the lane path is below critical_s at some step, in order.

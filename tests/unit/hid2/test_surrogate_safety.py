@@ -5,7 +5,7 @@ import pytest
 
 from hid2.agents import BoxSize, Track
 from hid2.evaluation.matching import FlatLanes, flatten_lanes
-from hid2.surrogate_safety import ExportedPositions, RecordedVehicles
+from hid2.surrogate_safety import RecordedVehicles
 from netconvert.lane_graph import LaneGraph
 
 STEPS = 40
@@ -30,7 +30,9 @@ def lanes(road: Callable[..., LaneGraph]) -> FlatLanes:
 
 
 def _pressing(recorded: list[Track], generated: list[Track], leaving: list[bool], lanes: FlatLanes):
-    return ExportedPositions(recorded, generated, lanes, STEPS).following_conflicts(leaving, critical_s=1.5)
+    return (
+        RecordedVehicles(recorded, lanes, STEPS).with_generated(generated).following_conflicts(leaving, critical_s=1.5)
+    )
 
 
 def test_leader_of_the_lane_that_is_being_left_counts_until_the_lane_is_left(lanes: FlatLanes) -> None:
@@ -74,7 +76,7 @@ def _cross(name: str, y: float) -> Track:
 
 
 def _crossing(recorded: list[Track], generated: list[Track], lanes: FlatLanes):
-    return ExportedPositions(recorded, generated, lanes, STEPS).crossing_conflicts(critical_s=1.0)
+    return RecordedVehicles(recorded, lanes, STEPS).with_generated(generated).crossing_conflicts(critical_s=1.0)
 
 
 def test_crossing_too_soon_behind_somebody_is_a_conflict(lanes: FlatLanes) -> None:
@@ -103,7 +105,7 @@ def test_generated_leader_of_a_recorded_follower_that_will_not_brake_is_found(la
 
     def followed(recorded: list[Track], *starts: float) -> list[int]:
         generated = [_drive(f"gen_{row}", x, 0.0, 2.0) for row, x in enumerate(starts)]
-        return ExportedPositions(recorded, generated, lanes, STEPS).followed_conflicts(critical_s=1.5)
+        return RecordedVehicles(recorded, lanes, STEPS).with_generated(generated).followed_conflicts(critical_s=1.5)
 
     assert followed([comes], 45.7) == [0]
     assert followed([comes], 60.0) == []
