@@ -217,7 +217,7 @@ def prospect(
         margin_m=config.conflict.margin_front_m,
         ttc_s=ttc_s,
         time_gap_s=config.conflict.follow_time_s,
-        follower=(following.decel_mps2, following.tau_s, following.min_gap_m),
+        follower=(following.decel_mps2, min(following.tau_s, config.conflict.follow_time_s), following.min_gap_m),
         exit_s=path.exit_s - size.length_m / 2,
         earliest_exit_step=earliest_exit_step,
     )
