@@ -16,7 +16,7 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any
 
-from bridge.isolation import Failure, IsolatedProcess, WorkFailedError, resolve
+from bridge.isolation import RECYCLE_AFTER, Failure, IsolatedProcess, WorkFailedError, resolve
 
 #: Kinds of failure after which an item is tried again: the others would only repeat themselves.
 _RETRIED = frozenset({"crashed", "killed", "timeout"})
@@ -60,7 +60,7 @@ class Settings:
 
     timeout_s: float = 300.0
     retries: int = 1
-    recycle_after: int = 1000
+    recycle_after: int = RECYCLE_AFTER
 
 
 def execute(

@@ -32,6 +32,8 @@ from netconvert.errors import Hid2Error
 START_TIMEOUT_S = 180.0
 #: Seconds that a process which ran out of time has to end itself before it is killed.
 GRACE_S = 3.0
+#: Calls after which a process is replaced.
+RECYCLE_AFTER = 1000
 #: A process larger than this is replaced before its next call.
 MAX_RSS_MB = 600.0
 #: Objects made between two collections of the young ones, and young ones between two of the older (gc.set_threshold).
@@ -67,7 +69,7 @@ class WorkFailedError(Exception):
 class IsolatedProcess:
     """One child process that runs generator functions named "module:function" and passes on what they yield."""
 
-    def __init__(self, *, timeout_s: float, recycle_after: int = 1000) -> None:
+    def __init__(self, *, timeout_s: float, recycle_after: int = RECYCLE_AFTER) -> None:
         self._timeout_s = timeout_s
         self._recycle_after = recycle_after
         self._process: subprocess.Popen[bytes] | None = None

@@ -18,7 +18,7 @@ from hid2.path_occupancy import PathOccupancy, path_occupancy
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath
 from hid2.smoothing import SpeedBounds
-from hid2.space_time import SpaceTime, space_time
+from hid2.space_time import Follower, SpaceTime, space_time
 from hid2.speed_plan import SpeedPlan, plan_speed
 from hid2.traffic import Traffic
 
@@ -217,7 +217,11 @@ def prospect(
         margin_m=config.conflict.margin_front_m,
         ttc_s=ttc_s,
         time_gap_s=config.conflict.follow_time_s,
-        follower=(following.decel_mps2, min(following.tau_s, config.conflict.follow_time_s), following.min_gap_m),
+        follower=Follower(
+            decel_mps2=following.decel_mps2,
+            reaction_mps=min(following.tau_s, config.conflict.follow_time_s) * following.decel_mps2,
+            min_gap_m=following.min_gap_m,
+        ),
         exit_s=path.exit_s - size.length_m / 2,
         earliest_exit_step=earliest_exit_step,
     )

@@ -4,7 +4,7 @@ Worked out from the intervals of others on a path (paper, Trajectory Generation,
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -14,11 +14,21 @@ from hid2.path_occupancy import PathOccupancy
 from hid2.reference_line import TABLE_STEP_M
 
 
+class Follower(NamedTuple):
+    """The car following that will drive a plan (Krauss 1998; leaders are expected to brake with the same b).
+
+    decel_mps2: b; reaction_mps: tau b, for a reaction time tau; min_gap_m: the smallest gap.
+    """
+
+    decel_mps2: float
+    reaction_mps: float
+    min_gap_m: float
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class SpaceTime:
     """What the search of a speed profile looks up, by step and by arc length in cells of TABLE_STEP_M.
 
-    follower: deceleration b m/s2, reaction time tau s and smallest gap m of the car following that will drive the plan.
     Rows are worked out where the search comes to, not for the whole scene. margin_m is kept to every interval of the
     occupancy; from cell `beyond` on the path is off the map: nobody is met there, but to be there before
     earliest_exit_step is forbidden. Before hold_until, cells from hold_from on are forbidden too.
@@ -30,7 +40,7 @@ class SpaceTime:
     margin_m: float
     ttc_s: float
     time_gap_s: float
-    follower: tuple[float, float, float]
+    follower: Follower
     beyond: int
     earliest_exit_step: int
     hold_until: int = 0
@@ -53,9 +63,8 @@ class SpaceTime:
 
     @property
     def followed(self) -> FloatArray:
-        """(T, S) m/s: faster than this, car following brakes for the leader ahead (Krauss 1998, one b for both)."""
-        decel, tau, _ = self.follower
-        return np.sqrt(np.maximum(self._tables()[3], 0.0)) - tau * decel
+        """(T, S) m/s: faster than this, car following brakes for the leader ahead."""
+        return np.sqrt(np.maximum(self._tables()[3], 0.0)) - self.follower.reaction_mps
 
     def speeds_at(self, step: int, s: float) -> tuple[float, float]:
         """`fastest` and `pushed` at one step and arc length, m/s."""
@@ -96,7 +105,7 @@ def space_time(
     margin_m: float,
     ttc_s: float,
     time_gap_s: float,
-    follower: tuple[float, float, float],
+    follower: Follower,
     exit_s: float,
     earliest_exit_step: int,
 ) -> SpaceTime:
@@ -163,7 +172,6 @@ def speed_rows(fastest, pushed, followed, t, left, right, view) -> None:  # type
     followed: (v + tau b)^2 of the speed v at which car following begins to brake, which saves a root for every cell.
     """
     low, high, along, aligned, cells, step, margin, ttc, time_gap, beyond, _, _, _, follower = view
-    decel, tau, min_gap = follower
     fastest[: right - left] = 99.0
     pushed[: right - left] = 0.0
     followed[: right - left] = 1e4
@@ -174,10 +182,11 @@ def speed_rows(fastest, pushed, followed, t, left, right, view) -> None:  # type
         first = min(max(0, int(np.ceil(front / step))), cells)
         last = max(-1, min(cells - 1, int(np.floor(rear / step))))
         speed = along[a, t]
-        still = (tau * decel) ** 2 + max(speed, 0.0) ** 2 + 2.0 * decel * (margin - min_gap)
+        slack = 2.0 * follower.decel_mps2
+        still = follower.reaction_mps**2 + max(speed, 0.0) ** 2 + slack * (margin - follower.min_gap_m)
         for i in range(max(left, first - int(80.0 / step)), min(right, first)):
             gap = front - i * step
-            followed[i - left] = min(followed[i - left], still + 2.0 * decel * gap)
+            followed[i - left] = min(followed[i - left], still + slack * gap)
             limit = speed + gap / ttc
             if time_gap > 0 and gap < speed * time_gap:
                 limit = min(limit, max(speed, (gap + margin) / time_gap))

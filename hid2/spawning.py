@@ -345,15 +345,14 @@ class Spawner:
         """
         if self.patience > 0:
             return 0.0
-        following, rows = self.world.config.car_following, slice(look.recorded_rows, None)
+        follower, rows = look.tables.follower, slice(look.recorded_rows, None)
         high, along = look.occupancy.high[rows, 0], look.occupancy.along[rows, 0]
         behind = (high < s0) & (high > s0 - _BEHIND_M) & look.occupancy.aligned[rows, 0]
         if not behind.any():
             return 0.0
-        reaction = following.tau_s * following.decel_mps2
-        gap = s0 - high[behind] - following.min_gap_m
-        wanted = np.maximum(along[behind] - _EASES_MPS + reaction, 0.0) ** 2
-        square = wanted - reaction**2 - 2.0 * following.decel_mps2 * gap
+        gap = s0 - high[behind] - follower.min_gap_m
+        wanted = np.maximum(along[behind] - _EASES_MPS + follower.reaction_mps, 0.0) ** 2
+        square = wanted - follower.reaction_mps**2 - 2.0 * follower.decel_mps2 * gap
         return float(np.sqrt(max(float(square.max()), 0.0)))
 
     def _draw_size(self) -> tuple[str, BoxSize]:

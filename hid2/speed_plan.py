@@ -85,8 +85,7 @@ def _advance(s, v, a, ramp, dt):  # type: ignore[no-untyped-def]  # noqa: ANN001
 
 @njit(cache=True)
 def _search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, reference, use_reference):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    cells, step = view[4], view[5]
-    reaction = view[13][0] * view[13][1]
+    cells, step, reaction = view[4], view[5], view[-1].reaction_mps
     s_bins = int(cells * step / _S_BIN) + 1
     stages = (steps - 1 - first + STAGE_STEPS - 1) // STAGE_STEPS
     out_s = np.zeros(steps - first)

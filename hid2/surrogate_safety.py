@@ -37,30 +37,27 @@ class RecordedVehicles:
 
     def conflict_with(self, track: Track, *, ttc_s: float, pet_s: float) -> str | None:
         """What would come of a generated track: one that comes up behind it at a TTC below ttc_s, a PET below pet_s."""
-        arrays = self.arrays.with_track(track)
-        if pet_s > 0.0 and any(c.pet_s < pet_s for c in encroachments(arrays, since=len(self.tracks), cap_s=pet_s)):
+        together = self.with_generated([track])
+        if pet_s > 0.0 and together.crossing_conflicts(critical_s=pet_s):
             return "pet"
-        if ttc_s > 0.0 and self._run_up_on(track, ttc_s, arrays):
+        if ttc_s > 0.0 and together.followed_conflicts(critical_s=ttc_s, by=self._closing_in_on(track, ttc_s)):
             return "ttc_of_recorded"
         return None
 
-    def _run_up_on(self, track: Track, critical_s: float, arrays: SceneArrays) -> bool:
+    def _closing_in_on(self, track: Track, critical_s: float) -> IntArray:
+        """Rows of those who may follow a track at a TTC below critical_s: whom it pays to match to lanes."""
         seen = self.arrays
-        rows = np.flatnonzero(
+        return np.flatnonzero(
             _followers(
                 seen.row_of, seen.position, seen.heading, seen.velocity, seen.moving,
                 (seen.length + track.size.length_m) / 2, (seen.width + track.size.width_m) / 2,
                 track.timesteps, track.position, track.heading, track.velocity, critical_s,
             )
         )  # fmt: skip
-        if not rows.size:
-            return False
-        together = ExportedPositions(self.tracks, [track], self.lanes, self.num_steps, arrays)
-        return bool(together.followed_conflicts(critical_s=critical_s, by=rows))
 
     def with_generated(self, generated: Sequence[Track]) -> "ExportedPositions":
         """As they are exported together."""
-        arrays = stack([*self.tracks, *generated], num_steps=self.num_steps)
+        arrays = self.arrays.joined(stack(generated, num_steps=self.num_steps))
         return ExportedPositions(self.tracks, generated, self.lanes, self.num_steps, arrays)
 
 

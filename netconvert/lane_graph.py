@@ -144,7 +144,7 @@ class LaneGraph:
 
     @cached_property
     def _straightest(self) -> dict[int, int | None]:
-        chord = {lane_id: (lane.centerline[-1] - lane.centerline[0]).tolist() for lane_id, lane in self.lanes.items()}
+        chord = {lane_id: _direction(lane) for lane_id, lane in self.lanes.items()}
         way = {lane_id: math.atan2(y, x) for lane_id, (x, y) in chord.items()}
         straightest: dict[int, int | None] = {}
         for lane_id, onward in self._successors.items():

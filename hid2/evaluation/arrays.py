@@ -64,29 +64,26 @@ class SceneArrays:
         """(A,) steps at which each agent is present."""
         return np.diff(self.first)
 
-    def with_track(self, track: Track, *, is_generated: bool = True) -> "SceneArrays":
-        """The same scene with one more agent, the last; T stays. Its track must not be empty."""
-        rows, count = len(track.timesteps), len(self.step)
-        row_of = np.full((1, self.num_steps), -1, dtype=np.int64)
-        row_of[0, track.timesteps] = np.arange(count, count + rows)
-        extent = float(np.hypot(*(track.position.max(axis=0) - track.position.min(axis=0))))
+    def joined(self, other: "SceneArrays") -> "SceneArrays":
+        """The agents of both, of the same scene: T is the same. Those of `other` come last."""
+        rows, agents = len(self.step), self.num_agents
         return SceneArrays(
-            track_ids=(*self.track_ids, track.track_id),
-            object_types=(*self.object_types, track.object_type),
-            category=np.append(self.category, track.category),
-            generated=np.append(self.generated, is_generated),
-            vehicle=np.append(self.vehicle, track.object_type in VEHICLE_TYPES),
-            fragment=np.append(self.fragment, track.category == FRAGMENT),
-            moving=np.append(self.moving, extent > MOVING_EXTENT_M and rows > MOVING_STEPS),
-            length=np.append(self.length, track.size.length_m),
-            width=np.append(self.width, track.size.width_m),
-            first=np.append(self.first, count + rows),
-            agent=np.concatenate([self.agent, np.full(rows, self.num_agents)]),
-            step=np.concatenate([self.step, track.timesteps]),
-            position=np.concatenate([self.position, track.position]),
-            heading=np.concatenate([self.heading, track.heading]),
-            velocity=np.concatenate([self.velocity, track.velocity]),
-            row_of=np.concatenate([self.row_of, row_of]),
+            track_ids=self.track_ids + other.track_ids,
+            object_types=self.object_types + other.object_types,
+            category=np.concatenate([self.category, other.category]),
+            generated=np.concatenate([self.generated, other.generated]),
+            vehicle=np.concatenate([self.vehicle, other.vehicle]),
+            fragment=np.concatenate([self.fragment, other.fragment]),
+            moving=np.concatenate([self.moving, other.moving]),
+            length=np.concatenate([self.length, other.length]),
+            width=np.concatenate([self.width, other.width]),
+            first=np.concatenate([self.first, other.first[1:] + rows]),
+            agent=np.concatenate([self.agent, other.agent + agents]),
+            step=np.concatenate([self.step, other.step]),
+            position=np.concatenate([self.position, other.position]),
+            heading=np.concatenate([self.heading, other.heading]),
+            velocity=np.concatenate([self.velocity, other.velocity]),
+            row_of=np.concatenate([self.row_of, np.where(other.row_of < 0, -1, other.row_of + rows)]),
             step_s=self.step_s,
         )
 

@@ -2,7 +2,7 @@
 
 from hid2.path_occupancy import PathOccupancy, path_occupancy
 from hid2.reference_line import ReferenceLine
-from hid2.space_time import SpaceTime, space_time
+from hid2.space_time import Follower, SpaceTime, space_time
 from hid2.traffic import Traffic
 
 #: Box of the vehicle itself, and of others where they are given it too, m.
@@ -22,5 +22,5 @@ def tables_of(line: ReferenceLine, *others: Traffic, exit_s: float = 1e3, earlie
         occupancy = occupancy.joined(occupancy_of(line, traffic))
     return space_time(
         occupancy, table_length=line.table_xy.shape[0], num_steps=110, margin_m=MARGIN_M, ttc_s=TTC_S, time_gap_s=1.0,
-        follower=(2.5, 1.0, 1.5), exit_s=min(exit_s, line.length_m), earliest_exit_step=earliest,
+        follower=Follower(2.5, 2.5, 1.5), exit_s=min(exit_s, line.length_m), earliest_exit_step=earliest,
     )  # fmt: skip

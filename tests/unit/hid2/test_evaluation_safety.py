@@ -269,7 +269,8 @@ def test_crossings_of_the_last_agents_alone():
 def test_scene_with_one_more_track_is_the_scene_of_all_tracks():
     tracks = [drive(0, -20, math.pi / 2, speed=10.0, name="a"), drive(9, steps=3, name="b")]
     more = drive(-50, 0, 0.0, speed=10.0, name="gen_0")
-    one, whole = stack(tracks).with_track(more), stack([*tracks, more])
+    whole = stack([*tracks, more])
+    one = stack(tracks, num_steps=whole.num_steps).joined(stack([more], num_steps=whole.num_steps))
     for name in SceneArrays.__dataclass_fields__:
         got, wanted = getattr(one, name), getattr(whole, name)
         assert np.array_equal(got, wanted), name
