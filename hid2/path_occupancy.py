@@ -10,9 +10,14 @@ import numpy as np
 from numba import njit
 
 from hid2.agents import BoxSize, FloatArray
-from hid2.boxes import apart, overlap
+from hid2.boxes import overlap
 from hid2.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.traffic import Traffic
+
+_WIDER_M = 1.0  # who stands is measured more widely, so that it need not be looked at again when a tracker jitters
+_NEAR_M = (
+    11.0  # half the diagonals of a large car and of a bus, or of a car that keeps room for a lane change, and that
+)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -98,23 +103,12 @@ def look_along(
     line: ReferenceLine, traffic: Traffic, length_m: float, width_m: float
 ) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], PathOccupancy]:
     """Rows of the agents that ever touch the line, and their intervals; width_m with all margins."""
-    low, high, along, aligned, crosses, touched = _intervals(
-        line.table_xy,
-        line.table_heading,
-        TABLE_STEP_M,
-        length_m,
-        width_m,
-        traffic.position,
-        traffic.heading,
-        traffic.velocity,
-        traffic.present,
-        traffic.length_m,
-        traffic.width_m,
-    )
-    rows = np.flatnonzero(touched)
-    if rows.size == len(traffic.ids):
-        return rows, PathOccupancy(low, high, along, aligned, crosses)
-    return rows, PathOccupancy(low[rows], high[rows], along[rows], aligned[rows], crosses[rows])
+    near, points = line.near(_NEAR_M)
+    others = (
+        traffic.position, traffic.heading, traffic.velocity, traffic.present, traffic.length_m, traffic.width_m,
+    )  # fmt: skip
+    rows, *found = _intervals(points, line.table_heading, TABLE_STEP_M, near, length_m, width_m, others)
+    return rows, PathOccupancy(*found)
 
 
 def meets(traffic: Traffic, step: int, x: float, y: float, heading: float, size: BoxSize) -> bool:
@@ -169,33 +163,82 @@ def _kept_clear(low, high, aligned, crosses, steps, margin):  # type: ignore[no-
 
 
 @njit(cache=True)
-def _intervals(xy, heading, step, own_length, own_width, position, other_heading, velocity, present, lengths, widths):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """March along the path in steps that cannot jump over the agent, then test box against box.
+def _gaps(gaps, points, begin, end, x, y, bc, bs, own_l, own_w, half_l, half_w) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
+    """How far the own box at points `begin` to `end` is apart from an agent's, as in `boxes.apart`, into gaps.
 
-    An agent that is clear of the whole path is not looked at again before it can have come to touch it.
+    A loop without branches over contiguous columns: the compiler does several points at once.
     """
+    xs, ys = points[0, begin:end], points[1, begin:end]
+    cosine, sine = points[2, begin:end], points[3, begin:end]
+    for i in range(xs.size):
+        dx, dy, ac, asn = x - xs[i], y - ys[i], cosine[i], sine[i]
+        c, s = abs(ac * bc + asn * bs), abs(ac * bs - asn * bc)
+        ahead = abs(dx * ac + dy * asn) - (own_l + half_l * c + half_w * s)
+        beside = abs(dy * ac - dx * asn) - (own_w + half_l * s + half_w * c)
+        its_ahead = abs(dx * bc + dy * bs) - (half_l + own_l * c + own_w * s)
+        its_beside = abs(dy * bc - dx * bs) - (half_w + own_l * s + own_w * c)
+        ahead = ahead if ahead > beside else beside
+        its_ahead = its_ahead if its_ahead > its_beside else its_beside
+        gaps[i] = ahead if ahead > its_ahead else its_ahead
+
+
+@njit(cache=True)
+def _touched(gaps):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """First and last point without a gap; -1 twice where there is none."""
+    for first in range(gaps.size):
+        if gaps[first] <= 0.0:
+            last = gaps.size - 1
+            while gaps[last] > 0.0:
+                last -= 1
+            return first, last
+    return -1, -1
+
+
+@njit(cache=True)
+def _nearest(points, begin, end, x, y):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Of points `begin` to `end` the one nearest to a place."""
+    nearest, least = begin, np.inf
+    for i in range(begin, end):
+        square = (x - points[0, i]) ** 2 + (y - points[1, i]) ** 2
+        if square < least:
+            nearest, least = i, square
+    return nearest
+
+
+@njit(cache=True)
+def _intervals(points, heading, step, raster, length, width, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Rows of those who touch the path, and their intervals: box against box at every point of it near the agent.
+
+    points (4, K): x, y, cosine and sine. length, width: of the own box.
+    Who stands, or jitters as trackers do, is not looked at again before it can have come to touch the path.
+    """
+    position, other_heading, velocity, present, lengths, widths = others
     agents, steps = present.shape
-    points = xy.shape[0]
-    low = np.full((agents, steps), np.inf)
-    high = np.full((agents, steps), -np.inf)
-    along, aligned = np.zeros((agents, steps)), np.zeros((agents, steps), dtype=np.bool_)
-    crosses = np.zeros((agents, steps), dtype=np.bool_)
-    touched = np.zeros(agents, dtype=np.bool_)
-    cosine, sine = np.cos(heading), np.sin(heading)
-    own_l, own_w = own_length / 2, own_width / 2
-    own_radius = np.hypot(own_l, own_w)
-    left, right, bottom, top = xy[:, 0].min(), xy[:, 0].max(), xy[:, 1].min(), xy[:, 1].max()
+    low, high, along = np.empty((agents, steps)), np.empty((agents, steps)), np.empty((agents, steps))
+    aligned, crosses = np.empty((agents, steps), dtype=np.bool_), np.empty((agents, steps), dtype=np.bool_)
+    who, count = np.empty(agents, dtype=np.int64), 0
+    gaps = np.empty(points.shape[1])
+    own_l, own_w = length / 2, width / 2
+    (columns, rows), per_m = raster.first.shape, 1.0 / raster.side_m
     for a in range(agents):
         half_l, half_w = lengths[a] / 2, widths[a] / 2
-        reach = own_radius + np.hypot(half_l, half_w)
+        reach = np.hypot(own_l, own_w) + np.hypot(half_l, half_w) + _WIDER_M
+        k, hit = count, False  # row of the result
+        low[k], high[k], along[k], aligned[k], crosses[k] = np.inf, -np.inf, 0.0, False, False
         nearest = -1  # point of the path nearest to it, where it was touched when last looked at
         spare, last_x, last_y, last_angle = -1.0, 0.0, 0.0, 0.0  # how far it may move from there and stay clear
         for t in range(steps):
             if not present[a, t]:
                 continue
             x, y, angle = position[a, t, 0], position[a, t, 1], other_heading[a, t]
-            if x < left - reach or x > right + reach or y < bottom - reach or y > top + reach:
-                continue
+            begin, end = 0, points.shape[1]
+            if reach <= raster.reach_m:
+                across, up = (x - raster.x0) * per_m, (y - raster.y0) * per_m
+                if across < 0.0 or up < 0.0 or across >= columns or up >= rows:
+                    continue
+                begin, end = raster.first[int(across), int(up)], raster.last[int(across), int(up)] + 1
+                if begin < 0:
+                    continue
             if spare > 0.0:
                 turned = abs((angle - last_angle + np.pi) % (2 * np.pi) - np.pi)
                 if np.sqrt((x - last_x) ** 2 + (y - last_y) ** 2) + turned * (half_l + half_w) < spare:
@@ -207,59 +250,38 @@ def _intervals(xy, heading, step, own_length, own_width, position, other_heading
                 and y == position[a, t - 1, 1]
                 and angle == other_heading[a, t - 1]
             ):
-                low[a, t], high[a, t] = low[a, t - 1], high[a, t - 1]
-                aligned[a, t], crosses[a, t] = aligned[a, t - 1], crosses[a, t - 1]
+                low[k, t], high[k, t] = low[k, t - 1], high[k, t - 1]
+                aligned[k, t], crosses[k, t] = aligned[k, t - 1], crosses[k, t - 1]
                 if nearest >= 0:
-                    along[a, t] = velocity[a, t, 0] * cosine[nearest] + velocity[a, t, 1] * sine[nearest]
+                    along[k, t] = velocity[a, t, 0] * points[2, nearest] + velocity[a, t, 1] * points[3, nearest]
                 continue
-            nearest = -1
-            bc, bs = np.cos(angle), np.sin(angle)
-            i, near = 0, 0
-            best, closest, clear = np.inf, np.inf, np.inf
-            before, leap = 0.0, 0  # distance at the point last looked at, and how many points behind that lies
-            hit, first, last = False, 0, 0
-            # who stands, or jitters as trackers do, is measured more widely, once for as long as it stands
-            still = t > 0 and abs(x - position[a, t - 1, 0]) + abs(y - position[a, t - 1, 1]) < 0.1
-            far = reach + 2.0 if still else reach
-            while i < points:
-                dx, dy = x - xy[i, 0], y - xy[i, 1]
-                square = dx * dx + dy * dy
-                if square < best:
-                    best, near = square, i
-                if square > far * far:
-                    distance = np.sqrt(square)
-                    if leap > 0:  # no point between two is nearer than half of what is left of the detour
-                        closest = min(closest, (before + distance - leap * step) / 2)
-                    before, leap = distance, max(1, int((distance - far) / step))
-                    i += leap
-                    continue
-                if not hit:
-                    if still:
-                        between = apart(
-                            xy[i, 0], xy[i, 1], cosine[i], sine[i], own_l, own_w, x, y, bc, bs, half_l, half_w
-                        )
-                        clear, hit = min(clear, between), between <= 0.0
-                    else:
-                        clear = 0.0
-                        hit = overlap(
-                            xy[i, 0], xy[i, 1], cosine[i], sine[i], own_l, own_w, x, y, bc, bs, half_l, half_w
-                        )
-                    first = i
-                last = i
-                leap = 0
-                i += 1
-            if hit:  # from its other end; between the two only the distance matters
-                while last > first and not overlap(
-                    xy[last, 0], xy[last, 1], cosine[last], sine[last], own_l, own_w, x, y, bc, bs, half_l, half_w
-                ):
-                    last -= 1
-                low[a, t], high[a, t] = (first - 1) * step, (last + 1) * step
-                along[a, t] = velocity[a, t, 0] * cosine[near] + velocity[a, t, 1] * sine[near]
-                turned = np.cos(angle - heading[near])
-                aligned[a, t], crosses[a, t] = turned > 0.7, abs(turned) <= 0.87
-                nearest, spare, touched[a] = near, 0.0, True
+            # between an end of the range and the first point within reach nothing needs to be looked at
+            leap = int((np.sqrt((x - points[0, begin]) ** 2 + (y - points[1, begin]) ** 2) - reach) / step)
+            begin += min(max(leap, 0), end - begin - 1)
+            leap = int((np.sqrt((x - points[0, end - 1]) ** 2 + (y - points[1, end - 1]) ** 2) - reach) / step)
+            end -= min(max(leap, 0), end - begin - 1)
+            near = gaps[: end - begin]
+            _gaps(near, points, begin, end, x, y, np.cos(angle), np.sin(angle), own_l, own_w, half_l, half_w)
+            first, last = _touched(near)
+            if first < 0:
+                nearest = -1
+                if t > 0 and abs(x - position[a, t - 1, 0]) + abs(y - position[a, t - 1, 1]) < 0.1:
+                    spare, last_x, last_y, last_angle = min(near.min(), _WIDER_M) - 1e-6, x, y, angle
                 continue
-            if leap > 0:  # from the last point looked at to the end of the path
-                closest = min(closest, before - (points - 1 - (i - leap)) * step)
-            spare, last_x, last_y, last_angle = min(clear, closest - reach - step) - 1e-6, x, y, angle
-    return low, high, along, aligned, crosses, touched
+            nearest = _nearest(points, begin, end, x, y)
+            low[k, t], high[k, t] = (begin + first - 1) * step, (begin + last + 1) * step
+            along[k, t] = velocity[a, t, 0] * points[2, nearest] + velocity[a, t, 1] * points[3, nearest]
+            turned = np.cos(angle - heading[nearest])
+            aligned[k, t], crosses[k, t] = turned > 0.7, abs(turned) <= 0.87
+            spare, hit = 0.0, True
+        if hit:
+            who[k] = a
+            count += 1
+    found = (
+        low[:count].copy(),
+        high[:count].copy(),
+        along[:count].copy(),
+        aligned[:count].copy(),
+        crosses[:count].copy(),
+    )
+    return who[:count].copy(), *found

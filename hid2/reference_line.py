@@ -1,11 +1,12 @@
 """The reference line r(s) of the Frenet frame: a route's centrelines, smoothed only as far as curvature needs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
 
 from hid2.agents import FloatArray
+from hid2.raster import Raster, raster
 from netconvert.geometry import arc_length, resample
 
 #: Spacing of the tables of pose and curvature along a line, m.
@@ -32,6 +33,14 @@ class ReferenceLine:
     table_sharpness: FloatArray
     points: FloatArray
     points_s: FloatArray
+    _near: dict[float, tuple[Raster, FloatArray]] = field(default_factory=dict, repr=False)
+
+    def near(self, reach_m: float) -> tuple[Raster, FloatArray]:
+        """Raster of the table's points, and their x, y m, cosine and sine (4, K); made once for each reach."""
+        if reach_m not in self._near:
+            columns = np.stack([*self.table_xy.T, np.cos(self.table_heading), np.sin(self.table_heading)])
+            self._near[reach_m] = raster(self.table_xy, step_m=TABLE_STEP_M, reach_m=reach_m), columns
+        return self._near[reach_m]
 
     def position(self, s: FloatArray) -> FloatArray:
         """(M, 2) m at arc lengths s (M,); straight on beyond both ends."""

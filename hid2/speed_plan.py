@@ -2,8 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from hid2.agents import FloatArray
@@ -15,6 +18,7 @@ _STEEPEST = 1.65  # m/s2 by which the acceleration changes within a stage: a jer
 _OVER_MPS = 4.0
 _S_BIN, _V_BIN, _V_BINS = 1.5, 0.75, 48
 _STATES_MOST = 3000
+_STAGES_ROUNDED = 32
 _SLOW_MPS = 3.0  # the cost of going slower than desired is linear beyond: nobody slows early to go at the mean speed
 _UNFOLLOWED = 10.0  # cost of a speed above the one at which car following brakes, per (m/s)^2
 _SECOND_CHOICE = 1e3  # cost of a start that is not the first one named
@@ -68,10 +72,30 @@ def plan_speed(
         tables.view(), desired, desired + _OVER_MPS if most is None else np.minimum(most, desired + _OVER_MPS),
         s0, np.atleast_1d(np.asarray(v0, dtype=np.float64)), a0, first_step, tables.num_steps, accels, step_s,
         reference if reference is not None else np.zeros(tables.num_steps), use_reference,
+        _states((tables.num_steps // STAGE_STEPS + 2) // _STAGES_ROUNDED + 1),
     )  # fmt: skip
     if not ok:
         return None
     return SpeedPlan(s=s, v=v, cost=float(cost))
+
+
+class _States(NamedTuple):
+    """States of a search, those of all stages one behind the other."""
+
+    s: FloatArray
+    v: FloatArray
+    a: FloatArray
+    cost: FloatArray
+    parent: npt.NDArray[np.int32]
+    key: npt.NDArray[np.int32]
+
+
+@cache
+def _states(rounded: int) -> _States:
+    """Memory for searches of so many times 32 stages, kept: to be given new pages costs a fifth of a search."""
+    room = _STATES_MOST * _STAGES_ROUNDED * rounded
+    numbers = [np.empty(room) for _ in range(4)]
+    return _States(*numbers, np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32))
 
 
 @njit(cache=True)
@@ -84,15 +108,13 @@ def _advance(s, v, a, ramp, dt):  # type: ignore[no-untyped-def]  # noqa: ANN001
 
 
 @njit(cache=True)
-def _search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, reference, use_reference):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, reference, use_reference, states):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     cells, step, reaction = view[4], view[5], view[-1].reaction_mps
     s_bins = int(cells * step / _S_BIN) + 1
     stages = (steps - 1 - first + STAGE_STEPS - 1) // STAGE_STEPS
     out_s = np.zeros(steps - first)
     out_v = np.zeros(steps - first)
-    room = _STATES_MOST * (stages + 1)  # states of all stages one behind the other: memory is touched as it is used
-    all_s, all_v, all_a, all_c = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
-    parent, keys = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
+    all_s, all_v, all_a, all_c, parent, keys = states
     begin = np.zeros(stages + 2, dtype=np.int64)
     slot = np.full((s_bins + 1) * _V_BINS, -1, dtype=np.int32)
     blocked = np.empty((STAGE_STEPS + 1, cells), dtype=np.uint8)
