@@ -12,6 +12,7 @@ from bridge.replay import Replay, ReplayErrors, in_the_way, met_by
 from bridge.simulation import Simulation
 from bridge.steering import Driver, Steering
 from hid2.agents import Policy, Track
+from hid2.draws import Draws
 from hid2.foresight import BEHIND_TURN_M
 from hid2.repair import SettledVehicle, settle, settled_traffic
 from hid2.route import first_turn
@@ -46,7 +47,7 @@ class Rounds:
 
     def __init__(self, world: World, simulation: Simulation, seed: list[int]) -> None:
         self.world, self.simulation, self.seed = world, simulation, seed
-        self.rng = np.random.default_rng([*seed, 0])
+        self.draws = Draws(np.random.default_rng([*seed, 0]))
         self.settled: list[Settled] = []
         self.reasons: Counter[str] = Counter()
         self.unmet: list[tuple[Policy, str]] = []
@@ -64,7 +65,7 @@ class Rounds:
         request = self.world.config.request
         target = _MAX_AGENTS if request.agents == "max" else request.agents
         if request.agents != "max":
-            self._rounds(_mix(request.behaviours, target, self.rng), target, packed=False)
+            self._rounds(_mix(request.behaviours, target, self.draws), target, packed=False)
             if len(self.settled) == target or "collision" in self.world.config.without:
                 return
         loose = self.settled, self.fixed, self.unmet
@@ -72,11 +73,11 @@ class Rounds:
         self._keep([])
         for attempt, world in enumerate((self.world, *[close] * self.world.config.packing.attempts), start=1):
             best = self.settled, self.fixed, self.unmet
-            self.rng, self.world = np.random.default_rng([*self.seed, attempt]), world
+            self.draws, self.world = Draws(np.random.default_rng([*self.seed, attempt])), world
             if attempt <= _FROM_EMPTY:
                 self.unmet = []
                 self._keep([])
-                mix = _mix(request.behaviours, min(target, _MIX_OF_MOST), self.rng)
+                mix = _mix(request.behaviours, min(target, _MIX_OF_MOST), self.draws)
             else:
                 self._keep(self._all_but_a_few())
                 mix = []
@@ -103,8 +104,8 @@ class Rounds:
         if not idle:
             return self.settled
         start = np.array([item.vehicle.trajectory.position[0] for item in idle])
-        middle = start[int(self.rng.integers(len(idle)))]
-        near = np.argsort(np.hypot(*(start - middle).T), kind="stable")[: int(self.rng.integers(1, _FEW_MOST + 1))]
+        middle = start[self.draws.index(len(idle))]
+        near = np.argsort(np.hypot(*(start - middle).T), kind="stable")[: 1 + self.draws.index(_FEW_MOST)]
         gone = {id(idle[row]) for row in near.tolist()}
         return [item for item in self.settled if id(item) not in gone]
 
@@ -134,7 +135,7 @@ class Rounds:
         self, asked: Sequence[Policy], missing: int, *, patience: int, packed: bool, reseeds: bool
     ) -> list[tuple[Policy, str]]:
         """Plan, drive and settle; returns the manoeuvres that are to be tried again, with what went wrong."""
-        spawner = Spawner(self.world, self.rng, self.fixed, patience, packed)
+        spawner = Spawner(self.world, self.draws, self.fixed, patience, packed)
         attempts = _ATTEMPTS_LATE if patience >= 2 or packed else _ATTEMPTS
         # manoeuvres need the room most, so they choose first; what finds no place looks again, with more patience
         order = sorted(asked, key=list(Policy).index, reverse=True)
@@ -288,7 +289,7 @@ class Rounds:
         return f"v{self._next}"
 
 
-def _mix(shares: Mapping[Policy, float], count: int, rng: np.random.Generator) -> list[Policy]:
+def _mix(shares: Mapping[Policy, float], count: int, draws: Draws) -> list[Policy]:
     """Policies of `count` vehicles by largest remainder: the mix asked for, not a draw from it."""
     total = sum(shares.values())
     exact = {policy: count * share / total for policy, share in shares.items()}
@@ -297,7 +298,7 @@ def _mix(shares: Mapping[Policy, float], count: int, rng: np.random.Generator) -
     for policy in rest[: count - sum(counts.values())]:
         counts[policy] += 1
     mixed = [policy for policy in Policy for _ in range(counts[policy])]
-    return [mixed[i] for i in rng.permutation(len(mixed)).tolist()]
+    return [mixed[i] for i in draws.permutation(len(mixed))]
 
 
 def exported_track(vehicle: SettledVehicle, track_id: str, category: int) -> Track:

@@ -7,9 +7,10 @@ from itertools import accumulate
 
 import numpy as np
 
-from hid2.agents import Policy
+from hid2.agents import FloatArray, Policy
 from hid2.conflicts import DT_S
 from hid2.decision import Side
+from hid2.draws import Draws
 from hid2.foresight import LATEST_S, SPARE_LANE_M, Wish
 from hid2.maneuver import admissible_neighbor
 from hid2.reference_line import TABLE_STEP_M
@@ -35,7 +36,7 @@ class Places:
     """Candidates (route, s0 m) for each policy. patience as for the spawner; packed: from the downstream end."""
 
     world: World
-    rng: np.random.Generator
+    draws: Draws
     packed: bool = False
     lanes: tuple[int, ...] = field(init=False)
     _known_routes: dict[tuple[TurnType, int, int], tuple[tuple[Route, float, float], ...]] = field(default_factory=dict)
@@ -43,7 +44,7 @@ class Places:
     _usable: frozenset[int] = field(init=False)
     _known_ends: dict[Route, tuple[float, ...]] = field(default_factory=dict)
     _known_run_ups: dict[Route, tuple[Route, float]] = field(default_factory=dict)
-    _known_cells: dict[Policy, tuple[list[Cell], list[int]]] = field(default_factory=dict)
+    _known_cells: dict[Policy, tuple[list[Cell], list[int], FloatArray, FloatArray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Lanes that cars drive on."""
@@ -67,18 +68,17 @@ class Places:
         is_free tells by index whether a cell is free at step 0; it is asked again whenever the next one is taken.
         """
         grid = self.world.grid
-        cells, place_of = self._cells(policy)
-        order = self.rng.permutation(len(cells)).tolist()
+        cells, place_of, low, high = self._cells(policy)
+        order, starts = self.draws.permutation(len(cells)), self.draws.between(low, high)
         if self.packed and policy is Policy.STRAIGHT:
             left_m = self._distance_to_exit()
             order.sort(key=lambda row: left_m[cells[row].lane_id] - grid.edges_s(cells[row].lane_id)[cells[row].index])
         for row in order:
             cell = cells[row]
-            borders = grid.edges_s(cell.lane_id)
-            s0 = float(self.rng.uniform(borders[cell.index], borders[cell.index + 1]))
             if not is_free(place_of[row]):
                 yield None
                 continue
+            s0 = starts[row]
             for route in self._routes(policy, cell.lane_id, s0, patience):
                 if not is_free(place_of[row]):
                     break  # taken meanwhile: by the vehicle that the route before was for
@@ -124,13 +124,16 @@ class Places:
             self._known_ends[route] = tuple(accumulate(lanes[lane_id].length_m for lane_id in route))
         return self._known_ends[route]
 
-    def _cells(self, policy: Policy) -> tuple[list[Cell], list[int]]:
-        """Cells that a policy may start from, and their indices."""
+    def _cells(self, policy: Policy) -> tuple[list[Cell], list[int], FloatArray, FloatArray]:
+        """Cells that a policy may start from, their indices, and where on their lanes they begin and end (M,), m."""
         if policy not in self._known_cells:
             grid = self.world.grid
             allowed = {n for n in self.lanes if policy is Policy.STRAIGHT or self._may_start(policy, n)}
             rows = [row for row, cell in enumerate(grid.cells) if cell.lane_id in allowed]
-            self._known_cells[policy] = [grid.cells[row] for row in rows], rows
+            cells = [grid.cells[row] for row in rows]
+            borders = [grid.edges_s(cell.lane_id)[cell.index : cell.index + 2] for cell in cells]
+            low, high = np.reshape(borders, (-1, 2)).T
+            self._known_cells[policy] = cells, rows, low, high
         return self._known_cells[policy]
 
     def lane_at(self, route: Route, s0: float) -> int:
@@ -257,7 +260,7 @@ class Places:
         def choose(onward: tuple[int, ...]) -> tuple[int, ...]:
             if len(onward) == 1:
                 return onward
-            return tuple(sorted(onward, key=lambda n: (self._turn(n) is not wanted, self.rng.random())))
+            return tuple(sorted(onward, key=lambda n: (self._turn(n) is not wanted, self.draws.unit())))
 
         most = _TURN_ROUTES if turns else 1 if patience == 0 else _OTHER_ROUTES
         key = wanted, lane_id, most

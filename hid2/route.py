@@ -168,9 +168,9 @@ def routes_from(
     while stack and found < most:
         route, length = stack.pop()
         length += graph.lanes[route[-1]].length_m
-        onward = tuple(n for n in graph.successors(route[-1]) if usable(n) and n not in route)
-        blocked = not onward and any(not usable(n) for n in graph.successors(route[-1]))
-        if blocked:
+        after = graph.successors(route[-1])
+        onward = tuple(n for n in after if usable(n) and n not in route)
+        if not onward and any(not usable(n) for n in after):
             continue
         if not onward or length > longest_m:
             found += 1

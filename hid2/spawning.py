@@ -13,6 +13,7 @@ import numpy as np
 from hid2.agents import BoxSize, FloatArray, Policy
 from hid2.conflicts import DT_S, Prospect
 from hid2.decision import Side
+from hid2.draws import Draws
 from hid2.foresight import PASS_STEPS, Foresight, Intention, Wish
 from hid2.occupancy import FREE, GENERATED, cells_under
 from hid2.places import Places
@@ -66,7 +67,7 @@ class Spawner:
     """
 
     world: World
-    rng: np.random.Generator
+    draws: Draws
     fixed: Traffic
     patience: int = 0
     packed: bool = False
@@ -82,7 +83,7 @@ class Spawner:
 
     def __post_init__(self) -> None:
         """Occupancy at step 0, with the fixed vehicles in it."""
-        self.places = Places(self.world, self.rng, self.packed)
+        self.places = Places(self.world, self.draws, self.packed)
         self._sigma = self.world.occupancy.sigma[0].copy()
         for row in range(len(self.fixed.ids)):
             if self.fixed.present[row, 0]:
@@ -120,7 +121,7 @@ class Spawner:
             self._note(Policy.OVERTAKE, Counter({"overtake_scene_too_short": 1}))
             return ()
         for route, s0 in self._some(Policy.OVERTAKE, attempts, against):
-            cruise = float(self.rng.uniform(*_OVERTAKER_MPS))
+            cruise = self.draws.uniform(*_OVERTAKER_MPS)
             wish = Wish(Policy.OVERTAKE, vehicle_id, object_type, own, self._draw_trigger(Policy.OVERTAKE), cruise)
             leader = self._ahead.leader_at_start(wish, self.world.path(route), s0)
             if leader is not None and leader.speed_mps + _FASTER_MPS > cruise:
@@ -181,8 +182,8 @@ class Spawner:
             return (vehicle,)
         if vehicle != "no_leader" or leader_id is None or wish.cruise_mps is None:
             return vehicle
-        slow = max(wish.cruise_mps * float(self.rng.uniform(*_LEADER_SHARE)), _LEADER_MPS)
-        own = BoxSize(*_quantile(_CAR, float(self.rng.random())))
+        slow = max(wish.cruise_mps * self.draws.uniform(*_LEADER_SHARE), _LEADER_MPS)
+        own = BoxSize(*_quantile(_CAR, self.draws.unit()))
         lead = Wish(Policy.STRAIGHT, leader_id, "vehicle", own, 0.0, slow, steady=True)
         apart = self._ahead.following_apart_m(wish, lead)
         reason = "no_leader"
@@ -207,7 +208,9 @@ class Spawner:
         """A planned vehicle, or the reason against it."""
         world, config, size = self.world, self.world.config, wish.size
         cruise = (
-            world.speed_sample(self.places.lane_at(route, s0), self.rng) if wish.cruise_mps is None else wish.cruise_mps
+            world.speed_sample(self.places.lane_at(route, s0), self.draws)
+            if wish.cruise_mps is None
+            else wish.cruise_mps
         )
         unsuited = self.places.unsuited(wish, route, s0, cruise, self.patience)
         if unsuited is not None:
@@ -226,7 +229,7 @@ class Spawner:
             return turn_end
         look = self._ahead.prospect(path, size, cruise)
         keeps = wish.steady or wish.policy is Policy.OVERTAKE
-        v0 = self._entry_speed(look, s0, cruise if keeps else cruise * float(self.rng.uniform(0.85, 1.0)))
+        v0 = self._entry_speed(look, s0, cruise if keeps else cruise * self.draws.uniform(0.85, 1.0))
         if isinstance(v0, str):
             return v0
         intention = self._intend(wish, path, look, s0, v0, cruise, turn_end)
@@ -279,7 +282,7 @@ class Spawner:
         if wish.policy in TURN_OF_POLICY:
             return self._ahead.turn(wish, path, plan, turn_end)
         if wish.policy is Policy.LANE_CHANGE:
-            sides: tuple[Side, ...] = ("left", "right") if self.rng.random() < 0.5 else ("right", "left")
+            sides: tuple[Side, ...] = ("left", "right") if self.draws.unit() < 0.5 else ("right", "left")
             return self._ahead.lane_change(wish, path, plan, cruise, sides)
         return Intention(path, plan, plan)
 
@@ -357,7 +360,7 @@ class Spawner:
 
     def _draw_size(self) -> tuple[str, BoxSize]:
         request = self.world.config.request
-        kind, share = float(self.rng.random()), float(self.rng.random())
+        kind, share = self.draws.unit(), self.draws.unit()
         if kind < request.bus_share:
             return "bus", BoxSize(*_quantile(_BUS, share))
         if kind < request.bus_share + request.truck_share:
@@ -374,7 +377,7 @@ class Spawner:
         high = max(low, min(high, 0.4 * self.world.num_steps * DT_S))  # a short scene still has time for the manoeuvre
         if policy is Policy.OVERTAKE:
             high = low + 0.25 * (high - low)
-        return float(self.rng.uniform(low, high)) if high > low else low
+        return self.draws.uniform(low, high) if high > low else low
 
     def _add(self, vehicle: PlannedVehicle) -> None:
         self.planned.append(vehicle)

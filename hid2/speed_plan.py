@@ -94,8 +94,14 @@ class _States(NamedTuple):
 def _states(rounded: int) -> _States:
     """Memory for searches of so many times 32 stages, kept: to be given new pages costs a fifth of a search."""
     room = _STATES_MOST * _STAGES_ROUNDED * rounded
-    numbers = [np.empty(room) for _ in range(4)]
-    return _States(*numbers, np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32))
+    return _States(
+        s=np.empty(room),
+        v=np.empty(room),
+        a=np.empty(room),
+        cost=np.empty(room),
+        parent=np.empty(room, dtype=np.int32),
+        key=np.empty(room, dtype=np.int32),
+    )
 
 
 @njit(cache=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Policy, Track
 from hid2.conflicts import DT_S, Prospect, prospect
+from hid2.draws import Draws
 from hid2.evaluation.matching import flatten_lanes
 from hid2.occupancy import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
 from hid2.params import Config
@@ -130,11 +131,11 @@ class World:
         share = (border - segment.lane_start) / max(segment.lane_end - segment.lane_start, 1e-9)
         return min(segment.start + share * (segment.end - segment.start), segment.end)
 
-    def speed_sample(self, lane_id: int, rng: np.random.Generator) -> float:
+    def speed_sample(self, lane_id: int, draws: Draws) -> float:
         """Desired speed, m/s: from recorded moving traffic of the lane, else of the scene, else the prior."""
         spawn = self.config.spawn
         pool = self.lane_speeds.get(lane_id) or self.scene_speeds or [spawn.prior_speed_mps]
-        speed = pool[int(rng.integers(len(pool)))] * (1.0 + spawn.speed_noise * float(rng.standard_normal()))
+        speed = pool[draws.index(len(pool))] * (1.0 + spawn.speed_noise * draws.normal())
         return float(min(max(speed, spawn.min_speed_mps), spawn.max_speed_mps))
 
 

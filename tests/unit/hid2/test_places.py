@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hid2.agents import BoxSize, Policy
+from hid2.draws import Draws
 from hid2.foresight import Wish
 from hid2.params import Config
 from hid2.places import Places
@@ -20,7 +21,7 @@ def places() -> Callable[..., Places]:
 
     def make(graph: LaneGraph, *, packed: bool = False) -> Places:
         world = build_world(build_cell_grid(graph), (), config=Config(), num_steps=110, last_observed_step=49)
-        return Places(world, np.random.default_rng(0), packed)
+        return Places(world, Draws(np.random.default_rng(0)), packed)
 
     return make
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from hid2.agents import BoxSize, Track
+from hid2.draws import Draws
 from hid2.params import Config, Request, Spawn
 from hid2.route import DrivenPath
 from hid2.world import World, build_world, predicted_traffic
@@ -63,17 +64,17 @@ def test_desired_speed_is_of_the_lane_else_of_the_scene_else_the_prior(
     world: Callable[..., World], track: Callable[..., Track]
 ) -> None:
     still = Spawn(speed_noise=0.0, prior_speed_mps=9.0)
-    rng = np.random.default_rng(0)
+    draws = Draws(np.random.default_rng(0))
     scene = world(_moving(track, 10.0, 0.0, 8.0), spawn=still)
-    assert scene.speed_sample(1, rng) == pytest.approx(8.0)
-    assert scene.speed_sample(2, rng) == pytest.approx(8.0)
-    assert world(spawn=still).speed_sample(1, rng) == pytest.approx(9.0)
+    assert scene.speed_sample(1, draws) == pytest.approx(8.0)
+    assert scene.speed_sample(2, draws) == pytest.approx(8.0)
+    assert world(spawn=still).speed_sample(1, draws) == pytest.approx(9.0)
 
 
 def test_desired_speed_stays_within_its_bounds(world: Callable[..., World], track: Callable[..., Track]) -> None:
-    rng = np.random.default_rng(0)
+    draws = Draws(np.random.default_rng(0))
     scene = world(_moving(track, 0.0, 0.0, 30.0), spawn=Spawn(speed_noise=0.5, min_speed_mps=3.0, max_speed_mps=20.0))
-    drawn = [scene.speed_sample(1, rng) for _ in range(200)]
+    drawn = [scene.speed_sample(1, draws) for _ in range(200)]
     assert min(drawn) >= 3.0
     assert max(drawn) == 20.0
 
