@@ -14,6 +14,7 @@ from bridge.steering import Driver, Steering
 from hid2.agents import Policy, Track
 from hid2.draws import Draws
 from hid2.foresight import BEHIND_TURN_M
+from hid2.places import Places
 from hid2.repair import SettledVehicle, settle, settled_traffic
 from hid2.route import first_turn
 from hid2.spawning import Spawner
@@ -114,6 +115,7 @@ class Rounds:
         pending: list[tuple[Policy, str]] = [
             (policy, "count_reached") for policy in mix if policy is not Policy.STRAIGHT
         ]
+        places = Places(self.world, self.draws, packed)
         for number in range(self.world.config.spawn.rounds):
             missing = target - len(self.settled)
             if missing <= 0 and number > 0:
@@ -125,18 +127,18 @@ class Rounds:
                 self.unmet += pending
                 pending = []
             asked = [policy for policy, _ in pending[:missing]]
-            again = self._round(asked, missing, patience=patience, packed=packed, reseeds=reseeds)
+            again = self._round(places, asked, missing, patience=patience, reseeds=reseeds)
             pending = again + pending[missing:]
             if number >= 1 and len(self.settled) == before and not asked:
                 break
         self.unmet += pending
 
     def _round(
-        self, asked: Sequence[Policy], missing: int, *, patience: int, packed: bool, reseeds: bool
+        self, places: Places, asked: Sequence[Policy], missing: int, *, patience: int, reseeds: bool
     ) -> list[tuple[Policy, str]]:
         """Plan, drive and settle; returns the manoeuvres that are to be tried again, with what went wrong."""
-        spawner = Spawner(self.world, self.draws, self.fixed, patience, packed)
-        attempts = _ATTEMPTS_LATE if patience >= 2 or packed else _ATTEMPTS
+        spawner = Spawner(places, self.fixed, patience)
+        attempts = _ATTEMPTS_LATE if patience >= 2 or places.packed else _ATTEMPTS
         # manoeuvres need the room most, so they choose first; what finds no place looks again, with more patience
         order = sorted(asked, key=list(Policy).index, reverse=True)
         without = [policy for policy in order if not self._plan(spawner, policy, missing, attempts)]

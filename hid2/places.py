@@ -33,7 +33,10 @@ _BEFORE_TURN_M = 3.0
 
 @dataclass(slots=True)
 class Places:
-    """Candidates (route, s0 m) for each policy. patience as for the spawner; packed: from the downstream end."""
+    """Candidates (route, s0 m) for each policy; what is found out about the map is kept. patience as for the spawner.
+
+    packed: each lane is filled from its downstream end, so that everybody can adapt to who is ahead.
+    """
 
     world: World
     draws: Draws

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 
 from hid2.agents import BoxSize, FloatArray, Policy
 from hid2.conflicts import DT_S, Prospect
@@ -61,20 +62,18 @@ class Spawner:
     """Chooses vehicles one after the other; each one planned is an obstacle to the next.
 
     fixed: generated vehicles of earlier rounds, with their final motion. patience: 0 takes only places where a vehicle
-    drives as it likes; from 1 on it may start slowly, from 2 on it may stand in a queue. packed: fill each lane from
-    its downstream end, so that everybody can adapt to who is ahead. reasons counts what was turned down; led_by tells
-    which overtakers brought their own leader.
+    drives as it likes; from 1 on it may start slowly, from 2 on it may stand in a queue. reasons counts what was turned
+    down; led_by tells which overtakers brought their own leader.
     """
 
-    world: World
-    draws: Draws
+    places: Places
     fixed: Traffic
     patience: int = 0
-    packed: bool = False
     planned: list[PlannedVehicle] = field(default_factory=list)
     reasons: Counter[str] = field(default_factory=Counter)
     led_by: dict[str, str] = field(default_factory=dict)
-    places: Places = field(init=False)
+    world: World = field(init=False)
+    draws: Draws = field(init=False)
     _sigma: np.ndarray[tuple[int], np.dtype[np.uint8]] = field(init=False)
     _ahead: Foresight = field(init=False)
     _against: dict[Policy, Counter[str]] = field(default_factory=dict)
@@ -83,7 +82,7 @@ class Spawner:
 
     def __post_init__(self) -> None:
         """Occupancy at step 0, with the fixed vehicles in it."""
-        self.places = Places(self.world, self.draws, self.packed)
+        self.world, self.draws = self.places.world, self.places.draws
         self._sigma = self.world.occupancy.sigma[0].copy()
         for row in range(len(self.fixed.ids)):
             if self.fixed.present[row, 0]:
@@ -326,37 +325,16 @@ class Spawner:
         spawn = self.world.config.spawn
         cell = int(s0 / TABLE_STEP_M + 0.5)
         occupancy = look.occupancy
-        low, high = occupancy.low[:, 0], occupancy.high[:, 0]
-        if np.any((low - spawn.clear_gap_m < s0) & (s0 < high + spawn.clear_gap_m)):
-            return "box_too_close"
         fastest, pushed = look.tables.speeds_at(0, s0)
-        v0 = min(wanted, float(look.desired[cell]), fastest)
-        ahead = np.isfinite(low) & (low > s0)
-        if ahead.any():
-            row = int(np.argmin(np.where(ahead, low, np.inf)))
-            gap, speed = low[row] - s0, max(0.0, float(occupancy.along[row, 0]))
-            room = max(0.0, gap - spawn.clear_gap_m) / spawn.clear_ahead_s
-            v0 = min(v0, max(room, min(speed, 0.8 * gap)))
-        if v0 < max(0.0, pushed) or v0 < self._unbraked(look, s0):
-            return "follower_too_fast"
-        return v0
-
-    def _unbraked(self, look: Prospect, s0: float) -> float:
-        """Slowest spawn speed, m/s, at which no generated vehicle behind has to brake at once, but gently.
-
-        Inverse of the car following's safe speed (Krauss 1998). With patience, it may have to.
-        """
-        if self.patience > 0:
-            return 0.0
-        follower, rows = look.tables.follower, slice(look.recorded_rows, None)
-        high, along = look.occupancy.high[rows, 0], look.occupancy.along[rows, 0]
-        behind = (high < s0) & (high > s0 - _BEHIND_M) & look.occupancy.aligned[rows, 0]
-        if not behind.any():
-            return 0.0
-        gap = s0 - high[behind] - follower.min_gap_m
-        wanted = np.maximum(along[behind] - _EASES_MPS + follower.reaction_mps, 0.0) ** 2
-        square = wanted - follower.reaction_mps**2 - 2.0 * follower.decel_mps2 * gap
-        return float(np.sqrt(max(float(square.max()), 0.0)))
+        gentle_from = occupancy.low.shape[0] if self.patience > 0 else look.recorded_rows
+        close, room, unbraked = _gaps_at_start(
+            occupancy.low, occupancy.high, occupancy.along, occupancy.aligned, s0, spawn.clear_gap_m,
+            spawn.clear_ahead_s, look.tables.follower, gentle_from,
+        )  # fmt: skip
+        if close:
+            return "box_too_close"
+        v0 = min(wanted, float(look.desired[cell]), fastest, room)
+        return "follower_too_fast" if v0 < max(pushed, unbraked) else v0
 
     def _draw_size(self) -> tuple[str, BoxSize]:
         request = self.world.config.request
@@ -399,6 +377,28 @@ def _foreseen(vehicle: PlannedVehicle) -> tuple[str, DrivenPath, BoxSize, FloatA
     if vehicle.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE):
         size = BoxSize(size.length_m + 2 * _KEEP_FREE_M, size.width_m)
     return vehicle.vehicle_id, vehicle.intended_path, size, vehicle.intended_s
+
+
+@njit(cache=True)
+def _gaps_at_start(low, high, along, aligned, s0, clear, headway, follower, gentle_from):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Whether anybody is nearer than `clear`, m, at step 0, and the speeds, m/s, that the gaps ahead and behind allow.
+
+    Behind: the slowest at which nobody of row gentle_from and later has to brake at once, but gently: the inverse of
+    the car following's safe speed (Krauss 1998).
+    """
+    nearest, room, square = np.inf, np.inf, 0.0
+    for a in range(low.shape[0]):
+        if low[a, 0] - clear < s0 < high[a, 0] + clear:
+            return True, 0.0, 0.0
+        if s0 < low[a, 0] < nearest:
+            nearest = low[a, 0]
+            gap, speed = nearest - s0, max(0.0, along[a, 0])
+            room = max(max(0.0, gap - clear) / headway, min(speed, 0.8 * gap))
+        if a >= gentle_from and aligned[a, 0] and s0 - _BEHIND_M < high[a, 0] < s0:
+            wanted = max(along[a, 0] - _EASES_MPS + follower.reaction_mps, 0.0)
+            gap = s0 - high[a, 0] - follower.min_gap_m
+            square = max(square, wanted**2 - follower.reaction_mps**2 - 2.0 * follower.decel_mps2 * gap)
+    return False, room, np.sqrt(square)
 
 
 def _quantile(table: tuple[tuple[float, float, float], ...], share: float) -> tuple[float, float]:

@@ -90,12 +90,15 @@ def road_speeds(
 
 @njit(cache=True)
 def _reachable(cap, shape, cruise, step, decel, accel):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Backward pass for slowing in time, forward pass for speeding up."""
+    """Backward pass for slowing in time, forward pass for speeding up, both in squares of speed."""
     out = np.empty_like(cap)
+    slowing, speeding = 2 * decel * step, 2 * accel * step
+    square = np.inf
+    for i in range(out.size - 1, -1, -1):
+        wanted = min(cap[i], cruise * shape[i])
+        square = min(wanted * wanted, square + slowing)
+        out[i] = square
     for i in range(out.size):
-        out[i] = min(cap[i], cruise * shape[i])
-    for i in range(out.size - 2, -1, -1):
-        out[i] = min(out[i], np.sqrt(out[i + 1] ** 2 + 2 * decel * step))
-    for i in range(1, out.size):
-        out[i] = min(out[i], np.sqrt(out[i - 1] ** 2 + 2 * accel * step))
+        square = min(out[i], square + speeding) if i > 0 else out[i]
+        out[i] = np.sqrt(square)
     return out

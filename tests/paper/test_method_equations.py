@@ -9,11 +9,13 @@ import pytest
 from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts import priority, prospect, transition_rejected
 from hid2.decision import LaneOption, Observation, decide
+from hid2.draws import Draws
 from hid2.lane_change import Gap, lateral_share
 from hid2.maneuver import lane_options
 from hid2.occupancy import FREE, GENERATED, ORIGINAL, cell_boxes, cells_under, dwell_steps, original_occupancy
 from hid2.overtake import Leader, Stage, enter_reason
 from hid2.params import Config, LaneChange, Limits, Overtake, Turn
+from hid2.places import Places
 from hid2.reference_line import build_reference_line
 from hid2.smoothing import integrate, poses
 from hid2.spawning import Spawner
@@ -114,7 +116,7 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
     world = _world(_track(60.0, 0.0), _track(100.0, 3.5))
     sigma = world.occupancy.sigma[0]
     assert set(np.unique(sigma)) == {FREE, ORIGINAL}
-    spawner = Spawner(world, np.random.default_rng(0), predicted_traffic([], 110))
+    spawner = Spawner(Places(world, Draws(np.random.default_rng(0))), predicted_traffic([], 110))
     placed = [v for k in range(6) if (v := spawner.spawn(Policy.STRAIGHT, f"v{k}", attempts=60)) is not None]
     assert len(placed) >= 4
     taken: set[int] = set()

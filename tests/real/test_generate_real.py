@@ -21,7 +21,9 @@ from scene_checker import check_scene
 from bridge.generate import GeneratedScene, generate, prepare
 from bridge.scenario import Scenario, read_scenario
 from hid2.agents import VEHICLE_TYPES, Policy
+from hid2.draws import Draws
 from hid2.params import Config, Request
+from hid2.places import Places
 from hid2.spawning import Spawner
 from hid2.world import build_world, predicted_traffic
 
@@ -137,7 +139,7 @@ def _offered(folder: Path, policy: Policy, most: int) -> int:
     counts = []
     for seed in range(3):
         world = build_world(prepared.grid, tracks, config=Config(), num_steps=steps, last_observed_step=49)
-        spawner = Spawner(world, np.random.default_rng(seed), predicted_traffic([], steps))
+        spawner = Spawner(Places(world, Draws(np.random.default_rng(seed))), predicted_traffic([], steps))
         found = 0
         for _ in range(4):
             while found < most:

@@ -8,6 +8,7 @@ import pytest
 from hid2.agents import Policy, Track
 from hid2.draws import Draws
 from hid2.params import Config, Request
+from hid2.places import Places
 from hid2.smoothing import Trajectory
 from hid2.spawning import Spawner
 from hid2.verify import first_overlap
@@ -30,7 +31,7 @@ def spawner(road: Callable[..., LaneGraph]) -> Callable[..., Spawner]:
         config = Config(request=Request(**(request or {})))
         grid = build_cell_grid(graph or road(**shape))
         world = build_world(grid, tracks, config=config, num_steps=110, last_observed_step=49)
-        return Spawner(world, Draws(np.random.default_rng(seed)), predicted_traffic([], 110))
+        return Spawner(Places(world, Draws(np.random.default_rng(seed))), predicted_traffic([], 110))
 
     return make
 
