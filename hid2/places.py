@@ -143,6 +143,10 @@ class Places:
         """Lane of a route at arc length s0, m."""
         return route[min(bisect_right(self._ends(route), s0), len(route) - 1)]
 
+    def lies_beside(self, route: Route, s: float) -> bool:
+        """Whether a lane that may be changed to lies beside a little behind arc length s of a route, m."""
+        return s + SPARE_LANE_M < self._ends(route)[-1] and self._beside(self.lane_at(route, s + SPARE_LANE_M))
+
     def pose(self, route: Route, s0: float) -> tuple[float, float, float]:
         """x, y m and heading rad on the middle of a route's lanes at arc length s0."""
         ends = self._ends(route)

@@ -6,7 +6,7 @@ would run into it, nobody appears inside it, and a speed profile exists that mee
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
@@ -31,6 +31,8 @@ _TRUCK = ((0.0, 7.0, 2.3), (0.5, 9.6, 2.6), (1.0, 10.5, 2.7))
 _BUS = ((0.0, 10.5, 2.7), (0.5, 11.6, 2.9), (1.0, 12.3, 2.95))
 _MIN_MOVE_M, _MIN_MOVE_LATE_M = 10.0, 3.0
 _KEEP_FREE_M = 4.0
+_TRIGGERS = 4  # moments tried for a lane change at a place
+_PROGRESS = 0.9  # of what the desired speed makes up to the trigger, usually
 _BEHIND_M = 60.0
 _BEGINNING, _BEGINS_BRAKING_MPS2 = 20, 2.5  # steps of the scene in which nobody brakes harder, if it can be
 _EASES_MPS = 1.0  # by which who is behind may be too fast for its gap: it eases off the pedal
@@ -211,6 +213,8 @@ class Spawner:
             if wish.cruise_mps is None
             else wish.cruise_mps
         )
+        if wish.policy is Policy.LANE_CHANGE:
+            wish = self._when_beside(wish, route, s0, cruise)
         unsuited = self.places.unsuited(wish, route, s0, cruise, self.patience)
         if unsuited is not None:
             return unsuited
@@ -356,6 +360,14 @@ class Spawner:
         if policy is Policy.OVERTAKE:
             high = low + 0.25 * (high - low)
         return self.draws.uniform(low, high) if high > low else low
+
+    def _when_beside(self, wish: Wish, route: Route, s0: float, cruise: float) -> Wish:
+        """With a moment of the range asked for at which a lane is likely to lie beside, if one of a few is such."""
+        for _ in range(_TRIGGERS):
+            if self.places.lies_beside(route, s0 + _PROGRESS * cruise * wish.trigger_s):
+                break
+            wish = replace(wish, trigger_s=self._draw_trigger(wish.policy))
+        return wish
 
     def _add(self, vehicle: PlannedVehicle) -> None:
         self.planned.append(vehicle)
