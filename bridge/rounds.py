@@ -32,6 +32,7 @@ _ATTEMPTS_LATE = 10_000
 _MAX_AGENTS = 400
 _FROM_EMPTY = 6
 _FEW_MOST = 4
+_FEW_SHARE = 0.1  # of the count: so few may still fit in between the others, with the gaps of a packed road
 _MIX_OF_MOST = 40
 
 
@@ -58,21 +59,26 @@ class Rounds:
         self._next = 0
 
     def fill(self) -> None:
-        """All rounds; where they do not reach the count, again from an empty road: packed, then packed closer.
+        """All rounds; where they do not reach the count, more with closer gaps, then again from an empty road, packed.
 
         After some packings from an empty road the fullest one has a few neighbours taken out and placed anew, over and
         over. Packing takes the same course whatever the count, so that no count ends below what `max` finds.
         """
         request = self.world.config.request
         target = _MAX_AGENTS if request.agents == "max" else request.agents
+        spacious, close = self.world, self.world.packed()
         if request.agents != "max":
             self._rounds(_mix(request.behaviours, target, self.draws), target, packed=False)
             if len(self.settled) == target or "collision" in self.world.config.without:
                 return
+            if target - len(self.settled) <= math.ceil(_FEW_SHARE * target):
+                self.world = close
+                self._rounds([], target, packed=True)
+                if len(self.settled) == target:
+                    return
         loose = self.settled, self.fixed, self.unmet
-        close = self.world.packed()
         self._keep([])
-        for attempt, world in enumerate((self.world, *[close] * self.world.config.packing.attempts), start=1):
+        for attempt, world in enumerate((spacious, *[close] * spacious.config.packing.attempts), start=1):
             best = self.settled, self.fixed, self.unmet
             self.draws, self.world = Draws(np.random.default_rng([*self.seed, attempt])), world
             if attempt <= _FROM_EMPTY:
@@ -152,11 +158,12 @@ class Rounds:
         spawner.patience = patience
         full = len(spawner.planned) >= missing  # leaders of overtakes count too
         self.unmet += [(policy, "count_reached" if full else spawner.why_none(policy)) for policy in without]
-        spare = missing + math.ceil(self.world.config.spawn.spare_share * missing)
+        spare = missing + math.floor(self.world.config.spawn.spare_share * missing)
         for look in range(_LOOKS_MOST):
             closer = attempts if look < 2 else max(attempts, _ATTEMPTS_LAST)  # a place found now saves a round
             before = len(spawner.planned)
-            while len(spawner.planned) < spare and self._plan(spawner, Policy.STRAIGHT, spare, closer):
+            wanted = spare if look == 0 else missing
+            while len(spawner.planned) < wanted and self._plan(spawner, Policy.STRAIGHT, wanted, closer):
                 pass
             if len(spawner.planned) >= missing or (look >= 2 and len(spawner.planned) == before):
                 break
