@@ -362,7 +362,7 @@ class Steering:
         return self.world.vehicles.joined(self.fixed).joined(self._others(driver))
 
     def driven(self) -> list[DrivenVehicle]:
-        """Traces of the vehicles that SUMO took; beyond the map's edge they roll on at their last speed."""
+        """Traces of the vehicles that SUMO took; beyond the map's edge they go on as planned, from their last speed."""
         traces = []
         for driver in self.drivers:
             if driver.objection is not None:
@@ -370,7 +370,9 @@ class Steering:
             s, v = np.array(driver.s), np.array(driver.v)
             missing = self.world.num_steps - s.size
             if missing > 0:
-                onward = s[-1] + v[-1] * DT_S * np.arange(1, missing + 1)
-                s, v = np.concatenate([s, onward]), np.concatenate([v, np.full(missing, v[-1])])
+                planned = driver.plan_v[-missing - 1 :]
+                onward = np.maximum(v[-1] + planned[1:] - planned[0], 0.0)
+                s = np.concatenate([s, s[-1] + DT_S * np.cumsum(onward)])
+                v = np.concatenate([v, onward])
             traces.append(DrivenVehicle(driver.spec, driver.path, s, v))
         return traces

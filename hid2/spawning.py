@@ -31,6 +31,7 @@ _TRUCK = ((0.0, 7.0, 2.3), (0.5, 9.6, 2.6), (1.0, 10.5, 2.7))
 _BUS = ((0.0, 10.5, 2.7), (0.5, 11.6, 2.9), (1.0, 12.3, 2.95))
 _MIN_MOVE_M, _MIN_MOVE_LATE_M = 10.0, 3.0
 _KEEP_FREE_M = 4.0
+_EDGE_M, _EDGE_MPS = 6.0, 2.0  # nobody slows down at the edge of the map because it is one
 _TRIGGERS = 4  # moments tried for a lane change at a place
 _PROGRESS = 0.9  # of what the desired speed makes up to the trigger, usually
 _BEHIND_M = 60.0
@@ -280,6 +281,9 @@ class Spawner:
         """What it will do on a plan along its own path; or why nothing comes of it."""
         if not self._moves(look, plan.s):
             return "would_stand"
+        edge = path.exit_s - wish.size.length_m / 2
+        if plan.s[-1] > edge and np.any((plan.v < _EDGE_MPS) & (plan.s > edge - _EDGE_M) & (plan.s <= edge)):
+            return "stops_at_map_edge"
         if self.places.too_sharp(path, float(plan.s[0]), float(plan.s[-1])):
             return "curve_too_sharp"
         if wish.policy in TURN_OF_POLICY:
