@@ -32,6 +32,7 @@ _ATTEMPTS_LATE = 10_000
 _MAX_AGENTS = 400
 _FROM_EMPTY = 6
 _FEW_MOST = 4
+_SPARE_LATER = 2
 _FEW_SHARE = 0.1  # of the count: so few may still fit in between the others, with the gaps of a packed road
 _MIX_OF_MOST = 40
 
@@ -158,7 +159,8 @@ class Rounds:
         spawner.patience = patience
         full = len(spawner.planned) >= missing  # leaders of overtakes count too
         self.unmet += [(policy, "count_reached" if full else spawner.why_none(policy)) for policy in without]
-        spare = missing + math.floor(self.world.config.spawn.spare_share * missing)
+        # in a later round, few are missing and each has a hard time: one that fails would cost another round
+        spare = missing + (_SPARE_LATER if self.settled else math.floor(self.world.config.spawn.spare_share * missing))
         for look in range(_LOOKS_MOST):
             closer = attempts if look < 2 else max(attempts, _ATTEMPTS_LAST)  # a place found now saves a round
             before = len(spawner.planned)
