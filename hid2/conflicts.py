@@ -171,6 +171,11 @@ def _barrier(num_steps: int, until_step: int, s: float) -> PathOccupancy:
     return PathOccupancy(low=low, high=high, along=np.zeros((1, num_steps)), aligned=never, crosses=never)
 
 
+def kept_clear(config: Config) -> tuple[int, float]:
+    """Steps for which, and margin, m, with which, the place of who crosses is kept clear before and after: PET."""
+    return round(config.conflict.pet_min_s / DT_S), config.conflict.margin_front_m - _PET_MARGIN_M
+
+
 def prospect(
     path: DrivenPath,
     size: BoxSize,
@@ -183,10 +188,11 @@ def prospect(
     known: PathOccupancy | None = None,
     seen_to_s: float | None = None,
 ) -> Prospect:
-    """Look along a path: everybody in `others`, after `known` (intervals that were computed before), is an obstacle.
+    """Look along a path: everybody in `others`, after `known` (computed before, and kept clear), is an obstacle.
 
     seen_to_s: nobody is seen beyond it, m (the ablation without topology: conflicts are looked up in linked cells).
     """
+    clear_steps, clear_margin_m = kept_clear(config)
     seen = [] if known is None else [known]
     seen += [
         path_occupancy(
@@ -195,15 +201,14 @@ def prospect(
             length_m=size.length_m,
             width_m=size.width_m,
             margin_lateral_m=config.conflict.margin_lateral_m,
+            clear_steps=clear_steps,
+            clear_margin_m=clear_margin_m,
         )
         for traffic in others
     ]
     if not seen:
         raise ValueError("prospect: neither others nor known")
     occupancy = seen[0].joined(*seen[1:])
-    occupancy = occupancy.kept_clear(
-        round(config.conflict.pet_min_s / DT_S), margin_m=config.conflict.margin_front_m - _PET_MARGIN_M
-    )
     if seen_to_s is not None:
         unseen = occupancy.low > seen_to_s
         occupancy = replace(

@@ -47,10 +47,6 @@ class PathOccupancy:
         low, high, aligned = _kept_clear(self.low, self.high, self.aligned, self.crosses, steps, margin_m)
         return PathOccupancy(low=low, high=high, along=self.along, aligned=aligned, crosses=self.crosses)
 
-    def rows(self, rows: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> "PathOccupancy":
-        """Some of the agents, (A,) mask."""
-        return PathOccupancy(self.low[rows], self.high[rows], self.along[rows], self.aligned[rows], self.crosses[rows])
-
     def joined(self, *others: "PathOccupancy") -> "PathOccupancy":
         """Agents of all, self first."""
         every = [one for one in (self, *others) if one.low.shape[0]]
@@ -66,31 +62,34 @@ class PathOccupancy:
 
 
 def path_occupancy(
-    line: ReferenceLine, traffic: Traffic, *, length_m: float, width_m: float, margin_lateral_m: float
+    line: ReferenceLine,
+    traffic: Traffic,
+    *,
+    length_m: float,
+    width_m: float,
+    margin_lateral_m: float,
+    clear_steps: int = 0,
+    clear_margin_m: float = 0.0,
 ) -> PathOccupancy:
     """Intervals of every agent of `traffic` on `line` for a box of the given size. Only agents that ever touch it.
 
-    What is found is kept with the traffic, part by part: vehicles are planned one after the other, and each looks along
-    the same few paths.
+    clear_steps, clear_margin_m: as in `PathOccupancy.kept_clear`, unless 0. What is found is kept with the traffic, for
+    what is joined to it, too: vehicles are planned one after the other, and each looks along the same few paths.
     """
-    key = line, length_m, width_m, margin_lateral_m
-    parts = traffic.parts
-    missing = [part for part in parts if key not in part.known]
-    if missing:
-        others = traffic if len(missing) == len(parts) else missing[0].joined(*missing[1:])
-        touched, found = look_along(line, others, length_m, width_m + 2 * margin_lateral_m)
-        if len(missing) == 1:
-            missing[0].known[key] = found if touched.size else None
-        else:
-            part_of = np.repeat(np.arange(len(missing)), [len(part.ids) for part in missing])[touched]
-            for part in missing:
-                part.known[key] = None
-            for number in np.unique(part_of).tolist():
-                missing[number].known[key] = found.rows(part_of == number)
-        if others is traffic:
-            return found
-    seen = [one for one in (part.known[key] for part in parts) if one is not None]
-    return seen[0].joined(*seen[1:]) if seen else _nobody(traffic.num_steps)
+    if not traffic.ids:
+        return _nobody(traffic.num_steps)
+    key = line, length_m, width_m, margin_lateral_m, clear_steps, clear_margin_m
+    if key not in traffic.known:
+        before = traffic.joined_to
+        while before is not None and key not in before.known:
+            before = before.joined_to
+        since = 0 if before is None else len(before.ids)
+        _, new = look_along(line, traffic, length_m, width_m + 2 * margin_lateral_m, since)
+        if clear_steps > 0:
+            new = new.kept_clear(clear_steps, margin_m=clear_margin_m)
+        traffic.known[key] = new if before is None else before.known[key].joined(new)
+    found: PathOccupancy = traffic.known[key]
+    return found
 
 
 def _nobody(steps: int) -> PathOccupancy:
@@ -100,14 +99,14 @@ def _nobody(steps: int) -> PathOccupancy:
 
 
 def look_along(
-    line: ReferenceLine, traffic: Traffic, length_m: float, width_m: float
+    line: ReferenceLine, traffic: Traffic, length_m: float, width_m: float, since: int = 0
 ) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], PathOccupancy]:
-    """Rows of the agents that ever touch the line, and their intervals; width_m with all margins."""
+    """Rows of the agents, from `since` on, that ever touch the line, and their intervals; width_m with all margins."""
     near, points = line.near(_NEAR_M)
     others = (
         traffic.position, traffic.heading, traffic.velocity, traffic.present, traffic.length_m, traffic.width_m,
     )  # fmt: skip
-    rows, *found = _intervals(points, line.table_heading, TABLE_STEP_M, near, length_m, width_m, others)
+    rows, *found = _intervals(points, line.table_heading, TABLE_STEP_M, near, length_m, width_m, others, since)
     return rows, PathOccupancy(*found)
 
 
@@ -206,10 +205,10 @@ def _nearest(points, begin, end, x, y):  # type: ignore[no-untyped-def]  # noqa:
 
 
 @njit(cache=True)
-def _intervals(points, heading, step, raster, length, width, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _intervals(points, heading, step, raster, length, width, others, since):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Rows of those who touch the path, and their intervals: box against box at every point of it near the agent.
 
-    points (4, K): x, y, cosine and sine. length, width: of the own box.
+    points (4, K): x, y, cosine and sine. length, width: of the own box. since: the first agent looked at.
     Who stands, or jitters as trackers do, is not looked at again before it can have come to touch the path.
     """
     position, other_heading, velocity, present, lengths, widths = others
@@ -220,7 +219,7 @@ def _intervals(points, heading, step, raster, length, width, others):  # type: i
     gaps = np.empty(points.shape[1])
     own_l, own_w = length / 2, width / 2
     (columns, rows), per_m = raster.first.shape, 1.0 / raster.side_m
-    for a in range(agents):
+    for a in range(since, agents):
         half_l, half_w = lengths[a] / 2, widths[a] / 2
         reach = np.hypot(own_l, own_w) + np.hypot(half_l, half_w) + _WIDER_M
         k, hit = count, False  # row of the result

@@ -19,8 +19,8 @@ class Traffic:
     position (A, T, 2) m, box centres; heading (A, T) rad; velocity (A, T, 2) m/s, from the positions; present (A, T):
     the agent has a state at that step or lies between two of its states (interpolated: it is somewhere there);
     length_m, width_m (A,).
-    joined_of: what it was joined from, so that what is known of the parts need not be worked out again; the arrays do
-    not change once it is joined. known: intervals on paths, kept by `path_occupancy`.
+    joined_to: its first agents, which others were joined to, so that what is known of them need not be worked out
+    again; the arrays do not change. known: intervals on paths, kept by `path_occupancy`.
     """
 
     ids: tuple[str, ...]
@@ -30,13 +30,8 @@ class Traffic:
     present: BoolArray
     length_m: FloatArray
     width_m: FloatArray
-    joined_of: tuple["Traffic", ...] = ()
+    joined_to: "Traffic | None" = None
     known: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
-
-    @property
-    def parts(self) -> tuple["Traffic", ...]:
-        """What it was joined from, itself where it was not joined."""
-        return self.joined_of or (self,)
 
     @property
     def num_steps(self) -> int:
@@ -82,7 +77,7 @@ class Traffic:
             present=np.concatenate([traffic.present for traffic in every]),
             length_m=np.concatenate([traffic.length_m for traffic in every]),
             width_m=np.concatenate([traffic.width_m for traffic in every]),
-            joined_of=tuple(part for traffic in every for part in traffic.parts),
+            joined_to=every[0],
         )
 
 

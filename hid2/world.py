@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Policy, Track
-from hid2.conflicts import DT_S, Prospect, prospect
+from hid2.conflicts import DT_S, Prospect, kept_clear, prospect
 from hid2.draws import Draws
 from hid2.evaluation.matching import flatten_lanes
 from hid2.occupancy import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
@@ -24,6 +24,14 @@ from netconvert.geometry import differences
 DRIVABLE_TYPES = frozenset({"VEHICLE"})
 _RUN_ON_M = 250.0
 _MOVING_M, _MOVING_MPS = 5.0, 1.0
+
+
+class _Recorded(NamedTuple):
+    """Recorded agents on a path: rows of `traffic` that ever touch it; their intervals as they are, and kept clear."""
+
+    rows: IntArray
+    intervals: PathOccupancy
+    kept_clear: PathOccupancy
 
 
 @dataclass(slots=True)
@@ -47,7 +55,7 @@ class World:
     scene_speeds: list[float]
     _paths: dict[Route, DrivenPath] = field(default_factory=dict)
     _speeds: dict[DrivenPath, RoadSpeeds] = field(default_factory=dict)
-    _known: dict[tuple[int, BoxSize], tuple[DrivenPath, IntArray, PathOccupancy]] = field(default_factory=dict)
+    _known: dict[tuple[DrivenPath, BoxSize], _Recorded] = field(default_factory=dict)
 
     @property
     def road_tolerance_m(self) -> float:
@@ -74,19 +82,20 @@ class World:
 
     def recorded_on(self, path: DrivenPath, size: BoxSize) -> PathOccupancy:
         """Intervals of the recorded agents on a path, by their true future; computed once for each path and size."""
-        return self._recorded_on(path, size)[1]
+        return self._recorded_on(path, size).intervals
 
     def met_on(self, path: DrivenPath, size: BoxSize) -> IntArray:
         """Rows of `traffic` that a box on a path, with its margin, ever meets if it only waits for them."""
-        return self._recorded_on(path, size)[0]
+        return self._recorded_on(path, size).rows
 
-    def _recorded_on(self, path: DrivenPath, size: BoxSize) -> tuple[IntArray, PathOccupancy]:
-        key = (id(path), size)
+    def _recorded_on(self, path: DrivenPath, size: BoxSize) -> _Recorded:
+        key = path, size
         if key not in self._known:
             width_m = size.width_m + 2 * self.config.conflict.margin_lateral_m
             rows, found = look_along(path.line, self.traffic, size.length_m, width_m)
-            self._known[key] = (path, rows, found)  # the path is kept so that its id stays its own
-        return self._known[key][1:]
+            steps, margin_m = kept_clear(self.config)
+            self._known[key] = _Recorded(rows, found, found.kept_clear(steps, margin_m=margin_m))
+        return self._known[key]
 
     def desired(self, path: DrivenPath, cruise_mps: float) -> FloatArray:
         """(S,) target speed along a path, m/s."""
@@ -114,7 +123,7 @@ class World:
             config=self.config,
             num_steps=self.num_steps,
             earliest_exit_step=self.earliest_exit_step if earliest_exit_step is None else earliest_exit_step,
-            known=self.recorded_on(path, size),
+            known=self._recorded_on(path, size).kept_clear,
             seen_to_s=path.grid_end_s if "topology" in self.config.without else None,
         )
 
