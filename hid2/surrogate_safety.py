@@ -4,6 +4,7 @@ Evaluation.md, SSAM. The driven path knows that a vehicle is about to leave its 
 has.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -11,10 +12,11 @@ import numpy as np
 from numba import njit
 
 from hid2.agents import IntArray, Track
-from hid2.evaluation.arrays import SceneArrays, stack
+from hid2.evaluation.arrays import SceneArrays, is_moving, stack
+from hid2.evaluation.boxes import encroaches
 from hid2.evaluation.following import leaders
 from hid2.evaluation.matching import FlatLanes, match_lanes
-from hid2.evaluation.safety import encroachments
+from hid2.evaluation.safety import CROSSING_RAD, encroachments
 
 _SLACK_M = 0.5
 _ONCOMING = -0.2  # cosine of the angle between two that do not follow each other, not even round a corner
@@ -37,12 +39,25 @@ class RecordedVehicles:
 
     def conflict_with(self, track: Track, *, ttc_s: float, pet_s: float) -> str | None:
         """What would come of a generated track: one that comes up behind it at a TTC below ttc_s, a PET below pet_s."""
-        together = self.with_generated([track])
-        if pet_s > 0.0 and together.crossing_conflicts(critical_s=pet_s):
+        if pet_s > 0.0 and self._is_crossed_by(track, pet_s):
             return "pet"
-        if ttc_s > 0.0 and together.followed_conflicts(critical_s=ttc_s, by=self._closing_in_on(track, ttc_s)):
+        behind = self._closing_in_on(track, ttc_s) if ttc_s > 0.0 else np.zeros(0, dtype=np.int64)
+        if behind.size and self.with_generated([track]).followed_conflicts(critical_s=ttc_s, by=behind):
             return "ttc_of_recorded"
         return None
+
+    def _is_crossed_by(self, track: Track, critical_s: float) -> bool:
+        """Whether a track crosses the path of any moving vehicle at a PET below critical_s."""
+        if not is_moving(track.position):
+            return False
+        seen = self.arrays
+        return bool(
+            encroaches(
+                np.flatnonzero(seen.vehicle & seen.moving), seen.position, seen.heading, seen.length, seen.width,
+                seen.first, seen.step, track.timesteps, track.position, track.heading, *track.size,
+                math.ceil(critical_s / seen.step_s - 1e-9), CROSSING_RAD,
+            )
+        )  # fmt: skip
 
     def _closing_in_on(self, track: Track, critical_s: float) -> IntArray:
         """Rows of those who may follow a track at a TTC below critical_s: whom it pays to match to lanes."""

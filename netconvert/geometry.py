@@ -19,9 +19,14 @@ def arc_length(points: FloatArray) -> FloatArray:
 
     points: (N, 2) m. Returns (N,) m, starting at 0.
     """
-    length = np.zeros(len(points))
-    steps = points[1:] - points[:-1]
-    np.cumsum(np.hypot(steps[:, 0], steps[:, 1]), out=length[1:])
+    return _arc_length(points)  # type: ignore[no-any-return]
+
+
+@numba.njit(cache=True)
+def _arc_length(points):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    length = np.zeros(points.shape[0])
+    for k in range(1, points.shape[0]):
+        length[k] = length[k - 1] + math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1])
     return length
 
 

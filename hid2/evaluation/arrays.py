@@ -1,5 +1,6 @@
 """Tracks of one scene as flat arrays: the common input of every measure of the evaluation."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -20,6 +21,12 @@ FRAGMENT = 0
 def is_generated_id(track_id: str) -> bool:
     """Whether the id is one that the export gives to generated tracks."""
     return track_id.startswith("gen_")
+
+
+def is_moving(position: FloatArray) -> bool:
+    """Whether a track (N, 2), m, counts as that of a moving agent."""
+    extent = position.max(axis=0) - position.min(axis=0)
+    return len(position) > MOVING_STEPS and math.hypot(*extent) > MOVING_EXTENT_M
 
 
 @dataclass(frozen=True, eq=False, slots=True)

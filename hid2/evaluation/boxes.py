@@ -190,33 +190,78 @@ def _boxes_touch(
 
 @njit(cache=True)
 def _paths_cross(
-    position: FloatArray, heading: FloatArray, start_a: int, end_a: int, start_b: int, end_b: int, min_sine: float
+    xy_a: FloatArray, heading_a: FloatArray, xy_b: FloatArray, heading_b: FloatArray, min_sine: float
 ) -> bool:
     """Whether the paths of two centres cut each other where the headings differ by the given angle at least."""
     longest = 1e-9  # step of b; nothing is cut before b can have come near, and so many steps are passed over
-    for j in range(start_b, end_b - 1):
-        longest = max(longest, math.hypot(position[j + 1, 0] - position[j, 0], position[j + 1, 1] - position[j, 1]))
-    for i in range(start_a, end_a - 1):
-        ax, ay = position[i, 0], position[i, 1]
-        ux, uy = position[i + 1, 0] - ax, position[i + 1, 1] - ay
+    for j in range(len(xy_b) - 1):
+        longest = max(longest, math.hypot(xy_b[j + 1, 0] - xy_b[j, 0], xy_b[j + 1, 1] - xy_b[j, 1]))
+    for i in range(len(xy_a) - 1):
+        ax, ay = xy_a[i, 0], xy_a[i, 1]
+        ux, uy = xy_a[i + 1, 0] - ax, xy_a[i + 1, 1] - ay
         near = math.hypot(ux, uy) + longest + 1e-6
-        j = start_b - 1
-        while j + 1 < end_b - 1:
+        j = -1
+        while j + 1 < len(xy_b) - 1:
             j += 1
-            dx, dy = position[j, 0] - ax, position[j, 1] - ay
+            dx, dy = xy_b[j, 0] - ax, xy_b[j, 1] - ay
             square = dx * dx + dy * dy
             if square > near * near:
                 j += int((math.sqrt(square) - near) / longest)
                 continue
-            vx, vy = position[j + 1, 0] - position[j, 0], position[j + 1, 1] - position[j, 1]
+            vx, vy = xy_b[j + 1, 0] - xy_b[j, 0], xy_b[j + 1, 1] - xy_b[j, 1]
             across = ux * vy - uy * vx
             if across == 0.0:
                 continue
             r = (dx * vy - dy * vx) / across
             q = (dx * uy - dy * ux) / across
-            if 0.0 <= r <= 1.0 and 0.0 <= q <= 1.0 and abs(math.sin(heading[i] - heading[j])) >= min_sine:
+            if 0.0 <= r <= 1.0 and 0.0 <= q <= 1.0 and abs(math.sin(heading_a[i] - heading_b[j])) >= min_sine:
                 return True
     return False
+
+
+@njit(cache=True)
+def _swept_lengths(xy: FloatArray, length: float) -> FloatArray:
+    """Length of the box at each step, longer by what its vehicle drives in a step."""
+    last = len(xy) - 1
+    out = np.empty(last + 1)
+    for i in range(last + 1):
+        before, after = max(0, i - 1), min(last, i + 1)
+        driven = math.hypot(xy[after, 0] - xy[before, 0], xy[after, 1] - xy[before, 1])
+        out[i] = length + driven / max(1, after - before)
+    return out
+
+
+@njit(cache=True)
+def _bounds(xy: FloatArray, length: float) -> tuple[float, float, float, float]:
+    """Least x and y and largest x and y that the boxes of a track come to, along their length."""
+    half = length / 2
+    return xy[:, 0].min() - half, xy[:, 1].min() - half, xy[:, 0].max() + half, xy[:, 1].max() + half
+
+
+@njit(cache=True)
+def _encroachment(
+    step_a: IntArray, xy_a: FloatArray, heading_a: FloatArray, long_a: FloatArray, length_a: float, width_a: float,
+    step_b: IntArray, xy_b: FloatArray, heading_b: FloatArray, long_b: FloatArray, length_b: float, width_b: float,
+    cap_steps: int, min_sine: float,
+) -> int:  # fmt: skip
+    """PET of two tracks in steps, -1 where it is above cap_steps or their paths do not cross."""
+    if not _paths_cross(xy_a, heading_a, xy_b, heading_b, min_sine):
+        return -1
+    reach = (math.hypot(length_a, width_a) + math.hypot(length_b, width_b)) / 2
+    best = cap_steps + 1
+    for i in range(len(step_a)):
+        for j in range(len(step_b)):
+            apart = abs(step_a[i] - step_b[j])
+            if apart >= best:
+                continue
+            dx, dy = xy_b[j, 0] - xy_a[i, 0], xy_b[j, 1] - xy_a[i, 1]
+            if math.hypot(dx, dy) > reach + (long_a[i] - length_a + long_b[j] - length_b) / 2:
+                continue
+            if abs(math.sin(heading_a[i] - heading_b[j])) < min_sine:
+                continue
+            if _boxes_touch(dx, dy, heading_a[i], long_a[i], width_a, heading_b[j], long_b[j], width_b):
+                best = apart
+    return best if best <= cap_steps else -1
 
 
 @njit(cache=True)
@@ -243,44 +288,63 @@ def post_encroachment(
     """
     count = len(agents)
     long = np.empty(len(position))
+    bounds = np.empty((count, 4))
     for k in range(count):
         a = agents[k]
-        for i in range(first[a], first[a + 1]):
-            before, after = max(first[a], i - 1), min(first[a + 1] - 1, i + 1)
-            dx, dy = position[after, 0] - position[before, 0], position[after, 1] - position[before, 1]
-            long[i] = length[a] + math.hypot(dx, dy) / max(1, after - before)
+        rows = slice(first[a], first[a + 1])
+        long[rows] = _swept_lengths(position[rows], length[a])
+        bounds[k, 0], bounds[k, 1], bounds[k, 2], bounds[k, 3] = _bounds(position[rows], length[a])
     out = np.full((count, count), -1, dtype=np.int64)
-    low = np.empty((count, 2))
-    high = np.empty((count, 2))
-    for k in range(count):
-        a = agents[k]
-        for axis in range(2):
-            values = position[first[a] : first[a + 1], axis]
-            low[k, axis] = values.min() - length[a] / 2
-            high[k, axis] = values.max() + length[a] / 2
     for p in range(count):
         a = agents[p]
+        of_a = slice(first[a], first[a + 1])
         for q in range(max(p + 1, since), count):
-            if low[p, 0] > high[q, 0] or low[q, 0] > high[p, 0] or low[p, 1] > high[q, 1] or low[q, 1] > high[p, 1]:
+            if _apart(bounds[p], bounds[q]):
                 continue
             b = agents[q]
-            reach = (math.hypot(length[a], width[a]) + math.hypot(length[b], width[b])) / 2
-            if not _paths_cross(position, heading, first[a], first[a + 1], first[b], first[b + 1], math.sin(min_angle)):
-                continue
-            best = cap_steps + 1
-            for i in range(first[a], first[a + 1]):
-                for j in range(first[b], first[b + 1]):
-                    apart = abs(step[i] - step[j])
-                    if apart >= best:
-                        continue
-                    dx, dy = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
-                    if math.hypot(dx, dy) > reach + (long[i] - length[a] + long[j] - length[b]) / 2:
-                        continue
-                    sine = abs(math.sin(heading[i] - heading[j]))
-                    if sine < math.sin(min_angle):
-                        continue
-                    if _boxes_touch(dx, dy, heading[i], long[i], width[a], heading[j], long[j], width[b]):
-                        best = apart
-            if best <= cap_steps:
-                out[p, q] = best
+            of_b = slice(first[b], first[b + 1])
+            out[p, q] = _encroachment(
+                step[of_a], position[of_a], heading[of_a], long[of_a], length[a], width[a],
+                step[of_b], position[of_b], heading[of_b], long[of_b], length[b], width[b],
+                cap_steps, math.sin(min_angle),
+            )  # fmt: skip
     return out
+
+
+@njit(cache=True)
+def _apart(a: FloatArray, b: FloatArray) -> bool:
+    """Whether two rectangles, each (4,) as of _bounds, do not meet."""
+    return bool(a[0] > b[2] or b[0] > a[2] or a[1] > b[3] or b[1] > a[3])
+
+
+@njit(cache=True)
+def encroaches(
+    agents: IntArray,
+    position: FloatArray,
+    heading: FloatArray,
+    length: FloatArray,
+    width: FloatArray,
+    first: IntArray,
+    step: IntArray,
+    own_step: IntArray,
+    own_position: FloatArray,
+    own_heading: FloatArray,
+    own_length: float,
+    own_width: float,
+    cap_steps: int,
+    min_angle: float,
+) -> bool:
+    """Whether another track crosses the path of any of `agents` at a PET below cap_steps, as `post_encroachment`."""
+    own_long = _swept_lengths(own_position, own_length)
+    own_bounds = np.array(_bounds(own_position, own_length))
+    for a in agents:
+        rows = slice(first[a], first[a + 1])
+        if _apart(np.array(_bounds(position[rows], length[a])), own_bounds):
+            continue
+        found = _encroachment(
+            step[rows], position[rows], heading[rows], _swept_lengths(position[rows], length[a]), length[a], width[a],
+            own_step, own_position, own_heading, own_long, own_length, own_width, cap_steps - 1, math.sin(min_angle),
+        )  # fmt: skip
+        if found >= 0:
+            return True
+    return False
