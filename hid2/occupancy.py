@@ -11,7 +11,7 @@ from numba import njit
 from hid2.agents import FloatArray
 from hid2.boxes import overlap
 from hid2.traffic import Traffic
-from netconvert.cells import Cell, CellGrid
+from netconvert.cells import CellGrid
 
 FREE: Final = 0
 ORIGINAL: Final = 1
@@ -33,26 +33,16 @@ class CellBoxes:
 
 def cell_boxes(grid: CellGrid) -> CellBoxes:
     """Boxes of all cells: chord of the stretch of centreline, and the lane's width."""
-    center, heading, length, width = [], [], [], []
-    for lane_id, lane in grid.graph.lanes.items():
-        borders = lane.path.point(np.asarray(grid.edges_s(lane_id)))
-        chord = np.diff(borders, axis=0)
-        center.append((borders[1:] + borders[:-1]) / 2)
-        heading.append(np.arctan2(chord[:, 1], chord[:, 0]))
-        length.append(np.hypot(chord[:, 0], chord[:, 1]))
-        width.append(np.full(len(chord), lane.width_m))
-    order = np.array([grid.index_of[cell] for lane in grid.graph.lanes for cell in _cells_of(grid, lane)])
-    place = np.argsort(order)
+    lanes = grid.graph.lanes
+    borders = [grid.borders(lane_id) for lane_id in lanes]
+    start, end = np.concatenate([b[:-1] for b in borders]), np.concatenate([b[1:] for b in borders])
+    chord = end - start
     return CellBoxes(
-        center=np.concatenate(center)[place],
-        heading=np.concatenate(heading)[place],
-        length_m=np.concatenate(length)[place],
-        width_m=np.concatenate(width)[place],
+        center=(end + start) / 2,
+        heading=np.arctan2(chord[:, 1], chord[:, 0]),
+        length_m=np.hypot(chord[:, 0], chord[:, 1]),
+        width_m=np.repeat([lane.width_m for lane in lanes.values()], [len(b) - 1 for b in borders]),
     )
-
-
-def _cells_of(grid: CellGrid, lane_id: int) -> list[Cell]:
-    return [Cell(lane_id, index) for index in range(grid.count(lane_id))]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -90,6 +80,8 @@ def _occupancy(center, c_heading, c_length, c_width, position, heading, present,
     cosine, sine = np.cos(c_heading), np.sin(c_heading)
     cos_agrees = np.cos(agrees)
     widest = np.hypot(c_length.max(), c_width.max()) / 2 if cells else 0.0
+    by_x = np.argsort(center[:, 0])  # so that only cells near in x need to be looked at
+    xs = center[by_x, 0]
     for a in range(agents):
         half_l, half_w = lengths[a] / 2, widths[a] / 2
         reach = np.hypot(half_l, half_w) + widest
@@ -106,9 +98,12 @@ def _occupancy(center, c_heading, c_length, c_width, position, heading, present,
             )
             co, si = np.cos(angle), np.sin(angle)
             best_level, best_distance, best = 4, np.inf, -1
-            for c in range(cells):
+            for k in range(np.searchsorted(xs, x - reach), cells):
+                c = by_x[k]
                 dx, dy = x - center[c, 0], y - center[c, 1]
-                if abs(dx) > reach or abs(dy) > reach:
+                if dx < -reach:
+                    break
+                if abs(dy) > reach:
                     continue
                 if overlap(
                     x, y, co, si, half_l, half_w,
@@ -128,7 +123,8 @@ def _occupancy(center, c_heading, c_length, c_width, position, heading, present,
                     level, distance = 2, across
                 elif distance <= c_length[c]:
                     level = 3
-                if level < best_level or (level == best_level and level < 4 and distance < best_distance):
+                nearer = distance < best_distance or (distance == best_distance and c < best)
+                if level < best_level or (level == best_level and level < 4 and nearer):
                     best_level, best_distance, best = level, distance, c
             found[a, t] = found[a, t - 1] if still else best
     return sigma, found
