@@ -33,6 +33,8 @@ _MAX_AGENTS = 400
 _FROM_EMPTY = 6
 _FEW_MOST = 4
 _SPARE_LATER = 2
+_SHORT_SHARE = 0.75  # of the count: with fewer behind a round, the road is packed anew at once
+_NEARLY_SHARE = 0.85  # of the count: with so many, packing begins with the usual gaps
 _FEW_SHARE = 0.1  # of the count: so few may still fit in between the others, with the gaps of a packed road
 _MIX_OF_MOST = 40
 
@@ -78,8 +80,11 @@ class Rounds:
                 if len(self.settled) == target:
                     return
         loose = self.settled, self.fixed, self.unmet
+        nearly = len(self.settled) >= _NEARLY_SHARE * target
         self._keep([])
         for attempt, world in enumerate((spacious, *[close] * spacious.config.packing.attempts), start=1):
+            if world is spacious and not nearly:
+                continue
             best = self.settled, self.fixed, self.unmet
             self.draws, self.world = Draws(np.random.default_rng([*self.seed, attempt])), world
             if attempt <= _FROM_EMPTY:
@@ -137,6 +142,8 @@ class Rounds:
             again = self._round(places, asked, missing, patience=patience, reseeds=reseeds)
             pending = again + pending[missing:]
             if number >= 1 and len(self.settled) == before and not asked:
+                break
+            if not places.packed and len(self.settled) < _SHORT_SHARE * target:
                 break
         self.unmet += pending
 

@@ -12,7 +12,7 @@ from numba import njit
 from hid2.agents import BoxSize, FloatArray
 from hid2.boxes import overlap
 from hid2.reference_line import TABLE_STEP_M, ReferenceLine
-from hid2.traffic import Traffic
+from hid2.traffic import BoolArray, Traffic
 
 _WIDER_M = 1.0  # who stands is measured more widely, so that it need not be looked at again when a tracker jitters
 _NEAR_M = (
@@ -118,6 +118,25 @@ def meets(traffic: Traffic, step: int, x: float, y: float, heading: float, size:
             traffic.position, traffic.heading, traffic.present, traffic.length_m, traffic.width_m,
         )
     )  # fmt: skip
+
+
+def meet_all(
+    traffic: Traffic, step: int, center: FloatArray, heading: FloatArray, length_m: FloatArray, width_m: float
+) -> BoolArray:
+    """The same for many boxes, (B,): centres (B, 2) m, headings (B,) rad, lengths (B,) m, and one width."""
+    others = traffic.position, traffic.heading, traffic.present, traffic.length_m, traffic.width_m
+    return _meet_all(center, heading, length_m, width_m, step, *others)  # type: ignore[no-any-return]
+
+
+@njit(cache=True)
+def _meet_all(center, direction, length, width, step, position, heading, present, lengths, widths):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    found = np.empty(length.size, dtype=np.bool_)
+    for b in range(length.size):
+        found[b] = _meets(
+            center[b, 0], center[b, 1], direction[b], length[b], width, step, position, heading, present, lengths,
+            widths,
+        )  # fmt: skip
+    return found
 
 
 @njit(cache=True)

@@ -11,17 +11,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numba import njit
 
-from hid2.agents import BoxSize, FloatArray, Policy
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.conflicts import DT_S, Prospect
 from hid2.decision import Side
 from hid2.draws import Draws
 from hid2.foresight import PASS_STEPS, Foresight, Intention, Wish
 from hid2.occupancy import FREE, GENERATED, cells_under
+from hid2.path_occupancy import meet_all
 from hid2.places import Places
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath, Route
 from hid2.speed_plan import SpeedPlan
-from hid2.traffic import Traffic
+from hid2.traffic import BoolArray, Traffic
 from hid2.turns import TURN_OF_POLICY
 from hid2.world import PlannedVehicle, World, predicted_traffic
 
@@ -78,6 +79,7 @@ class Spawner:
     world: World = field(init=False)
     draws: Draws = field(init=False)
     _sigma: np.ndarray[tuple[int], np.dtype[np.uint8]] = field(init=False)
+    _crowded: BoolArray = field(init=False)
     _ahead: Foresight = field(init=False)
     _against: dict[Policy, Counter[str]] = field(default_factory=dict)
     _exhausted: set[Policy] = field(default_factory=set)
@@ -87,6 +89,7 @@ class Spawner:
         """Occupancy at step 0, with the fixed vehicles in it."""
         self.world, self.draws = self.places.world, self.places.draws
         self._sigma = self.world.occupancy.sigma[0].copy()
+        self._crowded = self._crowds(self.world.traffic) | self._crowds(self.fixed)
         for row in range(len(self.fixed.ids)):
             if self.fixed.present[row, 0]:
                 x, y = self.fixed.position[row, 0].tolist()
@@ -173,7 +176,18 @@ class Spawner:
         self._exhausted.add(policy)
 
     def _is_free(self, cell: int) -> bool:
-        return bool(self._sigma[cell] == FREE) or "collision" in self.world.config.without
+        free = self._sigma[cell] == FREE and not self._crowded[cell]
+        return bool(free) or "collision" in self.world.config.without
+
+    def _crowds(self, traffic: Traffic) -> BoolArray:
+        """(C,) cells in which no car, wherever it is in them, keeps its distance to somebody at step 0.
+
+        What is common to its boxes, with the distance, all along a cell.
+        """
+        cells, usual = self.world.boxes, DEFAULT_SIZES["vehicle"]
+        apart_m = 2 * (self.world.config.spawn.clear_gap_m - _BEND_M)
+        common_m = np.maximum(usual.length_m + apart_m - cells.length_m, 0.0)
+        return meet_all(traffic, 0, cells.center, cells.heading, common_m, usual.width_m)
 
     def _overtaker(
         self, wish: Wish, route: Route, s0: float, leader_id: str | None
@@ -194,7 +208,7 @@ class Spawner:
             if not isinstance(leader, PlannedVehicle):
                 reason = f"leader_{leader}"
                 continue
-            before = self._sigma.copy(), self._ahead
+            before = self._sigma.copy(), self._crowded, self._ahead
             self._add(leader)
             vehicle = self._try(wish, route, s0)
             if isinstance(vehicle, PlannedVehicle):
@@ -202,7 +216,7 @@ class Spawner:
                 self.led_by[vehicle.vehicle_id] = leader_id
                 return (vehicle, leader)
             self.planned.pop()
-            self._sigma, self._ahead = before
+            self._sigma, self._crowded, self._ahead = before
             reason = vehicle
         return reason
 
@@ -379,6 +393,7 @@ class Spawner:
         xy = vehicle.path.line.position(start)[0]
         self._mark(float(xy[0]), float(xy[1]), float(vehicle.path.line.heading(start)[0]), vehicle.size)
         one = predicted_traffic([_foreseen(vehicle)], self.world.num_steps)
+        self._crowded = self._crowded | self._crowds(one)
         claims = self._ahead.claims if vehicle.claims is None else self._ahead.claims.joined(vehicle.claims)
         self._ahead = Foresight(self.world, self.fixed, self._ahead.predicted.joined(one), claims)
 
