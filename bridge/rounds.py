@@ -174,7 +174,9 @@ class Rounds:
             wanted = spare if look == 0 else missing
             while len(spawner.planned) < wanted and self._plan(spawner, Policy.STRAIGHT, wanted, closer):
                 pass
-            if len(spawner.planned) >= missing or (look >= 2 and len(spawner.planned) == before):
+            # from patience 2 on, looking again only draws anew where, how fast and how large
+            enough = 1 if patience >= 2 else 2
+            if len(spawner.planned) >= missing or (look >= enough and len(spawner.planned) == before):
                 break
             spawner.look_again()
         self.reasons.update(spawner.reasons)
