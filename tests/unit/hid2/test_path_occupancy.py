@@ -118,3 +118,82 @@ def test_leader_holds_no_more_than_where_it_is(straight_line: ReferenceLine, box
     clear = found.kept_clear(10, margin_m=0.2)
     assert np.array_equal(clear.low, found.low)
     assert np.array_equal(clear.high, found.high)
+
+
+def _around(line: ReferenceLine, rng: np.random.Generator, *, steps: int = 12) -> Traffic:
+    """Sixty agents of all sizes near a line: standing, jittering, driving, some for a while only."""
+    count = 60
+    at = rng.uniform(-5.0, line.length_m + 5.0, count)
+    position = line.position(at) + rng.uniform(-9.0, 9.0, (count, 2))
+    heading = rng.uniform(-np.pi, np.pi, count)
+    velocity = rng.choice([0.0, 0.0, 0.3, 8.0], count)[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    time = 0.1 * np.arange(steps)
+    jitter = rng.choice([0.0, 0.03], count)[:, None, None] * rng.standard_normal((count, steps, 2))
+    kinds = np.array([(0.6, 0.6), (4.5, 1.9), (5.6, 2.1), (12.3, 2.95), (18.0, 3.0)])[rng.integers(5, size=count)]
+    return Traffic(
+        ids=tuple(f"{row}" for row in range(count)),
+        position=position[:, None] + time[:, None] * velocity[:, None] + jitter,
+        heading=heading[:, None] + np.where(jitter[..., 0] > 0.0, 0.01, 0.0),
+        velocity=np.repeat(velocity[:, None], steps, axis=1),
+        present=(np.arange(steps) >= rng.integers(0, 4, count)[:, None]) & (rng.random((count, steps)) > 0.05),
+        length_m=kinds[:, 0],
+        width_m=kinds[:, 1],
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("own", [(4.5, 1.9), (12.5, 3.0)])
+def test_intervals_are_those_of_every_box_against_every_point(seed: int, own: tuple[float, float]) -> None:
+    """On a line that crosses itself: from one point before the first that touches to one behind the last, as tested box
+    by box at every point of the line's table, whoever is looked at and whatever was skipped.
+    """
+    from hid2.boxes import overlap
+    from hid2.reference_line import TABLE_STEP_M
+
+    angle = np.linspace(0.0, 2.2 * np.pi, 150)
+    loop = np.column_stack([40.0 * np.sin(angle), 25.0 * np.sin(2 * angle)])
+    line = build_reference_line(loop, step_m=1.0, min_radius_m=5.0, max_offset_m=0.6)
+    traffic = _around(line, np.random.default_rng(seed))
+    found = path_occupancy(line, traffic, length_m=own[0], width_m=own[1], margin_lateral_m=0.0)
+    low, high = np.full(traffic.present.shape, np.inf), np.full(traffic.present.shape, -np.inf)
+    for row, step in zip(*np.nonzero(traffic.present), strict=True):
+        x, y = traffic.position[row, step]
+        c, s = np.cos(traffic.heading[row, step]), np.sin(traffic.heading[row, step])
+        half = traffic.length_m[row] / 2, traffic.width_m[row] / 2
+        touching = [
+            k for k, ((px, py), angle) in enumerate(zip(line.table_xy, line.table_heading, strict=True))
+            if overlap(px, py, np.cos(angle), np.sin(angle), own[0] / 2, own[1] / 2, x, y, c, s, *half)
+        ]  # fmt: skip
+        if touching:
+            low[row, step], high[row, step] = (touching[0] - 1) * TABLE_STEP_M, (touching[-1] + 1) * TABLE_STEP_M
+    touched = np.isfinite(low).any(axis=1)
+    assert touched.sum() > 10
+    assert np.array_equal(found.low, low[touched])
+    assert np.array_equal(found.high, high[touched])
+
+
+def test_what_is_known_of_some_holds_for_all_that_join_them(
+    straight_line: ReferenceLine, box: Callable[..., Traffic]
+) -> None:
+    """Looked along one by one or all at once, in the order in which they joined, kept clear alike."""
+
+    def along(traffic: Traffic, clear_steps: int):
+        return path_occupancy(
+            straight_line, traffic, length_m=4.5, width_m=1.9, margin_lateral_m=0.2, clear_steps=clear_steps,
+            clear_margin_m=0.2,
+        )  # fmt: skip
+
+    def parts() -> list[Traffic]:
+        return [box(50.0, -20.0, np.pi / 2, 10.0), box(90.0, 40.0), box(120.0, 0.0, 0.0, 5.0), box(20.0, 0.0)]
+
+    for clear_steps in (0, 10):
+        first, *others = parts()
+        grown = first
+        for other in others:
+            along(grown, clear_steps)
+            grown = grown.joined(other)
+        fresh = parts()[0].joined(*parts()[1:])
+        for name in ("low", "high", "along", "aligned", "crosses"):
+            assert np.array_equal(getattr(along(grown, clear_steps), name), getattr(along(fresh, clear_steps), name))
+        assert along(grown, clear_steps).low.shape[0] == 3
+    assert not np.array_equal(along(fresh, 0).low, along(fresh, 10).low)

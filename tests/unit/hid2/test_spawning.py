@@ -233,3 +233,66 @@ def test_new_vehicle_does_not_make_the_one_behind_brake_at_once(spawner: Callabl
         gap = leader.s0 - follower.s0 - (leader.size.length_m + follower.size.length_m) / 2 - 1.5
         safe = -2.5 + np.sqrt(2.5**2 + leader.v0**2 + 2 * 2.5 * max(gap, 0.0))
         assert follower.v0 <= safe + 1.0 + 0.5
+
+
+def test_cells_that_are_not_tried_are_too_near_wherever_one_starts(
+    spawner: Callable[..., Spawner], track: Callable[..., Track]
+) -> None:
+    """A car stands at x = 100. Centres nearer than 4.5 m of boxes and 3 m of gap to it, less 0.3 m, are turned down.
+
+    Of cells of 4 m, those that lie wholly within 92.8 .. 107.2 m are not tried: 96-100 and 100-104.
+    """
+    one = spawner(track(range(110), np.full(110, 100.0), 0.0), lanes=2)
+    grid = one.world.grid
+    tried = [cell for _ in range(6) for route, s0 in _tried(one) if (cell := (route[-1], int(s0 / 4.0)))[0] == 1]
+    assert {24, 25}.isdisjoint(index for _, index in tried)
+    assert {22, 27} <= {index for _, index in tried}
+    assert grid.count(1) == 50
+
+
+def _tried(spawner: Spawner) -> list[tuple[tuple[int, ...], float]]:
+    return [place for place in spawner.places.candidates(Policy.STRAIGHT, spawner._is_free, 0) if place is not None]
+
+
+def test_lane_change_is_triggered_where_a_lane_lies_beside(
+    spawner: Callable[..., Spawner], lane: Callable[..., LaneSegment]
+) -> None:
+    """Beside lane 1 of 90 m lies lane 2; behind both, lanes of 90 m that are no neighbours.
+
+    The trigger is drawn from 1 to 4 s, nearly always such that the lane is still beside then: at 0.9 of the desired
+    speed, 8 m before the end of lane 1.
+    """
+    graph = LaneGraph({
+        1: lane(1, [(0.0, 0.0), (90.0, 0.0)], successors=(3,), left=2),
+        2: lane(2, [(0.0, 3.5), (90.0, 3.5)], successors=(4,), right=1),
+        3: lane(3, [(90.0, 0.0), (180.0, 0.0)]),
+        4: lane(4, [(90.0, 3.5), (180.0, 3.5)]),
+    })  # fmt: skip
+    beside = 0
+    found = [
+        spawner(graph=graph, seed=seed, request={"trigger_min_s": 1.0, "trigger_max_s": 4.0}).spawn(
+            Policy.LANE_CHANGE, "v0", attempts=40
+        )
+        for seed in range(30)
+    ]
+    vehicles = [vehicle for vehicle in found if vehicle is not None]
+    assert len(vehicles) >= 25
+    for vehicle in vehicles:
+        assert 1.0 <= vehicle.trigger_s <= 4.0
+        beside += vehicle.s0 + 0.9 * vehicle.cruise_mps * vehicle.trigger_s + 8.0 < 90.0
+    assert beside >= 0.8 * len(vehicles)
+
+
+def test_nobody_slows_down_at_the_edge_of_the_map(spawner: Callable[..., Spawner]) -> None:
+    """Nobody may leave before step 51. On a road of 60 m those who start late would have to wait at its end."""
+    left = 0
+    for seed in range(25):
+        one = spawner(lanes=1, length_m=60.0, seed=seed)
+        one.patience = 1
+        for vehicle in _fill(one, 2):
+            edge = vehicle.path.exit_s - vehicle.size.length_m / 2
+            near = (vehicle.plan_s > edge - 6.0) & (vehicle.plan_s <= edge)
+            if vehicle.plan_s[-1] > edge:
+                left += 1
+                assert vehicle.plan_v[near].min(initial=np.inf) >= 2.0
+    assert left >= 10

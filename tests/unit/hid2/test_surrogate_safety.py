@@ -128,3 +128,27 @@ def test_conflicts_with_recorded_vehicles_are_foreseen_for_one_track(lanes: Flat
     assert conflict([comes], _cross("gen_0", -37.2)) is None
     assert conflict([comes], _cross("gen_0", -33.2), pet_s=0.0) is None
     assert conflict([], _drive("gen_0", 0.0, 0.0, 5.0)) is None
+
+
+def test_one_track_is_told_what_all_together_are(lanes: FlatLanes) -> None:
+    """Crossings at any angle, speed and time: PET of a single track is that of the positions exported together."""
+    rng = np.random.default_rng(0)
+
+    def crosses(name: str) -> Track:
+        first, last = int(rng.integers(0, 15)), int(rng.integers(16, STEPS))
+        steps, angle = np.arange(first, last), rng.uniform(-np.pi, np.pi)
+        velocity = rng.uniform(0.5, 15.0) * np.array([np.cos(angle), np.sin(angle)])
+        begin = np.array([20.0, 0.0]) - velocity * rng.uniform(0.0, 3.0) + rng.normal(0.0, 2.0, 2)
+        return Track(
+            track_id=name, object_type="vehicle", category=1, timesteps=steps,
+            position=begin + 0.1 * steps[:, None] * velocity, velocity=np.tile(velocity, (steps.size, 1)),
+            heading=np.full(steps.size, angle), size=BoxSize(4.5, 1.9),
+        )  # fmt: skip
+
+    told = []
+    for _ in range(150):
+        recorded, planned = [crosses(f"r{k}") for k in range(3)], crosses("gen_0")
+        found = RecordedVehicles(recorded, lanes, STEPS).conflict_with(planned, ttc_s=0.0, pet_s=1.0)
+        assert (found == "pet") == bool(_crossing(recorded, [planned], lanes))
+        told.append(found)
+    assert 20 < told.count("pet") < 130
