@@ -13,6 +13,7 @@ from hid2.lane_change import lateral_share
 from hid2.maneuver import is_on_lane, returns_to
 from hid2.overtake import Stage
 from hid2.repair import SettledVehicle
+from hid2.route import first_turn
 from hid2.traffic import Traffic
 from hid2.turns import TURN_OF_POLICY
 from hid2.world import World
@@ -93,13 +94,15 @@ def outcomes(vehicle: SettledVehicle, driver: Driver, world: World, traffic: Tra
 def _turn(vehicle: SettledVehicle, world: World) -> ManeuverRecord:
     spec, s = vehicle.driven.spec, vehicle.motion.s
     kind = TURN_OF_POLICY[spec.policy]
-    lanes = world.grid.graph.lanes
     segments = vehicle.driven.path.segments
-    row = next(i for i, g in enumerate(segments) if lanes[g.lane_id].turn is kind and g.start > spec.s0)
-    turn = segments[row]
+    turn = first_turn(world.grid.graph, vehicle.driven.path, kind, after=spec.s0)
+    name: ManeuverKind = "left_turn" if kind is TurnType.LEFT else "right_turn"
+    if turn is None:  # nobody looked ahead: the ablation without collision checks
+        return ManeuverRecord(kind=name, status="not_feasible", reason="turn_leaves_map", trigger_s=0.0)
+    row = segments.index(turn)
     start, end = _time(s, turn.start), _time(s, turn.end)
     return ManeuverRecord(
-        kind="left_turn" if kind is TurnType.LEFT else "right_turn",
+        kind=name,
         status="done" if end is not None else "aborted" if start is not None else "not_feasible",
         reason=None if end is not None else "scene_ended",
         trigger_s=0.0,

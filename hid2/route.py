@@ -8,9 +8,11 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.lane_change import Blend
 from hid2.params import Limits, Smoothing
-from hid2.reference_line import ReferenceLine, build_reference_line
+from hid2.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
 from netconvert.geometry import arc_length
-from netconvert.lane_graph import LaneGraph, TurnType
+from netconvert.lane_graph import TURN_RAD, LaneGraph, TurnType
+
+_BESIDE_TURN_M = 5.0  # before a turning lane and behind it, that its heading is compared over
 
 Route = tuple[int, ...]
 
@@ -146,8 +148,18 @@ def turn_segments(graph: LaneGraph, path: DrivenPath) -> list[tuple[float, float
 
 
 def first_turn(graph: LaneGraph, path: DrivenPath, kind: TurnType, *, after: float) -> Segment | None:
-    """First stretch of a path on a lane of a turn type that begins behind arc length `after`, m; None if none does."""
-    return next((g for g in path.segments if graph.lanes[g.lane_id].turn is kind and g.start > after), None)
+    """First stretch of a path on a lane of a turn type that begins behind arc length `after`, m; None if none does.
+
+    Only where the path itself turns so: a lane may do no more than undo the kink before it, which nobody sees.
+    """
+    heading, sign = path.line.table_heading, 1.0 if kind is TurnType.LEFT else -1.0
+    for segment in path.segments:
+        if graph.lanes[segment.lane_id].turn is kind and segment.start > after:
+            before = max(int((segment.start - _BESIDE_TURN_M) / TABLE_STEP_M), 0)
+            behind = min(int((segment.end + _BESIDE_TURN_M) / TABLE_STEP_M), heading.size - 1)
+            if sign * float(heading[behind] - heading[before]) >= TURN_RAD:
+                return segment
+    return None
 
 
 def routes_from(

@@ -5,7 +5,16 @@ import pytest
 
 from hid2.lane_change import blend_paths
 from hid2.params import Limits, Smoothing
-from hid2.route import DrivenPath, Segment, path_along, route_points, routes_from, shifted_path, turn_segments
+from hid2.route import (
+    DrivenPath,
+    Segment,
+    first_turn,
+    path_along,
+    route_points,
+    routes_from,
+    shifted_path,
+    turn_segments,
+)
 from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
 
 
@@ -138,3 +147,28 @@ def test_second_shift_leaves_the_first_as_it_is(road: Callable[..., LaneGraph]) 
     assert [segment.lane_id for segment in path.segments] == [1, 2, 1]
     assert len(path.shifts) == 2
     assert path.line.position(np.array([20.0, 90.0, 170.0]))[:, 1] == pytest.approx([0.0, 3.5, 0.0], abs=0.05)
+
+
+def test_first_turn_is_one_that_the_path_makes(forked: LaneGraph) -> None:
+    path = _path(forked, 1, 3, 4)
+    turn = first_turn(forked, path, TurnType.LEFT, after=10.0)
+    assert turn is not None
+    assert turn.lane_id == 3
+    assert first_turn(forked, path, TurnType.LEFT, after=60.0) is None
+    assert first_turn(forked, path, TurnType.RIGHT, after=10.0) is None
+
+
+def test_lane_that_undoes_the_kink_before_it_is_no_turn(lane: Callable[..., LaneSegment]) -> None:
+    """Lane 2 is drawn with a bend of 40 degrees to the left, where lane 1 leads to a kink of 40 degrees to the right:
+
+    -------- 1 -----\\__ 2 ---- 3 --------
+    Over the whole, the heading stays as it was.
+    """
+    dip = np.array([[60.0, 0.0], [62.3, -1.93], [66.0, -1.93]])
+    graph = LaneGraph({
+        1: lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
+        2: lane(2, dip, successors=(3,), is_intersection=True),
+        3: lane(3, [dip[-1], dip[-1] + [60.0, 0.0]]),
+    })  # fmt: skip
+    assert graph.lanes[2].turn is TurnType.LEFT
+    assert first_turn(graph, _path(graph, 1, 2, 3), TurnType.LEFT, after=10.0) is None
