@@ -24,8 +24,8 @@ from hid2.world import PlannedVehicle, World, predicted_traffic
 
 _ATTEMPTS = 30
 _ATTEMPTS_AGAIN = 20
-#: Times that all places are gone through again; a lane change hangs most on where, how fast and when it is tried.
-_LOOKS_AGAIN = dict.fromkeys(Policy, 1) | {Policy.LANE_CHANGE: 3}
+#: Times that all places are gone through again; these hang most on where, how fast and when they are tried.
+_LOOKS_AGAIN = dict.fromkeys(Policy, 1) | {Policy.LANE_CHANGE: 3, Policy.RIGHT_TURN: 3}
 _ATTEMPTS_LAST = 400
 _LOOKS_MOST = 8  # for vehicles that go straight, as long as each finds one more
 _ATTEMPTS_LATE = 10_000
