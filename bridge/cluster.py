@@ -37,6 +37,16 @@ _NO_WORKERS = (
     "scheduler {where}: no workers for {seconds:g} s, want some on each host: dask worker {where} --nthreads 1 "
     "(then go on with --resume)"
 )
+#: Of a local cluster: nobody looks at Dask's profiles and monitors, which wake up every process many times a second.
+_OWN_CLUSTER = {
+    "logging.distributed": "critical",
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.tick.cycle": "10s",
+    "distributed.admin.system-monitor.interval": "10s",
+    "distributed.scheduler.active-memory-manager.start": False,
+    "distributed.client.scheduler-info-interval": "60s",
+}
 #: Tries to start a local cluster: a worker that is killed as it starts takes the cluster with it.
 _STARTS = 3
 
@@ -152,7 +162,7 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
     with contextlib.ExitStack() as stack:
         address: LocalCluster | str
         if scheduler is None:
-            stack.enter_context(dask.config.set({"logging.distributed": "critical"}))
+            stack.enter_context(dask.config.set(_OWN_CLUSTER))
             address = stack.enter_context(_local_cluster(jobs))
         else:
             address = scheduler
