@@ -60,6 +60,7 @@ class Rounds:
         self.replay_errors = ReplayErrors()
         self.sumo_version = simulation.version()
         self._next = 0
+        self._full = False  # of what the usual gaps have room for
 
     def fill(self) -> None:
         """All rounds; where they do not reach the count, more with closer gaps, then again from an empty road, packed.
@@ -143,7 +144,7 @@ class Rounds:
             pending = again + pending[missing:]
             if number >= 1 and len(self.settled) == before and not asked:
                 break
-            if not places.packed and len(self.settled) < _SHORT_SHARE * target:
+            if not places.packed and (self._full or len(self.settled) < _SHORT_SHARE * target):
                 break
         self.unmet += pending
 
@@ -180,6 +181,8 @@ class Rounds:
                 break
             spawner.look_again()
         self.reasons.update(spawner.reasons)
+        # without manoeuvres, whose room is known better once they are driven, there are no more places in later rounds
+        self._full = len(spawner.planned) < missing and all(vehicle.claims is None for vehicle in spawner.planned)
         if spawner.planned or self.replay_errors.states == 0:
             return self._drive(spawner, missing + len(self.settled), reseeds=reseeds)
         return []
