@@ -144,7 +144,7 @@ class Rounds:
             pending = again + pending[missing:]
             if number >= 1 and len(self.settled) == before and not asked:
                 break
-            if not places.packed and (self._full or len(self.settled) < _SHORT_SHARE * target):
+            if not places.packed and ((self._full and not again) or len(self.settled) < _SHORT_SHARE * target):
                 break
         self.unmet += pending
 
