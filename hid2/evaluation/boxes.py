@@ -65,6 +65,18 @@ def _intersection_area(first: FloatArray, second: FloatArray) -> float:
 
 
 @njit(cache=True)
+def _spans(row_of: IntArray) -> tuple[IntArray, IntArray]:
+    """First step (A,) of each agent and the one behind its last; none for an agent that is never there."""
+    agents, steps = row_of.shape
+    since, until = np.full(agents, steps, dtype=np.int64), np.zeros(agents, dtype=np.int64)
+    for a in range(agents):
+        for t in range(steps):
+            if row_of[a, t] >= 0:
+                since[a], until[a] = min(since[a], t), t + 1
+    return since, until
+
+
+@njit(cache=True)
 def pairwise_overlap(
     position: FloatArray, heading: FloatArray, length: FloatArray, width: FloatArray, row_of: IntArray
 ) -> tuple[FloatArray, IntArray, IntArray]:
@@ -72,7 +84,8 @@ def pairwise_overlap(
 
     Only the upper triangle is filled; the first step is -1 where a pair never overlaps.
     """
-    agents, steps = row_of.shape
+    agents = len(row_of)
+    since, until = _spans(row_of)
     iou = np.zeros((agents, agents))
     first = np.full((agents, agents), -1, dtype=np.int64)
     count = np.zeros((agents, agents), dtype=np.int64)
@@ -82,7 +95,7 @@ def pairwise_overlap(
         radius_a = math.hypot(length[a], width[a]) / 2
         for b in range(a + 1, agents):
             reach = radius_a + math.hypot(length[b], width[b]) / 2
-            for t in range(steps):
+            for t in range(max(since[a], since[b]), min(until[a], until[b])):
                 i, j = row_of[a, t], row_of[b, t]
                 if i < 0 or j < 0:
                     continue
@@ -113,13 +126,12 @@ def contact_time(
     touch when all four intervals hold at once. 0 where they overlap already.
     """
     enter, leave = 0.0, math.inf
+    ca, sa = math.cos(heading_a), math.sin(heading_a)
+    cb, sb = math.cos(heading_b), math.sin(heading_b)
     for k in range(4):
-        angle = heading_a if k < 2 else heading_b
-        nx, ny = math.cos(angle), math.sin(angle)
+        nx, ny = (ca, sa) if k < 2 else (cb, sb)
         if k % 2:
             nx, ny = -ny, nx
-        ca, sa = math.cos(heading_a), math.sin(heading_a)
-        cb, sb = math.cos(heading_b), math.sin(heading_b)
         half = (
             abs(nx * ca + ny * sa) * length_a + abs(-nx * sa + ny * ca) * width_a
             + abs(nx * cb + ny * sb) * length_b + abs(-nx * sb + ny * cb) * width_b
@@ -147,15 +159,15 @@ def time_to_collision(
     cap_s: float,
 ) -> tuple[FloatArray, IntArray]:
     """Smallest TTC of every row to any other agent present, at most `cap_s` (N,), and that agent (N,), -1 if none."""
-    agents, steps = row_of.shape
-    rows = len(position)
+    agents, rows = len(row_of), len(position)
+    since, until = _spans(row_of)
     ttc = np.full(rows, cap_s)
     other = np.full(rows, -1, dtype=np.int64)
     for a in range(agents):
         radius_a = math.hypot(length[a], width[a]) / 2
         for b in range(a + 1, agents):
             reach = radius_a + math.hypot(length[b], width[b]) / 2
-            for t in range(steps):
+            for t in range(max(since[a], since[b]), min(until[a], until[b])):
                 i, j = row_of[a, t], row_of[b, t]
                 if i < 0 or j < 0:
                     continue

@@ -7,8 +7,9 @@ a track, as `numpy.gradient`), at the true times of the steps.
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from hid2.agents import FloatArray
+from hid2.agents import FloatArray, IntArray
 from hid2.evaluation.arrays import FRAGMENT, BoolArray, SceneArrays
 from hid2.params import Limits
 
@@ -54,22 +55,27 @@ def derivative(values: FloatArray, arrays: SceneArrays) -> FloatArray:
     The formula of `numpy.gradient` with coordinates: h_s^2 f(+) + (h_d^2 - h_s^2) f(0) - h_d^2 f(-), over
     h_s h_d (h_s + h_d); first order at both ends.
     """
+    columns = np.ascontiguousarray(values, dtype=np.float64).reshape(len(values), -1)
+    return np.asarray(_derivative(columns, arrays.first, arrays.step, arrays.step_s).reshape(values.shape))
+
+
+@njit(cache=True)
+def _derivative(values: FloatArray, first: IntArray, step: IntArray, step_s: float) -> FloatArray:
     out = np.zeros_like(values)
-    if len(values) < 2:
-        return out
-    gap = np.diff(arrays.step).astype(np.float64)
-    same = np.diff(arrays.agent) == 0
-    wide = (slice(None),) + (None,) * (values.ndim - 1)
-    slope = np.diff(values, axis=0) / np.where(same, gap, 1.0)[wide]
-    inner = np.flatnonzero(same[:-1] & same[1:]) + 1
-    before, after = gap[inner - 1][wide], gap[inner][wide]
-    numerator = before**2 * values[inner + 1] + (after**2 - before**2) * values[inner] - after**2 * values[inner - 1]
-    out[inner] = numerator / (before * after * (before + after))
-    starts, ends = arrays.first[:-1], arrays.first[1:] - 1
-    longer = ends > starts
-    out[starts[longer]] = slope[starts[longer]]
-    out[ends[longer]] = slope[ends[longer] - 1]
-    return np.asarray(out / arrays.step_s, dtype=np.float64)
+    for agent in range(len(first) - 1):
+        start, end = first[agent], first[agent + 1] - 1
+        if end <= start:
+            continue
+        for k in range(values.shape[1]):
+            out[start, k] = (values[start + 1, k] - values[start, k]) / (step[start + 1] - step[start]) / step_s
+            out[end, k] = (values[end, k] - values[end - 1, k]) / (step[end] - step[end - 1]) / step_s
+            for i in range(start + 1, end):
+                before, after = float(step[i] - step[i - 1]), float(step[i + 1] - step[i])
+                rise = (
+                    before**2 * values[i + 1, k] + (after**2 - before**2) * values[i, k] - after**2 * values[i - 1, k]
+                )
+                out[i, k] = rise / (before * after * (before + after)) / step_s
+    return out
 
 
 def unwrapped_heading(arrays: SceneArrays) -> FloatArray:
