@@ -77,6 +77,30 @@ def _spans(row_of: IntArray) -> tuple[IntArray, IntArray]:
 
 
 @njit(cache=True)
+def _extents(position: FloatArray, velocity: FloatArray, row_of: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Least x, y and largest x, y (A, 4) of each agent's centre, and its largest speed (A,)."""
+    agents, steps = row_of.shape
+    extent, fastest = np.empty((agents, 4)), np.zeros(agents)
+    extent[:, :2], extent[:, 2:] = math.inf, -math.inf
+    for a in range(agents):
+        for t in range(steps):
+            i = row_of[a, t]
+            if i < 0:
+                continue
+            for axis in range(2):
+                extent[a, axis] = min(extent[a, axis], position[i, axis])
+                extent[a, axis + 2] = max(extent[a, axis + 2], position[i, axis])
+            fastest[a] = max(fastest[a], math.hypot(velocity[i, 0], velocity[i, 1]))
+    return extent, fastest
+
+
+@njit(cache=True)
+def _never_nearer(a: FloatArray, b: FloatArray) -> float:
+    """Distance between two rectangles, each least x, y and largest x, y."""
+    return math.hypot(max(a[0] - b[2], b[0] - a[2], 0.0), max(a[1] - b[3], b[1] - a[3], 0.0))
+
+
+@njit(cache=True)
 def pairwise_overlap(
     position: FloatArray, heading: FloatArray, length: FloatArray, width: FloatArray, row_of: IntArray
 ) -> tuple[FloatArray, IntArray, IntArray]:
@@ -86,6 +110,7 @@ def pairwise_overlap(
     """
     agents = len(row_of)
     since, until = _spans(row_of)
+    extent, _ = _extents(position, position, row_of)
     iou = np.zeros((agents, agents))
     first = np.full((agents, agents), -1, dtype=np.int64)
     count = np.zeros((agents, agents), dtype=np.int64)
@@ -95,6 +120,8 @@ def pairwise_overlap(
         radius_a = math.hypot(length[a], width[a]) / 2
         for b in range(a + 1, agents):
             reach = radius_a + math.hypot(length[b], width[b]) / 2
+            if _never_nearer(extent[a], extent[b]) > reach:
+                continue
             for t in range(max(since[a], since[b]), min(until[a], until[b])):
                 i, j = row_of[a, t], row_of[b, t]
                 if i < 0 or j < 0:
@@ -161,12 +188,15 @@ def time_to_collision(
     """Smallest TTC of every row to any other agent present, at most `cap_s` (N,), and that agent (N,), -1 if none."""
     agents, rows = len(row_of), len(position)
     since, until = _spans(row_of)
+    extent, fastest = _extents(position, velocity, row_of)
     ttc = np.full(rows, cap_s)
     other = np.full(rows, -1, dtype=np.int64)
     for a in range(agents):
         radius_a = math.hypot(length[a], width[a]) / 2
         for b in range(a + 1, agents):
             reach = radius_a + math.hypot(length[b], width[b]) / 2
+            if _never_nearer(extent[a], extent[b]) > reach + (fastest[a] + fastest[b]) * cap_s + 1e-6:
+                continue
             for t in range(max(since[a], since[b]), min(until[a], until[b])):
                 i, j = row_of[a, t], row_of[b, t]
                 if i < 0 or j < 0:
