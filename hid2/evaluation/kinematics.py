@@ -55,7 +55,7 @@ def derivative(values: FloatArray, arrays: SceneArrays) -> FloatArray:
     The formula of `numpy.gradient` with coordinates: h_s^2 f(+) + (h_d^2 - h_s^2) f(0) - h_d^2 f(-), over
     h_s h_d (h_s + h_d); first order at both ends.
     """
-    columns = np.ascontiguousarray(values, dtype=np.float64).reshape(len(values), -1)
+    columns = np.ascontiguousarray(values, dtype=np.float64).reshape(len(values), *(values.shape[1:] or (1,)))
     return np.asarray(_derivative(columns, arrays.first, arrays.step, arrays.step_s).reshape(values.shape))
 
 

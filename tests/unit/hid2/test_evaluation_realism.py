@@ -139,3 +139,9 @@ def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_n
     assert found["faster"]["speed"].wasserstein == pytest.approx(7.0, abs=0.5)
     assert found["equal"]["lane_change_duration"].generated == 30
     assert found["equal"]["speed"].recorded == 30 * 8 * (60 - 4)
+
+
+def test_scene_without_tracks_has_derivatives_without_rows():
+    moved = motion(stack([]))
+    assert moved.velocity.shape == moved.jerk.shape == (0, 2)
+    assert moved.speed.shape == moved.yaw_accel.shape == (0,)
