@@ -60,7 +60,6 @@ class Rounds:
         self.replay_errors = ReplayErrors()
         self.sumo_version = simulation.version()
         self._next = 0
-        self._full = False  # of what the usual gaps have room for
 
     def fill(self) -> None:
         """All rounds; where they do not reach the count, more with closer gaps, then again from an empty road, packed.
@@ -140,18 +139,21 @@ class Rounds:
                 self.unmet += pending
                 pending = []
             asked = [policy for policy, _ in pending[:missing]]
-            again = self._round(places, asked, missing, patience=patience, reseeds=reseeds)
+            again, full = self._round(places, asked, missing, patience=patience, reseeds=reseeds)
             pending = again + pending[missing:]
             if number >= 1 and len(self.settled) == before and not asked:
                 break
-            if not places.packed and ((self._full and not again) or len(self.settled) < _SHORT_SHARE * target):
+            if not packed and ((full and not again) or len(self.settled) < _SHORT_SHARE * target):
                 break
         self.unmet += pending
 
     def _round(
         self, places: Places, asked: Sequence[Policy], missing: int, *, patience: int, reseeds: bool
-    ) -> list[tuple[Policy, str]]:
-        """Plan, drive and settle; returns the manoeuvres that are to be tried again, with what went wrong."""
+    ) -> tuple[list[tuple[Policy, str]], bool]:
+        """Plan, drive and settle; returns the manoeuvres that are to be tried again, with what went wrong.
+
+        And whether the road is full: later rounds find no more places with the same gaps.
+        """
         spawner = Spawner(places, self.fixed, patience)
         attempts = _ATTEMPTS_LATE if patience >= 2 or places.packed else _ATTEMPTS
         # manoeuvres need the room most, so they choose first; what finds no place looks again, with more patience
@@ -165,8 +167,8 @@ class Rounds:
                     if self._plan(spawner, policy, missing, _ATTEMPTS_AGAIN):
                         without.remove(policy)
         spawner.patience = patience
-        full = len(spawner.planned) >= missing  # leaders of overtakes count too
-        self.unmet += [(policy, "count_reached" if full else spawner.why_none(policy)) for policy in without]
+        reached = len(spawner.planned) >= missing  # leaders of overtakes count too
+        self.unmet += [(policy, "count_reached" if reached else spawner.why_none(policy)) for policy in without]
         # in a later round, few are missing and each has a hard time: one that fails would cost another round
         spare = missing + (_SPARE_LATER if self.settled else math.floor(self.world.config.spawn.spare_share * missing))
         for look in range(_LOOKS_MOST):
@@ -181,11 +183,11 @@ class Rounds:
                 break
             spawner.look_again()
         self.reasons.update(spawner.reasons)
-        # without manoeuvres, whose room is known better once they are driven, there are no more places in later rounds
-        self._full = len(spawner.planned) < missing and all(vehicle.claims is None for vehicle in spawner.planned)
-        if spawner.planned or self.replay_errors.states == 0:
-            return self._drive(spawner, missing + len(self.settled), reseeds=reseeds)
-        return []
+        # what manoeuvres keep free is known better once they are driven: with them there may be more room later
+        full = len(spawner.planned) < missing and all(vehicle.claims is None for vehicle in spawner.planned)
+        if not spawner.planned and self.replay_errors.states > 0:
+            return [], full
+        return self._drive(spawner, missing + len(self.settled), reseeds=reseeds), full
 
     def _plan(self, spawner: Spawner, policy: Policy, missing: int, attempts: int) -> bool:
         room = missing - len(spawner.planned)

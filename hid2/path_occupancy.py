@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from hid2.agents import BoxSize, FloatArray
-from hid2.boxes import overlap
+from hid2.boxes import apart, overlap
 from hid2.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.traffic import BoolArray, Traffic
 
@@ -182,22 +182,14 @@ def _kept_clear(low, high, aligned, crosses, steps, margin):  # type: ignore[no-
 
 @njit(cache=True)
 def _gaps(gaps, points, begin, end, x, y, bc, bs, own_l, own_w, half_l, half_w) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
-    """How far the own box at points `begin` to `end` is apart from an agent's, as in `boxes.apart`, into gaps.
+    """How far the own box at points `begin` to `end` is apart from an agent's, into gaps.
 
     A loop without branches over contiguous columns: the compiler does several points at once.
     """
     xs, ys = points[0, begin:end], points[1, begin:end]
     cosine, sine = points[2, begin:end], points[3, begin:end]
     for i in range(xs.size):
-        dx, dy, ac, asn = x - xs[i], y - ys[i], cosine[i], sine[i]
-        c, s = abs(ac * bc + asn * bs), abs(ac * bs - asn * bc)
-        ahead = abs(dx * ac + dy * asn) - (own_l + half_l * c + half_w * s)
-        beside = abs(dy * ac - dx * asn) - (own_w + half_l * s + half_w * c)
-        its_ahead = abs(dx * bc + dy * bs) - (half_l + own_l * c + own_w * s)
-        its_beside = abs(dy * bc - dx * bs) - (half_w + own_l * s + own_w * c)
-        ahead = ahead if ahead > beside else beside
-        its_ahead = its_ahead if its_ahead > its_beside else its_beside
-        gaps[i] = ahead if ahead > its_ahead else its_ahead
+        gaps[i] = apart(xs[i], ys[i], cosine[i], sine[i], own_l, own_w, x, y, bc, bs, half_l, half_w)
 
 
 @njit(cache=True)

@@ -76,8 +76,6 @@ class Spawner:
     planned: list[PlannedVehicle] = field(default_factory=list)
     reasons: Counter[str] = field(default_factory=Counter)
     led_by: dict[str, str] = field(default_factory=dict)
-    world: World = field(init=False)
-    draws: Draws = field(init=False)
     _sigma: np.ndarray[tuple[int], np.dtype[np.uint8]] = field(init=False)
     _crowded: BoolArray = field(init=False)
     _ahead: Foresight = field(init=False)
@@ -87,7 +85,6 @@ class Spawner:
 
     def __post_init__(self) -> None:
         """Occupancy at step 0, with the fixed vehicles in it."""
-        self.world, self.draws = self.places.world, self.places.draws
         self._sigma = self.world.occupancy.sigma[0].copy()
         self._crowded = self._crowds(self.world.traffic) | self._crowds(self.fixed)
         for row in range(len(self.fixed.ids)):
@@ -97,6 +94,16 @@ class Spawner:
                 self._mark(x, y, float(self.fixed.heading[row, 0]), size)
         nobody = predicted_traffic([], self.world.num_steps)
         self._ahead = Foresight(self.world, self.fixed, nobody, nobody)
+
+    @property
+    def world(self) -> World:
+        """The scene that the places are in."""
+        return self.places.world
+
+    @property
+    def draws(self) -> Draws:
+        """What everything here is drawn from."""
+        return self.places.draws
 
     def spawn(self, policy: Policy, vehicle_id: str, *, attempts: int) -> PlannedVehicle | None:
         """Plan one vehicle for a policy; None, with the reasons counted, where no candidate of `attempts` holds.

@@ -98,7 +98,8 @@ def _reachable(cap, shape, cruise, step, decel, accel):  # type: ignore[no-untyp
         wanted = min(cap[i], cruise * shape[i])
         square = min(wanted * wanted, square + slowing)
         out[i] = square
+    square = np.inf
     for i in range(out.size):
-        square = min(out[i], square + speeding) if i > 0 else out[i]
+        square = min(out[i], square + speeding)
         out[i] = np.sqrt(square)
     return out

@@ -1,8 +1,8 @@
 """Tracks of one scene as flat arrays: the common input of every measure of the evaluation."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +26,11 @@ def is_generated_id(track_id: str) -> bool:
 def is_moving(position: FloatArray) -> bool:
     """Whether a track (N, 2), m, counts as that of a moving agent."""
     extent = position.max(axis=0) - position.min(axis=0)
-    return len(position) > MOVING_STEPS and math.hypot(*extent) > MOVING_EXTENT_M
+    return bool(_counts_as_moving(np.hypot(*extent), len(position)))
+
+
+def _counts_as_moving(extent_m: Any, steps: Any) -> Any:  # noqa: ANN401  # numbers or arrays of them
+    return (extent_m > MOVING_EXTENT_M) & (steps > MOVING_STEPS)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -145,7 +149,7 @@ def stack(
         generated=np.array([is_generated(track.track_id) for track in tracks], dtype=bool),
         vehicle=vehicle,
         fragment=category == FRAGMENT,
-        moving=(extent > MOVING_EXTENT_M) & (counts > MOVING_STEPS),
+        moving=_counts_as_moving(extent, counts),
         length=np.array([track.size.length_m for track in tracks], dtype=np.float64),
         width=np.array([track.size.width_m for track in tracks], dtype=np.float64),
         first=first,

@@ -274,21 +274,22 @@ def _swept_lengths(xy: FloatArray, length: float) -> FloatArray:
 
 
 @njit(cache=True)
-def _bounds(xy: FloatArray, length: float) -> tuple[float, float, float, float]:
-    """Least x and y and largest x and y that the boxes of a track come to, along their length."""
+def _bounds(xy: FloatArray, length: float) -> FloatArray:
+    """Least x and y and largest x and y (4,) that the boxes of a track come to, along their length."""
     half = length / 2
-    return xy[:, 0].min() - half, xy[:, 1].min() - half, xy[:, 0].max() + half, xy[:, 1].max() + half
+    return np.array([xy[:, 0].min() - half, xy[:, 1].min() - half, xy[:, 0].max() + half, xy[:, 1].max() + half])
 
 
 @njit(cache=True)
 def _encroachment(
-    step_a: IntArray, xy_a: FloatArray, heading_a: FloatArray, long_a: FloatArray, length_a: float, width_a: float,
-    step_b: IntArray, xy_b: FloatArray, heading_b: FloatArray, long_b: FloatArray, length_b: float, width_b: float,
+    step_a: IntArray, xy_a: FloatArray, heading_a: FloatArray, length_a: float, width_a: float,
+    step_b: IntArray, xy_b: FloatArray, heading_b: FloatArray, length_b: float, width_b: float,
     cap_steps: int, min_sine: float,
 ) -> int:  # fmt: skip
     """PET of two tracks in steps, -1 where it is above cap_steps or their paths do not cross."""
     if not _paths_cross(xy_a, heading_a, xy_b, heading_b, min_sine):
         return -1
+    long_a, long_b = _swept_lengths(xy_a, length_a), _swept_lengths(xy_b, length_b)
     reach = (math.hypot(length_a, width_a) + math.hypot(length_b, width_b)) / 2
     best = cap_steps + 1
     for i in range(len(step_a)):
@@ -329,34 +330,25 @@ def post_encroachment(
     so that the boxes of all steps cover the swept path: right to a step.
     """
     count = len(agents)
-    long = np.empty(len(position))
     bounds = np.empty((count, 4))
     for k in range(count):
         a = agents[k]
-        rows = slice(first[a], first[a + 1])
-        long[rows] = _swept_lengths(position[rows], length[a])
-        bounds[k, 0], bounds[k, 1], bounds[k, 2], bounds[k, 3] = _bounds(position[rows], length[a])
+        bounds[k] = _bounds(position[first[a] : first[a + 1]], length[a])
     out = np.full((count, count), -1, dtype=np.int64)
     for p in range(count):
         a = agents[p]
         of_a = slice(first[a], first[a + 1])
         for q in range(max(p + 1, since), count):
-            if _apart(bounds[p], bounds[q]):
+            if _never_nearer(bounds[p], bounds[q]) > 0.0:
                 continue
             b = agents[q]
             of_b = slice(first[b], first[b + 1])
             out[p, q] = _encroachment(
-                step[of_a], position[of_a], heading[of_a], long[of_a], length[a], width[a],
-                step[of_b], position[of_b], heading[of_b], long[of_b], length[b], width[b],
+                step[of_a], position[of_a], heading[of_a], length[a], width[a],
+                step[of_b], position[of_b], heading[of_b], length[b], width[b],
                 cap_steps, math.sin(min_angle),
             )  # fmt: skip
     return out
-
-
-@njit(cache=True)
-def _apart(a: FloatArray, b: FloatArray) -> bool:
-    """Whether two rectangles, each (4,) as of _bounds, do not meet."""
-    return bool(a[0] > b[2] or b[0] > a[2] or a[1] > b[3] or b[1] > a[3])
 
 
 @njit(cache=True)
@@ -377,15 +369,14 @@ def encroaches(
     min_angle: float,
 ) -> bool:
     """Whether another track crosses the path of any of `agents` at a PET below cap_steps, as `post_encroachment`."""
-    own_long = _swept_lengths(own_position, own_length)
-    own_bounds = np.array(_bounds(own_position, own_length))
+    own_bounds = _bounds(own_position, own_length)
     for a in agents:
         rows = slice(first[a], first[a + 1])
-        if _apart(np.array(_bounds(position[rows], length[a])), own_bounds):
+        if _never_nearer(_bounds(position[rows], length[a]), own_bounds) > 0.0:
             continue
         found = _encroachment(
-            step[rows], position[rows], heading[rows], _swept_lengths(position[rows], length[a]), length[a], width[a],
-            own_step, own_position, own_heading, own_long, own_length, own_width, cap_steps - 1, math.sin(min_angle),
+            step[rows], position[rows], heading[rows], length[a], width[a],
+            own_step, own_position, own_heading, own_length, own_width, cap_steps - 1, math.sin(min_angle),
         )  # fmt: skip
         if found >= 0:
             return True
