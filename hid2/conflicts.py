@@ -15,11 +15,11 @@ from hid2.agents import BoxSize, FloatArray
 from hid2.occupancy import ORIGINAL
 from hid2.params import Config
 from hid2.path_occupancy import PathOccupancy, path_occupancy
-from hid2.reference_line import TABLE_STEP_M
+from hid2.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.route import DrivenPath
 from hid2.smoothing import SpeedBounds
 from hid2.space_time import Follower, SpaceTime, space_time
-from hid2.speed_plan import SpeedPlan, plan_speed
+from hid2.speed_plan import SpeedPlan, accelerations, plan_speed
 from hid2.traffic import Traffic
 
 #: The last observed step of the forecasting task is given by the scene; a vehicle may leave the map only behind it.
@@ -43,13 +43,14 @@ def priority(*, executing: bool, distance_m: float, vehicle_id: str) -> tuple[bo
 class Prospect:
     """A path with everybody who will be on it: what timing can be chosen from.
 
-    low, high and the rest in arc length of the box centre; desired (S,) m/s at the line's table. The first
-    recorded_rows agents of the occupancy are recorded ones, the others generated.
+    low, high and the rest in arc length of the box centre; desired (S,) m/s at the line's table; most (S,) m/s there:
+    what its curvature allows at all. The first recorded_rows agents of the occupancy are recorded, the rest generated.
     """
 
     path: DrivenPath
     size: BoxSize
     desired: FloatArray
+    most: FloatArray
     occupancy: PathOccupancy
     tables: SpaceTime
     margin_m: float
@@ -75,17 +76,15 @@ class Prospect:
 
         v0: speed then, or several, of which the first that is possible is taken.
         """
-        bend = np.maximum(np.abs(self.path.line.table_curvature), 1e-6)
         return plan_speed(
             self.tables,
             self.desired,
-            most=np.sqrt(_LATERAL_SHARE * config.limits.lateral_accel_mps2 / bend),
+            most=self.most,
             s0=s0,
             v0=v0,
             a0=a0,
             first_step=first_step,
-            accel_max=min(config.car_following.accel_mps2, config.limits.accel_max_mps2),
-            accel_min=max(-config.car_following.decel_mps2 - 0.7, config.limits.accel_min_mps2),
+            accels=plan_accelerations(config),
             step_s=DT_S,
             reference=reference,
         )
@@ -149,6 +148,19 @@ class Prospect:
         with np.errstate(divide="ignore", invalid="ignore"):
             ttc = np.where(behind & (closing > 1e-3), (s[None, :] - high) / closing, np.inf)
         return float(ttc.min(initial=np.inf))
+
+
+def _road_most(line: ReferenceLine, config: Config) -> FloatArray:
+    bend = np.maximum(np.abs(line.table_curvature), 1e-6)
+    return np.asarray(np.sqrt(_LATERAL_SHARE * config.limits.lateral_accel_mps2 / bend), dtype=np.float64)
+
+
+def plan_accelerations(config: Config) -> FloatArray:
+    """(N,) m/s2 that plans are made of."""
+    return accelerations(
+        accel_max=min(config.car_following.accel_mps2, config.limits.accel_max_mps2),
+        accel_min=max(-config.car_following.decel_mps2 - 0.7, config.limits.accel_min_mps2),
+    )
 
 
 def min_leader_ttc_s(occupancy: PathOccupancy, s: FloatArray, v: FloatArray) -> float:
@@ -231,7 +243,7 @@ def prospect(
         earliest_exit_step=earliest_exit_step,
     )
     return Prospect(
-        path=path, size=size, desired=desired, occupancy=occupancy, tables=tables,
+        path=path, size=size, desired=desired, most=_road_most(path.line, config), occupancy=occupancy, tables=tables,
         margin_m=0.6 * config.conflict.margin_front_m, ttc_s=ttc_s,
         recorded_rows=0 if known is None else known.low.shape[0],
     )  # fmt: skip

@@ -9,18 +9,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numba import njit
 
-from hid2.agents import DEFAULT_SIZES, BoxSize, Policy, Track
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy, Track
 from hid2.conflicts import DT_S, Prospect
 from hid2.decision import LaneOption, Side
 from hid2.lane_change import lane_change_reason
 from hid2.maneuver import admissible_neighbor, gap_ahead_of, lane_options, lay_across, leader_on, returns_to
 from hid2.overtake import Leader, enter_reason, return_reason
-from hid2.path_occupancy import meets
+from hid2.path_occupancy import meet_all
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath, first_turn
 from hid2.speed_plan import SpeedPlan
-from hid2.traffic import Traffic
+from hid2.traffic import BoolArray, Traffic
 from hid2.turns import TURN_OF_POLICY
 from hid2.verify import off_road_steps
 from hid2.world import World, predicted_traffic
@@ -104,21 +105,37 @@ class Foresight:
     predicted: Traffic
     claims: Traffic
     _looks: dict[tuple[DrivenPath, BoxSize], Prospect] = field(default_factory=dict)
+    _vehicles: list[Traffic] = field(default_factory=list)
+    _at_start: list[Traffic] = field(default_factory=list)
+
+    @property
+    def vehicles(self) -> Traffic:
+        """Whom an overtaker may pass: recorded cars and buses, and all generated ones; joined once."""
+        if not self._vehicles:
+            self._vehicles.append(self.world.vehicles.joined(self.fixed, self.predicted))
+        return self._vehicles[0]
 
     def prospect(self, path: DrivenPath, size: BoxSize, cruise_mps: float) -> Prospect:
-        """Everybody along a path, at a desired speed; looked up once for each path and size of box."""
+        """Everybody along a path, at a desired speed."""
+        return replace(self.along(path, size), desired=self.world.desired(path, cruise_mps))
+
+    def along(self, path: DrivenPath, size: BoxSize) -> Prospect:
+        """Everybody along a path, for one that goes as fast as the road allows; looked up once for each size of box."""
         look = self._looks.get((path, size))
         if look is None:
             everybody = self.fixed, self.predicted, self.claims
-            look = self._looks[path, size] = self.world.prospect(path, size, cruise_mps=cruise_mps, others=everybody)
-            return look
-        return replace(look, desired=self.world.desired(path, cruise_mps))
+            look = self._looks[path, size] = self.world.prospect(path, size, cruise_mps=math.inf, others=everybody)
+        return look
 
-    def meets_at_start(self, x: float, y: float, heading: float, size: BoxSize, gap_m: float) -> bool:
-        """Whether anybody is within gap_m straight ahead of a box, or behind it, at step 0; x, y m, heading rad."""
-        longer = BoxSize(size.length_m + 2 * gap_m, size.width_m)
-        everybody = self.world.traffic, self.fixed, self.predicted
-        return any(meets(traffic, 0, x, y, heading, longer) for traffic in everybody)
+    def meet_at_start(self, center: FloatArray, heading: FloatArray, size: BoxSize, gap_m: float) -> BoolArray:
+        """(M,) whether anybody is within gap_m straight ahead of a box, or behind it, at step 0.
+
+        center (M, 2) m, heading (M,) rad.
+        """
+        if not self._at_start:
+            self._at_start.append(self.world.traffic.at(0).joined(self.fixed.at(0), self.predicted.at(0)))
+        longer = np.full(heading.size, size.length_m + 2 * gap_m)
+        return meet_all(self._at_start[0], 0, center, heading, longer, size.width_m)
 
     def conflict(self, wish: Wish, intention: Intention) -> str | None:
         """Why a reader of the positions would not think it safe among the recorded vehicles, which will not brake."""
@@ -187,7 +204,8 @@ class Foresight:
             if not lasting:
                 reason = "lane_ends"
                 continue
-            for option, target in self._options(wish, path, step, s, speed, lasting, cruise_mps):
+            least_m = change.min_remaining_m + SPARE_LANE_M
+            for option, target in self._options(wish, path, step, s, speed, lasting, cruise_mps, least_m):
                 unmet = lane_change_reason(
                     speed_mps=speed, cells_free=option.cells_free, front=option.front, rear=option.rear,
                     remaining_m=option.remaining_m - SPARE_LANE_M, params=change,
@@ -208,7 +226,7 @@ class Foresight:
         The vehicle comes up to its leader at v0 where there is room for that; else it starts slower, down to the
         leader's own speed, follows it and speeds up on its way out. obstacles: a leader that stands may be passed too.
         """
-        vehicles = self.world.vehicles.joined(self.fixed).joined(self.predicted)
+        vehicles = self.vehicles
         first = self.leader_at_start(wish, path, s0)
         speeds = [v0]
         if first is not None and first.speed_mps + _FOLLOWING_MPS < v0:
@@ -259,12 +277,13 @@ class Foresight:
                     claims = self._claim(target, option, speed, step, overtake.d_overtake_m).joined(done[2])
                     return Intention(done[0], done[1], entered[1], (option.side, back), claims)
                 reason = done
+            if reason == "not_passed":
+                break  # later on there is less time for it
         return reason
 
     def leader_at_start(self, wish: Wish, path: DrivenPath, s0: float) -> Leader | None:
         """Vehicle that one starting at s0 would have ahead of it."""
-        vehicles = self.world.vehicles.joined(self.fixed).joined(self.predicted)
-        return leader_on(path, wish.size, s=s0, step=0, d_obs_m=_SIGHT_M, vehicles=vehicles)
+        return leader_on(path, wish.size, s=s0, step=0, d_obs_m=_SIGHT_M, vehicles=self.vehicles)
 
     def following_apart_m(self, wish: Wish, lead: Wish) -> float:
         """Centre to centre distance at which an overtaker may follow a new leader at the leader's speed."""
@@ -289,14 +308,7 @@ class Foresight:
 
     def _approach(self, path: DrivenPath, s0: float, v0: float) -> SpeedPlan:
         """Motion at v0, slower where the road asks for it, as if nobody were ahead."""
-        desired = self.world.desired(path, v0)
-        steps = self.world.num_steps
-        s, v = np.empty(steps), np.empty(steps)
-        s[0], v[0] = s0, v0
-        for k in range(1, steps):
-            wanted = float(desired[min(int(s[k - 1] / TABLE_STEP_M), desired.size - 1)])
-            v[k] = v[k - 1] + min(max(wanted - v[k - 1], -_SLOWING_MPS2 * DT_S), _SPEEDING_UP_MPS2 * DT_S)
-            s[k] = s[k - 1] + 0.5 * (v[k] + v[k - 1]) * DT_S
+        s, v = _approach(self.world.desired(path, v0), s0, v0, self.world.num_steps)
         return SpeedPlan(s=s, v=v, cost=0.0)
 
     def _braking_gap_m(self, speed_mps: float, leader_mps: float) -> float:
@@ -376,11 +388,11 @@ class Foresight:
 
     def _options(
         self, wish: Wish, path: DrivenPath, step: int, s: float, speed_mps: float, sides: tuple[Side, ...],
-        cruise_mps: float,
+        cruise_mps: float, least_m: float = 0.0,
     ) -> Iterator[tuple[LaneOption, DrivenPath]]:  # fmt: skip
         yield from lane_options(
             self.world, path, wish.size, s=s, step=step, sides=sides, others=(self.fixed, self.predicted),
-            speed_mps=speed_mps, desired_mps=cruise_mps,
+            speed_mps=speed_mps, desired_mps=cruise_mps, least_m=least_m,
         )  # fmt: skip
 
     def _across(
@@ -409,3 +421,14 @@ class Foresight:
 
 def _opposite(side: Side) -> Side:
     return "right" if side == "left" else "left"
+
+
+@njit(cache=True)
+def _approach(desired, s0, v0, steps):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    s, v = np.empty(steps), np.empty(steps)
+    s[0], v[0] = s0, v0
+    for k in range(1, steps):
+        wanted = desired[min(int(s[k - 1] / TABLE_STEP_M), desired.size - 1)]
+        v[k] = v[k - 1] + min(max(wanted - v[k - 1], -_SLOWING_MPS2 * DT_S), _SPEEDING_UP_MPS2 * DT_S)
+        s[k] = s[k - 1] + 0.5 * (v[k] + v[k - 1]) * DT_S
+    return s, v

@@ -9,7 +9,7 @@ from hid2.agents import BoxSize, FloatArray, Policy
 from hid2.conflicts import DT_S, transition_rejected
 from hid2.decision import LaneOption, Side
 from hid2.lane_change import Gap, blend_paths, duration_s
-from hid2.occupancy import FREE, cells_under, dwell_steps
+from hid2.occupancy import FREE, dwell_steps, is_anybody_on
 from hid2.overtake import Leader
 from hid2.path_occupancy import look_along, path_occupancy
 from hid2.route import DrivenPath, Route, routes_from, shifted_path
@@ -19,6 +19,7 @@ from netconvert.cells import Cell
 
 _MAX_SHIFT_M = 5.5
 _HALF_LANE_M = 1.5
+_ON_CELL_SHARE = 0.8  # of a box's width: cells that it only grazes are free
 _LOOK_BACK_M = 50.0
 _SPARE_S = 0.5
 _ROUTE_LONGEST_M = 260.0
@@ -46,12 +47,13 @@ def lane_options(
     others: Sequence[Traffic],
     speed_mps: float = 0.0,
     desired_mps: float = math.inf,
+    least_m: float = 0.0,
 ) -> list[tuple[LaneOption, DrivenPath]]:
     """Adjacent lanes at arc length s of a path at one step, each with the path that continues on it.
 
     A transition into a cell that an original agent holds, now or when the vehicle (speed_mps) gets to the next one, is
     rejected (paper, conflict case 1). The corridor m * delta s ends with l' or at a vehicle there that is slower than
-    desired_mps: a faster one leaves it.
+    desired_mps: a faster one leaves it. Gaps are looked for only where cells are free and at least least_m remain.
     """
     segment = path.segment_at(s)
     xy = path.line.position(np.array([s]))
@@ -64,15 +66,18 @@ def lane_options(
         lane_s = min(max(lane_s, 0.0), world.grid.graph.lanes[lane_id].length_m)
         target = target_path(world, path, lane_id, s=s)
         at = _place_on(target, lane_id, lane_s)
-        front, rear = gaps_on(world, target, size, at=at, step=step, others=others)
         cell = world.grid.cell_at(lane_id, lane_s)
         remaining = target.exit_s - at
+        free = _cells_free(world, cell, step=step, others=others) and not transition_rejected(
+            _next_sigma(world, cell, step=step, speed_mps=speed_mps)
+        )
+        front, rear = Gap.none(), Gap.none()
+        if free and remaining >= least_m:
+            front, rear = gaps_on(world, target, size, at=at, step=step, others=others)
         corridor = remaining if front.speed_mps >= desired_mps else min(remaining, front.distance_m)
         option = LaneOption(
             side=side, target=cell,
-            cells_free=_cells_free(world, cell, step=step, others=others) and not transition_rejected(
-                _next_sigma(world, cell, step=step, speed_mps=speed_mps)
-            ),
+            cells_free=free,
             front=front, rear=rear, remaining_m=remaining, corridor_m=corridor,
         )  # fmt: skip
         found.append((option, target))
@@ -237,15 +242,4 @@ def _cells_free(world: World, cell: Cell, *, step: int, others: Sequence[Traffic
     ]
     if np.any(world.occupancy.sigma[step, wanted] != FREE):
         return False
-    center, cells = world.boxes.center[wanted].mean(axis=0), frozenset(wanted)
-    for traffic in others:
-        near = traffic.present[:, step] & (np.abs(traffic.position[:, step] - center).max(axis=1) < 25.0)
-        for row in np.flatnonzero(near).tolist():
-            x, y = traffic.position[row, step].tolist()
-            under = cells_under(
-                world.boxes, x, y, float(traffic.heading[row, step]),
-                length_m=float(traffic.length_m[row]), width_m=0.8 * float(traffic.width_m[row]),
-            )  # fmt: skip
-            if not cells.isdisjoint(under.tolist()):
-                return False
-    return True
+    return not any(is_anybody_on(world.boxes, wanted, one, step, width_share=_ON_CELL_SHARE) for one in others)

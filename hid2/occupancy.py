@@ -1,6 +1,7 @@
 """Occupancy sigma of the cells (paper, Lane Gridification and Occupancy): 0 free, 1 original, 2 generated."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -135,6 +136,63 @@ def cells_under(
 ) -> npt.NDArray[np.int64]:
     """Indices of the cells that a box covers."""
     return _under(boxes.center, boxes.heading, boxes.length_m, boxes.width_m, x, y, heading, length_m / 2, width_m / 2)  # type: ignore[no-any-return]
+
+
+def are_taken(
+    boxes: CellBoxes,
+    sigma: npt.NDArray[np.uint8],
+    x: FloatArray,
+    y: FloatArray,
+    heading: FloatArray,
+    *,
+    length_m: float,
+    width_m: float,
+) -> npt.NDArray[np.bool_]:
+    """(M,) whether any cell under each box is not free; sigma (C,), x, y (M,) m, heading (M,) rad."""
+    return _taken(  # type: ignore[no-any-return]
+        boxes.center, boxes.heading, boxes.length_m, boxes.width_m, sigma, x, y, heading, length_m / 2, width_m / 2
+    )
+
+
+def is_anybody_on(boxes: CellBoxes, cells: Sequence[int], traffic: Traffic, step: int, *, width_share: float) -> bool:
+    """Whether anybody is on any of some cells at a step; boxes count with a share of their width."""
+    return bool(
+        _anybody_on(
+            boxes.center, boxes.heading, boxes.length_m, boxes.width_m, np.asarray(cells), step, width_share,
+            traffic.position, traffic.heading, traffic.present, traffic.length_m, traffic.width_m,
+        )
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _anybody_on(  # type: ignore[no-untyped-def]  # noqa: ANN202
+    center, c_heading, c_length, c_width, cells, step, share, position, heading, present, length, width,  # noqa: ANN001
+):  # fmt: skip
+    for a in range(present.shape[0]):
+        if not present[a, step]:
+            continue
+        x, y, half_l, half_w = position[a, step, 0], position[a, step, 1], length[a] / 2, share * width[a] / 2
+        for c in cells:
+            reach = half_l + half_w + c_length[c] + c_width[c]
+            if abs(x - center[c, 0]) > reach or abs(y - center[c, 1]) > reach:
+                continue
+            if overlap(
+                x, y, np.cos(heading[a, step]), np.sin(heading[a, step]), half_l, half_w,
+                center[c, 0], center[c, 1], np.cos(c_heading[c]), np.sin(c_heading[c]), c_length[c] / 2, c_width[c] / 2,
+            ):  # fmt: skip
+                return True
+    return False
+
+
+@njit(cache=True)
+def _taken(center, c_heading, c_length, c_width, sigma, x, y, heading, half_l, half_w):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    taken = np.zeros(x.size, dtype=np.bool_)
+    for i in range(x.size):
+        for c in _under(center, c_heading, c_length, c_width, x[i], y[i], heading[i], half_l, half_w):
+            if sigma[c] != FREE:
+                taken[i] = True
+                break
+    return taken
 
 
 @njit(cache=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from hid2.agents import BoxSize, FloatArray
+from hid2.agents import FloatArray
 from hid2.boxes import apart, overlap
 from hid2.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.traffic import BoolArray, Traffic
@@ -110,20 +110,13 @@ def look_along(
     return rows, PathOccupancy(*found)
 
 
-def meets(traffic: Traffic, step: int, x: float, y: float, heading: float, size: BoxSize) -> bool:
-    """Whether a box with its centre at x, y m, heading in rad, touches any agent at a step."""
-    return bool(
-        _meets(
-            x, y, heading, size.length_m, size.width_m, step,
-            traffic.position, traffic.heading, traffic.present, traffic.length_m, traffic.width_m,
-        )
-    )  # fmt: skip
-
-
 def meet_all(
     traffic: Traffic, step: int, center: FloatArray, heading: FloatArray, length_m: FloatArray, width_m: float
 ) -> BoolArray:
-    """The same for many boxes, (B,): centres (B, 2) m, headings (B,) rad, lengths (B,) m, and one width."""
+    """(B,) whether each of many boxes touches any agent at a step.
+
+    Centres (B, 2) m, headings (B,) rad, lengths (B,) m, and one width, m.
+    """
     others = traffic.position, traffic.heading, traffic.present, traffic.length_m, traffic.width_m
     return _meet_all(center, heading, length_m, width_m, step, *others)  # type: ignore[no-any-return]
 

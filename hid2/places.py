@@ -47,6 +47,7 @@ class Places:
     _usable: frozenset[int] = field(init=False)
     _known_ends: dict[Route, tuple[float, ...]] = field(default_factory=dict)
     _known_run_ups: dict[Route, tuple[Route, float]] = field(default_factory=dict)
+    _known_left: list[float] = field(default_factory=list)
     _known_cells: dict[Policy, tuple[list[Cell], list[int], FloatArray, FloatArray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -70,12 +71,10 @@ class Places:
 
         is_free tells by index whether a cell is free at step 0; it is asked again whenever the next one is taken.
         """
-        grid = self.world.grid
         cells, place_of, low, high = self._cells(policy)
         order, starts = self.draws.permutation(len(cells)), self.draws.between(low, high)
         if self.packed and policy is Policy.STRAIGHT:
-            left_m = self._distance_to_exit()
-            order.sort(key=lambda row: left_m[cells[row].lane_id] - grid.edges_s(cells[row].lane_id)[cells[row].index])
+            order.sort(key=self._left_m().__getitem__)
         for row in order:
             cell = cells[row]
             if not is_free(place_of[row]):
@@ -236,6 +235,14 @@ class Places:
                 length += graph.lanes[first].length_m
             self._known_before[lane_id] = before
         return self._known_before[lane_id]
+
+    def _left_m(self) -> list[float]:
+        """From each cell that one who goes straight may start from to the nearest edge of the map, m."""
+        if not self._known_left:
+            cells, _, low, _ = self._cells(Policy.STRAIGHT)
+            left_m = self._distance_to_exit()
+            self._known_left = [left_m[cell.lane_id] - begin for cell, begin in zip(cells, low.tolist(), strict=True)]
+        return self._known_left
 
     def _distance_to_exit(self) -> dict[int, float]:
         """From the start of each lane to the nearest edge of the map, m; lanes that only lead back count as far."""

@@ -3,10 +3,11 @@
 Worked out from the intervals of others on a path (paper, Trajectory Generation, conflict case 3).
 """
 
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from hid2.agents import FloatArray
@@ -23,6 +24,31 @@ class Follower(NamedTuple):
     decel_mps2: float
     reaction_mps: float
     min_gap_m: float
+
+
+class View(NamedTuple):
+    """A `SpaceTime` as the compiled functions take it: who is on the path, one step behind the other.
+
+    begin (T + 1,): where the entries of each step begin; row (N,): of the agent in the occupancy; low, high (N,) m,
+    along (N,) m/s and aligned (N,) as there; the rest as in `SpaceTime`, lengths in cells of cell_m.
+    """
+
+    begin: npt.NDArray[np.int32]
+    row: npt.NDArray[np.int32]
+    low: FloatArray
+    high: FloatArray
+    along: FloatArray
+    aligned: npt.NDArray[np.bool_]
+    cells: int
+    cell_m: float
+    margin_m: float
+    ttc_s: float
+    time_gap_s: float
+    beyond: int
+    earliest_exit_step: int
+    hold_until: int
+    hold_from: int
+    follower: Follower
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -45,6 +71,7 @@ class SpaceTime:
     earliest_exit_step: int
     hold_until: int = 0
     hold_from: int = 0
+    _known: list[View] = field(default_factory=list, init=False, repr=False)
 
     @property
     def blocked(self) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
@@ -66,12 +93,6 @@ class SpaceTime:
         """(T, S) m/s: faster than this, car following brakes for the leader ahead."""
         return np.sqrt(np.maximum(self._tables()[3], 0.0)) - self.follower.reaction_mps
 
-    def speeds_at(self, step: int, s: float) -> tuple[float, float]:
-        """`fastest` and `pushed` at one step and arc length, m/s."""
-        cell = min(int(s / TABLE_STEP_M + 0.5), self.cells - 1)
-        _, fastest, pushed, _ = self._tables(step, step + 1, cell, cell + 1)
-        return float(fastest[0, 0]), float(pushed[0, 0])
-
     def is_blocked(self, s: FloatArray, first_step: int) -> bool:
         """Whether a driven s(t), (M,) m from first_step on, is anywhere that it may not be."""
         cells = np.clip((s / TABLE_STEP_M + 0.5).astype(np.int64), 0, self.cells - 1)
@@ -81,13 +102,17 @@ class SpaceTime:
         """The same, but not beyond arc length s before until_step."""
         return replace(self, hold_until=until_step, hold_from=int(s / TABLE_STEP_M) + 1)
 
-    def view(self) -> tuple[Any, ...]:
-        """Everything as the compiled functions take it."""
-        seen = self.occupancy
-        return (
-            seen.low, seen.high, seen.along, seen.aligned, self.cells, TABLE_STEP_M, self.margin_m, self.ttc_s,
-            self.time_gap_s, self.beyond, self.earliest_exit_step, self.hold_until, self.hold_from, self.follower,
-        )  # fmt: skip
+    def view(self) -> View:
+        """Everything as the compiled functions take it; put together once."""
+        if not self._known:
+            seen = self.occupancy
+            begin, row, low, high, along, aligned = _by_step(seen.low, seen.high, seen.along, seen.aligned)
+            view = View(
+                begin, row, low, high, along, aligned, self.cells, TABLE_STEP_M, self.margin_m, self.ttc_s,
+                self.time_gap_s, self.beyond, self.earliest_exit_step, self.hold_until, self.hold_from, self.follower,
+            )  # fmt: skip
+            self._known.append(view)
+        return self._known[0]
 
     def _tables(
         self, first: int = 0, last: int | None = None, left: int = 0, right: int | None = None
@@ -124,6 +149,30 @@ def space_time(
 
 
 @njit(cache=True)
+def _by_step(low, high, along, aligned):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Of intervals (A, T) those that are any, step by step: a search asks who is there at a step."""
+    agents, steps = low.shape
+    begin = np.zeros(steps + 1, dtype=np.int32)
+    for a in range(agents):
+        for t in range(steps):
+            if low[a, t] != np.inf:
+                begin[t + 1] += 1
+    for t in range(steps):
+        begin[t + 1] += begin[t]
+    count = begin[steps]
+    row, leads = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.bool_)
+    left, right, speed = np.empty(count), np.empty(count), np.empty(count)
+    into = begin.copy()
+    for a in range(agents):
+        for t in range(steps):
+            if low[a, t] != np.inf:
+                i = into[t]
+                row[i], left[i], right[i], speed[i], leads[i] = a, low[a, t], high[a, t], along[a, t], aligned[a, t]
+                into[t] += 1
+    return begin, row, left, right, speed, leads
+
+
+@njit(cache=True)
 def _any_blocked(at, first_step, view):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     row = np.zeros(1, dtype=np.uint8)
     for k in range(at.size):
@@ -149,19 +198,17 @@ def _tables(start, end, left, right, view):  # type: ignore[no-untyped-def]  # n
 @njit(cache=True)
 def block_row(row, t, left, right, view) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
     """Whether cells left .. right - 1 are forbidden at step t, into row[0 .. right - left - 1]."""
-    low, high, _, _, cells, step, margin, _, _, beyond, earliest, until, hold, _ = view
+    cells, step, margin = view.cells, view.cell_m, view.margin_m
     row[: right - left] = 0
-    for a in range(low.shape[0]):
-        if low[a, t] == np.inf:
-            continue
-        first = max(left, min(max(0, int(np.ceil((low[a, t] - margin) / step))), cells))
-        last = min(right - 1, max(-1, min(cells - 1, int(np.floor((high[a, t] + margin) / step)))))
+    for a in range(view.begin[t], view.begin[t + 1]):
+        first = max(left, min(max(0, int(np.ceil((view.low[a] - margin) / step))), cells))
+        last = min(right - 1, max(-1, min(cells - 1, int(np.floor((view.high[a] + margin) / step)))))
         for i in range(first, last + 1):
             row[i - left] = 1
-    for i in range(max(left, beyond), right):  # off the map nobody is met; to be there too early is forbidden
-        row[i - left] = 1 if t < earliest else 0
-    if t < until:
-        for i in range(max(left, hold), right):
+    for i in range(max(left, view.beyond), right):  # off the map nobody is met; to be there too early is forbidden
+        row[i - left] = 1 if t < view.earliest_exit_step else 0
+    if t < view.hold_until:
+        for i in range(max(left, view.hold_from), right):
             row[i - left] = 1
 
 
@@ -171,17 +218,18 @@ def speed_rows(fastest, pushed, followed, t, left, right, view) -> None:  # type
 
     followed: (v + tau b)^2 of the speed v at which car following begins to brake, which saves a root for every cell.
     """
-    low, high, along, aligned, cells, step, margin, ttc, time_gap, beyond, _, _, _, follower = view
+    cells, step, margin, ttc, time_gap = view.cells, view.cell_m, view.margin_m, view.ttc_s, view.time_gap_s
+    follower = view.follower
     fastest[: right - left] = 99.0
     pushed[: right - left] = 0.0
     followed[: right - left] = 1e4
-    for a in range(low.shape[0]):
-        if low[a, t] == np.inf or not aligned[a, t]:
+    for a in range(view.begin[t], view.begin[t + 1]):
+        if not view.aligned[a]:
             continue
-        front, rear = low[a, t] - margin, high[a, t] + margin
+        front, rear = view.low[a] - margin, view.high[a] + margin
         first = min(max(0, int(np.ceil(front / step))), cells)
         last = max(-1, min(cells - 1, int(np.floor(rear / step))))
-        speed = along[a, t]
+        speed = view.along[a]
         slack = 2.0 * follower.decel_mps2
         still = follower.reaction_mps**2 + max(speed, 0.0) ** 2 + slack * (margin - follower.min_gap_m)
         for i in range(max(left, first - int(80.0 / step)), min(right, first)):
@@ -196,7 +244,7 @@ def speed_rows(fastest, pushed, followed, t, left, right, view) -> None:  # type
             needed = speed - (i * step - rear) / ttc
             if needed > pushed[i - left]:
                 pushed[i - left] = needed
-    for i in range(max(left, beyond), right):
+    for i in range(max(left, view.beyond), right):
         fastest[i - left] = np.inf
         pushed[i - left] = 0.0
         followed[i - left] = 1e4

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numba import njit
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.conflicts import DT_S, Prospect
@@ -21,7 +20,9 @@ from hid2.path_occupancy import meet_all
 from hid2.places import Places
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath, Route
+from hid2.screening import BEND_M, UNDER_SHARE, Candidate, Screening, shares_at_spawn
 from hid2.speed_plan import SpeedPlan
+from hid2.starts import Start
 from hid2.traffic import BoolArray, Traffic
 from hid2.turns import TURN_OF_POLICY
 from hid2.world import PlannedVehicle, World, predicted_traffic
@@ -35,17 +36,14 @@ _KEEP_FREE_M = 4.0
 _EDGE_M, _EDGE_MPS = 6.0, 2.0  # nobody slows down at the edge of the map because it is one
 _TRIGGERS = 4  # moments tried for a lane change at a place
 _PROGRESS = 0.9  # of what the desired speed makes up to the trigger, usually
-_BEHIND_M = 60.0
 _BEGINNING, _BEGINS_BRAKING_MPS2 = 20, 2.5  # steps of the scene in which nobody brakes harder, if it can be
-_EASES_MPS = 1.0  # by which who is behind may be too fast for its gap: it eases off the pedal
-_BEND_M = 0.3  # by which gaps along a bend may differ from those straight ahead
 #: Desired speed of an overtaker: slower ones do not get past within a scene, faster ones find no corridor in traffic.
 _OVERTAKER_MPS = (9.0, 11.0)
 _FASTER_MPS = 3.5  # than the leader: who is slower does not get past within a scene
 _LEADER_SHARE, _LEADER_MPS = (0.3, 0.4), 2.8  # of the overtaker's speed: slow enough to be passed within a scene
 _LEADER_SPARE_M = (0.5, 4.0, 8.0)  # beyond the gap at which the overtaker would begin to brake
-#: Speeds at spawn that are tried, as shares of the one drawn: without patience, for a turn, with patience.
-_SHARES, _TURN_SHARES, _PATIENT_SHARES = (1.0,), (1.0, 0.6), (1.0, 0.5, 0.0)
+_SCREENED_LATER = 8
+_SCREENED_MOST = 32  # candidates in one go; fewer at first, because what follows the first possible one is in vain
 _NO_BETTER_SLOWER = frozenset({"turn_not_reached", "would_stand", "curve_too_sharp"})
 #: Objections that cost nothing to find do not count as attempts.
 _SEEN_AT_ONCE = frozenset(
@@ -79,9 +77,11 @@ class Spawner:
     _sigma: np.ndarray[tuple[int], np.dtype[np.uint8]] = field(init=False)
     _crowded: BoolArray = field(init=False)
     _ahead: Foresight = field(init=False)
+    _screening: Screening = field(init=False)
     _against: dict[Policy, Counter[str]] = field(default_factory=dict)
     _exhausted: set[Policy] = field(default_factory=set)
     _streams: dict[Policy, Iterator[tuple[Route, float] | None]] = field(default_factory=dict)
+    _left: dict[Policy, list[tuple[Route, float]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Occupancy at step 0, with the fixed vehicles in it."""
@@ -92,6 +92,7 @@ class Spawner:
                 x, y = self.fixed.position[row, 0].tolist()
                 size = BoxSize(self.fixed.length_m[row], self.fixed.width_m[row])
                 self._mark(x, y, float(self.fixed.heading[row, 0]), size)
+        self._screening = Screening(self.places)
         nobody = predicted_traffic([], self.world.num_steps)
         self._ahead = Foresight(self.world, self.fixed, nobody, nobody)
 
@@ -110,15 +111,23 @@ class Spawner:
 
         Candidates that were turned down are not tried again by this spawner: there is only less room later.
         """
-        object_type, own = self._draw_size()
+        wish = Wish(policy, vehicle_id, *self._draw_size(), self._draw_trigger(policy))
         against: Counter[str] = Counter()
-        for route, s0 in self._some(policy, attempts, against):
-            wish = Wish(policy, vehicle_id, object_type, own, self._draw_trigger(policy))
-            vehicle = self._try(wish, route, s0)
-            if isinstance(vehicle, PlannedVehicle):
-                self._add(vehicle)
-                return vehicle
-            against[vehicle] += 1
+        count = tried = _SCREENED_LATER if self.patience > 0 else 1
+        while places := self._next(policy, min(count, attempts - _closely(against)), against):
+            candidates = [self._candidate(wish, route, s0) for route, s0 in places]
+            screened = self._screening.starts(candidates, self._ahead, self._sigma, self.patience)
+            for row, (candidate, start) in enumerate(zip(candidates, screened, strict=True)):
+                vehicle = start if isinstance(start, str) else self._from(candidate, start)
+                if isinstance(vehicle, PlannedVehicle):
+                    self._add(vehicle)
+                    rest = zip(places[row + 1 :], screened[row + 1 :], strict=True)
+                    possible = [place for place, start in rest if isinstance(start, Start)]
+                    self._left[policy] = possible + self._left[policy]
+                    return vehicle
+                against[vehicle] += 1
+            tried += count
+            count = max(count, min(tried // 4, _SCREENED_MOST))
         self._note(policy, against)
         return None
 
@@ -132,7 +141,8 @@ class Spawner:
         if self.world.config.request.trigger_min_s / DT_S >= self.world.num_steps - PASS_STEPS:
             self._note(Policy.OVERTAKE, Counter({"overtake_scene_too_short": 1}))
             return ()
-        for route, s0 in self._some(Policy.OVERTAKE, attempts, against):
+        while places := self._next(Policy.OVERTAKE, min(1, attempts - _closely(against)), against):
+            route, s0 = places[0]
             cruise = self.draws.uniform(*_OVERTAKER_MPS)
             wish = Wish(Policy.OVERTAKE, vehicle_id, object_type, own, self._draw_trigger(Policy.OVERTAKE), cruise)
             leader = self._ahead.leader_at_start(wish, self.world.path(route), s0)
@@ -149,7 +159,14 @@ class Spawner:
     def look_again(self) -> None:
         """Take all candidates anew, with more patience."""
         self.patience += 1
-        self._streams = {}
+        self._streams, self._left = {}, {}
+
+    def close_up(self, world: World) -> None:
+        """Look for places with the gaps of another view of the same scene from now on."""
+        self.places.world, before = world, self._ahead
+        self._ahead = Foresight(world, self.fixed, before.predicted, before.claims)
+        self._crowded = self._crowds(world.traffic) | self._crowds(self.fixed) | self._crowds(before.predicted)
+        self._screening.forget()
 
     def why_none(self, policy: Policy) -> str:
         """What speaks against another vehicle of a policy.
@@ -169,18 +186,23 @@ class Spawner:
         self.reasons.update(against)
         self._against.setdefault(policy, Counter()).update(against)
 
-    def _some(self, policy: Policy, attempts: int, against: Counter[str]) -> Iterator[tuple[Route, float]]:
-        """The next candidates of a policy, until `attempts` of them were turned down after a closer look."""
+    def _next(self, policy: Policy, count: int, against: Counter[str]) -> list[tuple[Route, float]]:
+        """The next places of a policy, at most `count`: first those that another vehicle did not need."""
+        left = self._left.setdefault(policy, [])
+        found, self._left[policy] = left[: max(count, 0)], left[max(count, 0) :]
         if policy not in self._streams:
             self._streams[policy] = self.places.candidates(policy, self._is_free, self.patience)
-        for place in self._streams[policy]:
+        while len(found) < count:
+            try:
+                place = next(self._streams[policy])
+            except StopIteration:
+                self._exhausted.add(policy)
+                break
             if place is None:
                 against["cells_occupied"] += 1
-                continue
-            yield place
-            if sum(count for reason, count in against.items() if reason not in _SEEN_AT_ONCE) >= attempts:
-                return
-        self._exhausted.add(policy)
+            else:
+                found.append(place)
+        return found
 
     def _is_free(self, cell: int) -> bool:
         free = self._sigma[cell] == FREE and not self._crowded[cell]
@@ -192,7 +214,7 @@ class Spawner:
         What is common to its boxes, with the distance, all along a cell.
         """
         cells, usual = self.world.boxes, DEFAULT_SIZES["vehicle"]
-        apart_m = 2 * (self.world.config.spawn.clear_gap_m - _BEND_M)
+        apart_m = 2 * (self.world.config.spawn.clear_gap_m - BEND_M)
         common_m = np.maximum(usual.length_m + apart_m - cells.length_m, 0.0)
         return meet_all(traffic, 0, cells.center, cells.heading, common_m, usual.width_m)
 
@@ -224,76 +246,66 @@ class Spawner:
                 return (vehicle, leader)
             self.planned.pop()
             self._sigma, self._crowded, self._ahead = before
+            self._screening.forget()  # what was seen with the leader
             reason = vehicle
         return reason
 
     def _try(self, wish: Wish, route: Route, s0: float) -> PlannedVehicle | str:
         """A planned vehicle, or the reason against it."""
-        world, config, size = self.world, self.world.config, wish.size
-        cruise = (
-            world.speed_sample(self.places.lane_at(route, s0), self.draws)
-            if wish.cruise_mps is None
-            else wish.cruise_mps
-        )
+        candidate = self._candidate(wish, route, s0)
+        start = self._screening.starts([candidate], self._ahead, self._sigma, self.patience)[0]
+        return start if isinstance(start, str) else self._from(candidate, start)
+
+    def _candidate(self, wish: Wish, route: Route, s0: float) -> Candidate:
+        """What is drawn for a place."""
+        cruise = wish.cruise_mps
+        if cruise is None:
+            cruise = self.world.speed_sample(self.places.lane_at(route, s0), self.draws)
         if wish.policy is Policy.LANE_CHANGE:
+            wish = replace(wish, trigger_s=self._draw_trigger(wish.policy))  # late ones suit few places
             wish = self._when_beside(wish, route, s0, cruise)
-        unsuited = self.places.unsuited(wish, route, s0, cruise, self.patience)
-        if unsuited is not None:
-            return unsuited
-        if "collision" in config.without:
-            return self._unchecked(wish, route, world.path(route), s0, cruise)
-        x, y, heading = self.places.pose(route, s0)
-        under = cells_under(world.boxes, x, y, heading, length_m=size.length_m, width_m=0.8 * size.width_m)
-        if np.any(self._sigma[under] != FREE):
-            return "cells_occupied"
-        if self._ahead.meets_at_start(x, y, heading, size, config.spawn.clear_gap_m - _BEND_M):
-            return "box_too_close"  # seen before a path is laid and looked along
-        path = world.path(route)
-        turn_end = self._ahead.turn_end(wish, path, s0, cruise) if wish.policy in TURN_OF_POLICY else 0.0
-        if isinstance(turn_end, str):
-            return turn_end
-        look = self._ahead.prospect(path, size, cruise)
         keeps = wish.steady or wish.policy is Policy.OVERTAKE
-        v0 = self._entry_speed(look, s0, cruise if keeps else cruise * self.draws.uniform(0.85, 1.0))
-        if isinstance(v0, str):
-            return v0
-        intention = self._intend(wish, path, look, s0, v0, cruise, turn_end)
+        return Candidate(wish, route, s0, cruise, cruise if keeps else cruise * self.draws.uniform(0.85, 1.0))
+
+    def _from(self, candidate: Candidate, start: Start) -> PlannedVehicle | str:
+        """A planned vehicle from a start, or the reason against it."""
+        wish, route, s0, cruise = candidate.wish, candidate.route, candidate.s0, candidate.cruise_mps
+        path = self.world.path(route)
+        if "collision" in self.world.config.without:
+            return self._unchecked(wish, route, path, s0, cruise)
+        look = self._ahead.prospect(path, wish.size, cruise)
+        intention = self._intend(candidate, path, look, start)
         if isinstance(intention, str):
             return intention
         conflict = self._ahead.conflict(wish, intention)
         if conflict is not None:
             return conflict
         return PlannedVehicle(
-            vehicle_id=wish.vehicle_id, policy=wish.policy, object_type=wish.object_type, size=size,
+            vehicle_id=wish.vehicle_id, policy=wish.policy, object_type=wish.object_type, size=wish.size,
             own_size=wish.own_size, route=route, path=path, s0=s0, v0=float(intention.own.v[0]), cruise_mps=cruise,
             trigger_s=wish.trigger_s, plan_s=intention.own.s, plan_v=intention.own.v, sides=intention.sides,
             intended_path=intention.path, intended_s=intention.plan.s, claims=intention.claims,
         )  # fmt: skip
 
-    def _intend(
-        self, wish: Wish, path: DrivenPath, look: Prospect, s0: float, v0: float, cruise: float, turn_end: float
-    ) -> Intention | str:
-        """What it will do from here, starting at v0 or slower; or why nothing comes of it."""
+    def _intend(self, candidate: Candidate, path: DrivenPath, look: Prospect, start: Start) -> Intention | str:
+        """What it will do from here, starting as fast as it may or slower; or why nothing comes of it."""
+        wish, s0, cruise = candidate.wish, candidate.s0, candidate.cruise_mps
         if wish.policy is Policy.OVERTAKE:
             if self.places.too_sharp(path, s0, s0 + cruise * self.world.num_steps * DT_S):
                 return "curve_too_sharp"
-            return self._ahead.overtake(wish, path, s0, v0, cruise, obstacles=self.patience > 0)
-        turns = wish.policy in TURN_OF_POLICY
-        shares = _PATIENT_SHARES if self.patience > 0 else _TURN_SHARES if turns else _SHARES
-        speeds = [share * v0 for share in shares]
-        reason = "no_safe_timing"
-        while speeds:
-            plan = look.plan(s0=s0, v0=speeds, a0=0.0, first_step=0, config=self.world.config)
-            if plan is None:
-                break
-            speeds = speeds[speeds.index(float(plan.v[0])) + 1 :]  # a manoeuvre may come about from a slower start
+            return self._ahead.overtake(wish, path, s0, start.v0, cruise, obstacles=self.patience > 0)
+        speeds = [share * start.v0 for share in shares_at_spawn(wish.policy, self.patience)]
+        reason, plan = "no_safe_timing", start.plan
+        while plan is not None:
             for unhurried in self._unhurried_first(look, plan):
-                intention = self._on_plan(wish, path, look, unhurried, cruise, turn_end)
+                intention = self._on_plan(wish, path, look, unhurried, cruise, candidate.turn_end)
                 if isinstance(intention, Intention):
                     return intention
                 reason = intention
-            if reason in _NO_BETTER_SLOWER:
+            speeds = [speed for speed in speeds if speed < plan.v[0]]  # it may come about from a slower start
+            if reason in _NO_BETTER_SLOWER or not speeds:
                 break
+            plan = look.plan(s0=s0, v0=speeds, a0=0.0, first_step=0, config=self.world.config)
         return reason
 
     def _on_plan(
@@ -349,22 +361,6 @@ class Spawner:
             trigger_s=wish.trigger_s, plan_s=s, plan_v=v, sides=("left", "right"), intended_path=path, intended_s=s,
         )  # fmt: skip
 
-    def _entry_speed(self, look: Prospect, s0: float, wanted: float) -> float | str:
-        """Spawn speed that suits the road and the gaps ahead and behind at step 0, or what forbids any."""
-        spawn = self.world.config.spawn
-        cell = int(s0 / TABLE_STEP_M + 0.5)
-        occupancy = look.occupancy
-        fastest, pushed = look.tables.speeds_at(0, s0)
-        gentle_from = occupancy.low.shape[0] if self.patience > 0 else look.recorded_rows
-        close, room, unbraked = _gaps_at_start(
-            occupancy.low, occupancy.high, occupancy.along, occupancy.aligned, s0, spawn.clear_gap_m,
-            spawn.clear_ahead_s, look.tables.follower, gentle_from,
-        )  # fmt: skip
-        if close:
-            return "box_too_close"
-        v0 = min(wanted, float(look.desired[cell]), fastest, room)
-        return "follower_too_fast" if v0 < max(pushed, unbraked) else v0
-
     def _draw_size(self) -> tuple[str, BoxSize]:
         request = self.world.config.request
         kind, share = self.draws.unit(), self.draws.unit()
@@ -405,7 +401,7 @@ class Spawner:
         self._ahead = Foresight(self.world, self.fixed, self._ahead.predicted.joined(one), claims)
 
     def _mark(self, x: float, y: float, heading: float, size: BoxSize) -> None:
-        under = cells_under(self.world.boxes, x, y, heading, length_m=size.length_m, width_m=0.8 * size.width_m)
+        under = cells_under(self.world.boxes, x, y, heading, length_m=size.length_m, width_m=UNDER_SHARE * size.width_m)
         self._sigma[under[self._sigma[under] == FREE]] = GENERATED
 
 
@@ -417,26 +413,9 @@ def _foreseen(vehicle: PlannedVehicle) -> tuple[str, DrivenPath, BoxSize, FloatA
     return vehicle.vehicle_id, vehicle.intended_path, size, vehicle.intended_s
 
 
-@njit(cache=True)
-def _gaps_at_start(low, high, along, aligned, s0, clear, headway, follower, gentle_from):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Whether anybody is nearer than `clear`, m, at step 0, and the speeds, m/s, that the gaps ahead and behind allow.
-
-    Behind: the slowest at which nobody of row gentle_from and later has to brake at once, but gently: the inverse of
-    the car following's safe speed (Krauss 1998).
-    """
-    nearest, room, square = np.inf, np.inf, 0.0
-    for a in range(low.shape[0]):
-        if low[a, 0] - clear < s0 < high[a, 0] + clear:
-            return True, 0.0, 0.0
-        if s0 < low[a, 0] < nearest:
-            nearest = low[a, 0]
-            gap, speed = nearest - s0, max(0.0, along[a, 0])
-            room = max(max(0.0, gap - clear) / headway, min(speed, 0.8 * gap))
-        if a >= gentle_from and aligned[a, 0] and s0 - _BEHIND_M < high[a, 0] < s0:
-            wanted = max(along[a, 0] - _EASES_MPS + follower.reaction_mps, 0.0)
-            gap = s0 - high[a, 0] - follower.min_gap_m
-            square = max(square, wanted**2 - follower.reaction_mps**2 - 2.0 * follower.decel_mps2 * gap)
-    return False, room, np.sqrt(square)
+def _closely(against: Counter[str]) -> int:
+    """How many were turned down after a closer look."""
+    return sum(count for reason, count in against.items() if reason not in _SEEN_AT_ONCE)
 
 
 def _quantile(table: tuple[tuple[float, float, float], ...], share: float) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from hid2.space_time import SpaceTime, block_row, speed_rows
 #: Steps of a stage of the search.
 STAGE_STEPS = 5
 _STEEPEST = 1.65  # m/s2 by which the acceleration changes within a stage: a jerk that the smoothing allows too
-_OVER_MPS = 4.0
+OVER_MPS = 4.0  # above the desired speed, at most
 _S_BIN, _V_BIN, _V_BINS = 1.5, 0.75, 48
 _STATES_MOST = 3000
 _STAGES_ROUNDED = 32
@@ -41,8 +41,7 @@ def plan_speed(
     v0: float | Sequence[float],
     a0: float,
     first_step: int,
-    accel_max: float,
-    accel_min: float,
+    accels: FloatArray,
     step_s: float,
     most: FloatArray | None = None,
     reference: FloatArray | None = None,
@@ -52,34 +51,33 @@ def plan_speed(
     Search over time, arc length and speed (stages of half a second, constant acceleration in each but the first, in
     which it builds up; one representative per bin of 1.5 m and 0.75 m/s).
     desired (S,) m/s: target speed, exceeded by at most 4 m/s; most (S,) m/s: what the road allows at all.
+    accels (N,) m/s2: constant accelerations that a profile is made of, as of `accelerations`.
     v0: speed at the start, or several, of which the first that is possible is taken.
     reference (T,) m: a driven s(t) to stay near, where given. This is "adjust timing" of conflict case 3.
     """
-    accels = np.array(
-        [
-            accel_min,
-            0.75 * accel_min,
-            0.5 * accel_min,
-            0.25 * accel_min,
-            0.0,
-            accel_max / 3,
-            accel_max * 2 / 3,
-            accel_max,
-        ]
-    )
     use_reference = reference is not None
-    ok, s, v, cost = _search(
-        tables.view(), desired, desired + _OVER_MPS if most is None else np.minimum(most, desired + _OVER_MPS),
-        s0, np.atleast_1d(np.asarray(v0, dtype=np.float64)), a0, first_step, tables.num_steps, accels, step_s,
+    ok, s, v, cost = search(
+        tables.view(), desired, desired + OVER_MPS if most is None else np.minimum(most, desired + OVER_MPS),
+        s0, np.atleast_1d(np.asarray(v0, dtype=np.float64)), a0, first_step, tables.num_steps,
+        accels, step_s,
         reference if reference is not None else np.zeros(tables.num_steps), use_reference,
-        _states((tables.num_steps // STAGE_STEPS + 2) // _STAGES_ROUNDED + 1),
+        states(tables.num_steps),
     )  # fmt: skip
     if not ok:
         return None
     return SpeedPlan(s=s, v=v, cost=float(cost))
 
 
-class _States(NamedTuple):
+@cache
+def accelerations(accel_max: float, accel_min: float) -> FloatArray:
+    """(N,) m/s2 that a plan is made of."""
+    return np.array([
+        accel_min, 0.75 * accel_min, 0.5 * accel_min, 0.25 * accel_min,
+        0.0, accel_max / 3, accel_max * 2 / 3, accel_max,
+    ])  # fmt: skip
+
+
+class States(NamedTuple):
     """States of a search, those of all stages one behind the other."""
 
     s: FloatArray
@@ -90,11 +88,15 @@ class _States(NamedTuple):
     key: npt.NDArray[np.int32]
 
 
+def states(num_steps: int) -> States:
+    """Memory for searches of so many steps, kept: to be given new pages costs a fifth of a search."""
+    return _kept((num_steps // STAGE_STEPS + 2) // _STAGES_ROUNDED + 1)
+
+
 @cache
-def _states(rounded: int) -> _States:
-    """Memory for searches of so many times 32 stages, kept: to be given new pages costs a fifth of a search."""
+def _kept(rounded: int) -> States:
     room = _STATES_MOST * _STAGES_ROUNDED * rounded
-    return _States(
+    return States(
         s=np.empty(room),
         v=np.empty(room),
         a=np.empty(room),
@@ -114,13 +116,14 @@ def _advance(s, v, a, ramp, dt):  # type: ignore[no-untyped-def]  # noqa: ANN001
 
 
 @njit(cache=True)
-def _search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, reference, use_reference, states):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    cells, step, reaction = view[4], view[5], view[-1].reaction_mps
+def search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, reference, use_reference, memory):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """The search of `plan_speed`, with its arguments; whether there is a profile, s, v, and its cost."""
+    cells, step, reaction = view.cells, view.cell_m, view.follower.reaction_mps
     s_bins = int(cells * step / _S_BIN) + 1
     stages = (steps - 1 - first + STAGE_STEPS - 1) // STAGE_STEPS
     out_s = np.zeros(steps - first)
     out_v = np.zeros(steps - first)
-    all_s, all_v, all_a, all_c, parent, keys = states
+    all_s, all_v, all_a, all_c, parent, keys = memory
     begin = np.zeros(stages + 2, dtype=np.int64)
     slot = np.full((s_bins + 1) * _V_BINS, -1, dtype=np.int32)
     blocked = np.empty((STAGE_STEPS + 1, cells), dtype=np.uint8)

@@ -65,7 +65,7 @@ class RoadSpeeds:
         Slowing begins before the entrance at approach_decel_mps2; speeding up after the exit at accel_mps2.
         """
         decel_mps2 = turn.approach_decel_mps2
-        return np.asarray(_reachable(self.cap, self.shape, cruise_mps, TABLE_STEP_M, decel_mps2, accel_mps2))
+        return np.asarray(reachable(self.cap, self.shape, cruise_mps, TABLE_STEP_M, decel_mps2, accel_mps2))
 
 
 def road_speeds(
@@ -89,7 +89,7 @@ def road_speeds(
 
 
 @njit(cache=True)
-def _reachable(cap, shape, cruise, step, decel, accel):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def reachable(cap, shape, cruise, step, decel, accel):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Backward pass for slowing in time, forward pass for speeding up, both in squares of speed."""
     out = np.empty_like(cap)
     slowing, speeding = 2 * decel * step, 2 * accel * step

@@ -99,11 +99,15 @@ class World:
 
     def desired(self, path: DrivenPath, cruise_mps: float) -> FloatArray:
         """(S,) target speed along a path, m/s."""
-        config = self.config
+        accel_mps2 = self.config.car_following.accel_mps2
+        return self.speeds(path).desired(cruise_mps, turn=self.config.turn, accel_mps2=accel_mps2)
+
+    def speeds(self, path: DrivenPath) -> RoadSpeeds:
+        """What the road makes of anybody's speed along a path; worked out once."""
         if path not in self._speeds:
             segments = turn_segments(self.grid.graph, path)
-            self._speeds[path] = road_speeds(path.line, segments, turn=config.turn, limits=config.limits)
-        return self._speeds[path].desired(cruise_mps, turn=config.turn, accel_mps2=config.car_following.accel_mps2)
+            self._speeds[path] = road_speeds(path.line, segments, turn=self.config.turn, limits=self.config.limits)
+        return self._speeds[path]
 
     def prospect(
         self,

@@ -3,7 +3,18 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hid2.occupancy import FREE, ORIGINAL, CellBoxes, cell_boxes, cells_under, dwell_steps, original_occupancy
+from hid2.occupancy import (
+    FREE,
+    GENERATED,
+    ORIGINAL,
+    CellBoxes,
+    are_taken,
+    cell_boxes,
+    cells_under,
+    dwell_steps,
+    is_anybody_on,
+    original_occupancy,
+)  # fmt: skip
 from hid2.traffic import Traffic
 from netconvert.cells import Cell, CellGrid, build_cell_grid
 from netconvert.lane_graph import LaneGraph
@@ -129,3 +140,25 @@ def test_dwell_time_is_rounded_up_to_whole_steps() -> None:
 
 def test_standing_vehicle_never_leaves_its_cell() -> None:
     assert dwell_steps(cell_m=4.0, speed_mps=0.0, step_s=0.1) is None
+
+
+def test_boxes_on_cells_that_are_not_free(boxes: CellBoxes) -> None:
+    """Of three boxes at once each is told what `cells_under` says of it alone."""
+    sigma = np.zeros(len(boxes.length_m), dtype=np.uint8)
+    sigma[cells_under(boxes, 14.0, 0.0, 0.0, length_m=1.0, width_m=1.0)] = GENERATED
+    x, y, heading = np.array([14.0, 19.0, 14.0]), np.array([0.0, 0.0, -20.0]), np.zeros(3)
+    assert are_taken(boxes, sigma, x, y, heading, length_m=4.5, width_m=1.9).tolist() == [True, False, False]
+
+
+def test_somebody_on_some_of_the_cells(grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]) -> None:
+    """10 m/s from x = 6 in lane 1: on cell 1 at first, after 1 s on cell 4; never on lane 2."""
+    someone = box(6.0, 0.0, 0.0, 10.0, steps=11)
+    one, four, beside = (grid.index_of[cell] for cell in (Cell(1, 1), Cell(1, 4), Cell(2, 1)))
+
+    def is_on(cells: list[int], step: int) -> bool:
+        return is_anybody_on(boxes, cells, someone, step, width_share=0.8)
+
+    assert (is_on([one], 0), is_on([four], 0), is_on([four, one], 0)) == (True, False, True)
+    assert (is_on([one], 10), is_on([four], 10)) == (False, True)
+    assert not is_on([beside], 0)
+    assert not is_anybody_on(boxes, [one], box(6.0, 0.0, steps=4, first=2), 0, width_share=0.8)

@@ -6,7 +6,7 @@ from views import MARGIN_M, SIZE, TTC_S, tables_of
 
 from hid2.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.space_time import SpaceTime
-from hid2.speed_plan import STAGE_STEPS, SpeedPlan, plan_speed
+from hid2.speed_plan import STAGE_STEPS, SpeedPlan, accelerations, plan_speed
 from hid2.traffic import Traffic
 
 
@@ -21,7 +21,7 @@ def _plan(
 ) -> SpeedPlan | None:
     speed = np.full(tables.blocked.shape[1], desired)
     return plan_speed(
-        tables, speed, s0=s0, v0=v0, a0=0.0, first_step=first_step, accel_max=1.8, accel_min=-3.2, step_s=0.1, **more
+        tables, speed, s0=s0, v0=v0, a0=0.0, first_step=first_step, accels=accelerations(1.8, -3.2), step_s=0.1, **more
     )  # type: ignore[arg-type]
 
 
