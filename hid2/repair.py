@@ -31,6 +31,7 @@ _SPEEDING_MPS = 0.2
 _STANDING_MPS, _EDGE_M = 0.5, 5.0  # nobody waits there for the step from which it may leave the map
 #: Shares of the cruising speed that are tried in turn.
 _CAPS = (1.0, 1.0, 0.85, 0.65)
+_AROUND_M = 30.0  # between centres, within which one may have to give way
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -64,12 +65,43 @@ def settle(
 ) -> tuple[list[SettledVehicle], list[tuple[PlannedVehicle, str]]]:
     """Smooth and check every driven vehicle; those that cannot be made safe come back with the reason.
 
-    earlier: vehicles settled in rounds before, the agents of `fixed`.
+    earlier: vehicles settled in rounds before, the agents of `fixed`. Who is settled first has its way: where that
+    leaves some without, they and those around them are settled once more, they first, and the better of the two holds.
     """
+    settled, failed = _settle_in_order(world, _leaders_first(driven), earlier, fixed)
+    if not failed:
+        return settled, failed
+    without = {spec.vehicle_id for spec, _ in failed}
+    first = [vehicle for vehicle in driven if vehicle.spec.vehicle_id in without]
+    near = _ever_near(world, first, settled)
+    kept = [vehicle for vehicle, is_near in zip(settled, near, strict=True) if not is_near]
+    around = [vehicle.driven for vehicle, is_near in zip(settled, near, strict=True) if is_near]
+    anew, still_failed = _settle_in_order(
+        world, [*first, *around], [*earlier, *kept], fixed.joined(settled_traffic(kept, world.num_steps))
+    )
+    return ([*kept, *anew], still_failed) if len(still_failed) < len(failed) else (settled, failed)
+
+
+def settle_as_planned(world: World, vehicle: SettledVehicle, others: Sequence[SettledVehicle]) -> SettledVehicle | None:
+    """A vehicle on the motion that was planned for it among others, not the one that SUMO drove; None if not safe.
+
+    Who comes up behind was looked at when it was planned, and SUMO may have been a little slower.
+    """
+    driven, spec = vehicle.driven, vehicle.driven.spec
+    if driven.path.shifts:
+        return None
+    planned = replace(driven, s=spec.plan_s, v=spec.plan_v)
+    found = _settle_one(world, planned, settled_traffic(others, world.num_steps), others)
+    return None if isinstance(found, str) else replace(found, driven=driven, retimed=found.retimed + 1)
+
+
+def _settle_in_order(
+    world: World, order: Sequence[DrivenVehicle], earlier: Sequence[SettledVehicle], fixed: Traffic
+) -> tuple[list[SettledVehicle], list[tuple[PlannedVehicle, str]]]:
     settled: list[SettledVehicle] = []
     failed: list[tuple[PlannedVehicle, str]] = []
     others = fixed
-    for vehicle in _leaders_first(driven):
+    for vehicle in order:
         result = _settle_one(world, vehicle, others, [*earlier, *settled])
         if isinstance(result, str):
             failed.append((vehicle.spec, result))
@@ -77,6 +109,16 @@ def settle(
         settled.append(result)
         others = others.joined(settled_traffic([result], world.num_steps))
     return settled, failed
+
+
+def _ever_near(world: World, driven: Sequence[DrivenVehicle], settled: Sequence[SettledVehicle]) -> list[bool]:
+    """Which settled vehicles are ever near where others were driven."""
+    rows = [(v.spec.vehicle_id, v.path, v.spec.size, v.s) for v in driven]
+    theirs = predicted_traffic(rows, world.num_steps)
+    ours = settled_traffic(settled, world.num_steps)
+    together = theirs.present[:, None] & ours.present[None]
+    apart_m = np.hypot(*np.moveaxis(theirs.position[:, None] - ours.position[None], -1, 0))
+    return np.any(together & (apart_m < _AROUND_M), axis=(0, 2)).tolist()  # type: ignore[no-any-return]
 
 
 def settled_traffic(vehicles: Sequence[SettledVehicle], num_steps: int) -> Traffic:

@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -6,7 +7,7 @@ import pytest
 
 from hid2.agents import BoxSize, Policy, Track
 from hid2.params import Config, Request
-from hid2.repair import DrivenVehicle, settle, settled_traffic
+from hid2.repair import DrivenVehicle, settle, settle_as_planned, settled_traffic
 from hid2.verify import first_overlap, limit_exceeded
 from hid2.world import PlannedVehicle, World, build_world, predicted_traffic
 from netconvert.cells import build_cell_grid
@@ -137,3 +138,36 @@ def test_nobody_waits_at_the_edge_of_the_map_for_the_step_from_which_it_may_leav
     assert len(settled) + len(failed) == 1
     assert all(reason == "stops_at_map_edge" for _, reason in failed)
     assert all(vehicle.motion.v[vehicle.motion.s > 193.0].min() >= 0.5 for vehicle in settled)
+
+
+def test_who_is_left_without_by_another_is_settled_first_once_more(world: Callable[..., World]) -> None:
+    """A slow one, and a fast one behind it that goes first because it turns: it keeps its speed, and the slow one,
+    which would have to be faster than it can to keep out of its way, is left without. The other way round both live.
+    """
+    scene = world(length_m=400.0)
+    slow = _steady(scene, 60.0, 4.0, name="v2")
+    fast = _steady(scene, 20.0, 12.0, name="v1")
+    fast = replace(fast, spec=replace(fast.spec, policy=Policy.LEFT_TURN))
+    settled, failed = settle(scene, [fast, slow], (), NOBODY)
+    assert failed == []
+    by_id = {vehicle.driven.spec.vehicle_id: vehicle for vehicle in settled}
+    assert set(by_id) == {"v1", "v2"}
+    assert by_id["v2"].motion.s == pytest.approx(60.0 + 0.4 * np.arange(110), abs=0.4)
+    assert first_overlap(by_id["v1"].trajectory, CAR, settled_traffic([by_id["v2"]], 110), margin_m=0.0) is None
+
+
+def test_vehicle_may_drive_as_planned_where_sumo_was_slower(world: Callable[..., World]) -> None:
+    scene = world(length_m=400.0)
+    driven = _steady(scene, 20.0, 8.0)
+    plan_s, plan_v = 20.0 + 1.0 * np.arange(110), np.full(110, 10.0)
+    planned = replace(driven.spec, v0=10.0, cruise_mps=10.0, plan_s=plan_s, plan_v=plan_v)
+    (settled,), _ = settle(scene, [replace(driven, spec=planned)], (), NOBODY)
+    anew = settle_as_planned(scene, settled, ())
+    assert anew is not None
+    assert anew.motion.s == pytest.approx(plan_s, abs=0.3)
+    assert anew.driven is settled.driven
+    assert anew.retimed == settled.retimed + 1
+    in_the_way, _ = settle(scene, [_steady(scene, 60.0, 6.0, name="v2")], (), NOBODY)
+    behind = settle_as_planned(scene, settled, in_the_way)
+    assert behind is not None
+    assert behind.motion.s[-1] < in_the_way[0].motion.s[-1]
