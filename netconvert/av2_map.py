@@ -1,12 +1,12 @@
 """Argoverse 2 vector maps (log_map_archive_*.json) as lane graphs."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic_core import from_json
 
 from netconvert.errors import MapError
 from netconvert.geometry import FloatArray, arc_length
@@ -53,8 +53,8 @@ def read_lane_graph(path: Path | str) -> LaneGraph:
     except OSError as error:
         raise MapError(f"{path}: cannot read the map: {error.strerror}") from error
     try:
-        data = json.loads(content)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        data = from_json(content)
+    except ValueError as error:
         raise MapError(f"{path}: not JSON: {error}") from error
     return lane_graph_from_json(data, name=str(path))
 
