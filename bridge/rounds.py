@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from hid2.agents import Policy, Track
 from hid2.draws import Draws
 from hid2.foresight import BEHIND_TURN_M
 from hid2.places import Places
-from hid2.repair import SettledVehicle, settle, settled_traffic
+from hid2.repair import SettledVehicle, settle, settle_as_planned, settled_traffic
 from hid2.route import first_turn
 from hid2.spawning import Spawner
 from hid2.traffic import Traffic
@@ -25,17 +26,24 @@ from hid2.world import PlannedVehicle, World, predicted_traffic
 _ATTEMPTS = 30
 _ATTEMPTS_AGAIN = 20
 #: Times that all places are gone through again; these hang most on where, how fast and when they are tried.
-_LOOKS_AGAIN = dict.fromkeys(Policy, 1) | {Policy.LANE_CHANGE: 3, Policy.RIGHT_TURN: 3}
+_LOOKS_AGAIN = dict.fromkeys(Policy, 1) | {Policy.LANE_CHANGE: 5, Policy.RIGHT_TURN: 3}
 _ATTEMPTS_LAST = 400
 _LOOKS_MOST = 8  # for vehicles that go straight, as long as each finds one more
 _ATTEMPTS_LATE = 10_000
 _MAX_AGENTS = 400
-_FROM_EMPTY = 6
+#: How a road is packed: from an empty one, with the mix or with vehicles that go where there is room; or from the
+#: fullest one so far, some of it anew.
+_Way = Literal["mix", "no mix", "some anew"]
+_FULL: tuple[_Way, ...] = ("mix", "some anew", "some anew", "no mix", "some anew", "some anew")
+_OVERFULL: tuple[_Way, ...] = ("no mix", "some anew", "some anew", "some anew", "some anew", "some anew")
+_NEARLY_FULL: tuple[_Way, ...] = ("some anew", "some anew", "some anew", "mix", "no mix", "no mix")
+_TO_THE_END: tuple[_Way, ...] = ("no mix", "some anew")
+_OFTENER = 5  # times as many attempts, where only a few are missing
 _FEW_MOST = 4
 _SPARE_LATER = 2
-_SHORT_SHARE = 0.75  # of the count: with fewer behind a round, the road is packed anew at once
-_NEARLY_SHARE = 0.85  # of the count: with so many, packing begins with the usual gaps
+_NEARLY_SHARE = 0.85  # of the count: if fewer find a place, the road is packed at once
 _FEW_SHARE = 0.1  # of the count: so few may still fit in between the others, with the gaps of a packed road
+_PACKED_MORE = 1.5  # times as many as with the usual gaps find a place on a packed road that has the mix on it
 _MIX_OF_MOST = 40
 
 
@@ -60,47 +68,61 @@ class Rounds:
         self.replay_errors = ReplayErrors()
         self.sumo_version = simulation.version()
         self._next = 0
+        self._found = 0  # places on a road with the usual gaps
 
     def fill(self) -> None:
         """All rounds; where they do not reach the count, more with closer gaps, then again from an empty road, packed.
 
-        After some packings from an empty road the fullest one has a few neighbours taken out and placed anew, over and
-        over. Packing takes the same course whatever the count, so that no count ends below what `max` finds.
+        The count goes before the mix: a road that cannot hold both is packed without manoeuvres, if that holds more.
+        Packing takes the same course whatever the count, so that no count ends below what `max` finds.
         """
         request = self.world.config.request
+        most = request.agents == "max"
         target = _MAX_AGENTS if request.agents == "max" else request.agents
-        spacious, close = self.world, self.world.packed()
-        if request.agents != "max":
-            self._rounds(_mix(request.behaviours, target, self.draws), target, packed=False)
-            if len(self.settled) == target or "collision" in self.world.config.without:
+        if not (most and self._packs):
+            self._rounds(_mix(request.behaviours, _MIX_OF_MOST if most else target, self.draws), target, packed=False)
+            if len(self.settled) == target or not self._packs:
                 return
-            if target - len(self.settled) <= math.ceil(_FEW_SHARE * target):
-                self.world = close
+            if target - len(self.settled) <= _few(target):
+                self.world = self.world.packed()
                 self._rounds([], target, packed=True)
                 if len(self.settled) == target:
                     return
-        loose = self.settled, self.fixed, self.unmet
-        nearly = len(self.settled) >= _NEARLY_SHARE * target
-        self._keep([])
-        for attempt, world in enumerate((spacious, *[close] * spacious.config.packing.attempts), start=1):
-            if world is spacious and not nearly:
-                continue
+        if len(self.settled) >= _NEARLY_SHARE * target:
+            self._pack(target, _NEARLY_FULL)
+        else:
+            self._pack(target, _FULL if target <= _PACKED_MORE * self._found else _OVERFULL)
+
+    @property
+    def _packs(self) -> bool:
+        """Whether a road that does not take the count is packed."""
+        config = self.world.config
+        return config.packing.attempts > 0 and "collision" not in config.without
+
+    def _pack(self, target: int, ways: Sequence[_Way]) -> None:
+        """Fill the road again and again, in one way after the other, and keep the fullest."""
+        attempts, close = self.world.config.packing.attempts, self.world.packed()
+        for attempt in range(_OFTENER * attempts):
             best = self.settled, self.fixed, self.unmet
-            self.draws, self.world = Draws(np.random.default_rng([*self.seed, attempt])), world
-            if attempt <= _FROM_EMPTY:
-                self.unmet = []
-                self._keep([])
-                mix = _mix(request.behaviours, min(target, _MIX_OF_MOST), self.draws)
-            else:
+            if attempt >= attempts and len(best[0]) < target - _few(target):
+                return
+            way = ways[attempt % len(ways)] if attempt < attempts else _TO_THE_END[attempt % len(_TO_THE_END)]
+            self.draws, self.world = Draws(np.random.default_rng([*self.seed, attempt + 1])), close
+            if way == "some anew":
                 self._keep(self._all_but_a_few())
-                mix = []
-            self._rounds(mix, target, packed=True)
-            if len(self.settled) < len(best[0]):
+                self._rounds([], target, packed=True)
+            else:
+                asked = _mix(close.config.request.behaviours, min(target, _MIX_OF_MOST), self.draws)
+                unmet: list[tuple[Policy, str]] = [
+                    (policy, "road_packed") for policy in asked if policy is not Policy.STRAIGHT
+                ]
+                self.unmet = [] if way == "mix" else unmet
+                self._keep([])
+                self._rounds(asked if way == "mix" else [], target, packed=True)
+            if len(self.settled) < len(best[0]) or (len(self.settled) == len(best[0]) and way != "some anew"):
                 self.settled, self.fixed, self.unmet = best
             if len(self.settled) >= target:
                 return
-        if len(self.settled) < len(loose[0]):
-            self.settled, self.fixed, self.unmet = loose
 
     def _keep(self, settled: list[Settled]) -> None:
         self.settled = settled
@@ -143,7 +165,7 @@ class Rounds:
             pending = again + pending[missing:]
             if number >= 1 and len(self.settled) == before and not asked:
                 break
-            if not packed and ((full and not again) or len(self.settled) < _SHORT_SHARE * target):
+            if not packed and full and not again:
                 break
         self.unmet += pending
 
@@ -154,7 +176,7 @@ class Rounds:
 
         And whether the road is full: later rounds find no more places with the same gaps.
         """
-        spawner = Spawner(places, self.fixed, patience)
+        spawner, target = Spawner(places, self.fixed, patience), len(self.settled) + missing
         attempts = _ATTEMPTS_LATE if patience >= 2 or places.packed else _ATTEMPTS
         # manoeuvres need the room most, so they choose first; what finds no place looks again, with more patience
         order = sorted(asked, key=list(Policy).index, reverse=True)
@@ -181,13 +203,20 @@ class Rounds:
             enough = 1 if patience >= 2 else 2
             if len(spawner.planned) >= missing or (look >= enough and len(spawner.planned) == before):
                 break
+            if self._packs and not places.packed and look > 0 and missing - len(spawner.planned) <= _few(target):
+                self.world = self.world.packed()  # what follows is driven with closer gaps, too
+                spawner.close_up(self.world)
             spawner.look_again()
         self.reasons.update(spawner.reasons)
+        if not places.packed:
+            self._found = max(self._found, len(self.settled) + len(spawner.planned))
         # what manoeuvres keep free is known better once they are driven: with them there may be more room later
         full = len(spawner.planned) < missing and all(vehicle.claims is None for vehicle in spawner.planned)
         if not spawner.planned and self.replay_errors.states > 0:
             return [], full
-        return self._drive(spawner, missing + len(self.settled), reseeds=reseeds), full
+        if self._packs and not places.packed and not self.settled and len(spawner.planned) < _NEARLY_SHARE * target:
+            return [], True  # not worth driving
+        return self._drive(spawner, target, reseeds=reseeds), full
 
     def _plan(self, spawner: Spawner, policy: Policy, missing: int, attempts: int) -> bool:
         room = missing - len(spawner.planned)
@@ -244,14 +273,26 @@ class Rounds:
     ) -> tuple[list[SettledVehicle], list[tuple[PlannedVehicle, str]]]:
         """Without those that a reader of the positions would see below the critical TTC or PET, and with the reason.
 
-        Where a vehicle of an earlier round gets there because of a new one, the new one goes.
+        Where a vehicle of an earlier round gets there because of a new one, the new one goes. A new one may get out of
+        it on the motion that was planned for it.
         """
         vehicles, gone = [*(item.vehicle for item in self.settled), *settled], []
+        tried: set[str] = set()
         if not {"collision", "topology", "smoothing"} & self.world.config.without:
             while found := self._conflicts(vehicles):
                 row, other, reason = found[-1]
                 late = other if row < len(self.settled) and other is not None else row
-                gone.append((vehicles.pop(late).driven.spec, reason))
+                spec = vehicles[late].driven.spec
+                if late >= len(self.settled) and spec.vehicle_id not in tried:
+                    tried.add(spec.vehicle_id)
+                    planned = settle_as_planned(
+                        self.world, vehicles[late], [v for i, v in enumerate(vehicles) if i != late]
+                    )
+                    if planned is not None:
+                        vehicles[late] = planned
+                        continue
+                vehicles.pop(late)
+                gone.append((spec, reason))
                 if late < len(self.settled):
                     self._keep([item for row, item in enumerate(self.settled) if row != late])
         return vehicles[len(self.settled) :], gone
@@ -312,6 +353,11 @@ class Rounds:
     def _new_id(self) -> str:
         self._next += 1
         return f"v{self._next}"
+
+
+def _few(count: int) -> int:
+    """So many of a count may still fit in between the others."""
+    return math.ceil(_FEW_SHARE * count)
 
 
 def _mix(shares: Mapping[Policy, float], count: int, draws: Draws) -> list[Policy]:

@@ -90,7 +90,11 @@ class Packing(_Section):
     """Closer gaps for a road that did not take the count asked for; TTC to leaders and boxes are held as always."""
 
     attempts: int = _param(
-        30, "attempts", "times a packed road is filled anew with these gaps; the fullest is kept", ge=0, le=100
+        6,
+        "attempts",
+        "times a road is packed, the fullest is kept; five times as often where only a few are missing; 0: never",
+        ge=0,
+        le=100,
     )
     clear_gap_m: float = _param(2.0, "m", "spawn.clear_gap_m where the road is packed", ge=0.5, le=50)
     clear_ahead_s: float = _param(1.0, "s", "spawn.clear_ahead_s there", gt=0, le=10)

@@ -9,6 +9,7 @@ import itertools
 import math
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from bridge.generate import GeneratedScene, generate, prepare
 from bridge.scenario import Scenario, read_scenario
 from hid2.agents import VEHICLE_TYPES, Policy
 from hid2.draws import Draws
-from hid2.params import Config, Request
+from hid2.params import Config, Packing, Request
 from hid2.places import Places
 from hid2.spawning import Spawner
 from hid2.world import build_world, predicted_traffic
@@ -67,6 +68,32 @@ def test_ten_asked_for_are_ten_placed_in_a_real_scene(real_scene: Path, seed: in
 def test_ten_asked_for_are_ten_placed_in_a_synthetic_scene(data_scene: Path, seed: int, make: Make) -> None:
     scene = make(data_scene, 10, seed)
     assert len(scene.generated) == scene.sidecar.placed.agents == 10, scene.sidecar.rejected
+
+
+def test_count_goes_before_the_mix_on_a_full_road(real_scenes: list[Path], make: Make) -> None:
+    """0a1e6f0a takes 40 vehicles, but not with a mix of 40: what was asked for beside is in the table, each once."""
+    scene = make(next(folder for folder in real_scenes if folder.name.startswith("0a1e6f0a")), 40, 0)
+    assert check_scene(scene) == []
+    assert scene.sidecar.placed.agents == 40
+    shares = scene.sidecar.requested.behaviours
+    total = sum(shares.values())
+    asked = {policy.value: 40 * share / total for policy, share in shares.items() if policy is not Policy.STRAIGHT}
+    records = [record for agent in scene.sidecar.agents for record in agent.maneuvers]
+    assert Counter(record.kind for record in records) == asked
+    assert all(record.status == "done" or record.reason == "road_packed" for record in records)
+    assert any(record.reason == "road_packed" for record in records)
+
+
+@pytest.mark.parametrize("agents", [40, "max"])
+def test_road_that_is_never_packed_keeps_what_finds_a_place(agents: int | str, real_scenes: list[Path]) -> None:
+    """00a0ec58 takes some 15 vehicles with the usual gaps; each manoeuvre asked for has another reason then."""
+    folder = next(folder for folder in real_scenes if folder.name.startswith("00a0ec58"))
+    config = Config(request=Request(agents=agents), packing=Packing(attempts=0))
+    scene = generate(read_scenario(folder), config)
+    assert check_scene(scene) == []
+    assert 10 <= scene.sidecar.placed.agents <= 20
+    assert scene.sidecar.replay.states > 0
+    assert {record.reason for agent in scene.sidecar.agents for record in agent.maneuvers}.isdisjoint({"road_packed"})
 
 
 @pytest.mark.slow
