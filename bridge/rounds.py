@@ -34,11 +34,11 @@ _MAX_AGENTS = 400
 #: How a road is packed: from an empty one, with the mix or with vehicles that go where there is room; or from the
 #: fullest one so far, some of it anew.
 _Way = Literal["mix", "no mix", "some anew"]
-_FULL: tuple[_Way, ...] = ("mix", "some anew", "some anew", "no mix", "some anew", "some anew")
-_OVERFULL: tuple[_Way, ...] = ("no mix", "some anew", "some anew", "some anew", "some anew", "some anew")
-_NEARLY_FULL: tuple[_Way, ...] = ("some anew", "some anew", "some anew", "mix", "no mix", "no mix")
+_FULL: tuple[_Way, ...] = ("mix", "some anew", "some anew", "no mix")
+_OVERFULL: tuple[_Way, ...] = ("no mix", "some anew", "some anew", "some anew")
+_NEARLY_FULL: tuple[_Way, ...] = ("some anew", "some anew", "some anew", "mix")
 _TO_THE_END: tuple[_Way, ...] = ("no mix", "some anew")
-_OFTENER = 5  # times as many attempts, where only a few are missing
+_OFTENER = 8  # times as many attempts, where only a few are missing
 _FEW_MOST = 4
 _SPARE_LATER = 2
 _NEARLY_SHARE = 0.85  # of the count: if fewer find a place, the road is packed at once

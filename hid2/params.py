@@ -90,9 +90,9 @@ class Packing(_Section):
     """Closer gaps for a road that did not take the count asked for; TTC to leaders and boxes are held as always."""
 
     attempts: int = _param(
-        6,
+        4,
         "attempts",
-        "times a road is packed, the fullest is kept; five times as often where only a few are missing; 0: never",
+        "times a road is packed, the fullest is kept; eight times as often where only a few are missing; 0: never",
         ge=0,
         le=100,
     )
