@@ -42,6 +42,7 @@ _OFTENER = 8  # times as many attempts, where only a few are missing
 _FEW_MOST = 4
 _SPARE_LATER = 2
 _NEARLY_SHARE = 0.85  # of the count: if fewer find a place, the road is packed at once
+_HOPELESS_SHARE = 0.5  # of the count: if fewer find a place, it is looked through no more before
 _FEW_SHARE = 0.1  # of the count: so few may still fit in between the others, with the gaps of a packed road
 _PACKED_MORE = 1.5  # times as many as with the usual gaps find a place on a packed road that has the mix on it
 _MIX_OF_MOST = 40
@@ -193,6 +194,7 @@ class Rounds:
         self.unmet += [(policy, "count_reached" if reached else spawner.why_none(policy)) for policy in without]
         # in a later round, few are missing and each has a hard time: one that fails would cost another round
         spare = missing + (_SPARE_LATER if self.settled else math.floor(self.world.config.spawn.spare_share * missing))
+        may_pack = self._packs and not places.packed
         for look in range(_LOOKS_MOST):
             closer = attempts if look < 2 else max(attempts, _ATTEMPTS_LAST)  # a place found now saves a round
             before = len(spawner.planned)
@@ -203,7 +205,9 @@ class Rounds:
             enough = 1 if patience >= 2 else 2
             if len(spawner.planned) >= missing or (look >= enough and len(spawner.planned) == before):
                 break
-            if self._packs and not places.packed and look > 0 and missing - len(spawner.planned) <= _few(target):
+            if may_pack and look > 0 and len(self.settled) + len(spawner.planned) < _HOPELESS_SHARE * target:
+                break
+            if may_pack and look > 0 and missing - len(spawner.planned) <= _few(target):
                 self.world = self.world.packed()  # what follows is driven with closer gaps, too
                 spawner.close_up(self.world)
             spawner.look_again()
@@ -214,7 +218,7 @@ class Rounds:
         full = len(spawner.planned) < missing and all(vehicle.claims is None for vehicle in spawner.planned)
         if not spawner.planned and self.replay_errors.states > 0:
             return [], full
-        if self._packs and not places.packed and not self.settled and len(spawner.planned) < _NEARLY_SHARE * target:
+        if may_pack and not self.settled and len(spawner.planned) < _NEARLY_SHARE * target:
             return [], True  # not worth driving
         return self._drive(spawner, target, reseeds=reseeds), full
 

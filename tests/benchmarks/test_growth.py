@@ -132,16 +132,14 @@ def draw(scenes: dict[str, list[Point]], roads: list[Point], path: Path) -> None
 
 @pytest.mark.benchmark
 @pytest.mark.timeout(900)
-def test_time_grows_no_faster_than_the_vehicles_where_the_road_has_room(real_scenes: list[Path]) -> None:
-    """From 5 to 60; a scene whose road is full, or nearly, is packed, and that is another matter."""
+def test_time_grows_no_faster_than_the_vehicles_asked_for(real_scenes: list[Path]) -> None:
+    """From 5 to 60, also where the road is full before that and is packed."""
     shares = {}
     for folder in real_scenes:
-        points = by_vehicles(folder, VEHICLES, seeds=1)
+        points = by_vehicles(folder, VEHICLES, seeds=SEEDS)
         print(table(folder.name[:8], points))
-        if points[-1].placed == points[-1].asked:
-            shares[folder.name] = growth(points)
-    assert len(shares) >= 2
-    assert statistics.median(shares.values()) <= _MORE, shares
+        shares[folder.name] = growth(points)
+    assert max(shares.values()) <= _MORE, shares
 
 
 @pytest.mark.benchmark
