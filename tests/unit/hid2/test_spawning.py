@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from hid2 import screening, spawning
-from hid2.agents import Policy, Track
+from hid2.agents import BoxSize, Policy, Track
 from hid2.draws import Draws
+from hid2.foresight import Wish
 from hid2.params import Config, Request
 from hid2.places import Places
+from hid2.screening import Candidate, Screening
 from hid2.smoothing import Trajectory
 from hid2.spawning import Spawner
+from hid2.starts import Start
 from hid2.verify import first_overlap
 from hid2.world import PlannedVehicle, build_world, predicted_traffic
 from netconvert.cells import build_cell_grid
@@ -342,3 +345,22 @@ def test_packed_vehicles_begin_close_behind_one_another(
     with_moves = placed()
     monkeypatch.setattr(screening, "_BACK_STEPS", 0)
     assert with_moves > placed()
+
+
+def test_what_was_seen_before_the_last_vehicles_turns_down_nobody_who_might_start(
+    spawner: Callable[..., Spawner], track: Callable[..., Track]
+) -> None:
+    """Looks from before vehicles were added, and looks taken now, say the same of every place of a road in use."""
+    slow = track(range(110), 90.0 + 0.4 * np.arange(110), 0.0)
+    one = spawner(slow, lanes=1, seed=5)
+    wish = Wish(Policy.STRAIGHT, "v9", "vehicle", BoxSize(4.5, 1.9), 0.0, 8.0, steady=True)
+    answers = []
+    for _ in range(4):
+        places = [Candidate(wish, (1,), s0, 8.0, 8.0) for s0 in np.arange(6.0, 180.0, 3.0)]
+        kept, anew = (
+            screen.starts(places, one._ahead, one._sigma, 0) for screen in (one._screening, Screening(one.places))
+        )
+        assert [isinstance(start, str) for start in kept] == [isinstance(start, str) for start in anew]
+        answers.append(sum(isinstance(start, Start) for start in anew))
+        _fill(one, 1)
+    assert answers[0] > answers[-1] > 0
