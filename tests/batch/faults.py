@@ -86,15 +86,18 @@ def generated(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failu
 
 def _generated(place: Place, runs: Sequence[Run], generate_runs: Work) -> Iterator[ManifestRow | Failure]:
     started = os.environ.get("FAULTS_STARTED")
+    at_work = Path(started) / str(os.getpid()) if started else None
     for run in runs:
-        if started:  # tells the test which process is at which scene
-            (Path(started) / str(os.getpid())).write_text(place.folder.name)
+        if at_work is not None:  # tells the test which process is at which scene
+            at_work.write_text(place.folder.name)
         try:
             meet_fault(place, run)
         except Exception as error:  # noqa: BLE001
             yield describe_error(error)
         else:
             yield from generate_runs(place, [run])
+        if at_work is not None:
+            at_work.unlink()
 
 
 def meet_fault(place: Place, run: Run) -> None:

@@ -55,12 +55,15 @@ class Killer:
                     self._kill(*target)
 
     def _kill(self, process: psutil.Process, kind: str) -> None:
-        """Held while it is looked at: a scene takes less time than that, and none is to lose its only retry."""
+        """Held while it is looked at: a scene takes less time than that, and none is to lose its only retry.
+
+        A worker that is not seen at a scene may have been given one, perhaps the retry of another: it is left alone.
+        """
         at_work = [process, *process.children(recursive=True)]
         for one in at_work:
             one.suspend()
         names = [path.read_text() for one in at_work if (path := self.started / str(one.pid)).is_file()]
-        if any(name in self.hit for name in names):
+        if not names or any(name in self.hit for name in names):
             for one in at_work:
                 one.resume()
             return
