@@ -78,10 +78,9 @@ class Rounds:
         Packing takes the same course whatever the count, so that no count ends below what `max` finds.
         """
         request = self.world.config.request
-        most = request.agents == "max"
-        target = _MAX_AGENTS if request.agents == "max" else request.agents
-        if not (most and self._packs):
-            self._rounds(_mix(request.behaviours, _MIX_OF_MOST if most else target, self.draws), target, packed=False)
+        target, mixed = (_MAX_AGENTS, _MIX_OF_MOST) if request.agents == "max" else (request.agents, request.agents)
+        if request.agents != "max" or not self._packs:
+            self._rounds(_mix(request.behaviours, mixed, self.draws), target, packed=False)
             if len(self.settled) == target or not self._packs:
                 return
             if target - len(self.settled) <= _few(target):
@@ -205,11 +204,12 @@ class Rounds:
             enough = 1 if patience >= 2 else 2
             if len(spawner.planned) >= missing or (look >= enough and len(spawner.planned) == before):
                 break
-            if may_pack and look > 0 and len(self.settled) + len(spawner.planned) < _HOPELESS_SHARE * target:
-                break
-            if may_pack and look > 0 and missing - len(spawner.planned) <= _few(target):
-                self.world = self.world.packed()  # what follows is driven with closer gaps, too
-                spawner.close_up(self.world)
+            if may_pack and look > 0:
+                if len(self.settled) + len(spawner.planned) < _HOPELESS_SHARE * target:
+                    break
+                if missing - len(spawner.planned) <= _few(target) and spawner.world is not self.world.packed():
+                    self.world = self.world.packed()  # what follows is driven with closer gaps, too
+                    spawner.close_up(self.world)
             spawner.look_again()
         self.reasons.update(spawner.reasons)
         if not places.packed:

@@ -9,7 +9,7 @@ from hid2.agents import BoxSize, FloatArray, Policy
 from hid2.conflicts import DT_S, transition_rejected
 from hid2.decision import LaneOption, Side
 from hid2.lane_change import Gap, blend_paths, duration_s
-from hid2.occupancy import FREE, dwell_steps, is_anybody_on
+from hid2.occupancy import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
 from hid2.overtake import Leader
 from hid2.path_occupancy import look_along, path_occupancy
 from hid2.route import DrivenPath, Route, routes_from, shifted_path
@@ -19,7 +19,6 @@ from netconvert.cells import Cell
 
 _MAX_SHIFT_M = 5.5
 _HALF_LANE_M = 1.5
-_ON_CELL_SHARE = 0.8  # of a box's width: cells that it only grazes are free
 _LOOK_BACK_M = 50.0
 _SPARE_S = 0.5
 _ROUTE_LONGEST_M = 260.0
@@ -242,4 +241,4 @@ def _cells_free(world: World, cell: Cell, *, step: int, others: Sequence[Traffic
     ]
     if np.any(world.occupancy.sigma[step, wanted] != FREE):
         return False
-    return not any(is_anybody_on(world.boxes, wanted, one, step, width_share=_ON_CELL_SHARE) for one in others)
+    return not any(is_anybody_on(world.boxes, wanted, one, step, width_share=UNDER_SHARE) for one in others)

@@ -14,6 +14,8 @@ from hid2.boxes import overlap
 from hid2.traffic import Traffic
 from netconvert.cells import CellGrid
 
+#: Of a box's width: cells that it only grazes are not taken.
+UNDER_SHARE: Final = 0.8
 FREE: Final = 0
 ORIGINAL: Final = 1
 GENERATED: Final = 2
@@ -172,14 +174,9 @@ def _anybody_on(  # type: ignore[no-untyped-def]  # noqa: ANN202
         if not present[a, step]:
             continue
         x, y, half_l, half_w = position[a, step, 0], position[a, step, 1], length[a] / 2, share * width[a] / 2
+        co, si = np.cos(heading[a, step]), np.sin(heading[a, step])
         for c in cells:
-            reach = half_l + half_w + c_length[c] + c_width[c]
-            if abs(x - center[c, 0]) > reach or abs(y - center[c, 1]) > reach:
-                continue
-            if overlap(
-                x, y, np.cos(heading[a, step]), np.sin(heading[a, step]), half_l, half_w,
-                center[c, 0], center[c, 1], np.cos(c_heading[c]), np.sin(c_heading[c]), c_length[c] / 2, c_width[c] / 2,
-            ):  # fmt: skip
+            if _is_on(center, c_heading, c_length, c_width, c, x, y, co, si, half_l, half_w):
                 return True
     return False
 
@@ -196,18 +193,24 @@ def _taken(center, c_heading, c_length, c_width, sigma, x, y, heading, half_l, h
 
 
 @njit(cache=True)
+def _is_on(center, c_heading, c_length, c_width, c, x, y, co, si, half_l, half_w):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Whether a box covers any of cell c."""
+    reach = half_l + half_w + c_length[c] + c_width[c]
+    if abs(x - center[c, 0]) > reach or abs(y - center[c, 1]) > reach:
+        return False
+    return overlap(
+        x, y, co, si, half_l, half_w,
+        center[c, 0], center[c, 1], np.cos(c_heading[c]), np.sin(c_heading[c]), c_length[c] / 2, c_width[c] / 2,
+    )  # fmt: skip
+
+
+@njit(cache=True)
 def _under(center, c_heading, c_length, c_width, x, y, heading, half_l, half_w):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     out = np.empty(64, dtype=np.int64)
     count = 0
     co, si = np.cos(heading), np.sin(heading)
     for c in range(center.shape[0]):
-        reach = half_l + half_w + c_length[c] + c_width[c]
-        if abs(x - center[c, 0]) > reach or abs(y - center[c, 1]) > reach:
-            continue
-        if count < 64 and overlap(
-            x, y, co, si, half_l, half_w,
-            center[c, 0], center[c, 1], np.cos(c_heading[c]), np.sin(c_heading[c]), c_length[c] / 2, c_width[c] / 2,
-        ):  # fmt: skip
+        if count < 64 and _is_on(center, c_heading, c_length, c_width, c, x, y, co, si, half_l, half_w):
             out[count] = c
             count += 1
     return out[:count]

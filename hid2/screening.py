@@ -12,7 +12,7 @@ import numpy.typing as npt
 from hid2.agents import FloatArray, Policy
 from hid2.conflicts import Prospect
 from hid2.foresight import Foresight, Wish
-from hid2.occupancy import are_taken
+from hid2.occupancy import UNDER_SHARE, are_taken
 from hid2.places import Places
 from hid2.route import DrivenPath, Route
 from hid2.starts import Start, starts
@@ -20,8 +20,6 @@ from hid2.turns import TURN_OF_POLICY
 
 #: By which gaps along a bend may differ from those straight ahead, m.
 BEND_M = 0.3
-#: Of a box's width: cells that it only grazes are not taken.
-UNDER_SHARE = 0.8
 #: Speeds at spawn that are tried, as shares of the one drawn: without patience, for a turn, with patience.
 _SHARES, _TURN_SHARES, _PATIENT_SHARES = (1.0,), (1.0, 0.6), (1.0, 0.5, 0.0)
 _BACK_STEPS, _BACK_M = 4, 1.0

@@ -3,7 +3,7 @@
 Worked out from the intervals of others on a path (paper, Trajectory Generation, conflict case 3).
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,14 +27,11 @@ class Follower(NamedTuple):
 
 
 class View(NamedTuple):
-    """A `SpaceTime` as the compiled functions take it: who is on the path, one step behind the other.
+    """A `SpaceTime` as the compiled functions take it: low, high, along and aligned (A, T) of its occupancy.
 
-    begin (T + 1,): where the entries of each step begin; row (N,): of the agent in the occupancy; low, high (N,) m,
-    along (N,) m/s and aligned (N,) as there; the rest as in `SpaceTime`, lengths in cells of cell_m.
+    The rest is as there, lengths in cells of cell_m.
     """
 
-    begin: npt.NDArray[np.int32]
-    row: npt.NDArray[np.int32]
     low: FloatArray
     high: FloatArray
     along: FloatArray
@@ -71,7 +68,6 @@ class SpaceTime:
     earliest_exit_step: int
     hold_until: int = 0
     hold_from: int = 0
-    _known: list[View] = field(default_factory=list, init=False, repr=False)
 
     @property
     def blocked(self) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
@@ -103,16 +99,12 @@ class SpaceTime:
         return replace(self, hold_until=until_step, hold_from=int(s / TABLE_STEP_M) + 1)
 
     def view(self) -> View:
-        """Everything as the compiled functions take it; put together once."""
-        if not self._known:
-            seen = self.occupancy
-            begin, row, low, high, along, aligned = _by_step(seen.low, seen.high, seen.along, seen.aligned)
-            view = View(
-                begin, row, low, high, along, aligned, self.cells, TABLE_STEP_M, self.margin_m, self.ttc_s,
-                self.time_gap_s, self.beyond, self.earliest_exit_step, self.hold_until, self.hold_from, self.follower,
-            )  # fmt: skip
-            self._known.append(view)
-        return self._known[0]
+        """Everything as the compiled functions take it."""
+        seen = self.occupancy
+        return View(
+            seen.low, seen.high, seen.along, seen.aligned, self.cells, TABLE_STEP_M, self.margin_m, self.ttc_s,
+            self.time_gap_s, self.beyond, self.earliest_exit_step, self.hold_until, self.hold_from, self.follower,
+        )  # fmt: skip
 
     def _tables(
         self, first: int = 0, last: int | None = None, left: int = 0, right: int | None = None
@@ -149,30 +141,6 @@ def space_time(
 
 
 @njit(cache=True)
-def _by_step(low, high, along, aligned):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Of intervals (A, T) those that are any, step by step: a search asks who is there at a step."""
-    agents, steps = low.shape
-    begin = np.zeros(steps + 1, dtype=np.int32)
-    for a in range(agents):
-        for t in range(steps):
-            if low[a, t] != np.inf:
-                begin[t + 1] += 1
-    for t in range(steps):
-        begin[t + 1] += begin[t]
-    count = begin[steps]
-    row, leads = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.bool_)
-    left, right, speed = np.empty(count), np.empty(count), np.empty(count)
-    into = begin.copy()
-    for a in range(agents):
-        for t in range(steps):
-            if low[a, t] != np.inf:
-                i = into[t]
-                row[i], left[i], right[i], speed[i], leads[i] = a, low[a, t], high[a, t], along[a, t], aligned[a, t]
-                into[t] += 1
-    return begin, row, left, right, speed, leads
-
-
-@njit(cache=True)
 def _any_blocked(at, first_step, view):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     row = np.zeros(1, dtype=np.uint8)
     for k in range(at.size):
@@ -200,9 +168,11 @@ def block_row(row, t, left, right, view) -> None:  # type: ignore[no-untyped-def
     """Whether cells left .. right - 1 are forbidden at step t, into row[0 .. right - left - 1]."""
     cells, step, margin = view.cells, view.cell_m, view.margin_m
     row[: right - left] = 0
-    for a in range(view.begin[t], view.begin[t + 1]):
-        first = max(left, min(max(0, int(np.ceil((view.low[a] - margin) / step))), cells))
-        last = min(right - 1, max(-1, min(cells - 1, int(np.floor((view.high[a] + margin) / step)))))
+    for a in range(view.low.shape[0]):
+        if view.low[a, t] == np.inf:
+            continue
+        first = max(left, min(max(0, int(np.ceil((view.low[a, t] - margin) / step))), cells))
+        last = min(right - 1, max(-1, min(cells - 1, int(np.floor((view.high[a, t] + margin) / step)))))
         for i in range(first, last + 1):
             row[i - left] = 1
     for i in range(max(left, view.beyond), right):  # off the map nobody is met; to be there too early is forbidden
@@ -223,13 +193,13 @@ def speed_rows(fastest, pushed, followed, t, left, right, view) -> None:  # type
     fastest[: right - left] = 99.0
     pushed[: right - left] = 0.0
     followed[: right - left] = 1e4
-    for a in range(view.begin[t], view.begin[t + 1]):
-        if not view.aligned[a]:
+    for a in range(view.low.shape[0]):
+        if view.low[a, t] == np.inf or not view.aligned[a, t]:
             continue
-        front, rear = view.low[a] - margin, view.high[a] + margin
+        front, rear = view.low[a, t] - margin, view.high[a, t] + margin
         first = min(max(0, int(np.ceil(front / step))), cells)
         last = max(-1, min(cells - 1, int(np.floor(rear / step))))
-        speed = view.along[a]
+        speed = view.along[a, t]
         slack = 2.0 * follower.decel_mps2
         still = follower.reaction_mps**2 + max(speed, 0.0) ** 2 + slack * (margin - follower.min_gap_m)
         for i in range(max(left, first - int(80.0 / step)), min(right, first)):

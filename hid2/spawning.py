@@ -15,12 +15,12 @@ from hid2.conflicts import DT_S, Prospect
 from hid2.decision import Side
 from hid2.draws import Draws
 from hid2.foresight import PASS_STEPS, Foresight, Intention, Wish
-from hid2.occupancy import FREE, GENERATED, cells_under
+from hid2.occupancy import FREE, GENERATED, UNDER_SHARE, cells_under
 from hid2.path_occupancy import meet_all
 from hid2.places import Places
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath, Route
-from hid2.screening import BEND_M, UNDER_SHARE, Candidate, Screening, shares_at_spawn
+from hid2.screening import BEND_M, Candidate, Screening, shares_at_spawn
 from hid2.speed_plan import SpeedPlan
 from hid2.starts import Start
 from hid2.traffic import BoolArray, Traffic

@@ -107,16 +107,16 @@ def _gaps_at_start(view, s0, clear, headway, gentle_from):  # type: ignore[no-un
     the car following's safe speed (Krauss 1998).
     """
     follower, nearest, room, square = view.follower, np.inf, np.inf, 0.0
-    for a in range(view.begin[0], view.begin[1]):
-        low, high = view.low[a], view.high[a]
+    for a in range(view.low.shape[0]):
+        low, high, along = view.low[a, 0], view.high[a, 0], view.along[a, 0]
         if low - clear < s0 < high + clear:
             return True, 0.0, 0.0
         if s0 < low < nearest:
             nearest = low
-            gap, speed = nearest - s0, max(0.0, view.along[a])
+            gap, speed = nearest - s0, max(0.0, along)
             room = max(max(0.0, gap - clear) / headway, min(speed, 0.8 * gap))
-        if view.row[a] >= gentle_from and view.aligned[a] and s0 - _BEHIND_M < high < s0:
-            wanted = max(view.along[a] - _EASES_MPS + follower.reaction_mps, 0.0)
+        if a >= gentle_from and view.aligned[a, 0] and s0 - _BEHIND_M < high < s0:
+            wanted = max(along - _EASES_MPS + follower.reaction_mps, 0.0)
             gap = s0 - high - follower.min_gap_m
             square = max(square, wanted**2 - follower.reaction_mps**2 - 2.0 * follower.decel_mps2 * gap)
     return False, room, np.sqrt(square)

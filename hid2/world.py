@@ -68,8 +68,9 @@ class World:
         return 0.98 / self.config.limits.min_radius_m
 
     def packed(self) -> "World":
-        """The same scene with the gaps of a packed road."""
-        return replace(self, config=self.config.packed(), _known={})
+        """The same scene with the gaps of a packed road; itself, with all that is known, where it has them."""
+        config = self.config.packed()
+        return self if config == self.config else replace(self, config=config, _known={})
 
     def path(self, route: Route) -> DrivenPath:
         """Path on the middle of a route's lanes; built once."""
