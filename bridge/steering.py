@@ -10,7 +10,7 @@ from bridge.replay import Replay
 from bridge.simulation import Simulation
 from hid2.agents import FloatArray, Policy
 from hid2.conflicts import DT_S
-from hid2.decision import Decision, LaneOption, Observation, Side, decide
+from hid2.decision import LaneOption, Observation, Side, decide
 from hid2.maneuver import gap_ahead_of, lane_options, lay_across, leader_on, returns_to
 from hid2.overtake import Leader, Stage
 from hid2.repair import DrivenVehicle
@@ -60,8 +60,6 @@ class Driver:
     retry_at: int = 0
     replan_at: int = 0
     replans: int = 0
-    decision: Decision | None = None
-    decided_until: float = -np.inf
 
     @property
     def running(self) -> bool:
@@ -169,20 +167,15 @@ class Steering:
         asks = spec.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE) and driver.stage in (Stage.WAITING, Stage.PASS)
         if asks and driver.stage is Stage.WAITING and now * DT_S > give_up_s:
             driver.stage, asks = Stage.ABORTED, False
-        if not asks and driver.s[now] < driver.decided_until:
-            return []  # still in the cell of the decision before, and nothing else that it depends on changes
-        options: dict[Side, tuple[LaneOption, DrivenPath]] = {}
-        leader = None
-        if asks and now * DT_S >= spec.trigger_s and now >= driver.retry_at:
-            options, leader = self._look_around(driver, now)
+        if not asks or now * DT_S < spec.trigger_s or now < driver.retry_at:
+            return []  # on to the next cell of the lane, or of the turn that its route takes: that is SUMO's own way
+        options, leader = self._look_around(driver, now)
         seen = self._observation(driver, now, tuple(option for option, _ in options.values()), leader)
-        driver.decision = decide(seen, lane_change=config.lane_change, overtake=config.overtake)
-        driver.decided_until = -np.inf if asks else self.world.cell_end(driver.path, driver.s[now])
-        if driver.decision.side is None:
-            if options or (asks and driver.decision.reason is not None and now >= driver.retry_at):
-                driver.reason = driver.decision.reason
+        decision = decide(seen, lane_change=config.lane_change, overtake=config.overtake)
+        if decision.side is None:
+            driver.reason = decision.reason
             return []
-        option, target = options[driver.decision.side]
+        option, target = options[decision.side]
         attempt = self._attempt(driver, now, option, target, leader)
         if isinstance(attempt, str):
             driver.reason = attempt
@@ -314,7 +307,6 @@ class Steering:
                 self.simulation.set_route(driver.spec.vehicle_id, edges)
             return
         driver.path = attempt.path
-        driver.decided_until = -np.inf
         driver.plan_s, driver.plan_v = attempt.plan_s, attempt.plan_v
         driver.shifts.append(attempt.shift)
         driver.stage = attempt.stage

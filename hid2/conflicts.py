@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
 from hid2.agents import BoxSize, FloatArray
 from hid2.occupancy import ORIGINAL
@@ -25,6 +26,7 @@ from hid2.traffic import Traffic
 #: The last observed step of the forecasting task is given by the scene; a vehicle may leave the map only behind it.
 DT_S = 0.1
 _PET_MARGIN_M = 0.2
+_CLOSING_MPS = 1e-3  # at which anybody closes in on who is ahead
 #: Of the lateral acceleration allowed that a plan may use: some 3 m/s2, which is still comfortable.
 _LATERAL_SHARE = 0.62
 
@@ -95,21 +97,10 @@ class Prospect:
 
     def bounds(self, s: FloatArray) -> SpeedBounds | None:
         """Constraints that keep a driven s(t) (T,) on the same side of everybody; None where it is inside somebody."""
-        steps = s.size
-        low = self.occupancy.low[:, :steps] - self.margin_m
-        high = self.occupancy.high[:, :steps] + self.margin_m
-        along, aligned = self.occupancy.along[:, :steps], self.occupancy.aligned[:, :steps]
-        touched = np.isfinite(self.occupancy.low[:, :steps])
-        middle = np.where(touched, low, 0.0) / 2 + np.where(touched, high, 0.0) / 2
-        ahead = touched & (s[None, :] < middle)
-        behind = touched & ~ahead
-        upper = np.where(ahead, low, np.inf).min(axis=0, initial=np.inf)
-        lower = np.where(behind, high, -np.inf).max(axis=0, initial=-np.inf)
-        leads = ahead & aligned
-        room = np.where(leads, low + self.ttc_s * along, np.inf).min(axis=0, initial=np.inf)
-        needs = behind & aligned
-        needs[: self.recorded_rows] = False
-        need = np.where(needs, high + self.ttc_s * along, -np.inf).max(axis=0, initial=-np.inf)
+        seen = self.occupancy
+        lower, upper, need, room = _bounds(
+            seen.low, seen.high, seen.along, seen.aligned, s, self.margin_m, self.ttc_s, self.recorded_rows
+        )
         edge = self.path.exit_s - self.size.length_m / 2
         gone = s >= edge
         upper[gone], room[gone] = np.inf, np.inf
@@ -141,13 +132,8 @@ class Prospect:
 
     def min_follower_ttc_s(self, s: FloatArray, v: FloatArray) -> float:
         """Smallest TTC of an aligned generated follower to this vehicle; inf when none ever closes in."""
-        steps, rows = s.size, slice(self.recorded_rows, None)
-        high, along = self.occupancy.high[rows, :steps], self.occupancy.along[rows, :steps]
-        behind = np.isfinite(high) & self.occupancy.aligned[rows, :steps] & (s[None, :] > high - 1.0)
-        closing = along - v[None, :]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ttc = np.where(behind & (closing > 1e-3), (s[None, :] - high) / closing, np.inf)
-        return float(ttc.min(initial=np.inf))
+        seen, rows = self.occupancy, slice(self.recorded_rows, None)
+        return float(_follower_ttc(seen.high[rows], seen.along[rows], seen.aligned[rows], s, v))
 
 
 def _road_most(line: ReferenceLine, config: Config) -> FloatArray:
@@ -165,13 +151,51 @@ def plan_accelerations(config: Config) -> FloatArray:
 
 def min_leader_ttc_s(occupancy: PathOccupancy, s: FloatArray, v: FloatArray) -> float:
     """Smallest TTC to an aligned leader over a driven (T,) s(t) m, v(t) m/s; inf when never closing."""
+    return float(_leader_ttc(occupancy.low, occupancy.along, occupancy.aligned, s, v))
+
+
+@njit(cache=True)
+def _bounds(low, high, along, aligned, s, margin, ttc, recorded):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """At each step the ends of the room between who is behind and who is ahead, and of the room for s + ttc v."""
     steps = s.size
-    low, along = occupancy.low[:, :steps], occupancy.along[:, :steps]
-    ahead = np.isfinite(low) & occupancy.aligned[:, :steps] & (s[None, :] < low + 1.0)
-    closing = v[None, :] - along
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ttc = np.where(ahead & (closing > 1e-3), (low - s[None, :]) / closing, np.inf)
-    return float(ttc.min(initial=np.inf))
+    lower, upper, need, room = np.empty(steps), np.empty(steps), np.empty(steps), np.empty(steps)
+    lower[:], upper[:], need[:], room[:] = -np.inf, np.inf, -np.inf, np.inf
+    for a in range(low.shape[0]):
+        for t in range(steps):
+            if not np.isfinite(low[a, t]):
+                continue
+            rear, front = low[a, t] - margin, high[a, t] + margin
+            if s[t] < rear / 2 + front / 2:
+                upper[t] = min(upper[t], rear)
+                if aligned[a, t]:
+                    room[t] = min(room[t], rear + ttc * along[a, t])
+            else:
+                lower[t] = max(lower[t], front)
+                if aligned[a, t] and a >= recorded:
+                    need[t] = max(need[t], front + ttc * along[a, t])
+    return lower, upper, need, room
+
+
+@njit(cache=True)
+def _leader_ttc(low, along, aligned, s, v):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    least = np.inf
+    for a in range(low.shape[0]):
+        for t in range(s.size):
+            closing = v[t] - along[a, t]
+            if np.isfinite(low[a, t]) and aligned[a, t] and s[t] < low[a, t] + 1.0 and closing > _CLOSING_MPS:
+                least = min(least, (low[a, t] - s[t]) / closing)
+    return least
+
+
+@njit(cache=True)
+def _follower_ttc(high, along, aligned, s, v):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    least = np.inf
+    for a in range(high.shape[0]):
+        for t in range(s.size):
+            closing = along[a, t] - v[t]
+            if np.isfinite(high[a, t]) and aligned[a, t] and s[t] > high[a, t] - 1.0 and closing > _CLOSING_MPS:
+                least = min(least, (s[t] - high[a, t]) / closing)
+    return least
 
 
 def _barrier(num_steps: int, until_step: int, s: float) -> PathOccupancy:

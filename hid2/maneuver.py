@@ -12,16 +12,14 @@ from hid2.lane_change import Gap, blend_paths, duration_s
 from hid2.occupancy import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
 from hid2.overtake import Leader
 from hid2.path_occupancy import look_along, path_occupancy
-from hid2.route import DrivenPath, Route, routes_from, shifted_path
+from hid2.route import DrivenPath, shifted_path
 from hid2.traffic import Traffic
 from hid2.world import DRIVABLE_TYPES, World
 from netconvert.cells import Cell
 
 _MAX_SHIFT_M = 5.5
 _HALF_LANE_M = 1.5
-_LOOK_BACK_M = 50.0
 _SPARE_S = 0.5
-_ROUTE_LONGEST_M = 260.0
 
 
 def admissible_neighbor(world: World, lane_id: int, side: Side) -> int | None:
@@ -52,7 +50,7 @@ def lane_options(
 
     A transition into a cell that an original agent holds, now or when the vehicle (speed_mps) gets to the next one, is
     rejected (paper, conflict case 1). The corridor m * delta s ends with l' or at a vehicle there that is slower than
-    desired_mps: a faster one leaves it. Gaps are looked for only where cells are free and at least least_m remain.
+    desired_mps: a faster one leaves it. Cells are looked at only where at least least_m remain, gaps where they are free.
     """
     segment = path.segment_at(s)
     xy = path.line.position(np.array([s]))
@@ -67,11 +65,13 @@ def lane_options(
         at = _place_on(target, lane_id, lane_s)
         cell = world.grid.cell_at(lane_id, lane_s)
         remaining = target.exit_s - at
-        free = _cells_free(world, cell, step=step, others=others) and not transition_rejected(
-            _next_sigma(world, cell, step=step, speed_mps=speed_mps)
+        free = (
+            remaining >= least_m
+            and _cells_free(world, cell, step=step, others=others)
+            and not transition_rejected(_next_sigma(world, cell, step=step, speed_mps=speed_mps))
         )
         front, rear = Gap.none(), Gap.none()
-        if free and remaining >= least_m:
+        if free:
             front, rear = gaps_on(world, target, size, at=at, step=step, others=others)
         corridor = remaining if front.speed_mps >= desired_mps else min(remaining, front.distance_m)
         option = LaneOption(
@@ -85,26 +85,7 @@ def lane_options(
 
 def target_path(world: World, path: DrivenPath, lane_id: int, *, s: float) -> DrivenPath:
     """Path of l': lanes before it, for who comes from behind, then on beside the own route where possible."""
-    graph = world.grid.graph
-    own = [segment.lane_id for segment in path.segments if segment.end > s]
-    beside = {n for lane in own for n in (graph.neighbor(lane, "left"), graph.neighbor(lane, "right")) if n is not None}
-
-    def choose(onward: tuple[int, ...]) -> tuple[int, ...]:
-        return tuple(sorted(onward, key=lambda n: (n not in beside, graph.lanes[n].turn.value != "straight", n)))
-
-    def usable(lane: int) -> bool:
-        return graph.lanes[lane].lane_type in DRIVABLE_TYPES
-
-    ahead = routes_from(graph, lane_id, choose=choose, usable=usable, most=1, longest_m=_ROUTE_LONGEST_M)
-    route: Route = next(ahead, (lane_id,))
-    behind_m = 0.0
-    while behind_m < _LOOK_BACK_M:
-        before = sorted(p for p in graph.predecessors(route[0]) if usable(p) and p not in route)
-        if not before:
-            break
-        behind_m += graph.lanes[before[0]].length_m
-        route = (before[0], *route)
-    return world.path(route)
+    return world.path_beside(tuple(segment.lane_id for segment in path.segments if segment.end > s), lane_id)
 
 
 def gaps_on(
@@ -234,11 +215,9 @@ def _next_sigma(world: World, cell: Cell, *, step: int, speed_mps: float) -> int
 def _cells_free(world: World, cell: Cell, *, step: int, others: Sequence[Traffic]) -> bool:
     """Cells j-1, j, j+1 of l' have sigma = 0 (paper, Lane Change)."""
     grid = world.grid
-    wanted = [
-        grid.index_of[Cell(cell.lane_id, index)]
-        for index in (cell.index - 1, cell.index, cell.index + 1)
-        if 0 <= index < grid.count(cell.lane_id)
-    ]
-    if np.any(world.occupancy.sigma[step, wanted] != FREE):
+    here = grid.index_of[cell]  # the cells of a lane follow one another
+    first, last = here - min(cell.index, 1), here + min(grid.count(cell.lane_id) - 1 - cell.index, 1)
+    if (world.occupancy.sigma[step, first : last + 1] != FREE).any():
         return False
-    return not any(is_anybody_on(world.boxes, wanted, one, step, width_share=UNDER_SHARE) for one in others)
+    wanted = range(first, last + 1)
+    return not any(is_anybody_on(world.boxes, wanted, one, step, width_share=UNDER_SHARE) for one in others if one.ids)

@@ -14,13 +14,12 @@ from hid2.draws import Draws
 from hid2.foresight import LATEST_S, SPARE_LANE_M, Wish
 from hid2.maneuver import admissible_neighbor
 from hid2.reference_line import TABLE_STEP_M
-from hid2.route import DrivenPath, Route, routes_from
+from hid2.route import ROUTE_LONGEST_M, DrivenPath, Route, routes_from
 from hid2.turns import TURN_OF_POLICY
 from hid2.world import DRIVABLE_TYPES, World
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
-_ROUTE_LONGEST_M = 260.0
 _FASTEST_MPS = 9.0  # mean over approach and turn
 _SLOWEST_MPS = (6.0, 3.0)  # a candidate's road lasts until the last observed step at this speed; with patience
 #: Of two lanes side by side: from 3 m/s behind a slow leader out, past it and back, speeding up by 1.8 m/s2 to 9 m/s.
@@ -280,7 +279,7 @@ class Places:
         key = wanted, lane_id, most
         if key not in self._known_routes:
             found = routes_from(
-                graph, lane_id, choose=choose, usable=self._usable.__contains__, most=most, longest_m=_ROUTE_LONGEST_M
+                graph, lane_id, choose=choose, usable=self._usable.__contains__, most=most, longest_m=ROUTE_LONGEST_M
             )
             first_turns = ((route, self._first_turn(route)) for route in found)
             self._known_routes[key] = tuple(

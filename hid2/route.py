@@ -12,6 +12,9 @@ from hid2.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_lin
 from netconvert.geometry import arc_length
 from netconvert.lane_graph import TURN_RAD, LaneGraph, TurnType
 
+#: A route that is no shorter than this stops growing.
+ROUTE_LONGEST_M = 260.0
+_LOOK_BACK_M = 50.0  # on a lane beside, for who comes from behind
 _BESIDE_TURN_M = 5.0  # before a turning lane and behind it, that its heading is compared over
 
 Route = tuple[int, ...]
@@ -179,9 +182,13 @@ def routes_from(
     stack: list[tuple[Route, float]] = [((lane_id,), 0.0)]
     while stack and found < most:
         route, length = stack.pop()
-        length += graph.lanes[route[-1]].length_m
-        after = graph.successors(route[-1])
-        onward = tuple(n for n in after if usable(n) and n not in route)
+        while True:
+            length += graph.lanes[route[-1]].length_m
+            after = graph.successors(route[-1])
+            onward = tuple([n for n in after if n not in route and usable(n)])
+            if len(onward) != 1 or length > longest_m:
+                break
+            route = (*route, *onward)
         if not onward and any(not usable(n) for n in after):
             continue
         if not onward or length > longest_m:
@@ -189,3 +196,22 @@ def routes_from(
             yield route
             continue
         stack.extend(((*route, n), length) for n in reversed(choose(onward)))
+
+
+def route_beside(graph: LaneGraph, own: Route, lane_id: int, *, usable: Callable[[int], bool]) -> Route:
+    """Route of l', a lane beside: lanes before it, for who comes from behind, then on beside the own ones if it can."""
+    beside = {n for lane in own for n in (graph.neighbor(lane, "left"), graph.neighbor(lane, "right")) if n is not None}
+
+    def choose(onward: tuple[int, ...]) -> tuple[int, ...]:
+        return tuple(sorted(onward, key=lambda n: (n not in beside, graph.lanes[n].turn is not TurnType.STRAIGHT, n)))
+
+    ahead = routes_from(graph, lane_id, choose=choose, usable=usable, most=1, longest_m=ROUTE_LONGEST_M)
+    route: Route = next(ahead, (lane_id,))
+    behind_m = 0.0
+    while behind_m < _LOOK_BACK_M:
+        before = sorted(p for p in graph.predecessors(route[0]) if usable(p) and p not in route)
+        if not before:
+            break
+        behind_m += graph.lanes[before[0]].length_m
+        route = (before[0], *route)
+    return route

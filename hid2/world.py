@@ -13,7 +13,7 @@ from hid2.evaluation.matching import flatten_lanes
 from hid2.occupancy import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
 from hid2.params import Config
 from hid2.path_occupancy import PathOccupancy, look_along
-from hid2.route import DrivenPath, Route, path_along, turn_segments
+from hid2.route import DrivenPath, Route, path_along, route_beside, turn_segments
 from hid2.surrogate_safety import RecordedVehicles
 from hid2.traffic import Traffic, traffic_of
 from hid2.turns import RoadSpeeds, road_speeds
@@ -54,6 +54,7 @@ class World:
     lane_speeds: dict[int, list[float]]
     scene_speeds: list[float]
     _paths: dict[Route, DrivenPath] = field(default_factory=dict)
+    _routes_beside: dict[tuple[Route, int], Route] = field(default_factory=dict)
     _speeds: dict[DrivenPath, RoadSpeeds] = field(default_factory=dict)
     _known: dict[tuple[DrivenPath, BoxSize], _Recorded] = field(default_factory=dict)
 
@@ -80,6 +81,16 @@ class World:
                 run_on_m=_RUN_ON_M if "topology" in self.config.without else 0.0,
             )  # fmt: skip
         return self._paths[route]
+
+    def path_beside(self, own: Route, lane_id: int) -> DrivenPath:
+        """Path of l', beside the lanes that are left of an own route; its route is looked for once."""
+        key = own, lane_id
+        if key not in self._routes_beside:
+            lanes = self.grid.graph.lanes
+            self._routes_beside[key] = route_beside(
+                self.grid.graph, own, lane_id, usable=lambda n: lanes[n].lane_type in DRIVABLE_TYPES
+            )
+        return self.path(self._routes_beside[key])
 
     def recorded_on(self, path: DrivenPath, size: BoxSize) -> PathOccupancy:
         """Intervals of the recorded agents on a path, by their true future; computed once for each path and size."""
@@ -136,14 +147,6 @@ class World:
         """Cell of a path's lane at arc length s."""
         segment = path.segment_at(s)
         return self.grid.cell_at(segment.lane_id, segment.lane_s(s))
-
-    def cell_end(self, path: DrivenPath, s: float) -> float:
-        """Arc length at which a path leaves the cell that it is in at arc length s, m."""
-        segment = path.segment_at(s)
-        cell = self.grid.cell_at(segment.lane_id, segment.lane_s(s))
-        border = float(self.grid.edges_s(cell.lane_id)[cell.index + 1])
-        share = (border - segment.lane_start) / max(segment.lane_end - segment.lane_start, 1e-9)
-        return min(segment.start + share * (segment.end - segment.start), segment.end)
 
     def speed_sample(self, lane_id: int, draws: Draws) -> float:
         """Desired speed, m/s: from recorded moving traffic of the lane, else of the scene, else the prior."""

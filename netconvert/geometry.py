@@ -145,6 +145,8 @@ class Polyline:
     """(N, 2) m, N >= 2; points that repeat the one before are dropped."""
     s: FloatArray = field(init=False, repr=False)
     """(N,) m, arc length at each point."""
+    length_m: float = field(init=False, repr=False)
+    """Length from the first to the last point, m."""
     _heading: FloatArray = field(init=False, repr=False)
     """(N - 1,) rad, direction of each segment."""
 
@@ -162,12 +164,8 @@ class Polyline:
         steps = points[1:] - points[:-1]
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "s", s)
+        object.__setattr__(self, "length_m", float(s[-1]))
         object.__setattr__(self, "_heading", np.arctan2(steps[:, 1], steps[:, 0]))
-
-    @property
-    def length_m(self) -> float:
-        """Length from the first to the last point."""
-        return float(self.s[-1])
 
     def point(self, s: npt.ArrayLike) -> FloatArray:
         """Points at arc lengths s. s: (M,) m. Returns (M, 2) m."""

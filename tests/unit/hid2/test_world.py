@@ -123,10 +123,8 @@ def test_nobody_predicted_is_an_empty_traffic() -> None:
     assert predicted_traffic([], 110).present.shape == (0, 110)
 
 
-def test_cell_ends_where_the_next_one_begins(road: Callable[..., LaneGraph]) -> None:
-    """200 m of lane in 50 cells of 4 m: from anywhere in a cell its end is the next multiple of four."""
+def test_cell_of_a_place_on_a_path(road: Callable[..., LaneGraph]) -> None:
+    """200 m of lane in 50 cells of 4 m."""
     scene = build_world(build_cell_grid(road()), (), config=Config(), num_steps=110, last_observed_step=49)
     path = scene.path((1,))
-    for s, end in ((0.0, 4.0), (3.9, 4.0), (4.1, 8.0), (198.0, 200.0)):
-        assert scene.cell_end(path, s) == pytest.approx(end, abs=1e-6)
-        assert scene.cell_at(path, s).index == int(s / 4.0)
+    assert [scene.cell_at(path, s).index for s in (0.0, 3.9, 4.1, 198.0)] == [0, 0, 1, 49]
