@@ -1,5 +1,6 @@
 """Where on the map a vehicle of a policy may start, and on which route: what the map alone says."""
 
+import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -28,6 +29,7 @@ _STRETCH_MOST_M = 120.0
 _RUN_UP_M = 150.0  # of a route before the place
 _TURN_ROUTES, _OTHER_ROUTES = 6, 3
 _BEFORE_TURN_M = 3.0
+_ROUGHLY_M = 2.0  # by which two lanes side by side may differ in length up to a place
 
 
 @dataclass(slots=True)
@@ -46,6 +48,7 @@ class Places:
     _usable: frozenset[int] = field(init=False)
     _known_ends: dict[Route, tuple[float, ...]] = field(default_factory=dict)
     _known_run_ups: dict[Route, tuple[Route, float]] = field(default_factory=dict)
+    _known_beside: dict[int, float] = field(default_factory=dict)
     _known_left: list[float] = field(default_factory=list)
     _known_cells: dict[Policy, tuple[list[Cell], list[int], FloatArray, FloatArray]] = field(default_factory=dict)
 
@@ -98,19 +101,23 @@ class Places:
             return "leaves_too_early"
         starts = (0.0, *ends[:-1])
 
-        def between(first: float, last: float) -> Iterator[int]:
+        def between(first: float, last: float) -> Iterator[tuple[int, float]]:
+            """Lanes between two arc lengths, with where on each that stretch begins."""
             return (
-                lane_id for lane_id, start, end in zip(route, starts, ends, strict=True) if end > first and start < last
+                (lane_id, max(first - start, 0.0))
+                for lane_id, start, end in zip(route, starts, ends, strict=True)
+                if end > first and start < last
             )
 
         if wish.policy is Policy.STRAIGHT and patience == 0:
             reached = between(s0, s0 + cruise_mps * self.world.num_steps * DT_S)
-            if any(self._turn(lane_id) is not TurnType.STRAIGHT for lane_id in reached):
+            if any(self._turn(lane_id) is not TurnType.STRAIGHT for lane_id, _ in reached):
                 return "would_turn"
         if wish.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE):
             slowest, fastest = 0.3 * cruise_mps * wish.trigger_s, cruise_mps * (wish.trigger_s + LATEST_S)
-            beside = between(s0 + slowest + SPARE_LANE_M, s0 + fastest + SPARE_LANE_M)
-            if not any(self._beside(lane_id) for lane_id in beside):
+            least_m = self._remaining_m - _ROUGHLY_M if wish.policy is Policy.LANE_CHANGE else -math.inf
+            reached = between(s0 + slowest + SPARE_LANE_M, s0 + fastest + SPARE_LANE_M)
+            if not any(self._beside_m(lane_id, lane_s) > least_m for lane_id, lane_s in reached):
                 return "no_lane_beside_at_trigger"
         if wish.policy is Policy.OVERTAKE:
             row = bisect_right(ends, s0)
@@ -142,8 +149,12 @@ class Places:
         return route[min(bisect_right(self._ends(route), s0), len(route) - 1)]
 
     def lies_beside(self, route: Route, s: float) -> bool:
-        """Whether a lane that may be changed to lies beside a little behind arc length s of a route, m."""
-        return s + SPARE_LANE_M < self._ends(route)[-1] and self._beside(self.lane_at(route, s + SPARE_LANE_M))
+        """Whether a lane that may be changed to lies beside a little behind arc length s of a route, m, and lasts."""
+        ends, s = self._ends(route), s + SPARE_LANE_M
+        if s >= ends[-1]:
+            return False
+        row = bisect_right(ends, s)
+        return self._beside_m(route[row], s - (ends[row - 1] if row else 0.0)) >= self._remaining_m
 
     def pose(self, route: Route, s0: float) -> tuple[float, float, float]:
         """x, y m and heading rad on the middle of a route's lanes at arc length s0."""
@@ -173,14 +184,25 @@ class Places:
             return False
         if policy is Policy.OVERTAKE:
             return self._overtaking_m(lane_id) >= _OVERTAKE_STRETCH_M
-        remaining = self.world.config.lane_change.min_remaining_m
-        return any(
-            beside is not None and self._onward_m(beside, 0.0) >= remaining
-            for beside in (admissible_neighbor(self.world, lane_id, side) for side in ("left", "right"))
-        )
+        return self._beside_m(lane_id, 0.0) >= self._remaining_m
 
-    def _beside(self, lane_id: int) -> bool:
-        return any(admissible_neighbor(self.world, lane_id, side) is not None for side in ("left", "right"))
+    @property
+    def _remaining_m(self) -> float:
+        """Length of l' that a lane change needs."""
+        return self.world.config.lane_change.min_remaining_m
+
+    def _beside_m(self, lane_id: int, lane_s: float) -> float:
+        """Length of a lane beside that may be changed to, on to the end of the map, from arc length lane_s of a lane.
+
+        Not beyond what a lane change there needs; -inf where none lies beside.
+        """
+        if lane_id not in self._known_beside:
+            enough_m = self._remaining_m + self.world.grid.graph.lanes[lane_id].length_m
+            lanes = (admissible_neighbor(self.world, lane_id, side) for side in ("left", "right"))
+            self._known_beside[lane_id] = max(
+                (self._onward_m(beside, 0.0, enough_m) for beside in lanes if beside is not None), default=-math.inf
+            )
+        return self._known_beside[lane_id] - lane_s
 
     def _overtaking_m(self, lane_id: int) -> float:
         """Length from the start of a lane on with room to overtake on either side, m."""
@@ -195,13 +217,13 @@ class Places:
         onward = self.world.grid.graph.successors(lane_id)
         return max((self._stretch_m(n, out, back, sofar_m) for n in onward), default=sofar_m)
 
-    def _onward_m(self, lane_id: int, sofar_m: float) -> float:
-        """Length from the start of a lane to the end of the map or beyond the remaining length asked for, m."""
+    def _onward_m(self, lane_id: int, sofar_m: float, enough_m: float) -> float:
+        """Length from the start of a lane to the end of the map, or beyond what is enough, m."""
         sofar_m += self.world.grid.graph.lanes[lane_id].length_m
-        if sofar_m >= self.world.config.lane_change.min_remaining_m:
+        if sofar_m >= enough_m:
             return sofar_m
-        onward = [n for n in self.world.grid.graph.successors(lane_id) if n in self.lanes]
-        return max((self._onward_m(n, sofar_m) for n in onward), default=sofar_m)
+        onward = [n for n in self.world.grid.graph.successors(lane_id) if n in self._usable]
+        return max((self._onward_m(n, sofar_m, enough_m) for n in onward), default=sofar_m)
 
     def _with_run_up(self, route: Route, s0: float) -> tuple[Route, float]:
         """The same place on a route that begins at the edge of the map, or some way before it.

@@ -57,6 +57,29 @@ def test_lane_change_is_offered_where_a_lane_lies_beside_and_goes_on(
     assert not places(road(length_m=24.0)).offers(Policy.LANE_CHANGE)
 
 
+def test_lane_change_needs_a_lane_beside_that_lasts(
+    places: Callable[..., Places], lane: Callable[..., LaneSegment]
+) -> None:
+    """Beside 60 m of lane 1, which goes on for 100 m, lies lane 2 with 60 m to its end: 25 m of it must be left.
+
+    A change may begin 8 m later than foreseen: the last place is at 27 m. At 10 m/s, triggered at 2 s, who starts at
+    20 m may be as slow as .3 of that: 14 m further up, where 26 m are left, or 2 m less, since that is a rough figure.
+    """
+    found = places(LaneGraph({
+        1: lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(3,), left=2),
+        2: lane(2, [(0.0, 3.5), (60.0, 3.5)], right=1),
+        3: lane(3, [(60.0, 0.0), (160.0, 0.0)]),
+    }))  # fmt: skip
+    assert [found.lies_beside((1, 3), s) for s in (0.0, 26.9, 27.1, 55.0)] == [True, True, False, False]
+
+    def against(policy: Policy, s0: float) -> str | None:
+        return found.unsuited(_wish(policy), (1, 3), s0, 10.0, 0)
+
+    assert [against(Policy.LANE_CHANGE, s0) for s0 in (20.0, 22.9)] == [None, None]
+    assert against(Policy.LANE_CHANGE, 23.1) == "no_lane_beside_at_trigger"
+    assert against(Policy.OVERTAKE, 23.1) != "no_lane_beside_at_trigger"
+
+
 def test_overtake_needs_two_lanes_side_by_side_for_long_enough(
     places: Callable[..., Places], road: Callable[..., LaneGraph], lane: Callable[..., LaneSegment]
 ) -> None:
