@@ -42,7 +42,9 @@ _OFTENER = 8  # times as many attempts, where only a few are missing
 _FEW_MOST = 4
 _SPARE_LATER = 2
 _NEARLY_SHARE = 0.85  # of the count: if fewer find a place, the road is packed at once
-_HOPELESS_SHARE = 0.5  # of the count: if fewer find a place, it is looked through no more before
+#: Of those that find a place with the usual gaps at all, so many do by the first and second look, at least; usually.
+_BY_LOOK_LEAST, _BY_LOOK = (0.55, 0.8), (0.65, 0.9)
+_TELLING = 10  # vehicles asked for: of fewer it is luck how many do
 _FEW_SHARE = 0.1  # of the count: so few may still fit in between the others, with the gaps of a packed road
 _PACKED_MORE = 1.5  # times as many as with the usual gaps find a place on a packed road that has the mix on it
 _MIX_OF_MOST = 40
@@ -99,6 +101,9 @@ class Rounds:
         config = self.world.config
         return config.packing.attempts > 0 and "collision" not in config.without
 
+    def _may_pack(self, places: Places) -> bool:
+        return self._packs and not places.packed
+
     def _pack(self, target: int, ways: Sequence[_Way]) -> None:
         """Fill the road again and again, in one way after the other, and keep the fullest."""
         attempts, close = self.world.config.packing.attempts, self.world.packed()
@@ -110,7 +115,7 @@ class Rounds:
             self.draws, self.world = Draws(np.random.default_rng([*self.seed, attempt + 1])), close
             if way == "some anew":
                 self._keep(self._all_but_a_few())
-                self._rounds([], target, packed=True)
+                self._rounds([], target, packed=True, more_than=len(best[0]))
             else:
                 asked = _mix(close.config.request.behaviours, min(target, _MIX_OF_MOST), self.draws)
                 unmet: list[tuple[Policy, str]] = [
@@ -144,7 +149,7 @@ class Rounds:
         gone = {id(idle[row]) for row in near.tolist()}
         return [item for item in self.settled if id(item) not in gone]
 
-    def _rounds(self, mix: Sequence[Policy], target: int, *, packed: bool) -> None:
+    def _rounds(self, mix: Sequence[Policy], target: int, *, packed: bool, more_than: int = -1) -> None:
         """Rounds until the count is reached; a manoeuvre that no round brought about is noted with its last reason."""
         pending: list[tuple[Policy, str]] = [
             (policy, "count_reached") for policy in mix if policy is not Policy.STRAIGHT
@@ -161,7 +166,7 @@ class Rounds:
                 self.unmet += pending
                 pending = []
             asked = [policy for policy, _ in pending[:missing]]
-            again, full = self._round(places, asked, missing, patience=patience, reseeds=reseeds)
+            again, full = self._round(places, asked, missing, patience=patience, reseeds=reseeds, more_than=more_than)
             pending = again + pending[missing:]
             if number >= 1 and len(self.settled) == before and not asked:
                 break
@@ -170,11 +175,12 @@ class Rounds:
         self.unmet += pending
 
     def _round(
-        self, places: Places, asked: Sequence[Policy], missing: int, *, patience: int, reseeds: bool
+        self, places: Places, asked: Sequence[Policy], missing: int, *, patience: int, reseeds: bool, more_than: int
     ) -> tuple[list[tuple[Policy, str]], bool]:
         """Plan, drive and settle; returns the manoeuvres that are to be tried again, with what went wrong.
 
-        And whether the road is full: later rounds find no more places with the same gaps.
+        And whether the road is full: later rounds find no more places with the same gaps. What cannot end with more
+        vehicles in the scene than more_than is not driven.
         """
         spawner, target = Spawner(places, self.fixed, patience), len(self.settled) + missing
         attempts = _ATTEMPTS_LATE if patience >= 2 or places.packed else _ATTEMPTS
@@ -191,9 +197,25 @@ class Rounds:
         spawner.patience = patience
         reached = len(spawner.planned) >= missing  # leaders of overtakes count too
         self.unmet += [(policy, "count_reached" if reached else spawner.why_none(policy)) for policy in without]
+        self._fill_up(spawner, missing, attempts)
+        self.reasons.update(spawner.reasons)
+        if not places.packed:
+            self._found = max(self._found, len(self.settled) + len(spawner.planned))
+        # what manoeuvres keep free is known better once they are driven: with them there may be more room later
+        full = len(spawner.planned) < missing and all(vehicle.claims is None for vehicle in spawner.planned)
+        if not spawner.planned and self.replay_errors.states > 0:
+            return [], full
+        if len(self.settled) + len(spawner.planned) <= more_than:
+            return [], True
+        if self._may_pack(places) and not self.settled and len(spawner.planned) < _NEARLY_SHARE * target:
+            return [], True  # not worth driving
+        return self._drive(spawner, target, reseeds=reseeds), full
+
+    def _fill_up(self, spawner: Spawner, missing: int, attempts: int) -> None:
+        """Plan vehicles that go straight, in look after look as long as each finds one more."""
         # in a later round, few are missing and each has a hard time: one that fails would cost another round
         spare = missing + (_SPARE_LATER if self.settled else math.floor(self.world.config.spawn.spare_share * missing))
-        may_pack = self._packs and not places.packed
+        patience, target, may_pack = spawner.patience, len(self.settled) + missing, self._may_pack(spawner.places)
         for look in range(_LOOKS_MOST):
             closer = attempts if look < 2 else max(attempts, _ATTEMPTS_LAST)  # a place found now saves a round
             before = len(spawner.planned)
@@ -204,23 +226,16 @@ class Rounds:
             enough = 1 if patience >= 2 else 2
             if len(spawner.planned) >= missing or (look >= enough and len(spawner.planned) == before):
                 break
-            if may_pack and look > 0:
-                if len(self.settled) + len(spawner.planned) < _HOPELESS_SHARE * target:
+            if may_pack:
+                sofar, few = len(self.settled) + len(spawner.planned), missing - len(spawner.planned) <= _few(target)
+                early = target >= _TELLING and look < len(_BY_LOOK)
+                if early and sofar < _BY_LOOK_LEAST[look] * _NEARLY_SHARE * target:
+                    self._found = max(self._found, math.floor(sofar / _BY_LOOK[look]))
                     break
-                if missing - len(spawner.planned) <= _few(target) and spawner.world is not self.world.packed():
+                if look > 0 and few and spawner.world is not self.world.packed():
                     self.world = self.world.packed()  # what follows is driven with closer gaps, too
                     spawner.close_up(self.world)
             spawner.look_again()
-        self.reasons.update(spawner.reasons)
-        if not places.packed:
-            self._found = max(self._found, len(self.settled) + len(spawner.planned))
-        # what manoeuvres keep free is known better once they are driven: with them there may be more room later
-        full = len(spawner.planned) < missing and all(vehicle.claims is None for vehicle in spawner.planned)
-        if not spawner.planned and self.replay_errors.states > 0:
-            return [], full
-        if may_pack and not self.settled and len(spawner.planned) < _NEARLY_SHARE * target:
-            return [], True  # not worth driving
-        return self._drive(spawner, target, reseeds=reseeds), full
 
     def _plan(self, spawner: Spawner, policy: Policy, missing: int, attempts: int) -> bool:
         room = missing - len(spawner.planned)

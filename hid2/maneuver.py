@@ -50,7 +50,7 @@ def lane_options(
 
     A transition into a cell that an original agent holds, now or when the vehicle (speed_mps) gets to the next one, is
     rejected (paper, conflict case 1). The corridor m * delta s ends with l' or at a vehicle there that is slower than
-    desired_mps: a faster one leaves it. Cells are looked at only where at least least_m remain, gaps where they are free.
+    desired_mps: a faster one leaves it. Cells are looked at where at least least_m remain, gaps where they are free.
     """
     segment = path.segment_at(s)
     xy = path.line.position(np.array([s]))
