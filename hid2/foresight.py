@@ -45,6 +45,7 @@ _CLAIM_BOX = BoxSize(8.0, 1.4)
 _CLAIM_BEHIND_M, _CLAIM_STEPS = 8.0, 6
 _SIGHT_M = 80.0  # to the leader at the start of the scene
 _HASTE_MPS = 1.0  # above the desired speed, at most, while it passes
+_NEVER_PASSED_M = 12.0  # who could get no further ahead at its best never gets past when planned in traffic
 _FOLLOWING_MPS = 0.3  # faster than the leader while following it
 _SPEEDING_UP_MPS2, _SLOWING_MPS2 = 1.2, 1.5
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
@@ -304,7 +305,7 @@ class Foresight:
         speeding_s = min(gain_mps / following.accel_mps2, lasting_s)
         own_m = speed_mps * lasting_s + following.accel_mps2 * speeding_s * (lasting_s - 0.5 * speeding_s)
         past_m = leader.gap_m + leader.length_m + wish.size.length_m + self.world.config.overtake.return_gap_m
-        return own_m > led_m + past_m
+        return own_m > led_m + past_m + _NEVER_PASSED_M
 
     def _approach(self, path: DrivenPath, s0: float, v0: float) -> SpeedPlan:
         """Motion at v0, slower where the road asks for it, as if nobody were ahead."""
