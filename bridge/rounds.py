@@ -24,7 +24,7 @@ from hid2.turns import TURN_OF_POLICY
 from hid2.world import PlannedVehicle, World, predicted_traffic
 
 _ATTEMPTS = 30
-_ATTEMPTS_AGAIN = 20
+_ATTEMPTS_AGAIN = dict.fromkeys(Policy, 12) | {Policy.LANE_CHANGE: 20}
 #: Times that all places are gone through again; these hang most on where, how fast and when they are tried.
 _LOOKS_AGAIN = dict.fromkeys(Policy, 1) | {Policy.LANE_CHANGE: 5, Policy.RIGHT_TURN: 3}
 _ATTEMPTS_LAST = 400
@@ -192,7 +192,7 @@ class Rounds:
             if again:
                 spawner.look_again()
                 for policy in again:
-                    if self._plan(spawner, policy, missing, _ATTEMPTS_AGAIN):
+                    if self._plan(spawner, policy, missing, _ATTEMPTS_AGAIN[policy]):
                         without.remove(policy)
         spawner.patience = patience
         reached = len(spawner.planned) >= missing  # leaders of overtakes count too
