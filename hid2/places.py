@@ -303,10 +303,12 @@ class Places:
             found = routes_from(
                 graph, lane_id, choose=choose, usable=self._usable.__contains__, most=most, longest_m=ROUTE_LONGEST_M
             )
-            first_turns = ((route, self._first_turn(route)) for route in found)
-            self._known_routes[key] = tuple(
-                (route, start, end) for route, (kind, start, end) in first_turns if kind is wanted or not turns
-            )
+            if turns:
+                first_turns = ((route, self._first_turn(route)) for route in found)
+                kept = tuple((route, start, end) for route, (kind, start, end) in first_turns if kind is wanted)
+            else:
+                kept = tuple((route, 0.0, 0.0) for route in found)
+            self._known_routes[key] = kept
         reached_m = _FASTEST_MPS * self.world.num_steps * DT_S
         for route, start, end in self._known_routes[key]:
             if not turns or (start - s0 > _BEFORE_TURN_M and end - s0 < reached_m):
