@@ -219,7 +219,7 @@ class Rounds:
         for look in range(_LOOKS_MOST):
             closer = attempts if look < 2 else max(attempts, _ATTEMPTS_LAST)  # a place found now saves a round
             before = len(spawner.planned)
-            wanted = spare if look == 0 else missing
+            wanted = spare if look <= 1 else missing  # later on a spare one costs more than the round that it may save
             while len(spawner.planned) < wanted and self._plan(spawner, Policy.STRAIGHT, wanted, closer):
                 pass
             # from patience 2 on, looking again only draws anew where, how fast and how large
