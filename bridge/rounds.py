@@ -24,6 +24,7 @@ from hid2.turns import TURN_OF_POLICY
 from hid2.world import PlannedVehicle, World, predicted_traffic
 
 _ATTEMPTS = 30
+#: Fewer when places are gone through again; fewer still find as many turns, but not as many lane changes.
 _ATTEMPTS_AGAIN = dict.fromkeys(Policy, 12) | {Policy.LANE_CHANGE: 20}
 #: Times that all places are gone through again; these hang most on where, how fast and when they are tried.
 _LOOKS_AGAIN = dict.fromkeys(Policy, 1) | {Policy.LANE_CHANGE: 5, Policy.RIGHT_TURN: 3}

@@ -27,6 +27,7 @@ from hid2.traffic import Traffic
 DT_S = 0.1
 _PET_MARGIN_M = 0.2
 _CLOSING_MPS = 1e-3  # at which anybody closes in on who is ahead
+_INTO_M = 1.0  # that the own centre may be inside an interval and its agent still count as ahead, or behind
 #: Of the lateral acceleration allowed that a plan may use: some 3 m/s2, which is still comfortable.
 _LATERAL_SHARE = 0.62
 
@@ -133,7 +134,7 @@ class Prospect:
     def min_follower_ttc_s(self, s: FloatArray, v: FloatArray) -> float:
         """Smallest TTC of an aligned generated follower to this vehicle; inf when none ever closes in."""
         seen, rows = self.occupancy, slice(self.recorded_rows, None)
-        return float(_follower_ttc(seen.high[rows], seen.along[rows], seen.aligned[rows], s, v))
+        return float(_least_ttc(seen.high[rows], seen.along[rows], seen.aligned[rows], s, v, -1.0))
 
 
 def _road_most(line: ReferenceLine, config: Config) -> FloatArray:
@@ -151,7 +152,7 @@ def plan_accelerations(config: Config) -> FloatArray:
 
 def min_leader_ttc_s(occupancy: PathOccupancy, s: FloatArray, v: FloatArray) -> float:
     """Smallest TTC to an aligned leader over a driven (T,) s(t) m, v(t) m/s; inf when never closing."""
-    return float(_leader_ttc(occupancy.low, occupancy.along, occupancy.aligned, s, v))
+    return float(_least_ttc(occupancy.low, occupancy.along, occupancy.aligned, s, v, 1.0))
 
 
 @njit(cache=True)
@@ -177,24 +178,14 @@ def _bounds(low, high, along, aligned, s, margin, ttc, recorded):  # type: ignor
 
 
 @njit(cache=True)
-def _leader_ttc(low, along, aligned, s, v):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _least_ttc(edge, along, aligned, s, v, side):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Smallest TTC to the near edges of those ahead (side 1), or of those behind to the vehicle (side -1)."""
     least = np.inf
-    for a in range(low.shape[0]):
+    for a in range(edge.shape[0]):
         for t in range(s.size):
-            closing = v[t] - along[a, t]
-            if np.isfinite(low[a, t]) and aligned[a, t] and s[t] < low[a, t] + 1.0 and closing > _CLOSING_MPS:
-                least = min(least, (low[a, t] - s[t]) / closing)
-    return least
-
-
-@njit(cache=True)
-def _follower_ttc(high, along, aligned, s, v):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    least = np.inf
-    for a in range(high.shape[0]):
-        for t in range(s.size):
-            closing = along[a, t] - v[t]
-            if np.isfinite(high[a, t]) and aligned[a, t] and s[t] > high[a, t] - 1.0 and closing > _CLOSING_MPS:
-                least = min(least, (s[t] - high[a, t]) / closing)
+            gap, closing = side * (edge[a, t] - s[t]), side * (v[t] - along[a, t])
+            if np.isfinite(edge[a, t]) and aligned[a, t] and gap > -_INTO_M and closing > _CLOSING_MPS:
+                least = min(least, gap / closing)
     return least
 
 

@@ -120,8 +120,8 @@ class Places:
             if not any(self._beside_m(lane_id, lane_s) > least_m for lane_id, lane_s in reached):
                 return "no_lane_beside_at_trigger"
         if wish.policy is Policy.OVERTAKE:
-            row = bisect_right(ends, s0)
-            if self._overtaking_m(route[row]) - (s0 - starts[row]) < _OVERTAKE_STRETCH_M:
+            lane_id, lane_s = self._on_lane(route, s0)
+            if self._overtaking_m(lane_id) - lane_s < _OVERTAKE_STRETCH_M:
                 return "lanes_part_too_soon"
         return None
 
@@ -146,22 +146,23 @@ class Places:
 
     def lane_at(self, route: Route, s0: float) -> int:
         """Lane of a route at arc length s0, m."""
-        return route[min(bisect_right(self._ends(route), s0), len(route) - 1)]
+        return self._on_lane(route, s0)[0]
+
+    def _on_lane(self, route: Route, s: float) -> tuple[int, float]:
+        """Lane of a route at arc length s, m, and the arc length on it; the last one beyond the route's end."""
+        ends = self._ends(route)
+        row = min(bisect_right(ends, s), len(route) - 1)
+        return route[row], s - (ends[row - 1] if row else 0.0)
 
     def lies_beside(self, route: Route, s: float) -> bool:
         """Whether a lane that may be changed to lies beside a little behind arc length s of a route, m, and lasts."""
-        ends, s = self._ends(route), s + SPARE_LANE_M
-        if s >= ends[-1]:
-            return False
-        row = bisect_right(ends, s)
-        return self._beside_m(route[row], s - (ends[row - 1] if row else 0.0)) >= self._remaining_m
+        s += SPARE_LANE_M
+        return s < self._ends(route)[-1] and self._beside_m(*self._on_lane(route, s)) >= self._remaining_m
 
     def pose(self, route: Route, s0: float) -> tuple[float, float, float]:
         """x, y m and heading rad on the middle of a route's lanes at arc length s0."""
-        ends = self._ends(route)
-        row = min(bisect_right(ends, s0), len(route) - 1)
-        middle = self.world.grid.graph.lanes[route[row]].path
-        return middle.pose(s0 - (ends[row - 1] if row else 0.0))
+        lane_id, lane_s = self._on_lane(route, s0)
+        return self.world.grid.graph.lanes[lane_id].path.pose(lane_s)
 
     def too_sharp(self, path: DrivenPath, start: float, end: float) -> bool:
         """Whether the path bends more than kappa_max = 1 / R_min between two arc lengths (Trajectory Smoothing)."""
@@ -293,8 +294,6 @@ class Places:
         wanted = TURN_OF_POLICY.get(policy, TurnType.STRAIGHT)
 
         def choose(onward: tuple[int, ...]) -> tuple[int, ...]:
-            if len(onward) == 1:
-                return onward
             return tuple(sorted(onward, key=lambda n: (self._turn(n) is not wanted, self.draws.unit())))
 
         most = _TURN_ROUTES if turns else 1 if patience == 0 else _OTHER_ROUTES
