@@ -116,9 +116,42 @@ def _advance(s, v, a, ramp, dt):  # type: ignore[no-untyped-def]  # noqa: ANN001
 
 
 @njit(cache=True)
+def is_squeezed_out(view, s0, slowest, fastest, hardest, most, first, steps, dt):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Whether those behind and ahead leave no room at some step, whatever is done: much cheaper than a search.
+
+    slowest, fastest m/s: of the speeds to begin with; hardest, most m/s2: of the accelerations. What is reached lies
+    between two arc lengths, and who is at either takes of it what his interval covers for sure: half a cell less, as
+    places are rounded to cells.
+    """
+    low, high, spare = s0, s0, view.margin_m - 0.5 * view.cell_m
+    beyond = (view.beyond - 0.5) * view.cell_m
+    for t in range(first + 1, steps):
+        slowest = max(0.0, slowest + hardest * dt)
+        low += slowest * dt
+        high += fastest * dt + 0.5 * most * dt * dt
+        fastest += most * dt
+        if low >= beyond and t >= view.earliest_exit_step:
+            return False
+        if t < view.earliest_exit_step:
+            high = min(high, beyond)
+        for a in range(view.low.shape[0]):
+            rear, front = view.low[a, t] - spare, view.high[a, t] + spare
+            if rear < low < front and low < beyond:
+                low = front
+            if rear < high < front and high < beyond:
+                high = rear
+        if low > high:
+            return True
+    return False
+
+
+@njit(cache=True)
 def search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, reference, use_reference, memory):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """The search of `plan_speed`, with its arguments; whether there is a profile, s, v, and its cost."""
     cells, step, reaction = view.cells, view.cell_m, view.follower.reaction_mps
+    hardest, most = accels.min(), accels.max()
+    if is_squeezed_out(view, s0, v0.min(), v0.max(), min(hardest, a0), max(most, a0), first, steps, dt):
+        return False, np.empty(0), np.empty(0), 0.0
     s_bins = int(cells * step / _S_BIN) + 1
     stages = (steps - 1 - first + STAGE_STEPS - 1) // STAGE_STEPS
     out_s = np.zeros(steps - first)
@@ -129,7 +162,6 @@ def search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, referen
     blocked = np.empty((STAGE_STEPS + 1, cells), dtype=np.uint8)
     fastest, pushed = np.empty((STAGE_STEPS + 1, cells)), np.empty((STAGE_STEPS + 1, cells))
     followed = np.empty((STAGE_STEPS + 1, cells))
-    most = accels.max()
     for i in range(v0.size):
         all_s[i], all_v[i], all_a[i], all_c[i] = s0, v0[i], a0, i * _SECOND_CHOICE
     begin[1] = v0.size

@@ -6,7 +6,7 @@ from views import MARGIN_M, SIZE, TTC_S, tables_of
 
 from hid2.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.space_time import SpaceTime
-from hid2.speed_plan import STAGE_STEPS, SpeedPlan, accelerations, plan_speed
+from hid2.speed_plan import STAGE_STEPS, SpeedPlan, accelerations, is_squeezed_out, plan_speed
 from hid2.traffic import Traffic
 
 
@@ -157,3 +157,44 @@ def test_plan_is_one_that_car_following_can_drive(
     assert plan is not None
     at = np.minimum((plan.s / TABLE_STEP_M + 0.5).astype(int), tables.cells - 1)
     assert np.max(plan.v - tables.followed[np.arange(110), at]) < 1.0
+
+
+def _is_squeezed_out(tables: SpaceTime, s0: float, v0: float) -> bool:
+    return bool(is_squeezed_out(tables.view(), s0, v0, v0, -3.2, 1.8, 0, 110, 0.1))
+
+
+def test_nobody_is_squeezed_out_who_may_get_through(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
+    """Of 300 roads with two cars that move, stand or cross: wherever a drawn motion meets nobody, there is room.
+
+    And the roads are such that the test can fail: about as many are said to have no room.
+    """
+    rng = np.random.default_rng(3)
+    squeezed, passed = 0, 0
+    for _ in range(300):
+        headings, speeds = rng.choice([0.0, 0.0, np.pi / 2], 2), rng.uniform(0.0, 14.0, 2)
+        x, y = rng.uniform(0.0, 120.0, 2), rng.uniform(-60.0, 0.0, 2)
+        first, second = (
+            box(x[k], y[k] if headings[k] else 0.0, headings[k], speeds[k], **SIZE, name=f"{k}") for k in range(2)
+        )
+        tables = tables_of(straight_line, first.joined(second))
+        s0, v0 = float(rng.uniform(10.0, 90.0)), float(rng.uniform(0.0, 14.0))
+        accel = np.clip(np.repeat(rng.uniform(-4.0, 2.5, (200, 11)), 10, axis=1), -3.2, 1.8)
+        v = np.maximum(v0 + 0.1 * np.cumsum(accel, axis=1), 0.0)[:, :109]
+        s = s0 + np.concatenate([np.zeros((200, 1)), np.cumsum(0.1 * v, axis=1)], axis=1)
+        cells = np.minimum((s / TABLE_STEP_M + 0.5).astype(int), tables.cells - 1)
+        through = not np.all(tables.blocked[np.arange(1, 110), cells[:, 1:]].any(axis=1))
+        told = _is_squeezed_out(tables, s0, v0)
+        assert not (through and told)
+        squeezed, passed = squeezed + told, passed + through
+    assert min(squeezed, passed) > 60
+
+
+def test_no_room_between_two_that_meet(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
+    """Standing at 100 m, and coming up from 60 m at 10 m/s: whoever is between is met, within 3 s."""
+    both = box(100.0, 0.0, **SIZE).joined(box(60.0, 0.0, 0.0, 10.0, **SIZE, name="b"))
+    tables = tables_of(straight_line, both)
+    assert _is_squeezed_out(tables, 80.0, 5.0)
+    assert _plan(tables, s0=80.0, v0=5.0) is None
+    assert not _is_squeezed_out(tables, 40.0, 5.0)
+    assert not _is_squeezed_out(tables_of(straight_line, box(100.0, 0.0, **SIZE)), 80.0, 5.0)
+    assert _is_squeezed_out(tables_of(straight_line, box(100.0, 0.0, **SIZE)), 80.0, 14.0)  # it cannot stop in time
