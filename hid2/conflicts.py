@@ -137,7 +137,8 @@ class Prospect:
         return float(_least_ttc(seen.high[rows], seen.along[rows], seen.aligned[rows], s, v, -1.0))
 
 
-def _road_most(line: ReferenceLine, config: Config) -> FloatArray:
+def road_most(line: ReferenceLine, config: Config) -> FloatArray:
+    """(S,) m/s at the line's table: what its curvature allows a plan at all."""
     bend = np.maximum(np.abs(line.table_curvature), 1e-6)
     return np.asarray(np.sqrt(_LATERAL_SHARE * config.limits.lateral_accel_mps2 / bend), dtype=np.float64)
 
@@ -213,11 +214,13 @@ def prospect(
     num_steps: int,
     earliest_exit_step: int,
     known: PathOccupancy | None = None,
+    most: FloatArray | None = None,
     seen_to_s: float | None = None,
 ) -> Prospect:
     """Look along a path: everybody in `others`, after `known` (computed before, and kept clear), is an obstacle.
 
-    seen_to_s: nobody is seen beyond it, m (the ablation without topology: conflicts are looked up in linked cells).
+    most: `road_most` of the path, where it is at hand. seen_to_s: nobody is seen beyond it, m (the ablation without
+    topology: conflicts are looked up in linked cells).
     """
     clear_steps, clear_margin_m = kept_clear(config)
     seen = [] if known is None else [known]
@@ -258,7 +261,7 @@ def prospect(
         earliest_exit_step=earliest_exit_step,
     )
     return Prospect(
-        path=path, size=size, desired=desired, most=_road_most(path.line, config), occupancy=occupancy, tables=tables,
-        margin_m=0.6 * config.conflict.margin_front_m, ttc_s=ttc_s,
+        path=path, size=size, desired=desired, most=road_most(path.line, config) if most is None else most,
+        occupancy=occupancy, tables=tables, margin_m=0.6 * config.conflict.margin_front_m, ttc_s=ttc_s,
         recorded_rows=0 if known is None else known.low.shape[0],
     )  # fmt: skip

@@ -11,17 +11,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numba import njit
 
-from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy, Track
+from hid2.agents import DEFAULT_SIZES, BoxSize, Policy, Track
 from hid2.conflicts import DT_S, Prospect
 from hid2.decision import LaneOption, Side
 from hid2.lane_change import lane_change_reason
 from hid2.maneuver import admissible_neighbor, gap_ahead_of, lane_options, lay_across, leader_on, returns_to
 from hid2.overtake import Leader, enter_reason, return_reason
-from hid2.path_occupancy import meet_all
 from hid2.reference_line import TABLE_STEP_M
 from hid2.route import DrivenPath, first_turn
 from hid2.speed_plan import SpeedPlan
-from hid2.traffic import BoolArray, Traffic
+from hid2.traffic import Traffic
 from hid2.turns import TURN_OF_POLICY
 from hid2.verify import off_road_steps
 from hid2.world import World, predicted_traffic
@@ -128,15 +127,12 @@ class Foresight:
             look = self._looks[path, size] = self.world.prospect(path, size, cruise_mps=math.inf, others=everybody)
         return look
 
-    def meet_at_start(self, center: FloatArray, heading: FloatArray, size: BoxSize, gap_m: float) -> BoolArray:
-        """(M,) whether anybody is within gap_m straight ahead of a box, or behind it, at step 0.
-
-        center (M, 2) m, heading (M,) rad.
-        """
+    @property
+    def at_start(self) -> Traffic:
+        """Everybody at step 0; joined once."""
         if not self._at_start:
             self._at_start.append(self.world.traffic.at(0).joined(self.fixed.at(0), self.predicted.at(0)))
-        longer = np.full(heading.size, size.length_m + 2 * gap_m)
-        return meet_all(self._at_start[0], 0, center, heading, longer, size.width_m)
+        return self._at_start[0]
 
     def conflict(self, wish: Wish, intention: Intention) -> str | None:
         """Why a reader of the positions would not think it safe among the recorded vehicles, which will not brake."""

@@ -140,22 +140,6 @@ def cells_under(
     return _under(boxes.center, boxes.heading, boxes.length_m, boxes.width_m, x, y, heading, length_m / 2, width_m / 2)  # type: ignore[no-any-return]
 
 
-def are_taken(
-    boxes: CellBoxes,
-    sigma: npt.NDArray[np.uint8],
-    x: FloatArray,
-    y: FloatArray,
-    heading: FloatArray,
-    *,
-    length_m: float,
-    width_m: float,
-) -> npt.NDArray[np.bool_]:
-    """(M,) whether any cell under each box is not free; sigma (C,), x, y (M,) m, heading (M,) rad."""
-    return _taken(  # type: ignore[no-any-return]
-        boxes.center, boxes.heading, boxes.length_m, boxes.width_m, sigma, x, y, heading, length_m / 2, width_m / 2
-    )
-
-
 def is_anybody_on(boxes: CellBoxes, cells: Sequence[int], traffic: Traffic, step: int, *, width_share: float) -> bool:
     """Whether anybody is on any of some cells at a step; boxes count with a share of their width."""
     return bool(
@@ -176,24 +160,13 @@ def _anybody_on(  # type: ignore[no-untyped-def]  # noqa: ANN202
         x, y, half_l, half_w = position[a, step, 0], position[a, step, 1], length[a] / 2, share * width[a] / 2
         co, si = np.cos(heading[a, step]), np.sin(heading[a, step])
         for c in cells:
-            if _is_on(center, c_heading, c_length, c_width, c, x, y, co, si, half_l, half_w):
+            if is_on(center, c_heading, c_length, c_width, c, x, y, co, si, half_l, half_w):
                 return True
     return False
 
 
 @njit(cache=True)
-def _taken(center, c_heading, c_length, c_width, sigma, x, y, heading, half_l, half_w):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    taken = np.zeros(x.size, dtype=np.bool_)
-    for i in range(x.size):
-        for c in _under(center, c_heading, c_length, c_width, x[i], y[i], heading[i], half_l, half_w):
-            if sigma[c] != FREE:
-                taken[i] = True
-                break
-    return taken
-
-
-@njit(cache=True)
-def _is_on(center, c_heading, c_length, c_width, c, x, y, co, si, half_l, half_w):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def is_on(center, c_heading, c_length, c_width, c, x, y, co, si, half_l, half_w):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Whether a box covers any of cell c."""
     reach = half_l + half_w + c_length[c] + c_width[c]
     if abs(x - center[c, 0]) > reach or abs(y - center[c, 1]) > reach:
@@ -210,7 +183,7 @@ def _under(center, c_heading, c_length, c_width, x, y, heading, half_l, half_w):
     count = 0
     co, si = np.cos(heading), np.sin(heading)
     for c in range(center.shape[0]):
-        if count < 64 and _is_on(center, c_heading, c_length, c_width, c, x, y, co, si, half_l, half_w):
+        if count < 64 and is_on(center, c_heading, c_length, c_width, c, x, y, co, si, half_l, half_w):
             out[count] = c
             count += 1
     return out[:count]

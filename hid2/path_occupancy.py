@@ -125,7 +125,7 @@ def meet_all(
 def _meet_all(center, direction, length, width, step, position, heading, present, lengths, widths):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     found = np.empty(length.size, dtype=np.bool_)
     for b in range(length.size):
-        found[b] = _meets(
+        found[b] = meets(
             center[b, 0], center[b, 1], direction[b], length[b], width, step, position, heading, present, lengths,
             widths,
         )  # fmt: skip
@@ -133,7 +133,8 @@ def _meet_all(center, direction, length, width, step, position, heading, present
 
 
 @njit(cache=True)
-def _meets(x, y, direction, length, width, step, position, heading, present, lengths, widths):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def meets(x, y, direction, length, width, step, position, heading, present, lengths, widths):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Whether a box touches any agent at a step, for compiled loops."""
     cosine, sine = np.cos(direction), np.sin(direction)
     reach = np.hypot(length, width) / 2
     for a in range(present.shape[0]):

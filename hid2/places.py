@@ -1,10 +1,8 @@
 """Where on the map a vehicle of a policy may start, and on which route: what the map alone says."""
 
 import math
-from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from itertools import accumulate
 
 import numpy as np
 
@@ -15,7 +13,7 @@ from hid2.draws import Draws
 from hid2.foresight import LATEST_S, SPARE_LANE_M, Wish
 from hid2.maneuver import admissible_neighbor
 from hid2.reference_line import TABLE_STEP_M
-from hid2.route import ROUTE_LONGEST_M, DrivenPath, Route, routes_from
+from hid2.route import ROUTE_LONGEST_M, DrivenPath, Route, Way, routes_from
 from hid2.turns import TURN_OF_POLICY
 from hid2.world import DRIVABLE_TYPES, World
 from netconvert.cells import Cell
@@ -31,6 +29,9 @@ _TURN_ROUTES, _OTHER_ROUTES = 6, 3
 _BEFORE_TURN_M = 3.0
 _ROUGHLY_M = 2.0  # by which two lanes side by side may differ in length up to a place
 
+#: With its run-up, m, and where its first turn begins and ends, m behind that, where it is for one.
+_FoundWay = tuple[Way, float, float, float]
+
 
 @dataclass(slots=True)
 class Places:
@@ -43,11 +44,9 @@ class Places:
     draws: Draws
     packed: bool = False
     lanes: tuple[int, ...] = field(init=False)
-    _known_routes: dict[tuple[TurnType, int, int], tuple[tuple[Route, float, float], ...]] = field(default_factory=dict)
+    _known_ways: dict[tuple[TurnType, int, int], tuple[_FoundWay, ...]] = field(default_factory=dict)
     _known_before: dict[int, tuple[int, ...]] = field(default_factory=dict)
     _usable: frozenset[int] = field(init=False)
-    _known_ends: dict[Route, tuple[float, ...]] = field(default_factory=dict)
-    _known_run_ups: dict[Route, tuple[Route, float]] = field(default_factory=dict)
     _known_beside: dict[int, float] = field(default_factory=dict)
     _known_left: list[float] = field(default_factory=list)
     _known_cells: dict[Policy, tuple[list[Cell], list[int], FloatArray, FloatArray]] = field(default_factory=dict)
@@ -68,7 +67,7 @@ class Places:
 
     def candidates(
         self, policy: Policy, is_free: Callable[[int], bool], patience: int
-    ) -> Iterator[tuple[Route, float] | None]:
+    ) -> Iterator[tuple[Way, float] | None]:
         """(route, s0) in random order, suited to the policy; None for a cell that is taken.
 
         is_free tells by index whether a cell is free at step 0; it is asked again whenever the next one is taken.
@@ -83,54 +82,36 @@ class Places:
                 yield None
                 continue
             s0 = starts[row]
-            for route in self._routes(policy, cell.lane_id, s0, patience):
+            for place in self._ways(policy, cell.lane_id, s0, patience):
                 if not is_free(place_of[row]):
                     break  # taken meanwhile: by the vehicle that the route before was for
-                yield self._with_run_up(route, s0)
+                yield place
 
-    def unsuited(self, wish: Wish, route: Route, s0: float, cruise_mps: float, patience: int) -> str | None:
+    def unsuited(self, wish: Wish, way: Way, s0: float, cruise_mps: float, patience: int) -> str | None:
         """What the map says against a candidate, before a path is laid and anybody is looked at."""
-        ends = self._ends(route)
         half_m = wish.size.length_m / 2
         run_on = "topology" in self.world.config.without
-        if s0 < half_m or (s0 + half_m > ends[-1] - 1.0 and not run_on):
+        if s0 < half_m or (s0 + half_m > way.length_m - 1.0 and not run_on):
             return "no_room_on_lane"
         slowest = _SLOWEST_MPS[min(patience, 1)]
         stay_m = 0.75 * min(cruise_mps, slowest) * self.world.earliest_exit_step * DT_S
-        if ends[-1] - s0 < 2 * half_m + stay_m and not run_on:
+        if way.length_m - s0 < 2 * half_m + stay_m and not run_on:
             return "leaves_too_early"
-        starts = (0.0, *ends[:-1])
-
-        def between(first: float, last: float) -> Iterator[tuple[int, float]]:
-            """Lanes between two arc lengths, with where on each that stretch begins."""
-            return (
-                (lane_id, max(first - start, 0.0))
-                for lane_id, start, end in zip(route, starts, ends, strict=True)
-                if end > first and start < last
-            )
-
         if wish.policy is Policy.STRAIGHT and patience == 0:
-            reached = between(s0, s0 + cruise_mps * self.world.num_steps * DT_S)
+            reached = way.between(s0, s0 + cruise_mps * self.world.num_steps * DT_S)
             if any(self._turn(lane_id) is not TurnType.STRAIGHT for lane_id, _ in reached):
                 return "would_turn"
         if wish.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE):
             slowest, fastest = 0.3 * cruise_mps * wish.trigger_s, cruise_mps * (wish.trigger_s + LATEST_S)
             least_m = self._remaining_m - _ROUGHLY_M if wish.policy is Policy.LANE_CHANGE else -math.inf
-            reached = between(s0 + slowest + SPARE_LANE_M, s0 + fastest + SPARE_LANE_M)
+            reached = way.between(s0 + slowest + SPARE_LANE_M, s0 + fastest + SPARE_LANE_M)
             if not any(self._beside_m(lane_id, lane_s) > least_m for lane_id, lane_s in reached):
                 return "no_lane_beside_at_trigger"
         if wish.policy is Policy.OVERTAKE:
-            lane_id, lane_s = self._on_lane(route, s0)
+            lane_id, lane_s = way.on_lane(s0)
             if self._overtaking_m(lane_id) - lane_s < _OVERTAKE_STRETCH_M:
                 return "lanes_part_too_soon"
         return None
-
-    def _ends(self, route: Route) -> tuple[float, ...]:
-        """Arc length at the end of each lane of a route, m."""
-        if route not in self._known_ends:
-            lanes = self.world.grid.graph.lanes
-            self._known_ends[route] = tuple(accumulate(lanes[lane_id].length_m for lane_id in route))
-        return self._known_ends[route]
 
     def _cells(self, policy: Policy) -> tuple[list[Cell], list[int], FloatArray, FloatArray]:
         """Cells that a policy may start from, their indices, and where on their lanes they begin and end (M,), m."""
@@ -144,25 +125,10 @@ class Places:
             self._known_cells[policy] = cells, rows, low, high
         return self._known_cells[policy]
 
-    def lane_at(self, route: Route, s0: float) -> int:
-        """Lane of a route at arc length s0, m."""
-        return self._on_lane(route, s0)[0]
-
-    def _on_lane(self, route: Route, s: float) -> tuple[int, float]:
-        """Lane of a route at arc length s, m, and the arc length on it; the last one beyond the route's end."""
-        ends = self._ends(route)
-        row = min(bisect_right(ends, s), len(route) - 1)
-        return route[row], s - (ends[row - 1] if row else 0.0)
-
-    def lies_beside(self, route: Route, s: float) -> bool:
+    def lies_beside(self, way: Way, s: float) -> bool:
         """Whether a lane that may be changed to lies beside a little behind arc length s of a route, m, and lasts."""
         s += SPARE_LANE_M
-        return s < self._ends(route)[-1] and self._beside_m(*self._on_lane(route, s)) >= self._remaining_m
-
-    def pose(self, route: Route, s0: float) -> tuple[float, float, float]:
-        """x, y m and heading rad on the middle of a route's lanes at arc length s0."""
-        lane_id, lane_s = self._on_lane(route, s0)
-        return self.world.grid.graph.lanes[lane_id].path.pose(lane_s)
+        return s < way.length_m and self._beside_m(*way.on_lane(s)) >= self._remaining_m
 
     def too_sharp(self, path: DrivenPath, start: float, end: float) -> bool:
         """Whether the path bends more than kappa_max = 1 / R_min between two arc lengths (Trajectory Smoothing)."""
@@ -226,20 +192,16 @@ class Places:
         onward = [n for n in self.world.grid.graph.successors(lane_id) if n in self._usable]
         return max((self._onward_m(n, sofar_m, enough_m) for n in onward), default=sofar_m)
 
-    def _with_run_up(self, route: Route, s0: float) -> tuple[Route, float]:
-        """The same place on a route that begins at the edge of the map, or some way before it.
+    def _with_run_up(self, route: Route) -> tuple[Way, float]:
+        """A route that begins at the edge of the map, or some way before the first lane, and by how much, m.
 
         Who comes from behind is seen there, and places on different lanes share what is found out about a path.
         """
-        if "topology" in self.world.config.without:
-            return route, s0
-        if route not in self._known_run_ups:
+        before: list[int] = []
+        if "topology" not in self.world.config.without:
             before = [lane_id for lane_id in self._lanes_before(route[0]) if lane_id not in route]
-            lanes = self.world.grid.graph.lanes
-            before_m = sum(lanes[lane_id].length_m for lane_id in before)
-            self._known_run_ups[route] = (*before, *route), before_m
-        whole, before_m = self._known_run_ups[route]
-        return whole, s0 + before_m
+        lanes = self.world.grid.graph.lanes
+        return self.world.way((*before, *route)), sum(lanes[lane_id].length_m for lane_id in before)
 
     def _lanes_before(self, lane_id: int) -> tuple[int, ...]:
         """Lanes that lead to a lane, the straightest way, back to the map's edge or _RUN_UP_M."""
@@ -281,46 +243,49 @@ class Places:
                 break
         return left
 
-    def _routes(self, policy: Policy, lane_id: int, s0: float, patience: int) -> Iterator[Route]:
-        """Routes from a place that serve the policy; more than one only where patience asks for it (reroute).
+    def _ways(self, policy: Policy, lane_id: int, s0: float, patience: int) -> Iterator[tuple[Way, float]]:
+        """Routes from a place that serve the policy, with run-up, and where on each the place is, m.
 
-        Those for a turn have the wanted one as their first, and may be through it before the scene ends.
+        More than one only where patience asks for it (reroute). Those for a turn have the wanted one as their first,
+        and may be through it before the scene ends.
         """
-        graph = self.world.grid.graph
-        if "topology" in self.world.config.without:
-            yield (lane_id,)
-            return
         turns = policy in TURN_OF_POLICY
         wanted = TURN_OF_POLICY.get(policy, TurnType.STRAIGHT)
+        most = _TURN_ROUTES if turns else 1 if patience == 0 else _OTHER_ROUTES
+        key = wanted, lane_id, most
+        if key not in self._known_ways:
+            self._known_ways[key] = self._find_ways(lane_id, wanted, most, turns=turns)
+        reached_m = _FASTEST_MPS * self.world.num_steps * DT_S
+        for way, before_m, start, end in self._known_ways[key]:
+            if not turns or (start - s0 > _BEFORE_TURN_M and end - s0 < reached_m):
+                yield way, s0 + before_m
+                if turns and patience == 0:
+                    return
+
+    def _find_ways(self, lane_id: int, wanted: TurnType, most: int, *, turns: bool) -> tuple[_FoundWay, ...]:
+        graph = self.world.grid.graph
+        if "topology" in self.world.config.without:
+            return ((*self._with_run_up((lane_id,)), math.inf, -math.inf),)
 
         def choose(onward: tuple[int, ...]) -> tuple[int, ...]:
             return tuple(sorted(onward, key=lambda n: (self._turn(n) is not wanted, self.draws.unit())))
 
-        most = _TURN_ROUTES if turns else 1 if patience == 0 else _OTHER_ROUTES
-        key = wanted, lane_id, most
-        if key not in self._known_routes:
-            found = routes_from(
-                graph, lane_id, choose=choose, usable=self._usable.__contains__, most=most, longest_m=ROUTE_LONGEST_M
-            )
-            if turns:
-                first_turns = ((route, self._first_turn(route)) for route in found)
-                kept = tuple((route, start, end) for route, (kind, start, end) in first_turns if kind is wanted)
-            else:
-                kept = tuple((route, 0.0, 0.0) for route in found)
-            self._known_routes[key] = kept
-        reached_m = _FASTEST_MPS * self.world.num_steps * DT_S
-        for route, start, end in self._known_routes[key]:
-            if not turns or (start - s0 > _BEFORE_TURN_M and end - s0 < reached_m):
-                yield route
-                if turns and patience == 0:
-                    return
+        found = routes_from(
+            graph, lane_id, choose=choose, usable=self._usable.__contains__, most=most, longest_m=ROUTE_LONGEST_M
+        )
+        if not turns:
+            return tuple((*self._with_run_up(route), 0.0, 0.0) for route in found)
+        first_turns = ((route, self._first_turn(route)) for route in found)
+        return tuple(
+            (*self._with_run_up(route), start, end) for route, (kind, start, end) in first_turns if kind is wanted
+        )
 
     def _first_turn(self, route: Route) -> tuple[TurnType, float, float]:
         """Kind of the first turn of a route, and where on the route it begins and ends, m; STRAIGHT where none is."""
-        ends = self._ends(route)
+        ends_m = self.world.way(route).ends_m
         for row in range(1, len(route)):
             if self._turn(route[row]) is not TurnType.STRAIGHT:
-                return self._turn(route[row]), ends[row - 1], ends[row]
+                return self._turn(route[row]), ends_m[row - 1], ends_m[row]
         return TurnType.STRAIGHT, 0.0, 0.0
 
     def _turn(self, lane_id: int) -> TurnType:

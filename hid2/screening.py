@@ -12,9 +12,9 @@ import numpy.typing as npt
 from hid2.agents import FloatArray, Policy
 from hid2.conflicts import Prospect
 from hid2.foresight import Foresight, Wish
-from hid2.occupancy import UNDER_SHARE, are_taken
+from hid2.free_places import taken
 from hid2.places import Places
-from hid2.route import DrivenPath, Route
+from hid2.route import DrivenPath, Way
 from hid2.starts import Start, starts
 from hid2.turns import TURN_OF_POLICY
 
@@ -22,7 +22,7 @@ from hid2.turns import TURN_OF_POLICY
 BEND_M = 0.3
 #: Speeds at spawn that are tried, as shares of the one drawn: without patience, for a turn, with patience.
 _SHARES, _TURN_SHARES, _PATIENT_SHARES = (1.0,), (1.0, 0.6), (1.0, 0.5, 0.0)
-_BACK_STEPS, _BACK_M = 4, 1.0
+_BACK_M = (1.0,) * 4  # that a taken place is moved back
 
 
 @dataclass(slots=True)
@@ -33,16 +33,11 @@ class Candidate:
     """
 
     wish: Wish
-    route: Route
+    way: Way
     s0: float
     cruise_mps: float
     wanted_mps: float
     turn_end: float = 0.0
-
-    def move_back(self, by_m: float) -> bool:
-        """Begin a little further back, unless the lane does not."""
-        self.s0 -= by_m
-        return self.s0 >= self.wish.size.length_m / 2
 
 
 def shares_at_spawn(policy: Policy, patience: int) -> tuple[float, ...]:
@@ -73,7 +68,7 @@ class Screening:
         """
         if not candidates:
             return []
-        against = [self.places.unsuited(c.wish, c.route, c.s0, c.cruise_mps, patience) for c in candidates]
+        against = [self.places.unsuited(c.wish, c.way, c.s0, c.cruise_mps, patience) for c in candidates]
         if "collision" in self.places.world.config.without:
             return [reason or Start(c.wanted_mps, None) for c, reason in zip(candidates, against, strict=True)]
         found: dict[int, Start | str] = {row: reason for row, reason in enumerate(against) if reason is not None}
@@ -81,27 +76,30 @@ class Screening:
         rows = [row for row in range(len(candidates)) if row not in found]
         # seen before a path is laid and looked along
         found.update(self._taken({row: candidates[row] for row in rows}, ahead, sigma))
-        if self.places.packed and policy is Policy.STRAIGHT:
-            for _ in range(_BACK_STEPS):  # a packed road has each one close behind the next
-                back = {row: candidates[row] for row in rows if row in found and candidates[row].move_back(_BACK_M)}
-                for row in back:
-                    del found[row]
-                found.update(self._taken(back, ahead, sigma))
-        by_path: dict[DrivenPath, list[int]] = {}
+        by_way: dict[Way, list[int]] = {}
         for row in rows:
             if row not in found:
-                candidate = candidates[row]
-                path = self.places.world.path(candidate.route)
-                if policy in TURN_OF_POLICY:
-                    end = ahead.turn_end(candidate.wish, path, candidate.s0, candidate.cruise_mps)
-                    if isinstance(end, str):
-                        found[row] = end
-                        continue
-                    candidate.turn_end = end
-                by_path.setdefault(path, []).append(row)
-        for path, at in by_path.items():
-            found.update(zip(at, self._on_path(path, [candidates[row] for row in at], ahead, patience), strict=True))
+                by_way.setdefault(candidates[row].way, []).append(row)
+        for way, at in by_way.items():
+            path = self.places.world.path(way.route)
+            if policy in TURN_OF_POLICY:
+                found.update(self._without_turn(path, {row: candidates[row] for row in at}, ahead))
+                at = [row for row in at if row not in found]
+            if at:
+                starts_there = self._on_path(path, [candidates[row] for row in at], ahead, patience)
+                found.update(zip(at, starts_there, strict=True))
         return [found[row] for row in range(len(candidates))]
+
+    def _without_turn(self, path: DrivenPath, candidates: Mapping[int, Candidate], ahead: Foresight) -> dict[int, str]:
+        """Candidates on a path that cannot get through the turn that they are for; the others learn where it ends."""
+        found: dict[int, str] = {}
+        for row, candidate in candidates.items():
+            end = ahead.turn_end(candidate.wish, path, candidate.s0, candidate.cruise_mps)
+            if isinstance(end, str):
+                found[row] = end
+            else:
+                candidate.turn_end = end
+        return found
 
     def _on_path(
         self, path: DrivenPath, candidates: Sequence[Candidate], ahead: Foresight, patience: int
@@ -141,15 +139,15 @@ class Screening:
         """Which places others are on at step 0, or within the clear gap along the lane."""
         if not candidates:
             return {}
-        size = next(iter(candidates.values())).wish.size
-        x, y, heading = np.array([self.places.pose(c.route, c.s0) for c in candidates.values()]).T
-        taken = are_taken(
-            self.places.world.boxes, sigma, x, y, heading, length_m=size.length_m, width_m=UNDER_SHARE * size.width_m
-        )
-        gap_m = self.places.world.config.spawn.clear_gap_m - BEND_M
-        close = ahead.meet_at_start(np.stack([x, y], axis=1), heading, size, gap_m)
-        return {
-            row: "cells_occupied" if here else "box_too_close"
-            for row, here, near in zip(candidates, taken.tolist(), close.tolist(), strict=True)
-            if here or near
-        }
+        some = list(candidates.values())
+        # a packed road has each one close behind the next
+        back = self.places.packed and some[0].wish.policy is Policy.STRAIGHT
+        world = self.places.world
+        reasons, s0 = taken(
+            [one.way for one in some], [one.s0 for one in some], some[0].wish.size,
+            lanes=world.recorded.lanes, boxes=world.boxes, sigma=sigma, others=ahead.at_start,
+            gap_m=world.config.spawn.clear_gap_m - BEND_M, back_m=_BACK_M if back else (),
+        )  # fmt: skip
+        for one, at in zip(some, s0, strict=True):
+            one.s0 = at
+        return {row: reason for row, reason in zip(candidates, reasons, strict=True) if reason is not None}

@@ -19,7 +19,7 @@ from hid2.occupancy import FREE, GENERATED, UNDER_SHARE, cells_under
 from hid2.path_occupancy import meet_all
 from hid2.places import Places
 from hid2.reference_line import TABLE_STEP_M
-from hid2.route import DrivenPath, Route
+from hid2.route import DrivenPath, Route, Way
 from hid2.screening import BEND_M, Candidate, Screening, shares_at_spawn
 from hid2.speed_plan import SpeedPlan
 from hid2.starts import Start
@@ -80,8 +80,8 @@ class Spawner:
     _screening: Screening = field(init=False)
     _against: dict[Policy, Counter[str]] = field(default_factory=dict)
     _exhausted: set[Policy] = field(default_factory=set)
-    _streams: dict[Policy, Iterator[tuple[Route, float] | None]] = field(default_factory=dict)
-    _left: dict[Policy, list[tuple[Route, float]]] = field(default_factory=dict)
+    _streams: dict[Policy, Iterator[tuple[Way, float] | None]] = field(default_factory=dict)
+    _left: dict[Policy, list[tuple[Way, float]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Occupancy at step 0, with the fixed vehicles in it."""
@@ -115,7 +115,7 @@ class Spawner:
         against: Counter[str] = Counter()
         count = tried = _SCREENED_LATER if self.patience > 0 else 1
         while places := self._next(policy, min(count, attempts - _closely(against)), against):
-            candidates = [self._candidate(wish, route, s0) for route, s0 in places]
+            candidates = [self._candidate(wish, way, s0) for way, s0 in places]
             screened = self._screening.starts(candidates, self._ahead, self._sigma, self.patience)
             for row, (candidate, start) in enumerate(zip(candidates, screened, strict=True)):
                 vehicle = start if isinstance(start, str) else self._from(candidate, start)
@@ -142,14 +142,14 @@ class Spawner:
             self._note(Policy.OVERTAKE, Counter({"overtake_scene_too_short": 1}))
             return ()
         while places := self._next(Policy.OVERTAKE, min(1, attempts - _closely(against)), against):
-            route, s0 = places[0]
+            way, s0 = places[0]
             cruise = self.draws.uniform(*_OVERTAKER_MPS)
             wish = Wish(Policy.OVERTAKE, vehicle_id, object_type, own, self._draw_trigger(Policy.OVERTAKE), cruise)
-            leader = self._ahead.leader_at_start(wish, self.world.path(route), s0)
+            leader = self._ahead.leader_at_start(wish, self.world.path(way.route), s0)
             if leader is not None and leader.speed_mps + _FASTER_MPS > cruise:
                 against["overtake_leader_not_slower"] += 1
                 continue
-            found = self._overtaker(wish, route, s0, leader_id)
+            found = self._overtaker(wish, way, s0, leader_id)
             if isinstance(found, tuple):
                 return found
             against[found] += 1
@@ -186,7 +186,7 @@ class Spawner:
         self.reasons.update(against)
         self._against.setdefault(policy, Counter()).update(against)
 
-    def _next(self, policy: Policy, count: int, against: Counter[str]) -> list[tuple[Route, float]]:
+    def _next(self, policy: Policy, count: int, against: Counter[str]) -> list[tuple[Way, float]]:
         """The next places of a policy, at most `count`: first those that another vehicle did not need."""
         left = self._left.setdefault(policy, [])
         found, self._left[policy] = left[: max(count, 0)], left[max(count, 0) :]
@@ -218,10 +218,8 @@ class Spawner:
         common_m = np.maximum(usual.length_m + apart_m - cells.length_m, 0.0)
         return meet_all(traffic, 0, cells.center, cells.heading, common_m, usual.width_m)
 
-    def _overtaker(
-        self, wish: Wish, route: Route, s0: float, leader_id: str | None
-    ) -> tuple[PlannedVehicle, ...] | str:
-        vehicle = self._try(wish, route, s0)
+    def _overtaker(self, wish: Wish, way: Way, s0: float, leader_id: str | None) -> tuple[PlannedVehicle, ...] | str:
+        vehicle = self._try(wish, way, s0)
         if isinstance(vehicle, PlannedVehicle):
             self._add(vehicle)
             return (vehicle,)
@@ -233,13 +231,13 @@ class Spawner:
         apart = self._ahead.following_apart_m(wish, lead)
         reason = "no_leader"
         for spare in _LEADER_SPARE_M:
-            leader = self._try(lead, route, s0 + apart + spare)
+            leader = self._try(lead, way, s0 + apart + spare)
             if not isinstance(leader, PlannedVehicle):
                 reason = f"leader_{leader}"
                 continue
             before = self._sigma.copy(), self._crowded, self._ahead
             self._add(leader)
-            vehicle = self._try(wish, route, s0)
+            vehicle = self._try(wish, way, s0)
             if isinstance(vehicle, PlannedVehicle):
                 self._add(vehicle)
                 self.led_by[vehicle.vehicle_id] = leader_id
@@ -250,26 +248,26 @@ class Spawner:
             reason = vehicle
         return reason
 
-    def _try(self, wish: Wish, route: Route, s0: float) -> PlannedVehicle | str:
+    def _try(self, wish: Wish, way: Way, s0: float) -> PlannedVehicle | str:
         """A planned vehicle, or the reason against it."""
-        candidate = self._candidate(wish, route, s0)
+        candidate = self._candidate(wish, way, s0)
         start = self._screening.starts([candidate], self._ahead, self._sigma, self.patience)[0]
         return start if isinstance(start, str) else self._from(candidate, start)
 
-    def _candidate(self, wish: Wish, route: Route, s0: float) -> Candidate:
+    def _candidate(self, wish: Wish, way: Way, s0: float) -> Candidate:
         """What is drawn for a place."""
         cruise = wish.cruise_mps
         if cruise is None:
-            cruise = self.world.speed_sample(self.places.lane_at(route, s0), self.draws)
+            cruise = self.world.speed_sample(way.on_lane(s0)[0], self.draws)
         if wish.policy is Policy.LANE_CHANGE:
             wish = replace(wish, trigger_s=self._draw_trigger(wish.policy))  # late ones suit few places
-            wish = self._when_beside(wish, route, s0, cruise)
+            wish = self._when_beside(wish, way, s0, cruise)
         keeps = wish.steady or wish.policy is Policy.OVERTAKE
-        return Candidate(wish, route, s0, cruise, cruise if keeps else cruise * self.draws.uniform(0.85, 1.0))
+        return Candidate(wish, way, s0, cruise, cruise if keeps else cruise * self.draws.uniform(0.85, 1.0))
 
     def _from(self, candidate: Candidate, start: Start) -> PlannedVehicle | str:
         """A planned vehicle from a start, or the reason against it."""
-        wish, route, s0, cruise = candidate.wish, candidate.route, candidate.s0, candidate.cruise_mps
+        wish, s0, cruise, route = candidate.wish, candidate.s0, candidate.cruise_mps, candidate.way.route
         path = self.world.path(route)
         if "collision" in self.world.config.without:
             return self._unchecked(wish, route, path, s0, cruise)
@@ -382,10 +380,10 @@ class Spawner:
             high = low + 0.25 * (high - low)
         return self.draws.uniform(low, high) if high > low else low
 
-    def _when_beside(self, wish: Wish, route: Route, s0: float, cruise: float) -> Wish:
+    def _when_beside(self, wish: Wish, way: Way, s0: float, cruise: float) -> Wish:
         """With a moment of the range asked for at which a lane is likely to lie beside, if one of a few is such."""
         for _ in range(_TRIGGERS):
-            if self.places.lies_beside(route, s0 + _PROGRESS * cruise * wish.trigger_s):
+            if self.places.lies_beside(way, s0 + _PROGRESS * cruise * wish.trigger_s):
                 break
             wish = replace(wish, trigger_s=self._draw_trigger(wish.policy))
         return wish

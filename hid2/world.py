@@ -1,5 +1,6 @@
 """A scene as the method sees it: grid, recorded future, occupancy, speeds that belong there, and paths."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
@@ -7,13 +8,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Policy, Track
-from hid2.conflicts import DT_S, Prospect, kept_clear, prospect
+from hid2.conflicts import DT_S, Prospect, kept_clear, prospect, road_most
 from hid2.draws import Draws
 from hid2.evaluation.matching import flatten_lanes
 from hid2.occupancy import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
 from hid2.params import Config
 from hid2.path_occupancy import PathOccupancy, look_along
-from hid2.route import DrivenPath, Route, path_along, route_beside, turn_segments
+from hid2.route import DrivenPath, Route, Way, path_along, route_beside, turn_segments, way_along
 from hid2.surrogate_safety import RecordedVehicles
 from hid2.traffic import Traffic, traffic_of
 from hid2.turns import RoadSpeeds, road_speeds
@@ -32,6 +33,14 @@ class _Recorded(NamedTuple):
     rows: IntArray
     intervals: PathOccupancy
     kept_clear: PathOccupancy
+
+
+class _Road(NamedTuple):
+    """What the road says of speeds along a path: its shape, and (S,) m/s wished for at most, and possible at all."""
+
+    speeds: RoadSpeeds
+    fastest: FloatArray
+    most: FloatArray
 
 
 @dataclass(slots=True)
@@ -53,9 +62,10 @@ class World:
     earliest_exit_step: int
     lane_speeds: dict[int, list[float]]
     scene_speeds: list[float]
+    _ways: dict[Route, Way] = field(default_factory=dict)
     _paths: dict[Route, DrivenPath] = field(default_factory=dict)
     _routes_beside: dict[tuple[Route, int], Route] = field(default_factory=dict)
-    _speeds: dict[DrivenPath, RoadSpeeds] = field(default_factory=dict)
+    _roads: dict[DrivenPath, _Road] = field(default_factory=dict)
     _known: dict[tuple[DrivenPath, BoxSize], _Recorded] = field(default_factory=dict)
 
     @property
@@ -72,6 +82,12 @@ class World:
         """The same scene with the gaps of a packed road; itself, with all that is known, where it has them."""
         config = self.config.packed()
         return self if config == self.config else replace(self, config=config, _known={})
+
+    def way(self, route: Route) -> Way:
+        """A route with what is looked up along it; worked out once."""
+        if route not in self._ways:
+            self._ways[route] = way_along(self.grid.graph, route, self.recorded.lanes.index_of)
+        return self._ways[route]
 
     def path(self, route: Route) -> DrivenPath:
         """Path on the middle of a route's lanes; built once."""
@@ -111,15 +127,22 @@ class World:
 
     def desired(self, path: DrivenPath, cruise_mps: float) -> FloatArray:
         """(S,) target speed along a path, m/s."""
-        accel_mps2 = self.config.car_following.accel_mps2
-        return self.speeds(path).desired(cruise_mps, turn=self.config.turn, accel_mps2=accel_mps2)
+        road = self._road(path)
+        return road.fastest if cruise_mps == math.inf else self._desired(road.speeds, cruise_mps)
 
     def speeds(self, path: DrivenPath) -> RoadSpeeds:
         """What the road makes of anybody's speed along a path; worked out once."""
-        if path not in self._speeds:
+        return self._road(path).speeds
+
+    def _road(self, path: DrivenPath) -> _Road:
+        if path not in self._roads:
             segments = turn_segments(self.grid.graph, path)
-            self._speeds[path] = road_speeds(path.line, segments, turn=self.config.turn, limits=self.config.limits)
-        return self._speeds[path]
+            speeds = road_speeds(path.line, segments, turn=self.config.turn, limits=self.config.limits)
+            self._roads[path] = _Road(speeds, self._desired(speeds, math.inf), road_most(path.line, self.config))
+        return self._roads[path]
+
+    def _desired(self, speeds: RoadSpeeds, cruise_mps: float) -> FloatArray:
+        return speeds.desired(cruise_mps, turn=self.config.turn, accel_mps2=self.config.car_following.accel_mps2)
 
     def prospect(
         self,
@@ -140,6 +163,7 @@ class World:
             num_steps=self.num_steps,
             earliest_exit_step=self.earliest_exit_step if earliest_exit_step is None else earliest_exit_step,
             known=self._recorded_on(path, size).kept_clear,
+            most=self._road(path).most,
             seen_to_s=path.grid_end_s if "topology" in self.config.without else None,
         )
 

@@ -177,16 +177,6 @@ class Polyline:
         points[..., 1] = np.interp(s, self.s, self.points[:, 1])
         return points
 
-    def pose(self, s: float) -> tuple[float, float, float]:
-        """x, y in m and direction in rad at one arc length, m: the two above without arrays."""
-        segment = min(max(int(self.s.searchsorted(s, side="right")) - 1, 0), len(self._heading) - 1)
-        (x, y), along, heading = (
-            self.points[segment].tolist(),
-            s - float(self.s[segment]),
-            float(self._heading[segment]),
-        )
-        return x + along * math.cos(heading), y + along * math.sin(heading), heading
-
     def heading(self, s: npt.ArrayLike) -> FloatArray:
         """Direction at arc lengths s, that of the segment ahead where two segments meet. (M,) m. Returns (M,) rad."""
         return self._heading[self._segment(np.asarray(s, dtype=np.float64))]

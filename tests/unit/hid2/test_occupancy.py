@@ -5,10 +5,8 @@ import pytest
 
 from hid2.occupancy import (
     FREE,
-    GENERATED,
     ORIGINAL,
     CellBoxes,
-    are_taken,
     cell_boxes,
     cells_under,
     dwell_steps,
@@ -140,14 +138,6 @@ def test_dwell_time_is_rounded_up_to_whole_steps() -> None:
 
 def test_standing_vehicle_never_leaves_its_cell() -> None:
     assert dwell_steps(cell_m=4.0, speed_mps=0.0, step_s=0.1) is None
-
-
-def test_boxes_on_cells_that_are_not_free(boxes: CellBoxes) -> None:
-    """Of three boxes at once each is told what `cells_under` says of it alone."""
-    sigma = np.zeros(len(boxes.length_m), dtype=np.uint8)
-    sigma[cells_under(boxes, 14.0, 0.0, 0.0, length_m=1.0, width_m=1.0)] = GENERATED
-    x, y, heading = np.array([14.0, 19.0, 14.0]), np.array([0.0, 0.0, -20.0]), np.zeros(3)
-    assert are_taken(boxes, sigma, x, y, heading, length_m=4.5, width_m=1.9).tolist() == [True, False, False]
 
 
 def test_somebody_on_some_of_the_cells(grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]) -> None:

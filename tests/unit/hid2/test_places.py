@@ -70,10 +70,11 @@ def test_lane_change_needs_a_lane_beside_that_lasts(
         2: lane(2, [(0.0, 3.5), (60.0, 3.5)], right=1),
         3: lane(3, [(60.0, 0.0), (160.0, 0.0)]),
     }))  # fmt: skip
-    assert [found.lies_beside((1, 3), s) for s in (0.0, 26.9, 27.1, 55.0)] == [True, True, False, False]
+    way = found.world.way((1, 3))
+    assert [found.lies_beside(way, s) for s in (0.0, 26.9, 27.1, 55.0)] == [True, True, False, False]
 
     def against(policy: Policy, s0: float) -> str | None:
-        return found.unsuited(_wish(policy), (1, 3), s0, 10.0, 0)
+        return found.unsuited(_wish(policy), way, s0, 10.0, 0)
 
     assert [against(Policy.LANE_CHANGE, s0) for s0 in (20.0, 22.9)] == [None, None]
     assert against(Policy.LANE_CHANGE, 23.1) == "no_lane_beside_at_trigger"
@@ -116,8 +117,8 @@ def test_candidates_lie_on_free_cells_only_and_lead_into_the_turn(
     on_lane_1_and_3 = some.world.grid.count(1) + some.world.grid.count(3)
     assert len(taken) == on_lane_1_and_3 - len(free)
     assert len(given) == len(free)
-    for route, s0 in given:
-        assert route == (1, 2, 3)
+    for way, s0 in given:
+        assert way.route == (1, 2, 3)
         assert 0.0 <= s0 <= 16.0
 
 
@@ -144,7 +145,8 @@ def test_map_speaks_against_places_without_room(
     places: Callable[..., Places], road: Callable[..., LaneGraph], policy: Policy, s0: float, reason: str | None
 ) -> None:
     """One lane of 200 m, 10 m/s: at 190 m the vehicle is off the map before the last observed step."""
-    assert places(road(lanes=1)).unsuited(_wish(policy), (1,), s0, 10.0, 0) == reason
+    some = places(road(lanes=1))
+    assert some.unsuited(_wish(policy), some.world.way((1,)), s0, 10.0, 0) == reason
 
 
 def test_routes_begin_where_the_lanes_come_from(
@@ -155,13 +157,11 @@ def test_routes_begin_where_the_lanes_come_from(
     length = {lane_id: lane.length_m for lane_id, lane in found.world.grid.graph.lanes.items()}
     start = {1: 0.0, 2: length[1], 3: length[1] + length[2]}
     taken = [place for place in found.candidates(Policy.STRAIGHT, lambda _: True, 1) if place is not None]
-    assert {route for route, _ in taken} == {(1, 2, 3)}
-    on = [found.lane_at(route, s0) for route, s0 in taken]
+    assert {way.route for way, _ in taken} == {(1, 2, 3)}
+    on = [way.on_lane(s0)[0] for way, s0 in taken]
     assert set(on) == {1, 2, 3}
-    for lane_id, (route, s0) in zip(on, taken, strict=True):
+    for lane_id, (_, s0) in zip(on, taken, strict=True):
         assert start[lane_id] <= s0 <= start[lane_id] + length[lane_id]
-        x, y, _ = found.pose(route, s0)
-        assert [x, y] == pytest.approx(found.world.grid.graph.lanes[lane_id].path.point([s0 - start[lane_id]])[0])
 
 
 def test_route_goes_back_no_farther_than_it_must(
@@ -171,6 +171,8 @@ def test_route_goes_back_no_farther_than_it_must(
     row = LaneGraph({
         i: lane(i, [(40.0 * i, 0.0), (40.0 * i + 40.0, 0.0)], successors=(i + 1,) if i < 9 else ()) for i in range(10)
     })  # fmt: skip
-    routes = {place[0] for place in places(row).candidates(Policy.STRAIGHT, lambda _: True, 1) if place is not None}
+    routes = {
+        place[0].route for place in places(row).candidates(Policy.STRAIGHT, lambda _: True, 1) if place is not None
+    }
     assert (5, 6, 7, 8, 9) in routes
     assert max(len(route) for route in routes) <= 4 + 7  # onward, a route ends behind 260 m

@@ -11,6 +11,7 @@ from hid2.draws import Draws
 from hid2.foresight import Wish
 from hid2.params import Config, Request
 from hid2.places import Places
+from hid2.route import Way
 from hid2.screening import Candidate, Screening
 from hid2.smoothing import Trajectory
 from hid2.spawning import Spawner
@@ -250,13 +251,13 @@ def test_cells_that_are_not_tried_are_too_near_wherever_one_starts(
     """
     one = spawner(track(range(110), np.full(110, 100.0), 0.0), lanes=2)
     grid = one.world.grid
-    tried = [cell for _ in range(6) for route, s0 in _tried(one) if (cell := (route[-1], int(s0 / 4.0)))[0] == 1]
+    tried = [cell for _ in range(6) for way, s0 in _tried(one) if (cell := (way.route[-1], int(s0 / 4.0)))[0] == 1]
     assert {24, 25}.isdisjoint(index for _, index in tried)
     assert {22, 27} <= {index for _, index in tried}
     assert grid.count(1) == 50
 
 
-def _tried(spawner: Spawner) -> list[tuple[tuple[int, ...], float]]:
+def _tried(spawner: Spawner) -> list[tuple[Way, float]]:
     return [place for place in spawner.places.candidates(Policy.STRAIGHT, spawner._is_free, 0) if place is not None]
 
 
@@ -343,7 +344,7 @@ def test_packed_vehicles_begin_close_behind_one_another(
         return count
 
     with_moves = placed()
-    monkeypatch.setattr(screening, "_BACK_STEPS", 0)
+    monkeypatch.setattr(screening, "_BACK_M", ())
     assert with_moves > placed()
 
 
@@ -356,7 +357,7 @@ def test_what_was_seen_before_the_last_vehicles_turns_down_nobody_who_might_star
     wish = Wish(Policy.STRAIGHT, "v9", "vehicle", BoxSize(4.5, 1.9), 0.0, 8.0, steady=True)
     answers = []
     for _ in range(4):
-        places = [Candidate(wish, (1,), s0, 8.0, 8.0) for s0 in np.arange(6.0, 180.0, 3.0)]
+        places = [Candidate(wish, one.world.way((1,)), s0, 8.0, 8.0) for s0 in np.arange(6.0, 180.0, 3.0)]
         kept, anew = (
             screen.starts(places, one._ahead, one._sigma, 0) for screen in (one._screening, Screening(one.places))
         )

@@ -173,12 +173,3 @@ def test_overlap_of_many_against_many_broadcasts() -> None:
     boxes = box_corners(np.column_stack([x, np.zeros(4)]), np.zeros(4), length_m=4.0, width_m=2.0)
     overlap = boxes_overlap(boxes[:, None], boxes[None, :])
     assert overlap.tolist() == [[abs(i - j) <= 1 for j in range(4)] for i in range(4)]
-
-
-@pytest.mark.parametrize("s", [-1.0, 0.0, 2.5, 3.0, 4.0, 7.0, 9.5])
-def test_pose_is_point_and_heading_at_once(s: float) -> None:
-    """East for 3 m, north for 4 m, and straight on beyond both ends."""
-    line = Polyline(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 4.0]]))
-    x, y, heading = line.pose(s)
-    assert [x, y] == pytest.approx(line.point(np.array([s]))[0].tolist())
-    assert heading == line.heading(np.array([s]))[0]
