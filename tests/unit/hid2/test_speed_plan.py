@@ -166,7 +166,7 @@ def _is_squeezed_out(tables: SpaceTime, s0: float, v0: float) -> bool:
 def test_nobody_is_squeezed_out_who_may_get_through(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
     """Of 300 roads with two cars that move, stand or cross: wherever a drawn motion meets nobody, there is room.
 
-    And the roads are such that the test can fail: about as many are said to have no room.
+    And the roads are such that the test can fail: of one in six it is said that there is none.
     """
     rng = np.random.default_rng(3)
     squeezed, passed = 0, 0
@@ -186,7 +186,8 @@ def test_nobody_is_squeezed_out_who_may_get_through(straight_line: ReferenceLine
         told = _is_squeezed_out(tables, s0, v0)
         assert not (through and told)
         squeezed, passed = squeezed + told, passed + through
-    assert min(squeezed, passed) > 60
+    assert squeezed > 50
+    assert passed > 200
 
 
 def test_no_room_between_two_that_meet(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
