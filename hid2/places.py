@@ -1,5 +1,6 @@
 """Where on the map a vehicle of a policy may start, and on which route: what the map alone says."""
 
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -282,10 +283,11 @@ class Places:
 
     def _first_turn(self, route: Route) -> tuple[TurnType, float, float]:
         """Kind of the first turn of a route, and where on the route it begins and ends, m; STRAIGHT where none is."""
-        ends_m = self.world.way(route).ends_m
-        for row in range(1, len(route)):
-            if self._turn(route[row]) is not TurnType.STRAIGHT:
-                return self._turn(route[row]), ends_m[row - 1], ends_m[row]
+        lanes, start = self.world.grid.graph.lanes, 0.0
+        for before, lane_id in itertools.pairwise(route):
+            start += lanes[before].length_m
+            if lanes[lane_id].turn is not TurnType.STRAIGHT:
+                return lanes[lane_id].turn, start, start + lanes[lane_id].length_m
         return TurnType.STRAIGHT, 0.0, 0.0
 
     def _turn(self, lane_id: int) -> TurnType:
