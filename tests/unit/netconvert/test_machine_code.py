@@ -1,6 +1,8 @@
 """Compiled functions that were kept, and sources that have changed since."""
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -46,3 +48,27 @@ def test_source_of_the_future_is_nothing_to_go_by(package: Callable[[str, float]
 
 def test_all_packages_are_looked_at() -> None:
     assert [path.name for path in PACKAGES if (path / "__init__.py").is_file()] == ["bridge", "hid2", "netconvert"]
+
+
+def test_changed_function_is_called_by_one_that_was_compiled_before(tmp_path: Path) -> None:
+    """numba would go on with 1: the caller's own file is the same."""
+    package = tmp_path / "package"
+    package.mkdir()
+    (package / "caller.py").write_text(
+        "from numba import njit\nfrom package.called import g\n\n\n@njit(cache=True)\ndef f():\n    return g()\n"
+    )
+
+    def answer(value: int, age_s: float) -> str:
+        called = package / "called.py"
+        called.write_text(f"from numba import njit\n\n\n@njit(cache=True)\ndef g():\n    return {value}\n")
+        os.utime(called, (time.time() - age_s,) * 2)
+        forget_outdated([package])
+        run = [sys.executable, "-c", "from package.caller import f; print(f())"]
+        done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, check=True)
+        return done.stdout.strip()
+
+    os.utime(package / "caller.py", (time.time() - 200.0,) * 2)
+    assert answer(1, 100.0) == "1"
+    for index in package.glob("__pycache__/*.nbi"):
+        os.utime(index, (time.time() - 50.0,) * 2)
+    assert answer(2, 1.0) == "2"
