@@ -164,16 +164,16 @@ class Foresight:
         end = turn.end + BEHIND_TURN_M
         desired = self.world.desired(path, cruise_mps)[int(s0 / TABLE_STEP_M) : int(end / TABLE_STEP_M)]
         lasting_s = float((TABLE_STEP_M / desired).sum()) / _HURRY
-        return end if lasting_s < self._turned_by * DT_S else "turn_not_reached"
+        return end if lasting_s < self.turned_by * DT_S else "turn_not_reached"
 
     @property
-    def _turned_by(self) -> int:
+    def turned_by(self) -> int:
         """Step by which a foreseen turn is through."""
         return self.world.num_steps - math.ceil(_TURN_SPARE_SHARE * self.world.num_steps)
 
     def turn(self, wish: Wish, path: DrivenPath, plan: SpeedPlan, end: float) -> Intention | str:
         """Whether a plan gets behind the end of the turn, m, soon enough, and the box stays on the road on the way."""
-        if plan.s[self._turned_by] < end:
+        if plan.s[self.turned_by] < end:
             return "turn_not_reached"
         position, tangent, _ = path.line.motion(plan.s[::_ROAD_STEPS])
         heading = np.arctan2(tangent[:, 1], tangent[:, 0])

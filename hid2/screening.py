@@ -110,27 +110,31 @@ class Screening:
         most of them down.
         """
         size = candidates[0].wish.size
-        drawn = np.array([(c.s0, c.cruise_mps, c.wanted_mps) for c in candidates])
+        drawn = np.array([(c.s0, c.cruise_mps, c.wanted_mps, c.turn_end) for c in candidates])
         seen = self._seen.setdefault(path, [])
         before = next((look for look in reversed(seen) if look.size.fits(size)), None)
         found: list[Start | str] = ["unseen"] * len(candidates)
         rows = np.arange(len(candidates))
         if before is not None:
-            found = self._seen_from(before, drawn, candidates[0].wish.policy, patience)
+            found = self._seen_from(before, drawn, candidates[0].wish.policy, patience, ahead.turned_by)
             rows = np.array([row for row, start in enumerate(found) if isinstance(start, Start)], dtype=np.int64)
         look = ahead.along(path, size) if rows.size else None
         if look is not None and look is not before:
             seen.append(look)
-            again = self._seen_from(look, drawn[rows], candidates[0].wish.policy, patience)
+            again = self._seen_from(look, drawn[rows], candidates[0].wish.policy, patience, ahead.turned_by)
             for row, start in zip(rows.tolist(), again, strict=True):
                 found[row] = start
         return found
 
-    def _seen_from(self, look: Prospect, drawn: FloatArray, policy: Policy, patience: int) -> list[Start | str]:
+    def _seen_from(
+        self, look: Prospect, drawn: FloatArray, policy: Policy, patience: int, turned_by: int
+    ) -> list[Start | str]:
+        s0, cruise, wanted, turn_end = drawn.T
         return starts(
-            look, self.places.world.speeds(look.path), *drawn.T, shares=shares_at_spawn(policy, patience),
+            look, self.places.world.speeds(look.path), s0, cruise, wanted, shares=shares_at_spawn(policy, patience),
             gentle_from=look.occupancy.low.shape[0] if patience > 0 else look.recorded_rows,
-            config=self.places.world.config, plans=policy is not Policy.OVERTAKE,
+            config=self.places.world.config, plans=policy is not Policy.OVERTAKE, turn_end=turn_end,
+            turned_by=turned_by,
         )  # fmt: skip
 
     def _taken(

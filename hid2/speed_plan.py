@@ -18,7 +18,7 @@ _STEEPEST = 1.65  # m/s2 by which the acceleration changes within a stage: a jer
 OVER_MPS = 4.0  # above the desired speed, at most
 _S_BIN, _V_BIN, _V_BINS = 1.5, 0.75, 48
 _STATES_MOST = 3000
-_SQUEEZED_STEPS = 3
+_FARTHEST_STEPS = 3
 _STAGES_ROUNDED = 32
 _SLOW_MPS = 3.0  # the cost of going slower than desired is linear beyond: nobody slows early to go at the mean speed
 _UNFOLLOWED = 10.0  # cost of a speed above the one at which car following brakes, per (m/s)^2
@@ -117,23 +117,23 @@ def _advance(s, v, a, ramp, dt):  # type: ignore[no-untyped-def]  # noqa: ANN001
 
 
 @njit(cache=True)
-def is_squeezed_out(view, s0, slowest, fastest, hardest, most, first, steps, dt):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Whether those behind and ahead leave no room at some step, whatever is done: much cheaper than a search.
+def farthest(view, s0, slowest, fastest, hardest, most, first, steps, dt):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Arc length that nobody gets beyond before step `steps`, m; -inf where others leave no room at some step.
 
-    slowest, fastest m/s: of the speeds to begin with; hardest, most m/s2: of the accelerations. What is reached lies
-    between two arc lengths, and who is at either takes of it what his interval covers for sure: half a cell less, as
-    places are rounded to cells. Every third step is enough to see it.
+    Much cheaper than a search, whatever is done: what is reached lies between two arc lengths, and who is at either
+    takes of it what his interval covers for sure, half a cell less, as places are rounded to cells. Every third step
+    is enough to see it. slowest, fastest m/s: of the speeds to begin with; hardest, most m/s2: of the accelerations.
     """
-    span = _SQUEEZED_STEPS * dt
+    span = _FARTHEST_STEPS * dt
     low, high, spare = s0, s0, view.margin_m - 0.5 * view.cell_m
     beyond = (view.beyond - 0.5) * view.cell_m
-    for t in range(first + _SQUEEZED_STEPS, steps, _SQUEEZED_STEPS):
+    for t in range(first + _FARTHEST_STEPS, steps, _FARTHEST_STEPS):
         slowest = max(0.0, slowest + hardest * span)
         low += slowest * span
         high += fastest * span + 0.5 * most * span * span
         fastest += most * span
         if low >= beyond and t >= view.earliest_exit_step:
-            return False
+            return np.inf
         if t < view.earliest_exit_step:
             high = min(high, beyond)
         for a in range(view.low.shape[0]):
@@ -143,8 +143,8 @@ def is_squeezed_out(view, s0, slowest, fastest, hardest, most, first, steps, dt)
             if rear < high < front and high < beyond:
                 high = rear
         if low > high:
-            return True
-    return False
+            return -np.inf
+    return high + fastest * span + 0.5 * most * span * span
 
 
 @njit(cache=True)
@@ -152,7 +152,7 @@ def search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, referen
     """The search of `plan_speed`, with its arguments; whether there is a profile, s, v, and its cost."""
     cells, step, reaction = view.cells, view.cell_m, view.follower.reaction_mps
     hardest, most = accels.min(), accels.max()
-    if is_squeezed_out(view, s0, v0.min(), v0.max(), min(hardest, a0), max(most, a0), first, steps, dt):
+    if farthest(view, s0, v0.min(), v0.max(), min(hardest, a0), max(most, a0), first, steps, dt) == -np.inf:
         return False, np.empty(0), np.empty(0), 0.0
     s_bins = int(cells * step / _S_BIN) + 1
     stages = (steps - 1 - first + STAGE_STEPS - 1) // STAGE_STEPS

@@ -13,13 +13,13 @@ from hid2.agents import FloatArray
 from hid2.conflicts import DT_S, Prospect, plan_accelerations
 from hid2.params import Config
 from hid2.space_time import speed_rows
-from hid2.speed_plan import OVER_MPS, SpeedPlan, search, states
+from hid2.speed_plan import OVER_MPS, SpeedPlan, farthest, search, states
 from hid2.turns import RoadSpeeds, reachable
 
 _BEHIND_M = 60.0
 _EASES_MPS = 1.0  # by which who is behind may be too fast for its gap: it eases off the pedal
-_REASONS = ("", "box_too_close", "follower_too_fast", "no_safe_timing")
-_SAFE, _CLOSE, _PUSHED, _NO_TIMING = range(4)
+_REASONS = ("", "box_too_close", "follower_too_fast", "no_safe_timing", "turn_not_reached")
+_SAFE, _CLOSE, _PUSHED, _NO_TIMING, _NOT_REACHED = range(5)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,17 +41,21 @@ def starts(
     gentle_from: int,
     config: Config,
     plans: bool = True,
+    turn_end: FloatArray | None = None,
+    turned_by: int = 0,
 ) -> list[Start | str]:
     """For places s0 (M,) m on one path a start, or why there is none.
 
     cruise_mps, wanted_mps (M,) m/s: desired speed, and the one wished for at the start. shares of the start's speed
     are tried in turn. Nobody of row gentle_from of the occupancy or later has to brake at once, but gently.
+    turn_end (M,) m: what must be reached by step turned_by; who cannot, whatever he does, is not planned.
     """
     following, steps = config.car_following, look.tables.num_steps
     reasons, v0, s, v, cost = _starts(
         look.tables.view(), road.cap, road.shape, look.most, s0, cruise_mps, wanted_mps,
         np.asarray(shares), config.turn.approach_decel_mps2, following.accel_mps2, config.spawn.clear_gap_m,
         config.spawn.clear_ahead_s, gentle_from, steps, plan_accelerations(config), DT_S, states(steps), plans,
+        np.full(s0.size, -np.inf) if turn_end is None else turn_end, turned_by,
     )  # fmt: skip
     found: list[Start | str] = []
     for row, reason in enumerate(reasons.tolist()):
@@ -66,7 +70,7 @@ def starts(
 @njit(cache=True)
 def _starts(  # type: ignore[no-untyped-def]  # noqa: ANN202
     view, cap, shape, most, s0, cruise, wanted, shares, decel, accel, clear, headway, gentle_from, steps, accels, dt,  # noqa: ANN001
-    memory, plans,  # noqa: ANN001
+    memory, plans, turn_end, turned_by,  # noqa: ANN001
 ):  # fmt: skip
     cells, step = view.cells, view.cell_m
     count = s0.size
@@ -87,6 +91,11 @@ def _starts(  # type: ignore[no-untyped-def]  # noqa: ANN202
         if speed[i] < max(pushed[0], unbraked):
             reason[i] = _PUSHED
             continue
+        if turn_end[i] > s0[i]:
+            reach = farthest(view, s0[i], 0.0, speed[i], accels.min(), accels.max(), 0, turned_by + 1, dt)
+            if reach < turn_end[i]:
+                reason[i] = _NO_TIMING if reach == -np.inf else _NOT_REACHED
+                continue
         if plans:
             ceiling = np.minimum(most, desired + OVER_MPS)
             found, s, v, cost[i] = search(

@@ -6,7 +6,7 @@ from views import MARGIN_M, SIZE, TTC_S, tables_of
 
 from hid2.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.space_time import SpaceTime
-from hid2.speed_plan import STAGE_STEPS, SpeedPlan, accelerations, is_squeezed_out, plan_speed
+from hid2.speed_plan import STAGE_STEPS, SpeedPlan, accelerations, farthest, plan_speed
 from hid2.traffic import Traffic
 
 
@@ -159,8 +159,12 @@ def test_plan_is_one_that_car_following_can_drive(
     assert np.max(plan.v - tables.followed[np.arange(110), at]) < 1.0
 
 
+def _farthest(tables: SpaceTime, s0: float, v0: float, before: int = 110) -> float:
+    return float(farthest(tables.view(), s0, v0, v0, -3.2, 1.8, 0, before, 0.1))
+
+
 def _is_squeezed_out(tables: SpaceTime, s0: float, v0: float) -> bool:
-    return bool(is_squeezed_out(tables.view(), s0, v0, v0, -3.2, 1.8, 0, 110, 0.1))
+    return _farthest(tables, s0, v0) == -np.inf
 
 
 def test_nobody_is_squeezed_out_who_may_get_through(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
@@ -182,9 +186,12 @@ def test_nobody_is_squeezed_out_who_may_get_through(straight_line: ReferenceLine
         v = np.maximum(v0 + 0.1 * np.cumsum(accel, axis=1), 0.0)[:, :109]
         s = s0 + np.concatenate([np.zeros((200, 1)), np.cumsum(0.1 * v, axis=1)], axis=1)
         cells = np.minimum((s / TABLE_STEP_M + 0.5).astype(int), tables.cells - 1)
-        through = not np.all(tables.blocked[np.arange(1, 110), cells[:, 1:]].any(axis=1))
-        told = _is_squeezed_out(tables, s0, v0)
+        free = ~tables.blocked[np.arange(1, 110), cells[:, 1:]].any(axis=1)
+        through, told = bool(free.any()), _is_squeezed_out(tables, s0, v0)
         assert not (through and told)
+        if through:
+            for before in (31, 50, 110):
+                assert s[free, before - 1].max() <= _farthest(tables, s0, v0, before)
         squeezed, passed = squeezed + told, passed + through
     assert squeezed > 50
     assert passed > 200
@@ -199,3 +206,10 @@ def test_no_room_between_two_that_meet(straight_line: ReferenceLine, box: Callab
     assert not _is_squeezed_out(tables, 40.0, 5.0)
     assert not _is_squeezed_out(tables_of(straight_line, box(100.0, 0.0, **SIZE)), 80.0, 5.0)
     assert _is_squeezed_out(tables_of(straight_line, box(100.0, 0.0, **SIZE)), 80.0, 14.0)  # it cannot stop in time
+
+
+def test_nobody_gets_beyond_who_stands_in_the_way(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
+    """From 60 m at 8 m/s: to 95 m behind who stands at 100 m; on an empty road 40 m + 1.8 / 2 * 25 m in 5 s."""
+    standing, nobody = (tables_of(straight_line, one) for one in (box(100.0, 0.0, **SIZE), box(0.0, 80.0)))
+    assert 95.0 <= _farthest(standing, 60.0, 8.0) <= 95.0 + 0.3 * 30.0
+    assert 60.0 + 40.0 + 22.5 <= _farthest(nobody, 60.0, 8.0, 50) <= 60.0 + 40.0 + 22.5 + 0.3 * 20.0

@@ -43,7 +43,7 @@ def look(straight_path: DrivenPath) -> Callable[..., Prospect]:
 
 @pytest.fixture
 def found(speeds: RoadSpeeds) -> Starts:
-    """found(look, s0, cruise=12, shares=(1.0,), gentle_from=None): starts with the desired speed wished for."""
+    """found(look, s0, cruise=12, ...): starts with the desired speed wished for."""
 
     def make(
         ahead: Prospect,
@@ -53,12 +53,15 @@ def found(speeds: RoadSpeeds) -> Starts:
         shares: tuple[float, ...] = (1.0,),
         gentle_from: int | None = None,
         plans: bool = True,
+        turn_end: float = 0.0,
+        turned_by: int = 0,
     ) -> list[Start | str]:
         wanted = np.full(len(s0), cruise)
         rows = ahead.recorded_rows if gentle_from is None else gentle_from
         return starts(
-            ahead, speeds, np.array(s0), wanted, wanted, shares=shares, gentle_from=rows, config=CONFIG, plans=plans
-        )
+            ahead, speeds, np.array(s0), wanted, wanted, shares=shares, gentle_from=rows, config=CONFIG, plans=plans,
+            turn_end=np.full(len(s0), turn_end), turned_by=turned_by,
+        )  # fmt: skip
 
     return make
 
@@ -131,3 +134,21 @@ def test_generated_followers_are_spared_only_where_asked(
     assert found(ahead, [58.5], cruise=6.0) == ["follower_too_fast"]
     (patient,) = found(ahead, [58.5], cruise=6.0, gentle_from=rows)
     assert patient != "follower_too_fast"
+
+
+def test_turn_that_cannot_be_reached_is_not_planned(
+    look: Callable[..., Prospect], found: Starts, box: Callable[..., Traffic]
+) -> None:
+    """Somebody stands at 100 m. Beyond him there is no way; within 2 s nobody gets 60 m on; in between all is well."""
+    ahead = look(box(100.0, 0.0))
+
+    def at(s0: float, turn_end: float, turned_by: int = 100) -> Start | str:
+        return found(ahead, [s0], turn_end=turn_end, turned_by=turned_by)[0]
+
+    assert at(40.0, 120.0) == "turn_not_reached"
+    assert at(110.0, 170.0, turned_by=20) == "turn_not_reached"
+    assert isinstance(at(40.0, 80.0), Start)
+    assert isinstance(at(110.0, 170.0), Start)
+    assert isinstance(at(40.0, 0.0), Start)
+    between = look(box(100.0, 0.0), box(50.0, 0.0, 0.0, 10.0))
+    assert found(between, [75.0], cruise=9.0, gentle_from=9, turn_end=90.0, turned_by=100) == ["no_safe_timing"]
