@@ -67,7 +67,7 @@ def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]
             yield base_row(place, run)._replace(
                 folder=folder.relative_to(place.out).as_posix(), output_sha256=files_sha256(output_files(folder))
             )
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:  # noqa: BLE001  # passed on as a failure of the scene, as the product does
             yield describe_error(error)
 
 
@@ -92,7 +92,7 @@ def _generated(place: Place, runs: Sequence[Run], generate_runs: Work) -> Iterat
             at_work.write_text(place.folder.name)
         try:
             meet_fault(place, run)
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:  # noqa: BLE001  # passed on as a failure of the scene, as the product does
             yield describe_error(error)
         else:
             yield from generate_runs(place, [run])
