@@ -208,19 +208,19 @@ def prospect(
     path: DrivenPath,
     size: BoxSize,
     desired: FloatArray,
+    most: FloatArray,
     others: tuple[Traffic, ...],
     *,
     config: Config,
     num_steps: int,
     earliest_exit_step: int,
     known: PathOccupancy | None = None,
-    most: FloatArray | None = None,
     seen_to_s: float | None = None,
 ) -> Prospect:
     """Look along a path: everybody in `others`, after `known` (computed before, and kept clear), is an obstacle.
 
-    most: `road_most` of the path, where it is at hand. seen_to_s: nobody is seen beyond it, m (the ablation without
-    topology: conflicts are looked up in linked cells).
+    desired, most (S,) m/s: as of `Prospect`. seen_to_s: nobody is seen beyond it, m (the ablation without topology:
+    conflicts are looked up in linked cells).
     """
     clear_steps, clear_margin_m = kept_clear(config)
     seen = [] if known is None else [known]
@@ -261,7 +261,7 @@ def prospect(
         earliest_exit_step=earliest_exit_step,
     )
     return Prospect(
-        path=path, size=size, desired=desired, most=road_most(path.line, config) if most is None else most,
-        occupancy=occupancy, tables=tables, margin_m=0.6 * config.conflict.margin_front_m, ttc_s=ttc_s,
+        path=path, size=size, desired=desired, most=most, occupancy=occupancy, tables=tables,
+        margin_m=0.6 * config.conflict.margin_front_m, ttc_s=ttc_s,
         recorded_rows=0 if known is None else known.low.shape[0],
     )  # fmt: skip

@@ -30,8 +30,9 @@ _TURN_ROUTES, _OTHER_ROUTES = 6, 3
 _BEFORE_TURN_M = 3.0
 _ROUGHLY_M = 2.0  # by which two lanes side by side may differ in length up to a place
 
-#: With its run-up, m, and where its first turn begins and ends, m behind that, where it is for one.
+#: With its run-up, m, and where the turn that it is for begins and ends, m behind that.
 _FoundWay = tuple[Way, float, float, float]
+_ANYWHERE = math.inf, -math.inf  # begin and end of no turn: every place is before it, and through it in time
 
 
 @dataclass(slots=True)
@@ -250,36 +251,35 @@ class Places:
         More than one only where patience asks for it (reroute). Those for a turn have the wanted one as their first,
         and may be through it before the scene ends.
         """
-        turns = policy in TURN_OF_POLICY
         wanted = TURN_OF_POLICY.get(policy, TurnType.STRAIGHT)
-        most = _TURN_ROUTES if turns else 1 if patience == 0 else _OTHER_ROUTES
+        most = _TURN_ROUTES if policy in TURN_OF_POLICY else 1 if patience == 0 else _OTHER_ROUTES
         key = wanted, lane_id, most
         if key not in self._known_ways:
-            self._known_ways[key] = self._find_ways(lane_id, wanted, most, turns=turns)
+            self._known_ways[key] = self._find_ways(lane_id, wanted, most)
         reached_m = _FASTEST_MPS * self.world.num_steps * DT_S
         for way, before_m, start, end in self._known_ways[key]:
-            if not turns or (start - s0 > _BEFORE_TURN_M and end - s0 < reached_m):
+            if start - s0 > _BEFORE_TURN_M and end - s0 < reached_m:
                 yield way, s0 + before_m
-                if turns and patience == 0:
+                if patience == 0:
                     return
 
-    def _find_ways(self, lane_id: int, wanted: TurnType, most: int, *, turns: bool) -> tuple[_FoundWay, ...]:
-        graph = self.world.grid.graph
+    def _find_ways(self, lane_id: int, wanted: TurnType, most: int) -> tuple[_FoundWay, ...]:
         if "topology" in self.world.config.without:
-            return ((*self._with_run_up((lane_id,)), math.inf, -math.inf),)
+            return ((*self._with_run_up((lane_id,)), *_ANYWHERE),)
 
         def choose(onward: tuple[int, ...]) -> tuple[int, ...]:
             return tuple(sorted(onward, key=lambda n: (self._turn(n) is not wanted, self.draws.unit())))
 
-        found = routes_from(
-            graph, lane_id, choose=choose, usable=self._usable.__contains__, most=most, longest_m=ROUTE_LONGEST_M
-        )
-        if not turns:
-            return tuple((*self._with_run_up(route), 0.0, 0.0) for route in found)
-        first_turns = ((route, self._first_turn(route)) for route in found)
-        return tuple(
-            (*self._with_run_up(route), start, end) for route, (kind, start, end) in first_turns if kind is wanted
-        )
+        found: list[_FoundWay] = []
+        for route in routes_from(
+            self.world.grid.graph, lane_id, choose=choose, usable=self._usable.__contains__, most=most,
+            longest_m=ROUTE_LONGEST_M,
+        ):  # fmt: skip
+            straight = wanted is TurnType.STRAIGHT
+            kind, start, end = (wanted, *_ANYWHERE) if straight else self._first_turn(route)
+            if kind is wanted:
+                found.append((*self._with_run_up(route), start, end))
+        return tuple(found)
 
     def _first_turn(self, route: Route) -> tuple[TurnType, float, float]:
         """Kind of the first turn of a route, and where on the route it begins and ends, m; STRAIGHT where none is."""

@@ -29,7 +29,7 @@ _BACK_M = (1.0,) * 4  # that a taken place is moved back
 class Candidate:
     """A place for a wish, with its desired speed and the one wished for at the start, m/s.
 
-    turn_end: arc length behind the turn that it is for, m.
+    turn_end: arc length behind the turn that it is for, m, 0 for none.
     """
 
     wish: Wish
@@ -132,9 +132,8 @@ class Screening:
         s0, cruise, wanted, turn_end = drawn.T
         return starts(
             look, self.places.world.speeds(look.path), s0, cruise, wanted, shares=shares_at_spawn(policy, patience),
-            gentle_from=look.occupancy.low.shape[0] if patience > 0 else look.recorded_rows,
-            config=self.places.world.config, plans=policy is not Policy.OVERTAKE, turn_end=turn_end,
-            turned_by=turned_by,
+            gentle_from=look.occupancy.low.shape[0] if patience > 0 else look.recorded_rows, turn_end=turn_end,
+            turned_by=turned_by, config=self.places.world.config, plans=policy is not Policy.OVERTAKE,
         )  # fmt: skip
 
     def _taken(

@@ -39,23 +39,23 @@ def starts(
     *,
     shares: Sequence[float],
     gentle_from: int,
+    turn_end: FloatArray,
+    turned_by: int,
     config: Config,
     plans: bool = True,
-    turn_end: FloatArray | None = None,
-    turned_by: int = 0,
 ) -> list[Start | str]:
     """For places s0 (M,) m on one path a start, or why there is none.
 
     cruise_mps, wanted_mps (M,) m/s: desired speed, and the one wished for at the start. shares of the start's speed
     are tried in turn. Nobody of row gentle_from of the occupancy or later has to brake at once, but gently.
-    turn_end (M,) m: what must be reached by step turned_by; who cannot, whatever he does, is not planned.
+    turn_end (M,) m: to be reached by step turned_by, 0 for no turn; who cannot, whatever he does, is not planned.
     """
     following, steps = config.car_following, look.tables.num_steps
     reasons, v0, s, v, cost = _starts(
         look.tables.view(), road.cap, road.shape, look.most, s0, cruise_mps, wanted_mps,
         np.asarray(shares), config.turn.approach_decel_mps2, following.accel_mps2, config.spawn.clear_gap_m,
         config.spawn.clear_ahead_s, gentle_from, steps, plan_accelerations(config), DT_S, states(steps), plans,
-        np.full(s0.size, -np.inf) if turn_end is None else turn_end, turned_by,
+        turn_end, turned_by,
     )  # fmt: skip
     found: list[Start | str] = []
     for row, reason in enumerate(reasons.tolist()):

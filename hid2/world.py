@@ -158,12 +158,12 @@ class World:
             path,
             size,
             self.desired(path, cruise_mps),
+            self._road(path).most,
             tuple(others),
             config=self.config,
             num_steps=self.num_steps,
             earliest_exit_step=self.earliest_exit_step if earliest_exit_step is None else earliest_exit_step,
             known=self._recorded_on(path, size).kept_clear,
-            most=self._road(path).most,
             seen_to_s=path.grid_end_s if "topology" in self.config.without else None,
         )
 

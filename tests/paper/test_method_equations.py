@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hid2.agents import BoxSize, Policy, Track
-from hid2.conflicts import priority, prospect, transition_rejected
+from hid2.conflicts import priority, prospect, road_most, transition_rejected
 from hid2.decision import LaneOption, Observation, decide
 from hid2.draws import Draws
 from hid2.lane_change import Gap, lateral_share
@@ -287,8 +287,8 @@ def test_conflict_3_predicted_collision_changes_the_timing() -> None:
     world = _world(_track(90.0, -48.0, 8.0, heading=math.pi / 2))
     path = world.path((1,))
     look = prospect(
-        path, CAR, np.full(path.line.table_xy.shape[0], 14.0), (world.traffic,), config=Config(), num_steps=110,
-        earliest_exit_step=110,
+        path, CAR, np.full(path.line.table_xy.shape[0], 14.0), road_most(path.line, Config()), (world.traffic,),
+        config=Config(), num_steps=110, earliest_exit_step=110,
     )  # fmt: skip
     constant = 6.0 + 1.4 * np.arange(110)
     assert look.is_blocked(constant[:80], 0)

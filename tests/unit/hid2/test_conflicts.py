@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hid2.agents import BoxSize
-from hid2.conflicts import Prospect, priority, prospect, transition_rejected
+from hid2.conflicts import Prospect, priority, prospect, road_most, transition_rejected
 from hid2.occupancy import FREE, GENERATED, ORIGINAL
 from hid2.params import Config, Conflict
 from hid2.path_occupancy import path_occupancy
@@ -24,8 +24,9 @@ def look(straight_path: DrivenPath) -> Callable[..., Prospect]:
         if recorded is not None:
             known = path_occupancy(straight_path.line, recorded, length_m=4.5, width_m=1.9, margin_lateral_m=0.25)
         return prospect(
-            straight_path, CAR, np.full(straight_path.line.table_xy.shape[0], 12.0), others, config=CONFIG,
-            num_steps=110, earliest_exit_step=51, known=known,
+            straight_path, CAR, np.full(straight_path.line.table_xy.shape[0], 12.0),
+            road_most(straight_path.line, CONFIG), others, config=CONFIG, num_steps=110, earliest_exit_step=51,
+            known=known,
         )  # fmt: skip
 
     return make

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hid2.agents import BoxSize
-from hid2.free_places import taken
+from hid2.free_places import _pose, taken
 from hid2.occupancy import GENERATED, UNDER_SHARE, cells_under
 from hid2.params import Config
 from hid2.route import Route
@@ -64,6 +64,17 @@ def test_somebody_takes_the_place_and_the_gap_before_and_behind(
     places = [((1, 2), s0) for s0 in (75.0, 75.2, 80.0, 84.8, 85.0)] + [((2,), 20.0), ((1, 2), 20.0), ((3,), 20.0)]
     reasons, _ = against(places, box(60.0, 20.0))
     assert reasons == [None, *["box_too_close"] * 3, None, "box_too_close", None, None]
+
+
+@pytest.mark.parametrize("s", [-1.0, 0.0, 25.0, 59.9, 60.0, 80.0, 100.0, 121.5])
+def test_place_lies_on_the_middle_of_its_lane(world: World, s: float) -> None:
+    """East for 60 m, north for 60 m, and straight on beyond both ends."""
+    way, lanes = world.way((1, 2)), world.recorded.lanes
+    x, y, heading = _pose(way.table, s, (lanes.points, lanes.s, lanes.first))
+    lane_id, lane_s = way.on_lane(s)
+    path = world.grid.graph.lanes[lane_id].path
+    assert [x, y] == pytest.approx(path.point([lane_s])[0].tolist())
+    assert heading == path.heading([lane_s])[0]
 
 
 @pytest.mark.parametrize("s0", [3.0, 20.0, 59.0, 61.0, 85.0, 117.0])

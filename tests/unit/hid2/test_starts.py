@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hid2.agents import BoxSize
-from hid2.conflicts import Prospect, prospect
+from hid2.conflicts import Prospect, prospect, road_most
 from hid2.params import Config, Limits, Turn
 from hid2.path_occupancy import path_occupancy
 from hid2.route import DrivenPath
@@ -35,8 +35,9 @@ def look(straight_path: DrivenPath) -> Callable[..., Prospect]:
         known = path_occupancy(straight_path.line, recorded, length_m=4.5, width_m=1.9, margin_lateral_m=margin_m)
         desired = np.full(straight_path.line.table_xy.shape[0], 12.0)
         return prospect(
-            straight_path, CAR, desired, generated, config=CONFIG, num_steps=110, earliest_exit_step=51, known=known
-        )
+            straight_path, CAR, desired, road_most(straight_path.line, CONFIG), generated, config=CONFIG,
+            num_steps=110, earliest_exit_step=51, known=known,
+        )  # fmt: skip
 
     return make
 
@@ -59,8 +60,8 @@ def found(speeds: RoadSpeeds) -> Starts:
         wanted = np.full(len(s0), cruise)
         rows = ahead.recorded_rows if gentle_from is None else gentle_from
         return starts(
-            ahead, speeds, np.array(s0), wanted, wanted, shares=shares, gentle_from=rows, config=CONFIG, plans=plans,
-            turn_end=np.full(len(s0), turn_end), turned_by=turned_by,
+            ahead, speeds, np.array(s0), wanted, wanted, shares=shares, gentle_from=rows,
+            turn_end=np.full(len(s0), turn_end), turned_by=turned_by, config=CONFIG, plans=plans,
         )  # fmt: skip
 
     return make
