@@ -28,9 +28,9 @@ from bridge.manifest import (
     source_files,
 )
 from bridge.quarantine import Bundle, read_bundle, write_bundle
-from bridge.scenario import SPLITS
+from bridge.scenario import SPLITS, source_id
 from hid2.params import Config
-from netconvert.errors import BatchError, ExportError
+from netconvert.errors import BatchError, ConfigError, ExportError
 
 QUARANTINE = "quarantine"
 GENERATE = "bridge.scene_work:generate_runs"
@@ -123,11 +123,13 @@ def run_batch(
 
     on_row is called after every run, also for those found complete. When it is interrupted, the manifest holds what is
     done and nothing is half-written; a later call with `resume` goes on from there.
-    Errors: BatchError, ExportError where OUT cannot be written.
+    Errors: BatchError, ExportError where OUT cannot be written; ConfigError where results would get in the way of
+    each other, or of the sources.
     """
     options = options or Options()
     on_row = on_row or (lambda row, progress: None)
     out_dir = out_dir.resolve()
+    _check_places(jobs, out_dir)
     progress = Progress(total=sum(len(job.runs) for job in jobs))
     rows: list[ManifestRow] = []
     with _locked(out_dir):
@@ -160,10 +162,9 @@ def run_batch(
 
 def base_row(place: Place, run: Run) -> ManifestRow:
     """What is known about a run before it starts."""
-    split = place.folder.resolve().parent.name
     return ManifestRow(
         scenario=place.folder.name,
-        split=split if split in SPLITS else "",
+        split=_split(place.folder.resolve()),
         variant=run.variant,
         seed=run.config.request.seed,
         status=DONE,
@@ -193,6 +194,24 @@ def remove_half_written(out_dir: Path) -> None:
             for entry in parent.iterdir():
                 if entry.is_dir() and _HALF_WRITTEN.fullmatch(entry.name):
                     shutil.rmtree(entry, ignore_errors=True)
+
+
+def _check_places(jobs: Sequence[SceneJob], out_dir: Path) -> None:
+    """Raise ConfigError where two scenes would be written to one place, or beside the sources."""
+    taken: dict[tuple[str, str], Path] = {}
+    for folder in dict.fromkeys(job.folder.resolve() for job in jobs):
+        split = _split(folder)
+        if folder.parent in (out_dir, out_dir / split):
+            raise ConfigError(f"{out_dir}: scenes are read from {folder.parent}, want another folder to write to")
+        for name in {folder.name, source_id(folder)}:  # of its row, and of what is written
+            other = taken.setdefault((split, name), folder)
+            if other != folder:
+                raise ConfigError(f"{other} and {folder} are both scene {name!r}, want each scene once")
+
+
+def _split(folder: Path) -> str:
+    """Split that a scene folder, its path resolved, is in; empty where in none."""
+    return folder.parent.name if folder.parent.name in SPLITS else ""
 
 
 def _tasks(

@@ -430,11 +430,15 @@ def _find(paths: Sequence[Path]) -> list[Path]:
 
 
 def _select(paths: Sequence[Path], selection: "Selection", *, jobs: int, quiet: bool) -> list[Path]:
-    """The scenario folders at `paths` that are wanted. Errors: ConfigError where none is left."""
+    """The recorded scenes at `paths` that are wanted. Errors: ConfigError where none is left."""
     from bridge.console import Counter, say
     from bridge.scan import facts_of, select
+    from bridge.scenario import find_sources
 
-    folders = _find(paths)
+    try:
+        folders = find_sources(paths)
+    except Hid2Error as error:
+        raise ConfigError(str(error)) from error
     if not selection.needs_facts:
         return folders
     with Counter("scanning", quiet=quiet) as counter:

@@ -16,7 +16,7 @@ from bridge.aggregate import KINEMATIC, SAFETY, Metric, SourceSums, estimate
 from bridge.diversity import Diversity
 from bridge.engine import Settings, Task, execute_here
 from bridge.isolation import Failure, describe_error
-from bridge.scenario import find_scenarios, read_scenario
+from bridge.scenario import find_sources, read_scenario
 from bridge.scene_metrics import Row, measure
 from hid2.evaluation.safety import survey
 from hid2.params import Config, Limits, Request
@@ -83,7 +83,7 @@ def run_experiment(
         raise ConfigError(f"experiment {name!r}, want one of {', '.join(EXPERIMENTS)}")
     if seeds < 1:
         raise ConfigError(f"seeds {seeds}, want at least 1")
-    folders = find_scenarios(scenes)
+    folders = find_sources([scenes])
     if name == "diversity":
         folders = [folder for folder in folders if len(read_scenario(folder).tracks) > TEMPLATE_AGENTS]
         if not folders:

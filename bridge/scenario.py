@@ -2,7 +2,8 @@
 
 import csv
 import io
-from collections.abc import Mapping
+import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +19,8 @@ from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Track
 from netconvert.av2_map import read_lane_graph
 from netconvert.errors import MapError, ScenarioError
 from netconvert.lane_graph import LaneGraph
+
+_LOG = logging.getLogger(__name__)
 
 #: Names of the folders of a data-set root.
 SPLITS = ("train", "val", "test")
@@ -108,6 +111,31 @@ def find_scenarios(path: Path) -> list[Path]:
     if not found:
         raise ScenarioError(f"{path}: no scenario here, want scenario_<id>.parquet in it or one or two folders below")
     return sorted(found)
+
+
+def find_sources(paths: Sequence[Path]) -> list[Path]:
+    """Folders of recorded scenes at all paths, each once. Those that hid2 wrote are passed over, which is logged.
+
+    Errors: ScenarioError where a path holds none.
+    """
+    found: dict[Path, Path] = {}  # by where it really is
+    for path in paths:
+        folders = find_scenarios(path)
+        recorded = [folder for folder in folders if not _is_generated(folder)]
+        if not recorded:
+            raise ScenarioError(f"{path}: only scenes that hid2 wrote (hid2_<id>.json is in them), want recorded ones")
+        if len(recorded) < len(folders):
+            passed_over = len(folders) - len(recorded)
+            _LOG.warning("%s: %d of %d scenes passed over, which hid2 wrote", path, passed_over, len(folders))
+        for folder in recorded:
+            found.setdefault(folder.resolve(), folder)
+    return list(found.values())
+
+
+def source_id(folder: Path) -> str:
+    """Scenario id by the names of a folder's files; the folder's own name where none tells it."""
+    ids = [name.removeprefix("scenario_").removesuffix(".parquet") for name in _names(folder) if _is_parquet(name)]
+    return ids[0] if len(ids) == 1 else folder.name
 
 
 def read_scenario(folder: Path) -> Scenario:
@@ -252,12 +280,30 @@ class _Where:
         return f"{self._name}: track {self._ids[self._code[row]]!r}, timestep {self._timestep[row]}"
 
 
+def _names(folder: Path) -> list[str]:
+    """Names in a folder. One that may not be read, as at the root of a disk, is logged: it holds no scenes."""
+    try:
+        return [entry.name for entry in folder.iterdir()]
+    except OSError as error:
+        _LOG.warning("%s: cannot be read (%s)", folder, error.strerror or error)
+        return []
+
+
+def _is_parquet(name: str) -> bool:
+    return name.startswith("scenario_") and name.endswith(".parquet")
+
+
 def _is_scenario_folder(folder: Path) -> bool:
-    return any(folder.glob("scenario_*.parquet")) or any(folder.glob("log_map_archive_*.json"))
+    names = _names(folder)
+    return any(_is_parquet(name) or (name.startswith("log_map_archive_") and name.endswith(".json")) for name in names)
+
+
+def _is_generated(folder: Path) -> bool:
+    return any(name.startswith("hid2_") and name.endswith(".json") for name in _names(folder))
 
 
 def _subfolders(path: Path) -> list[Path]:
-    return sorted(child for child in path.iterdir() if child.is_dir() and not child.name.startswith("."))
+    return sorted(path / name for name in _names(path) if not name.startswith(".") and (path / name).is_dir())
 
 
 def _only_file(folder: Path, pattern: str, error: type[ScenarioError | MapError]) -> Path:

@@ -18,7 +18,7 @@ from bridge.batch import Options, Progress, Run, SceneJob, run_batch
 from bridge.config import config_from_dict, config_sha256
 from bridge.manifest import DONE, ManifestRow
 from bridge.scan import Selection, facts_of, select
-from bridge.scenario import find_scenarios
+from bridge.scenario import find_sources
 from hid2.params import Config
 from netconvert.errors import ConfigError, ScenarioError
 
@@ -98,7 +98,7 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
         raise ConfigError(f"{path}: {key} = {first['input']!r}: {first['msg']}") from error
     places = scenes or [path.parent / scene for scene in content.scenes]
     try:
-        folders = tuple(dict.fromkeys(folder for place in places for folder in find_scenarios(place)))
+        folders = tuple(find_sources(places))
     except ScenarioError as error:
         raise ConfigError(f"{path}: scenes: {error}") from error
     if content.can:

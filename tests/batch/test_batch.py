@@ -20,8 +20,9 @@ from processes import still_running
 from bridge.batch import Options, plan, reproduce, run_batch
 from bridge.config import load_config
 from bridge.manifest import DONE, QUARANTINED, ManifestRow, code_version, files_sha256, output_files
+from bridge.scenario import find_scenarios, find_sources
 from hid2.params import Config
-from netconvert.errors import BatchError
+from netconvert.errors import BatchError, ConfigError
 
 COPIES = "faults:copies"
 MakeDataSet = Callable[..., list[Path]]
@@ -52,6 +53,42 @@ def test_every_run_has_a_row_and_a_folder(make_data_set: MakeDataSet, tmp_path: 
     assert len({row.folder for row in rows}) == 6
     assert all((tmp_path / "out" / row.folder).is_dir() for row in rows)
     assert {row.split for row in rows} == {"val"}
+
+
+@pytest.mark.parametrize("where", [".", "val"])
+def test_results_are_not_written_beside_the_sources(make_data_set: MakeDataSet, tmp_path: Path, where: str) -> None:
+    folders = make_data_set(2)
+    before = sorted((tmp_path / "source").rglob("*"))
+    with pytest.raises(ConfigError, match=r"scenes are read from .*source/val, want another folder to write to"):
+        run_batch(plan(folders, Config()), tmp_path / "source" / where, Options(function=COPIES))
+    assert sorted((tmp_path / "source").rglob("*")) == before
+
+
+def test_results_may_be_written_below_the_data_set_and_are_no_sources_then(
+    make_data_set: MakeDataSet, tmp_path: Path
+) -> None:
+    """Scenes in no split are written to OUT itself, where they are found from the folder above."""
+    make_data_set(2)
+    root = (tmp_path / "source" / "val").rename(tmp_path / "scenes")
+    for variants in (1, 2):
+        config = load_config(flags={"request.variants": variants})
+        sources = find_sources([root])
+        rows = run_batch(plan(sources, config), root / "out", Options(function=COPIES, resume=True))
+        assert [row.scenario for row in rows] == [f"scene-{n:03d}" for n in range(2) for _ in range(variants)]
+        assert len(find_scenarios(root)) == 2 + 2 * variants
+
+
+@pytest.mark.parametrize("name", ["scene-000", "copy"])
+def test_two_scenes_that_would_be_written_to_one_place_are_refused(
+    make_data_set: MakeDataSet, tmp_path: Path, name: str
+) -> None:
+    """A copy of a scene, of the same folder's name or not: one would take the place of the other."""
+    folders = make_data_set(2)
+    other = tmp_path / "other" / "val" / name
+    shutil.copytree(folders[0], other)
+    with pytest.raises(ConfigError, match=r"scene-000 and .*/other/val/.* are both scene '.*', want each scene once"):
+        run_batch(plan([*folders, other], Config()), tmp_path / "out", Options(function=COPIES))
+    assert not (tmp_path / "out").exists()
 
 
 def test_bad_scenes_are_quarantined_and_good_ones_complete(make_data_set: MakeDataSet, tmp_path: Path) -> None:
@@ -233,6 +270,7 @@ RUN = """
 import sys
 from pathlib import Path
 from bridge.batch import Options, plan, run_batch
+from bridge.scenario import find_scenarios, find_sources
 from hid2.params import Config
 import signal
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Reading scenarios: what comes out of good ones, and what is said about bad ones."""
 
 import json
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
 
-from bridge.scenario import find_scenarios, read_scenario
+from bridge.scenario import find_scenarios, find_sources, read_scenario, source_id
 from hid2.agents import DEFAULT_SIZES
 from netconvert.errors import MapError, ScenarioError
 
@@ -120,6 +121,50 @@ def test_a_folder_without_scenarios_is_said(tmp_path: Path) -> None:
         find_scenarios(tmp_path / "nowhere")
     with pytest.raises(ScenarioError, match="no such folder"):
         read_scenario(tmp_path / "nowhere")
+
+
+def test_sources_are_recorded_scenes_each_once(
+    data_root: Path, data_scenes: dict[str, Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A root with what was generated from it beside, the root again, and one scene under another name."""
+    root = tmp_path / "root"
+    shutil.copytree(data_root, root)
+    generated = root / "val" / "generated"
+    shutil.copytree(data_scenes["intersection"], generated)
+    (generated / "hid2_generated.json").write_text("{}")
+    (tmp_path / "link").symlink_to(root / "val" / data_scenes["intersection"].name)
+    found = find_sources([root, tmp_path / "link", root / "train"])
+    assert found == [root / scene.relative_to(data_root) for scene in sorted(data_scenes.values())]
+    assert caplog.messages == [f"{root}: 1 of 4 scenes passed over, which hid2 wrote"]
+    with pytest.raises(ScenarioError, match=r"generated: only scenes that hid2 wrote .* want recorded ones"):
+        find_sources([root, generated])
+
+
+def test_id_is_told_by_the_names_of_files(data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    shutil.copytree(data_scenes["curve"], tmp_path / "copy")
+    assert source_id(tmp_path / "copy") == source_id(data_scenes["curve"]) == data_scenes["curve"].name
+    (tmp_path / "empty").mkdir()
+    assert source_id(tmp_path / "empty") == "empty"
+
+
+def test_a_folder_that_may_not_be_read_does_not_hide_the_scenes_beside_it(
+    data_root: Path, data_scenes: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:  # fmt: skip
+    """Such as lost+found at the root of a disk."""
+    root = tmp_path / "root"
+    shutil.copytree(data_root, root)
+    (root / "lost+found").mkdir()
+    iterdir = Path.iterdir
+
+    def refuse(path: Path) -> Iterator[Path]:
+        if path.name == "lost+found":
+            raise PermissionError(13, "Permission denied", str(path))
+        return iterdir(path)
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    assert [path.name for path in find_scenarios(root)] == [path.name for path in sorted(data_scenes.values())]
+    assert f"{root / 'lost+found'}: cannot be read (Permission denied)" in caplog.messages
 
 
 def test_missing_map_and_missing_parquet_are_said(copy_scene: Callable[..., Path]) -> None:
