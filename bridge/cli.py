@@ -313,9 +313,12 @@ def scan(
     """Tabulate a data set: agents, density, lanes, neighbours, and room for each manoeuvre."""
     _set_up(verbose=verbose, quiet=quiet)
     from bridge.console import Counter, print_table, say
+    from bridge.files import make_folder
     from bridge.scan import SceneFacts, Selection, facts_of, select, write_facts
 
     folders = _find(scenes)
+    if out is not None:
+        make_folder(out.parent)
     with Counter("scanning", quiet=quiet) as counter:
         facts, failures = facts_of(folders, jobs=jobs, on_scene=counter.show)
     for folder, reason in failures:
@@ -420,25 +423,19 @@ def _agents(text: str) -> int | str:
 
 
 def _find(paths: Sequence[Path]) -> list[Path]:
-    """The scenario folders at `paths`, each once. Errors: ConfigError where a path holds none."""
+    """The scenario folders at `paths`, each once. Errors: NoSceneError where a path holds none."""
     from bridge.scenario import find_scenarios
 
-    try:
-        return list(dict.fromkeys(folder for path in paths for folder in find_scenarios(path)))
-    except Hid2Error as error:
-        raise ConfigError(str(error)) from error
+    return list(dict.fromkeys(folder for path in paths for folder in find_scenarios(path)))
 
 
 def _select(paths: Sequence[Path], selection: "Selection", *, jobs: int, quiet: bool) -> list[Path]:
-    """The recorded scenes at `paths` that are wanted. Errors: ConfigError where none is left."""
+    """The recorded scenes at `paths` that are wanted. Errors: ConfigError where there is none."""
     from bridge.console import Counter, say
     from bridge.scan import facts_of, select
     from bridge.scenario import find_sources
 
-    try:
-        folders = find_sources(paths)
-    except Hid2Error as error:
-        raise ConfigError(str(error)) from error
+    folders = find_sources(paths)
     if not selection.needs_facts:
         return folders
     with Counter("scanning", quiet=quiet) as counter:

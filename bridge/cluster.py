@@ -18,11 +18,13 @@ from typing import Any, cast
 
 import dask
 from distributed import Client, KilledWorker, LocalCluster, Worker, get_worker
+from distributed.comm.addressing import parse_address, parse_host_port
+from distributed.comm.registry import get_backend
 from distributed.diagnostics.plugin import WorkerPlugin
 
 from bridge.engine import Outcome, Result, Settings, Task, new_process, run_task
 from bridge.isolation import Failure, IsolatedProcess
-from netconvert.errors import BatchError
+from netconvert.errors import BatchError, ConfigError
 
 _PLUGIN = "hid2-scene-processes"
 #: Tasks handed to the scheduler per worker: one that runs and one that is ready when it ends.
@@ -165,12 +167,23 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
             stack.enter_context(dask.config.set(_OWN_CLUSTER))
             address = stack.enter_context(_local_cluster(jobs))
         else:
-            address = scheduler
+            address = _checked(scheduler)
         try:
             client = stack.enter_context(Client(address, timeout=_CONNECT_S, set_as_default=False))
         except (OSError, ValueError) as error:
             raise BatchError(f"scheduler {scheduler}: cannot be reached ({error})") from error
         yield client
+
+
+def _checked(scheduler: str) -> str:
+    """The address. Errors: ConfigError for what Dask would fail to read as one, half way through."""
+    try:
+        protocol, location = parse_address(scheduler)
+        get_backend(protocol)
+        parse_host_port(location)
+    except ValueError as error:
+        raise ConfigError(f"scheduler {scheduler!r}: {error}, want tcp://HOST:PORT") from error
+    return scheduler
 
 
 def _local_cluster(jobs: int) -> LocalCluster:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from bridge.engine import Settings, Task, execute_here
+from bridge.files import beside, write_text
 from bridge.isolation import Failure
 from bridge.scenario import find_scenarios, read_sizes
 from bridge.scene_metrics import Labelled, Row, SceneMeasures, measure_folders
@@ -27,6 +28,8 @@ from netconvert.errors import ExportError, Hid2Error, ScenarioError
 from netconvert.fidelity import measure_fidelity
 from netconvert.net_xml import net_bytes
 
+#: Tables that grow as scenes are done.
+_BY_SCENE = ("scenes", "tracks", "maneuvers")
 #: Most scenes that a process gets at a time.
 _CHUNK = 40
 
@@ -67,13 +70,8 @@ def evaluate_folder(
     evaluation = Evaluation()
     totals = evaluation.totals
     try:
-        report_dir.mkdir(parents=True, exist_ok=True)
-        with (
-            (report_dir / "scenes.csv").open("w", newline="") as scenes,
-            (report_dir / "tracks.csv").open("w", newline="") as tracks,
-            (report_dir / "maneuvers.csv").open("w", newline="") as maneuvers,
-        ):
-            tables = _Table(scenes), _Table(tracks), _Table(maneuvers)
+        with contextlib.ExitStack() as stack:
+            tables = [stack.enter_context(_table(report_dir / f"{name}.csv")) for name in _BY_SCENE]
             for done, (folder, measures) in enumerate(
                 _measured([*folders, *sources], _labelled(sources), jobs=jobs), 1
             ):
@@ -95,6 +93,12 @@ def evaluate_folder(
     except OSError as error:
         raise ExportError(f"{report_dir}: cannot write the report ({error})") from error
     return evaluation
+
+
+@contextlib.contextmanager
+def _table(path: Path) -> Iterator["_Table"]:
+    with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as stream:
+        yield _Table(stream)
 
 
 def _labelled(sources: Sequence[Path]) -> Labelled:
@@ -167,9 +171,9 @@ def _cell(value: object) -> object:
 
 def _write_tables(metrics: Mapping[str, Any], report_dir: Path) -> None:
     text = json.dumps(metrics, indent=1, allow_nan=False)
-    (report_dir / "metrics.json").write_text(text + "\n", encoding="utf-8")
-    with (report_dir / "realism.csv").open("w", newline="") as stream:
-        _Table(stream).write(metrics["realism"]["distances"])
+    write_text(report_dir / "metrics.json", text + "\n")
+    with _table(report_dir / "realism.csv") as table:
+        table.write(metrics["realism"]["distances"])
 
 
 def _metrics(evaluation: Evaluation) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path as MplPath
 from matplotlib.ticker import MaxNLocator
 
+from bridge.files import beside
 from hid2.agents import FloatArray, Policy
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ExportError
@@ -100,12 +101,14 @@ def frame(axes: Axes, low: FloatArray, high: FloatArray, *, origin: FloatArray, 
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG and close it. Errors: ExportError where the file cannot be written."""
+    """Write a figure as PNG and close it. Errors: ExportError for another ending, or where it cannot be written."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, format=path.suffix.lstrip(".").lower() or "png", metadata={"Software": None})
-    except (OSError, ValueError) as error:
-        raise ExportError(f"{path}: cannot write the picture ({error})") from error
+        if path.suffix.lower() != ".png":
+            raise ExportError(f"{path}: ending {path.suffix!r}, want .png")
+        with beside(path) as hidden:
+            figure.savefig(hidden, format="png", metadata={"Software": None})
+    except OSError as error:
+        raise ExportError(f"{path}: cannot be written ({error.strerror or error})") from error
     finally:
         plt.close(figure)
 

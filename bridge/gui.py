@@ -37,8 +37,8 @@ def play_scene(
     Errors: ScenarioError, MapError; SimulationError without sumo-gui, traci or a display; ExportError where the picture
     cannot be written.
     """
-    traci, binary = _traci(), _binary()
     scenario = read_scenario(folder)
+    traci, binary = _traci(), _binary()
     last = scenario.num_steps - 1
     if screenshot is not None:
         last = min(LAST_OBSERVED, last) if step is None else min(step, last)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import bridge
 import hid2
 import netconvert
+from bridge.files import beside
 
 MANIFEST_NAME = "manifest.csv"
 
@@ -105,13 +106,11 @@ def read_manifest(path: Path) -> list[ManifestRow]:
 
 
 def write_rows(path: Path, rows: Iterable[ManifestRow]) -> None:
-    """Write rows with a header, beside and then renamed."""
-    beside = path.with_name(f".{path.name}")
-    with beside.open("w", newline="", encoding="utf-8") as file:
+    """Write rows with a header."""
+    with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(ManifestRow._fields)
         writer.writerows(rows)
-    beside.replace(path)
 
 
 def _parse(values: dict[str, Any]) -> ManifestRow | None:

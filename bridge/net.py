@@ -6,7 +6,7 @@ from pathlib import Path
 
 from netconvert.av2_map import read_lane_graph
 from netconvert.cells import build_cell_grid
-from netconvert.errors import MapError, NetError
+from netconvert.errors import MapError, NetError, NoSceneError
 from netconvert.fidelity import FidelityReport, measure_fidelity
 from netconvert.gui_files import gui_files
 from netconvert.net_xml import net_bytes
@@ -33,7 +33,7 @@ def _map_file(scene: Path) -> Path:
     if scene.is_file():
         return scene
     if not scene.is_dir():
-        raise MapError(f"{scene}: no such folder, want a scenario folder")
+        raise NoSceneError(f"{scene}: no such folder, want a scenario folder")
     found = sorted(scene.glob(f"{_MAP_PREFIX}*.json"))
     if len(found) != 1:
         raise MapError(f"{scene}: {len(found)} files {_MAP_PREFIX}*.json, want one")

@@ -5,6 +5,7 @@ density: 0 to 40 vehicles added. diversity: scenes by number of agents and behav
 """
 
 import csv
+import html
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,9 @@ from bridge import report
 from bridge.aggregate import KINEMATIC, SAFETY, Metric, SourceSums, estimate
 from bridge.diversity import Diversity
 from bridge.engine import Settings, Task, execute_here
+from bridge.files import beside, make_folder, write_text
 from bridge.isolation import Failure, describe_error
+from bridge.scan import facts_of
 from bridge.scenario import find_sources, read_scenario
 from bridge.scene_metrics import Row, measure
 from hid2.evaluation.safety import survey
@@ -84,8 +87,10 @@ def run_experiment(
     if seeds < 1:
         raise ConfigError(f"seeds {seeds}, want at least 1")
     folders = find_sources([scenes])
+    make_folder(out_dir)
     if name == "diversity":
-        folders = [folder for folder in folders if len(read_scenario(folder).tracks) > TEMPLATE_AGENTS]
+        facts, _ = facts_of(folders, jobs=jobs)
+        folders = [fact.folder for fact in facts if fact.tracks > TEMPLATE_AGENTS]
         if not folders:
             raise ScenarioError(
                 f"{scenes}: no scene of more than {TEMPLATE_AGENTS} agents, which diversity takes as its templates: "
@@ -93,7 +98,6 @@ def run_experiment(
             )
     outcomes = _run(folders, _settings(name, agents), seeds=seeds, jobs=jobs, on_scene=on_scene)
     try:
-        out_dir.mkdir(parents=True, exist_ok=True)
         return _write(name, outcomes, out_dir, seeds=seeds, sources=len(folders), agents=agents)
     except OSError as error:
         raise ExportError(f"{out_dir}: cannot write the experiment ({error})") from error
@@ -267,9 +271,9 @@ def _write(
             series = {int(o.setting.name): (SourceSums.of(o.rows), o.setting.config is not None) for o in outcomes}
             parts.append(report.picture(charts.density_figure(_density(series)), _DENSITY_CAPTION))
             figures.save(charts.density_figure(_density(series)), out_dir / f"{name}.png")
-    (out_dir / f"{name}.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_text(out_dir / f"{name}.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
     path = out_dir / f"{name}.html"
-    path.write_text(report.page(_TITLES[name], parts), encoding="utf-8")
+    write_text(path, report.page(_TITLES[name], parts))
     return path
 
 
@@ -315,7 +319,11 @@ def _about(name: Experiment, outcomes: Sequence[Outcome], *, seeds: int, sources
     if name == "diversity":
         text += _DIVERSITY_TEXT
     if failures:
-        text += "<p class=bad>Not generated:</p><ul>" + "".join(f"<li>{line}</li>" for line in failures) + "</ul>"
+        text += (
+            "<p class=bad>Not generated:</p><ul>"
+            + "".join(f"<li>{html.escape(line)}</li>" for line in failures)
+            + "</ul>"
+        )
     return text
 
 
@@ -372,7 +380,7 @@ def _diversity_rows(content: Mapping[str, Any]) -> list[Row]:
 
 def _write_rows(rows: Sequence[Row], path: Path) -> None:
     columns = list(dict.fromkeys(key for row in rows for key in row if not isinstance(row[key], dict)))
-    with path.open("w", newline="") as stream:
+    with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, columns, extrasaction="ignore")
         writer.writeheader()
         writer.writerows(rows)

@@ -15,6 +15,7 @@ import numpy as np
 from lxml import etree
 
 from bridge.figures import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from bridge.files import beside
 from bridge.poses import sumo_poses
 from bridge.scenario import AV_ID, STEP_S, Scenario, read_scenario
 from bridge.sidecar import sidecar_in
@@ -114,9 +115,9 @@ def write_playable(folder: Path, out_dir: Path) -> Path:
     files[f"{name}.rou.xml"] = _routes(scenario, traces)
     files[f"{name}.sumocfg"] = _with_routes(files[f"{name}.sumocfg"], name, end_s=scenario.num_steps * STEP_S)
     try:
-        out_dir.mkdir(parents=True, exist_ok=True)
         for file_name, content in files.items():
-            (out_dir / file_name).write_bytes(content)
+            with beside(out_dir / file_name) as hidden:
+                hidden.write_bytes(content)
     except OSError as error:
         raise ExportError(f"{out_dir}: cannot write the files for sumo-gui ({error})") from error
     return out_dir / f"{name}.sumocfg"

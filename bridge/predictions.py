@@ -4,6 +4,7 @@ A forecast file is av2's challenge submission: 60 steps from timestep 50 for eac
 """
 
 import csv
+import html
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,9 +16,10 @@ from av2.datasets.motion_forecasting.eval.metrics import compute_ade, compute_fd
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
 from bridge import report
-from bridge.scenario import LAST_OBSERVED, MAX_STEPS, STEP_S, Scenario, find_scenarios, read_scenario
+from bridge.files import beside, make_folder, write_text
+from bridge.scenario import LAST_OBSERVED, MAX_STEPS, STEP_S, Scenario, find_scenarios, read_scenario, source_id
 from hid2.agents import FloatArray, Track
-from netconvert.errors import ExportError, ScenarioError
+from netconvert.errors import ExportError, Hid2Error, ScenarioError
 
 Baseline = Literal["constant-velocity", "constant-turn-rate"]
 BASELINES: tuple[Baseline, ...] = ("constant-velocity", "constant-turn-rate")
@@ -81,23 +83,30 @@ def score_predictions(
 ) -> PredictionScores:
     """Score forecasts of the scenes below `out`; `predictions` is a submission file or the name of a baseline.
 
-    A baseline forecasts the focal track of each scene. With `report_dir`, predictions.csv (one row per track and k),
-    predictions.json and predictions.html are written. bounds: bands of scenes with more agents than each. Errors:
-    ScenarioError for an unreadable file or where nothing can be scored, ExportError where the report cannot be written.
+    A baseline forecasts the focal track of each scene. A scene that cannot be read is left out, with the reason. With
+    `report_dir`, predictions.csv (one row per track and k), predictions.json and predictions.html are written. bounds:
+    bands of scenes with more agents than each. Errors: ScenarioError for an unreadable file or where nothing can be
+    scored, ExportError where the report cannot be written.
     """
     folders = find_scenarios(out)
+    if report_dir is not None:
+        make_folder(report_dir)
     forecasts = None if predictions in BASELINES else read_forecasts(Path(predictions))
     scores: list[Score] = []
     left_out: list[str] = []
     seen = set()
     for done, folder in enumerate(folders, 1):
-        scenario = read_scenario(folder)
-        seen.add(scenario.scenario_id)
-        own = baseline(scenario, predictions) if forecasts is None else forecasts.get(scenario.scenario_id)  # type: ignore[arg-type]
-        if own is None:
-            left_out.append(f"{scenario.scenario_id}: no forecast")
+        try:
+            scenario = read_scenario(folder)
+        except Hid2Error as error:
+            seen.add(source_id(folder))
+            left_out.append(str(error))
         else:
-            found, reasons = _score_scene(scenario, own)
+            seen.add(scenario.scenario_id)
+            own = baseline(scenario, predictions) if forecasts is None else forecasts.get(scenario.scenario_id)  # type: ignore[arg-type]
+            found, reasons = (
+                ([], [f"{scenario.scenario_id}: no forecast"]) if own is None else _score_scene(scenario, own)
+            )
             scores += found
             left_out += reasons
         if on_scene is not None:
@@ -129,8 +138,8 @@ def write_baseline(out: Path, path: Path, *, kind: Baseline) -> Path:
         forecast = baseline(scenario, kind)
         submission[scenario.scenario_id] = (forecast[0], dict(forecast[1]))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        ChallengeSubmission(submission).to_parquet(path)
+        with beside(path) as hidden:
+            ChallengeSubmission(submission).to_parquet(hidden)
     except OSError as error:
         raise ExportError(f"{path}: cannot write the forecasts ({error})") from error
     return path
@@ -213,7 +222,7 @@ def _bands(scores: Sequence[Score], bounds: Sequence[int]) -> Iterable[dict[str,
 
 def _write(result: PredictionScores, report_dir: Path) -> None:
     content = {"bands": list(result.bands), "left_out": list(result.left_out)}
-    left_out = "".join(f"<li>{reason}</li>" for reason in result.left_out[:50])
+    left_out = "".join(f"<li>{html.escape(reason)}</li>" for reason in result.left_out[:50])
     about = (
         "<p>How far forecasts end up from where vehicles really went, 6 s after the last observed moment. minADE: mean "
         "distance of the best forecast over all steps; minFDE: its distance at the end; MR: share of vehicles whose "
@@ -225,13 +234,12 @@ def _write(result: PredictionScores, report_dir: Path) -> None:
         f"<p>Not scored ({len(result.left_out)}):</p><ul>{left_out}</ul>" if result.left_out else "",
     ]
     try:
-        report_dir.mkdir(parents=True, exist_ok=True)
-        with (report_dir / "predictions.csv").open("w", newline="") as stream:
+        with beside(report_dir / "predictions.csv") as hidden, hidden.open("w", newline="", encoding="utf-8") as stream:
             writer = csv.writer(stream)
             writer.writerow(Score._fields)
             writer.writerows(result.scores)
         text = json.dumps(content, indent=1, allow_nan=False)
-        (report_dir / "predictions.json").write_text(text + "\n", encoding="utf-8")
-        (report_dir / "predictions.html").write_text(report.page("Forecasts, scored", parts), encoding="utf-8")
+        write_text(report_dir / "predictions.json", text + "\n")
+        write_text(report_dir / "predictions.html", report.page("Forecasts, scored", parts))
     except OSError as error:
         raise ExportError(f"{report_dir}: cannot write the scores ({error})") from error

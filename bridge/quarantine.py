@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge.config import config_from_dict, config_to_dict
+from bridge.files import beside
 from bridge.isolation import Failure
 from hid2.params import Config
 from netconvert.errors import BatchError
@@ -47,16 +48,13 @@ def write_bundle(bundle: Bundle, path: Path) -> None:
         "config": config_to_dict(bundle.config),
     }
     failure = {key: value for key, value in dataclasses.asdict(bundle.failure).items() if key != "details"}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}")
-    with zipfile.ZipFile(beside, "w") as archive:
+    with beside(path) as hidden, zipfile.ZipFile(hidden, "w") as archive:
         _add(archive, _REQUEST, json.dumps(request, indent=1).encode())
         _add(archive, _FAILURE, json.dumps(failure, indent=1).encode())
         _add(archive, _DETAILS, bundle.failure.details.encode())
         if bundle.folder.is_dir():
             for file in sorted(entry for entry in bundle.folder.iterdir() if entry.is_file()):
                 _add(archive, _SCENE + file.name, file.read_bytes())
-    beside.replace(path)
 
 
 def read_bundle(path: Path, into: Path) -> Bundle:

@@ -1,5 +1,6 @@
 """A scene from above: recorded and generated vehicles, the focal one, trails and manoeuvres; picture, GIF or MP4."""
 
+import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from matplotlib.patches import Patch
 from PIL import Image
 
 from bridge import figures
+from bridge.files import beside
 from bridge.scenario import AV_ID, LAST_OBSERVED, STEP_S, Scenario, read_scenario
 from bridge.sidecar import ManeuverRecord, sidecar_in
 from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
@@ -100,16 +102,17 @@ def render_scene(
     panels = _panels(scenario, source)
     window = _window(scenario, agent)
     try:
-        out_file.parent.mkdir(parents=True, exist_ok=True)
         drawing = _Drawing(panels, window, cells=cells, whole_paths=suffix in PICTURES)
         if suffix in PICTURES:
             drawing.show(min(LAST_OBSERVED, scenario.num_steps - 1) if step is None else step)
             figures.save(drawing.figure, out_file)
         else:
-            _write_animation(drawing.frames(range(scenario.num_steps)), out_file)
+            with beside(out_file) as hidden:
+                hidden.touch()  # what speaks against it is said before the film is drawn
+                _write_animation(drawing.frames(range(scenario.num_steps)), hidden)
             plt.close(drawing.figure)
     except OSError as error:
-        raise ExportError(f"{out_file}: cannot write ({error})") from error
+        raise ExportError(f"{out_file}: cannot be written ({error.strerror or error})") from error
     return out_file
 
 
@@ -341,7 +344,7 @@ def _write_animation(frames: Iterator[npt.NDArray[np.uint8]], path: Path) -> Non
         _write_gif(frames, path)
         return
     writer: Any = imageio.v2.get_writer(path, fps=FRAMES_PER_SECOND, codec="libx264", quality=7, macro_block_size=2)
-    with writer:
+    with contextlib.closing(writer):  # as a context, it would leave ffmpeg running after an error
         for picture in frames:
             writer.append_data(picture)
 

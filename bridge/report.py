@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from bridge import figures
 from bridge.charts import distribution_figure, diversity_figure, reason_words
+from bridge.files import write_text
 from bridge.render import scene_figure
 from bridge.sidecar import AgentRecord, sidecar_in
 from hid2.evaluation.realism import FEATURES
@@ -54,7 +55,7 @@ def write_report(evaluation: "Evaluation", path: Path) -> None:
         _fidelity(metrics),
         _words(),
     ]
-    path.write_text(page("Generated traffic scenes: evaluation", parts), encoding="utf-8")
+    write_text(path, page("Generated traffic scenes: evaluation", parts))
 
 
 def page(title: str, parts: Iterable[str]) -> str:

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from bridge.sidecar import read_sidecar, sidecar_path
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Track
 from netconvert.av2_map import read_lane_graph
-from netconvert.errors import MapError, ScenarioError
+from netconvert.errors import MapError, NoSceneError, ScenarioError
 from netconvert.lane_graph import LaneGraph
 
 _LOG = logging.getLogger(__name__)
@@ -98,10 +98,10 @@ class Rows(NamedTuple):
 def find_scenarios(path: Path) -> list[Path]:
     """Scenario folders at path, sorted: a scenario folder itself, those of a split folder, or of a data-set root.
 
-    Errors: ScenarioError where there is none.
+    Errors: NoSceneError where there is none.
     """
     if not path.is_dir():
-        raise ScenarioError(f"{path}: no such folder, want a scenario folder, a split folder or a data-set root")
+        raise NoSceneError(f"{path}: no such folder, want a scenario folder, a split folder or a data-set root")
     if _is_scenario_folder(path):
         return [path]
     children = _subfolders(path)
@@ -109,21 +109,21 @@ def find_scenarios(path: Path) -> list[Path]:
     splits = [child for child in children if not _is_scenario_folder(child)]
     found += [folder for child in splits for folder in _subfolders(child) if _is_scenario_folder(folder)]
     if not found:
-        raise ScenarioError(f"{path}: no scenario here, want scenario_<id>.parquet in it or one or two folders below")
+        raise NoSceneError(f"{path}: no scenario here, want scenario_<id>.parquet in it or one or two folders below")
     return sorted(found)
 
 
 def find_sources(paths: Sequence[Path]) -> list[Path]:
     """Folders of recorded scenes at all paths, each once. Those that hid2 wrote are passed over, which is logged.
 
-    Errors: ScenarioError where a path holds none.
+    Errors: NoSceneError where a path holds none.
     """
     found: dict[Path, Path] = {}  # by where it really is
     for path in paths:
         folders = find_scenarios(path)
         recorded = [folder for folder in folders if not _is_generated(folder)]
         if not recorded:
-            raise ScenarioError(f"{path}: only scenes that hid2 wrote (hid2_<id>.json is in them), want recorded ones")
+            raise NoSceneError(f"{path}: only scenes that hid2 wrote (hid2_<id>.json is in them), want recorded ones")
         if len(recorded) < len(folders):
             passed_over = len(folders) - len(recorded)
             _LOG.warning("%s: %d of %d scenes passed over, which hid2 wrote", path, passed_over, len(folders))
@@ -145,7 +145,7 @@ def read_scenario(folder: Path) -> Scenario:
     Errors: ScenarioError or MapError with file, id, value and what was expected.
     """
     if not folder.is_dir():
-        raise ScenarioError(f"{folder}: no such folder, want a scenario folder")
+        raise NoSceneError(f"{folder}: no such folder, want a scenario folder")
     parquet_path = _only_file(folder, "scenario_*.parquet", ScenarioError)
     map_path = _only_file(folder, "log_map_archive_*.json", MapError)
     table = read_table(parquet_path)

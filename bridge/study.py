@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bridge.batch import Options, Progress, Run, SceneJob, run_batch
 from bridge.config import config_from_dict, config_sha256
+from bridge.files import beside
 from bridge.manifest import DONE, ManifestRow
 from bridge.scan import Selection, facts_of, select
 from bridge.scenario import find_sources
@@ -95,7 +96,8 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"{path}: {key} = {first['input']!r}: {first['msg']}") from error
+        value = "is missing" if first["type"] == "missing" else f"= {first['input']!r}: {first['msg']}"
+        raise ConfigError(f"{path}: {key} {value}") from error
     places = scenes or [path.parent / scene for scene in content.scenes]
     try:
         folders = tuple(find_sources(places))
@@ -233,9 +235,7 @@ def _configured(base: Mapping[str, Any], changes: Mapping[str, Value], *, source
 
 def _write_table(path: Path, table: Sequence[Mapping[str, Any]]) -> None:
     columns = list(dict.fromkeys(key for row in table for key in row))
-    beside = path.with_name(f".{path.name}")
-    with beside.open("w", newline="", encoding="utf-8") as file:
+    with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(table)
-    beside.replace(path)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bridge.batch import Place, Run
+from bridge.files import write_text
 from bridge.generate import GeneratedScene, write
 from bridge.isolation import Failure
 from bridge.manifest import ManifestRow
@@ -70,8 +71,5 @@ def measure_scene(scene: GeneratedScene) -> list[dict[str, Any]]:
 
 def _write_run(scene: GeneratedScene, out_dir: Path) -> Path:
     folder = out_dir / RUNS / scene.new_id
-    folder.mkdir(parents=True, exist_ok=True)
-    beside = folder / f".{RUN_FILE}"
-    beside.write_text(json.dumps(measure_scene(scene), indent=1) + "\n", encoding="utf-8")
-    beside.replace(folder / RUN_FILE)
+    write_text(folder / RUN_FILE, json.dumps(measure_scene(scene), indent=1) + "\n")
     return folder

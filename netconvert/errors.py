@@ -21,6 +21,10 @@ class ConfigError(Hid2Error):
     """A parameter is unknown, of the wrong type or out of its range."""
 
 
+class NoSceneError(ScenarioError, MapError, ConfigError):
+    """A path that was named holds no scene, or none that is wanted."""
+
+
 class SimulationError(Hid2Error):
     """SUMO refused a call, or a second simulation was started in one process."""
 

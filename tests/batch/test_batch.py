@@ -2,6 +2,7 @@
 
 import csv
 import errno
+import gc
 import os
 import shutil
 import signal
@@ -240,6 +241,17 @@ def test_second_batch_on_the_same_folder_is_refused(make_data_set: MakeDataSet, 
 def test_worker_of_another_version_ends_the_batch(make_data_set: MakeDataSet, tmp_path: Path) -> None:
     with pytest.raises(BatchError, match=r"a worker runs hid2-sumo 0\.0\.1"):
         run_batch(plan(make_data_set(1), Config()), tmp_path / "out", Options(function="faults:other_version"))
+
+
+@pytest.mark.parametrize("address", ["somewhere", "tcp://host:port", "http://host:80"])
+def test_address_of_no_scheduler_is_explained(
+    make_data_set: MakeDataSet, tmp_path: Path, address: str, recwarn: pytest.WarningsRecorder
+) -> None:
+    options = Options(scheduler=address, function=COPIES)
+    with pytest.raises(ConfigError, match=rf"scheduler '{address}': .*, want tcp://HOST:PORT"):
+        run_batch(plan(make_data_set(1), Config()), tmp_path / "out", options)
+    gc.collect()  # a client that was half made would be complained about by now
+    assert [str(warning.message) for warning in recwarn if "Client" in str(warning.message)] == []
 
 
 def test_scheduler_that_gets_no_workers_is_given_up(

@@ -138,3 +138,46 @@ def test_study_writes_tables_and_a_figure(hid2: Run, data_scenes: dict[str, Path
     assert names == ["runs.csv", "manoeuvres.csv", "small_trigger_s.png"]
     with (tmp_path / "out" / "runs.csv").open() as table:
         assert len(list(csv.DictReader(table))) == 4
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("generate", "nowhere", "-o", "out"), ("validate", "nowhere"), ("evaluate", "nowhere", "-o", "out"),
+        ("evaluate", "nowhere", "-o", "out", "--predictions", "constant-velocity"), ("scan", "nowhere"),
+        ("render", "nowhere", "-o", "a.png"), ("plot", "nowhere", "-o", "a.png", "--agent", "gen_0"),
+        ("net", "nowhere", "-o", "out"), ("gui", "nowhere"), ("paper", "table1", "--scenes", "nowhere", "-o", "out"),
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_folder_that_is_not_there_is_a_mistake_of_usage(
+    hid2: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = hid2(*arguments)
+    assert result.returncode == 2
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("hid2: nowhere: no such folder, want a scenario folder")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "arguments", [("scan", "-o", "file/a.csv"), ("paper", "density", "-o", "file/a", "--scenes")], ids=" ".join
+)
+def test_result_that_cannot_be_written_is_said_at_once(
+    hid2: Run, data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
+) -> None:
+    """Before the work, which takes long."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    result = hid2(*arguments, data_root)
+    assert result.returncode == 1
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("hid2: file")
+    assert "cannot be written" in line
+
+
+def test_study_without_scenes_says_so(hid2: Run, tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text("[vary]\ntrigger_s = [1.0]\n")
+    result = hid2("study", tmp_path / "study.toml", "-o", tmp_path / "out")
+    assert (result.returncode, result.stderr) == (2, f"hid2: {tmp_path / 'study.toml'}: scenes is missing\n")

@@ -1,6 +1,7 @@
 """Forecasts scored with av2's metrics, and the two baselines, on tracks worked by hand."""
 
 import json
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -111,6 +112,12 @@ def test_what_cannot_be_scored_is_listed_or_explained(data_scenes, data_root, tm
     path = submission(scenario, [truth], [1.0], tmp_path / "f.parquet")
     result = score_predictions(data_root, predictions=path)
     assert [reason.partition(": ")[2] for reason in result.left_out] == ["no forecast"] * 2
+    shutil.copytree(data_root, tmp_path / "some")
+    broken = next((tmp_path / "some").glob("val/*/scenario_*.parquet"))
+    broken.write_bytes(b"no")
+    result = score_predictions(tmp_path / "some", predictions="constant-velocity", report_dir=tmp_path / "report")
+    assert result.left_out[0].startswith(f"{broken}: not a parquet file (")
+    assert len({score.scenario_id for score in result.scores}) == 2
     with pytest.raises(ScenarioError, match="no such file, want a forecast file or one of constant-velocity"):
         read_forecasts(tmp_path / "none.parquet")
     (tmp_path / "bad.parquet").write_bytes(b"no")

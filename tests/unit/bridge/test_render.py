@@ -12,7 +12,7 @@ from PIL import Image
 
 from bridge import figures
 from bridge.plot import plot_agent
-from bridge.render import render_scene, scene_figure
+from bridge.render import ANIMATIONS, PICTURES, render_scene, scene_figure
 from bridge.scenario import read_scenario
 from bridge.sidecar import sidecar_in
 from netconvert.errors import ExportError, ScenarioError
@@ -132,8 +132,20 @@ def test_unknown_ending_step_or_agent_is_explained(data_scenes, tmp_path):
     with pytest.raises(ExportError, match="single step"):
         render_scene(scene, tmp_path / "scene.gif", step=3)
     (tmp_path / "file").write_text("")
-    with pytest.raises(ExportError, match="cannot write"):
-        render_scene(scene, tmp_path / "file" / "scene.png")
+    for suffix in PICTURES + ANIMATIONS:
+        with pytest.raises(ExportError, match=rf"scene{suffix}: cannot be written \(File exists\)"):
+            render_scene(scene, tmp_path / "file" / f"scene{suffix}")
+
+
+def test_film_that_fails_half_way_leaves_nothing(data_scenes, tmp_path, monkeypatch):
+    def fail(self, steps):
+        yield np.zeros((64, 64, 3), dtype=np.uint8)
+        raise OSError("no more memory")
+
+    monkeypatch.setattr("bridge.render._Drawing.frames", fail)
+    with pytest.raises(ExportError, match="no more memory"):
+        render_scene(data_scenes["arterial"], tmp_path / "scene.mp4")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_policies_differ_for_colour_blind_readers():
