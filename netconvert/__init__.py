@@ -1,5 +1,5 @@
 """netconvert."""
 
-from netconvert.machine_code import forget_outdated
+from netconvert.machine_code import keep_compiled
 
-forget_outdated()
+keep_compiled()
