@@ -28,7 +28,7 @@ from bridge.manifest import (
     source_files,
 )
 from bridge.quarantine import Bundle, read_bundle, write_bundle
-from bridge.scenario import SPLITS, source_id
+from bridge.scenario import SPLITS, source_id, split_of
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, ExportError
 
@@ -164,7 +164,7 @@ def base_row(place: Place, run: Run) -> ManifestRow:
     """What is known about a run before it starts."""
     return ManifestRow(
         scenario=place.folder.name,
-        split=_split(place.folder.resolve()),
+        split=split_of(place.folder) or "",
         variant=run.variant,
         seed=run.config.request.seed,
         status=DONE,
@@ -199,19 +199,14 @@ def remove_half_written(out_dir: Path) -> None:
 def _check_places(jobs: Sequence[SceneJob], out_dir: Path) -> None:
     """Raise ConfigError where two scenes would be written to one place, or beside the sources."""
     taken: dict[tuple[str, str], Path] = {}
-    for folder in dict.fromkeys(job.folder.resolve() for job in jobs):
-        split = _split(folder)
-        if folder.parent in (out_dir, out_dir / split):
-            raise ConfigError(f"{out_dir}: scenes are read from {folder.parent}, want another folder to write to")
+    for folder in dict.fromkeys(job.folder.absolute() for job in jobs):
+        split, real = split_of(folder) or "", folder.resolve()
+        if real.parent in (out_dir, out_dir / split):
+            raise ConfigError(f"{out_dir}: scenes are read from {real.parent}, want another folder to write to")
         for name in {folder.name, source_id(folder)}:  # of its row, and of what is written
             other = taken.setdefault((split, name), folder)
             if other != folder:
                 raise ConfigError(f"{other} and {folder} are both scene {name!r}, want each scene once")
-
-
-def _split(folder: Path) -> str:
-    """Split that a scene folder, its path resolved, is in; empty where in none."""
-    return folder.parent.name if folder.parent.name in SPLITS else ""
 
 
 def _tasks(
@@ -224,7 +219,7 @@ def _tasks(
 ) -> Iterator[Task]:
     """Yield a task for every job that has something to do; called as workers become free."""
     for job in jobs:
-        place = Place(job.folder.resolve(), out_dir)
+        place = Place(job.folder.absolute(), out_dir)
         source_sha256 = files_sha256(source_files(place.folder))
         wanted = []
         for run in job.runs:

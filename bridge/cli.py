@@ -213,7 +213,7 @@ def evaluate(
     with Counter("measuring", quiet=quiet) as counter:
         evaluation = evaluate_folder(out, report_dir=report, source=source, jobs=jobs, on_scene=counter.show)
     for folder, reason in evaluation.failures:
-        say(f"{folder}: {reason}")
+        say(_about(folder, reason))
     if not quiet:
         print(report / "report.html")
     raise typer.Exit(SOME_FAILED if evaluation.failures else ALL_DONE)
@@ -322,7 +322,7 @@ def scan(
     with Counter("scanning", quiet=quiet) as counter:
         facts, failures = facts_of(folders, jobs=jobs, on_scene=counter.show)
     for folder, reason in failures:
-        say(f"{folder}: {reason}")
+        say(_about(folder, reason))
     chosen = select(facts, Selection(min_agents, tuple(city), tuple(split), tuple(can), sample, seed))
     if out is not None:
         write_facts(out, chosen)
@@ -429,10 +429,15 @@ def _find(paths: Sequence[Path]) -> list[Path]:
     return list(dict.fromkeys(folder for path in paths for folder in find_scenarios(path)))
 
 
+def _about(folder: Path, reason: str) -> str:
+    """What is wrong with a scene; most reasons name the file themselves."""
+    return reason if reason.startswith(str(folder)) else f"{folder}: {reason}"
+
+
 def _select(paths: Sequence[Path], selection: "Selection", *, jobs: int, quiet: bool) -> list[Path]:
     """The recorded scenes at `paths` that are wanted. Errors: ConfigError where there is none."""
     from bridge.console import Counter, say
-    from bridge.scan import facts_of, select
+    from bridge.scan import facts_of, wanted
     from bridge.scenario import find_sources
 
     folders = find_sources(paths)
@@ -441,10 +446,8 @@ def _select(paths: Sequence[Path], selection: "Selection", *, jobs: int, quiet: 
     with Counter("scanning", quiet=quiet) as counter:
         facts, failures = facts_of(folders, jobs=jobs, on_scene=counter.show)
     for folder, reason in failures:
-        say(f"{folder}: not selected, {reason}")
-    chosen = [fact.folder for fact in select(facts, selection)]
-    if not chosen:
-        raise ConfigError(f"none of {len(folders)} scenes is left by the selection (see `hid2 scan`)")
+        say(_about(folder, reason))
+    chosen = wanted(folders, facts, failures, selection)
     if not quiet:
         say(f"{len(chosen)} of {len(folders)} scenes selected")
     return chosen

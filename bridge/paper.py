@@ -18,7 +18,7 @@ from bridge.diversity import Diversity
 from bridge.engine import Settings, Task, execute_here
 from bridge.files import beside, make_folder, write_text
 from bridge.isolation import Failure, describe_error
-from bridge.scan import facts_of
+from bridge.scan import Selection, facts_of, wanted
 from bridge.scenario import find_sources, read_scenario
 from bridge.scene_metrics import Row, measure
 from hid2.evaluation.safety import survey
@@ -89,13 +89,14 @@ def run_experiment(
     folders = find_sources([scenes])
     make_folder(out_dir)
     if name == "diversity":
-        facts, _ = facts_of(folders, jobs=jobs)
-        folders = [fact.folder for fact in facts if fact.tracks > TEMPLATE_AGENTS]
-        if not folders:
+        facts, unread = facts_of(folders, jobs=jobs)
+        try:
+            folders = wanted(folders, facts, unread, Selection(min_agents=TEMPLATE_AGENTS + 1))
+        except ConfigError:
             raise ScenarioError(
                 f"{scenes}: no scene of more than {TEMPLATE_AGENTS} agents, which diversity takes as its templates: "
                 "want --scenes DIR with real ones"
-            )
+            ) from None
     outcomes = _run(folders, _settings(name, agents), seeds=seeds, jobs=jobs, on_scene=on_scene)
     try:
         return _write(name, outcomes, out_dir, seeds=seeds, sources=len(folders), agents=agents)

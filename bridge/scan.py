@@ -168,6 +168,22 @@ def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts
     return chosen
 
 
+def wanted(
+    folders: Sequence[Path], facts: Sequence[SceneFacts], unread: Sequence[tuple[Path, str]], selection: Selection
+) -> list[Path]:
+    """The scenes that are wanted, in the order of folders; with them, but for a sample, those that cannot be read.
+
+    Those may be wanted or not: as they are tried, they are found with their reason among what could not be done.
+    Errors: ConfigError where no other one is left.
+    """
+    chosen = {fact.folder for fact in select(facts, selection)}
+    if not chosen:
+        raise ConfigError(f"none of {len(folders)} scenes is left by the selection (see `hid2 scan`)")
+    if selection.sample is None:
+        chosen |= {folder for folder, _ in unread}
+    return [folder for folder in folders if folder in chosen]
+
+
 def write_facts(path: Path, facts: Sequence[SceneFacts]) -> None:
     """Write a CSV table, one row per scene. Errors: ExportError."""
     try:

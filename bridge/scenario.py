@@ -63,7 +63,7 @@ class Scenario:
     """One recorded scene.
 
     num_steps: last timestep + 1 (110, or 50 in the test split); tracks in the order of their first row; table: the
-    source's rows and columns as they are; split: name of the parent folder where it is train, val or test.
+    source's rows and columns as they are; split: as of `split_of`.
     """
 
     scenario_id: str
@@ -138,6 +138,12 @@ def source_id(folder: Path) -> str:
     return ids[0] if len(ids) == 1 else folder.name
 
 
+def split_of(folder: Path) -> str | None:
+    """Split that a scene is in: the name of the folder above, as it is named here or, behind links, as it really is."""
+    parents = folder.absolute().parent, folder.resolve().parent
+    return next((parent.name for parent in parents if parent.name in SPLITS), None)
+
+
 def read_scenario(folder: Path) -> Scenario:
     """Read scenario_<id>.parquet, log_map_archive_<id>.json and the sizes that lie beside them.
 
@@ -150,7 +156,6 @@ def read_scenario(folder: Path) -> Scenario:
     map_path = _only_file(folder, "log_map_archive_*.json", MapError)
     table = read_table(parquet_path)
     rows = split_rows(table, name=str(parquet_path), sizes=read_sizes(folder))
-    parent = folder.resolve().parent.name
     return Scenario(
         scenario_id=rows.scenario_id,
         city=rows.city,
@@ -161,7 +166,7 @@ def read_scenario(folder: Path) -> Scenario:
         table=table,
         folder=folder,
         map_path=map_path,
-        split=parent if parent in SPLITS else None,
+        split=split_of(folder),
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bridge.isolation import Failure, describe_error
-from bridge.scenario import LAST_OBSERVED, SPLITS, STEP_S, Rows, read_scenario, read_sizes, read_table, split_rows
+from bridge.scenario import LAST_OBSERVED, STEP_S, Rows, read_scenario, read_sizes, read_table, split_of, split_rows
 from bridge.sidecar import ManeuverRecord, Sidecar, sidecar_in
 from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.arrays import BoolArray, SceneArrays, stack
@@ -182,8 +182,7 @@ def measure(
 def _named(measures: SceneMeasures, scene: Rows, folder: Path) -> SceneMeasures:
     """Put the scene's names in front of every row."""
     name: Row = {"scenario_id": scene.scenario_id}
-    parent = folder.resolve().parent.name
-    place: Row = {"split": parent if parent in SPLITS else "", "city": scene.city, "folder": str(folder)}
+    place: Row = {"split": split_of(folder) or "", "city": scene.city, "folder": str(folder)}
     return SceneMeasures(
         scene=name | place | measures.scene,
         tracks=[name | row for row in measures.tracks],

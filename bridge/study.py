@@ -18,7 +18,7 @@ from bridge.batch import Options, Progress, Run, SceneJob, run_batch
 from bridge.config import config_from_dict, config_sha256
 from bridge.files import beside
 from bridge.manifest import DONE, ManifestRow
-from bridge.scan import Selection, facts_of, select
+from bridge.scan import Selection, facts_of, wanted
 from bridge.scenario import find_sources
 from hid2.params import Config
 from netconvert.errors import ConfigError, ScenarioError
@@ -104,10 +104,10 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
     except ScenarioError as error:
         raise ConfigError(f"{path}: scenes: {error}") from error
     if content.can:
-        facts, _ = facts_of(folders)
-        folders = tuple(fact.folder for fact in select(facts, Selection(can=tuple(content.can))))
-        if not folders:
-            raise ConfigError(f"{path}: can = {content.can!r}: none of the scenes offers that")
+        try:
+            folders = tuple(wanted(folders, *facts_of(folders), Selection(can=tuple(content.can))))
+        except ConfigError as error:
+            raise ConfigError(f"{path}: can = {content.can!r}: {error}") from error
     seeds = tuple(range(content.seeds)) if isinstance(content.seeds, int) else tuple(content.seeds)
     points = tuple(_grid(content.vary) if content.design == "grid" else _latin_hypercube(content, path))
     configs = tuple(

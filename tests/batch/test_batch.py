@@ -79,6 +79,17 @@ def test_results_may_be_written_below_the_data_set_and_are_no_sources_then(
         assert len(find_scenarios(root)) == 2 + 2 * variants
 
 
+def test_split_that_is_a_link_is_written_as_that_split(make_data_set: MakeDataSet, tmp_path: Path) -> None:
+    make_data_set(1)
+    (tmp_path / "source" / "val").rename(tmp_path / "disk")
+    (tmp_path / "source" / "val").symlink_to(tmp_path / "disk")
+    sources = find_sources([tmp_path / "source"])
+    for resume in (False, True):
+        (row,) = run_batch(plan(sources, Config()), tmp_path / "out", Options(function=COPIES, resume=resume))
+        assert (row.split, row.status) == ("val", DONE)
+        assert (tmp_path / "out" / row.folder).parent == tmp_path / "out" / "val"
+
+
 @pytest.mark.parametrize("name", ["scene-000", "copy"])
 def test_two_scenes_that_would_be_written_to_one_place_are_refused(
     make_data_set: MakeDataSet, tmp_path: Path, name: str

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
 
-from bridge.scenario import find_scenarios, find_sources, read_scenario, source_id
+from bridge.scenario import find_scenarios, find_sources, read_scenario, source_id, split_of
 from hid2.agents import DEFAULT_SIZES
 from netconvert.errors import MapError, ScenarioError
 
@@ -138,6 +138,20 @@ def test_sources_are_recorded_scenes_each_once(
     assert caplog.messages == [f"{root}: 1 of 4 scenes passed over, which hid2 wrote"]
     with pytest.raises(ScenarioError, match=r"generated: only scenes that hid2 wrote .* want recorded ones"):
         find_sources([root, generated])
+
+
+def test_split_is_that_of_the_name_also_behind_links(
+    data_root: Path, data_scenes: dict[str, Path], tmp_path: Path
+) -> None:
+    """A split may be a link to wherever there was room, or a scene a link into a split."""
+    scene = data_scenes["curve"]
+    shutil.copytree(data_root / "train", tmp_path / "disk" / "argoverse-train")
+    (tmp_path / "train").symlink_to(tmp_path / "disk" / "argoverse-train")
+    (tmp_path / "scene").symlink_to(scene)
+    assert read_scenario(tmp_path / "train" / scene.name).split == "train"
+    assert read_scenario(tmp_path / "scene").split == "train"
+    assert read_scenario(tmp_path / "disk" / "argoverse-train" / scene.name).split is None
+    assert split_of(Path(scene.name)) is None
 
 
 def test_id_is_told_by_the_names_of_files(data_scenes: dict[str, Path], tmp_path: Path) -> None:
