@@ -2,7 +2,6 @@
 
 import csv
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -148,27 +147,3 @@ def test_manifest_counts_are_those_of_the_sidecars(hid2: Run, data_root: Path, t
         assert int(row["maneuvers_requested"]) == len(maneuvers)
         assert int(row["lane_change"]) == sum(m.kind == "lane_change" and m.status == "done" for m in maneuvers)
         assert json.loads(json.dumps(row["config_sha256"])) == sidecar.config_sha256
-
-
-def test_scene_that_the_selection_cannot_read_is_quarantined(
-    hid2: Run, data_root: Path, data_scenes: dict[str, Path], tmp_path: Path
-) -> None:
-    """It may have been wanted; but it does not count where nobody else is, and is in no sample."""
-    root = tmp_path / "root"
-    shutil.copytree(data_root, root)
-    broken = root / data_scenes["curve"].relative_to(data_root)
-    next(broken.glob("scenario_*.parquet")).write_text("x")
-    asked = ("generate", root, "-o", tmp_path / "out", "--agents", 1)
-    result = hid2(*asked, "--split", "val")
-    assert result.returncode == 1
-    assert "2 of 3 scenes selected" in result.stderr
-    assert {row["scenario"]: row["failure"] for row in rows_of(tmp_path / "out")} == {
-        data_scenes["intersection"].name: "",
-        broken.name: "error",
-    }
-    none = hid2(*asked, "--split", "test")
-    assert none.returncode == 2
-    assert "none of 3 scenes is left by the selection" in none.stderr
-    sample = hid2(*asked, "--sample", 2)
-    assert sample.returncode == 0
-    assert "not a parquet file" in sample.stderr

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.scan import SceneFacts, Selection, describe_scene, facts_of, select
+from bridge.scan import SceneFacts, Selection, describe_scene, facts_of, select, wanted
 from hid2.params import Config
 from netconvert.errors import ConfigError
 
@@ -50,6 +50,15 @@ def test_sample_is_drawn_with_the_seed() -> None:
 def test_unknown_manoeuvre_is_named() -> None:
     with pytest.raises(ConfigError, match="--can 'fly'"):
         select(FACTS, Selection(can=("fly",)))
+
+
+def test_scene_that_cannot_be_read_is_tried_with_those_selected() -> None:
+    """It may be wanted, and its reason is then where those of others are; it is in no sample, and not enough alone."""
+    folders, unread = [Path("b"), Path("broken"), Path("a"), Path("c")], [(Path("broken"), "not a parquet file")]
+    assert wanted(folders, FACTS, unread, Selection(splits=("val",))) == [Path("b"), Path("broken"), Path("a")]
+    assert Path("broken") not in wanted(folders, FACTS, unread, Selection(sample=3))
+    with pytest.raises(ConfigError, match=r"none of 4 scenes is left by the selection"):
+        wanted(folders, FACTS, unread, Selection(splits=("test",)))
 
 
 def test_nothing_is_read_unless_it_is_asked_for() -> None:
