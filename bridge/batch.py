@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 
 from bridge.config import config_sha256
 from bridge.engine import Outcome, Settings, Task, execute
+from bridge.files import explained
 from bridge.isolation import Failure
 from bridge.manifest import (
     DONE,
@@ -30,7 +31,7 @@ from bridge.manifest import (
 from bridge.quarantine import Bundle, read_bundle, write_bundle
 from bridge.scenario import SPLITS, source_id, split_of
 from hid2.params import Config
-from netconvert.errors import BatchError, ConfigError, ExportError
+from netconvert.errors import BatchError, ConfigError
 
 QUARANTINE = "quarantine"
 GENERATE = "bridge.scene_work:generate_runs"
@@ -280,11 +281,9 @@ def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options
 @contextlib.contextmanager
 def _locked(out_dir: Path) -> Iterator[None]:
     """Keep other batches out of a folder. Errors: BatchError, ExportError."""
-    try:
+    with explained(out_dir):
         out_dir.mkdir(parents=True, exist_ok=True)
         file = (out_dir / ".hid2.lock").open("w")
-    except OSError as error:
-        raise ExportError(f"{out_dir}: cannot be written ({error.strerror or error})") from error
     with file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

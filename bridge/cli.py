@@ -315,8 +315,9 @@ def scan(
     from bridge.console import Counter, print_table, say
     from bridge.files import make_folder
     from bridge.scan import SceneFacts, Selection, facts_of, select, write_facts
+    from bridge.scenario import find_scenarios
 
-    folders = _find(scenes)
+    folders = list(dict.fromkeys(folder for path in scenes for folder in find_scenarios(path)))
     if out is not None:
         make_folder(out.parent)
     with Counter("scanning", quiet=quiet) as counter:
@@ -420,13 +421,6 @@ def _agents(text: str) -> int | str:
         return int(text)
     except ValueError:
         raise ConfigError(f"--agents {text!r}: want a number or max") from None
-
-
-def _find(paths: Sequence[Path]) -> list[Path]:
-    """The scenario folders at `paths`, each once. Errors: NoSceneError where a path holds none."""
-    from bridge.scenario import find_scenarios
-
-    return list(dict.fromkeys(folder for path in paths for folder in find_scenarios(path)))
 
 
 def _about(folder: Path, reason: str) -> str:

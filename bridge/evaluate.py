@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import IO, Any
 
 from bridge.engine import Settings, Task, execute_here
-from bridge.files import beside, write_text
+from bridge.files import table_file, write_text
 from bridge.isolation import Failure
-from bridge.scenario import find_scenarios, read_sizes
+from bridge.scenario import find_scenarios, read_sizes, source_id
 from bridge.scene_metrics import Labelled, Row, SceneMeasures, measure_folders
 from bridge.totals import Totals
 from hid2.agents import BoxSize
@@ -97,7 +97,7 @@ def evaluate_folder(
 
 @contextlib.contextmanager
 def _table(path: Path) -> Iterator["_Table"]:
-    with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as stream:
+    with table_file(path) as stream:
         yield _Table(stream)
 
 
@@ -109,7 +109,7 @@ def _labelled(sources: Sequence[Path]) -> Labelled:
             own = read_sizes(folder)
             recorded = {track_id: size for track_id, size in own.items() if not is_generated_id(track_id)}
             if recorded:
-                sizes |= {path.stem.removeprefix("scenario_"): recorded for path in folder.glob("scenario_*.parquet")}
+                sizes[source_id(folder)] = recorded
     return sizes
 
 

@@ -17,6 +17,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from bridge.config import config_sha256
+from bridge.files import explained
 from bridge.scenario import FOCAL_CATEGORY, LAST_OBSERVED, SCENARIO_COLUMNS, Scenario
 from bridge.sidecar import Sidecar, sidecar_bytes, sidecar_path
 from hid2.agents import Track
@@ -58,10 +59,8 @@ def write_scene(
         sidecar_path(Path(), new_id).name: sidecar_bytes(sidecar),
     }
     folder = (out_dir / scenario.split if scenario.split else out_dir) / new_id
-    try:
+    with explained(folder):
         _write_folder(folder, files)
-    except OSError as error:
-        raise ExportError(f"{folder}: cannot be written ({error.strerror or error})") from error
     return folder
 
 

@@ -19,7 +19,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path as MplPath
 from matplotlib.ticker import MaxNLocator
 
-from bridge.files import beside
+from bridge.files import beside, explained
 from hid2.agents import FloatArray, Policy
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ExportError
@@ -105,10 +105,8 @@ def save(figure: Figure, path: Path) -> None:
     try:
         if path.suffix.lower() != ".png":
             raise ExportError(f"{path}: ending {path.suffix!r}, want .png")
-        with beside(path) as hidden:
+        with explained(path), beside(path) as hidden:
             figure.savefig(hidden, format="png", metadata={"Software": None})
-    except OSError as error:
-        raise ExportError(f"{path}: cannot be written ({error.strerror or error})") from error
     finally:
         plt.close(figure)
 

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
 from netconvert.errors import ExportError
 
@@ -22,12 +23,26 @@ def beside(path: Path) -> Iterator[Path]:
         hidden.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def table_file(path: Path) -> Iterator[IO[str]]:
+    """A file for `csv` to write to, `beside` its place. Errors: OSError."""
+    with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as stream:
+        yield stream
+
+
+@contextlib.contextmanager
+def explained(path: Path) -> Iterator[None]:
+    """What the system says against writing to a path becomes an ExportError that names it."""
+    try:
+        yield
+    except OSError as error:
+        raise ExportError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder for what takes long to work out. Errors: ExportError."""
-    try:
+    with explained(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ExportError(f"{folder}: cannot be written ({error.strerror or error})") from error
 
 
 def write_text(path: Path, text: str) -> None:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import bridge
 import hid2
 import netconvert
-from bridge.files import beside
+from bridge.files import table_file
 
 MANIFEST_NAME = "manifest.csv"
 
@@ -107,7 +107,7 @@ def read_manifest(path: Path) -> list[ManifestRow]:
 
 def write_rows(path: Path, rows: Iterable[ManifestRow]) -> None:
     """Write rows with a header."""
-    with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as file:
+    with table_file(path) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(ManifestRow._fields)
         writer.writerows(rows)

@@ -16,7 +16,7 @@ from bridge import report
 from bridge.aggregate import KINEMATIC, SAFETY, Metric, SourceSums, estimate
 from bridge.diversity import Diversity
 from bridge.engine import Settings, Task, execute_here
-from bridge.files import beside, make_folder, write_text
+from bridge.files import make_folder, table_file, write_text
 from bridge.isolation import Failure, describe_error
 from bridge.scan import Selection, facts_of, wanted
 from bridge.scenario import find_sources, read_scenario
@@ -381,7 +381,7 @@ def _diversity_rows(content: Mapping[str, Any]) -> list[Row]:
 
 def _write_rows(rows: Sequence[Row], path: Path) -> None:
     columns = list(dict.fromkeys(key for row in rows for key in row if not isinstance(row[key], dict)))
-    with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as stream:
+    with table_file(path) as stream:
         writer = csv.DictWriter(stream, columns, extrasaction="ignore")
         writer.writeheader()
         writer.writerows(rows)

@@ -16,7 +16,7 @@ from av2.datasets.motion_forecasting.eval.metrics import compute_ade, compute_fd
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
 from bridge import report
-from bridge.files import beside, make_folder, write_text
+from bridge.files import beside, make_folder, table_file, write_text
 from bridge.scenario import LAST_OBSERVED, MAX_STEPS, STEP_S, Scenario, find_scenarios, read_scenario, source_id
 from hid2.agents import FloatArray, Track
 from netconvert.errors import ExportError, Hid2Error, ScenarioError
@@ -234,7 +234,7 @@ def _write(result: PredictionScores, report_dir: Path) -> None:
         f"<p>Not scored ({len(result.left_out)}):</p><ul>{left_out}</ul>" if result.left_out else "",
     ]
     try:
-        with beside(report_dir / "predictions.csv") as hidden, hidden.open("w", newline="", encoding="utf-8") as stream:
+        with table_file(report_dir / "predictions.csv") as stream:
             writer = csv.writer(stream)
             writer.writerow(Score._fields)
             writer.writerows(result.scores)

@@ -19,7 +19,7 @@ from matplotlib.patches import Patch
 from PIL import Image
 
 from bridge import figures
-from bridge.files import beside
+from bridge.files import beside, explained
 from bridge.scenario import AV_ID, LAST_OBSERVED, STEP_S, Scenario, read_scenario
 from bridge.sidecar import ManeuverRecord, sidecar_in
 from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
@@ -101,7 +101,7 @@ def render_scene(
         raise ExportError(f"{out_file}: a single step makes a picture, want {', '.join(PICTURES)}")
     panels = _panels(scenario, source)
     window = _window(scenario, agent)
-    try:
+    with explained(out_file):
         drawing = _Drawing(panels, window, cells=cells, whole_paths=suffix in PICTURES)
         if suffix in PICTURES:
             drawing.show(min(LAST_OBSERVED, scenario.num_steps - 1) if step is None else step)
@@ -111,8 +111,6 @@ def render_scene(
                 hidden.touch()  # what speaks against it is said before the film is drawn
                 _write_animation(drawing.frames(range(scenario.num_steps)), hidden)
             plt.close(drawing.figure)
-    except OSError as error:
-        raise ExportError(f"{out_file}: cannot be written ({error.strerror or error})") from error
     return out_file
 
 

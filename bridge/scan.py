@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bridge.engine import Settings, Task, execute_here
-from bridge.files import beside
+from bridge.files import explained, table_file
 from bridge.isolation import Failure, describe_error
 from bridge.scenario import LAST_OBSERVED, read_scenario
 from hid2.agents import VEHICLE_TYPES, Policy
 from hid2.params import Config
-from netconvert.errors import ConfigError, ExportError
+from netconvert.errors import ConfigError
 from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment, Side, TurnType
 
 #: Scenes per task: few enough that workers share the end of a scan.
@@ -186,13 +186,10 @@ def wanted(
 
 def write_facts(path: Path, facts: Sequence[SceneFacts]) -> None:
     """Write a CSV table, one row per scene. Errors: ExportError."""
-    try:
-        with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(("folder", *SceneFacts.columns()))
-            writer.writerows(facts)
-    except OSError as error:
-        raise ExportError(f"{path}: cannot be written ({error.strerror or error})") from error
+    with explained(path), table_file(path) as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("folder", *SceneFacts.columns()))
+        writer.writerows(facts)
 
 
 def _beside(graph: LaneGraph, lane_id: int, side: Side) -> int | None:

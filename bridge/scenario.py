@@ -1,6 +1,7 @@
 """Argoverse 2 motion-forecasting scenarios: parquet and map of a folder -> tracks, lane graph, untouched rows."""
 
 import csv
+import fnmatch
 import io
 import logging
 from collections.abc import Mapping, Sequence
@@ -21,6 +22,8 @@ from netconvert.errors import MapError, NoSceneError, ScenarioError
 from netconvert.lane_graph import LaneGraph
 
 _LOG = logging.getLogger(__name__)
+#: Names of the two files of a scenario folder.
+_PARQUET, _MAP = "scenario_*.parquet", "log_map_archive_*.json"
 
 #: Names of the folders of a data-set root.
 SPLITS = ("train", "val", "test")
@@ -134,7 +137,7 @@ def find_sources(paths: Sequence[Path]) -> list[Path]:
 
 def source_id(folder: Path) -> str:
     """Scenario id by the names of a folder's files; the folder's own name where none tells it."""
-    ids = [name.removeprefix("scenario_").removesuffix(".parquet") for name in _names(folder) if _is_parquet(name)]
+    ids = [path.stem.removeprefix("scenario_") for path in folder.glob(_PARQUET)]
     return ids[0] if len(ids) == 1 else folder.name
 
 
@@ -152,8 +155,8 @@ def read_scenario(folder: Path) -> Scenario:
     """
     if not folder.is_dir():
         raise NoSceneError(f"{folder}: no such folder, want a scenario folder")
-    parquet_path = _only_file(folder, "scenario_*.parquet", ScenarioError)
-    map_path = _only_file(folder, "log_map_archive_*.json", MapError)
+    parquet_path = _only_file(folder, _PARQUET, ScenarioError)
+    map_path = _only_file(folder, _MAP, MapError)
     table = read_table(parquet_path)
     rows = split_rows(table, name=str(parquet_path), sizes=read_sizes(folder))
     return Scenario(
@@ -294,17 +297,13 @@ def _names(folder: Path) -> list[str]:
         return []
 
 
-def _is_parquet(name: str) -> bool:
-    return name.startswith("scenario_") and name.endswith(".parquet")
-
-
 def _is_scenario_folder(folder: Path) -> bool:
     names = _names(folder)
-    return any(_is_parquet(name) or (name.startswith("log_map_archive_") and name.endswith(".json")) for name in names)
+    return any(fnmatch.filter(names, pattern) for pattern in (_PARQUET, _MAP))
 
 
 def _is_generated(folder: Path) -> bool:
-    return any(name.startswith("hid2_") and name.endswith(".json") for name in _names(folder))
+    return any(folder.glob(sidecar_path(folder, "*").name))
 
 
 def _subfolders(path: Path) -> list[Path]:

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bridge.batch import Options, Progress, Run, SceneJob, run_batch
 from bridge.config import config_from_dict, config_sha256
-from bridge.files import beside
+from bridge.files import table_file
 from bridge.manifest import DONE, ManifestRow
 from bridge.scan import Selection, facts_of, wanted
 from bridge.scenario import find_sources
@@ -235,7 +235,7 @@ def _configured(base: Mapping[str, Any], changes: Mapping[str, Value], *, source
 
 def _write_table(path: Path, table: Sequence[Mapping[str, Any]]) -> None:
     columns = list(dict.fromkeys(key for row in table for key in row))
-    with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as file:
+    with table_file(path) as file:
         writer = csv.DictWriter(file, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(table)

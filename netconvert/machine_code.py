@@ -8,7 +8,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 #: Whose functions call each other.
@@ -25,15 +25,14 @@ def keep_compiled(packages: Iterable[Path] = PACKAGES) -> Path | None:
     than beside the sources get a folder for the very sources: below NUMBA_CACHE_DIR, or, where the sources cannot be
     written, in the user's cache; if need be a temporary one, for this process and those that it starts.
     """
-    folders = list(packages)
-    sources = sorted(file for folder in folders for file in folder.rglob("*.py"))
-    digest = _digest(sources)
-    chosen = os.environ.get(_VARIABLE)
-    if chosen and Path(chosen).name == digest and _can_write(Path(chosen)):  # by who started this process
-        return Path(chosen)
-    if not (chosen and _can_write(Path(chosen))) and all(_can_write(folder) for folder in _beside(sources)):
-        forget_outdated(folders)
+    sources, given = sources_of(packages), os.environ.get(_VARIABLE)
+    chosen = Path(given) if given and _can_write(Path(given)) else None
+    if chosen is None and all(_can_write(folder) for folder in _beside(sources)):
+        forget_outdated(sources)
         return None
+    digest = _digest(sources)
+    if chosen is not None and chosen.name == digest:  # by who started this process
+        return chosen
     place = next((base / digest for base in _bases(chosen) if _can_write(base / digest)), None)
     if place is None:
         temporary = tempfile.mkdtemp(prefix="hid2-compiled-")
@@ -45,14 +44,18 @@ def keep_compiled(packages: Iterable[Path] = PACKAGES) -> Path | None:
     return place
 
 
-def forget_outdated(packages: Iterable[Path]) -> list[Path]:
-    """Delete what numba keeps of functions compiled before the newest source of the packages; returns the files."""
-    folders = list(packages)
-    newest = max((file.stat().st_mtime for folder in folders for file in folder.rglob("*.py")), default=0.0)
+def sources_of(packages: Iterable[Path]) -> list[Path]:
+    """Every source of the packages, sorted."""
+    return sorted(file for package in packages for file in package.rglob("*.py"))
+
+
+def forget_outdated(sources: Sequence[Path]) -> list[Path]:
+    """Delete what numba keeps beside sources of functions compiled before the newest of these; returns the files."""
+    newest = max((source.stat().st_mtime for source in sources), default=0.0)
     if newest > time.time():  # no clock to go by: everything would be compiled anew at every start
         return []
     outdated = []
-    for index in (index for folder in folders for index in folder.rglob("__pycache__/*.nbi")):
+    for index in (index for folder in _beside(sources) for index in folder.glob("*.nbi")):
         with contextlib.suppress(OSError):  # another process was faster
             if index.stat().st_mtime < newest:
                 index.unlink()
@@ -73,10 +76,9 @@ def _beside(sources: Iterable[Path]) -> set[Path]:
     return {source.parent / "__pycache__" for source in sources}
 
 
-def _bases(chosen: str | None) -> Iterator[Path]:
-    if chosen:
-        given = Path(chosen)
-        yield given.parent if given.name.startswith("hid2-") else given  # set so by another version
+def _bases(chosen: Path | None) -> Iterator[Path]:
+    if chosen is not None:
+        yield chosen.parent if chosen.name.startswith("hid2-") else chosen  # set so by another version
     with contextlib.suppress(RuntimeError):  # no home
         yield Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "hid2-sumo"
 

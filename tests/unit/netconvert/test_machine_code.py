@@ -10,7 +10,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from netconvert.machine_code import PACKAGES, forget_outdated, keep_compiled
+from netconvert.machine_code import PACKAGES, forget_outdated, keep_compiled, sources_of
 
 
 @pytest.fixture
@@ -33,17 +33,17 @@ def test_code_older_than_any_source_is_forgotten(package: Callable[[str, float],
     package("b/called.py", 50.0)
     old, new = package("a/__pycache__/caller.f-1.nbi", 80.0), package("b/__pycache__/called.g-1.nbi", 20.0)
     other = package("a/__pycache__/caller.cpython-311.pyc", 80.0)
-    assert forget_outdated([tmp_path / "a", tmp_path / "b"]) == [old]
+    assert forget_outdated(sources_of([tmp_path / "a", tmp_path / "b"])) == [old]
     assert not old.exists()
     assert new.exists()
     assert other.exists()
-    assert forget_outdated([tmp_path / "a", tmp_path / "b"]) == []
+    assert forget_outdated(sources_of([tmp_path / "a", tmp_path / "b"])) == []
 
 
 def test_source_of_the_future_is_nothing_to_go_by(package: Callable[[str, float], Path], tmp_path: Path) -> None:
     package("a/caller.py", -1000.0)
     kept = package("a/__pycache__/caller.f-1.nbi", 80.0)
-    assert forget_outdated([tmp_path / "a"]) == []
+    assert forget_outdated(sources_of([tmp_path / "a"])) == []
     assert kept.exists()
 
 
@@ -163,7 +163,7 @@ def test_changed_function_is_called_by_one_that_was_compiled_before(tmp_path: Pa
         called = package / "called.py"
         called.write_text(f"from numba import njit\n\n\n@njit(cache=True)\ndef g():\n    return {value}\n")
         os.utime(called, (time.time() - age_s,) * 2)
-        forget_outdated([package])
+        forget_outdated(sources_of([package]))
         run = [sys.executable, "-c", "from package.caller import f; print(f())"]
         done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, check=True)
         return done.stdout.strip()
