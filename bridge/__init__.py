@@ -1,1 +1,1 @@
-"""bridge."""
+"""Everything that touches a file, a process or libsumo."""

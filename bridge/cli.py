@@ -16,7 +16,7 @@ import typer
 from netconvert.errors import ConfigError, Hid2Error
 
 if TYPE_CHECKING:
-    from bridge.scan import Selection
+    from bridge.batch.scan import Selection
 
 ALL_DONE, SOME_FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
@@ -103,8 +103,8 @@ def generate(
         raise typer.Exit(_reproduce(repro, out))
     if not scenes or out is None:
         raise typer.BadParameter("want SCENE... and -o OUT (or --repro BUNDLE)")
+    from bridge.batch.scan import Selection
     from bridge.config import load_config, parse_behaviours, parse_trigger_time
-    from bridge.scan import Selection
 
     flags: dict[str, object] = {
         "request.agents": None if agents is None else _agents(agents),
@@ -120,9 +120,9 @@ def generate(
     selection = Selection(min_agents, tuple(city), tuple(split), tuple(can), sample, resolved.request.seed)
     folders = _select(scenes, selection, jobs=jobs, quiet=quiet)
 
-    from bridge.batch import Options, plan, run_batch
+    from bridge.batch.batch import Options, plan, run_batch
+    from bridge.batch.manifest import DONE
     from bridge.console import BatchDisplay, print_batch, say
-    from bridge.manifest import DONE
 
     options = Options(jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume)
     try:
@@ -149,8 +149,8 @@ def net(scene: Scene, out: Out, *, verbose: Verbose = False, quiet: Quiet = Fals
     """Write the lane graph as a SUMO net of 4 m cells, with files to play the scene in sumo-gui, and a report."""
     _set_up(verbose=verbose, quiet=quiet)
     from bridge.console import print_table
-    from bridge.net import convert
-    from bridge.playable import write_playable
+    from bridge.sumo.net import convert
+    from bridge.sumo.playback import write_playable
 
     report = convert(scene, out)
     playable = write_playable(scene, out) if any(scene.glob("scenario_*.parquet")) else None
@@ -173,7 +173,7 @@ def validate(
     """Check that scenes keep the whole contract with their readers; findings go to stdout."""
     _set_up(verbose=verbose, quiet=quiet)
     from bridge.console import say
-    from bridge.validate import validate_folder
+    from bridge.recordings.validate import validate_folder
 
     findings = validate_folder(out, source=source)
     for finding in findings:
@@ -208,7 +208,7 @@ def evaluate(
     if predictions is not None:
         raise typer.Exit(_score(out, predictions, bands, report, quiet=quiet))
     from bridge.console import Counter, say
-    from bridge.evaluate import evaluate_folder
+    from bridge.evaluation.evaluate import evaluate_folder
 
     with Counter("measuring", quiet=quiet) as counter:
         evaluation = evaluate_folder(out, report_dir=report, source=source, jobs=jobs, on_scene=counter.show)
@@ -235,7 +235,7 @@ def render(
 ) -> None:
     """Draw a scene from above, before and after: a picture or a film."""
     _set_up(verbose=verbose, quiet=quiet)
-    from bridge.render import render_scene
+    from bridge.pictures.render import render_scene
 
     print(render_scene(scene, out, source=source, agent=agent, cells=cells, step=step))
 
@@ -251,7 +251,7 @@ def plot(
 ) -> None:
     """Draw one track over time: speed, acceleration, jerk, lateral offset and cells, with its manoeuvres marked."""
     _set_up(verbose=verbose, quiet=quiet)
-    from bridge.plot import plot_agent
+    from bridge.pictures.plot import plot_agent
 
     print(plot_agent(scene, agent, out))
 
@@ -270,7 +270,7 @@ def gui(
 ) -> None:
     """Play a scene in sumo-gui: recorded vehicles grey, generated ones coloured by policy (needs the extra `gui`)."""
     _set_up(verbose=verbose, quiet=quiet)
-    from bridge.gui import play_scene
+    from bridge.sumo.gui import play_scene
 
     picture = play_scene(scene, delay_ms=delay, screenshot=screenshot, step=step)
     if picture is not None:
@@ -312,10 +312,10 @@ def scan(
 ) -> None:
     """Tabulate a data set: agents, density, lanes, neighbours, and room for each manoeuvre."""
     _set_up(verbose=verbose, quiet=quiet)
+    from bridge.batch.scan import SceneFacts, Selection, facts_of, select, write_facts
     from bridge.console import Counter, print_table, say
     from bridge.files import make_folder
-    from bridge.scan import SceneFacts, Selection, facts_of, select, write_facts
-    from bridge.scenario import find_scenarios
+    from bridge.recordings.scenario import find_scenarios
 
     folders = list(dict.fromkeys(folder for path in scenes for folder in find_scenarios(path)))
     if out is not None:
@@ -348,9 +348,9 @@ def study(
 ) -> None:
     """Run a parameter study; it goes on from where it was when it is called again."""
     _set_up(verbose=verbose, quiet=quiet)
-    from bridge.batch import Options
+    from bridge.batch.batch import Options
     from bridge.console import BatchDisplay, say
-    from bridge.study import read_study, run_study
+    from bridge.studies.study import read_study, run_study
 
     options = Options(jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=True)
     try:
@@ -384,7 +384,7 @@ def paper(
     """Run an experiment of the paper that needs no training, from generation to the table beside the paper's."""
     _set_up(verbose=verbose, quiet=quiet)
     from bridge.console import Counter
-    from bridge.paper import EXPERIMENTS, run_experiment
+    from bridge.evaluation.paper import EXPERIMENTS, run_experiment
 
     named = next((name for name in EXPERIMENTS if name == experiment), None)
     if named is None:
@@ -430,9 +430,9 @@ def _about(folder: Path, reason: str) -> str:
 
 def _select(paths: Sequence[Path], selection: "Selection", *, jobs: int, quiet: bool) -> list[Path]:
     """The recorded scenes at `paths` that are wanted. Errors: ConfigError where there is none."""
+    from bridge.batch.scan import facts_of, wanted
     from bridge.console import Counter, say
-    from bridge.scan import facts_of, wanted
-    from bridge.scenario import find_sources
+    from bridge.recordings.scenario import find_sources
 
     folders = find_sources(paths)
     if not selection.needs_facts:
@@ -450,7 +450,7 @@ def _select(paths: Sequence[Path], selection: "Selection", *, jobs: int, quiet: 
 def _score(out: Path, predictions: str, bands: str, report: Path, *, quiet: bool) -> int:
     """Score forecasts; returns the exit code."""
     from bridge.console import Counter, print_table, say
-    from bridge.predictions import BASELINES, TABLE_HEAD, score_predictions
+    from bridge.evaluation.predictions import BASELINES, TABLE_HEAD, score_predictions
 
     try:
         bounds = [int(band) for band in bands.split(",")]
@@ -473,8 +473,8 @@ def _reproduce(bundle_path: Path, out: Path | None) -> int:
     """Run a bundle; without an output folder nothing is kept. Returns the exit code."""
     import tempfile
 
-    from bridge.batch import reproduce
-    from bridge.manifest import DONE
+    from bridge.batch.batch import reproduce
+    from bridge.batch.manifest import DONE
 
     with tempfile.TemporaryDirectory(prefix="hid2-") as scratch:
         bundle, row = reproduce(bundle_path, out or Path(scratch))

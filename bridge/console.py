@@ -13,8 +13,8 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 from rich.text import Text
 
-from bridge.batch import Progress
-from bridge.manifest import DONE, ManifestRow
+from bridge.batch.batch import Progress
+from bridge.batch.manifest import DONE, ManifestRow
 
 #: Seconds between two plain progress lines.
 _PLAIN_EVERY_S = 10.0

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import pyarrow as pa
 from exact_paths import FloatArray, Path2d, cos, direction, norm, sin, smoothstep, wrap
 
-from bridge.export import parquet_bytes
+from bridge.recordings.export import parquet_bytes
 
 STEPS, OBSERVED, STEP_S, FINE_S = 110, 50, 0.1, 0.01
 LANE_M = 3.5

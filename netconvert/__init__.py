@@ -1,5 +1,1 @@
-"""netconvert."""
-
-from netconvert.machine_code import keep_compiled
-
-keep_compiled()
+"""The map side: lane graphs, cells, SUMO nets."""

@@ -14,9 +14,9 @@ import pandas as pd
 import pytest
 
 from bridge.config import config_sha256, config_to_dict, load_config
-from bridge.export import new_scenario_id
-from bridge.scenario import Scenario
-from bridge.sidecar import (
+from bridge.recordings.export import new_scenario_id
+from bridge.recordings.scenario import Scenario
+from bridge.recordings.sidecar import (
     AgentRecord,
     GeneratorRecord,
     ManeuverRecord,

@@ -1,1 +1,1 @@
-"""hid2/evaluation."""
+"""Measures of whole scenes, above `hid2.measures`."""

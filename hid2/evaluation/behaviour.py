@@ -16,9 +16,9 @@ from functools import cache
 import numpy as np
 
 from hid2.agents import FloatArray, Policy
-from hid2.evaluation.arrays import BoolArray, SceneArrays
-from hid2.evaluation.matching import FlatLanes, Matches
-from hid2.evaluation.paths import LaneView, Run, runs_of, source_path, target_path
+from hid2.measures.arrays import BoolArray, SceneArrays
+from hid2.measures.driven_lanes import LaneView, Run, runs_of, source_path, target_path
+from hid2.measures.lane_matching import FlatLanes, Matches
 from netconvert.geometry import Polyline
 from netconvert.lane_graph import TURN_RAD
 

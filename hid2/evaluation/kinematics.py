@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from hid2.agents import FloatArray, IntArray
-from hid2.evaluation.arrays import FRAGMENT, BoolArray, SceneArrays
+from hid2.measures.arrays import FRAGMENT, BoolArray, SceneArrays
 from hid2.params import Limits
 
 #: Tracks shorter than this are left out of LO, LA and JE: the third derivative needs five samples.

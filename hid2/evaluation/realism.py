@@ -14,9 +14,9 @@ import numpy.typing as npt
 from numba import njit
 
 from hid2.agents import FloatArray, IntArray
-from hid2.evaluation.arrays import BoolArray, SceneArrays
 from hid2.evaluation.kinematics import Motion
 from hid2.evaluation.safety import CAP_S, Safety
+from hid2.measures.arrays import BoolArray, SceneArrays
 
 
 class Feature(NamedTuple):

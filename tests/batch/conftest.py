@@ -8,8 +8,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from bridge.batch import Options, plan, run_batch
-from bridge.scenario import find_scenarios
+from bridge.batch.batch import Options, plan, run_batch
+from bridge.recordings.scenario import find_scenarios
 from hid2.params import Config
 
 HERE = Path(__file__).parent

@@ -10,13 +10,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from bridge.batch import Place, Run, base_row
+from bridge.batch.batch import Place, Run, base_row
+from bridge.batch.isolation import Failure, describe_error
+from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.config import config_sha256, config_to_dict
-from bridge.export import new_scenario_id, write_scene
-from bridge.isolation import Failure, describe_error
-from bridge.manifest import ManifestRow, files_sha256, output_files
-from bridge.scenario import read_scenario
-from bridge.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
+from bridge.recordings.export import new_scenario_id, write_scene
+from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 
 FAULT = "FAULT"
 Work = Callable[[Place, Sequence[Run]], Iterator[ManifestRow | Failure]]
@@ -79,7 +79,9 @@ def other_version(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow]:
 
 def generated(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
     """Generate as the product does, after the scene's fault."""
-    from bridge.scene_work import generate_runs  # here, before the clock starts: libsumo is for scene processes only
+    from bridge.batch.scene_work import (
+        generate_runs,  # here, before the clock starts: libsumo is for scene processes only
+    )
 
     return _generated(place, runs, generate_runs)
 

@@ -18,10 +18,10 @@ import pytest
 from distributed import LocalCluster
 from processes import still_running
 
-from bridge.batch import Options, plan, reproduce, run_batch
+from bridge.batch.batch import Options, plan, reproduce, run_batch
+from bridge.batch.manifest import DONE, QUARANTINED, ManifestRow, code_version, files_sha256, output_files
 from bridge.config import load_config
-from bridge.manifest import DONE, QUARANTINED, ManifestRow, code_version, files_sha256, output_files
-from bridge.scenario import find_scenarios, find_sources
+from bridge.recordings.scenario import find_scenarios, find_sources
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError
 
@@ -268,7 +268,7 @@ def test_address_of_no_scheduler_is_explained(
 def test_scheduler_that_gets_no_workers_is_given_up(
     make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bridge.cluster._WORKERS_S", 1.0)
+    monkeypatch.setattr("bridge.batch.cluster._WORKERS_S", 1.0)
     with LocalCluster(n_workers=0, processes=False, dashboard_address=None, host="127.0.0.1", protocol="tcp") as nobody:
         address = nobody.scheduler_address
         with pytest.raises(BatchError, match=rf"scheduler {address}: no workers for 1 s, want some .*dask worker"):
@@ -292,8 +292,8 @@ def test_a_machine_without_semaphores_is_explained(
 RUN = """
 import sys
 from pathlib import Path
-from bridge.batch import Options, plan, run_batch
-from bridge.scenario import find_scenarios, find_sources
+from bridge.batch.batch import Options, plan, run_batch
+from bridge.recordings.scenario import find_scenarios, find_sources
 from hid2.params import Config
 import signal
 if __name__ == "__main__":

@@ -15,10 +15,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from bridge.batch import Options, plan, run_batch
+from bridge.batch.batch import Options, plan, run_batch
+from bridge.batch.manifest import DONE, files_sha256, output_files
 from bridge.config import load_config
-from bridge.manifest import DONE, files_sha256, output_files
-from bridge.validate import validate_folder
+from bridge.recordings.validate import validate_folder
 
 MakeDataSet = Callable[..., list[Path]]
 BIN = Path(sys.executable).parent
@@ -76,7 +76,7 @@ class Killer:
         for process in psutil.Process().children(recursive=True):
             with contextlib.suppress(psutil.Error, OSError):
                 command = " ".join(process.cmdline())
-                if "bridge.isolation" in command:
+                if "bridge.batch.isolation" in command:
                     scene = (self.started / str(process.pid)).read_text()
                     if scene not in self.hit:
                         workers.append((process, scene))

@@ -5,7 +5,7 @@ import contextlib
 import psutil
 from processes import still_running
 
-from bridge.engine import Settings, Task, execute_here
+from bridge.batch.engine import Settings, Task, execute_here
 
 TASKS = [Task(f"t{k}", "faults:numbers", "", (10 * k, 10 * k + 1)) for k in range(6)]
 

@@ -10,7 +10,7 @@ import psutil
 import pytest
 from processes import still_running
 
-from bridge.isolation import IsolatedProcess, WorkFailedError
+from bridge.batch.isolation import IsolatedProcess, WorkFailedError
 
 
 @pytest.fixture
@@ -90,7 +90,7 @@ def test_child_leaves_when_its_caller_is_killed(tmp_path) -> None:
     script = (
         "import sys, time\n"
         f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        "from bridge.isolation import IsolatedProcess\n"
+        "from bridge.batch.isolation import IsolatedProcess\n"
         "p = IsolatedProcess(timeout_s=60)\n"
         "list(p.stream('faults:numbers', '', (1,)))\n"
         "print(p.pid, flush=True)\n"

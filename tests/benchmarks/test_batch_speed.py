@@ -22,9 +22,9 @@ import numpy as np
 import psutil
 import pytest
 
-from bridge.batch import Options, Progress, Run, SceneJob, run_batch
-from bridge.manifest import ManifestRow
-from bridge.scenario import find_scenarios
+from bridge.batch.batch import Options, Progress, Run, SceneJob, run_batch
+from bridge.batch.manifest import ManifestRow
+from bridge.recordings.scenario import find_scenarios
 from hid2.params import Config, Request
 
 #: What a worker may take, and how much it may grow per scene once it is warm.

@@ -20,8 +20,8 @@ from typing import NamedTuple
 
 import pytest
 
-from bridge.batch import Options, Run, SceneJob, run_batch
-from bridge.scenario import find_scenarios
+from bridge.batch.batch import Options, Run, SceneJob, run_batch
+from bridge.recordings.scenario import find_scenarios
 from hid2.params import Config, Request
 
 #: How much the two processes may grow with each scene: a name takes some 0.4 kB, the rest is for noise.
@@ -33,7 +33,7 @@ _MEASURE = """
 import json, resource, sys, time
 from pathlib import Path
 import psutil
-from bridge.evaluate import evaluate_folder
+from bridge.evaluation.evaluate import evaluate_folder
 me, child, main = psutil.Process(), 0, 0
 def sample(done, total):
     global child, main

@@ -27,19 +27,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bridge.generate import GeneratedScene, PreparedScene, generate, prepare, write
-from bridge.insertion import edges_along
-from bridge.isolation import spare_the_collector
-from bridge.poses import front_arc_m, sumo_poses
-from bridge.scenario import find_scenarios, read_scenario
-from bridge.simulation import Simulation
+from bridge.batch.isolation import spare_the_collector
+from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare, write
+from bridge.recordings.scenario import find_scenarios, read_scenario
+from bridge.sumo.insertion import edges_along
+from bridge.sumo.poses import front_arc_m, sumo_poses
+from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray
-from hid2.conflicts import DT_S
+from hid2.conflicts.cases import DT_S
+from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Request
-from hid2.traffic import Traffic
-from hid2.world import World, build_world
+from hid2.scene import World, build_world
 
-import libsumo  # after bridge.simulation, which silences a remark of its import on stdout  # isort: skip
+import libsumo  # after bridge.sumo.simulation, which silences a remark of its import on stdout  # isort: skip
 
 #: Largest ratio in the median over the scenes, and in the worst, by the number of vehicles asked for.
 MEDIAN_MOST = {10: 3.0, 20: 4.0}

@@ -22,8 +22,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from bridge.generate import generate
-from bridge.scenario import Scenario, find_scenarios, read_scenario
+from bridge.generation.generate import generate
+from bridge.recordings.scenario import Scenario, find_scenarios, read_scenario
 from hid2.params import Config, Request
 from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.sidecar import Sidecar, read_sidecar
+from bridge.recordings.sidecar import Sidecar, read_sidecar
 
 Run = Callable[..., object]
 

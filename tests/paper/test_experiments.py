@@ -5,8 +5,8 @@ import json
 
 import pytest
 
-from bridge.paper import PAPER_ABLATION, run_experiment
-from bridge.report import PAPER_HID2, PAPER_ORIGINAL
+from bridge.evaluation.paper import PAPER_ABLATION, run_experiment
+from bridge.evaluation.report import PAPER_HID2, PAPER_ORIGINAL
 from netconvert.errors import ConfigError, ScenarioError
 
 

@@ -7,22 +7,22 @@ import numpy as np
 import pytest
 
 from hid2.agents import BoxSize, Policy, Track
-from hid2.conflicts import priority, prospect, road_most, transition_rejected
-from hid2.decision import LaneOption, Observation, decide
-from hid2.draws import Draws
-from hid2.lane_change import Gap, lateral_share
-from hid2.maneuver import lane_options
-from hid2.occupancy import FREE, GENERATED, ORIGINAL, cell_boxes, cells_under, dwell_steps, original_occupancy
-from hid2.overtake import Leader, Stage, enter_reason
+from hid2.conflicts.cases import priority, prospect, road_most, transition_rejected
+from hid2.insertion.draws import Draws
+from hid2.insertion.places import Places
+from hid2.insertion.spawning import Spawner
+from hid2.motion.reference_line import build_reference_line
+from hid2.motion.smoothing import integrate, poses
+from hid2.motion.verify import motion_profile
+from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL, cell_boxes, cells_under, dwell_steps, original_occupancy
+from hid2.occupancy.traffic import Traffic, traffic_of
 from hid2.params import Config, LaneChange, Limits, Overtake, Turn
-from hid2.places import Places
-from hid2.reference_line import build_reference_line
-from hid2.smoothing import integrate, poses
-from hid2.spawning import Spawner
-from hid2.traffic import Traffic, traffic_of
-from hid2.turns import f_left, f_right, road_speeds
-from hid2.verify import motion_profile
-from hid2.world import World, build_world, predicted_traffic
+from hid2.policy.decision import LaneOption, Observation, decide
+from hid2.policy.lane_change import Gap, lateral_share
+from hid2.policy.maneuver import lane_options
+from hid2.policy.overtake import Leader, Stage, enter_reason
+from hid2.policy.turns import f_left, f_right, road_speeds
+from hid2.scene import World, build_world, predicted_traffic
 from netconvert.cells import Cell, build_cell_grid
 from netconvert.geometry import Polyline, arc_length
 from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType, turn_type

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hid2.agents import BoxSize, Track
-from hid2.evaluation.arrays import stack
 from hid2.evaluation.kinematics import kinematics, motion
 from hid2.evaluation.safety import off_road, overlaps, scenario_collision_rate
+from hid2.measures.arrays import stack
 from netconvert.lane_graph import LaneGraph
 
 

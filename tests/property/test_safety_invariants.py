@@ -16,8 +16,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from scene_checker import check_scene
 
-from bridge.generate import generate
-from bridge.scenario import Scenario
+from bridge.generation.generate import generate
+from bridge.recordings.scenario import Scenario
 from hid2.agents import DEFAULT_SIZES, Track
 from hid2.params import Config, Request
 from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type

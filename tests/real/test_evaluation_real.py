@@ -12,13 +12,13 @@ import pandas as pd
 import pytest
 import shapely
 
-from bridge.scenario import read_scenario
+from bridge.recordings.scenario import read_scenario
 from hid2.agents import DEFAULT_SIZES
-from hid2.evaluation.arrays import stack
 from hid2.evaluation.behaviour import detect
 from hid2.evaluation.kinematics import kinematics, motion
-from hid2.evaluation.matching import flatten_lanes, match_lanes
 from hid2.evaluation.safety import off_footprint, off_road, overlaps, scenario_collision_rate, survey
+from hid2.measures.arrays import stack
+from hid2.measures.lane_matching import flatten_lanes, match_lanes
 
 
 def rows_of(folder: Path) -> pd.DataFrame:

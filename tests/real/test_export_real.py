@@ -11,9 +11,9 @@ import pytest
 from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
 from av2.map.map_api import ArgoverseStaticMap
 
-from bridge.export import write_scene
-from bridge.scenario import read_scenario
-from bridge.validate import validate_folder
+from bridge.recordings.export import write_scene
+from bridge.recordings.scenario import read_scenario
+from bridge.recordings.validate import validate_folder
 
 
 @pytest.mark.parametrize("focal", ["recorded", "generated"])

@@ -19,14 +19,14 @@ import pytest
 from maneuver_detector import seen
 from scene_checker import check_scene
 
-from bridge.generate import GeneratedScene, generate, prepare
-from bridge.scenario import Scenario, read_scenario
+from bridge.generation.generate import GeneratedScene, generate, prepare
+from bridge.recordings.scenario import Scenario, read_scenario
 from hid2.agents import VEHICLE_TYPES, Policy
-from hid2.draws import Draws
+from hid2.insertion.draws import Draws
+from hid2.insertion.places import Places
+from hid2.insertion.spawning import Spawner
 from hid2.params import Config, Packing, Request
-from hid2.places import Places
-from hid2.spawning import Spawner
-from hid2.world import build_world, predicted_traffic
+from hid2.scene import build_world, predicted_traffic
 
 Make = Callable[[Path, int, int], GeneratedScene]
 
@@ -216,8 +216,8 @@ def _digests(out: Path) -> Iterator[tuple[str, str]]:
 _WRITE = """
 import sys
 from pathlib import Path
-from bridge.generate import generate, write
-from bridge.scenario import read_scenario
+from bridge.generation.generate import generate, write
+from bridge.recordings.scenario import read_scenario
 from hid2.params import Config, Request
 write(generate(read_scenario(Path(sys.argv[1])), Config(request=Request(agents=10, seed=3))), Path(sys.argv[2]))
 """

@@ -9,7 +9,7 @@ import pytest
 import shapely
 from av2.map.map_api import ArgoverseStaticMap
 
-from bridge.net import convert
+from bridge.sumo.net import convert
 from netconvert.av2_map import lane_graph_from_json, read_lane_graph
 from netconvert.cells import build_cell_grid
 from netconvert.fidelity import UNEXPLAINED

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
 
-from bridge.scenario import find_scenarios, read_scenario
+from bridge.recordings.scenario import find_scenarios, read_scenario
 
 
 def test_real_scene_reads_as_av2_reads_it(real_scene: Path) -> None:

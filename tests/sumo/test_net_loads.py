@@ -14,7 +14,7 @@ import shapely
 from hand_drawn import draw_lane
 from lxml import etree
 
-from bridge.net import convert
+from bridge.sumo.net import convert
 from netconvert.av2_map import read_lane_graph
 from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.lane_graph import LaneGraph

@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from bridge.generate import prepare
-from bridge.replay import Replay, ReplayErrors
-from bridge.scenario import read_scenario
-from bridge.simulation import Simulation
-from hid2.conflicts import DT_S
+from bridge.generation.generate import prepare
+from bridge.recordings.scenario import read_scenario
+from bridge.sumo.replay import Replay, ReplayErrors
+from bridge.sumo.simulation import Simulation
+from hid2.conflicts.cases import DT_S
+from hid2.occupancy.traffic import traffic_of
 from hid2.params import Config
-from hid2.traffic import traffic_of
 
 
 def _replay(folder: Path, tmp_path: Path) -> tuple[ReplayErrors, int]:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import shapely
 import shapely.affinity
 
-from bridge.generate import GeneratedScene
+from bridge.generation.generate import GeneratedScene
 from hid2.agents import DEFAULT_SIZES, Track
 from netconvert.geometry import Polyline
 from netconvert.lane_graph import LaneGraph

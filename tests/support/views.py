@@ -1,9 +1,9 @@
 """What others are to a vehicle that drives along a line, for the tests of the space-time view and of plans in it."""
 
-from hid2.path_occupancy import PathOccupancy, path_occupancy
-from hid2.reference_line import ReferenceLine
-from hid2.space_time import Follower, SpaceTime, space_time
-from hid2.traffic import Traffic
+from hid2.conflicts.space_time import Follower, SpaceTime, space_time
+from hid2.motion.reference_line import ReferenceLine
+from hid2.occupancy.along_path import PathOccupancy, path_occupancy
+from hid2.occupancy.traffic import Traffic
 
 #: Box of the vehicle itself, and of others where they are given it too, m.
 SIZE = {"length_m": 4.0, "width_m": 2.0}

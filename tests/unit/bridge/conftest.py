@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from bridge.config import load_config
-from bridge.generate import generate, write
-from bridge.scenario import read_scenario
+from bridge.generation.generate import generate, write
+from bridge.recordings.scenario import read_scenario
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,7 @@ from av2.map.lane_segment import LaneType
 from av2.map.map_api import ArgoverseStaticMap
 
 from bridge.config import load_config
-from bridge.scenario import Scenario, read_scenario
+from bridge.recordings.scenario import Scenario, read_scenario
 from netconvert.geometry import box_corners, boxes_overlap
 
 Script = Callable[[str], ModuleType]

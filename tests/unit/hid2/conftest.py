@@ -7,10 +7,10 @@ import pytest
 from hand_drawn import draw_lane
 
 from hid2.agents import BoxSize, Track
+from hid2.motion.reference_line import ReferenceLine, build_reference_line
+from hid2.motion.route import DrivenPath, path_along
+from hid2.occupancy.traffic import Traffic
 from hid2.params import Limits, Smoothing
-from hid2.reference_line import ReferenceLine, build_reference_line
-from hid2.route import DrivenPath, path_along
-from hid2.traffic import Traffic
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
 

@@ -1,0 +1,1 @@
+"""Many scenes: tasks, isolated processes, Dask, manifest, quarantine."""

@@ -1,0 +1,292 @@
+"""Many scenes: what to do, what is done already, who does it, and what became of each.
+
+Every scene runs in an isolated process (see `engine`). A scene that has no result is quarantined: it leaves a
+bundle in OUT/quarantine that reproduces the failure, and the batch goes on.
+"""
+
+import contextlib
+import fcntl
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from bridge.batch.engine import Outcome, Settings, Task, execute
+from bridge.batch.isolation import Failure
+from bridge.batch.manifest import (
+    DONE,
+    QUARANTINED,
+    Manifest,
+    ManifestRow,
+    code_version,
+    files_sha256,
+    output_files,
+    source_files,
+)
+from bridge.batch.quarantine import Bundle, read_bundle, write_bundle
+from bridge.config import config_sha256
+from bridge.files import explained
+from bridge.recordings.scenario import SPLITS, source_id, split_of
+from hid2.params import Config
+from netconvert.errors import BatchError, ConfigError
+
+QUARANTINE = "quarantine"
+GENERATE = "bridge.batch.scene_work:generate_runs"
+
+_HALF_WRITTEN = re.compile(r"\.[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}-.*")
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One generated scene that is wanted."""
+
+    config: Config
+    variant: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SceneJob:
+    """A source scene (its folder) and the runs on it, which share its map, net and replay."""
+
+    folder: Path
+    runs: tuple[Run, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a scene is read and where its results are written."""
+
+    folder: Path
+    out: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How a batch runs. scheduler: address of a Dask scheduler; resume: skip what is complete and unchanged."""
+
+    jobs: int = 1
+    scheduler: str | None = None
+    timeout_s: float = 300.0
+    resume: bool = False
+    function: str = GENERATE
+    recycle_after: int = 200
+
+    @property
+    def settings(self) -> Settings:
+        """The engine's part."""
+        return Settings(timeout_s=self.timeout_s, recycle_after=self.recycle_after)
+
+
+@dataclass(slots=True)
+class Progress:
+    """Counts so far. total: runs in all; skipped: found complete and unchanged."""
+
+    total: int
+    done: int = 0
+    skipped: int = 0
+    quarantined: int = 0
+    began: float = field(default_factory=time.monotonic)
+
+    @property
+    def finished(self) -> int:
+        """Runs that need no more work."""
+        return self.done + self.skipped + self.quarantined
+
+    @property
+    def rate(self) -> float:
+        """Runs made a second, 0 before the first."""
+        made = self.done + self.quarantined
+        return made / max(time.monotonic() - self.began, 1e-9) if made else 0.0
+
+
+def plan(folders: Iterable[Path], config: Config) -> list[SceneJob]:
+    """One job for every scene folder, with the variants that the configuration asks for.
+
+    The number of variants is taken out of each run's configuration: variant 0 is the same scene however many there are.
+    """
+    request = config.request.model_copy(update={"variants": 1})
+    single = config.model_copy(update={"request": request})
+    runs = tuple(Run(single, variant) for variant in range(config.request.variants))
+    return [SceneJob(folder, runs) for folder in folders]
+
+
+def run_batch(
+    jobs: Sequence[SceneJob],
+    out_dir: Path,
+    options: Options | None = None,
+    *,
+    on_row: Callable[[ManifestRow, Progress], None] | None = None,
+) -> list[ManifestRow]:
+    """Do the jobs, write OUT/manifest.csv, return the rows of these jobs in the manifest's order.
+
+    on_row is called after every run, also for those found complete. When it is interrupted, the manifest holds what is
+    done and nothing is half-written; a later call with `resume` goes on from there.
+    Errors: BatchError, ExportError where OUT cannot be written; ConfigError where results would get in the way of
+    each other, or of the sources.
+    """
+    options = options or Options()
+    on_row = on_row or (lambda row, progress: None)
+    out_dir = out_dir.resolve()
+    _check_places(jobs, out_dir)
+    progress = Progress(total=sum(len(job.runs) for job in jobs))
+    rows: list[ManifestRow] = []
+    with _locked(out_dir):
+        remove_half_written(out_dir)
+        manifest = Manifest(out_dir)
+        sources: dict[Path, str] = {}
+        tasks = _tasks(jobs, out_dir, options, manifest, sources, lambda row: note(row, skipped=True))
+
+        def note(row: ManifestRow, *, skipped: bool = False) -> None:
+            rows.append(row)
+            progress.skipped += skipped
+            progress.done += row.status == DONE and not skipped
+            progress.quarantined += row.status == QUARANTINED
+            on_row(row, progress)
+
+        try:
+            results = execute(tasks, jobs=options.jobs, scheduler=options.scheduler, settings=options.settings)
+            with contextlib.closing(results):
+                for result in results:
+                    place: Place = result.task.shared
+                    for outcome in result.outcomes:
+                        row = _row(place, outcome, source_sha256=sources[place.folder], options=options)
+                        manifest.add(row)
+                        note(row)
+        finally:
+            manifest.save()
+            remove_half_written(out_dir)
+    return sorted(rows, key=lambda row: row.key)
+
+
+def base_row(place: Place, run: Run) -> ManifestRow:
+    """What is known about a run before it starts."""
+    return ManifestRow(
+        scenario=place.folder.name,
+        split=split_of(place.folder) or "",
+        variant=run.variant,
+        seed=run.config.request.seed,
+        status=DONE,
+        requested=str(run.config.request.agents),
+        config_sha256=config_sha256(run.config),
+        version=code_version(),
+    )
+
+
+def reproduce(path: Path, out_dir: Path) -> tuple[Bundle, ManifestRow]:
+    """Run what a bundle holds again, isolated, with its own limits; its scene is written to out_dir if it succeeds now.
+
+    Errors: BatchError for a file that is no bundle.
+    """
+    with TemporaryDirectory(prefix="hid2-repro-") as scratch:
+        bundle = read_bundle(path, Path(scratch))
+        options = Options(timeout_s=bundle.timeout_s, function=bundle.function)
+        job = SceneJob(bundle.folder, (Run(bundle.config, bundle.variant),))
+        (row,) = run_batch([job], out_dir, options)
+    return bundle, row
+
+
+def remove_half_written(out_dir: Path) -> None:
+    """Remove the hidden folders in which a process that was ended was writing."""
+    for parent in (out_dir, *(out_dir / split for split in SPLITS)):
+        if parent.is_dir():
+            for entry in parent.iterdir():
+                if entry.is_dir() and _HALF_WRITTEN.fullmatch(entry.name):
+                    shutil.rmtree(entry, ignore_errors=True)
+
+
+def _check_places(jobs: Sequence[SceneJob], out_dir: Path) -> None:
+    """Raise ConfigError where two scenes would be written to one place, or beside the sources."""
+    taken: dict[tuple[str, str], Path] = {}
+    for folder in dict.fromkeys(job.folder.absolute() for job in jobs):
+        split, real = split_of(folder) or "", folder.resolve()
+        if real.parent in (out_dir, out_dir / split):
+            raise ConfigError(f"{out_dir}: scenes are read from {real.parent}, want another folder to write to")
+        for name in {folder.name, source_id(folder)}:  # of its row, and of what is written
+            other = taken.setdefault((split, name), folder)
+            if other != folder:
+                raise ConfigError(f"{other} and {folder} are both scene {name!r}, want each scene once")
+
+
+def _tasks(
+    jobs: Sequence[SceneJob],
+    out_dir: Path,
+    options: Options,
+    manifest: Manifest,
+    sources: dict[Path, str],
+    skip: Callable[[ManifestRow], None],
+) -> Iterator[Task]:
+    """Yield a task for every job that has something to do; called as workers become free."""
+    for job in jobs:
+        place = Place(job.folder.absolute(), out_dir)
+        source_sha256 = files_sha256(source_files(place.folder))
+        wanted = []
+        for run in job.runs:
+            row = manifest.get(base_row(place, run).key) if options.resume else None
+            if row is not None and _is_complete(row, base_row(place, run), out_dir, source_sha256):
+                skip(row)
+            else:
+                wanted.append(run)
+        if wanted:
+            sources[place.folder] = source_sha256
+            yield Task(place.folder.name, options.function, place, tuple(wanted))
+
+
+def _is_complete(row: ManifestRow, base: ManifestRow, out_dir: Path, source_sha256: str) -> bool:
+    return (
+        row.status == DONE
+        and (row.version, row.source_sha256) == (base.version, source_sha256)
+        and row.output_sha256 != ""
+        and row.output_sha256 == files_sha256(output_files(out_dir / row.folder))
+    )
+
+
+def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options) -> ManifestRow:
+    """The manifest's row about an outcome; a failure leaves its bundle."""
+    run: Run = outcome.item
+    failure = outcome.failure or (outcome.value if isinstance(outcome.value, Failure) else None)
+    row = base_row(place, run) if failure else outcome.value
+    if row.version != code_version():
+        raise BatchError(
+            f"a worker runs hid2-sumo {row.version}, want {code_version()} as here "
+            "(installed from other source, or edited while the batch ran)"
+        )
+    row = row._replace(attempts=outcome.attempts, seconds=round(outcome.seconds, 3), source_sha256=source_sha256)
+    name = f"{row.scenario}_{row.config_sha256[:8]}_{row.variant}.zip"
+    path = place.out / QUARANTINE / (row.split or ".") / name
+    if failure is None:
+        path.unlink(missing_ok=True)
+        return row
+    bundle = Bundle(
+        folder=place.folder,
+        split=row.split or None,
+        config=run.config,
+        variant=run.variant,
+        timeout_s=options.timeout_s,
+        function=options.function,
+        failure=failure,
+        version=row.version,
+    )
+    write_bundle(bundle, path)
+    return row._replace(
+        status=QUARANTINED,
+        failure=failure.kind,
+        reason=" ".join(failure.message.split()),
+        bundle=path.relative_to(place.out).as_posix(),
+    )
+
+
+@contextlib.contextmanager
+def _locked(out_dir: Path) -> Iterator[None]:
+    """Keep other batches out of a folder. Errors: BatchError, ExportError."""
+    with explained(out_dir):
+        out_dir.mkdir(parents=True, exist_ok=True)
+        file = (out_dir / ".hid2.lock").open("w")
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise BatchError(f"{out_dir}: another run is writing there") from error
+        yield

@@ -1,0 +1,236 @@
+"""Facts of a data set, scene by scene, and the choice of scenes on these facts."""
+
+import csv
+import random
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from bridge.batch.engine import Settings, Task, execute_here
+from bridge.batch.isolation import Failure, describe_error
+from bridge.files import explained, table_file
+from bridge.recordings.scenario import LAST_OBSERVED, read_scenario
+from hid2.agents import VEHICLE_TYPES, Policy
+from hid2.params import Config
+from netconvert.errors import ConfigError
+from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment, Side, TurnType
+
+#: Scenes per task: few enough that workers share the end of a scan.
+_CHUNK = 16
+#: A track seen on a path longer than this is moving, m; at more steps than the second number.
+_MOVING_M, _MOVING_STEPS = 5.0, 10
+
+
+class SceneFacts(NamedTuple):
+    """One row of `hid2 scan`.
+
+    tracks: in all; at_49: present at the last observed timestep; vehicles: tracks of type vehicle or bus; moving:
+    vehicles with a path over 5 m, seen at more than 10 steps; same_direction: (lane, side) pairs of VEHICLE lanes.
+    Room: lane_change_m and overtake_m are metres of VEHICLE lane from which a change, or an overtake, has the length it
+    needs beside it; left_turns and right_turns are turning lanes that can be entered within the map.
+    """
+
+    folder: Path
+    scenario: str
+    split: str
+    city: str
+    steps: int
+    tracks: int
+    at_49: int
+    vehicles: int
+    moving: int
+    lanes: int
+    vehicle_lanes: int
+    same_direction: int
+    straight_m: float
+    lane_change_m: float
+    overtake_m: float
+    left_turns: int
+    right_turns: int
+
+    @staticmethod
+    def columns() -> tuple[str, ...]:
+        """Names of the columns, without the folder."""
+        return SceneFacts._fields[1:]
+
+    def values(self) -> tuple[object, ...]:
+        """Values in the order of columns()."""
+        return tuple(self[1:])
+
+    def room(self, policy: Policy) -> float:
+        """Room for a policy: metres or lanes, 0 where there is none."""
+        return {
+            Policy.STRAIGHT: self.straight_m,
+            Policy.LEFT_TURN: self.left_turns,
+            Policy.RIGHT_TURN: self.right_turns,
+            Policy.LANE_CHANGE: self.lane_change_m,
+            Policy.OVERTAKE: self.overtake_m,
+        }[policy]
+
+
+class Selection(NamedTuple):
+    """Which scenes are wanted; empty fields ask for nothing. min_agents counts tracks; can names policies."""
+
+    min_agents: int = 0
+    cities: tuple[str, ...] = ()
+    splits: tuple[str, ...] = ()
+    can: tuple[str, ...] = ()
+    sample: int | None = None
+    seed: int = 0
+
+    @property
+    def needs_facts(self) -> bool:
+        """Whether scenes have to be read before the choice."""
+        return self._replace(seed=0) != Selection()
+
+
+def facts_of(
+    folders: Sequence[Path], *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
+) -> tuple[list[SceneFacts], list[tuple[Path, str]]]:
+    """Facts of scenes in the order of folders, and the scenes that cannot be read with the reason.
+
+    on_scene(done, total) is called as scenes are done.
+    """
+    chunks = [tuple(folders[start : start + _CHUNK]) for start in range(0, len(folders), _CHUNK)]
+    tasks = (
+        Task(f"scan-{number}", "bridge.batch.scan:scan_folders", Config(), chunk) for number, chunk in enumerate(chunks)
+    )
+    found: dict[Path, SceneFacts] = {}
+    failures: dict[Path, str] = {}
+    for result in execute_here(tasks, jobs=min(jobs, max(1, len(chunks))), settings=Settings(timeout_s=60)):
+        for outcome in result.outcomes:
+            failure = outcome.failure or (outcome.value if isinstance(outcome.value, Failure) else None)
+            if failure:
+                failures[outcome.item] = failure.message
+            else:
+                found[outcome.item] = outcome.value
+            if on_scene is not None:
+                on_scene(len(found) + len(failures), len(folders))
+    return [found[path] for path in folders if path in found], [
+        (path, failures[path]) for path in folders if path in failures
+    ]
+
+
+def scan_folders(config: Config, folders: Sequence[Path]) -> Iterator[SceneFacts | Failure]:
+    """The work of a process: read and describe each scene."""
+    for folder in folders:
+        try:
+            yield describe_scene(folder, config)
+        except Exception as error:  # noqa: BLE001  # listed with its reason
+            yield describe_error(error)
+
+
+def describe_scene(folder: Path, config: Config) -> SceneFacts:
+    """Read one scene and count. Errors: ScenarioError, MapError."""
+    scenario = read_scenario(folder)
+    graph = scenario.graph
+    vehicles = [track for track in scenario.tracks if track.object_type in VEHICLE_TYPES]
+    lanes = [lane for lane in graph.lanes.values() if lane.lane_type == "VEHICLE"]
+    ahead = _lengths_ahead(graph)
+    turns = [lane for lane in lanes if lane.turn is not TurnType.STRAIGHT and graph.predecessors(lane.lane_id)]
+    return SceneFacts(
+        folder=folder,
+        scenario=scenario.scenario_id,
+        split=scenario.split or "",
+        city=scenario.city,
+        steps=scenario.num_steps,
+        tracks=len(scenario.tracks),
+        at_49=sum(LAST_OBSERVED in track.timesteps for track in scenario.tracks),
+        vehicles=len(vehicles),
+        moving=sum(track.path_m > _MOVING_M and len(track.timesteps) > _MOVING_STEPS for track in vehicles),
+        lanes=len(graph.lanes),
+        vehicle_lanes=len(lanes),
+        same_direction=sum(_beside(graph, lane.lane_id, side) is not None for lane in lanes for side in SIDES),
+        straight_m=round(sum(lane.length_m for lane in lanes), 1),
+        lane_change_m=_room_beside(graph, lanes, ahead, needed_m=config.lane_change.min_remaining_m),
+        overtake_m=_room_beside(graph, lanes, ahead, needed_m=config.overtake.d_overtake_m),
+        left_turns=sum(lane.turn is TurnType.LEFT for lane in turns),
+        right_turns=sum(lane.turn is TurnType.RIGHT for lane in turns),
+    )
+
+
+def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts]:
+    """The scenes that are wanted, in their order. Errors: ConfigError for a manoeuvre that does not exist."""
+    names = [policy.value for policy in Policy]
+    for name in selection.can:
+        if name not in names:
+            raise ConfigError(f"--can {name!r}: want one of {', '.join(names)}")
+    chosen = [
+        fact
+        for fact in facts
+        if fact.tracks >= selection.min_agents
+        and (not selection.cities or fact.city in selection.cities)
+        and (not selection.splits or fact.split in selection.splits)
+        and all(fact.room(Policy(name)) > 0 for name in selection.can)
+    ]
+    if selection.sample is not None and selection.sample < len(chosen):
+        # drawn by scenario, so that the choice does not depend on where the data set lies
+        drawn = random.Random(selection.seed).sample(range(len(chosen)), selection.sample)  # noqa: S311
+        chosen = [chosen[index] for index in sorted(drawn)]
+    return chosen
+
+
+def wanted(
+    folders: Sequence[Path], facts: Sequence[SceneFacts], unread: Sequence[tuple[Path, str]], selection: Selection
+) -> list[Path]:
+    """The scenes that are wanted, in the order of folders; with them, but for a sample, those that cannot be read.
+
+    Those may be wanted or not: as they are tried, they are found with their reason among what could not be done.
+    Errors: ConfigError where no other one is left.
+    """
+    chosen = {fact.folder for fact in select(facts, selection)}
+    if not chosen:
+        raise ConfigError(f"none of {len(folders)} scenes is left by the selection (see `hid2 scan`)")
+    if selection.sample is None:
+        chosen |= {folder for folder, _ in unread}
+    return [folder for folder in folders if folder in chosen]
+
+
+def write_facts(path: Path, facts: Sequence[SceneFacts]) -> None:
+    """Write a CSV table, one row per scene. Errors: ExportError."""
+    with explained(path), table_file(path) as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("folder", *SceneFacts.columns()))
+        writer.writerows(facts)
+
+
+def _beside(graph: LaneGraph, lane_id: int, side: Side) -> int | None:
+    """The same-direction VEHICLE neighbour on a side."""
+    neighbor = graph.neighbor(lane_id, side)
+    return neighbor if neighbor is not None and graph.lanes[neighbor].lane_type == "VEHICLE" else None
+
+
+def _lengths_ahead(graph: LaneGraph) -> dict[int, float]:
+    """Longest way from the start of each VEHICLE lane through its successors, m; cycles are cut where they close."""
+    ahead: dict[int, float] = {}
+
+    def walk(lane_id: int, path: frozenset[int]) -> float:
+        if lane_id in ahead:
+            return ahead[lane_id]
+        following = [
+            walk(target, path | {lane_id})
+            for target in graph.successors(lane_id)
+            if target not in path and target != lane_id and graph.lanes[target].lane_type == "VEHICLE"
+        ]
+        ahead[lane_id] = graph.lanes[lane_id].length_m + max(following, default=0.0)
+        return ahead[lane_id]
+
+    for lane_id, lane in graph.lanes.items():
+        if lane.lane_type == "VEHICLE":
+            walk(lane_id, frozenset())
+    return ahead
+
+
+def _room_beside(
+    graph: LaneGraph, lanes: Sequence[LaneSegment], ahead: Mapping[int, float], *, needed_m: float
+) -> float:
+    """Metres of lane from which a neighbour that may be changed to goes on for at least `needed_m`."""
+    room = 0.0
+    for lane in lanes:
+        ways = [
+            ahead[neighbor]
+            for side in SIDES
+            if (neighbor := _beside(graph, lane.lane_id, side)) is not None and graph.may_change(lane.lane_id, side)
+        ]
+        room += min(lane.length_m, max(0.0, max(ways, default=0.0) - needed_m))
+    return round(room, 1)

@@ -1,0 +1,80 @@
+"""What a scene process does: generate and write the runs on one scene. Imports libsumo, so the caller must not."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+from bridge.batch.batch import Place, Run, base_row
+from bridge.batch.isolation import Failure, describe_error
+from bridge.batch.manifest import ManifestRow, files_sha256, output_files
+from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare, write
+from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sidecar import Sidecar
+from hid2.agents import Policy
+from hid2.params import Grid
+
+
+def generate_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+    """Generate and write each run."""
+    yield from run_each(place, runs, lambda scene: write(scene, place.out))
+
+
+def run_each(
+    place: Place, runs: Sequence[Run], finish: Callable[[GeneratedScene], Path]
+) -> Iterator[ManifestRow | Failure]:
+    """Read the scene and build its net once, generate each run, let `finish` write it to a folder."""
+    scenario, unreadable = None, None
+    prepared: dict[Grid, PreparedScene] = {}
+    try:
+        scenario = read_scenario(place.folder)
+    except Exception as error:  # noqa: BLE001  # every run of the scene is quarantined with it
+        unreadable = describe_error(error)
+    for run in runs:
+        if scenario is None:
+            assert unreadable is not None
+            yield unreadable
+            continue
+        try:
+            grid = run.config.grid
+            if grid not in prepared:
+                prepared[grid] = prepare(scenario, run.config)
+            scene = generate(prepared[grid], run.config, variant=run.variant)
+            folder = finish(scene)
+            yield summarise(scene.sidecar, base_row(place, run))._replace(
+                city=scenario.city,
+                recorded=len(scenario.tracks),
+                folder=folder.relative_to(place.out).as_posix(),
+                output_sha256=files_sha256(output_files(folder)),
+            )
+        except Exception as error:  # noqa: BLE001  # quarantined with its traceback
+            yield describe_error(error)
+
+
+def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
+    """Add what a sidecar says about vehicles and manoeuvres."""
+    maneuvers = [maneuver for agent in sidecar.agents for maneuver in agent.maneuvers]
+    # passing a standing vehicle is finished, but it is no overtake: it has a reason too
+    done = Counter(maneuver.kind for maneuver in maneuvers if maneuver.status == "done" and maneuver.reason is None)
+    not_done = Counter(
+        f"{maneuver.kind}: {maneuver.reason or maneuver.status}"
+        for maneuver in maneuvers
+        if maneuver.status != "done" or maneuver.reason is not None
+    )
+    return row._replace(
+        placed=sidecar.placed.agents,
+        straight=sidecar.placed.behaviours.get(Policy.STRAIGHT, 0),
+        left_turn=done["left_turn"],
+        right_turn=done["right_turn"],
+        lane_change=done["lane_change"],
+        overtake=done["overtake"],
+        maneuvers_requested=len(maneuvers),
+        maneuvers_done=sum(done.values()),
+        rejected=join_counts({entry.reason: entry.count for entry in sidecar.rejected}),
+        not_done=join_counts(not_done),
+    )
+
+
+def join_counts(counts: Mapping[str, int]) -> str:
+    """One text "reason (count); ...", most frequent first."""
+    ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+    return "; ".join(f"{reason} ({count})" for reason, count in ordered)

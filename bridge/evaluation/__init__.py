@@ -1,0 +1,1 @@
+"""Evaluation of folders of scenes, reports, the paper's experiments."""

@@ -1,0 +1,102 @@
+"""Charts of the report and of the paper's experiments."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from bridge.evaluation.aggregate import Estimate
+from bridge.pictures import figures
+from hid2.agents import Policy
+from hid2.evaluation.realism import FEATURES, FINE, RealismCounts
+
+
+def reason_words(reason: str) -> str:
+    """A reason of the sidecar as a reader would say it."""
+    return reason.replace("no_place:", "no place found: ").replace("_", " ")
+
+
+def distribution_figure(counts: RealismCounts) -> Figure:
+    """Generated and recorded distribution of every feature as steps over the same bins."""
+    figure, axes = plt.subplots(2, 4, figsize=(13, 5.6), layout="constrained")
+    for ax, feature in zip(axes.flat, FEATURES, strict=True):
+        edges = np.linspace(feature.low, feature.high, feature.bins + 1)
+        for name, data, color, line in (
+            ("recorded", counts.recorded, figures.DARK_GREY, "-"),
+            ("generated", counts.generated, figures.GENERATED, "--"),
+        ):
+            binned = data[feature.name].reshape(feature.bins, FINE).sum(axis=1)
+            if binned.sum():
+                ax.stairs(binned / binned.sum(), edges, color=color, linestyle=line, linewidth=1.8, label=name)
+        ax.set_xlabel(f"{feature.label}, {feature.unit}")
+        ax.set_ylabel("share")
+        ax.set_ylim(bottom=0)
+    axes.flat[0].legend(fontsize=8)
+    return figure
+
+
+def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
+    """The paper's diversity figure: scenes by density and by behaviour, before and after."""
+    figure, axes = plt.subplots(1, 3, figsize=(13, 3.8), layout="constrained", width_ratios=[1, 1, 1.1])
+    for ax, name, label in ((axes[0], "tracks", "agents in the scene"), (axes[1], "tracks_at_49", "agents at 4.9 s")):
+        density = diversity["density"][name]
+        numbers = [int(number) for when in ("before", "after") for number in density[when]]
+        top = max([*numbers, 10])
+        edges = np.arange(0, top + 20, 20)
+        highest = 0.0
+        for when, color, hatch in (("before", figures.GREY, ""), ("after", figures.BLUE, "//")):
+            scenes = list(density[when].values())
+            # a bar from 40 to 60 holds more than 40 and up to 60, as in the table: nothing lies on an edge
+            heights, _ = np.histogram([int(number) - 0.5 for number in density[when]], edges, weights=scenes)
+            levels = heights / max(1, sum(scenes))
+            ax.stairs(levels, edges, fill=True, color=color, alpha=0.35, hatch=hatch, label=when)
+            ax.stairs(levels, edges, color=color, linewidth=1.6)
+            highest = max(highest, levels.max())
+        ax.set_ylim(0, 1.25 * highest)  # room for the legend
+        ax.set_xlabel(label)
+        ax.set_ylabel("share of scenes")
+    axes[0].legend(loc="upper left")
+    behaviours = diversity["behaviours"]
+    policies = list(Policy)
+    short = {"straight": "ST", "left_turn": "LT", "right_turn": "RT", "lane_change": "LC", "overtake": "OT"}
+    place = np.arange(len(policies))
+    for offset, when, color, hatch in ((-0.2, "before", figures.GREY, ""), (0.2, "after", figures.BLUE, "//")):
+        part = behaviours[when]
+        shares = [part["scenes_with"][policy.value] / max(1, part["scenes"]) for policy in policies]
+        bars = axes[2].bar(
+            place + offset, shares, 0.4, color=color, alpha=0.7, hatch=hatch, edgecolor="white", label=when
+        )
+        axes[2].bar_label(bars, fmt="%.2f", fontsize=7)
+    axes[2].set_xticks(place, [f"{short[p.value]}\n{p.value.replace('_', ' ')}" for p in policies], fontsize=8)
+    axes[2].set_ylabel("share of scenes with it")
+    axes[2].set_ylim(0, 1.1)
+    return figure
+
+
+def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[int, Estimate]]]]) -> Figure:
+    """The paper's figure of added agents: LO, LA, JE, SCR, ORR against the number added; series[metric][group]."""
+    figure, axes = plt.subplots(1, len(series), figsize=(3.0 * len(series), 3.4), layout="constrained")
+    labels = {"lo": "LO, m/s²", "la": "LA, m/s²", "je": "JE, m/s³", "scr": "SCR, share", "orr": "ORR, share"}
+    looks = {"combined": (figures.COMBINED, "-", "o"), "generated": (figures.GENERATED, "--", "s")}
+    for ax, (metric, groups) in zip(axes, series.items(), strict=True):
+        for group, points in groups.items():
+            color, line, marker = looks[group]
+            known = [(x, e) for x, e in points if e.value is not None]
+            x = [x for x, _ in known]
+            name = "recorded and generated" if group == "combined" else "generated alone"
+            ax.plot(
+                x, [e.value for _, e in known], color=color, linestyle=line, marker=marker, markersize=4, label=name
+            )
+            band = [(x, e.low, e.high) for x, e in known if e.low is not None and e.high is not None]
+            if band and group == "combined":
+                ax.fill_between(
+                    [b[0] for b in band], [b[1] for b in band], [b[2] for b in band], color=color, alpha=0.15
+                )
+        ax.set_xlabel("vehicles asked for")
+        ax.set_title(labels[metric])
+        ax.set_ylim(bottom=0)
+        ax.set_xticks(sorted({x for points in groups.values() for x, _ in points}))
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure

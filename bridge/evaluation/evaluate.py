@@ -1,0 +1,205 @@
+"""One pass over any number of scenes, recorded or generated: metrics.json, CSV tables and report.html.
+
+Memory does not grow with the scenes but by their names: tables are written as scenes are done, the rest is in `Totals`.
+"""
+
+import contextlib
+import csv
+import json
+import pickle
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+from bridge.batch.engine import Settings, Task, execute_here
+from bridge.batch.isolation import Failure
+from bridge.evaluation.scene_metrics import Labelled, Row, SceneMeasures, measure_folders
+from bridge.evaluation.totals import Totals
+from bridge.files import table_file, write_text
+from bridge.recordings.scenario import find_scenarios, read_sizes, source_id
+from hid2.agents import BoxSize
+from hid2.measures.arrays import is_generated_id
+from hid2.params import Limits
+from netconvert.av2_map import read_lane_graph
+from netconvert.cells import build_cell_grid
+from netconvert.errors import ExportError, Hid2Error, ScenarioError
+from netconvert.fidelity import measure_fidelity
+from netconvert.net_xml import net_bytes
+
+#: Tables that grow as scenes are done.
+_BY_SCENE = ("scenes", "tracks", "maneuvers")
+#: Most scenes that a process gets at a time.
+_CHUNK = 40
+
+
+@dataclass(eq=False, slots=True)
+class Evaluation:
+    """What is known of a folder after the pass; `metrics` is the content of metrics.json.
+
+    failures: scenes that could not be read, with the reason.
+    """
+
+    totals: Totals = field(default_factory=Totals)
+    failures: list[tuple[Path, str]] = field(default_factory=list)
+    metrics: dict[str, Any] = field(default_factory=dict)
+
+
+def evaluate_folder(
+    out: Path,
+    *,
+    report_dir: Path,
+    source: Path | None = None,
+    jobs: int = 1,
+    on_scene: Callable[[int, int], None] | None = None,
+) -> Evaluation:
+    """Measure every scene below `out`, recorded or generated, and write the report into `report_dir`.
+
+    Writes metrics.json, scenes.csv, tracks.csv, maneuvers.csv, realism.csv and report.html. `source`: where the
+    recorded scenes are; "before" is then every scene there, else the recorded tracks of the scenes in `out`, and
+    recorded vehicles have the sizes that lie beside their source. A scene that cannot be read is listed and left out.
+    on_scene(done, total) is called as scenes are done.
+    Errors: ScenarioError where there is no scene; ExportError where the report cannot be written.
+    """
+    from bridge.evaluation.report import write_report  # matplotlib: only this half needs it
+
+    # by map, so that each is read once, and large ones first: what a process needs at most it needs from the start
+    folders = sorted(find_scenarios(out), key=_map_size, reverse=True)
+    sources = find_scenarios(source) if source is not None else []
+    evaluation = Evaluation()
+    totals = evaluation.totals
+    try:
+        with contextlib.ExitStack() as stack:
+            tables = [stack.enter_context(_table(report_dir / f"{name}.csv")) for name in _BY_SCENE]
+            for done, (folder, measures) in enumerate(
+                _measured([*folders, *sources], _labelled(sources), jobs=jobs), 1
+            ):
+                if isinstance(measures, Failure):
+                    evaluation.failures.append((folder, measures.message))
+                elif done > len(folders):
+                    totals.add_source(measures.scene)
+                else:
+                    totals.add(measures)
+                    for table, rows in zip(
+                        tables, ([measures.scene], measures.tracks, measures.maneuvers), strict=True
+                    ):
+                        table.write(rows)
+                if on_scene is not None:
+                    on_scene(done, len(folders) + len(sources))
+        evaluation.metrics = _metrics(evaluation)
+        _write_tables(evaluation.metrics, report_dir)
+        write_report(evaluation, report_dir / "report.html")
+    except OSError as error:
+        raise ExportError(f"{report_dir}: cannot write the report ({error})") from error
+    return evaluation
+
+
+@contextlib.contextmanager
+def _table(path: Path) -> Iterator["_Table"]:
+    with table_file(path) as stream:
+        yield _Table(stream)
+
+
+def _labelled(sources: Sequence[Path]) -> Labelled:
+    """Sizes that lie beside source scenes; a file that cannot be read is reported with its scene."""
+    sizes: dict[str, Mapping[str, BoxSize]] = {}
+    for folder in sources:
+        with contextlib.suppress(ScenarioError):
+            own = read_sizes(folder)
+            recorded = {track_id: size for track_id, size in own.items() if not is_generated_id(track_id)}
+            if recorded:
+                sizes[source_id(folder)] = recorded
+    return sizes
+
+
+def _measured(
+    folders: Sequence[Path], labelled: Labelled, *, jobs: int
+) -> Iterator[tuple[Path, SceneMeasures | Failure]]:
+    """Measures of each folder, in the order of the folders whatever the order in which they are done."""
+    size = max(1, min(_CHUNK, len(folders) // (4 * jobs)))
+    chunks = [tuple(folders[start : start + size]) for start in range(0, len(folders), size)]
+    tasks = (
+        Task(f"evaluate-{number}", "bridge.evaluation.evaluate:measure", (Limits(), labelled), chunk)
+        for number, chunk in enumerate(chunks)
+    )
+    waiting: dict[int, list[tuple[Path, bytes | Failure]]] = {}
+    following = 0
+    for result in execute_here(tasks, jobs=min(jobs, max(1, len(chunks))), settings=Settings(timeout_s=120)):
+        number = int(result.task.key.removeprefix("evaluate-"))
+        waiting[number] = [(outcome.item, outcome.failure or outcome.value) for outcome in result.outcomes]
+        while following in waiting:
+            for folder, packed in waiting.pop(following):
+                yield folder, packed if isinstance(packed, Failure) else pickle.loads(zlib.decompress(packed))  # noqa: S301  # our own child
+            following += 1
+
+
+def measure(shared: tuple[Limits, Labelled], folders: Sequence[Path]) -> Iterator[bytes | Failure]:
+    """The work of a process: measure each folder. A scene is packed, to a tenth: many may wait for one before them."""
+    limits, labelled = shared
+    for measures in measure_folders(limits, folders, labelled):
+        yield measures if isinstance(measures, Failure) else zlib.compress(pickle.dumps(measures), 1)
+
+
+def _map_size(folder: Path) -> int:
+    """Bytes of a scene's map: scenes in this order have those of one map together, so that it is read once."""
+    return sum(path.stat().st_size for path in folder.glob("log_map_archive_*.json"))
+
+
+class _Table:
+    """A CSV file that grows row by row; columns are those of its first row."""
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+        self._writer: csv.DictWriter[str] | None = None
+
+    def write(self, rows: Iterable[Row]) -> None:
+        for row in rows:
+            if self._writer is None:
+                self._writer = csv.DictWriter(self._stream, list(row))
+                self._writer.writeheader()
+            self._writer.writerow({key: _cell(value) for key, value in row.items()})
+
+
+def _cell(value: object) -> object:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, dict):
+        return "; ".join(f"{key} ({count})" for key, count in value.items())
+    return "" if value is None else value
+
+
+def _write_tables(metrics: Mapping[str, Any], report_dir: Path) -> None:
+    text = json.dumps(metrics, indent=1, allow_nan=False)
+    write_text(report_dir / "metrics.json", text + "\n")
+    with _table(report_dir / "realism.csv") as table:
+        table.write(metrics["realism"]["distances"])
+
+
+def _metrics(evaluation: Evaluation) -> dict[str, Any]:
+    content = evaluation.totals.content()
+    content["scenes"]["failed"] = [{"folder": str(folder), "reason": reason} for folder, reason in evaluation.failures]
+    return content | {"nets": _nets(evaluation.totals.net_folders())}
+
+
+def _nets(folders: Mapping[str, str]) -> dict[str, Any]:
+    """Fidelity of the nets of the maps in scene folders, by source scene."""
+    nets: dict[str, Any] = {}
+    for source, folder in folders.items():
+        try:
+            grid = build_cell_grid(read_lane_graph(next(Path(folder).glob("log_map_archive_*.json"))))
+            report = measure_fidelity(grid, net_bytes(grid))
+        except Hid2Error as error:
+            nets[source] = {"failed": str(error)}
+            continue
+        nets[source] = {
+            "lanes": report.lanes_in,
+            "lanes_in_net": report.lanes_out,
+            "cells": report.cells_out,
+            "largest_distance_m": report.largest_distance_m,
+            "successors": report.successors_in,
+            "successors_kept": report.successors_kept,
+            "neighbors": report.neighbors_in,
+            "neighbors_kept": report.neighbors_kept,
+        }
+    return nets

@@ -1,0 +1,392 @@
+"""Every measure of one scene folder: a row for the scene, one per track, one per manoeuvre, and histograms."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bridge.batch.isolation import Failure, describe_error
+from bridge.recordings.scenario import (
+    LAST_OBSERVED,
+    STEP_S,
+    Rows,
+    read_scenario,
+    read_sizes,
+    read_table,
+    split_of,
+    split_rows,
+)
+from bridge.recordings.sidecar import ManeuverRecord, Sidecar, sidecar_in
+from hid2.agents import BoxSize, FloatArray, Policy, Track
+from hid2.evaluation.behaviour import Maneuver, ManeuverKind, detect, policies
+from hid2.evaluation.kinematics import Kinematics, Motion, beyond_limits, clean, kinematics, motion
+from hid2.evaluation.realism import (
+    DRIVING_FEATURES,
+    MOTION_FEATURES,
+    RealismCounts,
+    count_scene,
+    row_features,
+    track_features,
+)
+from hid2.evaluation.safety import IOU_THRESHOLD, Ground, Safety, colliding, safety, survey
+from hid2.measures.arrays import BoolArray, SceneArrays, stack
+from hid2.params import Limits
+from netconvert.av2_map import read_lane_graph
+from netconvert.errors import ScenarioError
+
+#: The three groups that are never mixed: evaluation.md.
+GROUPS = ("original", "generated", "combined")
+#: Below these a conflict is critical (SSAM).
+CRITICAL_TTC_S = 1.5
+CRITICAL_PET_S = 1.0
+#: A manoeuvre seen belongs to a record of its kind whose crossing (or start) is at most this far away.
+SAME_MANEUVER_S = 2.0
+#: Maps kept while scenes are measured.
+_MOST_MAPS = 8
+
+Row = dict[str, Any]
+#: Sizes of recorded tracks by the id of their scene, then of the track.
+Labelled = Mapping[str, Mapping[str, BoxSize]]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SceneMeasures:
+    """What evaluation keeps of a scene. samples (M, K), sample_generated (M,): vectors for the classifier test."""
+
+    scene: Row
+    tracks: list[Row]
+    maneuvers: list[Row]
+    realism: RealismCounts
+    samples: FloatArray
+    sample_generated: BoolArray
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _View:
+    arrays: SceneArrays
+    moved: Motion
+    kinematic: Kinematics
+    safe: Safety
+    maneuvers: list[Maneuver]
+    limits: Mapping[str, BoolArray]
+
+
+def measure_folders(
+    limits: Limits, folders: Sequence[Path], labelled: Labelled | None = None
+) -> Iterator[SceneMeasures | Failure]:
+    """The work of a process: measure each folder; a folder that cannot be read gives its failure."""
+    maps = Maps()
+    for folder in folders:
+        try:
+            yield measure_folder(folder, limits, maps, labelled)
+        except Exception as error:  # noqa: BLE001  # listed with its reason
+            yield describe_error(error)
+
+
+class Maps:
+    """The last maps read, by their content: scenes made from one share its map, and reading it takes longest."""
+
+    def __init__(self) -> None:
+        self._known: dict[bytes, Ground] = {}
+
+    def read(self, path: Path) -> Ground:
+        """The map in a file. Errors: MapError."""
+        content = path.read_bytes() if path.is_file() else b""
+        ground = self._known.pop(content, None) or survey(read_lane_graph(path))
+        self._known[content] = ground  # the last one used comes last
+        while len(self._known) > _MOST_MAPS:
+            self._known.pop(next(iter(self._known)))
+        return ground
+
+
+def measure_folder(folder: Path, limits: Limits, maps: Maps, labelled: Labelled | None = None) -> SceneMeasures:
+    """Measure one recorded or generated scene folder. Errors: ScenarioError, MapError.
+
+    labelled: sizes of the recorded tracks of source scenes; a generated scene's folder does not have them.
+    """
+    rows, ground = _read(folder, maps)
+    sidecar = sidecar_in(folder, rows.scenario_id)
+    sizes = (labelled or {}).get(sidecar.source_scenario_id, {}) if sidecar else {}
+    measures = measure(
+        [replace(t, size=sizes[t.track_id]) if t.track_id in sizes else t for t in rows.tracks]
+        if sizes
+        else rows.tracks,
+        ground,
+        sidecar,
+        limits=limits,
+        num_steps=rows.num_steps,
+        source=sidecar.source_scenario_id if sidecar else rows.scenario_id,
+    )
+    return _named(measures, rows, folder)
+
+
+def _read(folder: Path, maps: Maps) -> tuple[Rows, Ground]:
+    """As read_scenario, but a map that is known is not read again."""
+    tables, files = list(folder.glob("scenario_*.parquet")), list(folder.glob("log_map_archive_*.json"))
+    if len(tables) != 1 or len(files) != 1:
+        read_scenario(folder)  # says what is wrong
+        raise ScenarioError(f"{folder}: {len(tables)} scenarios and {len(files)} maps, want one of each")
+    rows = split_rows(read_table(tables[0]), name=str(tables[0]), sizes=read_sizes(folder))
+    return rows, maps.read(files[0])
+
+
+def measure(
+    tracks: Sequence[Track],
+    ground: Ground,
+    sidecar: Sidecar | None,
+    *,
+    limits: Limits,
+    num_steps: int,
+    source: str,
+) -> SceneMeasures:
+    """Measure tracks on a map. `source`: id of the recorded scene."""
+    arrays = stack(tracks, num_steps=num_steps, step_s=STEP_S)
+    moved = motion(arrays)
+    safe = safety(arrays, ground)
+    maneuvers = detect(arrays, safe.lanes, safe.matches)
+    view = _View(arrays, moved, kinematics(arrays, moved), safe, maneuvers, beyond_limits(arrays, moved, limits))
+    policy_of = policies(arrays, maneuvers)
+    vehicles = arrays.vehicle & arrays.moving
+    members = {
+        "original": ~arrays.generated,
+        "generated": arrays.generated,
+        "combined": np.ones(arrays.num_agents, dtype=bool),
+    }
+    scene: Row = {
+        "source": source,
+        "steps": arrays.num_steps,
+        "tracks": arrays.num_agents,
+        "tracks_at_49": int((arrays.row_of[:, min(LAST_OBSERVED, num_steps - 1)] >= 0).sum()),
+        "generated": int(arrays.generated.sum()),
+        "generated_at_49": int((arrays.row_of[arrays.generated, min(LAST_OBSERVED, num_steps - 1)] >= 0).sum()),
+    }
+    for group in GROUPS:
+        row = _group_row(view, members[group], policy_of, everyone=group == "generated")
+        scene |= {f"{group}_{key}": value for key, value in row.items()}
+    scene |= _pair_row(view)
+    scene |= _request_row(sidecar)
+    durations: dict[str, list[float]] = {}
+    for maneuver in maneuvers:
+        if maneuver.kind is ManeuverKind.LANE_CHANGE and maneuver.complete:
+            durations.setdefault(maneuver.track_id, []).append(maneuver.duration_s)
+    generated, recorded = vehicles & arrays.generated, vehicles & ~arrays.generated & ~arrays.fragment
+    compared = np.flatnonzero(generated | recorded)
+    return SceneMeasures(
+        scene=scene,
+        tracks=_track_rows(view, policy_of, sidecar),
+        maneuvers=_maneuver_rows(view, sidecar),
+        realism=count_scene(
+            source, arrays, row_features(arrays, moved, safe), durations, generated=generated, recorded=recorded
+        ),
+        samples=np.array([track_features(arrays, moved, safe, int(a)) for a in compared]).reshape(
+            len(compared), len(DRIVING_FEATURES) + len(MOTION_FEATURES)
+        ),
+        sample_generated=generated[compared],
+    )
+
+
+def _named(measures: SceneMeasures, scene: Rows, folder: Path) -> SceneMeasures:
+    """Put the scene's names in front of every row."""
+    name: Row = {"scenario_id": scene.scenario_id}
+    place: Row = {"split": split_of(folder) or "", "city": scene.city, "folder": str(folder)}
+    return SceneMeasures(
+        scene=name | place | measures.scene,
+        tracks=[name | row for row in measures.tracks],
+        maneuvers=[name | row for row in measures.maneuvers],
+        realism=measures.realism,
+        samples=measures.samples,
+        sample_generated=measures.sample_generated,
+    )
+
+
+def _group_row(view: _View, members: BoolArray, policy_of: Mapping[str, Policy], *, everyone: bool) -> Row:
+    """Sums and counts of one group; ratios are formed when scenes are pooled.
+
+    everyone: members collide with any agent of the scene, of whatever type and group (the generated vehicles must not);
+    else vehicles of the group with each other, as in the paper's SCR.
+    """
+    arrays, kinematic, safe = view.arrays, view.kinematic, view.safe
+    paper = members & kinematic.counted
+    tidy = paper & clean(arrays)
+    vehicles = members & arrays.vehicle
+    of_vehicle, moving = vehicles[arrays.agent], (vehicles & arrays.moving)[arrays.agent]
+    among = np.ones_like(members) if everyone else vehicles
+    hits = int((colliding(arrays, safe.overlaps, among) & vehicles).sum())
+    count = int(vehicles.sum())
+    row: Row = {"agents": int(members.sum()), "vehicles": count, "moving": int((vehicles & arrays.moving).sum())}
+    row |= {"paper_tracks": int(paper.sum()), "clean_tracks": int(tidy.sum())}
+    for name, values in (("lo", kinematic.lo), ("la", kinematic.la), ("je", kinematic.je)):
+        row |= {f"paper_{name}": float(values[paper].sum()), f"clean_{name}": float(values[tidy].sum())}
+    row |= {
+        "colliding": hits,
+        "scr": hits / count if count else 0.0,
+        "scr_scenes": int(count > 0),
+        "rows": int(of_vehicle.sum()),
+        "off_road": int(safe.off_road[of_vehicle].sum()),
+        "off_footprint": int(safe.off_footprint[of_vehicle].sum()),
+        "moving_rows": int(moving.sum()),
+        "against_lane": int((safe.against_lane & moving).sum()),
+        "ttc_critical": int((safe.ttc_s[moving] < CRITICAL_TTC_S).sum()),
+        "leader_ttc_critical": int((safe.leaders.ttc_s[moving] < CRITICAL_TTC_S).sum()),
+    }
+    gaps = safe.leaders.time_gap_s[moving]
+    row |= {"following_rows": int(np.isfinite(gaps).sum()), "time_gap_below_0_9": int((gaps < 0.9).sum())}
+    row |= {f"limit_{name}": int((mask & moving).sum()) for name, mask in view.limits.items()}
+    counts = Counter(policy_of[arrays.track_ids[a]] for a in np.flatnonzero(vehicles & arrays.moving))
+    row |= {f"policy_{policy.value}": counts[policy] for policy in Policy}
+    ids = {arrays.track_ids[a] for a in np.flatnonzero(members)}
+    seen = Counter(m.kind for m in view.maneuvers if m.track_id in ids and m.part_of is None)
+    row |= {f"seen_{kind.value}": seen[kind] for kind in ManeuverKind}
+    return row
+
+
+def _pair_row(view: _View) -> Row:
+    """Colliding pairs (IoU above the threshold), pairs that touch at all, and PET, by who is involved."""
+    row: Row = {}
+    names = ("original_original", "generated_original", "generated_generated")
+    generated = view.arrays.generated
+    vehicle = view.arrays.vehicle
+    for kind in ("pairs_vehicles", "pairs_all", "touching_all", "crossings", "pet_critical"):
+        row |= {f"{kind}_{name}": 0 for name in names}
+    for pair in view.safe.overlaps:
+        name = names[int(generated[pair.first]) + int(generated[pair.second])]
+        row[f"touching_all_{name}"] += 1
+        if pair.iou > IOU_THRESHOLD:
+            row[f"pairs_all_{name}"] += 1
+            row[f"pairs_vehicles_{name}"] += int(vehicle[pair.first] and vehicle[pair.second])
+    for crossing in view.safe.encroachments:
+        name = names[int(generated[crossing.first]) + int(generated[crossing.second])]
+        row[f"crossings_{name}"] += 1
+        row[f"pet_critical_{name}"] += int(crossing.pet_s < CRITICAL_PET_S)
+    return row
+
+
+def _request_row(sidecar: Sidecar | None) -> Row:
+    if sidecar is None:
+        unknown = ("replay_position_error_m", "replay_heading_error_rad", "rejected", "seed", "variant")
+        return {"requested": None, "placed": 0, "replay_states": 0} | dict.fromkeys(unknown)
+    asked = sidecar.requested.agents
+    return {
+        "requested": asked if isinstance(asked, int) else None,
+        "placed": sidecar.placed.agents,
+        "replay_states": sidecar.replay.states,
+        "replay_position_error_m": sidecar.replay.max_position_error_m,
+        "replay_heading_error_rad": sidecar.replay.max_heading_error_rad,
+        "rejected": {item.reason: item.count for item in sidecar.rejected},
+        "seed": sidecar.seed,
+        "variant": sidecar.variant,
+    }
+
+
+def _track_rows(view: _View, policy_of: Mapping[str, Policy], sidecar: Sidecar | None) -> list[Row]:
+    arrays, safe, kinematic = view.arrays, view.safe, view.kinematic
+    asked = {agent.track_id: agent.policy.value for agent in sidecar.agents} if sidecar else {}
+    collides_generated = np.zeros(arrays.num_agents, dtype=bool)
+    collides_original = np.zeros(arrays.num_agents, dtype=bool)
+    for pair in safe.overlaps:
+        if pair.iou > IOU_THRESHOLD:
+            for one, other in ((pair.first, pair.second), (pair.second, pair.first)):
+                (collides_generated if arrays.generated[other] else collides_original)[one] = True
+    sums = {
+        "off_road_steps": arrays.sum_per_agent(safe.off_road),
+        "off_footprint_steps": arrays.sum_per_agent(safe.off_footprint),
+        "against_lane_steps": arrays.sum_per_agent(safe.against_lane),
+        **{f"beyond_{name}_steps": arrays.sum_per_agent(mask) for name, mask in view.limits.items()},
+    }
+    speed = arrays.mean_per_agent(view.moved.speed)
+    starts = arrays.first[:-1]
+    min_ttc = np.minimum.reduceat(safe.ttc_s, starts) if len(starts) else starts
+    min_leader = np.minimum.reduceat(safe.leaders.ttc_s, starts) if len(starts) else starts
+    min_gap = np.minimum.reduceat(safe.leaders.time_gap_s, starts) if len(starts) else starts
+    rows: list[Row] = []
+    for a in range(arrays.num_agents):
+        track_id = arrays.track_ids[a]
+        policy = policy_of.get(track_id)
+        rows.append(
+            {
+                "track_id": track_id,
+                "group": "generated" if arrays.generated[a] else "original",
+                "object_type": arrays.object_types[a],
+                "category": int(arrays.category[a]),
+                "steps": int(arrays.rows_per_agent[a]),
+                "moving": bool(arrays.moving[a]),
+                "policy_requested": asked.get(track_id),
+                "policy_seen": policy.value if policy is not None else None,
+                "mean_speed_mps": float(speed[a]),
+                "lo_mps2": float(kinematic.lo[a]),
+                "la_mps2": float(kinematic.la[a]),
+                "je_mps3": float(kinematic.je[a]),
+                "collides_with_original": bool(collides_original[a]),
+                "collides_with_generated": bool(collides_generated[a]),
+                "min_ttc_s": float(min_ttc[a]),
+                "min_leader_ttc_s": _finite(min_leader[a]),
+                "min_time_gap_s": _finite(min_gap[a]),
+                **{name: int(values[a]) for name, values in sums.items()},
+            }
+        )
+    return rows
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _maneuver_rows(view: _View, sidecar: Sidecar | None) -> list[Row]:
+    """Records of the sidecar joined with what was seen, then what was seen without a record."""
+    left = list(view.maneuvers)
+    rows: list[Row] = []
+    for agent in sidecar.agents if sidecar else ():
+        for record in agent.maneuvers:
+            found = _seen(agent.track_id, record, left)
+            if found is not None:
+                left.remove(found)
+            known: Row = {"track_id": agent.track_id, "group": "generated", "kind": record.kind, "recorded": True}
+            rows.append(known | _record_row(record) | _seen_row(found))
+    generated = {view.arrays.track_ids[a] for a in np.flatnonzero(view.arrays.generated)}
+    for maneuver in left:
+        group = "generated" if maneuver.track_id in generated else "original"
+        unasked: Row = {"track_id": maneuver.track_id, "group": group, "kind": maneuver.kind.value, "recorded": False}
+        rows.append(unasked | _record_row(None) | _seen_row(maneuver))
+    return rows
+
+
+def _seen(track_id: str, record: ManeuverRecord, candidates: Sequence[Maneuver]) -> Maneuver | None:
+    """The manoeuvre seen that a record tells of."""
+    kinds = (
+        {record.kind, ManeuverKind.PASS, ManeuverKind.OBSTACLE_AVOIDANCE}
+        if record.kind == "overtake"
+        else {record.kind}
+    )
+    same = [m for m in candidates if m.track_id == track_id and m.kind in kinds]
+    at = record.crossing_s if record.crossing_s is not None else record.start_s
+    if at is None or not same:
+        return None
+    nearest = min(same, key=lambda m: abs(m.crossing_s - at))
+    inside = nearest.start_s - SAME_MANEUVER_S <= at <= nearest.end_s + SAME_MANEUVER_S
+    return nearest if inside else None
+
+
+def _record_row(record: ManeuverRecord | None) -> Row:
+    times = ("trigger_s", "requested_s", "start_s", "crossing_s", "end_s")
+    names = ("status", "reason", *times, "gap_front_m", "gap_rear_m", "min_ttc_s", "leader_track_id")
+    return {name: getattr(record, name) if record is not None else None for name in names}
+
+
+def _seen_row(maneuver: Maneuver | None) -> Row:
+    if maneuver is None:
+        return {"seen": None, "seen_start_s": None, "seen_crossing_s": None, "seen_end_s": None, "seen_complete": None,
+                "source_lane": None, "target_lane": None, "other_track_id": None, "part_of": None}  # fmt: skip
+    return {
+        "seen": maneuver.kind.value,
+        "seen_start_s": maneuver.start_s,
+        "seen_crossing_s": maneuver.crossing_s,
+        "seen_end_s": maneuver.end_s,
+        "seen_complete": maneuver.complete,
+        "source_lane": maneuver.source_lane,
+        "target_lane": maneuver.target_lane,
+        "other_track_id": maneuver.other_track_id,
+        "part_of": maneuver.part_of.value if maneuver.part_of else None,
+    }

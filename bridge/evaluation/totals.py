@@ -1,0 +1,233 @@
+"""What an evaluation keeps of all its scenes: sums and counts, the same size after ten scenes and after a million."""
+
+import bisect
+import hashlib
+from array import array
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bridge.evaluation.aggregate import CLEAN, KINEMATIC, LIMITS, SAFETY, SourceSums, table
+from bridge.evaluation.diversity import Diversity
+from bridge.evaluation.samples import Samples
+from bridge.evaluation.scene_metrics import SceneMeasures
+from hid2.evaluation.realism import DRIVING_FEATURES, RealismCounts
+
+#: Nets of at most this many different maps are measured.
+MOST_NETS = 20
+PAIR_GROUPS = ("original_original", "generated_original", "generated_generated")
+PAIR_KINDS = ("pairs_vehicles", "pairs_all", "touching_all", "crossings", "pet_critical")
+#: Delays are counted to this part of a second.
+_DELAY_PARTS = 1000
+
+Row = Mapping[str, Any]
+
+
+class NameSet:
+    """Which names have been seen: 8 bytes each, a hash of the name."""
+
+    def __init__(self) -> None:
+        self._hashes: array[int] = array("Q")
+
+    def __len__(self) -> int:
+        return len(self._hashes)
+
+    def add(self, name: str) -> bool:
+        """Add a name; whether it is a new one."""
+        number = int.from_bytes(hashlib.blake2b(name.encode(), digest_size=8).digest())
+        place = bisect.bisect_left(self._hashes, number)
+        if place < len(self._hashes) and self._hashes[place] == number:
+            return False
+        self._hashes.insert(place, number)
+        return True
+
+
+@dataclass(eq=False, slots=True)
+class ManeuverCounts:
+    """Manoeuvres asked for by kind and status, whether they were seen, reasons, and delays from trigger to start.
+
+    delays[kind]: how often each delay came up, by its number of thousandths of a second.
+    """
+
+    status: Counter[tuple[str, str]] = field(default_factory=Counter)
+    seen: Counter[tuple[str, str]] = field(default_factory=Counter)
+    reasons: Counter[tuple[str, str, str]] = field(default_factory=Counter)
+    unasked: Counter[str] = field(default_factory=Counter)
+    delays: dict[str, Counter[int]] = field(default_factory=dict)
+
+    def add(self, rows: Iterable[Row]) -> None:
+        """Count manoeuvre rows of generated vehicles."""
+        for row in rows:
+            if row["group"] != "generated":
+                continue
+            kind, status = row["kind"], row["status"]
+            if not row["recorded"]:
+                if row["part_of"] is None and row["seen_complete"]:
+                    self.unasked[kind] += 1
+                continue
+            self.status[kind, status] += 1
+            self.seen[kind, status] += row["seen"] is not None
+            if row["reason"]:
+                self.reasons[kind, status, row["reason"]] += 1
+            if row["trigger_s"] is not None and row["start_s"] is not None:
+                delay_s = row["start_s"] - row["trigger_s"]
+                self.delays.setdefault(kind, Counter())[round(delay_s * _DELAY_PARTS)] += 1
+
+    def median_delay_s(self, kind: str) -> float | None:
+        """Median time from trigger to start, None where no manoeuvre of the kind started."""
+        counts = self.delays.get(kind)
+        if not counts:
+            return None
+        values = sorted(counts)
+        upto = np.cumsum([counts[value] for value in values])
+        last = int(upto[-1]) - 1
+        middle = [values[int(np.searchsorted(upto, place, side="right"))] for place in (last // 2, (last + 1) // 2)]
+        return sum(middle) / 2 / _DELAY_PARTS
+
+
+class Example(NamedTuple):
+    """The scene that shows most: one with generated vehicles, then the one with most manoeuvres."""
+
+    has_generated: bool
+    maneuvers: int
+    scenario_id: str
+    folder: str
+
+
+class Totals:
+    """Sums over all scenes of a pass. `example`: the scene to show, None before the first."""
+
+    def __init__(self) -> None:
+        self.sums = SourceSums()
+        self.diversity = Diversity()
+        self.realism = RealismCounts()
+        self.maneuvers = ManeuverCounts()
+        self.samples = Samples()
+        self.example: Example | None = None
+        self._sources = NameSet()
+        self._nets: dict[str, str] = {}
+        self._counts: Counter[str] = Counter()
+        self._rejected: Counter[str] = Counter()
+        self._replay_position_error_m = 0.0
+
+    def add(self, measures: SceneMeasures) -> None:
+        """Take a scene in."""
+        row = measures.scene
+        source = str(row["source"])
+        self.sums.add(row)
+        self.diversity.add(row)
+        self.realism.add(measures.realism)
+        self.maneuvers.add(measures.maneuvers)
+        # the recorded vehicles of a source scene are in every scene that was made from it: they count once
+        kept = measures.sample_generated | self._sources.add(source)
+        self.samples.add(
+            measures.samples[kept], measures.sample_generated[kept], scene=row["scenario_id"], source=source
+        )
+        self._add_counts(row)
+        shown = row["generated_seen_overtake"] + row["generated_seen_lane_change"]
+        example = Example(row["generated"] > 0, shown, row["scenario_id"], row["folder"])
+        self.example = max(example, self.example or example)
+        self._nets.setdefault(source, row["folder"])
+        if len(self._nets) > MOST_NETS:
+            del self._nets[max(self._nets)]
+
+    def add_source(self, row: Row) -> None:
+        """Take the row of a source scene in: what there was before."""
+        self.diversity.add_source(row)
+
+    def net_folders(self) -> dict[str, str]:
+        """Scene folder of each of the first source scenes by name."""
+        return {source: self._nets[source] for source in sorted(self._nets)}
+
+    def content(self) -> dict[str, Any]:
+        """The parts of metrics.json that the scenes tell."""
+        counts = self._counts
+        return {
+            "scenes": {
+                "scenes": counts["scenes"],
+                "sources": len(self._sources),
+                "generated_scenes": counts["generated_scenes"],
+                "generated_vehicles": counts["generated"],
+            },
+            "kinematics": {
+                "paper": table(self.sums, KINEMATIC),
+                "clean": table(self.sums, CLEAN),
+                "limits": table(self.sums, LIMITS),
+            },
+            "safety": table(self.sums, SAFETY)
+            | {"pairs": {kind: {g: counts[f"{kind}_{g}"] for g in PAIR_GROUPS} for kind in PAIR_KINDS}},
+            "diversity": self.diversity.content(),
+            "realism": {
+                "distances": _distances(self.realism),
+                "classifier_auc": self.samples.test(),
+                "classifier_auc_driving": self.samples.test(len(DRIVING_FEATURES)),
+            },
+            "requests": {
+                "requested": counts["requested"],
+                "placed": counts["placed"],
+                "placed_of_requested": counts["placed_of_requested"],
+                "rejected": dict(self._rejected.most_common()),
+                "maneuvers": _maneuvers(self.maneuvers),
+                "seen_without_record": dict(sorted(self.maneuvers.unasked.items())),
+            },
+            "replay": {
+                "states": counts["replay_states"],
+                "max_position_error_m": self._replay_position_error_m,
+            },
+        }
+
+    def _add_counts(self, row: Row) -> None:
+        counts = self._counts
+        counts["scenes"] += 1
+        counts["generated_scenes"] += row["generated"] > 0
+        for name in ("generated", "placed", "replay_states"):
+            counts[name] += row[name]
+        if row["requested"] is not None:
+            counts["requested"] += row["requested"]
+            counts["placed_of_requested"] += row["placed"]
+        for kind in PAIR_KINDS:
+            for group in PAIR_GROUPS:
+                counts[f"{kind}_{group}"] += row[f"{kind}_{group}"]
+        self._rejected.update(row["rejected"] or {})
+        self._replay_position_error_m = max(self._replay_position_error_m, row["replay_position_error_m"] or 0.0)
+
+
+def _distances(realism: RealismCounts) -> list[dict[str, Any]]:
+    return [
+        {
+            "feature": d.feature.name,
+            "unit": d.feature.unit,
+            "jensen_shannon": d.jensen_shannon,
+            "jensen_shannon_floor": d.jensen_shannon_floor,
+            "jensen_shannon_ratio": _ratio(d.jensen_shannon, d.jensen_shannon_floor),
+            "wasserstein": d.wasserstein,
+            "wasserstein_floor": d.wasserstein_floor,
+            "generated_samples": d.generated,
+            "recorded_samples": d.recorded,
+        }
+        for d in realism.distances()
+    ]
+
+
+def _ratio(value: float | None, floor: float | None) -> float | None:
+    return value / floor if value is not None and floor else None
+
+
+def _maneuvers(counts: ManeuverCounts) -> dict[str, Any]:
+    statuses = ("done", "aborted", "not_feasible", "not_triggered")
+    return {
+        kind: {
+            **{status: counts.status[kind, status] for status in statuses},
+            "done_and_seen": counts.seen[kind, "done"],
+            "reasons": {
+                f"{status}: {reason}": count
+                for (name, status, reason), count in counts.reasons.most_common()
+                if name == kind
+            },
+            "median_trigger_to_start_s": counts.median_delay_s(kind),
+        }
+        for kind in sorted({kind for kind, _ in counts.status})
+    }

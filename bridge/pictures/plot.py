@@ -1,0 +1,232 @@
+"""One agent over time: speed, acceleration, jerk, lateral offset and cells, with the moments of its manoeuvres."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from bridge.pictures import figures
+from bridge.pictures.render import MARK_NAMES
+from bridge.recordings.scenario import STEP_S, Scenario, read_scenario
+from bridge.recordings.sidecar import sidecar_in
+from hid2.agents import FloatArray
+from hid2.evaluation.behaviour import Maneuver, detect
+from hid2.evaluation.kinematics import Motion, motion
+from hid2.measures.arrays import SceneArrays, stack
+from hid2.measures.driven_lanes import first_lane_path
+from hid2.measures.lane_matching import FlatLanes, Matches, flatten_lanes, match_lanes
+from hid2.params import Limits
+from netconvert.cells import build_cell_grid
+
+
+class _Moment(NamedTuple):
+    time_s: float
+    what: str
+    kind: str
+
+
+#: Dash patterns of the four moments of a manoeuvre.
+_STYLES: Mapping[str, Literal["dotted", "dashed", "solid", "dashdot"]] = {
+    "trigger": "dotted",
+    "start": "dashed",
+    "crossing": "solid",
+    "end": "dashdot",
+}
+
+
+def plot_agent(folder: Path, agent_id: str, out_file: Path) -> Path:
+    """Draw one track of a scene folder over time into a .png file.
+
+    Vertical lines are the trigger, start, crossing and end of its manoeuvres: the sidecar's for generated vehicles, the
+    detector's for recorded ones. Errors: ScenarioError for an unknown track, ExportError for a bad path.
+    """
+    scenario = read_scenario(folder)
+    track = scenario.track(agent_id)
+    arrays = stack([track], step_s=STEP_S)
+    lanes = flatten_lanes(scenario.graph)
+    matches, _ = match_lanes(arrays, lanes)
+    seen = detect(arrays, lanes, matches)
+    moments, note = _moments(scenario, agent_id, seen)
+    time = np.asarray(track.timesteps * STEP_S, dtype=np.float64)
+    figures.style()
+    figure, axes = _axes(track.position)
+    _plan(axes[0], scenario, track.position, moments, time)
+    moved = motion(arrays)
+    _speed(axes[1], time, moved)
+    _acceleration(axes[2], time, moved)
+    _jerk(axes[3], time, moved)
+    _offset(axes[4], time, arrays, lanes, matches)
+    _cells(axes[5], time, scenario, lanes, matches)
+    for ax in axes[1:]:
+        ax.set_xlim(time[0] - 0.1, time[-1] + 0.1)
+        ax.grid(visible=True, color=figures.LIGHT_GREY, linewidth=0.5)
+        for moment in moments:
+            ax.axvline(moment.time_s, color=figures.DARK_GREY, linestyle=_STYLES[moment.what], linewidth=1.0)
+    axes[5].set_xlabel(
+        "time from timestep 0, s (acceleration and jerk: without the ends, where differences are one-sided)"
+    )
+    marked = {moment.what for moment in moments}
+    handles = [
+        Line2D([], [], color=figures.DARK_GREY, linestyle=_STYLES[what], label=what)
+        for what in _STYLES
+        if what in marked
+    ]
+    if handles:
+        axes[1].legend(handles=handles, ncols=4, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    figure.suptitle(
+        f"{scenario.scenario_id[:8]}, track {agent_id} ({track.object_type}, {track.size.length_m:.1f} x "
+        f"{track.size.width_m:.1f} m){note}",
+        fontsize=11,
+    )
+    figures.save(figure, out_file)
+    return out_file
+
+
+def _axes(position: FloatArray) -> tuple[Figure, list[Axes]]:
+    """The plan, then five axes over time: below the plan, or beside it where the path runs north or south."""
+    names = ["speed", "acceleration", "jerk", "offset", "cells"]
+    wide, high = np.ptp(position, axis=0)
+    if high > wide:
+        layout: Any = [["plan", name] for name in names]
+        figure, found = plt.subplot_mosaic(layout, figsize=(12.5, 9.5), layout="constrained", width_ratios=[1, 2])
+    else:
+        layout = [[name] for name in ["plan", *names]]
+        figure, found = plt.subplot_mosaic(
+            layout, figsize=(9.5, 11.5), layout="constrained", height_ratios=[2.2, 1, 1, 1, 1, 1]
+        )
+    return figure, [found[name] for name in ["plan", *names]]
+
+
+def _moments(scenario: Scenario, agent_id: str, seen: list[Maneuver]) -> tuple[list[_Moment], str]:
+    """Moments to mark, and what the title says of the manoeuvres."""
+    sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
+    record = next((agent for agent in sidecar.agents if agent.track_id == agent_id), None) if sidecar else None
+    if record is None:
+        moments = [m for maneuver in seen for m in _seen_moments(maneuver)]
+        named = ", ".join(maneuver.kind.value.replace("_", " ") for maneuver in seen)
+        return moments, f"\nseen: {named}" if named else "\nno manoeuvre seen"
+    moments = []
+    for maneuver in record.maneuvers:
+        for what, value in (
+            ("trigger", maneuver.trigger_s),
+            ("start", maneuver.start_s),
+            ("crossing", maneuver.crossing_s),
+            ("end", maneuver.end_s),
+        ):
+            if value is not None:
+                moments.append(_Moment(value, what, maneuver.kind))
+    named = ", ".join(
+        f"{MARK_NAMES[m.kind]} {m.status.replace('_', ' ')}" + (f" ({m.reason})" if m.reason else "")
+        for m in record.maneuvers
+    )
+    return moments, f"\npolicy {record.policy.value.replace('_', ' ')}" + (f": {named}" if named else "")
+
+
+def _seen_moments(maneuver: Maneuver) -> Iterator[_Moment]:
+    for what, value in (("start", maneuver.start_s), ("crossing", maneuver.crossing_s), ("end", maneuver.end_s)):
+        yield _Moment(value, what, maneuver.kind)
+
+
+def _plan(ax: Axes, scenario: Scenario, position: FloatArray, moments: list[_Moment], time: FloatArray) -> None:
+    figures.draw_map(ax, scenario.graph, cells=True)
+    ax.plot(position[:, 0], position[:, 1], color=figures.GENERATED, linewidth=1.6, zorder=5)
+    seconds = np.flatnonzero(np.isclose(time % 1.0, 0.0, atol=1e-6) | np.isclose(time % 1.0, 1.0, atol=1e-6))
+    ax.plot(*position[seconds].T, ".", color=figures.BLACK, markersize=4, zorder=6)
+    for row in seconds[::2]:
+        ax.annotate(
+            f"{time[row]:.0f} s", position[row], xytext=(3, 4), textcoords="offset points", fontsize=7, zorder=7
+        )
+    for moment in moments:
+        if moment.what == "crossing":
+            row = int(np.argmin(np.abs(time - moment.time_s)))
+            ax.plot(*position[row], "D", color=figures.BLUE, markeredgecolor="black", markersize=7, zorder=8)
+    low, high = position.min(axis=0) - 10.0, position.max(axis=0) + 10.0
+    wide, high_m = high - low
+    figures.frame(ax, low, high, origin=np.floor(low / 100) * 100, aspect=0.45 if high_m > wide else 2.6)
+    ax.set_title("position every second; diamond: crossing between lanes", fontsize=9)
+
+
+def _speed(ax: Axes, time: FloatArray, moved: Motion) -> None:
+    ax.plot(time, moved.speed, color=figures.BLUE)
+    ax.set_ylabel("speed, m/s")
+    ax.set_ylim(0, max(1.0, float(moved.speed.max()) * 1.15))
+
+
+def _acceleration(ax: Axes, time: FloatArray, moved: Motion) -> None:
+    limits = Limits()
+    along, across = (_without_ends(values, 2) for values in (moved.longitudinal_accel, moved.lateral_accel))
+    ax.plot(time, along, color=figures.BLUE, label="longitudinal")
+    ax.plot(time, across, color=figures.VERMILION, label="lateral", linestyle="--")
+    _limits(ax, along, across, limits=(limits.accel_min_mps2, limits.accel_max_mps2))
+    ax.set_ylabel("acceleration,\nm/s²")
+    ax.legend(loc="upper right", ncols=3, fontsize=8)
+
+
+def _jerk(ax: Axes, time: FloatArray, moved: Motion) -> None:
+    bound = Limits().longitudinal_jerk_mps3
+    along, norm = (_without_ends(values, 3) for values in (moved.longitudinal_jerk, moved.jerk_norm))
+    ax.plot(time, along, color=figures.BLUE, label="longitudinal")
+    ax.plot(time, norm, color=figures.VERMILION, label="magnitude (JE)", linestyle="--")
+    _limits(ax, along, norm, limits=(-bound, bound))
+    ax.set_ylabel("jerk, m/s³")
+    ax.legend(loc="upper right", ncols=3, fontsize=8)
+
+
+def _without_ends(values: FloatArray, steps: int) -> FloatArray:
+    """NaN for the first and last steps: the differences there are one-sided, and jump where the motion does not."""
+    inner = np.zeros(len(values), dtype=bool)
+    inner[steps : len(values) - steps] = True
+    return np.where(inner, values, np.nan)
+
+
+def _limits(ax: Axes, *series: FloatArray, limits: tuple[float, float]) -> None:
+    """Dotted lines at the longitudinal limits, and room for whatever exceeds them."""
+    for value, label in zip(limits, ("limit (longitudinal)", None), strict=True):
+        ax.axhline(value, color=figures.GREY, linewidth=0.9, linestyle=":", label=label)
+    shown = np.concatenate([limits, *(values[np.isfinite(values)] for values in series)])
+    low, high = float(shown.min()), float(shown.max())
+    ax.set_ylim(low - 0.1 * (high - low), high + 0.3 * (high - low))
+
+
+def _offset(ax: Axes, time: FloatArray, arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> None:
+    path = first_lane_path(arrays, lanes, matches, 0)
+    ax.set_ylabel("lateral offset, m\n(left is positive)")
+    if path is None:
+        ax.text(0.5, 0.5, "never on a lane", transform=ax.transAxes, ha="center")
+        return
+    s, d = path.frenet(arrays.position)
+    beside = (s > -1.0) & (s < path.length_m + 1.0)
+    ax.plot(time, np.where(beside, d, np.nan), color=figures.GREEN)
+    ax.axhline(0.0, color=figures.GREY, linewidth=0.8)
+    first = matches.lane[matches.lane >= 0][0]
+    for sign, label in ((-1, "edge of the first lane"), (1, None)):
+        ax.axhline(sign * lanes.half_width[first], color=figures.GREY, linewidth=0.8, linestyle=":", label=label)
+    ax.legend(loc="upper right", fontsize=8)
+    low, high = ax.get_ylim()
+    low, high = min(low, -2.2), max(high, 2.2)
+    ax.set_ylim(low, high + 0.25 * (high - low))
+
+
+def _cells(ax: Axes, time: FloatArray, scenario: Scenario, lanes: FlatLanes, matches: Matches) -> None:
+    """Cell index within its lane; a new colour and a label where the lane changes."""
+    grid = build_cell_grid(scenario.graph)
+    palette = [figures.BLUE, figures.VERMILION, figures.GREEN, figures.PURPLE, figures.SKY, figures.ORANGE]
+    borders = np.flatnonzero(np.diff(matches.lane)) + 1
+    for k, rows in enumerate(np.split(np.arange(len(time)), borders)):
+        lane = int(matches.lane[rows[0]])
+        if lane < 0:
+            continue
+        lane_id = int(lanes.lane_ids[lane])
+        index = [grid.cell_at(lane_id, float(s)).index for s in matches.s[rows]]
+        # up to the next lane: one that is crossed in a single step shows too
+        after = time[rows[-1] + 1] if rows[-1] + 1 < len(time) else time[rows[-1]]
+        ax.step([*time[rows], after], [*index, index[-1]], where="post", color=palette[k % len(palette)])
+        ax.annotate(str(lane_id), (time[rows[0]], index[0]), xytext=(2, 3), textcoords="offset points", fontsize=7)
+    ax.set_ylabel("cell of the lane\n(label: lane)")
+    ax.set_ylim(bottom=-0.5)
+    ax.margins(y=0.2)

@@ -1,0 +1,369 @@
+"""A scene from above: recorded and generated vehicles, the focal one, trails and manoeuvres; picture, GIF or MP4."""
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import imageio.v2
+import matplotlib.pyplot as plt
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from PIL import Image
+
+from bridge.files import beside, explained
+from bridge.pictures import figures
+from bridge.recordings.scenario import AV_ID, LAST_OBSERVED, STEP_S, Scenario, read_scenario
+from bridge.recordings.sidecar import ManeuverRecord, sidecar_in
+from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
+from hid2.measures.arrays import is_generated_id
+from netconvert.errors import ExportError, ScenarioError
+from netconvert.geometry import box_corners
+
+PICTURES = (".png",)
+ANIMATIONS = (".gif", ".mp4")
+#: Length of the trail behind each vehicle.
+TRAIL_S = 2.0
+FRAMES_PER_SECOND = 10
+#: Longest side of a GIF, pixels.
+GIF_WIDTH = 1100
+_GIF_COLORS = 128
+#: Ground shown around what moves.
+MARGIN_M = 15.0
+#: Ground shown around one agent's path.
+AGENT_MARGIN_M = 25.0
+_OTHER = "#B9A7C4"
+_RECORDED = "#B4B4B4"
+
+MARKS = {"lane_change": "D", "overtake": "*", "left_turn": "<", "right_turn": ">"}
+MARK_NAMES = {
+    "lane_change": "lane change",
+    "overtake": "overtake",
+    "left_turn": "left turn",
+    "right_turn": "right turn",
+}
+_POLICY_OF_KIND = {
+    "lane_change": Policy.LANE_CHANGE,
+    "overtake": Policy.OVERTAKE,
+    "left_turn": Policy.LEFT_TURN,
+    "right_turn": Policy.RIGHT_TURN,
+}
+
+
+class _Look(NamedTuple):
+    face: str
+    edge: str
+    line_width: float
+    order: int
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Panel:
+    """What one half of the picture shows."""
+
+    title: str
+    scenario: Scenario
+    tracks: tuple[Track, ...]
+    looks: Mapping[str, _Look]
+    maneuvers: tuple[tuple[str, ManeuverRecord], ...]
+
+
+def render_scene(
+    folder: Path,
+    out_file: Path,
+    *,
+    source: Path | None = None,
+    agent: str | None = None,
+    cells: bool = False,
+    step: int | None = None,
+) -> Path:
+    """Draw a scene folder from above into a .png, .gif or .mp4 file.
+
+    A generated scene is shown before | after; before is the scene at `source` where given, whose sizes its recorded
+    tracks then have on both sides, else its own recorded tracks. `agent` shows the surroundings of one track. `step`:
+    the timestep of a picture (default: the last observed one); an animation shows all.
+    Errors: ScenarioError, MapError; ExportError for an unknown ending or a bad path.
+    """
+    suffix = out_file.suffix.lower()
+    if suffix not in PICTURES + ANIMATIONS:
+        raise ExportError(f"{out_file}: ending {suffix!r}, want one of {', '.join(PICTURES + ANIMATIONS)}")
+    scenario = read_scenario(folder)
+    if step is not None and not 0 <= step < scenario.num_steps:
+        raise ScenarioError(f"{folder}: no timestep {step}, want 0 to {scenario.num_steps - 1}")
+    if step is not None and suffix in ANIMATIONS:
+        raise ExportError(f"{out_file}: a single step makes a picture, want {', '.join(PICTURES)}")
+    panels = _panels(scenario, source)
+    window = _window(scenario, agent)
+    with explained(out_file):
+        drawing = _Drawing(panels, window, cells=cells, whole_paths=suffix in PICTURES)
+        if suffix in PICTURES:
+            drawing.show(min(LAST_OBSERVED, scenario.num_steps - 1) if step is None else step)
+            figures.save(drawing.figure, out_file)
+        else:
+            with beside(out_file) as hidden:
+                hidden.touch()  # what speaks against it is said before the film is drawn
+                _write_animation(drawing.frames(range(scenario.num_steps)), hidden)
+            plt.close(drawing.figure)
+    return out_file
+
+
+def scene_figure(folder: Path, *, source: Path | None = None, agent: str | None = None) -> Figure:
+    """A scene folder, or the surroundings of one track in it, at its last observed step, before | after, as a figure.
+
+    Errors: ScenarioError, MapError.
+    """
+    scenario = read_scenario(folder)
+    drawing = _Drawing(_panels(scenario, source), _window(scenario, agent), cells=False, whole_paths=True)
+    drawing.show(min(LAST_OBSERVED, scenario.num_steps - 1))
+    return drawing.figure
+
+
+def _panels(scenario: Scenario, source: Path | None) -> list[_Panel]:
+    sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
+    generated = {track.track_id for track in scenario.tracks if is_generated_id(track.track_id)}
+    policies = {record.track_id: record.policy for record in sidecar.agents} if sidecar else {}
+    maneuvers = tuple(
+        (record.track_id, maneuver) for record in (sidecar.agents if sidecar else ()) for maneuver in record.maneuvers
+    )
+    looks = {track.track_id: _look(track, policies.get(track.track_id)) for track in scenario.tracks}
+    recorded = tuple(track for track in scenario.tracks if track.track_id not in generated)
+    name = scenario.scenario_id[:8]
+    if not generated and source is None:
+        return [_Panel(f"{name}: {len(recorded)} recorded agents", scenario, scenario.tracks, looks, ())]
+    before = scenario if source is None else read_scenario(source)
+    before_tracks = recorded if source is None else before.tracks
+    known = {track.track_id: track.size for track in before_tracks}  # labelled sizes lie beside the source only
+    before_looks = {track.track_id: _look(track, None) for track in before_tracks}
+    return [
+        _Panel(f"before: {len(before_tracks)} recorded agents", before, before_tracks, before_looks, ()),
+        _Panel(
+            f"after: {len(recorded)} recorded + {len(generated)} generated vehicles",
+            scenario,
+            tuple(
+                t if t.track_id in generated else replace(t, size=known.get(t.track_id, t.size))
+                for t in scenario.tracks
+            ),
+            looks,
+            maneuvers,
+        ),
+    ]
+
+
+def _look(track: Track, policy: Policy | None) -> _Look:
+    focal = track.category == 3
+    edge, width = (figures.BLACK, 1.6) if focal else ("#333333", 0.4)
+    if is_generated_id(track.track_id):
+        face = figures.POLICY_COLORS[policy] if policy is not None else figures.GENERATED
+        return _Look(face, edge, width, 6)
+    if track.track_id == AV_ID:
+        return _Look(figures.SKY, edge, width, 5)
+    if track.object_type in VEHICLE_TYPES:
+        return _Look(_RECORDED if not focal else figures.DARK_GREY, edge, width, 4)
+    return _Look(_OTHER, edge, width, 3)
+
+
+def _window(scenario: Scenario, agent: str | None) -> tuple[FloatArray, FloatArray]:
+    """Ground to show, low and high corner, m: around one agent's path, else around what moves and the focal one."""
+    if agent is not None:
+        tracks, margin = [scenario.track(agent)], AGENT_MARGIN_M
+    else:
+        tracks = [track for track in scenario.tracks if np.ptp(track.position, axis=0).max() > 5.0]
+        tracks += [scenario.track(scenario.focal_track_id)]
+        margin = MARGIN_M
+    points = np.concatenate([track.position for track in tracks])
+    return points.min(axis=0) - margin, points.max(axis=0) + margin
+
+
+class _Drawing:
+    """A figure whose map is drawn once and whose vehicles are drawn for each step.
+
+    whole_paths: the generated vehicles' whole paths are drawn thinly, and all manoeuvres marked whatever the step.
+    """
+
+    def __init__(
+        self,
+        panels: Sequence[_Panel],
+        window: tuple[FloatArray, FloatArray],
+        *,
+        cells: bool,
+        whole_paths: bool,
+    ) -> None:
+        self.whole_paths = whole_paths
+        figures.style()
+        low, high = window
+        span = high - low
+        aspect = float(np.clip(span[0] / span[1], 0.6, 2.2))
+        width = 7.0 if len(panels) > 1 else 9.0
+        height = float(np.clip(width / aspect, 4.0, 9.0))
+        self.figure, axes = plt.subplots(
+            1, len(panels), figsize=(width * len(panels), height + 1.3), squeeze=False, layout="constrained"
+        )
+        self.canvas: Any = FigureCanvasAgg(self.figure)
+        self.panels = list(zip(panels, axes[0], strict=True))
+        for panel, ax in self.panels:
+            figures.draw_map(ax, panel.scenario.graph, cells=cells)
+            figures.frame(ax, low, high, origin=np.floor(low / 100) * 100, aspect=aspect)
+            ax.set_title(panel.title)
+        self.legend()
+        self.clock = self.figure.suptitle("0.0 s", x=0.01, ha="left", fontsize=11, fontweight="bold")
+        self.moving: list[tuple[Axes, PolyCollection | LineCollection]] = []
+
+    def legend(self) -> None:
+        """What the colours and marks mean, for those that appear."""
+        panel = self.panels[-1][0]
+        faces = {look.face for look in panel.looks.values()}
+        names = [("recorded vehicle", _RECORDED), ("focal vehicle (black edge)", figures.DARK_GREY)]
+        names += [("recording vehicle (AV)", figures.SKY), ("other recorded agent", _OTHER)]
+        names += [
+            (
+                f"generated: {name}" if len(faces & set(figures.POLICY_COLORS.values())) > 1 else "generated vehicle",
+                color,
+            )
+            for (policy, name) in figures.POLICY_NAMES.items()
+            for color in [figures.POLICY_COLORS[policy]]
+        ]
+        handles: list[Patch | Line2D] = [
+            Patch(facecolor=color, edgecolor="#333333", linewidth=0.4, label=name)
+            for name, color in names
+            if color in faces
+        ]
+        for kind in dict.fromkeys(maneuver.kind for _, maneuver in panel.maneuvers if maneuver.status == "done"):
+            color = figures.POLICY_COLORS[_POLICY_OF_KIND[kind]]
+            handles.append(
+                Line2D([], [], marker=MARKS[kind], color="none", markerfacecolor=color, markeredgecolor="black",
+                       label=f"{MARK_NAMES[kind]} here")
+            )  # fmt: skip
+        if any(maneuver.status == "aborted" for _, maneuver in panel.maneuvers):
+            handles.append(Line2D([], [], marker="x", color="none", markeredgecolor="black", label="aborted here"))
+        handles.append(
+            Line2D([], [], color=figures.DARK_GREY, linewidth=1.6, alpha=0.5, label=f"path of the last {TRAIL_S:.0f} s")
+        )
+        if self.whole_paths and any(is_generated_id(track.track_id) for track in panel.tracks):
+            handles.append(
+                Line2D([], [], color=figures.DARK_GREY, linewidth=0.8, alpha=0.8, label="whole path, generated")
+            )
+        self.figure.legend(handles=handles, loc="outside lower center", ncols=min(5, len(handles)), fontsize=8.5)
+
+    def show(self, step: int) -> None:
+        """Put every vehicle where it is at a timestep."""
+        for _, artist in self.moving:
+            artist.remove()
+        self.moving = []
+        trail = round(TRAIL_S / STEP_S)
+        for panel, ax in self.panels:
+            present = [(track, int(np.searchsorted(track.timesteps, step))) for track in panel.tracks]
+            present = [(t, i) for t, i in present if i < len(t.timesteps) and t.timesteps[i] == step]
+            present.sort(key=lambda item: panel.looks[item[0].track_id].order)
+            looks = [panel.looks[track.track_id] for track, _ in present]
+            boxes = [
+                box_corners(t.position[i], t.heading[i], length_m=t.size.length_m, width_m=t.size.width_m)
+                for t, i in present
+            ]
+            noses = [
+                np.stack([t.position[i], box[:2].mean(axis=0)]) for (t, i), box in zip(present, boxes, strict=True)
+            ]
+            trails = [t.position[max(0, i - trail) : i + 1] for t, i in present]
+            artists: list[PolyCollection | LineCollection] = []
+            if self.whole_paths:
+                paths = [t for t in panel.tracks if is_generated_id(t.track_id)]
+                colors = [panel.looks[t.track_id].face for t in paths]
+                artists.append(
+                    LineCollection([t.position for t in paths], colors=colors, linewidths=0.8, alpha=0.8, zorder=3)
+                )
+            artists.append(
+                LineCollection(trails, colors=[look.face for look in looks], linewidths=2.2, alpha=0.5, zorder=4)
+            )
+            artists.append(
+                PolyCollection(
+                    boxes,
+                    facecolors=[look.face for look in looks],
+                    edgecolors=[look.edge for look in looks],
+                    linewidths=[look.line_width for look in looks],
+                    zorder=5,
+                )
+            )
+            artists.append(LineCollection(noses, colors="#222222", linewidths=0.6, zorder=6))
+            for artist in artists:
+                ax.add_collection(artist, autolim=False)
+                self.moving.append((ax, artist))
+            until = None if self.whole_paths else step * STEP_S
+            self._marks(panel, ax, until)
+        self.clock.set_text(f"{step * STEP_S:.1f} s" + ("  (observed)" if step <= LAST_OBSERVED else "  (future)"))
+
+    def _marks(self, panel: _Panel, ax: Axes, until_s: float | None) -> None:
+        tracks = {track.track_id: track for track in panel.tracks}
+        for track_id, maneuver in panel.maneuvers:
+            place = maneuver.crossing_s if maneuver.crossing_s is not None else maneuver.start_s
+            if place is None or maneuver.status not in {"done", "aborted"} or track_id not in tracks:
+                continue
+            if until_s is not None and place > until_s:
+                continue
+            track = tracks[track_id]
+            x, y = track.position[int(np.argmin(np.abs(track.timesteps * STEP_S - place)))]
+            done = maneuver.status == "done"
+            color = figures.POLICY_COLORS[_POLICY_OF_KIND[maneuver.kind]] if done else "black"
+            size = 110 if maneuver.kind == "overtake" else 45
+            artist = ax.scatter(
+                [x], [y], marker=MARKS[maneuver.kind] if done else "x", s=size, c=color,
+                edgecolors="black" if done else None, linewidths=0.8, zorder=8,
+            )  # fmt: skip
+            self.moving.append((ax, artist))  # type: ignore[arg-type]
+
+    def frames(self, steps: Sequence[int]) -> Iterator[npt.NDArray[np.uint8]]:
+        """(H, W, 3) pictures, H and W even; the map is drawn once and kept."""
+        self.show(steps[0])
+        for _, artist in self.moving:
+            artist.set_visible(False)
+        self.clock.set_visible(False)
+        self.canvas.draw()
+        self.figure.set_layout_engine("none")
+        background = self.canvas.copy_from_bbox(self.figure.bbox)
+        self.clock.set_visible(True)
+        renderer = self.canvas.get_renderer()
+        for step in steps:
+            self.show(step)
+            self.canvas.restore_region(background)
+            for ax, artist in sorted(self.moving, key=lambda item: item[1].get_zorder()):
+                ax.draw_artist(artist)
+            self.clock.draw(renderer)
+            picture = np.asarray(self.canvas.buffer_rgba())[..., :3]
+            yield picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2].copy()
+
+
+def _write_animation(frames: Iterator[npt.NDArray[np.uint8]], path: Path) -> None:
+    if path.suffix.lower() == ".gif":
+        _write_gif(frames, path)
+        return
+    writer: Any = imageio.v2.get_writer(path, fps=FRAMES_PER_SECOND, codec="libx264", quality=7, macro_block_size=2)
+    with contextlib.closing(writer):  # as a context, it would leave ffmpeg running after an error
+        for picture in frames:
+            writer.append_data(picture)
+
+
+def _write_gif(frames: Iterator[npt.NDArray[np.uint8]], path: Path) -> None:
+    """All frames share one palette, at a reduced size: a tenth of the bytes of one palette a frame.
+
+    It is that of the first frame, with the colours that tell vehicles apart, which cover too little ground to be kept.
+    """
+    pictures: list[Image.Image] = []
+    kept = [*figures.POLICY_COLORS.values(), figures.SKY, figures.DARK_GREY, _RECORDED, _OTHER]
+    own = [int(color[k : k + 2], 16) for color in kept for k in (1, 3, 5)]
+    shared: Image.Image | None = None
+    for picture in frames:
+        image = Image.fromarray(picture)
+        image.thumbnail((GIF_WIDTH, GIF_WIDTH), Image.Resampling.LANCZOS)
+        if shared is None:
+            first = image.quantize(_GIF_COLORS - len(kept)).getpalette() or []
+            shared = Image.new("P", (1, 1))
+            shared.putpalette(first + own)
+        pictures.append(image.quantize(palette=shared, dither=Image.Dither.NONE))
+    pictures[0].save(
+        path, save_all=True, append_images=pictures[1:], duration=1000 // FRAMES_PER_SECOND, loop=0, disposal=1
+    )

@@ -1,0 +1,1 @@
+"""Recordings in, recordings out: readers, writers, validation."""

@@ -1,0 +1,223 @@
+"""A generated scene on disk: parquet as av2's own serializer writes it, the source's map, the sidecar."""
+
+import hashlib
+import io
+import json
+import re
+import shutil
+import tempfile
+import uuid
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from bridge.config import config_sha256
+from bridge.files import explained
+from bridge.recordings.scenario import FOCAL_CATEGORY, LAST_OBSERVED, SCENARIO_COLUMNS, Scenario
+from bridge.recordings.sidecar import Sidecar, sidecar_bytes, sidecar_path
+from hid2.agents import Track
+from hid2.params import Config
+from netconvert.errors import ExportError
+from netconvert.lane_graph import LaneGraph
+
+#: Category of a formerly focal track when a generated one takes its place: scored, as it lives through the scene.
+_FORMER_FOCAL_CATEGORY = 2
+#: A lane's centreline with at least one point, in a map file.
+_CENTERLINE = re.compile(rb'"centerline":\s*\[\s*\{')
+_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo")
+
+
+def new_scenario_id(source_id: str, config: Config, seed: int, variant: int) -> str:
+    """UUID (version 5) of a request: the same request names the same scenario."""
+    return str(uuid.uuid5(_NAMESPACE, "\n".join([source_id, config_sha256(config), str(seed), str(variant)])))
+
+
+def write_scene(
+    scenario: Scenario,
+    generated: Sequence[Track],
+    sidecar: Sidecar,
+    out_dir: Path,
+    *,
+    new_id: str,
+    focal_track_id: str,
+) -> Path:
+    """Write OUT/[split/]new_id/ with parquet, map and sidecar; returns the folder.
+
+    Everything is written to a hidden folder beside and then renamed; a folder that is there already is replaced.
+    Errors: ExportError.
+    """
+    files = {
+        f"scenario_{new_id}.parquet": parquet_bytes(
+            scene_table(scenario, generated, new_id=new_id, focal_track_id=focal_track_id)
+        ),
+        f"log_map_archive_{new_id}.json": _map_bytes(scenario.map_path, scenario.graph),
+        sidecar_path(Path(), new_id).name: sidecar_bytes(sidecar),
+    }
+    folder = (out_dir / scenario.split if scenario.split else out_dir) / new_id
+    with explained(folder):
+        _write_folder(folder, files)
+    return folder
+
+
+def scene_table(scenario: Scenario, generated: Sequence[Track], *, new_id: str, focal_track_id: str) -> pa.Table:
+    """The source's rows, bit for bit, and behind them those of the generated tracks.
+
+    Columns and types are the source's. Changed in recorded rows: scenario_id, and where the focal track is another
+    one, focal_track_id and the category of the former focal track.
+    Errors: ExportError where a generated track cannot be one.
+    """
+    _check_generated(scenario, generated, focal_track_id)
+    source = scenario.table
+    focal_changes = focal_track_id != scenario.focal_track_id
+    constants = {
+        name: source.column(name)[0]
+        for name in source.column_names
+        if name in (*SCENARIO_COLUMNS, "map_id", "slice_id")
+    }
+    constants |= {"scenario_id": pa.scalar(new_id), "focal_track_id": pa.scalar(focal_track_id)}
+    lengths = [len(track.timesteps) for track in generated]
+    added = _generated_columns(generated, lengths, focal_track_id)
+    columns = []
+    for field in source.schema:
+        name, recorded = field.name, source.column(field.name)
+        if name in ("scenario_id", "focal_track_id"):
+            recorded = pa.repeat(constants[name].cast(field.type), source.num_rows)
+        elif name == "object_category" and focal_changes:
+            former = pc.equal(recorded, FOCAL_CATEGORY)
+            recorded = pc.if_else(former, pa.scalar(_FORMER_FOCAL_CATEGORY, field.type), recorded)
+        if name in constants:
+            new = pa.repeat(constants[name].cast(field.type), sum(lengths))
+        elif name in added:
+            new = added[name].cast(field.type)
+        else:  # a column of the source's own
+            new = pa.nulls(sum(lengths), field.type)
+        chunks = recorded.chunks if isinstance(recorded, pa.ChunkedArray) else [recorded]
+        columns.append(pa.concat_arrays([*chunks, new]))
+    schema = pa.schema([pa.field(field.name, field.type) for field in source.schema])
+    return pa.Table.from_arrays(columns, schema=schema)
+
+
+def parquet_bytes(table: pa.Table) -> bytes:
+    """The file that pandas would write for it. Same rows, same bytes."""
+    sink = io.BytesIO()
+    metadata = {"pandas": json.dumps(_pandas_metadata(table))}
+    pq.write_table(table.replace_schema_metadata(metadata), sink, compression="snappy")
+    return sink.getvalue()
+
+
+def _check_generated(scenario: Scenario, generated: Sequence[Track], focal_track_id: str) -> None:
+    ids = {track.track_id for track in scenario.tracks}
+    for track in generated:
+        if track.track_id in ids:
+            raise ExportError(f"generated track {track.track_id!r}: the id is taken, want one of its own")
+        ids.add(track.track_id)
+        steps = track.timesteps
+        if len(steps) == 0 or (np.diff(steps) != 1).any() or steps[0] < 0 or steps[-1] >= scenario.num_steps:
+            raise ExportError(f"generated track {track.track_id!r}: timesteps have gaps or leave the scene")
+        if not steps[0] <= LAST_OBSERVED <= steps[-1]:
+            raise ExportError(
+                f"generated track {track.track_id!r}: timesteps {steps[0]} to {steps[-1]}, want {LAST_OBSERVED} in them"
+            )
+        if not all(np.isfinite(values).all() for values in (track.position, track.heading, track.velocity)):
+            raise ExportError(f"generated track {track.track_id!r}: a value is not finite")
+    if focal_track_id not in ids:
+        raise ExportError(f"focal track {focal_track_id!r}: no such track")
+
+
+def _generated_columns(generated: Sequence[Track], lengths: list[int], focal_track_id: str) -> dict[str, pa.Array]:
+    timestep = np.concatenate([np.empty(0, np.int64), *(track.timesteps for track in generated)])
+    position = np.concatenate([np.empty((0, 2)), *(track.position for track in generated)])
+    velocity = np.concatenate([np.empty((0, 2)), *(track.velocity for track in generated)])
+    heading = np.concatenate([np.empty(0), *(track.heading for track in generated)])
+    category = [FOCAL_CATEGORY if track.track_id == focal_track_id else track.category for track in generated]
+    return {
+        "observed": pa.array(timestep <= LAST_OBSERVED),
+        "track_id": pa.array(np.repeat([track.track_id for track in generated], lengths).tolist(), pa.string()),
+        "object_type": pa.array(np.repeat([track.object_type for track in generated], lengths).tolist(), pa.string()),
+        "object_category": pa.array(np.repeat(np.asarray(category, dtype=np.int64), lengths)),
+        "timestep": pa.array(timestep),
+        "position_x": pa.array(position[:, 0]),
+        "position_y": pa.array(position[:, 1]),
+        "heading": pa.array(heading),
+        "velocity_x": pa.array(velocity[:, 0]),
+        "velocity_y": pa.array(velocity[:, 1]),
+    }
+
+
+def _pandas_metadata(table: pa.Table) -> dict[str, Any]:
+    """What pandas writes beside the columns, so that it reads a RangeIndex; free of the version of any library."""
+    names = {"string": ("unicode", "object"), "large_string": ("unicode", "object"), "double": ("float64", "float64")}
+    columns = []
+    for field in table.schema:
+        pandas_type, numpy_type = names.get(str(field.type), (str(field.type), str(field.type)))
+        columns.append(
+            {
+                "name": field.name,
+                "field_name": field.name,
+                "pandas_type": pandas_type,
+                "numpy_type": numpy_type,
+                "metadata": None,
+            }
+        )
+    index = {"kind": "range", "name": None, "start": 0, "stop": table.num_rows, "step": 1}
+    header = {
+        "name": None,
+        "field_name": None,
+        "pandas_type": "unicode",
+        "numpy_type": "object",
+        "metadata": {"encoding": "UTF-8"},
+    }
+    return {
+        "index_columns": [index],
+        "column_indexes": [header],
+        "columns": columns,
+        "creator": {"library": "pyarrow", "version": pa.__version__},
+        "pandas_version": "1.3.4",  # the version of the format, as in recorded files
+    }
+
+
+def _map_bytes(path: Path, graph: LaneGraph) -> bytes:
+    """The source's map byte for byte; with centrelines where it has none."""
+    raw = path.read_bytes()
+    if len(_CENTERLINE.findall(raw)) == len(graph.lanes):  # one of its points for every lane: nothing to add
+        return raw
+    document = json.loads(raw)
+    lanes = document["lane_segments"].values()
+    for lane in lanes:
+        if not lane.get("centerline"):
+            points = graph.lanes[int(lane["id"])].centerline
+            lane["centerline"] = [{"x": float(x), "y": float(y), "z": 0.0} for x, y in points]
+    return json.dumps(document).encode()
+
+
+def _write_folder(folder: Path, files: dict[str, bytes]) -> None:
+    """Write files into a hidden folder beside, then put it in the place of folder."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        beside.chmod(0o755)
+        for name, content in files.items():
+            (beside / name).write_bytes(content)
+        if not folder.exists():
+            beside.rename(folder)
+        else:
+            old = beside.with_name(beside.name + "-old")
+            folder.rename(old)
+            try:
+                beside.rename(folder)
+            except OSError:
+                old.rename(folder)
+                raise
+            shutil.rmtree(old)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+
+
+def sha256_of(path: Path) -> str:
+    """Hexadecimal digest of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()

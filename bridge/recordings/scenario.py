@@ -1,0 +1,404 @@
+"""Argoverse 2 motion-forecasting scenarios: parquet and map of a folder -> tracks, lane graph, untouched rows."""
+
+import csv
+import fnmatch
+import io
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from bridge.recordings.sidecar import read_sidecar, sidecar_path
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Track
+from netconvert.av2_map import read_lane_graph
+from netconvert.errors import MapError, NoSceneError, ScenarioError
+from netconvert.lane_graph import LaneGraph
+
+_LOG = logging.getLogger(__name__)
+#: Names of the two files of a scenario folder.
+_PARQUET, _MAP = "scenario_*.parquet", "log_map_archive_*.json"
+
+#: Names of the folders of a data-set root.
+SPLITS = ("train", "val", "test")
+#: Seconds from one timestep to the next.
+STEP_S = 0.1
+#: The last observed timestep: a track that is predicted is present here.
+LAST_OBSERVED = 49
+#: Longest scenario of the format, timesteps.
+MAX_STEPS = 110
+#: Track id of the recording vehicle.
+AV_ID = "AV"
+FOCAL_CATEGORY = 3
+
+#: Columns that every scenario has, in the order of the format, with their types.
+REQUIRED_COLUMNS: Mapping[str, tuple[pa.DataType, ...]] = {
+    "observed": (pa.bool_(),),
+    "track_id": (pa.string(), pa.large_string()),
+    "object_type": (pa.string(), pa.large_string()),
+    "object_category": (pa.int64(),),
+    "timestep": (pa.int64(),),
+    "position_x": (pa.float64(),),
+    "position_y": (pa.float64(),),
+    "heading": (pa.float64(),),
+    "velocity_x": (pa.float64(),),
+    "velocity_y": (pa.float64(),),
+    "scenario_id": (pa.string(), pa.large_string()),
+    "start_timestamp": (pa.float64(), pa.int64()),  # av2's serializer writes the type of its own timestamps
+    "end_timestamp": (pa.float64(), pa.int64()),
+    "num_timestamps": (pa.int64(),),
+    "focal_track_id": (pa.string(), pa.large_string()),
+    "city": (pa.string(), pa.large_string()),
+}
+#: Columns that say the same in every row.
+SCENARIO_COLUMNS = ("scenario_id", "start_timestamp", "end_timestamp", "num_timestamps", "focal_track_id", "city")
+_MOTION_COLUMNS = ("position_x", "position_y", "heading", "velocity_x", "velocity_y")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Scenario:
+    """One recorded scene.
+
+    num_steps: last timestep + 1 (110, or 50 in the test split); tracks in the order of their first row; table: the
+    source's rows and columns as they are; split: as of `split_of`.
+    """
+
+    scenario_id: str
+    city: str
+    focal_track_id: str
+    num_steps: int
+    tracks: tuple[Track, ...]
+    graph: LaneGraph
+    table: pa.Table
+    folder: Path
+    map_path: Path
+    split: str | None
+
+    def track(self, track_id: str) -> Track:
+        """One track by id; ScenarioError where there is none."""
+        for track in self.tracks:
+            if track.track_id == track_id:
+                return track
+        raise ScenarioError(f"{self.folder}: no track {track_id!r}, have {len(self.tracks)} others")
+
+
+class Rows(NamedTuple):
+    """The rows of a scenario, checked, and the tracks in them."""
+
+    scenario_id: str
+    city: str
+    focal_track_id: str
+    num_steps: int
+    tracks: tuple[Track, ...]
+
+
+def find_scenarios(path: Path) -> list[Path]:
+    """Scenario folders at path, sorted: a scenario folder itself, those of a split folder, or of a data-set root.
+
+    Errors: NoSceneError where there is none.
+    """
+    if not path.is_dir():
+        raise NoSceneError(f"{path}: no such folder, want a scenario folder, a split folder or a data-set root")
+    if _is_scenario_folder(path):
+        return [path]
+    children = _subfolders(path)
+    found = [child for child in children if _is_scenario_folder(child)]
+    splits = [child for child in children if not _is_scenario_folder(child)]
+    found += [folder for child in splits for folder in _subfolders(child) if _is_scenario_folder(folder)]
+    if not found:
+        raise NoSceneError(f"{path}: no scenario here, want scenario_<id>.parquet in it or one or two folders below")
+    return sorted(found)
+
+
+def find_sources(paths: Sequence[Path]) -> list[Path]:
+    """Folders of recorded scenes at all paths, each once. Those that hid2 wrote are passed over, which is logged.
+
+    Errors: NoSceneError where a path holds none.
+    """
+    found: dict[Path, Path] = {}  # by where it really is
+    for path in paths:
+        folders = find_scenarios(path)
+        recorded = [folder for folder in folders if not _is_generated(folder)]
+        if not recorded:
+            raise NoSceneError(f"{path}: only scenes that hid2 wrote (hid2_<id>.json is in them), want recorded ones")
+        if len(recorded) < len(folders):
+            passed_over = len(folders) - len(recorded)
+            _LOG.warning("%s: %d of %d scenes passed over, which hid2 wrote", path, passed_over, len(folders))
+        for folder in recorded:
+            found.setdefault(folder.resolve(), folder)
+    return list(found.values())
+
+
+def source_id(folder: Path) -> str:
+    """Scenario id by the names of a folder's files; the folder's own name where none tells it."""
+    ids = [path.stem.removeprefix("scenario_") for path in folder.glob(_PARQUET)]
+    return ids[0] if len(ids) == 1 else folder.name
+
+
+def split_of(folder: Path) -> str | None:
+    """Split that a scene is in: the name of the folder above, as it is named here or, behind links, as it really is."""
+    parents = folder.absolute().parent, folder.resolve().parent
+    return next((parent.name for parent in parents if parent.name in SPLITS), None)
+
+
+def read_scenario(folder: Path) -> Scenario:
+    """Read scenario_<id>.parquet, log_map_archive_<id>.json and the sizes that lie beside them.
+
+    Sizes (m) come from the sidecar of a generated scene, from agent_sizes.csv, else by object type.
+    Errors: ScenarioError or MapError with file, id, value and what was expected.
+    """
+    if not folder.is_dir():
+        raise NoSceneError(f"{folder}: no such folder, want a scenario folder")
+    parquet_path = _only_file(folder, _PARQUET, ScenarioError)
+    map_path = _only_file(folder, _MAP, MapError)
+    table = read_table(parquet_path)
+    rows = split_rows(table, name=str(parquet_path), sizes=read_sizes(folder))
+    return Scenario(
+        scenario_id=rows.scenario_id,
+        city=rows.city,
+        focal_track_id=rows.focal_track_id,
+        num_steps=rows.num_steps,
+        tracks=rows.tracks,
+        graph=read_lane_graph(map_path),
+        table=table,
+        folder=folder,
+        map_path=map_path,
+        split=split_of(folder),
+    )
+
+
+def read_table(path: Path) -> pa.Table:
+    """The rows of a parquet file, every required column present, of its type and without nulls.
+
+    Errors: ScenarioError.
+    """
+    try:
+        table = pq.ParquetFile(io.BytesIO(path.read_bytes())).read(use_threads=False)
+    except FileNotFoundError:
+        raise ScenarioError(f"{path}: no such file, want a scenario in parquet") from None
+    except (pa.ArrowException, OSError) as error:
+        raise ScenarioError(f"{path}: not a parquet file ({_first_line(error)})") from error
+    _check_columns(table, str(path))
+    return table
+
+
+def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> Rows:
+    """Check the rows of a scenario and split them by track.
+
+    name: what messages call the table; sizes: boxes by track id, by object type where a track has none.
+    Errors: ScenarioError with track, timestep, value and what was expected.
+    """
+    _check_columns(table, name)
+    same = {column: _one_value(table, column, name) for column in SCENARIO_COLUMNS}
+    encoded = pc.dictionary_encode(table.column("track_id")).combine_chunks()
+    ids: list[str] = encoded.dictionary.to_pylist()
+    code = np.asarray(encoded.indices.to_numpy(zero_copy_only=False), dtype=np.int64)
+    timestep = _numbers(table, "timestep").astype(np.int64, copy=False)
+
+    order = _order(code, timestep)
+    code, timestep = code[order], timestep[order]
+    where = _Where(name, ids, code, timestep)
+    motion = np.column_stack([_numbers(table, column)[order] for column in _MOTION_COLUMNS])
+    category = _numbers(table, "object_category")[order]
+    kind_encoded = pc.dictionary_encode(table.column("object_type")).combine_chunks()
+    kinds: list[str] = kind_encoded.dictionary.to_pylist()
+    kind = np.asarray(kind_encoded.indices.to_numpy(zero_copy_only=False))[order]
+
+    _check_timesteps(code, timestep, _numbers(table, "observed")[order], where)
+    if not np.isfinite(motion).all():
+        row, column = np.argwhere(~np.isfinite(motion))[0]
+        raise ScenarioError(f"{where(row)}: {_MOTION_COLUMNS[column]} is {motion[row, column]}, want a finite number")
+    for known in kinds:
+        if known not in DEFAULT_SIZES:
+            raise ScenarioError(f"{name}: object_type {known!r}, want one of {', '.join(DEFAULT_SIZES)}")
+    outside = (category < 0) | (category > FOCAL_CATEGORY)
+    if outside.any():
+        row = int(np.flatnonzero(outside)[0])
+        raise ScenarioError(f"{where(row)}: object_category {category[row]}, want 0, 1, 2 or 3")
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(code)) + 1])
+    run = np.repeat(starts, np.diff(np.concatenate([starts, [len(code)]])))
+    for column, values in (("object_category", category), ("object_type", kind)):
+        changed = values != values[run]
+        if changed.any():
+            raise ScenarioError(f"{where(int(np.flatnonzero(changed)[0]))}: {column} changes within the track")
+
+    heading = motion[:, 2]
+    if np.abs(heading).max() > np.pi:
+        beyond = np.abs(heading) > np.pi
+        heading = np.where(beyond, np.pi - np.mod(np.pi - heading, 2 * np.pi), heading)
+    position, velocity = np.ascontiguousarray(motion[:, :2]), np.ascontiguousarray(motion[:, 3:])
+    tracks = []
+    for start, stop in zip(starts, [*starts[1:], len(code)], strict=True):
+        track_id, object_type = ids[code[start]], kinds[kind[start]]
+        tracks.append(
+            Track(
+                track_id=track_id,
+                object_type=object_type,
+                category=int(category[start]),
+                timesteps=timestep[start:stop],
+                position=position[start:stop],
+                heading=heading[start:stop],
+                velocity=velocity[start:stop],
+                size=sizes.get(track_id, DEFAULT_SIZES[object_type]),
+            )
+        )
+    if (code[starts[:-1]] > code[starts[1:]]).any():  # keep the order of first rows
+        tracks.sort(key=lambda track: ids.index(track.track_id))
+    _check_focal(tracks, str(same["focal_track_id"]), name)
+    return Rows(
+        scenario_id=str(same["scenario_id"]),
+        city=str(same["city"]),
+        focal_track_id=str(same["focal_track_id"]),
+        num_steps=int(timestep.max()) + 1,
+        tracks=tuple(tracks),
+    )
+
+
+def read_sizes(folder: Path) -> dict[str, BoxSize]:
+    """Boxes by track id from agent_sizes.csv (columns track_id, length_m, width_m) and a sidecar, where they exist.
+
+    Errors: ScenarioError.
+    """
+    sizes: dict[str, BoxSize] = {}
+    path = folder / "agent_sizes.csv"
+    if path.is_file():
+        try:
+            for number, row in enumerate(csv.DictReader(path.read_text(encoding="utf-8").splitlines()), start=2):
+                sizes[row["track_id"]] = _size(row, f"{path} line {number}")
+        except (KeyError, UnicodeDecodeError, csv.Error) as error:
+            raise ScenarioError(f"{path}: want columns track_id, length_m, width_m ({_first_line(error)})") from error
+    for sidecar in sorted(folder.glob(sidecar_path(folder, "*").name)):
+        sizes.update({agent.track_id: BoxSize(agent.length_m, agent.width_m) for agent in read_sidecar(sidecar).agents})
+    return sizes
+
+
+class _Where:
+    """Names a row in messages."""
+
+    def __init__(self, name: str, ids: list[str], code: IntArray, timestep: IntArray) -> None:
+        self._name, self._ids, self._code, self._timestep = name, ids, code, timestep
+
+    def __call__(self, row: int) -> str:
+        return f"{self._name}: track {self._ids[self._code[row]]!r}, timestep {self._timestep[row]}"
+
+
+def _names(folder: Path) -> list[str]:
+    """Names in a folder. One that may not be read, as at the root of a disk, is logged: it holds no scenes."""
+    try:
+        return [entry.name for entry in folder.iterdir()]
+    except OSError as error:
+        _LOG.warning("%s: cannot be read (%s)", folder, error.strerror or error)
+        return []
+
+
+def _is_scenario_folder(folder: Path) -> bool:
+    names = _names(folder)
+    return any(fnmatch.filter(names, pattern) for pattern in (_PARQUET, _MAP))
+
+
+def _is_generated(folder: Path) -> bool:
+    return any(folder.glob(sidecar_path(folder, "*").name))
+
+
+def _subfolders(path: Path) -> list[Path]:
+    return sorted(path / name for name in _names(path) if not name.startswith(".") and (path / name).is_dir())
+
+
+def _only_file(folder: Path, pattern: str, error: type[ScenarioError | MapError]) -> Path:
+    found = sorted(folder.glob(pattern))
+    if len(found) != 1:
+        have = ", ".join(path.name for path in found) or "none"
+        raise error(f"{folder}: {have}, want exactly one {pattern.replace('*', '<id>')}")
+    return found[0]
+
+
+def _size(row: Mapping[str, str], where: str) -> BoxSize:
+    try:
+        size = BoxSize(float(row["length_m"]), float(row["width_m"]))
+    except (TypeError, ValueError):
+        raise ScenarioError(f"{where}: length_m {row['length_m']!r}, width_m {row['width_m']!r}, want m") from None
+    if not (0 < size.width_m < 10 and 0 < size.length_m < 50):
+        raise ScenarioError(f"{where}: box {size.length_m} x {size.width_m} m, want above 0 and below 50 x 10 m")
+    return size
+
+
+def _check_columns(table: pa.Table, name: str) -> None:
+    schema = table.schema
+    for column, types in REQUIRED_COLUMNS.items():
+        indices = schema.get_all_field_indices(column)
+        if len(indices) != 1:
+            raise ScenarioError(
+                f"{name}: {'no' if not indices else 'more than one'} column {column!r}, want {types[0]}"
+            )
+        found = schema.field(indices[0]).type
+        if found not in types:
+            raise ScenarioError(f"{name}: column {column!r} is {found}, want {types[0]}")
+    for column, types in REQUIRED_COLUMNS.items():
+        if table.column(column).null_count:  # what pandas makes of NaN
+            row = int(np.flatnonzero(table.column(column).is_null().to_numpy())[0])
+            track, step = table.column("track_id")[row].as_py(), table.column("timestep")[row].as_py()
+            raise ScenarioError(f"{name}: track {track!r}, timestep {step}: {column} is null or NaN, want {types[0]}")
+    if table.num_rows == 0:
+        raise ScenarioError(f"{name}: no rows, want at least one track")
+
+
+def _numbers(table: pa.Table, column: str) -> npt.NDArray[Any]:
+    return np.asarray(table.column(column).to_numpy())
+
+
+def _one_value(table: pa.Table, column: str, name: str) -> object:
+    values = pc.unique(table.column(column))
+    if len(values) != 1:
+        raise ScenarioError(f"{name}: column {column!r} has {len(values)} values {values[:3].to_pylist()}, want one")
+    return values[0].as_py()
+
+
+def _order(code: IntArray, timestep: IntArray) -> IntArray | slice:
+    """What sorts rows by track and timestep; the identity for files that are sorted, as recorded ones are."""
+    if ((np.diff(code) > 0) | ((np.diff(code) == 0) & (np.diff(timestep) > 0))).all():
+        return slice(None)
+    return np.asarray(np.lexsort((timestep, code)), dtype=np.int64)
+
+
+def _check_timesteps(code: IntArray, timestep: IntArray, observed: npt.NDArray[np.bool_], where: _Where) -> None:
+    outside = (timestep < 0) | (timestep >= MAX_STEPS)
+    if outside.any():
+        raise ScenarioError(f"{where(int(np.flatnonzero(outside)[0]))}: want timesteps 0 to {MAX_STEPS - 1}")
+    repeated = (np.diff(code) == 0) & (np.diff(timestep) == 0)
+    if repeated.any():
+        raise ScenarioError(f"{where(int(np.flatnonzero(repeated)[0]))}: more than one row, want one")
+    wrong = observed != (timestep <= LAST_OBSERVED)
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        raise ScenarioError(f"{where(row)}: observed is {observed[row]}, want {timestep[row] <= LAST_OBSERVED}")
+
+
+def _check_focal(tracks: list[Track], focal_track_id: str, name: str) -> None:
+    focals = [track for track in tracks if track.category == FOCAL_CATEGORY]
+    if [track.track_id for track in focals] != [focal_track_id]:
+        have = ", ".join(repr(track.track_id) for track in focals) or "none"
+        raise ScenarioError(
+            f"{name}: tracks of category {FOCAL_CATEGORY}: {have}, want focal_track_id {focal_track_id!r} alone"
+        )
+    if LAST_OBSERVED not in focals[0].timesteps:
+        raise ScenarioError(
+            f"{name}: focal track {focal_track_id!r} lasts from timestep {focals[0].timesteps[0]} "
+            f"to {focals[0].timesteps[-1]}, want it present at {LAST_OBSERVED}"
+        )
+    if all(track.track_id != AV_ID for track in tracks):
+        raise ScenarioError(f"{name}: no track {AV_ID!r} among {len(tracks)}, readers of the format need one")
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().split("\n", 1)[0]
+
+
+def position_of(table: pa.Table) -> FloatArray:
+    """(N, 2) m, box centres in the order of the table's rows."""
+    return np.column_stack([_numbers(table, "position_x"), _numbers(table, "position_y")])

@@ -1,0 +1,107 @@
+"""`hid2 validate`: everything that readers of a generated data set demand, also what they would not complain about.
+
+The rules are in `rules`; what is checked of rows, map and sidecar in `row_rules`, `map_rules`, `sidecar_rules`.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from bridge.recordings.map_rules import compare_map, read_map
+from bridge.recordings.row_rules import Rows, check_generated, check_rows, compare_rows
+from bridge.recordings.rules import RULES
+from bridge.recordings.scenario import SPLITS, find_scenarios, read_table
+from bridge.recordings.sidecar import read_sidecar, sidecar_path
+from bridge.recordings.sidecar_rules import check_sidecar
+from netconvert.errors import ScenarioError
+
+
+class Finding(NamedTuple):
+    """One breach of one rule."""
+
+    file: Path
+    rule: str
+    message: str
+
+
+def validate_folder(out: Path, *, source: Path | None = None) -> list[Finding]:
+    """Check every scenario under a data set that was generated; source: where its recorded scenes lie.
+
+    out and source: a scenario folder, a split folder or a data-set root. Returns what is wrong, nothing if all is well.
+    Errors: ScenarioError where out or source is no folder or holds no scenario.
+    """
+    folders = find_scenarios(out)
+    sources = _index_sources(source) if source is not None else None
+    findings = list(_check_tree(out, folders))
+    for folder in folders:
+        findings += validate_scene(folder, sources=sources)
+    return findings
+
+
+def validate_scene(folder: Path, *, sources: Mapping[str, Path] | None = None) -> list[Finding]:
+    """Check one scenario folder; sources: folders of recorded scenarios by id, None for no comparison."""
+    findings: list[Finding] = []
+    new_id = folder.name
+    parquet_path = folder / f"scenario_{new_id}.parquet"
+    map_path = folder / f"log_map_archive_{new_id}.json"
+    wanted = (parquet_path, map_path, sidecar_path(folder, new_id))
+    findings += [Finding(path, "folder", "no such file") for path in wanted if not path.is_file()]
+
+    sidecar = None
+    if sidecar_path(folder, new_id).is_file():
+        try:
+            sidecar = read_sidecar(sidecar_path(folder, new_id))
+        except ScenarioError as error:
+            findings.append(Finding(sidecar_path(folder, new_id), "sidecar", str(error)))
+    document = None
+    if map_path.is_file():
+        document, breaches = read_map(map_path)
+        findings += [Finding(map_path, *breach) for breach in breaches]
+    rows = None
+    if parquet_path.is_file():
+        try:
+            rows = Rows(read_table(parquet_path))
+        except ScenarioError as error:
+            findings.append(Finding(parquet_path, "columns", str(error)))
+
+    generated_ids: set[str] = {agent.track_id for agent in sidecar.agents} if sidecar is not None else set()
+    if rows is not None:
+        generated_ids |= {track_id for track_id in rows.ids if track_id.startswith("gen_")}
+        breaches = list(check_rows(rows, new_id))
+        for track_id in sorted(generated_ids & set(rows.ids)):
+            breaches += check_generated(rows, track_id)
+        findings += [Finding(parquet_path, *breach) for breach in breaches]
+    if sidecar is not None:
+        track_ids = set(rows.ids) if rows is not None else None
+        lanes = {str(lane) for lane in document["lane_segments"]} if document is not None else None
+        breaches = list(check_sidecar(sidecar, new_id, track_ids=track_ids, generated_ids=generated_ids, lanes=lanes))
+        findings += [Finding(sidecar_path(folder, new_id), *breach) for breach in breaches]
+    if sources is not None and sidecar is not None:
+        source = sources.get(sidecar.source_scenario_id)
+        if source is None:
+            message = f"source scenario {sidecar.source_scenario_id} is not among the {len(sources)} given"
+            return [*findings, Finding(sidecar_path(folder, new_id), "source", message)]
+        source_id = sidecar.source_scenario_id
+        if rows is not None:
+            messages = compare_rows(rows.table, source / f"scenario_{source_id}.parquet", generated_ids)
+            findings += [Finding(parquet_path, "source", message) for message in messages]
+        if document is not None:
+            messages = compare_map(map_path, document, source / f"log_map_archive_{source_id}.json")
+            findings += [Finding(map_path, "source", message) for message in messages]
+    return findings
+
+
+def _check_tree(out: Path, folders: Sequence[Path]) -> Iterator[Finding]:
+    expected = {folder / f"scenario_{folder.name}.parquet" for folder in folders}
+    for path in sorted(out.rglob("*.parquet")):
+        if path not in expected:
+            yield Finding(path, "other-parquet", RULES["other-parquet"])
+    for folder in folders:
+        depth = len(folder.relative_to(out).parts)
+        if depth == 2 and folder.parent.name not in SPLITS:
+            yield Finding(folder, "folder", f"split {folder.parent.name!r}, want one of {', '.join(SPLITS)}")
+
+
+def _index_sources(source: Path) -> dict[str, Path]:
+    found = [path for folder in find_scenarios(source) for path in folder.glob("scenario_*.parquet")]
+    return {path.stem.removeprefix("scenario_"): path.parent for path in found}

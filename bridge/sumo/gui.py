@@ -1,0 +1,169 @@
+"""A scene in sumo-gui at its exact positions: recorded agents grey, generated vehicles coloured by policy."""
+
+import os
+import shutil
+import sys
+import tempfile
+from contextlib import redirect_stdout
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from bridge.recordings.scenario import LAST_OBSERVED, Scenario, read_scenario
+from bridge.sumo.playback import GUI_SHAPES, paints, scene_view_files
+from bridge.sumo.poses import sumo_poses
+from hid2.agents import Track
+from netconvert.cells import build_cell_grid
+from netconvert.errors import ExportError, SimulationError
+from netconvert.net_xml import write_net
+
+#: As for replayed vehicles in libsumo: exact positions, on and off lanes.
+_KEEP_ROUTE = 6
+_MATCH_M = 3.0
+_MARGIN_M = 20.0
+_WINDOW = "1280,900"
+_HOW = "want: sh setup.sh tests, or in an environment of your own: pip install 'eclipse-sumo==1.28.*' 'traci==1.28.*'"
+
+
+def play_scene(
+    folder: Path, *, delay_ms: int = 100, screenshot: Path | None = None, step: int | None = None
+) -> Path | None:
+    """Play a recorded or generated scene folder in sumo-gui; returns when it is over or its window is closed.
+
+    delay_ms: wait between steps of 0.1 s. screenshot: a .png file, written at timestep `step` (default: the last
+    observed one); the window then closes at once and the file is returned.
+    Errors: ScenarioError, MapError; SimulationError without sumo-gui, traci or a display; ExportError where the picture
+    cannot be written.
+    """
+    scenario = read_scenario(folder)
+    traci, binary = _traci(), _binary()
+    last = scenario.num_steps - 1
+    if screenshot is not None:
+        last = min(LAST_OBSERVED, last) if step is None else min(step, last)
+    with tempfile.TemporaryDirectory(prefix="hid2-gui-") as place:
+        grid = build_cell_grid(scenario.graph)
+        write_net(grid, Path(place) / "scene.net.xml")
+        for name, content in scene_view_files(grid, "scene").items():
+            (Path(place) / name).write_bytes(content)
+        command = [
+            binary,
+            "-c",
+            str(Path(place) / "scene.sumocfg"),
+            "--start",
+            "--quit-on-end",
+            "--no-warnings",
+            "true",
+            "--window-size",  # else what the user's last window had, or a small one
+            _WINDOW,
+        ]
+        command += ["--collision.action", "none", "--time-to-teleport", "-1", "--delay", str(delay_ms)]
+        try:
+            with redirect_stdout(sys.stderr):  # traci prints that it retries
+                traci.start(command, stdout=sys.stderr)
+        except (traci.exceptions.TraCIException, traci.exceptions.FatalTraCIError, OSError) as error:
+            raise SimulationError(f"sumo-gui does not start: {error}") from error
+        try:
+            _play(traci, scenario, last)
+            if screenshot is not None:
+                _photograph(traci, screenshot)
+        except traci.exceptions.FatalTraCIError as error:
+            if screenshot is not None:
+                raise SimulationError(f"sumo-gui ended before the picture was taken: {error}") from error
+        finally:
+            traci.close(wait=False)
+    return screenshot
+
+
+def _traci() -> ModuleType:
+    # bridge.sumo.simulation sets this for libsumo's sake; traci would then be libsumo, which has no window
+    setting = os.environ.pop("LIBSUMO_AS_TRACI", None)
+    try:
+        return import_module("traci")
+    except ModuleNotFoundError:
+        raise SimulationError(f"traci is not installed, {_HOW}") from None
+    finally:
+        if setting is not None:
+            os.environ["LIBSUMO_AS_TRACI"] = setting
+
+
+def _binary() -> str:
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise SimulationError("no display for sumo-gui, want DISPLAY set (or run under xvfb-run)")
+    beside = Path(sys.executable).with_name("sumo-gui")
+    binary = str(beside) if beside.is_file() else shutil.which("sumo-gui")
+    if binary is None:
+        raise SimulationError(f"sumo-gui is not installed, {_HOW}")
+    return binary
+
+
+def _play(traci: ModuleType, scenario: Scenario, last: int) -> None:
+    colors = paints(scenario)
+    _look(traci, scenario)
+    traci.route.add("anywhere", [_any_edge(traci)])
+    poses = {
+        track.track_id: sumo_poses(track.position, track.heading, np.full(len(track.timesteps), track.size.length_m))
+        for track in scenario.tracks
+    }
+    inside: set[str] = set()
+    for step in range(last + 1):
+        for track in scenario.tracks:
+            row = int(np.searchsorted(track.timesteps, step))
+            present = row < len(track.timesteps) and int(track.timesteps[row]) == step
+            if not present:
+                if track.track_id in inside:
+                    traci.vehicle.remove(track.track_id)
+                    inside.discard(track.track_id)
+                continue
+            if track.track_id not in inside:
+                _add(traci, track, colors[track.track_id].rgba)
+                inside.add(track.track_id)
+            front, angle = poses[track.track_id]
+            traci.vehicle.moveToXY(
+                track.track_id, "", -1, float(front[row, 0]), float(front[row, 1]), float(angle[row]),
+                keepRoute=_KEEP_ROUTE, matchThreshold=_MATCH_M,
+            )  # fmt: skip
+        traci.simulationStep()
+
+
+def _any_edge(traci: ModuleType) -> str:
+    """An edge that cars may use: where vehicles enter before they are moved to their places; not a bicycle lane."""
+    lanes = (lane for lane in traci.lane.getIDList() if not lane.startswith(":"))
+    lane = next(lane for lane in lanes if not (allowed := traci.lane.getAllowed(lane)) or "passenger" in allowed)
+    return str(traci.lane.getEdgeID(lane))
+
+
+def _add(traci: ModuleType, track: Track, rgba: tuple[int, int, int, int]) -> None:
+    name = track.track_id
+    traci.vehicle.add(name, "anywhere", depart="now")
+    traci.vehicle.setLength(name, track.size.length_m)
+    traci.vehicle.setWidth(name, track.size.width_m)
+    traci.vehicle.setColor(name, rgba)
+    if track.object_type in GUI_SHAPES:
+        traci.vehicle.setShapeClass(name, GUI_SHAPES[track.object_type])
+
+
+def _look(traci: ModuleType, scenario: Scenario) -> None:
+    """Show the ground on which something moves."""
+    moving = [track.position for track in scenario.tracks if np.ptp(track.position, axis=0).max() > 5.0]
+    points = np.concatenate(moving or [track.position for track in scenario.tracks])
+    low, high = points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
+    view = traci.gui.getIDList()[0]
+    traci.gui.setBoundary(view, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+def _photograph(traci: ModuleType, path: Path) -> None:
+    """Write the window's content; sumo-gui does so at its next step, in which vehicles stay where they are."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ExportError(f"{path}: cannot write the picture ({error})") from error
+    traci.gui.screenshot(traci.gui.getIDList()[0], str(path.resolve()))
+    for name in traci.vehicle.getIDList():
+        x, y = traci.vehicle.getPosition(name)
+        angle = traci.vehicle.getAngle(name)
+        traci.vehicle.moveToXY(name, "", -1, x, y, angle, keepRoute=_KEEP_ROUTE, matchThreshold=_MATCH_M)
+    traci.simulationStep()
+    if not path.is_file():
+        raise ExportError(f"{path}: sumo-gui wrote no picture, want a .png file in a writable folder")

@@ -1,0 +1,284 @@
+"""A scene as files that plain sumo-gui plays, without Python: net, routes, polygons, view settings, sumocfg.
+
+SUMO cannot read positions from a file, but a vehicle keeps to its lane and its lane's speed limit. So every agent gets
+lanes of its own, a centimetre wide and laid along the way of its front bumper, one for about every half second with the
+mean speed of that time as limit. `hid2 gui` (bridge.sumo.gui) shows the exact positions instead.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from lxml import etree
+
+from bridge.files import beside
+from bridge.pictures.figures import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from bridge.recordings.scenario import AV_ID, STEP_S, Scenario, read_scenario
+from bridge.recordings.sidecar import sidecar_in
+from bridge.sumo.poses import sumo_poses
+from hid2.agents import FloatArray, Policy, Track
+from hid2.measures.arrays import is_generated_id
+from netconvert.cells import CellGrid, build_cell_grid
+from netconvert.errors import ExportError
+from netconvert.geometry import arc_length
+from netconvert.gui_files import gui_files
+from netconvert.net_xml import net_bytes
+
+#: A lane of a trace covers at least this much time and way (the last one whatever is left).
+_MIN_SECONDS = 0.5
+_MIN_METERS = 0.3
+#: Points of a trace closer than this are one.
+_SAME_POINT_M = 0.02
+#: Lanes of a trace are no wider than this: they must not show.
+_TRACE_WIDTH_M = 0.01
+#: An agent that stays within this is drawn standing.
+STANDS_M = 1.5
+_CREEP_M = 0.1
+#: Rows of the moving mean over positions.
+SMOOTHED = 9
+#: The last lane of a trace, on which the vehicle leaves the scene within a step.
+_OUT_M, _OUT_MPS = 0.5, 80.0
+#: Vehicles keep to the limits of their lanes, however sudden.
+_ANY_ACCELERATION = "1000"
+#: SUMO's pictures of vehicles, by object type.
+GUI_SHAPES: Mapping[str, str] = {
+    "vehicle": "passenger/sedan",
+    "bus": "bus",
+    "motorcyclist": "motorcycle",
+    "cyclist": "bicycle",
+    "riderless_bicycle": "bicycle",
+    "pedestrian": "pedestrian",
+}
+
+
+class Paint(NamedTuple):
+    """Colour of an agent and what it stands for."""
+
+    color: str
+    meaning: str
+
+    @property
+    def rgba(self) -> tuple[int, int, int, int]:
+        """As TraCI takes it."""
+        r, g, b = (int(self.color[k : k + 2], 16) for k in (1, 3, 5))
+        return r, g, b, 255
+
+    @property
+    def xml(self) -> str:
+        """As SUMO's files have it."""
+        return ",".join(str(part) for part in self.rgba[:3])
+
+
+RECORDED = Paint("#9C9CA4", "recorded")
+AV = Paint(SKY, "recording vehicle")
+FOCAL = Paint("#FFFFFF", "focal")
+POLICIES: Mapping[Policy, Paint] = {
+    Policy.STRAIGHT: Paint(VERMILION, "straight"),
+    Policy.LEFT_TURN: Paint(GREEN, "left turn"),
+    Policy.RIGHT_TURN: Paint(PURPLE, "right turn"),
+    Policy.LANE_CHANGE: Paint(BLUE, "lane change"),
+    Policy.OVERTAKE: Paint(ORANGE, "overtake"),
+}
+
+
+def paints(scenario: Scenario) -> dict[str, Paint]:
+    """Colour of every track: recorded grey, the recorded focal one white, generated ones by policy."""
+    sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
+    policy_of = {agent.track_id: agent.policy for agent in sidecar.agents} if sidecar else {}
+    out = {}
+    for track in scenario.tracks:
+        if is_generated_id(track.track_id):
+            out[track.track_id] = POLICIES[policy_of.get(track.track_id, Policy.STRAIGHT)]
+        elif track.category == 3:
+            out[track.track_id] = FOCAL
+        else:
+            out[track.track_id] = AV if track.track_id == AV_ID else RECORDED
+    return out
+
+
+def write_playable(folder: Path, out_dir: Path) -> Path:
+    """Write <id>_scene.sumocfg, .net.xml, .rou.xml, .poly.xml and .view.xml into out_dir; returns the .sumocfg to open.
+
+    The net is that of `hid2 net` with the lanes of the traces added.
+
+    Errors: ScenarioError, MapError, NetError; ExportError where the files cannot be written.
+    """
+    scenario = read_scenario(folder)
+    grid = build_cell_grid(scenario.graph)
+    name = f"{scenario.scenario_id}_scene"
+    files = scene_view_files(grid, name)
+    traces = [_trace(track) for track in scenario.tracks]
+    files[f"{name}.net.xml"] = _with_traces(net_bytes(grid), traces)
+    files[f"{name}.rou.xml"] = _routes(scenario, traces)
+    files[f"{name}.sumocfg"] = _with_routes(files[f"{name}.sumocfg"], name, end_s=scenario.num_steps * STEP_S)
+    try:
+        for file_name, content in files.items():
+            with beside(out_dir / file_name) as hidden:
+                hidden.write_bytes(content)
+    except OSError as error:
+        raise ExportError(f"{out_dir}: cannot write the files for sumo-gui ({error})") from error
+    return out_dir / f"{name}.sumocfg"
+
+
+def scene_view_files(grid: CellGrid, name: str) -> dict[str, bytes]:
+    """<name>.sumocfg, .poly.xml and .view.xml as `hid2 net` writes them, with vehicles drawn as boxes of their size."""
+    files = gui_files(grid, name)
+    del files[f"{name}.cells.csv"]
+    view = etree.fromstring(files[f"{name}.view.xml"])
+    scheme = view.find("scheme")
+    assert scheme is not None
+    boxes = {"vehicleMode": "0", "vehicleQuality": "1", "showBlinker": "0", "vehicle_minSize": "0"}
+    vehicles = etree.SubElement(scheme, "vehicles", {**boxes, "vehicle_exaggeration": "1.3"})
+    etree.SubElement(vehicles, "colorScheme", {"name": "given vehicle/type/route color"})
+    files[f"{name}.view.xml"] = _content(view)
+    return files
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Trace:
+    """The lanes of one track: shapes, each (N, 2) m, and speed limits, m/s.
+
+    The first begins a vehicle's length behind the front bumper, at depart_m; the last takes the vehicle out at once.
+    """
+
+    track: Track
+    shapes: tuple[FloatArray, ...]
+    limits: tuple[float, ...]
+    depart_m: float
+
+    def edge(self, number: int) -> str:
+        """Id of one of its edges."""
+        return f"trace_{self.track.track_id}_{number}"
+
+
+def _trace(track: Track) -> _Trace:
+    points, when = _way(track)
+    knots = [0]
+    for row in range(1, len(points)):
+        way = float(arc_length(points[knots[-1] : row + 1])[-1])
+        if way >= _MIN_METERS and when[row] - when[knots[-1]] >= _MIN_SECONDS - 1e-9:
+            knots.append(row)
+    if knots[-1] != len(points) - 1:
+        knots = [*(knots[:-1] or [0]), len(points) - 1]
+    shapes = [points[begin : end + 1] for begin, end in pairwise(knots)]
+    limits = [float(arc_length(points[b : e + 1])[-1]) / float(when[e] - when[b]) for b, e in pairwise(knots)]
+    first, last = _direction(track.heading[0]), _direction(track.heading[-1])
+    shapes[0] = np.vstack([points[0] - track.size.length_m * first, shapes[0]])
+    shapes.append(np.stack([points[-1], points[-1] + _OUT_M * last]))
+    return _Trace(track, tuple(shapes), (*limits, _OUT_MPS), track.size.length_m)
+
+
+def _way(track: Track) -> tuple[FloatArray, FloatArray]:
+    """Places of the front bumper (N, 2) m, N >= 2, that follow each other forwards, and when it is there (N,) s.
+
+    An agent that stays within STANDS_M creeps a hand's breadth, and positions are smoothed: jitter would turn it round.
+    """
+    times = np.asarray(track.timesteps * STEP_S, dtype=np.float64)
+    middle = len(times) // 2
+    if np.hypot(*np.ptp(track.position, axis=0)) <= STANDS_M:
+        heading = float(track.heading[middle])
+        front = np.median(track.position, axis=0) + 0.5 * track.size.length_m * _direction(heading)
+        return np.stack([front, front + _CREEP_M * _direction(heading)]), np.array([times[0], times[-1] + STEP_S])
+    front, _ = sumo_poses(track.position, track.heading, np.full(len(times), track.size.length_m))
+    front = _smooth(front)
+    backwards = (track.position[-1] - track.position[0]) @ _direction(track.heading[middle]) < 0
+    kept = [0]
+    for row in range(1, len(front)):
+        step = front[row] - front[kept[-1]]
+        ahead = np.hypot(*step) if backwards else step @ _direction(track.heading[row])
+        if ahead > _SAME_POINT_M:
+            kept.append(row)
+    if len(kept) < 2:
+        kept = [0, len(front) - 1]
+    when = times[kept]
+    when[-1] = times[-1]
+    return front[kept], when
+
+
+def _smooth(points: FloatArray) -> FloatArray:
+    """Moving mean over SMOOTHED rows, fewer towards the ends, where points stay."""
+    total = np.vstack([np.zeros(2), np.cumsum(points, axis=0)])
+    rows = np.arange(len(points))
+    half = np.minimum(np.minimum(rows, rows[::-1]), SMOOTHED // 2)
+    return np.asarray((total[rows + half + 1] - total[rows - half]) / (2 * half + 1)[:, None])
+
+
+def _direction(heading: float) -> FloatArray:
+    return np.array([np.cos(heading), np.sin(heading)])
+
+
+def _with_traces(net: bytes, traces: list[_Trace]) -> bytes:
+    """Add the lanes of the traces to a net."""
+    root = etree.fromstring(net)
+    edges, junctions, connections = [], [], []
+    for trace in traces:
+        count = len(trace.shapes)
+        for k, (shape, limit) in enumerate(zip(trace.shapes, trace.limits, strict=True)):
+            ends = {"from": f"{trace.edge(k)}_j", "to": f"{trace.edge(k + 1)}_j"}
+            edge = etree.Element("edge", {"id": trace.edge(k), **ends, "priority": "0"})
+            lane = {"id": f"{trace.edge(k)}_0", "index": "0", "speed": f"{limit:.4f}", "width": f"{_TRACE_WIDTH_M}"}
+            lane |= {"length": f"{arc_length(shape)[-1]:.4f}", "shape": _shape(shape)}
+            etree.SubElement(edge, "lane", lane)
+            edges.append(edge)
+            if k:
+                link = {"from": trace.edge(k - 1), "to": trace.edge(k), "fromLane": "0", "toLane": "0", "dir": "s"}
+                connections.append(etree.Element("connection", {**link, "state": "M"}))
+        for k in range(count + 1):
+            x, y = trace.shapes[k][0] if k < count else trace.shapes[-1][-1]
+            incoming = f"{trace.edge(k - 1)}_0" if k else ""
+            known = {"id": f"{trace.edge(k)}_j", "type": "unregulated", "x": f"{x:.3f}", "y": f"{y:.3f}"}
+            junctions.append(etree.Element("junction", {**known, "incLanes": incoming, "intLanes": ""}))
+    for tag, elements in (("edge", edges), ("junction", junctions), ("connection", connections)):
+        before = root.findall(tag)
+        place = root.index(before[-1]) + 1 if before else len(root)
+        root[place:place] = elements
+    return _content(root)
+
+
+def _shape(points: FloatArray) -> str:
+    return " ".join(f"{x:.3f},{y:.3f}" for x, y in points.tolist())
+
+
+def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
+    colors = paints(scenario)
+    root = etree.Element("routes")
+    ordered = sorted(traces, key=lambda trace: (int(trace.track.timesteps[0]), trace.track.track_id))
+    for trace in ordered:
+        size = trace.track.size
+        kind = {"id": f"type_{trace.track.track_id}", "length": f"{size.length_m:.2f}", "width": f"{size.width_m:.2f}"}
+        if trace.track.object_type in GUI_SHAPES:
+            kind["guiShape"] = GUI_SHAPES[trace.track.object_type]
+        kind |= {"minGap": "0", "sigma": "0"}
+        kind |= {"accel": _ANY_ACCELERATION, "decel": _ANY_ACCELERATION, "emergencyDecel": _ANY_ACCELERATION}
+        kind |= {"maxSpeed": "80", "speedFactor": "1", "speedDev": "0", "tau": "0.1"}
+        etree.SubElement(root, "vType", kind)
+    for trace in ordered:
+        name = trace.track.track_id
+        vehicle = {"id": name, "type": f"type_{name}", "color": colors[name].xml, "insertionChecks": "none"}
+        vehicle |= {"depart": f"{trace.track.timesteps[0] * STEP_S:.1f}", "departPos": f"{trace.depart_m:.2f}"}
+        vehicle |= {"departSpeed": f"{trace.limits[0]:.4f}", "arrivalPos": "max"}
+        element = etree.SubElement(root, "vehicle", vehicle)
+        edges = " ".join(trace.edge(k) for k in range(len(trace.shapes)))
+        etree.SubElement(element, "route", {"edges": edges})
+    return _content(root)
+
+
+def _with_routes(configuration: bytes, name: str, *, end_s: float) -> bytes:
+    root = etree.fromstring(configuration)
+    inputs, time = root.find("input"), root.find("time")
+    assert inputs is not None
+    assert time is not None
+    etree.SubElement(inputs, "route-files", {"value": f"{name}.rou.xml"})
+    etree.SubElement(time, "end", {"value": f"{end_s:.1f}"})
+    processing = etree.SubElement(root, "processing")
+    etree.SubElement(processing, "collision.action", {"value": "none"})
+    etree.SubElement(processing, "time-to-teleport", {"value": "-1"})
+    return _content(root)
+
+
+def _content(root: etree._Element) -> bytes:
+    content: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+    return content

@@ -1,0 +1,1 @@
+"""Where vehicles are inserted, and how many."""

@@ -1,0 +1,1 @@
+"""Compiled loops: the only files whose change costs a recompile."""

@@ -1,0 +1,1 @@
+"""One rule for each measure, used by the method and by the evaluation."""

@@ -1,0 +1,108 @@
+"""The lanes that a vehicle drives, as runs and as polylines: what manoeuvres are measured against."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from hid2.measures.arrays import SceneArrays
+from hid2.measures.lane_matching import FlatLanes, Matches
+from netconvert.geometry import Polyline
+
+#: Lane paths are laid out this far beyond the lane of a change.
+_PATH_AHEAD_M = 150.0
+#: Times off every lane shorter than this do not end a run on a lane.
+_SHORT_OFF_S = 1.0
+
+
+class Run(NamedTuple):
+    """Rows first to last (inclusive) of one vehicle on one lane."""
+
+    lane: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LaneView:
+    """Everything the detectors read."""
+
+    arrays: SceneArrays
+    lanes: FlatLanes
+    matches: Matches
+
+
+def first_lane_path(arrays: SceneArrays, lanes: FlatLanes, matches: Matches, agent: int) -> Polyline | None:
+    """The path of the lane that the vehicle starts in, kept beside it through lane changes; None off every lane.
+
+    Its Frenet d is the lateral offset over time that shows a lane change as one smooth step.
+    """
+    view = LaneView(arrays, lanes, matches)
+    runs = [run for run in runs_of(view, agent) if run.lane >= 0]
+    if not runs:
+        return None
+    change = next((k for k, (a, b) in enumerate(pairwise(runs), 1) if lanes.link[a.lane, b.lane] != 0), len(runs))
+    return source_path(view, runs, change)[0]
+
+
+def runs_of(view: LaneView, agent: int) -> list[Run]:
+    """Lanes in the order driven; short times off every lane are bridged, longer ones are runs of lane -1."""
+    start, stop = int(view.arrays.first[agent]), int(view.arrays.first[agent + 1])
+    lane = view.matches.lane[start:stop]
+    borders = np.flatnonzero(np.diff(lane)) + 1
+    edges = [0, *borders.tolist(), len(lane)]
+    runs = [Run(int(lane[a]), start + a, start + b - 1) for a, b in pairwise(edges)]
+    short = round(_SHORT_OFF_S / view.arrays.step_s)
+    return [run for run in runs if run.lane >= 0 or run.last - run.first + 1 > short]
+
+
+def source_path(view: LaneView, runs: list[Run], k: int) -> tuple[Polyline, tuple[int, ...]]:
+    """The lane path that the vehicle leaves: its lanes so far, then those beside the lanes that it drives later."""
+    chain = _chain_back(view, runs, k - 1)
+    beside = {n for run in runs[k:] if run.lane >= 0 for n in _beside(view.lanes, run.lane)}
+    return _path(view, chain, beside)
+
+
+def target_path(view: LaneView, runs: list[Run], k: int) -> tuple[Polyline, tuple[int, ...]]:
+    """The lane path that the vehicle joins: the lane and those that it drives later, begun beside its lanes so far."""
+    chain = [runs[k].lane]
+    beside = {n for run in runs[:k] if run.lane >= 0 for n in _beside(view.lanes, run.lane)}
+    while len(chain) < 20:
+        before = [n for n in np.flatnonzero(view.lanes.link[:, chain[0]] == 0) if int(n) in beside]
+        before = [n for n in before if chain[0] in view.lanes.successors[n] and n not in chain]
+        if not before:
+            break
+        chain.insert(0, int(before[0]))
+    own = {run.lane for run in runs[k:]}
+    return _path(view, chain, own)
+
+
+def _chain_back(view: LaneView, runs: list[Run], k: int) -> list[int]:
+    chain = [runs[k].lane]
+    for run in reversed(runs[:k]):
+        if run.lane < 0 or chain[0] not in view.lanes.successors[run.lane]:
+            break
+        chain.insert(0, run.lane)
+    return chain
+
+
+def _beside(lanes: FlatLanes, lane: int) -> list[int]:
+    return [int(n) for n in (lanes.left[lane], lanes.right[lane]) if n >= 0]
+
+
+def _path(view: LaneView, chain: list[int], preferred: set[int]) -> tuple[Polyline, tuple[int, ...]]:
+    """The polyline of `chain`, extended over preferred successors, else the straightest, by _PATH_AHEAD_M."""
+    lanes = list(chain)
+    ahead = 0.0
+    while ahead < _PATH_AHEAD_M and len(lanes) < 100:
+        targets = view.lanes.successors[lanes[-1]]
+        wanted = [n for n in targets if n in preferred]
+        following = wanted[0] if wanted else int(view.lanes.straight[lanes[-1]])
+        if following < 0 or following in lanes:
+            break
+        lanes.append(following)
+        ahead += float(view.lanes.length_m[following])
+    points = np.concatenate([view.lanes.lane_points(lane) for lane in lanes])
+    keep = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
+    return Polyline(points[keep]), tuple(lanes)

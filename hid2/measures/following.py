@@ -1,0 +1,153 @@
+"""The leader on the lane path: gap, time gap, time headway and TTC to it (evaluation.md; SSAM's car-following case)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from hid2.agents import FloatArray, IntArray
+from hid2.measures.arrays import SceneArrays
+from hid2.measures.lane_matching import FlatLanes, Matches
+
+#: Vehicles further ahead on the lane path lead nobody.
+HORIZON_M = 100.0
+#: Slower followers have no time gap.
+MIN_SPEED_MPS = 1.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Leaders:
+    """The next vehicle ahead on each row's lane path (N,); rows without one have agent -1 and infinite values.
+
+    gap_m bumper to bumper; time_gap_s = gap / follower's speed; headway_s = front to front; ttc_s, inf if not closing.
+    """
+
+    agent: IntArray
+    gap_m: FloatArray
+    time_gap_s: FloatArray
+    headway_s: FloatArray
+    ttc_s: FloatArray
+
+
+@njit(cache=True)
+def _leaders(
+    lane: IntArray,
+    s: FloatArray,
+    d: FloatArray,
+    agent: IntArray,
+    row_of: IntArray,
+    next_row: IntArray,
+    length: FloatArray,
+    width: FloatArray,
+    lane_length: FloatArray,
+    successors: IntArray,
+    straight: IntArray,
+    horizon: float,
+) -> tuple[IntArray, FloatArray]:
+    agents, steps = row_of.shape
+    lanes = len(lane_length)
+    leader = np.full(len(lane), -1, dtype=np.int64)
+    gap = np.full(len(lane), math.inf)
+    head = np.full(lanes, -1, dtype=np.int64)
+    chain = np.full(agents, -1, dtype=np.int64)
+    for t in range(steps):
+        head[:] = -1
+        for a in range(agents):
+            i = row_of[a, t]
+            if i >= 0 and lane[i] >= 0:
+                chain[a] = head[lane[i]]
+                head[lane[i]] = a
+        for a in range(agents):
+            i = row_of[a, t]
+            if i < 0 or lane[i] < 0:
+                continue
+            current, row, offset = lane[i], i, -s[i]
+            best, best_distance = -1, math.inf
+            for _ in range(200):
+                b = head[current]
+                while b >= 0:
+                    j = row_of[b, t]
+                    distance = offset + s[j]
+                    if b != a and 0 < distance < best_distance and abs(d[j] - d[i]) < (width[a] + width[b]) / 2:
+                        best, best_distance = b, distance
+                    b = chain[b]
+                offset += lane_length[current]
+                if best >= 0 or offset > horizon:
+                    break
+                # own future lanes where they go on from here, else the straightest successor
+                target = -1
+                if row >= 0:
+                    row = next_row[row]
+                    wanted = lane[row] if row >= 0 else -1
+                    if wanted >= 0:
+                        for n in successors[current]:
+                            if n == wanted:
+                                target = n
+                    if target < 0:
+                        row = -1
+                if target < 0:
+                    target = straight[current]
+                if target < 0:
+                    break
+                current = target
+            if best >= 0 and best_distance <= horizon:
+                leader[i] = best
+                gap[i] = best_distance - (length[a] + length[best]) / 2
+    return leader, gap
+
+
+def leaders(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> Leaders:
+    """Leader of every vehicle row on its lane path: lane, the lanes it drives next, then the straightest successors.
+
+    A vehicle ahead leads where the two boxes overlap across the lane.
+    """
+    successors = np.full((len(lanes.successors), max([1, *map(len, lanes.successors)])), -1, dtype=np.int64)
+    for k, targets in enumerate(lanes.successors):
+        successors[k, : len(targets)] = targets
+    agent, gap = _leaders(
+        matches.lane,
+        matches.s,
+        matches.d,
+        arrays.agent,
+        arrays.row_of,
+        _next_lane_row(arrays, matches),
+        arrays.length,
+        arrays.width,
+        lanes.length_m,
+        successors,
+        lanes.straight,
+        HORIZON_M,
+    )
+    speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
+    led = agent >= 0
+    leader_row = np.where(led, arrays.row_of[np.where(led, agent, 0), arrays.step], 0) if len(agent) else agent
+    closing = np.where(led, speed - speed[leader_row], 0.0) if len(agent) else gap
+    moving = led & (speed > MIN_SPEED_MPS)
+    divisor = np.where(moving, speed, 1.0)
+    leader_length = arrays.length[np.where(led, agent, 0)] if len(agent) else gap
+    positive = led & (closing > 1e-9)
+    return Leaders(
+        agent=agent,
+        gap_m=gap,
+        time_gap_s=np.where(moving, gap / divisor, np.inf),
+        headway_s=np.where(moving, (gap + leader_length) / divisor, np.inf),
+        ttc_s=np.where(positive, np.maximum(gap, 0.0) / np.where(positive, closing, 1.0), np.inf),
+    )
+
+
+def _next_lane_row(arrays: SceneArrays, matches: Matches) -> IntArray:
+    """(N,) the next row of the same agent on another lane, -1 if there is none."""
+    rows = len(matches.lane)
+    out = np.full(rows, -1, dtype=np.int64)
+    if rows < 2:
+        return out
+    switches = np.flatnonzero((np.diff(matches.lane) != 0) & (np.diff(arrays.agent) == 0)) + 1
+    if not len(switches):
+        return out
+    at = np.searchsorted(switches, np.arange(rows), side="right")
+    found = at < len(switches)
+    candidate = switches[np.where(found, at, 0)]
+    same = found & (arrays.agent[candidate] == arrays.agent)
+    out[same] = candidate[same]
+    return out

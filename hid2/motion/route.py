@@ -1,0 +1,258 @@
+"""Routes through the lane graph, and the path that a vehicle drives along one (with its lane changes)."""
+
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import accumulate
+
+import numpy as np
+
+from hid2.agents import FloatArray
+from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
+from hid2.params import Limits, Smoothing
+from hid2.policy.lane_change import Blend
+from netconvert.geometry import arc_length
+from netconvert.lane_graph import TURN_RAD, LaneGraph, TurnType
+
+#: A route that is no shorter than this stops growing.
+ROUTE_LONGEST_M = 260.0
+_LOOK_BACK_M = 50.0  # on a lane beside, for who comes from behind
+_BESIDE_TURN_M = 5.0  # before a turning lane and behind it, that its heading is compared over
+
+Route = tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Stretch of a path on one lane: start, end in arc length of the path, m; lane_s at its start and end, m."""
+
+    lane_id: int
+    start: float
+    end: float
+    lane_start: float
+    lane_end: float
+
+    def lane_s(self, s: float) -> float:
+        """Arc length on the lane at arc length s of the path."""
+        share = (s - self.start) / max(self.end - self.start, 1e-9)
+        return self.lane_start + min(max(share, 0.0), 1.0) * (self.lane_end - self.lane_start)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DrivenPath:
+    """Where a vehicle goes: the smoothed line, the polyline below it, and the lanes along it.
+
+    raw (N, 2) m; shifts: (start, end) of each lateral motion, m on the line; exit_s: the end of the last lane.
+    """
+
+    line: ReferenceLine
+    raw: FloatArray
+    segments: tuple[Segment, ...]
+    shifts: tuple[tuple[float, float], ...] = ()
+    raw_s: FloatArray = field(init=False, repr=False)
+    """Arc length on raw of each of the line's points, m."""
+
+    def __post_init__(self) -> None:
+        total = float(arc_length(self.raw)[-1])
+        object.__setattr__(self, "raw_s", np.linspace(0.0, total, self.line.points_s.size))
+
+    @property
+    def grid_end_s(self) -> float:
+        """Arc length up to which the path lies on cells, m."""
+        return self.segments[-1].end
+
+    @property
+    def exit_s(self) -> float:
+        """Arc length where the last lane ends, m."""
+        return self.line.length_m
+
+    def segment_at(self, s: float) -> Segment:
+        """Lane stretch at arc length s; the last one beyond the end."""
+        for segment in self.segments:
+            if s < segment.end:
+                return segment
+        return self.segments[-1]
+
+    def to_line(self, raw_s: float) -> float:
+        """Arc length on the line of an arc length on the raw polyline."""
+        return float(np.interp(raw_s, self.raw_s, self.line.points_s))
+
+    def all_to_line(self, raw_s: FloatArray) -> FloatArray:
+        """The same for many, (M,) m."""
+        return np.interp(raw_s, self.raw_s, self.line.points_s)
+
+    def to_raw(self, s: float) -> float:
+        """Arc length on the raw polyline of an arc length on the line."""
+        return float(np.interp(s, self.line.points_s, self.raw_s))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Way:
+    """A route, with what is looked up along it again and again.
+
+    ends_m (K,): arc length at the end of each lane, m; table (K, 2): the same, and the lanes' rows in `FlatLanes`.
+    """
+
+    route: Route
+    ends_m: tuple[float, ...]
+    table: FloatArray
+
+    @property
+    def length_m(self) -> float:
+        """Of all lanes."""
+        return self.ends_m[-1]
+
+    def on_lane(self, s: float) -> tuple[int, float]:
+        """Lane at arc length s, m, and the arc length on it; the last one beyond the end."""
+        row = min(bisect_right(self.ends_m, s), len(self.route) - 1)
+        return self.route[row], s - (self.ends_m[row - 1] if row else 0.0)
+
+    def between(self, first: float, last: float) -> Iterator[tuple[int, float]]:
+        """Lanes between two arc lengths, m, each with where on it that stretch begins."""
+        start = 0.0
+        for lane_id, end in zip(self.route, self.ends_m, strict=True):
+            if start >= last:
+                return
+            if end > first:
+                yield lane_id, max(first - start, 0.0)
+            start = end
+
+
+def way_along(graph: LaneGraph, route: Route, row_of: Mapping[int, int]) -> Way:
+    """A route with the lengths of its lanes; row_of: row of each lane in `FlatLanes`."""
+    ends = tuple(accumulate(graph.lanes[lane_id].length_m for lane_id in route))
+    table = np.array([ends, [row_of[lane_id] for lane_id in route]], dtype=np.float64)
+    return Way(route, ends, np.ascontiguousarray(table.T))
+
+
+def route_points(graph: LaneGraph, route: Route) -> FloatArray:
+    """(N, 2) m centrelines of a route's lanes, one after the other, joints once."""
+    pieces = [graph.lanes[route[0]].centerline]
+    pieces += [graph.lanes[lane_id].centerline[1:] for lane_id in route[1:]]
+    return np.concatenate(pieces)
+
+
+def path_along(
+    graph: LaneGraph, route: Route, *, smoothing: Smoothing, limits: Limits, run_on_m: float = 0.0
+) -> DrivenPath:
+    """Path on the middle of a route's lanes, from the start of the first to the end of the last.
+
+    run_on_m: so much farther straight on, off the grid (the ablation without topology, where nothing links lanes).
+    """
+    raw = route_points(graph, route)
+    if run_on_m > 0:
+        last = raw[-1] - raw[-2]
+        raw = np.concatenate([raw, raw[-1:] + run_on_m * last / np.hypot(last[0], last[1])])
+    line = build_reference_line(
+        raw, step_m=smoothing.path_step_m, min_radius_m=limits.min_radius_m, max_offset_m=smoothing.max_offset_m
+    )
+    bare = DrivenPath(line=line, raw=raw, segments=())
+    lengths = [graph.lanes[lane_id].length_m for lane_id in route]
+    ends = bare.all_to_line(np.concatenate([[0.0], np.cumsum(lengths)])).tolist()
+    segments = tuple(
+        Segment(lane_id, start, end, 0.0, length)
+        for lane_id, start, end, length in zip(route, ends[:-1], ends[1:], lengths, strict=True)
+    )
+    return DrivenPath(line=line, raw=raw, segments=segments)
+
+
+def shifted_path(
+    path: DrivenPath, target: DrivenPath, blend: Blend, *, smoothing: Smoothing, limits: Limits
+) -> DrivenPath:
+    """Path that changes from the lanes of `path` to those of `target` along `blend`; the lane changes half way."""
+    line = build_reference_line(
+        blend.points,
+        step_m=smoothing.path_step_m,
+        min_radius_m=limits.min_radius_m,
+        max_offset_m=smoothing.max_offset_m,
+    )
+    bare = DrivenPath(line=line, raw=blend.points, segments=())
+    middle = bare.to_line(0.5 * (blend.start_m + blend.end_m))
+    segments: list[Segment] = []
+    for segment in path.segments:
+        if segment.start >= middle:
+            break
+        end = min(segment.end, middle)
+        segments.append(Segment(segment.lane_id, segment.start, end, segment.lane_start, segment.lane_s(end)))
+    for segment in target.segments:
+        start = bare.to_line(target.to_raw(segment.start) - blend.target_offset_m)
+        end = bare.to_line(target.to_raw(segment.end) - blend.target_offset_m)
+        if end <= middle:
+            continue
+        share = max(0.0, (middle - start) / max(end - start, 1e-9))
+        lane_start = segment.lane_start + share * (segment.lane_end - segment.lane_start)
+        segments.append(Segment(segment.lane_id, max(start, middle), end, lane_start, segment.lane_end))
+    shift = (bare.to_line(blend.start_m), bare.to_line(blend.end_m))
+    return DrivenPath(line=line, raw=blend.points, segments=tuple(segments), shifts=(*path.shifts, shift))
+
+
+def turn_segments(graph: LaneGraph, path: DrivenPath) -> list[tuple[float, float, TurnType]]:
+    """(start, end, turn type) of each stretch of a path."""
+    return [(segment.start, segment.end, graph.lanes[segment.lane_id].turn) for segment in path.segments]
+
+
+def first_turn(graph: LaneGraph, path: DrivenPath, kind: TurnType, *, after: float) -> Segment | None:
+    """First stretch of a path on a lane of a turn type that begins behind arc length `after`, m; None if none does.
+
+    Only where the path itself turns so: a lane may do no more than undo the kink before it, which nobody sees.
+    """
+    heading, sign = path.line.table_heading, 1.0 if kind is TurnType.LEFT else -1.0
+    for segment in path.segments:
+        if graph.lanes[segment.lane_id].turn is kind and segment.start > after:
+            before = max(int((segment.start - _BESIDE_TURN_M) / TABLE_STEP_M), 0)
+            behind = min(int((segment.end + _BESIDE_TURN_M) / TABLE_STEP_M), heading.size - 1)
+            if sign * float(heading[behind] - heading[before]) >= TURN_RAD:
+                return segment
+    return None
+
+
+def routes_from(
+    graph: LaneGraph,
+    lane_id: int,
+    *,
+    choose: Callable[[tuple[int, ...]], tuple[int, ...]],
+    usable: Callable[[int], bool],
+    most: int,
+    longest_m: float,
+) -> Iterator[Route]:
+    """Routes from a lane to where the map ends, depth first; `choose` orders the successors at each split.
+
+    A route stops growing beyond longest_m; cycles are not entered twice. At most `most` routes.
+    """
+    found = 0
+    stack: list[tuple[Route, float]] = [((lane_id,), 0.0)]
+    while stack and found < most:
+        route, length = stack.pop()
+        while True:
+            length += graph.lanes[route[-1]].length_m
+            after = graph.successors(route[-1])
+            onward = tuple([n for n in after if n not in route and usable(n)])
+            if len(onward) != 1 or length > longest_m:
+                break
+            route = (*route, *onward)
+        if not onward and any(not usable(n) for n in after):
+            continue
+        if not onward or length > longest_m:
+            found += 1
+            yield route
+            continue
+        stack.extend(((*route, n), length) for n in reversed(choose(onward)))
+
+
+def route_beside(graph: LaneGraph, own: Route, lane_id: int, *, usable: Callable[[int], bool]) -> Route:
+    """Route of l', a lane beside: lanes before it, for who comes from behind, then on beside the own ones if it can."""
+    beside = {n for lane in own for n in (graph.neighbor(lane, "left"), graph.neighbor(lane, "right")) if n is not None}
+
+    def choose(onward: tuple[int, ...]) -> tuple[int, ...]:
+        return tuple(sorted(onward, key=lambda n: (n not in beside, graph.lanes[n].turn is not TurnType.STRAIGHT, n)))
+
+    ahead = routes_from(graph, lane_id, choose=choose, usable=usable, most=1, longest_m=ROUTE_LONGEST_M)
+    route: Route = next(ahead, (lane_id,))
+    behind_m = 0.0
+    while behind_m < _LOOK_BACK_M:
+        before = sorted(p for p in graph.predecessors(route[0]) if usable(p) and p not in route)
+        if not before:
+            break
+        behind_m += graph.lanes[before[0]].length_m
+        route = (before[0], *route)
+    return route

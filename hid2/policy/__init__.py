@@ -1,0 +1,1 @@
+"""The paper's chapter Agent Policy: Algorithm 1, lane change, overtake, turns."""

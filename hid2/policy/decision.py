@@ -1,0 +1,105 @@
+"""Algorithm 1 of the paper: the decision of one generated agent at one step. Values in, a value out."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from hid2.agents import Policy
+from hid2.params import LaneChange, Overtake
+from hid2.policy.lane_change import Gap, lane_change_reason
+from hid2.policy.overtake import Leader, Stage, enter_reason, return_reason
+from netconvert.cells import Cell
+from netconvert.lane_graph import TurnType
+
+Side = Literal["left", "right"]
+
+
+@dataclass(frozen=True, slots=True)
+class LaneOption:
+    """An adjacent lane l' that the marking lets the agent change to, as it sees it at one step.
+
+    target: cell g_{l',j}; cells_free: sigma = 0 in j-1, j, j+1; gaps to the vehicles ahead and behind there, Frenet m;
+    remaining_m: length of l' left through its successors; corridor_m: its free stretch m * delta s.
+    """
+
+    side: Side
+    target: Cell
+    cells_free: bool
+    front: Gap
+    rear: Gap
+    remaining_m: float
+    corridor_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What the agent knows at time t: its cell, lane type, request, leader within d_obs, and adjacent lanes."""
+
+    time_s: float
+    cell: Cell
+    next_cell: Cell | None
+    lane_turn: TurnType
+    speed_mps: float
+    desired_mps: float
+    request: Policy
+    trigger_s: float
+    stage: Stage
+    leader: Leader | None
+    options: tuple[LaneOption, ...]
+    passed_gap_m: float = -1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """policy_i and g_i^{t+1}. reason: why a manoeuvre that is due was not begun; None where begun or not due."""
+
+    policy: Policy
+    target: Cell | None
+    side: Side | None = None
+    reason: str | None = None
+
+
+def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) -> Decision:
+    """Algorithm 1 (Agent Decision). "Not feasible" is a reason, never an exception."""
+    reason: str | None = None
+    due = seen.time_s >= seen.trigger_s and seen.stage is not Stage.DONE and seen.stage is not Stage.ABORTED
+    if due and seen.request is Policy.LANE_CHANGE:
+        reason = "no_adjacent_lane"
+        for option in seen.options:
+            reason = lane_change_reason(
+                speed_mps=seen.speed_mps,
+                cells_free=option.cells_free,
+                front=option.front,
+                rear=option.rear,
+                remaining_m=option.remaining_m,
+                params=lane_change,
+            )
+            if reason is None:
+                return Decision(Policy.LANE_CHANGE, option.target, option.side)
+    elif due and seen.request is Policy.OVERTAKE:
+        reason = "no_adjacent_lane"
+        for option in seen.options:
+            if seen.stage is Stage.PASS:
+                reason = return_reason(
+                    lead_gap_m=seen.passed_gap_m,
+                    lane_available=option.cells_free,
+                    ahead=option.front,
+                    params=overtake,
+                )
+            else:
+                reason = enter_reason(
+                    leader=seen.leader,
+                    desired_mps=seen.desired_mps,
+                    lane_available=option.cells_free,
+                    ahead=option.front,
+                    behind=option.rear,
+                    free_corridor_m=option.corridor_m,
+                    params=overtake,
+                )
+            if reason is None:
+                return Decision(Policy.OVERTAKE, option.target, option.side)
+    policy = {
+        TurnType.STRAIGHT: Policy.STRAIGHT,
+        TurnType.LEFT: Policy.LEFT_TURN,
+        TurnType.RIGHT: Policy.RIGHT_TURN,
+    }[seen.lane_turn]
+    return Decision(policy, seen.next_cell, reason=reason)

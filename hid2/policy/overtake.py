@@ -1,0 +1,68 @@
+"""Overtaking in three stages: enter, pass, return; each with its own feasibility check (paper, Overtaking)."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from hid2.params import Overtake
+from hid2.policy.lane_change import Gap
+
+
+class Stage(StrEnum):
+    """Where an overtake stands. ABORTED is a state: the vehicle stays in the lane it is in."""
+
+    WAITING = "waiting"
+    ENTER = "enter"
+    PASS = "pass"  # noqa: S105
+    RETURN = "return"
+    DONE = "done"
+    ABORTED = "aborted"
+
+
+@dataclass(frozen=True, slots=True)
+class Leader:
+    """Next vehicle on the lane path: bumper gap m, speed m/s, length m."""
+
+    track_id: str
+    gap_m: float
+    speed_mps: float
+    length_m: float
+
+
+def enter_reason(
+    *,
+    leader: Leader | None,
+    desired_mps: float,
+    lane_available: bool,
+    ahead: Gap,
+    behind: Gap,
+    free_corridor_m: float,
+    params: Overtake,
+) -> str | None:
+    """Why the overtake cannot begin now; None where it can.
+
+    The paper's three conditions: a free overtaking lane l', gaps ahead and behind, m * delta s >= d_overtake.
+    """
+    if leader is None or leader.gap_m > params.d_obs_m:
+        return "no_leader"
+    if desired_mps - leader.speed_mps < params.speed_advantage_mps:
+        return "leader_not_slower"
+    if not lane_available:
+        return "no_lane"
+    if ahead.distance_m < params.safe_front_m:
+        return "front_gap"
+    if behind.distance_m < params.safe_rear_m:
+        return "rear_gap"
+    if free_corridor_m < params.d_overtake_m:
+        return "corridor_short"
+    return None
+
+
+def return_reason(*, lead_gap_m: float, lane_available: bool, ahead: Gap, params: Overtake) -> str | None:
+    """Why the return cannot begin now: lead_gap_m is the bumper gap to the passed vehicle, negative beside it."""
+    if lead_gap_m < params.return_gap_m:
+        return "not_ahead"
+    if not lane_available:
+        return "no_lane"
+    if ahead.distance_m < params.safe_front_m:
+        return "front_gap"
+    return None

@@ -1,0 +1,97 @@
+"""Facts of scenes, and the choice among them."""
+
+from pathlib import Path
+
+import pytest
+
+from bridge.batch.scan import SceneFacts, Selection, describe_scene, facts_of, select, wanted
+from hid2.params import Config
+from netconvert.errors import ConfigError
+
+
+def fact(scenario: str, **values: object) -> SceneFacts:
+    zeros = {name: 0 for name in SceneFacts._fields if name not in ("folder", "scenario", "split", "city")}
+    return SceneFacts(Path(scenario), scenario, "val", "miami", **zeros)._replace(**values)
+
+
+FACTS = [
+    fact("a", tracks=30, lane_change_m=100.0),
+    fact("b", tracks=50, city="austin", left_turns=2),
+    fact("c", tracks=70, lane_change_m=10.0, left_turns=1, split="train"),
+]
+
+
+@pytest.mark.parametrize(
+    ("selection", "names"),
+    [
+        (Selection(), "abc"),
+        (Selection(min_agents=50), "bc"),
+        (Selection(cities=("austin", "paris")), "b"),
+        (Selection(splits=("val",)), "ab"),
+        (Selection(can=("lane_change",)), "ac"),
+        (Selection(can=("lane_change", "left_turn")), "c"),
+        (Selection(can=("right_turn",)), ""),
+        (Selection(sample=5), "abc"),
+    ],
+)
+def test_selection(selection: Selection, names: str) -> None:
+    assert [chosen.scenario for chosen in select(FACTS, selection)] == list(names)
+
+
+def test_sample_is_drawn_with_the_seed() -> None:
+    many = [fact(str(number)) for number in range(100)]
+    first = select(many, Selection(sample=10, seed=1))
+    assert len(first) == 10
+    assert first == select(many, Selection(sample=10, seed=1))
+    assert first != select(many, Selection(sample=10, seed=2))
+    assert [many.index(chosen) for chosen in first] == sorted(many.index(chosen) for chosen in first)
+
+
+def test_unknown_manoeuvre_is_named() -> None:
+    with pytest.raises(ConfigError, match="--can 'fly'"):
+        select(FACTS, Selection(can=("fly",)))
+
+
+def test_scene_that_cannot_be_read_is_tried_with_those_selected() -> None:
+    """It may be wanted, and its reason is then where those of others are; it is in no sample, and not enough alone."""
+    folders, unread = [Path("b"), Path("broken"), Path("a"), Path("c")], [(Path("broken"), "not a parquet file")]
+    assert wanted(folders, FACTS, unread, Selection(splits=("val",))) == [Path("b"), Path("broken"), Path("a")]
+    assert Path("broken") not in wanted(folders, FACTS, unread, Selection(sample=3))
+    with pytest.raises(ConfigError, match=r"none of 4 scenes is left by the selection"):
+        wanted(folders, FACTS, unread, Selection(splits=("test",)))
+
+
+def test_nothing_is_read_unless_it_is_asked_for() -> None:
+    assert not Selection(seed=5).needs_facts
+    assert Selection(can=("straight",)).needs_facts
+
+
+def test_synthetic_maps_offer_what_they_were_made_for(data_scenes: dict[str, Path]) -> None:
+    facts = {name: describe_scene(folder, Config()) for name, folder in data_scenes.items()}
+    assert facts["arterial"].lane_change_m > 500
+    assert facts["arterial"].overtake_m > 500
+    assert facts["intersection"].left_turns >= 4
+    assert facts["intersection"].right_turns >= 4
+    assert facts["curve"].lane_change_m > 0
+    assert all(found.at_49 <= found.tracks and found.moving <= found.vehicles for found in facts.values())
+
+
+def test_real_scenes_have_the_figures_of_their_list(real_scenes: list[Path], shared_data: Path) -> None:
+    """Compared with av2_scenarios.csv, which was made by other means."""
+    import csv
+
+    with (shared_data / "av2_scenarios.csv").open() as file:
+        listed = {next(iter(row.values())): row for row in csv.DictReader(file)}
+    facts, failures = facts_of(real_scenes)
+    assert failures == []
+    for found in facts:
+        (row,) = [row for key, row in listed.items() if found.scenario.startswith(key[:8])]
+        assert found.city == row["city"]
+        assert found.tracks == int(row["tracks"])
+        assert found.lanes == int(row["lanes"])
+
+
+def test_scene_that_cannot_be_read_is_listed(data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    facts, failures = facts_of([data_scenes["curve"], tmp_path])
+    assert [found.folder for found in facts] == [data_scenes["curve"]]
+    assert failures[0][0] == tmp_path

@@ -1,0 +1,212 @@
+"""The evaluation of folders: figures, tables and the report."""
+
+import csv
+import json
+import re
+import shutil
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bridge.evaluation.aggregate import KINEMATIC, SourceSums, estimate, ratio_estimate
+from bridge.evaluation.evaluate import evaluate_folder
+from bridge.evaluation.report import number
+from bridge.evaluation.scene_metrics import Maps, measure, measure_folder
+from bridge.recordings.scenario import find_scenarios, read_scenario
+from hid2.evaluation.realism import DRIVING_FEATURES, MOTION_FEATURES
+from hid2.evaluation.safety import survey
+from hid2.params import Limits
+from netconvert.errors import ExportError, ScenarioError
+
+
+@pytest.fixture(scope="module")
+def report(made_root, data_root, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    return evaluate_folder(made_root, report_dir=folder, source=data_root), folder
+
+
+def read_csv(path):
+    with path.open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_report_has_every_file_and_json_reads_back(report):
+    evaluation, folder = report
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"metrics.json", "scenes.csv", "tracks.csv", "maneuvers.csv", "realism.csv", "report.html"}
+    assert json.loads((folder / "metrics.json").read_text()) == evaluation.metrics
+
+
+def test_tables_have_one_row_per_scene_track_and_maneuver(report, made_root):
+    _, folder = report
+    scenarios = [read_scenario(path) for path in find_scenarios(made_root)]
+    assert len(read_csv(folder / "scenes.csv")) == len(scenarios)
+    tracks = read_csv(folder / "tracks.csv")
+    assert len(tracks) == sum(len(scenario.tracks) for scenario in scenarios)
+    assert {row["group"] for row in tracks} == {"original", "generated"}
+    recorded = [row for row in read_csv(folder / "maneuvers.csv") if row["recorded"] == "True"]
+    requested = json.loads((folder / "metrics.json").read_text())["requests"]["maneuvers"]
+    statuses = ("done", "aborted", "not_feasible", "not_triggered")
+    assert len(recorded) == sum(entry[status] for entry in requested.values() for status in statuses)
+
+
+def test_groups_are_kept_apart(report):
+    """Combined is the mean of the other two, weighted by tracks, and generated vehicles are clean."""
+    evaluation, folder = report
+    rows = read_csv(folder / "scenes.csv")
+    kinematics = evaluation.metrics["kinematics"]["paper"]["lo"]
+    tracks = {
+        group: sum(int(row[f"{group}_paper_tracks"]) for row in rows) for group in ("original", "generated", "combined")
+    }
+    assert tracks["combined"] == tracks["original"] + tracks["generated"]
+    both = sum(kinematics[group]["value"] * tracks[group] for group in ("original", "generated"))
+    assert kinematics["combined"]["value"] == pytest.approx(both / tracks["combined"])
+    assert evaluation.metrics["safety"]["scr"]["generated"]["value"] == 0.0
+    assert evaluation.metrics["safety"]["footprint_orr"]["generated"]["value"] == 0.0
+
+
+def test_labelled_sizes_beside_the_source_are_those_of_recorded_vehicles(made_root, data_root, report, tmp_path):
+    """An AV of 45 x 9.5 m stands over the edge of the road: in its own scene, and in those made from it."""
+    source = shutil.copytree(data_root, tmp_path / "source")
+    for folder in find_scenarios(source):
+        (folder / "agent_sizes.csv").write_text("track_id,length_m,width_m\nAV,45.0,9.5\n")
+    alone = {
+        f.name: measure_folder(f, Limits(), Maps()).scene["original_off_footprint"] for f in find_scenarios(source)
+    }
+    evaluate_folder(made_root, report_dir=tmp_path / "report", source=source)
+    rows, plain = read_csv(tmp_path / "report" / "scenes.csv"), read_csv(report[1] / "scenes.csv")
+    assert [int(row["original_off_footprint"]) for row in rows] == [alone[row["source"]] for row in rows]
+    assert sum(alone.values()) > 0
+    assert any(int(row["original_off_footprint"]) < alone[row["source"]] for row in plain)
+
+
+def test_before_is_the_source_and_after_holds_what_was_added(report, data_root):
+    evaluation, folder = report
+    density = evaluation.metrics["diversity"]["density"]["tracks"]
+    numbers = Counter(len(read_scenario(path).tracks) for path in find_scenarios(data_root))
+    assert density["before"] == {str(number): numbers[number] for number in sorted(numbers)}
+    rows = read_csv(folder / "scenes.csv")
+    assert sum(int(number) * scenes for number, scenes in density["after"].items()) == sum(
+        int(row["tracks"]) for row in rows
+    )
+    assert all(int(row["generated"]) > 0 for row in rows)
+
+
+def test_report_stands_alone_and_says_what_a_newcomer_needs(report):
+    _, folder = report
+    text = (folder / "report.html").read_text()
+    assert not re.search(r'(src|href)="(?!data:)', text)
+    for word in (
+        "SCR",
+        "ORR",
+        "TTC",
+        "PET",
+        "Words",
+        "Jensen-Shannon",
+        "floor",
+        "generated",
+        "original",
+        "combined",
+        "m/s²",
+    ):
+        assert word in text
+    assert text.count("data:image/png;base64,") == 4
+
+
+def test_result_does_not_depend_on_jobs(report, made_root, data_root, tmp_path):
+    _, folder = report
+    evaluate_folder(made_root, report_dir=tmp_path, source=data_root, jobs=2)
+    for name in ("metrics.json", "scenes.csv", "tracks.csv", "maneuvers.csv"):
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
+
+
+def test_recorded_scenes_alone_are_evaluated(data_root, tmp_path):
+    evaluation = evaluate_folder(data_root, report_dir=tmp_path)
+    assert evaluation.metrics["scenes"]["generated_vehicles"] == 0
+    assert evaluation.metrics["kinematics"]["paper"]["lo"]["generated"]["value"] is None
+    assert "At a glance" not in (tmp_path / "report.html").read_text()
+
+
+def test_a_scene_that_cannot_be_read_is_listed_and_the_rest_measured(made_root, tmp_path):
+    root = tmp_path / "root"
+    shutil.copytree(made_root, root)
+    broken = find_scenarios(root)[0]
+    next(broken.glob("scenario_*.parquet")).write_bytes(b"no parquet")
+    evaluation = evaluate_folder(root, report_dir=tmp_path / "report")
+    assert [path for path, _ in evaluation.failures] == [broken]
+    assert evaluation.metrics["scenes"]["scenes"] == len(find_scenarios(root)) - 1
+    assert "not a parquet file" in (tmp_path / "report" / "report.html").read_text()
+
+
+def test_nothing_to_evaluate_and_nowhere_to_write_are_explained(made_root, tmp_path):
+    with pytest.raises(ScenarioError):
+        evaluate_folder(tmp_path, report_dir=tmp_path / "report")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ExportError, match="cannot write the report"):
+        evaluate_folder(made_root, report_dir=tmp_path / "file")
+
+
+def test_progress_is_told(made_root, tmp_path):
+    told = []
+    evaluate_folder(made_root, report_dir=tmp_path, on_scene=lambda done, total: told.append((done, total)))
+    assert told == [(1, 2), (2, 2)]
+
+
+def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():
+    """Sources with 1 of 10 and 3 of 10: 4 of 20, not the mean over anything else; two sources give 0.1 to 0.3."""
+    sums = SourceSums(("original_paper_lo", "original_paper_tracks"))
+    for row in (
+        {"source": "a", "original_paper_lo": 1.0, "original_paper_tracks": 10},
+        {"source": "b", "original_paper_lo": 2.0, "original_paper_tracks": 5},
+        {"source": "b", "original_paper_lo": 1.0, "original_paper_tracks": 5},
+    ):
+        sums.add(row)
+    found = estimate(sums, KINEMATIC[0], "original")
+    assert found == pytest.approx((0.2, 0.1, 0.3))
+
+
+def test_no_interval_from_one_source_and_no_value_from_none():
+    assert ratio_estimate(np.array([2.0]), np.array([4.0])) == (0.5, None, None)
+    assert ratio_estimate(np.array([0.0]), np.array([0.0])) == (None, None, None)
+
+
+def test_maneuvers_of_the_sidecar_are_found_again(made_scene):
+    """What was done is seen in the positions: every done record has a manoeuvre seen beside it."""
+    rows = measure_folder(made_scene, Limits(), Maps()).maneuvers
+    done = [row for row in rows if row["status"] == "done"]
+    assert done
+    assert all(row["seen"] is not None for row in done)
+
+
+def test_a_scene_in_which_nothing_moves_is_measured(made_scene):
+    """No vehicle to compare: no samples, of the width that others have."""
+    scenario = read_scenario(made_scene)
+    parked = [
+        replace(track, position=np.repeat(track.position[:1], len(track.timesteps), axis=0))
+        for track in scenario.tracks[:3]
+    ]
+    measures = measure(parked, survey(scenario.graph), None, limits=Limits(), num_steps=110, source="parked")
+    assert measures.samples.shape == (0, len(DRIVING_FEATURES) + len(MOTION_FEATURES))
+    assert measures.scene["combined_moving"] == 0
+
+
+def test_recorded_and_generated_scenes_together_have_the_same_columns(made_root, data_root, tmp_path):
+    for root in (data_root, made_root):
+        for path in find_scenarios(root):
+            shutil.copytree(path, tmp_path / "both" / "train" / path.name)
+    evaluation = evaluate_folder(tmp_path / "both", report_dir=tmp_path / "report")
+    rows = read_csv(tmp_path / "report" / "scenes.csv")
+    scenes = evaluation.metrics["scenes"]
+    assert len(rows) == scenes["scenes"] > scenes["generated_scenes"] == sum(row["seed"] != "" for row in rows)
+
+
+def test_a_share_that_is_not_zero_does_not_look_like_it():
+    assert [number(value, 4) for value in (None, 0.0, 0.00004, 0.0002, 1.5)] == [
+        "–",
+        "0.0000",
+        "&lt; 0.0001",
+        "0.0002",
+        "1.5000",
+    ]

@@ -1,0 +1,128 @@
+"""Forecasts scored with av2's metrics, and the two baselines, on tracks worked by hand."""
+
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
+
+from bridge.evaluation.predictions import BASELINES, baseline, read_forecasts, score_predictions, write_baseline
+from bridge.recordings.scenario import find_scenarios, read_scenario
+from netconvert.errors import ScenarioError
+
+
+def focal_future(scenario):
+    track = scenario.track(scenario.focal_track_id)
+    return track.position[track.timesteps > 49]
+
+
+def submission(scenario, modes, probabilities, path, track_id=None):
+    forecast = {scenario.scenario_id: (np.array(probabilities), {track_id or scenario.focal_track_id: np.stack(modes)})}
+    ChallengeSubmission(forecast).to_parquet(path)
+    return path
+
+
+def test_errors_are_those_of_the_mode_that_ends_nearest(data_scenes, tmp_path):
+    """Mode 0 (most probable) is 3 m off throughout; mode 1 is 5 m off, but right at its end.
+
+    k = 1: ADE 3, FDE 3, a miss. k = 6: the mode that ends nearest: FDE 0, ADE 59/60 * 5, no miss.
+    """
+    scenario = read_scenario(data_scenes["arterial"])
+    truth = focal_future(scenario)
+    second = truth + np.array([0.0, 5.0])
+    second[-1] = truth[-1]
+    path = submission(scenario, [truth + np.array([3.0, 0.0]), second], [0.7, 0.3], tmp_path / "f.parquet")
+    scores = {s.k: s for s in score_predictions(data_scenes["arterial"], predictions=path).scores}
+    assert (scores[1].min_ade_m, scores[1].min_fde_m, scores[1].missed) == (pytest.approx(3), pytest.approx(3), True)
+    assert (scores[6].min_ade_m, scores[6].min_fde_m) == (pytest.approx(5 * 59 / 60), pytest.approx(0))
+    assert not scores[6].missed
+
+
+def test_probability_not_order_decides_what_counts_first(data_scenes, tmp_path):
+    scenario = read_scenario(data_scenes["arterial"])
+    truth = focal_future(scenario)
+    path = submission(scenario, [truth + np.array([9.0, 0.0]), truth], [0.1, 0.9], tmp_path / "f.parquet")
+    scores = {s.k: s for s in score_predictions(data_scenes["arterial"], predictions=path).scores}
+    assert scores[1].min_fde_m == pytest.approx(0.0)
+
+
+def test_a_forecast_misses_beyond_two_metres(data_scenes, tmp_path):
+    scenario = read_scenario(data_scenes["arterial"])
+    for off, missed in ((1.99, False), (2.01, True)):
+        path = submission(scenario, [focal_future(scenario) + np.array([off, 0.0])], [1.0], tmp_path / "f.parquet")
+        assert score_predictions(data_scenes["arterial"], predictions=path).scores[0].missed is missed
+
+
+def test_constant_velocity_goes_on_as_in_the_last_half_second(data_scenes):
+    scenario = read_scenario(data_scenes["arterial"])
+    track = scenario.track(scenario.focal_track_id)
+    _, modes = baseline(scenario, "constant-velocity")
+    rows = np.searchsorted(track.timesteps, [44, 49])
+    velocity = (track.position[rows[1]] - track.position[rows[0]]) / 0.5
+    forecast = modes[scenario.focal_track_id]
+    assert forecast.shape == (6, 60, 2)
+    np.testing.assert_allclose(forecast[0][9], track.position[rows[1]] + velocity, atol=1e-9)
+
+
+def test_constant_turn_rate_keeps_to_a_circle(data_scenes):
+    """On the curve the radius of the forecast is speed over turn rate, all along."""
+    scenario = read_scenario(data_scenes["curve"])
+    _, modes = baseline(scenario, "constant-turn-rate")
+    forecast = modes[scenario.focal_track_id][0]
+    step = np.hypot(*np.diff(forecast, axis=0).T)
+    np.testing.assert_allclose(step, step[0], rtol=1e-6)
+    angle = np.unwrap(np.arctan2(*np.diff(forecast, axis=0).T[::-1]))
+    np.testing.assert_allclose(np.diff(angle), np.diff(angle)[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", BASELINES)
+def test_baseline_through_a_file_scores_the_same(data_root, tmp_path, kind):
+    path = write_baseline(data_root, tmp_path / "deep" / "f.parquet", kind=kind)
+    direct = score_predictions(data_root, predictions=kind)
+    assert direct.scores == score_predictions(data_root, predictions=path).scores
+    assert len(direct.scores) == 2 * len(find_scenarios(data_root))
+
+
+def test_bands_hold_scenes_with_more_agents(data_root, tmp_path):
+    result = score_predictions(data_root, predictions="constant-velocity", report_dir=tmp_path, bounds=(5, 1000))
+    bands = {(band["band"], band["k"]): band for band in result.bands}
+    assert bands["all scenes", 1]["tracks"] == len(find_scenarios(data_root))
+    assert bands["more than 1000", 6] == {
+        "band": "more than 1000", "k": 6, "tracks": 0, "min_ade_m": None, "min_fde_m": None, "miss_rate": None,
+    }  # fmt: skip
+    assert json.loads((tmp_path / "predictions.json").read_text())["bands"] == list(result.bands)
+    assert len(pd.read_csv(tmp_path / "predictions.csv")) == len(result.scores)
+    assert "minADE" in (tmp_path / "predictions.html").read_text()
+
+
+def test_generated_focal_and_recorded_scenes_are_scored_alike(made_root):
+    assert len(score_predictions(made_root, predictions="constant-velocity").scores) == 2 * len(
+        find_scenarios(made_root)
+    )
+
+
+def test_what_cannot_be_scored_is_listed_or_explained(data_scenes, data_root, tmp_path):
+    scenario = read_scenario(data_scenes["arterial"])
+    truth = focal_future(scenario)
+    path = submission(scenario, [truth], [1.0], tmp_path / "f.parquet", track_id="nobody")
+    with pytest.raises(ScenarioError, match="nobody: no such track"):
+        score_predictions(data_scenes["arterial"], predictions=path)
+    path = submission(scenario, [truth], [1.0], tmp_path / "f.parquet")
+    result = score_predictions(data_root, predictions=path)
+    assert [reason.partition(": ")[2] for reason in result.left_out] == ["no forecast"] * 2
+    shutil.copytree(data_root, tmp_path / "some")
+    broken = next((tmp_path / "some").glob("val/*/scenario_*.parquet"))
+    broken.write_bytes(b"no")
+    result = score_predictions(tmp_path / "some", predictions="constant-velocity", report_dir=tmp_path / "report")
+    assert result.left_out[0].startswith(f"{broken}: not a parquet file (")
+    assert len({score.scenario_id for score in result.scores}) == 2
+    with pytest.raises(ScenarioError, match="no such file, want a forecast file or one of constant-velocity"):
+        read_forecasts(tmp_path / "none.parquet")
+    (tmp_path / "bad.parquet").write_bytes(b"no")
+    with pytest.raises(ScenarioError, match="not a forecast file"):
+        read_forecasts(tmp_path / "bad.parquet")
+    pd.DataFrame({"scenario_id": ["a"]}).to_parquet(tmp_path / "wrong.parquet")
+    with pytest.raises(ScenarioError, match="not a forecast file"):
+        read_forecasts(tmp_path / "wrong.parquet")

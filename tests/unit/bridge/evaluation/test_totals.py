@@ -1,0 +1,164 @@
+"""What an evaluation keeps of its scenes: exact sums in a size that does not grow with their number."""
+
+import pickle
+import random
+from dataclasses import replace
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from bridge.evaluation.aggregate import SourceSums
+from bridge.evaluation.charts import diversity_figure
+from bridge.evaluation.diversity import Diversity
+from bridge.evaluation.samples import Samples
+from bridge.evaluation.scene_metrics import Maps, measure_folder
+from bridge.evaluation.totals import ManeuverCounts, NameSet, Totals
+from hid2.agents import Policy
+from hid2.evaluation.behaviour import ManeuverKind
+from hid2.params import Limits
+
+COLUMNS = ("hits", "rows")
+
+
+def rows_of(*sources, seed=0):
+    rng = random.Random(seed)
+    return [{"source": source, "hits": rng.randint(0, 4), "rows": 5} for source in sources]
+
+
+def filled(rows, **options):
+    sums = SourceSums(COLUMNS, **options)
+    for row in rows:
+        sums.add(row)
+    return sums
+
+
+@pytest.fixture(scope="module")
+def measured(made_scene):
+    return measure_folder(made_scene, Limits(), Maps())
+
+
+def named(measures, number, *, sources):
+    """The same scene under another name, made from one of `sources` scenes."""
+    scene = measures.scene | {"scenario_id": f"scene-{number}", "source": f"source-{number % sources}"}
+    return replace(measures, scene=scene)
+
+
+@pytest.mark.parametrize("sources", [3, 10**6])
+def test_size_does_not_grow_with_scenes(measured, sources):
+    """From 100 to 1,000 scenes of few sources nothing is added; of as many sources, 8 bytes each."""
+    totals, sizes = Totals(), []
+    totals.sums, totals.samples = SourceSums(most=20), Samples(most=50)
+    for number in range(1000):
+        totals.add(named(measured, number, sources=sources))
+        totals.add_source(measured.scene)
+        if number in {99, 999}:
+            assert totals.content()["scenes"]["scenes"] == number + 1
+            sizes.append(len(pickle.dumps(totals)))
+    # figures of more digits and names of sources take a few bytes more
+    assert sizes[1] - sizes[0] < 400 + 8 * (min(sources, 1000) - min(sources, 100))
+
+
+def test_sums_by_source_are_in_the_order_of_their_names():
+    sums = filled([{"source": "b", "hits": 1, "rows": 4}, {"source": "a", "hits": 2, "rows": 5},
+                   {"source": "b", "hits": 3, "rows": 6}])  # fmt: skip
+    hits, rows = sums.of_columns("hits", "rows")
+    assert hits.tolist() == [2.0, 4.0]
+    assert rows.tolist() == [5.0, 10.0]
+
+
+def test_many_sources_are_pooled_in_groups_and_totals_stay_exact():
+    """Fifty sources in at most eight groups: the same groups whatever the order, no scene lost."""
+    rows = rows_of(*(f"s{k}" for k in range(50)), *(f"s{k}" for k in range(0, 50, 7)))
+    pooled, exact = filled(rows, most=8), filled(rows)
+    assert len(pooled) <= 8 < len(exact) == 50
+    backwards = filled(rows[::-1], most=8)
+    for name in COLUMNS:
+        assert pooled.of_columns(name)[0].sum() == exact.of_columns(name)[0].sum()
+        assert pooled.of_columns(name)[0].tolist() == backwards.of_columns(name)[0].tolist()
+
+
+def test_groups_hold_about_the_same_number_of_sources():
+    sizes = filled(rows_of(*(f"s{k}" for k in range(3000))), most=10).of_columns("rows")[0] / 5
+    assert len(sizes) == 10
+    assert sizes.min() > 240
+    assert sizes.max() < 360
+
+
+def offer(samples, scenes):
+    """Each scene: two generated and one recorded vehicle, whose vectors tell which they are."""
+    for number in scenes:
+        vectors = np.array([[number, 0.0], [number, 1.0], [number, 2.0]]) @ np.eye(2, 16)
+        samples.add(vectors, np.array([True, True, False]), scene=f"scene-{number}", source=f"s{number % 4}")
+    samples.test()
+    return {tuple(vector[:2]) for vector in samples.vectors}
+
+
+def test_every_vehicle_is_a_sample_as_long_as_there_is_room():
+    assert len(offer(Samples(most=40), range(20))) == 60
+
+
+def test_sample_is_of_fixed_size_fair_and_the_same_in_any_order():
+    """600 scenes, 100 vehicles of a kind: which ones does not depend on the order, and late scenes count as much."""
+    scenes = list(range(600))
+    kept = offer(Samples(most=100), scenes)
+    assert len(kept) == 200
+    assert sum(kind < 2 for _, kind in kept) == 100
+    assert kept == offer(Samples(most=100), scenes[::-1])
+    assert 60 < sum(number >= 300 for number, _ in kept) < 140
+
+
+def test_a_name_is_new_once():
+    names = NameSet()
+    assert [names.add(name) for name in ("a", "b", "a", "c", "b")] == [True, True, False, True, False]
+    assert len(names) == 3
+
+
+@pytest.mark.parametrize("delays", [[1.0], [0.5, 1.5], [3.0, 0.25, 0.25, 1.0], [2.0, 0.0, 1.0, 1.0, 7.5]])
+def test_median_delay_is_that_of_the_list(delays):
+    counts = ManeuverCounts()
+    known = {"group": "generated", "kind": "overtake", "status": "done", "recorded": True, "seen": None, "reason": None}
+    counts.add([known | {"trigger_s": 2.0, "start_s": 2.0 + delay} for delay in delays])
+    assert counts.median_delay_s("overtake") == pytest.approx(np.median(delays))
+    assert counts.median_delay_s("lane_change") is None
+
+
+def scene_row(tracks, generated, **more):
+    zeros = {
+        f"{group}_{name}": 0
+        for group in ("original", "generated", "combined")
+        for name in (*(f"policy_{p.value}" for p in Policy), *(f"seen_{k.value}" for k in ManeuverKind))
+    }
+    return {"tracks": tracks, "generated": generated, "tracks_at_49": 9, "generated_at_49": 0} | zeros | more
+
+
+def test_diversity_counts_scenes_by_number_of_agents():
+    """45 and 61 tracks, 5 and 1 of them added: before 40 and 60. Above 40: half before, all after."""
+    rows = [scene_row(45, 5, combined_policy_straight=3, combined_seen_overtake=2), scene_row(61, 1)]
+    found = Diversity.of(rows, []).content()
+    density = found["density"]["tracks"]
+    assert density["before"] == {"40": 1, "60": 1}
+    assert density["after"] == {"45": 1, "61": 1}
+    assert (density["mean_before"], density["mean_after"]) == (50.0, 53.0)
+    assert density["share_above"]["40"] == {"before": 0.5, "after": 1.0}
+    assert found["density"]["tracks_at_49"]["after"] == {"9": 2}
+    after = found["behaviours"]["after"]
+    assert (after["scenes"], after["vehicles"]["straight"], after["scenes_with"]["straight"]) == (2, 3, 1)
+    assert after["maneuvers"]["overtake"] == 2
+
+
+def test_diversity_before_is_the_source_scenes_where_they_are_known():
+    rows = [scene_row(45, 5), scene_row(45, 5)]
+    assert Diversity.of(rows, [scene_row(40, 0)]).content()["density"]["tracks"]["before"] == {"40": 1}
+
+
+def test_bars_of_the_diversity_figure_agree_with_the_shares_above():
+    """40 tracks are not more than 40: before, the bar ends at 40; after, 41 tracks are in the next."""
+    found = Diversity.of([scene_row(41, 1)], []).content()
+    figure = diversity_figure(found)
+    bars = [patch.get_data() for patch in figure.axes[0].patches]
+    plt.close(figure)
+    (before, edges, _), (after, _, _) = bars[0], bars[2]
+    assert edges[np.flatnonzero(before)].tolist() == [20]
+    assert edges[np.flatnonzero(after)].tolist() == [40]
+    assert found["density"]["tracks"]["share_above"]["40"] == {"before": 0.0, "after": 1.0}

@@ -1,0 +1,99 @@
+"""What the sidecar says of manoeuvres, against the exported positions."""
+
+import numpy as np
+import pytest
+
+from bridge.generation.generate import GeneratedScene, generate, prepare
+from bridge.recordings.scenario import read_scenario
+from hid2.agents import Policy, Track
+from hid2.params import Config, Request, Spawn
+from netconvert.geometry import Polyline
+
+OVERTAKES = {"straight": 0.7, "left_turn": 0.0, "right_turn": 0.0, "lane_change": 0.0, "overtake": 0.3}
+CHANGES = {"straight": 0.0, "left_turn": 0.0, "right_turn": 0.0, "lane_change": 1.0, "overtake": 0.0}
+
+
+@pytest.fixture(scope="module")
+def arterial(data_scenes):
+    return prepare(read_scenario(data_scenes["arterial"]), Config())
+
+
+@pytest.fixture(scope="module")
+def with_overtakes(arterial) -> list[GeneratedScene]:
+    return [generate(arterial, Config(request=Request(agents=10, seed=seed, **OVERTAKES))) for seed in range(3)]
+
+
+def _records(scenes: list[GeneratedScene], kind: str):
+    return [
+        (scene, agent, record)
+        for scene in scenes
+        for agent in scene.sidecar.agents
+        for record in agent.maneuvers
+        if record.kind == kind
+    ]
+
+
+def _track(scene: GeneratedScene, track_id: str) -> Track:
+    return next(track for track in (*scene.scenario.tracks, *scene.generated) if track.track_id == track_id)
+
+
+def _lane_path(scene: GeneratedScene, lane_id: int) -> Polyline:
+    """The middle of a lane and of those that follow it."""
+    graph = scene.scenario.graph
+    points = [graph.lanes[lane_id].centerline]
+    while graph.successors(lane_id):
+        lane_id = graph.successors(lane_id)[0]
+        points.append(graph.lanes[lane_id].centerline[1:])
+    return Polyline(np.concatenate(points))
+
+
+def test_every_manoeuvre_asked_for_has_a_record(with_overtakes):
+    for scene in with_overtakes:
+        assert len(_records([scene], "overtake")) == 3
+
+
+def test_overtaken_vehicle_is_ahead_before_and_behind_after_on_the_same_lane(with_overtakes):
+    """Along the road and across it, from positions alone; between, the vehicles are a lane apart."""
+    done = [item for item in _records(with_overtakes, "overtake") if item[2].status == "done"]
+    assert len(done) >= 3
+    for scene, agent, record in done:
+        own, leader = _track(scene, agent.track_id), _track(scene, record.leader_track_id)
+        road = _lane_path(scene, record.source_lane)
+        steps = np.intersect1d(own.timesteps, leader.timesteps)
+        s, d = road.frenet(own.position[steps])
+        there = np.isin(leader.timesteps, steps)
+        s_leader, d_leader = road.frenet(leader.position[there])
+        ahead = s - s_leader
+        assert ahead[0] < -4.0
+        assert ahead[-1] > 4.0
+        assert abs(d[0] - d_leader[0]) < 1.8
+        assert abs(d[-1] - d_leader[-1]) < 1.8
+        level = int(np.flatnonzero(ahead > 0.0)[0])
+        assert abs(d[level] - d_leader[level]) > 2.5
+        times = [record.trigger_s, record.requested_s, record.start_s, record.crossing_s, record.end_s]
+        assert times == sorted(times)
+
+
+def test_manoeuvre_that_found_no_place_is_noted_on_a_vehicle_that_goes_straight_instead(with_overtakes):
+    for _, agent, record in _records(with_overtakes, "overtake"):
+        if record.status == "not_feasible" and record.trigger_s is None:
+            assert agent.policy is Policy.STRAIGHT
+            assert record.reason
+
+
+def test_failed_manoeuvres_are_given_to_other_vehicles(arterial):
+    """Without rounds for that the vehicles stay as they drove, with the reason; with them fewer fail."""
+
+    def failed(reseed_rounds: int) -> int:
+        spawn = Spawn(reseed_rounds=reseed_rounds)
+        scenes = [
+            generate(arterial, Config(request=Request(agents=30, seed=seed, **CHANGES), spawn=spawn))
+            for seed in range(3)
+        ]
+        assert all(scene.sidecar.placed.agents == 30 for scene in scenes)
+        records = _records(scenes, "lane_change")
+        assert len(records) == 90
+        assert all(record.reason for _, _, record in records if record.status != "done")
+        return sum(record.status != "done" for _, _, record in records)
+
+    assert failed(2) < failed(0)

@@ -1,0 +1,197 @@
+"""Pictures of scenes: what is drawn is checked by colour in the pixels and by the words in the figure."""
+
+import shutil
+
+import imageio.v3 as iio
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+from PIL import Image
+
+from bridge.pictures import figures
+from bridge.pictures.plot import plot_agent
+from bridge.pictures.render import ANIMATIONS, PICTURES, render_scene, scene_figure
+from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sidecar import sidecar_in
+from netconvert.errors import ExportError, ScenarioError
+
+
+def pixels(path, color):
+    """Number of pixels of a colour, give or take the smoothing of edges."""
+    picture = iio.imread(path)[..., :3].astype(int)
+    rgb = np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)])
+    return int((np.abs(picture - rgb).max(axis=-1) < 8).sum())
+
+
+def words(figure):
+    return " | ".join(text.get_text() for text in figure.findobj(mpl.text.Text))
+
+
+def longest_side(box):
+    return float(np.hypot(*np.diff(box, axis=0).T).max())
+
+
+def test_picture_of_a_generated_scene_shows_before_and_after(made_scene):
+    figure = scene_figure(made_scene)
+    titles = [ax.get_title() for ax in figure.axes]
+    scenario = read_scenario(made_scene)
+    count = sum(track.track_id.startswith("gen_") for track in scenario.tracks)
+    assert titles[0] == f"before: {len(scenario.tracks) - count} recorded agents"
+    assert titles[1] == f"after: {len(scenario.tracks) - count} recorded + {count} generated vehicles"
+    assert "east, m" in words(figure)
+    assert "north, m" in words(figure)
+    assert "generated: lane change (LC)" in words(figure)
+    plt.close(figure)
+
+
+def test_generated_vehicles_are_drawn_in_the_colour_of_their_policy(made_scene, tmp_path):
+    path = render_scene(made_scene, tmp_path / "scene.png")
+    scenario = read_scenario(made_scene)
+    sidecar = sidecar_in(made_scene, scenario.scenario_id)
+    for policy in {agent.policy for agent in sidecar.agents}:
+        assert pixels(path, figures.POLICY_COLORS[policy]) > 30, policy
+
+
+def test_recorded_scene_is_one_panel_without_generated_colours(data_scenes, tmp_path):
+    figure = scene_figure(data_scenes["arterial"])
+    assert len(figure.axes) == 1
+    assert "generated" not in words(figure)
+    plt.close(figure)
+    path = render_scene(data_scenes["arterial"], tmp_path / "scene.png")
+    assert pixels(path, figures.VERMILION) == 0
+
+
+def test_source_is_shown_before(made_scene, data_scenes, tmp_path):
+    figure = scene_figure(made_scene, source=data_scenes["curve"])
+    recorded = len(read_scenario(data_scenes["curve"]).tracks)
+    assert figure.axes[0].get_title() == f"before: {recorded} recorded agents"
+    plt.close(figure)
+
+
+def test_labelled_sizes_beside_the_source_are_drawn_before_and_after(made_scene, data_scenes, tmp_path):
+    """A truck of 9.5 x 3.0 m is one in both halves: its size lies beside the source, not beside the generated scene."""
+    source = shutil.copytree(data_scenes["arterial"], tmp_path / data_scenes["arterial"].name)
+    (source / "agent_sizes.csv").write_text("track_id,length_m,width_m\nAV,9.5,3.0\n")
+    figure = scene_figure(made_scene, source=source)
+    for ax in figure.axes:
+        boxes = [path.vertices for made in ax.findobj(PolyCollection) if made.zorder == 5 for path in made.get_paths()]
+        assert [round(length, 2) for length in (longest_side(box) for box in boxes) if 9 < length < 10] == [9.5]
+    plt.close(figure)
+
+
+def test_thin_whole_paths_of_a_picture_are_explained(made_scene, data_scenes):
+    for folder, explained in ((made_scene, True), (data_scenes["arterial"], False)):
+        figure = scene_figure(folder)
+        assert ("whole path, generated" in words(figure)) is explained
+        plt.close(figure)
+
+
+def test_cells_are_drawn_on_request(data_scenes, tmp_path):
+    without = render_scene(data_scenes["curve"], tmp_path / "a.png")
+    cells = render_scene(data_scenes["curve"], tmp_path / "b.png", cells=True)
+    assert pixels(cells, "#A8C4D6") > pixels(without, "#A8C4D6") + 200
+
+
+def test_an_agent_is_shown_close_up(made_scene, tmp_path):
+    """One car covers more pixels close up than the cars of its colour do on average in the whole scene."""
+    agents = sidecar_in(made_scene, made_scene.name).agents
+    agent = agents[0]
+    alike = sum(other.policy is agent.policy for other in agents)
+    whole = render_scene(made_scene, tmp_path / "a.png")
+    close = render_scene(made_scene, tmp_path / "b.png", agent=agent.track_id)
+    color = figures.POLICY_COLORS[agent.policy]
+    assert pixels(close, color) > pixels(whole, color) / alike
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+def test_animation_has_a_frame_for_every_step_and_moves(made_scene, tmp_path, suffix):
+    path = render_scene(made_scene, tmp_path / f"scene{suffix}")
+    frames = iio.imread(path)
+    assert len(frames) == read_scenario(made_scene).num_steps
+    assert (frames[0] != frames[60]).any()
+    if suffix == ".gif":
+        with Image.open(path) as picture:
+            assert picture.info["duration"] == 100
+
+
+def test_same_scene_gives_the_same_picture(made_scene, tmp_path):
+    paths = [render_scene(made_scene, tmp_path / name) for name in ("a.png", "b.png")]
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_unknown_ending_step_or_agent_is_explained(data_scenes, tmp_path):
+    scene = data_scenes["arterial"]
+    with pytest.raises(ExportError, match=r"want one of \.png, \.gif, \.mp4"):
+        render_scene(scene, tmp_path / "scene.jpg")
+    with pytest.raises(ScenarioError, match="no timestep 110"):
+        render_scene(scene, tmp_path / "scene.png", step=110)
+    with pytest.raises(ScenarioError, match="no track 'nobody'"):
+        render_scene(scene, tmp_path / "scene.png", agent="nobody")
+    with pytest.raises(ExportError, match="single step"):
+        render_scene(scene, tmp_path / "scene.gif", step=3)
+    (tmp_path / "file").write_text("")
+    for suffix in PICTURES + ANIMATIONS:
+        with pytest.raises(ExportError, match=rf"scene{suffix}: cannot be written \(File exists\)"):
+            render_scene(scene, tmp_path / "file" / f"scene{suffix}")
+
+
+def test_film_that_fails_half_way_leaves_nothing(data_scenes, tmp_path, monkeypatch):
+    def fail(self, steps):
+        yield np.zeros((64, 64, 3), dtype=np.uint8)
+        raise OSError("no more memory")
+
+    monkeypatch.setattr("bridge.pictures.render._Drawing.frames", fail)
+    with pytest.raises(ExportError, match="no more memory"):
+        render_scene(data_scenes["arterial"], tmp_path / "scene.mp4")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_policies_differ_for_colour_blind_readers():
+    """Simulated deuteranopia and protanopia (Machado 2009, severity 1): colours stay apart in Lab-like distance."""
+    blindness = {
+        "deuteranopia": [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]],
+        "protanopia": [[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]],
+    }
+    colors = np.array([mpl.colors.to_rgb(color) for color in figures.POLICY_COLORS.values()])
+    linear = np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
+    for name, matrix in blindness.items():
+        seen = np.clip(linear @ np.array(matrix).T, 0, 1) ** (1 / 2.4)
+        apart = [np.linalg.norm(a - b) for k, a in enumerate(seen) for b in seen[k + 1 :]]
+        assert min(apart) > 0.15, name
+
+
+def test_plot_shows_every_quantity_with_its_unit(made_scene, tmp_path, monkeypatch):
+    kept = []
+    monkeypatch.setattr(figures, "save", lambda figure, path: kept.append(figure))
+    agent = next(a for a in sidecar_in(made_scene, made_scene.name).agents if a.maneuvers)
+    plot_agent(made_scene, agent.track_id, tmp_path / "agent.png")
+    text = words(kept[0])
+    for label in (
+        "speed, m/s",
+        "acceleration,\nm/s²",
+        "jerk, m/s³",
+        "lateral offset, m",
+        "cell of the lane",
+        "trigger",
+        "crossing",
+    ):
+        assert label in text
+    plt.close(kept[0])
+
+
+def test_plot_marks_the_moments_of_the_sidecar(made_scene, tmp_path, monkeypatch):
+    kept = []
+    monkeypatch.setattr(figures, "save", lambda figure, path: kept.append(figure))
+    agent = next(a for a in sidecar_in(made_scene, made_scene.name).agents if any(m.crossing_s for m in a.maneuvers))
+    plot_agent(made_scene, agent.track_id, tmp_path / "agent.png")
+    lines = {round(float(line.get_xdata()[0]), 6) for line in kept[0].axes[1].lines if len(set(line.get_xdata())) == 1}
+    maneuver = next(m for m in agent.maneuvers if m.crossing_s)
+    assert {round(t, 6) for t in (maneuver.trigger_s, maneuver.start_s, maneuver.crossing_s) if t is not None} <= lines
+    plt.close(kept[0])
+
+
+def test_plot_of_a_recorded_track_is_written(data_scenes, tmp_path):
+    path = plot_agent(data_scenes["arterial"], "AV", tmp_path / "deep" / "av.png")
+    assert iio.imread(path).shape[0] > 500

@@ -1,0 +1,335 @@
+"""Writing scenes: the same rows bit for bit, the same request the same bytes, never half a folder."""
+
+import json
+import uuid
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from av2.datasets.motion_forecasting.scenario_serialization import (
+    load_argoverse_scenario_parquet,
+    serialize_argoverse_scenario_parquet,
+)
+from av2.map.map_api import ArgoverseStaticMap
+
+from bridge.config import load_config
+from bridge.recordings import export
+from bridge.recordings.export import new_scenario_id, parquet_bytes, scene_table, write_scene
+from bridge.recordings.scenario import Scenario, read_scenario
+from netconvert.errors import ExportError
+
+Fake = Callable[..., Any]
+
+
+@pytest.fixture
+def scenario(data_scenes: dict[str, Path]) -> Scenario:
+    return read_scenario(data_scenes["arterial"])
+
+
+def test_folder_holds_three_files_that_av2_loads(scenario: Scenario, fake_generated: Fake, tmp_path: Path) -> None:
+    tracks, sidecar, new_id = fake_generated(scenario)
+    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    assert folder == tmp_path / "train" / new_id
+    assert sorted(path.name for path in folder.iterdir()) == [
+        f"hid2_{new_id}.json",
+        f"log_map_archive_{new_id}.json",
+        f"scenario_{new_id}.parquet",
+    ]
+    assert [path for path in tmp_path.rglob("*") if path.name.startswith(".")] == []
+    theirs = load_argoverse_scenario_parquet(folder / f"scenario_{new_id}.parquet")
+    assert theirs.scenario_id == new_id
+    assert len(theirs.tracks) == len(scenario.tracks) + 2
+    assert {"gen_0", "gen_1"} <= {track.track_id for track in theirs.tracks}
+    lanes = ArgoverseStaticMap.from_json(folder / f"log_map_archive_{new_id}.json").vector_lane_segments
+    assert set(lanes) == set(scenario.graph.lanes)
+
+
+def test_a_scene_outside_a_split_is_written_to_the_root(
+    scenario: Scenario, fake_generated: Fake, tmp_path: Path
+) -> None:
+    tracks, sidecar, new_id = fake_generated(scenario)
+    alone = replace(scenario, split=None)
+    folder = write_scene(alone, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    assert folder == tmp_path / new_id
+
+
+def test_what_was_written_reads_back(scenario: Scenario, fake_generated: Fake, tmp_path: Path) -> None:
+    tracks, sidecar, new_id = fake_generated(scenario)
+    tracks[1] = replace(tracks[1], size=type(tracks[1].size)(11.0, 2.8))
+    agents = (sidecar.agents[0], sidecar.agents[1].model_copy(update={"length_m": 11.0, "width_m": 2.8}))
+    sidecar = sidecar.model_copy(update={"agents": agents})
+    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    again = read_scenario(folder)
+    assert [track.track_id for track in again.tracks[-2:]] == ["gen_0", "gen_1"]
+    for ours, track in zip([*scenario.tracks, *tracks], again.tracks, strict=True):
+        assert (ours.track_id, ours.category, ours.size) == (track.track_id, track.category, track.size)
+        assert np.array_equal(ours.position, track.position)
+        assert np.array_equal(ours.heading, track.heading)
+        assert np.array_equal(ours.velocity, track.velocity)
+
+
+def test_file_is_as_avs_own_serializer_writes_it(data_scene: Path, fake_generated: Fake, tmp_path: Path) -> None:
+    """Columns, types and index of a scene that av2 itself loads and serializes again."""
+    scenario = read_scenario(data_scene)
+    tracks, sidecar, new_id = fake_generated(scenario)
+    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    path = folder / f"scenario_{new_id}.parquet"
+    serialize_argoverse_scenario_parquet(tmp_path / "theirs.parquet", load_argoverse_scenario_parquet(path))
+    ours, theirs = pd.read_parquet(path), pd.read_parquet(tmp_path / "theirs.parquet")
+    assert list(ours.columns) == list(theirs.columns)
+    assert ours.dtypes.equals(theirs.dtypes)
+    assert ours.index.equals(pd.RangeIndex(len(ours)))
+    key = ["track_id", "timestep"]
+    for column in ours.columns:
+        left, right = (frame.sort_values(key)[column].to_numpy() for frame in (ours, theirs))
+        assert (left == right).all(), column
+    schema = pq.read_schema(path)
+    assert [(field.name, str(field.type)) for field in schema] == [
+        ("observed", "bool"), ("track_id", "string"), ("object_type", "string"), ("object_category", "int64"),
+        ("timestep", "int64"), ("position_x", "double"), ("position_y", "double"), ("heading", "double"),
+        ("velocity_x", "double"), ("velocity_y", "double"), ("scenario_id", "string"), ("start_timestamp", "double"),
+        ("end_timestamp", "double"), ("num_timestamps", "int64"), ("focal_track_id", "string"), ("city", "string"),
+        ("map_id", "uint64"), ("slice_id", "string"),
+    ]  # fmt: skip
+
+
+def test_columns_the_source_lacks_are_not_invented(
+    copy_scene: Callable[..., Path], edit_rows: Callable[..., None], fake_generated: Fake
+) -> None:
+    folder = copy_scene()
+    edit_rows(folder, lambda rows: rows.drop(columns=["map_id", "slice_id"]))
+    scenario = read_scenario(folder)
+    tracks, _, new_id = fake_generated(scenario)
+    table = scene_table(scenario, tracks, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    assert table.schema.names == scenario.table.schema.names
+    assert "map_id" not in table.schema.names
+
+
+def test_columns_of_the_sources_own_are_kept(
+    copy_scene: Callable[..., Path], edit_rows: Callable[..., None], fake_generated: Fake
+) -> None:
+    folder = copy_scene()
+    edit_rows(folder, lambda rows: rows.assign(note="seen"))
+    scenario = read_scenario(folder)
+    tracks, _, new_id = fake_generated(scenario)
+    table = scene_table(scenario, tracks, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    notes = table.column("note").to_pylist()
+    assert set(notes[: scenario.table.num_rows]) == {"seen"}
+    assert set(notes[scenario.table.num_rows :]) == {None}
+
+
+def test_recorded_rows_are_kept_to_the_last_bit(
+    copy_scene: Callable[..., Path], edit_rows: Callable[..., None], fake_generated: Fake
+) -> None:
+    """Negative zero and the smallest numbers too."""
+    folder = copy_scene()
+
+    def change(rows: pd.DataFrame) -> pd.DataFrame:
+        rows.loc[3, ["velocity_x", "velocity_y"]] = [-0.0, 5e-324]
+        rows.loc[4, "position_x"] = np.nextafter(1.0, 2.0)
+        return rows
+
+    edit_rows(folder, change)
+    scenario = read_scenario(folder)
+    tracks, _, new_id = fake_generated(scenario)
+    table = scene_table(scenario, tracks, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    for name in set(table.schema.names) - {"scenario_id"}:
+        ours, source = table.column(name)[: scenario.table.num_rows], scenario.table.column(name)
+        if pa.types.is_floating(ours.type):
+            assert (ours.to_numpy().view(np.int64) == source.to_numpy().view(np.int64)).all()
+        assert ours.equals(source)
+    assert set(table.column("scenario_id").to_pylist()) == {new_id}
+
+
+def test_a_generated_focal_track_demotes_the_recorded_one(scenario: Scenario, fake_generated: Fake) -> None:
+    tracks, _, new_id = fake_generated(scenario)
+    rows = scene_table(scenario, tracks, new_id=new_id, focal_track_id="gen_1").to_pandas()
+    assert set(rows.focal_track_id) == {"gen_1"}
+    assert set(rows[rows.object_category == 3].track_id) == {"gen_1"}
+    assert set(rows[rows.track_id == scenario.focal_track_id].object_category) == {2}
+    before = scenario.table.to_pandas()
+    others = (before.track_id != scenario.focal_track_id).to_numpy()
+    recorded = rows.iloc[: len(before)]
+    assert (recorded.object_category.to_numpy() == before.object_category.to_numpy())[others].all()
+
+
+def test_no_generated_vehicle_gives_the_source_under_a_new_name(
+    scenario: Scenario, fake_generated: Fake, tmp_path: Path
+) -> None:
+    tracks, sidecar, new_id = fake_generated(scenario, count=0)
+    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    table = pq.read_table(folder / f"scenario_{new_id}.parquet")
+    assert table.drop_columns("scenario_id").equals(scenario.table.drop_columns("scenario_id"))
+
+
+def test_map_is_copied_byte_for_byte(scenario: Scenario, fake_generated: Fake, tmp_path: Path) -> None:
+    tracks, sidecar, new_id = fake_generated(scenario)
+    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    assert (folder / f"log_map_archive_{new_id}.json").read_bytes() == scenario.map_path.read_bytes()
+
+
+def test_centrelines_are_added_where_the_source_has_none(
+    copy_scene: Callable[..., Path], edit_json: Callable[..., None], fake_generated: Fake, tmp_path: Path
+) -> None:
+    folder = copy_scene("curve")
+    (map_path,) = folder.glob("log_map_archive_*.json")
+    before = json.loads(map_path.read_text())
+    edit_json(map_path, lambda document: [lane.pop("centerline") for lane in document["lane_segments"].values()])
+    scenario = read_scenario(folder)
+    tracks, sidecar, new_id = fake_generated(scenario)
+    out = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    after = json.loads((out / f"log_map_archive_{new_id}.json").read_text())
+    for key, lane in after["lane_segments"].items():
+        assert {"x", "y", "z"} == set(lane["centerline"][0])
+        ends = [[lane["centerline"][i][axis] for axis in "xy"] for i in (0, -1)]
+        wanted = [[before["lane_segments"][key]["centerline"][i][axis] for axis in "xy"] for i in (0, -1)]
+        assert np.abs(np.array(ends) - wanted).max() < 0.02
+        assert {name: value for name, value in lane.items() if name != "centerline"} == {
+            name: value for name, value in before["lane_segments"][key].items() if name != "centerline"
+        }
+
+
+def test_same_request_same_bytes_and_same_name(scenario: Scenario, fake_generated: Fake, tmp_path: Path) -> None:
+    written = []
+    for out in ("a", "b"):
+        tracks, sidecar, new_id = fake_generated(read_scenario(scenario.folder))
+        focal = scenario.focal_track_id
+        written.append(write_scene(scenario, tracks, sidecar, tmp_path / out, new_id=new_id, focal_track_id=focal))
+    assert written[0].name == written[1].name
+    for path in written[0].iterdir():
+        assert path.read_bytes() == (written[1] / path.name).read_bytes()
+
+
+def test_ids_are_uuids_and_differ_in_source_configuration_seed_and_variant() -> None:
+    config, other = load_config(), load_config(None, ["request.agents=11"])
+    ids = {
+        new_scenario_id(source, chosen, seed, variant)
+        for source in ("a", "b")
+        for chosen in (config, other)
+        for seed in (0, 1)
+        for variant in (0, 1)
+    }
+    assert len(ids) == 16
+    assert all(str(uuid.UUID(new_id)) == new_id and uuid.UUID(new_id).version == 5 for new_id in ids)
+
+
+def test_a_folder_that_is_there_is_replaced(scenario: Scenario, fake_generated: Fake, tmp_path: Path) -> None:
+    tracks, sidecar, new_id = fake_generated(scenario)
+    focal = scenario.focal_track_id
+    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    (folder / "old.txt").write_text("of an earlier run")
+    (folder / f"scenario_{new_id}.parquet").write_bytes(b"spoiled")
+    write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert [path.name for path in folder.parent.iterdir()] == [new_id]
+
+
+@pytest.mark.parametrize("there_before", [False, True])
+def test_a_failure_leaves_nothing_half_written(
+    scenario: Scenario,
+    fake_generated: Fake,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    there_before: bool,
+) -> None:
+    tracks, sidecar, new_id = fake_generated(scenario)
+    focal = scenario.focal_track_id
+    folder = tmp_path / "train" / new_id
+    if there_before:
+        write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()} if there_before else {}
+    write = Path.write_bytes
+
+    def full(path: Path, data: bytes) -> int:
+        if path.name.startswith("hid2_"):
+            raise OSError(28, "No space left on device")
+        return write(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(ExportError, match="No space left on device"):
+        write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
+    assert [path.name for path in (tmp_path / "train").iterdir()] == ([new_id] if there_before else [])
+    if there_before:
+        assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_a_rename_that_fails_puts_the_old_folder_back(
+    scenario: Scenario, fake_generated: Fake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tracks, sidecar, new_id = fake_generated(scenario)
+    focal = scenario.focal_track_id
+    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
+    rename = Path.rename
+
+    def refuse(path: Path, target: Path) -> Path:
+        if path.name.startswith(".") and not path.name.endswith("-old"):
+            raise OSError(13, "Permission denied")
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", refuse)
+    with pytest.raises(ExportError, match="Permission denied"):
+        write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
+    assert len(list(folder.iterdir())) == 3
+    assert [path.name for path in folder.parent.iterdir()] == [new_id]
+
+
+def test_an_output_that_is_a_file_is_said(scenario: Scenario, fake_generated: Fake, tmp_path: Path) -> None:
+    tracks, sidecar, new_id = fake_generated(scenario)
+    (tmp_path / "out").write_text("")
+    with pytest.raises(ExportError, match="cannot be written"):
+        write_scene(scenario, tracks, sidecar, tmp_path / "out", new_id=new_id, focal_track_id=scenario.focal_track_id)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda track: replace(track, track_id="AV"), "'AV': the id is taken"),
+        (lambda track: replace(track, timesteps=track.timesteps + 1), "have gaps or leave the scene"),
+        (lambda track: _cut(track, np.r_[0:60, 61:110]), "have gaps or leave the scene"),
+        (lambda track: _cut(track, np.r_[50:110]), "50 to 109, want 49 in them"),
+        (lambda track: _cut(track, np.r_[0:0]), "have gaps"),
+        (lambda track: replace(track, position=np.where(track.timesteps[:, None] == 5, np.nan, 0.0)), "not finite"),
+    ],
+)
+def test_a_generated_track_that_cannot_be_one_is_refused(
+    scenario: Scenario, fake_generated: Fake, change: Callable[..., Any], said: str
+) -> None:
+    tracks, _, new_id = fake_generated(scenario)
+    tracks[1] = change(tracks[1])
+    with pytest.raises(ExportError, match=said):
+        scene_table(scenario, tracks, new_id=new_id, focal_track_id=scenario.focal_track_id)
+
+
+def test_a_focal_track_that_is_not_there_is_refused(scenario: Scenario, fake_generated: Fake) -> None:
+    tracks, _, new_id = fake_generated(scenario)
+    with pytest.raises(ExportError, match="'gen_9': no such track"):
+        scene_table(scenario, tracks, new_id=new_id, focal_track_id="gen_9")
+
+
+def test_bytes_do_not_depend_on_how_the_source_was_chunked(scenario: Scenario, fake_generated: Fake) -> None:
+    tracks, _, new_id = fake_generated(scenario)
+    half = scenario.table.num_rows // 2
+    chunked = replace(scenario, table=pa.concat_tables([scenario.table[:half], scenario.table[half:]]))
+    tables = [
+        scene_table(scene, tracks, new_id=new_id, focal_track_id=scenario.focal_track_id)
+        for scene in (scenario, chunked)
+    ]
+    assert parquet_bytes(tables[0]) == parquet_bytes(tables[1])
+    assert export.parquet_bytes(tables[0]) == parquet_bytes(tables[0])
+
+
+def _cut(track: Any, index: Any) -> Any:
+    return replace(
+        track,
+        timesteps=track.timesteps[index],
+        position=track.position[index],
+        heading=track.heading[index],
+        velocity=track.velocity[index],
+    )

@@ -1,0 +1,346 @@
+"""Reading scenarios: what comes out of good ones, and what is said about bad ones."""
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
+
+from bridge.recordings.scenario import find_scenarios, find_sources, read_scenario, source_id, split_of
+from hid2.agents import DEFAULT_SIZES
+from netconvert.errors import MapError, ScenarioError
+
+Edit = Callable[[Path, Callable[[pd.DataFrame], pd.DataFrame]], None]
+
+
+def test_scene_reads_as_av2_reads_it(data_scene: Path) -> None:
+    scenario = read_scenario(data_scene)
+    theirs = load_argoverse_scenario_parquet(data_scene / f"scenario_{data_scene.name}.parquet")
+    assert (scenario.scenario_id, scenario.city) == (theirs.scenario_id, theirs.city_name)
+    assert scenario.focal_track_id == theirs.focal_track_id
+    assert {track.track_id for track in scenario.tracks} == {track.track_id for track in theirs.tracks}
+    for track in theirs.tracks:
+        ours = scenario.track(track.track_id)
+        assert ours.object_type == track.object_type.value
+        assert ours.category == track.category.value
+        assert ours.timesteps.tolist() == [state.timestep for state in track.object_states]
+        assert np.array_equal(ours.position, [state.position for state in track.object_states])
+        assert np.array_equal(ours.velocity, [state.velocity for state in track.object_states])
+        assert np.array_equal(ours.heading, [state.heading for state in track.object_states])
+
+
+def test_split_is_the_parent_folder_and_steps_are_counted(data_scenes: dict[str, Path]) -> None:
+    scenario = read_scenario(data_scenes["intersection"])
+    assert (scenario.split, scenario.num_steps) == ("val", 110)
+    assert scenario.table.num_rows == sum(len(track.timesteps) for track in scenario.tracks)
+
+
+def test_tracks_keep_the_order_of_their_first_rows(copy_scene: Callable[..., Path], edit_rows: Edit) -> None:
+    folder = copy_scene()
+    order = [track.track_id for track in read_scenario(folder).tracks]
+    edit_rows(folder, lambda rows: rows.iloc[::-1])
+    backwards = read_scenario(folder)
+    assert [track.track_id for track in backwards.tracks] == order[::-1]
+    assert all((np.diff(track.timesteps) == 1).all() for track in backwards.tracks)
+
+
+def test_rows_in_any_order_give_the_same_tracks(copy_scene: Callable[..., Path], edit_rows: Edit) -> None:
+    folder = copy_scene("curve")
+    before = read_scenario(folder)
+    edit_rows(folder, lambda rows: rows.sample(frac=1, random_state=1))
+    after = read_scenario(folder)
+    for track in before.tracks:
+        assert np.array_equal(after.track(track.track_id).position, track.position)
+
+
+def test_headings_are_wrapped_only_where_they_need_it(copy_scene: Callable[..., Path], edit_rows: Edit) -> None:
+    folder = copy_scene()
+    before = read_scenario(folder).track("AV").heading
+    edit_rows(
+        folder, lambda rows: rows.assign(heading=rows.heading.where(rows.timestep != 3, rows.heading + 2 * np.pi))
+    )
+    after = read_scenario(folder).track("AV").heading
+    assert np.array_equal(np.delete(after, 3), np.delete(before, 3))
+    assert after[3] == pytest.approx(before[3])
+
+
+def test_fifty_steps_are_accepted(copy_scene: Callable[..., Path], edit_rows: Edit) -> None:
+    folder = copy_scene()
+    edit_rows(folder, lambda rows: rows[rows.timestep < 50])
+    assert read_scenario(folder).num_steps == 50
+
+
+def test_a_scene_of_one_agent_is_accepted(copy_scene: Callable[..., Path], edit_rows: Edit) -> None:
+    folder = copy_scene()
+    edit_rows(folder, lambda rows: rows[rows.track_id == "AV"].assign(object_category=3, focal_track_id="AV"))
+    assert [track.track_id for track in read_scenario(folder).tracks] == ["AV"]
+
+
+def test_sizes_come_from_the_file_beside_and_else_from_the_type(copy_scene: Callable[..., Path]) -> None:
+    folder = copy_scene()
+    (folder / "agent_sizes.csv").write_text("track_id,length_m,width_m\nAV,4.9,2.0\n")
+    scenario = read_scenario(folder)
+    assert scenario.track("AV").size == (4.9, 2.0)
+    bus = next(track for track in scenario.tracks if track.object_type == "bus")
+    assert bus.size == DEFAULT_SIZES["bus"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("track_id,length_m\nAV,4.9\n", "width_m"),
+        ("track_id,length_m,width_m\nAV,long,2.0\n", "line 2: length_m 'long'"),
+        ("track_id,length_m,width_m\nAV,-4.9,2.0\n", "-4.9 x 2.0 m, want above 0"),
+        ("track_id,length_m,width_m\nAV,nan,2.0\n", "nan x 2.0 m"),
+    ],
+)
+def test_bad_sizes_are_named(copy_scene: Callable[..., Path], text: str, said: str) -> None:
+    folder = copy_scene()
+    (folder / "agent_sizes.csv").write_text(text)
+    with pytest.raises(ScenarioError, match=said) as caught:
+        read_scenario(folder)
+    assert "agent_sizes.csv" in str(caught.value)
+
+
+def test_scenarios_are_found_from_folder_split_and_root(data_root: Path, data_scenes: dict[str, Path]) -> None:
+    assert find_scenarios(data_scenes["arterial"]) == [data_scenes["arterial"]]
+    assert find_scenarios(data_root / "val") == [data_scenes["intersection"]]
+    assert find_scenarios(data_root) == sorted(data_scenes.values())
+
+
+def test_a_folder_without_scenarios_is_said(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match=r"no scenario here, want scenario_<id>.parquet"):
+        find_scenarios(tmp_path)
+    with pytest.raises(ScenarioError, match="no such folder"):
+        find_scenarios(tmp_path / "nowhere")
+    with pytest.raises(ScenarioError, match="no such folder"):
+        read_scenario(tmp_path / "nowhere")
+
+
+def test_sources_are_recorded_scenes_each_once(
+    data_root: Path, data_scenes: dict[str, Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A root with what was generated from it beside, the root again, and one scene under another name."""
+    root = tmp_path / "root"
+    shutil.copytree(data_root, root)
+    generated = root / "val" / "generated"
+    shutil.copytree(data_scenes["intersection"], generated)
+    (generated / "hid2_generated.json").write_text("{}")
+    (tmp_path / "link").symlink_to(root / "val" / data_scenes["intersection"].name)
+    found = find_sources([root, tmp_path / "link", root / "train"])
+    assert found == [root / scene.relative_to(data_root) for scene in sorted(data_scenes.values())]
+    assert caplog.messages == [f"{root}: 1 of 4 scenes passed over, which hid2 wrote"]
+    with pytest.raises(ScenarioError, match=r"generated: only scenes that hid2 wrote .* want recorded ones"):
+        find_sources([root, generated])
+
+
+def test_split_is_that_of_the_name_also_behind_links(
+    data_root: Path, data_scenes: dict[str, Path], tmp_path: Path
+) -> None:
+    """A split may be a link to wherever there was room, or a scene a link into a split."""
+    scene = data_scenes["curve"]
+    shutil.copytree(data_root / "train", tmp_path / "disk" / "argoverse-train")
+    (tmp_path / "train").symlink_to(tmp_path / "disk" / "argoverse-train")
+    (tmp_path / "scene").symlink_to(scene)
+    assert read_scenario(tmp_path / "train" / scene.name).split == "train"
+    assert read_scenario(tmp_path / "scene").split == "train"
+    assert read_scenario(tmp_path / "disk" / "argoverse-train" / scene.name).split is None
+    assert split_of(Path(scene.name)) is None
+
+
+def test_id_is_told_by_the_names_of_files(data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    shutil.copytree(data_scenes["curve"], tmp_path / "copy")
+    assert source_id(tmp_path / "copy") == source_id(data_scenes["curve"]) == data_scenes["curve"].name
+    (tmp_path / "empty").mkdir()
+    assert source_id(tmp_path / "empty") == "empty"
+
+
+def test_a_folder_that_may_not_be_read_does_not_hide_the_scenes_beside_it(
+    data_root: Path, data_scenes: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:  # fmt: skip
+    """Such as lost+found at the root of a disk."""
+    root = tmp_path / "root"
+    shutil.copytree(data_root, root)
+    (root / "lost+found").mkdir()
+    iterdir = Path.iterdir
+
+    def refuse(path: Path) -> Iterator[Path]:
+        if path.name == "lost+found":
+            raise PermissionError(13, "Permission denied", str(path))
+        return iterdir(path)
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    assert [path.name for path in find_scenarios(root)] == [path.name for path in sorted(data_scenes.values())]
+    assert f"{root / 'lost+found'}: cannot be read (Permission denied)" in caplog.messages
+
+
+def test_missing_map_and_missing_parquet_are_said(copy_scene: Callable[..., Path]) -> None:
+    folder = copy_scene()
+    (map_path,) = folder.glob("log_map_archive_*.json")
+    raw = map_path.read_bytes()
+    map_path.unlink()
+    with pytest.raises(MapError, match=r"none, want exactly one log_map_archive_<id>.json"):
+        read_scenario(folder)
+    map_path.write_bytes(raw)
+    next(folder.glob("scenario_*.parquet")).unlink()
+    assert find_scenarios(folder) == [folder]
+    with pytest.raises(ScenarioError, match=r"none, want exactly one scenario_<id>.parquet"):
+        read_scenario(folder)
+
+
+def test_two_parquet_files_are_said(copy_scene: Callable[..., Path]) -> None:
+    folder = copy_scene()
+    (folder / "scenario_other.parquet").write_bytes(b"")
+    with pytest.raises(ScenarioError, match=r"scenario_other.parquet, want exactly one"):
+        read_scenario(folder)
+
+
+@pytest.mark.parametrize("raw", [b"", b"{", b"not parquet at all", b"PAR1" + bytes(100) + b"PAR1"])
+def test_a_file_that_is_not_parquet_is_said(copy_scene: Callable[..., Path], raw: bytes) -> None:
+    folder = copy_scene()
+    (path,) = folder.glob("scenario_*.parquet")
+    path.write_bytes(raw)
+    with pytest.raises(ScenarioError, match="not a parquet file") as caught:
+        read_scenario(folder)
+    assert str(path) in str(caught.value)
+
+
+def test_a_truncated_or_damaged_parquet_is_said(copy_scene: Callable[..., Path]) -> None:
+    folder = copy_scene()
+    (path,) = folder.glob("scenario_*.parquet")
+    raw = path.read_bytes()
+    for spoiled in (raw[: len(raw) // 2], raw[:200] + b"\xff" * 20_000 + raw[20_200:]):
+        path.write_bytes(spoiled)
+        with pytest.raises(ScenarioError, match=path.name):
+            read_scenario(folder)
+
+
+@pytest.mark.parametrize("raw", [b"", b"{", b"\xff\xfe", b"[]", b"null", b'{"lane_segments": 3}'])
+def test_a_map_that_is_not_one_is_said(copy_scene: Callable[..., Path], raw: bytes) -> None:
+    folder = copy_scene()
+    (path,) = folder.glob("log_map_archive_*.json")
+    path.write_bytes(raw)
+    with pytest.raises(MapError, match=path.name):
+        read_scenario(folder)
+
+
+COLUMNS = [
+    "observed", "track_id", "object_type", "object_category", "timestep", "position_x", "position_y", "heading",
+    "velocity_x", "velocity_y", "scenario_id", "start_timestamp", "end_timestamp", "num_timestamps", "focal_track_id",
+    "city",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("column", COLUMNS)
+def test_a_missing_column_is_named(copy_scene: Callable[..., Path], edit_rows: Edit, column: str) -> None:
+    folder = copy_scene()
+    edit_rows(folder, lambda rows: rows.drop(columns=column))
+    with pytest.raises(ScenarioError, match=f"no column '{column}', want"):
+        read_scenario(folder)
+
+
+@pytest.mark.parametrize("column", COLUMNS)
+def test_a_wrong_dtype_is_named(copy_scene: Callable[..., Path], edit_rows: Edit, column: str) -> None:
+    folder = copy_scene()
+    edit_rows(folder, lambda rows: rows.assign(**{column: np.arange(len(rows), dtype=np.int16)}))
+    with pytest.raises(ScenarioError, match=f"column '{column}' is int16, want"):
+        read_scenario(folder)
+
+
+@pytest.mark.parametrize("column", ["track_id", "timestep", "position_x"])
+def test_nulls_are_named(copy_scene: Callable[..., Path], column: str) -> None:
+    folder = copy_scene()
+    (path,) = folder.glob("scenario_*.parquet")
+    table = pq.read_table(path)
+    index = table.schema.get_field_index(column)
+    values = table.column(index).to_pylist()
+    values[5] = None
+    pq.write_table(table.set_column(index, table.schema.field(index), [values]), path)
+    with pytest.raises(ScenarioError, match=f"{column} is null or NaN, want"):
+        read_scenario(folder)
+
+
+def test_nan_that_is_no_null_is_named_too(copy_scene: Callable[..., Path]) -> None:
+    """pandas writes NaN as null, other writers as NaN."""
+    folder = copy_scene()
+    (path,) = folder.glob("scenario_*.parquet")
+    table = pq.read_table(path)
+    index = table.schema.get_field_index("position_x")
+    values = table.column(index).to_numpy().copy()
+    values[5] = np.nan
+    pq.write_table(table.set_column(index, table.schema.field(index), [values]), path)
+    with pytest.raises(ScenarioError, match="track '310100', timestep 5: position_x is nan, want a finite number"):
+        read_scenario(folder)
+
+
+def test_no_rows_are_said(copy_scene: Callable[..., Path], edit_rows: Edit) -> None:
+    folder = copy_scene()
+    edit_rows(folder, lambda rows: rows.iloc[:0])
+    with pytest.raises(ScenarioError, match="no rows"):
+        read_scenario(folder)
+
+
+def _set(column: str, value: Any, timestep: int = 7) -> Callable[[pd.DataFrame], pd.DataFrame]:
+    def change(rows: pd.DataFrame) -> pd.DataFrame:
+        rows.loc[(rows.track_id == "AV") & (rows.timestep == timestep), column] = value
+        return rows
+
+    return change
+
+
+def _scored_focal(rows: pd.DataFrame) -> pd.DataFrame:
+    return rows.assign(object_category=rows.object_category.where(rows.object_category < 3, 2))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (_set("position_x", np.nan), "track 'AV', timestep 7: position_x is null or NaN, want double"),
+        (_set("position_y", np.inf), "track 'AV', timestep 7: position_y is inf"),
+        (_set("heading", np.nan), "track 'AV', timestep 7: heading is null or NaN"),
+        (_set("velocity_y", np.nan), "track 'AV', timestep 7: velocity_y is null or NaN"),
+        (_set("timestep", 8), "track 'AV', timestep 8: more than one row, want one"),
+        (_set("timestep", 110, 109), "track 'AV', timestep 110: want timesteps 0 to 109"),
+        (_set("timestep", -1, 0), "track 'AV', timestep -1: want timesteps 0 to 109"),
+        (_set("observed", False), "track 'AV', timestep 7: observed is False, want True"),
+        (_set("observed", True, 50), "track 'AV', timestep 50: observed is True, want False"),
+        (_set("object_category", 2), "track 'AV', timestep 7: object_category changes within the track"),
+        (_set("object_category", 4), "track 'AV', timestep 7: object_category 4, want 0, 1, 2 or 3"),
+        (_set("object_type", "bus"), "track 'AV', timestep 7: object_type changes within the track"),
+        (_set("object_type", "spaceship"), "object_type 'spaceship', want one of vehicle, bus"),
+        (_set("city", "miami"), r"column 'city' has 2 values \['austin', 'miami'\], want one"),
+        (_scored_focal, "tracks of category 3: none, want focal_track_id '310100' alone"),
+        (lambda rows: rows.assign(focal_track_id="x"), "tracks of category 3: '310100', want focal_track_id 'x' alone"),
+        (lambda rows: rows[(rows.track_id != "310100") | (rows.timestep < 49)], "0 to 48, want it present at 49"),
+        (lambda rows: rows[rows.track_id != "AV"], "no track 'AV' among 25"),
+    ],
+)
+def test_a_bad_row_is_named(
+    copy_scene: Callable[..., Path], edit_rows: Edit, change: Callable[[pd.DataFrame], pd.DataFrame], said: str
+) -> None:
+    folder = copy_scene()
+    edit_rows(folder, change)
+    with pytest.raises(ScenarioError, match=said) as caught:
+        read_scenario(folder)
+    assert "scenario_" in str(caught.value)
+
+
+def test_a_track_that_is_not_there_is_said(data_scenes: dict[str, Path]) -> None:
+    with pytest.raises(ScenarioError, match="no track 'nobody'"):
+        read_scenario(data_scenes["curve"]).track("nobody")
+
+
+def test_map_and_rows_are_not_changed_by_reading(data_scene: Path) -> None:
+    map_path = data_scene / f"log_map_archive_{data_scene.name}.json"
+    before = map_path.read_bytes()
+    scenario = read_scenario(data_scene)
+    assert map_path.read_bytes() == before
+    assert set(json.loads(before)["lane_segments"]) == {str(lane) for lane in scenario.graph.lanes}
+    assert scenario.table.equals(pq.read_table(data_scene / f"scenario_{data_scene.name}.parquet"))

@@ -1,0 +1,56 @@
+"""The sidecar: round trip, and what is said about files that are no sidecar."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sidecar import read_sidecar, sidecar_bytes, sidecar_path
+from netconvert.errors import ScenarioError
+
+
+def test_sidecar_and_back(tmp_path: Path, data_scenes: dict[str, Path], fake_generated: Callable[..., Any]) -> None:
+    _, sidecar, _ = fake_generated(read_scenario(data_scenes["arterial"]))
+    path = sidecar_path(tmp_path, "x")
+    path.write_bytes(sidecar_bytes(sidecar))
+    assert path.name == "hid2_x.json"
+    assert read_sidecar(path) == sidecar
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda d: d.pop("seed"), "seed: Field required"),
+        (lambda d: d.update(speed=1), "speed: Extra inputs are not permitted"),
+        (lambda d: d["agents"][0].update(policy="fly"), "agents.0.policy: .*'fly'"),
+        (lambda d: d["agents"][0]["maneuvers"][0].update(status="maybe"), "agents.0.maneuvers.0.status: .*'maybe'"),
+        (lambda d: d.update(config_sha256="abc"), "config_sha256"),
+        (lambda d: d["agents"][0].update(length_m=0), "agents.0.length_m: .*greater than 0"),
+    ],
+)
+def test_a_field_that_is_wrong_is_named(
+    tmp_path: Path,
+    data_scenes: dict[str, Path],
+    fake_generated: Callable[..., Any],
+    edit_json: Callable[..., None],
+    change: Callable[[dict[str, Any]], Any],
+    said: str,
+) -> None:
+    _, sidecar, _ = fake_generated(read_scenario(data_scenes["arterial"]))
+    path = sidecar_path(tmp_path, "x")
+    path.write_bytes(sidecar_bytes(sidecar))
+    edit_json(path, change)
+    with pytest.raises(ScenarioError, match=said) as caught:
+        read_sidecar(path)
+    assert "hid2_x.json" in str(caught.value)
+
+
+@pytest.mark.parametrize("raw", [b"", b"{", b"[]", b"\xff"])
+def test_a_file_that_is_no_sidecar_is_said(tmp_path: Path, raw: bytes) -> None:
+    (tmp_path / "hid2_x.json").write_bytes(raw)
+    with pytest.raises(ScenarioError, match=r"hid2_x\.json"):
+        read_sidecar(tmp_path / "hid2_x.json")
+    with pytest.raises(ScenarioError, match="no such file"):
+        read_sidecar(tmp_path / "hid2_y.json")

@@ -1,0 +1,314 @@
+"""Validation: a good data set has no findings; each way to spoil one is found under its rule."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bridge.recordings.export import write_scene
+from bridge.recordings.rules import RULES
+from bridge.recordings.scenario import read_scenario
+from bridge.recordings.validate import validate_folder
+from netconvert.errors import ScenarioError
+
+Change = Callable[[pd.DataFrame], pd.DataFrame]
+
+
+@pytest.fixture
+def written(tmp_path: Path, data_scenes: dict[str, Path], fake_generated: Callable[..., Any]) -> Path:
+    """A valid generated scene: the arterial and two made-up vehicles."""
+    scenario = read_scenario(data_scenes["arterial"])
+    tracks, sidecar, new_id = fake_generated(scenario)
+    out = tmp_path / "out"
+    return write_scene(scenario, tracks, sidecar, out, new_id=new_id, focal_track_id=scenario.focal_track_id)
+
+
+def rules(folder: Path, **arguments: Any) -> set[str]:
+    findings = validate_folder(folder.parents[1], **arguments)
+    assert {finding.rule for finding in findings} <= set(RULES)
+    assert all(finding.message and finding.file.is_relative_to(folder.parents[1]) for finding in findings)
+    return {finding.rule for finding in findings}
+
+
+def test_a_good_data_set_has_no_findings(written: Path, data_root: Path) -> None:
+    assert validate_folder(written.parents[1], source=data_root) == []
+    assert validate_folder(written.parent, source=data_root / "train") == []
+    assert validate_folder(written) == []
+
+
+@pytest.mark.parametrize("category", [1, 2])
+@pytest.mark.parametrize("focal", ["recorded", "generated"])
+def test_scored_and_focal_generated_tracks_are_valid(
+    tmp_path: Path,
+    data_scene: Path,
+    data_root: Path,
+    fake_generated: Callable[..., Any],
+    focal: str,
+    category: int,
+) -> None:
+    scenario = read_scenario(data_scene)
+    tracks, sidecar, new_id = fake_generated(scenario, category=category)
+    focal_track_id = scenario.focal_track_id if focal == "recorded" else "gen_0"
+    write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal_track_id)
+    assert validate_folder(tmp_path, source=data_root) == []
+
+
+def test_fifty_steps_and_a_single_agent_are_valid(
+    tmp_path: Path, copy_scene: Callable[..., Path], edit_rows: Callable[..., None], fake_generated: Callable[..., Any]
+) -> None:
+    source = copy_scene()
+
+    def change(rows: pd.DataFrame) -> pd.DataFrame:
+        alone = rows[(rows.track_id == "AV") & (rows.timestep < 50)]
+        return alone.assign(object_category=3, focal_track_id="AV")
+
+    edit_rows(source, change)
+    scenario = read_scenario(source)
+    tracks, sidecar, new_id = fake_generated(scenario)
+    write_scene(scenario, tracks, sidecar, tmp_path / "out", new_id=new_id, focal_track_id="AV")
+    assert validate_folder(tmp_path / "out", source=source) == []
+
+
+def _at(track_id: str, timestep: int, column: str, value: Any) -> Change:
+    def change(rows: pd.DataFrame) -> pd.DataFrame:
+        rows.loc[(rows.track_id == track_id) & (rows.timestep == timestep), column] = value
+        return rows
+
+    return change
+
+
+def _track(track_id: str, column: str, value: Any) -> Change:
+    def change(rows: pd.DataFrame) -> pd.DataFrame:
+        rows.loc[rows.track_id == track_id, column] = value
+        return rows
+
+    return change
+
+
+def _without(track_id: str, *steps: int) -> Change:
+    return lambda rows: rows[(rows.track_id != track_id) | ~rows.timestep.isin(steps)]
+
+
+def _again(rows: pd.DataFrame) -> pd.DataFrame:
+    return pd.concat([rows, rows.iloc[[10]]])
+
+
+FOCAL, SCORED = "310100", "310107"
+
+
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        (_again, "duplicate"),
+        (_track(SCORED, "object_category", 3), "focal"),
+        (_track(FOCAL, "object_category", 2), "focal"),
+        (lambda rows: rows.assign(focal_track_id=SCORED), "focal"),
+        (_without(FOCAL, *range(100, 110)), "focal"),
+        (_without(FOCAL, 49), "focal"),
+        (_without(SCORED, 49), "scored"),
+        (lambda rows: rows.assign(city="atlantis"), "city"),
+        (_at("AV", 3, "city", "miami"), "constant"),
+        (_at("AV", 3, "observed", False), "observed"),
+        (_at("AV", 80, "observed", True), "observed"),
+        (_at("AV", 80, "timestep", 110), "timestep"),
+        (lambda rows: rows.assign(num_timestamps=50), "timestep"),
+        (lambda rows: rows.assign(num_timestamps=120), "timestep"),
+        (lambda rows: rows[rows.track_id != "AV"], "av"),
+        (_track("AV", "object_type", "spaceship"), "object-type"),
+        (_at("AV", 3, "object_type", "bus"), "constant"),
+        (_at("AV", 3, "object_category", 0), "constant"),
+        (_track("AV", "object_category", 5), "category"),
+        (lambda rows: rows.assign(scenario_id="other"), "scenario-id"),
+        (lambda rows: rows.drop(columns="heading"), "columns"),
+        (lambda rows: rows.assign(timestep=rows.timestep.astype("int32")), "columns"),
+        (lambda rows: rows.assign(object_category=rows.object_category.astype(float)), "columns"),
+        (_track("gen_1", "track_id", "gen_x"), "generated"),
+        (_track("gen_1", "object_type", "pedestrian"), "generated"),
+        (_track("gen_1", "object_category", 0), "generated"),
+        (_without("gen_1", 30), "generated"),
+        (_without("gen_1", *range(49, 110)), "generated"),
+        (lambda rows: _without("gen_1", 109)(_track("gen_1", "object_category", 2)(rows)), "generated"),
+        (_track("gen_1", "velocity_x", 3.0), "velocity"),
+        (_at("gen_1", 60, "position_x", 0.0), "velocity"),
+        (_track("gen_1", "heading", 0.5), "heading"),
+        (_at("gen_1", 60, "heading", 4.0), "heading"),
+        (_without("gen_1", *range(110)), "sidecar"),
+    ],
+)
+def test_a_spoiled_row_is_found(written: Path, edit_rows: Callable[..., None], change: Change, rule: str) -> None:
+    edit_rows(written, change)
+    assert rule in rules(written)
+
+
+@pytest.mark.parametrize("column", ["position_x", "position_y", "heading", "velocity_x", "velocity_y"])
+def test_nan_is_found_however_it_was_written(written: Path, edit_rows: Callable[..., None], column: str) -> None:
+    """pandas writes NaN as null (columns); infinities stay (finite)."""
+    edit_rows(written, _at("AV", 3, column, np.inf))
+    assert "finite" in rules(written)
+    edit_rows(written, _at("AV", 3, column, np.nan))
+    assert "columns" in rules(written)
+
+
+def test_a_context_track_may_end_early(written: Path, edit_rows: Callable[..., None]) -> None:
+    edit_rows(written, _without("gen_1", *range(90, 110)))
+    assert rules(written) <= {"velocity"}  # the made-up track is cut in its middle, its new end is one-sided
+    assert "generated" not in rules(written)
+
+
+def test_an_index_that_is_no_range_from_zero_is_found(written: Path) -> None:
+    (path,) = written.glob("scenario_*.parquet")
+    rows = pd.read_parquet(path)
+    rows.index = rows.index[::-1]
+    rows.to_parquet(path)
+    assert "columns" in rules(written)
+
+
+def test_any_other_parquet_is_found(written: Path) -> None:
+    extra = written.parent / ".left" / "over"
+    extra.mkdir(parents=True)
+    for path in (written.parents[1] / "x.parquet", extra / "y.parquet", written / "scenario_2.parquet"):
+        path.write_bytes(b"")
+    found = [finding.file.name for finding in validate_folder(written.parents[1]) if finding.rule == "other-parquet"]
+    assert sorted(found) == ["scenario_2.parquet", "x.parquet", "y.parquet"]
+
+
+@pytest.mark.parametrize("pattern", ["scenario_*.parquet", "log_map_archive_*.json", "hid2_*.json"])
+def test_a_missing_file_is_found(written: Path, pattern: str) -> None:
+    next(written.glob(pattern)).unlink()
+    assert "folder" in rules(written)
+
+
+def test_a_renamed_folder_is_found(written: Path) -> None:
+    written.rename(written.with_name("renamed"))
+    assert {"folder", "other-parquet"} <= rules(written)
+
+
+def test_a_split_of_another_name_is_found(written: Path) -> None:
+    written.parent.rename(written.parents[1] / "training")
+    assert rules(written) == {"folder"}
+
+
+def _lane(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]], Any]:
+    return lambda document: change(next(iter(document["lane_segments"].values())))
+
+
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        (lambda document: document.pop("drivable_areas"), "map"),
+        (lambda document: document["drivable_areas"].clear(), "map"),
+        (lambda document: document.pop("pedestrian_crossings"), "map"),
+        (_lane(lambda lane: lane["centerline"][1].pop("z")), "map"),
+        (_lane(lambda lane: lane["left_lane_boundary"][1].update(x=None)), "map"),
+        (_lane(lambda lane: lane["left_lane_boundary"][1].update(y=float("nan"))), "map"),
+        (_lane(lambda lane: lane.pop("successors")), "map"),
+        (_lane(lambda lane: lane.update(id=7)), "map"),
+        (_lane(lambda lane: lane.update(left_lane_mark_type=None)), "mark-type"),
+        (_lane(lambda lane: lane.update(right_lane_mark_type="CHALK")), "mark-type"),
+        (_lane(lambda lane: lane.update(lane_type="TRAM")), "lane-type"),
+        (_lane(lambda lane: lane.update(right_lane_boundary=lane["right_lane_boundary"][:1])), "boundary"),
+        (_lane(lambda lane: lane.pop("centerline")), "boundary"),
+    ],
+)
+def test_a_spoiled_map_is_found(
+    written: Path, edit_json: Callable[..., None], change: Callable[[dict[str, Any]], Any], rule: str
+) -> None:
+    edit_json(next(written.glob("log_map_archive_*.json")), change)
+    assert rule in rules(written)
+
+
+def test_a_map_that_is_not_json_is_found(written: Path) -> None:
+    next(written.glob("log_map_archive_*.json")).write_bytes(b"{")
+    assert rules(written) == {"map"}
+
+
+def _agent(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]], Any]:
+    return lambda document: change(document["agents"][0])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda document: document.pop("replay"), "replay: Field required"),
+        (lambda document: document["placed"].update(agents=3), "placed.agents 3, but 2 agents"),
+        (lambda document: document["placed"]["behaviours"].update(straight=1), "placed.behaviours.straight 1, but 0"),
+        (lambda document: document["agents"].pop(), "placed.agents 2, but 1 agents"),
+        (lambda document: document.update(config_sha256="0" * 64), "want that of config"),
+        (lambda document: document["config"]["request"].update(agents=-1), "request.agents = -1"),
+        (lambda document: document.update(seed=1), "of this source, configuration, seed and variant"),
+        (lambda document: document.update(variant=1), "of this source, configuration, seed and variant"),
+        (_agent(lambda agent: agent.update(track_id="gen_7")), "gen_0, gen_7"),
+        (_agent(lambda agent: agent.update(track_id="gen_1")), "two agents have the same track_id"),
+        (_agent(lambda agent: agent.update(route=[1])), "lane segment 1 is not in the map"),
+        (_agent(lambda agent: agent.update(maneuvers=[])), "policy lane_change, but no record of it"),
+        (_agent(lambda agent: agent["maneuvers"][0].update(start_s=9)), "want trigger, start, crossing, end in order"),
+        (_agent(lambda agent: agent["maneuvers"][0].update(end_s=None)), "done without start_s and end_s"),
+        (_agent(lambda agent: agent["maneuvers"][0].update(leader_track_id="nobody")), "no leader 'nobody'"),
+    ],
+)
+def test_a_spoiled_sidecar_is_found(
+    written: Path, edit_json: Callable[..., None], change: Callable[[dict[str, Any]], Any], said: str
+) -> None:
+    edit_json(next(written.glob("hid2_*.json")), change)
+    assert said in "\n".join(finding.message for finding in validate_folder(written.parents[1]))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda rows: rows.assign(
+            position_x=rows.position_x.where(rows.index != 17, np.nextafter(rows.position_x, 1e9))
+        ),
+        lambda rows: rows.assign(velocity_y=rows.velocity_y.where(rows.velocity_y != 0, -0.0)),
+        _track(SCORED, "object_category", 1),
+        _track("AV", "object_type", "bus"),
+        lambda rows: rows.iloc[1:],
+        lambda rows: rows.iloc[::-1],
+        lambda rows: rows.drop(columns="map_id"),
+        lambda rows: rows.assign(city="miami"),
+        lambda rows: rows.assign(start_timestamp=rows.start_timestamp + 64),
+    ],
+)
+def test_recorded_rows_are_compared_bit_for_bit(
+    written: Path, data_root: Path, edit_rows: Callable[..., None], change: Change
+) -> None:
+    edit_rows(written, change)
+    assert "source" in rules(written, source=data_root)
+
+
+def test_a_map_that_differs_from_the_source_is_found(
+    written: Path, data_root: Path, edit_json: Callable[..., None]
+) -> None:
+    edit_json(next(written.glob("log_map_archive_*.json")), lambda document: document)
+    path = next(written.glob("log_map_archive_*.json"))
+    path.write_bytes(path.read_bytes() + b"\n")
+    assert rules(written, source=data_root) == {"source"}
+
+
+def test_a_source_that_is_not_there_is_found(written: Path, data_root: Path, tmp_path: Path) -> None:
+    assert rules(written, source=data_root / "val") == {"source"}
+    with pytest.raises(ScenarioError, match="no such folder"):
+        validate_folder(written, source=tmp_path / "nowhere")
+
+
+def test_added_centrelines_are_no_difference(
+    tmp_path: Path, copy_scene: Callable[..., Path], edit_json: Callable[..., None], fake_generated: Callable[..., Any]
+) -> None:
+    source = copy_scene()
+    (map_path,) = source.glob("log_map_archive_*.json")
+    edit_json(map_path, lambda document: [lane.pop("centerline") for lane in document["lane_segments"].values()])
+    scenario = read_scenario(source)
+    tracks, sidecar, new_id = fake_generated(scenario)
+    out = tmp_path / "out"
+    folder = write_scene(scenario, tracks, sidecar, out, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    assert validate_folder(out, source=source) == []
+    edit_json(next(folder.glob("log_map_archive_*.json")), _lane(lambda lane: lane.update(is_intersection=True)))
+    assert {finding.rule for finding in validate_folder(out, source=source)} == {"source"}
+
+
+def test_an_empty_output_is_said(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match="no scenario here"):
+        validate_folder(tmp_path)

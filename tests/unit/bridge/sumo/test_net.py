@@ -1,0 +1,64 @@
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.sumo.net import convert
+from netconvert.errors import MapError, NetError
+from netconvert.fidelity import UNEXPLAINED
+
+EditJson = Callable[[Path, Callable[[dict[str, Any]], None]], None]
+
+
+def _names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def test_convert_writes_the_net_and_everything_that_opens_it(data_scene: Path, tmp_path: Path) -> None:
+    report = convert(data_scene, tmp_path / "deep" / "out")
+    suffixes = ("net.xml", "sumocfg", "poly.xml", "view.xml", "cells.csv")
+    assert _names(tmp_path / "deep" / "out") == {f"{data_scene.name}.{suffix}" for suffix in suffixes}
+    assert report.lanes_in == report.lanes_out
+    assert report.largest_distance_m <= 0.01
+    assert UNEXPLAINED not in {link.reason for link in report.lost}
+
+
+def test_convert_takes_the_map_file_as_well(data_scene: Path, tmp_path: Path) -> None:
+    (path,) = data_scene.glob("log_map_archive_*.json")
+    assert convert(path, tmp_path).lanes_out > 0
+    assert f"{data_scene.name}.net.xml" in _names(tmp_path)
+
+
+def test_two_runs_write_the_same_bytes(data_scene: Path, tmp_path: Path) -> None:
+    for run in ("a", "b", "b"):
+        convert(data_scene, tmp_path / run)
+    for path in (tmp_path / "a").iterdir():
+        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
+
+
+def test_a_map_that_cannot_be_read_leaves_nothing_behind(
+    copy_scene: Callable[..., Path], edit_json: EditJson, tmp_path: Path
+) -> None:
+    def spoil(data: dict[str, Any]) -> None:
+        next(iter(data["lane_segments"].values()))["lane_type"] = "TRAM"
+
+    scene = copy_scene()
+    (path,) = scene.glob("log_map_archive_*.json")
+    edit_json(path, spoil)
+    with pytest.raises(MapError, match="lane_type: 'TRAM'"):
+        convert(scene, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_without_map_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match=r"0 files log_map_archive_\*\.json, want one"):
+        convert(tmp_path, tmp_path / "out")
+    with pytest.raises(MapError, match="no such folder"):
+        convert(tmp_path / "missing", tmp_path / "out")
+
+
+def test_an_output_folder_that_is_a_file_is_refused(data_scene: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("here already")
+    with pytest.raises(NetError, match="out: cannot write the net"):
+        convert(data_scene, tmp_path / "out")

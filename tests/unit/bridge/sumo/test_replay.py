@@ -1,0 +1,136 @@
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bridge.sumo.replay import Replay
+from bridge.sumo.simulation import Simulation
+from hid2.occupancy.traffic import Traffic
+from netconvert.cells import build_cell_grid
+from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
+from netconvert.net_xml import net_bytes
+
+STEPS = 40
+
+
+@pytest.fixture(scope="module")
+def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One lane of 100 m along +x."""
+    centerline = np.array([[0.0, 0.0], [100.0, 0.0]])
+    lane = LaneSegment(
+        lane_id=1, centerline=centerline, left_boundary=None, right_boundary=None, lane_type="VEHICLE",
+        is_intersection=False, successors=(), left_neighbor_id=None, right_neighbor_id=None, left_mark_type="NONE",
+        right_mark_type="NONE", width_m=3.5, turn=turn_type(centerline, is_intersection=False),
+    )  # fmt: skip
+    path = tmp_path_factory.mktemp("net") / "road.net.xml"
+    path.write_bytes(net_bytes(build_cell_grid(LaneGraph({1: lane}))))
+    return path
+
+
+def _traffic() -> Traffic:
+    """Five agents: on the lane, off it, crossing, standing, and one whose heading runs through pi; 40 steps."""
+    time = 0.1 * np.arange(STEPS)
+    flat = np.zeros(STEPS)
+    position = np.stack([
+        np.column_stack([5.0 + 9.0 * time, flat]),
+        np.column_stack([5.0 + 3.0 * time, flat - 12.0]),
+        np.column_stack([flat + 50.0, -10.0 + 5.0 * time]),
+        np.column_stack([flat + 70.0, flat + 0.4]),
+        np.column_stack([80.0 - 2.0 * time, flat + 6.0]),
+    ])  # fmt: skip
+    heading = np.stack([flat, flat + 0.3, flat + np.pi / 2, flat, np.pi + 0.02 * (time - 2.0)])
+    heading = (heading + np.pi) % (2 * np.pi) - np.pi
+    return Traffic(
+        ids=("lane", "off", "cross", "still", "west"),
+        position=position,
+        heading=heading,
+        velocity=np.zeros((5, STEPS, 2)),
+        present=np.ones((5, STEPS), dtype=bool),
+        length_m=np.array([4.5, 1.8, 0.6, 11.0, 4.5]),
+        width_m=np.array([1.9, 0.6, 0.6, 2.8, 1.9]),
+    )
+
+
+def _run(net: Path, *replays: Callable[[Simulation], Replay]) -> list[Replay]:
+    with Simulation(net, seed=0, step_s=0.1) as simulation:
+        made = [make(simulation) for make in replays]
+        for step in range(STEPS):
+            for replay in made:
+                replay.place(step)
+            simulation.step()
+            for replay in made:
+                replay.check(step)
+    return made
+
+
+def test_every_state_is_replayed_exactly_and_nobody_is_lost(net: Path) -> None:
+    (replay,) = _run(net, lambda sumo: Replay(sumo, _traffic(), "r"))
+    assert replay.errors.states == 5 * STEPS
+    assert replay.errors.lost == 0
+    assert replay.errors.max_position_error_m < 1e-6
+    assert replay.errors.max_heading_error_rad < 1e-6
+
+
+def test_agents_come_late_leave_early_and_come_back(net: Path) -> None:
+    """Present in steps 0-4 and 10-14; another only in the last step: 11 states, each exact."""
+    traffic = _traffic().rows([0, 1])
+    present = np.zeros((2, STEPS), dtype=bool)
+    present[0, :5] = present[0, 10:15] = present[1, -1] = True
+    (replay,) = _run(net, lambda sumo: Replay(sumo, replace(traffic, present=present), "r"))
+    assert (replay.errors.states, replay.errors.lost) == (11, 0)
+    assert replay.errors.max_position_error_m < 1e-6
+
+
+def test_two_replays_share_a_simulation(net: Path) -> None:
+    """Recorded agents and generated ones of earlier rounds, told apart by their prefix."""
+    traffic = _traffic()
+    first, second = _run(
+        net,
+        lambda sumo: Replay(sumo, traffic.rows([0, 1]), "r"),
+        lambda sumo: Replay(sumo, traffic.rows([2, 3, 4]), "f"),
+    )
+    assert (first.errors.states, second.errors.states) == (2 * STEPS, 3 * STEPS)
+    assert max(first.errors.max_position_error_m, second.errors.max_position_error_m) < 1e-6
+
+
+def test_nobody_to_replay_is_no_error(net: Path) -> None:
+    (replay,) = _run(net, lambda sumo: Replay(sumo, _traffic().rows([]), "r"))
+    assert (replay.errors.states, replay.errors.lost) == (0, 0)
+
+
+def test_deviation_is_measured(net: Path) -> None:
+    """The check itself: states that were moved by 0.25 m behind its back are told as such."""
+    with Simulation(net, seed=0, step_s=0.1) as simulation:
+        replay = Replay(simulation, _traffic(), "r")
+        replay.place(0)
+        simulation.place("r3", 70.0 + 5.5 + 0.25, 0.4, 90.0)
+        simulation.step()
+        replay.check(0)
+    assert replay.errors.max_position_error_m == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(("in_the_way", "slowest"), [(True, (0.0, 2.0)), (False, (8.9, 9.1))])
+def test_vehicle_follows_only_who_is_in_its_way(net: Path, in_the_way: bool, slowest: tuple[float, float]) -> None:
+    """One parked 1.9 m aside of the lane's middle, within SUMO's reach of the lane: its pose is exact all the same."""
+    standing = _traffic().rows([3])
+    standing.position[..., 1] = 1.9
+    with Simulation(net, seed=0, step_s=0.1) as sumo:
+        replay = Replay(sumo, standing, "r", in_the_way=np.array([in_the_way]))
+        speeds = []
+        for step in range(STEPS):
+            replay.place(step)
+            sumo.step()
+            replay.check(step)
+            if step == 0:
+                sumo.insert(
+                    "v1", edges=[f"1#{k}" for k in range(9, 25)], lane_id="1#9_0", front_m=0.0, speed_mps=9.0,
+                    length_m=4.5, width_m=1.9, accel_mps2=1.8, decel_mps2=4.0, tau_s=1.0, min_gap_m=1.5,
+                    max_speed_mps=9.0,
+                )  # fmt: skip
+            else:
+                speeds.append(sumo.speed("v1"))
+    assert slowest[0] <= min(speeds) <= slowest[1]
+    assert (replay.errors.states, replay.errors.lost) == (STEPS, 0)
+    assert replay.errors.max_position_error_m < 1e-6

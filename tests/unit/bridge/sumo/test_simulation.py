@@ -1,0 +1,240 @@
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bridge.sumo.simulation import Simulation
+from netconvert.cells import build_cell_grid
+from netconvert.errors import SimulationError
+from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
+from netconvert.net_xml import net_bytes
+
+EDGES = [f"1#{k}" for k in range(25)]
+
+
+def _road() -> LaneGraph:
+    """Two lanes of 100 m along +x; edges 1#0 .. 1#24 of 4 m, lane 1 at the right (index 0), lane 2 at the left (1)."""
+    lanes = {}
+    for lane_id, y in ((1, 0.0), (2, 3.5)):
+        centerline = np.array([[0.0, y], [100.0, y]])
+        lanes[lane_id] = LaneSegment(
+            lane_id=lane_id, centerline=centerline, left_boundary=None, right_boundary=None, lane_type="VEHICLE",
+            is_intersection=False, successors=(), left_neighbor_id=2 if lane_id == 1 else None,
+            right_neighbor_id=1 if lane_id == 2 else None, left_mark_type="DASHED_WHITE",
+            right_mark_type="DASHED_WHITE", width_m=3.5, turn=turn_type(centerline, is_intersection=False),
+        )  # fmt: skip
+    return LaneGraph(lanes)
+
+
+@pytest.fixture(scope="module")
+def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("net") / "road.net.xml"
+    path.write_bytes(net_bytes(build_cell_grid(_road())))
+    return path
+
+
+@pytest.fixture
+def sumo(net: Path) -> Iterator[Simulation]:
+    with Simulation(net, seed=0, step_s=0.1) as simulation:
+        yield simulation
+
+
+def _insert(sumo: Simulation, name: str, front_m: float, speed: float, *, lane_id: str | None = None) -> str | None:
+    """A car with its front bumper at front_m of lane 1."""
+    first = int(front_m // 4.0)
+    return sumo.insert(
+        name, edges=EDGES[first:], lane_id=lane_id or f"1#{first}_0", front_m=front_m - 4.0 * first, speed_mps=speed,
+        length_m=4.5, width_m=1.9, accel_mps2=1.8, decel_mps2=2.5, tau_s=1.6, min_gap_m=2.5, max_speed_mps=12.0,
+    )  # fmt: skip
+
+
+def test_second_simulation_in_one_process_is_refused(sumo: Simulation, net: Path) -> None:
+    with pytest.raises(SimulationError, match="already running"), Simulation(net, seed=0, step_s=0.1):
+        pass
+    sumo.step()  # the first one is unharmed
+
+
+def test_simulation_is_closed_behind_an_error(net: Path) -> None:
+    with pytest.raises(RuntimeError, match="mine"), Simulation(net, seed=0, step_s=0.1):
+        raise RuntimeError("mine")
+    with Simulation(net, seed=0, step_s=0.1) as again:
+        again.step()
+
+
+def test_net_that_sumo_refuses_is_named(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.net.xml"
+    broken.write_text("<net version='1.20'><edge/></net>")
+    with pytest.raises(SimulationError, match=r"broken\.net\.xml"), Simulation(broken, seed=0, step_s=0.1):
+        pass
+    missing = tmp_path / "missing.net.xml"
+    with pytest.raises(SimulationError, match=r"missing\.net\.xml"), Simulation(missing, seed=0, step_s=0.1):
+        pass
+
+
+def test_rewound_simulation_is_as_good_as_a_fresh_one(net: Path) -> None:
+    """A car follows a replayed one that brakes: the same in a simulation of its own and behind something else."""
+
+    def drive(sumo: Simulation) -> list[float]:
+        sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
+        speeds = []
+        for step in range(40):
+            sumo.place("r0", 50.0 + 0.8 * step - 0.01 * step**2, 0.0, 90.0)
+            sumo.step()
+            if step == 0:
+                assert _insert(sumo, "v1", 20.0, 11.0) is None
+            speeds.append(sumo.speed("v1"))
+        return speeds
+
+    with Simulation(net, seed=0, step_s=0.1) as fresh:
+        wanted = drive(fresh)
+    with Simulation(net, seed=0, step_s=0.1) as sumo:
+        sumo.rewind()
+        assert _insert(sumo, "v1", 60.0, 3.0) is None
+        for _ in range(30):
+            sumo.step()
+        sumo.rewind()
+        assert sumo.driven() == frozenset()
+        assert drive(sumo) == wanted
+    assert min(wanted) < 9.0
+
+
+def test_version_names_sumo(sumo: Simulation) -> None:
+    assert "1.28" in sumo.version()
+
+
+def test_inserted_vehicle_starts_where_and_as_fast_as_asked(sumo: Simulation) -> None:
+    """Front at 22.25 m: cell 5 (20 .. 24), 2.25 m into it, 8 m/s; at once, and the next step goes on from there."""
+    sumo.step()
+    assert _insert(sumo, "v1", 22.25, 8.0) is None
+    assert sumo.lane("v1") == ("1#5_0", pytest.approx(2.25))
+    assert sumo.speed("v1") == pytest.approx(8.0)
+    sumo.set_speed("v1", 8.0)
+    sumo.step()
+    assert sumo.pose("v1") == pytest.approx((23.05, 0.0, 90.0))
+
+
+def test_vehicle_is_inserted_close_behind_another_if_it_was_planned_so(sumo: Simulation) -> None:
+    """SUMO's own insertion check would wait: it takes the one ahead, as fast, for one that may stop at any time."""
+    sumo.step()
+    assert _insert(sumo, "v1", 40.0, 8.0) is None
+    assert _insert(sumo, "v2", 31.0, 8.0) is None
+    sumo.step()
+    assert {"v1", "v2"} <= sumo.driven()
+
+
+def test_asked_speed_is_driven_within_the_vehicle_s_acceleration(sumo: Simulation) -> None:
+    """From 8 towards 10 m/s at 1.8 m/s2: 8.18 after a step, 10 after 1.2 s."""
+    _insert(sumo, "v1", 22.25, 8.0)
+    sumo.set_speed("v1", 10.0)
+    sumo.step()
+    assert sumo.speed("v1") == pytest.approx(8.18)
+    for _ in range(12):
+        sumo.step()
+    assert sumo.speed("v1") == pytest.approx(10.0)
+
+
+def test_car_following_stays_above_an_asked_speed(sumo: Simulation) -> None:
+    """Asked for 12 m/s towards a replayed vehicle that stands at 60 m: it stops with its gap of 2.5 m, near 55 m."""
+    sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
+    _insert(sumo, "v1", 10.0, 8.0)
+    for _ in range(200):
+        sumo.place("r0", 62.0, 0.0, 90.0)
+        sumo.set_speed("v1", 12.0)
+        sumo.step()
+    front = sumo.pose("v1")[0]
+    assert sumo.speed("v1") < 0.1
+    assert 62.0 - 4.5 - 3.5 < front < 62.0 - 4.5 - 1.9
+
+
+def test_lane_change_is_instant_and_keeps_the_route(sumo: Simulation) -> None:
+    _insert(sumo, "v1", 22.25, 8.0)
+    sumo.step()
+    sumo.change_lane("v1", 1, edges=EDGES[5:])
+    sumo.step()
+    lane, _ = sumo.lane("v1")
+    assert lane.endswith("_1")
+    for _ in range(20):
+        sumo.step()
+    assert sumo.lane("v1")[0].endswith("_1")
+
+
+def test_lane_change_waits_for_a_gap(sumo: Simulation) -> None:
+    """A vehicle that stands right beside: nothing happens, nobody is touched."""
+    sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
+    sumo.place("r0", 24.0, 3.5, 90.0)
+    sumo.step()
+    _insert(sumo, "v1", 22.25, 0.0)
+    sumo.place("r0", 24.0, 3.5, 90.0)
+    sumo.set_speed("v1", 0.0)
+    sumo.change_lane("v1", 1, edges=EDGES[5:])
+    sumo.step()
+    assert sumo.lane("v1")[0].endswith("_0")
+
+
+def test_lane_that_the_net_does_not_have_is_an_objection_not_an_error(sumo: Simulation) -> None:
+    assert _insert(sumo, "v1", 2.0, 8.0, lane_id="1#0_7") is not None
+
+
+def test_vehicle_leaves_at_the_end_of_its_route(sumo: Simulation) -> None:
+    _insert(sumo, "v1", 95.0, 10.0)
+    sumo.step()
+    assert "v1" in sumo.driven()
+    for _ in range(10):
+        sumo.step()
+    assert "v1" not in sumo.driven()
+
+
+def test_replayed_vehicle_stays_where_it_is_put_and_goes_when_removed(sumo: Simulation) -> None:
+    """On the lane, beside the road, across it: SUMO has it exactly there."""
+    sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
+    for pose in ((30.0, 0.0, 90.0), (30.4, -9.0, 12.5), (31.0, 1.75, 180.0)):
+        sumo.place("r0", *pose)
+        sumo.step()
+        assert sumo.pose("r0") == pytest.approx(pose)
+    sumo.remove("r0")
+    sumo.step()
+    assert "r0" not in sumo.driven()
+
+
+def test_same_seed_drives_the_same(net: Path) -> None:
+    def run() -> list[tuple[str, float]]:
+        with Simulation(net, seed=5, step_s=0.1) as simulation:
+            for k in range(4):
+                _insert(simulation, f"v{k}", 5.0 + 15.0 * k, 6.0)
+            trace = []
+            for _ in range(50):
+                simulation.step()
+                trace += [simulation.lane(name) for name in sorted(simulation.driven())]
+            return trace
+
+    assert run() == run()
+
+
+def test_hundred_starts_in_one_process_are_fine(net: Path) -> None:
+    for seed in range(100):
+        with Simulation(net, seed=seed, step_s=0.1) as simulation:
+            simulation.step()
+
+
+@pytest.mark.parametrize(("decel", "wanted_m"), [(2.5, 6.5), (4.5, 8.7)])
+def test_gap_behind_a_replayed_vehicle_is_what_its_expected_deceleration_asks_for(
+    net: Path, decel: float, wanted_m: float
+) -> None:
+    """Krauss: gap_min + v tau + v^2 / 2b - v^2 / 2b_leader. At 5 m/s, tau 1, gap_min 1.5 and b 2.5: 6.5 m behind one
+    that is expected to brake alike, and 25 / 5 - 25 / 9 = 2.2 m more behind one that is expected to brake with 4.5.
+    """
+    with Simulation(net, seed=0, step_s=0.1, expected_decel_mps2=decel) as sumo:
+        sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
+        for step in range(120):
+            front = 30.0 + 0.5 * step
+            sumo.place("r0", front, 0.0, 90.0)
+            sumo.step()
+            if step == 0:
+                assert sumo.insert(
+                    "v1", edges=EDGES[3:], lane_id="1#3_0", front_m=0.0, speed_mps=5.0, length_m=4.5, width_m=1.9,
+                    accel_mps2=1.8, decel_mps2=2.5, tau_s=1.0, min_gap_m=1.5, max_speed_mps=12.0,
+                ) is None  # fmt: skip
+        pose = sumo.pose("v1")
+        assert pose is not None
+        assert front - 4.5 - pose[0] == pytest.approx(wanted_m, abs=0.5)

@@ -1,0 +1,277 @@
+"""Boxes, TTC, PET, footprint, leaders and lanes of the evaluation."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from shapely.affinity import rotate, translate
+from shapely.geometry import box as rectangle
+
+from hid2.agents import BoxSize, Track
+from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, encroachments, off_footprint, overlaps, safety, survey
+from hid2.measures.arrays import SceneArrays, between_steps, stack
+from hid2.measures.box_pairs import contact_time, pairwise_overlap
+from hid2.measures.following import leaders
+from hid2.measures.lane_matching import flatten_lanes, match_lanes
+from netconvert.lane_graph import LaneGraph
+
+
+def drive(x, y=0.0, heading=0.0, *, speed=0.0, steps=60, first=0, name="t", size=(4.0, 2.0), kind="vehicle"):
+    """A vehicle straight ahead at constant speed from (x, y)."""
+    time = 0.1 * np.arange(steps)
+    ahead = np.array([math.cos(heading), math.sin(heading)])
+    position = np.array([x, y]) + speed * time[:, None] * ahead
+    velocity = np.tile(speed * ahead, (steps, 1))
+    return Track(
+        name, kind, 1, np.arange(first, first + steps), position, np.full(steps, heading), velocity, BoxSize(*size)
+    )
+
+
+def shapely_box(x, y, heading, length, width):
+    return translate(rotate(rectangle(-length / 2, -width / 2, length / 2, width / 2), math.degrees(heading)), x, y)
+
+
+angles = st.floats(-math.pi, math.pi)
+places = st.floats(-6, 6)
+sizes = st.floats(0.5, 12)
+
+
+@settings(deadline=None)  # the first call may compile
+@given(places, places, angles, angles, sizes, sizes, sizes, sizes)
+def test_shared_area_equals_shapelys(x, y, first, second, length_a, width_a, length_b, width_b):
+    iou, _, _ = pairwise_overlap(
+        np.array([[0.0, 0.0], [x, y]]),
+        np.array([first, second]),
+        np.array([length_a, length_b]),
+        np.array([width_a, width_b]),
+        np.array([[0], [1]]),
+    )
+    a, b = shapely_box(0, 0, first, length_a, width_a), shapely_box(x, y, second, length_b, width_b)
+    assert iou[0, 1] == pytest.approx(a.intersection(b).area / a.union(b).area, abs=1e-9)
+
+
+@settings(deadline=None)  # the first call may compile
+@given(st.floats(-40, 40), st.floats(-40, 40), st.floats(-15, 15), st.floats(-15, 15), angles, angles)
+def test_contact_time_equals_moving_the_boxes_by_small_steps(x, y, vx, vy, first, second):
+    """Boxes 4 x 2 m: at the time found they touch, and a little before they do not."""
+    seconds = contact_time(x, y, vx, vy, first, 4.0, 2.0, second, 4.0, 2.0)
+    still = shapely_box(0, 0, first, 4, 2)
+
+    def distance(time):
+        return still.distance(shapely_box(x + vx * time, y + vy * time, second, 4, 2))
+
+    if math.isinf(seconds):
+        assert min(distance(time) for time in np.arange(0, 6, 0.05)) > 0
+    elif seconds < 10:
+        assert distance(seconds) == pytest.approx(0.0, abs=1e-6)
+        if seconds > 1e-3:
+            assert distance(seconds - 1e-3) > 0
+
+
+def test_ttc_of_a_car_that_closes_on_a_standing_one(road):
+    """Gap 20 - 4 = 16 m at 8 m/s: 2 s at the first step, then 0.1 s less a step; capped at 5 s to a far one."""
+    arrays = stack(
+        [drive(0, speed=8.0, steps=10, name="a"), drive(20, steps=10, name="b"), drive(100, 3.5, steps=10, name="c")]
+    )
+    safe = safety(arrays, survey(road()))
+    np.testing.assert_allclose(safe.ttc_s[:10], 2.0 - 0.1 * np.arange(10), atol=1e-9)
+    np.testing.assert_allclose(safe.ttc_s[10:20], safe.ttc_s[:10])
+    np.testing.assert_allclose(safe.ttc_s[20:], 5.0)
+
+
+def test_ttc_sees_a_crossing_vehicle_that_no_lane_leads_to(road):
+    """a at 10 m/s along x from 0, b at 10 m/s along y from (30, -30): the boxes touch in the corner.
+
+    b's right-hand face is at x = 29 (width 2), a's front reaches it after 2.7 s; b's front (length 4) is at
+    y = -28 + 27 = -1 then, and a's lower side is at y = -1: they touch at 2.7 s.
+    """
+    arrays = stack(
+        [drive(0, speed=10.0, steps=2, name="a"), drive(30, -30, math.pi / 2, speed=10.0, steps=2, name="b")]
+    )
+    assert safety(arrays, survey(road())).ttc_s[0] == pytest.approx(2.7)
+
+
+def test_overlapping_boxes_have_ttc_zero(road):
+    arrays = stack([drive(0, speed=5.0, steps=2, name="a"), drive(1, steps=2, name="b")])
+    assert safety(arrays, survey(road())).ttc_s.max() == 0.0
+
+
+def test_pet_is_the_time_between_leaving_and_reaching_the_shared_ground():
+    """a crosses y = 0 northwards, b drives along it and comes later.
+
+    a (width 2) covers x from -1 to 1; its rear (length 4) leaves y = 1 when its centre is at y = 3. From y = -20 at
+    10 m/s: after 2.3 s. b's front reaches x = -1 with its centre at x = -3, from x = -50 at 10 m/s: after 4.7 s.
+    PET 2.4 s.
+    """
+    a = drive(0, -20, math.pi / 2, speed=10.0, name="a")
+    b = drive(-50, 0, 0.0, speed=10.0, name="b")
+    (found,) = encroachments(stack([a, b]))
+    assert found.pet_s == pytest.approx(2.4)
+
+
+def test_following_and_meeting_are_no_crossings():
+    follower, leader = drive(0, speed=10.0, name="a"), drive(12, speed=10.0, name="b")
+    oncoming = drive(60, 0.5, math.pi, speed=10.0, name="c")
+    assert encroachments(stack([follower, leader, oncoming])) == ()
+
+
+def test_footprint_allows_thirty_centimetres(road):
+    """Right edge of the area at y = -1.75. A box of 2 m width at y = -1.0 reaches -2.0 (0.25 m out), at -1.1 0.35 m."""
+    arrays = stack([drive(50, -1.0, steps=1, name="a"), drive(80, -1.1, steps=1, name="b")])
+    assert off_footprint(arrays, survey(road())).tolist() == [False, True]
+
+
+@pytest.mark.parametrize("beyond_m", [-1e-3, -1e-5, 1e-5, 1e-3])
+def test_footprint_round_a_convex_corner_is_measured_by_distance(road, beyond_m):
+    """The area's corner (x, -1.75): a point beside it is off where it is over 0.3 m away, whatever the direction.
+
+    Vehicles almost without extent, at 0.3 m and a little, all round the corner that points away from the area.
+    """
+    graph = road()
+    corner = np.array(graph.drivable.bounds[2:0:-1])  # right, lower
+    angle = np.linspace(-math.pi / 2, 0.0, 61)
+    places = corner + (FOOTPRINT_TOLERANCE_M + beyond_m) * np.column_stack([np.cos(angle), np.sin(angle)])
+    arrays = stack([drive(x, y, steps=1, name=f"{k}", size=(1e-9, 1e-9)) for k, (x, y) in enumerate(places)])
+    assert (off_footprint(arrays, survey(graph)) == (beyond_m > 0)).all()
+
+
+def test_leader_gap_time_gap_headway_and_ttc(road):
+    """Lane 1: a at x = 0 with 10 m/s, b at x = 24 with 6 m/s, both 4 m long: gap 20 m, 2.0 s, front to front 2.4 s.
+
+    Closing at 4 m/s: TTC 5 s. c drives beside them in lane 2 and leads nobody.
+    """
+    tracks = [
+        drive(0, speed=10.0, steps=20, name="a"),
+        drive(24, speed=6.0, steps=20, name="b"),
+        drive(10, 3.5, speed=8.0, steps=20, name="c"),
+    ]
+    arrays = stack(tracks)
+    lanes = flatten_lanes(road())
+    matches, _ = match_lanes(arrays, lanes)
+    found = leaders(arrays, lanes, matches)
+    assert found.agent[0] == 1
+    assert found.agent[20] == found.agent[40] == -1
+    assert found.gap_m[0] == pytest.approx(20.0)
+    assert found.time_gap_s[0] == pytest.approx(2.0)
+    assert found.headway_s[0] == pytest.approx(2.4)
+    assert found.ttc_s[0] == pytest.approx(5.0)
+    assert math.isinf(found.gap_m[20])
+
+
+def test_leader_is_found_through_successors_and_on_the_way_driven(lane):
+    """Lane 1 forks into 2 (straight on) and 3 (bends off). a takes 3 later: b on 3 leads, c on 2 does not.
+
+    1 ------> 2 ----- c
+        \\---> 3 b
+    """
+    bend = [(50.0 + 5 * k, 0.08 * (5 * k) ** 2 / 5) for k in range(9)]
+    graph = LaneGraph(
+        {
+            1: lane(1, [(0, 0), (50, 0)], successors=(2, 3)),
+            2: lane(2, [(50, 0), (100, 0)]),
+            3: lane(3, bend),
+        }
+    )
+    steps = np.arange(80)
+    along = np.array([[0.0, 0.0], *bend])
+    length = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(along, axis=0).T))])
+    x, y = (np.interp(steps * 1.0, length, along[:, axis]) for axis in (0, 1))
+    heading = np.arctan2(np.gradient(y), np.gradient(x))
+    a = Track("a", "vehicle", 1, steps, np.column_stack([x, y]), heading, np.full((80, 2), 7.0), BoxSize(4, 2))
+    end = along[-2]
+    tracks = [a, drive(*end, 0.6, steps=80, name="b"), drive(62, 0, steps=80, name="c")]
+    arrays = stack(tracks)
+    lanes = flatten_lanes(graph)
+    matches, _ = match_lanes(arrays, lanes)
+    assert leaders(arrays, lanes, matches).agent[20] == 1
+
+
+def test_driving_against_the_lane_is_seen_and_parking_across_it_is_not(road):
+    graph = road(length_m=200.0)
+    wrong = drive(150, 0, math.pi, speed=8.0, name="wrong")
+    right = drive(50, 3.5, 0.0, speed=8.0, name="right")
+    parked = drive(180, 0, math.pi, name="parked")
+    arrays = stack([wrong, right, parked])
+    share = arrays.mean_per_agent(safety(arrays, survey(graph)).against_lane.astype(float))
+    assert share.tolist() == [1.0, 0.0, 0.0]
+
+
+def test_a_sliver_between_two_lanes_is_not_driving_against_one_that_crosses_them(lane):
+    """Lanes 1 and 2 side by side, 0.4 m apart; 3 crosses both back and across. x keeps to 1, then drives between.
+
+    At y = 1.95 x is 0.2 m beside 1 and 2, on 3, which points 135 degrees away; at y = -2.2 it is 0.45 m beside 1.
+    """
+    graph = LaneGraph(
+        {
+            1: lane(1, [(0, 0), (200, 0)]),
+            2: lane(2, [(0, 3.9), (200, 3.9)]),
+            3: lane(3, [(130, -30), (70, 30)]),
+        }
+    )
+    for y, expected in ((0.0, False), (1.95, False), (-2.2, True)):
+        arrays = stack([drive(60, y, 0.0, speed=8.0, name="x")])
+        assert safety(arrays, survey(graph)).against_lane.any() == expected, y
+
+
+def test_lane_of_a_vehicle_near_the_marking_does_not_flicker(road):
+    """y wanders from 1.6 to 1.9 and back (marking at 1.75) for 0.3 s: one lane all the way."""
+    x = np.arange(60) * 1.0
+    y = np.full(60, 1.5)
+    y[30:33] = 1.95
+    track = Track(
+        "a", "vehicle", 1, np.arange(60), np.column_stack([x, y]), np.zeros(60), np.zeros((60, 2)), BoxSize(4, 2)
+    )
+    lanes = flatten_lanes(road())
+    matches, _ = match_lanes(stack([track]), lanes)
+    assert set(matches.lane.tolist()) == {0}
+
+
+def test_between_steps_finds_a_collision_that_steps_miss():
+    """Two cars of 0.5 m length pass through each other at 20 m/s each: 4 m a step apart, together half-way."""
+    a = drive(-10, speed=20.0, steps=11, name="a", size=(0.5, 0.5))
+    b = drive(10, 0.0, math.pi, speed=20.0, steps=11, name="b", size=(0.5, 0.5))
+    moved = Track(
+        "b", "vehicle", 1, b.timesteps, b.position + np.array([2.0, 0.0]), b.heading, b.velocity, b.size
+    )  # they meet at x = 1, between steps 5 and 6
+    assert overlaps(stack([a, moved])) == ()
+    assert len(overlaps(stack([between_steps(a), between_steps(moved)], step_s=0.05))) == 1
+
+
+def test_between_steps_turns_the_short_way_and_keeps_gaps():
+    track = drive(0, speed=10.0, steps=3)
+    turned = Track(
+        "t", "vehicle", 1, np.array([0, 1, 5]), track.position, np.array([3.1, -3.1, 0.0]), track.velocity, track.size
+    )
+    finer = between_steps(turned)
+    assert finer.timesteps.tolist() == [0, 1, 2, 10]
+    assert abs(finer.heading[1]) == pytest.approx(math.pi)
+
+
+def test_a_scene_without_agents_has_nothing_to_report(road):
+    arrays = stack([], num_steps=110)
+    safe = safety(arrays, survey(road()))
+    assert safe.overlaps == ()
+    assert len(safe.ttc_s) == 0
+
+
+def test_crossings_of_the_last_agents_alone():
+    """As above, and a third car that crosses b's path 1 s later; asked for those of the last one, only it is named."""
+    a, later = drive(0, -20, math.pi / 2, speed=10.0, name="a"), drive(8, -30, math.pi / 2, speed=10.0, name="c")
+    b = drive(-50, 0, 0.0, speed=10.0, name="b")
+    scene = stack([a, b, later])
+    assert {(c.first, c.second) for c in encroachments(scene)} == {(0, 1), (1, 2)}
+    assert {(c.first, c.second) for c in encroachments(scene, since=2)} == {(1, 2)}
+    assert encroachments(scene, since=2, cap_s=0.5) == ()
+
+
+def test_scene_with_one_more_track_is_the_scene_of_all_tracks():
+    tracks = [drive(0, -20, math.pi / 2, speed=10.0, name="a"), drive(9, steps=3, name="b")]
+    more = drive(-50, 0, 0.0, speed=10.0, name="gen_0")
+    whole = stack([*tracks, more])
+    one = stack(tracks, num_steps=whole.num_steps).joined(stack([more], num_steps=whole.num_steps))
+    for name in SceneArrays.__dataclass_fields__:
+        got, wanted = getattr(one, name), getattr(whole, name)
+        assert np.array_equal(got, wanted), name
+        assert getattr(got, "dtype", None) == getattr(wanted, "dtype", None), name

@@ -1,0 +1,121 @@
+import math
+
+import numpy as np
+import pytest
+
+from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line, smooth_points
+from netconvert.geometry import Polyline
+
+
+def _line(points: np.ndarray, **changes: float) -> ReferenceLine:
+    return build_reference_line(points, **{"step_m": 1.0, "min_radius_m": 5.0, "max_offset_m": 0.6, **changes})
+
+
+def _arc(radius: float, degrees: float, step_deg: float = 3.0) -> np.ndarray:
+    angle = np.radians(np.arange(0.0, degrees + 1e-9, step_deg))
+    return radius * np.column_stack([np.sin(angle), 1.0 - np.cos(angle)])
+
+
+def _inside(line: ReferenceLine) -> slice:
+    """Rows of the tables on the line itself, without those beyond its end."""
+    return slice(0, int(line.length_m / TABLE_STEP_M) + 1)
+
+
+def test_straight_line_stays_as_it_is(straight_line: ReferenceLine) -> None:
+    s = np.array([0.0, 12.3, 200.0])
+    assert straight_line.length_m == pytest.approx(200.0)
+    assert straight_line.position(s) == pytest.approx(np.column_stack([s, np.zeros(3)]), abs=1e-6)
+    assert np.abs(straight_line.table_curvature).max() < 1e-9
+
+
+def test_circle_keeps_its_curvature_and_length() -> None:
+    """A quarter circle of 20 m: curvature 1 / 20 = 0.05, length 20 pi / 2 = 31.42 m, left so positive.
+
+    Its points stand 3 degrees apart, where the chord is 0.7 cm off the arc.
+    """
+    line = _line(_arc(20.0, 90.0))
+    inner = line.table_curvature[_inside(line)][8:-8]
+    assert inner == pytest.approx(np.full(inner.size, 0.05), rel=0.05)
+    assert line.length_m == pytest.approx(20 * math.pi / 2, abs=0.02)
+    radius = np.hypot(*(line.table_xy[_inside(line)] - [0.0, 20.0]).T)
+    assert np.abs(radius - 20.0).max() < 0.02
+
+
+def test_right_circle_has_negative_curvature_and_falling_heading() -> None:
+    line = _line(_arc(20.0, 90.0) * [1.0, -1.0])
+    assert line.table_curvature[_inside(line)][8:-8].max() < -0.045
+    assert line.table_heading[-1] == pytest.approx(-math.pi / 2, abs=0.05)
+
+
+def test_corner_is_rounded_but_not_cut() -> None:
+    """A kink of 45 degrees cannot have R >= 5 m within 0.6 m: the line strays at most 0.6 m, and no kink is left.
+
+    __________
+              \\      an arc of radius R leaves the kink by R (1 / cos(22.5 deg) - 1) = 0.082 R: 0.6 m allows 7.3 m
+               \\
+    """
+    kink = np.array([[0.0, 0.0], [30.0, 0.0], [30.0 + 30.0 * math.sqrt(0.5), -30.0 * math.sqrt(0.5)]])
+    line = _line(kink)
+    assert np.abs(Polyline(kink).frenet(line.table_xy)[1]).max() <= 0.6
+    assert np.abs(line.table_curvature).max() <= 1.0 / 5.0
+
+
+def test_wider_allowance_gives_a_gentler_corner() -> None:
+    corner = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 30.0]])
+    tight, wide = _line(corner), _line(corner, max_offset_m=2.0)
+    assert np.abs(wide.table_curvature).max() < np.abs(tight.table_curvature).max()
+
+
+def test_bend_of_eight_metres_needs_no_more_smoothing() -> None:
+    """Radius 8 m is above R_min = 5 m, so the line stays on the arc by centimetres."""
+    line = _line(_arc(8.0, 90.0))
+    assert np.abs(line.table_curvature).max() <= 1.0 / 5.0
+    assert np.abs(np.hypot(*(line.table_xy[_inside(line)] - [0.0, 8.0]).T) - 8.0).max() < 0.15
+
+
+def test_parameter_is_arc_length() -> None:
+    """|dr/ds| is 1 to a few parts in a thousand, also on a winding line."""
+    x = np.arange(0.0, 120.0, 2.0)
+    line = _line(np.column_stack([x, 4.0 * np.sin(x / 12.0)]))
+    assert np.abs(line.pace(np.linspace(0.0, line.length_m, 400)) - 1.0).max() < 5e-3
+
+
+def test_tables_stand_at_equal_steps_on_the_line(straight_line: ReferenceLine) -> None:
+    rows = _inside(straight_line)
+    s = np.arange(straight_line.table_xy.shape[0])[rows] * TABLE_STEP_M
+    assert straight_line.table_xy[rows] == pytest.approx(straight_line.position(s), abs=1e-6)
+    assert straight_line.table_heading[rows] == pytest.approx(np.zeros(s.size), abs=1e-6)
+
+
+def test_line_goes_straight_on_past_its_ends(straight_line: ReferenceLine) -> None:
+    assert straight_line.position(np.array([-3.0, 205.0])) == pytest.approx(
+        np.array([[-3.0, 0.0], [205.0, 0.0]]), abs=1e-6
+    )
+    assert straight_line.pace(np.array([-3.0, 205.0])).tolist() == [1.0, 1.0]
+
+
+def test_ends_stay_where_they_are() -> None:
+    line = _line(_arc(20.0, 90.0))
+    assert line.position(np.array([0.0, line.length_m])) == pytest.approx(
+        np.array([[0.0, 0.0], [20.0, 20.0]]), abs=1e-3
+    )
+
+
+def test_parabola_passes_the_smoothing_unchanged() -> None:
+    """Third differences of a parabola are zero: whatever the strength, it is its own smoothest neighbour."""
+    x = np.arange(30.0)
+    parabola = np.column_stack([x, 0.01 * x**2])
+    assert smooth_points(parabola, strength=1e5) == pytest.approx(parabola, abs=1e-6)
+
+
+def test_smoothing_draws_in_a_spike() -> None:
+    points = np.column_stack([np.arange(21.0), np.zeros(21)])
+    points[10, 1] = 1.0
+    assert smooth_points(points, strength=300.0)[10, 1] < 0.4
+
+
+@pytest.mark.parametrize("length", [0.25, 1.0, 4.0])
+def test_shortest_lanes_have_a_line_too(length: float) -> None:
+    line = _line(np.array([[0.0, 0.0], [length, 0.0]]))
+    assert line.length_m == pytest.approx(length)
+    assert line.position(np.array([length / 2]))[0] == pytest.approx([length / 2, 0.0], abs=1e-6)

@@ -1,0 +1,188 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hid2.motion.route import (
+    DrivenPath,
+    Segment,
+    first_turn,
+    path_along,
+    route_points,
+    routes_from,
+    shifted_path,
+    turn_segments,
+    way_along,
+)
+from hid2.params import Limits, Smoothing
+from hid2.policy.lane_change import blend_paths
+from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
+
+
+@pytest.fixture(scope="module")
+def forked(lane: Callable[..., LaneSegment]) -> LaneGraph:
+    """A lane that splits, straight on and to the left; the left branch turns by 90 degrees.
+
+                     4 |
+                       |
+                    3 _/
+    ---- 1 ----><----- 2 -----><-- 5 (a bus lane) --
+    0          50             100               150
+    """
+    angle = np.linspace(0.0, np.pi / 2, 20)
+    bend = np.array([50.0, 0.0]) + 15.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    return LaneGraph({
+        1: lane(1, [(0.0, 0.0), (50.0, 0.0)], successors=(2, 3)),
+        2: lane(2, [(50.0, 0.0), (100.0, 0.0)], successors=(5,), is_intersection=True),
+        3: lane(3, bend, successors=(4,), is_intersection=True),
+        4: lane(4, [bend[-1], bend[-1] + [0.0, 60.0]]),
+        5: lane(5, [(100.0, 0.0), (150.0, 0.0)], lane_type="BUS"),
+    })  # fmt: skip
+
+
+def _path(graph: LaneGraph, *route: int) -> DrivenPath:
+    return path_along(graph, route, smoothing=Smoothing(), limits=Limits())
+
+
+def test_points_of_a_route_hold_every_joint_once(forked: LaneGraph) -> None:
+    points = route_points(forked, (1, 2, 5))
+    assert points.tolist() == [[0.0, 0.0], [50.0, 0.0], [100.0, 0.0], [150.0, 0.0]]
+
+
+def test_segments_meet_and_cover_the_path(forked: LaneGraph) -> None:
+    """Lane 1 is 50 m; lane 3 is an arc of 15 pi / 2 = 23.6 m; lane 4 is 60 m."""
+    path = _path(forked, 1, 3, 4)
+    ends = [segment.end for segment in path.segments]
+    assert ends == pytest.approx([50.0, 73.6, 133.6], abs=0.2)
+    assert [segment.start for segment in path.segments] == pytest.approx([0.0, *ends[:-1]])
+    assert path.exit_s == pytest.approx(ends[-1])
+
+
+def test_place_on_the_path_is_a_place_on_a_lane(forked: LaneGraph) -> None:
+    path = _path(forked, 1, 2)
+    segment = path.segment_at(70.0)
+    assert segment.lane_id == 2
+    assert segment.lane_s(70.0) == pytest.approx(20.0, abs=0.01)
+    assert path.segment_at(1e3).lane_id == 2
+    assert path.segment_at(0.0).lane_id == 1
+
+
+def test_lane_position_outside_a_segment_is_its_nearer_end() -> None:
+    segment = Segment(lane_id=1, start=10.0, end=30.0, lane_start=5.0, lane_end=25.0)
+    assert [segment.lane_s(s) for s in (0.0, 10.0, 20.0, 30.0, 99.0)] == [5.0, 5.0, 15.0, 25.0, 25.0]
+
+
+def test_line_and_polyline_scales_are_inverse(forked: LaneGraph) -> None:
+    path = _path(forked, 1, 3, 4)
+    for s in (0.0, 20.0, 60.0, 90.0, 130.0):
+        assert path.to_line(path.to_raw(s)) == pytest.approx(s, abs=1e-6)
+
+
+def test_turns_are_told_by_stretch(forked: LaneGraph) -> None:
+    kinds = [kind for _, _, kind in turn_segments(forked, _path(forked, 1, 3, 4))]
+    assert kinds == [TurnType.STRAIGHT, TurnType.LEFT, TurnType.STRAIGHT]
+
+
+def test_way_tells_the_lanes_along_a_route(forked: LaneGraph) -> None:
+    """Lanes 1 and 2 of 50 m each; behind the end it is still the last one."""
+    way = way_along(forked, (1, 2), {1: 7, 2: 4})
+    assert way.length_m == 100.0
+    assert way.table.tolist() == [[50.0, 7.0], [100.0, 4.0]]
+    assert [way.on_lane(s) for s in (0.0, 49.0, 50.0, 120.0)] == [(1, 0.0), (1, 49.0), (2, 0.0), (2, 70.0)]
+    assert list(way.between(10.0, 50.0)) == [(1, 10.0)]
+    assert list(way.between(10.0, 51.0)) == [(1, 10.0), (2, 0.0)]
+    assert list(way.between(50.0, 51.0)) == [(2, 0.0)]
+    assert list(way.between(60.0, 300.0)) == [(2, 10.0)]
+    assert list(way.between(100.0, 300.0)) == []
+
+
+def test_routes_follow_the_order_chosen_at_a_split(forked: LaneGraph) -> None:
+    def routes(choose: Callable[[tuple[int, ...]], tuple[int, ...]]) -> list[tuple[int, ...]]:
+        return list(routes_from(forked, 1, choose=choose, usable=lambda _: True, most=9, longest_m=500.0))
+
+    assert routes(lambda onward: onward) == [(1, 2, 5), (1, 3, 4)]
+    assert routes(lambda onward: onward[::-1]) == [(1, 3, 4), (1, 2, 5)]
+
+
+def test_route_never_ends_before_a_lane_that_may_not_be_used(forked: LaneGraph) -> None:
+    """Lane 2 leads only onto the bus lane: a route that stopped there would stop in the middle of the road."""
+    found = routes_from(
+        forked, 1, choose=lambda onward: onward, usable=lambda lane_id: lane_id != 5, most=9, longest_m=500.0
+    )
+    assert list(found) == [(1, 3, 4)]
+
+
+def test_routes_are_cut_when_long_enough_and_counted(forked: LaneGraph) -> None:
+    def routes(most: int, longest_m: float) -> list[tuple[int, ...]]:
+        choose = lambda onward: onward  # noqa: E731
+        return list(routes_from(forked, 1, choose=choose, usable=lambda _: True, most=most, longest_m=longest_m))
+
+    assert routes(1, 500.0) == [(1, 2, 5)]
+    assert routes(9, 60.0) == [(1, 2), (1, 3)]
+
+
+def test_circle_of_lanes_is_driven_once(lane: Callable[..., LaneSegment]) -> None:
+    angle = np.linspace(0.0, np.pi, 30)
+    half = 20.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    ring = LaneGraph({
+        1: lane(1, half, successors=(2,)),
+        2: lane(2, [0.0, 40.0] - half, successors=(1,)),
+    })  # fmt: skip
+    routes = list(routes_from(ring, 1, choose=lambda onward: onward, usable=lambda _: True, most=5, longest_m=1e3))
+    assert routes == [(1, 2)]
+
+
+def _shifted(own: DrivenPath, target: DrivenPath, *, start_m: float, length_m: float) -> DrivenPath:
+    blend = blend_paths(own.raw, target.raw, start_m=start_m, length_m=length_m, step_m=1.0, max_shift_m=5.5)
+    assert blend is not None
+    return shifted_path(own, target, blend, smoothing=Smoothing(), limits=Limits())
+
+
+def test_shifted_path_changes_its_lane_half_way(road: Callable[..., LaneGraph]) -> None:
+    """From lane 1 to lane 2 between 60 and 100 m: lane 1 up to 80, lane 2 from there; it ends with lane 2."""
+    graph = road()
+    own, target = _path(graph, 1), _path(graph, 2)
+    path = _shifted(own, target, start_m=60.0, length_m=40.0)
+    assert [segment.lane_id for segment in path.segments] == [1, 2]
+    assert path.segments[0].end == path.segments[1].start == pytest.approx(80.0, abs=1.0)
+    assert path.segments[1].lane_start == pytest.approx(80.0, abs=1.0)
+    assert path.segments[1].lane_end == pytest.approx(200.0)
+    assert path.shifts == (pytest.approx((60.0, 100.0), abs=1.5),)
+    assert path.line.position(np.array([0.0, 80.0, 150.0]))[:, 1] == pytest.approx([0.0, 1.75, 3.5], abs=0.05)
+    assert path.exit_s == pytest.approx(200.2, abs=0.2)
+
+
+def test_second_shift_leaves_the_first_as_it_is(road: Callable[..., LaneGraph]) -> None:
+    """Out at 40 and back at 110 m, as an overtake does."""
+    graph = road()
+    right, left = _path(graph, 1), _path(graph, 2)
+    entered = _shifted(right, left, start_m=40.0, length_m=30.0)
+    path = _shifted(entered, right, start_m=110.0, length_m=30.0)
+    assert [segment.lane_id for segment in path.segments] == [1, 2, 1]
+    assert len(path.shifts) == 2
+    assert path.line.position(np.array([20.0, 90.0, 170.0]))[:, 1] == pytest.approx([0.0, 3.5, 0.0], abs=0.05)
+
+
+def test_first_turn_is_one_that_the_path_makes(forked: LaneGraph) -> None:
+    path = _path(forked, 1, 3, 4)
+    turn = first_turn(forked, path, TurnType.LEFT, after=10.0)
+    assert turn is not None
+    assert turn.lane_id == 3
+    assert first_turn(forked, path, TurnType.LEFT, after=60.0) is None
+    assert first_turn(forked, path, TurnType.RIGHT, after=10.0) is None
+
+
+def test_lane_that_undoes_the_kink_before_it_is_no_turn(lane: Callable[..., LaneSegment]) -> None:
+    """Lane 2 is drawn with a bend of 40 degrees to the left, where lane 1 leads to a kink of 40 degrees to the right:
+
+    -------- 1 -----\\__ 2 ---- 3 --------
+    Over the whole, the heading stays as it was.
+    """
+    dip = np.array([[60.0, 0.0], [62.3, -1.93], [66.0, -1.93]])
+    graph = LaneGraph({
+        1: lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
+        2: lane(2, dip, successors=(3,), is_intersection=True),
+        3: lane(3, [dip[-1], dip[-1] + [60.0, 0.0]]),
+    })  # fmt: skip
+    assert graph.lanes[2].turn is TurnType.LEFT
+    assert first_turn(graph, _path(graph, 1, 2, 3), TurnType.LEFT, after=10.0) is None

@@ -1,0 +1,199 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from views import SIZE, occupancy_of
+
+from hid2.motion.reference_line import ReferenceLine, build_reference_line
+from hid2.occupancy.along_path import path_occupancy
+from hid2.occupancy.traffic import Traffic
+
+
+def test_box_across_the_path_forbids_half_its_width_and_half_the_own_length(
+    straight_line: ReferenceLine, box: Callable[..., Traffic]
+) -> None:
+    """A box of 4 x 2 crosswise at x = 50; the own one is 4 m long: centres from 50 - 1 - 2 = 47 to 53 touch it.
+
+              ||                 sampled every 0.5 m and widened by one sample: 46.5 .. 53.5 at the most
+    [own]---->||
+              47   53
+    """
+    found = occupancy_of(straight_line, box(50.0, 0.0, np.pi / 2, steps=3, **SIZE))
+    assert found.low.shape == (1, 3)
+    assert 46.5 - 1e-9 <= found.low[0, 0] <= 47.0
+    assert 53.0 <= found.high[0, 0] <= 53.5 + 1e-9
+    assert not found.aligned.any()
+
+
+def test_box_ahead_forbids_from_bumper_to_bumper(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
+    """Both 4 m long: 50 - 4 = 46 to 54. It drives at 6 m/s along the path."""
+    found = occupancy_of(straight_line, box(50.0, 0.0, 0.0, 6.0, steps=3, **SIZE))
+    assert found.low[0, 0] == pytest.approx(46.0, abs=0.51)
+    assert found.high[0, 0] == pytest.approx(54.0, abs=0.51)
+    assert found.along[0, 0] == pytest.approx(6.0)
+    assert found.aligned.all()
+
+
+def test_oncoming_box_is_not_aligned_and_moves_against_the_path(
+    straight_line: ReferenceLine, box: Callable[..., Traffic]
+) -> None:
+    found = occupancy_of(straight_line, box(50.0, 0.0, np.pi, 6.0, steps=3, **SIZE))
+    assert found.along[0, 0] == pytest.approx(-6.0)
+    assert not found.aligned.any()
+
+
+def test_lateral_margin_counts_a_box_beside_the_path(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
+    """At y = 2.2 half widths 1 + 1 leave 0.2 m between; a margin of 0.25 m closes it."""
+    beside = box(50.0, 2.2, steps=1, **SIZE)
+    assert occupancy_of(straight_line, beside).low.shape[0] == 0
+    assert occupancy_of(straight_line, beside, margin_m=0.25).low.shape[0] == 1
+
+
+def test_agents_that_never_touch_the_path_are_left_out(
+    straight_line: ReferenceLine, box: Callable[..., Traffic]
+) -> None:
+    both = box(50.0, 10.0).joined(box(80.0, 0.0))
+    assert occupancy_of(straight_line, both).low.shape[0] == 1
+
+
+def test_absent_steps_are_free(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
+    found = occupancy_of(straight_line, box(50.0, 0.0, steps=4, first=2, **SIZE))
+    assert np.isinf(found.low[0, :2]).all()
+    assert np.isfinite(found.low[0, 2:]).all()
+
+
+def test_small_box_between_two_samples_is_not_jumped_over(
+    straight_line: ReferenceLine, box: Callable[..., Traffic]
+) -> None:
+    """A pedestrian of 0.6 m right at the start, or far along, is found: the march slows before it reaches anybody."""
+    for x in (0.0, 3.3, 119.77, 199.9):
+        found = occupancy_of(straight_line, box(x, 0.5, steps=1, length_m=0.6, width_m=0.6))
+        assert found.low.shape[0] == 1, x
+        assert found.low[0, 0] <= max(x - 2.3, 0.0)
+        assert found.high[0, 0] >= min(x + 2.3, 200.0) - 0.5
+
+
+def test_intervals_hold_every_arc_length_that_really_touches(box: Callable[..., Traffic]) -> None:
+    """On a bend, against boxes at every angle: what touches when tested box by box lies inside the interval."""
+    from netconvert.geometry import box_corners, boxes_overlap
+
+    angle = np.linspace(0.0, np.pi / 2, 40)
+    bend = 30.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    line = build_reference_line(bend, step_m=1.0, min_radius_m=5.0, max_offset_m=0.6)
+    s = np.arange(0.0, line.length_m, 0.05)
+    own = box_corners(line.position(s), line.heading(s), **SIZE)
+    for heading in np.linspace(0, np.pi, 7):
+        one = box(20.0, 9.0, heading, steps=1)
+        other = box_corners(one.position[0, 0], heading, length_m=4.5, width_m=1.9)
+        touching = s[boxes_overlap(own, other)]
+        found = occupancy_of(line, one)
+        if touching.size:
+            assert found.low[0, 0] <= touching[0] + 1e-9
+            assert found.high[0, 0] >= touching[-1] - 1e-9
+
+
+def test_place_of_who_crosses_is_kept_clear_before_and_after(
+    straight_line: ReferenceLine, box: Callable[..., Traffic]
+) -> None:
+    """A car crosses at x = 50 from the right at 10 m/s, on the line's middle at 2.0 s.
+
+    Its box (4.5 m) and the own one (1.9 m wide) touch while |y| <= 2.25 + 0.95 = 3.2 m: from 1.68 to 2.32 s, steps
+    17 to 23. With 10 steps of PET that place is taken from 0.7 to 3.3 s, 0.2 m narrower on both sides where a margin is
+    added later; at the steps of the crossing itself nothing changes.
+    """
+    crossing = box(50.0, -20.0, np.pi / 2, 10.0)
+    found = path_occupancy(straight_line, crossing, length_m=4.5, width_m=1.9, margin_lateral_m=0.0)
+    clear = found.kept_clear(10, margin_m=0.2)
+    there, kept = np.flatnonzero(np.isfinite(found.low[0])), np.flatnonzero(np.isfinite(clear.low[0]))
+    assert (there[0], there[-1]) == (17, 23)
+    assert (kept[0], kept[-1]) == (7, 33)
+    assert clear.low[0, 20] == found.low[0, 20]
+    assert clear.low[0, 10] == pytest.approx(found.low[0, 17] + 0.2)
+    assert clear.high[0, 30] == pytest.approx(found.high[0, 23] - 0.2)
+    assert not clear.aligned.any()
+
+
+def test_leader_holds_no_more_than_where_it_is(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
+    found = path_occupancy(straight_line, box(50.0, 0.0, 0.0, 10.0), length_m=4.5, width_m=1.9, margin_lateral_m=0.0)
+    clear = found.kept_clear(10, margin_m=0.2)
+    assert np.array_equal(clear.low, found.low)
+    assert np.array_equal(clear.high, found.high)
+
+
+def _around(line: ReferenceLine, rng: np.random.Generator, *, steps: int = 12) -> Traffic:
+    """Sixty agents of all sizes near a line: standing, jittering, driving, some for a while only."""
+    count = 60
+    at = rng.uniform(-5.0, line.length_m + 5.0, count)
+    position = line.position(at) + rng.uniform(-9.0, 9.0, (count, 2))
+    heading = rng.uniform(-np.pi, np.pi, count)
+    velocity = rng.choice([0.0, 0.0, 0.3, 8.0], count)[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    time = 0.1 * np.arange(steps)
+    jitter = rng.choice([0.0, 0.03], count)[:, None, None] * rng.standard_normal((count, steps, 2))
+    kinds = np.array([(0.6, 0.6), (4.5, 1.9), (5.6, 2.1), (12.3, 2.95), (18.0, 3.0)])[rng.integers(5, size=count)]
+    return Traffic(
+        ids=tuple(f"{row}" for row in range(count)),
+        position=position[:, None] + time[:, None] * velocity[:, None] + jitter,
+        heading=heading[:, None] + np.where(jitter[..., 0] > 0.0, 0.01, 0.0),
+        velocity=np.repeat(velocity[:, None], steps, axis=1),
+        present=(np.arange(steps) >= rng.integers(0, 4, count)[:, None]) & (rng.random((count, steps)) > 0.05),
+        length_m=kinds[:, 0],
+        width_m=kinds[:, 1],
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("own", [(4.5, 1.9), (12.5, 3.0)])
+def test_intervals_are_those_of_every_box_against_every_point(seed: int, own: tuple[float, float]) -> None:
+    """On a line that crosses itself: from one point before the first that touches to one behind the last, as tested box
+    by box at every point of the line's table, whoever is looked at and whatever was skipped.
+    """
+    from hid2.kernels.boxes import overlap
+    from hid2.motion.reference_line import TABLE_STEP_M
+
+    angle = np.linspace(0.0, 2.2 * np.pi, 150)
+    loop = np.column_stack([40.0 * np.sin(angle), 25.0 * np.sin(2 * angle)])
+    line = build_reference_line(loop, step_m=1.0, min_radius_m=5.0, max_offset_m=0.6)
+    traffic = _around(line, np.random.default_rng(seed))
+    found = path_occupancy(line, traffic, length_m=own[0], width_m=own[1], margin_lateral_m=0.0)
+    low, high = np.full(traffic.present.shape, np.inf), np.full(traffic.present.shape, -np.inf)
+    for row, step in zip(*np.nonzero(traffic.present), strict=True):
+        x, y = traffic.position[row, step]
+        c, s = np.cos(traffic.heading[row, step]), np.sin(traffic.heading[row, step])
+        half = traffic.length_m[row] / 2, traffic.width_m[row] / 2
+        touching = [
+            k for k, ((px, py), angle) in enumerate(zip(line.table_xy, line.table_heading, strict=True))
+            if overlap(px, py, np.cos(angle), np.sin(angle), own[0] / 2, own[1] / 2, x, y, c, s, *half)
+        ]  # fmt: skip
+        if touching:
+            low[row, step], high[row, step] = (touching[0] - 1) * TABLE_STEP_M, (touching[-1] + 1) * TABLE_STEP_M
+    touched = np.isfinite(low).any(axis=1)
+    assert touched.sum() > 10
+    assert np.array_equal(found.low, low[touched])
+    assert np.array_equal(found.high, high[touched])
+
+
+def test_what_is_known_of_some_holds_for_all_that_join_them(
+    straight_line: ReferenceLine, box: Callable[..., Traffic]
+) -> None:
+    """Looked along one by one or all at once, in the order in which they joined, kept clear alike."""
+
+    def along(traffic: Traffic, clear_steps: int):
+        return path_occupancy(
+            straight_line, traffic, length_m=4.5, width_m=1.9, margin_lateral_m=0.2, clear_steps=clear_steps,
+            clear_margin_m=0.2,
+        )  # fmt: skip
+
+    def parts() -> list[Traffic]:
+        return [box(50.0, -20.0, np.pi / 2, 10.0), box(90.0, 40.0), box(120.0, 0.0, 0.0, 5.0), box(20.0, 0.0)]
+
+    for clear_steps in (0, 10):
+        first, *others = parts()
+        grown = first
+        for other in others:
+            along(grown, clear_steps)
+            grown = grown.joined(other)
+        fresh = parts()[0].joined(*parts()[1:])
+        for name in ("low", "high", "along", "aligned", "crosses"):
+            assert np.array_equal(getattr(along(grown, clear_steps), name), getattr(along(fresh, clear_steps), name))
+        assert along(grown, clear_steps).low.shape[0] == 3
+    assert not np.array_equal(along(fresh, 0).low, along(fresh, 10).low)

@@ -1,0 +1,154 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hid2.occupancy.sigma import (
+    FREE,
+    ORIGINAL,
+    CellBoxes,
+    cell_boxes,
+    cells_under,
+    dwell_steps,
+    is_anybody_on,
+    original_occupancy,
+)  # fmt: skip
+from hid2.occupancy.traffic import Traffic
+from netconvert.cells import Cell, CellGrid, build_cell_grid
+from netconvert.lane_graph import LaneGraph
+
+
+@pytest.fixture(scope="module")
+def grid(road: Callable[..., LaneGraph]) -> CellGrid:
+    """Two lanes of 40 m, ten cells of 4 m each: lane 1 at y = 0, lane 2 at y = 3.5, both 3.5 m wide, along +x."""
+    return build_cell_grid(road(lanes=2, length_m=40.0))
+
+
+@pytest.fixture(scope="module")
+def boxes(grid: CellGrid) -> CellBoxes:
+    return cell_boxes(grid)
+
+
+def _cell(grid: CellGrid, boxes: CellBoxes, traffic: Traffic) -> Cell | None:
+    found = original_occupancy(boxes, traffic)
+    return grid.cells[int(found.cell[0, 0])] if found.mapped[0, 0] else None
+
+
+def test_cells_are_boxes_on_the_centreline(grid: CellGrid, boxes: CellBoxes) -> None:
+    """Cell (2, 3) covers x = 12 .. 16 of lane 2: centre (14, 3.5), 4 m long, 3.5 m wide, heading 0."""
+    row = grid.index_of[Cell(2, 3)]
+    assert boxes.center[row] == pytest.approx([14.0, 3.5])
+    assert (boxes.heading[row], boxes.length_m[row], boxes.width_m[row]) == pytest.approx((0.0, 4.0, 3.5))
+
+
+def test_level_1_the_cell_that_holds_the_centre(grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]) -> None:
+    assert _cell(grid, boxes, box(13.0, 1.7, steps=1)) == Cell(1, 3)
+    assert _cell(grid, boxes, box(13.0, 1.8, steps=1)) == Cell(2, 3)
+
+
+def test_level_2_the_nearest_lane_that_agrees_up_to_half_a_metre_outside(
+    grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
+) -> None:
+    """Lane 1 reaches down to y = -1.75; a centre at -2.2 is 0.45 m outside."""
+    assert _cell(grid, boxes, box(13.0, -2.2, steps=1)) == Cell(1, 3)
+
+
+def test_level_3_crosswise_the_nearest_cell_within_one_cell(
+    grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
+) -> None:
+    """A vehicle at right angles agrees with no lane: the nearest cell centre, (14, 0), is 1.2 m away."""
+    assert _cell(grid, boxes, box(13.5, 1.1, np.pi / 2, steps=1)) == Cell(1, 3)
+    assert _cell(grid, boxes, box(14.0, -3.5, np.pi, steps=1)) == Cell(1, 3)
+
+
+def test_level_4_off_the_grid(grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]) -> None:
+    """6 m from the nearest cell centre; it is still a box to everybody, but has no cell."""
+    assert _cell(grid, boxes, box(14.0, -6.0, steps=1)) is None
+
+
+def test_agreeing_lane_farther_away_beats_a_nearer_cell_that_does_not_agree(
+    grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
+) -> None:
+    """45 degrees agrees (below 60), so the cell that holds the centre is taken although (14, 0) is no nearer."""
+    assert _cell(grid, boxes, box(13.0, 1.7, np.pi / 4, steps=1)) == Cell(1, 3)
+
+
+def test_vehicle_occupies_every_cell_its_box_covers(
+    grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
+) -> None:
+    """4.5 x 1.9 m at (14, 0) covers x = 11.75 .. 16.25, y = -0.95 .. 0.95: cells 2, 3 and 4 of lane 1.
+
+    8       12       16       20
+    |   2  [|===3====|]  4    |
+    """
+    sigma = original_occupancy(boxes, box(14.0, 0.0, steps=1)).sigma[0]
+    held = {grid.cells[row] for row in np.flatnonzero(sigma == ORIGINAL)}
+    assert held == {Cell(1, 2), Cell(1, 3), Cell(1, 4)}
+    assert set(np.unique(sigma)) == {FREE, ORIGINAL}
+
+
+def test_vehicle_between_two_lanes_occupies_both(grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]) -> None:
+    sigma = original_occupancy(boxes, box(14.0, 1.75, steps=1, length_m=3.0)).sigma[0]
+    assert {grid.cells[row] for row in np.flatnonzero(sigma)} == {Cell(1, 3), Cell(2, 3)}
+
+
+def test_long_vehicle_occupies_the_cells_ahead_and_behind(
+    grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
+) -> None:
+    """A bus of 11 m at x = 18 covers 12.5 .. 23.5: cells 3, 4, 5."""
+    sigma = original_occupancy(boxes, box(18.0, 0.0, steps=1, length_m=11.0)).sigma[0]
+    assert {grid.cells[row].index for row in np.flatnonzero(sigma)} == {3, 4, 5}
+
+
+def test_occupancy_follows_the_vehicle_and_releases_the_cells_behind(
+    grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
+) -> None:
+    """10 m/s from x = 6: after 1 s at 16. Cell 1 (4 .. 8) is free again, cell 4 (16 .. 20) is held."""
+    sigma = original_occupancy(boxes, box(6.0, 0.0, 0.0, 10.0, steps=11)).sigma
+    one, four = grid.index_of[Cell(1, 1)], grid.index_of[Cell(1, 4)]
+    assert sigma[0, [one, four]].tolist() == [ORIGINAL, FREE]
+    assert sigma[10, [one, four]].tolist() == [FREE, ORIGINAL]
+
+
+def test_standing_vehicle_keeps_its_cell_at_every_step(
+    grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
+) -> None:
+    found = original_occupancy(boxes, box(14.0, 0.0, steps=5))
+    assert set(found.cell[0].tolist()) == {grid.index_of[Cell(1, 3)]}
+    assert np.ptp(found.sigma, axis=0).max() == 0
+
+
+def test_absent_agent_occupies_nothing(boxes: CellBoxes, box: Callable[..., Traffic]) -> None:
+    found = original_occupancy(boxes, box(14.0, 0.0, steps=4, first=2))
+    assert not found.sigma[:2].any()
+    assert found.mapped[0].tolist() == [False, False, True, True]
+
+
+def test_cells_under_a_box(grid: CellGrid, boxes: CellBoxes) -> None:
+    rows = cells_under(boxes, 14.0, 0.0, 0.0, length_m=4.5, width_m=1.9)
+    assert {grid.cells[row] for row in rows} == {Cell(1, 2), Cell(1, 3), Cell(1, 4)}
+    assert cells_under(boxes, 14.0, -20.0, 0.0, length_m=4.5, width_m=1.9).size == 0
+
+
+def test_dwell_time_is_rounded_up_to_whole_steps() -> None:
+    """4 m at 9 m/s are 0.444 s: 5 steps of 0.1 s. At 10 m/s 0.4 s: 4 steps exactly."""
+    assert dwell_steps(cell_m=4.0, speed_mps=9.0, step_s=0.1) == 5
+    assert dwell_steps(cell_m=4.0, speed_mps=10.0, step_s=0.1) == 4
+
+
+def test_standing_vehicle_never_leaves_its_cell() -> None:
+    assert dwell_steps(cell_m=4.0, speed_mps=0.0, step_s=0.1) is None
+
+
+def test_somebody_on_some_of_the_cells(grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]) -> None:
+    """10 m/s from x = 6 in lane 1: on cell 1 at first, after 1 s on cell 4; never on lane 2."""
+    someone = box(6.0, 0.0, 0.0, 10.0, steps=11)
+    one, four, beside = (grid.index_of[cell] for cell in (Cell(1, 1), Cell(1, 4), Cell(2, 1)))
+
+    def is_on(cells: list[int], step: int) -> bool:
+        return is_anybody_on(boxes, cells, someone, step, width_share=0.8)
+
+    assert (is_on([one], 0), is_on([four], 0), is_on([four, one], 0)) == (True, False, True)
+    assert (is_on([one], 10), is_on([four], 10)) == (False, True)
+    assert not is_on([beside], 0)
+    assert not is_anybody_on(boxes, [one], box(6.0, 0.0, steps=4, first=2), 0, width_share=0.8)

@@ -1,0 +1,63 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hid2.agents import BoxSize, Track
+from hid2.occupancy.traffic import Traffic, traffic_of
+
+
+def test_gap_inside_a_track_is_filled_on_the_straight_between(track: Callable[..., Track]) -> None:
+    """States at 1 and 3 only: x = 0 and 4, so x = 2 at step 2; nothing before step 1 or after step 3.
+
+    step      0   1   2   3   4
+    x         -   0  (2)  4   -
+    """
+    traffic = traffic_of([track([1, 3], [0.0, 4.0])], 5, step_s=0.1)
+    assert traffic.present[0].tolist() == [False, True, True, True, False]
+    assert traffic.position[0, 1:4, 0].tolist() == [0.0, 2.0, 4.0]
+
+
+def test_heading_in_a_gap_turns_the_short_way_round(track: Callable[..., Track]) -> None:
+    """From 170 to -170 degrees through 180, not through 0."""
+    heading = np.radians([170.0, -170.0])
+    traffic = traffic_of([track([0, 2], [0.0, 1.0], 0.0, heading)], 3, step_s=0.1)
+    assert np.cos(traffic.heading[0, 1]) == pytest.approx(-1.0)
+
+
+def test_velocity_is_that_of_the_positions_over_up_to_half_a_second(track: Callable[..., Track]) -> None:
+    """x = 0 1 2 3 5 m at 0.1 s. Inside: (5 - 0) / 0.4 s = 12.5 m/s. First step: (2 - 0) / 0.2 s = 10 m/s; last: 15.
+
+    The recorded velocity (99 m/s here) is filtered by the tracker and is not used.
+    """
+    traffic = traffic_of([track(range(5), [0.0, 1.0, 2.0, 3.0, 5.0])], 5, step_s=0.1)
+    assert traffic.velocity[0, 2] == pytest.approx([12.5, 0.0])
+    assert traffic.velocity[0, 0] == pytest.approx([10.0, 0.0])
+    assert traffic.velocity[0, 4] == pytest.approx([15.0, 0.0])
+
+
+def test_single_state_stands(track: Callable[..., Track]) -> None:
+    traffic = traffic_of([track([2], [7.0])], 4, step_s=0.1)
+    assert traffic.present[0].tolist() == [False, False, True, False]
+    assert traffic.velocity[0, 2].tolist() == [0.0, 0.0]
+
+
+def test_box_covers_the_label_and_what_readers_assume(track: Callable[..., Track]) -> None:
+    """Readers without the label take a vehicle for 4.5 x 1.9: a label of 4.2 x 2.1 becomes 4.5 x 2.1."""
+    traffic = traffic_of([track([0], [0.0], size=BoxSize(4.2, 2.1))], 1, step_s=0.1)
+    assert (traffic.length_m[0], traffic.width_m[0]) == (4.5, 2.1)
+
+
+def test_joined_rows_and_steps_keep_the_order(box: Callable[..., Traffic]) -> None:
+    both = box(1.0, 0.0, name="a").joined(box(2.0, 0.0, 0.0, 10.0, name="b"))
+    assert both.ids == ("a", "b")
+    assert both.rows([1]).ids == ("b",)
+    assert both.rows([1]).position[0, 3].tolist() == pytest.approx([5.0, 0.0])
+    assert both.at(3).num_steps == 1
+    assert both.at(3).position[:, 0, 0] == pytest.approx([1.0, 5.0])
+
+
+def test_nobody_is_a_traffic_too(box: Callable[..., Traffic]) -> None:
+    nobody = traffic_of([], 110, step_s=0.1)
+    assert nobody.num_steps == 110
+    assert nobody.joined(box(0.0, 0.0)).ids == ("a",)

@@ -1,0 +1,105 @@
+import math
+
+import numpy as np
+import pytest
+
+from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
+from hid2.params import Limits, Turn
+from hid2.policy.turns import f_left, f_right, road_speeds, speed_cap, turn_shape
+from netconvert.lane_graph import TurnType
+
+#: Every value that a number below is worked from; the defaults may be tuned.
+TURN = Turn(left_trough=0.65, right_trough=0.75, trough_at=0.4, lateral_accel_mps2=2.5, approach_decel_mps2=1.5)
+ALPHA = np.linspace(0.0, 1.0, 101)
+
+
+def _circle(radius: float, degrees: float = 180.0) -> ReferenceLine:
+    angle = np.radians(np.arange(0.0, degrees + 1e-9, 2.0))
+    points = radius * np.column_stack([np.sin(angle), 1.0 - np.cos(angle)])
+    return build_reference_line(points, step_m=1.0, min_radius_m=5.0, max_offset_m=0.6)
+
+
+def _inside(line: ReferenceLine) -> slice:
+    """Rows of the tables on the line itself, without those beyond its end."""
+    return slice(0, int(line.length_m / TABLE_STEP_M) + 1)
+
+
+def test_shape_is_one_at_both_ends_and_lowest_at_its_trough() -> None:
+    """Trough 0.65 at alpha = 0.4. Half way down, at 0.2: 1 - 0.35 * (1 - cos(pi / 2)) / 2 = 0.825; at 0.7 as well."""
+    assert turn_shape(np.array([0.0, 0.2, 0.4, 0.7, 1.0]), 0.65, 0.4) == pytest.approx([1.0, 0.825, 0.65, 0.825, 1.0])
+
+
+def test_shape_is_smooth_where_its_halves_meet() -> None:
+    """The slope at the ends and at the trough is zero: no jump of acceleration on entering."""
+    slope = np.gradient(turn_shape(np.linspace(0, 1, 10001), 0.65, 0.4), 1e-4)
+    assert np.abs(slope[[1, 4000, -2]]).max() < 2e-2
+    assert np.abs(np.diff(slope)).max() < 2e-3
+
+
+def test_right_turns_slow_less_than_left_ones() -> None:
+    turn = Turn()
+    left, right = f_left(ALPHA, turn), f_right(ALPHA, turn)
+    assert np.all(right[1:-1] > left[1:-1])
+    assert np.all(right <= 1.0)
+
+
+def test_cap_on_a_circle_is_the_root_of_lateral_acceleration_times_radius() -> None:
+    """R = 10 m, a_y = 2.5 m/s2: v = sqrt(25) = 5 m/s, below the yaw-rate cap of 0.8 * 0.95 * 10 = 7.6 m/s."""
+    line = _circle(10.0)
+    cap = speed_cap(line, TURN, Limits())[_inside(line)]
+    assert np.median(cap) == pytest.approx(5.0, rel=0.02)
+
+
+def test_tight_circle_is_capped_by_the_yaw_rate() -> None:
+    """R = 10 m with a_y = 4.89 allows 7.0 m/s; a yaw-rate limit of 0.5 rad/s allows 0.8 * 0.5 * 10 = 4 m/s."""
+    line = _circle(10.0)
+    cap = speed_cap(line, Turn(lateral_accel_mps2=4.89), Limits(yaw_rate_radps=0.5))[_inside(line)]
+    assert np.median(cap) == pytest.approx(4.0, rel=0.02)
+
+
+def _desired(line: ReferenceLine, segments: list[tuple[float, float, TurnType]], *, cruise_mps: float = 10.0):
+    return road_speeds(line, segments, turn=TURN, limits=Limits()).desired(cruise_mps, turn=TURN, accel_mps2=1.8)
+
+
+def test_straight_lane_is_driven_at_the_cruising_speed(straight_line: ReferenceLine) -> None:
+    """v(t + dt) ~ v(t)."""
+    speed = _desired(straight_line, [(0.0, 200.0, TurnType.STRAIGHT)], cruise_mps=12.0)
+    assert speed == pytest.approx(np.full(speed.size, 12.0))
+
+
+def test_slowing_begins_before_the_entrance_and_speeding_up_ends_after_the_exit(straight_line: ReferenceLine) -> None:
+    """Left turn from 100 to 120 m at cruise 10 m/s: 6.5 m/s at its trough, 108 m.
+
+    Slowing at 1.5 m/s2 from 10 to 6.5 m/s takes (100 - 42.25) / 3 = 19.25 m: it begins at 88.75 m, 11 m before the
+    entrance. Speeding up at 1.8 m/s2 takes 57.75 / 3.6 = 16.04 m: it ends at 124.04 m, 4 m behind the exit. At the
+    entrance sqrt(42.25 + 3 * 8) = 8.14 m/s, at the exit sqrt(42.25 + 3.6 * 12) = 9.24 m/s; both a little less, since
+    the shape is flat at its trough.
+    """
+    speed = _desired(
+        straight_line,
+        [(0.0, 100.0, TurnType.STRAIGHT), (100.0, 120.0, TurnType.LEFT), (120.0, 200.0, TurnType.STRAIGHT)],
+    )
+
+    def at(s: float) -> float:
+        return float(speed[int(s / TABLE_STEP_M)])
+
+    assert at(108.0) == pytest.approx(6.5)
+    assert at(88.0) == pytest.approx(10.0)
+    assert 9.0 < at(92.0) < 10.0
+    assert at(100.0) == pytest.approx(8.0, abs=0.14)
+    assert at(120.0) == pytest.approx(9.0, abs=0.24)
+    assert at(126.0) == pytest.approx(10.0)
+
+
+def test_right_turn_is_driven_faster_than_a_left_one(straight_line: ReferenceLine) -> None:
+    left, right = (_desired(straight_line, [(100.0, 120.0, kind)]) for kind in (TurnType.LEFT, TurnType.RIGHT))
+    assert left.min() == pytest.approx(6.5)
+    assert right.min() == pytest.approx(7.5)
+
+
+def test_curvature_has_the_last_word_in_a_turn() -> None:
+    """On a circle of 6 m, sqrt(2.5 * 6) = 3.87 m/s: below 10 * f_left."""
+    line = _circle(6.0)
+    speed = _desired(line, [(0.0, line.length_m, TurnType.LEFT)])
+    assert np.all(speed <= speed_cap(line, TURN, Limits()) + 1e-9)
+    assert np.median(speed[_inside(line)]) == pytest.approx(math.sqrt(15.0), rel=0.03)
