@@ -24,7 +24,7 @@ class Request(_Section):
     """What the user asks for in a scene."""
 
     agents: Annotated[int, Field(ge=0, le=500)] | Literal["max"] = _param(
-        10, "vehicles", "paper, Diversity: 10 added to each scene; max fills every admissible cell"
+        10, "vehicles", "paper, Diversity: 10 added to each scene; max: as many as the road takes at usual gaps"
     )
     straight: float = _param(0.6, "share", "policy mix; shares are divided by their sum", ge=0, le=1)
     left_turn: float = _param(0.1, "share", "policy mix", ge=0, le=1)
@@ -33,6 +33,12 @@ class Request(_Section):
     overtake: float = _param(0.05, "share", "policy mix", ge=0, le=1)
     trigger_min_s: float = _param(0.5, "s", "t_trigger, uniform from here", ge=0, le=60)
     trigger_max_s: float = _param(4.0, "s", "t_trigger, uniform to here (equal to trigger_min_s: fixed)", ge=0, le=60)
+    trigger_list_s: tuple[Annotated[float, Field(ge=0, le=60)], ...] = _param(
+        (), "s", "t_trigger, one of these; used instead of the range where there are any"
+    )
+    sites: Literal["promising", "any"] = _param(
+        "promising", "-", "start sites: those first where map and traffic allow what is asked for; any: uniformly drawn"
+    )
     focal: Literal["recorded", "generated"] = _param("recorded", "-", "which track carries category 3")
     generated_category: Literal[1, 2] = _param(1, "-", "category of generated tracks: 1 context, 2 scored")
     seed: int = _param(0, "-", "seed of every random choice", ge=0, le=2**31 - 1)
@@ -70,38 +76,54 @@ class Spawn(_Section):
     prior_speed_mps: float = _param(
         9.0, "m/s", "median moving speed on urban AV2 lanes; where the scene has none", gt=0, le=40
     )
-    min_speed_mps: float = _param(3.0, "m/s", "slowest spawn speed drawn", ge=0, le=40)
+    min_speed_mps: float = _param(4.0, "m/s", "slowest desired speed drawn", ge=0, le=40)
     max_speed_mps: float = _param(20.0, "m/s", "fastest desired speed drawn", gt=0, le=50)
-    speed_noise: float = _param(0.1, "share", "standard deviation of the desired speed", ge=0, le=0.5)
-    clear_ahead_s: float = _param(
-        1.5, "s", "time gap to a slower vehicle ahead at spawn (usual 0.9 to 1.5)", gt=0, le=10
+    speed_sd: float = _param(
+        0.08, "share", "standard deviation of the start speed around the desired one", ge=0, le=0.5
     )
-    clear_gap_m: float = _param(3.0, "m", "smallest bumper gap at spawn", ge=0.5, le=50)
+    clear_gap_m: float = _param(2.5, "m", "smallest bumper gap at the start", ge=0.5, le=50)
+    settle_s: float = _param(
+        3.0, "s", "a start holds if nobody is met so long by a vehicle that drives on and brakes as a driver would",
+        ge=0, le=10,
+    )  # fmt: skip
+    near_m: float = _param(
+        30.0, "m", "sites this near to moving recorded traffic are drawn as much more often as near_weight", gt=0, le=200
+    )
+    near_weight: float = _param(4.0, "ratio", "weight of sites near moving recorded traffic", ge=1, le=100)
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(
-        2, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
+        3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
     )
     spare_share: float = _param(
-        0.1, "share", "vehicles planned beyond the count, in case some cannot be made safe", ge=0, le=1
+        0.2, "share", "vehicles driven beyond the count, in case some cannot be made safe", ge=0, le=2
     )
 
 
-class Packing(_Section):
-    """Closer gaps for a road that did not take the count asked for; TTC to leaders and boxes are held as always."""
+class Drivers(_Section):
+    """How people drive: what each inserted vehicle's driver is drawn from."""
 
-    attempts: int = _param(
-        4,
-        "attempts",
-        "times a road is packed, the fullest is kept; eight times as often where only a few are missing; 0: never",
-        ge=0,
-        le=100,
+    desired_sd: float = _param(0.12, "share", "SD of the desired speed around that of the lane's traffic", ge=0, le=0.5)
+    wander_sd_mps: float = _param(
+        0.7, "m/s", "SD of the slow wandering of the desired speed (Ornstein-Uhlenbeck): a = 0.25 to 0.4 m/s2", ge=0, le=3
     )
-    clear_gap_m: float = _param(2.0, "m", "spawn.clear_gap_m where the road is packed", ge=0.5, le=50)
-    clear_ahead_s: float = _param(1.0, "s", "spawn.clear_ahead_s there", gt=0, le=10)
-    follow_time_s: float = _param(0.7, "s", "conflict.follow_time_s there", ge=0, le=5)
-    margin_lateral_m: float = _param(0.15, "m", "conflict.margin_lateral_m there", ge=0, le=2)
-    margin_front_m: float = _param(0.7, "m", "conflict.margin_front_m there", ge=0, le=10)
-    follower_ttc_min_s: float = _param(0.0, "s", "conflict.follower_ttc_min_s there", ge=0, le=10)
+    wander_time_s: float = _param(3.0, "s", "correlation time of that wandering", gt=0, le=30)
+    tau_mean_s: float = _param(1.15, "s", "time gap; usual 0.9 to 1.5", ge=0.5, le=4)
+    tau_sd_s: float = _param(0.25, "s", "its SD between drivers", ge=0, le=2)
+    accel_mean_mps2: float = _param(1.6, "m/s2", "acceleration from standstill", gt=0, le=2.4)
+    accel_sd_mps2: float = _param(0.25, "m/s2", "its SD between drivers", ge=0, le=1)
+    decel_mean_mps2: float = _param(2.2, "m/s2", "comfortable deceleration", gt=0, le=4.05)
+    decel_sd_mps2: float = _param(0.35, "m/s2", "its SD between drivers", ge=0, le=1)
+    min_gap_mean_m: float = _param(2.2, "m", "gap kept to a standing leader (SUMO minGap)", ge=0.5, le=10)
+    min_gap_sd_m: float = _param(0.4, "m", "its SD between drivers", ge=0, le=3)
+    turn_lateral_min_mps2: float = _param(1.5, "m/s2", "lateral acceleration taken in turns, uniform from here", gt=0, le=4.89)
+    turn_lateral_max_mps2: float = _param(3.0, "m/s2", "to here (comfort ends at 3)", gt=0, le=4.89)
+    offset_sd_m: float = _param(0.25, "m", "SD between drivers of the mean place in the lane", ge=0, le=1)
+    lateral_wander_sd_m: float = _param(0.15, "m", "SD of the wandering about that place", ge=0, le=0.5)
+    lateral_wander_time_s: float = _param(3.0, "s", "its correlation time at the desired speed", gt=0, le=30)
+    lane_change_mean_s: float = _param(5.5, "s", "duration of a lane change (highD: 5.5 cars, 6.1 heavy)", ge=1.5, le=15)
+    lane_change_sd_s: float = _param(0.9, "s", "its SD between drivers", ge=0, le=4)
+    reaction_s: float = _param(0.5, "s", "EIDM treaction", ge=0.1, le=3)
+    error: float = _param(0.1, "-", "EIDM sigmaerror, driving error", ge=0, le=1)
 
 
 class LaneChange(_Section):
@@ -115,7 +137,6 @@ class LaneChange(_Section):
     give_up_s: float = _param(6.0, "s", "from the trigger on, the request ends after this", ge=0, le=60)
     min_duration_s: float = _param(2.5, "s", "shortest lateral motion (11 s scenes)", ge=1.5, le=10)
     max_duration_s: float = _param(6.0, "s", "longest lateral motion", ge=1.5, le=15)
-    lateral_accel_mps2: float = _param(1.0, "m/s2", "peak lateral acceleration sought in a change", gt=0, le=4)
     min_speed_mps: float = _param(2.0, "m/s", "slower vehicles cannot shift a lane in time", ge=0, le=20)
 
     @model_validator(mode="after")
@@ -158,27 +179,30 @@ class Turn(_Section):
 
 
 class Conflict(_Section):
-    """The three cases of conflict resolution. The horizon H delta is the rest of the scene: all futures are known."""
+    """The three cases of conflict resolution, and what is exported at all."""
 
-    margin_lateral_m: float = _param(0.25, "m", "added to each side of a box", ge=0, le=2)
+    horizon_s: float = _param(4.0, "s", "H delta: how far ahead conflicts are looked for", gt=0, le=10)
+    act_mps2: float = _param(
+        0.8, "m/s2", "deceleration that a conflict must ask for before the timing is changed", ge=0, le=4
+    )
+    brake_max_mps2: float = _param(3.5, "m/s2", "hardest braking for a conflict", gt=0, le=4.05)
+    margin_lateral_m: float = _param(0.3, "m", "added to each side of a box", ge=0, le=2)
     margin_front_m: float = _param(1.0, "m", "kept to a box that crosses or stands ahead", ge=0, le=10)
-    follow_time_s: float = _param(1.0, "s", "smallest time gap to a leader in the last check", ge=0, le=5)
+    stop_margin_m: float = _param(1.0, "m", "kept to a stop line", ge=0, le=10)
     ttc_min_s: float = _param(1.5, "s", "critical TTC (SSAM)", ge=0, le=5)
     follower_ttc_min_s: float = _param(
         1.5, "s", "TTC kept to recorded vehicles behind, which do not brake for anybody inserted", ge=0, le=10
     )
     pet_min_s: float = _param(1.0, "s", "critical PET, kept to everybody whose path is crossed", ge=0, le=5)
+    end_horizon_s: float = _param(3.0, "s", "beyond its last step a vehicle is looked at so long", ge=0, le=10)
+    end_ttc_min_s: float = _param(1.0, "s", "smallest TTC at the last step, everybody at constant velocity", ge=0, le=5)
 
 
 class CarFollowing(_Section):
-    """SUMO's car following of the inserted vehicles (sigma is 0: the paper keeps v(t + dt) near v(t))."""
+    """SUMO's car following of the inserted vehicles."""
 
-    accel_mps2: float = _param(1.8, "m/s2", "SUMO accel", gt=0, le=2.4)
-    decel_mps2: float = _param(2.5, "m/s2", "SUMO decel", gt=0, le=4.05)
-    tau_s: float = _param(
-        1.0, "s", "SUMO tau; within the usual time gaps 0.9 to 1.5, the plan keeps the critical TTC", ge=0.5, le=4
-    )
-    min_gap_m: float = _param(1.5, "m", "SUMO minGap", ge=0.5, le=10)
+    model: Literal["EIDM", "IDM", "Krauss"] = _param("EIDM", "-", "SUMO's carFollowModel")
+    jerk_mps3: float = _param(3.0, "m/s3", "EIDM jerkmax", gt=0, le=10)
 
 
 class Limits(_Section):
@@ -202,8 +226,8 @@ class Smoothing(_Section):
     max_offset_m: float = _param(
         0.9, "m", "the smoothed reference line stays this close to the centrelines", ge=0, le=2
     )
-    jerk_weight: float = _param(
-        1.0, "m2 / (m/s3)2", "weight of jerk against distance to the driven s(t)", gt=0, le=1000
+    filter_s: float = _param(
+        0.3, "s", "standard deviation of the Gaussian that takes SUMO's steps out of the speed", gt=0, le=2
     )
 
 
@@ -213,7 +237,7 @@ class Config(_Section):
     request: Request = Request()
     grid: Grid = Grid()
     spawn: Spawn = Spawn()
-    packing: Packing = Packing()
+    drivers: Drivers = Drivers()
     car_following: CarFollowing = CarFollowing()
     lane_change: LaneChange = LaneChange()
     overtake: Overtake = Overtake()
@@ -221,20 +245,6 @@ class Config(_Section):
     conflict: Conflict = Conflict()
     limits: Limits = Limits()
     smoothing: Smoothing = Smoothing()
-
-    def packed(self) -> "Config":
-        """The same request with the gaps of `packing`."""
-        close = self.packing
-        spawn = self.spawn.model_copy(update={"clear_gap_m": close.clear_gap_m, "clear_ahead_s": close.clear_ahead_s})
-        conflict = self.conflict.model_copy(
-            update={
-                "follow_time_s": close.follow_time_s,
-                "margin_lateral_m": close.margin_lateral_m,
-                "margin_front_m": close.margin_front_m,
-                "follower_ttc_min_s": close.follower_ttc_min_s,
-            }
-        )
-        return self.model_copy(update={"spawn": spawn, "conflict": conflict})
 
     without: frozenset[Literal["topology", "collision", "smoothing"]] = Field(
         default=frozenset(),

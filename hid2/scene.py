@@ -1,93 +1,63 @@
-"""A scene as the method sees it: grid, recorded future, occupancy, speeds that belong there, and paths."""
+"""What is shared by all who look at one scene: grid, recorded agents and their future, occupancy, speeds, paths."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Policy, Track
-from hid2.conflicts.cases import DT_S, Prospect, kept_clear, prospect, road_most
-from hid2.insertion.draws import Draws
+from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Track
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.surrogate_safety import RecordedVehicles
-from hid2.motion.route import DrivenPath, Route, Way, path_along, route_beside, turn_segments, way_along
+from hid2.motion.route import DrivenPath, Route, path_along, route_beside
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.sigma import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
 from hid2.occupancy.traffic import Traffic, traffic_of
 from hid2.params import Config
-from hid2.policy.turns import RoadSpeeds, road_speeds
 from netconvert.cells import Cell, CellGrid
-from netconvert.geometry import differences
 
-#: Cars, trucks and cars towing nothing drive on these.
+#: Lane types open to general motor traffic.
 DRIVABLE_TYPES = frozenset({"VEHICLE"})
+#: Simulation step delta, s.
+DT_S = 0.1
 _RUN_ON_M = 250.0
 _MOVING_M, _MOVING_MPS = 5.0, 1.0
+#: Clearance boxes are rounded up to these, m, so that vehicles of about one size share what is found out on a path.
+_LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
 
 
-class _Recorded(NamedTuple):
-    """Recorded agents on a path: rows of `traffic` that ever touch it; their intervals as they are, and kept clear."""
-
-    rows: IntArray
-    intervals: PathOccupancy
-    kept_clear: PathOccupancy
-
-
-class _Road(NamedTuple):
-    """What the road says of speeds along a path: its shape, and (S,) m/s wished for at most, and possible at all."""
-
-    speeds: RoadSpeeds
-    fastest: FloatArray
-    most: FloatArray
+def clearance_box(size: BoxSize, assumed: BoxSize) -> BoxSize:
+    """Box that covers a vehicle and the one that readers without the sidecar assume, rounded up."""
+    length, width = max(size.length_m, assumed.length_m), max(size.width_m, assumed.width_m)
+    return BoxSize(
+        math.ceil(length / _LENGTH_STEP_M - 1e-9) * _LENGTH_STEP_M, math.ceil(width / _WIDTH_STEP_M - 1e-9) * _WIDTH_STEP_M
+    )
 
 
 @dataclass(slots=True)
-class World:
+class Scene:
     """Everything about a scene that does not change while vehicles are inserted, and caches of what follows from it.
 
-    earliest_exit_step: a generated vehicle may leave the map only from this step on. vehicles: the recorded cars and
-    buses of `traffic`, which an overtaker may pass; others are obstacles to it. recorded: the same, as recorded.
+    traffic: recorded agents over the scene's T steps; future: the same, and beyond the last step at constant velocity,
+    T + E steps. first_exit_step: a generated vehicle may leave the map only from this step on. vehicle_rows: rows of
+    the recorded cars and buses, which an overtaker may pass.
     """
 
     grid: CellGrid
     config: Config
     traffic: Traffic
-    vehicles: Traffic
+    future: Traffic
+    vehicle_rows: IntArray
     recorded: RecordedVehicles
     occupancy: OriginalOccupancy
     boxes: CellBoxes
     num_steps: int
-    earliest_exit_step: int
+    first_exit_step: int
     lane_speeds: dict[int, list[float]]
     scene_speeds: list[float]
-    _ways: dict[Route, Way] = field(default_factory=dict)
     _paths: dict[Route, DrivenPath] = field(default_factory=dict)
     _routes_beside: dict[tuple[Route, int], Route] = field(default_factory=dict)
-    _roads: dict[DrivenPath, _Road] = field(default_factory=dict)
-    _known: dict[tuple[DrivenPath, BoxSize], _Recorded] = field(default_factory=dict)
-
-    @property
-    def road_tolerance_m(self) -> float:
-        """By how much corners may stand out of the drivable area: a little less than what is allowed."""
-        return 0.9 * self.config.limits.drivable_tolerance_m
-
-    @property
-    def curvature_most(self) -> float:
-        """1 / R_min with a little to spare: whoever reads the positions sees chords, 1/m."""
-        return 0.98 / self.config.limits.min_radius_m
-
-    def packed(self) -> "World":
-        """The same scene with the gaps of a packed road; itself, with all that is known, where it has them."""
-        config = self.config.packed()
-        return self if config == self.config else replace(self, config=config, _known={})
-
-    def way(self, route: Route) -> Way:
-        """A route with what is looked up along it; worked out once."""
-        if route not in self._ways:
-            self._ways[route] = way_along(self.grid.graph, route, self.recorded.lanes.index_of)
-        return self._ways[route]
+    _known: dict[tuple[DrivenPath, BoxSize], tuple[IntArray, PathOccupancy, PathOccupancy]] = field(default_factory=dict)
 
     def path(self, route: Route) -> DrivenPath:
         """Path on the middle of a route's lanes; built once."""
@@ -108,98 +78,69 @@ class World:
             )
         return self.path(self._routes_beside[key])
 
-    def recorded_on(self, path: DrivenPath, size: BoxSize) -> PathOccupancy:
-        """Intervals of the recorded agents on a path, by their true future; computed once for each path and size."""
-        return self._recorded_on(path, size).intervals
+    def recorded_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
+        """Intervals of the recorded agents on a path by their true future, (A, T + E)."""
+        return self._recorded_on(path, box)[1]
 
-    def met_on(self, path: DrivenPath, size: BoxSize) -> IntArray:
-        """Rows of `traffic` that a box on a path, with its margin, ever meets if it only waits for them."""
-        return self._recorded_on(path, size).rows
+    def kept_clear_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
+        """The same, with the place of who crosses taken for the critical PET before and after."""
+        return self._recorded_on(path, box)[2]
 
-    def _recorded_on(self, path: DrivenPath, size: BoxSize) -> _Recorded:
-        key = path, size
+    def rows_on(self, path: DrivenPath, box: BoxSize) -> IntArray:
+        """Rows of `traffic` of the agents of `recorded_on`."""
+        return self._recorded_on(path, box)[0]
+
+    def _recorded_on(self, path: DrivenPath, box: BoxSize) -> tuple[IntArray, PathOccupancy, PathOccupancy]:
+        key = path, box
         if key not in self._known:
-            width_m = size.width_m + 2 * self.config.conflict.margin_lateral_m
-            rows, found = look_along(path.line, self.traffic, size.length_m, width_m)
-            steps, margin_m = kept_clear(self.config)
-            self._known[key] = _Recorded(rows, found, found.kept_clear(steps, margin_m=margin_m))
+            width_m = box.width_m + 2 * self.config.conflict.margin_lateral_m
+            rows, found = look_along(path.line, self.future, box.length_m, width_m)
+            self._known[key] = rows, found, found.kept_clear(self.pet_steps, margin_m=self.pet_margin_m)
         return self._known[key]
 
-    def desired(self, path: DrivenPath, cruise_mps: float) -> FloatArray:
-        """(S,) target speed along a path, m/s."""
-        road = self._road(path)
-        return road.fastest if cruise_mps == math.inf else self._desired(road.speeds, cruise_mps)
+    @property
+    def pet_steps(self) -> int:
+        """Steps for which the place of who crosses is kept clear before and after."""
+        return math.ceil(self.config.conflict.pet_min_s / DT_S) + 1
 
-    def speeds(self, path: DrivenPath) -> RoadSpeeds:
-        """What the road makes of anybody's speed along a path; worked out once."""
-        return self._road(path).speeds
-
-    def _road(self, path: DrivenPath) -> _Road:
-        if path not in self._roads:
-            segments = turn_segments(self.grid.graph, path)
-            speeds = road_speeds(path.line, segments, turn=self.config.turn, limits=self.config.limits)
-            self._roads[path] = _Road(speeds, self._desired(speeds, math.inf), road_most(path.line, self.config))
-        return self._roads[path]
-
-    def _desired(self, speeds: RoadSpeeds, cruise_mps: float) -> FloatArray:
-        return speeds.desired(cruise_mps, turn=self.config.turn, accel_mps2=self.config.car_following.accel_mps2)
-
-    def prospect(
-        self,
-        path: DrivenPath,
-        size: BoxSize,
-        *,
-        cruise_mps: float,
-        others: Sequence[Traffic],
-        earliest_exit_step: int | None = None,
-    ) -> Prospect:
-        """Look along a path: the recorded agents and `others`."""
-        return prospect(
-            path,
-            size,
-            self.desired(path, cruise_mps),
-            self._road(path).most,
-            tuple(others),
-            config=self.config,
-            num_steps=self.num_steps,
-            earliest_exit_step=self.earliest_exit_step if earliest_exit_step is None else earliest_exit_step,
-            known=self._recorded_on(path, size).kept_clear,
-            seen_to_s=path.grid_end_s if "topology" in self.config.without else None,
-        )
+    @property
+    def pet_margin_m(self) -> float:
+        """By how much that place is smaller on both sides than one where somebody is, m."""
+        return 0.5 * self.config.conflict.margin_front_m
 
     def cell_at(self, path: DrivenPath, s: float) -> Cell:
         """Cell of a path's lane at arc length s."""
         segment = path.segment_at(s)
         return self.grid.cell_at(segment.lane_id, segment.lane_s(s))
 
-    def speed_sample(self, lane_id: int, draws: Draws) -> float:
-        """Desired speed, m/s: from recorded moving traffic of the lane, else of the scene, else the prior."""
-        spawn = self.config.spawn
-        pool = self.lane_speeds.get(lane_id) or self.scene_speeds or [spawn.prior_speed_mps]
-        speed = pool[draws.index(len(pool))] * (1.0 + spawn.speed_noise * draws.normal())
-        return float(min(max(speed, spawn.min_speed_mps), spawn.max_speed_mps))
+    def lane_speed(self, lane_id: int, rng: np.random.Generator) -> float:
+        """Speed of a lane's traffic, m/s: of recorded moving traffic there, else of the scene, else the prior."""
+        pool = self.lane_speeds.get(lane_id) or self.scene_speeds or [self.config.spawn.prior_speed_mps]
+        return pool[int(rng.integers(len(pool)))]
 
 
-def build_world(
+def build_scene(
     grid: CellGrid, tracks: Sequence[Track], *, config: Config, num_steps: int, last_observed_step: int
-) -> World:
-    """World of a recorded scene. last_observed_step: every generated vehicle is there at least until then."""
+) -> Scene:
+    """Scene of recorded tracks. last_observed_step: every generated vehicle is there at least until then."""
     traffic = traffic_of(tracks, num_steps, step_s=DT_S)
     boxes = cell_boxes(grid)
     occupancy = original_occupancy(boxes, traffic)
     through = config.request.focal == "generated" or config.request.generated_category >= 2
     lane_speeds, scene_speeds = _speeds(grid, tracks, traffic, occupancy)
     rows = [row for row, track in enumerate(tracks) if track.object_type in VEHICLE_TYPES]
-    return World(
+    beyond = math.ceil((config.conflict.end_horizon_s + config.conflict.horizon_s) / DT_S)
+    return Scene(
         grid=grid,
         config=config,
         traffic=traffic,
-        vehicles=traffic.rows(rows),
+        future=traffic.extended(beyond, step_s=DT_S),
+        vehicle_rows=np.array(rows, dtype=np.int64),
         recorded=RecordedVehicles([tracks[row] for row in rows], flatten_lanes(grid.graph), num_steps),
         occupancy=occupancy,
         boxes=boxes,
         num_steps=num_steps,
-        earliest_exit_step=num_steps if through else min(last_observed_step + 2, num_steps),
+        first_exit_step=num_steps if through else min(last_observed_step + 1, num_steps),
         lane_speeds=lane_speeds,
         scene_speeds=scene_speeds,
     )
@@ -224,58 +165,3 @@ def _speeds(
         for lane_id in np.unique(lane_of[occupancy.cell[row, moving & occupancy.mapped[row]]]):
             by_lane.setdefault(int(lane_id), []).append(cruise)
     return by_lane, scene
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class PlannedVehicle:
-    """A vehicle ready to be inserted: where, how fast, on which route, to do what.
-
-    s0, v0: state of the box centre on the path at step 0; plan_s (T,) m, plan_v (T,) m/s: its motion on that path.
-    intended_path, intended_s (T,) m: the same with its manoeuvre, as the others foresee it; sides: where it looks for a
-    lane, in this order; claims: room beside that the others keep free for it.
-    size: the larger of its own box and the one that readers without the sidecar assume; own_size is exported.
-    """
-
-    vehicle_id: str
-    policy: Policy
-    object_type: str
-    size: BoxSize
-    own_size: BoxSize
-    route: Route
-    path: DrivenPath
-    s0: float
-    v0: float
-    cruise_mps: float
-    trigger_s: float
-    plan_s: FloatArray
-    plan_v: FloatArray
-    sides: tuple[Literal["left", "right"], ...]
-    intended_path: DrivenPath
-    intended_s: FloatArray
-    claims: Traffic | None = None
-
-
-def predicted_traffic(
-    entries: Sequence[tuple[str, DrivenPath, BoxSize, FloatArray]], num_steps: int, *, first_step: int = 0
-) -> Traffic:
-    """Boxes of generated vehicles along their plans: (id, path, size, s (T - first_step,) m)."""
-    count = len(entries)
-    position = np.zeros((count, num_steps, 2))
-    heading = np.zeros((count, num_steps))
-    velocity = np.zeros((count, num_steps, 2))
-    present = np.zeros((count, num_steps), dtype=np.bool_)
-    for row, (_, path, size, s) in enumerate(entries):
-        span = slice(first_step, first_step + s.size)
-        position[row, span], tangent, _ = path.line.motion(s)
-        heading[row, span] = np.arctan2(tangent[:, 1], tangent[:, 0])
-        velocity[row, span] = tangent * differences(s[:, None], DT_S)
-        present[row, span] = s <= path.exit_s - size.length_m / 2
-    return Traffic(
-        ids=tuple(entry[0] for entry in entries),
-        position=position,
-        heading=heading,
-        velocity=velocity,
-        present=present,
-        length_m=np.array([entry[2].length_m for entry in entries]),
-        width_m=np.array([entry[2].width_m for entry in entries]),
-    )

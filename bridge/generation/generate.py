@@ -1,4 +1,4 @@
-"""One scenario: observe, plan, insert, decide, step, record, smooth, verify, export."""
+"""One recording -> one denser recording: request, site, driver, [observe, decide, act, step], smooth, verify, export."""
 
 import tempfile
 import zlib
@@ -8,25 +8,29 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
+
 from bridge.config import config_sha256
-from bridge.generation.records import agent_record, with_unmet
-from bridge.generation.rounds import Rounds, Settled, exported_track
+from bridge.generation.records import agent_record, rejected_records, replaced_record, with_unmet
 from bridge.recordings.export import new_scenario_id, write_scene
 from bridge.recordings.scenario import LAST_OBSERVED, Scenario
 from bridge.recordings.sidecar import (
     GeneratorRecord,
     PlacedRecord,
-    RejectedRecord,
     ReplayRecord,
     RequestedRecord,
     Sidecar,
 )
+from bridge.sumo.driving import Driving
+from bridge.sumo.replay import ReplayErrors
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy, Track
-from hid2.conflicts.cases import DT_S
-from hid2.motion.repair import SettledVehicle
+from hid2.insertion.filling import Filling
+from hid2.insertion.finalise import ExportedVehicle
+from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
-from hid2.scene import World, build_world
+from hid2.scene import DT_S, Scene, build_scene
+from hid2.vehicle import DrivenVehicle, Start
 from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ScenarioError
 from netconvert.net_xml import net_bytes
@@ -44,7 +48,7 @@ class GeneratedScene:
     sidecar: Sidecar
     focal_track_id: str
     new_id: str
-    vehicles: tuple[SettledVehicle, ...]
+    vehicles: tuple[ExportedVehicle, ...]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -62,42 +66,74 @@ def prepare(scenario: Scenario, config: Config) -> PreparedScene:
     return PreparedScene(scenario=scenario, grid=grid, net=net_bytes(grid))
 
 
-def generate(scenario: Scenario | PreparedScene, config: Config, *, variant: int = 0) -> GeneratedScene:
+def generate(source: Scenario | PreparedScene, config: Config, *, variant: int = 0) -> GeneratedScene:
     """Insert vehicles into a recorded scene as `config` asks; nothing is written.
 
     Same scenario, configuration and variant: the same result. Errors: MapError, NetError, SimulationError,
     ScenarioError where a generated focal track was asked for and no vehicle lives through the scene.
     """
-    prepared = scenario if isinstance(scenario, PreparedScene) else prepare(scenario, config)
-    scene = prepared.scenario
-    new_id = new_scenario_id(scene.scenario_id, config, config.request.seed, variant)
-    seed = [config.request.seed, variant, zlib.crc32(scene.scenario_id.encode())]
-    world = build_world(
-        prepared.grid, scene.tracks, config=config, num_steps=scene.num_steps,
-        last_observed_step=min(LAST_OBSERVED, scene.num_steps - 1),
+    prepared = source if isinstance(source, PreparedScene) else prepare(source, config)
+    scenario = prepared.scenario
+    new_id = new_scenario_id(scenario.scenario_id, config, config.request.seed, variant)
+    seed = [config.request.seed, variant, zlib.crc32(scenario.scenario_id.encode())]
+    scene = build_scene(
+        prepared.grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
+        last_observed_step=min(LAST_OBSERVED, scenario.num_steps - 1),
     )  # fmt: skip
+    filling = Filling(scene, seed)
     with tempfile.TemporaryDirectory(prefix="hid2-") as folder:
         net = Path(folder) / "scene.net.xml"
         net.write_bytes(prepared.net)
-        braking = config.car_following.decel_mps2
-        with Simulation(net, seed=config.request.seed, step_s=DT_S, expected_decel_mps2=braking) as simulation:
-            run = Rounds(world, simulation, seed)
-            run.fill()
-    run.credit_turns()
-    vehicles = sorted(run.settled, key=lambda item: int(item.vehicle.driven.spec.vehicle_id.removeprefix("v")))
-    tracks = [
-        exported_track(item.vehicle, f"gen_{row}", config.request.generated_category)
-        for row, item in enumerate(vehicles)
-    ]
-    focal = scene.focal_track_id
+        with Simulation(
+            net, seed=_sumo_seed(seed), step_s=DT_S, model=config.car_following.model,
+            parameters=_model_parameters(config),
+        ) as simulation:  # fmt: skip
+            rounds = _Rounds(scene, simulation, filling)
+            filling.fill(rounds.drive)
+            sumo_version = simulation.version()
+    vehicles = sorted(filling.kept, key=lambda one: one.driven.start.request.number)
+    tracks = [one.track(f"gen_{row}", config.request.generated_category) for row, one in enumerate(vehicles)]
+    focal = scenario.focal_track_id
     if config.request.focal == "generated":
-        focal = _focal(scene, vehicles, tracks)
+        focal = _focal(scenario, vehicles, tracks, filling)
         tracks = [_with_category(t, 3) if t.track_id == focal else t for t in tracks]
-    sidecar = _sidecar(prepared, world, run, vehicles, variant=variant, sumo_version=run.sumo_version)
+    sidecar = _sidecar(prepared, scene, filling, vehicles, rounds.errors, variant=variant, sumo_version=sumo_version)
     return GeneratedScene(
-        scenario=scene, generated=tuple(tracks), sidecar=sidecar, focal_track_id=focal, new_id=new_id,
-        vehicles=tuple(item.vehicle for item in vehicles),
+        scenario=scenario, generated=tuple(tracks), sidecar=sidecar, focal_track_id=focal, new_id=new_id,
+        vehicles=tuple(vehicles),
     )  # fmt: skip
+
+
+def _sumo_seed(seed: Sequence[int]) -> int:
+    """SUMO's seed from seed, variant and scene; rounds go on in its stream of random numbers."""
+    return zlib.crc32(repr(list(seed)).encode()) & 0x7FFFFFFF
+
+
+def _model_parameters(config: Config) -> dict[str, float]:
+    """Attributes of SUMO's vehicle type that its vehicles share."""
+    if config.car_following.model != "EIDM":
+        return {}
+    law = config.drivers
+    return {"sigmaerror": law.error, "jerkmax": config.car_following.jerk_mps3, "treaction": law.reaction_s}
+
+
+class _Rounds:
+    """Drives the starts of each round in the one simulation of a scene."""
+
+    def __init__(self, scene: Scene, simulation: Simulation, filling: Filling) -> None:
+        self._scene, self._simulation, self._filling = scene, simulation, filling
+        self.errors = ReplayErrors()
+
+    def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
+        """One simulation. The first one replays every recorded agent and compares; later ones those on the grid."""
+        rows = None if number == 0 else np.flatnonzero(self._scene.occupancy.mapped.any(axis=1))
+        driving = Driving(
+            self._scene, self._simulation, starts, fixed, self._filling.roads, rows=rows, checked=number == 0
+        )
+        vehicles = driving.run()
+        if number == 0:
+            self.errors = driving.replay_errors
+        return vehicles
 
 
 def write(scene: GeneratedScene, out_dir: Path) -> Path:
@@ -125,26 +161,35 @@ def _with_category(track: Track, category: int) -> Track:
     )
 
 
-def _focal(scene: Scenario, vehicles: Sequence[Settled], tracks: Sequence[Track]) -> str:
+def _focal(
+    scenario: Scenario, vehicles: Sequence[ExportedVehicle], tracks: Sequence[Track], filling: Filling
+) -> str:
     """Generated focal track: lives through the scene; a manoeuvre done before none, a longer path before a shorter."""
     through = [
-        (bool(item.driver.shifts) or item.driver.spec.policy is not Policy.STRAIGHT, track.path_m, track.track_id)
-        for item, track in zip(vehicles, tracks, strict=True)
-        if track.timesteps.size == scene.num_steps
+        (_did_something(one, filling), track.path_m, track.track_id)
+        for one, track in zip(vehicles, tracks, strict=True)
+        if track.timesteps.size == scenario.num_steps
     ]
     if not through:
-        raise ScenarioError(f"{scene.folder}: no generated vehicle lives through the scene, want one as focal track")
+        raise ScenarioError(
+            f"{scenario.folder}: no generated vehicle lives through the scene; expected one as focal track"
+        )
     return max(through)[2]
 
 
+def _did_something(vehicle: ExportedVehicle, filling: Filling) -> bool:
+    outcome = filling.outcomes.get(vehicle.driven.vehicle_id)
+    return outcome is not None and outcome.done
+
+
 def _sidecar(
-    prepared: PreparedScene, world: World, run: Rounds, vehicles: Sequence[Settled], *, variant: int, sumo_version: str
-) -> Sidecar:
-    config = world.config
-    traffic = world.traffic.joined(run.fixed)
-    names = {item.vehicle.driven.spec.vehicle_id: f"gen_{row}" for row, item in enumerate(vehicles)}
-    agents = [agent_record(item.vehicle, item.driver, world, traffic, names) for item in vehicles]
-    agents = with_unmet(agents, run.unmet)
+    prepared: PreparedScene, scene: Scene, filling: Filling, vehicles: Sequence[ExportedVehicle],
+    errors: ReplayErrors, *, variant: int, sumo_version: str,
+) -> Sidecar:  # fmt: skip
+    config = scene.config
+    names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(vehicles)}
+    agents = [agent_record(scene, one, filling.outcomes.get(one.driven.vehicle_id), names) for one in vehicles]
+    agents = with_unmet(agents, filling.unmet)
     placed = Counter(record.policy for record in agents)
     return Sidecar(
         source_scenario_id=prepared.scenario.scenario_id,
@@ -155,12 +200,13 @@ def _sidecar(
         config=config.model_dump(mode="json"),
         config_sha256=config_sha256(config),
         replay=ReplayRecord(
-            states=run.replay_errors.states,
-            max_position_error_m=round(run.replay_errors.max_position_error_m, 9),
-            max_heading_error_rad=round(run.replay_errors.max_heading_error_rad, 9),
+            states=errors.states,
+            max_position_error_m=round(errors.max_position_error_m, 9),
+            max_heading_error_rad=round(errors.max_heading_error_rad, 9),
         ),
         requested=RequestedRecord(agents=config.request.agents, behaviours=config.request.behaviours),
         placed=PlacedRecord(agents=len(agents), behaviours={p: placed[p] for p in Policy if placed[p]}),
         agents=tuple(agents),
-        rejected=tuple(RejectedRecord(reason=reason, count=count) for reason, count in sorted(run.reasons.items())),
+        rejected=rejected_records(filling),
+        replaced=tuple(replaced_record(one) for one in filling.rejected),
     )  # fmt: skip

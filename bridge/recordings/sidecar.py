@@ -76,8 +76,33 @@ class ManeuverRecord(_Record):
     min_ttc_s: float | None = None
 
 
+class DriverRecord(_Record):
+    """Who sat at the wheel: SUMO's car-following model with this vehicle's parameters, and its place in the lane."""
+
+    model: str
+    parameters: Mapping[str, float]
+
+
+class GapsRecord(_Record):
+    """Gaps looked at from the trigger on: how many, and how many each of the two refused."""
+
+    looked_at: int = Field(default=0, ge=0)
+    refused_by_rule: int = Field(default=0, ge=0)
+    refused_by_sumo: int = Field(default=0, ge=0)
+
+
+class SimulatedRecord(_Record):
+    """Exported s(t) against the simulated one, m: the largest difference, and SUMO's own position at the last step."""
+
+    max_off_m: float = Field(ge=0)
+
+
 class AgentRecord(_Record):
-    """One generated vehicle; route: lane segment ids in the order driven."""
+    """One generated vehicle; route: lane segment ids in the order driven.
+
+    limited: share of steps in which hid2 held it below SUMO's own choice of speed, by cause; policies: share of steps
+    by the policy that Algorithm 1 returned.
+    """
 
     track_id: str
     object_type: Literal["vehicle", "bus"] = "vehicle"
@@ -87,9 +112,12 @@ class AgentRecord(_Record):
     spawn: SpawnRecord
     route: tuple[int, ...]
     maneuvers: tuple[ManeuverRecord, ...] = ()
+    driver: DriverRecord | None = None
+    limited: Mapping[str, float] = Field(default_factory=dict)
+    policies: Mapping[str, float] = Field(default_factory=dict)
+    gaps: GapsRecord = GapsRecord()
+    simulated: SimulatedRecord | None = None
     end_reason: str | None = None
-    retimed: int = Field(default=0, ge=0)
-    standing: bool = False
 
 
 class RejectedRecord(_Record):
@@ -97,6 +125,19 @@ class RejectedRecord(_Record):
 
     reason: str
     count: int = Field(ge=1)
+
+
+class ReplacedRecord(_Record):
+    """A vehicle that was tried and is not in the scene: why, where it started, in which round, and its last step."""
+
+    vehicle: str
+    policy: Policy
+    reason: str
+    detail: str | None = None
+    round: int = Field(ge=0)
+    lane_segment_id: int
+    cell: int = Field(ge=0)
+    last_step: int = Field(ge=0)
 
 
 class Sidecar(_Record):
@@ -115,6 +156,7 @@ class Sidecar(_Record):
     placed: PlacedRecord
     agents: tuple[AgentRecord, ...] = ()
     rejected: tuple[RejectedRecord, ...] = ()
+    replaced: tuple[ReplacedRecord, ...] = ()
 
 
 def sidecar_path(folder: Path, scenario_id: str) -> Path:

@@ -2,7 +2,7 @@
 
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import ClassVar, Self
@@ -13,27 +13,34 @@ import libsumo
 
 from netconvert.errors import SimulationError
 
-#: TraCI lane-change mode: no change of SUMO's own; one asked for waits for a gap.
-_ONLY_ASKED_WITH_GAP = 256
+#: TraCI lane-change mode: no change of SUMO's own; one asked for is refused where speeds and brake gaps forbid it.
+_ONLY_ASKED_IF_SAFE = 512
+#: TraCI speed mode: car following and the greatest acceleration hold; a limit may brake harder than is comfortable.
+_SAFE_SPEED = 1 + 2 + 8 + 16
 _REPLAY_KEEP_ROUTE = 6
 _REPLAY_MATCH_M = 2.0  # half a lane and a little: farther aside nobody is ahead of anybody
 _ASIDE_MATCH_M = 0.01  # on no lane
 _NEVER_S = 1000.0
-_START = "start.xml"
+_START, _TYPES = "start.xml", "types.add.xml"
+_DRIVEN = "driven"
 
 
 class Simulation:
     """A running SUMO. Use as `with Simulation(net, seed=0, step_s=0.1) as sumo:`.
 
-    expected_decel_mps2: what those behind a replayed vehicle expect it to brake with at most. Where that is more than
-    they would brake with themselves, SUMO's Krauss model keeps them a braking distance farther back.
+    model: car-following model of the vehicles that SUMO drives, as it is named in SUMO; parameters: its attributes.
+    expected_decel_mps2: what those behind a replayed vehicle expect it to brake with at most.
     Errors: SimulationError for a net that SUMO refuses, and for a second simulation in one process.
     """
 
     _running: ClassVar[bool] = False
 
-    def __init__(self, net: Path, *, seed: int, step_s: float, expected_decel_mps2: float = 4.5) -> None:
+    def __init__(
+        self, net: Path, *, seed: int, step_s: float, expected_decel_mps2: float = 4.5, model: str = "EIDM",
+        parameters: Mapping[str, float] | None = None,
+    ) -> None:  # fmt: skip
         self._net = net
+        self._model, self._parameters = model, dict(parameters or {})
         self._expected_decel_mps2 = expected_decel_mps2
         self._seed = seed
         self._step_s = step_s
@@ -46,19 +53,23 @@ class Simulation:
         """Start SUMO."""
         if Simulation._running:
             raise SimulationError("a simulation is already running in this process, want one at a time")
+        self._beside = tempfile.TemporaryDirectory(prefix="hid2-sumo-")
+        types = Path(self._beside.name) / _TYPES
+        extra = "".join(f' {name}="{value:g}"' for name, value in self._parameters.items())
+        types.write_text(f'<additional><vType id="{_DRIVEN}" carFollowModel="{self._model}"{extra}/></additional>')
         command = [
-            "sumo", "--net-file", str(self._net), "--step-length", f"{self._step_s}", "--seed", str(self._seed),
+            "sumo", "--net-file", str(self._net), "--additional-files", str(types), "--step-length", f"{self._step_s}", "--seed", str(self._seed),
             "--collision.action", "none", "--time-to-teleport", "-1", "--lanechange.duration", "0",
             "--no-step-log", "true", "--no-warnings", "true", "--duration-log.disable", "true",
         ]  # fmt: skip
         try:
             libsumo.start(command)
         except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
+            self._beside.cleanup()
             raise SimulationError(f"{self._net}: SUMO does not load the net: {error}") from error
         Simulation._running = True
         edge = next(e for e in libsumo.edge.getIDList() if not e.startswith(":"))
         libsumo.route.add("replay", [edge])
-        self._beside = tempfile.TemporaryDirectory(prefix="hid2-sumo-")
         libsumo.simulation.saveState(f"{self._beside.name}/{_START}")
         return self
 
@@ -94,11 +105,11 @@ class Simulation:
             vehicle_id, "", -1, x, y, angle_deg, keepRoute=_REPLAY_KEEP_ROUTE, matchThreshold=_REPLAY_MATCH_M
         )
 
-    def place_all(self, poses: Sequence[tuple[str, float, float, float]], *, aside: frozenset[str]) -> None:
-        """The same for many: (vehicle id, x, y, angle in degrees). Those aside are on no lane, and ahead of nobody."""
+    def place_all(self, poses: Sequence[tuple[str, float, float, float, bool]]) -> None:
+        """The same for many: (vehicle id, x, y, angle in degrees, seen). Those not seen are on no lane."""
         move = libsumo.vehicle.moveToXY
-        for vehicle_id, x, y, angle_deg in poses:
-            match = _ASIDE_MATCH_M if vehicle_id in aside else _REPLAY_MATCH_M
+        for vehicle_id, x, y, angle_deg, seen in poses:
+            match = _REPLAY_MATCH_M if seen else _ASIDE_MATCH_M
             move(vehicle_id, "", -1, x, y, angle_deg, _REPLAY_KEEP_ROUTE, match)
 
     def pose(self, vehicle_id: str) -> tuple[float, float, float] | None:
@@ -144,7 +155,7 @@ class Simulation:
         place was chosen with both.
         """
         type_id = f"driven_{vehicle_id}"
-        libsumo.vehicletype.copy("DEFAULT_VEHTYPE", type_id)
+        libsumo.vehicletype.copy(_DRIVEN, type_id)
         libsumo.vehicletype.setLength(type_id, length_m)
         libsumo.vehicletype.setWidth(type_id, width_m)
         libsumo.vehicletype.setAccel(type_id, accel_mps2)
@@ -153,7 +164,8 @@ class Simulation:
         libsumo.vehicletype.setTau(type_id, tau_s)
         libsumo.vehicletype.setMinGap(type_id, min_gap_m)
         libsumo.vehicletype.setMaxSpeed(type_id, max_speed_mps)
-        libsumo.vehicletype.setImperfection(type_id, 0.0)
+        if self._model != "EIDM":
+            libsumo.vehicletype.setImperfection(type_id, 0.0)
         libsumo.vehicletype.setSpeedFactor(type_id, 1.0)
         libsumo.vehicletype.setSpeedDeviation(type_id, 0.0)
         try:
@@ -163,7 +175,8 @@ class Simulation:
             libsumo.vehicle.moveTo(vehicle_id, lane_id, front_m)
         except libsumo.TraCIException as error:
             return str(error)
-        libsumo.vehicle.setLaneChangeMode(vehicle_id, _ONLY_ASKED_WITH_GAP)
+        libsumo.vehicle.setLaneChangeMode(vehicle_id, _ONLY_ASKED_IF_SAFE)
+        libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
         return None
 
     def disregard_others(self, vehicle_id: str) -> None:
@@ -171,9 +184,10 @@ class Simulation:
         libsumo.vehicle.setSpeedMode(vehicle_id, 0)
         libsumo.vehicle.setLaneChangeMode(vehicle_id, 0)
 
-    def set_speed(self, vehicle_id: str, speed_mps: float) -> None:
-        """Ask for a speed in the coming steps; SUMO's car following stays the upper bound."""
-        libsumo.vehicle.setSpeed(vehicle_id, float(speed_mps))
+    def drive(self, vehicle_id: str, *, desired_mps: float, limit_mps: float | None) -> None:
+        """Desired speed for the coming step, and a limit on what SUMO chooses; None for no limit."""
+        libsumo.vehicle.setMaxSpeed(vehicle_id, float(desired_mps))
+        libsumo.vehicle.setSpeed(vehicle_id, -1.0 if limit_mps is None else float(limit_mps))
 
     def change_lane(self, vehicle_id: str, lane_index: int, *, edges: Sequence[str]) -> None:
         """Ask for an instant change within the edge, onto a route that the new lane continues."""

@@ -64,6 +64,31 @@ class Traffic:
             width_m=self.width_m[index],
         )
 
+    def first(self, steps: int) -> "Traffic":
+        """The same agents up to a step, T = steps."""
+        return Traffic(
+            ids=self.ids, position=self.position[:, :steps], heading=self.heading[:, :steps],
+            velocity=self.velocity[:, :steps], present=self.present[:, :steps], length_m=self.length_m,
+            width_m=self.width_m,
+        )  # fmt: skip
+
+    def extended(self, steps: int, *, step_s: float) -> "Traffic":
+        """The same, and beyond the last step so many more at constant velocity, of those who are there then."""
+        ahead = step_s * np.arange(1, steps + 1)[None, :, None]
+        last = self.num_steps - 1
+        there = np.repeat(self.present[:, last:], steps, axis=1)
+        return Traffic(
+            ids=self.ids,
+            position=np.concatenate(
+                [self.position, self.position[:, last:] + ahead * self.velocity[:, last:]], axis=1
+            ),
+            heading=np.concatenate([self.heading, np.repeat(self.heading[:, last:], steps, axis=1)], axis=1),
+            velocity=np.concatenate([self.velocity, np.repeat(self.velocity[:, last:], steps, axis=1)], axis=1),
+            present=np.concatenate([self.present, there], axis=1),
+            length_m=self.length_m,
+            width_m=self.width_m,
+        )
+
     def joined(self, *others: "Traffic") -> "Traffic":
         """Agents of all, self first."""
         every = [traffic for traffic in (self, *others) if traffic.ids]

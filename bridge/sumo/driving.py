@@ -1,0 +1,448 @@
+"""Observe, decide, act, step: vehicles driven by SUMO's car following and steered by Algorithm 1 through libsumo."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from bridge.sumo.poses import front_arc_m
+from bridge.sumo.replay import Replay, ReplayErrors
+from bridge.sumo.simulation import Simulation
+from hid2.agents import FloatArray, IntArray, Policy
+from hid2.conflicts.guard import EXECUTING, PRESENT, A, Braking, Guard, Obstacles, S, V
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.motion.route import DrivenPath
+from hid2.occupancy.traffic import Traffic
+from hid2.policy.decision import LaneOption, Observation, Side, decide
+from hid2.policy.observation import gap_ahead_of, lane_options, lay_across, leader_on, returns_to
+from hid2.policy.overtake import Leader, Stage
+from hid2.policy.roads import Roads
+from hid2.reasons import Reason
+from hid2.scene import DT_S, Scene
+from hid2.vehicle import DrivenVehicle, GapLook, Shift, Start
+from netconvert.cells import Cell
+from netconvert.lane_graph import TurnType
+
+#: A limit this close to the speed driven is what decided it, m/s.
+_BINDS_MPS = 0.05
+#: A vehicle that slows down by more than this, m/s2, behind somebody has braked for it.
+_SLOWS_MPS2 = 0.3
+#: SUMO is shown recorded agents up to here ahead of a vehicle, m.
+_SHOWN_M = 120.0
+
+
+@dataclass(eq=False, slots=True)
+class _Attempt:
+    """A lane change that SUMO has been asked for at a step."""
+
+    vehicle: DrivenVehicle
+    look: int
+    path: DrivenPath
+    target: DrivenPath
+    lane: str
+    shift: Shift
+    stage: Stage
+
+
+@dataclass(eq=False, slots=True)
+class Driving:
+    """One simulation of vehicles that start together, among the recorded ones and those kept in rounds before.
+
+    rows: recorded agents that are replayed, all where None; checked: whether their poses in SUMO are compared.
+    """
+
+    scene: Scene
+    simulation: Simulation
+    starts: Sequence[Start]
+    fixed: Traffic
+    roads: Roads
+    rows: IntArray | None = None
+    checked: bool = True
+    vehicles: list[DrivenVehicle] = field(init=False)
+    replay_errors: ReplayErrors = field(init=False)
+    _guard: Guard = field(init=False)
+    _state: FloatArray = field(init=False)
+    _obstacles: list[Obstacles | None] = field(init=False)
+    _road: list[FloatArray] = field(init=False)
+    _limit: list[tuple[float, str] | None] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Nobody has moved yet."""
+        self.vehicles = [DrivenVehicle(start=start, path=start.path) for start in self.starts]
+        self._guard = Guard(self.scene, self.fixed)
+        self._state = np.zeros((len(self.starts), 5))
+        self._obstacles = [None] * len(self.starts)
+        self._road = [self.roads.speeds(start.path, start.driver) for start in self.starts]
+        self._limit = [None] * len(self.starts)
+
+    def run(self) -> list[DrivenVehicle]:
+        """All steps of the scene; a vehicle's step 0 is its start."""
+        scene, simulation = self.scene, self.simulation
+        simulation.rewind()
+        everybody = np.arange(len(scene.traffic.ids)) if self.rows is None else self.rows
+        recorded = Replay(simulation, scene.traffic.rows(everybody.tolist()), "r", checked=self.checked)
+        kept = Replay(simulation, self.fixed, "k", checked=False)
+        place_of = {int(row): place for place, row in enumerate(everybody)}
+        every_kept = frozenset(range(len(self.fixed.ids)))
+        for step in range(scene.num_steps):
+            attempts: list[_Attempt] = []
+            if step > 0:
+                fleet = self._fleet()
+                for row, vehicle in enumerate(self.vehicles):
+                    if vehicle.running:
+                        attempts += self._steer(row, vehicle, step - 1, fleet)
+            seen = frozenset(place_of[row] for row in self._seen(step) if row in place_of)
+            recorded.place(step, seen)
+            if self.fixed.ids:
+                kept.place(step, every_kept)
+            simulation.step()
+            if step == 0:  # after the first step, so that the state of step 0 is the start
+                for vehicle in self.vehicles:
+                    vehicle.objection = insert(simulation, scene, vehicle.start)
+            recorded.check(step)
+            self._read(step)
+            for attempt in attempts:
+                self._conclude(attempt, step)
+        self.replay_errors = recorded.errors
+        return self.vehicles
+
+    def _read(self, step: int) -> None:
+        """Take down what SUMO did, and which limit decided it."""
+        inside = self.simulation.driven()
+        for row, vehicle in enumerate(self.vehicles):
+            if not vehicle.running:
+                continue
+            if vehicle.vehicle_id not in inside:
+                if step == 0:
+                    vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+                else:
+                    vehicle.left_at = step
+                self._state[row, PRESENT] = 0.0
+                continue
+            if step == 0:
+                speed, s = vehicle.start.start_mps, vehicle.start.start_s
+            else:
+                speed = self.simulation.speed(vehicle.vehicle_id)
+                s = vehicle.s[-1] + speed * DT_S  # SUMO moves by the new speed (Euler)
+                limit = self._limit[row]
+                if limit is not None and speed > limit[0] - _BINDS_MPS:
+                    vehicle.limited[limit[1]] += 1
+            before = vehicle.v[-1] if vehicle.v else speed
+            vehicle.s.append(s)
+            vehicle.v.append(speed)
+            self._state[row] = s, speed, (speed - before) / DT_S, self._is_executing(vehicle), 1.0
+
+    def _is_executing(self, vehicle: DrivenVehicle) -> bool:
+        """Whether it is changing lanes or in a turn: case 2, executing goes before pending."""
+        if vehicle.path.shifts and vehicle.path.shifts[-1][0] < vehicle.s[-1] < vehicle.path.shifts[-1][1]:
+            return True
+        lane = self.scene.grid.graph.lanes[vehicle.path.segment_at(vehicle.s[-1]).lane_id]
+        return lane.turn is not TurnType.STRAIGHT
+
+    def _seen(self, step: int) -> set[int]:
+        """Recorded agents whose boxes reach into the driving width on the present way of some vehicle."""
+        seen: set[int] = set()
+        for vehicle in self.vehicles:
+            if not vehicle.running or "collision" in self.scene.config.without:
+                continue
+            s = vehicle.s[-1] if vehicle.s else vehicle.start.start_s
+            found = self.scene.recorded_on(vehicle.path, vehicle.start.box)
+            low = found.low[:, step]
+            near = np.flatnonzero((low < s + _SHOWN_M) & (low > s - 10.0))
+            seen.update(self.scene.rows_on(vehicle.path, vehicle.start.box)[near].tolist())
+        return seen
+
+    def _fleet(self) -> Traffic:
+        """The vehicles that are driven, where the simulation has them now (one step)."""
+        rows = [row for row, vehicle in enumerate(self.vehicles) if vehicle.running]
+        position, heading, velocity = np.zeros((len(rows), 1, 2)), np.zeros((len(rows), 1)), np.zeros((len(rows), 1, 2))
+        for place, row in enumerate(rows):
+            vehicle = self.vehicles[row]
+            xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))
+            position[place], heading[place, 0] = xy, np.arctan2(tangent[0, 1], tangent[0, 0])
+            velocity[place] = tangent * vehicle.v[-1]
+        return Traffic(
+            ids=tuple(self.vehicles[row].vehicle_id for row in rows), position=position, heading=heading,
+            velocity=velocity, present=np.ones((len(rows), 1), dtype=np.bool_),
+            length_m=np.array([self.vehicles[row].start.box.length_m for row in rows]),
+            width_m=np.array([self.vehicles[row].start.box.width_m for row in rows]),
+        )  # fmt: skip
+
+    def _steer(self, row: int, vehicle: DrivenVehicle, now: int, fleet: Traffic) -> list[_Attempt]:
+        """Decide at step `now`, limit the speed where SUMO is blind, and pass both on for the coming step."""
+        s, v = vehicle.s[-1], vehicle.v[-1]
+        if vehicle.path.shifts and vehicle.stage in (Stage.ENTER, Stage.RETURN) and s >= vehicle.path.shifts[-1][1]:
+            passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
+            vehicle.stage = Stage.PASS if passing else Stage.DONE
+        attempts = self._decide(row, vehicle, now, fleet)
+        desired = float(vehicle.start.desired[now])
+        limits = [(self._road_speed(row, s, v), "turn" if self._turns(vehicle, s) else "curve")]
+        if "collision" not in self.scene.config.without:
+            limits += self._guarded(row, vehicle, now, desired)
+        limit = min(limits)
+        self._limit[row] = limit if limit[0] < desired - 1e-3 else None
+        held = self._limit[row]
+        self.simulation.drive(
+            vehicle.vehicle_id, desired_mps=desired, limit_mps=None if held is None else max(0.0, held[0])
+        )
+        return attempts
+
+    def _road_speed(self, row: int, s: float, v: float) -> float:
+        road = self._road[row]
+        return float(road[min(int((s + v * DT_S) / TABLE_STEP_M), road.size - 1)])
+
+    def _turns(self, vehicle: DrivenVehicle, s: float) -> bool:
+        """Whether it is in a turn lane or slows down for one."""
+        lanes = self.scene.grid.graph.lanes
+        ahead = vehicle.path.segment_at(s + 4.0 * vehicle.v[-1])
+        here = vehicle.path.segment_at(s)
+        return lanes[here.lane_id].turn is not TurnType.STRAIGHT or lanes[ahead.lane_id].turn is not TurnType.STRAIGHT
+
+    def _obstacles_of(self, row: int) -> Obstacles:
+        known = self._obstacles[row]
+        if known is None:
+            vehicle = self.vehicles[row]
+            others = [
+                (other, one.path, one.start.box)
+                for other, one in enumerate(self.vehicles)
+                if other != row and one.running
+            ]
+            known = self._obstacles[row] = self._guard.obstacles(vehicle.path, vehicle.start.box, others)
+        return known
+
+    def _guarded(self, row: int, vehicle: DrivenVehicle, now: int, desired: float) -> list[tuple[float, str]]:
+        """Limits of the guard for the coming step: predicted conflicts (case 3, timing)."""
+        state = (float(self._state[row, S]), float(self._state[row, V]), float(self._state[row, A]))
+        found = self._guard.braking(
+            self._obstacles_of(row), own=row, step=now, fleet=self._state, state=state, desired_mps=desired,
+            road=self._road[row], driver=vehicle.start.driver,
+        )  # fmt: skip
+        if found.leader >= 0 and self._slows_for(state, found, vehicle.start):
+            vehicle.waited_for.add(self.vehicles[found.leader].vehicle_id)
+        act = 0.3 if vehicle.yielding else self.scene.config.conflict.act_mps2
+        vehicle.yielding = found.decel_mps2 >= act
+        if not vehicle.yielding:
+            return []
+        accel = max(-found.decel_mps2, min(state[2], 0.0) - 4.0 * DT_S)
+        return [(state[1] + accel * DT_S, "conflict")]
+
+    @staticmethod
+    def _slows_for(state: tuple[float, float, float], found: Braking, start: Start) -> bool:
+        near = found.leader_gap_m < 2.0 * start.driver.tau_s * state[1] + 2.0 * start.driver.min_gap_m
+        return near and state[2] < -_SLOWS_MPS2
+
+    def _decide(self, row: int, vehicle: DrivenVehicle, now: int, fleet: Traffic) -> list[_Attempt]:
+        """Algorithm 1 for one vehicle at one step: what it observes, the decision, and what is asked of SUMO."""
+        config, request = self.scene.config, vehicle.start.request
+        time_s, change = now * DT_S, config.lane_change
+        asks = vehicle.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE)
+        due = asks and time_s >= request.trigger_s and vehicle.stage in (Stage.WAITING, Stage.PASS)
+        if due and vehicle.stage is Stage.WAITING and time_s > request.trigger_s + change.give_up_s:
+            vehicle.stage, due = Stage.ABORTED, False
+        options: dict[Side, tuple[LaneOption, DrivenPath]] = {}
+        leader: Leader | None = None
+        others = fleet
+        if due:
+            others = _without(fleet, vehicle.vehicle_id)
+            options, leader = self._look_around(vehicle, now, others)
+        seen = self._observation(vehicle, now, tuple(option for option, _ in options.values()), leader, others, due=due)
+        decision = decide(seen, lane_change=change, overtake=config.overtake)
+        vehicle.policies[decision.policy] += 1
+        if not due:
+            return []
+        side = decision.side
+        if side is None:
+            vehicle.reason = decision.reason
+            for option, _ in options.values():
+                _note(vehicle, now, option, decision.reason)
+            return []
+        option, target = options[side]
+        attempt = self._attempt(row, vehicle, now, option, target, leader)
+        if isinstance(attempt, str):
+            vehicle.reason = attempt
+            _note(vehicle, now, option, attempt)
+            return []
+        return [attempt]
+
+    def _look_around(
+        self, vehicle: DrivenVehicle, now: int, others: Traffic
+    ) -> tuple[dict[Side, tuple[LaneOption, DrivenPath]], Leader | None]:
+        """Adjacent lanes, and for an overtake the leader within d_obs."""
+        start, sides = vehicle.start, vehicle.start.sides
+        if vehicle.stage is Stage.PASS:
+            sides = ("right",) if vehicle.shifts[-1].side == "left" else ("left",)
+        found = lane_options(
+            self.scene, vehicle.path, start.box, s=vehicle.s[-1], step=now, sides=sides, fixed=self.fixed, fleet=others,
+            speed_mps=vehicle.v[-1], desired_mps=start.driver.desired_mps,
+        )  # fmt: skip
+        leader = None
+        if vehicle.policy is Policy.OVERTAKE:
+            leader = leader_on(
+                vehicle.path, start.box, s=vehicle.s[-1], d_obs_m=self.scene.config.overtake.d_obs_m,
+                here=self._vehicles(now, others),
+            )  # fmt: skip
+        return {option.side: (option, target) for option, target in found}, leader
+
+    def _vehicles(self, now: int, others: Traffic) -> Traffic:
+        """Vehicles that can be overtaken, as they are now (one step)."""
+        recorded = self.scene.traffic.rows(self.scene.vehicle_rows.tolist()).at(now)
+        return recorded.joined(self.fixed.at(now), others) if self.fixed.ids else recorded.joined(others)
+
+    def _observation(
+        self, vehicle: DrivenVehicle, now: int, options: tuple[LaneOption, ...], leader: Leader | None,
+        others: Traffic, *, due: bool,
+    ) -> Observation:  # fmt: skip
+        cell = self.scene.cell_at(vehicle.path, vehicle.s[-1])
+        passed = -1.0
+        if due and vehicle.stage is Stage.PASS and vehicle.leader_id is not None:
+            passed = gap_ahead_of(
+                vehicle.path, vehicle.start.box, s=vehicle.s[-1], lane=vehicle.start.path,
+                passed_id=vehicle.leader_id, here=self._vehicles(now, others),
+            )  # fmt: skip
+        return Observation(
+            time_s=now * DT_S,
+            cell=cell,
+            next_cell=self.scene.grid.longitudinal(cell),
+            lane_turn=self.scene.grid.graph.lanes[cell.lane_id].turn,
+            speed_mps=vehicle.v[-1],
+            desired_mps=vehicle.start.driver.desired_mps,
+            request=vehicle.policy,
+            trigger_s=vehicle.start.request.trigger_s,
+            stage=vehicle.stage,
+            leader=leader,
+            options=options,
+            passed_gap_m=passed,
+        )
+
+    def _attempt(
+        self, row: int, vehicle: DrivenVehicle, now: int, option: LaneOption, target: DrivenPath, leader: Leader | None
+    ) -> _Attempt | str:
+        """Lay the path across, look along it (conflict case 3), and ask SUMO; or the reason not to."""
+        scene, start, s, v = self.scene, vehicle.start, vehicle.s[-1], vehicle.v[-1]
+        wanted = start.driver.lane_change_s * (0.7 if vehicle.policy is Policy.OVERTAKE else 1.0)
+        path = lay_across(
+            scene, vehicle.path, target, s=s, step=now, pace_mps=0.5 * (v + max(v, start.driver.desired_mps)),
+            remaining_m=option.remaining_m, lasting_s=wanted,
+        )  # fmt: skip
+        if isinstance(path, str):
+            return path
+        if vehicle.stage is Stage.PASS and not returns_to(start.path, path):
+            return Reason.LANES_PART
+        if s + 0.9 * v * (scene.num_steps - 1 - now) * DT_S < path.shifts[-1][1]:
+            return Reason.SCENE_ENDS
+        if "collision" not in scene.config.without and self._meets_on(row, vehicle, now, path):
+            return Reason.CONFLICT_PREDICTED
+        cell = scene.grid.cell_of_sumo_lane.get(self.simulation.lane(vehicle.vehicle_id)[0])
+        if cell is None:
+            return Reason.OFF_ITS_LANE
+        link = scene.grid.lateral(cell, option.side)
+        if link is None:
+            return Reason.NO_ADJACENT_LANE
+        edges = edges_along(scene, target, link.target)
+        if edges is None:
+            return Reason.TARGET_NOT_BESIDE_FRONT
+        self.simulation.change_lane(vehicle.vehicle_id, scene.grid.lane_index(link.target), edges=edges)
+        shift = Shift(
+            side=option.side, source_lane=vehicle.path.segment_at(s).lane_id, target_lane=option.target.lane_id,
+            requested_step=now, gap_front_m=option.front.distance_m, gap_rear_m=option.rear.distance_m,
+        )  # fmt: skip
+        stage = Stage.RETURN if vehicle.stage is Stage.PASS else Stage.ENTER
+        if leader is not None and stage is Stage.ENTER:
+            vehicle.leader_id = leader.track_id
+        look = _note(vehicle, now, option, None)
+        return _Attempt(vehicle, look, path, target, scene.grid.sumo_lane_id(link.target), shift, stage)
+
+    def _meets_on(self, row: int, vehicle: DrivenVehicle, now: int, path: DrivenPath) -> bool:
+        """Whether a path across has a predicted conflict that ordinary braking does not solve."""
+        others = [
+            (other, one.path, one.start.box) for other, one in enumerate(self.vehicles) if other != row and one.running
+        ]
+        found = self._guard.braking(
+            self._guard.obstacles(path, vehicle.start.box, others), own=row, step=now, fleet=self._state,
+            state=(vehicle.s[-1], vehicle.v[-1], 0.0), desired_mps=float(vehicle.start.desired[now]),
+            road=self.roads.speeds(path, vehicle.start.driver), driver=vehicle.start.driver,
+        )  # fmt: skip
+        return found.conflict_s is not None or found.run_into or found.decel_mps2 > vehicle.start.driver.decel_mps2
+
+    def _conclude(self, attempt: _Attempt, step: int) -> None:
+        """Take the new path if SUMO did change lanes; else its refusal is the answer, and the route is restored."""
+        vehicle = attempt.vehicle
+        if not vehicle.running:
+            return
+        lane, _ = self.simulation.lane(vehicle.vehicle_id)
+        cell = self.scene.grid.cell_of_sumo_lane.get(lane)
+        beside = {segment.lane_id for segment in attempt.target.segments}
+        own = {segment.lane_id for segment in vehicle.path.segments if segment.end > vehicle.s[-1]}
+        changed = lane == attempt.lane or (cell is not None and cell.lane_id in beside - own)
+        look = vehicle.gaps[attempt.look]
+        vehicle.gaps[attempt.look] = replace(look, sumo=changed)
+        if not changed:
+            vehicle.reason = Reason.SUMO_REFUSES
+            edges = edges_along(self.scene, vehicle.path, cell) if cell is not None else None
+            if edges:
+                self.simulation.set_route(vehicle.vehicle_id, edges)
+            return
+        row = self.vehicles.index(vehicle)
+        vehicle.path = attempt.path
+        vehicle.shifts.append(attempt.shift)
+        vehicle.stage = attempt.stage
+        vehicle.reason = None
+        self._road[row] = self.roads.speeds(attempt.path, vehicle.start.driver)
+        self._obstacles = [None] * len(self.vehicles)  # everybody sees the new intention
+
+
+def _note(vehicle: DrivenVehicle, step: int, option: LaneOption, rule: str | None) -> int:
+    """Record one look at a gap; returns its row."""
+    vehicle.gaps.append(
+        GapLook(
+            step=step, side=option.side, front_m=option.front.distance_m, front_mps=option.front.speed_mps,
+            rear_m=option.rear.distance_m, rear_mps=option.rear.speed_mps, own_mps=vehicle.v[-1],
+            remaining_m=option.remaining_m, rule=rule, sumo=None,
+        )  # fmt: skip
+    )
+    return len(vehicle.gaps) - 1
+
+
+def _without(fleet: Traffic, vehicle_id: str) -> Traffic:
+    return fleet.rows([row for row, one in enumerate(fleet.ids) if one != vehicle_id])
+
+
+def edges_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[str, ...] | None:
+    """SUMO edges from a cell on along the lanes of a path; None where the path does not use the cell's lane."""
+    lanes = [segment.lane_id for segment in path.segments]
+    if cell.lane_id not in lanes:
+        return None
+    grid = scene.grid
+    edges: list[str] = []
+    first = cell.index
+    last = len(lanes) - 1 - lanes[::-1].index(cell.lane_id)  # an overtake comes back to the lane it left
+    for lane_id in lanes[last:]:
+        for index in range(first, grid.count(lane_id)):
+            edge = grid.edge_id(Cell(lane_id, index))
+            if not edges or edges[-1] != edge:
+                edges.append(edge)
+        first = 0
+    return tuple(edges)
+
+
+def insert(simulation: Simulation, scene: Scene, start: Start) -> str | None:
+    """Insert a vehicle at its cell, position and speed, with its driver. Returns SUMO's objection, None if accepted."""
+    front = front_arc_m(start.start_s, start.size.length_m)
+    segment = start.path.segment_at(front)
+    lane_s = segment.lane_s(front)
+    cell = scene.grid.cell_at(segment.lane_id, lane_s)
+    edges = edges_along(scene, start.path, cell)
+    if edges is None:
+        return Reason.NO_ROUTE
+    begin = float(scene.grid.edges_s(cell.lane_id)[cell.index])
+    driver = start.driver
+    objection = simulation.insert(
+        start.vehicle_id, edges=edges, lane_id=scene.grid.sumo_lane_id(cell), front_m=max(0.0, lane_s - begin),
+        speed_mps=start.start_mps, length_m=start.size.length_m, width_m=start.size.width_m,
+        accel_mps2=driver.accel_mps2, decel_mps2=driver.decel_mps2, tau_s=driver.tau_s, min_gap_m=driver.min_gap_m,
+        max_speed_mps=float(max(start.desired[0], start.start_mps)),
+    )  # fmt: skip
+    if objection is None and "collision" in scene.config.without:
+        simulation.disregard_others(start.vehicle_id)
+    return None if objection is None else Reason.SUMO_REFUSES_INSERTION
+

@@ -1,0 +1,143 @@
+"""Conflict resolution, live (paper, Trajectory Generation): the three cases.
+
+1. A transition into a cell with sigma = 1 is rejected, now and at the predicted time (`transition_rejected`).
+2. Generated against generated: executing before pending, then closer before farther (metres to the cell that both
+   want), then the lower id; in the compiled loop.
+3. Future conflicts: predicted boxes over the horizon, recorded agents by their true future, generated ones by their
+   state and intention at this step (`Guard.braking`): adjust timing, else reroute at the next split, else abort.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hid2.agents import BoxSize, FloatArray, IntArray
+from hid2.drivers.driver import Driver
+from hid2.kernels.guard import needed_braking
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.motion.route import DrivenPath
+from hid2.occupancy.along_path import PathOccupancy, look_along, path_occupancy
+from hid2.occupancy.sigma import ORIGINAL
+from hid2.occupancy.traffic import Traffic
+from hid2.scene import DT_S, Scene
+
+#: Decelerations that are tried, m/s2, up to `conflict.brake_max_mps2`.
+_BRAKES = np.array([0.0, 0.5, 0.8, 1.1, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0])
+_STRIDE = 2  # steps between two looks at the predicted motion
+_BRAKING_JERK_MPS3 = 4.0
+#: Columns of the fleet's state.
+S, V, A, EXECUTING, PRESENT = range(5)
+
+
+def transition_rejected(sigma: int) -> bool:
+    """Case 1: the target cell is held by an original agent."""
+    return sigma == ORIGINAL
+
+
+@dataclass(frozen=True, slots=True)
+class Braking:
+    """What a vehicle has to do about predicted conflicts.
+
+    decel_mps2: least constant braking without a conflict, 0 for none; conflict_s: seconds to a conflict that remains
+    even so, None where none does; free_conflict_s: to the one without braking; leader: fleet row of the generated
+    leader within leader_gap_m; run_into: a recorded vehicle comes up from behind.
+    """
+
+    decel_mps2: float
+    conflict_s: float | None
+    free_conflict_s: float | None
+    leader: int
+    leader_gap_m: float
+    run_into: bool
+
+
+@dataclass(eq=False, slots=True)
+class Obstacles:
+    """Everybody on one path: known (A, T + E) for those whose future is known, swept (G, K) for the fleet's others."""
+
+    known: PathOccupancy
+    swept: tuple[FloatArray, FloatArray, FloatArray]
+    rows: IntArray
+
+
+@dataclass(eq=False, slots=True)
+class Guard:
+    """Conflict case 3 of all vehicles that are driven together. fixed: generated vehicles kept in rounds before."""
+
+    scene: Scene
+    fixed: Traffic
+    _swept: dict[tuple[DrivenPath, BoxSize, DrivenPath, BoxSize], tuple[FloatArray, FloatArray, FloatArray] | None] = (
+        field(default_factory=dict)
+    )
+
+    def obstacles(self, path: DrivenPath, box: BoxSize, others: list[tuple[int, DrivenPath, BoxSize]]) -> Obstacles:
+        """Everybody on a path for a box; others: fleet rows with the paths and boxes of those driven together."""
+        margin = self.scene.config.conflict.margin_lateral_m
+        known = self.scene.kept_clear_on(path, box)
+        if self.fixed.ids:
+            known = known.joined(
+                path_occupancy(
+                    path.line, self.fixed, length_m=box.length_m, width_m=box.width_m, margin_lateral_m=margin,
+                    clear_steps=self.scene.pet_steps, clear_margin_m=self.scene.pet_margin_m,
+                )
+            )  # fmt: skip
+        found = [(row, swept) for row, *other in others if (swept := self._swept_on(path, box, *other)) is not None]
+        longest = max((swept[0].size for _, swept in found), default=1)
+        low, high = np.full((len(found), longest), np.inf), np.full((len(found), longest), -np.inf)
+        cosine = np.zeros((len(found), longest))
+        for place, (_, swept) in enumerate(found):
+            count = swept[0].size
+            low[place, :count], high[place, :count], cosine[place, :count] = swept
+        rows = np.array([row for row, _ in found], dtype=np.int64)
+        return Obstacles(known=known, swept=(low, high, cosine), rows=rows)
+
+    def _swept_on(
+        self, path: DrivenPath, box: BoxSize, other: DrivenPath, other_box: BoxSize
+    ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """Interval on a path, and cosine between the two, for each place of another vehicle along its own path."""
+        key = path, box, other, other_box
+        if key not in self._swept:
+            every = slice(None, None, round(1.0 / TABLE_STEP_M))
+            xy, heading = other.line.table_xy[every], other.line.table_heading[every]
+            forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+            alone = Traffic(
+                ids=("other",), position=xy[None], heading=heading[None], velocity=forward[None],
+                present=np.ones((1, heading.size), dtype=np.bool_), length_m=np.array([other_box.length_m]),
+                width_m=np.array([other_box.width_m]),
+            )  # fmt: skip
+            width = box.width_m + 2 * self.scene.config.conflict.margin_lateral_m
+            rows, found = look_along(path.line, alone, box.length_m, width)
+            self._swept[key] = (found.low[0], found.high[0], found.along[0]) if rows.size else None
+        return self._swept[key]
+
+    def braking(
+        self, obstacles: Obstacles, *, own: int, step: int, fleet: FloatArray, state: tuple[float, float, float],
+        desired_mps: float, road: FloatArray, driver: Driver,
+    ) -> Braking:  # fmt: skip
+        """Least braking from a state (s m, v m/s, a m/s2) at a step that meets nobody within the horizon."""
+        conflict, known = self.scene.config.conflict, obstacles.known
+        s, v, a = state
+        brakes = _BRAKES[_BRAKES <= conflict.brake_max_mps2]
+        row, hit, free, leader, gap, run_into = needed_braking(
+            (known.low, known.high, known.along, known.aligned), obstacles.swept, obstacles.rows, fleet, own, step,
+            s, v, a, desired_mps, road, TABLE_STEP_M, 1.0, round(conflict.horizon_s / DT_S), _STRIDE, DT_S,
+            (driver.tau_s, driver.accel_mps2, driver.decel_mps2, driver.min_gap_m), brakes, _BRAKING_JERK_MPS3,
+            0.5 * conflict.margin_front_m,
+        )  # fmt: skip
+        return Braking(
+            decel_mps2=float(brakes[row]),
+            conflict_s=None if hit < 0 else hit * DT_S,
+            free_conflict_s=None if free < 0 else free * DT_S,
+            leader=int(leader),
+            leader_gap_m=float(gap),
+            run_into=bool(run_into),
+        )
+
+
+def braking_towards(stop_m: float, speed_mps: float, driver: Driver) -> float:
+    """Acceleration of a driver who comes to stand stop_m ahead, m/s2 (IDM towards a standing obstacle)."""
+    star = speed_mps * driver.tau_s * 0.5 + speed_mps * speed_mps / (
+        2.0 * math.sqrt(driver.accel_mps2 * driver.decel_mps2)
+    )
+    return driver.accel_mps2 * (1.0 - (star / max(stop_m, 0.1)) ** 2)

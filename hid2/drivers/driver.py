@@ -1,0 +1,115 @@
+"""A driver: the parameters of one inserted vehicle, drawn from the distributions of `params.Drivers`."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hid2.agents import FloatArray
+from hid2.params import Config
+
+#: Draws are cut off so many standard deviations from the mean.
+_TRUNCATED_AT = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Driver:
+    """Who sits at the wheel.
+
+    desired_mps m/s; tau_s s, time gap; accel_mps2, decel_mps2 m/s2, comfortable; min_gap_m m to a standing leader;
+    turn_lateral_mps2 m/s2, what the driver takes in turns; offset_m m, mean place in the lane, left positive;
+    lane_change_s s, duration of a lane change.
+    """
+
+    desired_mps: float
+    tau_s: float
+    accel_mps2: float
+    decel_mps2: float
+    min_gap_m: float
+    turn_lateral_mps2: float
+    offset_m: float
+    lane_change_s: float
+
+
+def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: float) -> Driver:
+    """A driver on a lane whose traffic drives at lane_speed_mps, m/s."""
+    law, spawn, change = config.drivers, config.spawn, config.lane_change
+
+    def normal(mean: float, sd: float) -> float:
+        return mean + sd * float(np.clip(rng.standard_normal(), -_TRUNCATED_AT, _TRUNCATED_AT))
+
+    desired = lane_speed_mps * normal(1.0, law.desired_sd)
+    return Driver(
+        desired_mps=float(np.clip(desired, spawn.min_speed_mps, spawn.max_speed_mps)),
+        tau_s=max(0.6, normal(law.tau_mean_s, law.tau_sd_s)),
+        accel_mps2=float(np.clip(normal(law.accel_mean_mps2, law.accel_sd_mps2), 0.6, config.limits.accel_max_mps2)),
+        decel_mps2=float(np.clip(normal(law.decel_mean_mps2, law.decel_sd_mps2), 0.8, -config.limits.accel_min_mps2)),
+        min_gap_m=max(1.0, normal(law.min_gap_mean_m, law.min_gap_sd_m)),
+        turn_lateral_mps2=float(rng.uniform(law.turn_lateral_min_mps2, law.turn_lateral_max_mps2)),
+        offset_m=normal(0.0, law.offset_sd_m),
+        lane_change_s=float(
+            np.clip(
+                normal(law.lane_change_mean_s, law.lane_change_sd_s), change.min_duration_s, change.max_duration_s
+            )
+        ),
+    )
+
+
+def desired_speeds(
+    driver: Driver, config: Config, rng: np.random.Generator, *, num_steps: int, step_s: float
+) -> FloatArray:
+    """(T,) m/s desired speed at every step: the driver's own, with an Ornstein-Uhlenbeck wandering around it."""
+    law = config.drivers
+    kept = float(np.exp(-step_s / law.wander_time_s))
+    kick = law.wander_sd_mps * np.sqrt(1.0 - kept * kept) * rng.standard_normal(num_steps)
+    wander = np.empty(num_steps)
+    wander[0] = law.wander_sd_mps * rng.standard_normal()
+    for step in range(1, num_steps):
+        wander[step] = kept * wander[step - 1] + kick[step]
+    return np.maximum(driver.desired_mps + wander, 0.5 * driver.desired_mps)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LaneOffset:
+    """d(s), the place in the lane along a path: cubic between knots (K,) m with values and slopes (K,).
+
+    It is a function of the way driven, so that a vehicle that stands does not slide aside.
+    """
+
+    knots_m: FloatArray
+    offset_m: FloatArray
+    slope: FloatArray
+
+    def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """d m, d' and d'' 1/m at arc lengths s (T,) m; straight on beyond the knots."""
+        inside = np.clip(s, self.knots_m[0], self.knots_m[-1])
+        row = np.clip(np.searchsorted(self.knots_m, inside, side="right") - 1, 0, self.knots_m.size - 2)
+        width = self.knots_m[row + 1] - self.knots_m[row]
+        u = (inside - self.knots_m[row]) / width
+        y0, y1 = self.offset_m[row], self.offset_m[row + 1]
+        m0, m1 = self.slope[row] * width, self.slope[row + 1] * width
+        rise = 3.0 * (y1 - y0) - 2.0 * m0 - m1
+        fall = 2.0 * (y0 - y1) + m0 + m1
+        return (
+            np.asarray(y0 + u * (m0 + u * (rise + u * fall))),
+            np.asarray((m0 + u * (2.0 * rise + 3.0 * u * fall)) / width),
+            np.asarray((2.0 * rise + 6.0 * u * fall) / (width * width)),
+        )
+
+    def scaled(self, share: float) -> "LaneOffset":
+        """The same with a share of the offset."""
+        return LaneOffset(self.knots_m, share * self.offset_m, share * self.slope)
+
+
+def lane_offset(driver: Driver, config: Config, rng: np.random.Generator, *, length_m: float) -> LaneOffset:
+    """The driver's place along a path of length_m: its mean with a wandering about it."""
+    law = config.drivers
+    spacing = max(12.0, driver.desired_mps * law.lateral_wander_time_s)
+    count = max(4, int(length_m / spacing) + 3)
+    knots = spacing * (np.arange(count) - rng.uniform())
+    kept = float(np.exp(-1.0))
+    value = np.empty(count)
+    value[0] = rng.standard_normal()
+    for row in range(1, count):
+        value[row] = kept * value[row - 1] + np.sqrt(1.0 - kept * kept) * rng.standard_normal()
+    offset = driver.offset_m + law.lateral_wander_sd_m * np.clip(value, -_TRUNCATED_AT, _TRUNCATED_AT)
+    return LaneOffset(knots, offset, np.gradient(offset, knots))

@@ -1,0 +1,261 @@
+"""Rounds of inserting vehicles until the count is reached: site, driver, drive, smooth, verify, keep or try another."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hid2.agents import Policy
+from hid2.conflicts.guard import Guard
+from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
+from hid2.insertion.outcome import Outcome, outcome_of
+from hid2.insertion.requests import draw_requests
+from hid2.insertion.routes import Routes
+from hid2.insertion.sites import InsertionSites
+from hid2.occupancy.traffic import Traffic
+from hid2.policy.roads import Roads
+from hid2.reasons import Reason
+from hid2.scene import DT_S, Scene
+from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
+
+#: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
+Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
+_MOST_AGENTS = 400
+_AGAIN_MOST = 1  # times that a vehicle is driven again because it had waited for one that is gone
+_NO_MAP: dict[Policy, Reason] = {
+    Policy.STRAIGHT: Reason.MAP_OFFERS_NO_LANE,
+    Policy.LEFT_TURN: Reason.MAP_OFFERS_NO_LEFT_TURN,
+    Policy.RIGHT_TURN: Reason.MAP_OFFERS_NO_RIGHT_TURN,
+    Policy.LANE_CHANGE: Reason.MAP_OFFERS_NO_LANE_CHANGE,
+    Policy.OVERTAKE: Reason.MAP_OFFERS_NO_OVERTAKE,
+}
+#: What needs the most room chooses its site first.
+_ORDER = (Policy.OVERTAKE, Policy.LEFT_TURN, Policy.RIGHT_TURN, Policy.LANE_CHANGE, Policy.STRAIGHT)
+
+
+@dataclass(frozen=True, slots=True)
+class Unmet:
+    """A manoeuvre that was asked for and that no vehicle performs, with the last reason."""
+
+    request: VehicleRequest
+    reason: Reason
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """A vehicle that was tried and not exported: why, in which round, where it started, its last step."""
+
+    reason: Reason
+    vehicle_id: str
+    policy: Policy
+    round_number: int
+    lane_id: int
+    cell: int
+    last_step: int
+    detail: str | None = None
+
+
+@dataclass(slots=True)
+class Filling:
+    """One scene being filled. kept: exported vehicles; outcomes: of those that were to do a manoeuvre, by id."""
+
+    scene: Scene
+    seed: Sequence[int]
+    roads: Roads = field(init=False)
+    routes: Routes = field(init=False)
+    kept: list[ExportedVehicle] = field(default_factory=list)
+    outcomes: dict[str, Outcome] = field(default_factory=dict)
+    unmet: list[Unmet] = field(default_factory=list)
+    rejected: list[Rejection] = field(default_factory=list)
+    no_site: Counter[Reason] = field(default_factory=Counter)
+    rounds: int = 0
+    _open: list[VehicleRequest] = field(default_factory=list)
+    _again: list[Start] = field(default_factory=list)
+    _driven_again: Counter[str] = field(default_factory=Counter)
+    _last_reason: dict[int, Reason] = field(default_factory=dict)
+    _next_spare: int = 0
+
+    def __post_init__(self) -> None:
+        """What is found out about the map is kept over the rounds."""
+        self.roads, self.routes = Roads(self.scene), Routes(self.scene)
+
+    def fill(self, drive: Drive) -> None:
+        """All rounds. The count is a wish: a full road ends with fewer, and says so."""
+        config = self.scene.config
+        asked = config.request.agents
+        target = _MOST_AGENTS if asked == "max" else asked
+        self._open = self._possible(draw_requests(config, np.random.default_rng([*self.seed, 0]), count=target))
+        self._next_spare = target
+        for number in range(config.spawn.rounds):
+            missing = target - len(self.kept)
+            if missing <= 0 and not self._open and number > 0:
+                break
+            before = len(self.kept)
+            starts = self._starts(number, missing, spare=asked != "max")
+            if not starts and number > 0:
+                break
+            self.rounds = number + 1
+            self._keep(drive(starts, self._fixed(), number), number, target)
+            if asked == "max" and number > 0 and len(self.kept) - before <= 1:
+                break
+        for request in self._open:
+            if request.policy is not Policy.STRAIGHT:
+                self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
+
+    def _fixed(self) -> Traffic:
+        return traffic_of_exported(self.kept, self.scene)
+
+    def _possible(self, requests: list[VehicleRequest]) -> list[VehicleRequest]:
+        """Requests that the map and the scene's length allow; the others are noted, and a vehicle goes straight."""
+        last_s = (self.scene.num_steps - 1) * DT_S
+        found = []
+        for request in requests:
+            reason: Reason | None = None
+            if not self.routes.map_offers(request.policy):
+                reason = _NO_MAP[request.policy]
+            elif request.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE) and request.trigger_s > last_s:
+                reason = Reason.TRIGGER_AFTER_SCENE
+            if reason is not None and request.policy is not Policy.STRAIGHT:
+                self.unmet.append(Unmet(request, reason))
+                request = replace(request, policy=Policy.STRAIGHT)
+            found.append(request)
+        return found
+
+    def _starts(self, number: int, missing: int, *, spare: bool) -> list[Start]:
+        """Starts of a round: those driven again, then requests, then some spare ones that go straight."""
+        config = self.scene.config
+        rng = np.random.default_rng([*self.seed, 1 + number])
+        guard = Guard(self.scene, self._fixed())
+        sites = InsertionSites(self.scene, self.roads, self.routes, guard, rng, number)
+        sites.taken += self._again
+        starts, self._again = list(self._again), []
+        if number >= config.spawn.reseed_rounds:  # the count matters more by now
+            self._give_up_manoeuvres()
+        waiting = sorted(self._open, key=lambda request: (_ORDER.index(request.policy), request.number))
+        used: set[int] = {start.request.number for start in starts}
+        full = False
+        for request in waiting:
+            if request.number in used or (full and request.policy is Policy.STRAIGHT):
+                continue
+            slow = next(
+                (r for r in waiting if r.policy is Policy.STRAIGHT and r.number not in used), None
+            ) if request.policy is Policy.OVERTAKE else None  # fmt: skip
+            found = sites.propose(request, slow)
+            used.update(start.request.number for start in found)
+            starts += found
+            if not found:
+                full = request.policy is Policy.STRAIGHT
+                self._last_reason[request.number] = Reason.NO_SITE
+        if spare and starts and not full:
+            extra = math.ceil(config.spawn.spare_share * len(starts))
+            for _ in range(min(extra, max(0, missing))):
+                request = VehicleRequest(self._next_spare, Policy.STRAIGHT, 0.0)
+                self._next_spare += 1
+                starts += sites.propose(request)
+        self.no_site.update(sites.rejected)
+        return starts
+
+    def _give_up_manoeuvres(self) -> None:
+        """Requests that no round met become vehicles that go straight."""
+        still = []
+        for request in self._open:
+            if request.policy is not Policy.STRAIGHT:
+                self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
+                request = replace(request, policy=Policy.STRAIGHT)
+            still.append(request)
+        self._open = still
+
+    def _keep(self, vehicles: list[DrivenVehicle], number: int, target: int) -> None:
+        """Keep what holds; what does not goes with its reason, and its request stays open."""
+        reseeds = number < self.scene.config.spawn.reseed_rounds
+        new: list[ExportedVehicle] = []
+        gone: dict[str, tuple[DrivenVehicle, Reason, str | None]] = {}
+        others = self._fixed()
+        for vehicle in vehicles:
+            found = finalise(self.scene, vehicle, others)
+            if isinstance(found, ExportedVehicle):
+                new.append(found)
+                others = others.joined(traffic_of_exported([found], self.scene))
+            else:
+                gone[vehicle.vehicle_id] = vehicle, found, None
+        for row, reason in conflicting(self.scene, [*self.kept, *new]):
+            if row >= len(self.kept):
+                driven = new[row - len(self.kept)].driven
+                gone[driven.vehicle_id] = driven, reason, None
+        new = [one for one in new if one.driven.vehicle_id not in gone]
+        everybody = self.scene.traffic.joined(
+            *(t for t in (traffic_of_exported([*self.kept, *new], self.scene).first(self.scene.num_steps),) if t.ids)
+        )
+        for one in new:
+            outcome = outcome_of(self.scene, one, everybody)
+            if outcome is not None:
+                self.outcomes[one.driven.vehicle_id] = outcome
+                if not outcome.done and reseeds:
+                    said = outcome.reason or Reason.SCENE_ENDED
+                    gone[one.driven.vehicle_id] = one.driven, Reason.DID_NOT_DO_IT, said
+                    self._last_reason[one.driven.start.request.number] = said
+        self._drop_surplus(new, gone, target)
+        self._drive_again(new, gone)
+        for vehicle, reason, detail in gone.values():
+            self._note(vehicle, reason, detail, number)
+        kept_now = [one for one in new if one.driven.vehicle_id not in gone]
+        self.kept += kept_now
+        self._close(kept_now)
+
+    def _drop_surplus(
+        self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]], target: int
+    ) -> None:
+        """Spare vehicles beyond the count go, unless somebody waited for them."""
+        waited_for = set().union(*(one.driven.waited_for for one in new)) if new else set()
+        holding = [one for one in new if one.driven.vehicle_id not in gone]
+        surplus = len(self.kept) + len(holding) - target
+        for one in sorted(holding, key=lambda one: one.driven.start.request.number, reverse=True):
+            if surplus <= 0:
+                return
+            driven = one.driven
+            if driven.policy is Policy.STRAIGHT and driven.vehicle_id not in waited_for:
+                gone[driven.vehicle_id] = driven, Reason.SPARE, None
+                surplus -= 1
+
+    def _drive_again(
+        self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]
+    ) -> None:
+        """Who had braked for a vehicle that is gone is driven again without it, or goes too."""
+        changed = True
+        while changed:
+            changed = False
+            for one in new:
+                driven = one.driven
+                if driven.vehicle_id in gone or not driven.waited_for & gone.keys():
+                    continue
+                gone[driven.vehicle_id] = driven, Reason.WAITED_FOR_GONE, None
+                changed = True
+                if self._driven_again[driven.vehicle_id] < _AGAIN_MOST:
+                    self._driven_again[driven.vehicle_id] += 1
+                    self._again.append(driven.start)
+
+    def _note(self, vehicle: DrivenVehicle, reason: Reason, detail: str | None, number: int) -> None:
+        start = vehicle.start
+        cell = self.scene.cell_at(start.path, start.start_s)
+        self.rejected.append(
+            Rejection(
+                reason, vehicle.vehicle_id, start.request.policy, number, cell.lane_id, cell.index,
+                max(0, len(vehicle.s) - 1), detail,
+            )  # fmt: skip
+        )
+        if reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT):
+            self._last_reason[start.request.number] = reason
+
+    def _close(self, kept: list[ExportedVehicle]) -> None:
+        """Take requests that are met off the list; a spare vehicle meets the last open one that goes straight."""
+        met = {one.driven.start.request.number for one in kept}
+        spare = sum(number not in {request.number for request in self._open} for number in met)
+        self._open = [request for request in self._open if request.number not in met]
+        while spare > 0:
+            straight = [request for request in self._open if request.policy is Policy.STRAIGHT]
+            if not straight:
+                return
+            self._open.remove(straight[-1])
+            spare -= 1

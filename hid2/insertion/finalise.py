@@ -1,0 +1,219 @@
+"""From driven to exported: smooth, and the last word on what is exported at all."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hid2.agents import FloatArray, Track
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.motion.smoothing import Motion, Trajectory, smooth_motion, trajectory
+from hid2.motion.verify import first_overlap, limit_exceeded, off_road_steps
+from hid2.occupancy.along_path import path_occupancy
+from hid2.occupancy.traffic import Traffic
+from hid2.reasons import Reason, limit_reason
+from hid2.scene import DT_S, Scene
+from hid2.vehicle import DrivenVehicle
+
+_BOX_MARGIN_M = 0.05
+#: Widths of the filter that are tried in turn, over `smoothing.filter_s`; shares of the driver's place in the lane.
+_FILTERS = (1.0, 1.6, 2.5)
+_OFFSETS = (1.0, 0.5, 0.0)
+_STANDING_MPS, _EDGE_M = 0.5, 5.0
+_MOVES_M = 2.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ExportedVehicle:
+    """A vehicle as it is exported: steps 0 .. T_i - 1. simulated_off_m (T_i,): exported s(t) minus the simulated one."""
+
+    driven: DrivenVehicle
+    motion: Motion
+    trajectory: Trajectory
+    simulated_off_m: FloatArray
+    min_ttc_s: float
+
+    @property
+    def num_steps(self) -> int:
+        """T_i."""
+        return int(self.motion.s.size)
+
+    def track(self, track_id: str, category: int) -> Track:
+        """As it is written."""
+        start, path = self.driven.start, self.trajectory
+        return Track(
+            track_id, start.object_type, category, np.arange(self.num_steps, dtype=np.int64), path.position,
+            path.heading, path.velocity, start.size,
+        )  # fmt: skip
+
+
+def traffic_of_exported(vehicles: Sequence[ExportedVehicle], scene: Scene) -> Traffic:
+    """Clearance boxes of exported vehicles, and beyond the scene's last step at constant velocity, (A, T + E)."""
+    count, steps = len(vehicles), scene.num_steps
+    position, heading = np.zeros((count, steps, 2)), np.zeros((count, steps))
+    velocity, present = np.zeros((count, steps, 2)), np.zeros((count, steps), dtype=np.bool_)
+    for row, vehicle in enumerate(vehicles):
+        span = slice(0, vehicle.num_steps)
+        position[row, span], heading[row, span] = vehicle.trajectory.position, vehicle.trajectory.heading
+        velocity[row, span], present[row, span] = vehicle.trajectory.velocity, True
+    inside = Traffic(
+        ids=tuple(vehicle.driven.vehicle_id for vehicle in vehicles), position=position, heading=heading,
+        velocity=velocity, present=present,
+        length_m=np.array([vehicle.driven.start.box.length_m for vehicle in vehicles]),
+        width_m=np.array([vehicle.driven.start.box.width_m for vehicle in vehicles]),
+    )  # fmt: skip
+    return inside.extended(scene.future.num_steps - steps, step_s=DT_S)
+
+
+def finalise(scene: Scene, vehicle: DrivenVehicle, others: Traffic) -> ExportedVehicle | Reason:
+    """Smooth a driven vehicle and check it against everything recorded and `others`; or why it is not exported."""
+    if vehicle.objection is not None:
+        return Reason(vehicle.objection)
+    start, config = vehicle.start, scene.config
+    s, v = np.array(vehicle.s), np.array(vehicle.v)
+    if "topology" in config.without and s.size < scene.num_steps:  # off the grid it goes on as it was
+        missing = scene.num_steps - s.size
+        s = np.concatenate([s, s[-1] + v[-1] * DT_S * np.arange(1, missing + 1)])
+        v = np.concatenate([v, np.full(missing, v[-1])])
+    end = vehicle.path.exit_s - start.size.length_m / 2
+    steps = int((s <= end).sum())
+    if steps < scene.first_exit_step:
+        return Reason.LEAVES_TOO_EARLY
+    if s[steps - 1] - s[0] < _MOVES_M and "collision" not in config.without:
+        return Reason.STANDS_THROUGHOUT
+    if "smoothing" in config.without:
+        return _grid_path(scene, vehicle, s[:steps], v[:steps], others)
+    verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK
+    for filtered in _FILTERS:
+        motion = smooth_motion(s[:steps], v[:steps], filter_s=filtered * config.smoothing.filter_s, step_s=DT_S)
+        for share in _OFFSETS:
+            path = trajectory(vehicle.path.line, motion, start.offset.scaled(share))
+            verdict = _checked(scene, vehicle, motion, path, motion.s - s[:steps], others)
+            if isinstance(verdict, ExportedVehicle) or verdict not in _LATERAL:
+                break
+        if isinstance(verdict, ExportedVehicle) or verdict not in _STEEP:
+            break
+    return verdict
+
+
+#: Verdicts that another place in the lane, or a wider filter, may change.
+_LATERAL = frozenset({
+    Reason.OFF_ROAD, Reason.MEETS_RECORDED, Reason.MEETS_GENERATED, Reason.LIMIT_JERK, Reason.LIMIT_YAW_ACCEL,
+    Reason.LIMIT_YAW_RATE,
+})  # fmt: skip
+_STEEP = frozenset({
+    Reason.LIMIT_ACCEL, Reason.LIMIT_DECEL, Reason.LIMIT_LONGITUDINAL_JERK, Reason.LIMIT_JERK, Reason.LIMIT_YAW_ACCEL,
+})  # fmt: skip
+
+
+def _checked(
+    scene: Scene, vehicle: DrivenVehicle, motion: Motion, path: Trajectory, off_m: FloatArray, others: Traffic
+) -> ExportedVehicle | Reason:
+    """Limits of motion, drivable area, boxes, the end of the scene; cheap ones first."""
+    config, size = scene.config, vehicle.start.size
+    if np.any((motion.v < _STANDING_MPS) & (motion.s > vehicle.path.exit_s - size.length_m / 2 - _EDGE_M)):
+        return Reason.STOPS_AT_MAP_EDGE
+    cells = slice(int(motion.s[0] / TABLE_STEP_M), int(motion.s[-1] / TABLE_STEP_M) + 2)
+    if np.abs(vehicle.path.line.table_curvature[cells]).max() > 0.98 / config.limits.min_radius_m:
+        return Reason.LIMIT_CURVATURE
+    exceeded = limit_exceeded(path, config.limits, step_s=DT_S)
+    if exceeded is not None:
+        return limit_reason(exceeded)
+    ttc_s = np.inf
+    if "collision" not in config.without:
+        tolerance = 0.9 * config.limits.drivable_tolerance_m
+        drivable = scene.grid.graph.drivable
+        if "topology" not in config.without and off_road_steps(
+            path.position, path.heading, vehicle.start.size, drivable, tolerance_m=tolerance
+        ).any():
+            return Reason.OFF_ROAD
+        if first_overlap(path, vehicle.start.box, scene.traffic, margin_m=_BOX_MARGIN_M) is not None:
+            return Reason.MEETS_RECORDED
+        if others.ids and first_overlap(path, vehicle.start.box, others, margin_m=_BOX_MARGIN_M) is not None:
+            return Reason.MEETS_GENERATED
+        ttc_s = _min_leader_ttc_s(scene, vehicle, motion, others)
+        if ttc_s < config.conflict.ttc_min_s:
+            return Reason.TTC_LANE_LEADER
+        found = ExportedVehicle(vehicle, motion, path, off_m, ttc_s)
+        if "topology" not in config.without:
+            verdict = scene.recorded.conflict_with(
+                found.track("own", 1), ttc_s=config.conflict.follower_ttc_min_s, pet_s=config.conflict.pet_min_s
+            )
+            if verdict is not None:
+                return Reason.PET if verdict == "pet" else Reason.TTC_RECORDED_FOLLOWER
+    return ExportedVehicle(vehicle, motion, path, off_m, ttc_s)
+
+
+def _min_leader_ttc_s(scene: Scene, vehicle: DrivenVehicle, motion: Motion, others: Traffic) -> float:
+    """Smallest TTC to who moves with the path ahead of the vehicle on it; inf when never closing in."""
+    start, steps = vehicle.start, motion.s.size
+    seen = scene.recorded_on(vehicle.path, start.box)
+    if others.ids:
+        margin = scene.config.conflict.margin_lateral_m
+        seen = seen.joined(
+            path_occupancy(
+                vehicle.path.line, others, length_m=start.box.length_m, width_m=start.box.width_m,
+                margin_lateral_m=margin,
+            )
+        )  # fmt: skip
+    gap = seen.low[:, :steps] - motion.s
+    closing = motion.v - seen.along[:, :steps]
+    leads = np.isfinite(gap) & seen.aligned[:, :steps] & (gap > -1.0) & (closing > 1e-3)
+    if not leads.any():
+        return float("inf")
+    return float((gap[leads] / closing[leads]).min())
+
+
+def _grid_path(
+    scene: Scene, vehicle: DrivenVehicle, s: FloatArray, v: FloatArray, others: Traffic
+) -> ExportedVehicle | Reason:
+    """Without smoothing the paper exports the grid path: piecewise linear from cell centre to cell centre."""
+    knots: list[float] = []
+    for segment in vehicle.path.segments:
+        if segment.end < s[0] - 10.0 or segment.start > s[-1] + 10.0:
+            continue
+        borders = scene.grid.edges_s(segment.lane_id)
+        middles = 0.5 * (borders[1:] + borders[:-1])
+        inside = middles[(middles >= segment.lane_start) & (middles <= segment.lane_end)]
+        share = (inside - segment.lane_start) / max(segment.lane_end - segment.lane_start, 1e-9)
+        knots += (segment.start + share * (segment.end - segment.start)).tolist()
+    if len(knots) < 2:
+        return Reason.NO_SITE
+    at = np.array(knots)
+    centre = vehicle.path.line.position(at)
+    place = np.clip(np.searchsorted(at, s, side="right") - 1, 0, at.size - 2)
+    chord = centre[place + 1] - centre[place]
+    share = ((s - at[place]) / (at[place + 1] - at[place]))[:, None]
+    forward = chord / np.hypot(chord[:, 0], chord[:, 1])[:, None]
+    path = Trajectory(
+        position=centre[place] + share * chord,
+        heading=np.arctan2(forward[:, 1], forward[:, 0]),
+        velocity=forward * v[:, None],
+        s=s,
+    )
+    if "collision" not in scene.config.without:
+        for traffic, reason in ((scene.traffic, Reason.MEETS_RECORDED), (others, Reason.MEETS_GENERATED)):
+            if traffic.ids and first_overlap(path, vehicle.start.box, traffic, margin_m=0.0) is not None:
+                return reason
+    motion = Motion(s=s, v=v, a=np.gradient(v, DT_S))
+    return ExportedVehicle(vehicle, motion, path, np.zeros(s.size), float("inf"))
+
+
+def conflicting(scene: Scene, exported: Sequence[ExportedVehicle]) -> list[tuple[int, Reason]]:
+    """Rows of exported vehicles that, as whoever reads the positions sees them, come too near to somebody together.
+
+    TTC to the leader on the lane path, and PET; of two generated ones the later row.
+    """
+    config = scene.config
+    if not exported or {"collision", "topology"} & config.without:
+        return []
+    tracks = [vehicle.track(f"gen_{row}", 1) for row, vehicle in enumerate(exported)]
+    positions = scene.recorded.with_generated(tracks)
+    leaving = [bool(vehicle.driven.shifts) for vehicle in exported]
+    found: dict[int, Reason] = {}
+    for row, leader in positions.following_conflicts(leaving, critical_s=config.conflict.ttc_min_s):
+        found[max(row, -1 if leader is None else leader)] = Reason.TTC_LANE_LEADER
+    for row, _ in positions.crossing_conflicts(critical_s=config.conflict.pet_min_s):
+        found.setdefault(row, Reason.PET)
+    return sorted(found.items())
+

@@ -1,0 +1,137 @@
+"""Routes from every lane, with what they offer: turns, lanes beside, and how far they go."""
+
+import itertools
+from dataclasses import dataclass, field
+
+from hid2.agents import Policy
+from hid2.motion.route import ROUTE_LONGEST_M, Route, routes_from
+from hid2.policy.decision import Side
+from hid2.policy.observation import admissible_neighbor
+from hid2.policy.turns import TURN_OF_POLICY
+from hid2.scene import DRIVABLE_TYPES, Scene
+from netconvert.lane_graph import TurnType
+
+_ROUTES_MOST = 16  # from one lane
+_RUN_UP_M = 40.0  # of a route before the lane that it starts on: who comes from behind is seen there
+_SIDES: tuple[Side, ...] = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """A stretch of a route with a lane beside that may be changed to: arc lengths on the route, m.
+
+    remaining_m: length of that lane from the start of the stretch to where it ends for good.
+    """
+
+    side: Side
+    start: float
+    end: float
+    remaining_m: float
+    in_intersection: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RouteOffer:
+    """A route with its run-up: start_m, where the lane that it is for begins; turns: (type, start, end) m."""
+
+    route: Route
+    start_m: float
+    length_m: float
+    turns: tuple[tuple[TurnType, float, float], ...]
+    beside: tuple[Beside, ...]
+
+
+@dataclass(slots=True)
+class Routes:
+    """Routes of a scene's map; what is found out is kept."""
+
+    scene: Scene
+    lanes: tuple[int, ...] = field(init=False)
+    _offers: dict[int, tuple[RouteOffer, ...]] = field(default_factory=dict)
+    _onward: dict[int, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Lanes that cars drive on."""
+        graph = self.scene.grid.graph
+        self.lanes = tuple(n for n, lane in graph.lanes.items() if lane.lane_type in DRIVABLE_TYPES)
+
+    def usable(self, lane_id: int) -> bool:
+        """Whether cars drive on a lane."""
+        return self.scene.grid.graph.lanes[lane_id].lane_type in DRIVABLE_TYPES
+
+    def offers(self, lane_id: int) -> tuple[RouteOffer, ...]:
+        """All routes from a lane on, in the order of the map."""
+        if lane_id not in self._offers:
+            graph = self.scene.grid.graph
+            if "topology" in self.scene.config.without:
+                found: list[Route] = [(lane_id,)]
+            else:
+                found = list(
+                    routes_from(
+                        graph, lane_id, choose=lambda onward: tuple(sorted(onward)), usable=self.usable,
+                        most=_ROUTES_MOST, longest_m=ROUTE_LONGEST_M,
+                    )  # fmt: skip
+                )
+            before = self._run_up(lane_id)
+            self._offers[lane_id] = tuple(
+                self._offer(tuple(n for n in before if n not in route), route) for route in found
+            )
+        return self._offers[lane_id]
+
+    def map_offers(self, policy: Policy) -> bool:
+        """Whether the map has any place at all for a policy, whoever is on it; the rule of `hid2 scan` too."""
+        if policy in TURN_OF_POLICY:
+            kind = TURN_OF_POLICY[policy]
+            return any(offer.turns and offer.turns[0][0] is kind for n in self.lanes for offer in self.offers(n))
+        if policy is Policy.STRAIGHT:
+            return bool(self.lanes)
+        return any(offer.beside for n in self.lanes for offer in self.offers(n))
+
+    def _offer(self, before: Route, route: Route) -> RouteOffer:
+        lanes = self.scene.grid.graph.lanes
+        whole = (*before, *route)
+        ends = list(itertools.accumulate(lanes[n].length_m for n in whole))
+        starts = [0.0, *ends[:-1]]
+        rows = range(len(before), len(whole))
+        turns = tuple(
+            (lanes[whole[row]].turn, starts[row], ends[row])
+            for row in rows
+            if row > 0 and lanes[whole[row]].turn is not TurnType.STRAIGHT
+        )
+        beside = tuple(
+            Beside(side, starts[row], ends[row], self._onward_m(lane), lanes[whole[row]].is_intersection)
+            for row in rows
+            for side in _SIDES
+            if (lane := admissible_neighbor(self.scene, whole[row], side)) is not None
+        )
+        return RouteOffer(whole, starts[len(before)], ends[-1], turns, beside)
+
+    def _onward_m(self, lane_id: int, sofar: tuple[int, ...] = ()) -> float:
+        """Length from the start of a lane to where it ends for good, m, at most ROUTE_LONGEST_M."""
+        if not sofar and lane_id in self._onward:
+            return self._onward[lane_id]
+        graph = self.scene.grid.graph
+        length = graph.lanes[lane_id].length_m
+        seen = (*sofar, lane_id)
+        if len(seen) < 12 and length < ROUTE_LONGEST_M:
+            onward = [n for n in graph.successors(lane_id) if n not in seen and self.usable(n)]
+            length += max((self._onward_m(n, seen) for n in onward), default=0.0)
+        length = min(length, ROUTE_LONGEST_M)
+        if not sofar:
+            self._onward[lane_id] = length
+        return length
+
+    def _run_up(self, lane_id: int) -> Route:
+        """Lanes that lead to a lane, the straightest way, back to the map's edge or _RUN_UP_M."""
+        if "topology" in self.scene.config.without:
+            return ()
+        graph, before, length = self.scene.grid.graph, (), 0.0
+        while length < _RUN_UP_M:
+            here = before[0] if before else lane_id
+            onto = [p for p in graph.predecessors(here) if self.usable(p) and p not in (lane_id, *before)]
+            if not onto:
+                break
+            first = min(onto, key=lambda p: (graph.straightest_successor(p) != here, p))
+            before = (first, *before)
+            length += graph.lanes[first].length_m
+        return before

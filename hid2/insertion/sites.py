@@ -1,0 +1,302 @@
+"""Start sites: where on the map a request may be met, and whether a vehicle can begin there."""
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
+from hid2.conflicts.guard import Guard
+from hid2.drivers.driver import Driver, desired_speeds, draw_driver, lane_offset
+from hid2.insertion.routes import RouteOffer, Routes
+from hid2.insertion.sizes import draw_size
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.motion.route import first_turn
+from hid2.occupancy.sigma import FREE
+from hid2.policy.roads import Roads
+from hid2.policy.turns import TURN_OF_POLICY
+from hid2.reasons import Reason
+from hid2.scene import DT_S, Scene, clearance_box
+from hid2.vehicle import Start, VehicleRequest
+
+_MOVING_MPS = 1.0
+_TRIES = 60  # sites that are looked at in full for one request, in one round
+_BEFORE_TURN_M = 5.0
+_TURN_PACE_MPS = 5.0  # mean speed on a turn lane, for an estimate of when it is left
+_OVERTAKE_M = 70.0  # of two lanes side by side, behind the trigger
+_SLOW_SHARE = (0.3, 0.5)  # desired speed of a leader that is to be overtaken, over that of who overtakes it
+_STANDING_MPS = 0.3
+_WAITS_M = 8.0  # who starts standing does so behind somebody who stands no farther ahead
+
+
+@dataclass(slots=True)
+class InsertionSites:
+    """Sites of one scene for requests; what was proposed in this round is kept clear of."""
+
+    scene: Scene
+    roads: Roads
+    routes: Routes
+    guard: Guard
+    rng: np.random.Generator
+    round_number: int
+    taken: list[Start] = field(default_factory=list)
+    rejected: Counter[Reason] = field(default_factory=Counter)
+
+    def propose(self, request: VehicleRequest, slow_leader: VehicleRequest | None = None) -> list[Start]:
+        """A start for a request, and where it is to overtake and finds no leader, one for that; empty where none fits.
+
+        slow_leader: the request that such a leader would meet.
+        """
+        if request.policy is Policy.OVERTAKE:
+            return self._propose_overtake(request, slow_leader)
+        found = next(self._starts(request), None)
+        return [] if found is None else self._take([found])
+
+    def _take(self, starts: list[Start]) -> list[Start]:
+        self.taken += starts
+        return starts
+
+    def _propose_overtake(self, request: VehicleRequest, slow_leader: VehicleRequest | None) -> list[Start]:
+        for start in self._starts(request):
+            if self._has_slower_leader(start):
+                return self._take([start])
+            if slow_leader is not None and self.scene.config.request.spawn_leaders:
+                leader = self._slow_leader(start, slow_leader)
+                if leader is not None:
+                    return self._take([leader, start])
+        return []
+
+    def _starts(self, request: VehicleRequest) -> Iterator[Start]:
+        tried = 0
+        any_site = self.scene.config.request.sites == "any"
+        for lane_id, lane_s in self._places():
+            for offer in self._order(request, self.routes.offers(lane_id)):
+                s = offer.start_m + lane_s
+                if not any_site and not self._promises(request, offer, s, self._usual_speed(lane_id)):
+                    continue
+                start = self._start(request, offer, lane_id, s)
+                tried += 1
+                if isinstance(start, Start):
+                    yield start
+                else:
+                    self.rejected[start] += 1
+                break
+            if tried >= _TRIES:
+                return
+
+    def _order(self, request: VehicleRequest, offers: Sequence[RouteOffer]) -> list[RouteOffer]:
+        order = self.rng.permutation(len(offers)).tolist()
+        if request.policy in TURN_OF_POLICY:
+            return [offers[row] for row in order]
+        return sorted((offers[row] for row in order), key=lambda offer: bool(offer.turns))
+
+    def _usual_speed(self, lane_id: int) -> float:
+        pool = self.scene.lane_speeds.get(lane_id) or self.scene.scene_speeds
+        return float(np.median(pool)) if pool else self.scene.config.spawn.prior_speed_mps
+
+    def _places(self) -> Iterator[tuple[int, float]]:
+        """Lane and arc length, m, of free cells at step 0, in weighted random order; intersections last."""
+        scene, spawn = self.scene, self.scene.config.spawn
+        grid, lanes = scene.grid, scene.grid.graph.lanes
+        usable = set(self.routes.lanes)
+        rows = [row for row, cell in enumerate(grid.cells) if cell.lane_id in usable]
+        free = scene.occupancy.sigma[0, rows] == FREE
+        rows = [row for row, is_free in zip(rows, free, strict=True) if is_free]
+        if not rows:
+            return
+        weight = np.ones(len(rows))
+        if scene.config.request.sites == "promising":
+            speed = np.hypot(*scene.traffic.velocity[:, 0].T)
+            moving = scene.traffic.present[:, 0] & (speed > _MOVING_MPS)
+            if moving.any():
+                offset = grid.centers[rows][:, None] - scene.traffic.position[moving, 0][None]
+                near = np.hypot(offset[..., 0], offset[..., 1]).min(axis=1) < spawn.near_m
+                weight[near] = spawn.near_weight
+        key = self.rng.exponential(size=len(rows)) / weight
+        inside = np.array([lanes[grid.cells[row].lane_id].is_intersection for row in rows])
+        share = self.rng.random(len(rows))
+        for place in np.lexsort((key, inside)).tolist():
+            cell = grid.cells[rows[place]]
+            if inside[place] and not inside.all() and scene.config.request.sites == "promising":
+                return
+            begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
+            yield cell.lane_id, float(begin + share[place] * (end - begin))
+
+    def _promises(self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float) -> bool:
+        """Whether the map offers what is asked for from arc length s on, in the time that the scene has."""
+        scene, change = self.scene, self.scene.config.lane_change
+        duration = (scene.num_steps - 1) * DT_S
+        reach = s + speed_mps * duration
+        ahead = [turn for turn in offer.turns if turn[2] > s]
+        if request.policy in TURN_OF_POLICY:
+            if not ahead or ahead[0][0] is not TURN_OF_POLICY[request.policy]:
+                return False
+            _, begin, end = ahead[0]
+            needs_s = (begin - s) / (0.8 * speed_mps) + (end - begin) / _TURN_PACE_MPS + 1.5
+            return begin - s > _BEFORE_TURN_M and needs_s < duration
+        if any(begin < reach for _, begin, _ in ahead):
+            return False
+        at = s + 0.9 * speed_mps * request.trigger_s
+        if request.policy is Policy.LANE_CHANGE:
+            needed = change.min_remaining_m + 3.0 * speed_mps
+            return any(
+                beside.start <= at + 1.0 and beside.end > at + 1.0 and not beside.in_intersection
+                and beside.remaining_m - (at - beside.start) > needed
+                for beside in offer.beside
+            )  # fmt: skip
+        if request.policy is Policy.OVERTAKE:
+            for side in ("left", "right"):
+                stretches = sorted((b.start, b.end) for b in offer.beside if b.side == side and b.end > at)
+                reached = at
+                for begin, end in stretches:
+                    if begin > reached + 0.5:
+                        break
+                    reached = max(reached, end)
+                if reached - at > _OVERTAKE_M:
+                    return True
+            return False
+        return True
+
+    def _start(
+        self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float, *, driver: Driver | None = None
+    ) -> Start | Reason:
+        """A vehicle with a driver at a site, or why it cannot begin there."""
+        scene, config, rng = self.scene, self.scene.config, self.rng
+        object_type, size = draw_size(config.request, rng)
+        box = clearance_box(size, DEFAULT_SIZES[object_type])
+        driver = driver or draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))
+        speed = driver.desired_mps * (1.0 + config.spawn.speed_sd * float(np.clip(rng.standard_normal(), -2, 2)))
+        desired = desired_speeds(driver, config, rng, num_steps=scene.num_steps, step_s=DT_S)
+        half_m, run_on = box.length_m / 2, "topology" in config.without
+        if s < half_m + 0.5 or (s + half_m > offer.length_m - 1.0 and not run_on):
+            return Reason.NO_SITE
+        if not run_on and offer.length_m - s < half_m + 0.95 * speed * scene.first_exit_step * DT_S:
+            return Reason.LEAVES_TOO_EARLY
+        if self._meets_taken_roughly(lane_id, s - offer.start_m, box):
+            return Reason.NO_SITE
+        path = scene.path(offer.route)
+        start_s = path.to_line(s)
+        if request.policy in TURN_OF_POLICY:
+            kind = TURN_OF_POLICY[request.policy]
+            if first_turn(scene.grid.graph, path, kind, after=start_s) is None:
+                return Reason.TURN_NOT_SEEN
+        reach = slice(int(start_s / TABLE_STEP_M), int((start_s + 12.0 * speed) / TABLE_STEP_M) + 2)
+        if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > 0.98 / config.limits.min_radius_m:
+            return Reason.LIMIT_CURVATURE
+        road = self.roads.speeds(path, driver)
+        speed = min(speed, float(road[min(int(start_s / TABLE_STEP_M), road.size - 1)]))
+        sides: tuple[str, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
+        start = Start(
+            vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=object_type, size=size,
+            box=box, route=offer.route, path=path, start_s=start_s, start_mps=speed, driver=driver, desired=desired,
+            offset=lane_offset(driver, config, rng, length_m=path.line.length_m), sides=sides,  # type: ignore[arg-type]
+        )  # fmt: skip
+        return start if "collision" in config.without else self._admitted(start)
+
+    def _admitted(self, start: Start) -> Start | Reason:
+        """The same with a speed that who is ahead allows, or why nobody can begin there."""
+        scene, conflict, spawn = self.scene, self.scene.config.conflict, self.scene.config.spawn
+        obstacles = self.guard.obstacles(start.path, start.box, [])
+        known, s, driver = obstacles.known, start.start_s, start.driver
+        low, high, along = known.low[:, 0], known.high[:, 0], known.along[:, 0]
+        here = np.isfinite(low)
+        if np.any(here & (low - spawn.clear_gap_m < s) & (s < high + spawn.clear_gap_m)):
+            return Reason.NO_SITE
+        speed = start.start_mps
+        ahead = here & (low >= s)
+        for gap, leader_mps in zip((low - s)[ahead].tolist(), along[ahead].tolist(), strict=True):
+            speed = min(speed, self._speed_behind(gap, max(0.0, leader_mps), driver))
+        for other in self.taken:
+            verdict = self._beside_start(start, other, speed)
+            if verdict is None:
+                return Reason.NO_SITE
+            speed = min(speed, verdict)
+        if speed < _STANDING_MPS:
+            queue = here & (low >= s) & (low - s < _WAITS_M) & (along < _STANDING_MPS)
+            if not queue.any():
+                return Reason.NO_SITE
+            speed = 0.0
+        elif speed < 0.35 * start.start_mps:
+            return Reason.NO_SITE  # nobody drives so slowly with so much room ahead
+        road = self.roads.speeds(start.path, driver)
+        fleet = np.array([[s, speed, 0.0, 0.0, 1.0]])
+        found = self.guard.braking(
+            obstacles, own=0, step=0, fleet=fleet, state=(s, speed, 0.0), desired_mps=float(start.desired[0]), road=road,
+            driver=driver,
+        )  # fmt: skip
+        if found.run_into:
+            return Reason.TTC_RECORDED_FOLLOWER
+        late = conflict.horizon_s if found.conflict_s is None else found.conflict_s
+        if late < spawn.settle_s or found.decel_mps2 > 1.2 * driver.decel_mps2:
+            return Reason.CONFLICT_PREDICTED
+        return replace(start, start_mps=speed)
+
+    @staticmethod
+    def _speed_behind(gap_m: float, leader_mps: float, driver: Driver) -> float:
+        """Fastest speed at which a driver may begin behind a leader without braking hard, m/s."""
+        room = gap_m - driver.min_gap_m
+        if room <= 0.0:
+            return 0.0
+        b, tau = 0.6 * driver.decel_mps2, 0.8 * driver.tau_s
+        # v tau + (v^2 - v_l^2) / 2b <= room
+        return -b * tau + math.sqrt(b * b * tau * tau + 2.0 * b * room + leader_mps * leader_mps)
+
+    def _beside_start(self, start: Start, other: Start, speed: float) -> float | None:
+        """Fastest start speed beside another start of this round; None where the two are too near."""
+        own_xy, own_t, _ = start.path.line.motion(np.array([start.start_s]))
+        xy, tangent, _ = other.path.line.motion(np.array([other.start_s]))
+        offset = xy[0] - own_xy[0]
+        if math.hypot(offset[0], offset[1]) > 80.0:
+            return speed
+        along = float(offset @ own_t[0])
+        across = abs(float(offset[1] * own_t[0, 0] - offset[0] * own_t[0, 1]))
+        gap = abs(along) - (start.box.length_m + other.box.length_m) / 2
+        beside = across > (start.box.width_m + other.box.width_m) / 2 + 0.5
+        if beside:
+            return speed
+        if float(own_t[0] @ tangent[0]) < 0.7:
+            return speed if gap > 6.0 else None
+        if along > 0:
+            fits = self._speed_behind(gap, other.start_mps, start.driver)
+            return min(speed, fits) if gap > self.scene.config.spawn.clear_gap_m else None
+        return speed if self._speed_behind(gap, speed, other.driver) >= other.start_mps else None
+
+    def _meets_taken_roughly(self, lane_id: int, lane_s: float, box: BoxSize) -> bool:
+        point = self.scene.grid.graph.lanes[lane_id].path.point(np.array([lane_s]))[0]
+        for other in self.taken:
+            xy = other.path.line.position(np.array([other.start_s]))[0]
+            if math.hypot(xy[0] - point[0], xy[1] - point[1]) < min(box.width_m, other.box.width_m):
+                return True
+        return False
+
+    def _has_slower_leader(self, start: Start) -> bool:
+        overtake = self.scene.config.overtake
+        found = self.scene.recorded_on(start.path, start.box)
+        low, along = found.low[:, 0], found.along[:, 0]
+        rows = np.isin(self.scene.rows_on(start.path, start.box), self.scene.vehicle_rows)
+        near = rows & found.aligned[:, 0] & (low > start.start_s) & (low - start.start_s < overtake.d_obs_m + 20.0)
+        slower = along < start.driver.desired_mps - 2.0 * overtake.speed_advantage_mps
+        return bool(np.any(near & slower & (along > overtake.parked_mps)))
+
+    def _slow_leader(self, start: Start, request: VehicleRequest) -> Start | None:
+        """A slow vehicle ahead of one that is to overtake, so far that it is caught up with at the trigger."""
+        rng = self.rng
+        share = float(rng.uniform(*_SLOW_SHARE))
+        base = draw_driver(self.scene.config, rng, lane_speed_mps=start.driver.desired_mps)
+        slow = replace(base, desired_mps=max(2.5, share * start.driver.desired_mps))
+        catch_up = (start.start_mps - slow.desired_mps) * start.request.trigger_s
+        s = start.start_s + start.box.length_m + 12.0 + 0.6 * start.start_mps + max(0.0, catch_up)
+        raw = start.path.to_raw(s)
+        lanes, begin = self.scene.grid.graph.lanes, 0.0
+        for lane_id in start.route:
+            if raw < begin + lanes[lane_id].length_m:
+                break
+            begin += lanes[lane_id].length_m
+        offer = RouteOffer(start.route, begin, start.path.to_raw(start.path.line.length_m), (), ())
+        found = self._start(request, offer, lane_id, raw, driver=slow)
+        if not isinstance(found, Start) or abs(found.path.line.length_m - start.path.line.length_m) > 0.1:
+            return None
+        return found
+

@@ -1,0 +1,121 @@
+"""Compiled loops of conflict case 3: predicted motion in the space-time (ST) graph of one path."""
+
+import numpy as np
+from numba import njit
+
+_BRAKING_LASTS_S = 1.0  # that a generated vehicle which brakes now is predicted to brake on
+
+
+@njit(cache=True)
+def predicted_s(s, v, a, ahead_s):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Arc length of a vehicle ahead_s from now: constant speed, or braking on for a second and then constant speed."""
+    if a >= 0.0:
+        return s + v * ahead_s
+    braking = min(ahead_s, _BRAKING_LASTS_S, v / -a)
+    slower = max(0.0, v + a * min(ahead_s, _BRAKING_LASTS_S))
+    return s + v * braking + 0.5 * a * braking * braking + slower * (ahead_s - braking)
+
+
+@njit(cache=True)
+def _has_priority(low, s, own_s, j_executing, own_executing, j_row, own_row, step_m):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Whether another generated vehicle goes first (case 2), metres to the cell that both want; low (K,) on its way."""
+    first = int(s / step_m)
+    for k in range(max(first, 0), low.size):
+        if low[k] != np.inf:
+            theirs, mine = k * step_m - s, low[k] - own_s
+            if theirs <= step_m:
+                return True  # it is there
+            if mine <= 0.0:
+                return False
+            if j_executing != own_executing:
+                return j_executing
+            if abs(theirs - mine) > 0.5:
+                return theirs < mine
+            return j_row < own_row
+    return True
+
+
+@njit(cache=True)
+def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0912, PLR0913, PLR0915
+    known, swept, rows, fleet, own, t, s0, v0, a0, desired_mps, road, road_step, table_step, horizon, stride, step_s,
+    driver, brakes, jerk, margin,  # noqa: ANN001
+):  # fmt: skip
+    """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) whose predicted motion meets nobody.
+
+    known: low, high, along (A, T) and aligned (A, T) of agents whose future is known; swept: low, high, cosine (G, K) of
+    generated vehicles by their own arc length, of rows (G,) of fleet (N, 5): s, v, a, executing, present. Returns
+    (row of brakes, step of its first conflict or -1, step of the first conflict without braking or -1, fleet row of
+    the nearest generated leader or -1, gap to it m, whether some known agent comes up from behind).
+    """
+    low, high, along, aligned = known
+    g_low, g_high, g_cos = swept
+    tau, accel, decel, min_gap = driver
+    agents, steps = low.shape
+    best, best_step, free_step = 0, 0, -1
+    leader, leader_gap, run_into = -1, np.inf, False
+    last = horizon // stride
+    for row in range(brakes.size):
+        s, v, a_cmd, hit = s0, v0, a0, -1
+        for k in range(last + 1):
+            now = min(t + k * stride, steps - 1)
+            ahead_s = k * stride * step_s
+            gap_least, closing, met = np.inf, 0.0, False
+            for a in range(agents):
+                lo = low[a, now]
+                if lo == np.inf:
+                    continue
+                hi = high[a, now]
+                if lo < s + 0.0 < hi and k > 0 or (lo - margin < s < hi and k > 0 and not aligned[a, now]):
+                    if aligned[a, now] and s > 0.5 * (lo + hi):
+                        run_into = run_into or row == 0
+                        continue
+                    met = True
+                    break
+                if aligned[a, now] and s <= 0.5 * (lo + hi) and lo - s < gap_least:
+                    gap_least, closing = lo - s, v - along[a, now]
+            if not met:
+                for g in range(rows.size):
+                    j = rows[g]
+                    if fleet[j, 4] == 0.0:
+                        continue
+                    at = int(predicted_s(fleet[j, 0], fleet[j, 1], fleet[j, 2], ahead_s) / table_step)
+                    if at < 0 or at >= g_low.shape[1] or g_low[g, at] == np.inf:
+                        continue
+                    lo, hi = g_low[g, at], g_high[g, at]
+                    if g_cos[g, at] > 0.7:
+                        if s > 0.5 * (lo + hi):
+                            continue  # it follows: its driver's business
+                        if lo - s < gap_least and _has_priority(
+                            g_low[g], fleet[j, 0], s0, fleet[j, 3] > 0.0, fleet[own, 3] > 0.0, j, own, table_step
+                        ):
+                            gap_least, closing = lo - s, v - fleet[j, 1] * g_cos[g, at]
+                            if k == 0 and row == 0:
+                                leader, leader_gap = j, lo - s
+                    elif lo - margin < s < hi + margin and k > 0:
+                        if _has_priority(
+                            g_low[g], fleet[j, 0], s0, fleet[j, 3] > 0.0, fleet[own, 3] > 0.0, j, own, table_step
+                        ):
+                            met = True
+                            break
+            if met:
+                hit = k * stride
+                break
+            wanted = min(desired_mps, road[min(int(s / road_step), road.size - 1)])
+            a_next = max(-decel, accel * (1.0 - (v / max(wanted, 0.1)) ** 4))
+            if gap_least < 1e3:
+                star = min_gap + max(0.0, v * tau + v * closing / (2.0 * np.sqrt(accel * decel)))
+                a_next = max(-4.0, min(a_next, accel * (1.0 - (star / max(gap_least, 0.1)) ** 2)))
+            if row > 0:
+                a_cmd = max(min(a_cmd, 0.0) - jerk * stride * step_s, -brakes[row])
+                a_next = min(a_next, a_cmd)
+            dt = stride * step_s
+            v_next = max(0.0, v + a_next * dt)
+            s += 0.5 * (v + v_next) * dt
+            v = v_next
+        if row == 0:
+            free_step = hit
+        if hit < 0:
+            return row, -1, free_step, leader, leader_gap, run_into
+        if row == 0 or hit > best_step + stride:
+            best, best_step = row, hit
+    return best, best_step, free_step, leader, leader_gap, run_into

@@ -1,0 +1,216 @@
+"""What a vehicle observes at one step: adjacent lanes with who is on them, its leader, and the path across."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hid2.agents import BoxSize, FloatArray
+from hid2.conflicts.guard import transition_rejected
+from hid2.motion.route import DrivenPath, shifted_path
+from hid2.occupancy.along_path import look_along, path_occupancy
+from hid2.occupancy.sigma import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
+from hid2.occupancy.traffic import Traffic
+from hid2.policy.decision import LaneOption, Side
+from hid2.motion.lane_change_path import blend_paths
+from hid2.policy.lane_change import Gap
+from hid2.policy.overtake import Leader
+from hid2.scene import DRIVABLE_TYPES, DT_S, Scene
+from netconvert.cells import Cell
+
+_MAX_SHIFT_M = 5.5
+_HALF_LANE_M = 1.5
+_SPARE_S = 0.5
+
+
+def admissible_neighbor(scene: Scene, lane_id: int, side: Side) -> int | None:
+    """Same-direction neighbour that a vehicle may change to: of a drivable type, and the marking allows it."""
+    graph = scene.grid.graph
+    if "topology" in scene.config.without:
+        return None
+    neighbor = graph.neighbor(lane_id, side)
+    if neighbor is None or graph.lanes[neighbor].lane_type not in DRIVABLE_TYPES:
+        return None
+    return neighbor if graph.may_change(lane_id, side) else None
+
+
+def lane_options(
+    scene: Scene,
+    path: DrivenPath,
+    box: BoxSize,
+    *,
+    s: float,
+    step: int,
+    sides: Sequence[Side],
+    fixed: Traffic,
+    fleet: Traffic,
+    speed_mps: float,
+    desired_mps: float,
+) -> list[tuple[LaneOption, DrivenPath]]:
+    """Adjacent lanes at arc length s of a path at one step, each with the path that continues on it.
+
+    fixed: generated vehicles kept in rounds before (T steps); fleet: those driven together, as they are now (one step).
+    A transition into a cell that an original agent holds, now or when the vehicle (speed_mps) gets to the next one, is
+    rejected (paper, conflict case 1). The corridor m * delta s ends with l' or at a vehicle there that is slower than
+    desired_mps: a faster one leaves it.
+    """
+    graph, segment = scene.grid.graph, path.segment_at(s)
+    xy = path.line.position(np.array([s]))
+    found = []
+    for side in sides:
+        lane_id = admissible_neighbor(scene, segment.lane_id, side)
+        if lane_id is None:
+            continue
+        lane_s = float(graph.lanes[lane_id].path.frenet(xy)[0][0])
+        lane_s = min(max(lane_s, 0.0), graph.lanes[lane_id].length_m)
+        target = target_path(scene, path, lane_id, s=s)
+        at = _place_on(target, lane_id, lane_s)
+        cell = scene.grid.cell_at(lane_id, lane_s)
+        remaining = target.exit_s - at
+        free = _cells_free(scene, cell, step=step, fixed=fixed, fleet=fleet) and not transition_rejected(
+            _next_sigma(scene, cell, step=step, speed_mps=speed_mps)
+        )
+        front, rear = gaps_on(scene, target, box, at=at, step=step, fixed=fixed, fleet=fleet)
+        corridor = remaining if front.speed_mps >= desired_mps else min(remaining, front.distance_m)
+        option = LaneOption(
+            side=side, target=cell, cells_free=free, front=front, rear=rear, remaining_m=remaining, corridor_m=corridor
+        )
+        found.append((option, target))
+    return found
+
+
+def target_path(scene: Scene, path: DrivenPath, lane_id: int, *, s: float) -> DrivenPath:
+    """Path of l': lanes before it, for who comes from behind, then on beside the own route where possible."""
+    return scene.path_beside(tuple(segment.lane_id for segment in path.segments if segment.end > s), lane_id)
+
+
+def gaps_on(
+    scene: Scene, target: DrivenPath, box: BoxSize, *, at: float, step: int, fixed: Traffic, fleet: Traffic
+) -> tuple[Gap, Gap]:
+    """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres."""
+    known = scene.recorded_on(target, box)
+    columns = [(known.low[:, step], known.high[:, step], known.along[:, step])]
+    for traffic, column in ((fixed, step), (fleet, 0)):
+        if traffic.ids:
+            more = path_occupancy(
+                target.line, traffic, length_m=box.length_m, width_m=box.width_m, margin_lateral_m=0.1
+            )
+            columns.append((more.low[:, column], more.high[:, column], more.along[:, column]))
+    low, high, along = (np.concatenate(one) for one in zip(*columns, strict=True))
+    touched = np.isfinite(low)
+    low, high, along = low[touched], high[touched], along[touched]
+    front, rear = Gap.none(), Gap.none()
+    middle = 0.5 * (low + high)
+    ahead = np.where(middle >= at, low - at, np.inf)
+    if ahead.size and np.isfinite(ahead.min()):
+        row = int(np.argmin(ahead))
+        front = Gap(float(ahead[row]), max(0.0, float(along[row])))
+    behind = np.where(middle < at, at - high, np.inf)
+    if behind.size and np.isfinite(behind.min()):
+        row = int(np.argmin(behind))
+        rear = Gap(float(behind[row]), max(0.0, float(along[row])))
+    return front, rear
+
+
+def leader_on(
+    path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here: Traffic
+) -> Leader | None:
+    """Next vehicle on the lane path within d_obs; here: vehicles at this step (one step)."""
+    own = path.line.position(np.array([s]))[0]
+    near = here.present[:, 0] & (np.abs(here.position[:, 0] - own).max(axis=1) < d_obs_m + 15.0)
+    here = here.rows(np.flatnonzero(near).tolist())
+    rows, found = look_along(path.line, here, size.length_m, size.width_m)
+    gap = np.where(found.aligned[:, 0], found.low[:, 0] - s, np.inf)
+    gap[gap <= -1.0] = np.inf
+    if not np.any(gap < d_obs_m):
+        return None
+    first = int(np.argmin(gap))
+    row = int(rows[first])
+    return Leader(here.ids[row], float(gap[first]), max(0.0, float(found.along[first, 0])), float(here.length_m[row]))
+
+
+def is_on_lane(lane: DrivenPath, position: FloatArray) -> bool:
+    """Whether a box centre (2,) m lies within half a lane of a lane path's middle."""
+    offset = lane.line.table_xy - position
+    return bool(np.hypot(offset[:, 0], offset[:, 1]).min() < _HALF_LANE_M)
+
+
+def returns_to(lane: DrivenPath, path: DrivenPath) -> bool:
+    """Whether the last lateral motion of a path ends on a lane path (the return of an overtake)."""
+    return is_on_lane(lane, path.line.position(np.array([path.shifts[-1][1]]))[0])
+
+
+def gap_ahead_of(
+    path: DrivenPath, size: BoxSize, *, s: float, lane: DrivenPath, passed_id: str, here: Traffic
+) -> float:
+    """Own rear bumper to the passed vehicle's front now, m, along the own heading; s m on the path.
+
+    lane: the lane path that both were on. inf where it has left the map; -inf where it is not on that lane path any
+    more: it turned off, and nobody is passed.
+    """
+    row = here.ids.index(passed_id) if passed_id in here.ids else -1
+    if row < 0 or not here.present[row, 0]:
+        return math.inf
+    if not is_on_lane(lane, here.position[row, 0]):
+        return -math.inf
+    at = np.array([s])
+    offset = path.line.position(at)[0] - here.position[row, 0]
+    heading = float(path.line.heading(at)[0])
+    along = float(offset[0] * math.cos(heading) + offset[1] * math.sin(heading))
+    return along - size.length_m / 2 - float(here.length_m[row]) / 2
+
+
+def lay_across(
+    scene: Scene, path: DrivenPath, target: DrivenPath, *, s: float, step: int, pace_mps: float, remaining_m: float,
+    lasting_s: float,
+) -> DrivenPath | str:  # fmt: skip
+    """Path that shifts to `target` from arc length s on within lasting_s at about pace_mps; or why there is none.
+
+    The shift is no longer than the lane and the scene have room for, and no shorter than the shortest duration.
+    """
+    change, smoothing = scene.config.lane_change, scene.config.smoothing
+    pace = max(pace_mps, change.min_speed_mps)
+    time_left_s = (scene.num_steps - 1 - step) * DT_S - _SPARE_S
+    lasting_s = max(change.min_duration_s, min(lasting_s, time_left_s, 0.8 * remaining_m / pace))
+    blend = blend_paths(
+        path.raw, target.raw, start_m=path.to_raw(s), length_m=pace * lasting_s, step_m=smoothing.path_step_m,
+        max_shift_m=_MAX_SHIFT_M,
+    )  # fmt: skip
+    if blend is None:
+        return "lanes_not_side_by_side"
+    return shifted_path(path, target, blend, smoothing=smoothing, limits=scene.config.limits)
+
+
+def _place_on(target: DrivenPath, lane_id: int, lane_s: float) -> float:
+    segment = next(segment for segment in target.segments if segment.lane_id == lane_id)
+    share = (lane_s - segment.lane_start) / max(segment.lane_end - segment.lane_start, 1e-9)
+    return segment.start + share * (segment.end - segment.start)
+
+
+def _next_sigma(scene: Scene, cell: Cell, *, step: int, speed_mps: float) -> int:
+    """Sigma of the cell after a cell, when the vehicle gets there; free where it does not within the scene."""
+    grid = scene.grid
+    following = grid.longitudinal(cell)
+    if following is None:
+        return FREE
+    borders = grid.edges_s(cell.lane_id)
+    cell_m = float(borders[cell.index + 1] - borders[cell.index])
+    steps = dwell_steps(cell_m=cell_m, speed_mps=speed_mps, step_s=DT_S)
+    if steps is None or step + steps >= scene.num_steps:
+        return FREE
+    return int(scene.occupancy.sigma[step + steps, grid.index_of[following]])
+
+
+def _cells_free(scene: Scene, cell: Cell, *, step: int, fixed: Traffic, fleet: Traffic) -> bool:
+    """Cells j-1, j, j+1 of l' have sigma = 0 (paper, Lane Change); sigma = 2 where the simulation has the fleet now."""
+    grid = scene.grid
+    here = grid.index_of[cell]  # the cells of a lane follow one another
+    first, last = here - min(cell.index, 1), here + min(grid.count(cell.lane_id) - 1 - cell.index, 1)
+    if (scene.occupancy.sigma[step, first : last + 1] != FREE).any():
+        return False
+    wanted = range(first, last + 1)
+    return not any(
+        is_anybody_on(scene.boxes, wanted, traffic, column, width_share=UNDER_SHARE)
+        for traffic, column in ((fixed, step), (fleet, 0))
+        if traffic.ids
+    )

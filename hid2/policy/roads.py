@@ -1,0 +1,25 @@
+"""What the road asks of a driver's speed along a path: turns, bends, and slowing in time before both."""
+
+from dataclasses import dataclass, field
+
+from hid2.agents import FloatArray
+from hid2.drivers.driver import Driver
+from hid2.motion.route import DrivenPath, turn_segments
+from hid2.policy.turns import RoadSpeeds, road_speeds
+from hid2.scene import Scene
+
+
+@dataclass(eq=False, slots=True)
+class Roads:
+    """Speeds along the paths of a scene; each path is worked out once."""
+
+    scene: Scene
+    _known: dict[DrivenPath, RoadSpeeds] = field(default_factory=dict)
+
+    def speeds(self, path: DrivenPath, driver: Driver) -> FloatArray:
+        """(S,) m/s at the table of a path's line: the most that a driver takes there, however fast it would like."""
+        config = self.scene.config
+        if path not in self._known:
+            segments = turn_segments(self.scene.grid.graph, path)
+            self._known[path] = road_speeds(path.line, segments, turn=config.turn, limits=config.limits)
+        return self._known[path].desired(driver.desired_mps, turn=config.turn, accel_mps2=driver.accel_mps2)

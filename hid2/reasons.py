@@ -1,0 +1,89 @@
+"""Every reason that a user can read: why a vehicle was not exported, and why a manoeuvre did not come about."""
+
+from enum import StrEnum
+
+
+class Reason(StrEnum):
+    """A reason; its sentence is its `text`. The README's table of reasons is made from this list."""
+
+    text: str
+
+    def __new__(cls, value: str, text: str) -> "Reason":
+        """A member with its sentence."""
+        member = str.__new__(cls, value)
+        member._value_ = value
+        member.text = text
+        return member
+
+    # what the map or the request says, before anything is simulated
+    MAP_OFFERS_NO_LEFT_TURN = "map_offers_no_left_turn", "The map has no left-turn lane that a route can take in time."
+    MAP_OFFERS_NO_RIGHT_TURN = "map_offers_no_right_turn", "The map has no right-turn lane that a route can take in time."
+    MAP_OFFERS_NO_LANE_CHANGE = "map_offers_no_lane_change", "The map has no lane beside another to change to."
+    MAP_OFFERS_NO_OVERTAKE = "map_offers_no_overtake", "The map has no lane beside another that lasts for an overtake."
+    MAP_OFFERS_NO_LANE = "map_offers_no_straight", "The map has no lane for general motor traffic."
+    TRIGGER_AFTER_SCENE = "trigger_after_scene", "The trigger time lies beyond the end of the scene."
+    NO_SITE = "no_site", "Every admissible start site was taken, or the recorded traffic would have run into a vehicle there."
+    COUNT_REACHED = "count_reached", "The count asked for was reached without it."
+    # what the simulation answered
+    NO_ROUTE = "no_route", "The start site is not on the vehicle's route."
+    SUMO_REFUSES_INSERTION = "sumo_refuses_insertion", "SUMO did not accept the vehicle at its start site."
+    # answers to a look at a gap (Algorithm 1, lane change)
+    NO_ADJACENT_LANE = "no_adjacent_lane", "There is no lane beside that may be changed to."
+    TOO_SLOW = "too_slow", "The vehicle is too slow to shift a lane in time."
+    LANE_ENDS = "lane_ends", "The lane beside ends too soon."
+    CELLS_OCCUPIED = "cells_occupied", "Cells j-1, j, j+1 of the lane beside are not free."
+    FRONT_GAP = "front_gap", "The gap to the new leader is too small."
+    REAR_GAP = "rear_gap", "The gap to the new follower is too small."
+    # overtake
+    NO_LEADER = "no_leader", "No leader within the observation horizon."
+    LEADER_NOT_SLOWER = "leader_not_slower", "The leader is not slower than the desired speed by enough."
+    NO_LANE = "no_lane", "The overtaking lane is not free."
+    CORRIDOR_SHORT = "corridor_short", "The free corridor m * 4 m is shorter than d_overtake."
+    NOT_AHEAD = "not_ahead", "The overtaken vehicle is not far enough behind for the return."
+    LANES_PART = "lanes_part", "The two lanes part before the return."
+    # conflicts and what SUMO says to a change
+    CONFLICT_PREDICTED = "conflict_predicted", "Predicted boxes meet on the way across (conflict case 3)."
+    LANES_NOT_SIDE_BY_SIDE = "lanes_not_side_by_side", "The two lanes are not side by side all the way across."
+    OFF_ITS_LANE = "off_its_lane", "SUMO has the vehicle on no lane of the grid."
+    TARGET_NOT_BESIDE_FRONT = "target_not_beside_front", "The target lane is not beside the front bumper."
+    SUMO_REFUSES = "sumo_refuses", "SUMO refused the lane change as unsafe (lane-change mode 512)."
+    SCENE_ENDS = "scene_ends", "The scene ends before the manoeuvre could be completed."
+    # outcomes of manoeuvres that were begun
+    SCENE_ENDED = "scene_ended", "The scene or the map ended first."
+    SCENE_ENDED_ENTERING = "scene_ended_entering", "The scene ended while the vehicle entered the overtaking lane."
+    SCENE_ENDED_RETURNING = "scene_ended_returning", "The scene ended while the vehicle returned."
+    PASSED_WITHOUT_RETURN = "passed_without_return", "The leader was passed, but the vehicle did not return."
+    NOT_PASSED = "not_passed", "The leader was not passed before the scene ended."
+    LEADER_NOT_KEPT = "leader_not_kept", "The vehicle to be overtaken is not in the exported scene."
+    RETURNED_ELSEWHERE = "returned_elsewhere", "The vehicle returned to another lane path than the one it left."
+    RETURNED_BEHIND = "returned_behind", "The vehicle returned behind its leader."
+    OBSTACLE_AVOIDANCE = "obstacle_avoidance", "Done, but the leader stood all the while: obstacle avoidance."
+    TURN_NOT_SEEN = "turn_not_seen", "The vehicle drove the turn lane, but its heading does not turn by 30 degrees."
+    # why a driven vehicle was not exported
+    LEAVES_TOO_EARLY = "leaves_too_early", "The vehicle leaves the map before the last observed timestep."
+    STOPS_AT_MAP_EDGE = "stops_at_map_edge", "The vehicle stands at the edge of the map."
+    OFF_ROAD = "off_road", "Its footprint leaves the drivable area."
+    MEETS_RECORDED = "meets_recorded", "Its box meets that of a recorded agent."
+    MEETS_GENERATED = "meets_generated", "Its box meets that of another inserted vehicle."
+    LIMIT_CURVATURE = "limit_curvature", "Its path is sharper than 1 / R_min."
+    LIMIT_ACCEL = "limit_accel", "It exceeds the longitudinal acceleration allowed."
+    LIMIT_DECEL = "limit_decel", "It exceeds the deceleration allowed."
+    LIMIT_LATERAL_ACCEL = "limit_lateral_accel", "It exceeds the lateral acceleration allowed."
+    LIMIT_LONGITUDINAL_JERK = "limit_longitudinal_jerk", "It exceeds the longitudinal jerk allowed."
+    LIMIT_JERK = "limit_jerk", "It exceeds the jerk allowed."
+    LIMIT_YAW_RATE = "limit_yaw_rate", "It exceeds the yaw rate allowed."
+    LIMIT_YAW_ACCEL = "limit_yaw_accel", "It exceeds the yaw acceleration allowed."
+    TTC_LANE_LEADER = "ttc_lane_leader", "TTC to its leader on the lane path falls below the critical value."
+    TTC_RECORDED_FOLLOWER = "ttc_recorded_follower", "A recorded vehicle closes in on it from behind below the critical TTC."
+    PET = "pet", "It crosses somebody's path below the critical post-encroachment time."
+    TTC_AT_END = "ttc_at_end", "Within 3 s of its last step it would meet somebody, everybody at constant velocity."
+    UNAVOIDABLE_AT_END = "unavoidable_at_end", "Braking at its last step would not avoid a contact on its route."
+    DID_NOT_DO_IT = "did_not_do_it", "It did not perform its manoeuvre, and was replaced by another vehicle."
+    WAITED_FOR_GONE = "waited_for_gone", "It had braked for a vehicle that is not exported, and was driven again."
+    STANDS_THROUGHOUT = "stands_throughout", "It stands from the first step to the last."
+    SPARE = "spare", "The count was reached without it."
+
+
+def limit_reason(name: str) -> Reason:
+    """Reason of a limit of motion by its name, as `limit_exceeded` gives it."""
+    return Reason(f"limit_{name}")

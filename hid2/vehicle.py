@@ -1,0 +1,113 @@
+"""One inserted vehicle on its way: what is asked of it, where it starts, who drives it, and how it has been driven."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from hid2.agents import BoxSize, FloatArray, Policy
+from hid2.drivers.driver import Driver, LaneOffset
+from hid2.motion.route import DrivenPath, Route
+from hid2.policy.decision import Side
+from hid2.policy.overtake import Stage
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleRequest:
+    """A vehicle that is asked for: what it is to do, and from which moment on, s. slow: led by a slow leader."""
+
+    number: int
+    policy: Policy
+    trigger_s: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Start:
+    """A request with a site and a driver: everything that decides how a vehicle begins.
+
+    start_s m, of the box centre on the path; start_mps m/s; box: what is kept clear, size: what is exported; desired
+    (T,) m/s; sides: where it looks for a lane, in this order.
+    """
+
+    vehicle_id: str
+    request: VehicleRequest
+    object_type: str
+    size: BoxSize
+    box: BoxSize
+    route: Route
+    path: DrivenPath
+    start_s: float
+    start_mps: float
+    driver: Driver
+    desired: FloatArray
+    offset: LaneOffset
+    sides: tuple[Side, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """A change of lanes that SUMO carried out."""
+
+    side: Side
+    source_lane: int
+    target_lane: int
+    requested_step: int
+    gap_front_m: float
+    gap_rear_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class GapLook:
+    """One look at a gap: what was seen at a step, and the answers. rule: reason of hid2, None for yes; sumo: its answer."""
+
+    step: int
+    side: Side
+    front_m: float
+    front_mps: float
+    rear_m: float
+    rear_mps: float
+    own_mps: float
+    remaining_m: float
+    rule: str | None
+    sumo: bool | None
+
+
+@dataclass(eq=False, slots=True)
+class DrivenVehicle:
+    """A vehicle that SUMO drives: s (T,) m, v (T,) m/s on its path so far, and what became of its request.
+
+    limited: steps in which hid2 held it below SUMO's own choice of speed, by cause; policies: steps by the policy that
+    Algorithm 1 returned; waited_for: vehicles of the same run that it followed or yielded to while it slowed down.
+    """
+
+    start: Start
+    path: DrivenPath
+    s: list[float] = field(default_factory=list)
+    v: list[float] = field(default_factory=list)
+    stage: Stage = Stage.WAITING
+    reason: str | None = None
+    objection: str | None = None
+    left_at: int | None = None
+    shifts: list[Shift] = field(default_factory=list)
+    gaps: list[GapLook] = field(default_factory=list)
+    leader_id: str | None = None
+    limited: Counter[str] = field(default_factory=Counter)
+    policies: Counter[Policy] = field(default_factory=Counter)
+    waited_for: set[str] = field(default_factory=set)
+    turning_steps: int = 0
+    retry_at: int = 0
+    yielding: bool = False
+    sumo_off_m: float = 0.0
+
+    @property
+    def vehicle_id(self) -> str:
+        """Its id in the simulation."""
+        return self.start.vehicle_id
+
+    @property
+    def policy(self) -> Policy:
+        """What is asked of it."""
+        return self.start.request.policy
+
+    @property
+    def running(self) -> bool:
+        """Whether SUMO has it."""
+        return self.objection is None and self.left_at is None
