@@ -12,6 +12,7 @@ from hid2.agents import FloatArray, IntArray, Policy
 from hid2.conflicts.guard import EXECUTING, PRESENT, A, Braking, Guard, Obstacles, S, V
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
+from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Observation, Side, decide
 from hid2.policy.observation import gap_ahead_of, lane_options, lay_across, leader_on, returns_to
@@ -27,6 +28,7 @@ from netconvert.lane_graph import TurnType
 _BINDS_MPS = 0.05
 #: A vehicle that slows down by more than this, m/s2, behind somebody has braked for it.
 _SLOWS_MPS2 = 0.3
+_STANDS_MPS = 0.5
 #: SUMO is shown recorded agents up to here ahead of a vehicle, m.
 _SHOWN_M = 120.0
 
@@ -63,6 +65,7 @@ class Driving:
     _guard: Guard = field(init=False)
     _state: FloatArray = field(init=False)
     _obstacles: list[Obstacles | None] = field(init=False)
+    _known: list[tuple[PathOccupancy, IntArray] | None] = field(init=False)
     _road: list[FloatArray] = field(init=False)
     _limit: list[tuple[float, str] | None] = field(init=False)
 
@@ -72,6 +75,7 @@ class Driving:
         self._guard = Guard(self.scene, self.fixed)
         self._state = np.zeros((len(self.starts), 5))
         self._obstacles = [None] * len(self.starts)
+        self._known = [None] * len(self.starts)
         self._road = [self.roads.speeds(start.path, start.driver) for start in self.starts]
         self._limit = [None] * len(self.starts)
 
@@ -80,10 +84,15 @@ class Driving:
         scene, simulation = self.scene, self.simulation
         simulation.rewind()
         everybody = np.arange(len(scene.traffic.ids)) if self.rows is None else self.rows
-        recorded = Replay(simulation, scene.traffic.rows(everybody.tolist()), "r", checked=self.checked)
-        kept = Replay(simulation, self.fixed, "k", checked=False)
+        recorded = Replay(
+            simulation, scene.traffic.rows(everybody.tolist()), "r", step_s=DT_S, checked=self.checked
+        )
+        kept = Replay(simulation, self.fixed, "k", step_s=DT_S, checked=False)
         place_of = {int(row): place for place, row in enumerate(everybody)}
-        every_kept = frozenset(range(len(self.fixed.ids)))
+        recorded.warm_up()
+        if self.fixed.ids:
+            kept.warm_up()
+        simulation.step()
         for step in range(scene.num_steps):
             attempts: list[_Attempt] = []
             if step > 0:
@@ -91,10 +100,10 @@ class Driving:
                 for row, vehicle in enumerate(self.vehicles):
                     if vehicle.running:
                         attempts += self._steer(row, vehicle, step - 1, fleet)
-            seen = frozenset(place_of[row] for row in self._seen(step) if row in place_of)
-            recorded.place(step, seen)
+            seen, seen_kept = self._seen(step)
+            recorded.place(step, {place_of[row]: lane for row, lane in seen.items() if row in place_of})
             if self.fixed.ids:
-                kept.place(step, every_kept)
+                kept.place(step, seen_kept)
             simulation.step()
             if step == 0:  # after the first step, so that the state of step 0 is the start
                 for vehicle in self.vehicles:
@@ -139,18 +148,46 @@ class Driving:
         lane = self.scene.grid.graph.lanes[vehicle.path.segment_at(vehicle.s[-1]).lane_id]
         return lane.turn is not TurnType.STRAIGHT
 
-    def _seen(self, step: int) -> set[int]:
-        """Recorded agents whose boxes reach into the driving width on the present way of some vehicle."""
-        seen: set[int] = set()
-        for vehicle in self.vehicles:
+    def _seen(self, step: int) -> tuple[dict[int, tuple[str, int]], dict[int, tuple[str, int]]]:
+        """Whom SUMO's car following is shown, recorded and kept: row -> edge and lane index of its place on the way.
+
+        Those whose boxes reach into the driving width on the present way of some vehicle and who move along it or
+        stand. Who crosses is the guard's business: to SUMO it would appear out of nowhere.
+        """
+        recorded: dict[int, tuple[str, int]] = {}
+        kept: dict[int, tuple[str, int]] = {}
+        for row, vehicle in enumerate(self.vehicles):
             if not vehicle.running or "collision" in self.scene.config.without:
                 continue
             s = vehicle.s[-1] if vehicle.s else vehicle.start.start_s
-            found = self.scene.recorded_on(vehicle.path, vehicle.start.box)
-            low = found.low[:, step]
-            near = np.flatnonzero((low < s + _SHOWN_M) & (low > s - 10.0))
-            seen.update(self.scene.rows_on(vehicle.path, vehicle.start.box)[near].tolist())
-        return seen
+            found, rows = self._known_of(row)
+            low, high = found.low[:, step], found.high[:, step]
+            along = found.along[:, step]
+            led_by = found.aligned[:, step] | (np.abs(along) < _STANDS_MPS) & ~found.crosses[:, step]
+            for place in np.flatnonzero((low < s + _SHOWN_M) & (high > s - 10.0) & led_by).tolist():
+                cell = self.scene.cell_at(vehicle.path, 0.5 * (low[place] + high[place]))
+                lane = self.scene.grid.edge_id(cell), self.scene.grid.lane_index(cell)
+                agent = int(rows[place])
+                if agent < len(self.scene.traffic.ids):
+                    recorded.setdefault(agent, lane)
+                else:
+                    kept.setdefault(agent - len(self.scene.traffic.ids), lane)
+        return recorded, kept
+
+    def _known_of(self, row: int) -> tuple[PathOccupancy, IntArray]:
+        """Intervals of everybody whose future is known on a vehicle's path, and their rows: recorded, then kept."""
+        known = self._known[row]
+        if known is None:
+            vehicle = self.vehicles[row]
+            path, box = vehicle.path, vehicle.start.box
+            found, rows = self.scene.recorded_on(path, box), self.scene.rows_on(path, box)
+            if self.fixed.ids:
+                width = box.width_m + 2 * self.scene.config.conflict.margin_lateral_m
+                kept_rows, more = look_along(path.line, self.fixed, box.length_m, width)
+                found = found.joined(more)
+                rows = np.concatenate([rows, kept_rows + len(self.scene.traffic.ids)])
+            known = self._known[row] = found, rows
+        return known
 
     def _fleet(self) -> Traffic:
         """The vehicles that are driven, where the simulation has them now (one step)."""
@@ -387,6 +424,7 @@ class Driving:
         vehicle.shifts.append(attempt.shift)
         vehicle.stage = attempt.stage
         vehicle.reason = None
+        self._known[row] = None
         self._road[row] = self.roads.speeds(attempt.path, vehicle.start.driver)
         self._obstacles = [None] * len(self.vehicles)  # everybody sees the new intention
 

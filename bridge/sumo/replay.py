@@ -1,6 +1,6 @@
 """Recorded agents as fixed vehicles: every state at its exact pose, every step."""
 
-from collections.abc import Set as AbstractSet
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,6 +33,7 @@ class Replay:
     simulation: Simulation
     traffic: Traffic
     prefix: str
+    step_s: float
     checked: bool = True
     _in: set[int] = field(default_factory=set)
     _names: list[str] = field(init=False)
@@ -49,26 +50,44 @@ class Replay:
         self._poses = list(by_step)
         self._here = [np.flatnonzero(column).tolist() for column in self.traffic.present.T]
 
-    def place(self, step: int, seen: AbstractSet[int]) -> None:
+    def warm_up(self) -> None:
+        """Place those of step 0 where they were one step before: SUMO has no speed for whom it sees the first time."""
+        speed = np.hypot(*np.moveaxis(self.traffic.velocity[:, 0], -1, 0)) * self.step_s
+        heading = np.radians(90.0 - np.array(self._poses[0][2])) if self._poses else np.zeros(0)
+        x, y, angle = self._poses[0]
+        self._add(self._here[0])
+        self.simulation.place_all([
+            (self._names[row], x[row] - speed[row] * np.cos(heading[row]), y[row] - speed[row] * np.sin(heading[row]),
+             angle[row], None)
+            for row in self._here[0]
+        ])  # fmt: skip
+
+    def _add(self, rows: list[int]) -> None:
+        for row in rows:
+            self.simulation.add_replayed(
+                self._names[row], length_m=float(self.traffic.length_m[row]), width_m=float(self.traffic.width_m[row])
+            )
+        self._in = set(rows) | self._in
+
+    def place(self, step: int, seen: Mapping[int, tuple[str, int]]) -> None:
         """Add, move and remove vehicles so that the coming step has the states of `step`.
 
-        seen: rows of those that SUMO's car following is to see; the others are put on no lane, for SUMO, to whom a
-        vehicle on a lane has no width, would brake for whoever stands beside.
+        seen: rows of those that SUMO's car following is to see, with the edge and lane index on which; the others are
+        put on no lane, for SUMO, to whom a vehicle on a lane has no width, would brake for whoever stands beside. Who
+        is new is not seen before the next step, when SUMO knows its speed.
         """
         rows, names = self._here[step], self._names
         here = set(rows)
+        new = here - self._in
         if here != self._in:
             for row in sorted(self._in - here):
                 self.simulation.remove(names[row])
-            for row in sorted(here - self._in):
-                self.simulation.add_replayed(
-                    names[row],
-                    length_m=float(self.traffic.length_m[row]),
-                    width_m=float(self.traffic.width_m[row]),
-                )
-            self._in = here
+            self._in &= here
+            self._add(sorted(new))
         x, y, angle = self._poses[step]
-        self.simulation.place_all([(names[row], x[row], y[row], angle[row], row in seen) for row in rows])
+        self.simulation.place_all([
+            (names[row], x[row], y[row], angle[row], None if row in new else seen.get(row)) for row in rows
+        ])
 
     def check(self, step: int) -> None:
         """Take down SUMO's poses, where they are to be compared with the recorded ones."""

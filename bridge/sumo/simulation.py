@@ -105,12 +105,17 @@ class Simulation:
             vehicle_id, "", -1, x, y, angle_deg, keepRoute=_REPLAY_KEEP_ROUTE, matchThreshold=_REPLAY_MATCH_M
         )
 
-    def place_all(self, poses: Sequence[tuple[str, float, float, float, bool]]) -> None:
-        """The same for many: (vehicle id, x, y, angle in degrees, seen). Those not seen are on no lane."""
+    def place_all(self, poses: Sequence[tuple[str, float, float, float, tuple[str, int] | None]]) -> None:
+        """The same for many: (vehicle id, x, y, angle in degrees, lane). lane: edge and index on which it is seen.
+
+        None: on no lane, so that nobody follows it.
+        """
         move = libsumo.vehicle.moveToXY
-        for vehicle_id, x, y, angle_deg, seen in poses:
-            match = _REPLAY_MATCH_M if seen else _ASIDE_MATCH_M
-            move(vehicle_id, "", -1, x, y, angle_deg, _REPLAY_KEEP_ROUTE, match)
+        for vehicle_id, x, y, angle_deg, lane in poses:
+            if lane is None:
+                move(vehicle_id, "", -1, x, y, angle_deg, _REPLAY_KEEP_ROUTE, _ASIDE_MATCH_M)
+            else:
+                move(vehicle_id, lane[0], lane[1], x, y, angle_deg, _REPLAY_KEEP_ROUTE, _REPLAY_MATCH_M)
 
     def pose(self, vehicle_id: str) -> tuple[float, float, float] | None:
         """Front bumper x, y in m and angle in degrees, as SUMO has them now; None for a vehicle not in the net."""

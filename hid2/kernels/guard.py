@@ -50,6 +50,7 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0912, PL
     low, high, along, aligned = known
     g_low, g_high, g_cos = swept
     tau, accel, decel, min_gap = driver
+    hardest = 1.4 * decel
     agents, steps = low.shape
     best, best_step, free_step = 0, 0, -1
     leader, leader_gap, run_into = -1, np.inf, False
@@ -104,7 +105,11 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0912, PL
             a_next = max(-decel, accel * (1.0 - (v / max(wanted, 0.1)) ** 4))
             if gap_least < 1e3:
                 star = min_gap + max(0.0, v * tau + v * closing / (2.0 * np.sqrt(accel * decel)))
-                a_next = max(-4.0, min(a_next, accel * (1.0 - (star / max(gap_least, 0.1)) ** 2)))
+                a_next = min(a_next, accel * (1.0 - (star / max(gap_least, 0.1)) ** 2))
+                if a_next < -hardest and k > 0:
+                    hit = k * stride  # who appears ahead, or stands, asks for more than a driver would brake
+                    break
+                a_next = max(a_next, -hardest)
             if row > 0:
                 a_cmd = max(min(a_cmd, 0.0) - jerk * stride * step_s, -brakes[row])
                 a_next = min(a_next, a_cmd)

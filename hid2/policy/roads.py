@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from hid2.agents import FloatArray
 from hid2.drivers.driver import Driver
 from hid2.motion.route import DrivenPath, turn_segments
@@ -17,9 +19,10 @@ class Roads:
     _known: dict[DrivenPath, RoadSpeeds] = field(default_factory=dict)
 
     def speeds(self, path: DrivenPath, driver: Driver) -> FloatArray:
-        """(S,) m/s at the table of a path's line: the most that a driver takes there, however fast it would like."""
+        """(S,) m/s at the table of a path's line: the most that a driver takes there; inf where the road asks nothing."""
         config = self.scene.config
         if path not in self._known:
             segments = turn_segments(self.scene.grid.graph, path)
             self._known[path] = road_speeds(path.line, segments, turn=config.turn, limits=config.limits)
-        return self._known[path].desired(driver.desired_mps, turn=config.turn, accel_mps2=driver.accel_mps2)
+        most = self._known[path].desired(driver.desired_mps, turn=config.turn, accel_mps2=driver.accel_mps2)
+        return np.where(most < driver.desired_mps - 1e-6, most, np.inf)
