@@ -191,9 +191,14 @@ class Signals(_Section):
 class Crossings(_Section):
     """Pedestrians on or at the map's pedestrian crossings."""
 
-    near_m: float = _param(1.0, "m", "whoever is this near and walks towards the crossing is yielded to", ge=0, le=5)
-    ahead_s: float = _param(1.5, "s", "whoever is on the crossing within this time is yielded to", ge=0, le=5)
+    near_m: float = _param(1.0, "m", "whoever is this near and moves towards the crossing counts", ge=0, le=5)
     towards_mps: float = _param(0.3, "m/s", "slower approach to the crossing is standing beside it", ge=0, le=3)
+    ahead_s: float = _param(1.5, "s", "whoever is on the crossing within this time counts", ge=0, le=10)
+    strip_m: float = _param(
+        1.0, "m", "to each side of the swept width, where nobody may be while it is passed", ge=0, le=5
+    )
+    strip_s: float = _param(3.0, "s", "only who is on that strip within this time holds a vehicle up", ge=0, le=20)
+    along_deg: float = _param(40.0, "deg", "who moves along the path within this angle does not cross it", gt=0, lt=90)
 
 
 class CarFollowing(_Section):
