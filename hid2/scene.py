@@ -142,7 +142,13 @@ class World:
         return self._roads[path]
 
     def _desired(self, speeds: RoadSpeeds, cruise_mps: float) -> FloatArray:
-        return speeds.desired(cruise_mps, turn=self.config.turn, accel_mps2=self.config.car_following.accel_mps2)
+        turn = self.config.turn
+        return speeds.desired(
+            cruise_mps,
+            lateral_accel_mps2=turn.lateral_accel_mps2,
+            accel_mps2=self.config.car_following.accel_mps2,
+            approach_decel_mps2=turn.approach_decel_mps2,
+        )
 
     def prospect(
         self,

@@ -52,7 +52,7 @@ def starts(
     """
     following, steps = config.car_following, look.tables.num_steps
     reasons, v0, s, v, cost = _starts(
-        look.tables.view(), road.cap, road.shape, look.most, s0, cruise_mps, wanted_mps,
+        look.tables.view(), road.cap(config.turn.lateral_accel_mps2), road.shape, look.most, s0, cruise_mps, wanted_mps,
         np.asarray(shares), config.turn.approach_decel_mps2, following.accel_mps2, config.spawn.clear_gap_m,
         config.spawn.clear_ahead_s, gentle_from, steps, plan_accelerations(config), DT_S, states(steps), plans,
         turn_end, turned_by,
