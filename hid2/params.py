@@ -198,6 +198,37 @@ class Conflict(_Section):
     end_ttc_min_s: float = _param(1.0, "s", "smallest TTC at the last step, everybody at constant velocity", ge=0, le=5)
 
 
+class Signals(_Section):
+    """Red and green inferred from recorded traffic; the signals themselves are not in the data."""
+
+    before_s: float = _param(2.0, "s", "red so long before recorded traffic crosses", ge=0, le=10)
+    after_s: float = _param(3.0, "s", "red so long after recorded traffic has crossed", ge=0, le=20)
+    queue_m: float = _param(20.0, "m", "a queue that stands within this of the entrance makes it red", ge=0, le=100)
+    beyond_m: float = _param(3.0, "m", "centres so far beyond the entrance still stand in the queue", ge=0, le=10)
+    standing_mps: float = _param(0.5, "m/s", "slower recorded vehicles stand", gt=0, le=3)
+    flow_mps: float = _param(1.0, "m/s", "faster recorded vehicles are cross traffic", ge=0, le=10)
+    parked_m: float = _param(5.0, "m", "whoever moves less over the scene may be parked", gt=0, le=50)
+    crossing_deg: float = _param(40.0, "deg", "smaller angles between two ways are merges, not crossings", gt=0, lt=90)
+    entry_before_s: float = _param(1.0, "s", "green so long before a recorded vehicle enters", ge=0, le=10)
+    entry_after_s: float = _param(2.0, "s", "green so long after one has entered", ge=0, le=10)
+    crossing_s: float = _param(
+        1.0, "s", "no entry makes it green this close to cross traffic (critical PET)", ge=0, le=5
+    )
+
+
+class Crossings(_Section):
+    """Pedestrians on or at the map's pedestrian crossings."""
+
+    near_m: float = _param(1.0, "m", "whoever is this near and moves towards the crossing counts", ge=0, le=5)
+    towards_mps: float = _param(0.3, "m/s", "slower approach to the crossing is standing beside it", ge=0, le=3)
+    ahead_s: float = _param(1.5, "s", "whoever is on the crossing within this time counts", ge=0, le=10)
+    strip_m: float = _param(
+        1.0, "m", "to each side of the swept width, where nobody may be while it is passed", ge=0, le=5
+    )
+    strip_s: float = _param(3.0, "s", "only who is on that strip within this time holds a vehicle up", ge=0, le=20)
+    along_deg: float = _param(40.0, "deg", "who moves along the path within this angle does not cross it", gt=0, lt=90)
+
+
 class CarFollowing(_Section):
     """SUMO's car following of the inserted vehicles."""
 
@@ -243,6 +274,8 @@ class Config(_Section):
     overtake: Overtake = Overtake()
     turn: Turn = Turn()
     conflict: Conflict = Conflict()
+    signals: Signals = Signals()
+    crossings: Crossings = Crossings()
     limits: Limits = Limits()
     smoothing: Smoothing = Smoothing()
 

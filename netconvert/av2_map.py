@@ -81,7 +81,12 @@ def lane_graph_from_json(data: Any, *, name: str) -> LaneGraph:  # noqa: ANN401
             raise MapError(f"{where}: no area_boundary, want a list of points")
         ring = _points(area["area_boundary"], where=f"{where}: area_boundary", axes="xy", at_least=3)
         rings.append(np.vstack([ring, ring[:1]]))
-    return LaneGraph(lanes, tuple(rings))
+    crossings = _objects(data, "pedestrian_crossings", name=name) if "pedestrian_crossings" in data else {}
+    return LaneGraph(
+        lanes,
+        tuple(rings),
+        tuple(_crossing(found, where=f"{name}: pedestrian crossing {key}") for key, found in crossings.items()),
+    )
 
 
 def _objects(data: Any, key: str, *, name: str) -> Mapping[str, Any]:  # noqa: ANN401
@@ -89,6 +94,18 @@ def _objects(data: Any, key: str, *, name: str) -> Mapping[str, Any]:  # noqa: A
         raise MapError(f"{name}: no object {key!r}, want an Argoverse 2 vector map")
     objects: dict[str, Any] = data[key]
     return objects
+
+
+def _crossing(found: Any, *, where: str) -> FloatArray:  # noqa: ANN401
+    """Corners of a pedestrian crossing, along its first edge and back along the second; (4, 2) m."""
+    if not isinstance(found, dict) or "edge1" not in found or "edge2" not in found:
+        raise MapError(f"{where}: no edge1 or no edge2, want two lists of points")
+    first, second = (
+        _points(found[edge], where=f"{where}: {edge}", axes="xy", at_least=2)[[0, -1]] for edge in ("edge1", "edge2")
+    )
+    if np.dot(first[1] - first[0], second[1] - second[0]) > 0:
+        second = second[::-1]
+    return np.concatenate([first, second])
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -112,6 +112,8 @@ class LaneGraph:
     """By lane id, in ascending order."""
     drivable_areas: tuple[FloatArray, ...] = ()
     """Closed rings, each (N, 2) m with the first point repeated at the end."""
+    pedestrian_crossings: tuple[FloatArray, ...] = ()
+    """Corners of each crossing in turn, (4, 2) m."""
     dropped: tuple[DroppedLink, ...] = field(init=False)
     _successors: dict[int, tuple[int, ...]] = field(init=False, repr=False)
     _predecessors: dict[int, tuple[int, ...]] = field(init=False, repr=False)

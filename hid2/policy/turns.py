@@ -1,5 +1,6 @@
 """Speeds of straight, left-turn and right-turn lanes (paper, Straight, Left Turn and Right Turn)."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,8 @@ from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.params import Limits, Turn
 from netconvert.lane_graph import TurnType
 
+#: A line that bends, or changes its curvature, by less than this is straight, 1/m and 1/m2.
+_FLAT = 1e-6
 TURN_OF_POLICY = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
 
 
@@ -34,17 +37,15 @@ def f_right(alpha: FloatArray, turn: Turn) -> FloatArray:
     return turn_shape(alpha, turn.right_trough, turn.trough_at)
 
 
-def speed_cap(line: ReferenceLine, turn: Turn, limits: Limits) -> FloatArray:
-    """(S,) m/s at the line's table: what its curvature and sharpness allow.
+def hard_cap(line: ReferenceLine, limits: Limits) -> FloatArray:
+    """(S,) m/s at the line's table: what yaw rate, yaw acceleration and lateral jerk allow anybody.
 
-    v <= sqrt(a_y / kappa) with the comfortable a_y of `turn`; yaw rate, yaw acceleration and lateral jerk with a
-    margin to the limits, so that speeding up or slowing within the curve has room left.
+    With a margin to the limits, so that speeding up or slowing within the curve has room left.
     """
-    curvature = np.maximum(np.abs(line.table_curvature), 1e-6)
-    sharpness = np.maximum(np.abs(line.table_sharpness), 1e-6)
+    curvature = np.maximum(np.abs(line.table_curvature), _FLAT)
+    sharpness = np.maximum(np.abs(line.table_sharpness), _FLAT)
     return np.asarray(
         np.minimum.reduce([
-            np.sqrt(turn.lateral_accel_mps2 / curvature),
             0.8 * limits.yaw_rate_radps / curvature,
             np.sqrt(0.5 * limits.yaw_accel_radps2 / sharpness),
             np.cbrt(0.5 * limits.jerk_mps3 / sharpness),
@@ -54,38 +55,55 @@ def speed_cap(line: ReferenceLine, turn: Turn, limits: Limits) -> FloatArray:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RoadSpeeds:
-    """What a road makes of anybody's speed, at its line's table. cap (S,) m/s: `speed_cap`; shape (S,): v / v_0."""
+    """What a road makes of anybody's speed, at its line's table.
 
-    cap: FloatArray
+    bend (S,) m/s for a lateral acceleration of 1 m/s2; others are as its root. In bends sqrt(1 / kappa); on a turning
+    lane v_0 f(alpha), with the largest v_0 that keeps within sqrt(1 / kappa) on the whole lane (they touch once).
+    hard (S,) m/s: `hard_cap`. shape (S,): f(alpha) = v / v_0, 1 outside of turning lanes.
+    """
+
+    bend: FloatArray
+    hard: FloatArray
     shape: FloatArray
 
-    def desired(self, cruise_mps: float, *, turn: Turn, accel_mps2: float) -> FloatArray:
-        """(S,) m/s target speed along a route: cruise, shaped on turn lanes, capped by curvature, reachable.
+    def cap(self, lateral_accel_mps2: float) -> FloatArray:
+        """(S,) m/s the road's own limit for a driver who takes so much lateral acceleration."""
+        return np.minimum(self.hard, math.sqrt(lateral_accel_mps2) * self.bend)
 
-        Slowing begins before the entrance at approach_decel_mps2; speeding up after the exit at accel_mps2.
+    def desired(
+        self, cruise_mps: float, *, lateral_accel_mps2: float, accel_mps2: float, approach_decel_mps2: float
+    ) -> FloatArray:
+        """(S,) m/s target speed along a route: the cruising speed, v_0 f(alpha) on turning lanes, less in bends.
+
+        v_0, the speed at a turning lane's entrance, is the cruising speed or what the driver's lateral acceleration
+        allows. Slowing begins before the entrance at approach_decel_mps2; speeding up after the trough at accel_mps2.
         """
-        decel_mps2 = turn.approach_decel_mps2
-        return np.asarray(reachable(self.cap, self.shape, cruise_mps, TABLE_STEP_M, decel_mps2, accel_mps2))
+        cap = self.cap(lateral_accel_mps2)
+        return np.asarray(reachable(cap, self.shape, cruise_mps, TABLE_STEP_M, approach_decel_mps2, accel_mps2))
 
 
 def road_speeds(
     line: ReferenceLine, segments: list[tuple[float, float, TurnType]], *, turn: Turn, limits: Limits
 ) -> RoadSpeeds:
-    """Cap of a line's curvature, and f_left and f_right on its turning lanes.
+    """Speeds of a line's bends, and f_left and f_right on its turning lanes.
 
     segments: (start, end, turn type) of each lane in arc length of the line, m.
     """
-    shape = np.ones(line.table_curvature.size)
+    bend = 1.0 / np.sqrt(np.maximum(np.abs(line.table_curvature), _FLAT))
+    turning, shape = bend.copy(), np.ones(bend.size)
     for start, end, kind in segments:
         if kind is TurnType.STRAIGHT or end <= start:
             continue
         cells = np.arange(max(0, int(start / TABLE_STEP_M)), min(shape.size, int(end / TABLE_STEP_M) + 2))
         s = cells * TABLE_STEP_M
         cells, s = cells[(s >= start) & (s <= end)], s[(s >= start) & (s <= end)]
+        if not cells.size:
+            continue
         alpha = np.asarray((s - start) / (end - start), dtype=np.float64)
         here = f_left(alpha, turn) if kind is TurnType.LEFT else f_right(alpha, turn)
         shape[cells] = np.minimum(shape[cells], here)
-    return RoadSpeeds(cap=speed_cap(line, turn, limits), shape=shape)
+        turning[cells] = np.minimum(turning[cells], (bend[cells] / here).min() * here)
+    return RoadSpeeds(bend=turning, hard=hard_cap(line, limits), shape=shape)
 
 
 @njit(cache=True)

@@ -11,7 +11,7 @@ from hid2.conflicts.cases import priority, prospect, road_most, transition_rejec
 from hid2.insertion.draws import Draws
 from hid2.insertion.places import Places
 from hid2.insertion.spawning import Spawner
-from hid2.motion.reference_line import build_reference_line
+from hid2.motion.reference_line import TABLE_STEP_M, build_reference_line
 from hid2.motion.smoothing import integrate, poses
 from hid2.motion.verify import motion_profile
 from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL, cell_boxes, cells_under, dwell_steps, original_occupancy
@@ -240,7 +240,7 @@ def test_speed_on_a_straight_lane_stays() -> None:
     """v(t + dt) ~ v(t)."""
     line = build_reference_line(np.array([[0.0, 0.0], [200.0, 0.0]]), step_m=1.0, min_radius_m=5.0, max_offset_m=0.6)
     road = road_speeds(line, [(0.0, 200.0, TurnType.STRAIGHT)], turn=Turn(), limits=Limits())
-    speed = road.desired(11.0, turn=Turn(), accel_mps2=1.8)
+    speed = road.desired(11.0, lateral_accel_mps2=1.8, accel_mps2=1.8, approach_decel_mps2=1.5)
     assert np.ptp(speed) == pytest.approx(0.0)
 
 
@@ -252,6 +252,23 @@ def test_f_left_is_below_f_right_is_at_most_1_with_its_trough_early_to_mid_turn(
     assert np.all(right <= 1.0)
     assert left[[0, -1]] == pytest.approx([1.0, 1.0])
     assert 0.1 <= alpha[np.argmin(left)] <= 0.6
+
+
+def test_v_0_is_set_at_the_entrance_by_the_lateral_acceleration_and_f_decides_from_there() -> None:
+    """v = v_0 f(alpha) on the whole turn; v^2 kappa reaches a_y at one point of it and never exceeds it."""
+    angle = np.radians(np.arange(0.0, 91.0, 3.0))
+    corner = np.column_stack([30 + 12 * np.sin(angle), 12 - 12 * np.cos(angle)])
+    points = np.concatenate([[[0.0, 0.0]], corner, [[42.0, 42.0]]])
+    line = build_reference_line(points, step_m=1.0, min_radius_m=5.0, max_offset_m=0.6)
+    start, end = 25.0, 54.0
+    road = road_speeds(line, [(start, end, TurnType.LEFT)], turn=Turn(), limits=Limits())
+    inside = slice(int(start / TABLE_STEP_M), int(end / TABLE_STEP_M) + 1)
+    v = road.cap(1.8)[inside]
+    alpha = (np.arange(inside.start, inside.stop) * TABLE_STEP_M - start) / (end - start)
+    assert v / v[0] == pytest.approx(f_left(alpha, Turn()))
+    lateral = v**2 * np.abs(line.table_curvature[inside])
+    assert lateral.max() == pytest.approx(1.8)
+    assert (lateral < 0.95 * 1.8).mean() > 0.5
 
 
 # Trajectory generation ------------------------------------------------------------------------------------------------

@@ -52,6 +52,36 @@ def test_a_missing_centerline_is_the_mid_line_that_av2_derives(tmp_path: Path, l
         assert np.abs(lane.centerline - expected).max() < 1e-9
 
 
+def _edge(*points: tuple[float, float]) -> list[dict[str, float]]:
+    return [{"x": x, "y": y, "z": 0.0} for x, y in points]
+
+
+@pytest.mark.parametrize("second", [[(13.0, -5.0), (13.0, 5.0)], [(13.0, 5.0), (13.0, -5.0)]])
+def test_pedestrian_crossings_keep_their_corners_in_turn(
+    lane_json: Json, map_json: Json, second: list[tuple[float, float]]
+) -> None:
+    """Two edges of 10 m, 3 m apart, whichever way the second one runs."""
+    document = map_json(lane_json(5, STRAIGHT))
+    crossing = {"id": 1, "edge1": _edge((10.0, -5.0), (10.0, 5.0)), "edge2": _edge(*second)}
+    document["pedestrian_crossings"] = {"1": crossing}
+    (corners,) = lane_graph_from_json(document, name="map").pedestrian_crossings
+    assert corners.tolist() == [[10.0, -5.0], [10.0, 5.0], [13.0, 5.0], [13.0, -5.0]]
+
+
+def test_a_map_without_pedestrian_crossings_has_none(lane_json: Json, map_json: Json) -> None:
+    document = map_json(lane_json(5, STRAIGHT))
+    assert lane_graph_from_json(document, name="map").pedestrian_crossings == ()
+    del document["pedestrian_crossings"]
+    assert lane_graph_from_json(document, name="map").pedestrian_crossings == ()
+
+
+def test_a_pedestrian_crossing_without_an_edge_is_refused_by_name(lane_json: Json, map_json: Json) -> None:
+    document = map_json(lane_json(5, STRAIGHT))
+    document["pedestrian_crossings"] = {"77": {"id": 77, "edge1": _edge((0.0, 0.0), (1.0, 0.0))}}
+    with pytest.raises(MapError, match=r"map: pedestrian crossing 77: no edge1 or no edge2"):
+        lane_graph_from_json(document, name="map")
+
+
 def test_repeated_points_of_a_centerline_are_dropped(lane_json: Json, map_json: Json) -> None:
     segment = lane_json(5, [(0.0, 0.0), (0.0, 0.0), (20.0, 0.0), (20.0, 0.0), (50.0, 0.0)])
     lane = lane_graph_from_json(map_json(segment), name="map").lanes[5]

@@ -5,7 +5,7 @@ import pytest
 
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
 from hid2.params import Limits, Turn
-from hid2.policy.turns import f_left, f_right, road_speeds, speed_cap, turn_shape
+from hid2.policy.turns import f_left, f_right, hard_cap, road_speeds, turn_shape
 from netconvert.lane_graph import TurnType
 
 #: Every value that a number below is worked from; the defaults may be tuned.
@@ -46,19 +46,27 @@ def test_right_turns_slow_less_than_left_ones() -> None:
 def test_cap_on_a_circle_is_the_root_of_lateral_acceleration_times_radius() -> None:
     """R = 10 m, a_y = 2.5 m/s2: v = sqrt(25) = 5 m/s, below the yaw-rate cap of 0.8 * 0.95 * 10 = 7.6 m/s."""
     line = _circle(10.0)
-    cap = speed_cap(line, TURN, Limits())[_inside(line)]
+    cap = road_speeds(line, [], turn=TURN, limits=Limits()).cap(2.5)[_inside(line)]
     assert np.median(cap) == pytest.approx(5.0, rel=0.02)
 
 
 def test_tight_circle_is_capped_by_the_yaw_rate() -> None:
     """R = 10 m with a_y = 4.89 allows 7.0 m/s; a yaw-rate limit of 0.5 rad/s allows 0.8 * 0.5 * 10 = 4 m/s."""
-    line = _circle(10.0)
-    cap = speed_cap(line, Turn(lateral_accel_mps2=4.89), Limits(yaw_rate_radps=0.5))[_inside(line)]
+    line, limits = _circle(10.0), Limits(yaw_rate_radps=0.5)
+    cap = road_speeds(line, [], turn=TURN, limits=limits).cap(4.89)[_inside(line)]
     assert np.median(cap) == pytest.approx(4.0, rel=0.02)
+    assert np.all(cap <= hard_cap(line, limits)[_inside(line)])
 
 
-def _desired(line: ReferenceLine, segments: list[tuple[float, float, TurnType]], *, cruise_mps: float = 10.0):
-    return road_speeds(line, segments, turn=TURN, limits=Limits()).desired(cruise_mps, turn=TURN, accel_mps2=1.8)
+def _desired(
+    line: ReferenceLine,
+    segments: list[tuple[float, float, TurnType]],
+    *,
+    cruise_mps: float = 10.0,
+    lateral_accel_mps2: float = 2.5,
+):
+    road = road_speeds(line, segments, turn=TURN, limits=Limits())
+    return road.desired(cruise_mps, lateral_accel_mps2=lateral_accel_mps2, accel_mps2=1.8, approach_decel_mps2=1.5)
 
 
 def test_straight_lane_is_driven_at_the_cruising_speed(straight_line: ReferenceLine) -> None:
@@ -97,9 +105,64 @@ def test_right_turn_is_driven_faster_than_a_left_one(straight_line: ReferenceLin
     assert right.min() == pytest.approx(7.5)
 
 
-def test_curvature_has_the_last_word_in_a_turn() -> None:
-    """On a circle of 6 m, sqrt(2.5 * 6) = 3.87 m/s: below 10 * f_left."""
+def _corner(radius: float, *, before_m: float = 60.0) -> tuple[ReferenceLine, list[tuple[float, float, TurnType]]]:
+    """Straight, 90 degrees to the left, straight; the turning lane begins 4 m before the arc and ends 4 m behind it."""
+    angle = np.radians(np.arange(0.0, 91.0, 3.0))
+    arc = np.column_stack([before_m + radius * np.sin(angle), radius - radius * np.cos(angle)])
+    points = np.concatenate([[[0.0, 0.0]], arc, [[before_m + radius, radius + 60.0]]])
+    line = build_reference_line(points, step_m=1.0, min_radius_m=5.0, max_offset_m=0.6)
+    start, end = before_m - 4.0, before_m + radius * np.pi / 2 + 4.0
+    return line, [(0.0, start, TurnType.STRAIGHT), (start, end, TurnType.LEFT), (end, line.length_m, TurnType.STRAIGHT)]
+
+
+def test_a_driver_slows_to_an_entry_speed_that_keeps_the_whole_turn_within_his_lateral_acceleration() -> None:
+    """Circle of 12 m all along the lane: v_0 = sqrt(1.6 * 12) = 4.38 m/s at both ends, 0.65 of it at the trough."""
+    line = _circle(12.0)
+    speed = road_speeds(line, [(0.0, line.length_m, TurnType.LEFT)], turn=TURN, limits=Limits()).cap(1.6)
+    inside = speed[_inside(line)][:-1]
+    assert inside.max() == pytest.approx(math.sqrt(1.6 * 12.0), rel=0.04)
+    assert inside.min() / inside[0] == pytest.approx(0.65, rel=0.01)
+
+
+def test_shape_and_lateral_acceleration_meet_at_one_point_of_a_corner() -> None:
+    """R = 10 m: v^2 kappa is 2 m/s2 at most, at one point; v / v_0 is f(alpha) on the whole lane."""
+    line, segments = _corner(10.0)
+    road = road_speeds(line, segments, turn=TURN, limits=Limits(jerk_mps3=30.0, yaw_accel_radps2=5.0))
+    (start, end, _) = segments[1]
+    rows = np.arange(int(np.ceil(start / TABLE_STEP_M)), int(end / TABLE_STEP_M) + 1)
+    v = road.cap(2.0)[rows]
+    f = f_left((rows * TABLE_STEP_M - start) / (end - start), TURN)
+    assert v / f == pytest.approx(np.full(v.size, v[0] / f[0]))
+    lateral = v**2 * np.abs(line.table_curvature[rows])
+    assert lateral.max() == pytest.approx(2.0)
+    assert np.sum(lateral > 0.999 * 2.0) == 1
+
+
+def test_entry_speed_grows_with_the_root_of_the_drivers_lateral_acceleration() -> None:
+    line, segments = _corner(15.0)
+    road = road_speeds(line, segments, turn=TURN, limits=Limits(jerk_mps3=30.0, yaw_accel_radps2=5.0))
+    row = int(segments[1][0] / TABLE_STEP_M) + 1
+    assert road.cap(2.0)[row] / road.cap(0.5)[row] == pytest.approx(2.0)
+
+
+def test_slow_driver_enters_a_wide_turn_at_the_cruising_speed() -> None:
+    """R = 40 m at 2.5 m/s2 allows 10 m/s and more: at a cruise of 6 m/s f alone decides, 0.65 * 6 = 3.9 m/s."""
+    line, segments = _corner(40.0)
+    speed = _desired(line, segments, cruise_mps=6.0)
+    assert speed.min() == pytest.approx(3.9, rel=0.01)
+    assert speed[0] == pytest.approx(6.0)
+
+
+def test_bend_of_a_straight_lane_keeps_the_cap_of_its_curvature() -> None:
+    """On a circle of 6 m no lane turns: sqrt(2.5 * 6) = 3.87 m/s, and no shape."""
     line = _circle(6.0)
-    speed = _desired(line, [(0.0, line.length_m, TurnType.LEFT)])
-    assert np.all(speed <= speed_cap(line, TURN, Limits()) + 1e-9)
+    speed = _desired(line, [(0.0, line.length_m, TurnType.STRAIGHT)])
     assert np.median(speed[_inside(line)]) == pytest.approx(math.sqrt(15.0), rel=0.03)
+
+
+def test_hard_limits_have_the_last_word_in_a_turn() -> None:
+    line, segments = _corner(6.0)
+    limits = Limits(yaw_rate_radps=0.3)
+    road = road_speeds(line, segments, turn=TURN, limits=limits)
+    speed = road.desired(10.0, lateral_accel_mps2=4.0, accel_mps2=1.8, approach_decel_mps2=1.5)
+    assert np.all(speed <= hard_cap(line, limits) + 1e-9)

@@ -1,0 +1,197 @@
+"""Fit the shaping functions of turns, f_left and f_right, to recorded turns: how deep their troughs are, and where.
+
+    python data/fit_turn_troughs.py PATH [PATH ...] [-o TURN.toml]
+
+PATH: scenario folders, split folders or roots of recorded data sets, as many as there are. A turn is counted where a
+clean moving vehicle follows a turning lane of the map from near its start to near its end without stopping, turns as
+the lane does, and its speed is known. Speeds, over that at the lane's entrance, are averaged by the median at each
+share alpha of the lane, on each side, and v / v_0 = f(alpha) is fitted to them by least squares. A side with fewer than
+20 turns keeps the documented prior, which is said. The result can be given to `hid2 generate --config`.
+"""
+
+import argparse
+import math
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import savgol_filter
+
+from bridge.recordings.scenario import STEP_S, Scenario, find_sources, read_scenario
+from hid2.measures.arrays import SceneArrays, stack
+from hid2.measures.driven_lanes import LaneView, runs_of
+from hid2.measures.lane_matching import flatten_lanes, match_lanes
+from hid2.params import Turn
+from hid2.policy.turns import turn_shape
+from netconvert.lane_graph import TURN_RAD
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Shares of a turning lane at which speeds are compared.
+ALPHA = np.linspace(0.0, 1.0, 21)
+#: Fewer turns of a side say nothing.
+LEAST_TURNS = 20
+SIDES = {1: "left", -1: "right"}
+
+_WINDOW, _DEGREE = 11, 2  # of the filter that speeds are derived with: 1.1 s
+_FROM, _TO = 0.1, 0.9  # of the lane, that a turn is seen over at least
+_STANDS_MPS = 1.0
+_ACCEL_MPS2 = 5.0  # no driver's: a tracker's
+_PLACES = np.round(np.arange(0.1, 0.6001, 0.01), 2)  # early to mid-turn
+
+
+@dataclass
+class Turns:
+    """Recorded turns by side. profiles: (21,) v / v_0 at ALPHA each; left_out: passes that are none, by reason."""
+
+    profiles: dict[str, list[FloatArray]] = field(default_factory=lambda: {side: [] for side in SIDES.values()})
+    entry_mps: dict[str, list[float]] = field(default_factory=lambda: {side: [] for side in SIDES.values()})
+    left_out: Counter[str] = field(default_factory=Counter)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A trough and its place, and the root of the mean squared difference to the profiles' median."""
+
+    trough: float
+    trough_at: float
+    rms: float
+
+
+def median_profile(profiles: Sequence[FloatArray]) -> FloatArray:
+    """(21,) the median of v / v_0 over turns."""
+    return np.asarray(np.median(np.stack(profiles), axis=0))
+
+
+def fit(medians: Mapping[str, FloatArray]) -> dict[str, Fit]:
+    """Troughs of the sides' median profiles, with one place for all: f has one (Turn.trough_at).
+
+    At a place, 1 - f = (1 - trough) g(alpha): the trough follows in closed form. Of the places early to mid-turn the
+    one with the least sum of squares over the sides is taken.
+    """
+    best: tuple[float, dict[str, Fit]] | None = None
+    for place in _PLACES.tolist():
+        depth = 1.0 - turn_shape(ALPHA, 0.0, place)
+        sides, total = {}, 0.0
+        for side, profile in medians.items():
+            slowing = 1.0 - profile
+            share = float(np.clip(slowing @ depth / (depth @ depth), 0.0, 0.99))
+            error = float(np.sum(np.square(slowing - share * depth)))
+            sides[side] = Fit(1.0 - share, place, math.sqrt(error / ALPHA.size))
+            total += error
+        if best is None or total < best[0]:
+            best = total, sides
+    return {} if best is None else best[1]
+
+
+def turns_of(scenario: Scenario) -> Turns:
+    """Turns of a scene's recorded vehicles."""
+    arrays, lanes = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=STEP_S), flatten_lanes(scenario.graph)
+    matches, _ = match_lanes(arrays, lanes)
+    view, found = LaneView(arrays, lanes, matches), Turns()
+    for agent in np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.fragment).tolist():
+        for run in runs_of(view, agent):
+            if run.lane < 0 or lanes.turn[run.lane] == 0:
+                continue
+            side = SIDES[int(lanes.turn[run.lane])]
+            alpha = matches.s[run.first : run.last + 1] / lanes.length_m[run.lane]
+            profile = _profile(arrays, agent, run.first, run.last, alpha, sign=int(lanes.turn[run.lane]))
+            if isinstance(profile, str):
+                found.left_out[profile] += 1
+            else:
+                found.profiles[side].append(profile[0])
+                found.entry_mps[side].append(profile[1])
+    return found
+
+
+def _profile(
+    arrays: SceneArrays, agent: int, first: int, last: int, alpha: FloatArray, *, sign: int
+) -> tuple[FloatArray, float] | str:
+    """Speed ratios v / v_0 at ALPHA and v_0, m/s, of rows first to last on a turning lane; or why it is no turn."""
+    rows = slice(int(arrays.first[agent]), int(arrays.first[agent + 1]))
+    if arrays.step[rows.stop - 1] - arrays.step[rows.start] + 1 != rows.stop - rows.start:
+        return "gaps in the track"
+    if rows.stop - rows.start < _WINDOW or alpha.min() > _FROM or alpha.max() < _TO:
+        return "seen over a part of the lane"
+    velocity = savgol_filter(arrays.position[rows], _WINDOW, _DEGREE, deriv=1, delta=arrays.step_s, axis=0)
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    here = speed[first - rows.start : last + 1 - rows.start]
+    if here.min() < _STANDS_MPS:
+        return "stops on the lane"
+    if np.abs(np.diff(here)).max() > _ACCEL_MPS2 * arrays.step_s:
+        return "not clean: speed jumps"
+    angle = np.unwrap(arrays.heading[first : last + 1])
+    if sign * (angle[-1] - angle[0]) < 0.8 * TURN_RAD:
+        return "hardly turns"
+    order = np.maximum.accumulate(alpha)
+    rising = np.concatenate([[True], order[1:] > order[:-1]])
+    v = np.interp(ALPHA, alpha[rising], here[rising])
+    return v / v[0], float(v[0])
+
+
+def report(turns: Turns, scenes: int, *, prior: Turn) -> tuple[Turn, list[str]]:
+    """The turns' parameters, fitted as far as the data go, and what to say of it."""
+    lines = [f"{scenes} scenes"]
+    lines += [f"  left out, {reason}: {count}" for reason, count in sorted(turns.left_out.items())]
+    enough = {side: found for side, found in turns.profiles.items() if len(found) >= LEAST_TURNS}
+    fits = fit({side: median_profile(found) for side, found in enough.items()})
+    values: dict[str, float] = {}
+    for side, found in turns.profiles.items():
+        entry = f", entered at {np.median(turns.entry_mps[side]):.1f} m/s in the median" if found else ""
+        trough = getattr(prior, f"{side}_trough")
+        if side in fits:
+            one = fits[side]
+            values[f"{side}_trough"] = round(one.trough, 3)
+            values["trough_at"] = one.trough_at
+            said = f"trough {one.trough:.3f} at {one.trough_at:.2f} (rms {one.rms:.3f})"
+        else:
+            said = f"fewer than {LEAST_TURNS}: the prior stays, trough {trough} at {prior.trough_at}"
+            if found:
+                alone = fit({side: median_profile(found)})[side]
+                said += f" (these alone: {alone.trough:.3f} at {alone.trough_at:.2f}, rms {alone.rms:.3f})"
+        lines.append(f"{side}: {len(found)} turns{entry}; {said}")
+    left, right = (values.get(f"{side}_trough", getattr(prior, f"{side}_trough")) for side in ("left", "right"))
+    if right <= left:
+        lines.append(f"right {right} is not above left {left}, as the paper has it: the prior stays on both sides")
+        values = {}
+    return prior.model_copy(update=values), lines
+
+
+def _scenarios(paths: Sequence[Path]) -> Iterator[Scenario]:
+    for folder in find_sources(paths):
+        yield read_scenario(folder)
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Read, fit, say what was found, write it."""
+    parser = argparse.ArgumentParser(
+        description="Fit f_left and f_right, the shapes of speed over turns, to recorded turns.",
+        epilog=f"A side with fewer than {LEAST_TURNS} turns keeps the documented prior.",
+    )
+    parser.add_argument("paths", nargs="+", type=Path, metavar="PATH", help="folders of recorded scenes")
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="TURN.toml", help="write the section [turn] of a configuration"
+    )
+    chosen = parser.parse_args(arguments)
+    every, scenes = Turns(), 0
+    for scenario in _scenarios(chosen.paths):
+        found = turns_of(scenario)
+        for side in SIDES.values():
+            every.profiles[side] += found.profiles[side]
+            every.entry_mps[side] += found.entry_mps[side]
+        every.left_out += found.left_out
+        scenes += 1
+    turn, lines = report(every, scenes, prior=Turn())
+    print("\n".join(lines))
+    section = "".join(f"{name} = {getattr(turn, name)}\n" for name in ("left_trough", "right_trough", "trough_at"))
+    print(f"\n[turn]\n{section}", end="")
+    if chosen.out is not None:
+        chosen.out.write_text(f"[turn]\n{section}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

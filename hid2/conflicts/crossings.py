@@ -1,0 +1,88 @@
+"""Pedestrian crossings on a path, and when somebody on or at them has to be yielded to."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from hid2.agents import FloatArray, IntArray
+from hid2.kernels.crossings import at_crossings, crossings_swept, held_up
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.motion.route import DrivenPath
+from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.params import Crossings
+
+#: Recorded object types that use crossings.
+CROSSING_TYPES = frozenset({"pedestrian", "cyclist", "riderless_bicycle"})
+#: Slower agents have no direction of motion, m/s.
+_SLOW_MPS = 0.5
+
+
+class CrossingOnPath(NamedTuple):
+    """A crossing that a path's swept width touches from entry_s to exit_s, m of the path.
+
+    occupied (T,): somebody is on it or about to be, and on the vehicle's way.
+    """
+
+    entry_s: float
+    exit_s: float
+    occupied: BoolArray
+
+
+@dataclass(slots=True)
+class PedestrianCrossings:
+    """The pedestrian crossings of a scene and who uses them when.
+
+    polygons: (4, 2) m each, `LaneGraph.pedestrian_crossings`; traffic: the recorded agents of CROSSING_TYPES alone
+    (`crossing_rows`); step_s: seconds from one step to the next.
+    """
+
+    polygons: Sequence[FloatArray]
+    traffic: Traffic
+    params: Crossings
+    step_s: float
+    _corners: FloatArray = field(init=False, repr=False)
+    _at: BoolArray = field(init=False, repr=False)
+    _known: dict[tuple[DrivenPath, float], list[CrossingOnPath]] = field(init=False, default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        traffic, params = self.traffic, self.params
+        self._corners = np.array(self.polygons, dtype=np.float64).reshape(-1, 4, 2)
+        self._at = at_crossings(
+            self._corners, traffic.position, traffic.velocity, traffic.present,
+            params.near_m, params.towards_mps, round(params.ahead_s / self.step_s),
+        )  # fmt: skip
+
+    def on(self, path: DrivenPath, *, width_m: float) -> list[CrossingOnPath]:
+        """Crossings along a path in the order in which a vehicle of a width comes to them; found once.
+
+        Occupied: somebody is on the crossing, or will be within ahead_s by its recorded future, or is within near_m of
+        it and moves towards it; and is within strip_m of the swept width within strip_s. Nobody waits for those who
+        have passed, nor for those who move along the path, as cyclists on the road do.
+        """
+        key = path, width_m
+        if key not in self._known:
+            self._known[key] = self._find(path, width_m) if len(self._corners) else []
+        return self._known[key]
+
+    def _find(self, path: DrivenPath, width_m: float) -> list[CrossingOnPath]:
+        traffic, params, line = self.traffic, self.params, path.line
+        count = min(int(path.exit_s / TABLE_STEP_M) + 1, len(line.table_xy))
+        xy, heading = line.table_xy[:count], line.table_heading[:count]
+        found = []
+        for crossing, first, last in crossings_swept(self._corners, xy, heading, width_m / 2).tolist():
+            middle = (first + last) // 2
+            occupied = held_up(
+                self._at[crossing], xy[middle], heading[middle], width_m / 2 + params.strip_m,
+                traffic.position, traffic.velocity, traffic.present, round(params.strip_s / self.step_s),
+                math.cos(math.radians(params.along_deg)), _SLOW_MPS,
+            )  # fmt: skip
+            found.append(CrossingOnPath(first * TABLE_STEP_M, last * TABLE_STEP_M, occupied))
+        return sorted(found, key=lambda one: one.entry_s)
+
+
+def crossing_rows(object_types: Sequence[str]) -> IntArray:
+    """Rows of the recorded agents that use pedestrian crossings."""
+    return np.flatnonzero([kind in CROSSING_TYPES for kind in object_types]).astype(np.int64)

@@ -1,0 +1,95 @@
+"""The script that fits the shapes of turns to recorded ones."""
+
+import importlib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from bridge.config import load_config
+from hid2.agents import BoxSize, Track
+from hid2.params import Turn
+from hid2.policy.turns import turn_shape
+
+
+@pytest.fixture(scope="module")
+def script(data_root: Path) -> Iterator[ModuleType]:
+    """The script lies in the folder of the synthetic data, outside any package."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.syspath_prepend(str(data_root.parent))
+        yield importlib.import_module("fit_turn_troughs")
+
+
+def _turns(script: ModuleType, *, left: int, right: int, left_trough: float = 0.6, right_trough: float = 0.8):
+    """Turns of a shape, half of them 0.05 above it and half as much below: their median is the shape."""
+    turns = script.Turns()
+    for side, count, trough in (("left", left, left_trough), ("right", right, right_trough)):
+        for k in range(count):
+            turns.profiles[side].append(turn_shape(script.ALPHA, trough, 0.35) + (0.05 if k % 2 else -0.05))
+            turns.entry_mps[side].append(7.0)
+    return turns
+
+
+def test_troughs_of_both_sides_and_their_place_are_recovered(script: ModuleType) -> None:
+    turn, lines = script.report(_turns(script, left=20, right=24), 3, prior=Turn())
+    assert (turn.left_trough, turn.right_trough, turn.trough_at) == (0.6, 0.8, 0.35)
+    assert lines[1].startswith("left: 20 turns, entered at 7.0 m/s in the median; trough 0.600 at 0.35")
+
+
+def test_a_side_with_fewer_than_twenty_turns_keeps_the_prior_and_says_so(script: ModuleType) -> None:
+    prior = Turn()
+    turn, lines = script.report(_turns(script, left=19, right=0), 1, prior=prior)
+    assert turn == prior
+    assert "left: 19 turns, entered at 7.0 m/s in the median; fewer than 20: the prior stays" in lines[1]
+    assert lines[2].startswith("right: 0 turns; fewer than 20: the prior stays")
+
+
+def test_fits_that_contradict_the_paper_are_not_taken(script: ModuleType) -> None:
+    """f_right > f_left."""
+    turn, lines = script.report(_turns(script, left=20, right=20, right_trough=0.5), 1, prior=Turn())
+    assert turn == Turn()
+    assert "right 0.5 is not above left 0.6" in lines[-1]
+
+
+def test_turns_of_the_synthetic_intersection_are_found(
+    script: ModuleType, data_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One car turns left over its whole lane; another one turns right and is seen to 0.88 of its lane only."""
+    out = tmp_path / "turn.toml"
+    script.main([str(data_root), "-o", str(out)])
+    said = capsys.readouterr().out
+    assert "3 scenes" in said
+    assert "left: 1 turns" in said
+    assert "left out, seen over a part of the lane: 1" in said
+    assert load_config(out, []).turn == Turn()
+
+
+def test_profile_is_speed_over_speed_at_the_entrance(script: ModuleType) -> None:
+    """20 m before a lane of 20 m at 10 m/s, then slower by 2.5 m/s2 to 5 m/s, which takes 2 s and 15 m.
+
+    At 18 m, alpha = 0.9, the filter of 1.1 s is past the change: 5 m/s. At the entrance it sees 0.5 s of slowing.
+    """
+    t = 0.1 * np.arange(80)
+    slowing = np.clip(t - 2.0, 0.0, 2.0)
+    s = -20 + 10 * np.minimum(t, 2.0) + 10 * slowing - 1.25 * slowing**2 + 5 * np.maximum(t - 4.0, 0.0)
+    car = Track(
+        track_id="1", object_type="vehicle", category=1, timesteps=np.arange(len(s)),
+        position=np.column_stack([s, np.zeros(len(s))]), heading=np.linspace(0.0, 2.0, len(s)),
+        velocity=np.zeros((len(s), 2)), size=BoxSize(4.5, 1.9),
+    )  # fmt: skip
+    arrays = script.stack([car], step_s=0.1)
+    inside = np.flatnonzero((s > -0.01) & (s <= 20))
+    profile, entry = script._profile(arrays, 0, inside[0], inside[-1], s[inside] / 20, sign=1)
+    assert 9.5 < entry < 10.0
+    assert profile[0] == 1.0
+    assert profile[18] == pytest.approx(5.0 / entry)
+    jump = replace(car, position=np.column_stack([np.where(s > 8, s + 3.0, s), np.zeros(len(s))]))
+    unclean = script._profile(script.stack([jump]), 0, inside[0], inside[-1], s[inside] / 20, sign=1)
+    assert unclean == "not clean: speed jumps"
+    assert script._profile(arrays, 0, inside[0], inside[-1], s[inside] / 20, sign=-1) == "hardly turns"
+    assert (
+        script._profile(arrays, 0, inside[0], inside[3], s[inside[:4]] / 20, sign=1) == "seen over a part of the lane"
+    )

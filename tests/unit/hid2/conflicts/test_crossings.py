@@ -1,0 +1,103 @@
+"""A crossing of 3.4 m from y = -6 to 6 over the x axis, which a vehicle of 2 m in width drives along."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hid2.conflicts.crossings import CrossingOnPath, PedestrianCrossings, crossing_rows
+from hid2.motion.route import DrivenPath
+from hid2.occupancy.traffic import Traffic
+from hid2.params import Crossings
+
+QUAD = np.array([(99.8, -6.0), (99.8, 6.0), (103.2, 6.0), (103.2, -6.0)])
+#: Every value that a number below is worked from; the defaults may be tuned.
+PARAMS = Crossings(near_m=1.0, towards_mps=0.3, ahead_s=1.5, strip_m=1.0, strip_s=3.0, along_deg=40.0)
+#: Nobody is left out who is anywhere on the crossing.
+WIDE = {"strip_m": 5.0, "strip_s": 20.0}
+UP = np.pi / 2
+
+
+@pytest.fixture
+def look(straight_path: DrivenPath) -> Callable[..., list[CrossingOnPath]]:
+    def on(*walkers: Traffic, quads: tuple[np.ndarray, ...] = (QUAD,), width_m: float = 2.0, **changed: float):
+        params = PARAMS.model_copy(update=changed)
+        return PedestrianCrossings(quads, walkers[0].joined(*walkers[1:]), params, 0.1).on(
+            straight_path, width_m=width_m
+        )
+
+    return on
+
+
+def _steps(found: list[CrossingOnPath]) -> list[int]:
+    (one,) = found
+    return np.flatnonzero(one.occupied).tolist()
+
+
+def test_crossings_of_a_path_are_known_by_arc_length(look, box) -> None:
+    """Points of the path every 0.5 m: the first on the crossing is at 100, the last at 103. In the order of driving."""
+    nobody = box(0.0, 0.0).rows([])
+    second = QUAD - np.array([50.0, 0.0])
+    found = look(nobody, quads=(QUAD, second))
+    assert [(one.entry_s, one.exit_s) for one in found] == [(50.0, 53.0), (100.0, 103.0)]
+    assert not found[0].occupied.any()
+    assert found[0].occupied.shape == (110,)
+
+
+@pytest.mark.parametrize(("width_m", "count"), [(2.0, 1), (1.6, 0)])
+def test_only_crossings_that_the_swept_width_touches_count(look, box, width_m: float, count: int) -> None:
+    """A crossing that ends 0.9 m beside the path: half of 2 m reaches it, half of 1.6 m does not."""
+    assert len(look(box(0.0, 0.0), quads=(QUAD + np.array([0.0, 6.9]),), width_m=width_m)) == count
+
+
+def test_a_map_without_crossings_has_none_on_a_path(look, box) -> None:
+    assert look(box(0.0, 0.0), quads=()) == []
+
+
+def test_a_pedestrian_holds_up_from_three_seconds_before_the_strip_until_it_has_left_it(look, box) -> None:
+    """y = -10.05 + 0.2 step. The strip, 1 + 1 m to each side, is walked on from step 41 to 60: held up from 11 on."""
+    assert _steps(look(box(101.5, -10.05, UP, 2.0))) == list(range(11, 61))
+
+
+def test_who_will_be_on_the_crossing_soon_counts_before(look, box) -> None:
+    """On it, |y| < 6, from step 21 to 80; 1.5 s before that, from step 6."""
+    assert _steps(look(box(101.5, -10.05, UP, 2.0), **WIDE)) == list(range(6, 81))
+
+
+def test_who_is_near_and_walks_towards_the_crossing_counts(look, box) -> None:
+    """Without the look ahead: within 1 m of it, y > -7, from step 16; behind it, at step 81, it walks away."""
+    assert _steps(look(box(101.5, -10.05, UP, 2.0), **WIDE, ahead_s=0.0)) == list(range(16, 81))
+
+
+def test_who_turns_back_or_stands_beside_is_not_waited_for(look, box) -> None:
+    """0.5 m beside the end of the crossing: standing, or walking away from it."""
+    assert _steps(look(box(101.5, -6.5, UP, 0.0), **WIDE)) == []
+    assert _steps(look(box(101.5, -6.5, -UP, 1.0), **WIDE)) == []
+
+
+@pytest.mark.parametrize(("y", "steps"), [(1.9, list(range(110))), (2.1, [])])
+def test_who_stands_on_the_crossing_is_waited_for_where_the_vehicle_passes(look, box, y: float, steps: list) -> None:
+    """The strip reaches 1 m beyond the vehicle's side: to y = 2."""
+    assert _steps(look(box(101.5, y, UP, 0.0))) == steps
+
+
+def test_who_moves_along_the_path_does_not_cross_it(look, box) -> None:
+    """A cyclist that rides ahead over the crossing at 5 m/s, or comes the other way; one at 50 degrees crosses."""
+    assert _steps(look(box(90.0, 0.0, 0.0, 5.0))) == []
+    assert _steps(look(box(110.0, 0.0, np.pi, 5.0))) == []
+    assert _steps(look(box(99.0, -3.0, np.radians(50.0), 5.0))) != []
+
+
+def test_whoever_is_absent_is_not_on_the_crossing(look, box) -> None:
+    """Standing in the way, seen from step 40 on: nobody knows of it before."""
+    assert _steps(look(box(101.5, 0.0, UP, 0.0, first=40))) == list(range(40, 110))
+
+
+def test_what_is_found_is_kept(straight_path: DrivenPath, box) -> None:
+    crossings = PedestrianCrossings((QUAD,), box(101.5, 0.0, UP, 0.0), PARAMS, 0.1)
+    assert crossings.on(straight_path, width_m=2.0) is crossings.on(straight_path, width_m=2.0)
+
+
+def test_who_uses_crossings() -> None:
+    kinds = ["vehicle", "pedestrian", "cyclist", "static", "riderless_bicycle", "motorcyclist"]
+    assert crossing_rows(kinds).tolist() == [1, 2, 4]

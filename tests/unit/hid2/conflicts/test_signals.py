@@ -1,0 +1,176 @@
+"""A crossing of two one-way streets, 3.5 m wide; lanes 2, 5 and 7 lie in the intersection.
+
+            6
+            |
+1 --------- 5 --- 3        2: from 1 to 3 through the middle, 0 < x < 20 at y = 0
+      2     |              5: from 4 to 6, -10 < y < 10 at x = 10
+            4              7: from 1 to 8, a right turn down to (6, -10)
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from hid2.conflicts.signals import InferredSignals, signalled_rows
+from hid2.occupancy.traffic import Traffic
+from hid2.params import Signals
+from netconvert.cells import build_cell_grid
+from netconvert.lane_graph import LaneGraph, LaneSegment
+
+STEPS = 110
+#: Every value that a number below is worked from; the defaults may be tuned.
+PARAMS = Signals(
+    before_s=2.0, after_s=3.0, queue_m=20.0, beyond_m=3.0, standing_mps=0.5, flow_mps=1.0, parked_m=5.0,
+    crossing_deg=40.0, entry_before_s=1.0, entry_after_s=2.0, crossing_s=1.0,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def crossing(lane: Callable[..., LaneSegment]) -> LaneGraph:
+    lanes = [
+        lane(1, [(-50, 0), (0, 0)], successors=(2, 7)),
+        lane(2, [(0, 0), (20, 0)], successors=(3,), is_intersection=True),
+        lane(3, [(20, 0), (70, 0)]),
+        lane(4, [(10, -50), (10, -10)], successors=(5,)),
+        lane(5, [(10, -10), (10, 10)], successors=(6,), is_intersection=True),
+        lane(6, [(10, 10), (10, 50)]),
+        lane(7, [(0, 0), (3, -0.8), (5.2, -3), (6, -6), (6, -10)], successors=(8,), is_intersection=True),
+        lane(8, [(6, -10), (6, -50)]),
+    ]
+    return LaneGraph({one.lane_id: one for one in lanes})
+
+
+@pytest.fixture
+def signals(crossing: LaneGraph) -> Callable[..., InferredSignals]:
+    def make(*vehicles: Traffic) -> InferredSignals:
+        return InferredSignals(build_cell_grid(crossing), vehicles[0].joined(*vehicles[1:]), PARAMS, 0.1)
+
+    return make
+
+
+def _along(name: str, points: Sequence[Sequence[float]], *, wait_steps: int = 0, mps: float = 10.0) -> Traffic:
+    """A car that waits at the first point and then drives along the points at a constant speed, heading along them."""
+    xy = np.array(points, dtype=np.float64)
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+    at = np.minimum(mps * 0.1 * np.maximum(np.arange(STEPS) - wait_steps, 0), s[-1])
+    position = np.column_stack([np.interp(at, s, xy[:, 0]), np.interp(at, s, xy[:, 1])])
+    piece = np.diff(xy, axis=0)[np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(xy) - 2)]
+    velocity = np.gradient(position, 0.1, axis=0)
+    return Traffic(
+        ids=(name,), position=position[None], heading=np.arctan2(piece[:, 1], piece[:, 0])[None],
+        velocity=velocity[None], present=np.ones((1, STEPS), dtype=np.bool_),
+        length_m=np.array([4.5]), width_m=np.array([1.9]),
+    )  # fmt: skip
+
+
+def _steps(red: np.ndarray | None) -> list[int]:
+    assert red is not None
+    return np.flatnonzero(red).tolist()
+
+
+def test_cross_traffic_makes_red_two_seconds_before_and_three_after(signals, box) -> None:
+    """From (10, -50) at 1 m a step: y = step - 50. Lane 2's ground counts with 0.8 of its width, 1.4 m to each side.
+
+    The box covers it while |y| < 1.4 + 2.25 = 3.65: steps 47 to 53. Red from 47 - 20 to 53 + 30.
+    """
+    scene = signals(box(10.0, -50.0, np.pi / 2, 10.0))
+    assert _steps(scene.red(2)) == list(range(27, 84))
+    assert _steps(scene.red(5)) == []
+    assert _steps(scene.enters(5)) == [41]  # the first centre above y = -10
+
+
+@pytest.mark.parametrize(("degrees", "red"), [(35, False), (50, True), (130, True), (150, False)])
+def test_only_ways_that_cross_at_a_wide_angle_are_cross_traffic(signals, box, degrees: float, red: bool) -> None:
+    """Through (10, 0) at step 50: a merge at 35 degrees, an oncoming vehicle at 150."""
+    angle = np.radians(degrees)
+    scene = signals(box(10 - 50 * np.cos(angle), -50 * np.sin(angle), angle, 10.0))
+    assert bool(scene.red(2).any()) is red
+
+
+def test_slow_or_parked_boxes_are_no_cross_traffic(signals, box) -> None:
+    """0.9 m/s across the lane is no flow; a box that stands on the crossing's ground is none either."""
+    assert not signals(box(10.0, -5.0, np.pi / 2, 0.9)).red(2).any()
+    assert not signals(box(10.0, -2.0, np.pi / 2, 0.0)).red(2).any()
+
+
+def test_who_turns_off_from_the_same_approach_does_not_cross(signals) -> None:
+    """Right out of lane 1, at 90 degrees over lane 2's ground for a while; from elsewhere it is a crossing."""
+    turn = [(0.0, 0.0), (6.0, 0.0), (6.0, -40.0)]
+    assert not signals(_along("a", [(-50.0, 0.0), *turn])).red(2).any()
+    assert signals(_along("a", [(6.0, 30.0), (6.0, -40.0)])).red(2).any()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "red"),
+    [
+        (-5.0, 0.5, True), (-5.0, 0.65, False), (-19.5, 0.0, True), (-20.5, 0.0, False), (2.5, 0.0, True),
+        (3.5, 0.0, False),
+    ],
+)  # fmt: skip
+def test_a_queue_stands_in_the_middle_third_near_the_entrance(signals, box, x: float, y: float, red: bool) -> None:
+    """A third of 3.5 m: 0.58 m to each side. Beyond it, who never moves is parked. 20 m before, 3 m behind."""
+    scene = signals(box(x, y, 0.0, 0.0))
+    assert _steps(scene.red(2)) == (list(range(STEPS)) if red else [])
+
+
+def test_who_moves_later_queues_at_the_side_of_its_lane_too(signals) -> None:
+    """At y = 1 until step 80, then on: the front of a queue, green a second before it enters.
+
+    It passes x = 0 at step 85 and is inside at 86: green from step 76. It stands, by central differences, to step 79.
+    """
+    scene = signals(_along("a", [(-5.0, 1.0), (40.0, 1.0)], wait_steps=80))
+    assert _steps(scene.enters(2)) == [86]
+    assert _steps(scene.red(2)) == list(range(76))
+
+
+def test_an_entry_makes_green_for_the_queue_behind_it(signals, box) -> None:
+    """The first enters at step 36, the second stands on at x = -12: red but for 36 - 10 to 36 + 20."""
+    scene = signals(_along("a", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=30), box(-12.0, 0.0, name="b"))
+    assert _steps(scene.enters(2)) == [36]
+    assert _steps(scene.red(2)) == [*range(26), *range(57, STEPS)]
+
+
+def test_an_entry_makes_no_green_within_a_second_of_cross_traffic(signals, box) -> None:
+    """Cross traffic on the lane from 47 to 53, red from 27 to 83. An entry at 61 clears 51 to 81, not below 53 + 10."""
+    scene = signals(box(10.0, -50.0, np.pi / 2, 10.0), _along("b", [(-50.0, 0.0), (70.0, 0.0)], wait_steps=10))
+    assert _steps(scene.enters(2)) == [61]
+    assert _steps(scene.red(2)) == [*range(27, 64), 82, 83]
+
+
+def test_a_right_turn_says_nothing_of_the_way_straight_on(signals, box) -> None:
+    """Who turns right enters lane 7 alone; the queue in the shared lane stays red for lane 2."""
+    turning = _along("a", [(-5.0, 0.0), (0.0, 0.0), (3.0, -0.8), (5.2, -3.0), (6.0, -6.0), (6.0, -40.0)], wait_steps=30)
+    scene = signals(turning, box(-12.0, 0.0, name="b"))
+    assert _steps(scene.enters(7)) == [36]
+    assert _steps(scene.enters(2)) == []
+    assert _steps(scene.red(2)) == list(range(STEPS))
+    assert _steps(scene.red(7)) == [*range(26), *range(57, STEPS)]
+
+
+def test_only_lanes_that_are_entered_from_outside_have_an_entrance(lane, box) -> None:
+    """Lane 2 is cut in two: 9 begins inside. Its cross traffic counts at the entrance, which is that of lane 2."""
+    lanes = [
+        lane(1, [(-50, 0), (0, 0)], successors=(2,)),
+        lane(2, [(0, 0), (8, 0)], successors=(9,), is_intersection=True),
+        lane(9, [(8, 0), (30, 0)], is_intersection=True),
+        lane(11, [(0, 40), (8, 40)], is_intersection=True),
+    ]
+    grid = build_cell_grid(LaneGraph({one.lane_id: one for one in lanes}))
+    scene = InferredSignals(grid, box(20.0, -50.0, np.pi / 2, 10.0), PARAMS, 0.1)
+    assert _steps(scene.red(2)) == list(range(27, 84))
+    assert scene.red(1) is None
+    assert scene.red(9) is None
+    assert scene.red(11) is None
+    assert scene.enters(11) is None
+
+
+def test_who_obeys_signals() -> None:
+    kinds = ["pedestrian", "vehicle", "static", "cyclist", "bus", "riderless_bicycle", "motorcyclist"]
+    assert signalled_rows(kinds).tolist() == [1, 3, 4, 6]
+    assert signalled_rows([]).tolist() == []
+
+
+def test_an_empty_road_is_green(signals, box) -> None:
+    nobody = box(0.0, 0.0).rows([])
+    assert _steps(signals(nobody).red(2)) == []
