@@ -168,6 +168,12 @@ class Conflict(_Section):
         1.5, "s", "TTC kept to recorded vehicles behind, which do not brake for anybody inserted", ge=0, le=10
     )
     pet_min_s: float = _param(1.0, "s", "critical PET, kept to everybody whose path is crossed", ge=0, le=5)
+    end_ttc_min_s: float = _param(
+        1.0, "s", "critical TTC after a track's last step; no recorded vehicle of 75 is below", ge=0, le=5
+    )
+    end_horizon_s: float = _param(
+        3.0, "s", "everybody keeps the velocity so long after a track's last step", ge=0, le=10
+    )
 
 
 class CarFollowing(_Section):

@@ -53,6 +53,12 @@ SAFETY = (
         "moving_rows",
     ),
     Metric("short_gap", "share of following, time gap below 0.9 s", "share", "time_gap_below_0_9", "following_rows"),
+    Metric(
+        "end_ttc_critical", "share of vehicles, TTC below 1 s after the last step", "share", "end_ttc_critical", "ends"
+    ),
+    Metric(
+        "end_scenes_critical", "share of scenes with such a vehicle", "share", "end_scenes_critical", "end_scenes"
+    ),
 )  # fmt: skip
 LIMITS = tuple(
     Metric(f"limit_{name}", label, "share", f"limit_{name}", "moving_rows")

@@ -143,6 +143,11 @@ def _glance(metrics: Mapping[str, Any]) -> str:
             not safety["leader_ttc_critical"]["generated"]["value"],
             number(safety["leader_ttc_critical"]["generated"]["value"], 4),
         ),
+        (
+            "contact within 1 s after the last step at constant velocity, share of vehicles",
+            not safety["end_ttc_critical"]["generated"]["value"],
+            number(safety["end_ttc_critical"]["generated"]["value"], 4),
+        ),
     ]
     cells = [
         (name, value, '<span class="good">none</span>' if good else '<span class="bad">some</span>')

@@ -33,7 +33,8 @@ from hid2.evaluation.realism import (
 )
 from hid2.evaluation.safety import IOU_THRESHOLD, Ground, Safety, colliding, safety, survey
 from hid2.measures.arrays import BoolArray, SceneArrays, stack
-from hid2.params import Limits
+from hid2.measures.scene_end import Contact, contacts_after_last_step
+from hid2.params import Conflict, Limits
 from netconvert.av2_map import read_lane_graph
 from netconvert.errors import ScenarioError
 
@@ -72,6 +73,8 @@ class _View:
     safe: Safety
     maneuvers: list[Maneuver]
     limits: Mapping[str, BoolArray]
+    after_end: Mapping[str, Mapping[int, Contact]]
+    """By group: first contacts after the last step, by agent."""
 
 
 def measure_folders(
@@ -147,14 +150,21 @@ def measure(
     moved = motion(arrays)
     safe = safety(arrays, ground)
     maneuvers = detect(arrays, safe.lanes, safe.matches)
-    view = _View(arrays, moved, kinematics(arrays, moved), safe, maneuvers, beyond_limits(arrays, moved, limits))
     policy_of = policies(arrays, maneuvers)
     vehicles = arrays.vehicle & arrays.moving
-    members = {
-        "original": ~arrays.generated,
-        "generated": arrays.generated,
-        "combined": np.ones(arrays.num_agents, dtype=bool),
+    everybody = np.ones(arrays.num_agents, dtype=bool)
+    members = {"original": ~arrays.generated, "generated": arrays.generated, "combined": everybody}
+    # recorded vehicles among recorded road users, as they were recorded
+    others = members | {"generated": everybody}
+    after_end = {
+        group: contacts_after_last_step(
+            arrays, members[group] & _ends(arrays), horizon_s=Conflict().end_horizon_s, among=others[group]
+        )
+        for group in GROUPS
     }
+    view = _View(
+        arrays, moved, kinematics(arrays, moved), safe, maneuvers, beyond_limits(arrays, moved, limits), after_end
+    )
     scene: Row = {
         "source": source,
         "steps": arrays.num_steps,
@@ -165,6 +175,7 @@ def measure(
     }
     for group in GROUPS:
         row = _group_row(view, members[group], policy_of, everyone=group == "generated")
+        row |= _end_row(view, members[group], view.after_end[group])
         scene |= {f"{group}_{key}": value for key, value in row.items()}
     scene |= _pair_row(view)
     scene |= _request_row(sidecar)
@@ -243,6 +254,23 @@ def _group_row(view: _View, members: BoolArray, policy_of: Mapping[str, Policy],
     return row
 
 
+def _ends(arrays: SceneArrays) -> BoolArray:
+    """(A,) vehicles whose last step counts: all inserted ones, recorded ones that move and are no fragments."""
+    return np.asarray(arrays.vehicle & (arrays.generated | clean(arrays)))
+
+
+def _end_row(view: _View, members: BoolArray, contacts: Mapping[int, Contact]) -> Row:
+    """Vehicles of a group, and those that come to touch somebody too soon after their last step."""
+    looked_at = int((members & _ends(view.arrays)).sum())
+    critical = sum(contact.ttc_s < Conflict().end_ttc_min_s for contact in contacts.values())
+    return {
+        "ends": looked_at,
+        "end_ttc_critical": critical,
+        "end_scenes": int(looked_at > 0),
+        "end_scenes_critical": int(critical > 0),
+    }
+
+
 def _pair_row(view: _View) -> Row:
     """Colliding pairs (IoU above the threshold), pairs that touch at all, and PET, by who is involved."""
     row: Row = {}
@@ -301,6 +329,7 @@ def _track_rows(view: _View, policy_of: Mapping[str, Policy], sidecar: Sidecar |
     min_ttc = np.minimum.reduceat(safe.ttc_s, starts) if len(starts) else starts
     min_leader = np.minimum.reduceat(safe.leaders.ttc_s, starts) if len(starts) else starts
     min_gap = np.minimum.reduceat(safe.leaders.time_gap_s, starts) if len(starts) else starts
+    after_end = {**view.after_end["original"], **view.after_end["generated"]}
     rows: list[Row] = []
     for a in range(arrays.num_agents):
         track_id = arrays.track_ids[a]
@@ -324,6 +353,7 @@ def _track_rows(view: _View, policy_of: Mapping[str, Policy], sidecar: Sidecar |
                 "min_ttc_s": float(min_ttc[a]),
                 "min_leader_ttc_s": _finite(min_leader[a]),
                 "min_time_gap_s": _finite(min_gap[a]),
+                "end_ttc_s": after_end[a].ttc_s if a in after_end else None,
                 **{name: int(values[a]) for name, values in sums.items()},
             }
         )

@@ -67,6 +67,22 @@ def test_groups_are_kept_apart(report):
     assert evaluation.metrics["safety"]["footprint_orr"]["generated"]["value"] == 0.0
 
 
+def test_the_end_of_the_scene_is_shown_beside_the_recorded_one(report):
+    """Vehicles and scenes are counted by group; the table of tracks tells the same vehicles."""
+    evaluation, folder = report
+    rows, tracks = read_csv(folder / "scenes.csv"), read_csv(folder / "tracks.csv")
+    for group in ("original", "generated"):
+        counted = [int(row[f"{group}_end_ttc_critical"]) for row in rows]
+        low = [row for row in tracks if row["group"] == group and row["end_ttc_s"] and float(row["end_ttc_s"]) < 1.0]
+        assert sum(counted) == len(low)
+        shown = evaluation.metrics["safety"]["end_ttc_critical"][group]["value"]
+        assert shown == pytest.approx(sum(counted) / sum(int(row[f"{group}_ends"]) for row in rows))
+        shares = evaluation.metrics["safety"]["end_scenes_critical"][group]["value"]
+        assert shares == pytest.approx(sum(number > 0 for number in counted) / len(rows))
+    assert all(int(row["generated_ends"]) == int(row["generated"]) for row in rows)
+    assert "after the last step" in (folder / "report.html").read_text()
+
+
 def test_labelled_sizes_beside_the_source_are_those_of_recorded_vehicles(made_root, data_root, report, tmp_path):
     """An AV of 45 x 9.5 m stands over the edge of the road: in its own scene, and in those made from it."""
     source = shutil.copytree(data_root, tmp_path / "source")
