@@ -9,14 +9,13 @@ import json
 import pickle
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
 from bridge.batch.engine import Settings, Task, execute_here
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import Labelled, Row, SceneMeasures, measure_folders
-from bridge.evaluation.totals import Totals
+from bridge.evaluation.totals import Evaluation
 from bridge.files import table_file, write_text
 from bridge.recordings.scenario import find_scenarios, read_sizes, source_id
 from hid2.agents import BoxSize
@@ -32,18 +31,6 @@ from netconvert.net_xml import net_bytes
 _BY_SCENE = ("scenes", "tracks", "maneuvers")
 #: Most scenes that a process gets at a time.
 _CHUNK = 40
-
-
-@dataclass(eq=False, slots=True)
-class Evaluation:
-    """What is known of a folder after the pass; `metrics` is the content of metrics.json.
-
-    failures: scenes that could not be read, with the reason.
-    """
-
-    totals: Totals = field(default_factory=Totals)
-    failures: list[tuple[Path, str]] = field(default_factory=list)
-    metrics: dict[str, Any] = field(default_factory=dict)
 
 
 def evaluate_folder(

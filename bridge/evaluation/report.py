@@ -3,19 +3,17 @@
 import html
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from matplotlib.figure import Figure
 
 from bridge.evaluation.charts import distribution_figure, diversity_figure, reason_words
+from bridge.evaluation.totals import Evaluation
 from bridge.files import write_text
 from bridge.pictures import figures
 from bridge.pictures.render import scene_figure
 from bridge.recordings.sidecar import AgentRecord, sidecar_in
 from hid2.evaluation.realism import FEATURES
-
-if TYPE_CHECKING:
-    from bridge.evaluation.evaluate import Evaluation
 
 _GROUP_NAMES = {"original": "original (recorded)", "generated": "generated", "combined": "combined"}
 _PAIR_NAMES = {
@@ -38,7 +36,7 @@ img{max-width:100%;margin:.5em 0}figcaption{color:#555;font-size:.92em}figure{ma
 """
 
 
-def write_report(evaluation: "Evaluation", path: Path) -> None:
+def write_report(evaluation: Evaluation, path: Path) -> None:
     """Write the report of an evaluation. Errors: OSError."""
     figures.style()
     metrics = evaluation.metrics
@@ -156,7 +154,7 @@ def _glance(metrics: Mapping[str, Any]) -> str:
     return "<h2>At a glance: are the generated vehicles safe?</h2>" + table(("", "value", ""), cells)
 
 
-def _example(evaluation: "Evaluation") -> str:
+def _example(evaluation: Evaluation) -> str:
     example = evaluation.totals.example
     if example is None:
         return ""
@@ -254,7 +252,7 @@ def _kinematics(metrics: Mapping[str, Any]) -> str:
     )
 
 
-def _realism(evaluation: "Evaluation") -> str:
+def _realism(evaluation: Evaluation) -> str:
     realism = evaluation.metrics["realism"]
     if not evaluation.totals.realism.generated["speed"].sum():
         return ""

@@ -6,6 +6,7 @@ from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -193,6 +194,18 @@ class Totals:
                 counts[f"{kind}_{group}"] += row[f"{kind}_{group}"]
         self._rejected.update(row["rejected"] or {})
         self._replay_position_error_m = max(self._replay_position_error_m, row["replay_position_error_m"] or 0.0)
+
+
+@dataclass(eq=False, slots=True)
+class Evaluation:
+    """What is known of a folder after the pass; `metrics` is the content of metrics.json.
+
+    failures: scenes that could not be read, with the reason.
+    """
+
+    totals: Totals = field(default_factory=Totals)
+    failures: list[tuple[Path, str]] = field(default_factory=list)
+    metrics: dict[str, Any] = field(default_factory=dict)
 
 
 def _distances(realism: RealismCounts) -> list[dict[str, Any]]:

@@ -10,7 +10,6 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
 from hid2.params import Limits, Smoothing
-from hid2.policy.lane_change import Blend
 from netconvert.geometry import arc_length
 from netconvert.lane_graph import TURN_RAD, LaneGraph, TurnType
 
@@ -36,6 +35,22 @@ class Segment:
         """Arc length on the lane at arc length s of the path."""
         share = (s - self.start) / max(self.end - self.start, 1e-9)
         return self.lane_start + min(max(share, 0.0), 1.0) * (self.lane_end - self.lane_start)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Blend:
+    """A path that leaves one lane path for another.
+
+    points (N, 2) m, evenly spaced before smoothing; start_m, end_m: arc length of the lateral motion on it;
+    shift_m: signed lateral distance between the lane middles at its end, left positive; target_offset_m: arc length on
+    the target minus arc length on the blend, behind its end.
+    """
+
+    points: FloatArray
+    start_m: float
+    end_m: float
+    shift_m: float
+    target_offset_m: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)

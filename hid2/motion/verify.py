@@ -1,6 +1,7 @@
 """The last word on a smoothed trajectory: limits of motion, the drivable area, and boxes against boxes."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import shapely
@@ -8,10 +9,34 @@ from numba import njit
 
 from hid2.agents import BoxSize, FloatArray
 from hid2.kernels.boxes import overlap
+from hid2.measures.arrays import BoolArray
 from hid2.motion.smoothing import Trajectory
-from hid2.occupancy.traffic import Traffic
 from hid2.params import Limits
 from netconvert.geometry import box_corners, differences, slopes
+
+
+class OtherBoxes(Protocol):
+    """What the last check reads of others, as `occupancy.traffic.Traffic` has it: A agents at T steps."""
+
+    @property
+    def position(self) -> FloatArray:
+        """(A, T, 2) m, box centres."""
+
+    @property
+    def heading(self) -> FloatArray:
+        """(A, T) rad."""
+
+    @property
+    def present(self) -> BoolArray:
+        """(A, T)."""
+
+    @property
+    def length_m(self) -> FloatArray:
+        """(A,)."""
+
+    @property
+    def width_m(self) -> FloatArray:
+        """(A,)."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -91,7 +116,7 @@ def off_road_steps(
 
 
 def first_overlap(
-    trajectory: Trajectory, size: BoxSize, traffic: Traffic, *, margin_m: float
+    trajectory: Trajectory, size: BoxSize, traffic: OtherBoxes, *, margin_m: float
 ) -> tuple[int, int] | None:
     """(agent row, step) of the first box that the trajectory's box meets, at the steps and halfway between them.
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hid2.agents import FloatArray
+from hid2.motion.route import Blend
 from hid2.params import LaneChange
 from netconvert.geometry import Polyline, arc_length, resample
 
@@ -81,22 +82,6 @@ def lateral_share(tau: FloatArray) -> FloatArray:
     second = knot[0] + knot[1] * u + knot[2] * u**2 / 2 - 32.0 / 6.0 * u**3
     rise = np.where(mirrored < 0.25, first, second)
     return np.asarray(np.where(t > 0.5, 1.0 - rise, rise))
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Blend:
-    """A path that leaves one lane path for another.
-
-    points (N, 2) m, evenly spaced before smoothing; start_m, end_m: arc length of the lateral motion on it;
-    shift_m: signed lateral distance between the lane middles at its end, left positive; target_offset_m: arc length on
-    the target minus arc length on the blend, behind its end.
-    """
-
-    points: FloatArray
-    start_m: float
-    end_m: float
-    shift_m: float
-    target_offset_m: float
 
 
 def blend_paths(
