@@ -5,7 +5,6 @@ picks the sequence that is near the centrelines and follows the map's links (New
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +12,8 @@ import numpy as np
 from hid2.agents import FloatArray, IntArray
 from hid2.kernels.lane_matching import lane_candidates, likeliest_lanes, motion_directions
 from hid2.measures.arrays import BoolArray, SceneArrays
-from netconvert.lane_graph import LaneGraph, TurnType
+from netconvert.lane_graph import MOTOR_TYPES, LaneGraph, TurnType
 
-#: Lanes that vehicles drive on; a bicycle lane is no lane for the matching.
-DRIVEN_TYPES = frozenset({"VEHICLE", "BUS"})
 #: Candidates are lanes at most this far beyond their own edge.
 BEYOND_EDGE_M = 1.0
 #: A lane agrees with the direction of motion below this angle.
@@ -36,7 +33,7 @@ class FlatLanes:
     lane_ids (L,); points (P, 2) m; s (P,) m along each lane; half_width (L,) m; box (L, 4) bounds, m;
     link (L, L): 0 the same lane or a successor, 1 a lane change (neighbour, or the successor of one), 2 neither;
     left, right (L,): same-direction neighbour of a driven type, -1 where none; turn (L,): +1 left, -1 right, else 0;
-    straight (L,): the successor that turns least over the join and its own length, -1 where there is none.
+    straight (L,): `LaneGraph.straightest_successor`, -1 where there is none.
     """
 
     lane_ids: IntArray
@@ -75,7 +72,7 @@ class Matches:
 
 def flatten_lanes(graph: LaneGraph) -> FlatLanes:
     """The lanes of `graph` that vehicles drive on, as flat arrays."""
-    lanes = [lane for lane in graph.lanes.values() if lane.lane_type in DRIVEN_TYPES]
+    lanes = [lane for lane in graph.lanes.values() if lane.lane_type in MOTOR_TYPES]
     index_of = {lane.lane_id: k for k, lane in enumerate(lanes)}
     counts = np.array([len(lane.centerline) for lane in lanes], dtype=np.int64)
     first = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
@@ -101,7 +98,7 @@ def flatten_lanes(graph: LaneGraph) -> FlatLanes:
                 side[name][k] = index_of[neighbor]
     sign = {TurnType.STRAIGHT: 0, TurnType.LEFT: 1, TurnType.RIGHT: -1}
     length = s[first[1:] - 1] if lanes else np.zeros(0)
-    centerlines = [lane.centerline for lane in lanes]
+    straightest = (graph.straightest_successor(lane.lane_id) for lane in lanes)
     return FlatLanes(
         lane_ids=np.array([lane.lane_id for lane in lanes], dtype=np.int64),
         points=np.ascontiguousarray(points, dtype=np.float64),
@@ -113,24 +110,10 @@ def flatten_lanes(graph: LaneGraph) -> FlatLanes:
         left=side["left"],
         right=side["right"],
         turn=np.array([sign[lane.turn] for lane in lanes], dtype=np.int64),
-        straight=_straightest(successors, centerlines),
+        straight=np.array([-1 if n is None else index_of[n] for n in straightest], dtype=np.int64),
         successors=successors,
         index_of=index_of,
     )
-
-
-def _straightest(successors: tuple[tuple[int, ...], ...], centerlines: Sequence[FloatArray]) -> IntArray:
-    out = np.full(len(successors), -1, dtype=np.int64)
-    for k, targets in enumerate(successors):
-        if targets:
-            here = _chord(centerlines[k][-2:])
-            turns = [abs(math.remainder(_chord(centerlines[n]) - here, 2 * math.pi)) for n in targets]
-            out[k] = targets[int(np.argmin(turns))]
-    return out
-
-
-def _chord(points: FloatArray) -> float:
-    return math.atan2(float(points[-1, 1] - points[0, 1]), float(points[-1, 0] - points[0, 0]))
 
 
 def _links(successors: tuple[tuple[int, ...], ...], left: IntArray, right: IntArray, length: FloatArray) -> IntArray:
