@@ -40,9 +40,8 @@ from netconvert.errors import ScenarioError
 
 #: The three groups that are never mixed: evaluation.md.
 GROUPS = ("original", "generated", "combined")
-#: Below these a conflict is critical (SSAM).
-CRITICAL_TTC_S = 1.5
-CRITICAL_PET_S = 1.0
+#: Whatever a scene was made with, it is measured by the defaults.
+_CRITICAL = Conflict()
 #: A manoeuvre seen belongs to a record of its kind whose crossing (or start) is at most this far away.
 SAME_MANEUVER_S = 2.0
 #: Maps kept while scenes are measured.
@@ -158,7 +157,7 @@ def measure(
     others = members | {"generated": everybody}
     after_end = {
         group: contacts_after_last_step(
-            arrays, members[group] & _ends(arrays), horizon_s=Conflict().end_horizon_s, among=others[group]
+            arrays, members[group] & _ends(arrays), horizon_s=_CRITICAL.end_horizon_s, among=others[group]
         )
         for group in GROUPS
     }
@@ -240,8 +239,8 @@ def _group_row(view: _View, members: BoolArray, policy_of: Mapping[str, Policy],
         "off_footprint": int(safe.off_footprint[of_vehicle].sum()),
         "moving_rows": int(moving.sum()),
         "against_lane": int((safe.against_lane & moving).sum()),
-        "ttc_critical": int((safe.ttc_s[moving] < CRITICAL_TTC_S).sum()),
-        "leader_ttc_critical": int((safe.leaders.ttc_s[moving] < CRITICAL_TTC_S).sum()),
+        "ttc_critical": int((safe.ttc_s[moving] < _CRITICAL.ttc_min_s).sum()),
+        "leader_ttc_critical": int((safe.leaders.ttc_s[moving] < _CRITICAL.ttc_min_s).sum()),
     }
     gaps = safe.leaders.time_gap_s[moving]
     row |= {"following_rows": int(np.isfinite(gaps).sum()), "time_gap_below_0_9": int((gaps < 0.9).sum())}
@@ -262,7 +261,7 @@ def _ends(arrays: SceneArrays) -> BoolArray:
 def _end_row(view: _View, members: BoolArray, contacts: Mapping[int, Contact]) -> Row:
     """Vehicles of a group, and those that come to touch somebody too soon after their last step."""
     looked_at = int((members & _ends(view.arrays)).sum())
-    critical = sum(contact.ttc_s < Conflict().end_ttc_min_s for contact in contacts.values())
+    critical = sum(contact.ttc_s < _CRITICAL.end_ttc_min_s for contact in contacts.values())
     return {
         "ends": looked_at,
         "end_ttc_critical": critical,
@@ -288,7 +287,7 @@ def _pair_row(view: _View) -> Row:
     for crossing in view.safe.encroachments:
         name = names[int(generated[crossing.first]) + int(generated[crossing.second])]
         row[f"crossings_{name}"] += 1
-        row[f"pet_critical_{name}"] += int(crossing.pet_s < CRITICAL_PET_S)
+        row[f"pet_critical_{name}"] += int(crossing.pet_s < _CRITICAL.pet_min_s)
     return row
 
 

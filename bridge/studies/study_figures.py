@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from bridge.evaluation.aggregate import Estimate, ratio_estimate
 from bridge.evaluation.charts import reason_words
 from bridge.pictures import figures
+from hid2.params import Conflict
 
 #: Values of a parameter beyond this many are put into this many groups of equal size.
 _GROUPS = 8
@@ -20,8 +21,8 @@ _REASONS = 6
 _REASON_COLORS = (
     figures.VERMILION, figures.ORANGE, figures.SKY, figures.GREEN, figures.PURPLE, figures.BLACK, figures.GREY,
 )  # fmt: skip
-#: Critical values: TTC (SSAM) and PET, s.
-_CRITICAL_TTC_S, _CRITICAL_PET_S = 1.5, 1.0
+#: Critical values, whatever a run was made with.
+_CRITICAL = Conflict()
 
 Record = Mapping[str, Any]
 LABELS = {
@@ -96,7 +97,7 @@ def _draw(study: DrawnStudy, records: Sequence[Record], key: str, path: Path) ->
         if not panel.lines:
             panel.annotate("none", (0.5, 0.5), xycoords="axes fraction", ha="center", color=figures.GREY)
     axes[0, 0].set_ylim(0, 1.03)
-    for panel, critical in ((axes[0, 2], _CRITICAL_TTC_S), (axes[1, 0], _CRITICAL_PET_S)):
+    for panel, critical in ((axes[0, 2], _CRITICAL.ttc_min_s), (axes[1, 0], _CRITICAL.pet_min_s)):
         panel.set_ylim(0, max(panel.get_ylim()[1], 1.5 * critical))
         panel.axhline(critical, color=figures.VERMILION, linewidth=0.8, linestyle=":")
         panel.annotate(

@@ -15,8 +15,9 @@ from bridge.files import write_text
 from bridge.generation.generate import GeneratedScene, write
 from bridge.recordings.scenario import STEP_S
 from bridge.studies.study import RUN_FILE, RUNS, SCENES
-from hid2.evaluation.safety import CAP_S, safety, survey
+from hid2.evaluation.safety import safety, survey
 from hid2.measures.arrays import stack
+from hid2.measures.time_to_collision import CAP_S
 
 
 def measure_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:

@@ -11,6 +11,7 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.kernels.derivative import track_derivative
 from hid2.measures.arrays import FRAGMENT, BoolArray, SceneArrays
+from hid2.measures.motion_limits import MotionProfile, exceeded
 from hid2.params import Limits
 
 #: Tracks shorter than this are left out of LO, LA and JE: the third derivative needs five samples.
@@ -113,16 +114,17 @@ def beyond_limits(arrays: SceneArrays, moved: Motion, limits: Limits, *, slack: 
 
     Rates of heading are those of the recorded heading; the radius is that of heading rate over speed.
     """
-    more = 1.0 + slack
     fast = moved.speed > CURVATURE_SPEED_MPS
     curvature = np.abs(moved.yaw_rate) / np.where(fast, moved.speed, 1.0)
-    return {
-        "acceleration": moved.longitudinal_accel > limits.accel_max_mps2 * more,
-        "braking": moved.longitudinal_accel < limits.accel_min_mps2 * more,
-        "lateral_acceleration": np.abs(moved.lateral_accel) > limits.lateral_accel_mps2 * more,
-        "yaw_rate": np.abs(moved.yaw_rate) > limits.yaw_rate_radps * more,
-        "yaw_acceleration": np.abs(moved.yaw_accel) > limits.yaw_accel_radps2 * more,
-        "longitudinal_jerk": np.abs(moved.longitudinal_jerk) > limits.longitudinal_jerk_mps3 * more,
-        "jerk": moved.jerk_norm > limits.jerk_mps3 * more,
-        "radius": fast & (curvature > more / limits.min_radius_m),
+    profile = MotionProfile(
+        speed_mps=moved.speed,
+        accel_mps2=moved.longitudinal_accel,
+        lateral_accel_mps2=moved.lateral_accel,
+        longitudinal_jerk_mps3=moved.longitudinal_jerk,
+        jerk_mps3=moved.jerk_norm,
+        yaw_rate_radps=moved.yaw_rate,
+        yaw_accel_radps2=moved.yaw_accel,
+    )
+    return exceeded(profile, limits, slack=slack) | {
+        "radius": fast & (curvature > (1.0 + slack) / limits.min_radius_m),
     }

@@ -14,9 +14,10 @@ import numpy.typing as npt
 
 from hid2.agents import FloatArray, IntArray
 from hid2.evaluation.kinematics import Motion
-from hid2.evaluation.safety import CAP_S, Safety
+from hid2.evaluation.safety import Safety
 from hid2.kernels.track_features import track_features_vector
 from hid2.measures.arrays import BoolArray, SceneArrays
+from hid2.measures.time_to_collision import CAP_S
 
 
 class Feature(NamedTuple):

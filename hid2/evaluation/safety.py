@@ -12,21 +12,20 @@ import numpy as np
 import shapely
 
 from hid2.agents import FloatArray
-from hid2.kernels.box_pairs import pairwise_overlap, post_encroachment, time_to_collision
+from hid2.kernels.box_pairs import pairwise_overlap
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.following import Leaders, leaders
 from hid2.measures.lane_matching import FlatLanes, Matches, flatten_lanes, match_lanes
+from hid2.measures.post_encroachment import Encroachment, encroachments
+from hid2.measures.time_to_collision import ttc_to_anything
+from hid2.params import Limits
 from netconvert.geometry import box_corners
 from netconvert.lane_graph import LaneGraph
 
 #: Boxes overlapping by more than this collide ("a small IoU threshold" in the paper).
 IOU_THRESHOLD = 0.02
-#: A corner further outside than this is off the road (nuPlan).
-FOOTPRINT_TOLERANCE_M = 0.3
-#: TTC and PET above this are not told apart.
-CAP_S = 5.0
-#: Paths that meet at less than this follow each other; they do not cross (SSAM's rear-end bound).
-CROSSING_RAD = math.radians(30)
+#: A corner further outside than this is off the road.
+FOOTPRINT_TOLERANCE_M = Limits().drivable_tolerance_m
 #: Slower vehicles drive neither with nor against a lane.
 WRONG_WAY_SPEED_MPS = 1.0
 #: Chords of a quarter circle, and slack against rounding, where the drivable area is widened.
@@ -42,14 +41,6 @@ class Overlap(NamedTuple):
     iou: float
     first_step: int
     steps: int
-
-
-class Encroachment(NamedTuple):
-    """A crossing of two vehicles' swept paths: post-encroachment time between them."""
-
-    first: int
-    second: int
-    pet_s: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -149,43 +140,10 @@ def off_footprint(arrays: SceneArrays, ground: Ground) -> BoolArray:
     return np.asarray(outside.reshape(-1, 4).any(axis=1))
 
 
-def encroachments(arrays: SceneArrays, *, since: int = 0, cap_s: float = CAP_S) -> tuple[Encroachment, ...]:
-    """PET of every pair of moving vehicles whose swept paths cross within cap_s of each other.
-
-    since: only pairs whose second agent is this one or a later one.
-    """
-    moving = np.flatnonzero(arrays.vehicle & arrays.moving)
-    steps = post_encroachment(
-        moving,
-        arrays.position,
-        arrays.heading,
-        arrays.length,
-        arrays.width,
-        arrays.first,
-        arrays.step,
-        round(cap_s / arrays.step_s),
-        CROSSING_RAD,
-        int(np.searchsorted(moving, since)),
-    )
-    return tuple(
-        Encroachment(int(moving[p]), int(moving[q]), float(steps[p, q] * arrays.step_s))
-        for p, q in np.argwhere(steps >= 0)
-    )
-
-
 def safety(arrays: SceneArrays, ground: Ground) -> Safety:
     """Every measure of safety of a scene."""
     lanes = ground.lanes
     matches, against = match_lanes(arrays, lanes)
-    ttc, _ = time_to_collision(
-        arrays.position,
-        arrays.heading,
-        arrays.velocity,
-        arrays.length,
-        arrays.width,
-        arrays.row_of,
-        CAP_S,
-    )
     fast = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1]) > WRONG_WAY_SPEED_MPS
     return Safety(
         overlaps=overlaps(arrays),
@@ -193,7 +151,7 @@ def safety(arrays: SceneArrays, ground: Ground) -> Safety:
         off_road=off_road(arrays.position, ground.graph),
         off_footprint=off_footprint(arrays, ground),
         against_lane=against & fast,
-        ttc_s=ttc,
+        ttc_s=ttc_to_anything(arrays),
         leaders=leaders(arrays, lanes, matches),
         matches=matches,
         lanes=lanes,

@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hid2.agents import IntArray, Track
-from hid2.evaluation.safety import CROSSING_RAD, encroachments
 from hid2.kernels.box_pairs import encroaches
 from hid2.kernels.closing_in import closing_vehicles, vehicles_ahead
 from hid2.measures.arrays import SceneArrays, is_moving, stack
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import FlatLanes, match_lanes
+from hid2.measures.post_encroachment import CROSSING_RAD, encroachments
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -1,6 +1,5 @@
 """The last word on a smoothed trajectory: limits of motion, the drivable area, and boxes against boxes."""
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -10,6 +9,7 @@ from numba import njit
 from hid2.agents import BoxSize, FloatArray
 from hid2.kernels.boxes import overlap
 from hid2.measures.arrays import BoolArray
+from hid2.measures.motion_limits import MotionProfile, exceeded
 from hid2.motion.smoothing import Trajectory
 from hid2.params import Limits
 from netconvert.geometry import box_corners, differences, slopes
@@ -37,19 +37,6 @@ class OtherBoxes(Protocol):
     @property
     def width_m(self) -> FloatArray:
         """(A,)."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class MotionProfile:
-    """What a reader of positions would compute, by differences at the steps, each (T,): the names say the units."""
-
-    speed_mps: FloatArray
-    accel_mps2: FloatArray
-    lateral_accel_mps2: FloatArray
-    longitudinal_jerk_mps3: FloatArray
-    jerk_mps3: FloatArray
-    yaw_rate_radps: FloatArray
-    yaw_accel_radps2: FloatArray
 
 
 def motion_profile(velocity: FloatArray, heading: FloatArray, *, step_s: float) -> MotionProfile:
@@ -85,17 +72,8 @@ def limit_exceeded(trajectory: Trajectory, limits: Limits, *, step_s: float) -> 
     derived = differences(trajectory.position, step_s)
     for velocity in (trajectory.velocity, derived):
         profile = motion_profile(velocity, trajectory.heading, step_s=step_s)
-        checks = (
-            ("accel", profile.accel_mps2.max() > limits.accel_max_mps2),
-            ("decel", profile.accel_mps2.min() < limits.accel_min_mps2),
-            ("lateral_accel", np.abs(profile.lateral_accel_mps2).max() > limits.lateral_accel_mps2),
-            ("longitudinal_jerk", np.abs(profile.longitudinal_jerk_mps3).max() > limits.longitudinal_jerk_mps3),
-            ("jerk", profile.jerk_mps3.max() > limits.jerk_mps3),
-            ("yaw_rate", np.abs(profile.yaw_rate_radps).max() > limits.yaw_rate_radps),
-            ("yaw_accel", np.abs(profile.yaw_accel_radps2).max() > limits.yaw_accel_radps2),
-        )
-        for name, exceeded in checks:
-            if exceeded:
+        for name, steps in exceeded(profile, limits).items():
+            if steps.any():
                 return name
     return None
 
