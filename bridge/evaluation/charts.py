@@ -40,7 +40,10 @@ def distribution_figure(counts: RealismCounts) -> Figure:
 def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
     """The paper's diversity figure: scenes by density and by behaviour, before and after."""
     figure, axes = plt.subplots(1, 3, figsize=(13, 3.8), layout="constrained", width_ratios=[1, 1, 1.1])
-    for ax, name, label in ((axes[0], "tracks", "agents in the scene"), (axes[1], "tracks_at_49", "agents at 4.9 s")):
+    for ax, name, axis_label in (
+        (axes[0], "tracks", "agents in the scene"),
+        (axes[1], "tracks_at_49", "agents at 4.9 s"),
+    ):
         density = diversity["density"][name]
         numbers = [int(number) for when in ("before", "after") for number in density[when]]
         top = max([*numbers, 10])
@@ -51,11 +54,12 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
             # a bar from 40 to 60 holds more than 40 and up to 60, as in the table: nothing lies on an edge
             heights, _ = np.histogram([int(number) - 0.5 for number in density[when]], edges, weights=scenes)
             levels = heights / max(1, sum(scenes))
-            ax.stairs(levels, edges, fill=True, color=color, alpha=0.35, hatch=hatch, label=when)
+            label = f"{when}, {diversity['scenes'][when]} scenes"
+            ax.stairs(levels, edges, fill=True, color=color, alpha=0.35, hatch=hatch, label=label)
             ax.stairs(levels, edges, color=color, linewidth=1.6)
             highest = max(highest, levels.max())
         ax.set_ylim(0, 1.25 * highest)  # room for the legend
-        ax.set_xlabel(label)
+        ax.set_xlabel(axis_label)
         ax.set_ylabel("share of scenes")
     axes[0].legend(loc="upper left")
     behaviours = diversity["behaviours"]

@@ -339,6 +339,7 @@ def diversity_parts(diversity: Mapping[str, Any]) -> list[str]:
             "of scenes that have a moving vehicle of the kind; a vehicle is of one kind, the rarest that it shows: one "
             "that changes lanes on its way to a turn, or passes another and stays, counts as a lane change.",
         ),
+        f"<p>Before: {diversity['scenes']['before']} source scenes. After: {diversity['scenes']['after']} scenes.</p>",
         table(
             ("share of scenes with agents …", "tracks, before", "after", "at 4.9 s, before", "after"), [means, *bands]
         ),

@@ -99,9 +99,14 @@ class Example(NamedTuple):
 
 
 class Totals:
-    """Sums over all scenes of a pass. `example`: the scene to show, None before the first."""
+    """Sums over all scenes of a pass. `example`: the scene to show, None before the first.
 
-    def __init__(self) -> None:
+    sources: ids of the source scenes that are measured themselves; for others the recorded tracks of the first scene
+    made from them stand.
+    """
+
+    def __init__(self, sources: Iterable[str] = ()) -> None:
+        self._measured_sources = frozenset(sources)
         self.sums = SourceSums()
         self.diversity = Diversity()
         self.realism = RealismCounts()
@@ -123,7 +128,10 @@ class Totals:
         self.realism.add(measures.realism)
         self.maneuvers.add(measures.maneuvers)
         # the recorded vehicles of a source scene are in every scene that was made from it: they count once
-        kept = measures.sample_generated | self._sources.add(source)
+        is_first = self._sources.add(source)
+        if is_first and source not in self._measured_sources:
+            self.diversity.add_source(row)
+        kept = measures.sample_generated | is_first
         self.samples.add(
             measures.samples[kept], measures.sample_generated[kept], scene=row["scenario_id"], source=source
         )

@@ -98,12 +98,19 @@ def test_labelled_sizes_beside_the_source_are_those_of_recorded_vehicles(made_ro
     assert any(int(row["original_off_footprint"]) < alone[row["source"]] for row in plain)
 
 
-def test_before_is_the_source_and_after_holds_what_was_added(report, data_root):
+def test_before_is_the_sources_of_what_is_measured_and_after_holds_what_was_added(report, data_root):
+    """Three scenes lie below the source's root, two were made denser: the third is not before, whatever its density."""
     evaluation, folder = report
-    density = evaluation.metrics["diversity"]["density"]["tracks"]
-    numbers = Counter(len(read_scenario(path).tracks) for path in find_scenarios(data_root))
-    assert density["before"] == {str(number): numbers[number] for number in sorted(numbers)}
+    diversity = evaluation.metrics["diversity"]
+    density = diversity["density"]["tracks"]
     rows = read_csv(folder / "scenes.csv")
+    sources = {row["source"] for row in rows}
+    assert len(sources) == 2 < len(find_scenarios(data_root))
+    numbers = Counter(len(read_scenario(path).tracks) for path in find_scenarios(data_root) if path.name in sources)
+    assert density["before"] == {str(number): numbers[number] for number in sorted(numbers)}
+    assert density["mean_before"] < density["mean_after"]
+    assert diversity["scenes"] == {"before": 2, "after": 2}
+    assert "2 source scenes" in (folder / "report.html").read_text()
     assert sum(int(number) * scenes for number, scenes in density["after"].items()) == sum(
         int(row["tracks"]) for row in rows
     )
@@ -226,3 +233,9 @@ def test_a_share_that_is_not_zero_does_not_look_like_it():
         "0.0002",
         "1.5000",
     ]
+
+
+def test_a_source_that_is_not_there_is_said_and_what_was_recorded_stands(made_root, data_scenes, tmp_path, caplog):
+    evaluation = evaluate_folder(made_root, report_dir=tmp_path, source=data_scenes["curve"].parents[1] / "val")
+    assert evaluation.metrics["diversity"]["scenes"] == {"before": 2, "after": 2}
+    assert "source scenes are not there" in caplog.text
