@@ -11,6 +11,7 @@ from bridge.evaluation.aggregate import Estimate
 from bridge.pictures import figures
 from hid2.agents import Policy
 from hid2.evaluation.realism import FEATURES, FINE, RealismCounts
+from hid2.policy.behaviours import BEHAVIOURS
 
 
 def reason_words(reason: str) -> str:
@@ -64,7 +65,6 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
     axes[0].legend(loc="upper left")
     behaviours = diversity["behaviours"]
     policies = list(Policy)
-    short = {"straight": "ST", "left_turn": "LT", "right_turn": "RT", "lane_change": "LC", "overtake": "OT"}
     place = np.arange(len(policies))
     for offset, when, color, hatch in ((-0.2, "before", figures.GREY, ""), (0.2, "after", figures.BLUE, "//")):
         part = behaviours[when]
@@ -73,7 +73,7 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
             place + offset, shares, 0.4, color=color, alpha=0.7, hatch=hatch, edgecolor="white", label=when
         )
         axes[2].bar_label(bars, fmt="%.2f", fontsize=7)
-    axes[2].set_xticks(place, [f"{short[p.value]}\n{p.value.replace('_', ' ')}" for p in policies], fontsize=8)
+    axes[2].set_xticks(place, [f"{BEHAVIOURS[p].short}\n{BEHAVIOURS[p].label}" for p in policies], fontsize=8)
     axes[2].set_ylabel("share of scenes with it")
     axes[2].set_ylim(0, 1.1)
     return figure

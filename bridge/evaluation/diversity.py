@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hid2.agents import Policy
-from hid2.evaluation.behaviour import ManeuverKind
+from hid2.measures.manoeuvres import ManeuverKind
 
 #: Bounds of the agent-count bands of the paper.
 BANDS = (40, 50, 70, 90)

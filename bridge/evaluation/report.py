@@ -192,7 +192,7 @@ def _busiest(folder: Path, scenario_id: str) -> str | None:
 def _safety(metrics: Mapping[str, Any]) -> str:
     safety = metrics["safety"]
     rows = [
-        (entry["label"], *(with_interval(entry[group], 4) for group in _GROUP_NAMES), *_paper(key))
+        (_name(entry), *(with_interval(entry[group], 4) for group in _GROUP_NAMES), *_paper(key))
         for key, entry in safety.items()
         if key != "pairs"
     ]
@@ -224,6 +224,11 @@ def _safety(metrics: Mapping[str, Any]) -> str:
     )
 
 
+def _name(metric: Mapping[str, Any]) -> str:
+    """The name of a metric, which its sentence explains where the pointer rests on it."""
+    return f'<span title="{html.escape(metric["sentence"])}">{html.escape(metric["label"])}</span>'
+
+
 def _paper(key: str) -> tuple[str, str]:
     if key not in PAPER_ORIGINAL:
         return "", ""
@@ -233,12 +238,12 @@ def _paper(key: str) -> tuple[str, str]:
 def _kinematics(metrics: Mapping[str, Any]) -> str:
     kinematics = metrics["kinematics"]
     rows = [
-        (f"{entry['label']}, {entry['unit']}", *(with_interval(entry[group]) for group in _GROUP_NAMES), *_paper(key))
+        (f"{_name(entry)}, {entry['unit']}", *(with_interval(entry[group]) for group in _GROUP_NAMES), *_paper(key))
         for section in ("paper", "clean")
         for key, entry in kinematics[section].items()
     ]
     limits = [
-        (entry["label"], *(number(entry[group]["value"], 4) for group in _GROUP_NAMES))
+        (_name(entry), *(number(entry[group]["value"], 4) for group in _GROUP_NAMES))
         for entry in kinematics["limits"].values()
     ]
     return (

@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.evaluation.aggregate import CLEAN, KINEMATIC, LIMITS, SAFETY, SourceSums, table
+from bridge.evaluation.aggregate import SourceSums, table
 from bridge.evaluation.diversity import Diversity
 from bridge.evaluation.samples import Samples
 from bridge.evaluation.scene_metrics import SceneMeasures
+from hid2.evaluation.metrics import Section, metrics_in
 from hid2.evaluation.realism import DRIVING_FEATURES, RealismCounts
 
 #: Nets of at most this many different maps are measured.
@@ -162,11 +163,11 @@ class Totals:
                 "generated_vehicles": counts["generated"],
             },
             "kinematics": {
-                "paper": table(self.sums, KINEMATIC),
-                "clean": table(self.sums, CLEAN),
-                "limits": table(self.sums, LIMITS),
+                "paper": table(self.sums, metrics_in(Section.PAPER)),
+                "clean": table(self.sums, metrics_in(Section.CLEAN)),
+                "limits": table(self.sums, metrics_in(Section.LIMITS)),
             },
-            "safety": table(self.sums, SAFETY)
+            "safety": table(self.sums, metrics_in(Section.SAFETY))
             | {"pairs": {kind: {g: counts[f"{kind}_{g}"] for g in PAIR_GROUPS} for kind in PAIR_KINDS}},
             "diversity": self.diversity.content(),
             "realism": {

@@ -99,7 +99,7 @@ def off_road(position: FloatArray, graph: LaneGraph) -> BoolArray:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Ground:
+class PreparedMap:
     """What the measures need of a map, worked out once for all scenes on it.
 
     near, far: the drivable area, widened by a little less and a little more than the footprint's tolerance, prepared.
@@ -111,16 +111,16 @@ class Ground:
     far: shapely.Geometry
 
 
-def survey(graph: LaneGraph) -> Ground:
+def prepare_map(graph: LaneGraph) -> PreparedMap:
     """Work out what the measures need of a map."""
     # a polygon inscribed in the widened area, and one around it: quarter circles of _ARC chords
     near = graph.drivable.buffer(FOOTPRINT_TOLERANCE_M - _MARGIN_M, quad_segs=_ARC)
     far = graph.drivable.buffer(FOOTPRINT_TOLERANCE_M / math.cos(math.pi / (4 * _ARC)) + _MARGIN_M, quad_segs=_ARC)
     shapely.prepare([near, far])
-    return Ground(graph, flatten_lanes(graph), near, far)
+    return PreparedMap(graph, flatten_lanes(graph), near, far)
 
 
-def off_footprint(arrays: SceneArrays, ground: Ground) -> BoolArray:
+def off_footprint(arrays: SceneArrays, ground: PreparedMap) -> BoolArray:
     """Rows (N,) whose box has a corner more than FOOTPRINT_TOLERANCE_M outside the drivable area."""
     if not len(arrays.agent):
         return np.zeros(0, dtype=bool)
@@ -140,7 +140,7 @@ def off_footprint(arrays: SceneArrays, ground: Ground) -> BoolArray:
     return np.asarray(outside.reshape(-1, 4).any(axis=1))
 
 
-def safety(arrays: SceneArrays, ground: Ground) -> Safety:
+def safety(arrays: SceneArrays, ground: PreparedMap) -> Safety:
     """Every measure of safety of a scene."""
     lanes = ground.lanes
     matches, against = match_lanes(arrays, lanes)

@@ -15,7 +15,7 @@ from bridge.evaluation.samples import Samples
 from bridge.evaluation.scene_metrics import Maps, measure_folder
 from bridge.evaluation.totals import ManeuverCounts, NameSet, Totals
 from hid2.agents import Policy
-from hid2.evaluation.behaviour import ManeuverKind
+from hid2.measures.manoeuvres import ManeuverKind
 from hid2.params import Limits
 
 COLUMNS = ("hits", "rows")
