@@ -188,7 +188,9 @@ def evaluate(
     out: Annotated[Path, typer.Argument(help="Scenes to measure, generated or recorded: a folder, a split or a root.")],
     report: Annotated[Path, typer.Option("-o", "--out", help="Folder for metrics.json, the tables and report.html.")],
     *,
-    source: Annotated[Path | None, typer.Option(help="Where the source scenes are, for before and after.")] = None,
+    source: Annotated[
+        Path | None, typer.Option(help="Where the source scenes are: before is those of the scenes measured.")
+    ] = None,
     predictions: Annotated[
         str | None,
         typer.Option(

@@ -21,6 +21,8 @@ TURN_RAD = math.radians(30.0)
 #: A successor that starts farther than this from the end of a lane cannot be driven to. Real maps: 0.
 MAX_SUCCESSOR_GAP_M = 2.0
 LANE_TYPES = frozenset({"VEHICLE", "BIKE", "BUS"})
+#: Lane types that motor vehicles drive on; a bicycle lane is no lane to them.
+MOTOR_TYPES = frozenset({"VEHICLE", "BUS"})
 
 REASON_OUTSIDE = "the other lane is outside the map"
 REASON_ITSELF = "the lane names itself"
@@ -141,16 +143,24 @@ class LaneGraph:
         return self._predecessors[lane_id]
 
     def straightest_successor(self, lane_id: int) -> int | None:
-        """The successor whose chord turns least from the lane's, the lower id of equals; None at the map's edge."""
+        """The successor whose chord turns least from the end of the lane, the lower id of equals; None without one.
+
+        Of a lane of MOTOR_TYPES only successors of these types count: nobody drives on into a bicycle lane.
+        """
         return self._straightest[lane_id]
 
     @cached_property
     def _straightest(self) -> dict[int, int | None]:
-        chord = {lane_id: _direction(lane) for lane_id, lane in self.lanes.items()}
-        way = {lane_id: math.atan2(y, x) for lane_id, (x, y) in chord.items()}
         straightest: dict[int, int | None] = {}
-        for lane_id, onward in self._successors.items():
-            turned = [(abs(math.remainder(way[n] - way[lane_id], math.tau)), n) for n in onward]
+        for lane_id, lane in self.lanes.items():
+            (x0, y0), (x1, y1) = lane.centerline[-2:].tolist()
+            end = math.atan2(y1 - y0, x1 - x0)
+            turned = []
+            for target in self._successors[lane_id]:
+                if lane.lane_type in MOTOR_TYPES and self.lanes[target].lane_type not in MOTOR_TYPES:
+                    continue
+                x, y = _direction(self.lanes[target])
+                turned.append((abs(math.remainder(math.atan2(y, x) - end, math.tau)), target))
             straightest[lane_id] = min(turned)[1] if turned else None
         return straightest
 

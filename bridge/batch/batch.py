@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from bridge.batch.engine import Outcome, Settings, Task, execute
+from bridge.batch.engine import Outcome, Settings, Task
+from bridge.batch.execution import execute
 from bridge.batch.isolation import Failure
 from bridge.batch.manifest import (
     DONE,

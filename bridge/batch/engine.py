@@ -63,33 +63,16 @@ class Settings:
     recycle_after: int = RECYCLE_AFTER
 
 
-def execute(
-    tasks: Iterable[Task], *, jobs: int = 1, scheduler: str | None = None, settings: Settings | None = None
-) -> Generator[Result, None, None]:
-    """Yield the result of every task as it is done; `tasks` is consumed as workers become free.
-
-    jobs: worker processes on this machine; scheduler: address of a running Dask scheduler, whose workers are used
-    instead. Errors: BatchError when the scheduler cannot be reached or is lost.
-    """
-    settings = settings or Settings()
-    if scheduler is None and jobs == 1:
-        with contextlib.closing(new_process(settings)) as process:
-            for task in tasks:
-                yield run_task(task, process, settings)
-    else:
-        from bridge.batch.cluster import execute_on_dask  # imports distributed: a second that one job need not wait
-
-        yield from execute_on_dask(tasks, jobs=jobs, scheduler=scheduler, settings=settings)
-
-
 def execute_here(
     tasks: Iterable[Task], *, jobs: int = 1, settings: Settings | None = None
 ) -> Generator[Result, None, None]:
-    """As `execute` on this machine, without Dask: for work that is over before its workers would have started."""
-    if jobs == 1:
-        yield from execute(tasks, settings=settings)
-        return
+    """As `execution.execute` on this machine, without Dask: for work that is over before its workers would start."""
     settings = settings or Settings()
+    if jobs == 1:
+        with contextlib.closing(new_process(settings)) as process:
+            for task in tasks:
+                yield run_task(task, process, settings)
+        return
     stop = threading.Event()
     idle: queue.SimpleQueue[IsolatedProcess] = queue.SimpleQueue()
     processes = [new_process(settings) for _ in range(jobs)]

@@ -6,9 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.evaluation.scene_metrics import GROUPS
 from hid2.agents import FloatArray
-from hid2.params import Limits
+from hid2.evaluation.metrics import GROUPS, Metric, columns
 
 #: Resamples of the bootstrap.
 RESAMPLES = 2000
@@ -20,58 +19,6 @@ _BLOCK = 2_000_000
 INTERVAL = (2.5, 97.5)
 
 Row = Mapping[str, Any]
-
-
-class Metric(NamedTuple):
-    """A ratio of two columns of the scene rows, pooled over scenes."""
-
-    key: str
-    label: str
-    unit: str
-    numerator: str
-    denominator: str
-
-
-KINEMATIC = (
-    Metric("lo", "LO: |longitudinal acceleration|", "m/s²", "paper_lo", "paper_tracks"),
-    Metric("la", "LA: |lateral acceleration|", "m/s²", "paper_la", "paper_tracks"),
-    Metric("je", "JE: jerk", "m/s³", "paper_je", "paper_tracks"),
-)
-CLEAN = (
-    Metric("clean_lo", "LO, moving vehicles without fragments", "m/s²", "clean_lo", "clean_tracks"),
-    Metric("clean_la", "LA, moving vehicles without fragments", "m/s²", "clean_la", "clean_tracks"),
-    Metric("clean_je", "JE, moving vehicles without fragments", "m/s³", "clean_je", "clean_tracks"),
-)
-SAFETY = (
-    Metric("scr", "SCR: share of vehicles that collide", "share", "scr", "scr_scenes"),
-    Metric("orr", "ORR: share of positions off the road", "share", "off_road", "rows"),
-    Metric("footprint_orr", "footprint ORR: share of boxes over 0.3 m off", "share", "off_footprint", "rows"),
-    Metric("wrong_way", "share of driving against the lane", "share", "against_lane", "moving_rows"),
-    Metric("ttc_critical", "share of driving, TTC below 1.5 s to anything", "share", "ttc_critical", "moving_rows"),
-    Metric(
-        "leader_ttc_critical", "share of driving, TTC below 1.5 s to the leader", "share", "leader_ttc_critical",
-        "moving_rows",
-    ),
-    Metric("short_gap", "share of following, time gap below 0.9 s", "share", "time_gap_below_0_9", "following_rows"),
-)  # fmt: skip
-LIMITS = tuple(
-    Metric(f"limit_{name}", label, "share", f"limit_{name}", "moving_rows")
-    for name, label in (
-        ("acceleration", f"acceleration above {Limits().accel_max_mps2} m/s²"),
-        ("braking", f"braking below {Limits().accel_min_mps2} m/s²"),
-        ("lateral_acceleration", f"|lateral acceleration| above {Limits().lateral_accel_mps2} m/s²"),
-        ("yaw_rate", f"|yaw rate| above {Limits().yaw_rate_radps} rad/s"),
-        ("yaw_acceleration", f"|yaw acceleration| above {Limits().yaw_accel_radps2} rad/s²"),
-        ("longitudinal_jerk", f"|longitudinal jerk| above {Limits().longitudinal_jerk_mps3} m/s³"),
-        ("jerk", f"jerk above {Limits().jerk_mps3} m/s³"),
-        ("radius", f"radius below {Limits().min_radius_m} m"),
-    )
-)
-METRICS = (*KINEMATIC, *CLEAN, *SAFETY, *LIMITS)
-#: Columns of the scene rows that the metrics are made of.
-COLUMNS = tuple(
-    dict.fromkeys(f"{group}_{name}" for group in GROUPS for m in METRICS for name in (m.numerator, m.denominator))
-)
 
 
 class Estimate(NamedTuple):
@@ -94,8 +41,11 @@ class SourceSums:
     scenes, and the order of the scenes does not matter.
     """
 
-    def __init__(self, columns: Sequence[str] = COLUMNS, *, most: int = MOST_SOURCES) -> None:
-        self._columns = {name: k for k, name in enumerate(columns)}
+    def __init__(self, names: Sequence[str] | None = None, *, most: int = MOST_SOURCES) -> None:
+        """Sum the columns of these names; of every metric and group unless told."""
+        if names is None:
+            names = [f"{group}_{column}" for group in GROUPS for column in columns()]
+        self._columns = {name: k for k, name in enumerate(names)}
         self._most = most
         self._grouped = False
         self._sums: dict[str, FloatArray] = {}
@@ -138,7 +88,7 @@ class SourceSums:
 
 def estimate(sums: SourceSums, metric: Metric, group: str, *, seed: int = 0) -> Estimate:
     """Pool a metric over scenes. The bootstrap draws source scenes: the variants of one scene are not independent."""
-    numerator, denominator = sums.of_columns(f"{group}_{metric.numerator}", f"{group}_{metric.denominator}")
+    numerator, denominator = sums.of_columns(f"{group}_{metric.numerator.name}", f"{group}_{metric.denominator.name}")
     return ratio_estimate(numerator, denominator, seed=seed)
 
 
@@ -166,6 +116,7 @@ def table(sums: SourceSums, metrics: Sequence[Metric]) -> dict[str, Any]:
         metric.key: {
             "label": metric.label,
             "unit": metric.unit,
+            "sentence": metric.sentence,
             **{group: estimate(sums, metric, group).as_dict() for group in GROUPS},
         }
         for metric in metrics

@@ -11,6 +11,7 @@ from bridge.evaluation.aggregate import Estimate
 from bridge.pictures import figures
 from hid2.agents import Policy
 from hid2.evaluation.realism import FEATURES, FINE, RealismCounts
+from hid2.policy.behaviours import BEHAVIOURS
 
 
 def reason_words(reason: str) -> str:
@@ -40,7 +41,10 @@ def distribution_figure(counts: RealismCounts) -> Figure:
 def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
     """The paper's diversity figure: scenes by density and by behaviour, before and after."""
     figure, axes = plt.subplots(1, 3, figsize=(13, 3.8), layout="constrained", width_ratios=[1, 1, 1.1])
-    for ax, name, label in ((axes[0], "tracks", "agents in the scene"), (axes[1], "tracks_at_49", "agents at 4.9 s")):
+    for ax, name, axis_label in (
+        (axes[0], "tracks", "agents in the scene"),
+        (axes[1], "tracks_at_49", "agents at 4.9 s"),
+    ):
         density = diversity["density"][name]
         numbers = [int(number) for when in ("before", "after") for number in density[when]]
         top = max([*numbers, 10])
@@ -51,16 +55,16 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
             # a bar from 40 to 60 holds more than 40 and up to 60, as in the table: nothing lies on an edge
             heights, _ = np.histogram([int(number) - 0.5 for number in density[when]], edges, weights=scenes)
             levels = heights / max(1, sum(scenes))
-            ax.stairs(levels, edges, fill=True, color=color, alpha=0.35, hatch=hatch, label=when)
+            label = f"{when}, {diversity['scenes'][when]} scenes"
+            ax.stairs(levels, edges, fill=True, color=color, alpha=0.35, hatch=hatch, label=label)
             ax.stairs(levels, edges, color=color, linewidth=1.6)
             highest = max(highest, levels.max())
         ax.set_ylim(0, 1.25 * highest)  # room for the legend
-        ax.set_xlabel(label)
+        ax.set_xlabel(axis_label)
         ax.set_ylabel("share of scenes")
     axes[0].legend(loc="upper left")
     behaviours = diversity["behaviours"]
     policies = list(Policy)
-    short = {"straight": "ST", "left_turn": "LT", "right_turn": "RT", "lane_change": "LC", "overtake": "OT"}
     place = np.arange(len(policies))
     for offset, when, color, hatch in ((-0.2, "before", figures.GREY, ""), (0.2, "after", figures.BLUE, "//")):
         part = behaviours[when]
@@ -69,7 +73,7 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
             place + offset, shares, 0.4, color=color, alpha=0.7, hatch=hatch, edgecolor="white", label=when
         )
         axes[2].bar_label(bars, fmt="%.2f", fontsize=7)
-    axes[2].set_xticks(place, [f"{short[p.value]}\n{p.value.replace('_', ' ')}" for p in policies], fontsize=8)
+    axes[2].set_xticks(place, [f"{BEHAVIOURS[p].short}\n{BEHAVIOURS[p].label}" for p in policies], fontsize=8)
     axes[2].set_ylabel("share of scenes with it")
     axes[2].set_ylim(0, 1.1)
     return figure

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hid2.agents import Policy
-from hid2.evaluation.behaviour import ManeuverKind
+from hid2.measures.manoeuvres import ManeuverKind
 
 #: Bounds of the agent-count bands of the paper.
 BANDS = (40, 50, 70, 90)
@@ -48,7 +48,7 @@ class Diversity:
     """Scenes before and after vehicles were added."""
 
     def __init__(self) -> None:
-        self._sources, self._recorded, self._generated, self._after = Part(), Part(), Part(), Part()
+        self._before, self._generated, self._after = Part(), Part(), Part()
 
     @classmethod
     def of(cls, rows: Iterable[Row], sources: Iterable[Row]) -> "Diversity":
@@ -61,20 +61,19 @@ class Diversity:
         return diversity
 
     def add(self, row: Row) -> None:
-        """Count a scene."""
-        self._recorded.add(row, "original")
+        """Count a scene as it is now."""
         self._generated.add(row, "generated")
         self._after.add(row, "combined")
 
     def add_source(self, row: Row) -> None:
-        """Count a source scene. Where there are none, "before" is what was recorded in each scene."""
-        self._sources.add(row, "original")
+        """Count what was recorded: a source scene, or a scene that stands for its own. Each source counts once."""
+        self._before.add(row, "original")
 
     def content(self) -> dict[str, Any]:
-        """Ready for JSON: density[name] with scenes by number of agents before and after, and behaviours."""
-        before = self._sources if self._sources.scenes else self._recorded
-        after = self._after
+        """Ready for JSON: scenes before and after, density[name] by number of agents, and behaviours."""
+        before, after = self._before, self._after
         return {
+            "scenes": {"before": before.scenes, "after": after.scenes},
             "density": {
                 name: {
                     "before": _by_number(before.density[name]),

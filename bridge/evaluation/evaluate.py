@@ -6,19 +6,20 @@ Memory does not grow with the scenes but by their names: tables are written as s
 import contextlib
 import csv
 import json
+import logging
 import pickle
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
 from bridge.batch.engine import Settings, Task, execute_here
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import Labelled, Row, SceneMeasures, measure_folders
-from bridge.evaluation.totals import Totals
+from bridge.evaluation.totals import Evaluation, Totals
 from bridge.files import table_file, write_text
 from bridge.recordings.scenario import find_scenarios, read_sizes, source_id
+from bridge.recordings.sidecar import sidecar_in
 from hid2.agents import BoxSize
 from hid2.measures.arrays import is_generated_id
 from hid2.params import Limits
@@ -28,22 +29,11 @@ from netconvert.errors import ExportError, Hid2Error, ScenarioError
 from netconvert.fidelity import measure_fidelity
 from netconvert.net_xml import net_bytes
 
+_LOG = logging.getLogger(__name__)
 #: Tables that grow as scenes are done.
 _BY_SCENE = ("scenes", "tracks", "maneuvers")
 #: Most scenes that a process gets at a time.
 _CHUNK = 40
-
-
-@dataclass(eq=False, slots=True)
-class Evaluation:
-    """What is known of a folder after the pass; `metrics` is the content of metrics.json.
-
-    failures: scenes that could not be read, with the reason.
-    """
-
-    totals: Totals = field(default_factory=Totals)
-    failures: list[tuple[Path, str]] = field(default_factory=list)
-    metrics: dict[str, Any] = field(default_factory=dict)
 
 
 def evaluate_folder(
@@ -56,9 +46,9 @@ def evaluate_folder(
 ) -> Evaluation:
     """Measure every scene below `out`, recorded or generated, and write the report into `report_dir`.
 
-    Writes metrics.json, scenes.csv, tracks.csv, maneuvers.csv, realism.csv and report.html. `source`: where the
-    recorded scenes are; "before" is then every scene there, else the recorded tracks of the scenes in `out`, and
-    recorded vehicles have the sizes that lie beside their source. A scene that cannot be read is listed and left out.
+    Writes metrics.json, scenes.csv, tracks.csv, maneuvers.csv, realism.csv and report.html. "Before" is the source
+    scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded vehicles beside them,
+    else the recorded tracks of the first scene made from each. A scene that cannot be read is listed and left out.
     on_scene(done, total) is called as scenes are done.
     Errors: ScenarioError where there is no scene; ExportError where the report cannot be written.
     """
@@ -66,14 +56,14 @@ def evaluate_folder(
 
     # by map, so that each is read once, and large ones first: what a process needs at most it needs from the start
     folders = sorted(find_scenarios(out), key=_map_size, reverse=True)
-    sources = find_scenarios(source) if source is not None else []
-    evaluation = Evaluation()
+    sources = _sources_of(folders, source) if source is not None else {}
+    evaluation = Evaluation(Totals(sources))
     totals = evaluation.totals
     try:
         with contextlib.ExitStack() as stack:
             tables = [stack.enter_context(_table(report_dir / f"{name}.csv")) for name in _BY_SCENE]
             for done, (folder, measures) in enumerate(
-                _measured([*folders, *sources], _labelled(sources), jobs=jobs), 1
+                _measured([*folders, *sources.values()], _labelled(sources), jobs=jobs), 1
             ):
                 if isinstance(measures, Failure):
                     evaluation.failures.append((folder, measures.message))
@@ -101,15 +91,28 @@ def _table(path: Path) -> Iterator["_Table"]:
         yield _Table(stream)
 
 
-def _labelled(sources: Sequence[Path]) -> Labelled:
+def _sources_of(folders: Sequence[Path], source: Path) -> dict[str, Path]:
+    """Source scenes of the folders by id, as far as they lie below `source`; it is logged where some do not."""
+    ids = set()
+    for folder in folders:
+        with contextlib.suppress(ScenarioError):  # reported with its scene
+            sidecar = sidecar_in(folder, source_id(folder))
+            ids.add(sidecar.source_scenario_id if sidecar is not None else source_id(folder))
+    found = {source_id(folder): folder for folder in find_scenarios(source)}
+    if lacking := len(ids - found.keys()):
+        _LOG.warning("%s: %d of %d source scenes are not there; their recorded tracks stand", source, lacking, len(ids))
+    return {known: found[known] for known in sorted(ids & found.keys())}
+
+
+def _labelled(sources: Mapping[str, Path]) -> Labelled:
     """Sizes that lie beside source scenes; a file that cannot be read is reported with its scene."""
     sizes: dict[str, Mapping[str, BoxSize]] = {}
-    for folder in sources:
+    for name, folder in sources.items():
         with contextlib.suppress(ScenarioError):
             own = read_sizes(folder)
             recorded = {track_id: size for track_id, size in own.items() if not is_generated_id(track_id)}
             if recorded:
-                sizes[source_id(folder)] = recorded
+                sizes[name] = recorded
     return sizes
 
 

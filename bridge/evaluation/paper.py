@@ -16,12 +16,13 @@ from bridge.batch.engine import Settings, Task, execute_here
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.scan import Selection, facts_of, wanted
 from bridge.evaluation import report
-from bridge.evaluation.aggregate import KINEMATIC, SAFETY, Metric, SourceSums, estimate
+from bridge.evaluation.aggregate import SourceSums, estimate
 from bridge.evaluation.diversity import Diversity
 from bridge.evaluation.scene_metrics import Row, measure
 from bridge.files import make_folder, table_file, write_text
 from bridge.recordings.scenario import find_sources, read_scenario
-from hid2.evaluation.safety import survey
+from hid2.evaluation.metrics import METRICS, Metric
+from hid2.evaluation.safety import prepare_map
 from hid2.params import Config, Limits, Request
 from netconvert.errors import ConfigError, ExportError, ScenarioError
 
@@ -29,9 +30,9 @@ Experiment = Literal["table1", "ablation", "density", "diversity"]
 EXPERIMENTS: tuple[Experiment, ...] = ("table1", "ablation", "density", "diversity")
 
 #: LO, LA, JE, SCR, ORR: what the paper reports.
-COLUMNS: tuple[Metric, ...] = (*KINEMATIC, *(metric for metric in SAFETY if metric.key in {"scr", "orr"}))
+COLUMNS: tuple[Metric, ...] = tuple(metric for metric in METRICS if metric.key in report.PAPER_ORIGINAL)
 #: Further columns that the paper does not have.
-MORE_COLUMNS: tuple[Metric, ...] = tuple(metric for metric in SAFETY if metric.key == "footprint_orr")
+MORE_COLUMNS: tuple[Metric, ...] = tuple(metric for metric in METRICS if metric.key == "footprint_orr")
 #: Numbers of vehicles added in the paper's density figure.
 ADDED = (0, 5, 10, 20, 40)
 #: The paper's ablation table: component switched off, LO, LA, JE, SCR, ORR.
@@ -162,7 +163,7 @@ def generate_and_measure(
 
     folder, settings = shared
     scenario = read_scenario(folder)
-    ground = survey(scenario.graph)
+    ground = prepare_map(scenario.graph)
     prepared = prepare(scenario, next((s.config for s in settings if s.config), Config()))
     for number, seed in items:
         config = settings[number].config

@@ -3,19 +3,17 @@
 import html
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from matplotlib.figure import Figure
 
 from bridge.evaluation.charts import distribution_figure, diversity_figure, reason_words
+from bridge.evaluation.totals import Evaluation
 from bridge.files import write_text
 from bridge.pictures import figures
 from bridge.pictures.render import scene_figure
 from bridge.recordings.sidecar import AgentRecord, sidecar_in
 from hid2.evaluation.realism import FEATURES
-
-if TYPE_CHECKING:
-    from bridge.evaluation.evaluate import Evaluation
 
 _GROUP_NAMES = {"original": "original (recorded)", "generated": "generated", "combined": "combined"}
 _PAIR_NAMES = {
@@ -38,7 +36,7 @@ img{max-width:100%;margin:.5em 0}figcaption{color:#555;font-size:.92em}figure{ma
 """
 
 
-def write_report(evaluation: "Evaluation", path: Path) -> None:
+def write_report(evaluation: Evaluation, path: Path) -> None:
     """Write the report of an evaluation. Errors: OSError."""
     figures.style()
     metrics = evaluation.metrics
@@ -143,6 +141,11 @@ def _glance(metrics: Mapping[str, Any]) -> str:
             not safety["leader_ttc_critical"]["generated"]["value"],
             number(safety["leader_ttc_critical"]["generated"]["value"], 4),
         ),
+        (
+            "contact within 1 s after the last step at constant velocity, share of vehicles",
+            not safety["end_ttc_critical"]["generated"]["value"],
+            number(safety["end_ttc_critical"]["generated"]["value"], 4),
+        ),
     ]
     cells = [
         (name, value, '<span class="good">none</span>' if good else '<span class="bad">some</span>')
@@ -151,7 +154,7 @@ def _glance(metrics: Mapping[str, Any]) -> str:
     return "<h2>At a glance: are the generated vehicles safe?</h2>" + table(("", "value", ""), cells)
 
 
-def _example(evaluation: "Evaluation") -> str:
+def _example(evaluation: Evaluation) -> str:
     example = evaluation.totals.example
     if example is None:
         return ""
@@ -189,7 +192,7 @@ def _busiest(folder: Path, scenario_id: str) -> str | None:
 def _safety(metrics: Mapping[str, Any]) -> str:
     safety = metrics["safety"]
     rows = [
-        (entry["label"], *(with_interval(entry[group], 4) for group in _GROUP_NAMES), *_paper(key))
+        (_name(entry), *(with_interval(entry[group], 4) for group in _GROUP_NAMES), *_paper(key))
         for key, entry in safety.items()
         if key != "pairs"
     ]
@@ -221,6 +224,11 @@ def _safety(metrics: Mapping[str, Any]) -> str:
     )
 
 
+def _name(metric: Mapping[str, Any]) -> str:
+    """The name of a metric, which its sentence explains where the pointer rests on it."""
+    return f'<span title="{html.escape(metric["sentence"])}">{html.escape(metric["label"])}</span>'
+
+
 def _paper(key: str) -> tuple[str, str]:
     if key not in PAPER_ORIGINAL:
         return "", ""
@@ -230,12 +238,12 @@ def _paper(key: str) -> tuple[str, str]:
 def _kinematics(metrics: Mapping[str, Any]) -> str:
     kinematics = metrics["kinematics"]
     rows = [
-        (f"{entry['label']}, {entry['unit']}", *(with_interval(entry[group]) for group in _GROUP_NAMES), *_paper(key))
+        (f"{_name(entry)}, {entry['unit']}", *(with_interval(entry[group]) for group in _GROUP_NAMES), *_paper(key))
         for section in ("paper", "clean")
         for key, entry in kinematics[section].items()
     ]
     limits = [
-        (entry["label"], *(number(entry[group]["value"], 4) for group in _GROUP_NAMES))
+        (_name(entry), *(number(entry[group]["value"], 4) for group in _GROUP_NAMES))
         for entry in kinematics["limits"].values()
     ]
     return (
@@ -249,7 +257,7 @@ def _kinematics(metrics: Mapping[str, Any]) -> str:
     )
 
 
-def _realism(evaluation: "Evaluation") -> str:
+def _realism(evaluation: Evaluation) -> str:
     realism = evaluation.metrics["realism"]
     if not evaluation.totals.realism.generated["speed"].sum():
         return ""
@@ -336,6 +344,7 @@ def diversity_parts(diversity: Mapping[str, Any]) -> list[str]:
             "of scenes that have a moving vehicle of the kind; a vehicle is of one kind, the rarest that it shows: one "
             "that changes lanes on its way to a turn, or passes another and stays, counts as a lane change.",
         ),
+        f"<p>Before: {diversity['scenes']['before']} source scenes. After: {diversity['scenes']['after']} scenes.</p>",
         table(
             ("share of scenes with agents …", "tracks, before", "after", "at 4.9 s, before", "after"), [means, *bands]
         ),

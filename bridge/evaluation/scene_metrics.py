@@ -21,8 +21,9 @@ from bridge.recordings.scenario import (
 )
 from bridge.recordings.sidecar import ManeuverRecord, Sidecar, sidecar_in
 from hid2.agents import BoxSize, FloatArray, Policy, Track
-from hid2.evaluation.behaviour import Maneuver, ManeuverKind, detect, policies
-from hid2.evaluation.kinematics import Kinematics, Motion, beyond_limits, clean, kinematics, motion
+from hid2.evaluation.behaviour import policies
+from hid2.evaluation.kinematics import Kinematics, Motion, beyond_limits, kinematics, motion
+from hid2.evaluation.metrics import CRITICAL, GROUPS, Group, last_step_counts, measure_group
 from hid2.evaluation.realism import (
     DRIVING_FEATURES,
     MOTION_FEATURES,
@@ -31,17 +32,14 @@ from hid2.evaluation.realism import (
     row_features,
     track_features,
 )
-from hid2.evaluation.safety import IOU_THRESHOLD, Ground, Safety, colliding, safety, survey
+from hid2.evaluation.safety import IOU_THRESHOLD, PreparedMap, Safety, prepare_map, safety
 from hid2.measures.arrays import BoolArray, SceneArrays, stack
+from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
+from hid2.measures.scene_end import Contact, contacts_after_last_step
 from hid2.params import Limits
 from netconvert.av2_map import read_lane_graph
 from netconvert.errors import ScenarioError
 
-#: The three groups that are never mixed: evaluation.md.
-GROUPS = ("original", "generated", "combined")
-#: Below these a conflict is critical (SSAM).
-CRITICAL_TTC_S = 1.5
-CRITICAL_PET_S = 1.0
 #: A manoeuvre seen belongs to a record of its kind whose crossing (or start) is at most this far away.
 SAME_MANEUVER_S = 2.0
 #: Maps kept while scenes are measured.
@@ -72,6 +70,8 @@ class _View:
     safe: Safety
     maneuvers: list[Maneuver]
     limits: Mapping[str, BoolArray]
+    after_end: Mapping[int, Contact]
+    """First contacts after the last step, by agent: of recorded ones with recorded ones, of inserted ones with any."""
 
 
 def measure_folders(
@@ -90,12 +90,12 @@ class Maps:
     """The last maps read, by their content: scenes made from one share its map, and reading it takes longest."""
 
     def __init__(self) -> None:
-        self._known: dict[bytes, Ground] = {}
+        self._known: dict[bytes, PreparedMap] = {}
 
-    def read(self, path: Path) -> Ground:
+    def read(self, path: Path) -> PreparedMap:
         """The map in a file. Errors: MapError."""
         content = path.read_bytes() if path.is_file() else b""
-        ground = self._known.pop(content, None) or survey(read_lane_graph(path))
+        ground = self._known.pop(content, None) or prepare_map(read_lane_graph(path))
         self._known[content] = ground  # the last one used comes last
         while len(self._known) > _MOST_MAPS:
             self._known.pop(next(iter(self._known)))
@@ -123,7 +123,7 @@ def measure_folder(folder: Path, limits: Limits, maps: Maps, labelled: Labelled 
     return _named(measures, rows, folder)
 
 
-def _read(folder: Path, maps: Maps) -> tuple[Rows, Ground]:
+def _read(folder: Path, maps: Maps) -> tuple[Rows, PreparedMap]:
     """As read_scenario, but a map that is known is not read again."""
     tables, files = list(folder.glob("scenario_*.parquet")), list(folder.glob("log_map_archive_*.json"))
     if len(tables) != 1 or len(files) != 1:
@@ -135,7 +135,7 @@ def _read(folder: Path, maps: Maps) -> tuple[Rows, Ground]:
 
 def measure(
     tracks: Sequence[Track],
-    ground: Ground,
+    ground: PreparedMap,
     sidecar: Sidecar | None,
     *,
     limits: Limits,
@@ -147,14 +147,38 @@ def measure(
     moved = motion(arrays)
     safe = safety(arrays, ground)
     maneuvers = detect(arrays, safe.lanes, safe.matches)
-    view = _View(arrays, moved, kinematics(arrays, moved), safe, maneuvers, beyond_limits(arrays, moved, limits))
     policy_of = policies(arrays, maneuvers)
     vehicles = arrays.vehicle & arrays.moving
-    members = {
-        "original": ~arrays.generated,
-        "generated": arrays.generated,
-        "combined": np.ones(arrays.num_agents, dtype=bool),
-    }
+    everybody = np.ones(arrays.num_agents, dtype=bool)
+    kinematic = kinematics(arrays, moved)
+    beyond = beyond_limits(arrays, moved, limits)
+    groups = {}
+    # whom a group's vehicles may touch: what was added any road user, what was recorded what was recorded
+    for name, members, others in (
+        ("original", ~arrays.generated, ~arrays.generated),
+        ("generated", arrays.generated, everybody),
+        ("combined", everybody, everybody),
+    ):
+        groups[name] = Group(
+            arrays=arrays,
+            kinematic=kinematic,
+            safe=safe,
+            beyond=beyond,
+            members=members,
+            partners=others if name == "generated" else others & arrays.vehicle,  # as in the paper's SCR
+            end_contacts=contacts_after_last_step(
+                arrays, members & last_step_counts(arrays), horizon_s=CRITICAL.end_horizon_s, among=others
+            ),
+        )
+    view = _View(
+        arrays,
+        moved,
+        kinematic,
+        safe,
+        maneuvers,
+        beyond,
+        {**groups["original"].end_contacts, **groups["generated"].end_contacts},
+    )
     scene: Row = {
         "source": source,
         "steps": arrays.num_steps,
@@ -164,7 +188,7 @@ def measure(
         "generated_at_49": int((arrays.row_of[arrays.generated, min(LAST_OBSERVED, num_steps - 1)] >= 0).sum()),
     }
     for group in GROUPS:
-        row = _group_row(view, members[group], policy_of, everyone=group == "generated")
+        row = _group_row(groups[group], maneuvers, policy_of)
         scene |= {f"{group}_{key}": value for key, value in row.items()}
     scene |= _pair_row(view)
     scene |= _request_row(sidecar)
@@ -202,43 +226,21 @@ def _named(measures: SceneMeasures, scene: Rows, folder: Path) -> SceneMeasures:
     )
 
 
-def _group_row(view: _View, members: BoolArray, policy_of: Mapping[str, Policy], *, everyone: bool) -> Row:
-    """Sums and counts of one group; ratios are formed when scenes are pooled.
-
-    everyone: members collide with any agent of the scene, of whatever type and group (the generated vehicles must not);
-    else vehicles of the group with each other, as in the paper's SCR.
-    """
-    arrays, kinematic, safe = view.arrays, view.kinematic, view.safe
-    paper = members & kinematic.counted
-    tidy = paper & clean(arrays)
-    vehicles = members & arrays.vehicle
-    of_vehicle, moving = vehicles[arrays.agent], (vehicles & arrays.moving)[arrays.agent]
-    among = np.ones_like(members) if everyone else vehicles
-    hits = int((colliding(arrays, safe.overlaps, among) & vehicles).sum())
-    count = int(vehicles.sum())
-    row: Row = {"agents": int(members.sum()), "vehicles": count, "moving": int((vehicles & arrays.moving).sum())}
-    row |= {"paper_tracks": int(paper.sum()), "clean_tracks": int(tidy.sum())}
-    for name, values in (("lo", kinematic.lo), ("la", kinematic.la), ("je", kinematic.je)):
-        row |= {f"paper_{name}": float(values[paper].sum()), f"clean_{name}": float(values[tidy].sum())}
-    row |= {
-        "colliding": hits,
-        "scr": hits / count if count else 0.0,
-        "scr_scenes": int(count > 0),
-        "rows": int(of_vehicle.sum()),
-        "off_road": int(safe.off_road[of_vehicle].sum()),
-        "off_footprint": int(safe.off_footprint[of_vehicle].sum()),
-        "moving_rows": int(moving.sum()),
-        "against_lane": int((safe.against_lane & moving).sum()),
-        "ttc_critical": int((safe.ttc_s[moving] < CRITICAL_TTC_S).sum()),
-        "leader_ttc_critical": int((safe.leaders.ttc_s[moving] < CRITICAL_TTC_S).sum()),
+def _group_row(group: Group, maneuvers: Sequence[Maneuver], policy_of: Mapping[str, Policy]) -> Row:
+    """Sums and counts of one group; ratios are formed when scenes are pooled."""
+    arrays = group.arrays
+    moving = group.vehicles & arrays.moving
+    row: Row = {
+        "agents": int(group.members.sum()),
+        "vehicles": int(group.vehicles.sum()),
+        "moving": int(moving.sum()),
+        "colliding": group.colliding,
     }
-    gaps = safe.leaders.time_gap_s[moving]
-    row |= {"following_rows": int(np.isfinite(gaps).sum()), "time_gap_below_0_9": int((gaps < 0.9).sum())}
-    row |= {f"limit_{name}": int((mask & moving).sum()) for name, mask in view.limits.items()}
-    counts = Counter(policy_of[arrays.track_ids[a]] for a in np.flatnonzero(vehicles & arrays.moving))
+    row |= measure_group(group)
+    counts = Counter(policy_of[arrays.track_ids[a]] for a in np.flatnonzero(moving))
     row |= {f"policy_{policy.value}": counts[policy] for policy in Policy}
-    ids = {arrays.track_ids[a] for a in np.flatnonzero(members)}
-    seen = Counter(m.kind for m in view.maneuvers if m.track_id in ids and m.part_of is None)
+    ids = {arrays.track_ids[a] for a in np.flatnonzero(group.members)}
+    seen = Counter(m.kind for m in maneuvers if m.track_id in ids and m.part_of is None)
     row |= {f"seen_{kind.value}": seen[kind] for kind in ManeuverKind}
     return row
 
@@ -260,7 +262,7 @@ def _pair_row(view: _View) -> Row:
     for crossing in view.safe.encroachments:
         name = names[int(generated[crossing.first]) + int(generated[crossing.second])]
         row[f"crossings_{name}"] += 1
-        row[f"pet_critical_{name}"] += int(crossing.pet_s < CRITICAL_PET_S)
+        row[f"pet_critical_{name}"] += int(crossing.pet_s < CRITICAL.pet_min_s)
     return row
 
 
@@ -324,6 +326,7 @@ def _track_rows(view: _View, policy_of: Mapping[str, Policy], sidecar: Sidecar |
                 "min_ttc_s": float(min_ttc[a]),
                 "min_leader_ttc_s": _finite(min_leader[a]),
                 "min_time_gap_s": _finite(min_gap[a]),
+                "end_ttc_s": view.after_end[a].ttc_s if a in view.after_end else None,
                 **{name: int(values[a]) for name, values in sums.items()},
             }
         )

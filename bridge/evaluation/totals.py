@@ -6,14 +6,16 @@ from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.evaluation.aggregate import CLEAN, KINEMATIC, LIMITS, SAFETY, SourceSums, table
+from bridge.evaluation.aggregate import SourceSums, table
 from bridge.evaluation.diversity import Diversity
 from bridge.evaluation.samples import Samples
 from bridge.evaluation.scene_metrics import SceneMeasures
+from hid2.evaluation.metrics import Section, metrics_in
 from hid2.evaluation.realism import DRIVING_FEATURES, RealismCounts
 
 #: Nets of at most this many different maps are measured.
@@ -98,9 +100,14 @@ class Example(NamedTuple):
 
 
 class Totals:
-    """Sums over all scenes of a pass. `example`: the scene to show, None before the first."""
+    """Sums over all scenes of a pass. `example`: the scene to show, None before the first.
 
-    def __init__(self) -> None:
+    sources: ids of the source scenes that are measured themselves; for others the recorded tracks of the first scene
+    made from them stand.
+    """
+
+    def __init__(self, sources: Iterable[str] = ()) -> None:
+        self._measured_sources = frozenset(sources)
         self.sums = SourceSums()
         self.diversity = Diversity()
         self.realism = RealismCounts()
@@ -122,7 +129,10 @@ class Totals:
         self.realism.add(measures.realism)
         self.maneuvers.add(measures.maneuvers)
         # the recorded vehicles of a source scene are in every scene that was made from it: they count once
-        kept = measures.sample_generated | self._sources.add(source)
+        is_first = self._sources.add(source)
+        if is_first and source not in self._measured_sources:
+            self.diversity.add_source(row)
+        kept = measures.sample_generated | is_first
         self.samples.add(
             measures.samples[kept], measures.sample_generated[kept], scene=row["scenario_id"], source=source
         )
@@ -153,11 +163,11 @@ class Totals:
                 "generated_vehicles": counts["generated"],
             },
             "kinematics": {
-                "paper": table(self.sums, KINEMATIC),
-                "clean": table(self.sums, CLEAN),
-                "limits": table(self.sums, LIMITS),
+                "paper": table(self.sums, metrics_in(Section.PAPER)),
+                "clean": table(self.sums, metrics_in(Section.CLEAN)),
+                "limits": table(self.sums, metrics_in(Section.LIMITS)),
             },
-            "safety": table(self.sums, SAFETY)
+            "safety": table(self.sums, metrics_in(Section.SAFETY))
             | {"pairs": {kind: {g: counts[f"{kind}_{g}"] for g in PAIR_GROUPS} for kind in PAIR_KINDS}},
             "diversity": self.diversity.content(),
             "realism": {
@@ -193,6 +203,18 @@ class Totals:
                 counts[f"{kind}_{group}"] += row[f"{kind}_{group}"]
         self._rejected.update(row["rejected"] or {})
         self._replay_position_error_m = max(self._replay_position_error_m, row["replay_position_error_m"] or 0.0)
+
+
+@dataclass(eq=False, slots=True)
+class Evaluation:
+    """What is known of a folder after the pass; `metrics` is the content of metrics.json.
+
+    failures: scenes that could not be read, with the reason.
+    """
+
+    totals: Totals = field(default_factory=Totals)
+    failures: list[tuple[Path, str]] = field(default_factory=list)
+    metrics: dict[str, Any] = field(default_factory=dict)
 
 
 def _distances(realism: RealismCounts) -> list[dict[str, Any]]:

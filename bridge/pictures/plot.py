@@ -15,11 +15,11 @@ from bridge.pictures.render import MARK_NAMES
 from bridge.recordings.scenario import STEP_S, Scenario, read_scenario
 from bridge.recordings.sidecar import sidecar_in
 from hid2.agents import FloatArray
-from hid2.evaluation.behaviour import Maneuver, detect
 from hid2.evaluation.kinematics import Motion, motion
 from hid2.measures.arrays import SceneArrays, stack
 from hid2.measures.driven_lanes import first_lane_path
 from hid2.measures.lane_matching import FlatLanes, Matches, flatten_lanes, match_lanes
+from hid2.measures.manoeuvres import Maneuver, detect
 from hid2.params import Limits
 from netconvert.cells import build_cell_grid
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from bridge.recordings.rules import Breach
+from netconvert.lane_graph import LANE_TYPES
 
-LANE_TYPES = frozenset({"VEHICLE", "BIKE", "BUS"})
 MARK_TYPES = frozenset(
     {
         "DASH_SOLID_YELLOW",

@@ -30,5 +30,6 @@ RULES: Mapping[str, str] = {
     "generated": "gen_<n>, a vehicle, category 1 to 3, without gaps, present at 49; scored or focal: at all steps",
     "velocity": "a generated track's velocity is the time derivative of its position",
     "heading": "a generated track's heading follows its motion",
+    "scene-end": "TTC of 1 s or more after a generated track's last step, everybody at constant velocity",
     "source": "recorded rows are the source's bit for bit, but for a former focal's category; the map is the source's",
 }

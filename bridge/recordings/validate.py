@@ -10,9 +10,11 @@ from typing import NamedTuple
 from bridge.recordings.map_rules import compare_map, read_map
 from bridge.recordings.row_rules import Rows, check_generated, check_rows, compare_rows
 from bridge.recordings.rules import RULES
-from bridge.recordings.scenario import SPLITS, find_scenarios, read_table
-from bridge.recordings.sidecar import read_sidecar, sidecar_path
+from bridge.recordings.scenario import SPLITS, find_scenarios, read_sizes, read_table
+from bridge.recordings.scene_end_rule import check_scene_end
+from bridge.recordings.sidecar import Sidecar, read_sidecar, sidecar_path
 from bridge.recordings.sidecar_rules import check_sidecar
+from hid2.agents import BoxSize
 from netconvert.errors import ScenarioError
 
 
@@ -70,6 +72,8 @@ def validate_scene(folder: Path, *, sources: Mapping[str, Path] | None = None) -
         breaches = list(check_rows(rows, new_id))
         for track_id in sorted(generated_ids & set(rows.ids)):
             breaches += check_generated(rows, track_id)
+        if not breaches:  # what it reads is sound
+            breaches += check_scene_end(rows.table, generated_ids, sizes=_sizes(sidecar, sources))
         findings += [Finding(parquet_path, *breach) for breach in breaches]
     if sidecar is not None:
         track_ids = set(rows.ids) if rows is not None else None
@@ -89,6 +93,15 @@ def validate_scene(folder: Path, *, sources: Mapping[str, Path] | None = None) -
             messages = compare_map(map_path, document, source / f"log_map_archive_{source_id}.json")
             findings += [Finding(map_path, "source", message) for message in messages]
     return findings
+
+
+def _sizes(sidecar: Sidecar | None, sources: Mapping[str, Path] | None) -> dict[str, BoxSize]:
+    """Boxes by track id as far as they are known: of generated tracks, and of recorded ones beside their source."""
+    if sidecar is None:
+        return {}
+    source = (sources or {}).get(sidecar.source_scenario_id)
+    recorded = read_sizes(source) if source is not None else {}
+    return recorded | {agent.track_id: BoxSize(agent.length_m, agent.width_m) for agent in sidecar.agents}
 
 
 def _check_tree(out: Path, folders: Sequence[Path]) -> Iterator[Finding]:

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -12,9 +12,7 @@ from matplotlib.axes import Axes
 from bridge.evaluation.aggregate import Estimate, ratio_estimate
 from bridge.evaluation.charts import reason_words
 from bridge.pictures import figures
-
-if TYPE_CHECKING:
-    from bridge.studies.study import Study
+from hid2.params import Conflict
 
 #: Values of a parameter beyond this many are put into this many groups of equal size.
 _GROUPS = 8
@@ -23,8 +21,8 @@ _REASONS = 6
 _REASON_COLORS = (
     figures.VERMILION, figures.ORANGE, figures.SKY, figures.GREEN, figures.PURPLE, figures.BLACK, figures.GREY,
 )  # fmt: skip
-#: Critical values: TTC (SSAM) and PET, s.
-_CRITICAL_TTC_S, _CRITICAL_PET_S = 1.5, 1.0
+#: Critical values, whatever a run was made with.
+_CRITICAL = Conflict()
 
 Record = Mapping[str, Any]
 LABELS = {
@@ -37,7 +35,23 @@ LABELS = {
 }
 
 
-def draw_study(study: "Study", maneuvers: Sequence[Record], out_dir: Path) -> list[Path]:
+class DrawnStudy(Protocol):
+    """What the figures read of a study."""
+
+    @property
+    def name(self) -> str:
+        """As in the names of the files."""
+
+    @property
+    def kind(self) -> str:
+        """The manoeuvre that is drawn."""
+
+    @property
+    def points(self) -> Sequence[Mapping[str, Any]]:
+        """Values of the parameters that vary, one mapping for each run."""
+
+
+def draw_study(study: DrawnStudy, maneuvers: Sequence[Record], out_dir: Path) -> list[Path]:
     """Draw one figure for each numeric parameter that varies; returns the files."""
     mine = [record for record in maneuvers if record["kind"] == study.kind]
     keys = [key for key in study.points[0] if len({point[key] for point in study.points}) > 1]
@@ -50,7 +64,7 @@ def draw_study(study: "Study", maneuvers: Sequence[Record], out_dir: Path) -> li
     return files
 
 
-def _draw(study: "Study", records: Sequence[Record], key: str, path: Path) -> None:
+def _draw(study: DrawnStudy, records: Sequence[Record], key: str, path: Path) -> None:
     figures.style()
     groups = _groups(records, key)
     x = np.array([np.mean([record[key] for record in group]) for group in groups])
@@ -83,7 +97,7 @@ def _draw(study: "Study", records: Sequence[Record], key: str, path: Path) -> No
         if not panel.lines:
             panel.annotate("none", (0.5, 0.5), xycoords="axes fraction", ha="center", color=figures.GREY)
     axes[0, 0].set_ylim(0, 1.03)
-    for panel, critical in ((axes[0, 2], _CRITICAL_TTC_S), (axes[1, 0], _CRITICAL_PET_S)):
+    for panel, critical in ((axes[0, 2], _CRITICAL.ttc_min_s), (axes[1, 0], _CRITICAL.pet_min_s)):
         panel.set_ylim(0, max(panel.get_ylim()[1], 1.5 * critical))
         panel.axhline(critical, color=figures.VERMILION, linewidth=0.8, linestyle=":")
         panel.annotate(

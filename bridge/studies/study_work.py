@@ -15,8 +15,9 @@ from bridge.files import write_text
 from bridge.generation.generate import GeneratedScene, write
 from bridge.recordings.scenario import STEP_S
 from bridge.studies.study import RUN_FILE, RUNS, SCENES
-from hid2.evaluation.safety import CAP_S, safety, survey
+from hid2.evaluation.safety import prepare_map, safety
 from hid2.measures.arrays import stack
+from hid2.measures.time_to_collision import CAP_S
 
 
 def measure_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
@@ -41,7 +42,7 @@ def measure_scene(scene: GeneratedScene) -> list[dict[str, Any]]:
     5 s; pet_s: smallest PET of the vehicle at a crossing of paths with another, None without one within 5 s.
     """
     arrays = stack([*scene.scenario.tracks, *scene.generated], num_steps=scene.scenario.num_steps, step_s=STEP_S)
-    measured = safety(arrays, survey(scene.scenario.graph))
+    measured = safety(arrays, prepare_map(scene.scenario.graph))
     number = {track_id: index for index, track_id in enumerate(arrays.track_ids)}
     pet: dict[int, float] = {}
     for crossing in measured.encroachments:

@@ -7,10 +7,11 @@ a track, as `numpy.gradient`), at the true times of the steps.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
-from hid2.agents import FloatArray, IntArray
+from hid2.agents import FloatArray
+from hid2.kernels.derivative import track_derivative
 from hid2.measures.arrays import FRAGMENT, BoolArray, SceneArrays
+from hid2.measures.motion_limits import MotionProfile, exceeded
 from hid2.params import Limits
 
 #: Tracks shorter than this are left out of LO, LA and JE: the third derivative needs five samples.
@@ -56,26 +57,7 @@ def derivative(values: FloatArray, arrays: SceneArrays) -> FloatArray:
     h_s h_d (h_s + h_d); first order at both ends.
     """
     columns = np.ascontiguousarray(values, dtype=np.float64).reshape(len(values), *(values.shape[1:] or (1,)))
-    return np.asarray(_derivative(columns, arrays.first, arrays.step, arrays.step_s).reshape(values.shape))
-
-
-@njit(cache=True)
-def _derivative(values: FloatArray, first: IntArray, step: IntArray, step_s: float) -> FloatArray:
-    out = np.zeros_like(values)
-    for agent in range(len(first) - 1):
-        start, end = first[agent], first[agent + 1] - 1
-        if end <= start:
-            continue
-        for k in range(values.shape[1]):
-            out[start, k] = (values[start + 1, k] - values[start, k]) / (step[start + 1] - step[start]) / step_s
-            out[end, k] = (values[end, k] - values[end - 1, k]) / (step[end] - step[end - 1]) / step_s
-            for i in range(start + 1, end):
-                before, after = float(step[i] - step[i - 1]), float(step[i + 1] - step[i])
-                rise = (
-                    before**2 * values[i + 1, k] + (after**2 - before**2) * values[i, k] - after**2 * values[i - 1, k]
-                )
-                out[i, k] = rise / (before * after * (before + after)) / step_s
-    return out
+    return np.asarray(track_derivative(columns, arrays.first, arrays.step, arrays.step_s).reshape(values.shape))
 
 
 def unwrapped_heading(arrays: SceneArrays) -> FloatArray:
@@ -132,16 +114,17 @@ def beyond_limits(arrays: SceneArrays, moved: Motion, limits: Limits, *, slack: 
 
     Rates of heading are those of the recorded heading; the radius is that of heading rate over speed.
     """
-    more = 1.0 + slack
     fast = moved.speed > CURVATURE_SPEED_MPS
     curvature = np.abs(moved.yaw_rate) / np.where(fast, moved.speed, 1.0)
-    return {
-        "acceleration": moved.longitudinal_accel > limits.accel_max_mps2 * more,
-        "braking": moved.longitudinal_accel < limits.accel_min_mps2 * more,
-        "lateral_acceleration": np.abs(moved.lateral_accel) > limits.lateral_accel_mps2 * more,
-        "yaw_rate": np.abs(moved.yaw_rate) > limits.yaw_rate_radps * more,
-        "yaw_acceleration": np.abs(moved.yaw_accel) > limits.yaw_accel_radps2 * more,
-        "longitudinal_jerk": np.abs(moved.longitudinal_jerk) > limits.longitudinal_jerk_mps3 * more,
-        "jerk": moved.jerk_norm > limits.jerk_mps3 * more,
-        "radius": fast & (curvature > more / limits.min_radius_m),
+    profile = MotionProfile(
+        speed_mps=moved.speed,
+        accel_mps2=moved.longitudinal_accel,
+        lateral_accel_mps2=moved.lateral_accel,
+        longitudinal_jerk_mps3=moved.longitudinal_jerk,
+        jerk_mps3=moved.jerk_norm,
+        yaw_rate_radps=moved.yaw_rate,
+        yaw_accel_radps2=moved.yaw_accel,
+    )
+    return exceeded(profile, limits, slack=slack) | {
+        "radius": fast & (curvature > (1.0 + slack) / limits.min_radius_m),
     }

@@ -12,21 +12,20 @@ import numpy as np
 import shapely
 
 from hid2.agents import FloatArray
+from hid2.kernels.box_pairs import pairwise_overlap
 from hid2.measures.arrays import BoolArray, SceneArrays
-from hid2.measures.box_pairs import pairwise_overlap, post_encroachment, time_to_collision
 from hid2.measures.following import Leaders, leaders
 from hid2.measures.lane_matching import FlatLanes, Matches, flatten_lanes, match_lanes
+from hid2.measures.post_encroachment import Encroachment, encroachments
+from hid2.measures.time_to_collision import ttc_to_anything
+from hid2.params import Limits
 from netconvert.geometry import box_corners
 from netconvert.lane_graph import LaneGraph
 
 #: Boxes overlapping by more than this collide ("a small IoU threshold" in the paper).
 IOU_THRESHOLD = 0.02
-#: A corner further outside than this is off the road (nuPlan).
-FOOTPRINT_TOLERANCE_M = 0.3
-#: TTC and PET above this are not told apart.
-CAP_S = 5.0
-#: Paths that meet at less than this follow each other; they do not cross (SSAM's rear-end bound).
-CROSSING_RAD = math.radians(30)
+#: A corner further outside than this is off the road.
+FOOTPRINT_TOLERANCE_M = Limits().drivable_tolerance_m
 #: Slower vehicles drive neither with nor against a lane.
 WRONG_WAY_SPEED_MPS = 1.0
 #: Chords of a quarter circle, and slack against rounding, where the drivable area is widened.
@@ -42,14 +41,6 @@ class Overlap(NamedTuple):
     iou: float
     first_step: int
     steps: int
-
-
-class Encroachment(NamedTuple):
-    """A crossing of two vehicles' swept paths: post-encroachment time between them."""
-
-    first: int
-    second: int
-    pet_s: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -108,7 +99,7 @@ def off_road(position: FloatArray, graph: LaneGraph) -> BoolArray:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Ground:
+class PreparedMap:
     """What the measures need of a map, worked out once for all scenes on it.
 
     near, far: the drivable area, widened by a little less and a little more than the footprint's tolerance, prepared.
@@ -120,16 +111,16 @@ class Ground:
     far: shapely.Geometry
 
 
-def survey(graph: LaneGraph) -> Ground:
+def prepare_map(graph: LaneGraph) -> PreparedMap:
     """Work out what the measures need of a map."""
     # a polygon inscribed in the widened area, and one around it: quarter circles of _ARC chords
     near = graph.drivable.buffer(FOOTPRINT_TOLERANCE_M - _MARGIN_M, quad_segs=_ARC)
     far = graph.drivable.buffer(FOOTPRINT_TOLERANCE_M / math.cos(math.pi / (4 * _ARC)) + _MARGIN_M, quad_segs=_ARC)
     shapely.prepare([near, far])
-    return Ground(graph, flatten_lanes(graph), near, far)
+    return PreparedMap(graph, flatten_lanes(graph), near, far)
 
 
-def off_footprint(arrays: SceneArrays, ground: Ground) -> BoolArray:
+def off_footprint(arrays: SceneArrays, ground: PreparedMap) -> BoolArray:
     """Rows (N,) whose box has a corner more than FOOTPRINT_TOLERANCE_M outside the drivable area."""
     if not len(arrays.agent):
         return np.zeros(0, dtype=bool)
@@ -149,43 +140,10 @@ def off_footprint(arrays: SceneArrays, ground: Ground) -> BoolArray:
     return np.asarray(outside.reshape(-1, 4).any(axis=1))
 
 
-def encroachments(arrays: SceneArrays, *, since: int = 0, cap_s: float = CAP_S) -> tuple[Encroachment, ...]:
-    """PET of every pair of moving vehicles whose swept paths cross within cap_s of each other.
-
-    since: only pairs whose second agent is this one or a later one.
-    """
-    moving = np.flatnonzero(arrays.vehicle & arrays.moving)
-    steps = post_encroachment(
-        moving,
-        arrays.position,
-        arrays.heading,
-        arrays.length,
-        arrays.width,
-        arrays.first,
-        arrays.step,
-        round(cap_s / arrays.step_s),
-        CROSSING_RAD,
-        int(np.searchsorted(moving, since)),
-    )
-    return tuple(
-        Encroachment(int(moving[p]), int(moving[q]), float(steps[p, q] * arrays.step_s))
-        for p, q in np.argwhere(steps >= 0)
-    )
-
-
-def safety(arrays: SceneArrays, ground: Ground) -> Safety:
+def safety(arrays: SceneArrays, ground: PreparedMap) -> Safety:
     """Every measure of safety of a scene."""
     lanes = ground.lanes
     matches, against = match_lanes(arrays, lanes)
-    ttc, _ = time_to_collision(
-        arrays.position,
-        arrays.heading,
-        arrays.velocity,
-        arrays.length,
-        arrays.width,
-        arrays.row_of,
-        CAP_S,
-    )
     fast = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1]) > WRONG_WAY_SPEED_MPS
     return Safety(
         overlaps=overlaps(arrays),
@@ -193,7 +151,7 @@ def safety(arrays: SceneArrays, ground: Ground) -> Safety:
         off_road=off_road(arrays.position, ground.graph),
         off_footprint=off_footprint(arrays, ground),
         against_lane=against & fast,
-        ttc_s=ttc,
+        ttc_s=ttc_to_anything(arrays),
         leaders=leaders(arrays, lanes, matches),
         matches=matches,
         lanes=lanes,

@@ -1,6 +1,6 @@
 """The last word on a smoothed trajectory: limits of motion, the drivable area, and boxes against boxes."""
 
-from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import shapely
@@ -8,23 +8,35 @@ from numba import njit
 
 from hid2.agents import BoxSize, FloatArray
 from hid2.kernels.boxes import overlap
+from hid2.measures.arrays import BoolArray
+from hid2.measures.motion_limits import MotionProfile, exceeded
 from hid2.motion.smoothing import Trajectory
-from hid2.occupancy.traffic import Traffic
 from hid2.params import Limits
 from netconvert.geometry import box_corners, differences, slopes
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class MotionProfile:
-    """What a reader of positions would compute, by differences at the steps, each (T,): the names say the units."""
+class OtherBoxes(Protocol):
+    """What the last check reads of others, as `occupancy.traffic.Traffic` has it: A agents at T steps."""
 
-    speed_mps: FloatArray
-    accel_mps2: FloatArray
-    lateral_accel_mps2: FloatArray
-    longitudinal_jerk_mps3: FloatArray
-    jerk_mps3: FloatArray
-    yaw_rate_radps: FloatArray
-    yaw_accel_radps2: FloatArray
+    @property
+    def position(self) -> FloatArray:
+        """(A, T, 2) m, box centres."""
+
+    @property
+    def heading(self) -> FloatArray:
+        """(A, T) rad."""
+
+    @property
+    def present(self) -> BoolArray:
+        """(A, T)."""
+
+    @property
+    def length_m(self) -> FloatArray:
+        """(A,)."""
+
+    @property
+    def width_m(self) -> FloatArray:
+        """(A,)."""
 
 
 def motion_profile(velocity: FloatArray, heading: FloatArray, *, step_s: float) -> MotionProfile:
@@ -60,17 +72,8 @@ def limit_exceeded(trajectory: Trajectory, limits: Limits, *, step_s: float) -> 
     derived = differences(trajectory.position, step_s)
     for velocity in (trajectory.velocity, derived):
         profile = motion_profile(velocity, trajectory.heading, step_s=step_s)
-        checks = (
-            ("accel", profile.accel_mps2.max() > limits.accel_max_mps2),
-            ("decel", profile.accel_mps2.min() < limits.accel_min_mps2),
-            ("lateral_accel", np.abs(profile.lateral_accel_mps2).max() > limits.lateral_accel_mps2),
-            ("longitudinal_jerk", np.abs(profile.longitudinal_jerk_mps3).max() > limits.longitudinal_jerk_mps3),
-            ("jerk", profile.jerk_mps3.max() > limits.jerk_mps3),
-            ("yaw_rate", np.abs(profile.yaw_rate_radps).max() > limits.yaw_rate_radps),
-            ("yaw_accel", np.abs(profile.yaw_accel_radps2).max() > limits.yaw_accel_radps2),
-        )
-        for name, exceeded in checks:
-            if exceeded:
+        for name, steps in exceeded(profile, limits).items():
+            if steps.any():
                 return name
     return None
 
@@ -91,7 +94,7 @@ def off_road_steps(
 
 
 def first_overlap(
-    trajectory: Trajectory, size: BoxSize, traffic: Traffic, *, margin_m: float
+    trajectory: Trajectory, size: BoxSize, traffic: OtherBoxes, *, margin_m: float
 ) -> tuple[int, int] | None:
     """(agent row, step) of the first box that the trajectory's box meets, at the steps and halfway between them.
 

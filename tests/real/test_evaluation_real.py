@@ -14,11 +14,11 @@ import shapely
 
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import DEFAULT_SIZES
-from hid2.evaluation.behaviour import detect
 from hid2.evaluation.kinematics import kinematics, motion
-from hid2.evaluation.safety import off_footprint, off_road, overlaps, scenario_collision_rate, survey
+from hid2.evaluation.safety import off_footprint, off_road, overlaps, prepare_map, scenario_collision_rate
 from hid2.measures.arrays import stack
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
+from hid2.measures.manoeuvres import detect
 
 
 def rows_of(folder: Path) -> pd.DataFrame:
@@ -121,7 +121,7 @@ def test_orr_and_footprint_equal_shapely_point_by_point(real_scene):
     members = arrays.vehicle[arrays.agent]
     rate = off_road(arrays.position, scenario.graph)[members].mean()
     assert rate == pytest.approx(outside / len(vehicles), abs=1e-9)
-    rate = off_footprint(arrays, survey(scenario.graph))[members].mean()
+    rate = off_footprint(arrays, prepare_map(scenario.graph))[members].mean()
     assert rate == pytest.approx(footprint / len(vehicles), abs=1e-9)
 
 

@@ -235,3 +235,31 @@ def test_straightest_successor_is_found_across_the_cut_of_the_angle(lane: Lane, 
         lane(3, [(-10, -0.5), (-20, 0)]),
     )
     assert made.straightest_successor(1) == 3
+
+
+def test_straightest_successor_of_a_bent_lane_goes_on_from_its_end(lane: Lane, graph: Graph) -> None:
+    """A right turn from north to east: its chord points to the north-east, its end to the east.
+
+           3
+          /
+     .---'-- 2     2 turns by 0 degrees from the end, 3 by 45 to the left, which is the direction of the chord
+    |
+    1
+    """
+    made = graph(
+        lane(1, [(0, 0), (0, 10), (10, 10)], successors=(2, 3), is_intersection=True),
+        lane(2, [(10, 10), (20, 10)]),
+        lane(3, [(10, 10), (20, 20)]),
+    )
+    assert made.straightest_successor(1) == 2
+
+
+def test_straightest_successor_of_a_lane_for_cars_is_no_bicycle_lane(lane: Lane, graph: Graph) -> None:
+    made = graph(
+        lane(1, [(0, 0), (10, 0)], successors=(2, 3)),
+        lane(2, [(10, 0), (20, 0)], lane_type="BIKE", successors=(4,)),
+        lane(3, [(10, 0), (20, 5)], successors=(5,)),
+        lane(4, [(20, 0), (30, 0)], lane_type="BIKE"),
+        lane(5, [(20, 5), (30, 5)], lane_type="BIKE"),
+    )
+    assert [made.straightest_successor(lane_id) for lane_id in (1, 2, 3)] == [3, 4, None]

@@ -10,13 +10,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bridge.evaluation.aggregate import KINEMATIC, SourceSums, estimate, ratio_estimate
+from bridge.evaluation.aggregate import SourceSums, estimate, ratio_estimate
 from bridge.evaluation.evaluate import evaluate_folder
-from bridge.evaluation.report import number
+from bridge.evaluation.report import number, write_report
 from bridge.evaluation.scene_metrics import Maps, measure, measure_folder
+from bridge.evaluation.totals import Evaluation, Totals
 from bridge.recordings.scenario import find_scenarios, read_scenario
+from hid2.agents import VEHICLE_TYPES
+from hid2.evaluation import metrics
+from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric, Section
 from hid2.evaluation.realism import DRIVING_FEATURES, MOTION_FEATURES
-from hid2.evaluation.safety import survey
+from hid2.evaluation.safety import prepare_map
 from hid2.params import Limits
 from netconvert.errors import ExportError, ScenarioError
 
@@ -67,6 +71,22 @@ def test_groups_are_kept_apart(report):
     assert evaluation.metrics["safety"]["footprint_orr"]["generated"]["value"] == 0.0
 
 
+def test_the_end_of_the_scene_is_shown_beside_the_recorded_one(report):
+    """Vehicles and scenes are counted by group; the table of tracks tells the same vehicles."""
+    evaluation, folder = report
+    rows, tracks = read_csv(folder / "scenes.csv"), read_csv(folder / "tracks.csv")
+    for group in ("original", "generated"):
+        counted = [int(row[f"{group}_end_ttc_critical"]) for row in rows]
+        low = [row for row in tracks if row["group"] == group and row["end_ttc_s"] and float(row["end_ttc_s"]) < 1.0]
+        assert sum(counted) == len(low)
+        shown = evaluation.metrics["safety"]["end_ttc_critical"][group]["value"]
+        assert shown == pytest.approx(sum(counted) / sum(int(row[f"{group}_ends"]) for row in rows))
+        shares = evaluation.metrics["safety"]["end_scenes_critical"][group]["value"]
+        assert shares == pytest.approx(sum(number > 0 for number in counted) / len(rows))
+    assert all(int(row["generated_ends"]) == int(row["generated"]) for row in rows)
+    assert "after the last step" in (folder / "report.html").read_text()
+
+
 def test_labelled_sizes_beside_the_source_are_those_of_recorded_vehicles(made_root, data_root, report, tmp_path):
     """An AV of 45 x 9.5 m stands over the edge of the road: in its own scene, and in those made from it."""
     source = shutil.copytree(data_root, tmp_path / "source")
@@ -82,12 +102,19 @@ def test_labelled_sizes_beside_the_source_are_those_of_recorded_vehicles(made_ro
     assert any(int(row["original_off_footprint"]) < alone[row["source"]] for row in plain)
 
 
-def test_before_is_the_source_and_after_holds_what_was_added(report, data_root):
+def test_before_is_the_sources_of_what_is_measured_and_after_holds_what_was_added(report, data_root):
+    """Three scenes lie below the source's root, two were made denser: the third is not before, whatever its density."""
     evaluation, folder = report
-    density = evaluation.metrics["diversity"]["density"]["tracks"]
-    numbers = Counter(len(read_scenario(path).tracks) for path in find_scenarios(data_root))
-    assert density["before"] == {str(number): numbers[number] for number in sorted(numbers)}
+    diversity = evaluation.metrics["diversity"]
+    density = diversity["density"]["tracks"]
     rows = read_csv(folder / "scenes.csv")
+    sources = {row["source"] for row in rows}
+    assert len(sources) == 2 < len(find_scenarios(data_root))
+    numbers = Counter(len(read_scenario(path).tracks) for path in find_scenarios(data_root) if path.name in sources)
+    assert density["before"] == {str(number): numbers[number] for number in sorted(numbers)}
+    assert density["mean_before"] < density["mean_after"]
+    assert diversity["scenes"] == {"before": 2, "after": 2}
+    assert "2 source scenes" in (folder / "report.html").read_text()
     assert sum(int(number) * scenes for number, scenes in density["after"].items()) == sum(
         int(row["tracks"]) for row in rows
     )
@@ -163,7 +190,7 @@ def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():
         {"source": "b", "original_paper_lo": 1.0, "original_paper_tracks": 5},
     ):
         sums.add(row)
-    found = estimate(sums, KINEMATIC[0], "original")
+    found = estimate(sums, METRICS[0], "original")
     assert found == pytest.approx((0.2, 0.1, 0.3))
 
 
@@ -187,7 +214,7 @@ def test_a_scene_in_which_nothing_moves_is_measured(made_scene):
         replace(track, position=np.repeat(track.position[:1], len(track.timesteps), axis=0))
         for track in scenario.tracks[:3]
     ]
-    measures = measure(parked, survey(scenario.graph), None, limits=Limits(), num_steps=110, source="parked")
+    measures = measure(parked, prepare_map(scenario.graph), None, limits=Limits(), num_steps=110, source="parked")
     assert measures.samples.shape == (0, len(DRIVING_FEATURES) + len(MOTION_FEATURES))
     assert measures.scene["combined_moving"] == 0
 
@@ -210,3 +237,31 @@ def test_a_share_that_is_not_zero_does_not_look_like_it():
         "0.0002",
         "1.5000",
     ]
+
+
+def test_a_source_that_is_not_there_is_said_and_what_was_recorded_stands(made_root, data_scenes, tmp_path, caplog):
+    evaluation = evaluate_folder(made_root, report_dir=tmp_path, source=data_scenes["curve"].parents[1] / "val")
+    assert evaluation.metrics["diversity"]["scenes"] == {"before": 2, "after": 2}
+    assert "source scenes are not there" in caplog.text
+
+
+def test_a_metric_that_is_added_is_measured_pooled_and_shown(made_root, tmp_path, monkeypatch):
+    """Share of vehicle rows in the left half-plane: an entry of METRICS, and nothing else."""
+    extra = Metric(
+        "left_half", "share of rows with x < 0", "share", Section.SAFETY, "Rows of vehicles west of the origin.",
+        Column("left_half", lambda group: int((group.arrays.position[group.rows][:, 0] < 0).sum())), ROWS,
+    )  # fmt: skip
+    monkeypatch.setattr(metrics, "METRICS", (*METRICS, extra))
+    totals, maps, found, rows = Totals(), Maps(), 0, 0
+    for folder in find_scenarios(made_root):
+        totals.add(measure_folder(folder, Limits(), maps))
+        for track in read_scenario(folder).tracks:
+            if track.object_type in VEHICLE_TYPES:
+                found, rows = found + int((track.position[:, 0] < 0).sum()), rows + len(track.timesteps)
+    content = totals.content()
+    assert content["safety"]["left_half"]["combined"]["value"] == pytest.approx(found / rows)
+    content["scenes"]["failed"] = []
+    write_report(Evaluation(totals, metrics=content | {"nets": {}}), tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text()
+    assert "share of rows with x &lt; 0" in text
+    assert extra.sentence in text

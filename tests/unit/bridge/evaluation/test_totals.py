@@ -15,7 +15,7 @@ from bridge.evaluation.samples import Samples
 from bridge.evaluation.scene_metrics import Maps, measure_folder
 from bridge.evaluation.totals import ManeuverCounts, NameSet, Totals
 from hid2.agents import Policy
-from hid2.evaluation.behaviour import ManeuverKind
+from hid2.measures.manoeuvres import ManeuverKind
 from hid2.params import Limits
 
 COLUMNS = ("hits", "rows")
@@ -135,7 +135,7 @@ def scene_row(tracks, generated, **more):
 def test_diversity_counts_scenes_by_number_of_agents():
     """45 and 61 tracks, 5 and 1 of them added: before 40 and 60. Above 40: half before, all after."""
     rows = [scene_row(45, 5, combined_policy_straight=3, combined_seen_overtake=2), scene_row(61, 1)]
-    found = Diversity.of(rows, []).content()
+    found = Diversity.of(rows, rows).content()
     density = found["density"]["tracks"]
     assert density["before"] == {"40": 1, "60": 1}
     assert density["after"] == {"45": 1, "61": 1}
@@ -147,14 +147,23 @@ def test_diversity_counts_scenes_by_number_of_agents():
     assert after["maneuvers"]["overtake"] == 2
 
 
-def test_diversity_before_is_the_source_scenes_where_they_are_known():
-    rows = [scene_row(45, 5), scene_row(45, 5)]
-    assert Diversity.of(rows, [scene_row(40, 0)]).content()["density"]["tracks"]["before"] == {"40": 1}
+@pytest.mark.parametrize("measured_sources", [(), ("source-0", "source-1"), ("source-1",)])
+def test_before_holds_each_source_once_whether_it_is_measured_itself_or_not(measured, measured_sources):
+    """Five scenes made from two sources; what was recorded is the same in all of them."""
+    totals = Totals(measured_sources)
+    for number in range(5):
+        totals.add(named(measured, number, sources=2))
+    for _ in measured_sources:
+        totals.add_source(measured.scene)
+    found = totals.content()["diversity"]
+    assert found["scenes"] == {"before": 2, "after": 5}
+    recorded = measured.scene["tracks"] - measured.scene["generated"]
+    assert found["density"]["tracks"]["before"] == {str(recorded): 2}
 
 
 def test_bars_of_the_diversity_figure_agree_with_the_shares_above():
     """40 tracks are not more than 40: before, the bar ends at 40; after, 41 tracks are in the next."""
-    found = Diversity.of([scene_row(41, 1)], []).content()
+    found = Diversity.of([scene_row(41, 1)], [scene_row(41, 1)]).content()
     figure = diversity_figure(found)
     bars = [patch.get_data() for patch in figure.axes[0].patches]
     plt.close(figure)

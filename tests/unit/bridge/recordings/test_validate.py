@@ -158,6 +158,28 @@ def test_a_context_track_may_end_early(written: Path, edit_rows: Callable[..., N
     assert "generated" not in rules(written)
 
 
+@pytest.mark.parametrize(("ahead_m", "found"), [(24.0, {"scene-end"}), (25.0, set())])
+def test_an_oncoming_vehicle_after_the_last_step_is_found(
+    written: Path, edit_rows: Callable[..., None], ahead_m: float, found: set[str]
+) -> None:
+    """gen_1 ends at 10 m/s, the AV comes at 10 m/s, both 4.5 m long: (24 - 4.5) m / 20 m/s = 0.975 s, then 1.025 s."""
+
+    def change(rows: pd.DataFrame) -> pd.DataFrame:
+        end = rows[(rows.track_id == "gen_1") & (rows.timestep == 109)].iloc[0]
+        ahead = np.array([np.cos(end.heading), np.sin(end.heading)])
+        av = (rows.track_id == "AV") & (rows.timestep == 109)
+        place = np.array([end.position_x, end.position_y]) + ahead_m * ahead
+        rows.loc[av, ["position_x", "position_y"]] = place
+        rows.loc[av, ["velocity_x", "velocity_y"]] = -10.0 * ahead
+        rows.loc[av, "heading"] = np.arctan2(-ahead[1], -ahead[0])
+        return rows
+
+    edit_rows(written, change)
+    findings = [finding for finding in validate_folder(written.parents[1]) if finding.rule == "scene-end"]
+    assert rules(written) == found
+    assert all("'gen_1', timestep 109: TTC 0.9" in f.message and "'AV'" in f.message for f in findings)
+
+
 def test_an_index_that_is_no_range_from_zero_is_found(written: Path) -> None:
     (path,) = written.glob("scenario_*.parquet")
     rows = pd.read_parquet(path)

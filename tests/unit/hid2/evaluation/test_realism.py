@@ -21,7 +21,7 @@ from hid2.evaluation.realism import (
     row_features,
     wasserstein,
 )
-from hid2.evaluation.safety import safety, survey
+from hid2.evaluation.safety import prepare_map, safety
 from hid2.measures.arrays import stack
 
 SPEED = FEATURES[0]
@@ -126,7 +126,7 @@ def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_n
             generated = _lanes_full(rng, "gen_", rng.uniform(low, low + 7, 8))
             arrays = stack([*recorded, *generated])
             moved, graph = motion(arrays), road(length_m=200)
-            features = row_features(arrays, moved, safety(arrays, survey(graph)))
+            features = row_features(arrays, moved, safety(arrays, prepare_map(graph)))
             total.add(
                 count_scene(
                     f"s{scene}", arrays, features, {"gen_0": [4.0], "r0": [3.0]},

@@ -10,11 +10,12 @@ from shapely.affinity import rotate, translate
 from shapely.geometry import box as rectangle
 
 from hid2.agents import BoxSize, Track
-from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, encroachments, off_footprint, overlaps, safety, survey
+from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, off_footprint, overlaps, prepare_map, safety
+from hid2.kernels.box_pairs import contact_time, pairwise_overlap
 from hid2.measures.arrays import SceneArrays, between_steps, stack
-from hid2.measures.box_pairs import contact_time, pairwise_overlap
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
+from hid2.measures.post_encroachment import encroachments
 from netconvert.lane_graph import LaneGraph
 
 
@@ -75,7 +76,7 @@ def test_ttc_of_a_car_that_closes_on_a_standing_one(road):
     arrays = stack(
         [drive(0, speed=8.0, steps=10, name="a"), drive(20, steps=10, name="b"), drive(100, 3.5, steps=10, name="c")]
     )
-    safe = safety(arrays, survey(road()))
+    safe = safety(arrays, prepare_map(road()))
     np.testing.assert_allclose(safe.ttc_s[:10], 2.0 - 0.1 * np.arange(10), atol=1e-9)
     np.testing.assert_allclose(safe.ttc_s[10:20], safe.ttc_s[:10])
     np.testing.assert_allclose(safe.ttc_s[20:], 5.0)
@@ -90,12 +91,12 @@ def test_ttc_sees_a_crossing_vehicle_that_no_lane_leads_to(road):
     arrays = stack(
         [drive(0, speed=10.0, steps=2, name="a"), drive(30, -30, math.pi / 2, speed=10.0, steps=2, name="b")]
     )
-    assert safety(arrays, survey(road())).ttc_s[0] == pytest.approx(2.7)
+    assert safety(arrays, prepare_map(road())).ttc_s[0] == pytest.approx(2.7)
 
 
 def test_overlapping_boxes_have_ttc_zero(road):
     arrays = stack([drive(0, speed=5.0, steps=2, name="a"), drive(1, steps=2, name="b")])
-    assert safety(arrays, survey(road())).ttc_s.max() == 0.0
+    assert safety(arrays, prepare_map(road())).ttc_s.max() == 0.0
 
 
 def test_pet_is_the_time_between_leaving_and_reaching_the_shared_ground():
@@ -120,7 +121,7 @@ def test_following_and_meeting_are_no_crossings():
 def test_footprint_allows_thirty_centimetres(road):
     """Right edge of the area at y = -1.75. A box of 2 m width at y = -1.0 reaches -2.0 (0.25 m out), at -1.1 0.35 m."""
     arrays = stack([drive(50, -1.0, steps=1, name="a"), drive(80, -1.1, steps=1, name="b")])
-    assert off_footprint(arrays, survey(road())).tolist() == [False, True]
+    assert off_footprint(arrays, prepare_map(road())).tolist() == [False, True]
 
 
 @pytest.mark.parametrize("beyond_m", [-1e-3, -1e-5, 1e-5, 1e-3])
@@ -134,7 +135,7 @@ def test_footprint_round_a_convex_corner_is_measured_by_distance(road, beyond_m)
     angle = np.linspace(-math.pi / 2, 0.0, 61)
     places = corner + (FOOTPRINT_TOLERANCE_M + beyond_m) * np.column_stack([np.cos(angle), np.sin(angle)])
     arrays = stack([drive(x, y, steps=1, name=f"{k}", size=(1e-9, 1e-9)) for k, (x, y) in enumerate(places)])
-    assert (off_footprint(arrays, survey(graph)) == (beyond_m > 0)).all()
+    assert (off_footprint(arrays, prepare_map(graph)) == (beyond_m > 0)).all()
 
 
 def test_leader_gap_time_gap_headway_and_ttc(road):
@@ -194,7 +195,7 @@ def test_driving_against_the_lane_is_seen_and_parking_across_it_is_not(road):
     right = drive(50, 3.5, 0.0, speed=8.0, name="right")
     parked = drive(180, 0, math.pi, name="parked")
     arrays = stack([wrong, right, parked])
-    share = arrays.mean_per_agent(safety(arrays, survey(graph)).against_lane.astype(float))
+    share = arrays.mean_per_agent(safety(arrays, prepare_map(graph)).against_lane.astype(float))
     assert share.tolist() == [1.0, 0.0, 0.0]
 
 
@@ -212,7 +213,7 @@ def test_a_sliver_between_two_lanes_is_not_driving_against_one_that_crosses_them
     )
     for y, expected in ((0.0, False), (1.95, False), (-2.2, True)):
         arrays = stack([drive(60, y, 0.0, speed=8.0, name="x")])
-        assert safety(arrays, survey(graph)).against_lane.any() == expected, y
+        assert safety(arrays, prepare_map(graph)).against_lane.any() == expected, y
 
 
 def test_lane_of_a_vehicle_near_the_marking_does_not_flicker(road):
@@ -251,7 +252,7 @@ def test_between_steps_turns_the_short_way_and_keeps_gaps():
 
 def test_a_scene_without_agents_has_nothing_to_report(road):
     arrays = stack([], num_steps=110)
-    safe = safety(arrays, survey(road()))
+    safe = safety(arrays, prepare_map(road()))
     assert safe.overlaps == ()
     assert len(safe.ttc_s) == 0
 

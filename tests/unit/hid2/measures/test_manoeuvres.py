@@ -10,9 +10,10 @@ import pytest
 from scipy.signal import savgol_filter
 
 from hid2.agents import BoxSize, Policy, Track
-from hid2.evaluation.behaviour import ManeuverKind, detect, lateral_speed, policies
+from hid2.evaluation.behaviour import policies
 from hid2.measures.arrays import stack
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
+from hid2.measures.manoeuvres import ManeuverKind, detect, lateral_speed
 from netconvert.lane_graph import LaneGraph
 
 TIME = 0.1 * np.arange(110)

@@ -1,0 +1,247 @@
+"""Every metric of the evaluation: its key, name, unit and sentence, and the function that measures it.
+
+A metric is a ratio of two sums over one of the three groups of a scene (evaluation.md); scenes are pooled by adding
+numerators and denominators. To add one, add it to METRICS: tables, report and metrics.json follow.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from hid2.evaluation.kinematics import Kinematics, clean
+from hid2.evaluation.safety import Safety, colliding
+from hid2.measures.arrays import BoolArray, SceneArrays
+from hid2.measures.motion_limits import MOTION_LIMITS
+from hid2.measures.scene_end import Contact
+from hid2.params import Conflict, Limits
+
+#: The three groups that are never mixed: evaluation.md.
+GROUPS = ("original", "generated", "combined")
+#: A shorter time gap to the leader counts as short.
+SHORT_GAP_S = 0.9
+#: Whatever a scene was made with, it is measured by the defaults.
+CRITICAL = Conflict()
+
+
+class Section(StrEnum):
+    """Tables that metrics are shown in."""
+
+    PAPER = "paper"
+    CLEAN = "clean"
+    SAFETY = "safety"
+    LIMITS = "limits"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Group:
+    """One group of the agents of a scene, with what was measured of the whole scene.
+
+    members (A,); beyond: rows (N,) that exceed each limit of motion; partners (A,): whom a member may collide with;
+    end_contacts: first contacts of `ends`, by agent, after the last step.
+    """
+
+    arrays: SceneArrays
+    kinematic: Kinematics
+    safe: Safety
+    beyond: Mapping[str, BoolArray]
+    members: BoolArray
+    partners: BoolArray
+    end_contacts: Mapping[int, Contact]
+
+    @property
+    def vehicles(self) -> BoolArray:
+        """(A,) members that are vehicles."""
+        return np.asarray(self.members & self.arrays.vehicle)
+
+    @property
+    def tracks(self) -> BoolArray:
+        """(A,) members of at least five steps, of every type: the paper's row."""
+        return np.asarray(self.members & self.kinematic.counted)
+
+    @property
+    def clean_tracks(self) -> BoolArray:
+        """(A,) those of `tracks` that are moving vehicles and no fragments."""
+        return np.asarray(self.tracks & clean(self.arrays))
+
+    @property
+    def ends(self) -> BoolArray:
+        """(A,) members whose last step counts."""
+        return np.asarray(self.members & last_step_counts(self.arrays))
+
+    @property
+    def rows(self) -> BoolArray:
+        """(N,) rows of vehicles."""
+        return np.asarray(self.vehicles[self.arrays.agent])
+
+    @property
+    def moving_rows(self) -> BoolArray:
+        """(N,) rows of vehicles that move at some time."""
+        return np.asarray((self.vehicles & self.arrays.moving)[self.arrays.agent])
+
+    @property
+    def colliding(self) -> int:
+        """Vehicles that overlap a partner."""
+        return int((colliding(self.arrays, self.safe.overlaps, self.partners) & self.vehicles).sum())
+
+    @property
+    def critical_ends(self) -> int:
+        """Vehicles that come to touch somebody too soon after their last step."""
+        return sum(contact.ttc_s < CRITICAL.end_ttc_min_s for contact in self.end_contacts.values())
+
+
+class Column(NamedTuple):
+    """A sum over a group of a scene: a column of scenes.csv, behind the group's name."""
+
+    name: str
+    of: Callable[[Group], float]
+
+
+class Metric(NamedTuple):
+    """A ratio of two columns. label: its name; sentence: what it is, for the report."""
+
+    key: str
+    label: str
+    unit: str
+    section: Section
+    sentence: str
+    numerator: Column
+    denominator: Column
+
+
+def last_step_counts(arrays: SceneArrays) -> BoolArray:
+    """(A,) vehicles whose last step counts: all inserted ones, recorded ones that move and are no fragments."""
+    return np.asarray(arrays.vehicle & (arrays.generated | clean(arrays)))
+
+
+def _beyond(limit: str) -> Column:
+    """Steps of moving vehicles beyond a limit of motion."""
+    return Column(f"limit_{limit}", lambda g: int((g.beyond[limit] & g.moving_rows).sum()))
+
+
+TRACKS = Column("paper_tracks", lambda g: int(g.tracks.sum()))
+CLEAN_TRACKS = Column("clean_tracks", lambda g: int(g.clean_tracks.sum()))
+SCENES_WITH_VEHICLES = Column("scr_scenes", lambda g: int(g.vehicles.any()))
+ROWS = Column("rows", lambda g: int(g.rows.sum()))
+MOVING_ROWS = Column("moving_rows", lambda g: int(g.moving_rows.sum()))
+FOLLOWING_ROWS = Column("following_rows", lambda g: int(np.isfinite(g.safe.leaders.time_gap_s[g.moving_rows]).sum()))
+ENDS = Column("ends", lambda g: int(g.ends.sum()))
+SCENES_WITH_ENDS = Column("end_scenes", lambda g: int(g.ends.any()))
+
+_TTC = f"TTC below {CRITICAL.ttc_min_s:g} s"
+_END_TTC = f"TTC below {CRITICAL.end_ttc_min_s:g} s"
+_TOLERANCE = f"{Limits().drivable_tolerance_m:g} m"
+
+METRICS: tuple[Metric, ...] = (
+    Metric(
+        "lo", "LO: |longitudinal acceleration|", "m/s²", Section.PAPER,
+        "Magnitude of the acceleration along the heading, from positions: mean over each track, then over tracks.",
+        Column("paper_lo", lambda g: float(g.kinematic.lo[g.tracks].sum())), TRACKS,
+    ),
+    Metric(
+        "la", "LA: |lateral acceleration|", "m/s²", Section.PAPER,
+        "Magnitude of the acceleration across the heading, from positions: mean over each track, then over tracks.",
+        Column("paper_la", lambda g: float(g.kinematic.la[g.tracks].sum())), TRACKS,
+    ),
+    Metric(
+        "je", "JE: jerk", "m/s³", Section.PAPER,
+        "Magnitude of the derivative of the acceleration, from positions: mean over each track, then over tracks.",
+        Column("paper_je", lambda g: float(g.kinematic.je[g.tracks].sum())), TRACKS,
+    ),
+    Metric(
+        "clean_lo", "LO, moving vehicles without fragments", "m/s²", Section.CLEAN,
+        "LO of moving vehicles that are no tracker fragments.",
+        Column("clean_lo", lambda g: float(g.kinematic.lo[g.clean_tracks].sum())), CLEAN_TRACKS,
+    ),
+    Metric(
+        "clean_la", "LA, moving vehicles without fragments", "m/s²", Section.CLEAN,
+        "LA of moving vehicles that are no tracker fragments.",
+        Column("clean_la", lambda g: float(g.kinematic.la[g.clean_tracks].sum())), CLEAN_TRACKS,
+    ),
+    Metric(
+        "clean_je", "JE, moving vehicles without fragments", "m/s³", Section.CLEAN,
+        "JE of moving vehicles that are no tracker fragments.",
+        Column("clean_je", lambda g: float(g.kinematic.je[g.clean_tracks].sum())), CLEAN_TRACKS,
+    ),
+    Metric(
+        "scr", "SCR: share of vehicles that collide", "share", Section.SAFETY,
+        "Vehicles whose box overlaps another one's (IoU above 0.02) at any step, of the vehicles of a scene; mean over "
+        "scenes.",
+        Column("scr", lambda g: g.colliding / int(g.vehicles.sum()) if g.vehicles.any() else 0.0), SCENES_WITH_VEHICLES,
+    ),
+    Metric(
+        "orr", "ORR: share of positions off the road", "share", Section.SAFETY,
+        "Positions of vehicles outside the drivable area of the map.",
+        Column("off_road", lambda g: int(g.safe.off_road[g.rows].sum())), ROWS,
+    ),
+    Metric(
+        "footprint_orr", f"footprint ORR: share of boxes over {_TOLERANCE} off", "share", Section.SAFETY,
+        f"Boxes of vehicles with a corner more than {_TOLERANCE} outside the drivable area.",
+        Column("off_footprint", lambda g: int(g.safe.off_footprint[g.rows].sum())), ROWS,
+    ),
+    Metric(
+        "wrong_way", "share of driving against the lane", "share", Section.SAFETY,
+        "Steps of moving vehicles on lanes that all run against the motion.",
+        Column("against_lane", lambda g: int((g.safe.against_lane & g.moving_rows).sum())), MOVING_ROWS,
+    ),
+    Metric(
+        "ttc_critical", f"share of driving, {_TTC} to anything", "share", Section.SAFETY,
+        "Steps of moving vehicles whose box would touch another one so soon if both kept their velocity.",
+        Column("ttc_critical", lambda g: int((g.safe.ttc_s[g.moving_rows] < CRITICAL.ttc_min_s).sum())), MOVING_ROWS,
+    ),
+    Metric(
+        "leader_ttc_critical", f"share of driving, {_TTC} to the leader", "share", Section.SAFETY,
+        "Steps of moving vehicles that would reach the next vehicle on their lane path so soon.",
+        Column(
+            "leader_ttc_critical",
+            lambda g: int((g.safe.leaders.ttc_s[g.moving_rows] < CRITICAL.ttc_min_s).sum()),
+        ), MOVING_ROWS,
+    ),
+    Metric(
+        "short_gap", f"share of following, time gap below {SHORT_GAP_S:g} s", "share", Section.SAFETY,
+        "Steps behind a leader at a shorter time gap than drivers usually keep.",
+        Column("short_gap", lambda g: int((g.safe.leaders.time_gap_s[g.moving_rows] < SHORT_GAP_S).sum())),
+        FOLLOWING_ROWS,
+    ),
+    Metric(
+        "end_ttc_critical", f"share of vehicles, {_END_TTC} after the last step", "share", Section.SAFETY,
+        "Vehicles that touch anybody so soon after their last step if everybody keeps the velocity; recorded vehicles "
+        "that move, every inserted one.",
+        Column("end_ttc_critical", lambda g: g.critical_ends), ENDS,
+    ),
+    Metric(
+        "end_scenes_critical", "share of scenes with such a vehicle", "share", Section.SAFETY,
+        f"Scenes in which some vehicle has a {_END_TTC} after its last step.",
+        Column("end_scenes_critical", lambda g: int(g.critical_ends > 0)), SCENES_WITH_ENDS,
+    ),
+    *(
+        Metric(
+            f"limit_{limit.name}", f"{limit.label} above {limit.bound(Limits()):g} {limit.unit}", "share",
+            Section.LIMITS, f"Steps of moving vehicles that exceed the bound of {limit.label} that drivers accept.",
+            _beyond(limit.name), MOVING_ROWS,
+        )
+        for limit in MOTION_LIMITS
+    ),
+    Metric(
+        "limit_radius", f"radius below {Limits().min_radius_m:g} m", "share", Section.LIMITS,
+        "Steps of moving vehicles on a tighter curve than vehicles can drive.",
+        _beyond("radius"), MOVING_ROWS,
+    ),
+)  # fmt: skip
+
+
+def metrics_in(section: Section) -> tuple[Metric, ...]:
+    """The metrics of a table, in order."""
+    return tuple(metric for metric in METRICS if metric.section is section)
+
+
+def columns() -> dict[str, Column]:
+    """Every column that some metric is made of, by name."""
+    return {column.name: column for metric in METRICS for column in (metric.numerator, metric.denominator)}
+
+
+def measure_group(group: Group) -> dict[str, float]:
+    """The value of every column for one group of a scene."""
+    return {name: column.of(group) for name, column in columns().items()}

@@ -1,0 +1,355 @@
+"""What a vehicle did, seen from its positions and the map alone: lane changes, turns, overtakes.
+
+Definitions (evaluation.md):
+- lane change: the centre crosses to a same-direction neighbour lane, stays at least 0.5 s on each side and moves at
+  least half a lane width; it starts and ends where the lateral speed passes 0.1 m/s;
+- turn: the vehicle drives a turning lane of an intersection and its own direction changes by as much as makes a turn;
+- overtake: behind another vehicle on the same lane path, then in the adjacent same-direction lane, then ahead, then
+  back; without the return it is a pass; round a vehicle that stands all the while it is obstacle avoidance.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cache
+
+import numpy as np
+
+from hid2.agents import FloatArray
+from hid2.measures.arrays import BoolArray, SceneArrays
+from hid2.measures.driven_lanes import LaneView, Run, runs_of, source_path, target_path
+from hid2.measures.lane_matching import FlatLanes, Matches
+from hid2.params import Overtake
+from netconvert.geometry import Polyline
+from netconvert.lane_graph import TURN_RAD
+
+#: A lane change keeps to each side of the marking for this long.
+STAY_S = 0.5
+#: A lane change starts and ends where the lateral speed passes this.
+LATERAL_SPEED_MPS = 0.1
+#: Lateral speed is the slope of a parabola fitted over this time: recorded positions jitter by centimetres.
+LATERAL_WINDOW_S = 1.1
+#: No lane change is sought further than this from its crossing.
+LONGEST_HALF_S = 6.0
+#: The direction of a turn is measured from this long before the turning lane to this long after it.
+TURN_MARGIN_S = 1.0
+#: A vehicle overtaken is at most this far ahead when the change begins.
+OVERTAKE_REACH_M = 60.0
+#: A vehicle that never moves faster while it is passed is an obstacle.
+PARKED_MPS = Overtake().parked_mps
+
+
+class ManeuverKind(StrEnum):
+    """Kinds that the detector tells apart."""
+
+    LANE_CHANGE = "lane_change"
+    LEFT_TURN = "left_turn"
+    RIGHT_TURN = "right_turn"
+    OVERTAKE = "overtake"
+    PASS = "pass"  # noqa: S105
+    OBSTACLE_AVOIDANCE = "obstacle_avoidance"
+
+
+#: Turns by the side that the driven lanes turn to, as `FlatLanes.turn` has it.
+TURNS = {+1: ManeuverKind.LEFT_TURN, -1: ManeuverKind.RIGHT_TURN}
+
+
+@dataclass(frozen=True, slots=True)
+class Maneuver:
+    """One manoeuvre seen. Times in s from timestep 0; lanes are lane segment ids; side +1 left, -1 right.
+
+    crossing_s: when the centre crosses between the lanes (overtakes: when the vehicle draws level; turns: half-way).
+    complete: a lane change or turn whose start and end both lie within the track; an overtake is complete by
+    definition. part_of: the overtake, pass or obstacle avoidance that a lane change belongs to.
+    """
+
+    track_id: str
+    kind: ManeuverKind
+    start_s: float
+    crossing_s: float
+    end_s: float
+    source_lane: int
+    target_lane: int
+    side: int
+    complete: bool
+    other_track_id: str | None = None
+    part_of: ManeuverKind | None = None
+
+    @property
+    def duration_s(self) -> float:
+        """From start to end."""
+        return self.end_s - self.start_s
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Change:
+    """A lane change with what an overtake needs of it."""
+
+    maneuver: Maneuver
+    source: int
+    target: int
+    row: int
+    path: Polyline
+    path_lanes: tuple[int, ...]
+
+
+def detect(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> list[Maneuver]:
+    """Every manoeuvre of every moving vehicle, in the order of the tracks and of their start."""
+    view = LaneView(arrays, lanes, matches)
+    found: list[Maneuver] = []
+    for agent in np.flatnonzero(arrays.vehicle & arrays.moving):
+        runs = runs_of(view, int(agent))
+        changes = list(_lane_changes(view, int(agent), runs))
+        overtakes, changes = _overtakes(view, int(agent), changes)
+        seen = [change.maneuver for change in changes] + overtakes + list(_turns(view, int(agent), runs))
+        found += sorted(seen, key=lambda maneuver: (maneuver.start_s, maneuver.kind))
+    return found
+
+
+# Lane changes
+
+
+def _lane_changes(view: LaneView, agent: int, runs: list[Run]) -> Iterator[_Change]:
+    for k in range(1, len(runs)):
+        before, after = runs[k - 1], runs[k]
+        if before.lane < 0 or after.lane < 0 or view.lanes.link[before.lane, after.lane] != 1:
+            continue
+        change = _lane_change(view, agent, runs, k)
+        if change is not None:
+            yield change
+
+
+def _lane_change(view: LaneView, agent: int, runs: list[Run], k: int) -> _Change | None:
+    """Measure the change from run k - 1 to run k; None where it does not meet the definition."""
+    arrays, lanes = view.arrays, view.lanes
+    source, target = runs[k - 1].lane, runs[k].lane
+    left, left_lanes = source_path(view, runs, k)
+    joined, _ = target_path(view, runs, k)
+    start, stop = int(arrays.first[agent]), int(arrays.first[agent + 1])
+    position = arrays.position[start:stop]
+    time = np.asarray(arrays.step[start:stop] * arrays.step_s, dtype=np.float64)
+    side, lateral, known = _lateral(position, left, joined, lanes.half_width[[source, target]].sum())
+    switch = runs[k].first - start
+    if not known[max(0, switch - 1)] or not known[switch]:
+        return None
+    toward = lateral * side
+    crossing = _crossing(toward, known, time, switch)
+    if crossing is None:
+        return None
+    at, crossing_s = crossing
+    smooth = lateral_speed(toward, time)
+    first, started = _edge(smooth, known, at, -1, time)
+    last, ended = _edge(smooth, known, at + 1, +1, time)
+    width = float(lanes.half_width[source] + lanes.half_width[target])
+    if toward[last] - toward[first] < width / 2:
+        return None
+    maneuver = Maneuver(
+        track_id=arrays.track_ids[agent],
+        kind=ManeuverKind.LANE_CHANGE,
+        start_s=float(time[first]),
+        crossing_s=crossing_s,
+        end_s=float(time[last]),
+        source_lane=int(lanes.lane_ids[source]),
+        target_lane=int(lanes.lane_ids[target]),
+        side=side,
+        complete=started and ended,
+    )
+    return _Change(maneuver, source, target, start + at, left, left_lanes)
+
+
+def _lateral(
+    position: FloatArray, source: Polyline, target: Polyline, default_width: float
+) -> tuple[int, FloatArray, BoolArray]:
+    """Side of the target lane, offset (T,) m from half-way between the two lanes, and where it is known (T,).
+
+    Half-way is the mean of the offsets to both centrelines; where only one of the lanes lies beside the vehicle it is
+    half the distance between them away from that one.
+    """
+    s_source, d_source = source.frenet(position)
+    s_target, d_target = target.frenet(position)
+    by_source = (s_source > -2.0) & (s_source < source.length_m + 2.0)
+    by_target = (s_target > -2.0) & (s_target < target.length_m + 2.0)
+    both = by_source & by_target
+    apart = d_source - d_target
+    side = 1 if (np.median(apart[both]) if both.any() else d_source.mean()) > 0 else -1
+    rows = np.arange(len(position))
+    width = np.interp(rows, rows[both], apart[both]) if both.any() else np.full(len(rows), side * default_width)
+    lateral = np.where(both, (d_source + d_target) / 2, np.where(by_source, d_source - width / 2, d_target + width / 2))
+    return side, lateral, by_source | by_target
+
+
+def _crossing(toward: FloatArray, known: BoolArray, time: FloatArray, switch: int) -> tuple[int, float] | None:
+    """The crossing nearest to row `switch` with STAY_S on each side: the last row before it and its time."""
+    sign = np.where(toward >= 0, 1, -1)
+    rows = np.flatnonzero((sign[:-1] < 0) & (sign[1:] > 0) & known[:-1] & known[1:])
+    for at in sorted(rows, key=lambda row: abs(int(row) + 1 - switch)):
+        share = -toward[at] / (toward[at + 1] - toward[at])
+        crossing = float(time[at] + share * (time[at + 1] - time[at]))
+        before = (time >= crossing - STAY_S) & (time <= time[at])
+        after = (time <= crossing + STAY_S) & (time >= time[at + 1])
+        long_enough = time[0] <= crossing - STAY_S + 1e-9 and time[-1] >= crossing + STAY_S - 1e-9
+        if long_enough and (sign[before] < 0).all() and (sign[after] > 0).all() and abs(time[at] - time[switch]) < 3.0:
+            return int(at), crossing
+    return None
+
+
+def lateral_speed(values: FloatArray, time: FloatArray) -> FloatArray:
+    """Slope of an offset (T,) m, m/s: of a parabola fitted over LATERAL_WINDOW_S (Savitzky and Golay 1964)."""
+    step = float(np.median(np.diff(time)))
+    window = round(LATERAL_WINDOW_S / step) | 1
+    if len(values) < window:
+        return np.gradient(values, time)
+    half = window // 2
+    weights = _parabola_slopes(window)
+    middle = np.correlate(values, weights[half], mode="valid")
+    return np.asarray(
+        np.concatenate([weights[:half] @ values[:window], middle, weights[half + 1 :] @ values[-window:]]) / step
+    )
+
+
+@cache
+def _parabola_slopes(window: int) -> FloatArray:
+    """(window, window): row k times the values of a window is the slope of the fitted parabola at its k-th point.
+
+    Row window // 2 is for the middle of a track, the others are for its ends.
+    """
+    x = np.arange(window) - window // 2
+    fit = np.linalg.pinv(np.vander(x.astype(np.float64), 3, increasing=True))
+    return np.asarray(fit[1] + 2 * x[:, None] * fit[2])
+
+
+def _edge(slope: FloatArray, known: BoolArray, at: int, direction: int, time: FloatArray) -> tuple[int, bool]:
+    """Walk from row `at` until the lateral speed falls below the threshold: that row, and whether it did."""
+    row = at
+    while True:
+        following = row + direction
+        if not 0 <= following < len(slope) or not known[following]:
+            return row, False
+        if abs(time[following] - time[at]) > LONGEST_HALF_S:
+            return row, False
+        if slope[row] < LATERAL_SPEED_MPS and row != at:
+            return row, True
+        row = following
+
+
+# Turns
+
+
+def _turns(view: LaneView, agent: int, runs: list[Run]) -> Iterator[Maneuver]:
+    arrays, lanes = view.arrays, view.lanes
+    start, stop = int(arrays.first[agent]), int(arrays.first[agent + 1])
+    margin = round(TURN_MARGIN_S / arrays.step_s)
+    direction = np.unwrap(view.matches.direction[start:stop])
+    k = 0
+    while k < len(runs):
+        sign = int(lanes.turn[runs[k].lane]) if runs[k].lane >= 0 else 0
+        if sign == 0:
+            k += 1
+            continue
+        end = k
+        while end + 1 < len(runs) and runs[end + 1].lane >= 0 and lanes.turn[runs[end + 1].lane] == sign:
+            end += 1
+        first, last = runs[k].first - start, runs[end].last - start
+        change = direction[min(last + margin, stop - start - 1)] - direction[max(first - margin, 0)]
+        if change * sign >= TURN_RAD:
+            time = arrays.step[[start + first, start + last]] * arrays.step_s
+            yield Maneuver(
+                track_id=arrays.track_ids[agent],
+                kind=TURNS[sign],
+                start_s=float(time[0]),
+                crossing_s=float(time.mean()),
+                end_s=float(time[1]),
+                source_lane=int(lanes.lane_ids[runs[k].lane]),
+                target_lane=int(lanes.lane_ids[runs[end].lane]),
+                side=sign,
+                complete=first > 0 and last < stop - start - 1,
+            )
+        k = end + 1
+
+
+# Overtakes
+
+
+def _overtakes(view: LaneView, agent: int, changes: list[_Change]) -> tuple[list[Maneuver], list[_Change]]:
+    """Overtakes, passes and obstacle avoidances begun by each change; the changes, marked with what they belong to."""
+    found: list[Maneuver] = []
+    marked = list(changes)
+    for k, change in enumerate(changes):
+        if marked[k].maneuver.part_of is not None:
+            continue
+        back = next((m for m in range(k + 1, len(changes)) if changes[m].maneuver.side == -change.maneuver.side), None)
+        passed = _overtake(view, agent, change, changes[back] if back is not None else None)
+        if passed is None:
+            continue
+        maneuver, returned = passed
+        found.append(maneuver)
+        for m in (k, back) if returned and back is not None else (k,):
+            marked[m] = replace(marked[m], maneuver=replace(marked[m].maneuver, part_of=maneuver.kind))
+    return found, marked
+
+
+def _overtake(view: LaneView, agent: int, change: _Change, back: _Change | None) -> tuple[Maneuver, bool] | None:
+    """What is passed between a change and its return (if any), and whether the return followed.
+
+    Of several vehicles a moving one, else an obstacle; of those the last one drawn level with.
+    """
+    arrays = view.arrays
+    own = slice(int(arrays.first[agent]), int(arrays.first[agent + 1]))
+    s_own, _ = change.path.frenet(arrays.position[own])
+    step_own = arrays.step[own]
+    row = change.row - own.start
+    until = change.maneuver.end_s if back is None else back.maneuver.crossing_s
+    found: list[tuple[bool, float, Maneuver, bool]] = []
+    for other in _ahead_on_path(view, agent, change, float(s_own[row])):
+        rows = arrays.row_of[other, step_own]
+        shared = np.flatnonzero(rows >= 0)
+        s_other, d_other = change.path.frenet(arrays.position[rows[shared]])
+        lead = s_own[shared] - s_other
+        half = (arrays.length[agent] + arrays.length[other]) / 2
+        on_path = np.abs(d_other) <= view.lanes.half_width[change.source]
+        behind = shared[(lead < -half) & on_path & (shared <= row)]
+        ahead = shared[(lead > half) & on_path & (shared > row)]
+        if not len(behind) or not len(ahead):
+            continue
+        time_ahead = step_own[ahead[0]] * arrays.step_s
+        returned = back is not None and back.maneuver.crossing_s >= time_ahead - 1e-9
+        if back is not None and not returned and time_ahead > until:
+            continue  # back in the lane before it was ahead: not passed in the adjacent lane
+        speed = np.hypot(*arrays.velocity[rows[shared]].T)
+        within = (shared >= behind[-1]) & (shared <= ahead[0])
+        parked = bool((speed[within] < PARKED_MPS).all())
+        level = shared[np.flatnonzero(lead >= 0)[0]]
+        moving_kind = ManeuverKind.OVERTAKE if returned else ManeuverKind.PASS
+        kind = ManeuverKind.OBSTACLE_AVOIDANCE if parked else moving_kind
+        level_s = float(step_own[level] * arrays.step_s)
+        end_s = back.maneuver.end_s if returned and back is not None else float(time_ahead)
+        maneuver = Maneuver(
+            track_id=arrays.track_ids[agent],
+            kind=kind,
+            start_s=change.maneuver.start_s,
+            crossing_s=level_s,
+            end_s=max(end_s, change.maneuver.end_s),
+            source_lane=change.maneuver.source_lane,
+            target_lane=change.maneuver.target_lane,
+            side=change.maneuver.side,
+            complete=True,
+            other_track_id=arrays.track_ids[other],
+        )
+        found.append((not parked, level_s, maneuver, returned))
+    if not found:
+        return None
+    _, _, maneuver, returned = max(found, key=lambda item: item[:2])
+    return maneuver, returned
+
+
+def _ahead_on_path(view: LaneView, agent: int, change: _Change, s_own: float) -> Iterator[int]:
+    """Vehicles on the lanes of the path that was left, ahead of the vehicle when it crosses."""
+    arrays = view.arrays
+    step = int(arrays.step[change.row])
+    for other in np.flatnonzero(arrays.vehicle):
+        row = int(arrays.row_of[other, step])
+        if other == agent or row < 0 or int(view.matches.lane[row]) not in change.path_lanes:
+            continue
+        s_other, _ = change.path.frenet(arrays.position[row : row + 1])
+        if -2.0 < float(s_other[0]) - s_own <= OVERTAKE_REACH_M:
+            yield int(other)

@@ -1,0 +1,66 @@
+"""Limits of motion: which quantity must not exceed which parameter, for the last check and for the evaluation."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hid2.agents import FloatArray
+from hid2.measures.arrays import BoolArray
+from hid2.params import Limits
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class MotionProfile:
+    """What a reader of positions would compute, by differences at the steps, each (N,): the names say the units."""
+
+    speed_mps: FloatArray
+    accel_mps2: FloatArray
+    lateral_accel_mps2: FloatArray
+    longitudinal_jerk_mps3: FloatArray
+    jerk_mps3: FloatArray
+    yaw_rate_radps: FloatArray
+    yaw_accel_radps2: FloatArray
+
+
+class MotionLimit(NamedTuple):
+    """One limit of motion. value: of the profile, exceeded above the bound; bound: of the parameters, positive."""
+
+    name: str
+    label: str
+    unit: str
+    value: Callable[[MotionProfile], FloatArray]
+    bound: Callable[[Limits], float]
+
+
+def _size(values: FloatArray) -> FloatArray:
+    return np.asarray(np.abs(values))
+
+
+#: In the order in which the last check names the first one that is exceeded.
+MOTION_LIMITS = (
+    MotionLimit("accel", "acceleration", "m/s²", lambda p: p.accel_mps2, lambda m: m.accel_max_mps2),
+    MotionLimit("decel", "deceleration", "m/s²", lambda p: -p.accel_mps2, lambda m: -m.accel_min_mps2),
+    MotionLimit(
+        "lateral_accel", "|lateral acceleration|", "m/s²",
+        lambda p: _size(p.lateral_accel_mps2), lambda m: m.lateral_accel_mps2,
+    ),
+    MotionLimit(
+        "longitudinal_jerk", "|longitudinal jerk|", "m/s³",
+        lambda p: _size(p.longitudinal_jerk_mps3), lambda m: m.longitudinal_jerk_mps3,
+    ),
+    MotionLimit("jerk", "jerk", "m/s³", lambda p: p.jerk_mps3, lambda m: m.jerk_mps3),
+    MotionLimit("yaw_rate", "|yaw rate|", "rad/s", lambda p: _size(p.yaw_rate_radps), lambda m: m.yaw_rate_radps),
+    MotionLimit(
+        "yaw_accel", "|yaw acceleration|", "rad/s²",
+        lambda p: _size(p.yaw_accel_radps2), lambda m: m.yaw_accel_radps2,
+    ),
+)  # fmt: skip
+
+
+def exceeded(profile: MotionProfile, limits: Limits, *, slack: float = 0.0) -> dict[str, BoolArray]:
+    """Which steps (N,) exceed each limit, by its name. slack: relative, against rounding."""
+    return {
+        limit.name: np.asarray(limit.value(profile) > limit.bound(limits) * (1.0 + slack)) for limit in MOTION_LIMITS
+    }

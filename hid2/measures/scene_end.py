@@ -1,0 +1,81 @@
+"""What follows a vehicle's last step if everybody keeps the velocity: the first contact of boxes (evaluation.md).
+
+Nothing is recorded beyond the last step, so nothing else would tell that a track ends a moment before a collision.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hid2.agents import FloatArray, IntArray
+from hid2.kernels.constant_velocity import earliest_contact
+from hid2.measures.arrays import BoolArray, SceneArrays
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """The first contact of a vehicle: time to collision, s, and the row of the other one."""
+
+    ttc_s: float
+    other: int
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class BoxesAtStep:
+    """The boxes that are present at one step, (A,) of them, city frame."""
+
+    position: FloatArray
+    """(A, 2) m, centres."""
+    heading: FloatArray
+    """(A,) rad."""
+    velocity: FloatArray
+    """(A, 2) m/s."""
+    size: FloatArray
+    """(A, 2) m, length and width."""
+
+
+def first_contact(own: int, boxes: BoxesAtStep, *, horizon_s: float) -> Contact | None:
+    """The other box that row `own` touches first within the horizon, everybody at constant velocity; None if none.
+
+    Two-dimensional: leaders, followers, oncoming and crossing ones alike. A TTC of 0 is an overlap at the step.
+    """
+    ttc_s, other = earliest_contact(own, boxes.position, boxes.heading, boxes.velocity, boxes.size, horizon_s)
+    return None if other < 0 else Contact(float(ttc_s), int(other))
+
+
+def first_contacts(boxes: BoxesAtStep, *, horizon_s: float) -> list[Contact | None]:
+    """`first_contact` of each of the boxes."""
+    return [first_contact(own, boxes, horizon_s=horizon_s) for own in range(len(boxes.heading))]
+
+
+def contacts_after_last_step(
+    arrays: SceneArrays, members: BoolArray, *, horizon_s: float, among: BoolArray | None = None
+) -> dict[int, Contact]:
+    """First contacts of the members (A,), each at its own last step, by agent; agents without one are not in it.
+
+    among: the agents (A,) that count as others, all of the scene unless told. Only those present at that very step.
+    """
+    counted = np.ones(arrays.num_agents, dtype=bool) if among is None else among
+    found: dict[int, Contact] = {}
+    for agent in np.flatnonzero(members).tolist():
+        step = int(arrays.step[arrays.first[agent + 1] - 1])
+        present = counted & (arrays.row_of[:, step] >= 0)
+        present[agent] = True
+        agents = np.flatnonzero(present)
+        contact = first_contact(
+            int(np.searchsorted(agents, agent)), boxes_at(arrays, agents, step), horizon_s=horizon_s
+        )
+        if contact is not None:
+            found[agent] = Contact(contact.ttc_s, int(agents[contact.other]))
+    return found
+
+
+def boxes_at(arrays: SceneArrays, agents: IntArray, step: int) -> BoxesAtStep:
+    """The boxes of agents (K,) that are present at a step."""
+    rows = arrays.row_of[agents, step]
+    return BoxesAtStep(
+        position=arrays.position[rows],
+        heading=arrays.heading[rows],
+        velocity=arrays.velocity[rows],
+        size=np.column_stack([arrays.length[agents], arrays.width[agents]]),
+    )

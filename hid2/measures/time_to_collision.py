@@ -1,0 +1,16 @@
+"""Two-dimensional time to collision (TTC): boxes extrapolated at constant velocity (evaluation.md)."""
+
+from hid2.agents import FloatArray
+from hid2.kernels.box_pairs import time_to_collision
+from hid2.measures.arrays import SceneArrays
+
+#: TTC and PET above this are not told apart.
+CAP_S = 5.0
+
+
+def ttc_to_anything(arrays: SceneArrays) -> FloatArray:
+    """(N,) s, smallest TTC of every row to any other agent present at its step, at most CAP_S."""
+    ttc_s, _ = time_to_collision(
+        arrays.position, arrays.heading, arrays.velocity, arrays.length, arrays.width, arrays.row_of, CAP_S
+    )
+    return ttc_s

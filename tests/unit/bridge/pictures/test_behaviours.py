@@ -1,0 +1,22 @@
+"""Every behaviour has its colour, its name and its mark in pictures, and its kind in the sidecar."""
+
+from typing import get_args
+
+from bridge.pictures import figures
+from bridge.pictures.render import MARK_NAMES, MARKS
+from bridge.recordings.sidecar import ManeuverKind
+from bridge.sumo.playback import POLICIES
+from hid2.policy.behaviours import BEHAVIOURS
+
+
+def test_every_behaviour_has_a_colour_of_its_own_in_pictures_and_in_sumo_gui() -> None:
+    for colours in (figures.POLICY_COLORS, {policy: paint.color for policy, paint in POLICIES.items()}):
+        assert set(colours) == set(BEHAVIOURS)
+        assert len(set(colours.values())) == len(BEHAVIOURS)
+
+
+def test_every_manoeuvre_that_can_be_asked_for_has_a_mark_and_a_kind_in_the_sidecar() -> None:
+    asked = {behaviour.seen_as[0].value: behaviour.label for behaviour in BEHAVIOURS.values() if behaviour.seen_as}
+    assert set(get_args(ManeuverKind)) == set(asked)
+    assert asked == MARK_NAMES
+    assert set(MARKS) == set(asked)

@@ -1,0 +1,34 @@
+"""The table of metrics: complete, without doubles, and with the numbers of the parameters in its names."""
+
+from collections import Counter
+
+from hid2.evaluation.metrics import METRICS, Section, columns, metrics_in
+from hid2.measures.motion_limits import MOTION_LIMITS
+
+
+def test_every_metric_says_what_it_is_once() -> None:
+    assert Counter(metric.key for metric in METRICS).most_common(1)[0][1] == 1
+    for metric in METRICS:
+        assert metric.label, metric.key
+        assert metric.unit, metric.key
+        assert metric.sentence.endswith("."), metric.key
+
+
+def test_a_column_has_one_function() -> None:
+    """Two metrics may share a column; two functions under one name would hide one of them."""
+    used = [column for metric in METRICS for column in (metric.numerator, metric.denominator)]
+    assert {column.name: column for column in used} == columns()
+    assert all(columns()[column.name].of is column.of for column in used)
+
+
+def test_every_section_is_filled_and_every_limit_of_motion_is_a_metric() -> None:
+    assert all(metrics_in(section) for section in Section)
+    names = {metric.key.removeprefix("limit_") for metric in metrics_in(Section.LIMITS)}
+    assert names == {limit.name for limit in MOTION_LIMITS} | {"radius"}
+
+
+def test_names_hold_the_default_parameters() -> None:
+    label = {metric.key: metric.label for metric in METRICS}
+    assert label["ttc_critical"] == "share of driving, TTC below 1.5 s to anything"
+    assert label["footprint_orr"] == "footprint ORR: share of boxes over 0.3 m off"
+    assert label["limit_decel"] == "deceleration above 4.05 m/s²"
