@@ -87,7 +87,11 @@ class Spawn(_Section):
         ge=0, le=10,
     )  # fmt: skip
     near_m: float = _param(
-        30.0, "m", "sites this near to moving recorded traffic are drawn as much more often as near_weight", gt=0, le=200
+        30.0,
+        "m",
+        "sites this near to moving recorded traffic are drawn as much more often as near_weight",
+        gt=0,
+        le=200,
     )
     near_weight: float = _param(4.0, "ratio", "weight of sites near moving recorded traffic", ge=1, le=100)
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
@@ -104,7 +108,11 @@ class Drivers(_Section):
 
     desired_sd: float = _param(0.12, "share", "SD of the desired speed around that of the lane's traffic", ge=0, le=0.5)
     wander_sd_mps: float = _param(
-        0.7, "m/s", "SD of the slow wandering of the desired speed (Ornstein-Uhlenbeck): a = 0.25 to 0.4 m/s2", ge=0, le=3
+        0.7,
+        "m/s",
+        "SD of the slow wandering of the desired speed (Ornstein-Uhlenbeck): a = 0.25 to 0.4 m/s2",
+        ge=0,
+        le=3,
     )
     wander_time_s: float = _param(3.0, "s", "correlation time of that wandering", gt=0, le=30)
     tau_mean_s: float = _param(1.15, "s", "time gap; usual 0.9 to 1.5", ge=0.5, le=4)
@@ -115,12 +123,16 @@ class Drivers(_Section):
     decel_sd_mps2: float = _param(0.35, "m/s2", "its SD between drivers", ge=0, le=1)
     min_gap_mean_m: float = _param(2.2, "m", "gap kept to a standing leader (SUMO minGap)", ge=0.5, le=10)
     min_gap_sd_m: float = _param(0.4, "m", "its SD between drivers", ge=0, le=3)
-    turn_lateral_min_mps2: float = _param(1.5, "m/s2", "lateral acceleration taken in turns, uniform from here", gt=0, le=4.89)
+    turn_lateral_min_mps2: float = _param(
+        1.5, "m/s2", "lateral acceleration taken in turns, uniform from here", gt=0, le=4.89
+    )
     turn_lateral_max_mps2: float = _param(3.0, "m/s2", "to here (comfort ends at 3)", gt=0, le=4.89)
     offset_sd_m: float = _param(0.25, "m", "SD between drivers of the mean place in the lane", ge=0, le=1)
     lateral_wander_sd_m: float = _param(0.15, "m", "SD of the wandering about that place", ge=0, le=0.5)
     lateral_wander_time_s: float = _param(3.0, "s", "its correlation time at the desired speed", gt=0, le=30)
-    lane_change_mean_s: float = _param(5.5, "s", "duration of a lane change (highD: 5.5 cars, 6.1 heavy)", ge=1.5, le=15)
+    lane_change_mean_s: float = _param(
+        5.5, "s", "duration of a lane change (highD: 5.5 cars, 6.1 heavy)", ge=1.5, le=15
+    )
     lane_change_sd_s: float = _param(0.9, "s", "its SD between drivers", ge=0, le=4)
     reaction_s: float = _param(0.5, "s", "EIDM treaction", ge=0.1, le=3)
     error: float = _param(0.1, "-", "EIDM sigmaerror, driving error", ge=0, le=1)
@@ -186,7 +198,7 @@ class Conflict(_Section):
         0.8, "m/s2", "deceleration that a conflict must ask for before the timing is changed", ge=0, le=4
     )
     brake_max_mps2: float = _param(3.5, "m/s2", "hardest braking for a conflict", gt=0, le=4.05)
-    margin_lateral_m: float = _param(0.3, "m", "added to each side of a box", ge=0, le=2)
+    margin_lateral_m: float = _param(0.1, "m", "added to each side of a box", ge=0, le=2)
     margin_front_m: float = _param(1.0, "m", "kept to a box that crosses or stands ahead", ge=0, le=10)
     stop_margin_m: float = _param(1.0, "m", "kept to a stop line", ge=0, le=10)
     ttc_min_s: float = _param(1.5, "s", "critical TTC (SSAM)", ge=0, le=5)

@@ -8,7 +8,7 @@ class Reason(StrEnum):
 
     text: str
 
-    def __new__(cls, value: str, text: str) -> "Reason":
+    def __new__(cls, value: str, text: str = "") -> "Reason":
         """A member with its sentence."""
         member = str.__new__(cls, value)
         member._value_ = value
@@ -17,12 +17,18 @@ class Reason(StrEnum):
 
     # what the map or the request says, before anything is simulated
     MAP_OFFERS_NO_LEFT_TURN = "map_offers_no_left_turn", "The map has no left-turn lane that a route can take in time."
-    MAP_OFFERS_NO_RIGHT_TURN = "map_offers_no_right_turn", "The map has no right-turn lane that a route can take in time."
+    MAP_OFFERS_NO_RIGHT_TURN = (
+        "map_offers_no_right_turn",
+        "The map has no right-turn lane that a route can take in time.",
+    )
     MAP_OFFERS_NO_LANE_CHANGE = "map_offers_no_lane_change", "The map has no lane beside another to change to."
     MAP_OFFERS_NO_OVERTAKE = "map_offers_no_overtake", "The map has no lane beside another that lasts for an overtake."
     MAP_OFFERS_NO_LANE = "map_offers_no_straight", "The map has no lane for general motor traffic."
     TRIGGER_AFTER_SCENE = "trigger_after_scene", "The trigger time lies beyond the end of the scene."
-    NO_SITE = "no_site", "Every admissible start site was taken, or the recorded traffic would have run into a vehicle there."
+    NO_SITE = (
+        "no_site",
+        "Every admissible start site was taken, or the recorded traffic would have run into a vehicle there.",
+    )
     COUNT_REACHED = "count_reached", "The count asked for was reached without it."
     # what the simulation answered
     NO_ROUTE = "no_route", "The start site is not on the vehicle's route."
@@ -74,7 +80,10 @@ class Reason(StrEnum):
     LIMIT_YAW_RATE = "limit_yaw_rate", "It exceeds the yaw rate allowed."
     LIMIT_YAW_ACCEL = "limit_yaw_accel", "It exceeds the yaw acceleration allowed."
     TTC_LANE_LEADER = "ttc_lane_leader", "TTC to its leader on the lane path falls below the critical value."
-    TTC_RECORDED_FOLLOWER = "ttc_recorded_follower", "A recorded vehicle closes in on it from behind below the critical TTC."
+    TTC_RECORDED_FOLLOWER = (
+        "ttc_recorded_follower",
+        "A recorded vehicle closes in on it from behind below the critical TTC.",
+    )
     PET = "pet", "It crosses somebody's path below the critical post-encroachment time."
     TTC_AT_END = "ttc_at_end", "Within 3 s of its last step it would meet somebody, everybody at constant velocity."
     UNAVOIDABLE_AT_END = "unavoidable_at_end", "Braking at its last step would not avoid a contact on its route."

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Track
+from hid2.agents import VEHICLE_TYPES, BoxSize, IntArray, Track
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.surrogate_safety import RecordedVehicles
 from hid2.motion.route import DrivenPath, Route, path_along, route_beside
@@ -30,7 +30,8 @@ def clearance_box(size: BoxSize, assumed: BoxSize) -> BoxSize:
     """Box that covers a vehicle and the one that readers without the sidecar assume, rounded up."""
     length, width = max(size.length_m, assumed.length_m), max(size.width_m, assumed.width_m)
     return BoxSize(
-        math.ceil(length / _LENGTH_STEP_M - 1e-9) * _LENGTH_STEP_M, math.ceil(width / _WIDTH_STEP_M - 1e-9) * _WIDTH_STEP_M
+        math.ceil(length / _LENGTH_STEP_M - 1e-9) * _LENGTH_STEP_M,
+        math.ceil(width / _WIDTH_STEP_M - 1e-9) * _WIDTH_STEP_M,
     )
 
 
@@ -47,6 +48,7 @@ class Scene:
     config: Config
     traffic: Traffic
     future: Traffic
+    object_types: tuple[str, ...]
     vehicle_rows: IntArray
     recorded: RecordedVehicles
     occupancy: OriginalOccupancy
@@ -57,7 +59,10 @@ class Scene:
     scene_speeds: list[float]
     _paths: dict[Route, DrivenPath] = field(default_factory=dict)
     _routes_beside: dict[tuple[Route, int], Route] = field(default_factory=dict)
-    _known: dict[tuple[DrivenPath, BoxSize], tuple[IntArray, PathOccupancy, PathOccupancy]] = field(default_factory=dict)
+    _known: dict[tuple[DrivenPath, BoxSize], tuple[IntArray, PathOccupancy, PathOccupancy]] = field(
+        default_factory=dict
+    )
+    _leaders: dict[tuple[DrivenPath, BoxSize], tuple[IntArray, PathOccupancy]] = field(default_factory=dict)
 
     def path(self, route: Route) -> DrivenPath:
         """Path on the middle of a route's lanes; built once."""
@@ -85,6 +90,13 @@ class Scene:
     def kept_clear_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         """The same, with the place of who crosses taken for the critical PET before and after."""
         return self._recorded_on(path, box)[2]
+
+    def in_driving_width(self, path: DrivenPath, box: BoxSize) -> tuple[IntArray, PathOccupancy]:
+        """Recorded agents whose boxes reach into the width driven, without margins: rows of `traffic`, intervals."""
+        key = path, box
+        if key not in self._leaders:
+            self._leaders[key] = look_along(path.line, self.future, box.length_m, box.width_m)
+        return self._leaders[key]
 
     def rows_on(self, path: DrivenPath, box: BoxSize) -> IntArray:
         """Rows of `traffic` of the agents of `recorded_on`."""
@@ -135,6 +147,7 @@ def build_scene(
         config=config,
         traffic=traffic,
         future=traffic.extended(beyond, step_s=DT_S),
+        object_types=tuple(track.object_type for track in tracks),
         vehicle_rows=np.array(rows, dtype=np.int64),
         recorded=RecordedVehicles([tracks[row] for row in rows], flatten_lanes(grid.graph), num_steps),
         occupancy=occupancy,

@@ -128,7 +128,7 @@ class _Rounds:
         """One simulation. The first one replays every recorded agent and compares; later ones those on the grid."""
         rows = None if number == 0 else np.flatnonzero(self._scene.occupancy.mapped.any(axis=1))
         driving = Driving(
-            self._scene, self._simulation, starts, fixed, self._filling.roads, rows=rows, checked=number == 0
+            self._scene, self._simulation, starts, fixed, self._filling.roads, self._filling.stop_lines, rows=rows, checked=number == 0
         )
         vehicles = driving.run()
         if number == 0:
@@ -161,9 +161,7 @@ def _with_category(track: Track, category: int) -> Track:
     )
 
 
-def _focal(
-    scenario: Scenario, vehicles: Sequence[ExportedVehicle], tracks: Sequence[Track], filling: Filling
-) -> str:
+def _focal(scenario: Scenario, vehicles: Sequence[ExportedVehicle], tracks: Sequence[Track], filling: Filling) -> str:
     """Generated focal track: lives through the scene; a manoeuvre done before none, a longer path before a shorter."""
     through = [
         (_did_something(one, filling), track.path_m, track.track_id)

@@ -9,7 +9,8 @@ from bridge.sumo.poses import front_arc_m
 from bridge.sumo.replay import Replay, ReplayErrors
 from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray, IntArray, Policy
-from hid2.conflicts.guard import EXECUTING, PRESENT, A, Braking, Guard, Obstacles, S, V
+from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S, V
+from hid2.conflicts.stop_lines import StopLines
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along
@@ -29,6 +30,11 @@ _BINDS_MPS = 0.05
 #: A vehicle that slows down by more than this, m/s2, behind somebody has braked for it.
 _SLOWS_MPS2 = 0.3
 _STANDS_MPS = 0.5
+_OVERLAPS_M = 0.5  # by which a leader may lie beside the front bumper
+#: Braking for what SUMO does not see builds up at this rate, m/s3.
+_BRAKING_JERK_MPS3 = 3.5
+_HELD_BY_GUARD = frozenset({"conflict", "signal", "crossing"})
+_RELEASED_MPS2 = 0.5  # from here on SUMO's own acceleration takes over
 #: SUMO is shown recorded agents up to here ahead of a vehicle, m.
 _SHOWN_M = 120.0
 
@@ -58,6 +64,7 @@ class Driving:
     starts: Sequence[Start]
     fixed: Traffic
     roads: Roads
+    stop_lines: StopLines
     rows: IntArray | None = None
     checked: bool = True
     vehicles: list[DrivenVehicle] = field(init=False)
@@ -67,6 +74,7 @@ class Driving:
     _obstacles: list[Obstacles | None] = field(init=False)
     _known: list[tuple[PathOccupancy, IntArray] | None] = field(init=False)
     _road: list[FloatArray] = field(init=False)
+    _lengths: FloatArray = field(init=False)
     _limit: list[tuple[float, str] | None] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -75,6 +83,7 @@ class Driving:
         self._guard = Guard(self.scene, self.fixed)
         self._state = np.zeros((len(self.starts), 5))
         self._obstacles = [None] * len(self.starts)
+        self._lengths = np.concatenate([self.scene.traffic.length_m, self.fixed.length_m])
         self._known = [None] * len(self.starts)
         self._road = [self.roads.speeds(start.path, start.driver) for start in self.starts]
         self._limit = [None] * len(self.starts)
@@ -84,15 +93,14 @@ class Driving:
         scene, simulation = self.scene, self.simulation
         simulation.rewind()
         everybody = np.arange(len(scene.traffic.ids)) if self.rows is None else self.rows
-        recorded = Replay(
-            simulation, scene.traffic.rows(everybody.tolist()), "r", step_s=DT_S, checked=self.checked
-        )
+        recorded = Replay(simulation, scene.traffic.rows(everybody.tolist()), "r", step_s=DT_S, checked=self.checked)
         kept = Replay(simulation, self.fixed, "k", step_s=DT_S, checked=False)
         place_of = {int(row): place for place, row in enumerate(everybody)}
-        recorded.warm_up()
-        if self.fixed.ids:
-            kept.warm_up()
-        simulation.step()
+        for back in (2, 1):
+            recorded.warm_up(back)
+            if self.fixed.ids:
+                kept.warm_up(back)
+            simulation.step()
         for step in range(scene.num_steps):
             attempts: list[_Attempt] = []
             if step > 0:
@@ -154,24 +162,25 @@ class Driving:
         Those whose boxes reach into the driving width on the present way of some vehicle and who move along it or
         stand. Who crosses is the guard's business: to SUMO it would appear out of nowhere.
         """
-        recorded: dict[int, tuple[str, int]] = {}
-        kept: dict[int, tuple[str, int]] = {}
+        shown: dict[int, tuple[float, str, int]] = {}
         for row, vehicle in enumerate(self.vehicles):
             if not vehicle.running or "collision" in self.scene.config.without:
                 continue
             s = vehicle.s[-1] if vehicle.s else vehicle.start.start_s
             found, rows = self._known_of(row)
-            low, high = found.low[:, step], found.high[:, step]
-            along = found.along[:, step]
-            led_by = found.aligned[:, step] | (np.abs(along) < _STANDS_MPS) & ~found.crosses[:, step]
-            for place in np.flatnonzero((low < s + _SHOWN_M) & (high > s - 10.0) & led_by).tolist():
-                cell = self.scene.cell_at(vehicle.path, 0.5 * (low[place] + high[place]))
-                lane = self.scene.grid.edge_id(cell), self.scene.grid.lane_index(cell)
-                agent = int(rows[place])
-                if agent < len(self.scene.traffic.ids):
-                    recorded.setdefault(agent, lane)
-                else:
-                    kept.setdefault(agent - len(self.scene.traffic.ids), lane)
+            here = np.flatnonzero(np.isfinite(found.low[:, step]))
+            middle = 0.5 * (found.low[here, step] + found.high[here, step])
+            gap = middle - s - 0.5 * (vehicle.start.box.length_m + self._lengths[rows[here]])
+            stands = (np.abs(found.along[here, step]) < _STANDS_MPS) & ~found.crosses[here, step]
+            leads = (gap > -_OVERLAPS_M) & (gap < _SHOWN_M) & (found.aligned[here, step] | stands)
+            for place in np.flatnonzero(leads).tolist():
+                agent, at = int(rows[here[place]]), float(gap[place])
+                if agent not in shown or at < shown[agent][0]:  # on the lane of who is nearest behind it
+                    cell = self.scene.cell_at(vehicle.path, float(middle[place]))
+                    shown[agent] = at, self.scene.grid.edge_id(cell), self.scene.grid.lane_index(cell)
+        count = len(self.scene.traffic.ids)
+        recorded = {agent: (edge, lane) for agent, (_, edge, lane) in shown.items() if agent < count}
+        kept = {agent - count: (edge, lane) for agent, (_, edge, lane) in shown.items() if agent >= count}
         return recorded, kept
 
     def _known_of(self, row: int) -> tuple[PathOccupancy, IntArray]:
@@ -180,10 +189,9 @@ class Driving:
         if known is None:
             vehicle = self.vehicles[row]
             path, box = vehicle.path, vehicle.start.box
-            found, rows = self.scene.recorded_on(path, box), self.scene.rows_on(path, box)
+            rows, found = self.scene.in_driving_width(path, box)
             if self.fixed.ids:
-                width = box.width_m + 2 * self.scene.config.conflict.margin_lateral_m
-                kept_rows, more = look_along(path.line, self.fixed, box.length_m, width)
+                kept_rows, more = look_along(path.line, self.fixed, box.length_m, box.width_m)
                 found = found.joined(more)
                 rows = np.concatenate([rows, kept_rows + len(self.scene.traffic.ids)])
             known = self._known[row] = found, rows
@@ -217,6 +225,12 @@ class Driving:
         if "collision" not in self.scene.config.without:
             limits += self._guarded(row, vehicle, now, desired)
         limit = min(limits)
+        held = self._limit[row]
+        if held is not None and held[1] in _HELD_BY_GUARD:  # a foot neither falls on the brake nor leaves it at once
+            a = float(self._state[row, A])
+            eased = v + (a + _BRAKING_JERK_MPS3 * DT_S) * DT_S
+            if a < _RELEASED_MPS2 and eased < limit[0]:
+                limit = eased, held[1]
         self._limit[row] = limit if limit[0] < desired - 1e-3 else None
         held = self._limit[row]
         self.simulation.drive(
@@ -258,10 +272,16 @@ class Driving:
             vehicle.waited_for.add(self.vehicles[found.leader].vehicle_id)
         act = 0.3 if vehicle.yielding else self.scene.config.conflict.act_mps2
         vehicle.yielding = found.decel_mps2 >= act
-        if not vehicle.yielding:
-            return []
-        accel = max(-found.decel_mps2, min(state[2], 0.0) - 4.0 * DT_S)
-        return [(state[1] + accel * DT_S, "conflict")]
+        start, limits = vehicle.start, []
+        if vehicle.yielding:
+            limits.append((-found.decel_mps2, "conflict"))
+        stop = self.stop_lines.braking(
+            vehicle.path, start.box, start.driver, s=state[0], speed_mps=state[1], step=now
+        )
+        if stop is not None:
+            limits.append(stop)
+        eased = min(state[2], 0.0) - _BRAKING_JERK_MPS3 * DT_S
+        return [(state[1] + max(accel, eased) * DT_S, cause) for accel, cause in limits]
 
     @staticmethod
     def _slows_for(state: tuple[float, float, float], found: Braking, start: Start) -> bool:
@@ -365,7 +385,7 @@ class Driving:
             return path
         if vehicle.stage is Stage.PASS and not returns_to(start.path, path):
             return Reason.LANES_PART
-        if s + 0.9 * v * (scene.num_steps - 1 - now) * DT_S < path.shifts[-1][1]:
+        if s + v * (scene.num_steps - 2 - now) * DT_S < path.shifts[-1][1]:
             return Reason.SCENE_ENDS
         if "collision" not in scene.config.without and self._meets_on(row, vehicle, now, path):
             return Reason.CONFLICT_PREDICTED
@@ -433,9 +453,16 @@ def _note(vehicle: DrivenVehicle, step: int, option: LaneOption, rule: str | Non
     """Record one look at a gap; returns its row."""
     vehicle.gaps.append(
         GapLook(
-            step=step, side=option.side, front_m=option.front.distance_m, front_mps=option.front.speed_mps,
-            rear_m=option.rear.distance_m, rear_mps=option.rear.speed_mps, own_mps=vehicle.v[-1],
-            remaining_m=option.remaining_m, rule=rule, sumo=None,
+            step=step,
+            side=option.side,
+            front_m=option.front.distance_m,
+            front_mps=option.front.speed_mps,
+            rear_m=option.rear.distance_m,
+            rear_mps=option.rear.speed_mps,
+            own_mps=vehicle.v[-1],
+            remaining_m=option.remaining_m,
+            rule=rule,
+            sumo=None,
         )  # fmt: skip
     )
     return len(vehicle.gaps) - 1
@@ -483,4 +510,3 @@ def insert(simulation: Simulation, scene: Scene, start: Start) -> str | None:
     if objection is None and "collision" in scene.config.without:
         simulation.disregard_others(start.vehicle_id)
     return None if objection is None else Reason.SUMO_REFUSES_INSERTION
-

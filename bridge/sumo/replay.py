@@ -11,6 +11,8 @@ from hid2.agents import FloatArray
 from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import wrap_angle
 
+#: Steps for which a new vehicle is seen by nobody: until then SUMO takes it for one that stands.
+_UNSEEN_STEPS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +43,7 @@ class Replay:
     _here: list[list[int]] = field(init=False)
     _seen: list[tuple[int, list[int], FloatArray]] = field(default_factory=list)
     _lost: int = 0
+    _age: list[int] = field(init=False)
 
     def __post_init__(self) -> None:
         """Turn all poses at once."""
@@ -48,19 +51,25 @@ class Replay:
         self._names = [f"{self.prefix}{row}" for row in range(len(self.traffic.ids))]
         by_step = zip(front[..., 0].T.tolist(), front[..., 1].T.tolist(), angle.T.tolist(), strict=True)
         self._poses = list(by_step)
+        self._age = [0] * len(self._names)
         self._here = [np.flatnonzero(column).tolist() for column in self.traffic.present.T]
 
-    def warm_up(self) -> None:
-        """Place those of step 0 where they were one step before: SUMO has no speed for whom it sees the first time."""
-        speed = np.hypot(*np.moveaxis(self.traffic.velocity[:, 0], -1, 0)) * self.step_s
-        heading = np.radians(90.0 - np.array(self._poses[0][2])) if self._poses else np.zeros(0)
-        x, y, angle = self._poses[0]
-        self._add(self._here[0])
+    def warm_up(self, back: int) -> None:
+        """Place those of step 0 where they were `back` steps before, seen by nobody.
+
+        SUMO knows the speed of a vehicle that it is shown only after it has moved it for _UNSEEN_STEPS.
+        """
+        rows = self._here[0]
+        xy, angle = sumo_poses(
+            self.traffic.position[:, 0] - back * self.step_s * self.traffic.velocity[:, 0],
+            self.traffic.heading[:, 0], self.traffic.length_m,
+        )  # fmt: skip
+        self._add([row for row in rows if row not in self._in])
         self.simulation.place_all([
-            (self._names[row], x[row] - speed[row] * np.cos(heading[row]), y[row] - speed[row] * np.sin(heading[row]),
-             angle[row], None)
-            for row in self._here[0]
-        ])  # fmt: skip
+            (self._names[row], float(xy[row, 0]), float(xy[row, 1]), float(angle[row]), None) for row in rows
+        ])
+        for row in rows:
+            self._age[row] += 1
 
     def _add(self, rows: list[int]) -> None:
         for row in rows:
@@ -74,20 +83,24 @@ class Replay:
 
         seen: rows of those that SUMO's car following is to see, with the edge and lane index on which; the others are
         put on no lane, for SUMO, to whom a vehicle on a lane has no width, would brake for whoever stands beside. Who
-        is new is not seen before the next step, when SUMO knows its speed.
+        is new is not seen before SUMO knows its speed.
         """
         rows, names = self._here[step], self._names
         here = set(rows)
-        new = here - self._in
         if here != self._in:
             for row in sorted(self._in - here):
                 self.simulation.remove(names[row])
             self._in &= here
-            self._add(sorted(new))
+            self._add(sorted(here - self._in))
         x, y, angle = self._poses[step]
-        self.simulation.place_all([
-            (names[row], x[row], y[row], angle[row], None if row in new else seen.get(row)) for row in rows
-        ])
+        self.simulation.place_all(
+            [
+                (names[row], x[row], y[row], angle[row], seen.get(row) if self._age[row] >= _UNSEEN_STEPS else None)
+                for row in rows
+            ]
+        )
+        for row in rows:
+            self._age[row] += 1
 
     def check(self, step: int) -> None:
         """Take down SUMO's poses, where they are to be compared with the recorded ones."""

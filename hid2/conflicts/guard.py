@@ -7,7 +7,6 @@
    state and intention at this step (`Guard.braking`): adjust timing, else reroute at the next split, else abort.
 """
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -82,7 +81,11 @@ class Guard:
                     clear_steps=self.scene.pet_steps, clear_margin_m=self.scene.pet_margin_m,
                 )
             )  # fmt: skip
-        found = [(row, swept) for row, *other in others if (swept := self._swept_on(path, box, *other)) is not None]
+        found = [
+            (row, swept)
+            for row, other, other_box in others
+            if (swept := self._swept_on(path, box, other, other_box)) is not None
+        ]
         longest = max((swept[0].size for _, swept in found), default=1)
         low, high = np.full((len(found), longest), np.inf), np.full((len(found), longest), -np.inf)
         cosine = np.zeros((len(found), longest))
@@ -113,15 +116,19 @@ class Guard:
 
     def braking(
         self, obstacles: Obstacles, *, own: int, step: int, fleet: FloatArray, state: tuple[float, float, float],
-        desired_mps: float, road: FloatArray, driver: Driver,
+        desired_mps: float, road: FloatArray, driver: Driver, horizon_s: float | None = None,
     ) -> Braking:  # fmt: skip
-        """Least braking from a state (s m, v m/s, a m/s2) at a step that meets nobody within the horizon."""
+        """Least braking from a state (s m, v m/s, a m/s2) at a step that meets nobody within the horizon.
+
+        horizon_s: another one than `conflict.horizon_s`.
+        """
         conflict, known = self.scene.config.conflict, obstacles.known
         s, v, a = state
-        brakes = _BRAKES[_BRAKES <= conflict.brake_max_mps2]
+        brakes = _BRAKES[conflict.brake_max_mps2 >= _BRAKES]
         row, hit, free, leader, gap, run_into = needed_braking(
             (known.low, known.high, known.along, known.aligned), obstacles.swept, obstacles.rows, fleet, own, step,
-            s, v, a, desired_mps, road, TABLE_STEP_M, 1.0, round(conflict.horizon_s / DT_S), _STRIDE, DT_S,
+            s, v, a, desired_mps, road, TABLE_STEP_M, 1.0,
+            round((conflict.horizon_s if horizon_s is None else horizon_s) / DT_S), _STRIDE, DT_S,
             (driver.tau_s, driver.accel_mps2, driver.decel_mps2, driver.min_gap_m), brakes, _BRAKING_JERK_MPS3,
             0.5 * conflict.margin_front_m,
         )  # fmt: skip
@@ -133,11 +140,3 @@ class Guard:
             leader_gap_m=float(gap),
             run_into=bool(run_into),
         )
-
-
-def braking_towards(stop_m: float, speed_mps: float, driver: Driver) -> float:
-    """Acceleration of a driver who comes to stand stop_m ahead, m/s2 (IDM towards a standing obstacle)."""
-    star = speed_mps * driver.tau_s * 0.5 + speed_mps * speed_mps / (
-        2.0 * math.sqrt(driver.accel_mps2 * driver.decel_mps2)
-    )
-    return driver.accel_mps2 * (1.0 - (star / max(stop_m, 0.1)) ** 2)

@@ -9,6 +9,8 @@ from hid2.params import Config
 
 #: Draws are cut off so many standard deviations from the mean.
 _TRUNCATED_AT = 2.0
+#: A foot does not jump: the wandering of the desired speed is eased over this, s.
+_EASED_S = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +49,7 @@ def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: flo
         turn_lateral_mps2=float(rng.uniform(law.turn_lateral_min_mps2, law.turn_lateral_max_mps2)),
         offset_m=normal(0.0, law.offset_sd_m),
         lane_change_s=float(
-            np.clip(
-                normal(law.lane_change_mean_s, law.lane_change_sd_s), change.min_duration_s, change.max_duration_s
-            )
+            np.clip(normal(law.lane_change_mean_s, law.lane_change_sd_s), change.min_duration_s, change.max_duration_s)
         ),
     )
 
@@ -59,12 +59,13 @@ def desired_speeds(
 ) -> FloatArray:
     """(T,) m/s desired speed at every step: the driver's own, with an Ornstein-Uhlenbeck wandering around it."""
     law = config.drivers
-    kept = float(np.exp(-step_s / law.wander_time_s))
+    kept, eased = float(np.exp(-step_s / law.wander_time_s)), float(np.exp(-step_s / _EASED_S))
     kick = law.wander_sd_mps * np.sqrt(1.0 - kept * kept) * rng.standard_normal(num_steps)
     wander = np.empty(num_steps)
-    wander[0] = law.wander_sd_mps * rng.standard_normal()
+    level = wander[0] = law.wander_sd_mps * rng.standard_normal()
     for step in range(1, num_steps):
-        wander[step] = kept * wander[step - 1] + kick[step]
+        level = kept * level + kick[step]
+        wander[step] = eased * wander[step - 1] + (1.0 - eased) * level
     return np.maximum(driver.desired_mps + wander, 0.5 * driver.desired_mps)
 
 
@@ -80,7 +81,7 @@ class LaneOffset:
     slope: FloatArray
 
     def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """d m, d' and d'' 1/m at arc lengths s (T,) m; straight on beyond the knots."""
+        """D m, d' and d'' 1/m at arc lengths s (T,) m; straight on beyond the knots."""
         inside = np.clip(s, self.knots_m[0], self.knots_m[-1])
         row = np.clip(np.searchsorted(self.knots_m, inside, side="right") - 1, 0, self.knots_m.size - 2)
         width = self.knots_m[row + 1] - self.knots_m[row]
@@ -112,4 +113,4 @@ def lane_offset(driver: Driver, config: Config, rng: np.random.Generator, *, len
     for row in range(1, count):
         value[row] = kept * value[row - 1] + np.sqrt(1.0 - kept * kept) * rng.standard_normal()
     offset = driver.offset_m + law.lateral_wander_sd_m * np.clip(value, -_TRUNCATED_AT, _TRUNCATED_AT)
-    return LaneOffset(knots, offset, np.gradient(offset, knots))
+    return LaneOffset(np.asarray(knots, dtype=np.float64), offset, np.asarray(np.gradient(offset, knots), dtype=np.float64))

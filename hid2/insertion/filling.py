@@ -9,6 +9,7 @@ import numpy as np
 
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
+from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.requests import draw_requests
@@ -65,6 +66,7 @@ class Filling:
     seed: Sequence[int]
     roads: Roads = field(init=False)
     routes: Routes = field(init=False)
+    stop_lines: StopLines = field(init=False)
     kept: list[ExportedVehicle] = field(default_factory=list)
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     unmet: list[Unmet] = field(default_factory=list)
@@ -79,7 +81,7 @@ class Filling:
 
     def __post_init__(self) -> None:
         """What is found out about the map is kept over the rounds."""
-        self.roads, self.routes = Roads(self.scene), Routes(self.scene)
+        self.roads, self.routes, self.stop_lines = Roads(self.scene), Routes(self.scene), StopLines(self.scene)
 
     def fill(self, drive: Drive) -> None:
         """All rounds. The count is a wish: a full road ends with fewer, and says so."""
@@ -94,6 +96,8 @@ class Filling:
                 break
             before = len(self.kept)
             starts = self._starts(number, missing, spare=asked != "max")
+            if not starts and number > 0 and missing > 0 and self._give_up_manoeuvres():
+                starts = self._starts(number, missing, spare=asked != "max")
             if not starts and number > 0:
                 break
             self.rounds = number + 1
@@ -128,7 +132,7 @@ class Filling:
         config = self.scene.config
         rng = np.random.default_rng([*self.seed, 1 + number])
         guard = Guard(self.scene, self._fixed())
-        sites = InsertionSites(self.scene, self.roads, self.routes, guard, rng, number)
+        sites = InsertionSites(self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number)
         sites.taken += self._again
         starts, self._again = list(self._again), []
         if number >= config.spawn.reseed_rounds:  # the count matters more by now
@@ -157,8 +161,9 @@ class Filling:
         self.no_site.update(sites.rejected)
         return starts
 
-    def _give_up_manoeuvres(self) -> None:
-        """Requests that no round met become vehicles that go straight."""
+    def _give_up_manoeuvres(self) -> bool:
+        """Requests that no round met become vehicles that go straight; whether there was any."""
+        before = len(self.unmet)
         still = []
         for request in self._open:
             if request.policy is not Policy.STRAIGHT:
@@ -166,6 +171,7 @@ class Filling:
                 request = replace(request, policy=Policy.STRAIGHT)
             still.append(request)
         self._open = still
+        return len(self.unmet) > before
 
     def _keep(self, vehicles: list[DrivenVehicle], number: int, target: int) -> None:
         """Keep what holds; what does not goes with its reason, and its request stays open."""
@@ -241,8 +247,14 @@ class Filling:
         cell = self.scene.cell_at(start.path, start.start_s)
         self.rejected.append(
             Rejection(
-                reason, vehicle.vehicle_id, start.request.policy, number, cell.lane_id, cell.index,
-                max(0, len(vehicle.s) - 1), detail,
+                reason,
+                vehicle.vehicle_id,
+                start.request.policy,
+                number,
+                cell.lane_id,
+                cell.index,
+                max(0, len(vehicle.s) - 1),
+                detail,
             )  # fmt: skip
         )
         if reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT):

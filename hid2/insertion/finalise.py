@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hid2.agents import FloatArray, Track
+from hid2.measures.scene_end import BoxesAtStep, first_contact
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.smoothing import Motion, Trajectory, smooth_motion, trajectory
 from hid2.motion.verify import first_overlap, limit_exceeded, off_road_steps
@@ -21,6 +22,7 @@ _FILTERS = (1.0, 1.6, 2.5)
 _OFFSETS = (1.0, 0.5, 0.0)
 _STANDING_MPS, _EDGE_M = 0.5, 5.0
 _MOVES_M = 2.0
+_AFTER_END_M, _AFTER_END_SPARE_S = 120.0, 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -123,9 +125,10 @@ def _checked(
     if "collision" not in config.without:
         tolerance = 0.9 * config.limits.drivable_tolerance_m
         drivable = scene.grid.graph.drivable
-        if "topology" not in config.without and off_road_steps(
-            path.position, path.heading, vehicle.start.size, drivable, tolerance_m=tolerance
-        ).any():
+        if (
+            "topology" not in config.without
+            and off_road_steps(path.position, path.heading, vehicle.start.size, drivable, tolerance_m=tolerance).any()
+        ):
             return Reason.OFF_ROAD
         if first_overlap(path, vehicle.start.box, scene.traffic, margin_m=_BOX_MARGIN_M) is not None:
             return Reason.MEETS_RECORDED
@@ -134,6 +137,8 @@ def _checked(
         ttc_s = _min_leader_ttc_s(scene, vehicle, motion, others)
         if ttc_s < config.conflict.ttc_min_s:
             return Reason.TTC_LANE_LEADER
+        if _meets_after_end(scene, vehicle, path, others):
+            return Reason.TTC_AT_END
         found = ExportedVehicle(vehicle, motion, path, off_m, ttc_s)
         if "topology" not in config.without:
             verdict = scene.recorded.conflict_with(
@@ -162,6 +167,23 @@ def _min_leader_ttc_s(scene: Scene, vehicle: DrivenVehicle, motion: Motion, othe
     if not leads.any():
         return float("inf")
     return float((gap[leads] / closing[leads]).min())
+
+
+def _meets_after_end(scene: Scene, vehicle: DrivenVehicle, path: Trajectory, others: Traffic) -> bool:
+    """Whether everybody at constant velocity from its own last step on meets it within the critical time."""
+    conflict, last = scene.config.conflict, path.s.size - 1
+    everybody = scene.traffic.at(last).joined(others.at(last)) if others.ids else scene.traffic.at(last)
+    here = np.flatnonzero(everybody.present[:, 0])
+    here = here[np.hypot(*(everybody.position[here, 0] - path.position[last]).T) < _AFTER_END_M]
+    size = np.column_stack([everybody.length_m[here], everybody.width_m[here]])
+    boxes = BoxesAtStep(
+        position=np.concatenate([path.position[last : last + 1], everybody.position[here, 0]]),
+        heading=np.concatenate([path.heading[last : last + 1], everybody.heading[here, 0]]),
+        velocity=np.concatenate([path.velocity[last : last + 1], everybody.velocity[here, 0]]),
+        size=np.concatenate([np.array([[vehicle.start.box.length_m, vehicle.start.box.width_m]]), size]),
+    )
+    contact = first_contact(0, boxes, horizon_s=conflict.end_horizon_s)
+    return contact is not None and contact.ttc_s < conflict.end_ttc_min_s + _AFTER_END_SPARE_S
 
 
 def _grid_path(
@@ -216,4 +238,3 @@ def conflicting(scene: Scene, exported: Sequence[ExportedVehicle]) -> list[tuple
     for row, _ in positions.crossing_conflicts(critical_s=config.conflict.pet_min_s):
         found.setdefault(row, Reason.PET)
     return sorted(found.items())
-

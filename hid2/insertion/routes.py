@@ -68,8 +68,12 @@ class Routes:
             else:
                 found = list(
                     routes_from(
-                        graph, lane_id, choose=lambda onward: tuple(sorted(onward)), usable=self.usable,
-                        most=_ROUTES_MOST, longest_m=ROUTE_LONGEST_M,
+                        graph,
+                        lane_id,
+                        choose=lambda onward: tuple(sorted(onward)),
+                        usable=self.usable,
+                        most=_ROUTES_MOST,
+                        longest_m=ROUTE_LONGEST_M,
                     )  # fmt: skip
                 )
             before = self._run_up(lane_id)
@@ -125,7 +129,8 @@ class Routes:
         """Lanes that lead to a lane, the straightest way, back to the map's edge or _RUN_UP_M."""
         if "topology" in self.scene.config.without:
             return ()
-        graph, before, length = self.scene.grid.graph, (), 0.0
+        graph, length = self.scene.grid.graph, 0.0
+        before: Route = ()
         while length < _RUN_UP_M:
             here = before[0] if before else lane_id
             onto = [p for p in graph.predecessors(here) if self.usable(p) and p not in (lane_id, *before)]

@@ -2,13 +2,15 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
 from hid2.conflicts.guard import Guard
+from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver, desired_speeds, draw_driver, lane_offset
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.insertion.sizes import draw_size
@@ -28,6 +30,8 @@ _TURN_PACE_MPS = 5.0  # mean speed on a turn lane, for an estimate of when it is
 _OVERTAKE_M = 70.0  # of two lanes side by side, behind the trigger
 _SLOW_SHARE = (0.3, 0.5)  # desired speed of a leader that is to be overtaken, over that of who overtakes it
 _STANDING_MPS = 0.3
+#: A vehicle may begin by braking so hard for its leader, m/s2.
+_BEGINS_BRAKING_MPS2 = 0.4
 _WAITS_M = 8.0  # who starts standing does so behind somebody who stands no farther ahead
 
 
@@ -38,6 +42,7 @@ class InsertionSites:
     scene: Scene
     roads: Roads
     routes: Routes
+    stop_lines: StopLines
     guard: Guard
     rng: np.random.Generator
     round_number: int
@@ -69,12 +74,21 @@ class InsertionSites:
         return []
 
     def _starts(self, request: VehicleRequest) -> Iterator[Start]:
+        """Starts at sites in weighted random order; first where the lane beside is not in an intersection."""
+        if self.scene.config.request.sites == "any":
+            yield from self._starts_where(request, _any_site)
+            return
+        for outside in (True, False) if request.policy is Policy.LANE_CHANGE else (True,):
+            yield from self._starts_where(request, partial(self._promises, request, outside_intersections=outside))
+
+    def _starts_where(
+        self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool]
+    ) -> Iterator[Start]:
         tried = 0
-        any_site = self.scene.config.request.sites == "any"
         for lane_id, lane_s in self._places():
             for offer in self._order(request, self.routes.offers(lane_id)):
                 s = offer.start_m + lane_s
-                if not any_site and not self._promises(request, offer, s, self._usual_speed(lane_id)):
+                if not promises(offer, s, self._usual_speed(lane_id)):
                     continue
                 start = self._start(request, offer, lane_id, s)
                 tried += 1
@@ -124,7 +138,9 @@ class InsertionSites:
             begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
             yield cell.lane_id, float(begin + share[place] * (end - begin))
 
-    def _promises(self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float) -> bool:
+    def _promises(
+        self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, outside_intersections: bool
+    ) -> bool:
         """Whether the map offers what is asked for from arc length s on, in the time that the scene has."""
         scene, change = self.scene, self.scene.config.lane_change
         duration = (scene.num_steps - 1) * DT_S
@@ -134,15 +150,16 @@ class InsertionSites:
             if not ahead or ahead[0][0] is not TURN_OF_POLICY[request.policy]:
                 return False
             _, begin, end = ahead[0]
-            needs_s = (begin - s) / (0.8 * speed_mps) + (end - begin) / _TURN_PACE_MPS + 1.5
+            needs_s = (begin - s) / (0.75 * speed_mps) + (end - begin) / _TURN_PACE_MPS + 2.0
             return begin - s > _BEFORE_TURN_M and needs_s < duration
         if any(begin < reach for _, begin, _ in ahead):
             return False
         at = s + 0.9 * speed_mps * request.trigger_s
         if request.policy is Policy.LANE_CHANGE:
-            needed = change.min_remaining_m + 3.0 * speed_mps
+            needed = max(change.min_remaining_m, 1.3 * change.min_duration_s * speed_mps) + 0.5 * speed_mps
             return any(
-                beside.start <= at + 1.0 and beside.end > at + 1.0 and not beside.in_intersection
+                beside.start <= at + 1.0 and beside.end > at + 1.0
+                and not (outside_intersections and beside.in_intersection)
                 and beside.remaining_m - (at - beside.start) > needed
                 for beside in offer.beside
             )  # fmt: skip
@@ -186,7 +203,7 @@ class InsertionSites:
         if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > 0.98 / config.limits.min_radius_m:
             return Reason.LIMIT_CURVATURE
         road = self.roads.speeds(path, driver)
-        speed = min(speed, float(road[min(int(start_s / TABLE_STEP_M), road.size - 1)]))
+        speed = min(speed, float(desired[0]), float(road[min(int(start_s / TABLE_STEP_M), road.size - 1)]))
         sides: tuple[str, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
         start = Start(
             vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=object_type, size=size,
@@ -197,7 +214,7 @@ class InsertionSites:
 
     def _admitted(self, start: Start) -> Start | Reason:
         """The same with a speed that who is ahead allows, or why nobody can begin there."""
-        scene, conflict, spawn = self.scene, self.scene.config.conflict, self.scene.config.spawn
+        conflict, spawn = self.scene.config.conflict, self.scene.config.spawn
         obstacles = self.guard.obstacles(start.path, start.box, [])
         known, s, driver = obstacles.known, start.start_s, start.driver
         low, high, along = known.low[:, 0], known.high[:, 0], known.along[:, 0]
@@ -208,6 +225,9 @@ class InsertionSites:
         ahead = here & (low >= s)
         for gap, leader_mps in zip((low - s)[ahead].tolist(), along[ahead].tolist(), strict=True):
             speed = min(speed, self._speed_behind(gap, max(0.0, leader_mps), driver))
+        stop = self.stop_lines.braking(start.path, start.box, driver, s=s, speed_mps=speed, step=0)
+        if stop is not None and stop[0] < -driver.decel_mps2:
+            return Reason.CONFLICT_PREDICTED
         for other in self.taken:
             verdict = self._beside_start(start, other, speed)
             if verdict is None:
@@ -224,24 +244,27 @@ class InsertionSites:
         fleet = np.array([[s, speed, 0.0, 0.0, 1.0]])
         found = self.guard.braking(
             obstacles, own=0, step=0, fleet=fleet, state=(s, speed, 0.0), desired_mps=float(start.desired[0]), road=road,
-            driver=driver,
+            driver=driver, horizon_s=(self.scene.num_steps - 1) * DT_S,
         )  # fmt: skip
         if found.run_into:
             return Reason.TTC_RECORDED_FOLLOWER
-        late = conflict.horizon_s if found.conflict_s is None else found.conflict_s
-        if late < spawn.settle_s or found.decel_mps2 > 1.2 * driver.decel_mps2:
+        soon = found.free_conflict_s is not None and found.free_conflict_s < conflict.horizon_s
+        if found.conflict_s is not None and found.conflict_s < spawn.settle_s:
+            return Reason.CONFLICT_PREDICTED
+        if soon and found.decel_mps2 > 1.2 * driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
         return replace(start, start_mps=speed)
 
     @staticmethod
     def _speed_behind(gap_m: float, leader_mps: float, driver: Driver) -> float:
-        """Fastest speed at which a driver may begin behind a leader without braking hard, m/s."""
-        room = gap_m - driver.min_gap_m
+        """Fastest speed at which a driver may begin behind a leader without having to brake (IDM), m/s."""
+        room = math.sqrt(1.0 + _BEGINS_BRAKING_MPS2 / driver.accel_mps2) * gap_m - driver.min_gap_m
         if room <= 0.0:
             return 0.0
-        b, tau = 0.6 * driver.decel_mps2, 0.8 * driver.tau_s
-        # v tau + (v^2 - v_l^2) / 2b <= room
-        return -b * tau + math.sqrt(b * b * tau * tau + 2.0 * b * room + leader_mps * leader_mps)
+        # v tau + v max(0, v - v_l) / (2 sqrt(a b)) = room
+        c = 2.0 * math.sqrt(driver.accel_mps2 * driver.decel_mps2)
+        b = driver.tau_s * c - leader_mps
+        return min(room / driver.tau_s, 0.5 * (-b + math.sqrt(b * b + 4.0 * c * room)))
 
     def _beside_start(self, start: Start, other: Start, speed: float) -> float | None:
         """Fastest start speed beside another start of this round; None where the two are too near."""
@@ -300,3 +323,7 @@ class InsertionSites:
             return None
         return found
 
+
+def _any_site(_offer: RouteOffer, _s: float, _speed_mps: float) -> bool:
+    """Every admissible site will do."""
+    return True

@@ -36,7 +36,7 @@ def _has_priority(low, s, own_s, j_executing, own_executing, j_row, own_row, ste
 
 
 @njit(cache=True)
-def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0912, PLR0913, PLR0915
+def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201
     known, swept, rows, fleet, own, t, s0, v0, a0, desired_mps, road, road_step, table_step, horizon, stride, step_s,
     driver, brakes, jerk, margin,  # noqa: ANN001
 ):  # fmt: skip
@@ -56,7 +56,7 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0912, PL
     leader, leader_gap, run_into = -1, np.inf, False
     last = horizon // stride
     for row in range(brakes.size):
-        s, v, a_cmd, hit = s0, v0, a0, -1
+        s, v, a_cmd, hit, behind_leader = s0, v0, a0, -1, False
         for k in range(last + 1):
             now = min(t + k * stride, steps - 1)
             ahead_s = k * stride * step_s
@@ -66,8 +66,8 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0912, PL
                 if lo == np.inf:
                     continue
                 hi = high[a, now]
-                if lo < s + 0.0 < hi and k > 0 or (lo - margin < s < hi and k > 0 and not aligned[a, now]):
-                    if aligned[a, now] and s > 0.5 * (lo + hi):
+                if (lo < s + 0.0 < hi and k > 0) or (lo - margin < s < hi and k > 0 and not aligned[a, now]):
+                    if (aligned[a, now] or along[a, now] > 1.0) and s > 0.5 * (lo + hi):
                         run_into = run_into or row == 0
                         continue
                     met = True
@@ -108,6 +108,7 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0912, PL
                 a_next = min(a_next, accel * (1.0 - (star / max(gap_least, 0.1)) ** 2))
                 if a_next < -hardest and k > 0:
                     hit = k * stride  # who appears ahead, or stands, asks for more than a driver would brake
+                    behind_leader = True
                     break
                 a_next = max(a_next, -hardest)
             if row > 0:
@@ -121,6 +122,6 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201, PLR0912, PL
             free_step = hit
         if hit < 0:
             return row, -1, free_step, leader, leader_gap, run_into
-        if row == 0 or hit > best_step + stride:
+        if row == 0 or hit > best_step + stride or (hit >= best_step and behind_leader):
             best, best_step = row, hit
     return best, best_step, free_step, leader, leader_gap, run_into

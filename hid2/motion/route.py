@@ -8,9 +8,9 @@ from itertools import accumulate
 import numpy as np
 
 from hid2.agents import FloatArray
+from hid2.motion.lane_change_path import Blend
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
 from hid2.params import Limits, Smoothing
-from hid2.motion.lane_change_path import Blend
 from netconvert.geometry import arc_length
 from netconvert.lane_graph import TURN_RAD, LaneGraph, TurnType
 

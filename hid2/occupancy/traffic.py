@@ -79,9 +79,7 @@ class Traffic:
         there = np.repeat(self.present[:, last:], steps, axis=1)
         return Traffic(
             ids=self.ids,
-            position=np.concatenate(
-                [self.position, self.position[:, last:] + ahead * self.velocity[:, last:]], axis=1
-            ),
+            position=np.concatenate([self.position, self.position[:, last:] + ahead * self.velocity[:, last:]], axis=1),
             heading=np.concatenate([self.heading, np.repeat(self.heading[:, last:], steps, axis=1)], axis=1),
             velocity=np.concatenate([self.velocity, np.repeat(self.velocity[:, last:], steps, axis=1)], axis=1),
             present=np.concatenate([self.present, there], axis=1),

@@ -7,12 +7,12 @@ import numpy as np
 
 from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import transition_rejected
+from hid2.motion.lane_change_path import blend_paths
 from hid2.motion.route import DrivenPath, shifted_path
 from hid2.occupancy.along_path import look_along, path_occupancy
 from hid2.occupancy.sigma import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Side
-from hid2.motion.lane_change_path import blend_paths
 from hid2.policy.lane_change import Gap
 from hid2.policy.overtake import Leader
 from hid2.scene import DRIVABLE_TYPES, DT_S, Scene
@@ -112,9 +112,7 @@ def gaps_on(
     return front, rear
 
 
-def leader_on(
-    path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here: Traffic
-) -> Leader | None:
+def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here: Traffic) -> Leader | None:
     """Next vehicle on the lane path within d_obs; here: vehicles at this step (one step)."""
     own = path.line.position(np.array([s]))[0]
     near = here.present[:, 0] & (np.abs(here.position[:, 0] - own).max(axis=1) < d_obs_m + 15.0)
@@ -170,7 +168,7 @@ def lay_across(
     """
     change, smoothing = scene.config.lane_change, scene.config.smoothing
     pace = max(pace_mps, change.min_speed_mps)
-    time_left_s = (scene.num_steps - 1 - step) * DT_S - _SPARE_S
+    time_left_s = 0.95 * (scene.num_steps - 1 - step) * DT_S - _SPARE_S
     lasting_s = max(change.min_duration_s, min(lasting_s, time_left_s, 0.8 * remaining_m / pace))
     blend = blend_paths(
         path.raw, target.raw, start_m=path.to_raw(s), length_m=pace * lasting_s, step_m=smoothing.path_step_m,

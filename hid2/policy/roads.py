@@ -19,10 +19,13 @@ class Roads:
     _known: dict[DrivenPath, RoadSpeeds] = field(default_factory=dict)
 
     def speeds(self, path: DrivenPath, driver: Driver) -> FloatArray:
-        """(S,) m/s at the table of a path's line: the most that a driver takes there; inf where the road asks nothing."""
+        """(S,) m/s at the table of a path's line: what a driver takes there at most; inf where the road asks nothing."""
         config = self.scene.config
         if path not in self._known:
             segments = turn_segments(self.scene.grid.graph, path)
             self._known[path] = road_speeds(path.line, segments, turn=config.turn, limits=config.limits)
-        most = self._known[path].desired(driver.desired_mps, turn=config.turn, accel_mps2=driver.accel_mps2)
+        most = self._known[path].desired(
+            driver.desired_mps, lateral_accel_mps2=driver.turn_lateral_mps2, accel_mps2=driver.accel_mps2,
+            approach_decel_mps2=config.turn.approach_decel_mps2,
+        )  # fmt: skip
         return np.where(most < driver.desired_mps - 1e-6, most, np.inf)

@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.cases import priority, prospect, road_most, transition_rejected
 from hid2.insertion.draws import Draws
 from hid2.insertion.places import Places
 from hid2.insertion.spawning import Spawner
+from hid2.policy.maneuver import lane_options
+
+from hid2.agents import BoxSize, Policy, Track
 from hid2.motion.reference_line import TABLE_STEP_M, build_reference_line
 from hid2.motion.smoothing import integrate, poses
 from hid2.motion.verify import motion_profile
@@ -19,7 +20,6 @@ from hid2.occupancy.traffic import Traffic, traffic_of
 from hid2.params import Config, LaneChange, Limits, Overtake, Turn
 from hid2.policy.decision import LaneOption, Observation, decide
 from hid2.policy.lane_change import Gap, lateral_share
-from hid2.policy.maneuver import lane_options
 from hid2.policy.overtake import Leader, Stage, enter_reason
 from hid2.policy.turns import f_left, f_right, road_speeds
 from hid2.scene import World, build_world, predicted_traffic
