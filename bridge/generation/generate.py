@@ -128,7 +128,14 @@ class _Rounds:
         """One simulation. The first one replays every recorded agent and compares; later ones those on the grid."""
         rows = None if number == 0 else np.flatnonzero(self._scene.occupancy.mapped.any(axis=1))
         driving = Driving(
-            self._scene, self._simulation, starts, fixed, self._filling.roads, self._filling.stop_lines, rows=rows, checked=number == 0
+            self._scene,
+            self._simulation,
+            starts,
+            fixed,
+            self._filling.roads,
+            self._filling.stop_lines,
+            rows=rows,
+            checked=number == 0,
         )
         vehicles = driving.run()
         if number == 0:

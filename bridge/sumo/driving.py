@@ -35,6 +35,8 @@ _OVERLAPS_M = 0.5  # by which a leader may lie beside the front bumper
 _BRAKING_JERK_MPS3 = 3.5
 _HELD_BY_GUARD = frozenset({"conflict", "signal", "crossing"})
 _RELEASED_MPS2 = 0.5  # from here on SUMO's own acceleration takes over
+#: Who comes from behind on the way across is looked for so far ahead, s.
+_ACROSS_S = 8.0
 #: SUMO is shown recorded agents up to here ahead of a vehicle, m.
 _SHOWN_M = 120.0
 
@@ -80,7 +82,7 @@ class Driving:
     def __post_init__(self) -> None:
         """Nobody has moved yet."""
         self.vehicles = [DrivenVehicle(start=start, path=start.path) for start in self.starts]
-        self._guard = Guard(self.scene, self.fixed)
+        self._guard = Guard(self.scene, self.fixed, self.stop_lines)
         self._state = np.zeros((len(self.starts), 5))
         self._obstacles = [None] * len(self.starts)
         self._lengths = np.concatenate([self.scene.traffic.length_m, self.fixed.length_m])
@@ -275,9 +277,7 @@ class Driving:
         start, limits = vehicle.start, []
         if vehicle.yielding:
             limits.append((-found.decel_mps2, "conflict"))
-        stop = self.stop_lines.braking(
-            vehicle.path, start.box, start.driver, s=state[0], speed_mps=state[1], step=now
-        )
+        stop = self.stop_lines.braking(vehicle.path, start.box, start.driver, s=state[0], speed_mps=state[1], step=now)
         if stop is not None:
             limits.append(stop)
         eased = min(state[2], 0.0) - _BRAKING_JERK_MPS3 * DT_S
@@ -417,7 +417,7 @@ class Driving:
         found = self._guard.braking(
             self._guard.obstacles(path, vehicle.start.box, others), own=row, step=now, fleet=self._state,
             state=(vehicle.s[-1], vehicle.v[-1], 0.0), desired_mps=float(vehicle.start.desired[now]),
-            road=self.roads.speeds(path, vehicle.start.driver), driver=vehicle.start.driver,
+            road=self.roads.speeds(path, vehicle.start.driver), driver=vehicle.start.driver, horizon_s=_ACROSS_S,
         )  # fmt: skip
         return found.conflict_s is not None or found.run_into or found.decel_mps2 > vehicle.start.driver.decel_mps2
 

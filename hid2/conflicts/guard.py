@@ -12,13 +12,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, IntArray
+from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver
 from hid2.kernels.guard import needed_braking
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along, path_occupancy
 from hid2.occupancy.sigma import ORIGINAL
-from hid2.occupancy.traffic import Traffic
+from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.scene import DT_S, Scene
 
 #: Decelerations that are tried, m/s2, up to `conflict.brake_max_mps2`.
@@ -53,11 +54,16 @@ class Braking:
 
 @dataclass(eq=False, slots=True)
 class Obstacles:
-    """Everybody on one path: known (A, T + E) for those whose future is known, swept (G, K) for the fleet's others."""
+    """Everybody on one path: known (A, T + E) for those whose future is known, swept (G, K) for the fleet's others.
+
+    stop_s (L,) m, closed (L, T): the stop lines on it.
+    """
 
     known: PathOccupancy
     swept: tuple[FloatArray, FloatArray, FloatArray]
     rows: IntArray
+    stop_s: FloatArray
+    closed: BoolArray
 
 
 @dataclass(eq=False, slots=True)
@@ -66,6 +72,7 @@ class Guard:
 
     scene: Scene
     fixed: Traffic
+    stop_lines: StopLines
     _swept: dict[tuple[DrivenPath, BoxSize, DrivenPath, BoxSize], tuple[FloatArray, FloatArray, FloatArray] | None] = (
         field(default_factory=dict)
     )
@@ -93,7 +100,8 @@ class Guard:
             count = swept[0].size
             low[place, :count], high[place, :count], cosine[place, :count] = swept
         rows = np.array([row for row, _ in found], dtype=np.int64)
-        return Obstacles(known=known, swept=(low, high, cosine), rows=rows)
+        stop_s, closed = self.stop_lines.arrays(path, box)
+        return Obstacles(known=known, swept=(low, high, cosine), rows=rows, stop_s=stop_s, closed=closed)
 
     def _swept_on(
         self, path: DrivenPath, box: BoxSize, other: DrivenPath, other_box: BoxSize
@@ -126,7 +134,7 @@ class Guard:
         s, v, a = state
         brakes = _BRAKES[conflict.brake_max_mps2 >= _BRAKES]
         row, hit, free, leader, gap, run_into = needed_braking(
-            (known.low, known.high, known.along, known.aligned), obstacles.swept, obstacles.rows, fleet, own, step,
+            (known.low, known.high, known.along, known.aligned, obstacles.stop_s, obstacles.closed), obstacles.swept, obstacles.rows, fleet, own, step,
             s, v, a, desired_mps, road, TABLE_STEP_M, 1.0,
             round((conflict.horizon_s if horizon_s is None else horizon_s) / DT_S), _STRIDE, DT_S,
             (driver.tau_s, driver.accel_mps2, driver.decel_mps2, driver.min_gap_m), brakes, _BRAKING_JERK_MPS3,

@@ -1,20 +1,17 @@
 """Stop lines ahead of a vehicle: entrances that are red, and pedestrian crossings that are used."""
 
-import math
 from dataclasses import dataclass, field
 
-from hid2.agents import BoxSize
+import numpy as np
+
+from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.crossings import PedestrianCrossings, crossing_rows
 from hid2.conflicts.signals import InferredSignals, signalled_rows
 from hid2.drivers.driver import Driver
+from hid2.kernels.guard import accel_towards_stop, line_ahead
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import BoolArray
 from hid2.scene import DT_S, Scene
-
-#: Lines farther ahead than this are no business of a driver yet, m.
-_AHEAD_M = 60.0
-#: Whoever has passed a line by this has passed it, m.
-_PASSED_M = 0.3
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -34,6 +31,7 @@ class StopLines:
     _signals: InferredSignals = field(init=False)
     _crossings: PedestrianCrossings = field(init=False)
     _known: dict[tuple[DrivenPath, BoxSize], list[StopLine]] = field(default_factory=dict)
+    _arrays: dict[tuple[DrivenPath, BoxSize], tuple[FloatArray, BoolArray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Signals and crossings of the recorded traffic."""
@@ -59,36 +57,27 @@ class StopLines:
             self._known[key] = sorted(found, key=lambda line: line.stop_s)
         return self._known[key]
 
+    def arrays(self, path: DrivenPath, box: BoxSize) -> tuple[FloatArray, BoolArray]:
+        """The same as arrays: where they are (L,) m, and whether they are closed (L, T)."""
+        lines = self.on(path, box)
+        closed = np.zeros((len(lines), self.scene.num_steps), dtype=np.bool_)
+        for row, line in enumerate(lines):
+            closed[row] = line.closed
+        return np.array([line.stop_s for line in lines], dtype=np.float64), closed
+
     def braking(
         self, path: DrivenPath, box: BoxSize, driver: Driver, *, s: float, speed_mps: float, step: int
     ) -> tuple[float, str] | None:
-        """Acceleration, m/s2, at which a driver comes to stand at the next closed line, and its cause; None for none.
-
-        A line at which the driver can no longer stop without braking hard is driven across, as an amber light is.
-        """
-        hardest = 1.3 * driver.decel_mps2
-        for line in self.on(path, box):
-            ahead = line.stop_s - s
-            if ahead < -_PASSED_M or not line.closed[min(step, line.closed.size - 1)]:
-                continue
-            if ahead > _AHEAD_M:
-                return None
-            if speed_mps * speed_mps > 2.0 * hardest * max(ahead, 0.05) and speed_mps > 1.0:
-                continue
-            return accel_towards_stop(ahead, speed_mps, driver), line.cause
-        return None
-
-
-def accel_towards_stop(ahead_m: float, speed_mps: float, driver: Driver) -> float:
-    """Acceleration of a driver who comes to stand ahead_m from here, m/s2: constant braking as it is needed.
-
-    Kinematic rather than IDM: a driver lets the car roll up to a line, and does not begin far before it.
-    """
-    if ahead_m <= 0.1:
-        return -driver.decel_mps2
-    needed = speed_mps * speed_mps / (2.0 * ahead_m)
-    comfortable = 0.6 * driver.decel_mps2
-    if needed < comfortable:
-        reach = math.sqrt(2.0 * comfortable * ahead_m)  # the speed from which comfortable braking ends at the line
-        return min(driver.accel_mps2, (reach - speed_mps) / 0.5)
-    return -needed
+        """Acceleration, m/s2, at which a driver comes to stand at the next closed line, and its cause; None for none."""
+        lines = self.on(path, box)
+        if not lines:
+            return None
+        key = path, box
+        if key not in self._arrays:
+            self._arrays[key] = self.arrays(path, box)
+        stop_s, closed = self._arrays[key]
+        row = line_ahead(stop_s, closed, s, speed_mps, step, driver.decel_mps2)
+        if row < 0:
+            return None
+        accel = accel_towards_stop(lines[row].stop_s - s, speed_mps, driver.accel_mps2, driver.decel_mps2)
+        return float(accel), lines[row].cause

@@ -62,7 +62,8 @@ def desired_speeds(
     kept, eased = float(np.exp(-step_s / law.wander_time_s)), float(np.exp(-step_s / _EASED_S))
     kick = law.wander_sd_mps * np.sqrt(1.0 - kept * kept) * rng.standard_normal(num_steps)
     wander = np.empty(num_steps)
-    level = wander[0] = law.wander_sd_mps * rng.standard_normal()
+    wander[0] = law.wander_sd_mps * rng.standard_normal()
+    level = wander[0] + law.wander_sd_mps * rng.standard_normal()  # nobody begins at a constant speed
     for step in range(1, num_steps):
         level = kept * level + kick[step]
         wander[step] = eased * wander[step - 1] + (1.0 - eased) * level
@@ -113,4 +114,6 @@ def lane_offset(driver: Driver, config: Config, rng: np.random.Generator, *, len
     for row in range(1, count):
         value[row] = kept * value[row - 1] + np.sqrt(1.0 - kept * kept) * rng.standard_normal()
     offset = driver.offset_m + law.lateral_wander_sd_m * np.clip(value, -_TRUNCATED_AT, _TRUNCATED_AT)
-    return LaneOffset(np.asarray(knots, dtype=np.float64), offset, np.asarray(np.gradient(offset, knots), dtype=np.float64))
+    return LaneOffset(
+        np.asarray(knots, dtype=np.float64), offset, np.asarray(np.gradient(offset, knots), dtype=np.float64)
+    )

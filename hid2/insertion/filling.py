@@ -131,7 +131,7 @@ class Filling:
         """Starts of a round: those driven again, then requests, then some spare ones that go straight."""
         config = self.scene.config
         rng = np.random.default_rng([*self.seed, 1 + number])
-        guard = Guard(self.scene, self._fixed())
+        guard = Guard(self.scene, self._fixed(), self.stop_lines)
         sites = InsertionSites(self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number)
         sites.taken += self._again
         starts, self._again = list(self._again), []

@@ -3,6 +3,10 @@
 import numpy as np
 from numba import njit
 
+#: Stop lines farther ahead than this are no business of a driver yet, m.
+AHEAD_M = 60.0
+#: Whoever has passed a line by this has passed it, m.
+PASSED_M = 0.3
 _BRAKING_LASTS_S = 1.0  # that a generated vehicle which brakes now is predicted to brake on
 
 
@@ -14,6 +18,41 @@ def predicted_s(s, v, a, ahead_s):  # type: ignore[no-untyped-def]  # noqa: ANN0
     braking = min(ahead_s, _BRAKING_LASTS_S, v / -a)
     slower = max(0.0, v + a * min(ahead_s, _BRAKING_LASTS_S))
     return s + v * braking + 0.5 * a * braking * braking + slower * (ahead_s - braking)
+
+
+@njit(cache=True)
+def accel_towards_stop(ahead_m, speed_mps, accel_mps2, decel_mps2):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Acceleration of a driver who comes to stand ahead_m from here, m/s2.
+
+    Kinematic rather than IDM: a driver lets the car roll up to a line, and does not begin far before it.
+    """
+    if ahead_m <= 0.1:
+        return -decel_mps2
+    needed = speed_mps * speed_mps / (2.0 * ahead_m)
+    comfortable = 0.6 * decel_mps2
+    if needed < comfortable:
+        reach = np.sqrt(2.0 * comfortable * ahead_m)  # the speed from which comfortable braking ends at the line
+        return min(accel_mps2, (reach - speed_mps) / 0.5)
+    return -needed
+
+
+@njit(cache=True)
+def line_ahead(stop_s, closed, s, v, step, decel_mps2):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Row of the next stop line that is closed at a step and at which the driver can stop, -1 for none.
+
+    A line at which the driver can no longer stop without braking hard is driven across, as an amber light is.
+    """
+    hardest = 1.3 * decel_mps2
+    for row in range(stop_s.size):
+        ahead = stop_s[row] - s
+        if ahead < -PASSED_M or not closed[row, min(step, closed.shape[1] - 1)]:
+            continue
+        if ahead > AHEAD_M:
+            return -1
+        if v * v > 2.0 * hardest * max(ahead, 0.05) and v > 1.0:
+            continue
+        return row
+    return -1
 
 
 @njit(cache=True)
@@ -42,12 +81,13 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201
 ):  # fmt: skip
     """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) whose predicted motion meets nobody.
 
-    known: low, high, along (A, T) and aligned (A, T) of agents whose future is known; swept: low, high, cosine (G, K) of
+    known: low, high, along (A, T) and aligned (A, T) of agents whose future is known, stop lines (L,) m on the path,
+    closed (L, T) at steps; swept: low, high, cosine (G, K) of
     generated vehicles by their own arc length, of rows (G,) of fleet (N, 5): s, v, a, executing, present. Returns
     (row of brakes, step of its first conflict or -1, step of the first conflict without braking or -1, fleet row of
     the nearest generated leader or -1, gap to it m, whether some known agent comes up from behind).
     """
-    low, high, along, aligned = known
+    low, high, along, aligned, stop_s, closed = known
     g_low, g_high, g_cos = swept
     tau, accel, decel, min_gap = driver
     hardest = 1.4 * decel
@@ -56,7 +96,7 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201
     leader, leader_gap, run_into = -1, np.inf, False
     last = horizon // stride
     for row in range(brakes.size):
-        s, v, a_cmd, hit, behind_leader = s0, v0, a0, -1, False
+        s, v, a_cmd, hit, behind_leader, struck = s0, v0, a0, -1, False, False
         for k in range(last + 1):
             now = min(t + k * stride, steps - 1)
             ahead_s = k * stride * step_s
@@ -68,7 +108,7 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201
                 hi = high[a, now]
                 if (lo < s + 0.0 < hi and k > 0) or (lo - margin < s < hi and k > 0 and not aligned[a, now]):
                     if (aligned[a, now] or along[a, now] > 1.0) and s > 0.5 * (lo + hi):
-                        run_into = run_into or row == 0
+                        struck = True
                         continue
                     met = True
                     break
@@ -111,6 +151,9 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201
                     behind_leader = True
                     break
                 a_next = max(a_next, -hardest)
+            line = line_ahead(stop_s, closed, s, v, now, decel)
+            if line >= 0:
+                a_next = min(a_next, accel_towards_stop(stop_s[line] - s, v, accel, decel))
             if row > 0:
                 a_cmd = max(min(a_cmd, 0.0) - jerk * stride * step_s, -brakes[row])
                 a_next = min(a_next, a_cmd)
@@ -121,7 +164,7 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201
         if row == 0:
             free_step = hit
         if hit < 0:
-            return row, -1, free_step, leader, leader_gap, run_into
+            return row, -1, free_step, leader, leader_gap, struck
         if row == 0 or hit > best_step + stride or (hit >= best_step and behind_leader):
-            best, best_step = row, hit
+            best, best_step, run_into = row, hit, struck
     return best, best_step, free_step, leader, leader_gap, run_into
