@@ -7,9 +7,9 @@ a track, as `numpy.gradient`), at the true times of the steps.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
-from hid2.agents import FloatArray, IntArray
+from hid2.agents import FloatArray
+from hid2.kernels.derivative import track_derivative
 from hid2.measures.arrays import FRAGMENT, BoolArray, SceneArrays
 from hid2.params import Limits
 
@@ -56,26 +56,7 @@ def derivative(values: FloatArray, arrays: SceneArrays) -> FloatArray:
     h_s h_d (h_s + h_d); first order at both ends.
     """
     columns = np.ascontiguousarray(values, dtype=np.float64).reshape(len(values), *(values.shape[1:] or (1,)))
-    return np.asarray(_derivative(columns, arrays.first, arrays.step, arrays.step_s).reshape(values.shape))
-
-
-@njit(cache=True)
-def _derivative(values: FloatArray, first: IntArray, step: IntArray, step_s: float) -> FloatArray:
-    out = np.zeros_like(values)
-    for agent in range(len(first) - 1):
-        start, end = first[agent], first[agent + 1] - 1
-        if end <= start:
-            continue
-        for k in range(values.shape[1]):
-            out[start, k] = (values[start + 1, k] - values[start, k]) / (step[start + 1] - step[start]) / step_s
-            out[end, k] = (values[end, k] - values[end - 1, k]) / (step[end] - step[end - 1]) / step_s
-            for i in range(start + 1, end):
-                before, after = float(step[i] - step[i - 1]), float(step[i + 1] - step[i])
-                rise = (
-                    before**2 * values[i + 1, k] + (after**2 - before**2) * values[i, k] - after**2 * values[i - 1, k]
-                )
-                out[i, k] = rise / (before * after * (before + after)) / step_s
-    return out
+    return np.asarray(track_derivative(columns, arrays.first, arrays.step, arrays.step_s).reshape(values.shape))
 
 
 def unwrapped_heading(arrays: SceneArrays) -> FloatArray:

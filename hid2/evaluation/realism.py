@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from hid2.agents import FloatArray, IntArray
 from hid2.evaluation.kinematics import Motion
 from hid2.evaluation.safety import CAP_S, Safety
+from hid2.kernels.track_features import track_features_vector
 from hid2.measures.arrays import BoolArray, SceneArrays
 
 
@@ -238,44 +238,12 @@ def track_features(arrays: SceneArrays, moved: Motion, safe: Safety, agent: int)
     rows = slice(int(arrays.first[agent]), int(arrays.first[agent + 1]))
     matched = safe.matches.lane[rows] >= 0
     gap = safe.leaders.time_gap_s[rows]
-    features: FloatArray = _features(
+    features: FloatArray = track_features_vector(
         moved.speed[rows], safe.matches.d[rows][matched], safe.matches.direction[rows], gap[np.isfinite(gap)],
         np.abs(moved.longitudinal_accel[rows]), np.abs(moved.lateral_accel[rows]), np.abs(moved.yaw_rate[rows]),
         moved.jerk_norm[rows],
     )  # fmt: skip
     return features
-
-
-@njit(cache=True)
-def _quantile(values: FloatArray, share: float) -> float:
-    """As numpy.quantile."""
-    ordered = np.sort(values)
-    place = share * (len(ordered) - 1)
-    below = int(place)
-    above = min(below + 1, len(ordered) - 1)
-    return float(ordered[below] + (place - below) * (ordered[above] - ordered[below]))
-
-
-@njit(cache=True)
-def _features(
-    speed: FloatArray, offset: FloatArray, direction: FloatArray, gap: FloatArray, accel: FloatArray,
-    lateral: FloatArray, yaw_rate: FloatArray, jerk: FloatArray,
-) -> FloatArray:  # fmt: skip
-    out = np.zeros(16)
-    out[0], out[1], out[2], out[3] = speed.mean(), speed.std(), speed.min(), speed.max()
-    if len(offset):
-        out[4], out[5] = offset.mean(), offset.std()
-    turned = 0.0
-    for k in range(len(direction) - 1):
-        turned += (direction[k + 1] - direction[k] + np.pi) % (2 * np.pi) - np.pi
-    out[6] = abs(turned)
-    out[7] = min(_quantile(gap, 0.5), 10.0) if len(gap) else 10.0
-    out[8] = len(gap) / len(speed)
-    out[9], out[10] = accel.mean(), _quantile(accel, 0.95)
-    out[11], out[12] = lateral.mean(), _quantile(lateral, 0.95)
-    out[13] = yaw_rate.mean()
-    out[14], out[15] = jerk.mean(), _quantile(jerk, 0.95)
-    return out
 
 
 def area_under_curve(scores: FloatArray, labels: BoolArray) -> float | None:

@@ -12,8 +12,8 @@ import numpy as np
 import shapely
 
 from hid2.agents import FloatArray
+from hid2.kernels.box_pairs import pairwise_overlap, post_encroachment, time_to_collision
 from hid2.measures.arrays import BoolArray, SceneArrays
-from hid2.measures.box_pairs import pairwise_overlap, post_encroachment, time_to_collision
 from hid2.measures.following import Leaders, leaders
 from hid2.measures.lane_matching import FlatLanes, Matches, flatten_lanes, match_lanes
 from netconvert.geometry import box_corners

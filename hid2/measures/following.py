@@ -1,12 +1,11 @@
 """The leader on the lane path: gap, time gap, time headway and TTC to it (evaluation.md; SSAM's car-following case)."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from hid2.agents import FloatArray, IntArray
+from hid2.kernels.leaders import lane_leaders
 from hid2.measures.arrays import SceneArrays
 from hid2.measures.lane_matching import FlatLanes, Matches
 
@@ -30,73 +29,6 @@ class Leaders:
     ttc_s: FloatArray
 
 
-@njit(cache=True)
-def _leaders(
-    lane: IntArray,
-    s: FloatArray,
-    d: FloatArray,
-    agent: IntArray,
-    row_of: IntArray,
-    next_row: IntArray,
-    length: FloatArray,
-    width: FloatArray,
-    lane_length: FloatArray,
-    successors: IntArray,
-    straight: IntArray,
-    horizon: float,
-) -> tuple[IntArray, FloatArray]:
-    agents, steps = row_of.shape
-    lanes = len(lane_length)
-    leader = np.full(len(lane), -1, dtype=np.int64)
-    gap = np.full(len(lane), math.inf)
-    head = np.full(lanes, -1, dtype=np.int64)
-    chain = np.full(agents, -1, dtype=np.int64)
-    for t in range(steps):
-        head[:] = -1
-        for a in range(agents):
-            i = row_of[a, t]
-            if i >= 0 and lane[i] >= 0:
-                chain[a] = head[lane[i]]
-                head[lane[i]] = a
-        for a in range(agents):
-            i = row_of[a, t]
-            if i < 0 or lane[i] < 0:
-                continue
-            current, row, offset = lane[i], i, -s[i]
-            best, best_distance = -1, math.inf
-            for _ in range(200):
-                b = head[current]
-                while b >= 0:
-                    j = row_of[b, t]
-                    distance = offset + s[j]
-                    if b != a and 0 < distance < best_distance and abs(d[j] - d[i]) < (width[a] + width[b]) / 2:
-                        best, best_distance = b, distance
-                    b = chain[b]
-                offset += lane_length[current]
-                if best >= 0 or offset > horizon:
-                    break
-                # own future lanes where they go on from here, else the straightest successor
-                target = -1
-                if row >= 0:
-                    row = next_row[row]
-                    wanted = lane[row] if row >= 0 else -1
-                    if wanted >= 0:
-                        for n in successors[current]:
-                            if n == wanted:
-                                target = n
-                    if target < 0:
-                        row = -1
-                if target < 0:
-                    target = straight[current]
-                if target < 0:
-                    break
-                current = target
-            if best >= 0 and best_distance <= horizon:
-                leader[i] = best
-                gap[i] = best_distance - (length[a] + length[best]) / 2
-    return leader, gap
-
-
 def leaders(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> Leaders:
     """Leader of every vehicle row on its lane path: lane, the lanes it drives next, then the straightest successors.
 
@@ -105,7 +37,7 @@ def leaders(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> Leaders:
     successors = np.full((len(lanes.successors), max([1, *map(len, lanes.successors)])), -1, dtype=np.int64)
     for k, targets in enumerate(lanes.successors):
         successors[k, : len(targets)] = targets
-    agent, gap = _leaders(
+    agent, gap = lane_leaders(
         matches.lane,
         matches.s,
         matches.d,

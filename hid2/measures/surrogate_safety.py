@@ -9,19 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
 from hid2.agents import IntArray, Track
 from hid2.evaluation.safety import CROSSING_RAD, encroachments
+from hid2.kernels.box_pairs import encroaches
+from hid2.kernels.closing_in import closing_vehicles, vehicles_ahead
 from hid2.measures.arrays import SceneArrays, is_moving, stack
-from hid2.measures.box_pairs import encroaches
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import FlatLanes, match_lanes
-
-_SLACK_M = 0.5
-_ONCOMING = -0.2  # cosine of the angle between two that do not follow each other, not even round a corner
-_SHARPEST_M, _LATERAL_MPS2 = 6.0, 6.0  # radius of the bend that may lie ahead at any speed, and by the speed
-_NEAR_M = 50.0  # who is farther away all the time leads nobody at a critical TTC
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -63,7 +58,7 @@ class RecordedVehicles:
         """Rows of those who may follow a track at a TTC below critical_s: whom it pays to match to lanes."""
         seen = self.arrays
         return np.flatnonzero(
-            _followers(
+            closing_vehicles(
                 seen.row_of, seen.position, seen.heading, seen.velocity, seen.moving,
                 (seen.length + track.size.length_m) / 2, (seen.width + track.size.width_m) / 2,
                 track.timesteps, track.position, track.heading, track.velocity, critical_s,
@@ -134,7 +129,7 @@ class ExportedPositions:
     def _leader(self, row: int, first: int, *, leaves: bool, critical_s: float) -> int | None:
         """Row of the leader, one of `first` and later, at the smallest TTC of a row, if that is below critical_s."""
         seen = self.arrays
-        near, closes_in = _around(
+        near, closes_in = vehicles_ahead(
             row, seen.row_of, seen.position, seen.heading, seen.velocity, seen.length, seen.width, leaves, first,
             critical_s,
         )  # fmt: skip
@@ -149,96 +144,3 @@ class ExportedPositions:
         ttc_s = np.where(counts, led.ttc_s[own], np.inf)
         step = int(np.argmin(ttc_s))
         return rows[int(led.agent[own][step])] if ttc_s[step] < critical_s else None
-
-
-@njit(cache=True)
-def _aside(own, t, place, row_of, position, heading):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """How far to the left of an agent's own future track a place lies, m; straight on behind the track's end."""
-    aside = 0.0
-    for k in range(t, row_of.shape[1]):
-        i = row_of[own, k]
-        if i < 0:
-            break
-        dx, dy = place[0] - position[i, 0], place[1] - position[i, 1]
-        cosine, sine = np.cos(heading[i]), np.sin(heading[i])
-        aside = dy * cosine - dx * sine
-        if dx * cosine + dy * sine <= 0.0:
-            break
-    return aside
-
-
-@njit(cache=True)
-def _closes_in(own, t, i, place, motion, apart, beside, row_of, position, heading, speed, leaves, critical):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Whether an agent closes in, fast enough, on somebody ahead of it who may be on its way.
-
-    apart, beside: centre to centre where their boxes touch end to end and side to side, m.
-    """
-    dx, dy = place[0] - position[i, 0], place[1] - position[i, 1]
-    closing = speed - np.hypot(motion[0], motion[1])
-    if closing <= 0.0 or np.hypot(dx, dy) - apart > critical * closing + _SLACK_M:
-        return False
-    beside = beside + _SLACK_M
-    if not leaves:
-        return abs(_aside(own, t, place, row_of, position, heading)) < beside
-    cosine, sine = np.cos(heading[i]), np.sin(heading[i])
-    ahead = dx * cosine + dy * sine
-    radius = max(_SHARPEST_M, speed * speed / _LATERAL_MPS2)
-    return abs(dy * cosine - dx * sine) < beside + ahead * ahead / (2 * radius)
-
-
-@njit(cache=True)
-def _around(own, row_of, position, heading, velocity, length, width, leaves, first, critical):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Who is ahead of an agent at some step, not far, (A,), and whether it closes in on one of `first` and later."""
-    agents, steps = row_of.shape
-    near, closes_in = np.zeros(agents, dtype=np.bool_), False
-    for t in range(steps):
-        i = row_of[own, t]
-        if i < 0:
-            continue
-        cosine, sine = np.cos(heading[i]), np.sin(heading[i])
-        speed = np.hypot(velocity[i, 0], velocity[i, 1])
-        for other in range(agents):
-            j = row_of[other, t]
-            if j < 0 or other == own:
-                continue
-            dx, dy = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
-            if dx * dx + dy * dy > _NEAR_M * _NEAR_M:
-                continue
-            ahead = dx * cosine + dy * sine
-            if ahead <= 0.0 or np.cos(heading[j] - heading[i]) < _ONCOMING:
-                continue
-            near[other] = True
-            if closes_in or other < first:
-                continue
-            closes_in = _closes_in(
-                own, t, i, position[j], velocity[j], (length[own] + length[other]) / 2,
-                (width[own] + width[other]) / 2, row_of, position, heading, speed, leaves, critical,
-            )  # fmt: skip
-    return near, closes_in
-
-
-@njit(cache=True)
-def _followers(row_of, position, heading, velocity, moving, apart, beside, steps, place, direction, motion, critical):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Which agents, (A,), close in at some step on a track of rows (M,) that is not theirs."""
-    found = np.zeros(row_of.shape[0], dtype=np.bool_)
-    for agent in range(row_of.shape[0]):
-        if not moving[agent]:
-            continue
-        for k in range(steps.shape[0]):
-            i = row_of[agent, steps[k]]
-            if i < 0:
-                continue
-            dx, dy = place[k, 0] - position[i, 0], place[k, 1] - position[i, 1]
-            if dx * dx + dy * dy > _NEAR_M * _NEAR_M:
-                continue
-            ahead = dx * np.cos(heading[i]) + dy * np.sin(heading[i])
-            if ahead <= 0.0 or np.cos(direction[k] - heading[i]) < _ONCOMING:
-                continue
-            speed = np.hypot(velocity[i, 0], velocity[i, 1])
-            if _closes_in(
-                agent, steps[k], i, place[k], motion[k], apart[agent], beside[agent], row_of, position, heading, speed,
-                False, critical,
-            ):  # fmt: skip
-                found[agent] = True
-                break
-    return found

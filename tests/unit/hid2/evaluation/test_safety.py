@@ -11,8 +11,8 @@ from shapely.geometry import box as rectangle
 
 from hid2.agents import BoxSize, Track
 from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, encroachments, off_footprint, overlaps, safety, survey
+from hid2.kernels.box_pairs import contact_time, pairwise_overlap
 from hid2.measures.arrays import SceneArrays, between_steps, stack
-from hid2.measures.box_pairs import contact_time, pairwise_overlap
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from netconvert.lane_graph import LaneGraph

@@ -7,12 +7,12 @@ exact test on the rest. Boxes are (x, y, heading, length, width), corners counte
 import math
 
 import numpy as np
-from numba import njit
 
-from hid2.agents import FloatArray, IntArray
+from hid2.kernels.compiled import inner, kernel
+from netconvert.geometry import FloatArray, IntArray
 
 
-@njit(cache=True)
+@inner
 def _corners(x: float, y: float, heading: float, length: float, width: float, out: FloatArray) -> None:
     c, s = math.cos(heading), math.sin(heading)
     for k in range(4):
@@ -22,7 +22,7 @@ def _corners(x: float, y: float, heading: float, length: float, width: float, ou
         out[k, 1] = y + a * s + b * c
 
 
-@njit(cache=True)
+@inner
 def _area(points: FloatArray, count: int) -> float:
     total = 0.0
     for k in range(count):
@@ -32,7 +32,7 @@ def _area(points: FloatArray, count: int) -> float:
     return abs(total) / 2
 
 
-@njit(cache=True)
+@inner
 def _intersection_area(first: FloatArray, second: FloatArray) -> float:
     """Area shared by two convex quadrilaterals (counter-clockwise): Sutherland-Hodgman clipping."""
     points = np.empty((16, 2))
@@ -64,7 +64,7 @@ def _intersection_area(first: FloatArray, second: FloatArray) -> float:
     return _area(points, count)
 
 
-@njit(cache=True)
+@inner
 def _spans(row_of: IntArray) -> tuple[IntArray, IntArray]:
     """First step (A,) of each agent and the one behind its last; none for an agent that is never there."""
     agents, steps = row_of.shape
@@ -76,7 +76,7 @@ def _spans(row_of: IntArray) -> tuple[IntArray, IntArray]:
     return since, until
 
 
-@njit(cache=True)
+@inner
 def _extents(position: FloatArray, velocity: FloatArray, row_of: IntArray) -> tuple[FloatArray, FloatArray]:
     """Least x, y and largest x, y (A, 4) of each agent's centre, and its largest speed (A,)."""
     agents, steps = row_of.shape
@@ -94,13 +94,13 @@ def _extents(position: FloatArray, velocity: FloatArray, row_of: IntArray) -> tu
     return extent, fastest
 
 
-@njit(cache=True)
+@inner
 def _never_nearer(a: FloatArray, b: FloatArray) -> float:
     """Distance between two rectangles, each least x, y and largest x, y."""
     return math.hypot(max(a[0] - b[2], b[0] - a[2], 0.0), max(a[1] - b[3], b[1] - a[3], 0.0))
 
 
-@njit(cache=True)
+@kernel()
 def pairwise_overlap(
     position: FloatArray, heading: FloatArray, length: FloatArray, width: FloatArray, row_of: IntArray
 ) -> tuple[FloatArray, IntArray, IntArray]:
@@ -142,7 +142,7 @@ def pairwise_overlap(
     return iou, first, count
 
 
-@njit(cache=True)
+@inner
 def contact_time(
     x: float, y: float, vx: float, vy: float, heading_a: float, length_a: float, width_a: float,
     heading_b: float, length_b: float, width_b: float,
@@ -175,7 +175,7 @@ def contact_time(
     return enter if enter <= leave else math.inf
 
 
-@njit(cache=True)
+@kernel()
 def time_to_collision(
     position: FloatArray,
     heading: FloatArray,
@@ -222,7 +222,7 @@ def time_to_collision(
     return ttc, other
 
 
-@njit(cache=True)
+@inner
 def _boxes_touch(
     x: float, y: float, heading_a: float, length_a: float, width_a: float,
     heading_b: float, length_b: float, width_b: float,
@@ -230,7 +230,7 @@ def _boxes_touch(
     return contact_time(x, y, 0.0, 0.0, heading_a, length_a, width_a, heading_b, length_b, width_b) == 0.0
 
 
-@njit(cache=True)
+@inner
 def _paths_cross(
     xy_a: FloatArray, heading_a: FloatArray, xy_b: FloatArray, heading_b: FloatArray, min_sine: float
 ) -> bool:
@@ -261,7 +261,7 @@ def _paths_cross(
     return False
 
 
-@njit(cache=True)
+@inner
 def _swept_lengths(xy: FloatArray, length: float) -> FloatArray:
     """Length of the box at each step, longer by what its vehicle drives in a step."""
     last = len(xy) - 1
@@ -273,14 +273,14 @@ def _swept_lengths(xy: FloatArray, length: float) -> FloatArray:
     return out
 
 
-@njit(cache=True)
+@inner
 def _bounds(xy: FloatArray, length: float) -> FloatArray:
     """Least x and y and largest x and y (4,) that the boxes of a track come to, along their length."""
     half = length / 2
     return np.array([xy[:, 0].min() - half, xy[:, 1].min() - half, xy[:, 0].max() + half, xy[:, 1].max() + half])
 
 
-@njit(cache=True)
+@inner
 def _encroachment(
     step_a: IntArray, xy_a: FloatArray, heading_a: FloatArray, length_a: float, width_a: float,
     step_b: IntArray, xy_b: FloatArray, heading_b: FloatArray, length_b: float, width_b: float,
@@ -307,7 +307,7 @@ def _encroachment(
     return best if best <= cap_steps else -1
 
 
-@njit(cache=True)
+@kernel()
 def post_encroachment(
     agents: IntArray,
     position: FloatArray,
@@ -351,7 +351,7 @@ def post_encroachment(
     return out
 
 
-@njit(cache=True)
+@kernel()
 def encroaches(
     agents: IntArray,
     position: FloatArray,

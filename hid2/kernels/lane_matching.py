@@ -1,0 +1,198 @@
+"""Directions of motion, the lanes near every position, and the likeliest sequence of lanes (Viterbi)."""
+
+import math
+
+import numpy as np
+
+from hid2.kernels.compiled import inner, kernel
+from netconvert.geometry import BoolArray, FloatArray, IntArray
+
+#: Lanes whose width varies leave slivers of ground between them that no lane holds, for each counts with one width.
+SLIVER_M = 0.3
+_OFFSET_SIGMA_M = 1.0
+_HEADING_SIGMA_RAD = 0.35
+#: Costs (negative log likelihoods, up to a constant) of the Viterbi pass.
+_OFF_LANE = 4.5
+_CHANGE = 4.0
+_JUMP = 12.0
+_TO_OFF_LANE = 2.0
+
+
+@kernel()
+def motion_directions(
+    position: FloatArray, heading: FloatArray, first: IntArray, half: int, min_chord: float
+) -> tuple[FloatArray, BoolArray]:
+    """Direction of motion (N,) rad from the chord `half` steps either side, and whether it is at least min_chord m.
+
+    Rows first[a]:first[a + 1] are agent a's. Shorter chords take the direction before them; who stands has its heading.
+    """
+    out = np.empty(len(position))
+    known = np.zeros(len(position), dtype=np.bool_)
+    for a in range(len(first) - 1):
+        start, end = first[a], first[a + 1] - 1
+        last = -1
+        for i in range(start, end + 1):
+            j, k = max(start, i - half), min(end, i + half)
+            dx, dy = position[k, 0] - position[j, 0], position[k, 1] - position[j, 1]
+            if dx * dx + dy * dy >= min_chord * min_chord:
+                out[i] = math.atan2(dy, dx)
+                known[i] = True
+                if last < 0:
+                    for m in range(start, i):
+                        out[m] = out[i]
+                last = i
+            elif last >= 0:
+                out[i] = out[last]
+        if last < 0:
+            out[start : end + 1] = heading[start : end + 1]
+    return out, known
+
+
+@inner
+def project_on_lane(
+    x: float, y: float, points: FloatArray, s: FloatArray, first: int, last: int
+) -> tuple[float, float, float, float]:
+    """(s, d, heading, distance) of the nearest point on points[first:last]; d positive to the left."""
+    best, nearest, share = math.inf, -1, 0.0
+    for k in range(first, last - 1):
+        ax, ay = points[k, 0], points[k, 1]
+        ex, ey = points[k + 1, 0] - ax, points[k + 1, 1] - ay
+        square = ex * ex + ey * ey
+        if square <= 0:
+            continue
+        r = ((x - ax) * ex + (y - ay) * ey) / square
+        r = min(1.0, max(0.0, r))
+        px, py = x - ax - r * ex, y - ay - r * ey
+        distance = px * px + py * py
+        if distance < best:
+            best, nearest, share = distance, k, r
+    if nearest < 0:
+        return 0.0, 0.0, 0.0, math.inf
+    ax, ay = points[nearest, 0], points[nearest, 1]
+    ex, ey = points[nearest + 1, 0] - ax, points[nearest + 1, 1] - ay
+    length = math.sqrt(ex * ex + ey * ey)
+    px, py = x - ax - share * ex, y - ay - share * ey
+    return s[nearest] + share * length, (ex * py - ey * px) / length, math.atan2(ey, ex), math.sqrt(best)
+
+
+@kernel()
+def lane_candidates(
+    position: FloatArray,
+    direction: FloatArray,
+    points: FloatArray,
+    s: FloatArray,
+    first: IntArray,
+    half_width: FloatArray,
+    box: FloatArray,
+    wanted: BoolArray,
+    beyond_m: float,
+    agree: float,
+    most: int,
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray, BoolArray]:
+    """Lane, s, d, cost (N, most) of the lanes near each wanted row, their number (N,), rows against all of them (N,).
+
+    points, s, first, half_width, box: as of `FlatLanes`. agree: largest angle to the direction of motion, rad.
+    """
+    rows = len(position)
+    lane = np.full((rows, most), -1, dtype=np.int64)
+    at_s = np.zeros((rows, most))
+    at_d = np.zeros((rows, most))
+    cost = np.full((rows, most), math.inf)
+    count = np.zeros(rows, dtype=np.int64)
+    against = np.zeros(rows, dtype=np.bool_)
+    for i in range(rows):
+        if not wanted[i]:
+            continue
+        x, y = position[i, 0], position[i, 1]
+        with_lane = False
+        for k in range(len(half_width)):
+            if x < box[k, 0] or y < box[k, 1] or x > box[k, 2] or y > box[k, 3]:
+                continue
+            along, offset, angle, distance = project_on_lane(x, y, points, s, first[k], first[k + 1])
+            if distance > half_width[k] + beyond_m:
+                continue
+            turn = abs(direction[i] - angle) % (2 * math.pi)
+            turn = min(turn, 2 * math.pi - turn)
+            inside = distance <= half_width[k]
+            if turn > agree:
+                if inside and turn > math.pi / 2:
+                    against[i] = True
+                continue
+            with_lane = with_lane or distance <= half_width[k] + SLIVER_M
+            value = 0.5 * (distance / _OFFSET_SIGMA_M) ** 2 + 0.5 * (turn / _HEADING_SIGMA_RAD) ** 2
+            slot = count[i]
+            if slot == most:
+                slot = int(np.argmax(cost[i]))
+                if cost[i, slot] <= value:
+                    continue
+            else:
+                count[i] += 1
+            lane[i, slot], at_s[i, slot], at_d[i, slot], cost[i, slot] = k, along, offset, value
+        against[i] = against[i] and not with_lane
+    return lane, at_s, at_d, cost, count, against
+
+
+@inner
+def _viterbi(
+    start: int,
+    end: int,
+    lane: IntArray,
+    at_s: FloatArray,
+    cost: FloatArray,
+    count: IntArray,
+    link: IntArray,
+    chosen: IntArray,
+) -> None:
+    """Fill chosen[start:end] with the slot of the likeliest lane of each row, -1 for none."""
+    most = lane.shape[1]
+    rows = end - start
+    total = np.full((rows, most + 1), math.inf)
+    back = np.zeros((rows, most + 1), dtype=np.int64)
+    for r in range(rows):
+        i = start + r
+        for c in range(count[i] + 1):
+            is_off = c == count[i]
+            here = _OFF_LANE if is_off else cost[i, c]
+            slot = most if is_off else c
+            if r == 0:
+                total[0, slot] = here
+                continue
+            best, best_from = math.inf, 0
+            for p in range(count[i - 1] + 1):
+                was_off = p == count[i - 1]
+                from_slot = most if was_off else p
+                if was_off and is_off:
+                    move = 0.0
+                elif was_off or is_off:
+                    move = _TO_OFF_LANE
+                else:
+                    kind = link[lane[i - 1, p], lane[i, c]]
+                    move = 0.0 if kind == 0 else _CHANGE if kind == 1 else _JUMP
+                    # the same lane backwards by metres is no driving
+                    if lane[i - 1, p] == lane[i, c] and at_s[i, c] < at_s[i - 1, p] - 5.0:
+                        move = _JUMP
+                if total[r - 1, from_slot] + move < best:
+                    best, best_from = total[r - 1, from_slot] + move, from_slot
+            total[r, slot] = best + here
+            back[r, slot] = best_from
+    slot = int(np.argmin(total[rows - 1]))
+    for r in range(rows - 1, -1, -1):
+        chosen[start + r] = -1 if slot == most else slot
+        slot = back[r, slot]
+
+
+@kernel()
+def likeliest_lanes(
+    agents: IntArray,
+    first: IntArray,
+    lane: IntArray,
+    at_s: FloatArray,
+    cost: FloatArray,
+    count: IntArray,
+    link: IntArray,
+) -> IntArray:
+    """Slot (N,) of the likeliest lane of every row of the agents, -1 for none; link: as of `FlatLanes`."""
+    chosen = np.full(len(lane), -1, dtype=np.int64)
+    for a in agents:
+        _viterbi(first[a], first[a + 1], lane, at_s, cost, count, link, chosen)
+    return chosen
