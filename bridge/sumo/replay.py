@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
 from bridge.sumo.poses import box_poses, sumo_poses
 from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray
+from hid2.kernels.compiled import planner_kernel
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.scene import PlannedVehicle, World
 from netconvert.geometry import wrap_angle
@@ -124,7 +124,7 @@ def in_the_way(world: World, planned: Sequence[PlannedVehicle]) -> BoolArray:
     return met
 
 
-@njit(cache=True)
+@planner_kernel
 def _meet(position, present, path, plan, met):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Set met where it comes about; agents that are set already are passed over."""
     steps = min(present.shape[1], plan.shape[0])

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
 from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.space_time import Follower, SpaceTime, space_time
 from hid2.conflicts.speed_plan import SpeedPlan, accelerations, plan_speed
+from hid2.kernels.compiled import planner_kernel
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.motion.route import DrivenPath
 from hid2.motion.smoothing import SpeedBounds
@@ -156,7 +156,7 @@ def min_leader_ttc_s(occupancy: PathOccupancy, s: FloatArray, v: FloatArray) -> 
     return float(_least_ttc(occupancy.low, occupancy.along, occupancy.aligned, s, v, 1.0))
 
 
-@njit(cache=True)
+@planner_kernel
 def _bounds(low, high, along, aligned, s, margin, ttc, recorded):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """At each step the ends of the room between who is behind and who is ahead, and of the room for s + ttc v."""
     steps = s.size
@@ -178,7 +178,7 @@ def _bounds(low, high, along, aligned, s, margin, ttc, recorded):  # type: ignor
     return lower, upper, need, room
 
 
-@njit(cache=True)
+@planner_kernel
 def _least_ttc(edge, along, aligned, s, v, side):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Smallest TTC to the near edges of those ahead (side 1), or of those behind to the vehicle (side -1)."""
     least = np.inf

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from hid2.agents import FloatArray
+from hid2.kernels.compiled import planner_kernel
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.along_path import PathOccupancy
 
@@ -140,7 +140,7 @@ def space_time(
     )
 
 
-@njit(cache=True)
+@planner_kernel
 def _any_blocked(at, first_step, view):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     row = np.zeros(1, dtype=np.uint8)
     for k in range(at.size):
@@ -150,7 +150,7 @@ def _any_blocked(at, first_step, view):  # type: ignore[no-untyped-def]  # noqa:
     return False
 
 
-@njit(cache=True)
+@planner_kernel
 def _tables(start, end, left, right, view):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Rows `start` to `end` of all three tables, cells `left` to `right`."""
     blocked = np.zeros((end - start, right - left), dtype=np.uint8)
@@ -163,7 +163,7 @@ def _tables(start, end, left, right, view):  # type: ignore[no-untyped-def]  # n
     return blocked, fastest, pushed, followed
 
 
-@njit(cache=True)
+@planner_kernel
 def block_row(row, t, left, right, view) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
     """Whether cells left .. right - 1 are forbidden at step t, into row[0 .. right - left - 1]."""
     cells, step, margin = view.cells, view.cell_m, view.margin_m
@@ -182,7 +182,7 @@ def block_row(row, t, left, right, view) -> None:  # type: ignore[no-untyped-def
             row[i - left] = 1
 
 
-@njit(cache=True)
+@planner_kernel
 def speed_rows(fastest, pushed, followed, t, left, right, view) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
     """Fastest and pushed speed in cells left .. right - 1 at step t, into [0 .. right - left - 1].
 

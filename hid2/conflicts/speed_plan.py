@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from hid2.agents import FloatArray
 from hid2.conflicts.space_time import SpaceTime, block_row, speed_rows
+from hid2.kernels.compiled import planner_kernel
 
 #: Steps of a stage of the search.
 STAGE_STEPS = 5
@@ -107,7 +107,7 @@ def _kept(rounded: int) -> States:
     )
 
 
-@njit(cache=True)
+@planner_kernel
 def _advance(s, v, a, ramp, dt):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """One step at a constant jerk `ramp`; who would roll back stands."""
     then = v + a * dt + 0.5 * ramp * dt * dt
@@ -116,7 +116,7 @@ def _advance(s, v, a, ramp, dt):  # type: ignore[no-untyped-def]  # noqa: ANN001
     return s + v * dt + 0.5 * a * dt * dt + ramp * dt * dt * dt / 6.0, then, a + ramp * dt
 
 
-@njit(cache=True)
+@planner_kernel
 def farthest(view, s0, slowest, fastest, hardest, most, first, steps, dt):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Arc length that nobody gets beyond before step `steps`, m; -inf where others leave no room at some step.
 
@@ -147,7 +147,7 @@ def farthest(view, s0, slowest, fastest, hardest, most, first, steps, dt):  # ty
     return high + fastest * span + 0.5 * most * span * span
 
 
-@njit(cache=True)
+@planner_kernel
 def search(view, desired, ceiling, s0, v0, a0, first, steps, accels, dt, reference, use_reference, memory):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """The search of `plan_speed`, with its arguments; whether there is a profile, s, v, and its cost."""
     cells, step, reaction = view.cells, view.cell_m, view.follower.reaction_mps

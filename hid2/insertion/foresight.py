@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numba import njit
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, Policy, Track
 from hid2.conflicts.cases import DT_S, Prospect
 from hid2.conflicts.speed_plan import SpeedPlan
+from hid2.kernels.compiled import planner_kernel
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.motion.verify import off_road_steps
@@ -420,7 +420,7 @@ def _opposite(side: Side) -> Side:
     return "right" if side == "left" else "left"
 
 
-@njit(cache=True)
+@planner_kernel
 def _approach(desired, s0, v0, steps):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     s, v = np.empty(steps), np.empty(steps)
     s[0], v[0] = s0, v0

@@ -6,13 +6,14 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from hid2.agents import BoxSize
+from hid2.kernels.cells import is_on
+from hid2.kernels.compiled import planner_kernel
+from hid2.kernels.path_intervals import meets
 from hid2.measures.lane_matching import FlatLanes
 from hid2.motion.route import Way
-from hid2.occupancy.along_path import meets
-from hid2.occupancy.sigma import FREE, UNDER_SHARE, CellBoxes, is_on
+from hid2.occupancy.sigma import FREE, UNDER_SHARE, CellBoxes
 from hid2.occupancy.traffic import Traffic
 
 _REASONS: Final = (None, "cells_occupied", "box_too_close")
@@ -50,7 +51,7 @@ def taken(
     return [_REASONS[row] for row in reason.tolist()], at.tolist()
 
 
-@njit(cache=True)
+@planner_kernel
 def _pose(way, s, lanes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """x, y m and heading rad on the middle of a route's lanes; straight on beyond either end."""
     points, lane_s, first = lanes
@@ -63,7 +64,7 @@ def _pose(way, s, lanes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN20
     return points[k, 0] + along * np.cos(heading), points[k, 1] + along * np.sin(heading), heading
 
 
-@njit(cache=True)
+@planner_kernel
 def _any_taken(sigma, boxes, x, y, heading, half_l, half_w):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Whether a box is on any cell that is not free."""
     center, c_heading, c_length, c_width = boxes
@@ -74,7 +75,7 @@ def _any_taken(sigma, boxes, x, y, heading, half_l, half_w):  # type: ignore[no-
     return False
 
 
-@njit(cache=True)
+@planner_kernel
 def _taken(table, begin, which, s0, back, lanes, boxes, sigma, others, length, width, gap):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     position, heading, present, lengths, widths = others
     reason, at = np.empty(s0.size, dtype=np.int64), s0.copy()

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from hid2.agents import FloatArray
 from hid2.conflicts.cases import DT_S, Prospect, plan_accelerations
 from hid2.conflicts.space_time import speed_rows
 from hid2.conflicts.speed_plan import OVER_MPS, SpeedPlan, farthest, search, states
+from hid2.kernels.compiled import planner_kernel
 from hid2.params import Config
 from hid2.policy.turns import RoadSpeeds, reachable
 
@@ -67,7 +67,7 @@ def starts(
     return found
 
 
-@njit(cache=True)
+@planner_kernel
 def _starts(  # type: ignore[no-untyped-def]  # noqa: ANN202
     view, cap, shape, most, s0, cruise, wanted, shares, decel, accel, clear, headway, gentle_from, steps, accels, dt,  # noqa: ANN001
     memory, plans, turn_end, turned_by,  # noqa: ANN001
@@ -108,7 +108,7 @@ def _starts(  # type: ignore[no-untyped-def]  # noqa: ANN202
     return reason, speed, out_s, out_v, cost
 
 
-@njit(cache=True)
+@planner_kernel
 def _gaps_at_start(view, s0, clear, headway, gentle_from):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Whether anybody is nearer than `clear`, m, at step 0, and the speeds, m/s, that the gaps ahead and behind allow.
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
 from hid2.agents import FloatArray
 from hid2.conflicts.cases import DT_S, Prospect, min_leader_ttc_s, priority
+from hid2.kernels.compiled import planner_kernel
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.motion.smoothing import Motion, SpeedBounds, SpeedLimits, Trajectory, poses, smooth_speed
@@ -237,7 +237,7 @@ def _presses_anybody(world: World, candidate: SettledVehicle, known: Sequence[Se
     return False
 
 
-@njit(cache=True)
+@planner_kernel
 def _comes_near(xy, leader_xy, v, leader_v, boxes, ttc):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Whether two are ever so near that one may close in on the other at a critical TTC, wherever they head."""
     for t in range(min(v.size, leader_v.size)):

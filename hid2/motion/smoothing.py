@@ -6,9 +6,9 @@ The lateral half, d(t), is in `lane_change`; it is already part of the reference
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from hid2.agents import FloatArray
+from hid2.kernels.compiled import planner_kernel
 from hid2.motion.reference_line import ReferenceLine
 
 _SPEEDING_WEIGHT = 20.0
@@ -57,7 +57,7 @@ _ITERATIONS_MOST = 60
 _TOLERANCE = 1e-6
 
 
-@njit(cache=True)
+@planner_kernel
 def _programme(target, v_target, bound, v0, a0, step, ttc, jerk_weight, soft):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Interior-point method (Mehrotra) for the nearest motion within bounds; each Newton step is a Riccati recursion.
 
@@ -183,7 +183,7 @@ def _programme(target, v_target, bound, v0, a0, step, ttc, jerk_weight, soft):  
     return False, a
 
 
-@njit(cache=True)
+@planner_kernel
 def _row(i, s, v, a, j, ttc):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Left-hand side of a constraint."""
     if i <= _S_LEAST:
@@ -199,7 +199,7 @@ def _row(i, s, v, a, j, ttc):  # type: ignore[no-untyped-def]  # noqa: ANN001, A
     return j if i == _J_MOST else -j
 
 
-@njit(cache=True)
+@planner_kernel
 def _newton(hess, grad, scale, gain, push, d, step, factor):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Riccati recursion backwards, motion forwards: d (T, 3). factor: gains too, else those of the last call hold."""
     count = d.shape[0]
@@ -288,7 +288,7 @@ def integrate(s0: float, v0: float, accel: FloatArray, *, step_s: float, jerk: f
     return Motion(s=s, v=v, a=a)
 
 
-@njit(cache=True)
+@planner_kernel
 def _integrate(s0, v0, accel, step_s, jerk):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     count = accel.size
     s, v, a = np.empty(count), np.empty(count), np.empty(count)
