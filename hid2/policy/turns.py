@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from hid2.agents import FloatArray, Policy
+from hid2.kernels.compiled import planner_kernel
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.params import Limits, Turn
 from netconvert.lane_graph import TurnType
@@ -106,7 +106,7 @@ def road_speeds(
     return RoadSpeeds(bend=turning, hard=hard_cap(line, limits), shape=shape)
 
 
-@njit(cache=True)
+@planner_kernel
 def reachable(cap, shape, cruise, step, decel, accel):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Backward pass for slowing in time, forward pass for speeding up, both in squares of speed."""
     out = np.empty_like(cap)
