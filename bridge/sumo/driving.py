@@ -275,9 +275,7 @@ class Driving:
         start, limits = vehicle.start, []
         if vehicle.yielding:
             limits.append((-found.decel_mps2, "conflict"))
-        stop = self.stop_lines.braking(
-            vehicle.path, start.box, start.driver, s=state[0], speed_mps=state[1], step=now
-        )
+        stop = self.stop_lines.braking(vehicle.path, start.box, start.driver, s=state[0], speed_mps=state[1], step=now)
         if stop is not None:
             limits.append(stop)
         eased = min(state[2], 0.0) - _BRAKING_JERK_MPS3 * DT_S
@@ -463,7 +461,7 @@ def _note(vehicle: DrivenVehicle, step: int, option: LaneOption, rule: str | Non
             remaining_m=option.remaining_m,
             rule=rule,
             sumo=None,
-        )  # fmt: skip
+        )
     )
     return len(vehicle.gaps) - 1
 

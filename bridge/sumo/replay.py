@@ -65,9 +65,9 @@ class Replay:
             self.traffic.heading[:, 0], self.traffic.length_m,
         )  # fmt: skip
         self._add([row for row in rows if row not in self._in])
-        self.simulation.place_all([
-            (self._names[row], float(xy[row, 0]), float(xy[row, 1]), float(angle[row]), None) for row in rows
-        ])
+        self.simulation.place_all(
+            [(self._names[row], float(xy[row, 0]), float(xy[row, 1]), float(angle[row]), None) for row in rows]
+        )
         for row in rows:
             self._age[row] += 1
 

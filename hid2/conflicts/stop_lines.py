@@ -19,7 +19,7 @@ _PASSED_M = 0.3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StopLine:
-    """Where the centre of a vehicle has to stand at the latest, m on its path, at the steps (T,) at which it is closed."""
+    """Where a vehicle's centre has to stand at the latest, m on its path, at the steps (T,) at which it is closed."""
 
     stop_s: float
     closed: BoolArray
@@ -53,9 +53,11 @@ class StopLines:
                 red = self._signals.red(segment.lane_id) if segment.lane_start < 1.0 else None
                 if red is not None and red.any():
                     found.append(StopLine(segment.start - before, red, "signal"))
-            for crossing in self._crossings.on(path, width_m=box.width_m):
-                if crossing.occupied.any():
-                    found.append(StopLine(crossing.entry_s - before, crossing.occupied, "crossing"))
+            found.extend(
+                StopLine(crossing.entry_s - before, crossing.occupied, "crossing")
+                for crossing in self._crossings.on(path, width_m=box.width_m)
+                if crossing.occupied.any()
+            )
             self._known[key] = sorted(found, key=lambda line: line.stop_s)
         return self._known[key]
 

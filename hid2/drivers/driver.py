@@ -113,4 +113,6 @@ def lane_offset(driver: Driver, config: Config, rng: np.random.Generator, *, len
     for row in range(1, count):
         value[row] = kept * value[row - 1] + np.sqrt(1.0 - kept * kept) * rng.standard_normal()
     offset = driver.offset_m + law.lateral_wander_sd_m * np.clip(value, -_TRUNCATED_AT, _TRUNCATED_AT)
-    return LaneOffset(np.asarray(knots, dtype=np.float64), offset, np.asarray(np.gradient(offset, knots), dtype=np.float64))
+    return LaneOffset(
+        np.asarray(knots, dtype=np.float64), offset, np.asarray(np.gradient(offset, knots), dtype=np.float64)
+    )

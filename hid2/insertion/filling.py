@@ -255,7 +255,7 @@ class Filling:
                 cell.index,
                 max(0, len(vehicle.s) - 1),
                 detail,
-            )  # fmt: skip
+            )
         )
         if reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT):
             self._last_reason[start.request.number] = reason

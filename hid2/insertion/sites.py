@@ -243,8 +243,8 @@ class InsertionSites:
         road = self.roads.speeds(start.path, driver)
         fleet = np.array([[s, speed, 0.0, 0.0, 1.0]])
         found = self.guard.braking(
-            obstacles, own=0, step=0, fleet=fleet, state=(s, speed, 0.0), desired_mps=float(start.desired[0]), road=road,
-            driver=driver, horizon_s=(self.scene.num_steps - 1) * DT_S,
+            obstacles, own=0, step=0, fleet=fleet, state=(s, speed, 0.0), desired_mps=float(start.desired[0]),
+            road=road, driver=driver, horizon_s=(self.scene.num_steps - 1) * DT_S,
         )  # fmt: skip
         if found.run_into:
             return Reason.TTC_RECORDED_FOLLOWER

@@ -23,30 +23,14 @@ F = TypeVar("F", bound=Callable[..., Any])
 KERNELS: list[tuple[Any, tuple[str, ...]]] = []
 
 _ROOM = Path(__file__).parent
-#: Compiled code outside of this room, which calls kernels: it goes with the planner that it belongs to.
-PLANNER = tuple(
-    _ROOM.parents[1] / name
-    for name in (
-        "bridge/sumo/replay.py",
-        "hid2/conflicts/cases.py",
-        "hid2/conflicts/space_time.py",
-        "hid2/conflicts/speed_plan.py",
-        "hid2/insertion/foresight.py",
-        "hid2/insertion/free_places.py",
-        "hid2/insertion/starts.py",
-        "hid2/motion/repair.py",
-        "hid2/motion/smoothing.py",
-        "hid2/policy/turns.py",
-    )
-)
 
 
 def digest(sources: Iterable[Path]) -> str:
     """Of the contents of files."""
-    return hashlib.sha256(b"\0".join(source.read_bytes() for source in sources if source.exists())).hexdigest()
+    return hashlib.sha256(b"\0".join(source.read_bytes() for source in sources)).hexdigest()
 
 
-_SOURCES = digest([*sorted(_ROOM.glob("*.py")), *PLANNER])
+_SOURCES = digest(sorted(_ROOM.glob("*.py")))
 
 
 def stamp() -> Path | None:
@@ -98,7 +82,3 @@ def kernel(*signatures: str) -> Callable[[F], F]:
 def inner(function: F) -> F:
     """Compile a function that kernels call. It is kept as a part of them, not by itself."""
     return cast(F, njit(function))
-
-
-#: For the compiled code of PLANNER, which has no types.
-planner_kernel: Callable[[Any], Any] = kernel()

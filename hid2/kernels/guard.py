@@ -1,13 +1,15 @@
 """Compiled loops of conflict case 3: predicted motion in the space-time (ST) graph of one path."""
 
 import numpy as np
-from numba import njit
+
+from hid2.kernels.compiled import inner, kernel
+from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 _BRAKING_LASTS_S = 1.0  # that a generated vehicle which brakes now is predicted to brake on
 
 
-@njit(cache=True)
-def predicted_s(s, v, a, ahead_s):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@inner
+def predicted_s(s: float, v: float, a: float, ahead_s: float) -> float:
     """Arc length of a vehicle ahead_s from now: constant speed, or braking on for a second and then constant speed."""
     if a >= 0.0:
         return s + v * ahead_s
@@ -16,9 +18,10 @@ def predicted_s(s, v, a, ahead_s):  # type: ignore[no-untyped-def]  # noqa: ANN0
     return s + v * braking + 0.5 * a * braking * braking + slower * (ahead_s - braking)
 
 
-@njit(cache=True)
-def _has_priority(low, s, own_s, j_executing, own_executing, j_row, own_row, step_m):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Whether another generated vehicle goes first (case 2), metres to the cell that both want; low (K,) on its way."""
+@inner
+def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: float, step_m: float) -> bool:
+    """Whether generated vehicle j goes first (case 2), metres to the cell that both want; low (K,) on its way."""
+    s, executing, own_executing = fleet[j, 0], fleet[j, 3] > 0.0, fleet[own, 3] > 0.0
     first = int(s / step_m)
     for k in range(max(first, 0), low.size):
         if low[k] != np.inf:
@@ -27,28 +30,34 @@ def _has_priority(low, s, own_s, j_executing, own_executing, j_row, own_row, ste
                 return True  # it is there
             if mine <= 0.0:
                 return False
-            if j_executing != own_executing:
-                return j_executing
+            if executing != own_executing:
+                return executing
             if abs(theirs - mine) > 0.5:
                 return theirs < mine
-            return j_row < own_row
+            return j < own
     return True
 
 
-@njit(cache=True)
-def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201
-    known, swept, rows, fleet, own, t, s0, v0, a0, desired_mps, road, road_step, table_step, horizon, stride, step_s,
-    driver, brakes, jerk, margin,  # noqa: ANN001
-):  # fmt: skip
+@kernel(
+    "(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[:,:,::1], i8[::1], f8[:,::1], i8, i8, UniTuple(f8, 3), f8,"
+    " f8[::1], f8, f8, i8, i8, f8, UniTuple(f8, 4), f8[::1], f8, f8)"
+)
+def needed_braking(
+    low: FloatArray, high: FloatArray, along: FloatArray, aligned: BoolArray, swept: FloatArray, rows: IntArray,
+    fleet: FloatArray, own: int, t: int, start: tuple[float, float, float], desired_mps: float,
+    road: FloatArray, road_step: float, table_step: float, horizon: int, stride: int, step_s: float,
+    driver: tuple[float, float, float, float], brakes: FloatArray, jerk: float, margin: float,
+) -> tuple[int, int, int, int, float, bool]:  # fmt: skip
     """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) whose predicted motion meets nobody.
 
-    known: low, high, along (A, T) and aligned (A, T) of agents whose future is known; swept: low, high, cosine (G, K) of
-    generated vehicles by their own arc length, of rows (G,) of fleet (N, 5): s, v, a, executing, present. Returns
+    low, high, along, aligned (A, T): agents whose future is known, as in `PathOccupancy`. swept (3, G, K): low, high,
+    cosine of generated vehicles by their own arc length, of rows (G,) of fleet (N, 5): s, v, a, executing, present.
+    start: own s, v, a; driver: tau s, acceleration, deceleration m/s2, gap at standstill m. Returns
     (row of brakes, step of its first conflict or -1, step of the first conflict without braking or -1, fleet row of
     the nearest generated leader or -1, gap to it m, whether some known agent comes up from behind).
     """
-    low, high, along, aligned = known
     g_low, g_high, g_cos = swept
+    s0, v0, a0 = start
     tau, accel, decel, min_gap = driver
     hardest = 1.4 * decel
     agents, steps = low.shape
@@ -66,7 +75,7 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201
                 if lo == np.inf:
                     continue
                 hi = high[a, now]
-                if (lo < s + 0.0 < hi and k > 0) or (lo - margin < s < hi and k > 0 and not aligned[a, now]):
+                if (lo < s < hi and k > 0) or (lo - margin < s < hi and k > 0 and not aligned[a, now]):
                     if (aligned[a, now] or along[a, now] > 1.0) and s > 0.5 * (lo + hi):
                         run_into = run_into or row == 0
                         continue
@@ -86,18 +95,17 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201
                     if g_cos[g, at] > 0.7:
                         if s > 0.5 * (lo + hi):
                             continue  # it follows: its driver's business
-                        if lo - s < gap_least and _has_priority(
-                            g_low[g], fleet[j, 0], s0, fleet[j, 3] > 0.0, fleet[own, 3] > 0.0, j, own, table_step
-                        ):
+                        if lo - s < gap_least and _has_priority(g_low[g], fleet, j, own, s0, table_step):
                             gap_least, closing = lo - s, v - fleet[j, 1] * g_cos[g, at]
                             if k == 0 and row == 0:
                                 leader, leader_gap = j, lo - s
-                    elif lo - margin < s < hi + margin and k > 0:
-                        if _has_priority(
-                            g_low[g], fleet[j, 0], s0, fleet[j, 3] > 0.0, fleet[own, 3] > 0.0, j, own, table_step
-                        ):
-                            met = True
-                            break
+                    elif (
+                        lo - margin < s < hi + margin
+                        and k > 0
+                        and _has_priority(g_low[g], fleet, j, own, s0, table_step)
+                    ):
+                        met = True
+                        break
             if met:
                 hit = k * stride
                 break
