@@ -481,7 +481,7 @@ def _note(vehicle: DrivenVehicle, step: int, option: LaneOption, rule: str | Non
             remaining_m=option.remaining_m,
             rule=rule,
             sumo=None,
-        )  # fmt: skip
+        )
     )
     return len(vehicle.gaps) - 1
 

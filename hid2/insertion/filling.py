@@ -220,9 +220,7 @@ class Filling:
             one for one in new if one.driven.vehicle_id not in gone and one.driven.policy is Policy.STRAIGHT
         ]  # fmt: skip
         surplus = len(self.kept) + sum(one.driven.vehicle_id not in gone for one in new) - target
-        order = sorted(
-            holding, key=lambda one: (one.driven.vehicle_id in waited_for, -one.driven.start.request.number)
-        )
+        order = sorted(holding, key=lambda one: (one.driven.vehicle_id in waited_for, -one.driven.start.request.number))
         for one in order[: max(surplus, 0)]:
             gone[one.driven.vehicle_id] = one.driven, Reason.SPARE, None
 
@@ -256,7 +254,7 @@ class Filling:
                 cell.index,
                 max(0, len(vehicle.s) - 1),
                 detail,
-            )  # fmt: skip
+            )
         )
         if reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE):
             if self.scene.config.request.sites == "promising":

@@ -28,7 +28,7 @@ _AFTER_END_M, _AFTER_END_SPARE_S = 120.0, 0.1
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ExportedVehicle:
-    """A vehicle as it is exported: steps 0 .. T_i - 1. simulated_off_m (T_i,): exported s(t) minus the simulated one."""
+    """A vehicle as it is exported: steps 0 .. T_i - 1. simulated_off_m (T_i,): exported s(t) minus that of SUMO."""
 
     driven: DrivenVehicle
     motion: Motion

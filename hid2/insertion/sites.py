@@ -258,9 +258,7 @@ class InsertionSites:
             self._obstacles[key] = self.guard.obstacles(path, box, [])
         return self._obstacles[key]
 
-    def _admitted_speed(
-        self, path: DrivenPath, box: BoxSize, s: float, speed: float, driver: Driver
-    ) -> float | Reason:
+    def _admitted_speed(self, path: DrivenPath, box: BoxSize, s: float, speed: float, driver: Driver) -> float | Reason:
         """Speed that who is ahead allows, m/s, at most the one wished for; or why nobody can begin there."""
         conflict, spawn = self.scene.config.conflict, self.scene.config.spawn
         obstacles, wished = self._obstacles_on(path, box), speed
