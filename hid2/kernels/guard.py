@@ -21,7 +21,9 @@ def predicted_s(s: float, v: float, a: float, ahead_s: float) -> float:
 @inner
 def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: float, step_m: float) -> bool:
     """Whether generated vehicle j goes first (case 2), metres to the cell that both want; low (K,) on its way."""
-    s, executing, own_executing = fleet[j, 0], fleet[j, 3] > 0.0, fleet[own, 3] > 0.0
+    s = fleet[j, 0]
+    executing: bool = fleet[j, 3] > 0.0
+    own_executing: bool = fleet[own, 3] > 0.0
     first = int(s / step_m)
     for k in range(max(first, 0), low.size):
         if low[k] != np.inf:
@@ -33,7 +35,7 @@ def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: f
             if executing != own_executing:
                 return executing
             if abs(theirs - mine) > 0.5:
-                return theirs < mine
+                return bool(theirs < mine)
             return j < own
     return True
 
