@@ -69,7 +69,9 @@ def stop_ahead(
 @inner
 def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: float, step_m: float) -> bool:
     """Whether generated vehicle j goes first (case 2), metres to the cell that both want; low (K,) on its way."""
-    s, executing, own_executing = fleet[j, 0], fleet[j, 3] > 0.0, fleet[own, 3] > 0.0
+    s = fleet[j, 0]
+    executing: bool = fleet[j, 3] > 0.0
+    own_executing: bool = fleet[own, 3] > 0.0
     first = int(s / step_m)
     for k in range(max(first, 0), low.size):
         if low[k] != np.inf:
