@@ -96,3 +96,6 @@ if ! grep -qxF "$made ${1:-}" .venv/.hid2 2>/dev/null; then
     printf '%s\n' "$place" "$made " "$made ${1:-}" >.venv/.hid2
 fi
 .venv/bin/python -c 'import libsumo' >/dev/null || fail "SUMO's library cannot be loaded (see above)"
+# Compiled once, so that no scene waits for it; says so where there is something to compile.
+.venv/bin/python -m compileall -q netconvert hid2 bridge >/dev/null || true
+.venv/bin/python -m hid2.kernels.compile || fail "the loops of hid2/kernels cannot be compiled (see above)"

@@ -103,8 +103,8 @@ def generate(
         raise typer.Exit(_reproduce(repro, out))
     if not scenes or out is None:
         raise typer.BadParameter("want SCENE... and -o OUT (or --repro BUNDLE)")
-    from bridge.batch.scan import Selection
     from bridge.config import load_config, parse_behaviours, parse_trigger_time
+    from bridge.recordings.folders import find_sources
 
     flags: dict[str, object] = {
         "request.agents": None if agents is None else _agents(agents),
@@ -117,8 +117,12 @@ def generate(
     flags |= parse_behaviours(behaviours) if behaviours is not None else {}
     flags |= parse_trigger_time(trigger_time) if trigger_time is not None else {}
     resolved = load_config(config, settings, {key: value for key, value in flags.items() if value is not None})
-    selection = Selection(min_agents, tuple(city), tuple(split), tuple(can), sample, resolved.request.seed)
-    folders = _select(scenes, selection, jobs=jobs, quiet=quiet)
+    folders = find_sources(scenes)
+    if min_agents or city or split or can or sample:  # else nothing need be imported that reads scenes
+        from bridge.batch.scan import Selection
+
+        selection = Selection(min_agents, tuple(city), tuple(split), tuple(can), sample, resolved.request.seed)
+        folders = _select(folders, selection, jobs=jobs, quiet=quiet)
 
     from bridge.batch.batch import Options, plan, run_batch
     from bridge.batch.manifest import DONE
@@ -430,15 +434,11 @@ def _about(folder: Path, reason: str) -> str:
     return reason if reason.startswith(str(folder)) else f"{folder}: {reason}"
 
 
-def _select(paths: Sequence[Path], selection: "Selection", *, jobs: int, quiet: bool) -> list[Path]:
-    """The recorded scenes at `paths` that are wanted. Errors: ConfigError where there is none."""
+def _select(folders: Sequence[Path], selection: "Selection", *, jobs: int, quiet: bool) -> list[Path]:
+    """The scenes that are wanted. Errors: ConfigError where there is none."""
     from bridge.batch.scan import facts_of, wanted
     from bridge.console import Counter, say
-    from bridge.recordings.scenario import find_sources
 
-    folders = find_sources(paths)
-    if not selection.needs_facts:
-        return folders
     with Counter("scanning", quiet=quiet) as counter:
         facts, failures = facts_of(folders, jobs=jobs, on_scene=counter.show)
     for folder, reason in failures:

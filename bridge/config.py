@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from hid2.agents import Policy
 from hid2.params import Config
+from hid2.policies import Policy
 from netconvert.errors import ConfigError
 
 

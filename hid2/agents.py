@@ -2,23 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
 
+from hid2.policies import Policy as Policy
+
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-
-
-class Policy(StrEnum):
-    """The paper's policy_i (section Agent Policy)."""
-
-    STRAIGHT = "straight"
-    LEFT_TURN = "left_turn"
-    RIGHT_TURN = "right_turn"
-    LANE_CHANGE = "lane_change"
-    OVERTAKE = "overtake"
 
 
 class BoxSize(tuple[float, float]):

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from hid2.agents import Policy
+from hid2.policies import Policy
 
 
 def _param(default: Any, unit: str, source: str, **bounds: Any) -> Any:  # noqa: ANN401

@@ -56,7 +56,10 @@ class Shift:
 
 @dataclass(frozen=True, slots=True)
 class GapLook:
-    """One look at a gap: what was seen at a step, and the answers. rule: reason of hid2, None for yes; sumo: its answer."""
+    """One look at a gap: what was seen at a step, and the answers.
+
+    rule: reason of hid2, None for yes; sumo: its answer.
+    """
 
     step: int
     side: Side

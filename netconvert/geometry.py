@@ -1,9 +1,7 @@
 """Polylines (arc length, resampling, Frenet coordinates) and oriented boxes, all in the plane."""
 
-import math
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -20,15 +18,8 @@ def arc_length(points: FloatArray) -> FloatArray:
 
     points: (N, 2) m. Returns (N,) m, starting at 0.
     """
-    return _arc_length(points)  # type: ignore[no-any-return]
-
-
-@numba.njit(cache=True)
-def _arc_length(points):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    length = np.zeros(points.shape[0])
-    for k in range(1, points.shape[0]):
-        length[k] = length[k - 1] + math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1])
-    return length
+    steps = points[1:] - points[:-1]
+    return np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
 
 
 def resample(points: FloatArray, *, step_m: float) -> FloatArray:
@@ -50,21 +41,11 @@ def differences(values: FloatArray, step: float) -> FloatArray:
 
     values: (T, ...) at equal steps; zeros for a single one.
     """
-    columns = np.ascontiguousarray(values, dtype=np.float64).reshape(len(values), -1)
-    slope = np.empty_like(columns)
-    for k in range(columns.shape[1]):
-        slope[:, k] = slopes(columns[:, k], step)
-    return slope.reshape(values.shape)
-
-
-@numba.njit(cache=True)
-def slopes(values, step):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """`differences` of one quantity (T,), for compiled loops."""
-    count = values.size
-    slope = np.zeros(count)
-    for t in range(count if count > 1 else 0):
-        before, after = max(t - 1, 0), min(t + 1, count - 1)
-        slope[t] = (values[after] - values[before]) / ((after - before) * step)
+    slope = np.zeros(values.shape)
+    if len(values) > 1:
+        slope[1:-1] = (values[2:] - values[:-2]) / (2 * step)
+        slope[0] = (values[1] - values[0]) / step
+        slope[-1] = (values[-1] - values[-2]) / step
     return slope
 
 
@@ -89,50 +70,6 @@ def box_corners(
     x = center[..., 0, None] + cos * along - sin * across
     y = center[..., 1, None] + sin * along + cos * across
     return np.stack(np.broadcast_arrays(x, y), axis=-1)
-
-
-def boxes_overlap(corners_a: FloatArray, corners_b: FloatArray) -> BoolArray:
-    """Whether boxes share ground, by the separating axis theorem; boxes that only touch do not.
-
-    corners_a, corners_b: (..., 4, 2) m as box_corners gives them, broadcast against each other. Returns (...) bool.
-    """
-    shape = np.broadcast_shapes(corners_a.shape[:-2], corners_b.shape[:-2])
-    apart = np.zeros(shape, dtype=np.bool_)
-    for corners in (corners_a, corners_b):
-        for first, second in ((0, 1), (1, 2)):
-            axis = corners[..., first, :] - corners[..., second, :]
-            a = np.einsum("...ij,...j->...i", corners_a, axis)
-            b = np.einsum("...ij,...j->...i", corners_b, axis)
-            apart |= (a.max(axis=-1) <= b.min(axis=-1)) | (b.max(axis=-1) <= a.min(axis=-1))
-    return ~apart
-
-
-@numba.njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _project(points, s, xy, out_s, out_d):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Nearest point of the polyline for each row of xy; past an end, along the tangent of that end."""
-    last = points.shape[0] - 2
-    for i in range(xy.shape[0]):
-        x, y = xy[i, 0], xy[i, 1]
-        best = np.inf
-        for k in range(last + 1):
-            dx = points[k + 1, 0] - points[k, 0]
-            dy = points[k + 1, 1] - points[k, 1]
-            square = dx * dx + dy * dy
-            px, py = x - points[k, 0], y - points[k, 1]
-            along = (px * dx + py * dy) / square
-            clipped = min(max(along, 0.0), 1.0)
-            ex, ey = px - clipped * dx, py - clipped * dy
-            distance = ex * ex + ey * ey
-            if distance < best:
-                best = distance
-                length = np.sqrt(square)
-                cross = dx * py - dy * px
-                if (k == 0 and along < 0.0) or (k == last and along > 1.0):
-                    out_s[i] = s[k] + along * length
-                    out_d[i] = cross / length
-                else:
-                    out_s[i] = s[k] + clipped * length
-                    out_d[i] = np.sqrt(distance) if cross >= 0.0 else -np.sqrt(distance)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -198,9 +135,21 @@ class Polyline:
         Past an end of the line, s and d are those of the line's straight extension: s < 0 or s > length_m.
         """
         xy = np.ascontiguousarray(np.asarray(xy, dtype=np.float64).reshape(-1, 2))
-        s, d = np.full(len(xy), np.nan), np.full(len(xy), np.nan)
-        _project(self.points, self.s, xy, s, d)
-        return s, d
+        start, step = self.points[:-1], self.points[1:] - self.points[:-1]
+        square = step[:, 0] * step[:, 0] + step[:, 1] * step[:, 1]
+        from_start = xy[:, None] - start  # (M, N - 1, 2)
+        along = (from_start[..., 0] * step[:, 0] + from_start[..., 1] * step[:, 1]) / square
+        clipped = np.clip(along, 0.0, 1.0)
+        off = from_start - clipped[..., None] * step
+        distance = off[..., 0] * off[..., 0] + off[..., 1] * off[..., 1]
+        rows, nearest = np.arange(len(xy)), np.argmin(distance, axis=1)
+        along, clipped, from_start = along[rows, nearest], clipped[rows, nearest], from_start[rows, nearest]
+        length, direction = np.sqrt(square[nearest]), step[nearest]
+        cross = direction[:, 0] * from_start[:, 1] - direction[:, 1] * from_start[:, 0]
+        beyond = ((nearest == 0) & (along < 0.0)) | ((nearest == len(step) - 1) & (along > 1.0))
+        aside = np.sqrt(distance[rows, nearest])
+        s = self.s[nearest] + np.where(beyond, along, clipped) * length
+        return s, np.where(beyond, cross / length, np.where(cross >= 0.0, aside, -aside))
 
     def _segment(self, s: FloatArray) -> npt.NDArray[np.int64]:
         """Index of the segment that holds each s, of the one ahead where two meet."""

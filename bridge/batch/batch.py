@@ -30,7 +30,7 @@ from bridge.batch.manifest import (
 from bridge.batch.quarantine import Bundle, read_bundle, write_bundle
 from bridge.config import config_sha256
 from bridge.files import explained
-from bridge.recordings.scenario import SPLITS, source_id, split_of
+from bridge.recordings.folders import SPLITS, source_id, split_of
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError
 

@@ -28,7 +28,7 @@ from typing import IO, Any, Literal
 
 from netconvert.errors import Hid2Error
 
-#: Seconds for a new process to import what the work needs (numba may compile on the first start).
+#: Seconds for a new process to import what the work needs, and to compile kernels that set-up has not compiled.
 START_TIMEOUT_S = 180.0
 #: Seconds that a process which ran out of time has to end itself before it is killed.
 GRACE_S = 3.0
@@ -41,6 +41,8 @@ _COLLECT = (5_000, 20, 20)
 
 _SERVE = "from bridge.batch.isolation import serve; serve()"
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+#: pydantic would ask every installed distribution whether it has a plugin.
+_NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "1"}
 
 FailureKind = Literal["error", "exception", "crashed", "killed", "timeout"]
 
@@ -130,7 +132,7 @@ class IsolatedProcess:
         self.close()
         here, there = Pipe(duplex=True)
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115  # closed in close()
-        environment = os.environ | _ONE_THREAD | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        environment = os.environ | _ONE_THREAD | _NO_PLUGINS | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         command = [sys.executable, "-P", "-X", "faulthandler", "-c", _SERVE, str(there.fileno())]
         self._process = subprocess.Popen(
             command,
@@ -190,8 +192,33 @@ def resolve(function: str) -> Callable[..., Iterator[Any]]:
     return found
 
 
+class _NoPandas:
+    """Finds that there is no pandas."""
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> None:
+        """Errors: ImportError for pandas."""
+        del path, target
+        if name == "pandas":
+            raise ImportError(name)
+
+
+def leave_pandas_out() -> None:
+    """Let pyarrow believe that there is no pandas: with its first array it would import it, which nothing here needs.
+
+    Half a second of every process. pyarrow asks once and remembers.
+    """
+    import pyarrow as pa
+
+    finder: Any = _NoPandas()
+    sys.meta_path.insert(0, finder)
+    pa.array([0])
+    sys.meta_path.remove(finder)
+
+
 def serve() -> None:
     """Run in the child: answer calls until the caller goes away."""
+    leave_pandas_out()
     connection: Connection[Any, Any] = Connection(int(sys.argv[1]))
     threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)

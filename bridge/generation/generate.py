@@ -1,4 +1,4 @@
-"""One recording -> one denser recording: request, site, driver, [observe, decide, act, step], smooth, verify, export."""
+"""One recording -> a denser one: request, site, driver, [observe, decide, act, step], smooth, verify, export."""
 
 import tempfile
 import zlib
@@ -128,15 +128,9 @@ class _Rounds:
         """One simulation. The first one replays every recorded agent and compares; later ones those on the grid."""
         rows = None if number == 0 else np.flatnonzero(self._scene.occupancy.mapped.any(axis=1))
         driving = Driving(
-            self._scene,
-            self._simulation,
-            starts,
-            fixed,
-            self._filling.roads,
-            self._filling.stop_lines,
-            rows=rows,
-            checked=number == 0,
-        )
+            self._scene, self._simulation, starts, fixed, self._filling.roads, self._filling.stop_lines,
+            rows=rows, checked=number == 0,
+        )  # fmt: skip
         vehicles = driving.run()
         if number == 0:
             self.errors = driving.replay_errors

@@ -1,10 +1,8 @@
 """Argoverse 2 motion-forecasting scenarios: parquet and map of a folder -> tracks, lane graph, untouched rows."""
 
 import csv
-import fnmatch
 import io
-import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,18 +13,18 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN
+from bridge.recordings.folders import SPLITS as SPLITS
+from bridge.recordings.folders import find_scenarios as find_scenarios
+from bridge.recordings.folders import find_sources as find_sources
+from bridge.recordings.folders import source_id as source_id
+from bridge.recordings.folders import split_of as split_of
 from bridge.recordings.sidecar import read_sidecar, sidecar_path
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Track
 from netconvert.av2_map import read_lane_graph
 from netconvert.errors import MapError, NoSceneError, ScenarioError
 from netconvert.lane_graph import LaneGraph
 
-_LOG = logging.getLogger(__name__)
-#: Names of the two files of a scenario folder.
-_PARQUET, _MAP = "scenario_*.parquet", "log_map_archive_*.json"
-
-#: Names of the folders of a data-set root.
-SPLITS = ("train", "val", "test")
 #: Seconds from one timestep to the next.
 STEP_S = 0.1
 #: The last observed timestep: a track that is predicted is present here.
@@ -98,55 +96,6 @@ class Rows(NamedTuple):
     tracks: tuple[Track, ...]
 
 
-def find_scenarios(path: Path) -> list[Path]:
-    """Scenario folders at path, sorted: a scenario folder itself, those of a split folder, or of a data-set root.
-
-    Errors: NoSceneError where there is none.
-    """
-    if not path.is_dir():
-        raise NoSceneError(f"{path}: no such folder, want a scenario folder, a split folder or a data-set root")
-    if _is_scenario_folder(path):
-        return [path]
-    children = _subfolders(path)
-    found = [child for child in children if _is_scenario_folder(child)]
-    splits = [child for child in children if not _is_scenario_folder(child)]
-    found += [folder for child in splits for folder in _subfolders(child) if _is_scenario_folder(folder)]
-    if not found:
-        raise NoSceneError(f"{path}: no scenario here, want scenario_<id>.parquet in it or one or two folders below")
-    return sorted(found)
-
-
-def find_sources(paths: Sequence[Path]) -> list[Path]:
-    """Folders of recorded scenes at all paths, each once. Those that hid2 wrote are passed over, which is logged.
-
-    Errors: NoSceneError where a path holds none.
-    """
-    found: dict[Path, Path] = {}  # by where it really is
-    for path in paths:
-        folders = find_scenarios(path)
-        recorded = [folder for folder in folders if not _is_generated(folder)]
-        if not recorded:
-            raise NoSceneError(f"{path}: only scenes that hid2 wrote (hid2_<id>.json is in them), want recorded ones")
-        if len(recorded) < len(folders):
-            passed_over = len(folders) - len(recorded)
-            _LOG.warning("%s: %d of %d scenes passed over, which hid2 wrote", path, passed_over, len(folders))
-        for folder in recorded:
-            found.setdefault(folder.resolve(), folder)
-    return list(found.values())
-
-
-def source_id(folder: Path) -> str:
-    """Scenario id by the names of a folder's files; the folder's own name where none tells it."""
-    ids = [path.stem.removeprefix("scenario_") for path in folder.glob(_PARQUET)]
-    return ids[0] if len(ids) == 1 else folder.name
-
-
-def split_of(folder: Path) -> str | None:
-    """Split that a scene is in: the name of the folder above, as it is named here or, behind links, as it really is."""
-    parents = folder.absolute().parent, folder.resolve().parent
-    return next((parent.name for parent in parents if parent.name in SPLITS), None)
-
-
 def read_scenario(folder: Path) -> Scenario:
     """Read scenario_<id>.parquet, log_map_archive_<id>.json and the sizes that lie beside them.
 
@@ -155,8 +104,8 @@ def read_scenario(folder: Path) -> Scenario:
     """
     if not folder.is_dir():
         raise NoSceneError(f"{folder}: no such folder, want a scenario folder")
-    parquet_path = _only_file(folder, _PARQUET, ScenarioError)
-    map_path = _only_file(folder, _MAP, MapError)
+    parquet_path = _only_file(folder, PARQUET_PATTERN, ScenarioError)
+    map_path = _only_file(folder, MAP_PATTERN, MapError)
     table = read_table(parquet_path)
     rows = split_rows(table, name=str(parquet_path), sizes=read_sizes(folder))
     return Scenario(
@@ -286,28 +235,6 @@ class _Where:
 
     def __call__(self, row: int) -> str:
         return f"{self._name}: track {self._ids[self._code[row]]!r}, timestep {self._timestep[row]}"
-
-
-def _names(folder: Path) -> list[str]:
-    """Names in a folder. One that may not be read, as at the root of a disk, is logged: it holds no scenes."""
-    try:
-        return [entry.name for entry in folder.iterdir()]
-    except OSError as error:
-        _LOG.warning("%s: cannot be read (%s)", folder, error.strerror or error)
-        return []
-
-
-def _is_scenario_folder(folder: Path) -> bool:
-    names = _names(folder)
-    return any(fnmatch.filter(names, pattern) for pattern in (_PARQUET, _MAP))
-
-
-def _is_generated(folder: Path) -> bool:
-    return any(folder.glob(sidecar_path(folder, "*").name))
-
-
-def _subfolders(path: Path) -> list[Path]:
-    return sorted(path / name for name in _names(path) if not name.startswith(".") and (path / name).is_dir())
 
 
 def _only_file(folder: Path, pattern: str, error: type[ScenarioError | MapError]) -> Path:

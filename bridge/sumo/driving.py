@@ -1,6 +1,6 @@
 """Observe, decide, act, step: vehicles driven by SUMO's car following and steered by Algorithm 1 through libsumo."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -55,6 +55,21 @@ class _Attempt:
 
 
 @dataclass(eq=False, slots=True)
+class _Lazy:
+    """The fleet as it is now, put together when somebody first asks."""
+
+    make: Callable[[], Traffic]
+    _made: Traffic | None = None
+
+    @property
+    def value(self) -> Traffic:
+        """The same for all who ask at this step."""
+        if self._made is None:
+            self._made = self.make()
+        return self._made
+
+
+@dataclass(eq=False, slots=True)
 class Driving:
     """One simulation of vehicles that start together, among the recorded ones and those kept in rounds before.
 
@@ -106,7 +121,7 @@ class Driving:
         for step in range(scene.num_steps):
             attempts: list[_Attempt] = []
             if step > 0:
-                fleet = self._fleet()
+                fleet = _Lazy(self._fleet)
                 for row, vehicle in enumerate(self.vehicles):
                     if vehicle.running:
                         attempts += self._steer(row, vehicle, step - 1, fleet)
@@ -215,7 +230,7 @@ class Driving:
             width_m=np.array([self.vehicles[row].start.box.width_m for row in rows]),
         )  # fmt: skip
 
-    def _steer(self, row: int, vehicle: DrivenVehicle, now: int, fleet: Traffic) -> list[_Attempt]:
+    def _steer(self, row: int, vehicle: DrivenVehicle, now: int, fleet: "_Lazy") -> list[_Attempt]:
         """Decide at step `now`, limit the speed where SUMO is blind, and pass both on for the coming step."""
         s, v = vehicle.s[-1], vehicle.v[-1]
         if vehicle.path.shifts and vehicle.stage in (Stage.ENTER, Stage.RETURN) and s >= vehicle.path.shifts[-1][1]:
@@ -288,7 +303,7 @@ class Driving:
         near = found.leader_gap_m < 2.0 * start.driver.tau_s * state[1] + 2.0 * start.driver.min_gap_m
         return near and state[2] < -_SLOWS_MPS2
 
-    def _decide(self, row: int, vehicle: DrivenVehicle, now: int, fleet: Traffic) -> list[_Attempt]:
+    def _decide(self, row: int, vehicle: DrivenVehicle, now: int, fleet: "_Lazy") -> list[_Attempt]:
         """Algorithm 1 for one vehicle at one step: what it observes, the decision, and what is asked of SUMO."""
         config, request = self.scene.config, vehicle.start.request
         time_s, change = now * DT_S, config.lane_change
@@ -298,11 +313,12 @@ class Driving:
             vehicle.stage, due = Stage.ABORTED, False
         options: dict[Side, tuple[LaneOption, DrivenPath]] = {}
         leader: Leader | None = None
-        others = fleet
+        passed_m = -1.0
         if due:
-            others = _without(fleet, vehicle.vehicle_id)
+            others = _without(fleet.value, vehicle.vehicle_id)
             options, leader = self._look_around(vehicle, now, others)
-        seen = self._observation(vehicle, now, tuple(option for option, _ in options.values()), leader, others, due=due)
+            passed_m = self._passed_gap_m(vehicle, now, others)
+        seen = self._observation(vehicle, now, tuple(option for option, _ in options.values()), leader, passed_m)
         decision = decide(seen, lane_change=change, overtake=config.overtake)
         vehicle.policies[decision.policy] += 1
         if not due:
@@ -345,17 +361,19 @@ class Driving:
         recorded = self.scene.traffic.rows(self.scene.vehicle_rows.tolist()).at(now)
         return recorded.joined(self.fixed.at(now), others) if self.fixed.ids else recorded.joined(others)
 
+    def _passed_gap_m(self, vehicle: DrivenVehicle, now: int, others: Traffic) -> float:
+        """How far the overtaken vehicle is behind, m; -1 where there is none."""
+        if vehicle.stage is not Stage.PASS or vehicle.leader_id is None:
+            return -1.0
+        return gap_ahead_of(
+            vehicle.path, vehicle.start.box, s=vehicle.s[-1], lane=vehicle.start.path, passed_id=vehicle.leader_id,
+            here=self._vehicles(now, others),
+        )  # fmt: skip
+
     def _observation(
-        self, vehicle: DrivenVehicle, now: int, options: tuple[LaneOption, ...], leader: Leader | None,
-        others: Traffic, *, due: bool,
-    ) -> Observation:  # fmt: skip
+        self, vehicle: DrivenVehicle, now: int, options: tuple[LaneOption, ...], leader: Leader | None, passed_m: float
+    ) -> Observation:
         cell = self.scene.cell_at(vehicle.path, vehicle.s[-1])
-        passed = -1.0
-        if due and vehicle.stage is Stage.PASS and vehicle.leader_id is not None:
-            passed = gap_ahead_of(
-                vehicle.path, vehicle.start.box, s=vehicle.s[-1], lane=vehicle.start.path,
-                passed_id=vehicle.leader_id, here=self._vehicles(now, others),
-            )  # fmt: skip
         return Observation(
             time_s=now * DT_S,
             cell=cell,
@@ -368,7 +386,7 @@ class Driving:
             stage=vehicle.stage,
             leader=leader,
             options=options,
-            passed_gap_m=passed,
+            passed_gap_m=passed_m,
         )
 
     def _attempt(
@@ -463,7 +481,7 @@ def _note(vehicle: DrivenVehicle, step: int, option: LaneOption, rule: str | Non
             remaining_m=option.remaining_m,
             rule=rule,
             sumo=None,
-        )  # fmt: skip
+        )
     )
     return len(vehicle.gaps) - 1
 

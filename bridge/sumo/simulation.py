@@ -58,7 +58,8 @@ class Simulation:
         extra = "".join(f' {name}="{value:g}"' for name, value in self._parameters.items())
         types.write_text(f'<additional><vType id="{_DRIVEN}" carFollowModel="{self._model}"{extra}/></additional>')
         command = [
-            "sumo", "--net-file", str(self._net), "--additional-files", str(types), "--step-length", f"{self._step_s}", "--seed", str(self._seed),
+            "sumo", "--net-file", str(self._net), "--additional-files", str(types),
+            "--step-length", f"{self._step_s}", "--seed", str(self._seed),
             "--collision.action", "none", "--time-to-teleport", "-1", "--lanechange.duration", "0",
             "--no-step-log", "true", "--no-warnings", "true", "--duration-log.disable", "true",
         ]  # fmt: skip

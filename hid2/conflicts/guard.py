@@ -54,13 +54,14 @@ class Braking:
 
 @dataclass(eq=False, slots=True)
 class Obstacles:
-    """Everybody on one path: known (A, T + E) for those whose future is known, swept (G, K) for the fleet's others.
+    """Everybody on one path: known (A, T + E) for those whose future is known, swept for the fleet's others.
 
-    stop_s (L,) m, closed (L, T): the stop lines on it.
+    swept (3, G, K): low and high m, cosine, by the other vehicle's own arc length; rows (G,) of the fleet. stop_s (L,)
+    m, closed (L, T): the stop lines on the path.
     """
 
     known: PathOccupancy
-    swept: tuple[FloatArray, FloatArray, FloatArray]
+    swept: FloatArray
     rows: IntArray
     stop_s: FloatArray
     closed: BoolArray
@@ -94,14 +95,13 @@ class Guard:
             if (swept := self._swept_on(path, box, other, other_box)) is not None
         ]
         longest = max((swept[0].size for _, swept in found), default=1)
-        low, high = np.full((len(found), longest), np.inf), np.full((len(found), longest), -np.inf)
-        cosine = np.zeros((len(found), longest))
+        every = np.empty((3, len(found), longest))
+        every[0], every[1], every[2] = np.inf, -np.inf, 0.0
         for place, (_, swept) in enumerate(found):
-            count = swept[0].size
-            low[place, :count], high[place, :count], cosine[place, :count] = swept
+            every[:, place, : swept[0].size] = swept
         rows = np.array([row for row, _ in found], dtype=np.int64)
         stop_s, closed = self.stop_lines.arrays(path, box)
-        return Obstacles(known=known, swept=(low, high, cosine), rows=rows, stop_s=stop_s, closed=closed)
+        return Obstacles(known=known, swept=every, rows=rows, stop_s=stop_s, closed=closed)
 
     def _swept_on(
         self, path: DrivenPath, box: BoxSize, other: DrivenPath, other_box: BoxSize
@@ -131,11 +131,10 @@ class Guard:
         horizon_s: another one than `conflict.horizon_s`.
         """
         conflict, known = self.scene.config.conflict, obstacles.known
-        s, v, a = state
         brakes = _BRAKES[conflict.brake_max_mps2 >= _BRAKES]
         row, hit, free, leader, gap, run_into = needed_braking(
-            (known.low, known.high, known.along, known.aligned, obstacles.stop_s, obstacles.closed), obstacles.swept, obstacles.rows, fleet, own, step,
-            s, v, a, desired_mps, road, TABLE_STEP_M, 1.0,
+            known.low, known.high, known.along, known.aligned, obstacles.stop_s, obstacles.closed, obstacles.swept,
+            obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
             round((conflict.horizon_s if horizon_s is None else horizon_s) / DT_S), _STRIDE, DT_S,
             (driver.tau_s, driver.accel_mps2, driver.decel_mps2, driver.min_gap_m), brakes, _BRAKING_JERK_MPS3,
             0.5 * conflict.margin_front_m,

@@ -103,7 +103,7 @@ class InferredSignals:
                 queued |= watched.queues[lane]
         spans = params.before_s, params.after_s, params.entry_before_s, params.entry_after_s, params.crossing_s
         crossed = self._crossed(lane_id, ~watched.comes_from)
-        return red_steps(crossed, entered, queued, *(round(span / self.step_s) for span in spans))  # type: ignore[no-any-return]
+        return red_steps(crossed, entered, queued, *(round(span / self.step_s) for span in spans))
 
     def _crossed(self, lane_id: int, others: BoolArray) -> BoolArray:
         """(T,) whether a recorded vehicle that comes from another approach crosses the lane's ground."""
@@ -114,7 +114,7 @@ class InferredSignals:
         width_m = np.repeat([self.grid.graph.lanes[one].width_m for one in through], counts)[:-1]
         pose, way, _, flows, bounds, _ = self._states
         traffic = self.traffic
-        return crossing_steps(  # type: ignore[no-any-return]
+        return crossing_steps(
             borders[0] if len(borders) == 1 else np.concatenate(borders), UNDER_SHARE * width_m / 2,
             math.cos(math.radians(self.params.crossing_deg)), pose, way, flows, others,
             traffic.length_m / 2, traffic.width_m / 2, bounds,

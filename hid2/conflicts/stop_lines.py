@@ -8,7 +8,7 @@ from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.crossings import PedestrianCrossings, crossing_rows
 from hid2.conflicts.signals import InferredSignals, signalled_rows
 from hid2.drivers.driver import Driver
-from hid2.kernels.guard import accel_towards_stop, line_ahead
+from hid2.kernels.guard import stop_ahead
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import BoolArray
 from hid2.scene import DT_S, Scene
@@ -16,7 +16,7 @@ from hid2.scene import DT_S, Scene
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StopLine:
-    """Where the centre of a vehicle has to stand at the latest, m on its path, at the steps (T,) at which it is closed."""
+    """Where a vehicle's centre has to stand at the latest, m on its path, at the steps (T,) at which it is closed."""
 
     stop_s: float
     closed: BoolArray
@@ -51,9 +51,11 @@ class StopLines:
                 red = self._signals.red(segment.lane_id) if segment.lane_start < 1.0 else None
                 if red is not None and red.any():
                     found.append(StopLine(segment.start - before, red, "signal"))
-            for crossing in self._crossings.on(path, width_m=box.width_m):
-                if crossing.occupied.any():
-                    found.append(StopLine(crossing.entry_s - before, crossing.occupied, "crossing"))
+            found.extend(
+                StopLine(crossing.entry_s - before, crossing.occupied, "crossing")
+                for crossing in self._crossings.on(path, width_m=box.width_m)
+                if crossing.occupied.any()
+            )
             self._known[key] = sorted(found, key=lambda line: line.stop_s)
         return self._known[key]
 
@@ -76,8 +78,5 @@ class StopLines:
         if key not in self._arrays:
             self._arrays[key] = self.arrays(path, box)
         stop_s, closed = self._arrays[key]
-        row = line_ahead(stop_s, closed, s, speed_mps, step, driver.decel_mps2)
-        if row < 0:
-            return None
-        accel = accel_towards_stop(lines[row].stop_s - s, speed_mps, driver.accel_mps2, driver.decel_mps2)
-        return float(accel), lines[row].cause
+        row, accel = stop_ahead(stop_s, closed, s, speed_mps, step, driver.accel_mps2, driver.decel_mps2)
+        return None if row < 0 else (float(accel), lines[row].cause)

@@ -55,14 +55,17 @@ def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: flo
 
 
 def desired_speeds(
-    driver: Driver, config: Config, rng: np.random.Generator, *, num_steps: int, step_s: float
+    driver: Driver, config: Config, rng: np.random.Generator, *, num_steps: int, step_s: float, at_least_mps: float
 ) -> FloatArray:
-    """(T,) m/s desired speed at every step: the driver's own, with an Ornstein-Uhlenbeck wandering around it."""
+    """(T,) m/s desired speed at every step: the driver's own, with an Ornstein-Uhlenbeck wandering around it.
+
+    at_least_mps: what the vehicle begins with; at the first step it is not above the desired speed.
+    """
     law = config.drivers
     kept, eased = float(np.exp(-step_s / law.wander_time_s)), float(np.exp(-step_s / _EASED_S))
     kick = law.wander_sd_mps * np.sqrt(1.0 - kept * kept) * rng.standard_normal(num_steps)
     wander = np.empty(num_steps)
-    wander[0] = law.wander_sd_mps * rng.standard_normal()
+    wander[0] = max(law.wander_sd_mps * float(rng.standard_normal()), at_least_mps - driver.desired_mps)
     level = wander[0] + law.wander_sd_mps * rng.standard_normal()  # nobody begins at a constant speed
     for step in range(1, num_steps):
         level = kept * level + kick[step]

@@ -78,6 +78,7 @@ class Filling:
     _driven_again: Counter[str] = field(default_factory=Counter)
     _last_reason: dict[int, Reason] = field(default_factory=dict)
     _next_spare: int = 0
+    _avoided: list[tuple[int, float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """What is found out about the map is kept over the rounds."""
@@ -132,7 +133,7 @@ class Filling:
         config = self.scene.config
         rng = np.random.default_rng([*self.seed, 1 + number])
         guard = Guard(self.scene, self._fixed(), self.stop_lines)
-        sites = InsertionSites(self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number)
+        sites = InsertionSites(self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number, self._avoided)
         sites.taken += self._again
         starts, self._again = list(self._again), []
         if number >= config.spawn.reseed_rounds:  # the count matters more by now
@@ -213,17 +214,15 @@ class Filling:
     def _drop_surplus(
         self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]], target: int
     ) -> None:
-        """Spare vehicles beyond the count go, unless somebody waited for them."""
+        """Spare vehicles beyond the count go, those first for whom nobody waited."""
         waited_for = set().union(*(one.driven.waited_for for one in new)) if new else set()
-        holding = [one for one in new if one.driven.vehicle_id not in gone]
-        surplus = len(self.kept) + len(holding) - target
-        for one in sorted(holding, key=lambda one: one.driven.start.request.number, reverse=True):
-            if surplus <= 0:
-                return
-            driven = one.driven
-            if driven.policy is Policy.STRAIGHT and driven.vehicle_id not in waited_for:
-                gone[driven.vehicle_id] = driven, Reason.SPARE, None
-                surplus -= 1
+        holding = [
+            one for one in new if one.driven.vehicle_id not in gone and one.driven.policy is Policy.STRAIGHT
+        ]  # fmt: skip
+        surplus = len(self.kept) + sum(one.driven.vehicle_id not in gone for one in new) - target
+        order = sorted(holding, key=lambda one: (one.driven.vehicle_id in waited_for, -one.driven.start.request.number))
+        for one in order[: max(surplus, 0)]:
+            gone[one.driven.vehicle_id] = one.driven, Reason.SPARE, None
 
     def _drive_again(
         self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]
@@ -255,9 +254,12 @@ class Filling:
                 cell.index,
                 max(0, len(vehicle.s) - 1),
                 detail,
-            )  # fmt: skip
+            )
         )
-        if reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT):
+        if reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE):
+            if self.scene.config.request.sites == "promising":
+                segment = start.path.segment_at(start.start_s)
+                self._avoided.append((segment.lane_id, segment.lane_s(start.start_s)))
             self._last_reason[start.request.number] = reason
 
     def _close(self, kept: list[ExportedVehicle]) -> None:

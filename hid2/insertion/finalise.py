@@ -22,12 +22,13 @@ _FILTERS = (1.0, 1.6, 2.5)
 _OFFSETS = (1.0, 0.5, 0.0)
 _STANDING_MPS, _EDGE_M = 0.5, 5.0
 _MOVES_M = 2.0
+_ROLLS_BACK_MPS = -0.2
 _AFTER_END_M, _AFTER_END_SPARE_S = 120.0, 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ExportedVehicle:
-    """A vehicle as it is exported: steps 0 .. T_i - 1. simulated_off_m (T_i,): exported s(t) minus the simulated one."""
+    """A vehicle as it is exported: steps 0 .. T_i - 1. simulated_off_m (T_i,): exported s(t) minus that of SUMO."""
 
     driven: DrivenVehicle
     motion: Motion
@@ -163,7 +164,8 @@ def _min_leader_ttc_s(scene: Scene, vehicle: DrivenVehicle, motion: Motion, othe
         )  # fmt: skip
     gap = seen.low[:, :steps] - motion.s
     closing = motion.v - seen.along[:, :steps]
-    leads = np.isfinite(gap) & seen.aligned[:, :steps] & (gap > -1.0) & (closing > 1e-3)
+    rolls_back = seen.along[:, :steps] < _ROLLS_BACK_MPS  # noise of the tracker, or parking: no leader to close in on
+    leads = np.isfinite(gap) & seen.aligned[:, :steps] & (gap > -1.0) & (closing > 1e-3) & ~rolls_back
     if not leads.any():
         return float("inf")
     return float((gap[leads] / closing[leads]).min())

@@ -12,7 +12,7 @@ from hid2.vehicle import VehicleRequest
 def draw_requests(config: Config, rng: np.random.Generator, *, count: int) -> list[VehicleRequest]:
     """`count` requests: the mix by drawn rounding, so that a share of 5 % of 10 is one vehicle in every other scene."""
     request = config.request
-    policies = draw_mix({policy: share for policy, share in request.behaviours.items()}, rng, count=count)
+    policies = draw_mix(dict(request.behaviours), rng, count=count)
     return [
         VehicleRequest(number=number, policy=policy, trigger_s=draw_trigger(request, rng))
         for number, policy in enumerate(policies)

@@ -74,7 +74,7 @@ class Routes:
                         usable=self.usable,
                         most=_ROUTES_MOST,
                         longest_m=ROUTE_LONGEST_M,
-                    )  # fmt: skip
+                    )
                 )
             before = self._run_up(lane_id)
             self._offers[lane_id] = tuple(

@@ -9,14 +9,16 @@ from functools import partial
 import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
-from hid2.conflicts.guard import Guard
+from hid2.conflicts.guard import Guard, Obstacles
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver, desired_speeds, draw_driver, lane_offset
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.insertion.sizes import draw_size
 from hid2.motion.reference_line import TABLE_STEP_M
-from hid2.motion.route import first_turn
+from hid2.motion.route import DrivenPath, first_turn
+from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.sigma import FREE
+from hid2.policy.decision import Side
 from hid2.policy.roads import Roads
 from hid2.policy.turns import TURN_OF_POLICY
 from hid2.reasons import Reason
@@ -24,7 +26,7 @@ from hid2.scene import DT_S, Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
 _MOVING_MPS = 1.0
-_TRIES = 60  # sites that are looked at in full for one request, in one round
+_TRIES = 150  # sites that are looked at in full for one request, in one round
 _BEFORE_TURN_M = 5.0
 _TURN_PACE_MPS = 5.0  # mean speed on a turn lane, for an estimate of when it is left
 _OVERTAKE_M = 70.0  # of two lanes side by side, behind the trigger
@@ -32,12 +34,16 @@ _SLOW_SHARE = (0.3, 0.5)  # desired speed of a leader that is to be overtaken, o
 _STANDING_MPS = 0.3
 #: A vehicle may begin by braking so hard for its leader, m/s2.
 _BEGINS_BRAKING_MPS2 = 0.4
+_AVOIDED_M = 5.0  # around a start that could not be kept
 _WAITS_M = 8.0  # who starts standing does so behind somebody who stands no farther ahead
 
 
 @dataclass(slots=True)
 class InsertionSites:
-    """Sites of one scene for requests; what was proposed in this round is kept clear of."""
+    """Sites of one scene for requests; what was proposed in this round is kept clear of.
+
+    avoided: lanes and arc lengths, m, at which vehicles of rounds before began that could not be kept.
+    """
 
     scene: Scene
     roads: Roads
@@ -46,8 +52,11 @@ class InsertionSites:
     guard: Guard
     rng: np.random.Generator
     round_number: int
+    avoided: Sequence[tuple[int, float]] = ()
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
+    _usual: dict[int, float] = field(default_factory=dict)
+    _obstacles: dict[tuple[DrivenPath, BoxSize], Obstacles] = field(default_factory=dict)
 
     def propose(self, request: VehicleRequest, slow_leader: VehicleRequest | None = None) -> list[Start]:
         """A start for a request, and where it is to overtake and finds no leader, one for that; empty where none fits.
@@ -88,7 +97,8 @@ class InsertionSites:
         for lane_id, lane_s in self._places():
             for offer in self._order(request, self.routes.offers(lane_id)):
                 s = offer.start_m + lane_s
-                if not promises(offer, s, self._usual_speed(lane_id)):
+                usual_mps = self._usual_speed(lane_id)
+                if self._leaves_early(offer, s, 0.8 * usual_mps) or not promises(offer, s, usual_mps):
                     continue
                 start = self._start(request, offer, lane_id, s)
                 tried += 1
@@ -107,8 +117,10 @@ class InsertionSites:
         return sorted((offers[row] for row in order), key=lambda offer: bool(offer.turns))
 
     def _usual_speed(self, lane_id: int) -> float:
-        pool = self.scene.lane_speeds.get(lane_id) or self.scene.scene_speeds
-        return float(np.median(pool)) if pool else self.scene.config.spawn.prior_speed_mps
+        if lane_id not in self._usual:
+            pool = self.scene.lane_speeds.get(lane_id) or self.scene.scene_speeds
+            self._usual[lane_id] = float(np.median(pool)) if pool else self.scene.config.spawn.prior_speed_mps
+        return self._usual[lane_id]
 
     def _places(self) -> Iterator[tuple[int, float]]:
         """Lane and arc length, m, of free cells at step 0, in weighted random order; intersections last."""
@@ -131,12 +143,17 @@ class InsertionSites:
         key = self.rng.exponential(size=len(rows)) / weight
         inside = np.array([lanes[grid.cells[row].lane_id].is_intersection for row in rows])
         share = self.rng.random(len(rows))
+        failed: dict[int, list[float]] = {}
+        for lane_id, at in self.avoided:
+            failed.setdefault(lane_id, []).append(at)
         for place in np.lexsort((key, inside)).tolist():
             cell = grid.cells[rows[place]]
             if inside[place] and not inside.all() and scene.config.request.sites == "promising":
                 return
             begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
-            yield cell.lane_id, float(begin + share[place] * (end - begin))
+            lane_s = float(begin + share[place] * (end - begin))
+            if not any(abs(lane_s - at) < _AVOIDED_M for at in failed.get(cell.lane_id, ())):
+                yield cell.lane_id, lane_s
 
     def _promises(
         self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, outside_intersections: bool
@@ -183,18 +200,19 @@ class InsertionSites:
         scene, config, rng = self.scene, self.scene.config, self.rng
         object_type, size = draw_size(config.request, rng)
         box = clearance_box(size, DEFAULT_SIZES[object_type])
-        driver = driver or draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))
-        speed = driver.desired_mps * (1.0 + config.spawn.speed_sd * float(np.clip(rng.standard_normal(), -2, 2)))
-        desired = desired_speeds(driver, config, rng, num_steps=scene.num_steps, step_s=DT_S)
         half_m, run_on = box.length_m / 2, "topology" in config.without
         if s < half_m + 0.5 or (s + half_m > offer.length_m - 1.0 and not run_on):
             return Reason.NO_SITE
-        if not run_on and offer.length_m - s < half_m + 0.95 * speed * scene.first_exit_step * DT_S:
-            return Reason.LEAVES_TOO_EARLY
         if self._meets_taken_roughly(lane_id, s - offer.start_m, box):
             return Reason.NO_SITE
         path = scene.path(offer.route)
         start_s = path.to_line(s)
+        if "collision" not in config.without and self._is_taken(path, box, start_s):
+            return Reason.NO_SITE
+        driver = driver or draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))
+        speed = driver.desired_mps * (1.0 + config.spawn.speed_sd * float(np.clip(rng.standard_normal(), -2, 2)))
+        if self._leaves_early(offer, s + half_m, 0.95 * speed):
+            return Reason.LEAVES_TOO_EARLY
         if request.policy in TURN_OF_POLICY:
             kind = TURN_OF_POLICY[request.policy]
             if first_turn(scene.grid.graph, path, kind, after=start_s) is None:
@@ -203,48 +221,70 @@ class InsertionSites:
         if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > 0.98 / config.limits.min_radius_m:
             return Reason.LIMIT_CURVATURE
         road = self.roads.speeds(path, driver)
-        speed = min(speed, float(desired[0]), float(road[min(int(start_s / TABLE_STEP_M), road.size - 1)]))
-        sides: tuple[str, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
-        start = Start(
+        speed = min(speed, float(road[min(int(start_s / TABLE_STEP_M), road.size - 1)]))
+        if "collision" not in config.without:
+            admitted = self._admitted_speed(path, box, start_s, speed, driver)
+            if isinstance(admitted, Reason):
+                return admitted
+            speed = admitted
+        sides: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
+        return Start(
             vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=object_type, size=size,
-            box=box, route=offer.route, path=path, start_s=start_s, start_mps=speed, driver=driver, desired=desired,
-            offset=lane_offset(driver, config, rng, length_m=path.line.length_m), sides=sides,  # type: ignore[arg-type]
+            box=box, route=offer.route, path=path, start_s=start_s, start_mps=speed, driver=driver,
+            desired=desired_speeds(
+                driver, config, rng, num_steps=scene.num_steps, step_s=DT_S, at_least_mps=speed
+            ),
+            offset=lane_offset(driver, config, rng, length_m=path.line.length_m), sides=sides,
         )  # fmt: skip
-        return start if "collision" in config.without else self._admitted(start)
 
-    def _admitted(self, start: Start) -> Start | Reason:
-        """The same with a speed that who is ahead allows, or why nobody can begin there."""
+    def _leaves_early(self, offer: RouteOffer, s: float, speed_mps: float) -> bool:
+        """Whether the map ends before the last observed step at a speed."""
+        if "topology" in self.scene.config.without:
+            return False
+        return offer.length_m - s < speed_mps * self.scene.first_exit_step * DT_S
+
+    def _is_taken(self, path: DrivenPath, box: BoxSize, s: float) -> bool:
+        """Whether somebody recorded or kept is at a place at the start, or too near to it."""
+        clear = self.scene.config.spawn.clear_gap_m
+        known = self._known_on(path, box)
+        return bool(np.any((known.low[:, 0] - clear < s) & (s < known.high[:, 0] + clear)))
+
+    def _known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
+        return self._obstacles_on(path, box).known
+
+    def _obstacles_on(self, path: DrivenPath, box: BoxSize) -> Obstacles:
+        key = path, box
+        if key not in self._obstacles:
+            self._obstacles[key] = self.guard.obstacles(path, box, [])
+        return self._obstacles[key]
+
+    def _admitted_speed(self, path: DrivenPath, box: BoxSize, s: float, speed: float, driver: Driver) -> float | Reason:
+        """Speed that who is ahead allows, m/s, at most the one wished for; or why nobody can begin there."""
         conflict, spawn = self.scene.config.conflict, self.scene.config.spawn
-        obstacles = self.guard.obstacles(start.path, start.box, [])
-        known, s, driver = obstacles.known, start.start_s, start.driver
-        low, high, along = known.low[:, 0], known.high[:, 0], known.along[:, 0]
-        here = np.isfinite(low)
-        if np.any(here & (low - spawn.clear_gap_m < s) & (s < high + spawn.clear_gap_m)):
-            return Reason.NO_SITE
-        speed = start.start_mps
-        ahead = here & (low >= s)
+        obstacles, wished = self._obstacles_on(path, box), speed
+        known = obstacles.known
+        low, along = known.low[:, 0], known.along[:, 0]
+        ahead = np.isfinite(low) & (low >= s)
         for gap, leader_mps in zip((low - s)[ahead].tolist(), along[ahead].tolist(), strict=True):
             speed = min(speed, self._speed_behind(gap, max(0.0, leader_mps), driver))
-        stop = self.stop_lines.braking(start.path, start.box, driver, s=s, speed_mps=speed, step=0)
+        stop = self.stop_lines.braking(path, box, driver, s=s, speed_mps=speed, step=0)
         if stop is not None and stop[0] < -driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
         for other in self.taken:
-            verdict = self._beside_start(start, other, speed)
+            verdict = self._beside_start(path, box, s, driver, other, speed)
             if verdict is None:
                 return Reason.NO_SITE
             speed = min(speed, verdict)
         if speed < _STANDING_MPS:
-            queue = here & (low >= s) & (low - s < _WAITS_M) & (along < _STANDING_MPS)
-            if not queue.any():
+            if not np.any(ahead & (low - s < _WAITS_M) & (along < _STANDING_MPS)):
                 return Reason.NO_SITE
             speed = 0.0
-        elif speed < 0.35 * start.start_mps:
+        elif speed < 0.35 * wished:
             return Reason.NO_SITE  # nobody drives so slowly with so much room ahead
-        road = self.roads.speeds(start.path, driver)
         fleet = np.array([[s, speed, 0.0, 0.0, 1.0]])
         found = self.guard.braking(
-            obstacles, own=0, step=0, fleet=fleet, state=(s, speed, 0.0), desired_mps=float(start.desired[0]), road=road,
-            driver=driver, horizon_s=(self.scene.num_steps - 1) * DT_S,
+            obstacles, own=0, step=0, fleet=fleet, state=(s, speed, 0.0), desired_mps=driver.desired_mps,
+            road=self.roads.speeds(path, driver), driver=driver, horizon_s=(self.scene.num_steps - 1) * DT_S,
         )  # fmt: skip
         if found.run_into:
             return Reason.TTC_RECORDED_FOLLOWER
@@ -253,7 +293,7 @@ class InsertionSites:
             return Reason.CONFLICT_PREDICTED
         if soon and found.decel_mps2 > 1.2 * driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
-        return replace(start, start_mps=speed)
+        return speed
 
     @staticmethod
     def _speed_behind(gap_m: float, leader_mps: float, driver: Driver) -> float:
@@ -266,23 +306,25 @@ class InsertionSites:
         b = driver.tau_s * c - leader_mps
         return min(room / driver.tau_s, 0.5 * (-b + math.sqrt(b * b + 4.0 * c * room)))
 
-    def _beside_start(self, start: Start, other: Start, speed: float) -> float | None:
+    def _beside_start(
+        self, path: DrivenPath, box: BoxSize, s: float, driver: Driver, other: Start, speed: float
+    ) -> float | None:
         """Fastest start speed beside another start of this round; None where the two are too near."""
-        own_xy, own_t, _ = start.path.line.motion(np.array([start.start_s]))
+        own_xy, own_t, _ = path.line.motion(np.array([s]))
         xy, tangent, _ = other.path.line.motion(np.array([other.start_s]))
         offset = xy[0] - own_xy[0]
         if math.hypot(offset[0], offset[1]) > 80.0:
             return speed
         along = float(offset @ own_t[0])
         across = abs(float(offset[1] * own_t[0, 0] - offset[0] * own_t[0, 1]))
-        gap = abs(along) - (start.box.length_m + other.box.length_m) / 2
-        beside = across > (start.box.width_m + other.box.width_m) / 2 + 0.5
+        gap = abs(along) - (box.length_m + other.box.length_m) / 2
+        beside = across > (box.width_m + other.box.width_m) / 2 + 0.5
         if beside:
             return speed
         if float(own_t[0] @ tangent[0]) < 0.7:
             return speed if gap > 6.0 else None
         if along > 0:
-            fits = self._speed_behind(gap, other.start_mps, start.driver)
+            fits = self._speed_behind(gap, other.start_mps, driver)
             return min(speed, fits) if gap > self.scene.config.spawn.clear_gap_m else None
         return speed if self._speed_behind(gap, speed, other.driver) >= other.start_mps else None
 

@@ -1,13 +1,20 @@
 """Recorded vehicles at the approaches of intersections: who comes from where, enters, waits, and crosses."""
 
 import numpy as np
-from numba import njit
+import numpy.typing as npt
 
 from hid2.kernels.boxes import overlap
+from hid2.kernels.compiled import inner, kernel
+from netconvert.geometry import BoolArray, FloatArray, IntArray
+
+ByteArray = npt.NDArray[np.uint8]
 
 
-@njit(cache=True)
-def vehicle_states(position, velocity, heading, present, flow, standing, parked):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel("(f8[:,:,::1], f8[:,:,::1], f8[:,::1], b1[:,::1], f8, f8, f8)")
+def vehicle_states(
+    position: FloatArray, velocity: FloatArray, heading: FloatArray, present: BoolArray,
+    flow: float, standing: float, parked: float,
+) -> tuple[FloatArray, FloatArray, ByteArray, BoolArray, FloatArray, BoolArray]:  # fmt: skip
     """What `watch_approach` and `crossing_steps` need of each vehicle.
 
     pose (A, T, 4): x, y m, cosine and sine of the heading; way (A, T, 2): unit vector of the motion; state (A, T): 0
@@ -42,8 +49,10 @@ def vehicle_states(position, velocity, heading, present, flow, standing, parked)
     return pose, way, state, flows, bounds, moves
 
 
-@njit(cache=True)
-def _on_lane(points, s, reach, cos_agrees, x, y, co, si):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@inner
+def _on_lane(
+    points: FloatArray, s: FloatArray, reach: float, cos_agrees: float, x: float, y: float, co: float, si: float
+) -> tuple[float, float]:
     """Arc length on a centreline and distance from it, m; inf beyond its ends, its reach, or in another direction."""
     best, nearest, share = np.inf, -1, 0.0
     for k in range(points.shape[0] - 1):
@@ -64,8 +73,14 @@ def _on_lane(points, s, reach, cos_agrees, x, y, co, si):  # type: ignore[no-unt
     return s[nearest] + share * length, np.sqrt(best)
 
 
-@njit(cache=True)
-def watch_approach(points, s, first, half_width, ahead, fan, pose, state, bounds, moves, rule):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel(
+    "(f8[:,::1], f8[::1], i8[::1], f8[::1], f8[::1], i8, f8[:,:,::1], u1[:,::1], f8[:,::1], b1[::1], UniTuple(f8, 5))"
+)
+def watch_approach(
+    points: FloatArray, s: FloatArray, first: IntArray, half_width: FloatArray, ahead: FloatArray, fan: int,
+    pose: FloatArray, state: ByteArray, bounds: FloatArray, moves: BoolArray,
+    rule: tuple[float, float, float, float, float],
+) -> tuple[BoolArray, BoolArray, BoolArray]:  # fmt: skip
     """What recorded vehicles do at an approach: comes_from (A,), enters (K, T), waits (K, T).
 
     Lanes k = 0 .. K - 1 have points[first[k] : first[k + 1]] (m, arc lengths s) and a half width (K,) m. The first
@@ -140,8 +155,11 @@ def watch_approach(points, s, first, half_width, ahead, fan, pose, state, bounds
     return comes, enters, waits
 
 
-@njit(cache=True)
-def crossing_steps(borders, half_width, cos_crossing, pose, way, flows, others, half_l, half_w, bounds):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel("(f8[:,::1], f8[::1], f8, f8[:,:,::1], f8[:,:,::1], b1[:,::1], b1[::1], f8[::1], f8[::1], f8[:,::1])")
+def crossing_steps(
+    borders: FloatArray, half_width: FloatArray, cos_crossing: float, pose: FloatArray, way: FloatArray,
+    flows: BoolArray, others: BoolArray, half_l: FloatArray, half_w: FloatArray, bounds: FloatArray,
+) -> BoolArray:  # fmt: skip
     """(T,) whether the box of one of `others` (A,) crosses the ground of a lane at each step.
 
     borders (C + 1, 2) m: where the lane's cells begin and end; half_width (C,) m. A vehicle crosses where its motion
@@ -191,8 +209,11 @@ def crossing_steps(borders, half_width, cos_crossing, pose, way, flows, others, 
     return found
 
 
-@njit(cache=True)
-def red_steps(crossed, entered, queued, before, after, entry_before, entry_after, clear):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel("(b1[::1], b1[::1], b1[::1], i8, i8, i8, i8, i8)")
+def red_steps(
+    crossed: BoolArray, entered: BoolArray, queued: BoolArray,
+    before: int, after: int, entry_before: int, entry_after: int, clear: int,
+) -> BoolArray:  # fmt: skip
     """(T,) red: `crossed` spread over steps before and after it, or `queued`; not near an entry.
 
     An entry takes away the red of a queue, and that of cross traffic that is more than `clear` steps away. crossed,

@@ -1,4 +1,4 @@
-"""Oriented boxes against each other over a whole scene: compiled loops behind `safety`.
+"""Oriented boxes against each other over a whole scene: overlap, time to collision, post-encroachment time.
 
 Every kernel walks over pairs of agents and steps, throws far pairs out by their circumscribed circles and does the
 exact test on the rest. Boxes are (x, y, heading, length, width), corners counter-clockwise.
@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from hid2.kernels.boxes import contact_time, overlap
 from hid2.kernels.compiled import inner, kernel
 from netconvert.geometry import FloatArray, IntArray
 
@@ -100,7 +101,7 @@ def _never_nearer(a: FloatArray, b: FloatArray) -> float:
     return math.hypot(max(a[0] - b[2], b[0] - a[2], 0.0), max(a[1] - b[3], b[1] - a[3], 0.0))
 
 
-@kernel()
+@kernel("(f8[:,::1], f8[::1], f8[::1], f8[::1], i8[:,::1],)")
 def pairwise_overlap(
     position: FloatArray, heading: FloatArray, length: FloatArray, width: FloatArray, row_of: IntArray
 ) -> tuple[FloatArray, IntArray, IntArray]:
@@ -142,40 +143,7 @@ def pairwise_overlap(
     return iou, first, count
 
 
-@inner
-def contact_time(
-    x: float, y: float, vx: float, vy: float, heading_a: float, length_a: float, width_a: float,
-    heading_b: float, length_b: float, width_b: float,
-) -> float:  # fmt: skip
-    """Time until box b, at (x, y) from box a and moving at (vx, vy) relative to it, touches it; inf if never.
-
-    Separating axes: on each of the four face normals the shadows overlap during an interval of time; the boxes
-    touch when all four intervals hold at once. 0 where they overlap already.
-    """
-    enter, leave = 0.0, math.inf
-    ca, sa = math.cos(heading_a), math.sin(heading_a)
-    cb, sb = math.cos(heading_b), math.sin(heading_b)
-    for k in range(4):
-        nx, ny = (ca, sa) if k < 2 else (cb, sb)
-        if k % 2:
-            nx, ny = -ny, nx
-        half = (
-            abs(nx * ca + ny * sa) * length_a + abs(-nx * sa + ny * ca) * width_a
-            + abs(nx * cb + ny * sb) * length_b + abs(-nx * sb + ny * cb) * width_b
-        ) / 2  # fmt: skip
-        distance = nx * x + ny * y
-        speed = nx * vx + ny * vy
-        if abs(speed) < 1e-12:
-            if abs(distance) > half:
-                return math.inf
-            continue
-        t0, t1 = (-half - distance) / speed, (half - distance) / speed
-        enter = max(enter, min(t0, t1))
-        leave = min(leave, max(t0, t1))
-    return enter if enter <= leave else math.inf
-
-
-@kernel()
+@kernel("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[:,::1], f8,)")
 def time_to_collision(
     position: FloatArray,
     heading: FloatArray,
@@ -214,20 +182,16 @@ def time_to_collision(
                     # the line of relative motion must pass the circumscribed circles
                     if abs(dx * vy - dy * vx) > reach * speed:
                         continue
-                seconds = contact_time(dx, dy, vx, vy, heading[i], length[a], width[a], heading[j], length[b], width[b])
+                seconds = contact_time(
+                    dx, dy, vx, vy,
+                    math.cos(heading[i]), math.sin(heading[i]), length[a] / 2, width[a] / 2,
+                    math.cos(heading[j]), math.sin(heading[j]), length[b] / 2, width[b] / 2,
+                )  # fmt: skip
                 if seconds < ttc[i]:
                     ttc[i], other[i] = seconds, b
                 if seconds < ttc[j]:
                     ttc[j], other[j] = seconds, a
     return ttc, other
-
-
-@inner
-def _boxes_touch(
-    x: float, y: float, heading_a: float, length_a: float, width_a: float,
-    heading_b: float, length_b: float, width_b: float,
-) -> bool:  # fmt: skip
-    return contact_time(x, y, 0.0, 0.0, heading_a, length_a, width_a, heading_b, length_b, width_b) == 0.0
 
 
 @inner
@@ -302,12 +266,15 @@ def _encroachment(
                 continue
             if abs(math.sin(heading_a[i] - heading_b[j])) < min_sine:
                 continue
-            if _boxes_touch(dx, dy, heading_a[i], long_a[i], width_a, heading_b[j], long_b[j], width_b):
+            if overlap(
+                0.0, 0.0, math.cos(heading_a[i]), math.sin(heading_a[i]), long_a[i] / 2, width_a / 2,
+                dx, dy, math.cos(heading_b[j]), math.sin(heading_b[j]), long_b[j] / 2, width_b / 2,
+            ):  # fmt: skip
                 best = apart
     return best if best <= cap_steps else -1
 
 
-@kernel()
+@kernel("(i8[::1], f8[:,::1], f8[::1], f8[::1], f8[::1], i8[::1], i8[::1], i8, f8, i8,)")
 def post_encroachment(
     agents: IntArray,
     position: FloatArray,
@@ -351,7 +318,9 @@ def post_encroachment(
     return out
 
 
-@kernel()
+@kernel(
+    "(i8[::1], f8[:,::1], f8[::1], f8[::1], f8[::1], i8[::1], i8[::1], i8[::1], f8[:,::1], f8[::1], f8, f8, i8, f8,)"
+)
 def encroaches(
     agents: IntArray,
     position: FloatArray,

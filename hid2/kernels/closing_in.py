@@ -49,7 +49,7 @@ def _closes_in(
     return bool(abs(dy * cosine - dx * sine) < beside + ahead * ahead / (2 * radius))
 
 
-@kernel()
+@kernel("(i8, i8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], b1, i8, f8,)")
 def vehicles_ahead(
     own: int, row_of: IntArray, position: FloatArray, heading: FloatArray, velocity: FloatArray, length: FloatArray,
     width: FloatArray, leaves: bool, first: int, critical: float,  # noqa: FBT001
@@ -83,7 +83,9 @@ def vehicles_ahead(
     return near, closes_in
 
 
-@kernel()
+@kernel(
+    "(i8[:,::1], f8[:,::1], f8[::1], f8[:,::1], b1[::1], f8[::1], f8[::1], i8[::1], f8[:,::1], f8[::1], f8[:,::1], f8,)"
+)
 def closing_vehicles(
     row_of: IntArray, position: FloatArray, heading: FloatArray, velocity: FloatArray, moving: BoolArray,
     apart: FloatArray, beside: FloatArray, steps: IntArray, place: FloatArray, direction: FloatArray,

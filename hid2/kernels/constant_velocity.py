@@ -2,12 +2,12 @@
 
 import math
 
-from hid2.kernels.box_pairs import contact_time
+from hid2.kernels.boxes import contact_time
 from hid2.kernels.compiled import kernel
 from netconvert.geometry import FloatArray
 
 
-@kernel("(int64, float64[:, ::1], float64[::1], float64[:, ::1], float64[:, ::1], float64)")
+@kernel("(i8, f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8)")
 def earliest_contact(
     own: int, position: FloatArray, heading: FloatArray, velocity: FloatArray, size: FloatArray, horizon_s: float
 ) -> tuple[float, int]:
@@ -26,8 +26,10 @@ def earliest_contact(
         if math.hypot(dx, dy) - reach > math.hypot(vx, vy) * horizon_s:
             continue
         seconds = contact_time(
-            dx, dy, vx, vy, heading[own], size[own, 0], size[own, 1], heading[k], size[k, 0], size[k, 1]
-        )
+            dx, dy, vx, vy,
+            math.cos(heading[own]), math.sin(heading[own]), size[own, 0] / 2, size[own, 1] / 2,
+            math.cos(heading[k]), math.sin(heading[k]), size[k, 0] / 2, size[k, 1] / 2,
+        )  # fmt: skip
         if seconds <= horizon_s and seconds < earliest:
             earliest, other = seconds, k
     return earliest, other

@@ -1,11 +1,13 @@
 """Pedestrians on crossings, and crossings on paths: compiled loops over corners, agents and steps."""
 
 import numpy as np
-from numba import njit
+
+from hid2.kernels.compiled import inner, kernel
+from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 
-@njit(cache=True)
-def _to_quad(corners, x, y):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@inner
+def _to_quad(corners: FloatArray, x: float, y: float) -> tuple[float, float]:
     """Vector from a point to the nearest one of a quadrilateral (4, 2), m; zero inside."""
     inside = False
     best, best_x, best_y = np.inf, 0.0, 0.0
@@ -23,8 +25,11 @@ def _to_quad(corners, x, y):  # type: ignore[no-untyped-def]  # noqa: ANN001, AN
     return (0.0, 0.0) if inside else (best_x, best_y)
 
 
-@njit(cache=True)
-def at_crossings(corners, position, velocity, present, near, towards, ahead):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel("(f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], b1[:,::1], f8, f8, i8)")
+def at_crossings(
+    corners: FloatArray, position: FloatArray, velocity: FloatArray, present: BoolArray,
+    near: float, towards: float, ahead: int,
+) -> BoolArray:  # fmt: skip
     """(Q, A, T) who is on a crossing, is there within `ahead` steps, or is near it (m) and moves towards it (m/s).
 
     corners (Q, 4, 2) m.
@@ -50,8 +55,8 @@ def at_crossings(corners, position, velocity, present, near, towards, ahead):  #
     return found
 
 
-@njit(cache=True)
-def _meets(corners, ax, ay, bx, by):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@inner
+def _meets(corners: FloatArray, ax: float, ay: float, bx: float, by: float) -> bool:
     """Whether the segment from a to b touches a quadrilateral."""
     for x, y in ((ax, ay), (bx, by)):
         dx, dy = _to_quad(corners, x, y)
@@ -70,8 +75,8 @@ def _meets(corners, ax, ay, bx, by):  # type: ignore[no-untyped-def]  # noqa: AN
     return False
 
 
-@njit(cache=True)
-def crossings_swept(corners, xy, heading, half_width):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel("(f8[:,:,::1], f8[:,::1], f8[::1], f8)")
+def crossings_swept(corners: FloatArray, xy: FloatArray, heading: FloatArray, half_width: float) -> IntArray:
     """(N, 3) crossing, first and last point of a line, at which its swept width touches the crossing.
 
     xy (K, 2) m, heading (K,) rad: points of the line.
@@ -99,8 +104,11 @@ def crossings_swept(corners, xy, heading, half_width):  # type: ignore[no-untype
     return found[:count]
 
 
-@njit(cache=True)
-def held_up(at, xy, heading, half_width, position, velocity, present, strip_steps, cos_along, slow):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@kernel("(b1[:,::1], f8[::1], f8, f8, f8[:,:,::1], f8[:,:,::1], b1[:,::1], i8, f8, f8)")
+def held_up(
+    at: BoolArray, xy: FloatArray, heading: float, half_width: float, position: FloatArray, velocity: FloatArray,
+    present: BoolArray, strip_steps: int, cos_along: float, slow: float,
+) -> BoolArray:  # fmt: skip
     """(T,) whether somebody holds up who is to pass a crossing.
 
     at (A, T): who is on or at it. xy (2,) m, heading rad: the path's middle there; half_width: swept, with the strip

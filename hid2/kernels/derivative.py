@@ -6,7 +6,7 @@ from hid2.kernels.compiled import kernel
 from netconvert.geometry import FloatArray, IntArray
 
 
-@kernel()
+@kernel("(f8[:,::1], i8[::1], i8[::1], f8,)")
 def track_derivative(values: FloatArray, first: IntArray, step: IntArray, step_s: float) -> FloatArray:
     """Time derivative of values (N, K), track by track: rows first[a]:first[a + 1] at steps step (N,), step_s apart."""
     out = np.zeros_like(values)

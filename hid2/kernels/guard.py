@@ -1,17 +1,19 @@
 """Compiled loops of conflict case 3: predicted motion in the space-time (ST) graph of one path."""
 
 import numpy as np
-from numba import njit
+
+from hid2.kernels.compiled import inner, kernel
+from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 #: Stop lines farther ahead than this are no business of a driver yet, m.
-AHEAD_M = 60.0
+_AHEAD_M = 60.0
 #: Whoever has passed a line by this has passed it, m.
-PASSED_M = 0.3
+_PASSED_M = 0.3
 _BRAKING_LASTS_S = 1.0  # that a generated vehicle which brakes now is predicted to brake on
 
 
-@njit(cache=True)
-def predicted_s(s, v, a, ahead_s):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@inner
+def predicted_s(s: float, v: float, a: float, ahead_s: float) -> float:
     """Arc length of a vehicle ahead_s from now: constant speed, or braking on for a second and then constant speed."""
     if a >= 0.0:
         return s + v * ahead_s
@@ -20,8 +22,8 @@ def predicted_s(s, v, a, ahead_s):  # type: ignore[no-untyped-def]  # noqa: ANN0
     return s + v * braking + 0.5 * a * braking * braking + slower * (ahead_s - braking)
 
 
-@njit(cache=True)
-def accel_towards_stop(ahead_m, speed_mps, accel_mps2, decel_mps2):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@inner
+def _accel_towards_stop(ahead_m: float, speed_mps: float, accel_mps2: float, decel_mps2: float) -> float:
     """Acceleration of a driver who comes to stand ahead_m from here, m/s2.
 
     Kinematic rather than IDM: a driver lets the car roll up to a line, and does not begin far before it.
@@ -31,13 +33,13 @@ def accel_towards_stop(ahead_m, speed_mps, accel_mps2, decel_mps2):  # type: ign
     needed = speed_mps * speed_mps / (2.0 * ahead_m)
     comfortable = 0.6 * decel_mps2
     if needed < comfortable:
-        reach = np.sqrt(2.0 * comfortable * ahead_m)  # the speed from which comfortable braking ends at the line
+        reach: float = np.sqrt(2.0 * comfortable * ahead_m)  # from which comfortable braking ends at the line
         return min(accel_mps2, (reach - speed_mps) / 0.5)
     return -needed
 
 
-@njit(cache=True)
-def line_ahead(stop_s, closed, s, v, step, decel_mps2):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+@inner
+def _line_ahead(stop_s: FloatArray, closed: BoolArray, s: float, v: float, step: int, decel_mps2: float) -> int:
     """Row of the next stop line that is closed at a step and at which the driver can stop, -1 for none.
 
     A line at which the driver can no longer stop without braking hard is driven across, as an amber light is.
@@ -45,9 +47,9 @@ def line_ahead(stop_s, closed, s, v, step, decel_mps2):  # type: ignore[no-untyp
     hardest = 1.3 * decel_mps2
     for row in range(stop_s.size):
         ahead = stop_s[row] - s
-        if ahead < -PASSED_M or not closed[row, min(step, closed.shape[1] - 1)]:
+        if ahead < -_PASSED_M or not closed[row, min(step, closed.shape[1] - 1)]:
             continue
-        if ahead > AHEAD_M:
+        if ahead > _AHEAD_M:
             return -1
         if v * v > 2.0 * hardest * max(ahead, 0.05) and v > 1.0:
             continue
@@ -55,9 +57,19 @@ def line_ahead(stop_s, closed, s, v, step, decel_mps2):  # type: ignore[no-untyp
     return -1
 
 
-@njit(cache=True)
-def _has_priority(low, s, own_s, j_executing, own_executing, j_row, own_row, step_m):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Whether another generated vehicle goes first (case 2), metres to the cell that both want; low (K,) on its way."""
+@kernel("(f8[::1], b1[:,::1], f8, f8, i8, f8, f8)")
+def stop_ahead(
+    stop_s: FloatArray, closed: BoolArray, s: float, v: float, step: int, accel_mps2: float, decel_mps2: float
+) -> tuple[int, float]:
+    """Row of the next closed stop line ahead at which a driver can stop, -1 for none, and the acceleration, m/s2."""
+    row = _line_ahead(stop_s, closed, s, v, step, decel_mps2)
+    return row, _accel_towards_stop(stop_s[row] - s, v, accel_mps2, decel_mps2) if row >= 0 else 0.0
+
+
+@inner
+def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: float, step_m: float) -> bool:
+    """Whether generated vehicle j goes first (case 2), metres to the cell that both want; low (K,) on its way."""
+    s, executing, own_executing = fleet[j, 0], fleet[j, 3] > 0.0, fleet[own, 3] > 0.0
     first = int(s / step_m)
     for k in range(max(first, 0), low.size):
         if low[k] != np.inf:
@@ -66,29 +78,34 @@ def _has_priority(low, s, own_s, j_executing, own_executing, j_row, own_row, ste
                 return True  # it is there
             if mine <= 0.0:
                 return False
-            if j_executing != own_executing:
-                return j_executing
+            if executing != own_executing:
+                return bool(executing)
             if abs(theirs - mine) > 0.5:
-                return theirs < mine
-            return j_row < own_row
+                return bool(theirs < mine)
+            return j < own
     return True
 
 
-@njit(cache=True)
-def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201
-    known, swept, rows, fleet, own, t, s0, v0, a0, desired_mps, road, road_step, table_step, horizon, stride, step_s,
-    driver, brakes, jerk, margin,  # noqa: ANN001
-):  # fmt: skip
+@kernel(
+    "(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], f8[:,:,::1], i8[::1], f8[:,::1], i8, i8,"
+    " UniTuple(f8, 3), f8, f8[::1], f8, f8, i8, i8, f8, UniTuple(f8, 4), f8[::1], f8, f8)"
+)
+def needed_braking(
+    low: FloatArray, high: FloatArray, along: FloatArray, aligned: BoolArray, stop_s: FloatArray, closed: BoolArray,
+    swept: FloatArray, rows: IntArray, fleet: FloatArray, own: int, t: int, start: tuple[float, float, float],
+    desired_mps: float, road: FloatArray, road_step: float, table_step: float, horizon: int, stride: int, step_s: float,
+    driver: tuple[float, float, float, float], brakes: FloatArray, jerk: float, margin: float,
+) -> tuple[int, int, int, int, float, bool]:  # fmt: skip
     """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) whose predicted motion meets nobody.
 
-    known: low, high, along (A, T) and aligned (A, T) of agents whose future is known, stop lines (L,) m on the path,
-    closed (L, T) at steps; swept: low, high, cosine (G, K) of
-    generated vehicles by their own arc length, of rows (G,) of fleet (N, 5): s, v, a, executing, present. Returns
+    low, high, along, aligned (A, T): agents whose future is known, as in `PathOccupancy`. stop_s (L,) m, closed
+    (L, T): stop lines. swept (3, G, K): low, high, cosine of generated vehicles by their own arc length, of rows (G,) of fleet (N, 5): s, v, a, executing, present.
+    start: own s, v, a; driver: tau s, acceleration, deceleration m/s2, gap at standstill m. Returns
     (row of brakes, step of its first conflict or -1, step of the first conflict without braking or -1, fleet row of
     the nearest generated leader or -1, gap to it m, whether some known agent comes up from behind).
     """
-    low, high, along, aligned, stop_s, closed = known
     g_low, g_high, g_cos = swept
+    s0, v0, a0 = start
     tau, accel, decel, min_gap = driver
     hardest = 1.4 * decel
     agents, steps = low.shape
@@ -106,7 +123,7 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201
                 if lo == np.inf:
                     continue
                 hi = high[a, now]
-                if (lo < s + 0.0 < hi and k > 0) or (lo - margin < s < hi and k > 0 and not aligned[a, now]):
+                if (lo < s < hi and k > 0) or (lo - margin < s < hi and k > 0 and not aligned[a, now]):
                     if (aligned[a, now] or along[a, now] > 1.0) and s > 0.5 * (lo + hi):
                         struck = True
                         continue
@@ -126,18 +143,17 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201
                     if g_cos[g, at] > 0.7:
                         if s > 0.5 * (lo + hi):
                             continue  # it follows: its driver's business
-                        if lo - s < gap_least and _has_priority(
-                            g_low[g], fleet[j, 0], s0, fleet[j, 3] > 0.0, fleet[own, 3] > 0.0, j, own, table_step
-                        ):
+                        if lo - s < gap_least and _has_priority(g_low[g], fleet, j, own, s0, table_step):
                             gap_least, closing = lo - s, v - fleet[j, 1] * g_cos[g, at]
                             if k == 0 and row == 0:
                                 leader, leader_gap = j, lo - s
-                    elif lo - margin < s < hi + margin and k > 0:
-                        if _has_priority(
-                            g_low[g], fleet[j, 0], s0, fleet[j, 3] > 0.0, fleet[own, 3] > 0.0, j, own, table_step
-                        ):
-                            met = True
-                            break
+                    elif (
+                        lo - margin < s < hi + margin
+                        and k > 0
+                        and _has_priority(g_low[g], fleet, j, own, s0, table_step)
+                    ):
+                        met = True
+                        break
             if met:
                 hit = k * stride
                 break
@@ -151,9 +167,9 @@ def needed_braking(  # type: ignore[no-untyped-def]  # noqa: ANN201
                     behind_leader = True
                     break
                 a_next = max(a_next, -hardest)
-            line = line_ahead(stop_s, closed, s, v, now, decel)
+            line = _line_ahead(stop_s, closed, s, v, now, decel)
             if line >= 0:
-                a_next = min(a_next, accel_towards_stop(stop_s[line] - s, v, accel, decel))
+                a_next = min(a_next, _accel_towards_stop(stop_s[line] - s, v, accel, decel))
             if row > 0:
                 a_cmd = max(min(a_cmd, 0.0) - jerk * stride * step_s, -brakes[row])
                 a_next = min(a_next, a_cmd)

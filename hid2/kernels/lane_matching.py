@@ -18,7 +18,7 @@ _JUMP = 12.0
 _TO_OFF_LANE = 2.0
 
 
-@kernel()
+@kernel("(f8[:,::1], f8[::1], i8[::1], i8, f8,)")
 def motion_directions(
     position: FloatArray, heading: FloatArray, first: IntArray, half: int, min_chord: float
 ) -> tuple[FloatArray, BoolArray]:
@@ -75,7 +75,7 @@ def project_on_lane(
     return s[nearest] + share * length, (ex * py - ey * px) / length, math.atan2(ey, ex), math.sqrt(best)
 
 
-@kernel()
+@kernel("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8[::1], f8[::1], f8[:,::1], b1[::1], f8, f8, i8,)")
 def lane_candidates(
     position: FloatArray,
     direction: FloatArray,
@@ -181,7 +181,7 @@ def _viterbi(
         slot = back[r, slot]
 
 
-@kernel()
+@kernel("(i8[::1], i8[::1], i8[:,::1], f8[:,::1], f8[:,::1], i8[::1], i8[:,::1],)")
 def likeliest_lanes(
     agents: IntArray,
     first: IntArray,

@@ -8,7 +8,7 @@ from hid2.kernels.compiled import kernel
 from netconvert.geometry import FloatArray, IntArray
 
 
-@kernel()
+@kernel("(i8[::1], f8[::1], f8[::1], i8[::1], i8[:,::1], i8[::1], f8[::1], f8[::1], f8[::1], i8[:,::1], i8[::1], f8,)")
 def lane_leaders(
     lane: IntArray,
     s: FloatArray,

@@ -3,12 +3,15 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from hid2.agents import FloatArray
+from hid2.kernels.compiled import kernel
+from netconvert.geometry import FloatArray
 
 _SQUARE_M = 3.0
 _EVERY = 4  # points of the line between two that are entered, which are entered so much more widely
+
+
+IndexTable = np.ndarray[tuple[int, int], np.dtype[np.int32]]
 
 
 class Raster(NamedTuple):
@@ -22,8 +25,8 @@ class Raster(NamedTuple):
     y0: float
     side_m: float
     reach_m: float
-    first: np.ndarray[tuple[int, int], np.dtype[np.int32]]
-    last: np.ndarray[tuple[int, int], np.dtype[np.int32]]
+    first: IndexTable
+    last: IndexTable
 
 
 def raster(xy: FloatArray, *, step_m: float, reach_m: float) -> Raster:
@@ -33,15 +36,17 @@ def raster(xy: FloatArray, *, step_m: float, reach_m: float) -> Raster:
     return Raster(x0, y0, _SQUARE_M, reach_m, first, last)
 
 
-@njit(cache=True)
-def _enter(xy, wide, side):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@kernel("(f8[:,::1], f8, f8,)")
+def _enter(xy: FloatArray, wide: float, side: float) -> tuple[float, float, IndexTable, IndexTable]:
     """Enter every few points in the squares around them; the points between are nearer than what `wide` adds."""
-    x0, y0 = xy[:, 0].min() - wide, xy[:, 1].min() - wide
-    columns = int((xy[:, 0].max() + wide - x0) / side) + 1
-    rows = int((xy[:, 1].max() + wide - y0) / side) + 1
+    count = xy.shape[0]
+    x0, y0, x1, y1 = xy[0, 0], xy[0, 1], xy[0, 0], xy[0, 1]
+    for k in range(count):
+        x0, y0, x1, y1 = min(x0, xy[k, 0]), min(y0, xy[k, 1]), max(x1, xy[k, 0]), max(y1, xy[k, 1])
+    x0, y0 = x0 - wide, y0 - wide
+    columns, rows = int((x1 + wide - x0) / side) + 1, int((y1 + wide - y0) / side) + 1
     first = np.full((columns, rows), -1, dtype=np.int32)
     last = np.full((columns, rows), -1, dtype=np.int32)
-    count = xy.shape[0]
     for k in range(0, count, _EVERY):
         end = min(k + _EVERY, count) - 1
         for i in range(int((xy[k, 0] - wide - x0) / side), int((xy[k, 0] + wide - x0) / side) + 1):

@@ -16,7 +16,7 @@ def _quantile(values: FloatArray, share: float) -> float:
     return float(ordered[below] + (place - below) * (ordered[above] - ordered[below]))
 
 
-@kernel()
+@kernel("(f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1],)")
 def track_features_vector(
     speed: FloatArray, offset: FloatArray, direction: FloatArray, gap: FloatArray, accel: FloatArray,
     lateral: FloatArray, yaw_rate: FloatArray, jerk: FloatArray,

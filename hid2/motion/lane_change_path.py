@@ -1,4 +1,4 @@
-"""The lateral motion of a lane change: d(t) as four cubics, and the path that it makes (paper, Trajectory Smoothing)."""
+"""The lateral motion of a lane change: d(t) as four cubics, and its path (paper, Trajectory Smoothing)."""
 
 from dataclasses import dataclass
 

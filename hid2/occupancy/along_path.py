@@ -7,14 +7,12 @@ conflict case 3).
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from hid2.agents import FloatArray
-from hid2.kernels.boxes import apart, overlap
+from hid2.kernels.path_intervals import boxes_met, crossings_kept_clear, intervals_on_path
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.occupancy.traffic import BoolArray, Traffic
 
-_WIDER_M = 1.0  # who stands is measured more widely, so that it need not be looked at again when a tracker jitters
 _NEAR_M = (
     11.0  # half the diagonals of a large car and of a bus, or of a car that keeps room for a lane change, and that
 )
@@ -44,7 +42,7 @@ class PathOccupancy:
         """
         if not self.crosses.any():
             return self
-        low, high, aligned = _kept_clear(self.low, self.high, self.aligned, self.crosses, steps, margin_m)
+        low, high, aligned = crossings_kept_clear(self.low, self.high, self.aligned, self.crosses, steps, margin_m)
         return PathOccupancy(low=low, high=high, along=self.along, aligned=aligned, crosses=self.crosses)
 
     def joined(self, *others: "PathOccupancy") -> "PathOccupancy":
@@ -106,8 +104,10 @@ def look_along(
     others = (
         traffic.position, traffic.heading, traffic.velocity, traffic.present, traffic.length_m, traffic.width_m,
     )  # fmt: skip
-    rows, *found = _intervals(points, line.table_heading, TABLE_STEP_M, near, length_m, width_m, others, since)
-    return rows, PathOccupancy(*found)
+    rows, low, high, along, aligned, crosses = intervals_on_path(
+        points, line.table_heading, TABLE_STEP_M, *near, length_m, width_m, *others, since
+    )
+    return rows, PathOccupancy(low, high, along, aligned, crosses)
 
 
 def meet_all(
@@ -118,174 +118,4 @@ def meet_all(
     Centres (B, 2) m, headings (B,) rad, lengths (B,) m, and one width, m.
     """
     others = traffic.position, traffic.heading, traffic.present, traffic.length_m, traffic.width_m
-    return _meet_all(center, heading, length_m, width_m, step, *others)  # type: ignore[no-any-return]
-
-
-@njit(cache=True)
-def _meet_all(center, direction, length, width, step, position, heading, present, lengths, widths):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    found = np.empty(length.size, dtype=np.bool_)
-    for b in range(length.size):
-        found[b] = meets(
-            center[b, 0], center[b, 1], direction[b], length[b], width, step, position, heading, present, lengths,
-            widths,
-        )  # fmt: skip
-    return found
-
-
-@njit(cache=True)
-def meets(x, y, direction, length, width, step, position, heading, present, lengths, widths):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Whether a box touches any agent at a step, for compiled loops."""
-    cosine, sine = np.cos(direction), np.sin(direction)
-    reach = np.hypot(length, width) / 2
-    for a in range(present.shape[0]):
-        if not present[a, step]:
-            continue
-        dx, dy = position[a, step, 0] - x, position[a, step, 1] - y
-        if dx * dx + dy * dy > (reach + np.hypot(lengths[a], widths[a]) / 2) ** 2:
-            continue
-        angle = heading[a, step]
-        if overlap(
-            x, y, cosine, sine, length / 2, width / 2,
-            x + dx, y + dy, np.cos(angle), np.sin(angle), lengths[a] / 2, widths[a] / 2,
-        ):  # fmt: skip
-            return True
-    return False
-
-
-@njit(cache=True)
-def _kept_clear(low, high, aligned, crosses, steps, margin):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Who crosses also holds the path where it does so, `steps` before and after."""
-    wide_low, wide_high, leads = low.copy(), high.copy(), aligned.copy()
-    agents, last = low.shape
-    for a in range(agents):
-        for t in range(last):
-            if low[a, t] == np.inf:
-                leads[a, t] = False
-                continue
-            if not crosses[a, t]:
-                continue
-            for k in range(max(0, t - steps), min(last, t + steps + 1)):
-                if low[a, k] != np.inf and aligned[a, k]:
-                    continue
-                if high[a, t] - low[a, t] <= 2 * margin or k == t:
-                    continue
-                wide_low[a, k] = min(wide_low[a, k], low[a, t] + margin)
-                wide_high[a, k] = max(wide_high[a, k], high[a, t] - margin)
-    return wide_low, wide_high, leads
-
-
-@njit(cache=True)
-def _gaps(gaps, points, begin, end, x, y, bc, bs, own_l, own_w, half_l, half_w) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
-    """How far the own box at points `begin` to `end` is apart from an agent's, into gaps.
-
-    A loop without branches over contiguous columns: the compiler does several points at once.
-    """
-    xs, ys = points[0, begin:end], points[1, begin:end]
-    cosine, sine = points[2, begin:end], points[3, begin:end]
-    for i in range(xs.size):
-        gaps[i] = apart(xs[i], ys[i], cosine[i], sine[i], own_l, own_w, x, y, bc, bs, half_l, half_w)
-
-
-@njit(cache=True)
-def _touched(gaps):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """First and last point without a gap; -1 twice where there is none."""
-    for first in range(gaps.size):
-        if gaps[first] <= 0.0:
-            last = gaps.size - 1
-            while gaps[last] > 0.0:
-                last -= 1
-            return first, last
-    return -1, -1
-
-
-@njit(cache=True)
-def _nearest(points, begin, end, x, y):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Of points `begin` to `end` the one nearest to a place."""
-    nearest, least = begin, np.inf
-    for i in range(begin, end):
-        square = (x - points[0, i]) ** 2 + (y - points[1, i]) ** 2
-        if square < least:
-            nearest, least = i, square
-    return nearest
-
-
-@njit(cache=True)
-def _intervals(points, heading, step, raster, length, width, others, since):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Rows of those who touch the path, and their intervals: box against box at every point of it near the agent.
-
-    points (4, K): x, y, cosine and sine. length, width: of the own box. since: the first agent looked at.
-    Who stands, or jitters as trackers do, is not looked at again before it can have come to touch the path.
-    """
-    position, other_heading, velocity, present, lengths, widths = others
-    agents, steps = present.shape
-    low, high, along = np.empty((agents, steps)), np.empty((agents, steps)), np.empty((agents, steps))
-    aligned, crosses = np.empty((agents, steps), dtype=np.bool_), np.empty((agents, steps), dtype=np.bool_)
-    who, count = np.empty(agents, dtype=np.int64), 0
-    gaps = np.empty(points.shape[1])
-    own_l, own_w = length / 2, width / 2
-    (columns, rows), per_m = raster.first.shape, 1.0 / raster.side_m
-    for a in range(since, agents):
-        half_l, half_w = lengths[a] / 2, widths[a] / 2
-        reach = np.hypot(own_l, own_w) + np.hypot(half_l, half_w) + _WIDER_M
-        k, hit = count, False  # row of the result
-        low[k], high[k], along[k], aligned[k], crosses[k] = np.inf, -np.inf, 0.0, False, False
-        nearest = -1  # point of the path nearest to it, where it was touched when last looked at
-        spare, last_x, last_y, last_angle = -1.0, 0.0, 0.0, 0.0  # how far it may move from there and stay clear
-        for t in range(steps):
-            if not present[a, t]:
-                continue
-            x, y, angle = position[a, t, 0], position[a, t, 1], other_heading[a, t]
-            begin, end = 0, points.shape[1]
-            if reach <= raster.reach_m:
-                across, up = (x - raster.x0) * per_m, (y - raster.y0) * per_m
-                if across < 0.0 or up < 0.0 or across >= columns or up >= rows:
-                    continue
-                begin, end = raster.first[int(across), int(up)], raster.last[int(across), int(up)] + 1
-                if begin < 0:
-                    continue
-            if spare > 0.0:
-                turned = abs((angle - last_angle + np.pi) % (2 * np.pi) - np.pi)
-                if np.sqrt((x - last_x) ** 2 + (y - last_y) ** 2) + turned * (half_l + half_w) < spare:
-                    continue
-            if (
-                t > 0
-                and present[a, t - 1]
-                and x == position[a, t - 1, 0]
-                and y == position[a, t - 1, 1]
-                and angle == other_heading[a, t - 1]
-            ):
-                low[k, t], high[k, t] = low[k, t - 1], high[k, t - 1]
-                aligned[k, t], crosses[k, t] = aligned[k, t - 1], crosses[k, t - 1]
-                if nearest >= 0:
-                    along[k, t] = velocity[a, t, 0] * points[2, nearest] + velocity[a, t, 1] * points[3, nearest]
-                continue
-            # between an end of the range and the first point within reach nothing needs to be looked at
-            leap = int((np.sqrt((x - points[0, begin]) ** 2 + (y - points[1, begin]) ** 2) - reach) / step)
-            begin += min(max(leap, 0), end - begin - 1)
-            leap = int((np.sqrt((x - points[0, end - 1]) ** 2 + (y - points[1, end - 1]) ** 2) - reach) / step)
-            end -= min(max(leap, 0), end - begin - 1)
-            near = gaps[: end - begin]
-            _gaps(near, points, begin, end, x, y, np.cos(angle), np.sin(angle), own_l, own_w, half_l, half_w)
-            first, last = _touched(near)
-            if first < 0:
-                nearest = -1
-                if t > 0 and abs(x - position[a, t - 1, 0]) + abs(y - position[a, t - 1, 1]) < 0.1:
-                    spare, last_x, last_y, last_angle = min(near.min(), _WIDER_M) - 1e-6, x, y, angle
-                continue
-            nearest = _nearest(points, begin, end, x, y)
-            low[k, t], high[k, t] = (begin + first - 1) * step, (begin + last + 1) * step
-            along[k, t] = velocity[a, t, 0] * points[2, nearest] + velocity[a, t, 1] * points[3, nearest]
-            turned = np.cos(angle - heading[nearest])
-            aligned[k, t], crosses[k, t] = turned > 0.7, abs(turned) <= 0.87
-            spare, hit = 0.0, True
-        if hit:
-            who[k] = a
-            count += 1
-    found = (
-        low[:count].copy(),
-        high[:count].copy(),
-        along[:count].copy(),
-        aligned[:count].copy(),
-        crosses[:count].copy(),
-    )
-    return who[:count].copy(), *found
+    return boxes_met(center, heading, length_m, width_m, step, *others)

@@ -19,7 +19,7 @@ class Roads:
     _known: dict[DrivenPath, RoadSpeeds] = field(default_factory=dict)
 
     def speeds(self, path: DrivenPath, driver: Driver) -> FloatArray:
-        """(S,) m/s at the table of a path's line: what a driver takes there at most; inf where the road asks nothing."""
+        """(S,) m/s at the table of a path's line: what a driver takes there at most; inf where nothing is asked."""
         config = self.scene.config
         if path not in self._known:
             segments = turn_segments(self.scene.grid.graph, path)

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from hid2.agents import FloatArray, Policy
+from hid2.kernels.speed_profile import reachable
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.params import Limits, Turn
 from netconvert.lane_graph import TurnType
@@ -79,7 +79,7 @@ class RoadSpeeds:
         allows. Slowing begins before the entrance at approach_decel_mps2; speeding up after the trough at accel_mps2.
         """
         cap = self.cap(lateral_accel_mps2)
-        return np.asarray(reachable(cap, self.shape, cruise_mps, TABLE_STEP_M, approach_decel_mps2, accel_mps2))
+        return reachable(cap, self.shape, cruise_mps, TABLE_STEP_M, approach_decel_mps2, accel_mps2)
 
 
 def road_speeds(
@@ -104,20 +104,3 @@ def road_speeds(
         shape[cells] = np.minimum(shape[cells], here)
         turning[cells] = np.minimum(turning[cells], (bend[cells] / here).min() * here)
     return RoadSpeeds(bend=turning, hard=hard_cap(line, limits), shape=shape)
-
-
-@njit(cache=True)
-def reachable(cap, shape, cruise, step, decel, accel):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Backward pass for slowing in time, forward pass for speeding up, both in squares of speed."""
-    out = np.empty_like(cap)
-    slowing, speeding = 2 * decel * step, 2 * accel * step
-    square = np.inf
-    for i in range(out.size - 1, -1, -1):
-        wanted = min(cap[i], cruise * shape[i])
-        square = min(wanted * wanted, square + slowing)
-        out[i] = square
-    square = np.inf
-    for i in range(out.size):
-        square = min(out[i], square + speeding)
-        out[i] = np.sqrt(square)
-    return out

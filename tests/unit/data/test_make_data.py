@@ -15,10 +15,11 @@ import shapely
 from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
 from av2.map.lane_segment import LaneType
 from av2.map.map_api import ArgoverseStaticMap
+from separating_axes import boxes_overlap
 
 from bridge.config import load_config
 from bridge.recordings.scenario import Scenario, read_scenario
-from netconvert.geometry import box_corners, boxes_overlap
+from netconvert.geometry import box_corners
 
 Script = Callable[[str], ModuleType]
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from netconvert.geometry import Polyline, arc_length, box_corners, boxes_overlap, resample, wrap_angle
+from netconvert.geometry import Polyline, arc_length, box_corners, resample, wrap_angle
 
 # An L: 10 m east, then 10 m north.
 #        |
@@ -129,47 +129,3 @@ def test_box_sizes_broadcast_over_centers() -> None:
     corners = box_corners(np.zeros((3, 5, 2)), np.zeros((3, 5)), length_m=np.array([[2.0], [4.0], [6.0]]), width_m=1.0)
     assert corners.shape == (3, 5, 4, 2)
     assert corners[:, 0, 0, 0].tolist() == [1.0, 2.0, 3.0]
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "heading", "overlap"),
-    [
-        (3.9, 0.0, 0.0, True),  # bumper 0.1 m into the other
-        (4.0, 0.0, 0.0, False),  # bumpers touch
-        (4.1, 0.0, 0.0, False),
-        (0.0, 1.9, 0.0, True),
-        (0.0, 2.1, 0.0, False),
-        (2.9, 0.0, math.pi / 2, True),  # crosswise: half of 4 m and half of 2 m
-        (3.1, 0.0, math.pi / 2, False),
-        # At 45 degrees only the turned box's own axes separate the corners: the boxes' bounds do overlap.
-        (3.0, 2.0, math.pi / 4, True),
-        (3.6, 2.6, math.pi / 4 * 3, False),
-    ],
-)
-def test_boxes_overlap_only_where_they_share_ground(x: float, y: float, heading: float, overlap: bool) -> None:
-    """A 4 m x 2 m box at the origin against one of the same size."""
-    a = box_corners([0.0, 0.0], 0.0, length_m=4.0, width_m=2.0)
-    b = box_corners([x, y], heading, length_m=4.0, width_m=2.0)
-    assert bool(boxes_overlap(a, b)) is overlap
-    assert bool(boxes_overlap(b, a)) is overlap
-
-
-@settings(deadline=None)
-@given(st.lists(st.floats(-6.0, 6.0), min_size=2, max_size=2), st.floats(-4.0, 4.0), st.floats(-4.0, 4.0))
-def test_box_overlap_agrees_with_polygon_areas(offset: list[float], heading_a: float, heading_b: float) -> None:
-    import shapely
-
-    a = box_corners([0.0, 0.0], heading_a, length_m=4.5, width_m=1.9)
-    b = box_corners(offset, heading_b, length_m=2.2, width_m=0.9)
-    common = shapely.area(shapely.intersection(shapely.Polygon(a), shapely.Polygon(b)))
-    if bool(boxes_overlap(a, b)):
-        assert shapely.distance(shapely.Polygon(a), shapely.Polygon(b)) == pytest.approx(0.0, abs=1e-9)
-    else:
-        assert common == pytest.approx(0.0, abs=1e-9)
-
-
-def test_overlap_of_many_against_many_broadcasts() -> None:
-    x = np.arange(4) * 3.0
-    boxes = box_corners(np.column_stack([x, np.zeros(4)]), np.zeros(4), length_m=4.0, width_m=2.0)
-    overlap = boxes_overlap(boxes[:, None], boxes[None, :])
-    assert overlap.tolist() == [[abs(i - j) <= 1 for j in range(4)] for i in range(4)]

@@ -11,7 +11,8 @@ from shapely.geometry import box as rectangle
 
 from hid2.agents import BoxSize, Track
 from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, off_footprint, overlaps, prepare_map, safety
-from hid2.kernels.box_pairs import contact_time, pairwise_overlap
+from hid2.kernels.box_pairs import pairwise_overlap
+from hid2.kernels.boxes import contact_time
 from hid2.measures.arrays import SceneArrays, between_steps, stack
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
@@ -57,7 +58,8 @@ def test_shared_area_equals_shapelys(x, y, first, second, length_a, width_a, len
 @given(st.floats(-40, 40), st.floats(-40, 40), st.floats(-15, 15), st.floats(-15, 15), angles, angles)
 def test_contact_time_equals_moving_the_boxes_by_small_steps(x, y, vx, vy, first, second):
     """Boxes 4 x 2 m: at the time found they touch, and a little before they do not."""
-    seconds = contact_time(x, y, vx, vy, first, 4.0, 2.0, second, 4.0, 2.0)
+    ahead_a, ahead_b = (math.cos(first), math.sin(first)), (math.cos(second), math.sin(second))
+    seconds = contact_time(x, y, vx, vy, *ahead_a, 2.0, 1.0, *ahead_b, 2.0, 1.0)
     still = shapely_box(0, 0, first, 4, 2)
 
     def distance(time):

@@ -75,7 +75,9 @@ def test_small_box_between_two_samples_is_not_jumped_over(
 
 def test_intervals_hold_every_arc_length_that_really_touches(box: Callable[..., Traffic]) -> None:
     """On a bend, against boxes at every angle: what touches when tested box by box lies inside the interval."""
-    from netconvert.geometry import box_corners, boxes_overlap
+    from separating_axes import boxes_overlap
+
+    from netconvert.geometry import box_corners
 
     angle = np.linspace(0.0, np.pi / 2, 40)
     bend = 30.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])

@@ -1,0 +1,133 @@
+"""Which cells of the grid boxes cover, and which cell an agent's centre belongs to."""
+
+import numpy as np
+import numpy.typing as npt
+
+from hid2.kernels.boxes import overlap
+from hid2.kernels.compiled import inner, kernel
+from netconvert.geometry import BoolArray, FloatArray, IntArray
+
+
+@kernel("(f8[:,::1], f8[::1], f8[::1], f8[::1], i8[::1], f8, f8[:,:,::1], f8[:,::1], b1[:,::1], f8[::1], f8[::1], f8)")
+def original_cells(
+    center: FloatArray, c_heading: FloatArray, c_length: FloatArray, c_width: FloatArray, by_x: IntArray, widest: float,
+    position: FloatArray, heading: FloatArray, present: BoolArray, lengths: FloatArray, widths: FloatArray,
+    agrees: float,
+) -> tuple[npt.NDArray[np.uint8], IntArray]:  # fmt: skip
+    """Sigma (T, C), 1 where an agent's box is, and the cell (A, T) of each agent's centre, -1 for none.
+
+    by_x (C,): cells in the order of their x; widest: largest half diagonal of any, m.
+    """
+    agents, steps = present.shape
+    cells = center.shape[0]
+    sigma = np.zeros((steps, cells), dtype=np.uint8)
+    found = np.full((agents, steps), -1, dtype=np.int64)
+    cosine, sine = np.cos(c_heading), np.sin(c_heading)
+    cos_agrees = np.cos(agrees)
+    for a in range(agents):
+        half_l, half_w = lengths[a] / 2, widths[a] / 2
+        reach = np.hypot(half_l, half_w) + widest
+        for t in range(steps):
+            if not present[a, t]:
+                continue
+            x, y, angle = position[a, t, 0], position[a, t, 1], heading[a, t]
+            still = (
+                t > 0
+                and present[a, t - 1]
+                and x == position[a, t - 1, 0]
+                and y == position[a, t - 1, 1]
+                and angle == heading[a, t - 1]
+            )
+            co, si = np.cos(angle), np.sin(angle)
+            best_level, best_distance, best = 4, np.inf, -1
+            for k in range(_first_from(center, by_x, x - reach), cells):
+                c = by_x[k]
+                dx, dy = x - center[c, 0], y - center[c, 1]
+                if dx < -reach:
+                    break
+                if abs(dy) > reach:
+                    continue
+                if overlap(
+                    x, y, co, si, half_l, half_w,
+                    center[c, 0], center[c, 1], cosine[c], sine[c], c_length[c] / 2, c_width[c] / 2,
+                ):  # fmt: skip
+                    sigma[t, c] = 1
+                if still:
+                    continue
+                along = abs(dx * cosine[c] + dy * sine[c])
+                across = abs(-dx * sine[c] + dy * cosine[c])
+                same_way = co * cosine[c] + si * sine[c] > cos_agrees
+                distance = np.hypot(dx, dy)
+                level = 4
+                if same_way and along <= c_length[c] / 2 + 1e-9 and across <= c_width[c] / 2:
+                    level, distance = 1, across
+                elif same_way and along <= c_length[c] / 2 + 0.5 and across <= c_width[c] / 2 + 0.5:
+                    level, distance = 2, across
+                elif distance <= c_length[c]:
+                    level = 3
+                nearer = distance < best_distance or (distance == best_distance and c < best)
+                if level < best_level or (level == best_level and level < 4 and nearer):
+                    best_level, best_distance, best = level, distance, c
+            found[a, t] = found[a, t - 1] if still else best
+    return sigma, found
+
+
+@kernel("(f8[:,::1], f8[::1], f8[::1], f8[::1], i8[::1], i8, f8, f8[:,:,::1], f8[:,::1], b1[:,::1], f8[::1], f8[::1])")
+def anybody_on(
+    center: FloatArray, c_heading: FloatArray, c_length: FloatArray, c_width: FloatArray, cells: IntArray, step: int,
+    share: float, position: FloatArray, heading: FloatArray, present: BoolArray, length: FloatArray, width: FloatArray,
+) -> bool:  # fmt: skip
+    """Whether any agent's box, of a share of its width, covers any of the cells at a step."""
+    for a in range(present.shape[0]):
+        if not present[a, step]:
+            continue
+        x, y, half_l, half_w = position[a, step, 0], position[a, step, 1], length[a] / 2, share * width[a] / 2
+        co, si = np.cos(heading[a, step]), np.sin(heading[a, step])
+        for c in cells:
+            if is_on(center, c_heading, c_length, c_width, c, x, y, co, si, half_l, half_w):
+                return True
+    return False
+
+
+@inner
+def _first_from(center: FloatArray, by_x: IntArray, x: float) -> int:
+    """Place in by_x of the first cell that is not left of x, by bisection."""
+    low, high = 0, by_x.size
+    while low < high:
+        middle = (low + high) // 2
+        if center[by_x[middle], 0] < x:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@inner
+def is_on(
+    center: FloatArray, c_heading: FloatArray, c_length: FloatArray, c_width: FloatArray, c: int,
+    x: float, y: float, co: float, si: float, half_l: float, half_w: float,
+) -> bool:  # fmt: skip
+    """Whether a box covers any of cell c."""
+    reach = half_l + half_w + c_length[c] + c_width[c]
+    if abs(x - center[c, 0]) > reach or abs(y - center[c, 1]) > reach:
+        return False
+    return overlap(
+        x, y, co, si, half_l, half_w,
+        center[c, 0], center[c, 1], np.cos(c_heading[c]), np.sin(c_heading[c]), c_length[c] / 2, c_width[c] / 2,
+    )  # fmt: skip
+
+
+@kernel("(f8[:,::1], f8[::1], f8[::1], f8[::1], f8, f8, f8, f8, f8)")
+def cells_below(
+    center: FloatArray, c_heading: FloatArray, c_length: FloatArray, c_width: FloatArray,
+    x: float, y: float, heading: float, half_l: float, half_w: float,
+) -> IntArray:  # fmt: skip
+    """Indices of the cells that a box covers, 64 at most."""
+    out = np.empty(64, dtype=np.int64)
+    count = 0
+    co, si = np.cos(heading), np.sin(heading)
+    for c in range(center.shape[0]):
+        if count < 64 and is_on(center, c_heading, c_length, c_width, c, x, y, co, si, half_l, half_w):
+            out[count] = c
+            count += 1
+    return out[:count]

@@ -1,0 +1,208 @@
+"""Where others are along a path: box against box at every point of the path that is near an agent, at every step."""
+
+import numpy as np
+
+from hid2.kernels.boxes import apart, overlap
+from hid2.kernels.compiled import inner, kernel
+from hid2.kernels.raster import IndexTable
+from netconvert.geometry import BoolArray, FloatArray, IntArray
+
+_WIDER_M = 1.0  # who stands is measured more widely, so that it need not be looked at again when a tracker jitters
+
+
+@kernel("(f8[:,::1], f8[::1], f8[::1], f8, i8, f8[:,:,::1], f8[:,::1], b1[:,::1], f8[::1], f8[::1])")
+def boxes_met(
+    center: FloatArray, direction: FloatArray, length: FloatArray, width: float, step: int, position: FloatArray,
+    heading: FloatArray, present: BoolArray, lengths: FloatArray, widths: FloatArray,
+) -> BoolArray:  # fmt: skip
+    """Which of many boxes, centres (B, 2), directions and lengths (B,), touch any agent (A,) at a step."""
+    found = np.empty(length.size, dtype=np.bool_)
+    for b in range(length.size):
+        found[b] = meets(
+            center[b, 0], center[b, 1], direction[b], length[b], width, step, position, heading, present, lengths,
+            widths,
+        )  # fmt: skip
+    return found
+
+
+@inner
+def meets(
+    x: float, y: float, direction: float, length: float, width: float, step: int, position: FloatArray,
+    heading: FloatArray, present: BoolArray, lengths: FloatArray, widths: FloatArray,
+) -> bool:  # fmt: skip
+    """Whether a box touches any agent at a step, for compiled loops."""
+    cosine, sine = np.cos(direction), np.sin(direction)
+    reach = np.hypot(length, width) / 2
+    for a in range(present.shape[0]):
+        if not present[a, step]:
+            continue
+        dx, dy = position[a, step, 0] - x, position[a, step, 1] - y
+        if dx * dx + dy * dy > (reach + np.hypot(lengths[a], widths[a]) / 2) ** 2:
+            continue
+        angle = heading[a, step]
+        if overlap(
+            x, y, cosine, sine, length / 2, width / 2,
+            x + dx, y + dy, np.cos(angle), np.sin(angle), lengths[a] / 2, widths[a] / 2,
+        ):  # fmt: skip
+            return True
+    return False
+
+
+@kernel("(f8[:,::1], f8[:,::1], b1[:,::1], b1[:,::1], i8, f8)")
+def crossings_kept_clear(
+    low: FloatArray, high: FloatArray, aligned: BoolArray, crosses: BoolArray, steps: int, margin: float
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Who crosses also holds the path where it does so, `steps` before and after."""
+    wide_low, wide_high, leads = low.copy(), high.copy(), aligned.copy()
+    agents, last = low.shape
+    for a in range(agents):
+        for t in range(last):
+            if low[a, t] == np.inf:
+                leads[a, t] = False
+                continue
+            if not crosses[a, t]:
+                continue
+            for k in range(max(0, t - steps), min(last, t + steps + 1)):
+                if low[a, k] != np.inf and aligned[a, k]:
+                    continue
+                if high[a, t] - low[a, t] <= 2 * margin or k == t:
+                    continue
+                wide_low[a, k] = min(wide_low[a, k], low[a, t] + margin)
+                wide_high[a, k] = max(wide_high[a, k], high[a, t] - margin)
+    return wide_low, wide_high, leads
+
+
+@inner
+def _gaps(
+    gaps: FloatArray, points: FloatArray, begin: int, end: int, x: float, y: float, bc: float, bs: float,
+    own_l: float, own_w: float, half_l: float, half_w: float,
+) -> None:  # fmt: skip
+    """How far the own box at points `begin` to `end` is apart from an agent's, into gaps.
+
+    A loop without branches over contiguous columns: the compiler does several points at once.
+    """
+    xs, ys = points[0, begin:end], points[1, begin:end]
+    cosine, sine = points[2, begin:end], points[3, begin:end]
+    for i in range(xs.size):
+        gaps[i] = apart(xs[i], ys[i], cosine[i], sine[i], own_l, own_w, x, y, bc, bs, half_l, half_w)
+
+
+@inner
+def _touched(gaps: FloatArray) -> tuple[int, int]:
+    """First and last point without a gap; -1 twice where there is none."""
+    for first in range(gaps.size):
+        if gaps[first] <= 0.0:
+            last = gaps.size - 1
+            while gaps[last] > 0.0:
+                last -= 1
+            return first, last
+    return -1, -1
+
+
+@inner
+def _least(gaps: FloatArray, least: float) -> float:
+    for gap in gaps:
+        if gap < least:
+            least = gap
+    return least
+
+
+@inner
+def _nearest(points: FloatArray, begin: int, end: int, x: float, y: float) -> int:
+    """Of points `begin` to `end` the one nearest to a place."""
+    nearest, least = begin, np.inf
+    for i in range(begin, end):
+        square = (x - points[0, i]) ** 2 + (y - points[1, i]) ** 2
+        if square < least:
+            nearest, least = i, square
+    return nearest
+
+
+@kernel(
+    "(f8[:,::1], f8[::1], f8, f8, f8, f8, f8, i4[:,::1], i4[:,::1], f8, f8, "
+    "f8[:,:,::1], f8[:,::1], f8[:,:,::1], b1[:,::1], f8[::1], f8[::1], i8)"
+)
+def intervals_on_path(
+    points: FloatArray, heading: FloatArray, step: float,
+    x0: float, y0: float, side: float, raster_reach: float, first_point: IndexTable, last_point: IndexTable,
+    length: float, width: float, position: FloatArray, other_heading: FloatArray, velocity: FloatArray,
+    present: BoolArray, lengths: FloatArray, widths: FloatArray, since: int,
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, BoolArray, BoolArray]:  # fmt: skip
+    """Rows of those who touch the path, and their intervals: box against box at every point of it near the agent.
+
+    points (4, K): x, y, cosine and sine, step m apart, and their raster (see `Raster`). length, width: of the own box.
+    since: the first agent looked at.
+    Who stands, or jitters as trackers do, is not looked at again before it can have come to touch the path.
+    """
+    agents, steps = present.shape
+    low, high, along = np.empty((agents, steps)), np.empty((agents, steps)), np.empty((agents, steps))
+    aligned, crosses = np.empty((agents, steps), dtype=np.bool_), np.empty((agents, steps), dtype=np.bool_)
+    who, count = np.empty(agents, dtype=np.int64), 0
+    gaps = np.empty(points.shape[1])
+    own_l, own_w = length / 2, width / 2
+    (columns, rows), per_m = first_point.shape, 1.0 / side
+    for a in range(since, agents):
+        half_l, half_w = lengths[a] / 2, widths[a] / 2
+        reach = np.hypot(own_l, own_w) + np.hypot(half_l, half_w) + _WIDER_M
+        k, hit = count, False  # row of the result
+        low[k], high[k], along[k], aligned[k], crosses[k] = np.inf, -np.inf, 0.0, False, False
+        nearest = -1  # point of the path nearest to it, where it was touched when last looked at
+        spare, last_x, last_y, last_angle = -1.0, 0.0, 0.0, 0.0  # how far it may move from there and stay clear
+        for t in range(steps):
+            if not present[a, t]:
+                continue
+            x, y, angle = position[a, t, 0], position[a, t, 1], other_heading[a, t]
+            begin, end = 0, points.shape[1]
+            if reach <= raster_reach:
+                across, up = (x - x0) * per_m, (y - y0) * per_m
+                if across < 0.0 or up < 0.0 or across >= columns or up >= rows:
+                    continue
+                begin, end = first_point[int(across), int(up)], last_point[int(across), int(up)] + 1
+                if begin < 0:
+                    continue
+            if spare > 0.0:
+                turned = abs((angle - last_angle + np.pi) % (2 * np.pi) - np.pi)
+                if np.sqrt((x - last_x) ** 2 + (y - last_y) ** 2) + turned * (half_l + half_w) < spare:
+                    continue
+            if (
+                t > 0
+                and present[a, t - 1]
+                and x == position[a, t - 1, 0]
+                and y == position[a, t - 1, 1]
+                and angle == other_heading[a, t - 1]
+            ):
+                low[k, t], high[k, t] = low[k, t - 1], high[k, t - 1]
+                aligned[k, t], crosses[k, t] = aligned[k, t - 1], crosses[k, t - 1]
+                if nearest >= 0:
+                    along[k, t] = velocity[a, t, 0] * points[2, nearest] + velocity[a, t, 1] * points[3, nearest]
+                continue
+            # between an end of the range and the first point within reach nothing needs to be looked at
+            leap = int((np.sqrt((x - points[0, begin]) ** 2 + (y - points[1, begin]) ** 2) - reach) / step)
+            begin += min(max(leap, 0), end - begin - 1)
+            leap = int((np.sqrt((x - points[0, end - 1]) ** 2 + (y - points[1, end - 1]) ** 2) - reach) / step)
+            end -= min(max(leap, 0), end - begin - 1)
+            near = gaps[: end - begin]
+            _gaps(near, points, begin, end, x, y, np.cos(angle), np.sin(angle), own_l, own_w, half_l, half_w)
+            first, last = _touched(near)
+            if first < 0:
+                nearest = -1
+                if t > 0 and abs(x - position[a, t - 1, 0]) + abs(y - position[a, t - 1, 1]) < 0.1:
+                    spare, last_x, last_y, last_angle = _least(near, _WIDER_M) - 1e-6, x, y, angle
+                continue
+            nearest = _nearest(points, begin, end, x, y)
+            low[k, t], high[k, t] = (begin + first - 1) * step, (begin + last + 1) * step
+            along[k, t] = velocity[a, t, 0] * points[2, nearest] + velocity[a, t, 1] * points[3, nearest]
+            turned = np.cos(angle - heading[nearest])
+            aligned[k, t], crosses[k, t] = turned > 0.7, abs(turned) <= 0.87
+            spare, hit = 0.0, True
+        if hit:
+            who[k] = a
+            count += 1
+    found = (
+        low[:count].copy(),
+        high[:count].copy(),
+        along[:count].copy(),
+        aligned[:count].copy(),
+        crosses[:count].copy(),
+    )
+    return (who[:count].copy(), *found)

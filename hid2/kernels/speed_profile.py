@@ -1,0 +1,26 @@
+"""Speeds along a path that a driver can keep to."""
+
+import numpy as np
+
+from hid2.kernels.compiled import kernel
+from netconvert.geometry import FloatArray
+
+
+@kernel("(f8[::1], f8[::1], f8, f8, f8, f8)")
+def reachable(cap: FloatArray, shape: FloatArray, cruise: float, step: float, decel: float, accel: float) -> FloatArray:
+    """Highest speed (S,) m/s at points `step` m apart that keeps below cap (S,) m/s and cruise times shape (S,).
+
+    Backward pass for slowing in time, forward pass for speeding up, both in squares of speed.
+    """
+    out = np.empty_like(cap)
+    slowing, speeding = 2 * decel * step, 2 * accel * step
+    square = np.inf
+    for i in range(out.size - 1, -1, -1):
+        wanted = min(cap[i], cruise * shape[i])
+        square = min(wanted * wanted, square + slowing)
+        out[i] = square
+    square = np.inf
+    for i in range(out.size):
+        square = min(out[i], square + speeding)
+        out[i] = np.sqrt(square)
+    return out

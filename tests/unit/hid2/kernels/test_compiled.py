@@ -1,0 +1,149 @@
+"""Compiled functions: kept for the next process, compiled again when a file of the room changes, by nothing else."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hid2.kernels.compile import make_ready
+from hid2.kernels.compiled import KERNELS, digest
+
+ROOT = Path(__file__).parents[4]
+
+CALLED = '''"""Called."""
+
+from hid2.kernels.compiled import inner
+
+
+@inner
+def called(x: float) -> float:
+    return x + {value}
+'''
+CALLER = '''"""Calls it."""
+
+from hid2.kernels.called import called
+from hid2.kernels.compiled import kernel
+
+
+@kernel("(f8,)")
+def caller(x: float) -> float:
+    return called(x)
+'''
+RUN = (
+    "from hid2.kernels.caller import caller; print(caller(1.0), sum(caller.stats.cache_hits.values()),"
+    " *(name for name in ('scipy.linalg', 'numba.np.arraymath') if name in __import__('sys').modules))"
+)
+
+
+@pytest.fixture
+def room(tmp_path: Path) -> Path:
+    """A copy of the room with two kernels of our own, one of which calls the other one."""
+    folder = tmp_path / "hid2" / "kernels"
+    folder.mkdir(parents=True)
+    (tmp_path / "hid2" / "__init__.py").write_text("")
+    for name in ("__init__.py", "compiled.py", "compile.py"):
+        shutil.copy(ROOT / "hid2" / "kernels" / name, folder)
+    (folder / "called.py").write_text(CALLED.format(value=1))
+    (folder / "caller.py").write_text(CALLER)
+    return folder
+
+
+def run(room: Path, *arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    environment = {"PATH": os.environ["PATH"], "HOME": str(room.parents[1]), "PYTHONDONTWRITEBYTECODE": "1"} | variables
+    command = [sys.executable, *(arguments or ("-c", RUN))]
+    done = subprocess.run(command, cwd=room.parents[1], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def test_kernel_is_kept_and_loads_without_the_compiler(room: Path) -> None:
+    """Loaded by the second process (one hit), whose imports do not grow by what the compiler needs."""
+    assert run(room).stdout.split()[:2] == ["2.0", "0"]
+    assert run(room).stdout.split() == ["2.0", "1"]
+
+
+def test_changed_kernel_is_compiled_again_with_what_calls_it(room: Path) -> None:
+    """The caller's own file is the same; numba itself would go on with the old one."""
+    run(room)
+    (room / "called.py").write_text(CALLED.format(value=2))
+    assert run(room).stdout.split()[:2] == ["3.0", "0"]
+    assert run(room).stdout.split()[:2] == ["3.0", "1"]
+
+
+def test_change_outside_of_the_room_compiles_nothing(room: Path) -> None:
+    run(room)
+    (room.parent / "__init__.py").write_text('"""Changed."""\n')
+    (room.parent / "params.py").write_text('"""New."""\n')
+    assert run(room).stdout.split() == ["2.0", "1"]
+
+
+def test_set_up_compiles_once_and_says_so(room: Path) -> None:
+    compile_all = ("-m", "hid2.kernels.compile")
+    assert run(room, *compile_all).stderr == "hid2: compiling 1 functions, which takes a minute\n"
+    assert run(room, *compile_all).stderr == ""
+    assert run(room).stdout.split() == ["2.0", "1"]
+    (room / "called.py").write_text(CALLED.format(value=2))
+    assert run(room, *compile_all).stderr == "hid2: compiling 1 functions, which takes a minute\n"
+    assert run(room).stdout.split() == ["3.0", "1"]
+
+
+def test_code_is_kept_elsewhere_where_sources_cannot_be_written(room: Path) -> None:
+    """Where NUMBA_CACHE_DIR says; also for root, since a file is where the folder would be."""
+    (room / "__pycache__").write_text("")
+    chosen = room.parents[1] / "chosen"
+    assert run(room, NUMBA_CACHE_DIR=str(chosen)).stdout.split()[:2] == ["2.0", "0"]
+    assert run(room, NUMBA_CACHE_DIR=str(chosen)).stdout.split()[:2] == ["2.0", "1"]
+    assert list(chosen.rglob("*.nbi"))
+
+
+def test_kernels_run_where_nothing_can_be_written(room: Path) -> None:
+    (room / "__pycache__").write_text("")
+    nothing = room.parents[1] / "nothing"
+    nothing.write_text("")
+    places = {"HOME": str(nothing), "XDG_CACHE_HOME": str(nothing)}
+    for _ in range(2):
+        assert run(room, **places).stdout.split()[:2] == ["2.0", "0"]
+    run(room, "-m", "hid2.kernels.compile", **places)
+
+
+def test_kernels_are_compiled_for_the_types_that_they_are_called_with(data_scenes: dict[str, Path]) -> None:
+    """A scene generated and measured in this process compiles nothing of the room beyond what set-up has compiled."""
+    from bridge.evaluation.scene_metrics import Maps, measure_folder
+    from bridge.generation.generate import generate
+    from bridge.recordings.scenario import read_scenario
+    from hid2.params import Config, Limits, Request
+
+    make_ready()
+    folder = data_scenes["intersection"]
+    generate(read_scenario(folder), Config(request=Request(agents=5)))
+    measure_folder(folder, Limits(), Maps())
+    room = [dispatcher for dispatcher, _ in KERNELS]
+    missed = {dispatcher.__name__: list(dispatcher.stats.cache_misses) for dispatcher in room}
+    assert {name: types for name, types in missed.items() if types} == {}
+    assert sum(bool(dispatcher.stats.cache_hits) for dispatcher in room) > len(room) / 2
+
+
+def test_compiled_code_is_in_the_room_alone() -> None:
+    """A kernel elsewhere would be in no digest, and none is compiled by set-up without its types."""
+    outside = {
+        path.relative_to(ROOT).as_posix()
+        for package in ("netconvert", "hid2", "bridge")
+        for path in (ROOT / package).rglob("*.py")
+        if path.parent.name != "kernels" and "njit" in path.read_text()
+    }
+    assert outside == set()
+    assert [dispatcher.__name__ for dispatcher, signatures in KERNELS if not signatures] == []
+
+
+def test_digest_is_that_of_contents(tmp_path: Path) -> None:
+    one, other = tmp_path / "one.py", tmp_path / "other.py"
+    one.write_text("a")
+    other.write_text("b")
+    before = digest([one, other])
+    os.utime(one, (1.0, 1.0))
+    assert digest([one, other]) == before
+    other.write_text("c")
+    assert digest([one, other]) != before
