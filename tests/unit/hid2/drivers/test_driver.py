@@ -40,7 +40,7 @@ def test_no_two_drivers_are_one() -> None:
 def _wander() -> np.ndarray:
     """(400, 110) m/s desired speeds minus the driver's own."""
     rng = np.random.default_rng(0)
-    rows = [desired_speeds(DRIVER, CONFIG, rng, num_steps=110, step_s=0.1) for _ in range(400)]
+    rows = [desired_speeds(DRIVER, CONFIG, rng, num_steps=110, step_s=0.1, at_least_mps=0.0) for _ in range(400)]
     return np.array(rows) - DRIVER.desired_mps
 
 
@@ -70,9 +70,19 @@ def test_wandering_is_slow() -> None:
     assert (np.abs(rate[:, 0]) > 0.05).mean() > 0.9
 
 
+def test_nobody_begins_above_the_desired_speed() -> None:
+    """A start at 10.5 m/s of a driver who wants 10: the wandering begins at + 0.5 m/s or above."""
+    rng = np.random.default_rng(0)
+    speeds = [desired_speeds(DRIVER, CONFIG, rng, num_steps=110, step_s=0.1, at_least_mps=10.5) for _ in range(100)]
+    assert min(one[0] for one in speeds) == pytest.approx(10.5)
+
+
 def test_desired_speed_never_falls_below_half() -> None:
     wild = CONFIG.model_copy(update={"drivers": Drivers(wander_sd_mps=3.0)})
-    speeds = [desired_speeds(DRIVER, wild, np.random.default_rng(k), num_steps=110, step_s=0.1) for k in range(100)]
+    speeds = [
+        desired_speeds(DRIVER, wild, np.random.default_rng(k), num_steps=110, step_s=0.1, at_least_mps=0.0)
+        for k in range(100)
+    ]
     assert min(one.min() for one in speeds) >= 5.0
 
 
