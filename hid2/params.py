@@ -81,7 +81,7 @@ class Spawn(_Section):
     speed_sd: float = _param(
         0.08, "share", "standard deviation of the start speed around the desired one", ge=0, le=0.5
     )
-    clear_gap_m: float = _param(2.5, "m", "smallest bumper gap at the start", ge=0.5, le=50)
+    clear_gap_m: float = _param(2.0, "m", "smallest bumper gap at the start", ge=0.5, le=50)
     settle_s: float = _param(
         3.0, "s", "a start holds if nobody is met so long by a vehicle that drives on and brakes as a driver would",
         ge=0, le=10,
