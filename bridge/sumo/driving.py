@@ -30,7 +30,7 @@ _BINDS_MPS = 0.05
 #: A vehicle that slows down by more than this, m/s2, behind somebody has braked for it.
 _SLOWS_MPS2 = 0.3
 _STANDS_MPS = 0.5
-_OVERLAPS_M = 0.5  # by which a leader may lie beside the front bumper
+_LEADS_FROM_M = 0.3  # gap from which on somebody ahead is a leader and not beside
 #: Braking for what SUMO does not see builds up at this rate, m/s3.
 _BRAKING_JERK_MPS3 = 3.5
 _LAST_BRAKING_MPS2, _LAST_BRAKING_PER_S = 0.6, 1.8  # at walking pace the brake is let go with the speed
@@ -194,7 +194,7 @@ class Driving:
             middle = 0.5 * (found.low[here, step] + found.high[here, step])
             gap = middle - s - 0.5 * (vehicle.start.box.length_m + self._lengths[rows[here]])
             stands = (np.abs(found.along[here, step]) < _STANDS_MPS) & ~found.crosses[here, step]
-            leads = (gap > -_OVERLAPS_M) & (gap < _SHOWN_M) & (found.aligned[here, step] | stands)
+            leads = (gap > _LEADS_FROM_M) & (gap < _SHOWN_M) & (found.aligned[here, step] | stands)
             for place in np.flatnonzero(leads).tolist():
                 agent, at = int(rows[here[place]]), float(gap[place])
                 if agent not in shown or at < shown[agent][0]:  # on the lane of who is nearest behind it

@@ -91,15 +91,14 @@ class InsertionSites:
     def _starts(self, request: VehicleRequest) -> Iterator[Start]:
         """Starts at sites in weighted random order; first where more speaks for them.
 
-        Strict: the lane beside is not in an intersection; nobody known is in the way of a turn.
+        Strict: the lane beside is not in an intersection, and a gap in it is likely; nobody known is in the way of a
+        turn; whoever is to go straight meets no turn in the time of the scene.
         """
         if self.scene.config.request.sites == "any":
             yield from self._starts_where(request, _any_site)
             return
         for strict in (True, False):
             yield from self._starts_where(request, partial(self._promises, request, strict=strict), strict=strict)
-            if request.policy is Policy.STRAIGHT:
-                return
 
     def _starts_where(
         self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool], *, strict: bool = False
@@ -112,7 +111,7 @@ class InsertionSites:
                 if self._leaves_early(offer, s, 0.8 * usual_mps) or not promises(offer, s, usual_mps):
                     continue
                 start = self._start(request, offer, lane_id, s, strict=strict)
-                tried += 1
+                tried += start is not Reason.NO_SITE
                 if isinstance(start, Start):
                     yield start
                 else:
@@ -180,7 +179,7 @@ class InsertionSites:
             _, begin, end = ahead[0]
             needs_s = (begin - s) / (0.75 * speed_mps) + (end - begin) / _TURN_PACE_MPS + 2.0
             return begin - s > _BEFORE_TURN_M and needs_s < duration
-        if any(begin < reach for _, begin, _ in ahead):
+        if any(begin < reach for _, begin, _ in ahead) and (strict or request.policy is not Policy.STRAIGHT):
             return False
         at = s + 0.9 * speed_mps * request.trigger_s
         if request.policy is Policy.LANE_CHANGE:
