@@ -7,11 +7,13 @@ import numpy.typing as npt
 
 from hid2.agents import BoxSize, Policy, Track
 from hid2.drivers.driver import Driver, LaneOffset
-from hid2.motion.route import Route
+from hid2.motion.route import DrivenPath, Route
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
+from hid2.policy.observation import lay_across, target_path
+from hid2.policy.overtake import Stage
 from hid2.scene import Scene, build_scene
-from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
+from hid2.vehicle import DrivenVehicle, Shift, Start, VehicleRequest
 from netconvert.cells import build_cell_grid
 from netconvert.lane_graph import LaneGraph
 
@@ -70,3 +72,18 @@ def driven(start: Start, v: npt.ArrayLike, **changes: Any) -> DrivenVehicle:
     speed = np.asarray(v, dtype=np.float64)
     s = start.start_s + np.concatenate([[0.0], np.cumsum(0.1 * speed[1:])])
     return DrivenVehicle(**{"start": start, "path": start.path, "s": s.tolist(), "v": speed.tolist(), **changes})
+
+
+def changing(scene: Scene, start: Start, v: npt.ArrayLike, *, to: int, at_step: int, lasting_s: float) -> DrivenVehicle:
+    """The same, changing to a lane beside from a step on, as SUMO carried it out."""
+    vehicle = driven(start, v)
+    s = vehicle.s[at_step]
+    path = lay_across(
+        scene, start.path, target_path(scene, start.path, to, s=s), s=s, step=at_step, pace_mps=vehicle.v[at_step],
+        remaining_m=200.0, lasting_s=lasting_s,
+    )  # fmt: skip
+    assert isinstance(path, DrivenPath), path
+    side = "left" if path.line.position(np.array([path.shifts[0][1]]))[0, 1] > 0.0 else "right"
+    vehicle.path, vehicle.stage = path, Stage.DONE
+    vehicle.shifts.append(Shift(side, start.route[0], to, at_step, float("inf"), float("inf")))
+    return vehicle

@@ -1,0 +1,392 @@
+"""Observe, decide, act, step: small roads, a few vehicles, SUMO at the wheel."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hand_drawn import draw_lane
+from inserted import CAR, DRIVER, driven, nobody, recorded, scene_on, start_on
+
+from bridge.sumo.driving import Driving, edges_along
+from bridge.sumo.simulation import Simulation
+from hid2.agents import BoxSize, Policy, Track
+from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.finalise import ExportedVehicle, finalise, traffic_of_exported
+from hid2.occupancy.traffic import Traffic
+from hid2.params import Config, LaneChange
+from hid2.policy.overtake import Stage
+from hid2.policy.roads import Roads
+from hid2.reasons import Reason
+from hid2.scene import Scene
+from hid2.vehicle import DrivenVehicle, Start
+from netconvert.cells import Cell
+from netconvert.lane_graph import LaneGraph
+from netconvert.net_xml import net_bytes
+
+UP = np.pi / 2
+
+
+def _two_lanes(length_m: float = 300.0) -> LaneGraph:
+    """Lane 1 at y = 0, lane 2 to its left at y = 3.5."""
+    ring = np.array([(-20.0, -3.0), (length_m + 20.0, -3.0), (length_m + 20.0, 7.0), (-20.0, 7.0), (-20.0, -3.0)])
+    lanes = {
+        1: draw_lane(1, [(0.0, 0.0), (length_m, 0.0)], left=2),
+        2: draw_lane(2, [(0.0, 3.5), (length_m, 3.5)], right=1),
+    }
+    return LaneGraph(lanes, drivable_areas=(ring,))
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Callable[..., Driving]:
+    """drive(scene, *starts, fixed=..., model="EIDM", seed=0, patch=...) -> a simulation that has been run."""
+
+    def run(
+        scene: Scene, *starts: Start, fixed: Traffic | None = None, model: str = "EIDM", seed: int = 0,
+        patch: Callable[[Simulation], None] | None = None,
+    ) -> Driving:  # fmt: skip
+        net = tmp_path / "road.net.xml"
+        net.write_bytes(net_bytes(scene.grid))
+        parameters = {"sigmaerror": 0.1, "jerkmax": 3.0, "treaction": 0.5} if model == "EIDM" else {}
+        with Simulation(net, seed=seed, step_s=0.1, model=model, parameters=parameters) as simulation:
+            if patch is not None:
+                patch(simulation)
+            others = fixed or nobody(scene.future.num_steps)
+            driving = Driving(scene, simulation, starts, others, Roads(scene), StopLines(scene))
+            driving.run()
+        return driving
+
+    return run
+
+
+def _gaps(vehicle: DrivenVehicle, other: Track) -> np.ndarray:
+    """Bumper gaps to a recorded one ahead on the x axis, m, by step."""
+    return other.position[:, 0] - np.array(vehicle.s) - 0.5 * (CAR.length_m + other.size.length_m)
+
+
+# Way of a vehicle -----------------------------------------------------------------------------------------------------
+
+
+def test_vehicle_begins_at_its_start_and_moves_by_sumos_speed(drive: Callable[..., Driving]) -> None:
+    scene = scene_on(_two_lanes())
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 7.0)).vehicles
+    assert (one.s[0], one.v[0], len(one.s)) == (40.0, 7.0, 110)
+    assert np.diff(one.s) == pytest.approx(0.1 * np.array(one.v[1:]))
+    assert np.mean(one.v[-20:]) == pytest.approx(DRIVER.desired_mps, abs=0.5)
+
+
+def test_nobody_limits_sumo_on_a_free_road(drive: Callable[..., Driving]) -> None:
+    scene = scene_on(_two_lanes())
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 9.0)).vehicles
+    assert dict(one.limited) == {}
+
+
+def test_algorithm_1_decides_at_every_step_for_every_vehicle(drive: Callable[..., Driving]) -> None:
+    """109 steps to decide about behind the start, whatever is asked for."""
+    scene = scene_on(_two_lanes())
+    vehicles = drive(
+        scene, start_on(scene, (1,), 40.0, 9.0), start_on(scene, (2,), 80.0, 9.0, number=1),
+        start_on(scene, (1,), 100.0, 9.0, number=2, policy=Policy.LANE_CHANGE, trigger_s=3.0),
+    ).vehicles  # fmt: skip
+    assert [sum(one.policies.values()) for one in vehicles] == [109] * 3
+    assert set(vehicles[0].policies) == {Policy.STRAIGHT}
+    assert vehicles[2].policies[Policy.LANE_CHANGE] >= 1
+
+
+def test_nothing_follows_a_stored_trajectory(drive: Callable[..., Driving]) -> None:
+    """The same start behind the same leader: another car-following model drives another motion, so does another seed
+    of SUMO's; the same model and seed drive the same one.
+    """
+    scene = scene_on(_two_lanes(), recorded(75.0, 0.0, 6.0))
+
+    def speeds(**how: Any) -> np.ndarray:
+        (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0), **how).vehicles
+        return np.array(one.v)
+
+    eidm = speeds()
+    assert np.array_equal(eidm, speeds())
+    assert np.abs(eidm - speeds(model="Krauss")).max() > 0.2
+    assert np.abs(eidm - speeds(model="IDM")).max() > 0.1
+    assert not np.array_equal(eidm, speeds(seed=7))
+
+
+def test_vehicle_that_reaches_the_end_of_the_map_has_left(drive: Callable[..., Driving]) -> None:
+    scene = scene_on(_two_lanes(120.0))
+    (one,) = drive(scene, start_on(scene, (1,), 60.0, 10.0)).vehicles
+    assert one.left_at == len(one.s)
+    assert 50 < one.left_at < 70
+
+
+# Whom SUMO sees -------------------------------------------------------------------------------------------------------
+
+
+def test_replayed_leader_is_followed_with_its_speed_known_from_the_first_step(drive: Callable[..., Driving]) -> None:
+    """Gap 17.5 m at 10 m/s behind one with 10: taken for one that stands it would be braked for at once, and hard."""
+    leader = recorded(62.0, 0.0, 10.0)
+    scene = scene_on(_two_lanes(), leader)
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).vehicles
+    assert min(one.v[:10]) > 9.6
+    assert _gaps(one, leader).min() > 5.0
+
+
+@pytest.mark.parametrize("kind", ["vehicle", "bus", "cyclist", "motorcyclist"])
+def test_slower_leaders_of_all_kinds_are_followed(kind: str, drive: Callable[..., Driving]) -> None:
+    """45 m ahead at 4 m/s: it slows to about 4 m/s and keeps behind."""
+    size = {"bus": BoxSize(11.0, 2.8), "cyclist": BoxSize(1.8, 0.6), "motorcyclist": BoxSize(2.2, 0.9)}.get(kind, CAR)
+    leader = recorded(85.0, 0.0, 4.0, kind=kind, size=size)
+    scene = scene_on(_two_lanes(), leader)
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).vehicles
+    assert _gaps(one, leader).min() > 1.0
+    assert np.mean(one.v[-10:]) < 5.5
+
+
+@pytest.mark.parametrize(("y", "is_seen"), [(2.3, False), (1.5, True), (-1.5, True)])
+def test_only_who_reaches_into_the_driving_width_is_shown(
+    y: float, is_seen: bool, drive: Callable[..., Driving]
+) -> None:
+    """Somebody stands at x = 95, both are 1.9 m wide: 1.5 m aside they share 0.4 m, 2.3 m aside they do not touch."""
+    scene = scene_on(_two_lanes(), recorded(95.0, y))
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).vehicles
+    assert (one.s[-1] < 95.0 - 4.5) is is_seen
+    assert (min(one.v) < 0.5) is is_seen
+
+
+def test_who_crosses_is_the_guards_business_not_sumos(drive: Callable[..., Driving]) -> None:
+    """It crosses x = 90 at 8 m/s after 5 s, as the vehicle would: timing is adjusted, the cause is told."""
+    crossing = recorded(90.0, -40.0, 8.0, heading=UP)
+    scene = scene_on(_two_lanes(), crossing)
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).vehicles
+    assert one.limited["conflict"] > 3
+    exported = finalise(scene, one, nobody(scene.future.num_steps))
+    assert isinstance(exported, ExportedVehicle), exported
+
+
+def test_kept_vehicles_of_rounds_before_are_followed_too(drive: Callable[..., Driving]) -> None:
+    scene = scene_on(_two_lanes())
+    ahead = finalise(
+        scene, driven(start_on(scene, (1,), 85.0, 5.0, number=9), np.full(110, 5.0)), nobody(scene.future.num_steps)
+    )
+    assert isinstance(ahead, ExportedVehicle)
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0), fixed=traffic_of_exported([ahead], scene)).vehicles
+    assert (ahead.motion.s - np.array(one.s) - 4.5).min() > 1.0
+    assert np.mean(one.v[-10:]) < 6.5
+
+
+def test_followers_slow_down_for_each_other_and_it_is_told_for_whom(drive: Callable[..., Driving]) -> None:
+    scene = scene_on(_two_lanes())
+    slow = replace(DRIVER, desired_mps=5.0)
+    first = start_on(scene, (1,), 75.0, 5.0, driver=slow, number=1)
+    last, other = drive(scene, start_on(scene, (1,), 40.0, 10.0), first).vehicles
+    assert last.waited_for == {"v1_0"}
+    assert other.waited_for == set()
+    assert (np.array(other.s) - np.array(last.s) - 4.5).min() > 1.0
+
+
+def test_recorded_agents_are_replayed_exactly(drive: Callable[..., Driving]) -> None:
+    scene = scene_on(_two_lanes(), recorded(95.0, 3.5, 8.0), recorded(30.0, -8.0, 1.0, first=20, name="late"))
+    errors = drive(scene, start_on(scene, (1,), 40.0, 10.0)).replay_errors
+    assert (errors.states, errors.lost) == (110 + 90, 0)
+    assert errors.max_position_error_m < 1e-3
+
+
+# Lane changes ---------------------------------------------------------------------------------------------------------
+
+
+def test_lane_change_is_asked_for_at_the_trigger_and_carried_out(drive: Callable[..., Driving]) -> None:
+    scene = scene_on(_two_lanes())
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)).vehicles
+    (shift,) = one.shifts
+    assert (shift.requested_step, shift.side, shift.source_lane, shift.target_lane) == (20, "left", 1, 2)
+    assert one.stage is Stage.DONE
+    assert [(look.step, look.rule, look.sumo) for look in one.gaps] == [(20, None, True)]
+    assert one.path.line.position(np.array([one.s[-1]]))[0, 1] == pytest.approx(3.5, abs=0.1)
+
+
+EASY = Config(
+    lane_change=LaneChange(time_gap_front_s=0.0, time_gap_rear_s=0.0, min_gap_m=0.0, braking_mps2=9.0)
+)  # fmt: skip
+
+
+def test_change_that_sumo_refuses_is_its_answer_and_is_asked_for_again(drive: Callable[..., Driving]) -> None:
+    """On lane 2 one comes at 14 m/s from 5.5 m behind the bumper: hid2's rule is told to allow it, SUMO does not.
+
+    Once it has passed, the change comes about.
+    """
+    scene = scene_on(_two_lanes(), config=EASY)
+    fast = start_on(scene, (2,), 30.0, 14.0, number=1, driver=replace(DRIVER, desired_mps=14.0))
+    own = start_on(scene, (1,), 40.0, 9.0, policy=Policy.LANE_CHANGE, driver=replace(DRIVER, desired_mps=9.0))
+    one, _ = drive(scene, own, fast).vehicles
+    answers = [look.sumo for look in one.gaps if look.rule is None]
+    assert answers[0] is False
+    assert answers[-1] is True
+    assert answers.count(True) == len(one.shifts) == 1
+    assert one.shifts[0].requested_step > 5
+
+
+def test_refusal_leaves_the_vehicle_on_its_way(drive: Callable[..., Driving]) -> None:
+    """A SUMO that never changes lanes: asked again at each step until the request is given up after 6 s."""
+
+    def refuse(simulation: Simulation) -> None:
+        simulation.change_lane = lambda *_, **__: None  # type: ignore[method-assign]
+
+    scene = scene_on(_two_lanes())
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=1.0)
+    (one,) = drive(scene, start, patch=refuse).vehicles
+    assert one.shifts == []
+    assert one.reason == Reason.SUMO_REFUSES
+    assert {look.sumo for look in one.gaps if look.rule is None} == {False}
+    assert len(one.gaps) > 20
+    assert one.stage is Stage.ABORTED
+    assert one.path is start.path
+    assert len(one.s) == 110
+
+
+def test_occupied_gap_is_looked_at_and_noted_at_every_step(drive: Callable[..., Driving]) -> None:
+    """A recorded one drives beside all the time: occupied at each of 60 looks (6 s), SUMO is never asked."""
+    scene = scene_on(_two_lanes(), recorded(41.0, 3.5, 10.0))
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=1.0)).vehicles
+    assert {look.sumo for look in one.gaps} == {None}
+    assert {look.rule for look in one.gaps} <= {Reason.CELLS_OCCUPIED, Reason.FRONT_GAP, Reason.REAR_GAP}
+    assert [look.step for look in one.gaps] == list(range(10, 10 + len(one.gaps)))
+    assert 59 <= len(one.gaps) <= 61
+
+
+def test_overtake_enters_passes_and_returns(drive: Callable[..., Driving]) -> None:
+    """A recorded one at 3 m/s 30 m ahead, nobody else on 400 m: out, past and back within 10.9 s at 14 m/s."""
+    scene = scene_on(_two_lanes(400.0), recorded(75.0, 0.0, 3.0, name="slow"))
+    fast = replace(DRIVER, desired_mps=14.0, lane_change_s=4.0)
+    start = start_on(scene, (1,), 40.0, 13.0, policy=Policy.OVERTAKE, driver=fast)
+    (one,) = drive(scene, start).vehicles
+    assert [shift.side for shift in one.shifts] == ["left", "right"]
+    assert one.leader_id == "slow"
+    assert one.policies[Policy.OVERTAKE] >= 2
+
+
+# Limits of hid2's -----------------------------------------------------------------------------------------------------
+
+
+def _bend(radius_m: float, *, is_intersection: bool) -> LaneGraph:
+    """60 m straight on, 90 degrees to the left, 120 m on."""
+    angle = np.linspace(0.0, UP, 40)
+    arc = np.array([60.0, 0.0]) + radius_m * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    lanes = {
+        1: draw_lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
+        2: draw_lane(2, arc, successors=(3,), is_intersection=is_intersection),
+        3: draw_lane(3, [arc[-1], arc[-1] + [0.0, 120.0]]),
+    }
+    return LaneGraph(lanes)
+
+
+@pytest.mark.parametrize(("is_intersection", "cause"), [(True, "turn"), (False, "curve")])
+def test_bends_and_turns_limit_the_speed_and_say_so(
+    is_intersection: bool, cause: str, drive: Callable[..., Driving]
+) -> None:
+    """Radius 15 m and 2 m/s2: sqrt(30) = 5.5 m/s at most at the sharpest place."""
+    scene = scene_on(_bend(15.0, is_intersection=is_intersection))
+    (one,) = drive(scene, start_on(scene, (1, 2, 3), 20.0, 10.0)).vehicles
+    assert one.limited[cause] > 10
+    assert set(one.limited) <= {"turn", "curve"}
+    s, v = np.array(one.s), np.array(one.v)
+    inside = (s > 64.0) & (s < 80.0)
+    assert v[inside].max() < 6.3
+
+
+def _junction() -> LaneGraph:
+    """Lanes 1, 2 (intersection, 60 .. 80 m) and 3 along the x axis; 4, 5 and 6 across at x = 70; zebra at 100 m."""
+    lanes = (
+        draw_lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
+        draw_lane(2, [(60.0, 0.0), (80.0, 0.0)], successors=(3,), is_intersection=True),
+        draw_lane(3, [(80.0, 0.0), (250.0, 0.0)]),
+        draw_lane(4, [(70.0, -90.0), (70.0, -10.0)], successors=(5,)),
+        draw_lane(5, [(70.0, -10.0), (70.0, 10.0)], successors=(6,), is_intersection=True),
+        draw_lane(6, [(70.0, 10.0), (70.0, 90.0)]),
+    )
+    zebra = np.array([(100.0, -6.0), (100.0, 6.0), (103.0, 6.0), (103.0, -6.0)])
+    return LaneGraph({one.lane_id: one for one in lanes}, pedestrian_crossings=(zebra,))
+
+
+def test_vehicle_stops_at_a_red_entrance_and_goes_on_when_it_opens(drive: Callable[..., Driving]) -> None:
+    """Cross traffic at 3.5 and 4.5 s: red until 3 s after it. The line is 60 - 2.25 - 1 = 56.75 m."""
+    flow = (recorded(70.0, -45.0, 10.0, heading=UP, name="a"), recorded(70.0, -35.0, 10.0, heading=UP, name="b"))
+    scene = scene_on(_junction(), *flow)
+    (one,) = drive(scene, start_on(scene, (1, 2, 3), 15.0, 9.0)).vehicles
+    s, v = np.array(one.s), np.array(one.v)
+    assert one.limited["signal"] > 20
+    assert s[50] < 57.3
+    assert v[40:80].min() < 2.0
+    assert s[-1] > s[75] + 2.0
+
+
+def test_vehicle_joins_the_recorded_queue_and_goes_with_it(drive: Callable[..., Driving]) -> None:
+    """Somebody stands at 50 m until 8 s and then drives off at up to 6 m/s: it stops behind, and follows."""
+    steps = np.arange(110)
+    x = 50.0 + np.concatenate([np.zeros(80), np.cumsum(0.1 * np.clip(0.2 * np.arange(30), 0.0, 6.0))])
+    queue = Track("q", "vehicle", 2, steps, np.column_stack([x, 0.0 * x]), 0.0 * x, np.zeros((110, 2)), CAR)
+    scene = scene_on(_junction(), queue)
+    (one,) = drive(scene, start_on(scene, (1, 2, 3), 5.0, 9.0)).vehicles
+    gap = _gaps(one, queue)
+    assert gap.min() > 0.5
+    assert min(one.v[60:90]) < 0.5
+    assert gap[75] < 6.0
+    assert one.v[-1] > 0.5
+
+
+def test_pedestrian_on_the_crossing_is_let_across(drive: Callable[..., Driving]) -> None:
+    """The walker is on the vehicle's way (|y| < 2) from 3 to 6.2 s; at 10 m/s from 65 m the crossing comes at 3.5 s."""
+    walker = recorded(101.5, -6.0, 1.3, heading=UP, kind="pedestrian", size=BoxSize(0.6, 0.6))
+    scene = scene_on(_junction(), walker)
+    (one,) = drive(scene, start_on(scene, (1, 2, 3), 62.0, 9.0)).vehicles
+    s = np.array(one.s)
+    on_the_way = np.abs(walker.position[:, 1]) < 1.5
+    assert one.limited["crossing"] > 5
+    assert s[on_the_way].max() < 100.0 - 2.0
+    assert s[-1] > 103.0
+
+
+# Edges and insertion --------------------------------------------------------------------------------------------------
+
+
+def _cut_road() -> Scene:
+    """Two lanes of 100 m, then lane 3 of 20 m on from lane 1; edges 1#0 .. 1#24 hold a cell of both lanes."""
+    lanes = {
+        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], left=2, successors=(3,)),
+        2: draw_lane(2, [(0.0, 3.5), (100.0, 3.5)], right=1),
+        3: draw_lane(3, [(100.0, 0.0), (120.0, 0.0)]),
+    }
+    return scene_on(LaneGraph(lanes))
+
+
+def test_edges_go_from_the_cell_to_the_end_of_the_route() -> None:
+    """From cell 23 of lane 1: two edges of it and the five of lane 3."""
+    scene = _cut_road()
+    edges = edges_along(scene, scene.path((1, 3)), Cell(1, 23))
+    assert edges == ("1#23", "1#24", "3#0", "3#1", "3#2", "3#3", "3#4")
+
+
+def test_lane_that_the_path_does_not_use_has_no_edges() -> None:
+    scene = _cut_road()
+    assert edges_along(scene, scene.path((1,)), Cell(2, 3)) is None
+
+
+@pytest.mark.parametrize("s0", [10.0, 21.75, 97.0, 99.0])
+def test_vehicle_is_inserted_with_its_box_where_it_starts(s0: float, drive: Callable[..., Driving]) -> None:
+    """Centre at s0, so the front bumper at s0 + 2.25 m, which may already be on the next cell or lane."""
+    scene = _cut_road()
+    poses: list[Any] = []
+
+    def watch(simulation: Simulation) -> None:
+        read = simulation.driven
+
+        def first() -> frozenset[str]:
+            if not poses:
+                poses.append((simulation.pose("v0_0"), simulation.speed("v0_0")))
+            return read()
+
+        simulation.driven = first  # type: ignore[method-assign]
+
+    drive(scene, start_on(scene, (1, 3), s0, 7.0), patch=watch)
+    pose, speed = poses[0]
+    assert pose == pytest.approx((s0 + 2.25, 0.0, 90.0), abs=0.01)
+    assert speed == pytest.approx(7.0)

@@ -1,0 +1,225 @@
+"""Rounds of filling a scene; in SUMO's place a function says how the starts were driven."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from inserted import changing, driven, scene_on
+
+from hid2.agents import Policy
+from hid2.insertion.filling import Filling
+from hid2.occupancy.traffic import Traffic
+from hid2.params import Config, Request, Spawn
+from hid2.reasons import Reason
+from hid2.scene import Scene
+from hid2.vehicle import DrivenVehicle, Start
+from netconvert.lane_graph import LaneGraph
+
+NOTHING = {"straight": 0.0, "left_turn": 0.0, "right_turn": 0.0, "lane_change": 0.0, "overtake": 0.0}
+Spoil = Callable[[DrivenVehicle, int], DrivenVehicle]
+
+
+@dataclass
+class Road:
+    """Drives everybody at 8 m/s; spoil(vehicle, round) may change what came of it. Keeps the starts of each round."""
+
+    spoil: Spoil
+    rounds: list[list[Start]] = field(default_factory=list)
+    kept_before: list[int] = field(default_factory=list)
+
+    def __call__(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
+        assert number == len(self.rounds)
+        self.rounds.append(list(starts))
+        self.kept_before.append(len(fixed.ids))
+        return [self.spoil(driven(start, np.full(110, 8.0)), number) for start in starts]
+
+
+def _as_driven(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
+    return vehicle
+
+
+@pytest.fixture
+def scene_for(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
+    """scene_for(agents=4, **request) -> two empty lanes of 500 m; everybody goes straight unless told."""
+
+    def make(*, agents: int = 4, rounds: int = 6, spare: float = 0.5, **request: object) -> Scene:
+        mix = {**NOTHING, "straight": 1.0, **request}
+        config = Config(
+            request=Request(agents=agents, **mix), spawn=Spawn(rounds=rounds, reseed_rounds=3, spare_share=spare)
+        )
+        return scene_on(road(length_m=500.0), config=config)
+
+    return make
+
+
+def _fill(scene: Scene, spoil: Spoil = _as_driven, *, seed: int = 0) -> tuple[Filling, Road]:
+    filling, drive = Filling(scene, [seed, 0, 1]), Road(spoil)
+    filling.fill(drive)
+    return filling, drive
+
+
+def test_count_is_reached_in_one_round_and_spare_ones_go(scene_for: Callable[..., Scene]) -> None:
+    """Four asked for, two spare ones driven with them; nothing goes wrong."""
+    filling, drive = _fill(scene_for())
+    assert len(filling.kept) == 4
+    assert filling.rounds == len(drive.rounds) == 1
+    assert len(drive.rounds[0]) == 6
+    assert [one.reason for one in filling.rejected] == [Reason.SPARE] * 2
+    assert filling.unmet == []
+
+
+def test_failed_vehicle_is_replaced_elsewhere_and_counted_with_its_reason(scene_for: Callable[..., Scene]) -> None:
+    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
+        if number == 0 and vehicle.vehicle_id in ("v0_0", "v1_0"):
+            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+        return vehicle
+
+    filling, drive = _fill(scene_for(spare=0.0), spoil)
+    assert len(filling.kept) == 4
+    assert [(one.vehicle_id, one.reason, one.round_number) for one in filling.rejected] == [
+        ("v0_0", Reason.SUMO_REFUSES_INSERTION, 0), ("v1_0", Reason.SUMO_REFUSES_INSERTION, 0),
+    ]  # fmt: skip
+    assert [start.vehicle_id for start in drive.rounds[1]] == ["v0_1", "v1_1"]
+    assert drive.kept_before == [0, 2]
+    assert drive.rounds[1][0].start_s != drive.rounds[0][0].start_s
+
+
+def test_rounds_come_to_an_end_with_fewer_than_asked_for(scene_for: Callable[..., Scene]) -> None:
+    def refuse(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
+        vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+        return vehicle
+
+    filling, drive = _fill(scene_for(rounds=3), refuse)
+    assert filling.kept == []
+    assert len(drive.rounds) == filling.rounds == 3
+    assert {one.reason for one in filling.rejected} == {Reason.SUMO_REFUSES_INSERTION}
+
+
+def test_request_keeps_its_trigger_when_its_vehicle_is_replaced(scene_for: Callable[..., Scene]) -> None:
+    """Lane changes at 1 to 8 s, of which none comes about: three rounds try each, with one trigger."""
+    scene = scene_for(agents=3, straight=0.0, lane_change=1.0, trigger_min_s=1.0, trigger_max_s=8.0)
+    filling, drive = _fill(scene)
+    triggers: dict[int, set[float]] = {}
+    for start in (start for starts in drive.rounds for start in starts if start.request.policy is Policy.LANE_CHANGE):
+        triggers.setdefault(start.request.number, set()).add(start.request.trigger_s)
+    assert triggers
+    assert all(len(one) == 1 for one in triggers.values())
+    assert len({trigger for one in triggers.values() for trigger in one}) == len(triggers)
+    assert {one.reason for one in filling.rejected if one.policy is Policy.LANE_CHANGE} == {Reason.DID_NOT_DO_IT}
+
+
+def test_unmet_manoeuvres_are_told_with_their_last_reason_and_the_count_is_reached(
+    scene_for: Callable[..., Scene],
+) -> None:
+    """Nobody changes lanes: SUMO refused. After three rounds straight ones take the places; each request is told of."""
+
+    def refuse(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
+        vehicle.reason = Reason.SUMO_REFUSES
+        return vehicle
+
+    scene = scene_for(agents=4, straight=0.5, lane_change=0.5, trigger_min_s=1.0, trigger_max_s=1.0)
+    filling, _ = _fill(scene, refuse)
+    assert len(filling.kept) == 4
+    assert [(one.request.policy, one.reason) for one in filling.unmet] == [
+        (Policy.LANE_CHANGE, Reason.SUMO_REFUSES), (Policy.LANE_CHANGE, Reason.SUMO_REFUSES),
+    ]  # fmt: skip
+    assert all(
+        one.driven.policy is Policy.STRAIGHT or one.driven.vehicle_id in filling.outcomes for one in filling.kept
+    )
+
+
+def test_what_the_map_or_the_scene_does_not_offer_is_told_at_once(scene_for: Callable[..., Scene]) -> None:
+    """No turn on a straight road; a trigger at 11 s is behind the last step at 10.9 s."""
+    turns, _ = _fill(scene_for(straight=0.5, left_turn=0.5))
+    assert [one.reason for one in turns.unmet] == [Reason.MAP_OFFERS_NO_LEFT_TURN] * 2
+    late, drive = _fill(scene_for(straight=0.5, lane_change=0.5, trigger_min_s=11.0, trigger_max_s=11.0))
+    assert [one.reason for one in late.unmet] == [Reason.TRIGGER_AFTER_SCENE] * 2
+    assert {start.request.policy for start in drive.rounds[0]} == {Policy.STRAIGHT}
+    assert len(turns.kept) == len(late.kept) == 4
+
+
+def test_who_braked_for_a_vehicle_that_is_gone_is_driven_again(scene_for: Callable[..., Scene]) -> None:
+    """V0 fails; v1 had braked for it, v2 for v1: both start again where they were, with the same drivers. v3 stays."""
+
+    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
+        if number == 0:
+            if vehicle.vehicle_id == "v0_0":
+                vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+            vehicle.waited_for |= {"v1_0": {"v0_0"}, "v2_0": {"v1_0"}}.get(vehicle.vehicle_id, set())
+        return vehicle
+
+    filling, drive = _fill(scene_for(spare=0.0), spoil)
+    reasons = {one.vehicle_id: one.reason for one in filling.rejected}
+    assert reasons == {
+        "v0_0": Reason.SUMO_REFUSES_INSERTION, "v1_0": Reason.WAITED_FOR_GONE, "v2_0": Reason.WAITED_FOR_GONE,
+    }  # fmt: skip
+    first = {start.vehicle_id: start for start in drive.rounds[0]}
+    again = {start.vehicle_id: start for start in drive.rounds[1]}
+    assert again["v1_0"] is first["v1_0"]
+    assert again["v2_0"] is first["v2_0"]
+    assert drive.kept_before == [0, 1]
+    assert len(filling.kept) == 4
+
+
+def test_nobody_is_driven_again_twice(scene_for: Callable[..., Scene]) -> None:
+    """In both rounds somebody for whom v1 had braked goes: the second time v1 goes for good, and another takes over."""
+
+    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
+        if number <= 1:
+            if vehicle.vehicle_id == f"v0_{number}":
+                vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+            if vehicle.vehicle_id == "v1_0":
+                vehicle.waited_for = {f"v0_{number}"}
+        return vehicle
+
+    filling, drive = _fill(scene_for(spare=0.0), spoil)
+    assert [one.round_number for one in filling.rejected if one.vehicle_id == "v1_0"] == [0, 1]
+    assert "v1_0" not in {start.vehicle_id for start in drive.rounds[2]}
+    assert "v1_2" in {start.vehicle_id for start in drive.rounds[2]}
+    assert len(filling.kept) == 4
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_count_is_never_exceeded_nor_a_request_met_twice(seed: int, scene_for: Callable[..., Scene]) -> None:
+    """Half lane changes, which succeed only in the second round, beside spare ones that are there in the first.
+
+    A third of all fails, and some had waited for others.
+    """
+    rng = np.random.default_rng(seed)
+    scene = scene_for(agents=6, straight=0.5, lane_change=0.5, trigger_min_s=1.0, trigger_max_s=1.0)
+
+    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
+        if rng.random() < 0.3:
+            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+        elif vehicle.policy is Policy.LANE_CHANGE and number > 0:
+            (own,) = {segment.lane_id for segment in vehicle.path.segments}
+            vehicle = changing(
+                scene, vehicle.start, vehicle.v, to={1: 2, 2: 1}[own], at_step=10, lasting_s=4.0
+            )  # fmt: skip
+        if rng.random() < 0.3:
+            vehicle.waited_for = {f"v{int(rng.integers(6))}_{number}"} - {vehicle.vehicle_id}
+        return vehicle
+
+    filling, _ = _fill(scene, spoil, seed=seed)
+    assert len(filling.kept) <= 6
+    numbers = [one.driven.start.request.number for one in filling.kept]
+    assert len(numbers) == len(set(numbers))
+    manoeuvres = [one for one in filling.kept if one.driven.policy is Policy.LANE_CHANGE]
+    assert len(manoeuvres) + len(filling.unmet) == 3
+
+
+def test_two_runs_are_one(scene_for: Callable[..., Scene]) -> None:
+    def starts(seed: int) -> list[tuple[str, float, float]]:
+        _, drive = _fill(scene_for(), seed=seed)
+        return [(one.vehicle_id, one.start_s, one.start_mps) for one in drive.rounds[0]]
+
+    assert starts(1) == starts(1)
+    assert starts(1) != starts(2)
+
+
+def test_nobody_asked_for_is_one_empty_simulation(scene_for: Callable[..., Scene]) -> None:
+    """It replays the recorded agents, which the sidecar tells of."""
+    filling, drive = _fill(scene_for(agents=0))
+    assert filling.kept == []
+    assert [len(starts) for starts in drive.rounds] == [0]

@@ -1,0 +1,234 @@
+"""The last word on a driven vehicle: exported, or the reason why not."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from inserted import CAR, driven, nobody, recorded, scene_on, start_on
+
+from hid2.agents import Track
+from hid2.drivers.driver import LaneOffset
+from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
+from hid2.params import Config, Request
+from hid2.reasons import Reason
+from hid2.scene import Scene
+from hid2.vehicle import DrivenVehicle
+from netconvert.lane_graph import LaneGraph
+
+T = 0.1 * np.arange(110)
+
+
+@pytest.fixture
+def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
+    """scene_of(*recorded) -> two lanes of 300 m, 6 m of asphalt beyond each side."""
+
+    def make(*tracks: Track, length_m: float = 300.0, config: Config | None = None) -> Scene:
+        return scene_on(road(length_m=length_m), *tracks, config=config)
+
+    return make
+
+
+def _alone(scene: Scene, v: Any, s: float = 40.0, **changes: Any) -> ExportedVehicle | Reason:
+    start = start_on(scene, (1,), s, float(np.asarray(v)[0]), **changes)
+    return finalise(scene, driven(start, v), nobody(scene.future.num_steps))
+
+
+def _kept(scene: Scene, v: Any, s: float = 40.0, *, lane: int = 1, number: int = 0) -> ExportedVehicle:
+    start = start_on(scene, (lane,), s, float(np.asarray(v)[0]), number=number)
+    found = finalise(scene, driven(start, v), nobody(scene.future.num_steps))
+    assert isinstance(found, ExportedVehicle), found
+    return found
+
+
+def test_vehicle_alone_is_exported_as_it_was_driven(scene_of: Callable[..., Scene]) -> None:
+    """10 m/s for 10.9 s from x = 40 on."""
+    found = _alone(scene_of(), np.full(110, 10.0))
+    assert isinstance(found, ExportedVehicle)
+    track = found.track("gen_0", 1)
+    assert track.timesteps.tolist() == list(range(110))
+    assert track.position == pytest.approx(np.column_stack([40.0 + 10.0 * T, np.zeros(110)]), abs=1e-6)
+    assert track.velocity == pytest.approx(np.column_stack([np.full(110, 10.0), np.zeros(110)]), abs=1e-6)
+    assert found.simulated_off_m == pytest.approx(np.zeros(110), abs=1e-9)
+    assert found.min_ttc_s == np.inf
+
+
+def test_what_sumo_objected_to_is_the_reason(scene_of: Callable[..., Scene]) -> None:
+    scene = scene_of()
+    vehicle = DrivenVehicle(start=start_on(scene, (1,), 40.0, 9.0), path=scene.path((1,)))
+    vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+    assert finalise(scene, vehicle, nobody(scene.future.num_steps)) is Reason.SUMO_REFUSES_INSERTION
+
+
+def test_track_ends_where_the_rear_of_the_map_is_not_left_behind(scene_of: Callable[..., Scene]) -> None:
+    """150 m of lane, 10 m/s from 80: the box is whole on the map up to 150 - 2.25 = 147.75 m, after 6.7 s."""
+    found = _alone(scene_of(length_m=150.0), np.full(110, 10.0), 80.0)
+    assert isinstance(found, ExportedVehicle)
+    assert found.num_steps == 68
+
+
+def test_who_leaves_before_the_last_observed_step_is_not_exported(scene_of: Callable[..., Scene]) -> None:
+    """From 110 m on it leaves after 3.7 s; 50 steps are observed."""
+    assert _alone(scene_of(length_m=150.0), np.full(110, 10.0), 110.0) is Reason.LEAVES_TOO_EARLY
+
+
+def test_scored_vehicles_stay_to_the_end(scene_of: Callable[..., Scene]) -> None:
+    scored = Config(request=Request(generated_category=2))
+    scene = scene_of(length_m=150.0, config=scored)
+    assert _alone(scene, np.full(110, 10.0), 80.0) is Reason.LEAVES_TOO_EARLY
+
+
+def test_who_stands_throughout_is_not_exported(scene_of: Callable[..., Scene]) -> None:
+    assert _alone(scene_of(), np.zeros(110)) is Reason.STANDS_THROUGHOUT
+
+
+def test_nobody_stops_at_the_edge_of_the_map(scene_of: Callable[..., Scene]) -> None:
+    """From 10 m/s at 1.25 m/s2 to a stand 40 m on, 5 m before the end of the lane."""
+    v = np.clip(10.0 - 1.25 * T, 0.0, None)
+    assert _alone(scene_of(length_m=126.0), v, 82.0) is Reason.STOPS_AT_MAP_EDGE
+
+
+@pytest.mark.parametrize(
+    ("v", "reason"),
+    [
+        (10.0 + np.clip(4.0 * (T - 3.0), 0.0, 8.0), Reason.LIMIT_ACCEL),
+        (16.0 - np.clip(7.0 * (T - 3.0), 0.0, 14.0), Reason.LIMIT_DECEL),
+    ],
+    ids=["4 m/s2 for 2 s", "-7 m/s2 for 2 s"],
+)
+def test_limits_of_motion_are_named(v: np.ndarray, reason: Reason, scene_of: Callable[..., Scene]) -> None:
+    assert _alone(scene_of(), v) is reason
+
+
+def test_jerk_that_a_wider_filter_takes_out_is_exported_without_it(scene_of: Callable[..., Scene]) -> None:
+    """1.5 sin(2.5 t) m/s: a jerk of 9.4 m/s3, 4.13 are allowed; the speed is smoothed until it is."""
+    found = _alone(scene_of(), 10.0 + 1.5 * np.sin(2.5 * T))
+    assert isinstance(found, ExportedVehicle)
+    assert np.abs(np.gradient(found.motion.a, 0.1)).max() <= 4.13 + 0.05
+
+
+def test_footprint_beside_the_road_is_off_road(scene_of: Callable[..., Scene]) -> None:
+    """The ground ends at y = -1.75: 0.95 + 1.2 = 2.15 m reach 0.4 m over it. In the middle of the lane it would fit.
+
+    A share of the driver's place in the lane is tried, and 0 of it: the vehicle is exported, but not out there.
+    """
+    aside = LaneOffset(np.array([0.0, 1000.0]), np.full(2, -1.2), np.zeros(2))
+    found = _alone(scene_of(), np.full(110, 10.0), offset=aside)
+    assert isinstance(found, ExportedVehicle)
+    assert found.trajectory.position[:, 1] == pytest.approx(np.full(110, -0.6))
+
+
+def test_road_too_narrow_for_it_is_off_road(lane: Callable[..., Any]) -> None:
+    ring = np.array([(0.0, -0.5), (300.0, -0.5), (300.0, 0.5), (0.0, 0.5), (0.0, -0.5)])
+    graph = LaneGraph({1: lane(1, [(0.0, 0.0), (300.0, 0.0)])}, drivable_areas=(ring,))
+    assert _alone(scene_on(graph), np.full(110, 10.0)) is Reason.OFF_ROAD
+
+
+def test_box_of_a_recorded_agent_is_met(scene_of: Callable[..., Scene]) -> None:
+    """Somebody stands at 100 m across both lanes, where the vehicle comes after 5 s."""
+    assert _alone(scene_of(recorded(100.0, 0.0, heading=np.pi / 2)), np.full(110, 10.0)) is Reason.MEETS_RECORDED
+
+
+def test_box_of_another_inserted_vehicle_is_met(scene_of: Callable[..., Scene]) -> None:
+    """Both on lane 1: one at 60 m with 5 m/s, one at 40 with 10 m/s; after 3.1 s the gap of 15.5 m is gone."""
+    scene = scene_of()
+    slow = _kept(scene, np.full(110, 5.0), 60.0)
+    start = start_on(scene, (1,), 40.0, 10.0, number=1)
+    others = traffic_of_exported([slow], scene)
+    assert finalise(scene, driven(start, np.full(110, 10.0)), others) is Reason.MEETS_GENERATED
+
+
+def test_ttc_to_the_leader_may_not_be_critical(scene_of: Callable[..., Scene]) -> None:
+    """A recorded leader at 62 m drives 4 m/s; the vehicle comes from 40 m at 10 and slows to 4 m/s late, at 3 m/s2.
+
+    At 1.5 s the gap is 17.5 - 6 * 1.5 = 8.5 m and closes at 6 m/s: 1.4 s, and it begins to brake only then.
+    """
+    v = np.clip(10.0 - 3.0 * np.clip(T - 1.5, 0.0, None), 4.0, None)
+    assert _alone(scene_of(recorded(62.0, 0.0, 4.0)), v) in (Reason.TTC_LANE_LEADER, Reason.MEETS_RECORDED)
+
+
+def test_ttc_to_the_leader_is_taken_down(scene_of: Callable[..., Scene]) -> None:
+    """From 40 m at 8 m/s behind one at 100 m with 6: the gap of 55.5 m closes at 2 m/s to 33.7 m, 16.8 s."""
+    found = _alone(scene_of(recorded(100.0, 0.0, 6.0)), np.full(110, 8.0))
+    assert isinstance(found, ExportedVehicle)
+    assert found.min_ttc_s == pytest.approx(16.8, abs=0.4)
+
+
+def test_recorded_follower_may_not_close_in_critically(scene_of: Callable[..., Scene]) -> None:
+    """A recorded one 12.5 m behind keeps 10 m/s, whatever happens; the vehicle slows to 5 m/s and speeds up again.
+
+    It loses 5 m while it slows (2.5 m/s2, 2 s) and 6.25 m until it is as fast (2 m/s2): nobody is touched. But 1 s
+    before, at 8 m/s, the gap is 12.5 - 5 - 4 = 3.5 m and closes at 3 m/s: 1.2 s.
+    """
+    slows = 10.0 - 2.5 * np.clip(T - 2.0, 0.0, 2.0)
+    v = np.minimum(slows + 2.0 * np.clip(T - 4.0, 0.0, None), np.where(T < 4.0, slows, 12.0))
+    assert _alone(scene_of(recorded(23.0, 0.0, 10.0)), v) is Reason.TTC_RECORDED_FOLLOWER
+
+
+def test_crossing_below_the_critical_pet_is_named(scene_of: Callable[..., Scene]) -> None:
+    """The vehicle leaves x = 90 after 5.3 s; a recorded one crosses there, its front at y = -1.75 after 5.8 s."""
+    crossing = recorded(90.0, -10.0 * 5.8 - 1.75 - 2.25, 10.0, heading=np.pi / 2)
+    assert _alone(scene_of(crossing), np.full(110, 10.0)) is Reason.PET
+
+
+def test_end_of_the_scene_is_no_cliff(scene_of: Callable[..., Scene]) -> None:
+    """After 10.9 s it is at 149 m with 10 m/s; somebody stands at 160 m from step 109 on only: contact in 0.65 s."""
+    late = Track(
+        "late", "vehicle", 2, np.array([108, 109]), np.tile([160.0, 0.0], (2, 1)), np.full(2, np.pi / 2),
+        np.zeros((2, 2)), CAR,
+    )  # fmt: skip
+    assert _alone(scene_of(late), np.full(110, 10.0)) is Reason.TTC_AT_END
+
+
+def test_oncoming_pair_at_the_end_is_looked_at(scene_of: Callable[..., Scene]) -> None:
+    """Head on at 160 + 4.5 m: 11 m of gap close at 20 m/s after the last step, in 0.55 s."""
+    steps = np.arange(100, 110)
+    x = 165.0 + 10.0 * 0.1 * (109 - steps)
+    oncoming = Track(
+        "on", "vehicle", 2, steps, np.column_stack([x, np.zeros(10)]), np.full(10, np.pi),
+        np.tile([-10.0, 0.0], (10, 1)), CAR,
+    )  # fmt: skip
+    assert _alone(scene_of(oncoming), np.full(110, 10.0)) is Reason.TTC_AT_END
+
+
+def test_kept_ones_go_on_at_constant_velocity_beyond_the_scene(scene_of: Callable[..., Scene]) -> None:
+    scene = scene_of()
+    kept = traffic_of_exported([_kept(scene, np.full(110, 10.0))], scene)
+    assert kept.num_steps == scene.future.num_steps > 110
+    assert kept.position[0, 119] == pytest.approx([40.0 + 119.0, 0.0], abs=1e-6)
+    assert kept.present.all()
+
+
+def test_of_two_that_come_too_near_together_the_later_one_goes(scene_of: Callable[..., Scene]) -> None:
+    """Each of the two is exported alone: at 40 m with 10, at 60 m with 5 m/s. Together their TTC falls below 1.5 s."""
+    scene = scene_of()
+    slow, fast = _kept(scene, np.full(110, 5.0), 60.0), _kept(scene, np.full(110, 10.0), 40.0, number=1)
+    assert [row for row, _ in conflicting(scene, [slow, fast])] == [1]
+    assert conflicting(scene, [slow, _kept(scene, np.full(110, 10.0), 40.0, lane=2, number=1)]) == []
+
+
+def test_without_collision_checks_nobody_is_looked_at(scene_of: Callable[..., Scene]) -> None:
+    scene = scene_of(recorded(100.0, 0.0), config=Config(without=frozenset({"collision"})))
+    assert isinstance(_alone(scene, np.full(110, 10.0)), ExportedVehicle)
+
+
+def test_without_smoothing_the_grid_path_is_exported(lane: Callable[..., Any]) -> None:
+    """The paper's ablation: piecewise linear from cell centre to cell centre, headings jump at the centres.
+
+    A bend of 30 m in cells of 4 m: at the centres the position is on the circle, between them on the chord, which
+    is 4^2 / (8 * 30) = 0.067 m inside it.
+    """
+    angle = np.linspace(0.0, np.pi, 120)
+    bend = 30.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    outer = 34.0 * np.column_stack([np.sin(angle), -np.cos(angle)]) + [0.0, 30.0]
+    ring = np.concatenate([outer, [[0.0, 30.0]], outer[:1]])
+    graph = LaneGraph({1: lane(1, bend)}, drivable_areas=(ring,))
+    scene = scene_on(graph, config=Config(without=frozenset({"smoothing"})))
+    found = _alone(scene, np.full(110, 6.0), 10.0)
+    assert isinstance(found, ExportedVehicle)
+    radius = np.hypot(*(found.trajectory.position - [0.0, 30.0]).T)
+    assert radius.max() <= 30.0 + 0.01
+    assert 30.0 - radius.min() == pytest.approx(0.067, abs=0.02)
+    turn = np.abs(np.diff(np.unwrap(found.trajectory.heading)))
+    assert set(np.round(turn, 2)) <= {0.0, 0.13}  # 4 / 30 rad from chord to chord, 0 on it
+    assert np.any(turn > 0.1)

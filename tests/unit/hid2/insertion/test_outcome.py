@@ -1,0 +1,131 @@
+"""What became of a manoeuvre, by the exported motion."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from inserted import changing, driven, nobody, scene_on, start_on
+
+from hid2.agents import Policy
+from hid2.insertion.finalise import ExportedVehicle, finalise, traffic_of_exported
+from hid2.insertion.outcome import Outcome, outcome_of, shift_times
+from hid2.reasons import Reason
+from hid2.scene import Scene
+from hid2.vehicle import DrivenVehicle
+from netconvert.lane_graph import LaneGraph, LaneSegment
+
+
+@pytest.fixture
+def scene(road: Callable[..., LaneGraph]) -> Scene:
+    return scene_on(road(length_m=400.0))
+
+
+def _exported(scene: Scene, vehicle: DrivenVehicle) -> ExportedVehicle:
+    found = finalise(scene, vehicle, nobody(scene.future.num_steps))
+    assert isinstance(found, ExportedVehicle), found
+    return found
+
+
+def _outcome(scene: Scene, vehicle: DrivenVehicle) -> Outcome:
+    one = _exported(scene, vehicle)
+    found = outcome_of(scene, one, traffic_of_exported([one], scene))
+    assert found is not None
+    return found
+
+
+def test_who_goes_straight_has_no_outcome(scene: Scene) -> None:
+    one = _exported(scene, driven(start_on(scene, (1,), 40.0, 10.0), np.full(110, 10.0)))
+    assert outcome_of(scene, one, traffic_of_exported([one], scene)) is None
+
+
+def test_lane_change_is_done_with_its_times(scene: Scene) -> None:
+    """From step 20 on within 4 s at 10 m/s: the middle is crossed at 4 s; seen to move aside a little inside of 2 to 6.
+
+    |d'| passes 0.1 m/s of at most 2 * 3.5 / 4 = 1.75: at tau^2 16 = .1 / 3.5 * 4, tau = .085, .34 s after the start.
+    """
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)
+    found = _outcome(scene, changing(scene, start, np.full(110, 10.0), to=2, at_step=20, lasting_s=4.0))
+    assert (found.status, found.reason, found.done) == ("done", None, True)
+    assert (found.start_s, found.crossing_s, found.end_s) == (
+        pytest.approx(2.3, abs=0.21), pytest.approx(4.0, abs=0.21), pytest.approx(5.7, abs=0.31),
+    )  # fmt: skip
+    assert (found.source_lane, found.target_lane) == (1, 2)
+
+
+def test_lane_change_that_the_scene_cuts_off_is_aborted(scene: Scene) -> None:
+    """Begun at 8 s at 10 m/s and slowed to 4: after 10.9 s it is still on its way across."""
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=8.0)
+    v = np.where(np.arange(110) < 70, 10.0, np.clip(10.0 - 0.2 * (np.arange(110) - 70), 4.0, None))
+    found = _outcome(scene, changing(scene, start, v, to=2, at_step=78, lasting_s=2.5))
+    assert (found.status, found.reason, found.end_s) == ("aborted", Reason.SCENE_ENDED, None)
+
+
+def test_lane_change_that_never_began_names_the_last_answer(scene: Scene) -> None:
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)
+    found = _outcome(scene, driven(start, np.full(110, 10.0), reason=Reason.SUMO_REFUSES))
+    assert (found.status, found.reason, found.start_s) == ("not_feasible", Reason.SUMO_REFUSES, None)
+
+
+def test_trigger_behind_the_end_of_the_track_is_not_triggered(scene: Scene) -> None:
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=11.0)
+    found = _outcome(scene, driven(start, np.full(110, 10.0)))
+    assert (found.status, found.reason) == ("not_triggered", Reason.SCENE_ENDED)
+
+
+def test_shift_times_are_none_where_nothing_moves_yet(scene: Scene) -> None:
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE)
+    vehicle = changing(scene, start, np.full(110, 10.0), to=2, at_step=20, lasting_s=4.0)
+    one = _exported(scene, vehicle)
+    assert all(time is not None for time in shift_times(one, 0))
+
+
+@pytest.fixture
+def bend(lane: Callable[..., LaneSegment]) -> Callable[[float], Scene]:
+    """bend(degrees): 60 m straight, a left turn of a radius of 20 m by so much in an intersection, 200 m on."""
+
+    def make(degrees: float) -> Scene:
+        angle = np.linspace(0.0, np.radians(degrees), 30)
+        arc = np.array([60.0, 0.0]) + 20.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+        ahead = np.array([np.cos(angle[-1]), np.sin(angle[-1])])
+        on = arc[-1] + np.linspace(0.0, 200.0, 50)[:, None] * ahead
+        ring = np.array([(-50.0, -50.0), (350.0, -50.0), (350.0, 350.0), (-50.0, 350.0), (-50.0, -50.0)])
+        lanes = {
+            1: lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
+            2: lane(2, arc, successors=(3,), is_intersection=True),
+            3: lane(3, on),
+        }
+        return scene_on(LaneGraph(lanes, drivable_areas=(ring,)))
+
+    return make
+
+
+def test_turn_is_done_once_its_lane_is_behind(bend: Callable[[float], Scene]) -> None:
+    """From 30 m at 6 m/s: the entrance (60 m) after 5 s, the arc of 31.4 m left after 10.2 s."""
+    scene = bend(90.0)
+    start = start_on(scene, (1, 2, 3), 30.0, 6.0, policy=Policy.LEFT_TURN)
+    found = _outcome(scene, driven(start, np.full(110, 6.0)))
+    assert (found.status, found.reason) == ("done", None)
+    assert (found.start_s, found.end_s) == (pytest.approx(5.0, abs=0.11), pytest.approx(10.2, abs=0.31))
+    assert (found.source_lane, found.target_lane) == (1, 2)
+
+
+def test_turn_that_the_scene_cuts_off_is_aborted(bend: Callable[[float], Scene]) -> None:
+    """From 20 m at 6 m/s: 85.4 m at the end, in the middle of the arc (60 to 91.4 m)."""
+    scene = bend(90.0)
+    start = start_on(scene, (1, 2, 3), 20.0, 6.0, policy=Policy.LEFT_TURN)
+    found = _outcome(scene, driven(start, np.full(110, 6.0)))
+    assert (found.status, found.reason) == ("aborted", Reason.SCENE_ENDED)
+
+
+def test_turn_that_is_not_reached_is_not_feasible(bend: Callable[[float], Scene]) -> None:
+    scene = bend(90.0)
+    start = start_on(scene, (1, 2, 3), 20.0, 3.0, policy=Policy.LEFT_TURN)
+    found = _outcome(scene, driven(start, np.full(110, 3.0)))
+    assert (found.status, found.reason, found.start_s) == ("not_feasible", Reason.SCENE_ENDED, None)
+
+
+def test_bend_of_less_than_30_degrees_is_no_turn_that_anybody_sees(bend: Callable[[float], Scene]) -> None:
+    scene = bend(25.0)
+    start = start_on(scene, (1, 2, 3), 20.0, 8.0, policy=Policy.LEFT_TURN)
+    found = _outcome(scene, driven(start, np.full(110, 8.0)))
+    assert (found.status, found.reason) == ("not_feasible", Reason.TURN_NOT_SEEN)

@@ -1,0 +1,179 @@
+"""Start sites: where a request may be met, and whether a vehicle can begin there."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from inserted import DRIVER, nobody, recorded, scene_on
+from scipy.stats import chisquare
+
+from hid2.agents import Policy, Track
+from hid2.conflicts.guard import Guard
+from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.routes import Routes
+from hid2.insertion.sites import InsertionSites
+from hid2.occupancy.sigma import FREE
+from hid2.params import Config, Request, Spawn
+from hid2.policy.roads import Roads
+from hid2.reasons import Reason
+from hid2.scene import Scene
+from hid2.vehicle import Start, VehicleRequest
+from netconvert.lane_graph import LaneGraph, LaneSegment
+
+ROAD_M = 300.0
+
+
+def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
+    lines = StopLines(scene)
+    guard = Guard(scene, nobody(scene.future.num_steps), lines)
+    return InsertionSites(scene, Roads(scene), Routes(scene), lines, guard, np.random.default_rng(seed), 0)
+
+
+def _request(number: int = 0, policy: Policy = Policy.STRAIGHT, trigger_s: float = 0.0) -> VehicleRequest:
+    return VehicleRequest(number, policy, trigger_s)
+
+
+@pytest.fixture
+def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
+    """scene_of(*recorded, sites="promising") -> two lanes of 300 m."""
+
+    def make(*tracks: Track, sites: str = "promising", lanes: int = 2, length_m: float = ROAD_M, **spawn: Any) -> Scene:
+        config = Config(request=Request(sites=sites), spawn=Spawn(prior_speed_mps=9.0, **spawn))
+        return scene_on(road(lanes=lanes, length_m=length_m), *tracks, config=config)
+
+    return make
+
+
+def _many(scene: Scene, count: int, **request: Any) -> list[Start]:
+    """One start of each of many seeds, nobody else proposed before it."""
+    return [start for seed in range(count) for start in _sites(scene, seed).propose(_request(**request))]
+
+
+def test_site_is_never_on_an_occupied_cell_nor_near_a_box(scene_of: Callable[..., Scene]) -> None:
+    """Parked ones at 60 and 130 m of lane 1, one at 9 m/s on lane 2 at 100 m: 2.5 m of bumper gap to all."""
+    others = [recorded(60.0, 0.0, name="a"), recorded(130.0, 0.0, name="b"), recorded(100.0, 3.5, 9.0, name="c")]
+    scene = scene_of(*others)
+    starts = _many(scene, 120)
+    assert len(starts) > 60
+    for start in starts:
+        cell = scene.cell_at(start.path, start.start_s)
+        assert scene.occupancy.sigma[0, scene.grid.index_of[cell]] == FREE
+        x, y = start.path.line.position(np.array([start.start_s]))[0]
+        for one in others:
+            if abs(one.position[0, 1] - y) < 1.5:
+                assert abs(one.position[0, 0] - x) - 0.5 * (start.size.length_m + 4.5) >= 2.5 - 0.01
+
+
+def test_start_that_a_recorded_vehicle_would_run_into_is_rejected(scene_of: Callable[..., Scene]) -> None:
+    """On one lane somebody comes from x = 0 at 18 m/s, whom nobody can make brake: no slower one begins ahead of it.
+
+    In 10.9 s it drives 196 m; a vehicle with 9 m/s would have to begin at 196 - 98 = 98 m or farther.
+    """
+    scene = scene_of(recorded(2.3, 0.0, 18.0), lanes=1, max_speed_mps=10.0)
+    sites = _sites(scene)
+    starts = [start for seed in range(60) for start in _sites(scene, seed).propose(_request())]
+    assert all(start.start_s > 75.0 for start in starts)
+    for number in range(10):
+        sites.propose(_request(number))
+    assert sites.rejected[Reason.TTC_RECORDED_FOLLOWER] > 0
+
+
+@pytest.mark.parametrize(("gap", "leader_mps"), [(6.0, 0.0), (15.0, 8.0), (30.0, 4.0), (60.0, 12.0)])
+def test_start_speed_behind_a_leader_needs_no_braking(gap: float, leader_mps: float) -> None:
+    """IDM at that speed and gap: a (1 - (s* / gap)^2) is -0.4 m/s2, a lifted foot; faster it would be less."""
+    v = InsertionSites._speed_behind(gap, leader_mps, DRIVER)
+    star = DRIVER.min_gap_m + v * DRIVER.tau_s + v * max(0.0, v - leader_mps) / (2 * np.sqrt(1.6 * 2.0))
+    accel = DRIVER.accel_mps2 * (1.0 - (star / gap) ** 2)
+    if v < leader_mps:
+        assert accel >= -0.4 - 1e-6
+    else:
+        assert accel == pytest.approx(-0.4, abs=1e-6)
+
+
+def test_nobody_begins_moving_right_behind_who_stands() -> None:
+    """1.5 m of gap are less than the 2 m kept to a standing one, whatever the speed."""
+    assert InsertionSites._speed_behind(1.5, 0.0, DRIVER) == 0.0
+
+
+def test_starts_behind_slow_traffic_are_no_faster_than_it_allows(scene_of: Callable[..., Scene]) -> None:
+    """A platoon at 5 m/s every 40 m on one lane: the desired speeds are of about 5 m/s, and so are the starts."""
+    platoon = [recorded(20.0 + 40.0 * k, 0.0, 5.0, name=f"p{k}") for k in range(6)]
+    starts = _many(scene_of(*platoon, lanes=1), 80)
+    assert starts
+    assert all(start.start_mps <= 5.0 * 1.24 * 1.16 for start in starts)
+    assert all(0.0 < start.start_mps <= start.desired[0] + 1e-9 for start in starts)
+
+
+def test_any_site_is_drawn_uniformly_over_all_that_are_admissible(scene_of: Callable[..., Scene]) -> None:
+    """sites = "any" on an empty lane of 300 m: admissible is where nobody leaves before 5 s, and all of that alike.
+
+    Six stretches of 30 m from 20 to 200 m, 240 seeds: chi-square against the same count in each.
+    """
+    scene = scene_of(sites="any", lanes=1)
+    s = np.array([start.start_s for start in _many(scene, 240)])
+    counts, _ = np.histogram(s, bins=np.linspace(20.0, 200.0, 7))
+    assert counts.sum() > 120
+    assert chisquare(counts).pvalue > 0.01
+
+
+def test_any_site_asks_for_no_promise(scene_of: Callable[..., Scene]) -> None:
+    """A lane change on a road of one lane: promising sites have none; any site is taken, and the map says no later."""
+    assert _many(scene_of(lanes=1), 5, policy=Policy.LANE_CHANGE) == []
+    assert len(_many(scene_of(lanes=1, sites="any"), 5, policy=Policy.LANE_CHANGE)) == 5
+
+
+def test_promising_sites_are_nearer_to_moving_traffic(scene_of: Callable[..., Scene]) -> None:
+    """Cells within 30 m of somebody who moves weigh four times as much; parked ones draw nobody."""
+
+    def near(speed: float) -> float:
+        starts = _many(scene_of(recorded(150.0, 3.5, speed), recorded(150.0, -20.0, 9.0)), 80)
+        return float(np.mean([abs(start.start_s - 150.0) < 30.0 for start in starts]))
+
+    assert near(9.0) > 0.2
+    alone = _many(scene_of(recorded(150.0, -8.0, 0.0)), 80)
+    assert near(9.0) > np.mean([abs(start.start_s - 150.0) < 30.0 for start in alone])
+
+
+def test_lane_changes_start_where_a_lane_is_beside_at_the_trigger(lane: Callable[..., LaneSegment]) -> None:
+    """Lane 2 lies beside lane 1 up to x = 120 m only. At a trigger of 4 s and 9 m/s, 0.9 * 36 = 32 m on, it must
+
+    last for 1.3 * 2.5 s and half a second more: from about 120 - 34 = 86 m at the latest, so starts before 55 m.
+    """
+    graph = LaneGraph({
+        1: lane(1, [(0.0, 0.0), (120.0, 0.0)], left=2, successors=(3,)),
+        2: lane(2, [(0.0, 3.5), (120.0, 3.5)], right=1),
+        3: lane(3, [(120.0, 0.0), (300.0, 0.0)]),
+    })  # fmt: skip
+    scene = scene_on(graph, config=Config(spawn=Spawn(prior_speed_mps=9.0)))
+    own = [s for s in _many(scene, 60, policy=Policy.LANE_CHANGE, trigger_s=4.0) if s.path.segment_at(5.0).lane_id == 1]
+    assert own
+    assert max(start.start_s for start in own) < 56.0
+
+
+def test_starts_of_a_round_keep_clear_of_each_other(scene_of: Callable[..., Scene]) -> None:
+    """Twelve on 2 x 300 m: 2.5 m at least from bumper to bumper on one lane."""
+    sites = _sites(scene_of())
+    starts = [start for number in range(12) for start in sites.propose(_request(number))]
+    assert len(starts) >= 6
+    for row, one in enumerate(starts):
+        for other in starts[:row]:
+            if one.route == other.route:
+                gap = abs(one.start_s - other.start_s) - 0.5 * (one.size.length_m + other.size.length_m)
+                assert gap > 2.5 - 0.01
+
+
+def test_overtaker_without_a_slower_leader_gets_one(scene_of: Callable[..., Scene]) -> None:
+    """The leader is a straight request's, ahead on the same lane, and wants 30 to 50 % of the overtaker's speed."""
+    sites = _sites(scene_of(length_m=500.0))
+    found = sites.propose(_request(0, Policy.OVERTAKE, 1.0), _request(1))
+    leader, overtaker = found
+    assert (leader.request.number, overtaker.request.number) == (1, 0)
+    assert leader.route == overtaker.route
+    assert leader.start_s > overtaker.start_s + 10.0
+    assert leader.driver.desired_mps <= 0.5 * overtaker.driver.desired_mps + 1e-9
+
+
+def test_route_that_ends_too_early_is_no_site(scene_of: Callable[..., Scene]) -> None:
+    """On 60 m of road nobody stays for 5 s at 9 m/s but from its first metres; at 20 m/s nobody does."""
+    assert _many(scene_of(recorded(200.0, 30.0, 20.0), length_m=60.0, min_speed_mps=18.0), 10) == []
