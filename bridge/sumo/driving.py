@@ -30,6 +30,7 @@ _BINDS_MPS = 0.05
 #: A vehicle that slows down by more than this, m/s2, behind somebody has braked for it.
 _SLOWS_MPS2 = 0.3
 _STANDS_MPS = 0.5
+_LEADERS_SHOWN = 2  # the next ones ahead of each vehicle: its car following asks for no more
 _LEADS_FROM_M = 0.3  # gap from which on somebody ahead is a leader and not beside
 #: Braking for what SUMO does not see builds up at this rate, m/s3.
 _BRAKING_JERK_MPS3 = 3.5
@@ -190,15 +191,16 @@ class Driving:
                 continue
             s = vehicle.s[-1] if vehicle.s else vehicle.start.start_s
             found, rows = self._known_of(row)
-            here = np.flatnonzero(np.isfinite(found.low[:, step]))
-            middle = 0.5 * (found.low[here, step] + found.high[here, step])
-            gap = middle - s - 0.5 * (vehicle.start.box.length_m + self._lengths[rows[here]])
-            stands = (np.abs(found.along[here, step]) < _STANDS_MPS) & ~found.crosses[here, step]
-            leads = (gap > _LEADS_FROM_M) & (gap < _SHOWN_M) & (found.aligned[here, step] | stands)
-            for place in np.flatnonzero(leads).tolist():
-                agent, at = int(rows[here[place]]), float(gap[place])
+            low, high = found.low[:, step], found.high[:, step]
+            with np.errstate(invalid="ignore"):  # inf - inf where nobody is
+                gap = 0.5 * (low + high) - s - 0.5 * (vehicle.start.box.length_m + self._lengths[rows])
+            stands = (np.abs(found.along[:, step]) < _STANDS_MPS) & ~found.crosses[:, step]
+            leads = (low < np.inf) & (gap > _LEADS_FROM_M) & (gap < _SHOWN_M) & (found.aligned[:, step] | stands)
+            places = np.flatnonzero(leads)
+            for place in places[np.argsort(gap[places], kind="stable")[:_LEADERS_SHOWN]].tolist():
+                agent, at = int(rows[place]), float(gap[place])
                 if agent not in shown or at < shown[agent][0]:  # on the lane of who is nearest behind it
-                    cell = self.scene.cell_at(vehicle.path, float(middle[place]))
+                    cell = self.scene.cell_at(vehicle.path, 0.5 * float(low[place] + high[place]))
                     shown[agent] = at, self.scene.grid.edge_id(cell), self.scene.grid.lane_index(cell)
         shown = {agent: lane for agent, lane in shown.items() if not self._is_beside_somebody(agent, step)}
         count = len(self.scene.traffic.ids)
