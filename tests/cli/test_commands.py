@@ -6,11 +6,18 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-Run = Callable[..., object]
+Run = Callable[..., Any]
 COMMANDS = ("generate", "net", "validate", "evaluate", "render", "plot", "config", "scan", "study", "paper", "gui")
+
+
+def last_message(result: Any) -> str:
+    """The only message on stderr; progress, which a slow machine shows, is none."""
+    (line,) = [line for line in result.stderr.splitlines() if line.startswith("hid2: ")]
+    return str(line)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +63,7 @@ def test_net_writes_its_files_and_reports(hid2: Run, data_scenes: dict[str, Path
 def test_net_of_a_folder_without_map_is_one_line(hid2: Run, tmp_path: Path) -> None:
     result = hid2("net", tmp_path, "-o", tmp_path / "out")
     assert result.returncode == 1
-    assert len(result.stderr.splitlines()) == 1
+    assert "no log_map_archive_<id>.json" in last_message(result)
 
 
 def test_validate_names_file_and_rule(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
@@ -156,7 +163,7 @@ def test_folder_that_is_not_there_is_a_mistake_of_usage(
     monkeypatch.chdir(tmp_path)
     result = hid2(*arguments)
     assert result.returncode == 2
-    (line,) = result.stderr.splitlines()
+    line = last_message(result)
     assert line.startswith("hid2: error: nowhere: no such folder, ")
     assert list(tmp_path.iterdir()) == []
 
@@ -172,7 +179,7 @@ def test_result_that_cannot_be_written_is_said_at_once(
     (tmp_path / "file").touch()
     result = hid2(*arguments, data_root)
     assert result.returncode == 2
-    (line,) = result.stderr.splitlines()
+    line = last_message(result)
     assert line.startswith("hid2: error: file")
     assert "is a file; choose another output folder" in line
 
@@ -180,4 +187,5 @@ def test_result_that_cannot_be_written_is_said_at_once(
 def test_study_without_scenes_says_so(hid2: Run, tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text("[vary]\ntrigger_s = [1.0]\n")
     result = hid2("study", tmp_path / "study.toml", "-o", tmp_path / "out")
-    assert (result.returncode, result.stderr) == (2, f"hid2: error: {tmp_path / 'study.toml'}: scenes is missing\n")
+    assert result.returncode == 2
+    assert last_message(result) == f"hid2: error: {tmp_path / 'study.toml'}: scenes is missing"

@@ -78,5 +78,8 @@ def test_data_set_for_a_command_of_one_scene_is_refused_with_an_example(
     monkeypatch.chdir(tmp_path)
     result = hid2(*arguments, data_root)
     assert result.returncode == 2
-    assert f"{data_root}: holds several scenes, this command takes one; for example {data_root}/" in result.stderr
+    assert (
+        f"hid2: error: {data_root}: holds several scenes, this command takes one; for example {data_root}/"
+        in result.stderr
+    )
     assert list(tmp_path.iterdir()) == []

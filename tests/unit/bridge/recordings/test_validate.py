@@ -244,7 +244,10 @@ def _agent(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]]
         (_agent(lambda agent: agent.update(track_id="gen_1")), "two agents have the same track_id"),
         (_agent(lambda agent: agent.update(route=[1])), "lane segment 1 is not in the map"),
         (_agent(lambda agent: agent.update(maneuvers=[])), "policy lane_change, but no record of it"),
-        (_agent(lambda agent: agent["maneuvers"][0].update(start_s=9)), "expected trigger, start, crossing, end in order"),
+        (
+            _agent(lambda agent: agent["maneuvers"][0].update(start_s=9)),
+            "expected trigger, start, crossing, end in order",
+        ),
         (_agent(lambda agent: agent["maneuvers"][0].update(end_s=None)), "done without start_s and end_s"),
         (_agent(lambda agent: agent["maneuvers"][0].update(leader_track_id="nobody")), "no leader 'nobody'"),
     ],
