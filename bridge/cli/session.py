@@ -1,6 +1,8 @@
 """What every command does alike: logging and signals, telling of scenes that cannot be read, choosing scenes."""
 
+import io
 import logging
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -22,7 +24,10 @@ class _Formatter(logging.Formatter):
 
 
 def set_up(*, verbose: bool, quiet: bool) -> None:
-    """Logging as asked for; SIGTERM ends the command as Ctrl-C does."""
+    """Logging as asked for; SIGTERM ends the command as Ctrl-C does; no figure opens a window.
+
+    Names of any bytes can be printed.
+    """
     level = logging.DEBUG if verbose else logging.ERROR if quiet else logging.WARNING
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_Formatter())
@@ -30,6 +35,9 @@ def set_up(*, verbose: bool, quiet: bool) -> None:
     for package in ("bridge", "hid2", "netconvert"):
         logging.getLogger(package).setLevel(level)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def unread_text(folder: Path, reason: str) -> str:

@@ -139,6 +139,22 @@ def scene_figure(folder: Path, *, source: Path | None = None, agent: str | None 
     return drawing.figure
 
 
+def draw_scene(
+    axes: Axes, scenario: Scenario, *, step: int | None = None, agent: str | None = None, cells: bool = False
+) -> None:
+    """Draw a scene, recorded or generated, into axes of your own: map, vehicles in the colours of their policies, ids.
+
+    step: a timestep (default: the last observed one). agent: a track to highlight, whose surroundings are shown. Axes
+    are in metres from a round place nearby. Errors: ConfigError for an unknown step or track.
+    """
+    shown = figures.check_step(scenario, step)
+    panel = _panels(scenario, None)[-1]
+    low, high = _window(scenario, agent)
+    figures.draw_map(axes, scenario.graph, cells=cells)
+    _put(panel, axes, shown, agent=agent, whole_paths=True)
+    figures.frame(axes, low, high, origin=np.floor(low / 100) * 100)
+
+
 def _panels(scenario: Scenario, source: Path | None) -> list[_Panel]:
     sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
     generated = {track.track_id for track in scenario.tracks if is_generated_id(track.track_id)}
@@ -198,6 +214,83 @@ def _window(scenario: Scenario, agent: str | None) -> tuple[FloatArray, FloatArr
         margin = MARGIN_M
     points = np.concatenate([track.position for track in tracks])
     return points.min(axis=0) - margin, points.max(axis=0) + margin
+
+
+def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: bool) -> list[Artist]:
+    """Draw every vehicle where it is at a timestep; returns what was drawn, to be taken away again."""
+    trail = round(TRAIL_S / STEP_S)
+    present = [(track, int(np.searchsorted(track.timesteps, step))) for track in panel.tracks]
+    present = [(t, i) for t, i in present if i < len(t.timesteps) and t.timesteps[i] == step]
+    present.sort(key=lambda item: panel.looks[item[0].track_id].order)
+    looks = [panel.looks[track.track_id] for track, _ in present]
+    boxes = [
+        box_corners(t.position[i], t.heading[i], length_m=t.size.length_m, width_m=t.size.width_m) for t, i in present
+    ]
+    noses = [np.stack([t.position[i], box[:2].mean(axis=0)]) for (t, i), box in zip(present, boxes, strict=True)]
+    trails = [t.position[max(0, i - trail) : i + 1] for t, i in present]
+    artists: list[Collection] = []
+    if whole_paths:
+        paths = [t for t in panel.tracks if is_generated_id(t.track_id)]
+        colors = [panel.looks[t.track_id].face for t in paths]
+        artists.append(LineCollection([t.position for t in paths], colors=colors, linewidths=0.8, alpha=0.8, zorder=3))
+    artists.append(LineCollection(trails, colors=[look.face for look in looks], linewidths=2.2, alpha=0.5, zorder=4))
+    artists.append(
+        PolyCollection(
+            boxes,
+            facecolors=[look.face for look in looks],
+            edgecolors=[look.edge for look in looks],
+            linewidths=[look.line_width for look in looks],
+            zorder=5,
+        )
+    )
+    artists.append(LineCollection(noses, colors="#222222", linewidths=0.6, zorder=6))
+    for artist in artists:
+        ax.add_collection(artist, autolim=False)
+    labels = [part for track, row in present for part in _label(ax, track, row, agent)]
+    return [*artists, *labels, *_marks(panel, ax, None if whole_paths else step * STEP_S)]
+
+
+def _label(ax: Axes, track: Track, row: int, agent: str | None) -> list[Artist]:
+    """The id beside a generated or focal vehicle, or beside any where one is highlighted; a ring round that one."""
+    artists: list[Artist] = []
+    chosen = track.track_id == agent
+    if chosen:
+        ring = Circle(
+            (track.position[row, 0], track.position[row, 1]), 0.75 * track.size.length_m + 1.0,
+            fill=False, edgecolor=figures.HIGHLIGHT, linewidth=1.8, zorder=9,
+        )  # fmt: skip
+        artists.append(ax.add_patch(ring))
+    if not (agent or is_generated_id(track.track_id) or track.category == FOCAL_CATEGORY):
+        return artists
+    text = ax.annotate(
+        track.track_id, tuple(track.position[row]), xytext=(4, 4), textcoords="offset points", fontsize=6.5,
+        fontweight="bold" if chosen else "normal", annotation_clip=True, clip_on=True, zorder=10,
+        path_effects=[withStroke(linewidth=1.6, foreground="white")],
+    )  # fmt: skip
+    return [*artists, text]
+
+
+def _marks(panel: _Panel, ax: Axes, until_s: float | None) -> list[Artist]:
+    """Marks where manoeuvres were done or aborted, up to a time; None: all."""
+    artists: list[Artist] = []
+    tracks = {track.track_id: track for track in panel.tracks}
+    for track_id, maneuver in panel.maneuvers:
+        place = maneuver.crossing_s if maneuver.crossing_s is not None else maneuver.start_s
+        if place is None or maneuver.status not in {"done", "aborted"} or track_id not in tracks:
+            continue
+        if until_s is not None and place > until_s:
+            continue
+        track = tracks[track_id]
+        x, y = track.position[int(np.argmin(np.abs(track.timesteps * STEP_S - place)))]
+        done = maneuver.status == "done"
+        color = figures.POLICY_COLORS[_POLICY_OF_KIND[maneuver.kind]] if done else "black"
+        size = 110 if maneuver.kind == "overtake" else 45
+        artist = ax.scatter(
+            [x], [y], marker=MARKS[maneuver.kind] if done else "x", s=size, c=color,
+            edgecolors="black" if done else None, linewidths=0.8, zorder=8,
+        )  # fmt: skip
+        artists.append(artist)
+    return artists
 
 
 class _Drawing:
@@ -277,86 +370,12 @@ class _Drawing:
         """Put every vehicle where it is at a timestep."""
         for _, artist in self.moving:
             artist.remove()
-        self.moving = []
-        trail = round(TRAIL_S / STEP_S)
-        for panel, ax in self.panels:
-            present = [(track, int(np.searchsorted(track.timesteps, step))) for track in panel.tracks]
-            present = [(t, i) for t, i in present if i < len(t.timesteps) and t.timesteps[i] == step]
-            present.sort(key=lambda item: panel.looks[item[0].track_id].order)
-            looks = [panel.looks[track.track_id] for track, _ in present]
-            boxes = [
-                box_corners(t.position[i], t.heading[i], length_m=t.size.length_m, width_m=t.size.width_m)
-                for t, i in present
-            ]
-            noses = [
-                np.stack([t.position[i], box[:2].mean(axis=0)]) for (t, i), box in zip(present, boxes, strict=True)
-            ]
-            trails = [t.position[max(0, i - trail) : i + 1] for t, i in present]
-            artists: list[Collection] = []
-            if self.whole_paths:
-                paths = [t for t in panel.tracks if is_generated_id(t.track_id)]
-                colors = [panel.looks[t.track_id].face for t in paths]
-                artists.append(
-                    LineCollection([t.position for t in paths], colors=colors, linewidths=0.8, alpha=0.8, zorder=3)
-                )
-            artists.append(
-                LineCollection(trails, colors=[look.face for look in looks], linewidths=2.2, alpha=0.5, zorder=4)
-            )
-            artists.append(
-                PolyCollection(
-                    boxes,
-                    facecolors=[look.face for look in looks],
-                    edgecolors=[look.edge for look in looks],
-                    linewidths=[look.line_width for look in looks],
-                    zorder=5,
-                )
-            )
-            artists.append(LineCollection(noses, colors="#222222", linewidths=0.6, zorder=6))
-            for artist in artists:
-                ax.add_collection(artist, autolim=False)
-                self.moving.append((ax, artist))
-            for track, row in present:
-                self._label(ax, track, row)
-            until = None if self.whole_paths else step * STEP_S
-            self._marks(panel, ax, until)
+        self.moving = [
+            (ax, artist)
+            for panel, ax in self.panels
+            for artist in _put(panel, ax, step, agent=self.agent, whole_paths=self.whole_paths)
+        ]
         self.clock.set_text(f"{step * STEP_S:.1f} s" + ("  (observed)" if step <= LAST_OBSERVED else "  (future)"))
-
-    def _label(self, ax: Axes, track: Track, row: int) -> None:
-        """The id beside a generated or focal vehicle, or beside any where one is highlighted; a ring round that one."""
-        chosen = track.track_id == self.agent
-        if chosen:
-            ring = Circle(
-                (track.position[row, 0], track.position[row, 1]), 0.75 * track.size.length_m + 1.0,
-                fill=False, edgecolor=figures.HIGHLIGHT, linewidth=1.8, zorder=9,
-            )  # fmt: skip
-            self.moving.append((ax, ax.add_patch(ring)))
-        if not (self.agent or is_generated_id(track.track_id) or track.category == FOCAL_CATEGORY):
-            return
-        text = ax.annotate(
-            track.track_id, tuple(track.position[row]), xytext=(4, 4), textcoords="offset points", fontsize=6.5,
-            fontweight="bold" if chosen else "normal", annotation_clip=True, clip_on=True, zorder=10,
-            path_effects=[withStroke(linewidth=1.6, foreground="white")],
-        )  # fmt: skip
-        self.moving.append((ax, text))
-
-    def _marks(self, panel: _Panel, ax: Axes, until_s: float | None) -> None:
-        tracks = {track.track_id: track for track in panel.tracks}
-        for track_id, maneuver in panel.maneuvers:
-            place = maneuver.crossing_s if maneuver.crossing_s is not None else maneuver.start_s
-            if place is None or maneuver.status not in {"done", "aborted"} or track_id not in tracks:
-                continue
-            if until_s is not None and place > until_s:
-                continue
-            track = tracks[track_id]
-            x, y = track.position[int(np.argmin(np.abs(track.timesteps * STEP_S - place)))]
-            done = maneuver.status == "done"
-            color = figures.POLICY_COLORS[_POLICY_OF_KIND[maneuver.kind]] if done else "black"
-            size = 110 if maneuver.kind == "overtake" else 45
-            artist = ax.scatter(
-                [x], [y], marker=MARKS[maneuver.kind] if done else "x", s=size, c=color,
-                edgecolors="black" if done else None, linewidths=0.8, zorder=8,
-            )  # fmt: skip
-            self.moving.append((ax, artist))
 
     def frames(self, steps: Sequence[int]) -> Iterator[npt.NDArray[np.uint8]]:
         """(H, W, 3) pictures, H and W even; the map is drawn once and kept."""

@@ -12,7 +12,7 @@ from PIL import Image
 
 from bridge.pictures import figures
 from bridge.pictures.plot import _levels, plot_agent
-from bridge.pictures.render import ANIMATIONS, PICTURES, render_scene, scene_figure
+from bridge.pictures.render import ANIMATIONS, PICTURES, draw_scene, render_scene, scene_figure
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import sidecar_in
 from netconvert.errors import ConfigError, ExportError
@@ -230,3 +230,16 @@ def test_plot_marks_the_moments_of_the_sidecar(made_scene, tmp_path, monkeypatch
 def test_plot_of_a_recorded_track_is_written(data_scenes, tmp_path):
     path = plot_agent(data_scenes["arterial"], "AV", tmp_path / "deep" / "av.png")
     assert iio.imread(path).shape[0] > 500
+
+
+def test_scene_is_drawn_into_axes_of_the_caller(made_scene):
+    figure, axes = plt.subplots(1, 2)
+    scenario = read_scenario(made_scene)
+    draw_scene(axes[1], scenario, step=20, cells=True)
+    shown = {text.get_text() for text in axes[1].texts}
+    assert {t.track_id for t in scenario.tracks if t.track_id.startswith("gen_") and 20 in t.timesteps} <= shown
+    assert not axes[0].collections
+    assert axes[1].get_xlabel() == "east, m"
+    with pytest.raises(ConfigError, match="timestep 500"):
+        draw_scene(axes[0], scenario, step=500)
+    plt.close(figure)
