@@ -91,7 +91,7 @@ fi
 if ! grep -qxF "$made ${1:-}" .venv/.hid2 2>/dev/null; then
     if [ "${1:-}" = tests ]; then wanted="-e .[gui] --group dev"; else wanted="-e ."; fi
     echo "setup.sh: installing packages into .venv (1.8 GB, a minute or two)" >&2
-    (while sleep 5; do echo "setup.sh: still installing packages" >&2; done) &
+    (while sleep 5 >/dev/null 2>&1; do echo "setup.sh: still installing packages" >&2; done) &
     alive=$!
     trap 'kill $alive 2>/dev/null || true' EXIT
     # shellcheck disable=SC2086  # several words

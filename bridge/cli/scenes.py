@@ -114,7 +114,10 @@ def scan(
 
 @command()
 def net(scene: Scene, out: Out, *, as_json: AsJson = False, verbose: Verbose = False, quiet: Quiet = False) -> None:
-    """Write the lane graph as a SUMO net of 4 m cells, with files to play the scene in sumo-gui, and a report."""
+    """Write the lane graph as a SUMO net of 4 m cells, with files to play the scene in sumo-gui, and a report.
+
+    The net is for simulating and looking at, not for editing: every cell ends in a junction, which netedit draws large.
+    """
     set_up(verbose=verbose, quiet=quiet)
     check_one_scene(scene, map_file=True)
     check_out(out)

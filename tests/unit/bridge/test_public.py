@@ -36,7 +36,7 @@ def test_unknown_name_is_an_attribute_error() -> None:
 
 
 def test_types_are_seen_outside_the_checkout(tmp_path: Path) -> None:
-    """An editable install whose packages a type checker follows: the type of a position is revealed, a mistake found."""
+    """A type checker follows the editable install: it reveals the type of a position and finds a mistake."""
     (tmp_path / "use.py").write_text(
         "from pathlib import Path\nfrom bridge import load_config, read_scenario\n"
         "reveal_type(read_scenario(Path()).tracks[0].position)\nload_config().request.seed + 'a'\n"
