@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
+from bridge.cli.options import SplitName
 from bridge.console import warn
 from netconvert.errors import ConfigError
 
@@ -64,7 +65,7 @@ def check_among_sources(out: Path) -> None:
         if _has_recorded(place):
             raise ConfigError(f"{out}: lies inside the split folder {place}; choose an output folder outside it")
     for place in _real_parents(out):
-        if any(_has_recorded(child) for child in islice(_folders(place), _LOOKED_AT)):
+        if any(_has_recorded(place / split) for split in SplitName):
             warn(f"{out} lies inside the data set {place}; an output folder outside it keeps them apart")
             return
 
