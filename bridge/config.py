@@ -4,6 +4,7 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
@@ -58,9 +59,9 @@ def parse_behaviours(text: str) -> dict[str, float]:
     for part in text.split(","):
         name, separator, value = (piece.strip() for piece in part.partition("="))
         if name not in names or not separator:
-            raise ConfigError(f"behaviours: {part.strip()!r}, want name=share with a name of {', '.join(names)}")
+            raise ConfigError(f"behaviours: {part.strip()!r}, expected name=share with a name of {', '.join(names)}")
         if name in given:
-            raise ConfigError(f"behaviours: {name!r} is given twice, want each once")
+            raise ConfigError(f"behaviours: {name!r} is given twice; give each once")
         given.add(name)
         shares[f"request.{name}"] = _number(value, f"behaviours: {name}", "a share from 0 to 1")
     return shares
@@ -169,7 +170,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file, want a configuration in TOML") from None
+        raise ConfigError(f"{path}: no such file, expected a configuration in TOML") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"{path}: not TOML ({error})") from error
 
@@ -177,7 +178,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
 def _parse_override(text: str) -> tuple[str, object]:
     key, separator, value = text.partition("=")
     if not separator:
-        raise ConfigError(f"--set {text!r}: want section.key=value")
+        raise ConfigError(f"--set {text!r}: expected section.key=value")
     key, value = key.strip(), value.strip()
     if key == "without":
         return key, [part.strip() for part in value.strip("[]").replace('"', "").split(",") if part.strip()]
@@ -217,21 +218,23 @@ def _explain(error: ValidationError) -> str:
         return _unknown(key, first["input"])
     if key in fields:
         value = sorted(first["input"]) if isinstance(first["input"], frozenset) else first["input"]
-        return f"{key} = {value!r}, want {_range(fields[key])}"
+        return f"{key} = {value!r}, expected {_range(fields[key])}"
     if first["type"] == "value_error":  # a check across fields
         return f"{key}: {first['msg'].removeprefix('Value error, ')}"
-    return f"{key} = {first['input']!r}, want a table of parameters"
+    return f"{key} = {first['input']!r}, expected a table of parameters"
 
 
 def _unknown(key: str, value: object) -> str:
     section = key.partition(".")[0]
+    alike = get_close_matches(key, _fields(), 2, 0.8)
     known = [name for name in _fields() if name.startswith(f"{section}.")]
     names = known or sorted({name.partition(".")[0] for name in _fields()})
-    return f"unknown key {key!r} (= {value!r}), want one of {', '.join(names)}"
+    meant = f"did you mean {' or '.join(alike)}? There are" if alike else "expected one of"
+    return f"unknown key {key!r} (= {value!r}), {meant} {', '.join(names)}"
 
 
 def _number(text: str, name: str, wanted: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise ConfigError(f"{name}: {text!r}, want {wanted}") from None
+        raise ConfigError(f"{name}: {text!r}, expected {wanted}") from None

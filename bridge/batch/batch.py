@@ -204,11 +204,11 @@ def _check_places(jobs: Sequence[SceneJob], out_dir: Path) -> None:
     for folder in dict.fromkeys(job.folder.absolute() for job in jobs):
         split, real = split_of(folder) or "", folder.resolve()
         if real.parent in (out_dir, out_dir / split):
-            raise ConfigError(f"{out_dir}: scenes are read from {real.parent}, want another folder to write to")
+            raise ConfigError(f"{real.parent} holds the input; choose another output folder than {out_dir}")
         for name in {folder.name, source_id(folder)}:  # of its row, and of what is written
             other = taken.setdefault((split, name), folder)
             if other != folder:
-                raise ConfigError(f"{other} and {folder} are both scene {name!r}, want each scene once")
+                raise ConfigError(f"{other} and {folder} are both scene {name!r}; leave one out")
 
 
 def _tasks(
@@ -251,7 +251,7 @@ def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options
     row = base_row(place, run) if failure else outcome.value
     if row.version != code_version():
         raise BatchError(
-            f"a worker runs hid2-sumo {row.version}, want {code_version()} as here "
+            f"a worker runs hid2-sumo {row.version}, expected {code_version()} as here "
             "(installed from other source, or edited while the batch ran)"
         )
     row = row._replace(attempts=outcome.attempts, seconds=round(outcome.seconds, 3), source_sha256=source_sha256)

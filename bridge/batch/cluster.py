@@ -36,7 +36,7 @@ _CONNECT_S = 10
 #: Seconds for which a scheduler may have no workers at all.
 _WORKERS_S = 300.0
 _NO_WORKERS = (
-    "scheduler {where}: no workers for {seconds:g} s, want some on each host: dask worker {where} --nthreads 1 "
+    "scheduler {where}: no workers for {seconds:g} s, expected some on each host: dask worker {where} --nthreads 1 "
     "(then go on with --resume)"
 )
 #: Of a local cluster: nobody looks at Dask's profiles and monitors, which wake up every process many times a second.
@@ -182,7 +182,7 @@ def _checked(scheduler: str) -> str:
         get_backend(protocol)
         parse_host_port(location)
     except ValueError as error:
-        raise ConfigError(f"scheduler {scheduler!r}: {error}, want tcp://HOST:PORT") from error
+        raise ConfigError(f"scheduler {scheduler!r}: {error}, expected tcp://HOST:PORT") from error
     return scheduler
 
 
@@ -210,6 +210,6 @@ def _check_semaphores(jobs: int) -> None:
         multiprocessing.get_context("spawn").Lock()
     except OSError as error:
         raise BatchError(
-            f"{jobs} Dask workers cannot be started on this machine: no semaphores ({error.strerror or error}), want a "
+            f"{jobs} Dask workers cannot be started on this machine: no semaphores ({error.strerror or error}), expected a "
             "writable /dev/shm, or --jobs 1, which works without"
         ) from error

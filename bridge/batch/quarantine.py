@@ -64,7 +64,7 @@ def read_bundle(path: Path, into: Path) -> Bundle:
             request = json.loads(archive.read(_REQUEST))
             failure = json.loads(archive.read(_FAILURE))
             if request["format"] != _FORMAT:
-                raise BatchError(f"{path}: bundle format {request['format']!r}, want {_FORMAT}")
+                raise BatchError(f"{path}: bundle format {request['format']!r}, expected {_FORMAT}")
             folder = into / (request["split"] or "scenes") / Path(request["scenario"]).name
             folder.mkdir(parents=True)
             for name in archive.namelist():

@@ -40,7 +40,7 @@ def read_map(path: Path) -> tuple[dict[str, Any] | None, list[Breach]]:
     if not isinstance(document, dict) or not all(
         isinstance(document.get(part), dict) for part in ("drivable_areas", "lane_segments", "pedestrian_crossings")
     ):
-        return None, [("map", "want drivable_areas, lane_segments and pedestrian_crossings")]
+        return None, [("map", "expected drivable_areas, lane_segments and pedestrian_crossings")]
     return document, list(_check_map(document))
 
 
@@ -58,13 +58,13 @@ def _check_map(document: Mapping[str, Any]) -> Iterator[Breach]:
             if column not in lane:
                 yield "map", f"{name}: no {column}"
         if str(lane.get("id")) != str(key):
-            yield "map", f"{name}: id {lane.get('id')!r}, want its key"
+            yield "map", f"{name}: id {lane.get('id')!r}, expected its key"
         if lane.get("lane_type") not in LANE_TYPES:
-            yield "lane-type", f"{name}: lane_type {lane.get('lane_type')!r}, want {', '.join(sorted(LANE_TYPES))}"
+            yield "lane-type", f"{name}: lane_type {lane.get('lane_type')!r}, expected {', '.join(sorted(LANE_TYPES))}"
         for side in ("left", "right"):
             mark = lane.get(f"{side}_lane_mark_type")
             if mark not in MARK_TYPES:
-                yield "mark-type", f"{name}: {side}_lane_mark_type {mark!r}, want one of the enum"
+                yield "mark-type", f"{name}: {side}_lane_mark_type {mark!r}, expected one of the enum"
             yield from _check_points(lane, f"{side}_lane_boundary", name, least=2)
         yield from _check_points(lane, "centerline", name, least=2)
 
@@ -73,12 +73,12 @@ def _check_points(owner: Mapping[str, Any], field: str, name: str, *, least: int
     points = owner.get(field)
     if not isinstance(points, list) or len(points) < least:
         have = len(points) if isinstance(points, list) else "none"
-        yield "boundary", f"{name}: {field} of {have} points, want at least {least}"
+        yield "boundary", f"{name}: {field} of {have} points, expected at least {least}"
         return
     for i, point in enumerate(points):
         values = [point.get(axis) for axis in "xyz"] if isinstance(point, dict) else [None]
         if not all(isinstance(value, float | int) and np.isfinite(value) for value in values):
-            yield "map", f"{name}: {field}[{i}] is {point}, want finite x, y and z"
+            yield "map", f"{name}: {field}[{i}] is {point}, expected finite x, y and z"
             return
 
 

@@ -83,7 +83,7 @@ class Scenario:
         for track in self.tracks:
             if track.track_id == track_id:
                 return track
-        raise ScenarioError(f"{self.folder}: no track {track_id!r}, have {len(self.tracks)} others")
+        raise ScenarioError(f"{self.folder}: no track {track_id!r} among {len(self.tracks)}")
 
 
 class Rows(NamedTuple):
@@ -103,7 +103,7 @@ def read_scenario(folder: Path) -> Scenario:
     Errors: ScenarioError or MapError with file, id, value and what was expected.
     """
     if not folder.is_dir():
-        raise NoSceneError(f"{folder}: no such folder, want a scenario folder")
+        raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
     parquet_path = _only_file(folder, PARQUET_PATTERN, ScenarioError)
     map_path = _only_file(folder, MAP_PATTERN, MapError)
     table = read_table(parquet_path)
@@ -130,7 +130,7 @@ def read_table(path: Path) -> pa.Table:
     try:
         table = pq.ParquetFile(io.BytesIO(path.read_bytes())).read(use_threads=False)
     except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such file, want a scenario in parquet") from None
+        raise ScenarioError(f"{path}: no such file, expected a scenario in parquet") from None
     except (pa.ArrowException, OSError) as error:
         raise ScenarioError(f"{path}: not a parquet file ({_first_line(error)})") from error
     _check_columns(table, str(path))
@@ -162,14 +162,16 @@ def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> R
     _check_timesteps(code, timestep, _numbers(table, "observed")[order], where)
     if not np.isfinite(motion).all():
         row, column = np.argwhere(~np.isfinite(motion))[0]
-        raise ScenarioError(f"{where(row)}: {_MOTION_COLUMNS[column]} is {motion[row, column]}, want a finite number")
+        raise ScenarioError(
+            f"{where(row)}: {_MOTION_COLUMNS[column]} is {motion[row, column]}, expected a finite number"
+        )
     for known in kinds:
         if known not in DEFAULT_SIZES:
-            raise ScenarioError(f"{name}: object_type {known!r}, want one of {', '.join(DEFAULT_SIZES)}")
+            raise ScenarioError(f"{name}: object_type {known!r}, expected one of {', '.join(DEFAULT_SIZES)}")
     outside = (category < 0) | (category > FOCAL_CATEGORY)
     if outside.any():
         row = int(np.flatnonzero(outside)[0])
-        raise ScenarioError(f"{where(row)}: object_category {category[row]}, want 0, 1, 2 or 3")
+        raise ScenarioError(f"{where(row)}: object_category {category[row]}, expected 0, 1, 2 or 3")
     starts = np.concatenate([[0], np.flatnonzero(np.diff(code)) + 1])
     run = np.repeat(starts, np.diff(np.concatenate([starts, [len(code)]])))
     for column, values in (("object_category", category), ("object_type", kind)):
@@ -221,7 +223,9 @@ def read_sizes(folder: Path) -> dict[str, BoxSize]:
             for number, row in enumerate(csv.DictReader(path.read_text(encoding="utf-8").splitlines()), start=2):
                 sizes[row["track_id"]] = _size(row, f"{path} line {number}")
         except (KeyError, UnicodeDecodeError, csv.Error) as error:
-            raise ScenarioError(f"{path}: want columns track_id, length_m, width_m ({_first_line(error)})") from error
+            raise ScenarioError(
+                f"{path}: expected columns track_id, length_m, width_m ({_first_line(error)})"
+            ) from error
     for sidecar in sorted(folder.glob(sidecar_path(folder, "*").name)):
         sizes.update({agent.track_id: BoxSize(agent.length_m, agent.width_m) for agent in read_sidecar(sidecar).agents})
     return sizes
@@ -240,8 +244,8 @@ class _Where:
 def _only_file(folder: Path, pattern: str, error: type[ScenarioError | MapError]) -> Path:
     found = sorted(folder.glob(pattern))
     if len(found) != 1:
-        have = ", ".join(path.name for path in found) or "none"
-        raise error(f"{folder}: {have}, want exactly one {pattern.replace('*', '<id>')}")
+        have = f"{len(found)} files {pattern.replace('*', '<id>')}" if found else f"no {pattern.replace('*', '<id>')}"
+        raise error(f"{have} in {folder}; expected exactly one")
     return found[0]
 
 
@@ -249,9 +253,11 @@ def _size(row: Mapping[str, str], where: str) -> BoxSize:
     try:
         size = BoxSize(float(row["length_m"]), float(row["width_m"]))
     except (TypeError, ValueError):
-        raise ScenarioError(f"{where}: length_m {row['length_m']!r}, width_m {row['width_m']!r}, want m") from None
+        raise ScenarioError(
+            f"{where}: length_m {row['length_m']!r}, width_m {row['width_m']!r}, expected metres"
+        ) from None
     if not (0 < size.width_m < 10 and 0 < size.length_m < 50):
-        raise ScenarioError(f"{where}: box {size.length_m} x {size.width_m} m, want above 0 and below 50 x 10 m")
+        raise ScenarioError(f"{where}: box {size.length_m} x {size.width_m} m, expected above 0 and below 50 x 10 m")
     return size
 
 
@@ -261,18 +267,20 @@ def _check_columns(table: pa.Table, name: str) -> None:
         indices = schema.get_all_field_indices(column)
         if len(indices) != 1:
             raise ScenarioError(
-                f"{name}: {'no' if not indices else 'more than one'} column {column!r}, want {types[0]}"
+                f"{name}: {'no' if not indices else 'more than one'} column {column!r}, expected {types[0]}"
             )
         found = schema.field(indices[0]).type
         if found not in types:
-            raise ScenarioError(f"{name}: column {column!r} is {found}, want {types[0]}")
+            raise ScenarioError(f"{name}: column {column!r} is {found}, expected {types[0]}")
     for column, types in REQUIRED_COLUMNS.items():
         if table.column(column).null_count:  # what pandas makes of NaN
             row = int(np.flatnonzero(table.column(column).is_null().to_numpy())[0])
             track, step = table.column("track_id")[row].as_py(), table.column("timestep")[row].as_py()
-            raise ScenarioError(f"{name}: track {track!r}, timestep {step}: {column} is null or NaN, want {types[0]}")
+            raise ScenarioError(
+                f"{name}: track {track!r}, timestep {step}: {column} is null or NaN, expected {types[0]}"
+            )
     if table.num_rows == 0:
-        raise ScenarioError(f"{name}: no rows, want at least one track")
+        raise ScenarioError(f"{name}: no rows, expected at least one track")
 
 
 def _numbers(table: pa.Table, column: str) -> npt.NDArray[Any]:
@@ -282,7 +290,9 @@ def _numbers(table: pa.Table, column: str) -> npt.NDArray[Any]:
 def _one_value(table: pa.Table, column: str, name: str) -> object:
     values = pc.unique(table.column(column))
     if len(values) != 1:
-        raise ScenarioError(f"{name}: column {column!r} has {len(values)} values {values[:3].to_pylist()}, want one")
+        raise ScenarioError(
+            f"{name}: column {column!r} has {len(values)} values {values[:3].to_pylist()}, expected one"
+        )
     return values[0].as_py()
 
 
@@ -296,14 +306,14 @@ def _order(code: IntArray, timestep: IntArray) -> IntArray | slice:
 def _check_timesteps(code: IntArray, timestep: IntArray, observed: npt.NDArray[np.bool_], where: _Where) -> None:
     outside = (timestep < 0) | (timestep >= MAX_STEPS)
     if outside.any():
-        raise ScenarioError(f"{where(int(np.flatnonzero(outside)[0]))}: want timesteps 0 to {MAX_STEPS - 1}")
+        raise ScenarioError(f"{where(int(np.flatnonzero(outside)[0]))}: expected timesteps 0 to {MAX_STEPS - 1}")
     repeated = (np.diff(code) == 0) & (np.diff(timestep) == 0)
     if repeated.any():
-        raise ScenarioError(f"{where(int(np.flatnonzero(repeated)[0]))}: more than one row, want one")
+        raise ScenarioError(f"{where(int(np.flatnonzero(repeated)[0]))}: more than one row, expected one")
     wrong = observed != (timestep <= LAST_OBSERVED)
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
-        raise ScenarioError(f"{where(row)}: observed is {observed[row]}, want {timestep[row] <= LAST_OBSERVED}")
+        raise ScenarioError(f"{where(row)}: observed is {observed[row]}, expected {timestep[row] <= LAST_OBSERVED}")
 
 
 def _check_focal(tracks: list[Track], focal_track_id: str, name: str) -> None:
@@ -311,12 +321,12 @@ def _check_focal(tracks: list[Track], focal_track_id: str, name: str) -> None:
     if [track.track_id for track in focals] != [focal_track_id]:
         have = ", ".join(repr(track.track_id) for track in focals) or "none"
         raise ScenarioError(
-            f"{name}: tracks of category {FOCAL_CATEGORY}: {have}, want focal_track_id {focal_track_id!r} alone"
+            f"{name}: tracks of category {FOCAL_CATEGORY}: {have}, expected focal_track_id {focal_track_id!r} alone"
         )
     if LAST_OBSERVED not in focals[0].timesteps:
         raise ScenarioError(
             f"{name}: focal track {focal_track_id!r} lasts from timestep {focals[0].timesteps[0]} "
-            f"to {focals[0].timesteps[-1]}, want it present at {LAST_OBSERVED}"
+            f"to {focals[0].timesteps[-1]}, expected it present at {LAST_OBSERVED}"
         )
     if all(track.track_id != AV_ID for track in tracks):
         raise ScenarioError(f"{name}: no track {AV_ID!r} among {len(tracks)}, readers of the format need one")

@@ -174,7 +174,7 @@ def read_sidecar(path: Path) -> Sidecar:
     try:
         return Sidecar.model_validate_json(path.read_bytes())
     except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such file, want a sidecar") from None
+        raise ScenarioError(f"{path}: no such file, expected a sidecar") from None
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         field = ".".join(str(part) for part in first["loc"]) or "the file"

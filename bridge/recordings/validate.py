@@ -112,7 +112,7 @@ def _check_tree(out: Path, folders: Sequence[Path]) -> Iterator[Finding]:
     for folder in folders:
         depth = len(folder.relative_to(out).parts)
         if depth == 2 and folder.parent.name not in SPLITS:
-            yield Finding(folder, "folder", f"split {folder.parent.name!r}, want one of {', '.join(SPLITS)}")
+            yield Finding(folder, "folder", f"split {folder.parent.name!r}, expected one of {', '.join(SPLITS)}")
 
 
 def _index_sources(source: Path) -> dict[str, Path]:

@@ -33,10 +33,10 @@ def _map_file(scene: Path) -> Path:
     if scene.is_file():
         return scene
     if not scene.is_dir():
-        raise NoSceneError(f"{scene}: no such folder, want a scenario folder")
+        raise NoSceneError(f"{scene}: no such folder, expected a scenario folder")
     found = sorted(scene.glob(f"{_MAP_PREFIX}*.json"))
     if len(found) != 1:
-        raise MapError(f"{scene}: {len(found)} files {_MAP_PREFIX}*.json, want one")
+        raise MapError(f"{len(found) or 'no'} {_MAP_PREFIX}<id>.json in {scene}; expected exactly one")
     return found[0]
 
 

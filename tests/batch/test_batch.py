@@ -60,7 +60,7 @@ def test_every_run_has_a_row_and_a_folder(make_data_set: MakeDataSet, tmp_path: 
 def test_results_are_not_written_beside_the_sources(make_data_set: MakeDataSet, tmp_path: Path, where: str) -> None:
     folders = make_data_set(2)
     before = sorted((tmp_path / "source").rglob("*"))
-    with pytest.raises(ConfigError, match=r"scenes are read from .*source/val, want another folder to write to"):
+    with pytest.raises(ConfigError, match=r"source/val holds the input; choose another output folder"):
         run_batch(plan(folders, Config()), tmp_path / "source" / where, Options(function=COPIES))
     assert sorted((tmp_path / "source").rglob("*")) == before
 
@@ -98,7 +98,7 @@ def test_two_scenes_that_would_be_written_to_one_place_are_refused(
     folders = make_data_set(2)
     other = tmp_path / "other" / "val" / name
     shutil.copytree(folders[0], other)
-    with pytest.raises(ConfigError, match=r"scene-000 and .*/other/val/.* are both scene '.*', want each scene once"):
+    with pytest.raises(ConfigError, match=r"scene-000 and .*/other/val/.* are both scene '.*'; leave one out"):
         run_batch(plan([*folders, other], Config()), tmp_path / "out", Options(function=COPIES))
     assert not (tmp_path / "out").exists()
 

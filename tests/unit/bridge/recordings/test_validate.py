@@ -258,7 +258,7 @@ def _agent(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]]
         (lambda document: document["placed"].update(agents=3), "placed.agents 3, but 2 agents"),
         (lambda document: document["placed"]["behaviours"].update(straight=1), "placed.behaviours.straight 1, but 0"),
         (lambda document: document["agents"].pop(), "placed.agents 2, but 1 agents"),
-        (lambda document: document.update(config_sha256="0" * 64), "want that of config"),
+        (lambda document: document.update(config_sha256="0" * 64), "expected that of config"),
         (lambda document: document["config"]["request"].update(agents=-1), "request.agents = -1"),
         (lambda document: document.update(seed=1), "of this source, configuration, seed and variant"),
         (lambda document: document.update(variant=1), "of this source, configuration, seed and variant"),
@@ -266,7 +266,10 @@ def _agent(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]]
         (_agent(lambda agent: agent.update(track_id="gen_1")), "two agents have the same track_id"),
         (_agent(lambda agent: agent.update(route=[1])), "lane segment 1 is not in the map"),
         (_agent(lambda agent: agent.update(maneuvers=[])), "policy lane_change, but no record of it"),
-        (_agent(lambda agent: agent["maneuvers"][0].update(start_s=9)), "want trigger, start, crossing, end in order"),
+        (
+            _agent(lambda agent: agent["maneuvers"][0].update(start_s=9)),
+            "expected trigger, start, crossing, end in order",
+        ),
         (_agent(lambda agent: agent["maneuvers"][0].update(end_s=None)), "done without start_s and end_s"),
         (_agent(lambda agent: agent["maneuvers"][0].update(leader_track_id="nobody")), "no leader 'nobody'"),
     ],
@@ -332,5 +335,5 @@ def test_added_centrelines_are_no_difference(
 
 
 def test_an_empty_output_is_said(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match="no scenario here"):
+    with pytest.raises(ScenarioError, match="no scenario; expected"):
         validate_folder(tmp_path)
