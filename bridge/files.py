@@ -1,11 +1,17 @@
-"""Files that are there whole or not at all."""
+"""Files that are there whole or not at all, and files of others, which may be anything."""
 
 import contextlib
+import errno
+import os
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
 from netconvert.errors import ExportError
+
+#: What the system says when nothing more can be written, whatever the file: full, over the quota or the size, read-only.
+_DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 
 
 @contextlib.contextmanager
@@ -16,6 +22,7 @@ def beside(path: Path) -> Iterator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     hidden = path.with_name(f".{path.name}")
+    hidden.unlink(missing_ok=True)  # a link there would be followed
     try:
         yield hidden
         hidden.replace(path)
@@ -49,3 +56,38 @@ def write_text(path: Path, text: str) -> None:
     """Write UTF-8. Errors: OSError."""
     with beside(path) as hidden:
         hidden.write_text(text, encoding="utf-8")
+
+
+def disk_error(error: BaseException) -> OSError | None:
+    """The system's word that nothing more can be written, if an error says so or was raised from one that does."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in _DISK:
+            return cause
+        cause = cause.__cause__
+    return None
+
+
+def read_regular(path: Path, *, most_mb: int) -> bytes:
+    """The bytes of a regular file of bounded size. Errors: OSError, also for a pipe or a device, which would not end.
+
+    Opened without waiting and looked at when it is open: what the name stands for may change in between.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EINVAL, "not a regular file", str(path))
+        with open(descriptor, "rb", closefd=False) as file:
+            content = file.read(most_mb * 1_000_000 + 1)
+    finally:
+        os.close(descriptor)
+    if len(content) > most_mb * 1_000_000:
+        raise OSError(errno.EINVAL, f"larger than {most_mb} MB", str(path))
+    return content
+
+
+def one_line(text: str, *, most: int) -> str:
+    """A text for tables and terminals: one line, what does not print escaped, at most so many characters and a remark."""
+    words = " ".join(text[: 4 * most].split())
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in words)
+    return shown if len(shown) <= most else f"{shown[:most]} ... (shortened)"

@@ -6,6 +6,7 @@ first attempt only (a file beside the output remembers it).
 
 import os
 import signal
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -39,6 +40,14 @@ def numbers(shared: str, items: Sequence[object]) -> Iterator[tuple[str, object,
         if isinstance(item, str):
             fail(item, Path())
         yield shared, item, os.getpid()
+
+
+def leaves_files(shared: str, items: Sequence[object]) -> Iterator[str]:
+    """Write a temporary file that only the end of the process could remove, then fail."""
+    for item in items:
+        Path(tempfile.mkdtemp(prefix="hid2-"), "net.xml").write_text("<net/>")
+        fail(str(item), Path())
+        yield str(item)
 
 
 def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:

@@ -1,7 +1,6 @@
 """Batches: manifest, quarantine, resume, interruption, faults; the work is that of faults.py, which is quick."""
 
 import csv
-import errno
 import gc
 import os
 import shutil
@@ -274,19 +273,6 @@ def test_scheduler_that_gets_no_workers_is_given_up(
         with pytest.raises(BatchError, match=rf"scheduler {address}: no workers for 1 s, want some .*dask worker"):
             run_batch(plan(make_data_set(1), Config()), tmp_path / "out", Options(scheduler=address, function=COPIES))
     assert_nothing_half_written(tmp_path / "out")
-
-
-def test_a_machine_without_semaphores_is_explained(
-    make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What Python says where /dev/shm is read-only; Dask's own message would be that a nanny failed to start."""
-
-    def read_only(_: object) -> None:
-        raise OSError(errno.EROFS, "Read-only file system")
-
-    monkeypatch.setattr("multiprocessing.context.BaseContext.Lock", read_only)
-    with pytest.raises(BatchError, match=r"no semaphores \(Read-only file system\), want a writable /dev/shm"):
-        run_batch(plan(make_data_set(2), Config()), tmp_path / "out", Options(jobs=2, function=COPIES))
 
 
 RUN = """
