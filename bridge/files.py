@@ -8,10 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from netconvert.errors import ExportError
+from netconvert.errors import DiskFullError, ExportError
 
-#: What the system says when nothing more can be written, whatever the file: full, over the quota or the size, read-only.
+#: What the system says when nothing more can be written: full, over the quota or the size, read-only.
 _DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
+_SHORTENED = " ... (shortened)"
 
 
 @contextlib.contextmanager
@@ -39,11 +40,12 @@ def table_file(path: Path) -> Iterator[IO[str]]:
 
 @contextlib.contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """What the system says against writing to a path becomes an ExportError that names it."""
+    """What the system says against writing to a path becomes an ExportError that names it, or a DiskFullError."""
     try:
         yield
     except OSError as error:
-        raise ExportError(f"{path}: cannot be written ({error.strerror or error})") from error
+        kind = DiskFullError if disk_error(error) else ExportError
+        raise kind(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
 def make_folder(folder: Path) -> None:
@@ -86,8 +88,13 @@ def read_regular(path: Path, *, most_mb: int) -> bytes:
     return content
 
 
+def printable(text: str) -> str:
+    """A text in which all that does not print is escaped: no control sequences for terminals, always valid UTF-8."""
+    return "".join(c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode() for c in text)
+
+
 def one_line(text: str, *, most: int) -> str:
-    """A text for tables and terminals: one line, what does not print escaped, at most so many characters and a remark."""
-    words = " ".join(text[: 4 * most].split())
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in words)
-    return shown if len(shown) <= most else f"{shown[:most]} ... (shortened)"
+    """A printable text on one line, of at most so many characters; a text that is so already stays as it is."""
+    if len(text) > most or not text.isprintable():
+        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
+    return text if len(text) <= most else text[: most - len(_SHORTENED)] + _SHORTENED

@@ -68,8 +68,10 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How items are run. timeout_s: for each item, a process that takes longer is ended; recycle_after: calls;
-    memory_mb: what a process may allocate.
+    """How items are run.
+
+    timeout_s: for each item, a process that takes longer is ended; recycle_after: calls; memory_mb: what a process may
+    allocate.
     """
 
     timeout_s: float = 300.0
@@ -187,7 +189,9 @@ def _no_start(failure: Failure) -> str:
     """Why no process can begin, on one line: what it said, or the last that it wrote before it ended."""
     said = failure.details.strip().splitlines() if failure.kind in _RETRIED else []
     reason = f"{failure.message}: {said[-1]}" if said else failure.message
-    return f"no scene process can begin its work here ({one_line(reason, most=500)}); mend that and continue with --resume"
+    return (
+        f"no scene process can begin its work here ({one_line(reason, most=500)}); mend that and continue with --resume"
+    )
 
 
 def _outcome(

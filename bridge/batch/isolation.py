@@ -59,8 +59,8 @@ class Failure:
     """Why a piece of work has no result.
 
     kind: error (explained, `Hid2Error`), exception (unexpected), crashed (a signal of its own making or an exit),
-    killed (SIGKILL from outside), timeout, memory (more than a process may take), disk (nothing can be written any more,
-    which is no fault of the work). details: traceback or the end of what the process wrote to stderr.
+    killed (SIGKILL from outside), timeout, memory (more than a process may take), disk (nothing can be written any
+    more, which is no fault of the work). details: traceback or the end of what the process wrote to stderr.
     """
 
     kind: FailureKind
@@ -185,7 +185,9 @@ class IsolatedProcess:
                 )
         except OSError as error:
             here.close()
-            raise StartFailedError(Failure("exception", f"{error.filename or 'the system'}: {error.strerror}")) from error
+            raise StartFailedError(
+                Failure("exception", f"{error.filename or 'the system'}: {error.strerror}")
+            ) from error
         finally:
             there.close()
         self._connection = here
@@ -194,7 +196,7 @@ class IsolatedProcess:
         self._receive_start()
 
     def _receive_start(self) -> None:
-        """Wait for the word that the process, or the work, is about to begin; whatever else comes is why it does not."""
+        """Wait for the word that the process, or the work, is about to begin; anything else is why it does not."""
         try:
             kind, value, _ = self._receive(START_TIMEOUT_S)
         except WorkFailedError as error:
@@ -318,9 +320,7 @@ def _bound_memory(memory_mb: int) -> None:
     """Let an allocation beyond the bound fail (Linux; elsewhere the system may not go by it)."""
     hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
     wanted = memory_mb * _MB
-    resource.setrlimit(
-        resource.RLIMIT_DATA, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard)
-    )
+    resource.setrlimit(resource.RLIMIT_DATA, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
 
 
 def _too_much(memory_mb: int | None) -> str:

@@ -1,6 +1,5 @@
 """The rules on the rows of a scenario: the format, what readers take for granted, generated tracks, the source."""
 
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
+from pydantic_core import from_json
 
-from bridge.recordings.rules import Breach
+from bridge.recordings.rules import RECORDED, Breach
 from bridge.recordings.scenario import (
     AV_ID,
     FOCAL_CATEGORY,
@@ -70,8 +70,10 @@ def check_rows(rows: Rows, new_id: str) -> Iterator[Breach]:
     first = {column: table.column(column)[0].as_py() for column in SCENARIO_COLUMNS}
     if first["scenario_id"] != new_id:
         yield "scenario-id", f"column scenario_id is {first['scenario_id']!r}, want {new_id!r} as the folder"
-    if first["city"] not in CITIES:
-        yield "city", f"city {first['city']!r}, want one of {', '.join(sorted(CITIES))}"
+    if not first["city"]:
+        yield "city", "no city"
+    elif first["city"] not in CITIES:
+        yield RECORDED, f"city {first['city']!r} is none of {', '.join(sorted(CITIES))}"
     if not rows.num_steps <= first["num_timestamps"] <= MAX_STEPS:
         yield "timestep", f"num_timestamps {first['num_timestamps']}, want {rows.num_steps} to {MAX_STEPS}"
     yield from _first(rows, (rows.timestep < 0) | (rows.timestep >= MAX_STEPS), "timestep", "want 0 to 109")
@@ -98,17 +100,25 @@ def check_rows(rows: Rows, new_id: str) -> Iterator[Breach]:
     for track_id in sorted(focals):
         steps = rows.timestep[rows.of(track_id)]
         if LAST_OBSERVED not in steps or steps[-1] != rows.num_steps - 1:
-            yield "focal", f"track {track_id!r} lasts from {steps[0]} to {steps[-1]}, want {rows.num_steps - 1}"
+            recorded = LAST_OBSERVED in steps and not _GENERATED_ID.fullmatch(track_id)
+            said = f"track {track_id!r} lasts from {steps[0]} to {steps[-1]}, want {rows.num_steps - 1}"
+            yield RECORDED if recorded else "focal", said
     at_last = set(rows.code[rows.timestep == LAST_OBSERVED])
     for code in sorted(set(rows.code[rows.category == FOCAL_CATEGORY - 1]) - at_last):
-        yield "scored", f"track {rows.ids[code]!r} is scored and absent at timestep {LAST_OBSERVED}"
+        recorded = not _GENERATED_ID.fullmatch(rows.ids[code])
+        said = f"track {rows.ids[code]!r} is scored and absent at timestep {LAST_OBSERVED}"
+        yield RECORDED if recorded else "scored", said
     if AV_ID not in rows.ids:
         yield "av", f"no track {AV_ID!r} among {len(rows.ids)}"
 
 
 def _check_index(table: pa.Table) -> Iterator[Breach]:
     metadata = (table.schema.metadata or {}).get(b"pandas")
-    index = json.loads(metadata)["index_columns"] if metadata is not None else []
+    try:
+        index = from_json(metadata)["index_columns"] if metadata is not None else []
+    except (ValueError, KeyError, TypeError) as error:
+        yield "columns", f"what pandas wrote about its index cannot be read ({error})"
+        return
     wanted = {"kind": "range", "name": None, "start": 0, "stop": table.num_rows, "step": 1}
     if index not in ([], [wanted]):
         yield "columns", f"index {index}, want a RangeIndex from 0 to {table.num_rows}"

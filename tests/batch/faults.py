@@ -4,6 +4,7 @@ A file FAULT in a source folder says what its scene does: segfault, hang, killed
 first attempt only (a file beside the output remembers it).
 """
 
+import errno
 import os
 import signal
 import tempfile
@@ -80,6 +81,14 @@ def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]
             yield describe_error(error)
 
 
+def one_place(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow]:
+    """Write every scene to the same folder, as work that takes the names of its folders from elsewhere may."""
+    folder = place.out / "one"
+    folder.mkdir(exist_ok=True)
+    for run in runs:
+        yield base_row(place, run)._replace(folder="one")
+
+
 def other_version(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow]:
     """What a worker with another version of the package returns."""
     for run in runs:
@@ -136,6 +145,12 @@ def fail(fault: str, scratch: Path) -> None:
         libsumo.start(["sumo", "-n", str(net), "--no-step-log"])
     elif fault == "killed":
         os.kill(os.getpid(), signal.SIGKILL)
+    elif fault == "memory":
+        bytearray(10**13)
+    elif fault == "full":
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(scratch / "scenario.parquet"))
+    elif fault == "long":
+        raise RuntimeError("x" * 150_000)
     elif fault == "exit":
         os._exit(3)
     elif fault == "hang":

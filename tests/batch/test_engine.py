@@ -47,7 +47,9 @@ def test_processes_end_when_the_results_are_not_wanted_any_more() -> None:
 def test_work_that_cannot_be_imported_ends_the_batch_with_its_cause_at_once() -> None:
     """The first reply of a process says so: it is no time-out, and no fault of the first scene."""
     began = time.monotonic()
-    with pytest.raises(BatchError, match=r"no scene process can begin .*ModuleNotFoundError: No module named 'nowhere'"):
+    with pytest.raises(
+        BatchError, match=r"no scene process can begin .*ModuleNotFoundError: No module named 'nowhere'"
+    ):
         list(execute([Task("t", "nowhere:work", "", (1, 2))]))
     assert time.monotonic() - began < 60
 
@@ -64,13 +66,17 @@ def test_work_that_ends_its_process_on_import_is_told_by_its_last_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As a broken native library does."""
-    (tmp_path / "broken_library.py").write_text("import sys, os\nprint('undefined symbol: f', file=sys.stderr)\nos._exit(127)")
+    (tmp_path / "broken_library.py").write_text(
+        "import sys, os\nprint('undefined symbol: f', file=sys.stderr)\nos._exit(127)"
+    )
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(BatchError, match=r"no scene process can begin .*status 127: undefined symbol: f\)"):
         list(execute([Task("t", "broken_library:work", "", (1,))]))
 
 
-@pytest.mark.parametrize(("program", "said"), [("/bin/false", "exited with status 1"), ("/nowhere/python", "No such file")])
+@pytest.mark.parametrize(
+    ("program", "said"), [("/bin/false", "exited with status 1"), ("/nowhere/python", "No such file")]
+)
 def test_process_that_does_not_start_ends_the_batch(monkeypatch: pytest.MonkeyPatch, program: str, said: str) -> None:
     monkeypatch.setattr(sys, "executable", program)
     with pytest.raises(BatchError, match=f"no scene process can begin .*{said}"):

@@ -36,6 +36,8 @@ def test_values_come_in_order_from_one_other_process(process: IsolatedProcess) -
         ("exit", "crashed", "status 3"),
         ("hang", "timeout", "2 s"),
         ("raise", "exception", "RuntimeError: fault raise"),
+        ("memory", "memory", "more memory than the 4000 MB a scene may take"),
+        ("full", "disk", "scenario.parquet: cannot be written (No space left on device)"),
     ],
 )
 def test_failure_says_how_the_process_ended(
