@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, cast
 
-from distributed import Client, KilledWorker, Worker, get_worker
+from distributed import Client, KilledWorker, Security, Worker, get_worker
 from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.registry import get_backend
 from distributed.diagnostics.plugin import WorkerPlugin
@@ -37,6 +37,7 @@ _NO_WORKERS = (
     "scheduler {where}: no workers for {seconds:g} s, want some on each host: dask worker {where} --nthreads 1 "
     "(then go on with --resume)"
 )
+_TLS = "want Dask's settings distributed.comm.tls.ca-file, .client.cert and .client.key (README, On several hosts)"
 
 _LOG = logging.getLogger(__name__)
 
@@ -138,8 +139,13 @@ class SceneProcesses(WorkerPlugin):
 def _client(scheduler: str) -> Iterator[Client]:
     """Connect to the scheduler at an address; what Dask would log is said by errors instead."""
     checked = _checked(scheduler)
-    for name in ("distributed", "tornado", "asyncio"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)
+    for name in ("distributed", "tornado", "asyncio", *logging.root.manager.loggerDict):
+        if name.partition(".")[0] in (
+            "distributed",
+            "tornado",
+            "asyncio",
+        ):  # Dask sets levels of its modules one by one
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = Client(checked, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -155,5 +161,11 @@ def _checked(scheduler: str) -> str:
         get_backend(protocol)
         parse_host_port(location)
     except ValueError as error:
-        raise ConfigError(f"scheduler {scheduler!r}: {error}, want tcp://HOST:PORT") from error
+        raise ConfigError(f"scheduler {scheduler!r}: {error}, want tls://HOST:PORT or tcp://HOST:PORT") from error
+    try:
+        context = Security().get_connection_args("client").get("ssl_context")
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"scheduler {scheduler!r}: its certificates cannot be read ({error}), {_TLS}") from error
+    if protocol == "tls" and context is None:
+        raise ConfigError(f"scheduler {scheduler!r}: no certificates for it, {_TLS}")
     return scheduler

@@ -403,7 +403,7 @@ def test_address_of_no_scheduler_is_explained(
     make_data_set: MakeDataSet, tmp_path: Path, address: str, recwarn: pytest.WarningsRecorder
 ) -> None:
     options = Options(scheduler=address, function=COPIES)
-    with pytest.raises(ConfigError, match=rf"scheduler '{address}': .*, want tcp://HOST:PORT"):
+    with pytest.raises(ConfigError, match=rf"scheduler '{address}': .*, want tls://HOST:PORT or tcp://HOST:PORT"):
         run_batch(plan(make_data_set(1), Config()), tmp_path / "out", options)
     gc.collect()  # a client that was half made would be complained about by now
     assert [str(warning.message) for warning in recwarn if "Client" in str(warning.message)] == []
