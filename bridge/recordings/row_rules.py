@@ -205,8 +205,17 @@ def compare_rows(table: pa.Table, source_path: Path, generated_ids: set[str]) ->
 
 
 def _same_bits(one: pa.ChunkedArray, other: pa.ChunkedArray) -> npt.NDArray[np.bool_]:
+    """Which rows of two columns of one type are the same; nulls are, with nulls alone."""
+    left_null, right_null = one.is_null().to_numpy(), other.is_null().to_numpy()
     if pa.types.is_floating(one.type):
-        left, right = (np.asarray(column.to_numpy()).view(np.int64) for column in (one, other))
+        left, right = (
+            np.ascontiguousarray(column.to_numpy(), dtype=np.float64).view(np.int64) for column in (one, other)
+        )
+        same = left == right
     else:
-        left, right = one.to_numpy(), other.to_numpy()
-    return np.asarray(left == right, dtype=bool)
+        try:
+            same = pc.fill_null(pc.equal(one, other), fill_value=False).to_numpy()
+        except pa.ArrowNotImplementedError:  # lists, or nothing at all, in a column of the source's own
+            same = np.array([left == right for left, right in zip(one.to_pylist(), other.to_pylist(), strict=True)])
+        same = same | left_null
+    return np.asarray((left_null == right_null) & same, dtype=bool)

@@ -1,4 +1,4 @@
-"""What others may put in the way of the command: one line that says what is wrong, nothing lost, nothing outside OUT."""
+"""What others put in the way of the command: one line that says what is wrong, nothing lost, nothing outside OUT."""
 
 import csv
 import json
@@ -120,7 +120,7 @@ def test_full_disk_is_one_line_and_the_batch_goes_on_when_there_is_room(
     result = subprocess.run(
         [str(Path(sys.executable).parent / "hid2"), *arguments],
         capture_output=True, text=True, timeout=300,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, 8_000)),  # noqa: PLW1509
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, 8_000)),
     )  # fmt: skip
     line = one_line(result, code=1)
     assert "cannot be written (File too large); finished scenes are in" in line
@@ -158,5 +158,5 @@ def test_sigterm_leaves_no_process_and_no_temporary_file(data_root: Path, tmp_pa
 
 
 def test_time_that_never_comes_is_a_mistake_of_usage(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
-    result = hid2("generate", data_scenes["curve"], "-o", tmp_path / "out", "--scene-timeout", "nan")
-    assert "scene-timeout nan: want 1 to 86400 s" in one_line(result, code=2)
+    result = hid2("generate", data_scenes["curve"], "-o", tmp_path / "out", "--scene-timeout", "inf")
+    assert "scene-timeout inf: want 1 to 86400 s" in one_line(result, code=2)
