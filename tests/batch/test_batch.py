@@ -252,7 +252,7 @@ def test_lock_that_is_a_link_is_not_written_through(make_data_set: MakeDataSet, 
 def test_bad_scenes_are_quarantined_and_good_ones_complete(make_data_set: MakeDataSet, tmp_path: Path) -> None:
     faults = {1: "sumo", 2: "hang", 3: "corrupt", 4: "raise", 5: "killed", 6: "segfault once", 7: "hang once"}
     folders = make_data_set(9, faults)
-    rows = run_batch(plan(folders, Config()), tmp_path / "out", Options(jobs=2, timeout_s=6, function=COPIES))
+    rows = run_batch(plan(folders, Config()), tmp_path / "out", Options(jobs=2, timeout_s=12, function=COPIES))
     assert statuses(rows) == {
         "scene-000": DONE,
         "scene-001": "crashed",

@@ -46,7 +46,7 @@ def mutate_scene(folder: Path, seed: int) -> str:
                 path = rng.choice((map_path, table_path))
                 path.write_bytes(mutate_bytes(path.read_bytes(), rng))
                 said.append(f"bytes of {path.suffix}")
-        except (ValueError, pa.ArrowException, KeyError, TypeError, AttributeError, IndexError, OverflowError):
+        except (ValueError, OSError, pa.ArrowException, KeyError, TypeError, AttributeError, IndexError, OverflowError):
             said.append(f"{kind}: too damaged before")
     return "; ".join(said)
 
