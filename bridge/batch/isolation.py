@@ -261,7 +261,8 @@ def serve() -> None:
             spare_the_collector()
         try:
             function, arguments, timeout_s = pickle.loads(connection.recv_bytes())  # noqa: S301  # our own caller
-        except (EOFError, OSError):
+        except (EOFError, OSError):  # the caller is gone, and cannot remove this process's folder any more
+            shutil.rmtree(tempfile.gettempdir(), ignore_errors=True)
             return
         os.ftruncate(sys.stderr.fileno(), 0)
         os.lseek(sys.stderr.fileno(), 0, os.SEEK_SET)
