@@ -62,7 +62,7 @@ if [ -n "$packages" ]; then
     elif [ -n "$(missing_packages)" ]; then
         fail "please install, then call this again (Debian's names): apt-get install --no-install-recommends $packages"
     else
-        echo "setup.sh: the tests of sumo-gui want more, and may be skipped without:" \
+        echo "setup.sh: the tests of sumo-gui need more, and may be skipped without:" \
             "apt-get install --no-install-recommends $packages" >&2
     fi
 fi

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -109,7 +109,8 @@ def describe_config() -> list[ParameterRow]:
         for key, inner in _leaves(section, field):
             extra = inner.json_schema_extra if isinstance(inner.json_schema_extra, dict) else {}
             default = inner.get_default(call_default_factory=True)
-            text = ",".join(sorted(default)) or "none" if isinstance(default, frozenset) else str(default)
+            listed = isinstance(default, frozenset | tuple)
+            text = ",".join(sorted(map(str, default))) or "none" if listed else str(default)
             rows.append(
                 ParameterRow(key, text, str(extra.get("unit", "-")), _range(inner), str(extra.get("source", "")))
             )
@@ -135,6 +136,8 @@ def _range(field: FieldInfo) -> str:
         return f"any of {choices}"
     if bool in leaves:
         return "true, false"
+    if get_origin(field.annotation) is tuple:
+        return f"list of numbers {_bounds(inner)}"
     if int not in leaves and float not in leaves:
         return choices
     words = f"{'integer' if int in leaves else 'number'} {_bounds([*field.metadata, *inner])}".strip()
@@ -200,13 +203,18 @@ def _put(data: dict[str, Any], key: str, value: object) -> None:
 
 
 def _validated(data: Mapping[str, Any], source: str) -> Config:
-    values = dict(data)
+    values = {key: _with_tuples(value) if isinstance(value, Mapping) else value for key, value in data.items()}
     if isinstance(values.get("without"), list | tuple):
         values["without"] = frozenset(str(name) for name in values["without"])
     try:
         return Config.model_validate(values, strict=True)
     except ValidationError as error:
         raise ConfigError(f"{source}: {_explain(error)}") from error
+
+
+def _with_tuples(section: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a section; lists, which is what JSON and TOML have, are tuples here."""
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in section.items()}
 
 
 def _explain(error: ValidationError) -> str:

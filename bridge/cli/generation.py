@@ -20,6 +20,7 @@ from bridge.cli.options import (
     ConfigFile,
     FocalName,
     Jobs,
+    Memory,
     MinAgents,
     Quiet,
     Resume,
@@ -117,10 +118,19 @@ def generate(
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     scene_timeout: Timeout = 300.0,
+    scene_memory: Memory = 4000,
     resume: Resume = False,
     repro: Annotated[
         Path | None,
         typer.Option(metavar="BUNDLE", help="Run a quarantined scene again, from its bundle.", rich_help_panel=RUNNING),
+    ] = None,
+    function: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MODULE:NAME",
+            help="With --repro: a function of yours that the bundle may ask for.",
+            rich_help_panel=RUNNING,
+        ),
     ] = None,
     as_json: AsJson = False,
     verbose: Verbose = False,
@@ -129,7 +139,7 @@ def generate(
     """Write denser scenes: insert vehicles with the behaviours asked for among the recorded ones."""
     set_up(verbose=verbose, quiet=quiet)
     if repro is not None:
-        raise typer.Exit(_reproduce(repro, out, quiet=quiet))
+        raise typer.Exit(_reproduce(repro, out, function, quiet=quiet))
     missing = [name for name, value in (("SCENE", scenes), ("-o/--out", out)) if not value]
     if not scenes or out is None:
         raise ConfigError(f"missing {' and '.join(missing)} (see hid2 generate --help)")
@@ -164,7 +174,9 @@ def generate(
         from bridge.batch.manifest import DONE
         from bridge.cli.batch_display import BatchNotes, batch_rows, print_batch
 
-        options = Options(jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume)
+        options = Options(
+            jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume, memory_mb=scene_memory
+        )
         notes = BatchNotes(activity, out, verbose=verbose)
         activity.doing("generating")
         try:
@@ -192,7 +204,7 @@ def _agents(text: str) -> int | str:
         raise ConfigError(f"--agents {text!r}: expected a number or max") from None
 
 
-def _reproduce(bundle_path: Path, out: Path | None, *, quiet: bool) -> int:
+def _reproduce(bundle_path: Path, out: Path | None, function: str | None, *, quiet: bool) -> int:
     """Run a bundle; without an output folder nothing is kept. Returns the exit code."""
     import tempfile
 
@@ -207,7 +219,7 @@ def _reproduce(bundle_path: Path, out: Path | None, *, quiet: bool) -> int:
         from bridge.batch.batch import reproduce
         from bridge.batch.manifest import DONE
 
-        bundle, row = reproduce(bundle_path, out or Path(scratch))
+        bundle, row = reproduce(bundle_path, out or Path(scratch), function=function)
     print(f"{bundle.folder.name} variant {bundle.variant}, made by hid2-sumo {bundle.version}")
     print(f"then: {bundle.failure.kind}: {bundle.failure.message}")
     print(f"now:  {'done' if row.status == DONE else f'{row.failure}: {row.reason}'}")

@@ -58,6 +58,16 @@ Timeout = Annotated[
         rich_help_panel=RUNNING,
     ),
 ]
+Memory = Annotated[
+    int,
+    typer.Option(
+        "--scene-memory",
+        min=500,
+        metavar="MB",
+        help="Memory beyond which a scene is ended and quarantined.",
+        rich_help_panel=RUNNING,
+    ),
+]
 Resume = Annotated[
     bool,
     typer.Option("--resume", metavar="", help="Skip scenes that are complete and unchanged.", rich_help_panel=RUNNING),

@@ -152,9 +152,12 @@ def _generated_columns(generated: Sequence[Track], lengths: list[int], focal_tra
 def _pandas_metadata(table: pa.Table) -> dict[str, Any]:
     """What pandas writes beside the columns, so that it reads a RangeIndex; free of the version of any library."""
     names = {"string": ("unicode", "object"), "large_string": ("unicode", "object"), "double": ("float64", "float64")}
+    names |= {"null": ("empty", "object"), "float": ("float32", "float32"), "halffloat": ("float16", "float16")}
     columns = []
     for field in table.schema:
-        pandas_type, numpy_type = names.get(str(field.type), (str(field.type), str(field.type)))
+        plain = pa.types.is_integer(field.type) or pa.types.is_boolean(field.type)
+        other = str(field.type) if plain else "object"  # a column of the source's own, of whatever type
+        pandas_type, numpy_type = names.get(str(field.type), (other, other))
         columns.append(
             {
                 "name": field.name,

@@ -1,6 +1,5 @@
 """The rules on the rows of a scenario: the format, what readers take for granted, generated tracks, the source."""
 
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
+from pydantic_core import from_json
 
-from bridge.recordings.rules import Breach
+from bridge.recordings.rules import RECORDED, Breach
 from bridge.recordings.scenario import (
     AV_ID,
     FOCAL_CATEGORY,
@@ -70,8 +70,10 @@ def check_rows(rows: Rows, new_id: str) -> Iterator[Breach]:
     first = {column: table.column(column)[0].as_py() for column in SCENARIO_COLUMNS}
     if first["scenario_id"] != new_id:
         yield "scenario-id", f"column scenario_id is {first['scenario_id']!r}, expected {new_id!r} as the folder"
-    if first["city"] not in CITIES:
-        yield "city", f"city {first['city']!r}, expected one of {', '.join(sorted(CITIES))}"
+    if not first["city"]:
+        yield "city", "no city"
+    elif first["city"] not in CITIES:
+        yield RECORDED, f"city {first['city']!r} is none of {', '.join(sorted(CITIES))}"
     if not rows.num_steps <= first["num_timestamps"] <= MAX_STEPS:
         yield "timestep", f"num_timestamps {first['num_timestamps']}, expected {rows.num_steps} to {MAX_STEPS}"
     yield from _first(rows, (rows.timestep < 0) | (rows.timestep >= MAX_STEPS), "timestep", "expected 0 to 109")
@@ -98,17 +100,25 @@ def check_rows(rows: Rows, new_id: str) -> Iterator[Breach]:
     for track_id in sorted(focals):
         steps = rows.timestep[rows.of(track_id)]
         if LAST_OBSERVED not in steps or steps[-1] != rows.num_steps - 1:
-            yield "focal", f"track {track_id!r} lasts from {steps[0]} to {steps[-1]}, expected {rows.num_steps - 1}"
+            recorded = LAST_OBSERVED in steps and not _GENERATED_ID.fullmatch(track_id)
+            said = f"track {track_id!r} lasts from {steps[0]} to {steps[-1]}, expected {rows.num_steps - 1}"
+            yield RECORDED if recorded else "focal", said
     at_last = set(rows.code[rows.timestep == LAST_OBSERVED])
     for code in sorted(set(rows.code[rows.category == FOCAL_CATEGORY - 1]) - at_last):
-        yield "scored", f"track {rows.ids[code]!r} is scored and absent at timestep {LAST_OBSERVED}"
+        recorded = not _GENERATED_ID.fullmatch(rows.ids[code])
+        said = f"track {rows.ids[code]!r} is scored and absent at timestep {LAST_OBSERVED}"
+        yield RECORDED if recorded else "scored", said
     if AV_ID not in rows.ids:
         yield "av", f"no track {AV_ID!r} among {len(rows.ids)}"
 
 
 def _check_index(table: pa.Table) -> Iterator[Breach]:
     metadata = (table.schema.metadata or {}).get(b"pandas")
-    index = json.loads(metadata)["index_columns"] if metadata is not None else []
+    try:
+        index = from_json(metadata)["index_columns"] if metadata is not None else []
+    except (ValueError, KeyError, TypeError) as error:
+        yield "columns", f"what pandas wrote about its index cannot be read ({error})"
+        return
     wanted = {"kind": "range", "name": None, "start": 0, "stop": table.num_rows, "step": 1}
     if index not in ([], [wanted]):
         yield "columns", f"index {index}, expected a RangeIndex from 0 to {table.num_rows}"
@@ -195,8 +205,17 @@ def compare_rows(table: pa.Table, source_path: Path, generated_ids: set[str]) ->
 
 
 def _same_bits(one: pa.ChunkedArray, other: pa.ChunkedArray) -> npt.NDArray[np.bool_]:
+    """Which rows of two columns of one type are the same; nulls are, with nulls alone."""
+    left_null, right_null = one.is_null().to_numpy(), other.is_null().to_numpy()
     if pa.types.is_floating(one.type):
-        left, right = (np.asarray(column.to_numpy()).view(np.int64) for column in (one, other))
+        left, right = (
+            np.ascontiguousarray(column.to_numpy(), dtype=np.float64).view(np.int64) for column in (one, other)
+        )
+        same = left == right
     else:
-        left, right = one.to_numpy(), other.to_numpy()
-    return np.asarray(left == right, dtype=bool)
+        try:
+            same = pc.fill_null(pc.equal(one, other), fill_value=False).to_numpy()
+        except pa.ArrowNotImplementedError:  # lists, or nothing at all, in a column of the source's own
+            same = np.array([left == right for left, right in zip(one.to_pylist(), other.to_pylist(), strict=True)])
+        same = same | left_null
+    return np.asarray((left_null == right_null) & same, dtype=bool)

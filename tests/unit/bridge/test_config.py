@@ -142,7 +142,13 @@ def test_a_trigger_time_that_is_wrong_is_refused(text: str) -> None:
         load_config(None, [], parse_trigger_time(text))
 
 
-CHANGED = ["request.agents=max", "without=topology,collision", "turn.trough_at=0.3", "request.seed=7"]
+CHANGED = [
+    "request.agents=max",
+    "without=topology,collision",
+    "turn.trough_at=0.3",
+    "request.seed=7",
+    "request.trigger_list_s=[1, 2.5]",
+]
 
 
 @pytest.mark.parametrize("overrides", [[], CHANGED])
@@ -182,4 +188,5 @@ def test_every_parameter_is_described() -> None:
     assert all(row.default and row.unit and row.range and row.source for row in rows.values())
     assert rows["grid.cell_m"][1:4] == ("4.0", "m", "number >= 1, <= 20")
     assert rows["request.agents"].range == "integer >= 0, <= 500, or max"
+    assert rows["request.trigger_list_s"][1:4] == ("none", "s", "list of numbers >= 0, <= 60")
     assert rows["without"][1:4] == ("none", "-", "any of topology, collision, smoothing")

@@ -108,7 +108,10 @@ def test_links_that_lead_nowhere_do_not_stop_the_map(lane_json: Json, map_json: 
 
 # Each case: what is wrong, the field changed, and what the message must say beside the file's name.
 BAD_LANES = {
-    "zero length": ({"centerline": [{"x": 1, "y": 2, "z": 0}] * 2}, r"lane 5: centerline is 0\.000000 m long, want"),
+    "zero length": (
+        {"centerline": [{"x": 1, "y": 2, "z": 0}] * 2},
+        r"lane 5: centerline is 0\.000000 m long, expected",
+    ),
     "one point": ({"centerline": [{"x": 1, "y": 2, "z": 0}]}, "lane 5: centerline: 1 points, expected at least 2"),
     "boundary of one point": (
         {"left_lane_boundary": [{"x": 1, "y": 2, "z": 0}]},
@@ -141,7 +144,7 @@ def test_a_broken_lane_is_refused_with_its_id_and_value(case: str, lane_json: Js
 def test_a_missing_field_is_named(lane_json: Json, map_json: Json) -> None:
     segment = lane_json(5, STRAIGHT)
     del segment["successors"], segment["lane_type"]
-    with pytest.raises(MapError, match="map: lane 5: no lane_type, successors, want"):
+    with pytest.raises(MapError, match="map: lane 5: no lane_type, successors, expected"):
         lane_graph_from_json(map_json(segment), name="map")
 
 

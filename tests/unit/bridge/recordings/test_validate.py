@@ -106,10 +106,12 @@ FOCAL, SCORED = "310100", "310107"
         (_track(SCORED, "object_category", 3), "focal"),
         (_track(FOCAL, "object_category", 2), "focal"),
         (lambda rows: rows.assign(focal_track_id=SCORED), "focal"),
-        (_without(FOCAL, *range(100, 110)), "focal"),
+        (_without(FOCAL, *range(100, 110)), "recorded"),
         (_without(FOCAL, 49), "focal"),
-        (_without(SCORED, 49), "scored"),
-        (lambda rows: rows.assign(city="atlantis"), "city"),
+        (_without(SCORED, 49), "recorded"),
+        (lambda rows: _without("gen_1", 49)(_track("gen_1", "object_category", 2)(rows)), "scored"),
+        (lambda rows: rows.assign(city=""), "city"),
+        (lambda rows: rows.assign(city="atlantis"), "recorded"),
         (_at("AV", 3, "city", "miami"), "constant"),
         (_at("AV", 3, "observed", False), "observed"),
         (_at("AV", 80, "observed", True), "observed"),
@@ -302,6 +304,26 @@ def test_recorded_rows_are_compared_bit_for_bit(
 ) -> None:
     edit_rows(written, change)
     assert "source" in rules(written, source=data_root)
+
+
+def test_nulls_in_columns_of_the_source_are_the_same_as_nulls_alone(
+    tmp_path: Path, copy_scene: Callable[..., Path], edit_rows: Callable[..., None], fake_generated: Callable[..., Any]
+) -> None:
+    """In numbers that are none, in integers and in texts that nobody asks for."""
+    source = copy_scene()
+
+    def change(rows: pd.DataFrame) -> pd.DataFrame:
+        gone = rows.index % 3 == 0
+        return rows.assign(map_id=rows.map_id.astype("Int64").mask(gone), mine=rows.heading.mask(gone), why=None)
+
+    edit_rows(source, change)
+    scenario = read_scenario(source)
+    tracks, sidecar, new_id = fake_generated(scenario)
+    out = tmp_path / "out"
+    folder = write_scene(scenario, tracks, sidecar, out, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    assert validate_folder(out, source=source) == []
+    edit_rows(folder, lambda rows: rows.assign(mine=rows.mine.fillna(0.0)))
+    assert "source" in rules(folder, source=source)
 
 
 def test_a_map_that_differs_from_the_source_is_found(
