@@ -34,7 +34,7 @@ from bridge.files import disk_error
 from netconvert.errors import Hid2Error
 
 #: Seconds for a new process to import what the work needs, and to compile kernels that set-up has not compiled.
-START_TIMEOUT_S = 300.0
+START_TIMEOUT_S = 600.0
 #: Seconds that a process which ran out of time has to end itself before it is killed.
 GRACE_S = 3.0
 #: Calls after which a process is replaced.
@@ -311,6 +311,7 @@ def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequen
     # A C thread of faulthandler's own ends a hang even where native code holds the GIL, and shows where it hung.
     try:
         values = resolve(function)(*arguments)
+        _make_kernels_ready()
         _reply(connection, "started", None)
         faulthandler.dump_traceback_later(timeout_s, exit=True)
         for value in values:
@@ -323,6 +324,14 @@ def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequen
         return
     faulthandler.cancel_dump_traceback_later()
     _reply(connection, "end", None)
+
+
+def _make_kernels_ready() -> None:
+    """Compile what set-up has not, for work that has imported kernels: its clock has not started."""
+    if "hid2.kernels.compiled" in sys.modules:
+        from hid2.kernels.compile import make_ready
+
+        make_ready()
 
 
 def describe_error(error: Exception) -> Failure:

@@ -12,7 +12,6 @@ from bridge.generation.generate import GeneratedScene, PreparedScene, generate, 
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import Sidecar
 from hid2.agents import Policy
-from hid2.kernels.compile import make_ready
 from hid2.params import Grid
 
 
@@ -27,8 +26,7 @@ _check_libsumo()
 
 
 def generate_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
-    """Generate and write each run. What is not compiled yet is compiled before the clock of the first run starts."""
-    make_ready()
+    """Generate and write each run."""
     return run_each(place, runs, lambda scene: write(scene, place.out))
 
 

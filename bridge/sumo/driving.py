@@ -37,6 +37,7 @@ _HELD_BY_GUARD = frozenset({"conflict", "signal", "crossing"})
 _RELEASED_MPS2 = 0.5  # from here on SUMO's own acceleration takes over
 #: Who comes from behind on the way across is looked for so far ahead, s.
 _ACROSS_S = 8.0
+_SOON_S = 3.0  # a conflict later than this does not make a driver brake yet, unless hard braking is needed
 #: SUMO is shown recorded agents up to here ahead of a vehicle, m.
 _SHOWN_M = 120.0
 
@@ -288,7 +289,9 @@ class Driving:
         if found.leader >= 0 and self._slows_for(state, found, vehicle.start):
             vehicle.waited_for.add(self.vehicles[found.leader].vehicle_id)
         act = 0.3 if vehicle.yielding else self.scene.config.conflict.act_mps2
-        vehicle.yielding = found.decel_mps2 >= act
+        soon = found.free_conflict_s is not None and found.free_conflict_s <= _SOON_S
+        urgent = vehicle.yielding or soon or found.decel_mps2 >= 2.0 * act
+        vehicle.yielding = found.decel_mps2 >= act and urgent
         start, limits = vehicle.start, []
         if vehicle.yielding:
             limits.append((-found.decel_mps2, "conflict"))

@@ -41,7 +41,8 @@ class Braking:
 
     decel_mps2: least constant braking without a conflict, 0 for none; conflict_s: seconds to a conflict that remains
     even so, None where none does; free_conflict_s: to the one without braking; leader: fleet row of the generated
-    leader within leader_gap_m; run_into: a recorded vehicle comes up from behind.
+    leader within leader_gap_m; run_into: a recorded vehicle comes up from behind; free_s: where it gets without braking before a
+    conflict or the horizon, m on the path.
     """
 
     decel_mps2: float
@@ -50,6 +51,7 @@ class Braking:
     leader: int
     leader_gap_m: float
     run_into: bool
+    free_s: float
 
 
 @dataclass(eq=False, slots=True)
@@ -132,7 +134,7 @@ class Guard:
         """
         conflict, known = self.scene.config.conflict, obstacles.known
         brakes = _BRAKES[conflict.brake_max_mps2 >= _BRAKES]
-        row, hit, free, leader, gap, run_into = needed_braking(
+        row, hit, free, leader, gap, run_into, free_s = needed_braking(
             known.low, known.high, known.along, known.aligned, obstacles.stop_s, obstacles.closed, obstacles.swept,
             obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
             round((conflict.horizon_s if horizon_s is None else horizon_s) / DT_S), _STRIDE, DT_S,
@@ -146,4 +148,5 @@ class Guard:
             leader=int(leader),
             leader_gap_m=float(gap),
             run_into=bool(run_into),
+            free_s=float(free_s),
         )

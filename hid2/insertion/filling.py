@@ -102,7 +102,7 @@ class Filling:
             if not starts and number > 0:
                 break
             self.rounds = number + 1
-            self._keep(drive(starts, self._fixed(), number), number, target)
+            self._keep(drive(starts, self._fixed(), number), number)
             if asked == "max" and number > 0 and len(self.kept) - before <= 1:
                 break
         for request in self._open:
@@ -174,7 +174,7 @@ class Filling:
         self._open = still
         return len(self.unmet) > before
 
-    def _keep(self, vehicles: list[DrivenVehicle], number: int, target: int) -> None:
+    def _keep(self, vehicles: list[DrivenVehicle], number: int) -> None:
         """Keep what holds; what does not goes with its reason, and its request stays open."""
         reseeds = number < self.scene.config.spawn.reseed_rounds
         new: list[ExportedVehicle] = []
@@ -203,7 +203,7 @@ class Filling:
                     said = outcome.reason or Reason.SCENE_ENDED
                     gone[one.driven.vehicle_id] = one.driven, Reason.DID_NOT_DO_IT, said
                     self._last_reason[one.driven.start.request.number] = said
-        self._drop_surplus(new, gone, target)
+        self._drop_surplus(new, gone)
         self._drive_again(new, gone)
         for vehicle, reason, detail in gone.values():
             self._note(vehicle, reason, detail, number)
@@ -212,17 +212,17 @@ class Filling:
         self._close(kept_now)
 
     def _drop_surplus(
-        self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]], target: int
+        self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]
     ) -> None:
-        """Spare vehicles beyond the count go, those first for whom nobody waited."""
+        """Spare vehicles beyond the open requests to go straight go, those that nobody waited for first."""
         waited_for = set().union(*(one.driven.waited_for for one in new)) if new else set()
-        holding = [
-            one for one in new if one.driven.vehicle_id not in gone and one.driven.policy is Policy.STRAIGHT
-        ]  # fmt: skip
-        surplus = len(self.kept) + sum(one.driven.vehicle_id not in gone for one in new) - target
-        order = sorted(holding, key=lambda one: (one.driven.vehicle_id in waited_for, -one.driven.start.request.number))
-        for one in order[: max(surplus, 0)]:
-            gone[one.driven.vehicle_id] = one.driven, Reason.SPARE, None
+        holding = {one.driven.start.request.number: one.driven for one in new if one.driven.vehicle_id not in gone}
+        open_numbers = {request.number for request in self._open}
+        places = sum(request.policy is Policy.STRAIGHT and request.number not in holding for request in self._open)
+        spare = [holding[number] for number in sorted(holding.keys() - open_numbers)]
+        spare.sort(key=lambda driven: driven.vehicle_id not in waited_for)
+        for driven in spare[places:]:
+            gone[driven.vehicle_id] = driven, Reason.SPARE, None
 
     def _drive_again(
         self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]

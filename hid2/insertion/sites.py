@@ -29,11 +29,13 @@ _MOVING_MPS = 1.0
 _TRIES = 150  # sites that are looked at in full for one request, in one round
 _BEFORE_TURN_M = 5.0
 _TURN_PACE_MPS = 5.0  # mean speed on a turn lane, for an estimate of when it is left
-_OVERTAKE_M = 70.0  # of two lanes side by side, behind the trigger
 _SLOW_SHARE = (0.3, 0.5)  # desired speed of a leader that is to be overtaken, over that of who overtakes it
 _STANDING_MPS = 0.3
 #: A vehicle may begin by braking so hard for its leader, m/s2.
 _BEGINS_BRAKING_MPS2 = 0.4
+#: Drivers that are drawn for one site, and the verdicts that another one may change.
+_DRIVERS = 3
+_ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.LEAVES_TOO_EARLY})
 _AVOIDED_M = 5.0  # around a start that could not be kept
 _WAITS_M = 8.0  # who starts standing does so behind somebody who stands no farther ahead
 
@@ -83,15 +85,20 @@ class InsertionSites:
         return []
 
     def _starts(self, request: VehicleRequest) -> Iterator[Start]:
-        """Starts at sites in weighted random order; first where the lane beside is not in an intersection."""
+        """Starts at sites in weighted random order; first where more speaks for them.
+
+        Strict: the lane beside is not in an intersection; nobody known is in the way of a turn.
+        """
         if self.scene.config.request.sites == "any":
             yield from self._starts_where(request, _any_site)
             return
-        for outside in (True, False) if request.policy is Policy.LANE_CHANGE else (True,):
-            yield from self._starts_where(request, partial(self._promises, request, outside_intersections=outside))
+        for strict in (True, False):
+            yield from self._starts_where(request, partial(self._promises, request, strict=strict), strict=strict)
+            if request.policy is Policy.STRAIGHT:
+                return
 
     def _starts_where(
-        self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool]
+        self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool], *, strict: bool = False
     ) -> Iterator[Start]:
         tried = 0
         for lane_id, lane_s in self._places():
@@ -100,7 +107,7 @@ class InsertionSites:
                 usual_mps = self._usual_speed(lane_id)
                 if self._leaves_early(offer, s, 0.8 * usual_mps) or not promises(offer, s, usual_mps):
                     continue
-                start = self._start(request, offer, lane_id, s)
+                start = self._start(request, offer, lane_id, s, strict=strict)
                 tried += 1
                 if isinstance(start, Start):
                     yield start
@@ -156,7 +163,7 @@ class InsertionSites:
                 yield cell.lane_id, lane_s
 
     def _promises(
-        self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, outside_intersections: bool
+        self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, strict: bool
     ) -> bool:
         """Whether the map offers what is asked for from arc length s on, in the time that the scene has."""
         scene, change = self.scene, self.scene.config.lane_change
@@ -176,7 +183,7 @@ class InsertionSites:
             needed = max(change.min_remaining_m, 1.3 * change.min_duration_s * speed_mps) + 0.5 * speed_mps
             return any(
                 beside.start <= at + 1.0 and beside.end > at + 1.0
-                and not (outside_intersections and beside.in_intersection)
+                and not (strict and beside.in_intersection)
                 and beside.remaining_m - (at - beside.start) > needed
                 for beside in offer.beside
             )  # fmt: skip
@@ -188,14 +195,15 @@ class InsertionSites:
                     if begin > reached + 0.5:
                         break
                     reached = max(reached, end)
-                if reached - at > _OVERTAKE_M:
+                if reached - at > scene.config.overtake.d_overtake_m:
                     return True
             return False
         return True
 
     def _start(
-        self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float, *, driver: Driver | None = None
-    ) -> Start | Reason:
+        self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float, *, driver: Driver | None = None,
+        strict: bool = False,
+    ) -> Start | Reason:  # fmt: skip
         """A vehicle with a driver at a site, or why it cannot begin there."""
         scene, config, rng = self.scene, self.scene.config, self.rng
         object_type, size = draw_size(config.request, rng)
@@ -209,33 +217,54 @@ class InsertionSites:
         start_s = path.to_line(s)
         if "collision" not in config.without and self._is_taken(path, box, start_s):
             return Reason.NO_SITE
-        driver = driver or draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))
-        speed = driver.desired_mps * (1.0 + config.spawn.speed_sd * float(np.clip(rng.standard_normal(), -2, 2)))
-        if self._leaves_early(offer, s + half_m, 0.95 * speed):
-            return Reason.LEAVES_TOO_EARLY
+        reach_s: float | None = None
         if request.policy in TURN_OF_POLICY:
-            kind = TURN_OF_POLICY[request.policy]
-            if first_turn(scene.grid.graph, path, kind, after=start_s) is None:
+            turn = first_turn(scene.grid.graph, path, TURN_OF_POLICY[request.policy], after=start_s)
+            if turn is None:
                 return Reason.TURN_NOT_SEEN
-        reach = slice(int(start_s / TABLE_STEP_M), int((start_s + 12.0 * speed) / TABLE_STEP_M) + 2)
-        if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > 0.98 / config.limits.min_radius_m:
-            return Reason.LIMIT_CURVATURE
-        road = self.roads.speeds(path, driver)
-        speed = min(speed, float(road[min(int(start_s / TABLE_STEP_M), road.size - 1)]))
-        if "collision" not in config.without:
-            admitted = self._admitted_speed(path, box, start_s, speed, driver)
-            if isinstance(admitted, Reason):
-                return admitted
-            speed = admitted
+            reach_s = turn.end + 1.0 if strict else None
+        verdict: Reason = Reason.NO_SITE
+        for _ in range(1 if driver is not None else _DRIVERS):
+            who = driver or draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))
+            speed = who.desired_mps * (1.0 + config.spawn.speed_sd * float(np.clip(rng.standard_normal(), -2, 2)))
+            found = self._start_speed(offer, path, box, s, start_s, speed, who, reach_s)
+            if not isinstance(found, Reason):
+                break
+            verdict = found
+            if found not in _ANOTHER_DRIVER:
+                return found
+        else:
+            return verdict
+        speed = found
         sides: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
         return Start(
             vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=object_type, size=size,
-            box=box, route=offer.route, path=path, start_s=start_s, start_mps=speed, driver=driver,
+            box=box, route=offer.route, path=path, start_s=start_s, start_mps=speed, driver=who,
             desired=desired_speeds(
-                driver, config, rng, num_steps=scene.num_steps, step_s=DT_S, at_least_mps=speed
+                who, config, rng, num_steps=scene.num_steps, step_s=DT_S, at_least_mps=speed
             ),
-            offset=lane_offset(driver, config, rng, length_m=path.line.length_m), sides=sides,
+            offset=lane_offset(who, config, rng, length_m=path.line.length_m), sides=sides,
         )  # fmt: skip
+
+    def _start_speed(
+        self, offer: RouteOffer, path: DrivenPath, box: BoxSize, s: float, start_s: float, speed: float,
+        driver: Driver, reach_s: float | None,
+    ) -> float | Reason:  # fmt: skip
+        """Speed at which a driver who would like to drive at `speed` begins, m/s; or why it cannot begin there.
+
+        s, start_s: the site along the route's lanes and on the path, m; reach_s: where it has to get unhindered.
+        """
+        limits = self.scene.config.limits
+        if self._leaves_early(offer, s + box.length_m / 2, 0.95 * speed):
+            return Reason.LEAVES_TOO_EARLY
+        reach = slice(int(start_s / TABLE_STEP_M), int((start_s + 12.0 * speed) / TABLE_STEP_M) + 2)
+        if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > 0.98 / limits.min_radius_m:
+            return Reason.LIMIT_CURVATURE
+        road = self.roads.speeds(path, driver)
+        speed = min(speed, float(road[min(int(start_s / TABLE_STEP_M), road.size - 1)]))
+        if "collision" in self.scene.config.without:
+            return speed
+        return self._admitted_speed(path, box, start_s, speed, driver, reach_s)
 
     def _leaves_early(self, offer: RouteOffer, s: float, speed_mps: float) -> bool:
         """Whether the map ends before the last observed step at a speed."""
@@ -258,7 +287,9 @@ class InsertionSites:
             self._obstacles[key] = self.guard.obstacles(path, box, [])
         return self._obstacles[key]
 
-    def _admitted_speed(self, path: DrivenPath, box: BoxSize, s: float, speed: float, driver: Driver) -> float | Reason:
+    def _admitted_speed(
+        self, path: DrivenPath, box: BoxSize, s: float, speed: float, driver: Driver, reach_s: float | None
+    ) -> float | Reason:
         """Speed that who is ahead allows, m/s, at most the one wished for; or why nobody can begin there."""
         conflict, spawn = self.scene.config.conflict, self.scene.config.spawn
         obstacles, wished = self._obstacles_on(path, box), speed
@@ -292,6 +323,8 @@ class InsertionSites:
         if found.conflict_s is not None and found.conflict_s < spawn.settle_s:
             return Reason.CONFLICT_PREDICTED
         if soon and found.decel_mps2 > 1.2 * driver.decel_mps2:
+            return Reason.CONFLICT_PREDICTED
+        if reach_s is not None and found.free_s < reach_s:
             return Reason.CONFLICT_PREDICTED
         return speed
 

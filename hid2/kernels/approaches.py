@@ -5,6 +5,7 @@ import numpy.typing as npt
 
 from hid2.kernels.boxes import overlap
 from hid2.kernels.compiled import inner, kernel
+from hid2.kernels.polyline import nearest_on
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 ByteArray = npt.NDArray[np.uint8]
@@ -54,15 +55,7 @@ def _on_lane(
     points: FloatArray, s: FloatArray, reach: float, cos_agrees: float, x: float, y: float, co: float, si: float
 ) -> tuple[float, float]:
     """Arc length on a centreline and distance from it, m; inf beyond its ends, its reach, or in another direction."""
-    best, nearest, share = np.inf, -1, 0.0
-    for k in range(points.shape[0] - 1):
-        ex, ey = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1]
-        px, py = x - points[k, 0], y - points[k, 1]
-        r = min(1.0, max(0.0, (px * ex + py * ey) / (ex * ex + ey * ey)))
-        dx, dy = px - r * ex, py - r * ey
-        square = dx * dx + dy * dy
-        if square < best:
-            best, nearest, share = square, k, r
+    nearest, share, best = nearest_on(x, y, points, 0, points.shape[0])
     at_end = (nearest == 0 and share <= 0.0) or (nearest == points.shape[0] - 2 and share >= 1.0)
     if at_end or best > reach * reach:
         return 0.0, np.inf

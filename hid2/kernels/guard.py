@@ -69,7 +69,9 @@ def stop_ahead(
 @inner
 def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: float, step_m: float) -> bool:
     """Whether generated vehicle j goes first (case 2), metres to the cell that both want; low (K,) on its way."""
-    s, executing, own_executing = fleet[j, 0], fleet[j, 3] > 0.0, fleet[own, 3] > 0.0
+    s = fleet[j, 0]
+    executing: bool = fleet[j, 3] > 0.0
+    own_executing: bool = fleet[own, 3] > 0.0
     first = int(s / step_m)
     for k in range(max(first, 0), low.size):
         if low[k] != np.inf:
@@ -95,14 +97,15 @@ def needed_braking(
     swept: FloatArray, rows: IntArray, fleet: FloatArray, own: int, t: int, start: tuple[float, float, float],
     desired_mps: float, road: FloatArray, road_step: float, table_step: float, horizon: int, stride: int, step_s: float,
     driver: tuple[float, float, float, float], brakes: FloatArray, jerk: float, margin: float,
-) -> tuple[int, int, int, int, float, bool]:  # fmt: skip
+) -> tuple[int, int, int, int, float, bool, float]:  # fmt: skip
     """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) whose predicted motion meets nobody.
 
     low, high, along, aligned (A, T): agents whose future is known, as in `PathOccupancy`. stop_s (L,) m, closed
     (L, T): stop lines. swept (3, G, K): low, high, cosine of generated vehicles by their own arc length, of rows (G,) of fleet (N, 5): s, v, a, executing, present.
     start: own s, v, a; driver: tau s, acceleration, deceleration m/s2, gap at standstill m. Returns
     (row of brakes, step of its first conflict or -1, step of the first conflict without braking or -1, fleet row of
-    the nearest generated leader or -1, gap to it m, whether some known agent comes up from behind).
+    the nearest generated leader or -1, gap to it m, whether some known agent comes up from behind,
+    where the vehicle gets without braking before a conflict or the horizon, m).
     """
     g_low, g_high, g_cos = swept
     s0, v0, a0 = start
@@ -110,7 +113,7 @@ def needed_braking(
     hardest = 1.4 * decel
     agents, steps = low.shape
     best, best_step, free_step = 0, 0, -1
-    leader, leader_gap, run_into = -1, np.inf, False
+    leader, leader_gap, run_into, free_s = -1, np.inf, False, s0
     last = horizon // stride
     for row in range(brakes.size):
         s, v, a_cmd, hit, behind_leader, struck = s0, v0, a0, -1, False, False
@@ -178,9 +181,9 @@ def needed_braking(
             s += 0.5 * (v + v_next) * dt
             v = v_next
         if row == 0:
-            free_step = hit
+            free_step, free_s = hit, s
         if hit < 0:
-            return row, -1, free_step, leader, leader_gap, struck
+            return row, -1, free_step, leader, leader_gap, struck, free_s
         if row == 0 or hit > best_step + stride or (hit >= best_step and behind_leader):
             best, best_step, run_into = row, hit, struck
-    return best, best_step, free_step, leader, leader_gap, run_into
+    return best, best_step, free_step, leader, leader_gap, run_into, free_s

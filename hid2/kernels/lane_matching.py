@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from hid2.kernels.compiled import inner, kernel
+from hid2.kernels.polyline import project_on_polyline
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 #: Lanes whose width varies leave slivers of ground between them that no lane holds, for each counts with one width.
@@ -48,33 +49,6 @@ def motion_directions(
     return out, known
 
 
-@inner
-def project_on_lane(
-    x: float, y: float, points: FloatArray, s: FloatArray, first: int, last: int
-) -> tuple[float, float, float, float]:
-    """(s, d, heading, distance) of the nearest point on points[first:last]; d positive to the left."""
-    best, nearest, share = math.inf, -1, 0.0
-    for k in range(first, last - 1):
-        ax, ay = points[k, 0], points[k, 1]
-        ex, ey = points[k + 1, 0] - ax, points[k + 1, 1] - ay
-        square = ex * ex + ey * ey
-        if square <= 0:
-            continue
-        r = ((x - ax) * ex + (y - ay) * ey) / square
-        r = min(1.0, max(0.0, r))
-        px, py = x - ax - r * ex, y - ay - r * ey
-        distance = px * px + py * py
-        if distance < best:
-            best, nearest, share = distance, k, r
-    if nearest < 0:
-        return 0.0, 0.0, 0.0, math.inf
-    ax, ay = points[nearest, 0], points[nearest, 1]
-    ex, ey = points[nearest + 1, 0] - ax, points[nearest + 1, 1] - ay
-    length = math.sqrt(ex * ex + ey * ey)
-    px, py = x - ax - share * ex, y - ay - share * ey
-    return s[nearest] + share * length, (ex * py - ey * px) / length, math.atan2(ey, ex), math.sqrt(best)
-
-
 @kernel("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8[::1], f8[::1], f8[:,::1], b1[::1], f8, f8, i8,)")
 def lane_candidates(
     position: FloatArray,
@@ -108,7 +82,7 @@ def lane_candidates(
         for k in range(len(half_width)):
             if x < box[k, 0] or y < box[k, 1] or x > box[k, 2] or y > box[k, 3]:
                 continue
-            along, offset, angle, distance = project_on_lane(x, y, points, s, first[k], first[k + 1])
+            along, offset, angle, distance = project_on_polyline(x, y, points, s, first[k], first[k + 1])
             if distance > half_width[k] + beyond_m:
                 continue
             turn = abs(direction[i] - angle) % (2 * math.pi)

@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from hid2.agents import FloatArray
 from hid2.drivers.driver import LaneOffset
@@ -47,7 +46,7 @@ def smooth_motion(s_driven: FloatArray, v_driven: FloatArray, *, filter_s: float
     before = 2.0 * v_driven[0] - v_driven[reach:0:-1]
     after = 2.0 * v_driven[-1] - v_driven[-2 : -reach - 2 : -1]
     longer = np.maximum(np.concatenate([before, v_driven, after]), 0.0)
-    v = np.maximum(gaussian_filter1d(longer, filter_s / step_s, truncate=_TRUNCATED_AT)[before.size :], 0.0)
+    v = np.maximum(_gaussian_filter(longer, filter_s / step_s)[before.size :], 0.0)
     v = v[: v_driven.size]
     a = np.gradient(v, step_s)
     moved = 0.5 * step_s * (v[1:] + v[:-1]) - step_s * step_s / 12.0 * np.diff(a)
@@ -71,3 +70,15 @@ def trajectory(line: ReferenceLine, motion: Motion, offset: LaneOffset) -> Traje
         velocity=direction * (motion.v * pace)[:, None],
         s=motion.s,
     )
+
+
+def _gaussian_filter(values: FloatArray, deviation: float) -> FloatArray:
+    """(T,) convolved with a Gaussian of a standard deviation in steps, mirrored at the ends.
+
+    As scipy.ndimage.gaussian_filter1d, whose import takes longer than all of a scene's smoothing.
+    """
+    reach = int(_TRUNCATED_AT * deviation + 0.5)
+    if reach == 0:
+        return values
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / deviation) ** 2)
+    return np.convolve(np.pad(values, reach, mode="symmetric"), weights / weights.sum(), mode="valid")

@@ -30,14 +30,13 @@ import pytest
 from bridge.batch.isolation import spare_the_collector
 from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare, write
 from bridge.recordings.scenario import find_scenarios, read_scenario
-from bridge.sumo.insertion import edges_along
+from bridge.sumo.driving import edges_along
 from bridge.sumo.poses import front_arc_m, sumo_poses
 from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray
-from hid2.conflicts.cases import DT_S
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Request
-from hid2.scene import World, build_world
+from hid2.scene import DT_S, Scene, build_scene
 
 import libsumo  # after bridge.sumo.simulation, which silences a remark of its import on stdout  # isort: skip
 
@@ -70,19 +69,19 @@ class Timing:
     cpu_ratio: float
 
 
-def starts_of(scene: GeneratedScene, world: World) -> list[Start]:
+def starts_of(made: GeneratedScene, scene: Scene) -> list[Start]:
     """Where the vehicles of a generated result began, as SUMO takes it."""
     starts = []
-    for vehicle in scene.vehicles:
-        spec = vehicle.driven.spec
-        front = front_arc_m(spec.s0, spec.size.length_m)
-        segment = spec.path.segment_at(front)
+    for vehicle in made.vehicles:
+        begun = vehicle.driven.start
+        front = front_arc_m(begun.start_s, begun.size.length_m)
+        segment = begun.path.segment_at(front)
         lane_s = segment.lane_s(front)
-        cell = world.grid.cell_at(segment.lane_id, lane_s)
-        edges = edges_along(world, spec.path, cell)
+        cell = scene.grid.cell_at(segment.lane_id, lane_s)
+        edges = edges_along(scene, begun.path, cell)
         assert edges is not None
-        begin = float(world.grid.edges_s(cell.lane_id)[cell.index])
-        starts.append(Start(edges, world.grid.lane_index(cell), max(0.0, lane_s - begin), spec.v0))
+        begin = float(scene.grid.edges_s(cell.lane_id)[cell.index])
+        starts.append(Start(edges, scene.grid.lane_index(cell), max(0.0, lane_s - begin), begun.start_mps))
     return starts
 
 
@@ -137,10 +136,10 @@ def measure(folder: Path, agents: int, *, rounds: int) -> Timing:
     config = configs[0]
     scenario = read_scenario(folder)
     prepared: PreparedScene = prepare(scenario, config)
-    world = build_world(
+    recorded = build_scene(
         prepared.grid, scenario.tracks, config=config, num_steps=scenario.num_steps, last_observed_step=49
     )
-    traffic = world.traffic
+    traffic = recorded.traffic
     front, angle = sumo_poses(traffic.position, traffic.heading, traffic.length_m[:, None])
     with tempfile.TemporaryDirectory() as beside:
         net = Path(beside) / "scene.net.xml"
@@ -153,7 +152,7 @@ def measure(folder: Path, agents: int, *, rounds: int) -> Timing:
             made: list[GeneratedScene] = []
             out = Path(beside) / f"out{turn}"
             scene.append(_clocked(lambda: made.append(run_scene(folder, config, out))))  # noqa: B023  # called at once
-            starts = starts_of(made[0], world)
+            starts = starts_of(made[0], recorded)
             floor.append(_clocked(lambda: run_floor(net, traffic, front, angle, starts)))  # noqa: B023
             placed.append(len(made[0].generated))
     floor_s, scene_s = (statistics.median(wall for wall, _ in side) for side in (floor, scene))

@@ -5,24 +5,29 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hid2.conflicts.cases import priority, prospect, road_most, transition_rejected
-from hid2.insertion.draws import Draws
-from hid2.insertion.places import Places
-from hid2.insertion.spawning import Spawner
-from hid2.policy.maneuver import lane_options
 
 from hid2.agents import BoxSize, Policy, Track
+from hid2.conflicts.guard import Braking, Guard, transition_rejected
+from hid2.conflicts.stop_lines import StopLines
+from hid2.drivers.driver import Driver, LaneOffset
+from hid2.insertion.requests import draw_requests
+from hid2.insertion.routes import Routes
+from hid2.insertion.sites import InsertionSites
+from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M, build_reference_line
-from hid2.motion.smoothing import integrate, poses
+from hid2.motion.route import DrivenPath
+from hid2.motion.smoothing import Motion, smooth_motion, trajectory
 from hid2.motion.verify import motion_profile
 from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL, cell_boxes, cells_under, dwell_steps, original_occupancy
 from hid2.occupancy.traffic import Traffic, traffic_of
-from hid2.params import Config, LaneChange, Limits, Overtake, Turn
+from hid2.params import Config, LaneChange, Limits, Overtake, Request, Turn
 from hid2.policy.decision import LaneOption, Observation, decide
-from hid2.policy.lane_change import Gap, lateral_share
+from hid2.policy.lane_change import Gap
+from hid2.policy.observation import lane_options
 from hid2.policy.overtake import Leader, Stage, enter_reason
+from hid2.policy.roads import Roads
 from hid2.policy.turns import f_left, f_right, road_speeds
-from hid2.scene import World, build_world, predicted_traffic
+from hid2.scene import Scene, build_scene
 from netconvert.cells import Cell, build_cell_grid
 from netconvert.geometry import Polyline, arc_length
 from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType, turn_type
@@ -56,8 +61,14 @@ def _track(x: float, y: float, speed: float = 0.0, *, heading: float = 0.0, leng
     return Track("t", "vehicle", 1, np.arange(110), position, np.full(110, heading), np.zeros((110, 2)), size)
 
 
-def _world(*tracks: Track) -> World:
-    return build_world(build_cell_grid(_road()), tracks, config=Config(), num_steps=110, last_observed_step=49)
+def _scene(*tracks: Track) -> Scene:
+    return build_scene(build_cell_grid(_road()), tracks, config=Config(), num_steps=110, last_observed_step=49)
+
+
+NOBODY = Traffic(
+    ids=(), position=np.zeros((0, 110, 2)), heading=np.zeros((0, 110)), velocity=np.zeros((0, 110, 2)),
+    present=np.zeros((0, 110), dtype=bool), length_m=np.zeros(0), width_m=np.zeros(0),
+)  # fmt: skip
 
 
 def _box(x: float, y: float, *, length_m: float = 4.5) -> Traffic:
@@ -113,16 +124,25 @@ def test_grid_topology_has_longitudinal_lateral_and_inter_lane_links() -> None:
 def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
     """Originals hold their cells against generated ones: a generated vehicle is placed on sigma = 0 only."""
     assert (FREE, ORIGINAL, GENERATED) == (0, 1, 2)
-    world = _world(_track(60.0, 0.0), _track(100.0, 3.5))
-    sigma = world.occupancy.sigma[0]
+    scene = _scene(_track(60.0, 0.0), _track(100.0, 3.5))
+    sigma = scene.occupancy.sigma[0]
     assert set(np.unique(sigma)) == {FREE, ORIGINAL}
-    spawner = Spawner(Places(world, Draws(np.random.default_rng(0))), predicted_traffic([], 110))
-    placed = [v for k in range(6) if (v := spawner.spawn(Policy.STRAIGHT, f"v{k}", attempts=60)) is not None]
-    assert len(placed) >= 4
+    sites = InsertionSites(
+        scene,
+        Roads(scene),
+        Routes(scene),
+        StopLines(scene),
+        Guard(scene, NOBODY, StopLines(scene)),
+        np.random.default_rng(0),
+        0,
+    )
+    config = Config(request=Request(left_turn=0, right_turn=0, lane_change=0, overtake=0))
+    placed = [start for one in draw_requests(config, np.random.default_rng(0), count=6) for start in sites.propose(one)]
+    assert len(placed) >= 3
     taken: set[int] = set()
-    for vehicle in placed:
-        x, y = vehicle.path.line.position(np.array([vehicle.s0]))[0].tolist()
-        under = cells_under(world.boxes, x, y, 0.0, length_m=vehicle.size.length_m, width_m=0.8 * vehicle.size.width_m)
+    for start in placed:
+        x, y = start.path.line.position(np.array([start.start_s]))[0].tolist()
+        under = cells_under(scene.boxes, x, y, 0.0, length_m=start.size.length_m, width_m=0.8 * start.size.width_m)
         assert np.all(sigma[under] == FREE)
         assert not taken & set(under.tolist())
         taken |= set(under.tolist())
@@ -150,10 +170,10 @@ def test_lane_change_needs_sigma_0_in_cells_j_minus_1_to_j_plus_1_of_the_target_
     lane 2    |    |    | -1 |  0 | +1 |    |    |
     lane 1                   | ag |
     """
-    world = _world()
+    scene = _scene()
     (option, _), *_ = lane_options(
-        world, world.path((1,)), CAR, s=42.0, step=0, sides=("left",),
-        others=(_box(42.0 + DELTA_S * k, 3.5, length_m=3.0),),
+        scene, scene.path((1,)), CAR, s=42.0, step=0, sides=("left",),
+        fixed=_box(42.0 + DELTA_S * k, 3.5, length_m=3.0), fleet=NOBODY, speed_mps=10.0, desired_mps=10.0,
     )  # fmt: skip
     assert option.target == Cell(2, 10)
     assert option.cells_free is (abs(k) > 1)
@@ -290,28 +310,53 @@ def test_conflict_1_sigma_1_rejects_the_transition() -> None:
     assert [transition_rejected(sigma) for sigma in (FREE, ORIGINAL, GENERATED)] == [False, True, False]
 
 
-def test_conflict_2_executing_before_pending_closer_before_farther() -> None:
-    assert priority(executing=True, distance_m=50.0, vehicle_id="b") < priority(
-        executing=False, distance_m=5.0, vehicle_id="a"
-    )
-    assert priority(executing=False, distance_m=5.0, vehicle_id="b") < priority(
-        executing=False, distance_m=6.0, vehicle_id="a"
-    )
+DRIVER = Driver(
+    desired_mps=10.0, tau_s=1.0, accel_mps2=1.6, decel_mps2=2.0, min_gap_m=2.0, turn_lateral_mps2=2.0, offset_m=0.0,
+    lane_change_s=5.0,
+)  # fmt: skip
+
+
+def _braking(scene: Scene, path: DrivenPath, others: list[Any], fleet: Any, **more: Any) -> Braking:
+    """What a vehicle in row 0 at s = 40 m and 10 m/s has to do."""
+    guard = Guard(scene, NOBODY, StopLines(scene))
+    return guard.braking(
+        guard.obstacles(path, CAR, others), own=0, step=0, fleet=np.array(fleet), state=(fleet[0][0], fleet[0][1], 0.0),
+        desired_mps=10.0, road=np.full(path.line.table_xy.shape[0], np.inf), driver=DRIVER, **more,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("own_executing", "other_executing", "other_s", "brakes"),
+    [
+        (0.0, 1.0, 30.0, True),  # the other is executing, if farther
+        (1.0, 0.0, 50.0, False),  # the own one is executing, if farther
+        (0.0, 0.0, 50.0, True),  # both pending: the other is closer
+        (0.0, 0.0, 30.0, False),  # the own one is closer
+    ],
+)
+def test_conflict_2_executing_before_pending_closer_before_farther(
+    own_executing: float, other_executing: float, other_s: float, brakes: bool
+) -> None:
+    """Two roads cross at right angles, at 80 m of both. The own vehicle comes from 40 m at 10 m/s, there in 4 s.
+
+    So is the other: from 30 m at 50 / 4 = 12.5 m/s, or from 50 m at 30 / 4 = 7.5 m/s.
+    """
+    ring = np.array([(-20.0, -90.0), (220.0, -90.0), (220.0, 130.0), (-20.0, 130.0), (-20.0, -90.0)])
+    lanes = {1: _lane(1, [(0, 0), (200, 0)]), 2: _lane(2, [(80, -80), (80, 120)])}
+    grid = build_cell_grid(LaneGraph(lanes, drivable_areas=(ring,)))
+    scene = build_scene(grid, (), config=Config(), num_steps=110, last_observed_step=49)
+    fleet = [[40.0, 10.0, 0.0, own_executing, 1.0], [other_s, (80.0 - other_s) / 4.0, 0.0, other_executing, 1.0]]
+    found = _braking(scene, scene.path((1,)), [(1, scene.path((2,)), CAR)], fleet)
+    assert (found.decel_mps2 > 0.0) is brakes
 
 
 def test_conflict_3_predicted_collision_changes_the_timing() -> None:
-    """Somebody recorded crosses x = 90 at 8 m/s and is there after 6 s, as 14 m/s from x = 6 would be."""
-    world = _world(_track(90.0, -48.0, 8.0, heading=math.pi / 2))
-    path = world.path((1,))
-    look = prospect(
-        path, CAR, np.full(path.line.table_xy.shape[0], 14.0), road_most(path.line, Config()), (world.traffic,),
-        config=Config(), num_steps=110, earliest_exit_step=110,
-    )  # fmt: skip
-    constant = 6.0 + 1.4 * np.arange(110)
-    assert look.is_blocked(constant[:80], 0)
-    plan = look.plan(s0=6.0, v0=14.0, a0=0.0, first_step=0, config=Config())
-    assert plan is not None
-    assert not look.is_blocked(plan.s, 0)
+    """Somebody recorded crosses x = 80 at 8 m/s and is there after 4 s, as 10 m/s from x = 40 would be."""
+    scene = _scene(_track(80.0, -32.0, 8.0, heading=math.pi / 2))
+    found = _braking(scene, scene.path((1,)), [], [[40.0, 10.0, 0.0, 0.0, 1.0]], horizon_s=6.0)
+    assert found.free_conflict_s is not None
+    assert found.decel_mps2 > 0.0
+    assert found.conflict_s is None
 
 
 # Trajectory smoothing -------------------------------------------------------------------------------------------------
@@ -326,15 +371,18 @@ def test_frenet_inverse_p_is_r_of_s_plus_d_times_the_normal() -> None:
 
 
 def test_s_of_t_is_a_cubic_from_position_speed_and_acceleration() -> None:
-    """s = a0 + a1 t + a2 t2 + a3 t3 with s(0) = 5, v(0) = 8, a(0) = 0 and jerk 1.2: a3 = 0.2.
+    """Between steps s is the cubic with v and a at both ends: its increment is dt (v0 + v1) / 2 - dt^2 (a1 - a0) / 12.
 
-    At t = 1: 5 + 8 + 0.2 = 13.2 m; v = 8 + 0.6 = 8.6 m/s; a = 1.2 m/s2. Knots meet in all three.
+    v = 8 + 0.6 t^2 (a = 1.2 t) is kept by a narrow filter inside; over 1 s from t = 2: 8 + 0.2 (3^3 - 2^3) = 11.8 m.
     """
-    accel = 1.2 * np.arange(11) * DELTA
-    motion = integrate(5.0, 8.0, accel, step_s=DELTA, jerk=2.0)
-    t = np.arange(11) * DELTA
-    assert motion.s == pytest.approx(5.0 + 8.0 * t + 0.2 * t**3)
-    assert (motion.s[-1], motion.v[-1], motion.a[-1]) == (pytest.approx(13.2), pytest.approx(8.6), pytest.approx(1.2))
+    t = np.arange(51) * DELTA
+    v = 8.0 + 0.6 * t**2
+    s = 5.0 + np.concatenate([[0.0], np.cumsum(DELTA * v[1:])])
+    motion = smooth_motion(s, v, filter_s=0.02, step_s=DELTA)
+    assert motion.s[30] - motion.s[20] == pytest.approx(11.8, abs=1e-3)
+    assert motion.a[20] == pytest.approx(2.4, abs=1e-2)
+    step = 0.5 * DELTA * (motion.v[1:] + motion.v[:-1]) - DELTA**2 / 12.0 * np.diff(motion.a)
+    assert np.diff(motion.s) == pytest.approx(step)
 
 
 def test_d_of_t_is_piecewise_cubic_with_continuous_acceleration() -> None:
@@ -354,8 +402,9 @@ def test_curvature_of_a_trajectory_is_the_cross_product_over_speed_cubed() -> No
     line = build_reference_line(
         20.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]), step_m=1.0, min_radius_m=5.0, max_offset_m=0.6
     )
-    motion = integrate(5.0, 8.0, np.zeros(60), step_s=DELTA, jerk=1.0)
-    position = poses(line, motion).position
+    motion = Motion(s=5.0 + 0.8 * np.arange(60), v=np.full(60, 8.0), a=np.zeros(60))
+    middle = LaneOffset(np.array([0.0, 100.0]), np.zeros(2), np.zeros(2))
+    position = trajectory(line, motion, middle).position
     first = np.gradient(position, DELTA, axis=0)
     second = np.gradient(first, DELTA, axis=0)
     kappa = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / np.hypot(*first.T) ** 3

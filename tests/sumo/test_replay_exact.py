@@ -6,9 +6,9 @@ from bridge.generation.generate import prepare
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.replay import Replay, ReplayErrors
 from bridge.sumo.simulation import Simulation
-from hid2.conflicts.cases import DT_S
 from hid2.occupancy.traffic import traffic_of
 from hid2.params import Config
+from hid2.scene import DT_S
 
 
 def _replay(folder: Path, tmp_path: Path) -> tuple[ReplayErrors, int]:
@@ -17,9 +17,9 @@ def _replay(folder: Path, tmp_path: Path) -> tuple[ReplayErrors, int]:
     net.write_bytes(prepare(scenario, Config()).net)
     traffic = traffic_of(scenario.tracks, scenario.num_steps, step_s=DT_S)
     with Simulation(net, seed=0, step_s=DT_S) as simulation:
-        replay = Replay(simulation, traffic, "r")
+        replay = Replay(simulation, traffic, "r", step_s=DT_S)
         for step in range(scenario.num_steps):
-            replay.place(step)
+            replay.place(step, {})
             simulation.step()
             replay.check(step)
     return replay.errors, sum(track.timesteps.size for track in scenario.tracks)

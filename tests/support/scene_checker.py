@@ -1,7 +1,8 @@
 """A checker of generated scenes: loops over numpy and shapely that share nothing with the code they judge.
 
-check_scene(scene) returns one sentence for each violation: overlaps, corners off the road, limits of motion, velocity
-and heading against the positions, driving against a lane, time to collision, and the replay's own figures.
+check_scene(scene) returns one sentence for each violation: overlaps, a footprint off the road, limits of motion,
+velocity and heading against the positions, driving against a lane, time to collision, a contact soon after the last
+step, and the replay's own figures.
 """
 
 import math
@@ -21,6 +22,8 @@ DT_S = 0.1
 LAST_OBSERVED = 49
 TOLERANCE_M = 0.3
 TTC_MIN_S = 1.5
+END_TTC_MIN_S = 1.0
+EDGE_STEP_M = 0.5
 #: method.md's limits (nuPlan's comfort bounds).
 LIMITS = {
     "acceleration": (-4.05, 2.40),
@@ -99,14 +102,53 @@ def check_overlaps(generated: list[Moving], recorded: list[Moving], verdict: Ver
 
 
 def check_drivable(boxes: Moving, drivable: shapely.Geometry, verdict: Verdict) -> None:
-    """Every corner at most 0.3 m outside the drivable area."""
+    """The footprint at most 0.3 m outside the drivable area: points every 0.5 m along all sides, corners among them."""
     for k in range(0, len(boxes.poses), 2):
         if boxes.poses[k] is None:
             continue
-        corners = np.array(boxes.polygon(k).exterior.coords)[:4]
-        worst = max(drivable.distance(shapely.Point(corner)) for corner in corners)
+        outline = boxes.polygon(k).exterior
+        corners = np.array(outline.coords)[:4]
+        between = shapely.line_interpolate_point(outline, np.arange(0.0, outline.length, EDGE_STEP_M))
+        points = [*shapely.points(corners), *between]
+        worst = max(drivable.distance(point) for point in points)
         if worst > TOLERANCE_M:
             verdict.note("off road", boxes.track_id, "by", round(worst, 3), "m at timestep", k / 2)
+
+
+def check_after_end(
+    scene: GeneratedScene, track: Track, sizes: dict[str, tuple[float, float]], verdict: Verdict
+) -> None:
+    """Nobody is touched within 1 s after the track's last step, all who are there at the velocity stated for it."""
+    last = int(track.timesteps[-1])
+    own = _at_step(track, last)
+    assert own is not None
+    for other in (*scene.scenario.tracks, *scene.generated):
+        theirs = None if other.track_id == track.track_id else _at_step(other, last)
+        if theirs is None:
+            continue
+        reach = sum(math.hypot(*sizes[one.track_id]) / 2 for one in (track, other))
+        for ahead_s in np.arange(0.0, END_TTC_MIN_S, 0.02):
+            apart = own[0] + ahead_s * own[2] - theirs[0] - ahead_s * theirs[2]
+            if math.hypot(*apart) > reach:
+                continue
+            grounds = [
+                Moving("", *sizes[one.track_id], [(*(xy + ahead_s * velocity), heading)]).polygon(0)
+                for one, (xy, heading, velocity) in ((track, own), (other, theirs))
+            ]
+            if grounds[0].intersects(grounds[1]):
+                verdict.note(
+                    "after the end", track.track_id, "meets", other.object_type, other.track_id, "in",
+                    round(float(ahead_s), 2), "s from timestep", last,
+                )  # fmt: skip
+                break
+
+
+def _at_step(track: Track, step: int) -> tuple[Floats, float, Floats] | None:
+    """Centre, heading and stated velocity at a timestep; None where the track has no state then."""
+    rows = np.flatnonzero(track.timesteps == step)
+    if not rows.size:
+        return None
+    return track.position[rows[0]], float(track.heading[rows[0]]), track.velocity[rows[0]]
 
 
 def central(values: Floats) -> Floats:
@@ -279,6 +321,7 @@ def check_scene(scene: GeneratedScene) -> list[str]:
         check_motion(track, verdict)
         check_direction(track, lanes, verdict)
         check_leaders(scene, track, sizes, verdict)
+        check_after_end(scene, track, sizes, verdict)
     replay = scene.sidecar.replay
     if replay.max_position_error_m > 0.001 or replay.max_heading_error_rad > 0.001:
         verdict.note("replay is off by", replay.max_position_error_m, "m or", replay.max_heading_error_rad, "rad")

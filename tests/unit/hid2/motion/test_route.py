@@ -3,6 +3,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from hid2.motion.lane_change_path import blend_paths
 from hid2.motion.route import (
     DrivenPath,
     Segment,
@@ -15,7 +16,6 @@ from hid2.motion.route import (
     way_along,
 )
 from hid2.params import Limits, Smoothing
-from hid2.policy.lane_change import blend_paths
 from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
 
 

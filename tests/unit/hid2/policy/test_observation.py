@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hid2.agents import BoxSize, Policy, Track
+from hid2.agents import BoxSize, Track
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.policy.lane_change import Gap
-from hid2.policy.maneuver import (
+from hid2.policy.observation import (
     admissible_neighbor,
     gap_ahead_of,
     gaps_on,
@@ -19,20 +19,24 @@ from hid2.policy.maneuver import (
     leader_on,
     target_path,
 )
-from hid2.scene import World, build_world
+from hid2.scene import Scene, build_scene
 from netconvert.cells import Cell, build_cell_grid
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
 CAR = BoxSize(4.5, 1.9)
+NOBODY = Traffic(
+    ids=(), position=np.zeros((0, 110, 2)), heading=np.zeros((0, 110)), velocity=np.zeros((0, 110, 2)),
+    present=np.zeros((0, 110), dtype=bool), length_m=np.zeros(0), width_m=np.zeros(0),
+)  # fmt: skip
 
 
 @pytest.fixture
-def world(road: Callable[..., LaneGraph]) -> Callable[..., World]:
-    """world(*tracks, graph=None, lanes=2, ...) -> a scene on a straight road of 200 m."""
+def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
+    """scene_of(*tracks, graph=None, lanes=2, ...) -> a scene on a straight road of 200 m."""
 
-    def make(*tracks: Track, graph: LaneGraph | None = None, config: Config | None = None, **shape: Any) -> World:
+    def make(*tracks: Track, graph: LaneGraph | None = None, config: Config | None = None, **shape: Any) -> Scene:
         grid = build_cell_grid(graph or road(**shape))
-        return build_world(grid, tracks, config=config or Config(), num_steps=110, last_observed_step=49)
+        return build_scene(grid, tracks, config=config or Config(), num_steps=110, last_observed_step=49)
 
     return make
 
@@ -41,32 +45,35 @@ def _drive(track: Callable[..., Track], x: float, y: float, speed: float, name: 
     return track(range(110), x + 0.1 * speed * np.arange(110), y, track_id=name)
 
 
-def test_neighbour_across_a_dashed_line_is_admissible(world: Callable[..., World]) -> None:
-    scene = world(lanes=3)
+def test_neighbour_across_a_dashed_line_is_admissible(scene_of: Callable[..., Scene]) -> None:
+    scene = scene_of(lanes=3)
     assert [admissible_neighbor(scene, 2, side) for side in ("left", "right")] == [3, 1]
     assert admissible_neighbor(scene, 3, "left") is None
 
 
-def test_neighbour_across_a_solid_line_is_not(world: Callable[..., World]) -> None:
-    assert admissible_neighbor(world(mark="SOLID_WHITE"), 1, "left") is None
+def test_neighbour_across_a_solid_line_is_not(scene_of: Callable[..., Scene]) -> None:
+    assert admissible_neighbor(scene_of(mark="SOLID_WHITE"), 1, "left") is None
 
 
-def test_bicycle_lane_is_no_lane_to_change_to(world: Callable[..., World], lane: Callable[..., LaneSegment]) -> None:
+def test_bicycle_lane_is_no_lane_to_change_to(scene_of: Callable[..., Scene], lane: Callable[..., LaneSegment]) -> None:
     graph = LaneGraph({
         1: lane(1, [(0.0, 0.0), (200.0, 0.0)], left=2),
         2: lane(2, [(0.0, 3.5), (200.0, 3.5)], right=1, lane_type="BIKE"),
     })  # fmt: skip
-    assert admissible_neighbor(world(graph=graph), 1, "left") is None
+    assert admissible_neighbor(scene_of(graph=graph), 1, "left") is None
 
 
-def test_without_topology_nobody_knows_of_a_neighbour(world: Callable[..., World]) -> None:
-    assert admissible_neighbor(world(config=Config(without=frozenset({"topology"}))), 1, "left") is None
+def test_without_topology_nobody_knows_of_a_neighbour(scene_of: Callable[..., Scene]) -> None:
+    assert admissible_neighbor(scene_of(config=Config(without=frozenset({"topology"}))), 1, "left") is None
 
 
-def test_option_is_the_facing_cell_with_what_is_left_of_its_lane(world: Callable[..., World]) -> None:
+def test_option_is_the_facing_cell_with_what_is_left_of_its_lane(scene_of: Callable[..., Scene]) -> None:
     """At 41 m of lane 1: cell 10 of lane 2, 159 m before its end, nobody there."""
-    scene = world()
-    ((option, target),) = lane_options(scene, scene.path((1,)), CAR, s=41.0, step=0, sides=("left", "right"), others=())
+    scene = scene_of()
+    ((option, target),) = lane_options(
+        scene, scene.path((1,)), CAR, s=41.0, step=0, sides=("left", "right"), fixed=NOBODY, fleet=NOBODY,
+        speed_mps=10.0, desired_mps=10.0,
+    )  # fmt: skip
     assert (option.side, option.target, option.cells_free) == ("left", Cell(2, 10), True)
     assert option.front == option.rear == Gap.none()
     assert option.remaining_m == option.corridor_m == pytest.approx(159.0, abs=0.1)
@@ -74,18 +81,19 @@ def test_option_is_the_facing_cell_with_what_is_left_of_its_lane(world: Callable
 
 
 def test_cell_that_is_taken_when_the_vehicle_gets_there_rejects_the_transition(
-    world: Callable[..., World], track: Callable[..., Track]
+    scene_of: Callable[..., Scene], track: Callable[..., Track]
 ) -> None:
     """Conflict case 1, at the predicted time: at 10 m/s the next cell is reached after ceil(4 / 10 / 0.1) = 4 steps.
 
     Somebody appears on cell 11 of lane 2 (44 to 48 m) at step 4, far enough from cells 9 to 11 at step 0.
     """
-    scene = world(track(range(4, 60), np.full(56, 46.0), 3.5))
+    scene = scene_of(track(range(4, 60), np.full(56, 46.0), 3.5))
 
     def is_free(speed_mps: float, step: int) -> bool:
         ((option, _),) = lane_options(
-            scene, scene.path((1,)), CAR, s=41.0, step=step, sides=("left",), others=(), speed_mps=speed_mps
-        )
+            scene, scene.path((1,)), CAR, s=41.0, step=step, sides=("left",), fixed=NOBODY, fleet=NOBODY,
+            speed_mps=speed_mps, desired_mps=10.0,
+        )  # fmt: skip
         return option.cells_free
 
     assert not is_free(10.0, 0)
@@ -95,43 +103,78 @@ def test_cell_that_is_taken_when_the_vehicle_gets_there_rejects_the_transition(
 
 
 def test_gaps_are_bumper_to_bumper_with_the_neighbours_speeds(
-    world: Callable[..., World], track: Callable[..., Track]
+    scene_of: Callable[..., Scene], track: Callable[..., Track]
 ) -> None:
     """Own centre at 80 on the target lane; centres at 60 (9 m/s) and 110 (12 m/s), all 4.5 m long.
 
     [60]          (80)               [110]
         |<-15.5->|    |<---25.5---->|           20 - 4.5 and 30 - 4.5, to half a metre
     """
-    scene = world(_drive(track, 60.0, 3.5, 9.0, "rear"), _drive(track, 110.0, 3.5, 12.0, "front"))
-    front, rear = gaps_on(scene, scene.path((2,)), CAR, at=80.0, step=0, others=())
+    scene = scene_of(_drive(track, 60.0, 3.5, 9.0, "rear"), _drive(track, 110.0, 3.5, 12.0, "front"))
+    front, rear = gaps_on(scene, scene.path((2,)), CAR, at=80.0, step=0, fixed=NOBODY, fleet=NOBODY)
     assert front.distance_m == pytest.approx(25.5, abs=0.6)
     assert rear.distance_m == pytest.approx(15.5, abs=0.6)
     assert (front.speed_mps, rear.speed_mps) == pytest.approx((12.0, 9.0))
 
 
-def test_gaps_are_those_of_the_step(world: Callable[..., World], track: Callable[..., Track]) -> None:
+def test_gaps_are_those_of_the_step(scene_of: Callable[..., Scene], track: Callable[..., Track]) -> None:
     """After 5 s the one at 60 m with 9 m/s is at 105: now ahead of 80."""
-    scene = world(_drive(track, 60.0, 3.5, 9.0))
-    front, rear = gaps_on(scene, scene.path((2,)), CAR, at=80.0, step=50, others=())
+    scene = scene_of(_drive(track, 60.0, 3.5, 9.0))
+    front, rear = gaps_on(scene, scene.path((2,)), CAR, at=80.0, step=50, fixed=NOBODY, fleet=NOBODY)
     assert front.distance_m == pytest.approx(20.5, abs=0.6)
     assert rear == Gap.none()
 
 
-def test_generated_vehicles_count_like_recorded_ones(world: Callable[..., World], box: Callable[..., Traffic]) -> None:
-    scene = world()
-    front, _ = gaps_on(scene, scene.path((2,)), CAR, at=80.0, step=0, others=(box(110.0, 3.5, 0.0, 5.0),))
+def test_kept_and_driven_vehicles_count_like_recorded_ones(
+    scene_of: Callable[..., Scene], box: Callable[..., Traffic]
+) -> None:
+    """One kept in a round before drives at 5 m/s from 90 m on and is at 110 after 4 s; the fleet is as it is now."""
+    scene = scene_of()
+    fixed, fleet = box(90.0, 3.5, 0.0, 5.0), box(50.0, 3.5, 0.0, 7.0, steps=1)
+    front, rear = gaps_on(scene, scene.path((2,)), CAR, at=80.0, step=40, fixed=fixed, fleet=fleet)
     assert front.distance_m == pytest.approx(25.5, abs=0.6)
-    assert front.speed_mps == pytest.approx(5.0)
+    assert rear.distance_m == pytest.approx(25.5, abs=0.6)
+    assert (front.speed_mps, rear.speed_mps) == pytest.approx((5.0, 7.0))
 
 
-def test_vehicle_beside_leaves_no_gap(world: Callable[..., World], track: Callable[..., Track]) -> None:
-    scene = world(_drive(track, 81.0, 3.5, 9.0))
-    front, _ = gaps_on(scene, scene.path((2,)), CAR, at=80.0, step=0, others=())
+@pytest.mark.parametrize(("speed", "corridor"), [(5.0, 24.5), (10.0, 120.0), (12.0, 120.0)])
+def test_free_corridor_ends_at_who_is_slower_than_desired(
+    speed: float, corridor: float, scene_of: Callable[..., Scene], box: Callable[..., Traffic]
+) -> None:
+    """At 80 m of 200, somebody at 109 m ahead on the lane beside: bumper gap 24.5 m; who drives 10 m/s leaves it."""
+    scene = scene_of()
+    ((option, _),) = lane_options(
+        scene, scene.path((1,)), CAR, s=80.0, step=0, sides=("left",), fixed=box(109.0, 3.5, 0.0, speed), fleet=NOBODY,
+        speed_mps=10.0, desired_mps=10.0,
+    )  # fmt: skip
+    assert option.corridor_m == pytest.approx(corridor, abs=0.6)
+
+
+def test_fleet_holds_the_cells_where_the_simulation_has_it_now(
+    scene_of: Callable[..., Scene], box: Callable[..., Traffic]
+) -> None:
+    """Sigma = 2: somebody driven stands in cell 11 (44 .. 48 m) of lane 2, next to cell 10; cell 13 is three away."""
+    scene = scene_of()
+
+    def is_free(x: float) -> bool:
+        ((option, _),) = lane_options(
+            scene, scene.path((1,)), CAR, s=42.0, step=70, sides=("left",), fixed=NOBODY,
+            fleet=box(x, 3.5, steps=1, length_m=3.0), speed_mps=10.0, desired_mps=10.0,
+        )  # fmt: skip
+        return option.cells_free
+
+    assert not is_free(46.0)
+    assert is_free(54.0)
+
+
+def test_vehicle_beside_leaves_no_gap(scene_of: Callable[..., Scene], track: Callable[..., Track]) -> None:
+    scene = scene_of(_drive(track, 81.0, 3.5, 9.0))
+    front, _ = gaps_on(scene, scene.path((2,)), CAR, at=80.0, step=0, fixed=NOBODY, fleet=NOBODY)
     assert front.distance_m < 0.0
 
 
 def test_target_path_reaches_back_to_who_comes_from_behind(
-    world: Callable[..., World], lane: Callable[..., LaneSegment]
+    scene_of: Callable[..., Scene], lane: Callable[..., LaneSegment]
 ) -> None:
     """Lane 4 leads into lane 2: a follower there is a follower of who changes to the start of lane 2."""
     graph = LaneGraph({
@@ -139,12 +182,12 @@ def test_target_path_reaches_back_to_who_comes_from_behind(
         2: lane(2, [(0.0, 3.5), (100.0, 3.5)], right=1),
         4: lane(4, [(-60.0, 3.5), (0.0, 3.5)], successors=(2,)),
     })  # fmt: skip
-    scene = world(graph=graph)
+    scene = scene_of(graph=graph)
     assert [segment.lane_id for segment in target_path(scene, scene.path((1,)), 2, s=5.0).segments] == [4, 2]
 
 
 def test_target_path_goes_on_beside_the_own_route(
-    world: Callable[..., World], lane: Callable[..., LaneSegment]
+    scene_of: Callable[..., Scene], lane: Callable[..., LaneSegment]
 ) -> None:
     """Lane 2 splits into 5, which leaves, and 6, which runs on beside lane 3 of the own route."""
     graph = LaneGraph({
@@ -154,7 +197,7 @@ def test_target_path_goes_on_beside_the_own_route(
         5: lane(5, [(100.0, 3.5), (200.0, 40.0)]),
         6: lane(6, [(100.0, 3.5), (200.0, 3.5)], right=3),
     })  # fmt: skip
-    scene = world(graph=graph)
+    scene = scene_of(graph=graph)
     assert [segment.lane_id for segment in target_path(scene, scene.path((1, 3)), 2, s=5.0).segments] == [2, 6]
 
 
@@ -163,7 +206,7 @@ def test_leader_is_the_next_one_on_the_path_within_d_obs(
 ) -> None:
     """At 50 and 70 m on the own lane, at 45 m on the next lane; own centre at 30: the one at 50, gap 20 - 4.5 m."""
     vehicles = box(70.0, 0.0, name="far").joined(box(50.0, 0.0, 0.0, 6.0, name="near")).joined(box(45.0, 3.5, name="x"))
-    leader = leader_on(straight_path, CAR, s=30.0, step=0, d_obs_m=40.0, vehicles=vehicles)
+    leader = leader_on(straight_path, CAR, s=30.0, d_obs_m=40.0, here=vehicles.at(0))
     assert leader is not None
     assert leader.track_id == "near"
     assert leader.gap_m == pytest.approx(15.5, abs=0.6)
@@ -174,7 +217,7 @@ def test_nobody_is_a_leader_behind_beyond_d_obs_or_across(
     straight_path: DrivenPath, box: Callable[..., Traffic]
 ) -> None:
     for other in (box(10.0, 0.0), box(80.0, 0.0), box(50.0, 0.0, np.pi / 2)):
-        assert leader_on(straight_path, CAR, s=30.0, step=0, d_obs_m=40.0, vehicles=other) is None
+        assert leader_on(straight_path, CAR, s=30.0, d_obs_m=40.0, here=other.at(0)) is None
 
 
 @pytest.fixture
@@ -182,8 +225,7 @@ def gap_to(straight_path: DrivenPath) -> Callable[..., float]:
     """Gap to a passed vehicle "p" at a step, driving at 10 m/s from s = 50 m on at step 0."""
 
     def find(passed: Traffic, step: int) -> float:
-        s = 50.0 + np.arange(passed.num_steps, dtype=np.float64)
-        return gap_ahead_of(straight_path, CAR, s=s, step=step, lane=straight_path, passed_id="p", vehicles=passed)
+        return gap_ahead_of(straight_path, CAR, s=50.0 + step, lane=straight_path, passed_id="p", here=passed.at(step))
 
     return find
 
@@ -201,38 +243,31 @@ def test_who_turned_off_is_never_passed(gap_to: Callable[..., float], box: Calla
     assert gap_to(box(50.0, 3.5, name="p"), 10) == -np.inf
 
 
-def test_gap_to_who_is_gone_is_the_last_one(gap_to: Callable[..., float], box: Callable[..., Traffic]) -> None:
-    """It stood at 50 m until step 3, when the own centre was at 53: 3 - 4.5 m, however far the own vehicle came since.
-
-    One that comes only later was never there.
-    """
+def test_who_has_left_the_map_is_passed_for_good(gap_to: Callable[..., float], box: Callable[..., Traffic]) -> None:
     stood = box(50.0, 0.0, name="p")
     until = np.arange(stood.num_steps)[None, :] <= 3
-    assert gap_to(replace(stood, present=stood.present & until), 20) == pytest.approx(-1.5, abs=0.01)
-    assert gap_to(box(50.0, 0.0, name="p", first=10), 5) == -np.inf
+    assert gap_to(replace(stood, present=stood.present & until), 20) == np.inf
 
 
-def test_path_across_ends_in_the_middle_of_the_other_lane(world: Callable[..., World]) -> None:
-    scene = world()
+def test_path_across_ends_in_the_middle_of_the_other_lane(scene_of: Callable[..., Scene]) -> None:
+    scene = scene_of()
     path = lay_across(
-        scene, scene.path((1,)), scene.path((2,)), s=40.0, step=10, pace_mps=10.0, remaining_m=160.0,
-        policy=Policy.LANE_CHANGE,
+        scene, scene.path((1,)), scene.path((2,)), s=40.0, step=10, pace_mps=10.0, remaining_m=160.0, lasting_s=4.0,
     )  # fmt: skip
     assert isinstance(path, DrivenPath)
     ((start, end),) = path.shifts
     assert start == pytest.approx(40.0, abs=1.01)  # it begins at a point of the path, 1 m apart
-    assert 2.5 <= (end - start) / 10.0 <= 6.1
+    assert (end - start) / 10.0 == pytest.approx(4.0, abs=0.15)
     assert path.line.position(np.array([end + 1.0]))[0, 1] == pytest.approx(3.5, abs=0.05)
 
 
-def test_no_path_across_to_a_lane_that_ends(world: Callable[..., World], lane: Callable[..., LaneSegment]) -> None:
+def test_no_path_across_to_a_lane_that_ends(scene_of: Callable[..., Scene], lane: Callable[..., LaneSegment]) -> None:
     graph = LaneGraph({
         1: lane(1, [(0.0, 0.0), (200.0, 0.0)], left=2),
         2: lane(2, [(0.0, 3.5), (60.0, 3.5)], right=1),
     })  # fmt: skip
-    scene = world(graph=graph)
+    scene = scene_of(graph=graph)
     path = lay_across(
-        scene, scene.path((1,)), scene.path((2,)), s=50.0, step=10, pace_mps=10.0, remaining_m=10.0,
-        policy=Policy.LANE_CHANGE,
+        scene, scene.path((1,)), scene.path((2,)), s=50.0, step=10, pace_mps=10.0, remaining_m=10.0, lasting_s=4.0,
     )  # fmt: skip
     assert isinstance(path, str)

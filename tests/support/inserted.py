@@ -1,0 +1,72 @@
+"""Inserted vehicles by hand: a driver, a start on a route, a vehicle that SUMO is said to have driven."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hid2.agents import BoxSize, Policy, Track
+from hid2.drivers.driver import Driver, LaneOffset
+from hid2.motion.route import Route
+from hid2.occupancy.traffic import Traffic
+from hid2.params import Config
+from hid2.scene import Scene, build_scene
+from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
+from netconvert.cells import build_cell_grid
+from netconvert.lane_graph import LaneGraph
+
+CAR = BoxSize(4.5, 1.9)
+#: Round numbers, from which the tests work theirs.
+DRIVER = Driver(
+    desired_mps=10.0, tau_s=1.0, accel_mps2=1.6, decel_mps2=2.0, min_gap_m=2.0, turn_lateral_mps2=2.0, offset_m=0.0,
+    lane_change_s=5.0,
+)  # fmt: skip
+#: The middle of the lane.
+MIDDLE = LaneOffset(np.array([0.0, 1000.0]), np.zeros(2), np.zeros(2))
+
+
+def nobody(steps: int = 110) -> Traffic:
+    """Traffic without anybody in it."""
+    return Traffic(
+        ids=(), position=np.zeros((0, steps, 2)), heading=np.zeros((0, steps)), velocity=np.zeros((0, steps, 2)),
+        present=np.zeros((0, steps), dtype=bool), length_m=np.zeros(0), width_m=np.zeros(0),
+    )  # fmt: skip
+
+
+def recorded(
+    x: float, y: float, speed: float = 0.0, *, heading: float = 0.0, first: int = 0, kind: str = "vehicle",
+    name: str = "r", size: BoxSize = CAR,
+) -> Track:  # fmt: skip
+    """A recorded agent at (x, y) at step 0, straight ahead at constant speed, with states from step `first` on."""
+    steps = np.arange(first, 110)
+    ahead = np.array([np.cos(heading), np.sin(heading)])
+    position = np.array([x, y]) + 0.1 * speed * steps[:, None] * ahead
+    velocity = np.broadcast_to(speed * ahead, position.shape).copy()
+    return Track(name, kind, 2, steps, position, np.full(steps.size, heading), velocity, size)
+
+
+def scene_on(graph: LaneGraph, *tracks: Track, config: Config | None = None) -> Scene:
+    """A scene of 110 steps on a road."""
+    return build_scene(
+        build_cell_grid(graph), tracks, config=config or Config(), num_steps=110, last_observed_step=49
+    )  # fmt: skip
+
+
+def start_on(scene: Scene, route: Route, s: float, speed: float, **changes: Any) -> Start:
+    """A start at arc length s of a route's path; number, policy and trigger_s make its request."""
+    number = changes.pop("number", 0)
+    request = VehicleRequest(number, changes.pop("policy", Policy.STRAIGHT), changes.pop("trigger_s", 0.0))
+    driver = changes.get("driver", DRIVER)
+    return Start(**{
+        "vehicle_id": f"v{number}_0", "request": request, "object_type": "vehicle", "size": CAR, "box": CAR,
+        "route": route, "path": scene.path(route), "start_s": s, "start_mps": speed, "driver": driver,
+        "desired": np.full(scene.num_steps, driver.desired_mps), "offset": MIDDLE, "sides": ("left", "right"),
+        **changes,
+    })  # fmt: skip
+
+
+def driven(start: Start, v: npt.ArrayLike, **changes: Any) -> DrivenVehicle:
+    """A vehicle with the speeds v (T,) m/s, as SUMO moves it: by the new speed of every step."""
+    speed = np.asarray(v, dtype=np.float64)
+    s = start.start_s + np.concatenate([[0.0], np.cumsum(0.1 * speed[1:])])
+    return DrivenVehicle(**{"start": start, "path": start.path, "s": s.tolist(), "v": speed.tolist(), **changes})

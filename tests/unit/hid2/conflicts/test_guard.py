@@ -1,0 +1,185 @@
+"""The guard: conflict cases 1 to 3, from what the simulation shows at one step."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from inserted import CAR, DRIVER, nobody, recorded, scene_on
+
+from hid2.agents import BoxSize, Track
+from hid2.conflicts.guard import Braking, Guard, transition_rejected
+from hid2.conflicts.stop_lines import StopLines
+from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL
+from hid2.params import Config, Conflict
+from hid2.scene import Scene
+from netconvert.lane_graph import LaneGraph, LaneSegment
+
+#: Every value that a number below is worked from; the defaults may be tuned.
+CONFIG = Config(conflict=Conflict(horizon_s=4.0, brake_max_mps2=3.5, margin_lateral_m=0.1, margin_front_m=1.0))
+UP = np.pi / 2
+State = tuple[float, float]
+
+
+@pytest.fixture
+def look(road: Callable[..., LaneGraph]) -> Callable[..., Braking]:
+    """look(*recorded, s=40, v=10, step=0) -> what a vehicle on lane 1 (y = 0) has to do."""
+
+    def on(*tracks: Track, s: float = 40.0, v: float = 10.0, step: int = 0, **more: Any) -> Braking:
+        scene = scene_on(road(), *tracks, config=CONFIG)
+        return _braking(scene, 1, [(s, v, 0.0, 0.0)], step=step, **more)
+
+    return on
+
+
+def _braking(
+    scene: Scene, lane_id: int, fleet: list[tuple[float, float, float, float]], *, own: int = 0, step: int = 0,
+    lanes: tuple[int, ...] = (), **more: Any,
+) -> Braking:  # fmt: skip
+    """fleet: s, v, a, executing of everybody driven, whose lanes are `lanes` (lane_id for all where it is empty)."""
+    guard = Guard(scene, nobody(), StopLines(scene))
+    path = scene.path((lane_id,))
+    paths = [scene.path((lane,)) for lane in lanes or (lane_id,) * len(fleet)]
+    others = [(row, paths[row], CAR) for row in range(len(fleet)) if row != own]
+    state = np.array([[*one, 1.0] for one in fleet])
+    return guard.braking(
+        guard.obstacles(path, CAR, others), own=own, step=step, fleet=state,
+        state=(float(state[own, 0]), float(state[own, 1]), float(state[own, 2])), desired_mps=10.0,
+        road=np.full(path.line.table_xy.shape[0], np.inf), driver=DRIVER, **more,
+    )  # fmt: skip
+
+
+def test_case_1_cell_held_by_an_original_agent_rejects_the_transition() -> None:
+    assert transition_rejected(ORIGINAL)
+    assert not transition_rejected(FREE)
+    assert not transition_rejected(GENERATED)
+
+
+def test_nobody_brakes_on_a_free_road(look: Callable[..., Braking]) -> None:
+    for v in (0.0, 5.0, 12.0):
+        assert look(v=v) == Braking(0.0, None, None, -1, np.inf, run_into=False)
+
+
+def test_nobody_brakes_for_who_drives_beside_or_oncoming_on_the_next_lane(look: Callable[..., Braking]) -> None:
+    assert look(recorded(45.0, 3.5, 10.0)).decel_mps2 == 0.0
+    assert look(recorded(90.0, 3.5, 10.0, heading=np.pi)).decel_mps2 == 0.0
+
+
+def test_timing_is_adjusted_to_a_crossing_whose_recorded_future_meets(look: Callable[..., Braking]) -> None:
+    """At 10 m/s the vehicle is at x = 70 in 3 s; so is somebody who crosses from y = -24 at 8 m/s.
+
+    Braking so that x stays below 70 - 3.2 - .5 (bumper, half a width, margin) = 66.3 until it has passed.
+    """
+    found = look(recorded(70.0, -24.0, 8.0, heading=UP))
+    assert found.free_conflict_s is not None
+    assert 1.0 < found.free_conflict_s < 4.0
+    assert 0.5 <= found.decel_mps2 <= 3.5
+    assert found.conflict_s is None
+    assert not found.run_into
+
+
+def test_who_has_crossed_by_then_or_comes_later_is_no_conflict(look: Callable[..., Braking]) -> None:
+    """The place is taken for 1.1 s before and after (PET): 3 s earlier or later nobody brakes."""
+    assert look(recorded(70.0, 6.0, 8.0, heading=UP)).decel_mps2 == 0.0
+    assert look(recorded(70.0, -60.0, 8.0, heading=UP)).decel_mps2 == 0.0
+
+
+def test_nobody_stops_on_an_open_road_for_who_appears_5_s_later(look: Callable[..., Braking]) -> None:
+    """A car stands at x = 90, on the way, and has a state only from step 50 on; H is 4 s: looked at when it is near."""
+    later = recorded(90.0, 0.0, heading=UP, first=50)
+    assert look(later).decel_mps2 == 0.0
+    assert look(later, s=60.0, step=30).decel_mps2 > 0.0
+
+
+def test_standing_obstacle_that_sumo_does_not_see_is_braked_for(look: Callable[..., Braking]) -> None:
+    """A car crosswise at x = 75 takes 71.8 to 78.2 of the centre's way, from a sample of 0.5 m and a margin of 0.5 m
+    before: about 31 m from s = 40. Within H = 4 s, 10 m/s less b come 40 - 8 b m (and 1 m or so until b is reached):
+    b = 1.1 comes too far, 1.5 or 2 do.
+    """
+    found = look(recorded(75.0, 0.0, heading=UP))
+    assert found.decel_mps2 in (1.5, 2.0)
+    assert found.conflict_s is None
+
+
+def test_who_is_too_near_is_braked_for_as_hard_as_can_be(look: Callable[..., Braking]) -> None:
+    """16 m before it at 10 m/s 3.2 m/s2 would be needed at once, and braking builds up: a conflict remains."""
+    found = look(recorded(60.0, 0.0, heading=UP))
+    assert found.conflict_s is not None
+    assert found.decel_mps2 >= 2.5
+
+
+def test_leader_that_a_driver_copes_with_is_not_the_guards_business(look: Callable[..., Braking]) -> None:
+    """At 8 m/s, 30 m ahead: car following will do."""
+    assert look(recorded(75.0, 0.0, 8.0)).decel_mps2 == 0.0
+
+
+def test_who_follows_is_ignored_but_told_of(look: Callable[..., Braking]) -> None:
+    """Recorded, from 20 m at 14 m/s: it reaches 40 + 10 t - 4.5 after 3.9 s. Braking would make it worse."""
+    found = look(recorded(20.0, 0.0, 14.0))
+    assert found.decel_mps2 == 0.0
+    assert found.run_into
+
+
+def test_recorded_one_that_keeps_its_distance_behind_runs_into_nobody(look: Callable[..., Braking]) -> None:
+    assert not look(recorded(20.0, 0.0, 10.0)).run_into
+
+
+def test_generated_follower_is_left_to_its_driver(road: Callable[..., LaneGraph]) -> None:
+    found = _braking(scene_on(road(), config=CONFIG), 1, [(40.0, 10.0, 0.0, 0.0), (28.0, 14.0, 0.0, 0.0)])
+    assert found.decel_mps2 == 0.0
+    assert found.leader == -1
+
+
+def test_generated_leader_is_named_with_its_gap(road: Callable[..., LaneGraph]) -> None:
+    """At 60 m, own centre at 40: bumper gap 20 - 4.5 = 15.5 m."""
+    found = _braking(scene_on(road(), config=CONFIG), 1, [(40.0, 10.0, 0.0, 0.0), (60.0, 10.0, 0.0, 0.0)])
+    assert found.leader == 1
+    assert found.leader_gap_m == pytest.approx(15.5, abs=1.1)
+
+
+@pytest.fixture
+def cross(lane: Callable[..., LaneSegment]) -> Scene:
+    """Lane 1 along the x axis, lane 2 along x = 80: both meet at s = 80 m."""
+    graph = LaneGraph({1: lane(1, [(0.0, 0.0), (200.0, 0.0)]), 2: lane(2, [(80.0, -80.0), (80.0, 120.0)])})
+    return scene_on(graph, config=CONFIG)
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "brakes"),
+    [
+        ((40.0, 10.0, 0.0, 0.0), (30.0, 12.5, 0.0, 1.0), True),
+        ((40.0, 10.0, 0.0, 1.0), (50.0, 7.5, 0.0, 0.0), False),
+        ((40.0, 10.0, 0.0, 0.0), (50.0, 7.5, 0.0, 0.0), True),
+        ((40.0, 10.0, 0.0, 0.0), (30.0, 12.5, 0.0, 0.0), False),
+        ((40.0, 10.0, 0.0, 1.0), (30.0, 12.5, 0.0, 1.0), False),
+    ],
+    ids=["executing before pending", "pending after executing", "closer first", "farther last", "both executing"],
+)
+def test_case_2_of_two_who_are_there_in_4_s(cross: Scene, own: Any, other: Any, brakes: bool) -> None:
+    """From 40 m at 10, from 30 m at 12.5 or from 50 m at 7.5 m/s: all are at the crossing (80 m) after 4 s.
+
+    Distances to it are metres, not cells or ids.
+    """
+    found = _braking(cross, 1, [own, other], lanes=(1, 2))
+    assert (found.decel_mps2 > 0.0) is brakes
+
+
+def test_case_2_equally_far_the_lower_id_goes_first(cross: Scene) -> None:
+    alike = [(42.0, 10.0, 0.0, 0.0), (42.0, 10.0, 0.0, 0.0)]
+    assert _braking(cross, 1, alike, lanes=(1, 2), own=0).decel_mps2 == 0.0
+    assert _braking(cross, 2, alike, lanes=(1, 2), own=1).decel_mps2 > 0.0
+
+
+def test_who_is_on_the_crossing_already_goes_first(cross: Scene) -> None:
+    """It rolls at 1 m/s with its box across lane 1, and the own one is executing: no right to run into it."""
+    found = _braking(cross, 1, [(60.0, 10.0, 0.0, 1.0), (80.0, 1.0, 0.0, 0.0)], lanes=(1, 2))
+    assert found.free_conflict_s is not None
+
+
+def test_larger_box_needs_more_room(road: Callable[..., LaneGraph]) -> None:
+    """Beside a pedestrian at y = -1.5 m a car of 1.9 m passes; a bus of 2.9 m (with 0.1 m beside it) does not."""
+    scene = scene_on(road(), recorded(70.0, -1.5, kind="pedestrian", size=BoxSize(0.6, 0.6)), config=CONFIG)
+    guard = Guard(scene, nobody(), StopLines(scene))
+    path = scene.path((1,))
+    widths = [guard.obstacles(path, BoxSize(10.0, width), []).known.low.shape[0] for width in (1.9, 2.9)]
+    assert widths == [0, 1]

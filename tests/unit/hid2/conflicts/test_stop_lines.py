@@ -1,0 +1,153 @@
+"""Stop lines: entrances that are red, and pedestrian crossings that are used."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from inserted import CAR, DRIVER, recorded, scene_on
+
+from hid2.agents import BoxSize, Track
+from hid2.conflicts.stop_lines import StopLine, StopLines
+from hid2.params import Config, Conflict, Crossings, Signals
+from hid2.scene import Scene
+from netconvert.lane_graph import LaneGraph, LaneSegment
+
+#: Every value that a number below is worked from; the defaults may be tuned.
+CONFIG = Config(
+    signals=Signals(before_s=2.0, after_s=3.0), crossings=Crossings(strip_m=1.0, strip_s=3.0),
+    conflict=Conflict(stop_margin_m=1.0),
+)  # fmt: skip
+UP = np.pi / 2
+#: The line of the entrance at 60 m: half a car and the margin before it, 60 - 2.25 - 1.
+STOP_S = 56.75
+
+
+@pytest.fixture
+def junction(lane: Callable[..., LaneSegment]) -> Callable[..., Scene]:
+    """junction(*recorded) -> lanes 1 (0 .. 60 m), 2 (the intersection, 60 .. 80 m) and 3 along the x axis.
+
+    Lanes 4, 5 and 6 cross it at x = 70, and a pedestrian crossing lies over lane 3 from x = 100 to 103 m.
+    """
+
+    def make(*tracks: Track) -> Scene:
+        lanes = (
+            lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
+            lane(2, [(60.0, 0.0), (80.0, 0.0)], successors=(3,), is_intersection=True),
+            lane(3, [(80.0, 0.0), (200.0, 0.0)]),
+            lane(4, [(70.0, -90.0), (70.0, -10.0)], successors=(5,)),
+            lane(5, [(70.0, -10.0), (70.0, 10.0)], successors=(6,), is_intersection=True),
+            lane(6, [(70.0, 10.0), (70.0, 90.0)]),
+        )
+        zebra = np.array([(100.0, -6.0), (100.0, 6.0), (103.0, 6.0), (103.0, -6.0)])
+        graph = LaneGraph({one.lane_id: one for one in lanes}, pedestrian_crossings=(zebra,))
+        return scene_on(graph, *tracks, config=CONFIG)
+
+    return make
+
+
+@pytest.fixture
+def brake(junction: Callable[..., Scene]) -> Callable[..., tuple[float, str] | None]:
+    """brake(*recorded, s=..., v=..., step=...) -> acceleration and cause."""
+
+    def at(*tracks: Track, s: float, v: float, step: int) -> tuple[float, str] | None:
+        scene = junction(*tracks)
+        return StopLines(scene).braking(scene.path((1, 2, 3)), CAR, DRIVER, s=s, speed_mps=v, step=step)
+
+    return at
+
+
+#: Crosses lane 2 at 10 m/s, its centre at y = 0 after 5 s: on lane 2's ground from about 4.6 to 5.4 s.
+CROSSING = recorded(70.0, -50.0, 10.0, heading=UP)
+
+
+def _closed(lines: list[StopLine], cause: str) -> tuple[float, int, int]:
+    (line,) = (line for line in lines if line.cause == cause)
+    steps = np.flatnonzero(line.closed)
+    return line.stop_s, int(steps[0]), int(steps[-1])
+
+
+def test_entrance_is_closed_while_recorded_traffic_flows_across(junction: Callable[..., Scene]) -> None:
+    """From 2 s before the crossing to 3 s after it; nothing is closed where nobody crosses."""
+    scene = junction(CROSSING)
+    stop_s, first, last = _closed(StopLines(scene).on(scene.path((1, 2, 3)), CAR), "signal")
+    assert stop_s == pytest.approx(STOP_S)
+    assert (first, last) == (pytest.approx(26, abs=3), pytest.approx(84, abs=3))
+    empty = junction()
+    assert StopLines(empty).on(empty.path((1, 2, 3)), CAR) == []
+
+
+def test_longer_vehicles_stand_farther_back(junction: Callable[..., Scene]) -> None:
+    """A bus of 12 m: 60 - 6 - 1 = 53 m."""
+    scene = junction(CROSSING)
+    (line,) = StopLines(scene).on(scene.path((1, 2, 3)), BoxSize(12.0, 2.9))
+    assert line.stop_s == pytest.approx(53.0)
+
+
+def test_driver_brakes_as_the_red_line_asks_for(brake: Callable[..., tuple[float, str] | None]) -> None:
+    """From 26.75 m before it at 10 m/s: 10^2 / (2 * 26.75) = 1.87 m/s2, less than 1.3 times the comfortable 2."""
+    found = brake(CROSSING, s=30.0, v=10.0, step=40)
+    assert found == (pytest.approx(-1.869, abs=1e-3), "signal")
+
+
+def test_driver_does_not_begin_far_before(brake: Callable[..., tuple[float, str] | None]) -> None:
+    """50 m before it at 5 m/s: comfortable braking (1.2 m/s2) would do from 11 m/s: no braking yet."""
+    found = brake(CROSSING, s=6.75, v=5.0, step=40)
+    assert found is None or found[0] > 0.0
+
+
+def test_who_can_no_longer_stop_drives_across(brake: Callable[..., tuple[float, str] | None]) -> None:
+    """10 m before it at 10 m/s: 5 m/s2, more than 1.3 * 2: as at an amber light."""
+    assert brake(CROSSING, s=46.75, v=10.0, step=40) is None
+
+
+def test_who_has_passed_the_line_drives_on(brake: Callable[..., tuple[float, str] | None]) -> None:
+    assert brake(CROSSING, s=58.0, v=3.0, step=40) is None
+
+
+def test_who_stands_at_the_line_stays_until_it_opens(brake: Callable[..., tuple[float, str] | None]) -> None:
+    found = brake(CROSSING, s=STOP_S, v=0.0, step=60)
+    assert found is not None
+    assert found[0] < 0.0
+    assert brake(CROSSING, s=STOP_S, v=0.0, step=100) is None
+
+
+def test_braking_as_asked_for_ends_at_the_line(junction: Callable[..., Scene]) -> None:
+    """Step by step from 11.75 m before it at 6 m/s, 1.5 m/s2 for 4 s: it stands within 0.5 m of the line."""
+    scene = junction(CROSSING)
+    lines, path = StopLines(scene), scene.path((1, 2, 3))
+    s, v = 45.0, 6.0
+    for step in range(32, 80):
+        found = lines.braking(path, CAR, DRIVER, s=s, speed_mps=v, step=step)
+        assert found is not None
+        v = max(0.0, v + 0.1 * found[0])
+        s += 0.1 * v
+    assert v == pytest.approx(0.0, abs=0.15)
+    assert s == pytest.approx(STOP_S, abs=0.5)
+
+
+def test_recorded_queue_keeps_the_entrance_closed(junction: Callable[..., Scene]) -> None:
+    """Somebody came from behind and stands at the entrance from step 40 on: red, though nobody crosses."""
+    steps = np.arange(110)
+    x = np.minimum(20.0 + 0.9 * steps, 56.0)
+    arrives = Track("q", "vehicle", 2, steps, np.column_stack([x, 0.0 * x]), 0.0 * x, np.zeros((110, 2)), CAR)
+    scene = junction(arrives)
+    stop_s, _, last = _closed(StopLines(scene).on(scene.path((1, 2, 3)), CAR), "signal")
+    assert (stop_s, last) == (pytest.approx(STOP_S), 109)
+
+
+def test_pedestrian_on_a_crossing_is_yielded_to(
+    junction: Callable[..., Scene], brake: Callable[..., tuple[float, str] | None]
+) -> None:
+    """A walker at 1.3 m/s goes over the crossing at x = 101.5 from y = -6 on; the line is 100 - 2.25 - 1 = 96.75 m.
+
+    20 m before it at 8 m/s: 8^2 / 40 = 1.6 m/s2. Once the walker is across, nobody waits.
+    """
+    walker = recorded(101.5, -6.0, 1.3, heading=UP, kind="pedestrian", size=BoxSize(0.6, 0.6))
+    scene = junction(walker)
+    stop_s, first, last = _closed(StopLines(scene).on(scene.path((1, 2, 3)), CAR), "crossing")
+    assert stop_s == pytest.approx(96.75, abs=0.5)
+    assert first < 40
+    assert last < 75
+    found = brake(walker, s=76.75, v=8.0, step=40)
+    assert found == (pytest.approx(-1.6, abs=0.05), "crossing")
+    assert brake(walker, s=76.75, v=8.0, step=100) is None

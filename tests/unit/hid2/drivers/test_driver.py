@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+from inserted import DRIVER
+
+from hid2.drivers.driver import LaneOffset, desired_speeds, draw_driver, lane_offset
+from hid2.params import Config, Drivers, Limits, Spawn
+
+#: Every value that a number below is worked from; the defaults may be tuned.
+CONFIG = Config(
+    drivers=Drivers(
+        desired_sd=0.1, wander_sd_mps=0.6, wander_time_s=3.0, tau_mean_s=1.15, tau_sd_s=0.25, offset_sd_m=0.25,
+        lateral_wander_sd_m=0.15, lateral_wander_time_s=3.0,
+    ),
+    spawn=Spawn(min_speed_mps=4.0, max_speed_mps=20.0),
+    limits=Limits(),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("lane_speed", [3.0, 10.0, 19.0])
+def test_draws_stay_within_two_standard_deviations_and_the_bounds(lane_speed: float) -> None:
+    """Desired speed: 10 m/s times 0.8 to 1.2, and never below 4 or above 20 m/s; tau 0.65 to 1.65 s."""
+    rng = np.random.default_rng(0)
+    drivers = [draw_driver(CONFIG, rng, lane_speed_mps=lane_speed) for _ in range(400)]
+    desired = np.array([driver.desired_mps for driver in drivers])
+    assert desired.min() >= max(4.0, 0.8 * lane_speed) - 1e-9
+    assert desired.max() <= min(20.0, max(4.0, 1.2 * lane_speed)) + 1e-9
+    assert all(0.65 - 1e-9 <= driver.tau_s <= 1.65 + 1e-9 for driver in drivers)
+    assert all(abs(driver.offset_m) <= 0.5 for driver in drivers)
+    assert all(driver.accel_mps2 <= 2.40 for driver in drivers)
+    assert all(driver.decel_mps2 <= 4.05 for driver in drivers)
+    assert all(2.5 <= driver.lane_change_s <= 6.0 for driver in drivers)
+
+
+def test_no_two_drivers_are_one() -> None:
+    rng = np.random.default_rng(0)
+    drivers = {draw_driver(CONFIG, rng, lane_speed_mps=10.0) for _ in range(50)}
+    assert len({driver.tau_s for driver in drivers}) == 50
+
+
+def _wander() -> np.ndarray:
+    """(400, 110) m/s desired speeds minus the driver's own."""
+    rng = np.random.default_rng(0)
+    rows = [desired_speeds(DRIVER, CONFIG, rng, num_steps=110, step_s=0.1, at_least_mps=0.0) for _ in range(400)]
+    return np.array(rows) - DRIVER.desired_mps
+
+
+def test_desired_speed_wanders_about_the_own_one() -> None:
+    """SD 0.6 m/s at every step alike; eased over 0.8 s, the process keeps sqrt(3 / 3.8) = 89 % of it: 0.53 m/s."""
+    wander = _wander()
+    assert abs(wander.mean()) < 0.05
+    assert 0.45 < wander[:, 60:].std() <= 0.66
+    assert 0.45 < wander[:, :10].std() <= 0.66
+
+
+def test_wandering_is_slow() -> None:
+    """Ornstein-Uhlenbeck with 3 s: correlated by exp(-1) = .37 after 3 s, more with the easing; hardly after 9 s.
+
+    Its rate has an SD of 0.6 sqrt(0.8 / 3.8) / 0.8 = 0.34 m/s2 as recorded vehicles have it, from the first step on.
+    """
+    wander = _wander()
+
+    def correlation(steps: int) -> float:
+        return float(np.corrcoef(wander[:, 10:-steps].ravel(), wander[:, 10 + steps :].ravel())[0, 1])
+
+    assert correlation(1) > 0.98
+    assert 0.3 < correlation(30) < 0.6
+    assert correlation(90) < 0.25
+    rate = np.diff(wander, axis=1) / 0.1
+    assert rate[:, 60:].std() == pytest.approx(0.34, abs=0.05)
+    assert (np.abs(rate[:, 0]) > 0.05).mean() > 0.9
+
+
+def test_nobody_begins_above_the_desired_speed() -> None:
+    """A start at 10.5 m/s of a driver who wants 10: the wandering begins at + 0.5 m/s or above."""
+    rng = np.random.default_rng(0)
+    speeds = [desired_speeds(DRIVER, CONFIG, rng, num_steps=110, step_s=0.1, at_least_mps=10.5) for _ in range(100)]
+    assert min(one[0] for one in speeds) == pytest.approx(10.5)
+
+
+def test_desired_speed_never_falls_below_half() -> None:
+    wild = CONFIG.model_copy(update={"drivers": Drivers(wander_sd_mps=3.0)})
+    speeds = [
+        desired_speeds(DRIVER, wild, np.random.default_rng(k), num_steps=110, step_s=0.1, at_least_mps=0.0)
+        for k in range(100)
+    ]
+    assert min(one.min() for one in speeds) >= 5.0
+
+
+def test_place_in_the_lane_does_not_move_while_standing() -> None:
+    """D is a function of the way driven: at one s there is one d, whatever the time."""
+    offset = lane_offset(DRIVER, CONFIG, np.random.default_rng(1), length_m=200.0)
+    d, slope, bend = offset.at(np.full(50, 70.0))
+    assert np.ptp(d) == np.ptp(slope) == np.ptp(bend) == 0.0
+    assert np.ptp(offset.at(np.linspace(0.0, 200.0, 50))[0]) > 0.05
+
+
+def test_place_in_the_lane_is_smooth_and_within_two_standard_deviations() -> None:
+    """At most 2 SD = 0.3 m beside the driver's own place (here the middle), knots 30 m apart; d' is that of d."""
+    for seed in range(30):
+        offset = lane_offset(DRIVER, CONFIG, np.random.default_rng(seed), length_m=200.0)
+        assert np.diff(offset.knots_m) == pytest.approx(np.full(offset.knots_m.size - 1, 30.0))
+        assert np.abs(offset.offset_m).max() <= 0.3 + 1e-9
+        s = np.arange(5.0, 195.0, 0.1)
+        d, slope, _ = offset.at(s)
+        assert np.gradient(d, 0.1)[1:-1] == pytest.approx(slope[1:-1], abs=2e-4)
+        assert np.abs(slope).max() < 0.05
+
+
+def test_cubic_between_two_knots_by_hand() -> None:
+    """From 0 to 0.4 m over 20 m with flat ends: half way 0.2 m, with slope 1.5 * 0.4 / 20 = 0.03 and no bend."""
+    offset = LaneOffset(np.array([0.0, 20.0]), np.array([0.0, 0.4]), np.zeros(2))
+    d, slope, bend = offset.at(np.array([0.0, 10.0, 20.0]))
+    assert d == pytest.approx([0.0, 0.2, 0.4])
+    assert slope == pytest.approx([0.0, 0.03, 0.0])
+    assert bend == pytest.approx([6 * 0.4 / 400, 0.0, -6 * 0.4 / 400])
+    assert offset.scaled(0.5).at(np.array([10.0]))[0] == pytest.approx([0.1])

@@ -1,0 +1,31 @@
+import pytest
+
+from hid2.measures.motion_limits import MotionProfile, exceeded
+from hid2.params import Limits
+from hid2.reasons import Reason, limit_reason
+
+
+def test_every_reason_has_a_sentence() -> None:
+    for reason in Reason:
+        assert reason.text[0].isupper(), reason
+        assert reason.text.endswith("."), reason
+
+
+def test_no_two_reasons_say_the_same() -> None:
+    assert len({reason.text for reason in Reason}) == len({reason.value for reason in Reason}) == len(list(Reason))
+
+
+def test_reason_is_written_as_its_name() -> None:
+    for reason in Reason:
+        assert reason.value == str(reason) == reason.value.lower()
+        assert Reason(reason.value) is reason
+
+
+def test_every_limit_of_motion_has_a_reason() -> None:
+    import numpy as np
+
+    nothing = np.zeros(3)
+    for name in exceeded(MotionProfile(*[nothing] * 7), Limits()):
+        assert limit_reason(name) is Reason(f"limit_{name}")
+    with pytest.raises(ValueError, match="limit_of_taste"):
+        limit_reason("of_taste")
