@@ -52,7 +52,7 @@ class Request(_Section):
         if self.trigger_max_s < self.trigger_min_s:
             raise ValueError(f"trigger_max_s {self.trigger_max_s} is below trigger_min_s {self.trigger_min_s}")
         if sum(self.behaviours.values()) <= 0:
-            raise ValueError("the behaviour shares sum to 0, want at least one above 0")
+            raise ValueError("the behaviour shares sum to 0, expected at least one above 0")
         if self.bus_share + self.truck_share > 1:
             raise ValueError("bus_share + truck_share is above 1")
         return self
