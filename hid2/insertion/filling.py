@@ -24,6 +24,10 @@ from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
 _MOST_AGENTS = 400
+#: Length of lane a vehicle takes on a road that is full, m; a round of `max` that adds a smaller share is the last.
+_USUAL_SPACING_M, _FULL_SHARE = 25.0, 0.1
+#: Requests in vain after which a round looks for no more sites for that policy: for manoeuvres, and for going straight.
+_FAILED_MOST = (2, 1)
 _AGAIN_MOST = 1  # times that a vehicle is driven again because it had waited for one that is gone
 _NO_MAP: dict[Policy, Reason] = {
     Policy.STRAIGHT: Reason.MAP_OFFERS_NO_LANE,
@@ -88,7 +92,7 @@ class Filling:
         """All rounds. The count is a wish: a full road ends with fewer, and says so."""
         config = self.scene.config
         asked = config.request.agents
-        target = _MOST_AGENTS if asked == "max" else asked
+        target = self._most() if asked == "max" else asked
         self._open = self._possible(draw_requests(config, np.random.default_rng([*self.seed, 0]), count=target))
         self._next_spare = target
         for number in range(config.spawn.rounds):
@@ -103,11 +107,16 @@ class Filling:
                 break
             self.rounds = number + 1
             self._keep(drive(starts, self._fixed(), number), number)
-            if asked == "max" and number > 0 and len(self.kept) - before <= 1:
+            if asked == "max" and number > 0 and len(self.kept) - before <= _FULL_SHARE * len(self.kept):
                 break
         for request in self._open:
             if request.policy is not Policy.STRAIGHT:
                 self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
+
+    def _most(self) -> int:
+        """How many the road takes at usual gaps, about: what `max` asks for."""
+        lanes = self.scene.grid.graph.lanes
+        return min(_MOST_AGENTS, math.ceil(sum(lanes[n].length_m for n in self.routes.lanes) / _USUAL_SPACING_M))
 
     def _fixed(self) -> Traffic:
         return traffic_of_exported(self.kept, self.scene)
@@ -140,9 +149,12 @@ class Filling:
             self._give_up_manoeuvres()
         waiting = sorted(self._open, key=lambda request: (_ORDER.index(request.policy), request.number))
         used: set[int] = {start.request.number for start in starts}
-        full = False
+        failed: Counter[Policy] = Counter()
         for request in waiting:
-            if request.number in used or (full and request.policy is Policy.STRAIGHT):
+            if request.number in used:
+                continue
+            if failed[request.policy] >= _FAILED_MOST[request.policy is Policy.STRAIGHT]:
+                self._last_reason[request.number] = Reason.NO_SITE
                 continue
             slow = next(
                 (r for r in waiting if r.policy is Policy.STRAIGHT and r.number not in used), None
@@ -151,9 +163,9 @@ class Filling:
             used.update(start.request.number for start in found)
             starts += found
             if not found:
-                full = request.policy is Policy.STRAIGHT
+                failed[request.policy] += 1
                 self._last_reason[request.number] = Reason.NO_SITE
-        if spare and starts and not full:
+        if spare and starts and not failed[Policy.STRAIGHT]:
             extra = math.ceil(config.spawn.spare_share * len(starts))
             for _ in range(min(extra, max(0, missing))):
                 request = VehicleRequest(self._next_spare, Policy.STRAIGHT, 0.0)
