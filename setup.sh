@@ -1,6 +1,6 @@
 #!/bin/sh
 # Makes .venv/ with the command hid2 and all that it needs, at the versions that pyproject.toml pins.
-# "sh setup.sh tests" adds sumo-gui, a virtual screen for it, and the tools of the tests. What is done is not done again.
+# "sh setup.sh tests" adds sumo-gui, a virtual screen for it, and the tools of the tests. Completed steps are skipped.
 set -eu
 UV_VERSION=0.13.8
 cd "$(dirname "$0")"
@@ -13,7 +13,7 @@ fail() {
 case "${1:-}" in
 "") ;;
 tests) ;;
-*) fail "unknown argument '$1', want none, or: tests" ;;
+*) fail "unknown argument '$1', expected none, or: tests" ;;
 esac
 
 # A Python for .venv, and to bring uv into .uv: that of the machine, also where some environment is active.
@@ -62,7 +62,7 @@ if [ -n "$packages" ]; then
     elif [ -n "$(missing_packages)" ]; then
         fail "please install, then call this again (Debian's names): apt-get install --no-install-recommends $packages"
     else
-        echo "setup.sh: the tests of sumo-gui want more, and may be skipped without:" \
+        echo "setup.sh: the tests of sumo-gui need more, and may be skipped without:" \
             "apt-get install --no-install-recommends $packages" >&2
     fi
 fi
@@ -90,9 +90,15 @@ if ! .venv/bin/python -c "$LOCATE" >/dev/null 2>&1 ||
 fi
 if ! grep -qxF "$made ${1:-}" .venv/.hid2 2>/dev/null; then
     if [ "${1:-}" = tests ]; then wanted="-e .[gui] --group dev"; else wanted="-e ."; fi
+    echo "setup.sh: installing packages into .venv (1.8 GB, a minute or two)" >&2
+    (while sleep 5 >/dev/null 2>&1; do echo "setup.sh: still installing packages" >&2; done) &
+    alive=$!
+    trap 'kill $alive 2>/dev/null || true' EXIT
     # shellcheck disable=SC2086  # several words
     .uv/bin/uv pip install -q --python .venv/bin/python $wanted ||
         fail "uv could not install the packages into .venv; is there a network?"
+    kill $alive 2>/dev/null || true
+    trap - EXIT
     printf '%s\n' "$place" "$made " "$made ${1:-}" >.venv/.hid2
 fi
 .venv/bin/python -c 'import libsumo' >/dev/null || fail "SUMO's library cannot be loaded (see above)"

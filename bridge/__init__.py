@@ -1,1 +1,66 @@
-"""Everything that touches a file, a process or libsumo."""
+"""The file side: Argoverse in and out, SUMO, batches, evaluation, pictures, the command line.
+
+The public interface, for `from bridge import ...`, is `__all__` here, with `Config` and the errors; it follows semantic
+versioning from 1.0 on: until then a minor version may change it, and CHANGELOG.md says so. All other names may change
+with any version. Names are loaded when they are first used, so that nothing slow is imported for what is not.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from bridge.batch.batch import Options as Options
+    from bridge.batch.batch import plan as plan
+    from bridge.batch.batch import run_batch as run_batch
+    from bridge.config import load_config as load_config
+    from bridge.evaluation.evaluate import evaluate_folder as evaluate_folder
+    from bridge.generation.generate import generate as generate
+    from bridge.generation.generate import prepare as prepare
+    from bridge.generation.generate import write as write
+    from bridge.pictures.plot import plot_agent as plot_agent
+    from bridge.pictures.render import draw_scene as draw_scene
+    from bridge.pictures.render import render_scene as render_scene
+    from bridge.recordings.folders import find_scenarios as find_scenarios
+    from bridge.recordings.scenario import Scenario as Scenario
+    from bridge.recordings.scenario import read_scenario as read_scenario
+    from bridge.recordings.validate import validate_folder as validate_folder
+    from bridge.studies.study import read_study as read_study
+    from bridge.studies.study import run_study as run_study
+    from hid2.params import Config as Config
+    from netconvert.errors import Hid2Error as Hid2Error
+
+#: Where each public name is.
+_HOMES = {
+    "Config": "hid2.params",
+    "Hid2Error": "netconvert.errors",
+    "Options": "bridge.batch.batch",
+    "Scenario": "bridge.recordings.scenario",
+    "draw_scene": "bridge.pictures.render",
+    "evaluate_folder": "bridge.evaluation.evaluate",
+    "find_scenarios": "bridge.recordings.folders",
+    "generate": "bridge.generation.generate",
+    "load_config": "bridge.config",
+    "plan": "bridge.batch.batch",
+    "plot_agent": "bridge.pictures.plot",
+    "prepare": "bridge.generation.generate",
+    "read_scenario": "bridge.recordings.scenario",
+    "read_study": "bridge.studies.study",
+    "render_scene": "bridge.pictures.render",
+    "run_batch": "bridge.batch.batch",
+    "run_study": "bridge.studies.study",
+    "validate_folder": "bridge.recordings.validate",
+    "write": "bridge.generation.generate",
+}
+__all__ = sorted(_HOMES)  # noqa: PLE0605  # one list
+
+
+def __getattr__(name: str) -> object:
+    """A public name, from where it is."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Public names, before they are loaded too."""
+    return sorted({*globals(), *_HOMES})

@@ -4,8 +4,9 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -58,9 +59,9 @@ def parse_behaviours(text: str) -> dict[str, float]:
     for part in text.split(","):
         name, separator, value = (piece.strip() for piece in part.partition("="))
         if name not in names or not separator:
-            raise ConfigError(f"behaviours: {part.strip()!r}, want name=share with a name of {', '.join(names)}")
+            raise ConfigError(f"behaviours: {part.strip()!r}, expected name=share with a name of {', '.join(names)}")
         if name in given:
-            raise ConfigError(f"behaviours: {name!r} is given twice, want each once")
+            raise ConfigError(f"behaviours: {name!r} is given twice; give each once")
         given.add(name)
         shares[f"request.{name}"] = _number(value, f"behaviours: {name}", "a share from 0 to 1")
     return shares
@@ -108,7 +109,8 @@ def describe_config() -> list[ParameterRow]:
         for key, inner in _leaves(section, field):
             extra = inner.json_schema_extra if isinstance(inner.json_schema_extra, dict) else {}
             default = inner.get_default(call_default_factory=True)
-            text = ",".join(sorted(default)) or "none" if isinstance(default, frozenset) else str(default)
+            listed = isinstance(default, frozenset | tuple)
+            text = ",".join(sorted(map(str, default))) or "none" if listed else str(default)
             rows.append(
                 ParameterRow(key, text, str(extra.get("unit", "-")), _range(inner), str(extra.get("source", "")))
             )
@@ -134,6 +136,8 @@ def _range(field: FieldInfo) -> str:
         return f"any of {choices}"
     if bool in leaves:
         return "true, false"
+    if get_origin(field.annotation) is tuple:
+        return f"list of numbers {_bounds(inner)}"
     if int not in leaves and float not in leaves:
         return choices
     words = f"{'integer' if int in leaves else 'number'} {_bounds([*field.metadata, *inner])}".strip()
@@ -169,7 +173,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file, want a configuration in TOML") from None
+        raise ConfigError(f"{path}: no such file, expected a configuration in TOML") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"{path}: not TOML ({error})") from error
 
@@ -177,7 +181,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
 def _parse_override(text: str) -> tuple[str, object]:
     key, separator, value = text.partition("=")
     if not separator:
-        raise ConfigError(f"--set {text!r}: want section.key=value")
+        raise ConfigError(f"--set {text!r}: expected section.key=value")
     key, value = key.strip(), value.strip()
     if key == "without":
         return key, [part.strip() for part in value.strip("[]").replace('"', "").split(",") if part.strip()]
@@ -199,13 +203,18 @@ def _put(data: dict[str, Any], key: str, value: object) -> None:
 
 
 def _validated(data: Mapping[str, Any], source: str) -> Config:
-    values = dict(data)
+    values = {key: _with_tuples(value) if isinstance(value, Mapping) else value for key, value in data.items()}
     if isinstance(values.get("without"), list | tuple):
         values["without"] = frozenset(str(name) for name in values["without"])
     try:
         return Config.model_validate(values, strict=True)
     except ValidationError as error:
         raise ConfigError(f"{source}: {_explain(error)}") from error
+
+
+def _with_tuples(section: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a section; lists, which is what JSON and TOML have, are tuples here."""
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in section.items()}
 
 
 def _explain(error: ValidationError) -> str:
@@ -217,21 +226,23 @@ def _explain(error: ValidationError) -> str:
         return _unknown(key, first["input"])
     if key in fields:
         value = sorted(first["input"]) if isinstance(first["input"], frozenset) else first["input"]
-        return f"{key} = {value!r}, want {_range(fields[key])}"
+        return f"{key} = {value!r}, expected {_range(fields[key])}"
     if first["type"] == "value_error":  # a check across fields
         return f"{key}: {first['msg'].removeprefix('Value error, ')}"
-    return f"{key} = {first['input']!r}, want a table of parameters"
+    return f"{key} = {first['input']!r}, expected a table of parameters"
 
 
 def _unknown(key: str, value: object) -> str:
     section = key.partition(".")[0]
+    alike = get_close_matches(key, _fields(), 2, 0.8)
     known = [name for name in _fields() if name.startswith(f"{section}.")]
     names = known or sorted({name.partition(".")[0] for name in _fields()})
-    return f"unknown key {key!r} (= {value!r}), want one of {', '.join(names)}"
+    meant = f"did you mean {' or '.join(alike)}? There are" if alike else "expected one of"
+    return f"unknown key {key!r} (= {value!r}), {meant} {', '.join(names)}"
 
 
 def _number(text: str, name: str, wanted: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise ConfigError(f"{name}: {text!r}, want {wanted}") from None
+        raise ConfigError(f"{name}: {text!r}, expected {wanted}") from None

@@ -1,28 +1,27 @@
-"""What a person sees of a run: progress on stderr, tables on stdout; rich on a terminal, plain lines otherwise."""
+"""What a person sees of a run: progress and messages on stderr, tables on stdout.
 
+Nothing here imports what is slow to import, so that something is seen before the rest is loaded.
+"""
+
+import json
+import os
+import shutil
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
-from rich import box
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Bar
-from rich.table import Table
-from rich.text import Text
+from bridge.tables import table_lines
 
-from bridge.batch.batch import Progress
-from bridge.batch.manifest import DONE, ManifestRow
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+    from rich.progress import TaskID
 
-#: Seconds between two plain progress lines.
-_PLAIN_EVERY_S = 10.0
-#: A batch with more runs than this is summed up instead of listed.
-_LISTED_RUNS = 24
-_PLAIN_WIDTH = 200
-#: Reasons shown in a row of the table; manifest.csv has them all.
-_REASONS = 3
+#: Seconds between two plain progress lines: in the first minutes, and later.
+_PLAIN_EVERY_S, _LATER_EVERY_S = 5.0, 30.0
+_LATER_S = 180.0
 
 
 def say(message: str) -> None:
@@ -30,88 +29,122 @@ def say(message: str) -> None:
     print(message, file=sys.stderr, flush=True)
 
 
+def warn(message: str) -> None:
+    """What went wrong, or may have, while the command goes on."""
+    say(f"hid2: warning: {message}")
+
+
+def table_width() -> int | None:
+    """Columns of the terminal that stdout is; None for a pipe or a file, which take lines of any length."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table on stdout; columns of numbers are aligned right, the last column wraps."""
-    terminal = sys.stdout.isatty()
-    console = Console(width=None if terminal else _PLAIN_WIDTH, highlight=False, soft_wrap=False)
-    table = Table(title=title if terminal else None, title_justify="left", box=box.SIMPLE_HEAD if terminal else None)
-    if not terminal:
-        table.pad_edge = False
-        console.print(title)
-    for index, column in enumerate(columns):
-        numeric = bool(rows) and all(isinstance(row[index], int | float) for row in rows)
-        last = index == len(columns) - 1
-        table.add_column(column, justify="right" if numeric else "left", no_wrap=not last, overflow="fold")
-    for row in rows:
-        table.add_row(*(Text(f"{cell:g}" if isinstance(cell, float) else str(cell)) for cell in row))
-    console.print(table)
+    """Print a table with a title on stdout, every value whole."""
+    print(title)
+    for line in table_lines(columns, rows, width=table_width()):
+        print(line)
 
 
-class Counter:
-    """Progress of work that is counted: a bar on a terminal, a line now and then elsewhere, nothing when quiet."""
+def print_json(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print a table on stdout as a JSON list of one object a row."""
+    values = [dict(zip(columns, row, strict=True)) for row in rows]
+    print(json.dumps(values, indent=1, default=str))
 
-    def __init__(self, what: str, *, quiet: bool) -> None:
+
+class Activity:
+    """What is being done, from the start: a bar on a terminal, a line every few seconds elsewhere, nothing when quiet.
+
+    `doing` names the next piece of work, `show` counts within it.
+    """
+
+    def __init__(self, what: str = "starting", *, quiet: bool) -> None:
         self._what, self._quiet = what, quiet
         self._bar: Bar | None = None
         self._task: TaskID | None = None
-        self._began = self._said = time.monotonic()
+        self._began = self._named = self._said = time.monotonic()
+        self._counted = ""
+        self._over = threading.Event()
+        self._ticker: threading.Thread | None = None
 
     def __enter__(self) -> Self:
-        if not self._quiet and sys.stderr.isatty():
-            self._bar = Bar(
-                TextColumn("{task.description}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TextColumn("{task.fields[rate]}"),
-                TimeRemainingColumn(elapsed_when_finished=True),
-                console=Console(stderr=True),
-            )
+        if self._quiet:
+            return self
+        if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
+            self._bar = _new_bar()
+            self._task = self._bar.add_task(self._what, total=None, count="", rate="")
             self._bar.start()
+        else:
+            self._ticker = threading.Thread(target=self._tick, daemon=True)
+            self._ticker.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """Say nothing more; safe to call twice."""
+        self._over.set()
         if self._bar:
             self._bar.stop()
+        if self._ticker:
+            self._ticker.join()
+
+    def doing(self, what: str) -> None:
+        """Name the work that begins now, which nothing is counted of yet."""
+        self._what, self._counted, self._named = what, "", time.monotonic()
+        if self._bar and self._task is not None:
+            self._bar.reset(self._task, total=None, description=what, count="", rate="")
 
     def show(self, done: int, total: int, rate: float | None = None, details: str = "") -> None:
         """Take note of what is done so far; rate: items a second, by the count if not given."""
-        now = time.monotonic()
-        rate = done / max(now - self._began, 1e-9) if rate is None else rate
-        if self._bar:
-            if self._task is None:
-                self._task = self._bar.add_task(self._what, total=total, rate="")
-            self._bar.update(self._task, completed=done, rate=f"{rate:.1f}/s")
-        elif not self._quiet and now - self._said > _PLAIN_EVERY_S:
-            self._said = now
-            left = f", {duration((total - done) / rate)} left" if rate > 0 else ""
-            say(f"{self._what}: {done} of {total}{details}, {rate:.1f}/s{left}")
+        rate = done / max(time.monotonic() - self._named, 1e-9) if rate is None else rate
+        left = f", {duration((total - done) / rate)} left" if rate > 0 and done < total else ""
+        self._counted = f": {done} of {total}{details}, {rate:.1f}/s{left}"
+        if self._bar and self._task is not None:
+            count, speed = f"{done} of {total}", f"{rate:.1f}/s{left}"
+            self._bar.update(self._task, description=self._what, completed=done, total=total, count=count, rate=speed)
 
     def message(self, text: str) -> None:
         """A message beside the progress."""
         if self._bar:
-            self._bar.console.print(Text(text))
+            from rich.text import Text
+
+            self._bar.console.print(Text(text), soft_wrap=True)
         else:
             say(text)
 
+    def note(self, text: str) -> None:
+        """A message that nobody needs: none when quiet."""
+        if not self._quiet:
+            self.message(text)
 
-class BatchDisplay(Counter):
-    """Progress of a batch, with a message for every scene that could not be done (and when verbose, every other)."""
+    def _tick(self) -> None:
+        while not self._over.wait(0.2):
+            now = time.monotonic()
+            every_s = _PLAIN_EVERY_S if now - self._began < _LATER_S else _LATER_EVERY_S
+            if now - self._said > every_s:
+                self._said = now
+                since = self._counted or f", {duration(now - self._named)} so far"
+                say(f"{self._what}{since}")
 
-    def __init__(self, *, quiet: bool, verbose: bool) -> None:
-        super().__init__("generating", quiet=quiet)
-        self._verbose = verbose
 
-    def note(self, row: ManifestRow, progress: Progress) -> None:
-        """Take note of one more run."""
-        if row.status != DONE:
-            self.message(f"{row.scenario} variant {row.variant}: {row.reason}")
-        elif self._verbose:
-            placed = f"{row.placed} of {row.requested} placed, {row.seconds:.1f} s"
-            self.message(f"{row.scenario} variant {row.variant}: {placed}")
-        details = f" ({progress.skipped} complete before, {progress.quarantined} quarantined)"
-        self.show(progress.finished, progress.total, progress.rate, details)
+def _new_bar() -> "Bar":
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    return Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=20),
+        TextColumn("{task.fields[count]}"),
+        TextColumn("{task.fields[rate]}"),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
 
 
 def duration(seconds: float) -> str:
@@ -121,53 +154,3 @@ def duration(seconds: float) -> str:
     if hours:
         return f"{hours} h {minutes:02d} min"
     return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
-
-
-def print_batch(rows: Sequence[ManifestRow]) -> None:
-    """Print what happened, run by run when there are few, and the sums."""
-    bad = [row for row in rows if row.status != DONE]
-    if len(rows) <= _LISTED_RUNS:
-        listed = ("scene", "variant", "placed", "left", "right", "changes", "overtakes", "manoeuvres", "s", "remarks")
-        print_table("What happened", listed, [_line(row) for row in rows])
-    elif bad:
-        summed = ("scene", "variant", "failure", "reason")
-        print_table(
-            f"Quarantined: {len(bad)}, of which the first {min(len(bad), _LISTED_RUNS)}",
-            summed,
-            [(row.scenario, row.variant, row.failure, row.reason) for row in bad[:_LISTED_RUNS]],
-        )
-    done = [row for row in rows if row.status == DONE]
-    asked = (
-        "as many as possible"
-        if any(row.requested == "max" for row in done)
-        else sum(int(row.requested) for row in done)
-    )
-    print(
-        f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)} of {asked}; "
-        f"manoeuvres done: {sum(row.maneuvers_done for row in done)} of {sum(row.maneuvers_requested for row in done)}"
-    )
-
-
-def _line(row: ManifestRow) -> tuple[object, ...]:
-    if row.status != DONE:
-        return (row.scenario, row.variant, "-", "-", "-", "-", "-", "-", row.seconds, f"{row.failure}: {row.reason}")
-    remarks = "; ".join(
-        f"{what}: {', '.join(reasons.split('; ')[:_REASONS])}"
-        for what, reasons, told in (
-            ("not done", row.not_done, True),
-            ("candidates rejected", row.rejected, row.requested == "max" or row.placed < int(row.requested)),
-        )
-        if reasons and told
-    )
-    return (
-        row.scenario,
-        row.variant,
-        f"{row.placed} of {row.requested}",
-        row.left_turn,
-        row.right_turn,
-        row.lane_change,
-        row.overtake,
-        f"{row.maneuvers_done} of {row.maneuvers_requested}",
-        round(row.seconds, 2),
-        remarks or "-",
-    )

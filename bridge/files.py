@@ -1,11 +1,18 @@
-"""Files that are there whole or not at all."""
+"""Files that are there whole or not at all, and files of others, which may be anything."""
 
 import contextlib
+import errno
+import os
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from netconvert.errors import ExportError
+from netconvert.errors import DiskFullError, ExportError
+
+#: What the system says when nothing more can be written: full, over the quota or the size, read-only.
+_DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
+_SHORTENED = " ... (shortened)"
 
 
 @contextlib.contextmanager
@@ -16,6 +23,7 @@ def beside(path: Path) -> Iterator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     hidden = path.with_name(f".{path.name}")
+    hidden.unlink(missing_ok=True)  # a link there would be followed
     try:
         yield hidden
         hidden.replace(path)
@@ -32,11 +40,12 @@ def table_file(path: Path) -> Iterator[IO[str]]:
 
 @contextlib.contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """What the system says against writing to a path becomes an ExportError that names it."""
+    """What the system says against writing to a path becomes an ExportError that names it, or a DiskFullError."""
     try:
         yield
     except OSError as error:
-        raise ExportError(f"{path}: cannot be written ({error.strerror or error})") from error
+        kind = DiskFullError if disk_error(error) else ExportError
+        raise kind(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
 def make_folder(folder: Path) -> None:
@@ -49,3 +58,43 @@ def write_text(path: Path, text: str) -> None:
     """Write UTF-8. Errors: OSError."""
     with beside(path) as hidden:
         hidden.write_text(text, encoding="utf-8")
+
+
+def disk_error(error: BaseException) -> OSError | None:
+    """The system's word that nothing more can be written, if an error says so or was raised from one that does."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in _DISK:
+            return cause
+        cause = cause.__cause__
+    return None
+
+
+def read_regular(path: Path, *, most_mb: int) -> bytes:
+    """The bytes of a regular file of bounded size. Errors: OSError, also for a pipe or a device, which would not end.
+
+    Opened without waiting and looked at when it is open: what the name stands for may change in between.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EINVAL, "not a regular file", str(path))
+        with open(descriptor, "rb", closefd=False) as file:
+            content = file.read(most_mb * 1_000_000 + 1)
+    finally:
+        os.close(descriptor)
+    if len(content) > most_mb * 1_000_000:
+        raise OSError(errno.EINVAL, f"larger than {most_mb} MB", str(path))
+    return content
+
+
+def printable(text: str) -> str:
+    """A text in which all that does not print is escaped: no control sequences for terminals, always valid UTF-8."""
+    return "".join(c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode() for c in text)
+
+
+def one_line(text: str, *, most: int) -> str:
+    """A printable text on one line, of at most so many characters; a text that is so already stays as it is."""
+    if len(text) > most or not text.isprintable():
+        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
+    return text if len(text) <= most else text[: most - len(_SHORTENED)] + _SHORTENED

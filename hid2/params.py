@@ -52,7 +52,7 @@ class Request(_Section):
         if self.trigger_max_s < self.trigger_min_s:
             raise ValueError(f"trigger_max_s {self.trigger_max_s} is below trigger_min_s {self.trigger_min_s}")
         if sum(self.behaviours.values()) <= 0:
-            raise ValueError("the behaviour shares sum to 0, want at least one above 0")
+            raise ValueError("the behaviour shares sum to 0, expected at least one above 0")
         if self.bus_share + self.truck_share > 1:
             raise ValueError("bus_share + truck_share is above 1")
         return self
@@ -81,7 +81,7 @@ class Spawn(_Section):
     speed_sd: float = _param(
         0.08, "share", "standard deviation of the start speed around the desired one", ge=0, le=0.5
     )
-    clear_gap_m: float = _param(2.5, "m", "smallest bumper gap at the start", ge=0.5, le=50)
+    clear_gap_m: float = _param(2.0, "m", "smallest bumper gap at the start", ge=0.5, le=50)
     settle_s: float = _param(
         3.0, "s", "a start holds if nobody is met so long by a vehicle that drives on and brakes as a driver would",
         ge=0, le=10,

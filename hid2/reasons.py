@@ -67,7 +67,6 @@ class Reason(StrEnum):
     TURN_NOT_SEEN = "turn_not_seen", "The vehicle drove the turn lane, but its heading does not turn by 30 degrees."
     # why a driven vehicle was not exported
     LEAVES_TOO_EARLY = "leaves_too_early", "The vehicle leaves the map before the last observed timestep."
-    STOPS_AT_MAP_EDGE = "stops_at_map_edge", "The vehicle stands at the edge of the map."
     OFF_ROAD = "off_road", "Its footprint leaves the drivable area."
     MEETS_RECORDED = "meets_recorded", "Its box meets that of a recorded agent."
     MEETS_GENERATED = "meets_generated", "Its box meets that of another inserted vehicle."

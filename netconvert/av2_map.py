@@ -70,15 +70,15 @@ def lane_graph_from_json(data: Any, *, name: str) -> LaneGraph:  # noqa: ANN401
         where = f"{name}: lane {key}"
         lane = _lane_segment(segment, shapes[number], rungs[2 * number], rungs[2 * number + 1], where=where)
         if lane.lane_id in lanes:
-            raise MapError(f"{where}: id {lane.lane_id} appears twice, want one segment an id")
+            raise MapError(f"{where}: id {lane.lane_id} appears twice, expected one segment an id")
         lanes[lane.lane_id] = lane
     if not any(lane.lane_type == "VEHICLE" for lane in lanes.values()):
-        raise MapError(f"{name}: no lane of type VEHICLE among {len(lanes)} lane segments, want at least one")
+        raise MapError(f"{name}: no lane of type VEHICLE among {len(lanes)} lane segments, expected at least one")
     rings = []
     for key, area in areas.items():
         where = f"{name}: drivable area {key}"
         if not isinstance(area, dict) or "area_boundary" not in area:
-            raise MapError(f"{where}: no area_boundary, want a list of points")
+            raise MapError(f"{where}: no area_boundary, expected a list of points")
         ring = _points(area["area_boundary"], where=f"{where}: area_boundary", axes="xy", at_least=3)
         rings.append(np.vstack([ring, ring[:1]]))
     crossings = _objects(data, "pedestrian_crossings", name=name) if "pedestrian_crossings" in data else {}
@@ -91,7 +91,7 @@ def lane_graph_from_json(data: Any, *, name: str) -> LaneGraph:  # noqa: ANN401
 
 def _objects(data: Any, key: str, *, name: str) -> Mapping[str, Any]:  # noqa: ANN401
     if not isinstance(data, dict) or not isinstance(data.get(key), dict):
-        raise MapError(f"{name}: no object {key!r}, want an Argoverse 2 vector map")
+        raise MapError(f"{name}: no object {key!r}, expected an Argoverse 2 vector map")
     objects: dict[str, Any] = data[key]
     return objects
 
@@ -99,7 +99,7 @@ def _objects(data: Any, key: str, *, name: str) -> Mapping[str, Any]:  # noqa: A
 def _crossing(found: Any, *, where: str) -> FloatArray:  # noqa: ANN401
     """Corners of a pedestrian crossing, along its first edge and back along the second; (4, 2) m."""
     if not isinstance(found, dict) or "edge1" not in found or "edge2" not in found:
-        raise MapError(f"{where}: no edge1 or no edge2, want two lists of points")
+        raise MapError(f"{where}: no edge1 or no edge2, expected two lists of points")
     first, second = (
         _points(found[edge], where=f"{where}: {edge}", axes="xy", at_least=2)[[0, -1]] for edge in ("edge1", "edge2")
     )
@@ -122,10 +122,10 @@ class _Shape:
     @staticmethod
     def of(segment: Any, *, where: str) -> "_Shape":  # noqa: ANN401
         if not isinstance(segment, dict):
-            raise MapError(f"{where}: {type(segment).__name__}, want an object")
+            raise MapError(f"{where}: {type(segment).__name__}, expected an object")
         missing = [field for field in _FIELDS if field not in segment]
         if missing:
-            raise MapError(f"{where}: no {', '.join(missing)}, want the fields of an Argoverse 2 lane segment")
+            raise MapError(f"{where}: no {', '.join(missing)}, expected the fields of an Argoverse 2 lane segment")
         centerline = segment.get("centerline")
         return _Shape(
             left=_points(segment["left_lane_boundary"], where=f"{where}: left_lane_boundary", axes="xyz", at_least=2),
@@ -147,10 +147,10 @@ def _lane_segment(
     centerline = _without_repeats(centerline)
     length_m = float(arc_length(centerline)[-1])
     if length_m < MIN_LENGTH_M:
-        raise MapError(f"{where}: centerline is {length_m:.6f} m long, want at least {MIN_LENGTH_M} m")
+        raise MapError(f"{where}: centerline is {length_m:.6f} m long, expected at least {MIN_LENGTH_M} m")
     is_intersection = segment["is_intersection"]
     if not isinstance(is_intersection, bool):
-        raise MapError(f"{where}: is_intersection {is_intersection!r}, want true or false")
+        raise MapError(f"{where}: is_intersection {is_intersection!r}, expected true or false")
     gaps = left_rungs - right_rungs
     return LaneSegment(
         lane_id=_lane_id(segment["id"], where=f"{where}: id"),
@@ -173,18 +173,18 @@ def _points(value: Any, *, where: str, axes: str, at_least: int) -> FloatArray: 
     """Coordinates of a list of {x, y, z}; (N, len(axes)) m."""
     if not isinstance(value, list) or len(value) < at_least:
         found = f"{len(value)} points" if isinstance(value, list) else repr(value)
-        raise MapError(f"{where}: {found}, want at least {at_least} points")
+        raise MapError(f"{where}: {found}, expected at least {at_least} points")
     try:
         if axes == "xy":
             points = np.array([(point["x"], point["y"]) for point in value], dtype=np.float64)
         else:
             points = np.array([(point["x"], point["y"], point["z"]) for point in value], dtype=np.float64)
     except KeyError as error:
-        raise MapError(f"{where}: a point has no {error}, want x, y and z") from error
+        raise MapError(f"{where}: a point has no {error}, expected x, y and z") from error
     except (TypeError, ValueError) as error:
-        raise MapError(f"{where}: a point is not made of numbers ({error}), want x, y and z") from error
+        raise MapError(f"{where}: a point is not made of numbers ({error}), expected x, y and z") from error
     if not np.isfinite(points).all():
-        raise MapError(f"{where}: point {points[~np.isfinite(points).all(axis=1)][0]}, want finite coordinates")
+        raise MapError(f"{where}: point {points[~np.isfinite(points).all(axis=1)][0]}, expected finite coordinates")
     return points
 
 
@@ -219,7 +219,7 @@ def _without_repeats(points: FloatArray) -> FloatArray:
 
 def _lane_id(value: Any, *, where: str) -> int:  # noqa: ANN401
     if not isinstance(value, int) or isinstance(value, bool):
-        raise MapError(f"{where}: {value!r}, want an integer")
+        raise MapError(f"{where}: {value!r}, expected an integer")
     return value
 
 
@@ -229,11 +229,11 @@ def _neighbor_id(value: Any, *, where: str) -> int | None:  # noqa: ANN401
 
 def _lane_ids(value: Any, *, where: str) -> tuple[int, ...]:  # noqa: ANN401
     if not isinstance(value, Sequence) or isinstance(value, str):
-        raise MapError(f"{where}: {value!r}, want a list of lane ids")
+        raise MapError(f"{where}: {value!r}, expected a list of lane ids")
     return tuple(_lane_id(item, where=where) for item in value)
 
 
 def _one_of(value: Any, allowed: frozenset[str], *, where: str) -> str:  # noqa: ANN401
     if not isinstance(value, str) or value not in allowed:
-        raise MapError(f"{where}: {value!r}, want one of {', '.join(sorted(allowed))}")
+        raise MapError(f"{where}: {value!r}, expected one of {', '.join(sorted(allowed))}")
     return value

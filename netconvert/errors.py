@@ -33,5 +33,9 @@ class ExportError(Hid2Error):
     """The result cannot be written."""
 
 
+class DiskFullError(ExportError):
+    """Nothing more can be written, whatever it is: the disk is full, over its quota or read-only."""
+
+
 class BatchError(Hid2Error):
     """A batch cannot go on: its scheduler is lost, its folder is in use, or its bundle cannot be read."""

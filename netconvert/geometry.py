@@ -30,7 +30,7 @@ def resample(points: FloatArray, *, step_m: float) -> FloatArray:
     points = np.ascontiguousarray(points, dtype=np.float64)
     s = arc_length(points)
     if not 0.0 < s[-1] < np.inf:
-        raise ValueError(f"polyline of length {s[-1]} m, want a finite length above 0")
+        raise ValueError(f"polyline of length {s[-1]} m, expected a finite length above 0")
     count = max(1, int(np.ceil(s[-1] / step_m - 1e-9)))
     at = np.linspace(0.0, s[-1], count + 1)
     return np.column_stack([np.interp(at, s, points[:, 0]), np.interp(at, s, points[:, 1])])
@@ -91,10 +91,10 @@ class Polyline:
     def __post_init__(self) -> None:
         points = np.ascontiguousarray(self.points, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
-            raise ValueError(f"polyline of shape {points.shape}, want (N, 2) with N >= 2")
+            raise ValueError(f"polyline of shape {points.shape}, expected (N, 2) with N >= 2")
         s = arc_length(points)
         if not 0.0 < s[-1] < np.inf:
-            raise ValueError(f"polyline of length {s[-1]} m, want a finite length above 0")
+            raise ValueError(f"polyline of length {s[-1]} m, expected a finite length above 0")
         moved = s[1:] > s[:-1]
         if not moved.all():
             keep = np.append(True, moved)

@@ -9,7 +9,7 @@ from lxml import etree
 
 from netconvert.cells import CellGrid
 from netconvert.errors import NetError
-from netconvert.lane_graph import LaneGraph
+from netconvert.geometry import FloatArray
 
 CELL_COLUMNS = (
     "lane_segment_id",
@@ -23,20 +23,30 @@ CELL_COLUMNS = (
 _AREA_COLOR = "205,205,200"
 _LANE_COLOR = "96,99,104"
 _BICYCLE_COLOR = "178,96,76"
-#: Milliseconds that sumo-gui waits between steps of 0.1 s: real time.
-_DELAY_MS = 100
+_CELL_COLOR = "150,154,160"
+_CELL_LINE_M = 0.1
+#: Zoom at which all is shown: 100 by sumo-gui's own account, less for the frame that it leaves.
+_ZOOM = 80.0
+#: Width over height of sumo-gui's drawing in its usual window.
+WINDOW_ASPECT = 1.78
+#: Layers of sumo-gui: lanes are drawn on 100, vehicles on 400.
+_ABOVE_LANES = 150
+#: Milliseconds that sumo-gui waits for each simulated second: real time.
+REAL_TIME_MS = 1000
 
 
-def gui_files(grid: CellGrid, name: str) -> dict[str, bytes]:
+def gui_files(grid: CellGrid, name: str, *, shown: tuple[FloatArray, FloatArray] | None = None) -> dict[str, bytes]:
     """Contents by file name of everything beside <name>.net.xml.
+
+    shown: low and high corner of the ground to look at first, (2,) m; all lanes by default.
 
     <name>.sumocfg refers to the net, the drivable area (<name>.poly.xml) and the view (<name>.view.xml) by file names,
     so that the folder can be moved; <name>.cells.csv has one row a cell.
     """
     return {
         f"{name}.sumocfg": _configuration(name),
-        f"{name}.poly.xml": _polygons(grid.graph),
-        f"{name}.view.xml": _view(grid),
+        f"{name}.poly.xml": _polygons(grid),
+        f"{name}.view.xml": _view(grid, shown),
         f"{name}.cells.csv": cells_csv(grid),
     }
 
@@ -80,13 +90,14 @@ def _configuration(name: str) -> bytes:
     etree.SubElement(time, "step-length", {"value": "0.1"})
     gui = etree.SubElement(root, "gui_only")
     etree.SubElement(gui, "gui-settings-file", {"value": f"{name}.view.xml"})
-    etree.SubElement(gui, "delay", {"value": str(_DELAY_MS)})
+    etree.SubElement(gui, "delay", {"value": str(REAL_TIME_MS)})
     return _content(root)
 
 
-def _polygons(graph: LaneGraph) -> bytes:
+def _polygons(grid: CellGrid) -> bytes:
+    """The drivable area below the lanes, and the outline of each cell above them."""
     root = etree.Element("additional")
-    for number, ring in enumerate(graph.drivable_areas):
+    for number, ring in enumerate(grid.graph.drivable_areas):
         attributes = {
             "id": f"drivable_area_{number}",
             "type": "drivable_area",
@@ -96,24 +107,54 @@ def _polygons(graph: LaneGraph) -> bytes:
             "shape": " ".join(f"{x:.2f},{y:.2f}" for x, y in ring.tolist()),
         }
         etree.SubElement(root, "poly", attributes)
+    for cell, polygon in zip(grid.cells, grid.polygons, strict=True):
+        if not polygon.is_empty:
+            outline = {
+                "id": f"cell_{cell.lane_id}_{cell.index}",
+                "type": "cell",
+                "color": _CELL_COLOR,
+                "fill": "0",
+                "lineWidth": str(_CELL_LINE_M),
+                "layer": str(_ABOVE_LANES),
+                "shape": " ".join(f"{x:.2f},{y:.2f}" for x, y in polygon.exterior.coords),
+            }
+            etree.SubElement(root, "poly", outline)
     return _content(root)
 
 
-def _view(grid: CellGrid) -> bytes:
-    points = np.concatenate([lane.centerline for lane in grid.graph.lanes.values()])
-    x, y = ((points.min(axis=0) + points.max(axis=0)) / 2.0).tolist()
+def _view(grid: CellGrid, shown: tuple[FloatArray, FloatArray] | None) -> bytes:
+    lanes = np.concatenate([lane.centerline for lane in grid.graph.lanes.values()])
+    everything = np.concatenate([lanes, *grid.graph.drivable_areas])  # what zoom 100 shows
+    low, high = shown or (lanes.min(axis=0), lanes.max(axis=0))
+    x, y = ((low + high) / 2.0).tolist()
+    zoom = _ZOOM * _window_width(everything.min(axis=0), everything.max(axis=0)) / _window_width(low, high)
     root = etree.Element("viewsettings")
     scheme = etree.SubElement(root, "scheme", {"name": "hid2"})
     etree.SubElement(scheme, "background", {"backgroundColor": "250,250,248", "showGrid": "0"})
     # Every cell ends in a junction: the arrows and stop lines there would hide the lanes.
     edges = etree.SubElement(
-        scheme, "edges", {"showLinkDecals": "0", "showLinkRules": "0", "laneShowBorders": "1", "showBikeMarkings": "0"}
+        scheme,
+        "edges",
+        {
+            "showLinkDecals": "0",
+            "showLinkRules": "0",
+            "laneShowBorders": "0",
+            "showBikeMarkings": "0",
+        },
     )
     colors = etree.SubElement(edges, "colorScheme", {"name": "uniform"})
     etree.SubElement(colors, "entry", {"color": _LANE_COLOR, "name": "road"})
     etree.SubElement(colors, "entry", {"color": _BICYCLE_COLOR, "name": "bike lane"})
-    etree.SubElement(root, "viewport", {"zoom": "100", "x": f"{x:.2f}", "y": f"{y:.2f}"})
+    etree.SubElement(colors, "entry", {"color": "0,0,0,0", "name": "waterway"})  # lanes that only carry a trace
+    etree.SubElement(scheme, "junctions", {"drawShape": "0"})  # there is nothing to see at the ends of cells
+    etree.SubElement(root, "viewport", {"zoom": f"{zoom:.1f}", "x": f"{x:.2f}", "y": f"{y:.2f}"})
     return _content(root)
+
+
+def _window_width(low: FloatArray, high: FloatArray) -> float:
+    """Width of the ground in a window that shows all from low to high, m."""
+    wide, high_m = (high - low).tolist()
+    return max(float(wide), float(high_m) * WINDOW_ASPECT, 1.0)
 
 
 def _content(root: etree._Element) -> bytes:

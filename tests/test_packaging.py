@@ -79,7 +79,7 @@ def pins() -> dict[str, str]:
     for line in PROJECT["tool"]["uv"]["constraint-dependencies"]:
         requirement = Requirement(line)
         (specifier,) = requirement.specifier
-        assert (specifier.operator, requirement.url) == ("==", None), f"{line}: want a version, name==1.2.3"
+        assert (specifier.operator, requirement.url) == ("==", None), f"{line}: expected a version, name==1.2.3"
         if applies(requirement):
             assert canonicalize_name(requirement.name) not in found, f"{line}: pinned twice"
             found[canonicalize_name(requirement.name)] = specifier.version

@@ -6,6 +6,9 @@ bundle in OUT/quarantine that reproduces the failure, and the batch goes on.
 
 import contextlib
 import fcntl
+import logging
+import math
+import os
 import re
 import shutil
 import time
@@ -16,9 +19,10 @@ from tempfile import TemporaryDirectory
 
 from bridge.batch.engine import Outcome, Settings, Task
 from bridge.batch.execution import execute
-from bridge.batch.isolation import Failure
+from bridge.batch.isolation import MEMORY_MB, Failure
 from bridge.batch.manifest import (
     DONE,
+    MAX_TEXT,
     QUARANTINED,
     Manifest,
     ManifestRow,
@@ -27,16 +31,18 @@ from bridge.batch.manifest import (
     output_files,
     source_files,
 )
-from bridge.batch.quarantine import Bundle, read_bundle, write_bundle
+from bridge.batch.quarantine import MAX_TIMEOUT_S, Bundle, read_bundle, write_bundle
 from bridge.config import config_sha256
-from bridge.files import explained
+from bridge.files import explained, one_line
+from bridge.recordings.export import new_scenario_id
 from bridge.recordings.folders import SPLITS, source_id, split_of
 from hid2.params import Config
-from netconvert.errors import BatchError, ConfigError
+from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportError
 
 QUARANTINE = "quarantine"
 GENERATE = "bridge.batch.scene_work:generate_runs"
 
+_LOG = logging.getLogger(__name__)
 _HALF_WRITTEN = re.compile(r"\.[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}-.*")
 
 
@@ -66,7 +72,11 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How a batch runs. scheduler: address of a Dask scheduler; resume: skip what is complete and unchanged."""
+    """How a batch runs. Errors: ConfigError.
+
+    scheduler: address of a Dask scheduler; resume: skip what is complete and unchanged; memory_mb: what a scene may
+    take.
+    """
 
     jobs: int = 1
     scheduler: str | None = None
@@ -74,11 +84,17 @@ class Options:
     resume: bool = False
     function: str = GENERATE
     recycle_after: int = 200
+    memory_mb: int = MEMORY_MB
+
+    def __post_init__(self) -> None:
+        """Refuse a time that would never come."""
+        if not (math.isfinite(self.timeout_s) and 1 <= self.timeout_s <= MAX_TIMEOUT_S):
+            raise ConfigError(f"scene-timeout {self.timeout_s:g}: expected 1 to {MAX_TIMEOUT_S:g} s")
 
     @property
     def settings(self) -> Settings:
         """The engine's part."""
-        return Settings(timeout_s=self.timeout_s, recycle_after=self.recycle_after)
+        return Settings(timeout_s=self.timeout_s, recycle_after=self.recycle_after, memory_mb=self.memory_mb)
 
 
 @dataclass(slots=True)
@@ -123,10 +139,10 @@ def run_batch(
 ) -> list[ManifestRow]:
     """Do the jobs, write OUT/manifest.csv, return the rows of these jobs in the manifest's order.
 
-    on_row is called after every run, also for those found complete. When it is interrupted, the manifest holds what is
-    done and nothing is half-written; a later call with `resume` goes on from there.
+    on_row is called after every run, also for those found complete. When it is interrupted, or the disk is full, the
+    manifest holds what is done and nothing is half-written; a later call with `resume` goes on from there.
     Errors: BatchError, ExportError where OUT cannot be written; ConfigError where results would get in the way of
-    each other, or of the sources.
+    each other, of those of other scenes in OUT, or of the sources.
     """
     options = options or Options()
     on_row = on_row or (lambda row, progress: None)
@@ -137,6 +153,8 @@ def run_batch(
     with _locked(out_dir):
         remove_half_written(out_dir)
         manifest = Manifest(out_dir)
+        written = _Written(manifest, out_dir)
+        written.check(jobs)
         sources: dict[Path, str] = {}
         tasks = _tasks(jobs, out_dir, options, manifest, sources, lambda row: note(row, skipped=True))
 
@@ -154,18 +172,58 @@ def run_batch(
                     place: Place = result.task.shared
                     for outcome in result.outcomes:
                         row = _row(place, outcome, source_sha256=sources[place.folder], options=options)
+                        written.claim(row)
                         manifest.add(row)
                         note(row)
-        finally:
             manifest.save()
+        except BaseException as error:
+            with contextlib.suppress(ExportError):  # what was appended is there all the same
+                manifest.save()
+            if isinstance(error, DiskFullError):
+                said = f"{error}; finished scenes are in {manifest.path}, make room and continue with --resume"
+                raise DiskFullError(said) from error
+            raise
+        finally:
             remove_half_written(out_dir)
     return sorted(rows, key=lambda row: row.key)
+
+
+class _Written:
+    """Whose the folders in OUT are: what one scene wrote is not replaced by another of the same scenario id."""
+
+    def __init__(self, manifest: Manifest, out_dir: Path) -> None:
+        self._out_dir = out_dir
+        self._owner = {row.folder: row for row in manifest.rows if row.folder}
+
+    def check(self, jobs: Sequence[SceneJob]) -> None:
+        """Before the work, by the ids in the names of files. Errors: ConfigError."""
+        known = {(row.split, Path(folder).name): row for folder, row in self._owner.items()}
+        for job in jobs if known else ():
+            scenario_id, split = source_id(job.folder), split_of(job.folder) or ""
+            for run in job.runs:
+                new_id = new_scenario_id(scenario_id, run.config, run.config.request.seed, run.variant)
+                other = known.get((split, new_id))
+                if other is not None and other.scenario != _name(job.folder):
+                    raise ConfigError(
+                        f"{job.folder}: scene {scenario_id!r} is in {self._out_dir / other.folder} already, made from "
+                        f"another folder, {other.scenario!r}: expected another OUT, or the folder's name as it was"
+                    )
+
+    def claim(self, row: ManifestRow) -> None:
+        """When it is done, by what was written. Errors: BatchError."""
+        if row.folder:
+            other = self._owner.setdefault(row.folder, row)
+            if other.key != row.key:
+                raise BatchError(
+                    f"{self._out_dir / row.folder}: written for {other.scenario!r} and for {row.scenario!r}, which are "
+                    "the same scene: expected each scene once"
+                )
 
 
 def base_row(place: Place, run: Run) -> ManifestRow:
     """What is known about a run before it starts."""
     return ManifestRow(
-        scenario=place.folder.name,
+        scenario=_name(place.folder),
         split=split_of(place.folder) or "",
         variant=run.variant,
         seed=run.config.request.seed,
@@ -176,13 +234,13 @@ def base_row(place: Place, run: Run) -> ManifestRow:
     )
 
 
-def reproduce(path: Path, out_dir: Path) -> tuple[Bundle, ManifestRow]:
+def reproduce(path: Path, out_dir: Path, *, function: str | None = None) -> tuple[Bundle, ManifestRow]:
     """Run what a bundle holds again, isolated, with its own limits; its scene is written to out_dir if it succeeds now.
 
-    Errors: BatchError for a file that is no bundle.
+    function: one beyond hid2's own that the bundle may ask for. Errors: BatchError for a file that is no bundle.
     """
     with TemporaryDirectory(prefix="hid2-repro-") as scratch:
-        bundle = read_bundle(path, Path(scratch))
+        bundle = read_bundle(path, Path(scratch), function=function)
         options = Options(timeout_s=bundle.timeout_s, function=bundle.function)
         job = SceneJob(bundle.folder, (Run(bundle.config, bundle.variant),))
         (row,) = run_batch([job], out_dir, options)
@@ -204,11 +262,11 @@ def _check_places(jobs: Sequence[SceneJob], out_dir: Path) -> None:
     for folder in dict.fromkeys(job.folder.absolute() for job in jobs):
         split, real = split_of(folder) or "", folder.resolve()
         if real.parent in (out_dir, out_dir / split):
-            raise ConfigError(f"{out_dir}: scenes are read from {real.parent}, want another folder to write to")
-        for name in {folder.name, source_id(folder)}:  # of its row, and of what is written
+            raise ConfigError(f"{real.parent} holds the input; choose another output folder than {out_dir}")
+        for name in {_name(folder), source_id(folder)}:  # of its row, and of what is written
             other = taken.setdefault((split, name), folder)
             if other != folder:
-                raise ConfigError(f"{other} and {folder} are both scene {name!r}, want each scene once")
+                raise ConfigError(f"{other} and {folder} are both scene {name!r}; leave one out")
 
 
 def _tasks(
@@ -222,7 +280,7 @@ def _tasks(
     """Yield a task for every job that has something to do; called as workers become free."""
     for job in jobs:
         place = Place(job.folder.absolute(), out_dir)
-        source_sha256 = files_sha256(source_files(place.folder))
+        source_sha256 = _digest(place.folder)
         wanted = []
         for run in job.runs:
             row = manifest.get(base_row(place, run).key) if options.resume else None
@@ -235,9 +293,24 @@ def _tasks(
             yield Task(place.folder.name, options.function, place, tuple(wanted))
 
 
+def _name(folder: Path) -> str:
+    """What a scene is called in the manifest: its folder's name, with bytes that are no text escaped."""
+    return one_line(folder.name, most=MAX_TEXT)
+
+
+def _digest(folder: Path) -> str:
+    """Digest of a source; "" where it cannot be read: the scene is tried, and says why."""
+    try:
+        return files_sha256(source_files(folder))
+    except OSError as error:
+        _LOG.warning("%s: cannot be read (%s)", folder, error.strerror)
+        return ""
+
+
 def _is_complete(row: ManifestRow, base: ManifestRow, out_dir: Path, source_sha256: str) -> bool:
     return (
         row.status == DONE
+        and source_sha256 != ""
         and (row.version, row.source_sha256) == (base.version, source_sha256)
         and row.output_sha256 != ""
         and row.output_sha256 == files_sha256(output_files(out_dir / row.folder))
@@ -248,14 +321,16 @@ def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options
     """The manifest's row about an outcome; a failure leaves its bundle."""
     run: Run = outcome.item
     failure = outcome.failure or (outcome.value if isinstance(outcome.value, Failure) else None)
+    if failure is not None and failure.kind == "disk":  # nobody can write: the next scene would fail no less
+        raise DiskFullError(failure.message)
     row = base_row(place, run) if failure else outcome.value
     if row.version != code_version():
         raise BatchError(
-            f"a worker runs hid2-sumo {row.version}, want {code_version()} as here "
+            f"a worker runs hid2-sumo {row.version}, expected {code_version()} as here "
             "(installed from other source, or edited while the batch ran)"
         )
     row = row._replace(attempts=outcome.attempts, seconds=round(outcome.seconds, 3), source_sha256=source_sha256)
-    name = f"{row.scenario}_{row.config_sha256[:8]}_{row.variant}.zip"
+    name = f"{row.scenario[:200]}_{row.config_sha256[:8]}_{row.variant}.zip"
     path = place.out / QUARANTINE / (row.split or ".") / name
     if failure is None:
         path.unlink(missing_ok=True)
@@ -270,11 +345,12 @@ def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options
         failure=failure,
         version=row.version,
     )
-    write_bundle(bundle, path)
+    with explained(path):
+        write_bundle(bundle, path)
     return row._replace(
         status=QUARANTINED,
         failure=failure.kind,
-        reason=" ".join(failure.message.split()),
+        reason=one_line(failure.message, most=MAX_TEXT),
         bundle=path.relative_to(place.out).as_posix(),
     )
 
@@ -284,7 +360,8 @@ def _locked(out_dir: Path) -> Iterator[None]:
     """Keep other batches out of a folder. Errors: BatchError, ExportError."""
     with explained(out_dir):
         out_dir.mkdir(parents=True, exist_ok=True)
-        file = (out_dir / ".hid2.lock").open("w")
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC  # not what a link there names
+        file = os.fdopen(os.open(out_dir / ".hid2.lock", flags, 0o666), "rb")
     with file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

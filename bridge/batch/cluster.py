@@ -1,30 +1,28 @@
-"""The engine's tasks on Dask's distributed scheduler: a local cluster of worker processes, or one that is running."""
+"""The engine's tasks on the workers of a Dask scheduler that is running; nothing is started, nothing listens here.
+
+What goes to a scheduler and comes back are pickles: scheduler and workers are trusted (SECURITY.md).
+"""
 
 # mypy: allow-untyped-calls
 
 import contextlib
 import itertools
 import logging
-import multiprocessing
 import pickle
 import queue
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from functools import partial
 from typing import Any, cast
 
-import dask
-from distributed import Client, KilledWorker, LocalCluster, Worker, get_worker
+from distributed import Client, KilledWorker, Security, Worker, get_worker
 from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.registry import get_backend
 from distributed.diagnostics.plugin import WorkerPlugin
 
 from bridge.batch.engine import Outcome, Result, Settings, Task, new_process, run_task
 from bridge.batch.isolation import Failure, IsolatedProcess
-from netconvert.errors import BatchError, ConfigError
+from netconvert.errors import BatchError, ConfigError, Hid2Error
 
 _PLUGIN = "hid2-scene-processes"
 #: Tasks handed to the scheduler per worker: one that runs and one that is ready when it ends.
@@ -36,46 +34,34 @@ _CONNECT_S = 10
 #: Seconds for which a scheduler may have no workers at all.
 _WORKERS_S = 300.0
 _NO_WORKERS = (
-    "scheduler {where}: no workers for {seconds:g} s, want some on each host: dask worker {where} --nthreads 1 "
+    "scheduler {where}: no workers for {seconds:g} s, expected some on each host: dask worker {where} --nthreads 1 "
     "(then go on with --resume)"
 )
-#: Of a local cluster: nobody looks at Dask's profiles and monitors, which wake up every process many times a second.
-_OWN_CLUSTER = {
-    "logging.distributed": "critical",
-    "distributed.worker.profile.enabled": False,
-    "distributed.admin.tick.interval": "1s",
-    "distributed.admin.tick.cycle": "10s",
-    "distributed.admin.system-monitor.interval": "10s",
-    "distributed.scheduler.active-memory-manager.start": False,
-    "distributed.client.scheduler-info-interval": "60s",
-}
-#: Tries to start a local cluster: a worker that is killed as it starts takes the cluster with it.
-_STARTS = 3
+_TLS = "expected Dask's settings distributed.comm.tls.ca-file, .client.cert and .client.key (README, On several hosts)"
 
 _LOG = logging.getLogger(__name__)
 
 
-def execute_on_dask(tasks: Iterable[Task], *, jobs: int, scheduler: str | None, settings: Settings) -> Iterator[Result]:
+def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings) -> Iterator[Result]:
     """Yield results as they come; never more than a few tasks a worker are with the scheduler.
 
     Errors: BatchError when the scheduler cannot be reached or is lost.
     """
     waiting = iter(tasks)
     number = itertools.count()
-    with _client(jobs, scheduler) as client:
-        client.register_plugin(SceneProcesses(settings, own_cluster=scheduler is None), name=_PLUGIN)
+    with _client(scheduler) as client:
+        client.register_plugin(SceneProcesses(settings), name=_PLUGIN)
         completed: queue.SimpleQueue[Any] = queue.SimpleQueue()
         running: dict[object, Task] = {}
         room, looked_up, staffed = 0, -_LOOK_UP_S, time.monotonic()
-        where = scheduler or "of this machine"
         while True:
             now = time.monotonic()
             if now - looked_up >= _LOOK_UP_S:
                 threads = sum(client.nthreads().values())
                 if not threads and now - staffed >= _WORKERS_S:
-                    raise BatchError(_NO_WORKERS.format(where=where, seconds=_WORKERS_S))
+                    raise BatchError(_NO_WORKERS.format(where=scheduler, seconds=_WORKERS_S))
                 if not threads and room == 0:
-                    _LOG.warning("scheduler %s has no workers yet: waiting for %g s", where, _WORKERS_S)
+                    _LOG.warning("scheduler %s has no workers yet: waiting for %g s", scheduler, _WORKERS_S)
                 staffed = now if threads else staffed
                 room, looked_up = _AHEAD * max(1, threads), now
             while len(running) < room and (task := next(waiting, None)) is not None:
@@ -86,7 +72,7 @@ def execute_on_dask(tasks: Iterable[Task], *, jobs: int, scheduler: str | None, 
                 return
             with contextlib.suppress(queue.Empty):
                 future = completed.get(timeout=_LOOK_UP_S)
-                yield _result(future, running.pop(future.key), where)
+                yield _result(future, running.pop(future.key), scheduler)
                 future.release()
 
 
@@ -98,6 +84,8 @@ def _result(future: Any, task: Task, where: str) -> Result:  # noqa: ANN401  # a
     if isinstance(error, KilledWorker):
         failure = Failure("killed", "its Dask worker died again and again", str(error))
         return Result(task, tuple(Outcome(item, None, failure, 1, 0.0) for item in task.items))
+    if isinstance(error, Hid2Error):
+        raise error
     reason = f"{type(error).__name__}: {error}" if error else f"task {future.status}"
     raise BatchError(f"scheduler {where}: {reason}") from error
 
@@ -119,29 +107,20 @@ def _run_on_worker(task: Task) -> Result:
 
 
 class SceneProcesses(WorkerPlugin):
-    """Keeps the isolated processes of a Dask worker, one for each of its threads that is at work.
+    """Keeps the isolated processes of a Dask worker, one for each of its threads that is at work."""
 
-    own_cluster: the worker was started by this program and leaves Ctrl-C to it.
-    """
-
-    def __init__(self, settings: Settings, *, own_cluster: bool) -> None:
+    def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._own_cluster = own_cluster
         self._idle: queue.SimpleQueue[IsolatedProcess] = queue.SimpleQueue()
         self._all: list[IsolatedProcess] = []
 
-    def __reduce__(self) -> tuple[Callable[..., "SceneProcesses"], tuple[()]]:
-        return partial(SceneProcesses, self._settings, own_cluster=self._own_cluster), ()
-
-    def setup(self, worker: Worker) -> None:
-        """Leave Ctrl-C, which a terminal sends to every process, to the program that started the cluster."""
-        if self._own_cluster and threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
+    def __reduce__(self) -> tuple[Callable[..., "SceneProcesses"], tuple[Settings]]:
+        return SceneProcesses, (self._settings,)
 
     def teardown(self, worker: Worker) -> None:
         """End the processes with the worker."""
         for process in self._all:
-            process.close()
+            process.stop()
 
     def run(self, task: Task) -> Result:
         """Run a task in an idle process, or in a new one."""
@@ -157,21 +136,21 @@ class SceneProcesses(WorkerPlugin):
 
 
 @contextlib.contextmanager
-def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
-    """Connect to the scheduler at an address, or to a cluster of `jobs` single-threaded processes started here."""
-    for name in ("distributed", "tornado", "asyncio"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)
-    with contextlib.ExitStack() as stack:
-        address: LocalCluster | str
-        if scheduler is None:
-            stack.enter_context(dask.config.set(_OWN_CLUSTER))
-            address = stack.enter_context(_local_cluster(jobs))
-        else:
-            address = _checked(scheduler)
-        try:
-            client = stack.enter_context(Client(address, timeout=_CONNECT_S, set_as_default=False))
-        except (OSError, ValueError) as error:
-            raise BatchError(f"scheduler {scheduler}: cannot be reached ({error})") from error
+def _client(scheduler: str) -> Iterator[Client]:
+    """Connect to the scheduler at an address; what Dask would log is said by errors instead."""
+    checked = _checked(scheduler)
+    for name in ("distributed", "tornado", "asyncio", *logging.root.manager.loggerDict):
+        if name.partition(".")[0] in (
+            "distributed",
+            "tornado",
+            "asyncio",
+        ):  # Dask sets levels of its modules one by one
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        client = Client(checked, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise BatchError(f"scheduler {scheduler}: cannot be reached ({error})") from error
+    with client:
         yield client
 
 
@@ -182,34 +161,11 @@ def _checked(scheduler: str) -> str:
         get_backend(protocol)
         parse_host_port(location)
     except ValueError as error:
-        raise ConfigError(f"scheduler {scheduler!r}: {error}, want tcp://HOST:PORT") from error
-    return scheduler
-
-
-def _local_cluster(jobs: int) -> LocalCluster:
-    _check_semaphores(jobs)
-    for attempt in range(1, _STARTS + 1):
-        try:
-            return LocalCluster(
-                n_workers=jobs,
-                threads_per_worker=1,
-                processes=True,
-                memory_limit=0,
-                dashboard_address=":0",
-                silence_logs=logging.CRITICAL,
-            )
-        except RuntimeError as error:
-            if attempt == _STARTS:
-                raise BatchError(f"{jobs} Dask workers cannot be started on this machine ({error})") from error
-    raise AssertionError
-
-
-def _check_semaphores(jobs: int) -> None:
-    """Dask's processes share semaphores, which Linux keeps in /dev/shm; its own message does not say so."""
+        raise ConfigError(f"scheduler {scheduler!r}: {error}, expected tls://HOST:PORT or tcp://HOST:PORT") from error
     try:
-        multiprocessing.get_context("spawn").Lock()
-    except OSError as error:
-        raise BatchError(
-            f"{jobs} Dask workers cannot be started on this machine: no semaphores ({error.strerror or error}), want a "
-            "writable /dev/shm, or --jobs 1, which works without"
-        ) from error
+        context = Security().get_connection_args("client").get("ssl_context")
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"scheduler {scheduler!r}: its certificates cannot be read ({error}), {_TLS}") from error
+    if protocol == "tls" and context is None:
+        raise ConfigError(f"scheduler {scheduler!r}: no certificates for it, {_TLS}")
+    return scheduler

@@ -1,25 +1,37 @@
-"""Runs tasks, each in an isolated process: one after the other, or on the workers of Dask's distributed scheduler.
+"""Runs tasks, each in an isolated process: on this machine, or on the workers of a Dask scheduler that is named.
 
 A task is the work on one source scene. Every worker runs it in a process of its own (`isolation`), so that a
 segfault, a kill or a hang ends that process, costs the item at hand one retry, and leaves worker and scheduler alone.
-The death of a Dask worker itself is no scene's fault: the scheduler gives its task to another worker.
+On this machine a worker is a thread that waits for its process. The death of a Dask worker itself is no scene's fault:
+the scheduler gives its task to another worker. Where no process can begin its work, the batch ends: the next scene
+would fail no less.
 """
 
-import contextlib
 import itertools
 import pickle
 import queue
 import threading
 import time
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any
 
-from bridge.batch.isolation import RECYCLE_AFTER, Failure, IsolatedProcess, WorkFailedError, resolve
+from bridge.batch.isolation import (
+    MEMORY_MB,
+    RECYCLE_AFTER,
+    Failure,
+    IsolatedProcess,
+    StartFailedError,
+    WorkFailedError,
+    resolve,
+)
+from bridge.files import one_line
+from netconvert.errors import BatchError
 
 #: Kinds of failure after which an item is tried again: the others would only repeat themselves.
 _RETRIED = frozenset({"crashed", "killed", "timeout"})
+#: Tasks handed out for each worker: one that runs and one that is ready when it ends.
+_AHEAD = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,82 +68,96 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How items are run. timeout_s: for each item, a process that takes longer is ended; recycle_after: calls."""
+    """How items are run.
+
+    timeout_s: for each item, a process that takes longer is ended; recycle_after: calls; memory_mb: what a process may
+    allocate.
+    """
 
     timeout_s: float = 300.0
     retries: int = 1
     recycle_after: int = RECYCLE_AFTER
+    memory_mb: int = MEMORY_MB
 
 
 def execute_here(
     tasks: Iterable[Task], *, jobs: int = 1, settings: Settings | None = None
 ) -> Generator[Result, None, None]:
-    """As `execution.execute` on this machine, without Dask: for work that is over before its workers would start."""
+    """As `execution.execute`, on this machine: a thread for each process hands it one task after the other.
+
+    When the caller goes away, by Ctrl-C or by closing the generator, the processes end with what they are at.
+    """
     settings = settings or Settings()
-    if jobs == 1:
-        with contextlib.closing(new_process(settings)) as process:
-            for task in tasks:
-                yield run_task(task, process, settings)
-        return
-    stop = threading.Event()
-    idle: queue.SimpleQueue[IsolatedProcess] = queue.SimpleQueue()
     processes = [new_process(settings) for _ in range(jobs)]
+    todo: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
+    done: queue.SimpleQueue[Result | BaseException] = queue.SimpleQueue()
 
-    def close() -> None:
+    def work(process: IsolatedProcess) -> None:
+        while (task := todo.get()) is not None:
+            try:
+                done.put(run_task(task, process, settings))
+            except BaseException as error:  # noqa: BLE001  # raised in the caller's thread
+                done.put(error)
+
+    threads = [threading.Thread(target=work, args=(process,), daemon=True) for process in processes]
+    waiting, running = iter(tasks), 0
+    try:
+        for thread in threads:
+            thread.start()
+        while True:
+            for task in itertools.islice(waiting, _AHEAD * jobs - running):
+                todo.put(task)
+                running += 1
+            if not running:
+                return
+            result = done.get()
+            running -= 1
+            if isinstance(result, BaseException):
+                raise result
+            yield result
+    finally:
         for process in processes:
+            process.stop()
+        for _ in threads:
+            todo.put(None)
+        for thread, process in zip(threads, processes, strict=True):
+            if thread.ident is not None:
+                thread.join()
             process.close()
-
-    def run(task: Task) -> Result:
-        mine = idle.get()
-        try:
-            return run_task(task, mine, settings, stop=stop)
-        finally:
-            idle.put(mine)
-
-    for process in processes:
-        idle.put(process)
-    waiting = iter(tasks)
-    with contextlib.ExitStack() as stack:
-        stack.callback(close)
-        pool = stack.enter_context(ThreadPoolExecutor(jobs))
-        running = {pool.submit(run, task) for task in itertools.islice(waiting, 2 * jobs)}
-        try:
-            while running:
-                done, running = wait(running, return_when=FIRST_COMPLETED)
-                running |= {pool.submit(run, task) for task in itertools.islice(waiting, len(done))}
-                for future in done:
-                    yield future.result()
-        finally:
-            stop.set()
-            for future in running:
-                future.cancel()
-            close()  # ends what the threads wait for
 
 
 def new_process(settings: Settings) -> IsolatedProcess:
     """Return a process for run_task; it starts with its first task."""
-    return IsolatedProcess(timeout_s=settings.timeout_s, recycle_after=settings.recycle_after)
+    return IsolatedProcess(
+        timeout_s=settings.timeout_s, recycle_after=settings.recycle_after, memory_mb=settings.memory_mb
+    )
 
 
-def run_task(
-    task: Task, process: IsolatedProcess, settings: Settings, *, stop: threading.Event | None = None
-) -> Result:
+def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> Result:
     """Run the items of a task; one whose process fails is tried again in a fresh one, then given up.
 
-    stop: when it is set, a process that ends is not replaced: the rest of the task has no outcomes.
+    Where the process was stopped, the rest of the task has no outcomes. Errors: BatchError when no process can begin.
     """
     outcomes: list[Outcome] = []
-    attempts, began = 1, time.monotonic()
+    attempts, began, failed_starts = 1, time.monotonic(), 0
     while len(outcomes) < len(task.items):
         remaining = task.items[len(outcomes) :]
         try:
             for value in process.stream(task.function, task.shared, remaining):
                 outcomes.append(_outcome(task, outcomes, value, None, attempts, began))
-                attempts, began = 1, time.monotonic()
+                attempts, began, failed_starts = 1, time.monotonic(), 0
             failure = Failure("exception", f"{task.function} yielded nothing for {len(remaining)} items")
+        except StartFailedError as error:
+            if process.stopped:
+                break
+            failed_starts += 1
+            if error.failure.kind not in _RETRIED or failed_starts > settings.retries:
+                raise BatchError(_no_start(error.failure)) from error
+            began = time.monotonic()
+            continue
         except WorkFailedError as error:
             failure = error.failure
-        if len(outcomes) == len(task.items) or (stop is not None and stop.is_set()):
+        if len(outcomes) == len(task.items) or process.stopped:
             break
         if failure.kind in _RETRIED and attempts <= settings.retries:
             attempts += 1
@@ -140,6 +166,15 @@ def run_task(
             attempts = 1
         began = time.monotonic()
     return Result(task, tuple(outcomes))
+
+
+def _no_start(failure: Failure) -> str:
+    """Why no process can begin, on one line: what it said, or the last that it wrote before it ended."""
+    said = failure.details.strip().splitlines() if failure.kind in _RETRIED else []
+    reason = f"{failure.message}: {said[-1]}" if said else failure.message
+    return (
+        f"no scene process can begin its work here ({one_line(reason, most=500)}); mend that and continue with --resume"
+    )
 
 
 def _outcome(

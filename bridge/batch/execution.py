@@ -1,4 +1,4 @@
-"""Where tasks run: in processes of this machine, or with Dask (`engine`, `cluster`)."""
+"""Where tasks run: in processes of this machine, or on the workers of a Dask scheduler (`engine`, `cluster`)."""
 
 from collections.abc import Generator, Iterable
 
@@ -11,12 +11,12 @@ def execute(
     """Yield the result of every task as it is done; `tasks` is consumed as workers become free.
 
     jobs: worker processes on this machine; scheduler: address of a running Dask scheduler, whose workers are used
-    instead. Errors: BatchError when the scheduler cannot be reached or is lost.
+    instead. Errors: BatchError when no process can begin its work, or the scheduler cannot be reached or is lost.
     """
     settings = settings or Settings()
-    if scheduler is None and jobs == 1:
-        yield from execute_here(tasks, settings=settings)
+    if scheduler is None:
+        yield from execute_here(tasks, jobs=jobs, settings=settings)
     else:
-        from bridge.batch.cluster import execute_on_dask  # imports distributed: a second that one job need not wait
+        from bridge.batch.cluster import execute_on_dask  # imports distributed: a second that nobody else need wait
 
-        yield from execute_on_dask(tasks, jobs=jobs, scheduler=scheduler, settings=settings)
+        yield from execute_on_dask(tasks, scheduler=scheduler, settings=settings)

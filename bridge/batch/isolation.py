@@ -2,7 +2,9 @@
 
 libsumo is native code and allows one simulation per process, so scenes run in such processes: a segfault, a kill or
 a hang costs the process and nothing else. The process is started once, serves many calls and is replaced after
-`recycle_after` of them, or when its memory has grown.
+`recycle_after` of them, or when its memory has grown. What it may take is bounded (`memory_mb`), and what it leaves in
+its folder for temporary files goes with it. Caller and process talk over a pair of Unix sockets without a name: nothing
+listens, nobody else can connect.
 """
 
 import contextlib
@@ -12,6 +14,8 @@ import importlib
 import itertools
 import os
 import pickle
+import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -26,6 +30,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import IO, Any, Literal
 
+from bridge.files import disk_error
 from netconvert.errors import Hid2Error
 
 #: Seconds for a new process to import what the work needs, and to compile kernels that set-up has not compiled.
@@ -36,15 +41,19 @@ GRACE_S = 3.0
 RECYCLE_AFTER = 1000
 #: A process larger than this is replaced before its next call.
 MAX_RSS_MB = 600.0
+#: What a process may allocate at most, MB (RLIMIT_DATA): several times what the largest real scene takes.
+MEMORY_MB = 4000
 #: Objects made between two collections of the young ones, and young ones between two of the older (gc.set_threshold).
 _COLLECT = (5_000, 20, 20)
+
+_MB = 1_000_000
 
 _SERVE = "from bridge.batch.isolation import serve; serve()"
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 #: pydantic would ask every installed distribution whether it has a plugin.
 _NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "1"}
 
-FailureKind = Literal["error", "exception", "crashed", "killed", "timeout"]
+FailureKind = Literal["error", "exception", "crashed", "killed", "timeout", "memory", "disk"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +61,8 @@ class Failure:
     """Why a piece of work has no result.
 
     kind: error (explained, `Hid2Error`), exception (unexpected), crashed (a signal of its own making or an exit),
-    killed (SIGKILL from outside), timeout. details: traceback or the end of what the process wrote to stderr.
+    killed (SIGKILL from outside), timeout, memory (more than a process may take), disk (nothing can be written any
+    more, which is no fault of the work). details: traceback or the end of what the process wrote to stderr.
     """
 
     kind: FailureKind
@@ -68,12 +78,23 @@ class WorkFailedError(Exception):
         self.failure = failure
 
 
-class IsolatedProcess:
-    """One child process that runs generator functions named "module:function" and passes on what they yield."""
+class StartFailedError(WorkFailedError):
+    """The work did not begin: no process can be started, or the function cannot be imported there."""
 
-    def __init__(self, *, timeout_s: float, recycle_after: int = RECYCLE_AFTER) -> None:
+
+class IsolatedProcess:
+    """One child process that runs generator functions named "module:function" and passes on what they yield.
+
+    `stop` may be called by any thread, everything else by one at a time.
+    """
+
+    def __init__(self, *, timeout_s: float, recycle_after: int = RECYCLE_AFTER, memory_mb: int = MEMORY_MB) -> None:
         self._timeout_s = timeout_s
         self._recycle_after = recycle_after
+        self._memory_mb = memory_mb
+        self._lock = threading.Lock()
+        self._stopped = False
+        self._scratch: tempfile.TemporaryDirectory[str] | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: Connection[Any, Any] | None = None
         self._stderr: IO[bytes] | None = None
@@ -90,10 +111,16 @@ class IsolatedProcess:
         """Resident memory of the process after its last call, MB."""
         return self._rss_mb
 
+    @property
+    def stopped(self) -> bool:
+        """Whether `stop` was called: there will be no other process."""
+        return self._stopped
+
     def stream(self, function: str, *arguments: object) -> Iterator[Any]:
         """Yield what `function(*arguments)` yields in the child; each value has `timeout_s` of its own.
 
-        Raises WorkFailedError when the process dies or runs out of time, or the function raises.
+        Raises WorkFailedError when the process dies or runs out of time, or the function raises; StartFailedError when
+        it does not come so far.
         """
         if self._calls >= self._recycle_after or self._rss_mb > MAX_RSS_MB:
             self.close()
@@ -104,8 +131,8 @@ class IsolatedProcess:
         try:
             self._connection.send_bytes(pickle.dumps((function, arguments, self._timeout_s)))
         except OSError as error:
-            raise WorkFailedError(self._end(timed_out=False)) from error
-        self._receive(START_TIMEOUT_S)  # imported: the clock of the work starts here
+            raise WorkFailedError(self._end(None)) from error
+        self._receive_start()  # imported: the clock of the work starts here
         while True:
             kind, value, self._rss_mb = self._receive(self._timeout_s)
             if kind == "end":
@@ -114,12 +141,19 @@ class IsolatedProcess:
                 raise WorkFailedError(value)
             yield value
 
+    def stop(self) -> None:
+        """End the process for good, whatever another thread waits for."""
+        with self._lock:
+            self._stopped = True
+            if self._process is not None:
+                self._process.kill()
+
     def close(self) -> None:
-        """End the process; safe to call twice."""
-        process, self._process = self._process, None
+        """End the process and remove its temporary files; safe to call twice."""
+        with self._lock:
+            process, self._process = self._process, None
         if process is not None:
-            with contextlib.suppress(ProcessLookupError):
-                process.kill()
+            process.kill()
             process.wait()
         if self._connection is not None:
             self._connection.close()
@@ -127,26 +161,50 @@ class IsolatedProcess:
         if self._stderr is not None:
             self._stderr.close()
             self._stderr = None
+        if self._scratch is not None:
+            self._scratch.cleanup()
+            self._scratch = None
 
     def _start(self) -> None:
         self.close()
         here, there = Pipe(duplex=True)
-        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115  # closed in close()
-        environment = os.environ | _ONE_THREAD | _NO_PLUGINS | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        command = [sys.executable, "-P", "-X", "faulthandler", "-c", _SERVE, str(there.fileno())]
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=self._stderr,
-            stderr=self._stderr,
-            pass_fds=[there.fileno()],
-            env=environment,
-            start_new_session=True,  # Ctrl-C is for the caller, who then closes this process
-        )
-        there.close()
+        try:
+            self._scratch = tempfile.TemporaryDirectory(prefix="hid2-scene-", ignore_cleanup_errors=True)
+            self._stderr = tempfile.TemporaryFile(dir=self._scratch.name)  # noqa: SIM115  # closed in close()
+            own = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "TMPDIR": self._scratch.name}
+            command = [sys.executable, "-P", "-X", "faulthandler", "-c", _SERVE]
+            with self._lock:
+                if self._stopped:
+                    raise WorkFailedError(Failure("killed", "the process was closed"))
+                self._process = subprocess.Popen(
+                    [*command, str(there.fileno()), str(self._memory_mb)],
+                    stdin=subprocess.DEVNULL,
+                    stdout=self._stderr,
+                    stderr=self._stderr,
+                    pass_fds=[there.fileno()],
+                    env=os.environ | _ONE_THREAD | _NO_PLUGINS | own,
+                    start_new_session=True,  # Ctrl-C is for the caller, who then closes this process
+                )
+        except OSError as error:
+            here.close()
+            raise StartFailedError(
+                Failure("exception", f"{error.filename or 'the system'}: {error.strerror}")
+            ) from error
+        finally:
+            there.close()
         self._connection = here
         self._calls = 0
-        self._receive(START_TIMEOUT_S)
+        self._rss_mb = 0.0
+        self._receive_start()
+
+    def _receive_start(self) -> None:
+        """Wait for the word that the process, or the work, is about to begin; anything else is why it does not."""
+        try:
+            kind, value, _ = self._receive(START_TIMEOUT_S)
+        except WorkFailedError as error:
+            raise StartFailedError(error.failure) from error
+        if kind == "raised":
+            raise StartFailedError(value)
 
     def _receive(self, timeout_s: float) -> tuple[str, Any, float]:
         assert self._connection is not None
@@ -157,24 +215,25 @@ class IsolatedProcess:
                 return str(kind), value, float(rss_mb)
         except (EOFError, OSError):
             pass
-        raise WorkFailedError(self._end(timed_out=time.monotonic() - began >= timeout_s))
+        raise WorkFailedError(self._end(timeout_s if time.monotonic() - began >= timeout_s else None))
 
-    def _end(self, *, timed_out: bool) -> Failure:
-        """End what is left of the process and say how it ended."""
-        if self._process is None:  # closed by another thread: the caller is being shut down
-            return Failure("killed", "the process was closed")
-        if not timed_out:
+    def _end(self, ran_out_of_s: float | None) -> Failure:
+        """End what is left of the process and say how it ended; ran_out_of_s: the time that it had, if it took it."""
+        process = self._process
+        assert process is not None
+        if ran_out_of_s is None:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(timeout=GRACE_S)
-        with contextlib.suppress(ProcessLookupError):
-            self._process.kill()
-        code = self._process.wait()
+                process.wait(timeout=GRACE_S)
+        process.kill()
+        code = process.wait()
         details = self._log_tail()
         self.close()
-        if timed_out:
-            return Failure("timeout", f"no result after {self._timeout_s:g} s: the process was ended", details)
+        if ran_out_of_s is not None:
+            return Failure("timeout", f"no result after {ran_out_of_s:g} s: the process was ended", details)
         if code == -signal.SIGKILL:
             return Failure("killed", "the process was killed (SIGKILL; out of memory, or from outside)", details)
+        if code == -signal.SIGABRT and "bad_alloc" in details:  # native code that got no more memory
+            return Failure("memory", _too_much(self._memory_mb), details)
         if code < 0:
             return Failure("crashed", f"the process crashed ({signal.Signals(-code).name})", details)
         return Failure("crashed", f"the process exited with status {code}", details)
@@ -221,6 +280,7 @@ def serve() -> None:
     leave_pandas_out()
     connection: Connection[Any, Any] = Connection(int(sys.argv[1]))
     threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
+    _bound_memory(int(sys.argv[2]))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _reply(connection, "ready", None)
     for call in itertools.count():
@@ -228,7 +288,8 @@ def serve() -> None:
             spare_the_collector()
         try:
             function, arguments, timeout_s = pickle.loads(connection.recv_bytes())  # noqa: S301  # our own caller
-        except (EOFError, OSError):
+        except (EOFError, OSError):  # the caller is gone, and cannot remove this process's folder any more
+            shutil.rmtree(tempfile.gettempdir(), ignore_errors=True)
             return
         os.ftruncate(sys.stderr.fileno(), 0)
         os.lseek(sys.stderr.fileno(), 0, os.SEEK_SET)
@@ -275,9 +336,16 @@ def _make_kernels_ready() -> None:
 
 def describe_error(error: Exception) -> Failure:
     """Return an exception as a failure: a `Hid2Error` explains itself, anything else shows where it came from."""
+    details = "".join(traceback.format_exception(error))
+    full = disk_error(error)
+    if full is not None:
+        return Failure("disk", f"{full.filename or 'a file'}: cannot be written ({full.strerror})", details)
+    if isinstance(error, MemoryError):
+        bound = resource.getrlimit(resource.RLIMIT_DATA)[0]
+        return Failure("memory", _too_much(bound // _MB if bound != resource.RLIM_INFINITY else None), details)
     if isinstance(error, Hid2Error):
         return Failure("error", str(error))
-    return Failure("exception", f"{type(error).__name__}: {error}", "".join(traceback.format_exception(error)))
+    return Failure("exception", f"{type(error).__name__}: {error}", details)
 
 
 def _reply(connection: "Connection[Any, Any]", kind: str, value: object) -> None:
@@ -285,7 +353,19 @@ def _reply(connection: "Connection[Any, Any]", kind: str, value: object) -> None
     connection.send_bytes(pickle.dumps((kind, value, pages * os.sysconf("SC_PAGE_SIZE") / 1e6)))
 
 
+def _bound_memory(memory_mb: int) -> None:
+    """Let an allocation beyond the bound fail (Linux; elsewhere the system may not go by it)."""
+    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
+    wanted = memory_mb * _MB
+    resource.setrlimit(resource.RLIMIT_DATA, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
+
+
+def _too_much(memory_mb: int | None) -> str:
+    return f"more memory than {'there is' if memory_mb is None else f'the {memory_mb} MB a scene may take'}"
+
+
 def _leave_with_parent(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(0.2)
+    shutil.rmtree(tempfile.gettempdir(), ignore_errors=True)  # this process's own, see IsolatedProcess
     os._exit(1)

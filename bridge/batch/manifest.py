@@ -1,20 +1,42 @@
-"""manifest.csv: one row per scene and variant of a batch, written as they are done and sorted at the end."""
+"""manifest.csv: one row per scene and variant of a batch, appended as they are done and sorted at the end.
+
+The file is the working state too, with no data base beside it that could differ from it: a row is one line that ends
+with its own check sum, so that whatever is cut, merged, overwritten or edited costs the lines it touches and no other,
+which a damaged SQLite file does not promise; and it works on the network file systems that clusters share, where
+SQLite's write-ahead log does not. A line that cannot be read is left out, said, and its scene made again. What a
+manifest says is trusted no further than that: texts are bounded, and paths stay below OUT.
+"""
 
 import csv
 import hashlib
+import io
+import logging
 import os
-from collections.abc import Iterable
+import re
+import stat
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from importlib.metadata import version as installed_version
-from pathlib import Path
-from typing import Any, NamedTuple
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
 import bridge
 import hid2
 import netconvert
-from bridge.files import table_file
+from bridge.files import explained, one_line, table_file
+from bridge.recordings.limits import MAX_FILE_MB
+from bridge.recordings.scenario import SPLITS
+from netconvert.errors import BatchError
 
 MANIFEST_NAME = "manifest.csv"
+#: Last column: CRC-32 of the line up to it.
+CHECK = "check"
+#: Longest text in a row, characters; the bundle of a scene has all of its reason.
+MAX_TEXT = 2_000
+_MAX_LINE = 100_000
+_DIGEST = re.compile(r"([0-9a-f]{64})?")
+_LOG = logging.getLogger(__name__)
 
 DONE = "done"
 QUARANTINED = "quarantined"
@@ -24,9 +46,9 @@ class ManifestRow(NamedTuple):
     """What became of one variant of one source scene.
 
     scenario: name of the source folder; requested: number, or "max"; maneuvers_*: records of the sidecar; rejected,
-    not_done: "reason (count)" joined by "; "; failure: error, exception, crashed, killed or timeout; bundle: file that
-    reproduces the failure, below the output folder; *_sha256: contents of the source's and of the written files;
-    version: of the program, by its contents too (`code_version`).
+    not_done: "reason (count)" joined by "; "; failure: error, exception, crashed, killed, timeout or memory; bundle:
+    file that reproduces the failure, below the output folder; *_sha256: contents of the source's and of the written
+    files; version: of the program, by its contents too (`code_version`). Texts are printable, on one line and bounded.
     """
 
     scenario: str
@@ -65,12 +87,24 @@ class ManifestRow(NamedTuple):
 
 
 class Manifest:
-    """The rows of an output folder, on disk after every change."""
+    """The rows of an output folder, on disk after every change. Errors: ExportError where it cannot be written.
+
+    Rows of a file that are left out: lines that cannot be read, and scenes that are done but not there. Both are said.
+    """
 
     def __init__(self, out_dir: Path) -> None:
         self.path = out_dir / MANIFEST_NAME
-        self._rows = {row.key: row for row in read_manifest(self.path)}
-        self.save()  # drops a line that an interruption has cut
+        rows, unread = read_manifest(self.path)
+        there = [row for row in rows if row.status != DONE or (out_dir / row.folder).is_dir()]
+        if unread:
+            _LOG.warning(
+                "%s: %d lines cannot be read: their scenes are made again if they are wanted", self.path, unread
+            )
+        if len(there) < len(rows):
+            gone = len(rows) - len(there)
+            _LOG.warning("%s: %d rows left out, whose folders are not there", self.path, gone)
+        self._rows = {row.key: row for row in there}
+        self.save()
 
     @property
     def rows(self) -> list[ManifestRow]:
@@ -83,52 +117,116 @@ class Manifest:
 
     def add(self, row: ManifestRow) -> None:
         """Append a row to the file."""
+        with explained(self.path), self.path.open("a", newline="", encoding="utf-8") as file:
+            file.write(_line(row))
         self._rows[row.key] = row
-        with self.path.open("a", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerow(row)
 
     def save(self) -> None:
         """Write the file anew, sorted, each row once."""
         write_rows(self.path, self.rows)
 
 
-def read_manifest(path: Path) -> list[ManifestRow]:
-    """The rows of a manifest, none where there is no file; lines that are not whole are left out."""
-    if not path.exists():
-        return []
-    rows = []
-    with path.open(newline="", encoding="utf-8") as file:
-        for values in csv.DictReader(file):
-            row = _parse(values)
-            if row is not None:
-                rows.append(row)
-    return rows
+def read_manifest(path: Path) -> tuple[list[ManifestRow], int]:
+    """The rows of a manifest, and the number of lines that cannot be read. No file, no rows.
+
+    Errors: BatchError where there is something else of that name, or it may not be read.
+    """
+    rows: list[ManifestRow] = []
+    unread = 0
+    try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
+            raise BatchError(f"{path}: not a regular file, expected a manifest, or nothing of that name: move it away")
+        with path.open("rb") as file:
+            for line in _lines(file):
+                row = _parse(line)
+                if row is not None:
+                    rows.append(row)
+                elif line.strip() and line != _header().encode():
+                    unread += 1
+    except FileNotFoundError:
+        return [], 0
+    except OSError as error:
+        raise BatchError(f"{path}: cannot be read ({error.strerror}), expected a manifest: move it away") from error
+    return rows, unread
 
 
 def write_rows(path: Path, rows: Iterable[ManifestRow]) -> None:
-    """Write rows with a header."""
-    with table_file(path) as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(ManifestRow._fields)
-        writer.writerows(rows)
+    """Write rows with a header. Errors: ExportError."""
+    with explained(path), table_file(path) as file:
+        file.write(_header())
+        file.writelines(map(_line, rows))
 
 
-def _parse(values: dict[str, Any]) -> ManifestRow | None:
-    if set(values) != set(ManifestRow._fields) or any(value is None for value in values.values()):
+def _lines(file: io.BufferedReader) -> Iterator[bytes]:
+    """Lines of bounded length; what is longer comes in pieces, none of which is a row."""
+    while line := file.readline(_MAX_LINE):
+        yield line
+
+
+def _header() -> str:
+    return ",".join((*ManifestRow._fields, CHECK)) + "\n"
+
+
+def _line(row: ManifestRow) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="").writerow(
+        [one_line(value, most=MAX_TEXT) if isinstance(value, str) else value for value in row]
+    )
+    return f"{text.getvalue()},{_check(text.getvalue().encode())}\n"
+
+
+def _check(text: bytes) -> str:
+    return f"{zlib.crc32(text):08x}"
+
+
+def _parse(line: bytes) -> ManifestRow | None:
+    """The row on a line, None where it is not whole or says what no row does."""
+    text, _, check = line.rpartition(b",")
+    if check != _check(text).encode() + b"\n":
         return None
-    types = ManifestRow.__annotations__
     try:
-        return ManifestRow(**{name: types[name](value) for name, value in values.items()})
-    except ValueError:
+        values = next(csv.reader([text.decode()]), [])
+        row = _typed(values)
+    except (ValueError, csv.Error):
         return None
+    return row if _is_sound(row) else None
+
+
+def _typed(values: Sequence[str]) -> ManifestRow:
+    types = ManifestRow.__annotations__
+    named = zip(ManifestRow._fields, values, strict=True)
+    return ManifestRow(**{name: types[name](value) for name, value in named})
+
+
+def _is_sound(row: ManifestRow) -> bool:
+    """Whether a row can have been written here: known words, digests, and paths that stay below OUT."""
+    return (
+        row.status in (DONE, QUARANTINED)
+        and row.split in ("", *SPLITS)
+        and row.variant >= 0
+        and all(_DIGEST.fullmatch(digest) for digest in (row.source_sha256, row.config_sha256, row.output_sha256))
+        and all(_is_below(path) for path in (row.folder, row.bundle))
+        and (row.status == DONE) == (row.folder != "")
+        and all(value == one_line(value, most=MAX_TEXT) for value in row if isinstance(value, str))
+    )
+
+
+def _is_below(path: str) -> bool:
+    parts = PurePosixPath(path).parts
+    return not path.startswith("/") and ".." not in parts
 
 
 def files_sha256(paths: Iterable[Path]) -> str:
-    """One digest of the names and contents of files, whatever their order; "" where there is none."""
+    """One digest of the names and contents of regular files, whatever their order; "" where there is none.
+
+    One that is larger than any reader takes counts by its size. Errors: OSError.
+    """
     digest, found = hashlib.sha256(), False
     for path in sorted(paths, key=lambda path: path.name):
-        content = path.read_bytes()
-        digest.update(f"{path.name} {len(content)}\n".encode())
+        size = path.stat().st_size
+        content = path.read_bytes() if size <= MAX_FILE_MB * 1_000_000 else b""
+        digest.update(f"{path.name} {len(content) or size}\n".encode("utf-8", "surrogateescape"))
         digest.update(content)
         found = True
     return digest.hexdigest() if found else ""
@@ -148,11 +246,11 @@ def code_version() -> str:
 
 
 def source_files(folder: Path) -> list[Path]:
-    """The files of a scenario folder that a generated scene depends on."""
+    """The regular files of a scenario folder that a generated scene depends on."""
     patterns = ("scenario_*.parquet", "log_map_archive_*.json", "hid2_*.json", "agent_sizes.csv")
-    return [path for pattern in patterns for path in folder.glob(pattern)]
+    return [path for pattern in patterns for path in folder.glob(pattern) if path.is_file()]
 
 
 def output_files(folder: Path) -> list[Path]:
-    """All files of a written scenario folder."""
+    """All regular files of a written scenario folder."""
     return [Path(entry.path) for entry in os.scandir(folder) if entry.is_file()] if folder.is_dir() else []

@@ -1,22 +1,70 @@
-"""A bundle: one zip file that holds all it takes to run a failed scene again, and what was seen when it failed."""
+"""A bundle: one zip file that holds all it takes to run a failed scene again, and what was seen when it failed.
 
-import dataclasses
+A bundle comes from anywhere, so it is data: it names a scene, a configuration and one of hid2's own functions, each
+checked before anything is unpacked; what it holds is bounded, and unpacked by plain names into one folder.
+"""
+
+import io
 import json
 import platform
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from bridge.batch.isolation import Failure
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from bridge.batch.isolation import Failure, FailureKind
 from bridge.config import config_from_dict, config_to_dict
-from bridge.files import beside
+from bridge.files import beside, one_line, printable, read_regular
+from bridge.recordings.limits import MAX_FILE_MB
 from hid2.params import Config
-from netconvert.errors import BatchError
+from netconvert.errors import BatchError, ConfigError
 
-_FORMAT = 1
+#: Functions that a bundle may ask for: any other has to be named by the person who runs it.
+OWN_WORK = frozenset(
+    {
+        "bridge.batch.scene_work:generate_runs",
+        "bridge.studies.study_work:measure_runs",
+        "bridge.studies.study_work:measure_and_keep_runs",
+    }
+)
+#: Longest time a scene may be given, s.
+MAX_TIMEOUT_S = 86_400.0
+#: A bundle: size of the file and of what it unpacks to, MB; files in it. A real one has 1 MB and five files.
+MAX_BUNDLE_MB, MAX_UNPACKED_MB, MAX_MEMBERS = 64, 128, 64
+
 _REQUEST, _FAILURE, _DETAILS, _SCENE = "request.json", "failure.json", "details.txt", "scene/"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
+_MOST_DETAILS, _MOST_REASON = 200_000, 2_000
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _Request(_Strict):
+    """What is to be run again."""
+
+    format: Literal[1]
+    version: Annotated[str, Field(max_length=200)]
+    python: str
+    platform: str
+    scenario: str
+    split: Literal["train", "val", "test"] | None
+    variant: Annotated[int, Field(ge=0, le=1_000_000)]
+    timeout_s: Annotated[float, Field(ge=1, le=MAX_TIMEOUT_S)]
+    function: Annotated[str, Field(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", max_length=200)]
+    config: dict[str, Any]
+    left_out: list[str] = []
+
+
+class _Seen(_Strict):
+    """How it failed."""
+
+    kind: FailureKind
+    message: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,54 +82,131 @@ class Bundle:
 
 
 def write_bundle(bundle: Bundle, path: Path) -> None:
-    """Write a bundle, beside and then renamed. The same failure gives the same bytes."""
-    request: dict[str, Any] = {
-        "format": _FORMAT,
-        "version": bundle.version,
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "scenario": bundle.folder.name,
-        "split": bundle.split,
-        "variant": bundle.variant,
-        "timeout_s": bundle.timeout_s,
-        "function": bundle.function,
-        "config": config_to_dict(bundle.config),
-    }
-    failure = {key: value for key, value in dataclasses.asdict(bundle.failure).items() if key != "details"}
+    """Write a bundle, beside and then renamed. The same failure gives the same bytes.
+
+    Files of the scene that are no regular files, or larger than a reader takes, are named instead. Errors: OSError.
+    """
+    files: dict[str, bytes] = {}
+    left_out: list[str] = []
+    for entry in sorted(bundle.folder.iterdir()) if bundle.folder.is_dir() else []:
+        name = one_line(entry.name, most=200)
+        try:
+            if len(files) + len(left_out) >= MAX_MEMBERS - 3 or name.startswith("."):
+                raise OSError
+            files[name] = read_regular(entry, most_mb=MAX_FILE_MB)
+        except OSError:
+            left_out.append(name)
+    request = _Request(
+        format=1,
+        version=bundle.version,
+        python=platform.python_version(),
+        platform=platform.platform(),
+        scenario=one_line(bundle.folder.name, most=200),
+        split=bundle.split,  # type: ignore[arg-type]  # of split_of
+        variant=bundle.variant,
+        timeout_s=bundle.timeout_s,
+        function=bundle.function,
+        config=config_to_dict(bundle.config),
+        left_out=left_out[:MAX_MEMBERS],
+    )
+    seen = _Seen(kind=bundle.failure.kind, message=printable(bundle.failure.message[:_MOST_REASON]))
+    details = printable(bundle.failure.details[-_MOST_DETAILS:])
     with beside(path) as hidden, zipfile.ZipFile(hidden, "w") as archive:
-        _add(archive, _REQUEST, json.dumps(request, indent=1).encode())
-        _add(archive, _FAILURE, json.dumps(failure, indent=1).encode())
-        _add(archive, _DETAILS, bundle.failure.details.encode())
-        if bundle.folder.is_dir():
-            for file in sorted(entry for entry in bundle.folder.iterdir() if entry.is_file()):
-                _add(archive, _SCENE + file.name, file.read_bytes())
+        _add(archive, _REQUEST, request.model_dump_json(indent=1).encode())
+        _add(archive, _FAILURE, seen.model_dump_json(indent=1).encode())
+        _add(archive, _DETAILS, details.encode())
+        for name, content in files.items():
+            _add(archive, _SCENE + name, content)
 
 
-def read_bundle(path: Path, into: Path) -> Bundle:
-    """Read a bundle and unpack its scene below `into`. Errors: BatchError."""
+def read_bundle(path: Path, into: Path, *, function: str | None = None) -> Bundle:
+    """Read a bundle and unpack its scene below `into`; nothing is imported, and nothing is written elsewhere.
+
+    function: a function beyond hid2's own that the caller agrees to. Errors: BatchError.
+    """
     try:
-        with zipfile.ZipFile(path) as archive:
-            request = json.loads(archive.read(_REQUEST))
-            failure = json.loads(archive.read(_FAILURE))
-            if request["format"] != _FORMAT:
-                raise BatchError(f"{path}: bundle format {request['format']!r}, want {_FORMAT}")
-            folder = into / (request["split"] or "scenes") / Path(request["scenario"]).name
+        with zipfile.ZipFile(io.BytesIO(read_regular(path, most_mb=MAX_BUNDLE_MB))) as archive:
+            members = _members(archive)
+            request = _Request.model_validate_json(archive.read(members[_REQUEST]))
+            seen = _Seen.model_validate_json(archive.read(members[_FAILURE]))
+            if request.function not in OWN_WORK and request.function != function:
+                raise ValueError(
+                    f"it asks for the function {request.function!r}, which is none of hid2's: "
+                    f"if you trust the bundle, add --function {request.function}"
+                )
+            json.dumps(request.config, allow_nan=False)
+            config = config_from_dict(request.config, source="config")
+            details = printable(archive.read(members[_DETAILS]).decode())
+            folder = into / (request.split or "scenes") / _plain(request.scenario)
             folder.mkdir(parents=True)
-            for name in archive.namelist():
+            for name, member in members.items():
                 if name.startswith(_SCENE):
-                    (folder / Path(name).name).write_bytes(archive.read(name))
-            return Bundle(
-                folder=folder,
-                split=request["split"],
-                config=config_from_dict(request["config"], source=f"{path}: config"),
-                variant=int(request["variant"]),
-                timeout_s=float(request["timeout_s"]),
-                function=str(request["function"]),
-                failure=Failure(**failure, details=archive.read(_DETAILS).decode()),
-                version=str(request["version"]),
-            )
-    except (OSError, zipfile.BadZipFile, KeyError, TypeError, ValueError) as error:
-        raise BatchError(f"{path}: not a bundle of hid2 ({type(error).__name__}: {error})") from error
+                    (folder / _plain(name.removeprefix(_SCENE))).write_bytes(archive.read(member))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        field = ".".join(str(part) for part in first["loc"]) or "the file"
+        said = f"{field}: {first['msg']}, have {first['input']!r}"
+        raise BatchError(_no_bundle(path, said)) from error
+    except OSError as error:
+        raise BatchError(_no_bundle(path, error.strerror or str(error))) from error
+    except KeyError as error:
+        raise BatchError(_no_bundle(path, f"no {error} in it")) from error
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        ValueError,
+        RuntimeError,
+        NotImplementedError,
+        ConfigError,
+    ) as error:
+        raise BatchError(_no_bundle(path, str(error))) from error
+    return Bundle(
+        folder=folder,
+        split=request.split,
+        config=config,
+        variant=request.variant,
+        timeout_s=request.timeout_s,
+        function=request.function,
+        failure=Failure(seen.kind, one_line(seen.message, most=_MOST_REASON), details),
+        version=one_line(request.version, most=200),
+    )
+
+
+def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """The files of an archive by name, of known kinds and bounded size. Errors: ValueError."""
+    found = archive.infolist()
+    if len(found) > MAX_MEMBERS:
+        raise ValueError(f"{len(found)} files in it, expected at most {MAX_MEMBERS}")
+    unpacked = sum(member.file_size for member in found)
+    if unpacked > MAX_UNPACKED_MB * 1_000_000:
+        raise ValueError(f"it unpacks to {unpacked / 1e6:.0f} MB, expected at most {MAX_UNPACKED_MB} MB")
+    members: dict[str, zipfile.ZipInfo] = {}
+    for member in found:
+        name = member.filename
+        if name in members:
+            raise ValueError(f"file {name!r} is in it twice")
+        if member.flag_bits & 0x1:
+            raise ValueError(f"file {name!r} is encrypted")
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError(f"file {name!r}: compression {member.compress_type}, expected none or deflate")
+        if name.startswith(_SCENE):
+            _plain(name.removeprefix(_SCENE))
+        elif name not in (_REQUEST, _FAILURE, _DETAILS):
+            raise ValueError(f"file {name!r}, expected {_REQUEST}, {_FAILURE}, {_DETAILS} and {_SCENE}<file>")
+        members[name] = member
+    return members
+
+
+def _plain(name: str) -> str:
+    """A name that stays in its folder and can be printed. Errors: ValueError."""
+    if not name or name != Path(name).name or name.startswith(".") or not name.isprintable() or len(name) > 255:
+        raise ValueError(f"name {name[:100]!r}, expected that of a file, without folders and leading dot")
+    return name
+
+
+def _no_bundle(path: Path, said: str) -> str:
+    return f"{path}: not a bundle of hid2 that can be run ({one_line(said, most=500)})"
 
 
 def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:

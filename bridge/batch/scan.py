@@ -154,7 +154,7 @@ def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts
     names = [policy.value for policy in Policy]
     for name in selection.can:
         if name not in names:
-            raise ConfigError(f"--can {name!r}: want one of {', '.join(names)}")
+            raise ConfigError(f"--can {name!r}: expected one of {', '.join(names)}")
     chosen = [
         fact
         for fact in facts

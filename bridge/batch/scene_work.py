@@ -1,5 +1,6 @@
 """What a scene process does: generate and write the runs on one scene. Imports libsumo, so the caller must not."""
 
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,6 +13,16 @@ from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import Sidecar
 from hid2.agents import Policy
 from hid2.params import Grid
+
+
+def _check_libsumo() -> None:
+    """A file of that name in the way is found before the first scene. Errors: ImportError."""
+    found = sys.modules["libsumo"]  # imported with what generates
+    if not hasattr(found, "simulation"):
+        raise ImportError(f"{getattr(found, '__file__', None) or found}: not SUMO's libsumo, rename it or move it away")
+
+
+_check_libsumo()
 
 
 def generate_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:

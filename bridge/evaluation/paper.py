@@ -84,9 +84,9 @@ def run_experiment(
     scenes are done. Errors: ConfigError for an unknown name, ScenarioError where there is no scene, ExportError.
     """
     if name not in EXPERIMENTS:
-        raise ConfigError(f"experiment {name!r}, want one of {', '.join(EXPERIMENTS)}")
+        raise ConfigError(f"experiment {name!r}, expected one of {', '.join(EXPERIMENTS)}")
     if seeds < 1:
-        raise ConfigError(f"seeds {seeds}, want at least 1")
+        raise ConfigError(f"seeds {seeds}, expected at least 1")
     folders = find_sources([scenes])
     make_folder(out_dir)
     if name == "diversity":
@@ -95,8 +95,8 @@ def run_experiment(
             folders = wanted(folders, facts, unread, Selection(min_agents=TEMPLATE_AGENTS + 1))
         except ConfigError:
             raise ScenarioError(
-                f"{scenes}: no scene of more than {TEMPLATE_AGENTS} agents, which diversity takes as its templates: "
-                "want --scenes DIR with real ones"
+                f"{scenes}: no scene of more than {TEMPLATE_AGENTS} agents, which diversity needs as templates; "
+                "give real ones by --scenes DIR"
             ) from None
     outcomes = _run(folders, _settings(name, agents), seeds=seeds, jobs=jobs, on_scene=on_scene)
     try:

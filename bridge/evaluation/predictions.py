@@ -133,7 +133,9 @@ def read_forecasts(path: Path) -> Forecasts:
     try:
         return ChallengeSubmission.from_parquet(path).predictions  # type: ignore[no-any-return]
     except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such file, want a forecast file or one of {', '.join(BASELINES)}") from None
+        raise ScenarioError(
+            f"{path}: no such file, expected a forecast file or one of {', '.join(BASELINES)}"
+        ) from None
     except (ValueError, KeyError, OSError, IndexError) as error:
         raise ScenarioError(f"{path}: not a forecast file of av2's submission format ({error})") from error
 
@@ -191,7 +193,7 @@ def _score_scene(
         track = tracks.get(str(track_id))
         future = np.empty((0, 2)) if track is None else track.position[track.timesteps > LAST_OBSERVED]
         if track is None or len(future) != FUTURE_STEPS:
-            what = "no such track" if track is None else f"{len(future)} future steps, want {FUTURE_STEPS}"
+            what = "no such track" if track is None else f"{len(future)} future steps, expected {FUTURE_STEPS}"
             reasons.append(f"{scenario.scenario_id}, track {track_id}: {what}")
             continue
         for k in KS:

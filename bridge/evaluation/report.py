@@ -1,10 +1,16 @@
-"""report.html: what an evaluation found, in one file that needs neither the paper nor the code to be understood."""
+"""report.html: what an evaluation found, in one file that needs neither the paper nor the code to be understood.
 
+The prose is in templates/ (jinja2); here are the figures, the tables, and what is to be seen in them.
+"""
+
+import functools
 import html
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import jinja2
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from bridge.evaluation.charts import distribution_figure, diversity_figure, reason_words
@@ -25,62 +31,137 @@ _PAIR_NAMES = {
 PAPER_ORIGINAL = {"lo": 1.648, "la": 0.476, "je": 8.106, "scr": 0.072, "orr": 0.142}
 PAPER_HID2 = {"lo": 1.465, "la": 0.486, "je": 7.801, "scr": 0.051, "orr": 0.114}
 
-_STYLE = """
-body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:1080px;margin:2em auto;padding:0 1em}
-h1{font-size:1.6em}h2{font-size:1.25em;margin-top:2.2em;border-bottom:1px solid #ccc}
-table{border-collapse:collapse;margin:.8em 0;font-size:.92em}
-th,td{padding:.25em .8em;border-bottom:1px solid #e4e4e4;text-align:left;vertical-align:top}
-td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}small{color:#666;white-space:nowrap}
-img{max-width:100%;margin:.5em 0}figcaption{color:#555;font-size:.92em}figure{margin:1em 0}
-.good{color:#00684c;font-weight:600}.bad{color:#a03c00;font-weight:600}
-"""
+
+class Section(NamedTuple):
+    """One entry of a page's contents: its anchor, its heading and what is below, as HTML."""
+
+    key: str
+    title: str
+    body: str
+
+
+class Term(NamedTuple):
+    """A word that tables link to: its anchor, the word and its definition."""
+
+    key: str
+    name: str
+    text: str
+
+
+_TERMS = (
+    Term(
+        "motion",
+        "LO, LA, JE",
+        "magnitude of longitudinal acceleration, lateral acceleration and jerk, from positions.",
+    ),
+    Term(
+        "scr",
+        "SCR",
+        "scenario collision rate: vehicles whose box overlaps another one’s (IoU above 0.02) at any step, as a share "
+        "of the vehicles of the scene; mean over scenes.",
+    ),
+    Term(
+        "orr", "ORR", "off-road rate: positions outside the drivable area of the map, as a share of all of the group."
+    ),
+    Term(
+        "footprint",
+        "footprint ORR",
+        "positions at which a corner of the box is more than 0.3 m outside the drivable area, as a share of the "
+        "group’s.",
+    ),
+    Term("ttc", "TTC", "time until two boxes touch if both keep their velocity; looked at up to 5 s."),
+    Term("gap", "time gap", "gap to the vehicle ahead in the lane, divided by the own speed."),
+    Term(
+        "pet",
+        "PET",
+        "post-encroachment time: from the moment at which one vehicle leaves ground that two paths share to the moment "
+        "at which the other arrives there.",
+    ),
+    Term(
+        "js",
+        "Jensen-Shannon distance",
+        "root of the Jensen-Shannon divergence of two histograms, to base 2: 0 for equal ones, 1 without overlap.",
+    ),
+    Term(
+        "wasserstein",
+        "Wasserstein distance",
+        "mean distance by which the values of one sample would have to be shifted to become the other.",
+    ),
+    Term(
+        "overtake",
+        "overtake, pass, obstacle avoidance",
+        "driving past a slower vehicle by the lane beside it and back; the same without coming back; past one that "
+        "stands.",
+    ),
+    Term("iou", "IoU", "area shared by two boxes over the area covered by either."),
+    Term("moving", "moving", "a vehicle whose path extends over more than 5 m, seen at more than 10 steps."),
+    Term("fragment", "fragment", "a short, poor track; the data set marks it so."),
+)
+#: Words in the names of metrics, and the definitions that they lead to; longer ones first.
+_LINKED = {
+    "footprint ORR": "footprint", "time gap": "gap", "TTC": "ttc", "PET": "pet", "SCR": "scr", "ORR": "orr",
+    "IoU": "iou", "LO": "motion", "LA": "motion", "JE": "motion",
+}  # fmt: skip
+
+
+@functools.cache
+def _templates() -> jinja2.Environment:
+    loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
+    return jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
+
+
+def _macro(file: str, name: str, *arguments: object) -> Markup:
+    return Markup(getattr(_templates().get_template(file).module, name)(*arguments))  # noqa: S704  # of our templates
+
+
+def _section(name: str, *arguments: object) -> Markup:
+    return _macro("sections.html.j2", name, *arguments)
 
 
 def write_report(evaluation: Evaluation, path: Path) -> None:
     """Write the report of an evaluation. Errors: OSError."""
     figures.style()
     metrics = evaluation.metrics
-    parts = [
-        _intro(metrics),
-        _glance(metrics),
-        _example(evaluation),
-        _safety(metrics),
-        _kinematics(metrics),
-        _realism(evaluation),
-        "<h2>Diversity</h2>",
-        *diversity_parts(metrics["diversity"]),
-        _requests(metrics),
-        _fidelity(metrics),
-        _words(),
+    sections = [
+        Section("glance", "At a glance: are the generated vehicles safe?", _glance(metrics)),
+        Section("encounters", "Encounters and safety", _encounters(metrics)),
+        Section("realism", "Realism", _realism(evaluation)),
+        Section("example", "One of the scenes", _example(evaluation)),
+        Section("motion", "Motion", _kinematics(metrics)),
+        Section("diversity", "Diversity", Markup("\n").join(diversity_parts(metrics["diversity"]))),
+        Section("requests", "Asked for and delivered", _requests(metrics)),
+        Section("fidelity", "Fidelity of replay and road network", _fidelity(metrics)),
+        Section("words", "Words", _section("words", _TERMS, _described(metrics))),
     ]
-    write_text(path, page("Generated traffic scenes: evaluation", parts))
+    intro = _section("intro", metrics["scenes"])
+    write_text(path, page("Generated traffic scenes: evaluation", [intro], [s for s in sections if s.body]))
 
 
-def page(title: str, parts: Iterable[str]) -> str:
-    """A whole HTML page without outside references."""
-    body = "\n".join(part for part in parts if part)
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f"<style>{_STYLE}</style></head><body><h1>{html.escape(title)}</h1>\n{body}\n</body></html>\n"
-    )
+def page(title: str, parts: Iterable[str], sections: Sequence[Section] = ()) -> str:
+    """A whole HTML page without outside references; parts are HTML, above the sections."""
+    template = _templates().get_template("page.html.j2")
+    marked = [section._replace(body=Markup(section.body)) for section in sections]  # noqa: S704
+    return template.render(title=title, parts=[Markup(part) for part in parts], sections=marked) + "\n"  # noqa: S704
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: int | None = None) -> str:
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: int | None = None) -> Markup:
     """An HTML table: the first column is text, the `numbers` next ones (None: all) are numbers. Cells are HTML."""
+    cells = [[Markup(cell) for cell in row] for row in rows]  # noqa: S704
     last = len(head) if numbers is None else numbers
-
-    def cells(tag: str, row: Sequence[str]) -> str:
-        return "".join(f"<{tag}{' class=n' if 0 < k <= last else ''}>{cell}</{tag}>" for k, cell in enumerate(row))
-
-    heading = cells("th", head)
-    lines = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
-    return f"<table><tr>{heading}</tr>{lines}</table>"
+    return _macro("parts.html.j2", "table", [Markup(cell) for cell in head], cells, last)  # noqa: S704
 
 
-def picture(figure: Figure, caption: str) -> str:
-    """A figure with a caption, inside the page."""
-    image = f'<img alt="{html.escape(caption)}" src="{figures.data_uri(figure)}">'
-    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
+def picture(figure: Figure, caption: str, see: str = "") -> Markup:
+    """A figure with a caption, inside the page. see: a sentence that says what there is to see in it."""
+    marked = Markup(caption), Markup(see)  # noqa: S704
+    return _macro("parts.html.j2", "figure", Markup(figures.data_uri(figure)), *marked)  # noqa: S704
+
+
+def linked(label: str) -> str:
+    """The name of a metric as HTML, its first known word linked to the definition."""
+    text = html.escape(label)
+    word = next((word for word in _LINKED if word in text), None)
+    return text if word is None else text.replace(word, f'<a href="#word-{_LINKED[word]}">{word}</a>', 1)
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -99,20 +180,22 @@ def with_interval(entry: Mapping[str, float | None], digits: int = 3) -> str:
     return f"{text}<br><small>{number(entry['low'], digits)} to {number(entry['high'], digits)}</small>"
 
 
-def _intro(metrics: Mapping[str, Any]) -> str:
-    scenes = metrics["scenes"]
-    failed = "".join(
-        f"<li>{html.escape(item['folder'])}: {html.escape(item['reason'])}</li>" for item in scenes["failed"]
-    )
-    return (
-        f"<p>{scenes['scenes']} scenes of up to 11 s of city traffic, made from {scenes['sources']} recorded ones; "
-        f"{scenes['generated_scenes']} of them hold {scenes['generated_vehicles']} generated vehicles "
-        "beside those that "
-        "were recorded. Three groups are kept apart on this page: <b>original</b> are the recorded road users, "
-        "<b>generated</b> the vehicles that were added, <b>combined</b> both. A mean over all hides what was added, "
-        "because recorded tracks carry the noise of the sensors that saw them.</p>"
-        + (f"<p class=bad>Not readable, left out:</p><ul>{failed}</ul>" if failed else "")
-    )
+def _name(key: str, entry: Mapping[str, Any]) -> str:
+    """The name of a metric, which leads to its sentence where it has one, else to the words in it."""
+    if entry.get("sentence"):
+        return f'<a href="#metric-{key}">{html.escape(entry["label"])}</a>'
+    return linked(entry["label"])
+
+
+def _described(metrics: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Key, label and sentence of every metric that has a sentence."""
+    tables = [metrics["safety"], *metrics["kinematics"].values()]
+    return [
+        {"key": key, "label": entry["label"], "sentence": entry["sentence"]}
+        for part in tables
+        for key, entry in part.items()
+        if entry.get("sentence")
+    ]
 
 
 def _glance(metrics: Mapping[str, Any]) -> str:
@@ -137,7 +220,7 @@ def _glance(metrics: Mapping[str, Any]) -> str:
         ),
         ("limits of motion that some step exceeds", not beyond, f"{len(beyond)} of {len(limits)}{named}"),
         (
-            "time to collision with the leader below 1.5 s, share of driving",
+            "time to collision (TTC) with the leader below 1.5 s, share of driving",
             not safety["leader_ttc_critical"]["generated"]["value"],
             number(safety["leader_ttc_critical"]["generated"]["value"], 4),
         ),
@@ -148,10 +231,10 @@ def _glance(metrics: Mapping[str, Any]) -> str:
         ),
     ]
     cells = [
-        (name, value, '<span class="good">none</span>' if good else '<span class="bad">some</span>')
+        (linked(name), value, '<span class="good">none</span>' if good else '<span class="bad">some</span>')
         for name, good, value in rows
     ]
-    return "<h2>At a glance: are the generated vehicles safe?</h2>" + table(("", "value", ""), cells)
+    return _section("of", metrics["scenes"]) + table(("", "value", ""), cells)
 
 
 def _example(evaluation: Evaluation) -> str:
@@ -159,40 +242,43 @@ def _example(evaluation: Evaluation) -> str:
     if example is None:
         return ""
     folder = Path(example.folder)
-    parts = [
-        "<h2>One of the scenes</h2>",
-        picture(
-            scene_figure(folder),
-            f"Scene {html.escape(example.scenario_id)} from above at its last observed moment. Boxes are road users, "
-            "lines the way they came; a thin line is the whole path of a generated vehicle, and a mark the place where "
-            "it changes lanes, overtakes or turns.",
-        ),
-    ]
-    agent = _busiest(folder, example.scenario_id)
+    sidecar = sidecar_in(folder, example.scenario_id)
+    agents = sidecar.agents if sidecar is not None else ()
+    caption = (
+        f"Scene {html.escape(example.scenario_id)} from above at its last observed moment. Boxes are road users, "
+        "lines the way they came; a thin line is the whole path of a generated vehicle, and a mark the place where "
+        "it changes lanes, overtakes or turns."
+    )
+    see = f"{len(agents)} generated vehicles, coloured, drive among the recorded ones, grey." if agents else ""
+    parts = [picture(scene_figure(folder), caption, see)]
+    agent = _busiest(agents)
     if agent is not None:
-        caption = f"The same moment around the path of {html.escape(agent)}, one of the generated vehicles."
-        parts.append(picture(scene_figure(folder, agent=agent), caption))
+        caption = f"The same moment around the path of {html.escape(agent.track_id)}, one of the generated vehicles."
+        parts.append(picture(scene_figure(folder, agent=agent.track_id), caption, _deeds(agent)))
     return "".join(parts)
 
 
-def _busiest(folder: Path, scenario_id: str) -> str | None:
+def _deeds(agent: AgentRecord) -> str:
+    """What a vehicle does, in a sentence."""
+    done = [maneuver.kind.replace("_", " ") for maneuver in agent.maneuvers if maneuver.status == "done"]
+    what = f"its manoeuvres: {', '.join(done)}" if done else "it does no manoeuvre"
+    return html.escape(f"{agent.track_id}, in the ring, keeps to its lane path; {what}.")
+
+
+def _busiest(agents: Sequence[AgentRecord]) -> AgentRecord | None:
     """A generated vehicle to look at: one that overtook, else changed lanes, else any."""
-    sidecar = sidecar_in(folder, scenario_id)
-    agents = sidecar.agents if sidecar is not None else ()
-    if not agents:
-        return None
 
     def shown(agent: AgentRecord) -> tuple[bool, bool]:
         done = {maneuver.kind for maneuver in agent.maneuvers if maneuver.status == "done"}
         return "overtake" in done, "lane_change" in done
 
-    return max(agents, key=shown).track_id
+    return max(agents, key=shown, default=None)
 
 
-def _safety(metrics: Mapping[str, Any]) -> str:
+def _encounters(metrics: Mapping[str, Any]) -> str:
     safety = metrics["safety"]
     rows = [
-        (_name(entry), *(with_interval(entry[group], 4) for group in _GROUP_NAMES), *_paper(key))
+        (_name(key, entry), *(with_interval(entry[group], 4) for group in _GROUP_NAMES), *_paper(key))
         for key, entry in safety.items()
         if key != "pairs"
     ]
@@ -207,26 +293,9 @@ def _safety(metrics: Mapping[str, Any]) -> str:
         )
         for key, name in _PAIR_NAMES.items()
     ]
-    return (
-        "<h2>Safety</h2><p>Small print: 95 % interval, by drawing source scenes again (bootstrap). Recorded vehicles "
-        "“collide” and leave the road mostly where a tracker saw one car twice or a car was parked; "
-        "generated ones must "
-        "not. Generated vehicles are held against every road user of the scene, the other two columns against vehicles "
-        "of their own group, as in the paper. The last two columns are the paper’s own figures on its own scenes, for "
-        "orientation.</p>"
-        + table(("share of …", *_GROUP_NAMES.values(), "paper: recorded", "paper: combined"), rows)
-        + "<p>Who collides with whom, in pairs; crossing paths with less than 1 s between the first leaving the shared "
-        "ground and the second arriving (post-encroachment time, PET) are close calls.</p>"
-        + table(
-            ("", "vehicles, IoU &gt; 0.02", "any type, IoU &gt; 0.02", "any contact", "crossing paths", "PET &lt; 1 s"),
-            pair_rows,
-        )
-    )
-
-
-def _name(metric: Mapping[str, Any]) -> str:
-    """The name of a metric, which its sentence explains where the pointer rests on it."""
-    return f'<span title="{html.escape(metric["sentence"])}">{html.escape(metric["label"])}</span>'
+    head = ("share of …", *_GROUP_NAMES.values(), "paper: recorded", "paper: combined")
+    kinds = ("vehicles, IoU &gt; 0.02", "any type, IoU &gt; 0.02", "any contact", "crossing paths", "PET &lt; 1 s")
+    return _section("encounters", metrics["scenes"], table(head, rows), table(("pairs", *kinds), pair_rows))
 
 
 def _paper(key: str) -> tuple[str, str]:
@@ -238,23 +307,21 @@ def _paper(key: str) -> tuple[str, str]:
 def _kinematics(metrics: Mapping[str, Any]) -> str:
     kinematics = metrics["kinematics"]
     rows = [
-        (f"{_name(entry)}, {entry['unit']}", *(with_interval(entry[group]) for group in _GROUP_NAMES), *_paper(key))
+        (
+            f"{_name(key, entry)}, {entry['unit']}",
+            *(with_interval(entry[group]) for group in _GROUP_NAMES),
+            *_paper(key),
+        )
         for section in ("paper", "clean")
         for key, entry in kinematics[section].items()
     ]
     limits = [
-        (_name(entry), *(number(entry[group]["value"], 4) for group in _GROUP_NAMES))
-        for entry in kinematics["limits"].values()
+        (_name(key, entry), *(number(entry[group]["value"], 4) for group in _GROUP_NAMES))
+        for key, entry in kinematics["limits"].items()
     ]
-    return (
-        "<h2>Motion</h2><p>Mean over each track, then over tracks. The first three rows follow the "
-        "paper: every road user, "
-        "tracker fragments too. The other three look at moving vehicles that are no fragments. Lower is smoother, not "
-        "better by itself: vehicles labelled by people have LO 0.31, LA 0.11, JE 0.94.</p>"
-        + table(("", *_GROUP_NAMES.values(), "paper: recorded", "paper: combined"), rows)
-        + "<p>Share of driving beyond what drivers accept (nuPlan’s bounds of comfort):</p>"
-        + table(("", *_GROUP_NAMES.values()), limits)
-    )
+    head = ("", *_GROUP_NAMES.values(), "paper: recorded", "paper: combined")
+    limited = table(("limit", *_GROUP_NAMES.values()), limits)
+    return _section("motion", metrics["scenes"], table(head, rows), limited)
 
 
 def _realism(evaluation: Evaluation) -> str:
@@ -275,36 +342,26 @@ def _realism(evaluation: Evaluation) -> str:
         )
         for item in realism["distances"]
     ]
-    return (
-        "<h2>Realism</h2><p>Generated moving vehicles against recorded moving vehicles that are no tracker fragments. "
-        "The Jensen-Shannon distance is 0 for equal distributions and 1 for distributions without overlap; the "
-        "Wasserstein distance says how far values would have to be shifted, in their unit. The <b>floor</b> is the "
-        "distance between two halves of the recorded vehicles: no generator can be expected to come below it.</p>"
-        + table(
-            (
-                "",
-                "Jensen-Shannon",
-                "floor",
-                "times the floor",
-                "Wasserstein",
-                "floor",
-                "generated samples",
-                "recorded samples",
-            ),
-            rows,
-        )
-        + picture(
-            distribution_figure(evaluation.totals.realism),
-            "Distributions behind the table; end bins hold what lies beyond.",
-        )
-        + "<p>Can a classifier tell generated from recorded vehicles? 0.5 is a coin toss, 1.0 "
-        "always. From speeds, gaps and "
-        f"place in the lane: <b>{number(realism['classifier_auc_driving'], 2)}</b>; from "
-        "accelerations, yaw rates and jerk "
-        f"too, which tracker noise gives away: <b>{number(realism['classifier_auc'], 2)}</b> (area "
-        "under the ROC curve, logistic regression, trained and tested on different source scenes). Above 0.8 the two "
-        "are told apart with ease: by the speeds and gaps that the figure shows to differ, or because few source "
-        "scenes are a poor sample of traffic.</p>"
+    head = (
+        "feature", "Jensen-Shannon", "floor", "times the floor", "Wasserstein", "floor of Wasserstein",
+        "generated samples", "recorded samples",
+    )  # fmt: skip
+    caption = "Distributions behind the table; end bins hold what lies beyond."
+    shown = picture(distribution_figure(evaluation.totals.realism), caption, _furthest(realism["distances"], names))
+    aucs = (number(realism[key], 2) for key in ("classifier_auc_driving", "classifier_auc"))
+    return _section("realism", evaluation.metrics["scenes"], table(head, rows), shown, *aucs)
+
+
+def _furthest(distances: Sequence[Mapping[str, Any]], names: Mapping[str, Any]) -> str:
+    """Which features differ most and least from recorded ones, in a sentence; none where nothing can be compared."""
+    known = sorted((d for d in distances if d["jensen_shannon_ratio"]), key=lambda d: float(d["jensen_shannon_ratio"]))
+    if len(known) < 2:
+        return ""
+    least, most = known[0], known[-1]
+    return html.escape(
+        f"generated and recorded vehicles differ most in {names[most['feature']].label} "
+        f"({most['jensen_shannon_ratio']:.1f} times the floor) and least in {names[least['feature']].label} "
+        f"({least['jensen_shannon_ratio']:.1f} times)."
     )
 
 
@@ -343,14 +400,34 @@ def diversity_parts(diversity: Mapping[str, Any]) -> list[str]:
             "present at the last observed moment); a bar from 40 to 60 holds more than 40 and up to 60. Right: share "
             "of scenes that have a moving vehicle of the kind; a vehicle is of one kind, the rarest that it shows: one "
             "that changes lanes on its way to a turn, or passes another and stays, counts as a lane change.",
+            _denser(diversity),
         ),
-        f"<p>Before: {diversity['scenes']['before']} source scenes. After: {diversity['scenes']['after']} scenes.</p>",
+        Markup("<p class=of>Before: {} source scenes. After: {} scenes.</p>").format(
+            *(diversity["scenes"][when] for when in ("before", "after"))
+        ),
         table(
             ("share of scenes with agents …", "tracks, before", "after", "at 4.9 s, before", "after"), [means, *bands]
         ),
-        "<p>Manoeuvres per scene, as a detector sees them in the positions (before: recorded; after: all):</p>",
-        table(("", "before", "generated", "after"), kinds),
+        Markup("<p>Manoeuvres per scene, as a detector sees them in the positions (before: recorded; after: all):</p>"),
+        table(("manoeuvre", "before", "generated", "after"), kinds),
     ]
+
+
+def _denser(diversity: Mapping[str, Any]) -> str:
+    """How density and behaviours change, in a sentence."""
+    tracks, part = diversity["density"]["tracks"], diversity["behaviours"]
+    if tracks["mean_before"] is None or tracks["mean_after"] is None:
+        return ""
+    shares = {
+        kind: tuple(part[when]["scenes_with"][kind] / max(1, part[when]["scenes"]) for when in ("before", "after"))
+        for kind in part["before"]["scenes_with"]
+    }
+    grown = max(shares, key=lambda kind: shares[kind][1] - shares[kind][0])
+    before, after = shares[grown]
+    more = (
+        f"; scenes with {grown.replace('_', ' ')} grow most, from {before:.2f} to {after:.2f}" if after > before else ""
+    )
+    return f"the mean number of agents goes from {tracks['mean_before']:.1f} to {tracks['mean_after']:.1f}{more}."
 
 
 def _shares(diversity: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -372,33 +449,12 @@ def _requests(metrics: Mapping[str, Any]) -> str:
         for kind, entry in requests["maneuvers"].items()
     ]
     rejected = [(html.escape(reason_words(reason)), f"{count:,}") for reason, count in requests["rejected"].items()]
-    return (
-        f"<h2>Asked for and delivered</h2><p>{requests['placed_of_requested']} vehicles placed of "
-        f"{requests['requested']} "
-        "asked for. Every manoeuvre asked for, what became of it, and whether the detector sees it "
-        "in the positions. Aborted: begun and given up. Not feasible: never possible, with the reason. Not triggered: "
-        "the scene ended first. Trigger to start: median time from the moment at which the manoeuvre was asked for to "
-        "its begin, while it waited for a gap.</p>"
-        + table(
-            (
-                "manoeuvre",
-                "done",
-                "of these seen",
-                "aborted",
-                "not feasible",
-                "not triggered",
-                "trigger to start, s",
-                "reasons",
-            ),
-            maneuvers,
-            numbers=6,
-        )
-        + (
-            "<p>Candidates that were tried and not placed, by reason:</p>" + table(("reason", "candidates"), rejected)
-            if rejected
-            else ""
-        )
-    )
+    head = (
+        "manoeuvre", "done", "of these seen", "aborted", "not feasible", "not triggered", "trigger to start, s",
+        "reasons",
+    )  # fmt: skip
+    tried = table(("reason", "candidates"), rejected) if rejected else ""
+    return _section("requests", requests, table(head, maneuvers, numbers=6), tried)
 
 
 def _fidelity(metrics: Mapping[str, Any]) -> str:
@@ -415,40 +471,5 @@ def _fidelity(metrics: Mapping[str, Any]) -> str:
         for source, net in nets.items()
         if "failed" not in net
     ]
-    text = (
-        f"<p>{replay['states']:,} recorded states were replayed in SUMO, at most "
-        f"{replay['max_position_error_m'] * 1000:.3f} mm "
-        "from where they were recorded.</p>"
-        if replay["states"]
-        else ""
-    )
-    return (
-        "<h2>Fidelity of replay and road network</h2>"
-        + text
-        + "<p>Each map as a SUMO network of cells of at most 4 m; links that lead out of the map cannot be kept, nor "
-        "neighbours that only one of the two lanes names.</p>"
-        + table(("map of scene", "lanes", "cells", "largest distance, mm", "successor links", "neighbour links"), rows)
-    )
-
-
-def _words() -> str:
-    return (
-        "<h2>Words</h2><dl>"
-        "<dt>LO, LA, JE</dt><dd>magnitude of longitudinal acceleration, lateral acceleration and "
-        "jerk, from positions.</dd>"
-        "<dt>SCR</dt><dd>scenario collision rate: vehicles whose box overlaps another one’s (IoU "
-        "above 0.02) at any step, as a "
-        "share of the vehicles of the scene; mean over scenes.</dd>"
-        "<dt>ORR</dt><dd>off-road rate: positions outside the drivable area of the map, as a share of all.</dd>"
-        "<dt>footprint ORR</dt><dd>positions at which a corner of the box is more than 0.3 m outside it, as a share "
-        "of all.</dd>"
-        "<dt>TTC</dt><dd>time until two boxes touch if both keep their velocity; looked at up to 5 s.</dd>"
-        "<dt>time gap</dt><dd>gap to the vehicle ahead in the lane, divided by the own speed.</dd>"
-        "<dt>PET</dt><dd>post-encroachment time: from the moment at which one vehicle leaves ground that two paths "
-        "share to the moment at which the other arrives there.</dd>"
-        "<dt>overtake, pass, obstacle avoidance</dt><dd>driving past a slower vehicle by the lane beside it and back; "
-        "the same without coming back; past one that stands.</dd>"
-        "<dt>IoU</dt><dd>area shared by two boxes over the area covered by either.</dd>"
-        "<dt>moving</dt><dd>a vehicle whose path extends over more than 5 m, seen at more than 10 steps.</dd>"
-        "<dt>fragment</dt><dd>a short, poor track; the data set marks it so.</dd></dl>"
-    )
+    head = ("map of scene", "lanes", "cells", "largest distance, mm", "successor links", "neighbour links")
+    return _section("fidelity", replay, table(head, rows))

@@ -128,7 +128,7 @@ def _read(folder: Path, maps: Maps) -> tuple[Rows, PreparedMap]:
     tables, files = list(folder.glob("scenario_*.parquet")), list(folder.glob("log_map_archive_*.json"))
     if len(tables) != 1 or len(files) != 1:
         read_scenario(folder)  # says what is wrong
-        raise ScenarioError(f"{folder}: {len(tables)} scenarios and {len(files)} maps, want one of each")
+        raise ScenarioError(f"{folder}: {len(tables)} scenarios and {len(files)} maps, expected one of each")
     rows = split_rows(read_table(tables[0]), name=str(tables[0]), sizes=read_sizes(folder))
     return rows, maps.read(files[0])
 

@@ -24,9 +24,10 @@ from bridge.recordings.sidecar import (
 from bridge.sumo.driving import Driving
 from bridge.sumo.replay import ReplayErrors
 from bridge.sumo.simulation import Simulation
-from hid2.agents import Policy, Track
+from hid2.agents import IntArray, Policy, Track
 from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle
+from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.scene import DT_S, Scene, build_scene
@@ -117,6 +118,10 @@ def _model_parameters(config: Config) -> dict[str, float]:
     return {"sigmaerror": law.error, "jerkmax": config.car_following.jerk_mps3, "treaction": law.reaction_s}
 
 
+#: Recorded agents farther than this from a way all the time need no replay in later rounds; how finely that is told.
+_NEAR_M, _EVERY_M, _EVERY_STEPS = 12.0, 6.0, 5
+
+
 class _Rounds:
     """Drives the starts of each round in the one simulation of a scene."""
 
@@ -124,9 +129,23 @@ class _Rounds:
         self._scene, self._simulation, self._filling = scene, simulation, filling
         self.errors = ReplayErrors()
 
+    def _near(self, starts: Sequence[Start]) -> IntArray:
+        """Rows of the recorded agents that ever come near to a way, on its lanes or those beside."""
+        traffic = self._scene.traffic
+        some = slice(None, None, _EVERY_STEPS)
+        position, present = traffic.position[:, some], traffic.present[:, some]
+        near = np.zeros(len(traffic.ids), dtype=np.bool_)
+        for line in {start.path.line for start in starts}:
+            points = line.table_xy[:: round(_EVERY_M / TABLE_STEP_M)]
+            left = np.flatnonzero(~near)
+            offset = position[left][:, :, None] - points
+            apart = np.square(offset).sum(axis=-1).min(axis=-1)
+            near[left] = np.any(present[left] & (apart < _NEAR_M * _NEAR_M), axis=1)
+        return np.flatnonzero(near)
+
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
         """One simulation. The first one replays every recorded agent and compares; later ones those on the grid."""
-        rows = None if number == 0 else np.flatnonzero(self._scene.occupancy.mapped.any(axis=1))
+        rows = None if number == 0 else self._near(starts)
         driving = Driving(
             self._scene, self._simulation, starts, fixed, self._filling.roads, self._filling.stop_lines,
             rows=rows, checked=number == 0,

@@ -2,12 +2,9 @@
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
-
-import matplotlib as mpl
-
-mpl.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -20,9 +17,11 @@ from matplotlib.path import Path as MplPath
 from matplotlib.ticker import MaxNLocator
 
 from bridge.files import beside, explained
-from hid2.agents import FloatArray, Policy
+from bridge.recordings.scenario import LAST_OBSERVED, Scenario
+from hid2.agents import FloatArray, Policy, Track
+from hid2.measures.arrays import is_generated_id
 from netconvert.cells import build_cell_grid
-from netconvert.errors import ExportError
+from netconvert.errors import ConfigError
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
 #: Okabe and Ito's palette, without its yellow, which is too light on white.
@@ -31,6 +30,17 @@ BLACK, ORANGE, SKY, GREEN, BLUE, VERMILION, PURPLE = (
 )  # fmt: skip
 GREY, LIGHT_GREY, DARK_GREY = "#8C8C8C", "#E4E4E4", "#4D4D4D"
 RECORDED, GENERATED, COMBINED = GREY, VERMILION, BLUE
+#: Ring round a vehicle that is asked for: unlike any policy.
+HIGHLIGHT = "#E6007E"
+
+#: Endings of pictures, and what their files must not say, so that the same picture gives the same bytes.
+PICTURES: Mapping[str, dict[str, None] | None] = {
+    ".png": {"Software": None},
+    ".jpg": None,
+    ".jpeg": None,
+    ".pdf": {"CreationDate": None},
+    ".svg": {"Date": None},
+}
 
 POLICY_COLORS = {
     Policy.STRAIGHT: VERMILION,
@@ -100,15 +110,46 @@ def frame(axes: Axes, low: FloatArray, high: FloatArray, *, origin: FloatArray, 
     axes.set_ylabel("north, m")
 
 
+def check_ending(path: Path, endings: Iterable[str] = PICTURES) -> None:
+    """Errors: ConfigError for a file whose name does not end in one of `endings`."""
+    if path.suffix.lower() not in endings:
+        given = f"ending {path.suffix!r} is not supported" if path.suffix else "no ending"
+        raise ConfigError(f"{path}: {given}; expected one of {', '.join(endings)}")
+
+
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG and close it. Errors: ExportError for another ending, or where it cannot be written."""
+    """Write a figure in the format that the ending names, and close it: the same figure gives the same bytes.
+
+    Errors: ConfigError for another ending than PICTURES, ExportError where it cannot be written.
+    """
     try:
-        if path.suffix.lower() != ".png":
-            raise ExportError(f"{path}: ending {path.suffix!r}, want .png")
+        check_ending(path)
         with explained(path), beside(path) as hidden:
-            figure.savefig(hidden, format="png", metadata={"Software": None})
+            figure.savefig(hidden, format=path.suffix[1:].lower(), metadata=PICTURES[path.suffix.lower()])
     finally:
         plt.close(figure)
+
+
+def find_track(scenario: Scenario, track_id: str) -> Track:
+    """A track by id. Errors: ConfigError for an unknown one, with those that are most like it."""
+    known = [track.track_id for track in scenario.tracks]
+    if track_id not in known:
+        ordered = sorted(known, key=lambda name: (not is_generated_id(name), name))
+        alike = get_close_matches(track_id, known, 5, 0.4) or ordered[:5]
+        raise ConfigError(
+            f"{scenario.folder}: no track {track_id!r} among {len(known)}; there are {', '.join(alike)}, ..."
+        )
+    return scenario.track(track_id)
+
+
+def check_step(scenario: Scenario, step: int | None) -> int:
+    """A timestep to show, the last observed one for None. Errors: ConfigError for one that the scene does not have."""
+    last = scenario.num_steps - 1
+    if step is None:
+        return min(LAST_OBSERVED, last)
+    if not 0 <= step <= last:
+        raise ConfigError(f"{scenario.folder}: timestep {step} is out of range (0-{last})")
+    return step
 
 
 def data_uri(figure: Figure) -> str:

@@ -1,11 +1,12 @@
 """One agent over time: speed, acceleration, jerk, lateral offset and cells, with the moments of its manoeuvres."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -22,6 +23,9 @@ from hid2.measures.lane_matching import FlatLanes, Matches, flatten_lanes, match
 from hid2.measures.manoeuvres import Maneuver, detect
 from hid2.params import Limits
 from netconvert.cells import build_cell_grid
+
+#: Length of a lane's label as a share of the time shown; distance of times on the plan, of the path.
+_LABEL_S, _LABELS_APART = 0.1, 0.08
 
 
 class _Moment(NamedTuple):
@@ -40,13 +44,15 @@ _STYLES: Mapping[str, Literal["dotted", "dashed", "solid", "dashdot"]] = {
 
 
 def plot_agent(folder: Path, agent_id: str, out_file: Path) -> Path:
-    """Draw one track of a scene folder over time into a .png file.
+    """Draw one track of a scene folder over time into a picture: .png, .jpg, .pdf or .svg.
 
     Vertical lines are the trigger, start, crossing and end of its manoeuvres: the sidecar's for generated vehicles, the
-    detector's for recorded ones. Errors: ScenarioError for an unknown track, ExportError for a bad path.
+    detector's for recorded ones. Errors: ScenarioError; ConfigError for an unknown track or ending; ExportError where
+    the picture cannot be written.
     """
+    figures.check_ending(out_file)
     scenario = read_scenario(folder)
-    track = scenario.track(agent_id)
+    track = figures.find_track(scenario, agent_id)
     arrays = stack([track], step_s=STEP_S)
     lanes = flatten_lanes(scenario.graph)
     matches, _ = match_lanes(arrays, lanes)
@@ -137,7 +143,7 @@ def _plan(ax: Axes, scenario: Scenario, position: FloatArray, moments: list[_Mom
     ax.plot(position[:, 0], position[:, 1], color=figures.GENERATED, linewidth=1.6, zorder=5)
     seconds = np.flatnonzero(np.isclose(time % 1.0, 0.0, atol=1e-6) | np.isclose(time % 1.0, 1.0, atol=1e-6))
     ax.plot(*position[seconds].T, ".", color=figures.BLACK, markersize=4, zorder=6)
-    for row in seconds[::2]:
+    for row in _apart(position, seconds, least_m=_LABELS_APART * float(np.ptp(position, axis=0).max() + 20.0)):
         ax.annotate(
             f"{time[row]:.0f} s", position[row], xytext=(3, 4), textcoords="offset points", fontsize=7, zorder=7
         )
@@ -149,6 +155,15 @@ def _plan(ax: Axes, scenario: Scenario, position: FloatArray, moments: list[_Mom
     wide, high_m = high - low
     figures.frame(ax, low, high, origin=np.floor(low / 100) * 100, aspect=0.45 if high_m > wide else 2.6)
     ax.set_title("position every second; diamond: crossing between lanes", fontsize=9)
+
+
+def _apart(position: FloatArray, rows: npt.NDArray[np.int64], *, least_m: float) -> list[int]:
+    """Those rows that lie at least so far from the ones taken before."""
+    taken: list[int] = []
+    for row in rows.tolist():
+        if all(np.hypot(*(position[row] - position[other])) >= least_m for other in taken):
+            taken.append(row)
+    return taken
 
 
 def _speed(ax: Axes, time: FloatArray, moved: Motion) -> None:
@@ -217,6 +232,8 @@ def _cells(ax: Axes, time: FloatArray, scenario: Scenario, lanes: FlatLanes, mat
     grid = build_cell_grid(scenario.graph)
     palette = [figures.BLUE, figures.VERMILION, figures.GREEN, figures.PURPLE, figures.SKY, figures.ORANGE]
     borders = np.flatnonzero(np.diff(matches.lane)) + 1
+    labels: list[tuple[float, str, str]] = []
+    highest = 0
     for k, rows in enumerate(np.split(np.arange(len(time)), borders)):
         lane = int(matches.lane[rows[0]])
         if lane < 0:
@@ -226,7 +243,22 @@ def _cells(ax: Axes, time: FloatArray, scenario: Scenario, lanes: FlatLanes, mat
         # up to the next lane: one that is crossed in a single step shows too
         after = time[rows[-1] + 1] if rows[-1] + 1 < len(time) else time[rows[-1]]
         ax.step([*time[rows], after], [*index, index[-1]], where="post", color=palette[k % len(palette)])
-        ax.annotate(str(lane_id), (time[rows[0]], index[0]), xytext=(2, 3), textcoords="offset points", fontsize=7)
+        labels.append((float(time[rows[0]]), str(lane_id), palette[k % len(palette)]))
+        highest = max(highest, *index)
+    levels = _levels([at for at, _, _ in labels], width=_LABEL_S * max(1.0, float(time[-1] - time[0])))
+    for (at, label, color), level in zip(labels, levels, strict=True):
+        ax.text(at, 0.99 - 0.13 * level, label, transform=ax.get_xaxis_transform(), va="top", color=color, fontsize=7)
     ax.set_ylabel("cell of the lane\n(label: lane)")
-    ax.set_ylim(bottom=-0.5)
-    ax.margins(y=0.2)
+    room = 0.13 * (max(levels, default=0) + 1) + 0.06  # for the labels, as a share of the axis
+    ax.set_ylim(-0.5, (highest + 0.5 + 0.5 * room) / (1 - room))
+
+
+def _levels(starts: Sequence[float], *, width: float) -> list[int]:
+    """Line of each label, 0 the topmost, so that labels of this width that begin at `starts` do not overlap."""
+    ends: list[float] = []
+    levels = []
+    for start in starts:
+        level = next((k for k, end in enumerate(ends) if end <= start), len(ends))
+        ends[level : level + 1] = [start + width]
+        levels.append(level)
+    return levels

@@ -1,7 +1,7 @@
 """A scene from above: recorded and generated vehicles, the focal one, trails and manoeuvres; picture, GIF or MP4."""
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,24 +10,26 @@ import imageio.v2
 import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import Collection, LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Circle, Patch
+from matplotlib.patheffects import withStroke
 from PIL import Image
 
 from bridge.files import beside, explained
 from bridge.pictures import figures
-from bridge.recordings.scenario import AV_ID, LAST_OBSERVED, STEP_S, Scenario, read_scenario
+from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, LAST_OBSERVED, STEP_S, Scenario, read_scenario
 from bridge.recordings.sidecar import ManeuverRecord, sidecar_in
 from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
-from netconvert.errors import ExportError, ScenarioError
+from netconvert.errors import ConfigError
 from netconvert.geometry import box_corners
 
-PICTURES = (".png",)
+PICTURES = tuple(figures.PICTURES)
 ANIMATIONS = (".gif", ".mp4")
 #: Length of the trail behind each vehicle.
 TRAIL_S = 2.0
@@ -83,35 +85,46 @@ def render_scene(
     agent: str | None = None,
     cells: bool = False,
     step: int | None = None,
+    on_frame: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Draw a scene folder from above into a .png, .gif or .mp4 file.
+    """Draw a scene folder from above into a picture (.png, .jpg, .pdf, .svg) or a film (.gif, .mp4).
 
     A generated scene is shown before | after; before is the scene at `source` where given, whose sizes its recorded
-    tracks then have on both sides, else its own recorded tracks. `agent` shows the surroundings of one track. `step`:
-    the timestep of a picture (default: the last observed one); an animation shows all.
-    Errors: ScenarioError, MapError; ExportError for an unknown ending or a bad path.
+    tracks then have on both sides, else its own recorded tracks. `agent` is highlighted and its surroundings shown.
+    `step`: the timestep of a picture (default: the last observed one); a film shows all. on_frame(done, total) is
+    called as the frames of a film are drawn.
+    Errors: ScenarioError, MapError; ConfigError for an unknown ending, step or track; ExportError where the file cannot
+    be written.
     """
     suffix = out_file.suffix.lower()
-    if suffix not in PICTURES + ANIMATIONS:
-        raise ExportError(f"{out_file}: ending {suffix!r}, want one of {', '.join(PICTURES + ANIMATIONS)}")
-    scenario = read_scenario(folder)
-    if step is not None and not 0 <= step < scenario.num_steps:
-        raise ScenarioError(f"{folder}: no timestep {step}, want 0 to {scenario.num_steps - 1}")
+    figures.check_ending(out_file, PICTURES + ANIMATIONS)
     if step is not None and suffix in ANIMATIONS:
-        raise ExportError(f"{out_file}: a single step makes a picture, want {', '.join(PICTURES)}")
+        raise ConfigError(f"{out_file}: a film shows every timestep; for one give a picture, {', '.join(PICTURES)}")
+    scenario = read_scenario(folder)
+    shown = figures.check_step(scenario, step)
     panels = _panels(scenario, source)
     window = _window(scenario, agent)
     with explained(out_file):
-        drawing = _Drawing(panels, window, cells=cells, whole_paths=suffix in PICTURES)
+        drawing = _Drawing(panels, window, agent=agent, cells=cells, whole_paths=suffix in PICTURES)
         if suffix in PICTURES:
-            drawing.show(min(LAST_OBSERVED, scenario.num_steps - 1) if step is None else step)
+            drawing.show(shown)
             figures.save(drawing.figure, out_file)
         else:
             with beside(out_file) as hidden:
                 hidden.touch()  # what speaks against it is said before the film is drawn
-                _write_animation(drawing.frames(range(scenario.num_steps)), hidden)
+                frames = drawing.frames(range(scenario.num_steps))
+                _write_animation(_counted(frames, scenario.num_steps, on_frame), hidden)
             plt.close(drawing.figure)
     return out_file
+
+
+def _counted(
+    frames: Iterator[npt.NDArray[np.uint8]], total: int, on_frame: Callable[[int, int], None] | None
+) -> Iterator[npt.NDArray[np.uint8]]:
+    for number, frame in enumerate(frames, 1):
+        if on_frame is not None:
+            on_frame(number, total)
+        yield frame
 
 
 def scene_figure(folder: Path, *, source: Path | None = None, agent: str | None = None) -> Figure:
@@ -120,9 +133,26 @@ def scene_figure(folder: Path, *, source: Path | None = None, agent: str | None 
     Errors: ScenarioError, MapError.
     """
     scenario = read_scenario(folder)
-    drawing = _Drawing(_panels(scenario, source), _window(scenario, agent), cells=False, whole_paths=True)
-    drawing.show(min(LAST_OBSERVED, scenario.num_steps - 1))
+    window = _window(scenario, agent)
+    drawing = _Drawing(_panels(scenario, source), window, agent=agent, cells=False, whole_paths=True)
+    drawing.show(figures.check_step(scenario, None))
     return drawing.figure
+
+
+def draw_scene(
+    axes: Axes, scenario: Scenario, *, step: int | None = None, agent: str | None = None, cells: bool = False
+) -> None:
+    """Draw a scene, recorded or generated, into axes of your own: map, vehicles in the colours of their policies, ids.
+
+    step: a timestep (default: the last observed one). agent: a track to highlight, whose surroundings are shown. Axes
+    are in metres from a round place nearby. Errors: ConfigError for an unknown step or track.
+    """
+    shown = figures.check_step(scenario, step)
+    panel = _panels(scenario, None)[-1]
+    low, high = _window(scenario, agent)
+    figures.draw_map(axes, scenario.graph, cells=cells)
+    _put(panel, axes, shown, agent=agent, whole_paths=True)
+    figures.frame(axes, low, high, origin=np.floor(low / 100) * 100)
 
 
 def _panels(scenario: Scenario, source: Path | None) -> list[_Panel]:
@@ -138,13 +168,18 @@ def _panels(scenario: Scenario, source: Path | None) -> list[_Panel]:
     if not generated and source is None:
         return [_Panel(f"{name}: {len(recorded)} recorded agents", scenario, scenario.tracks, looks, ())]
     before = scenario if source is None else read_scenario(source)
+    origin = (
+        "the recorded tracks of this scene, sizes by object type"
+        if source is None
+        else f"source scene {before.scenario_id[:8]}, with the sizes labelled there"
+    )
     before_tracks = recorded if source is None else before.tracks
     known = {track.track_id: track.size for track in before_tracks}  # labelled sizes lie beside the source only
     before_looks = {track.track_id: _look(track, None) for track in before_tracks}
     return [
-        _Panel(f"before: {len(before_tracks)} recorded agents", before, before_tracks, before_looks, ()),
+        _Panel(f"before: {len(before_tracks)} recorded agents\n({origin})", before, before_tracks, before_looks, ()),
         _Panel(
-            f"after: {len(recorded)} recorded + {len(generated)} generated vehicles",
+            f"after: {len(recorded)} recorded agents + {len(generated)} generated vehicles\n(scene {name})",
             scenario,
             tuple(
                 t if t.track_id in generated else replace(t, size=known.get(t.track_id, t.size))
@@ -157,7 +192,7 @@ def _panels(scenario: Scenario, source: Path | None) -> list[_Panel]:
 
 
 def _look(track: Track, policy: Policy | None) -> _Look:
-    focal = track.category == 3
+    focal = track.category == FOCAL_CATEGORY
     edge, width = (figures.BLACK, 1.6) if focal else ("#333333", 0.4)
     if is_generated_id(track.track_id):
         face = figures.POLICY_COLORS[policy] if policy is not None else figures.GENERATED
@@ -172,7 +207,7 @@ def _look(track: Track, policy: Policy | None) -> _Look:
 def _window(scenario: Scenario, agent: str | None) -> tuple[FloatArray, FloatArray]:
     """Ground to show, low and high corner, m: around one agent's path, else around what moves and the focal one."""
     if agent is not None:
-        tracks, margin = [scenario.track(agent)], AGENT_MARGIN_M
+        tracks, margin = [figures.find_track(scenario, agent)], AGENT_MARGIN_M
     else:
         tracks = [track for track in scenario.tracks if np.ptp(track.position, axis=0).max() > 5.0]
         tracks += [scenario.track(scenario.focal_track_id)]
@@ -181,10 +216,88 @@ def _window(scenario: Scenario, agent: str | None) -> tuple[FloatArray, FloatArr
     return points.min(axis=0) - margin, points.max(axis=0) + margin
 
 
-class _Drawing:
-    """A figure whose map is drawn once and whose vehicles are drawn for each step.
+def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: bool) -> list[Artist]:
+    """Draw every vehicle where it is at a timestep; returns what was drawn, to be taken away again."""
+    trail = round(TRAIL_S / STEP_S)
+    present = [(track, int(np.searchsorted(track.timesteps, step))) for track in panel.tracks]
+    present = [(t, i) for t, i in present if i < len(t.timesteps) and t.timesteps[i] == step]
+    present.sort(key=lambda item: panel.looks[item[0].track_id].order)
+    looks = [panel.looks[track.track_id] for track, _ in present]
+    boxes = [
+        box_corners(t.position[i], t.heading[i], length_m=t.size.length_m, width_m=t.size.width_m) for t, i in present
+    ]
+    noses = [np.stack([t.position[i], box[:2].mean(axis=0)]) for (t, i), box in zip(present, boxes, strict=True)]
+    trails = [t.position[max(0, i - trail) : i + 1] for t, i in present]
+    artists: list[Collection] = []
+    if whole_paths:
+        paths = [t for t in panel.tracks if is_generated_id(t.track_id)]
+        colors = [panel.looks[t.track_id].face for t in paths]
+        artists.append(LineCollection([t.position for t in paths], colors=colors, linewidths=0.8, alpha=0.8, zorder=3))
+    artists.append(LineCollection(trails, colors=[look.face for look in looks], linewidths=2.2, alpha=0.5, zorder=4))
+    artists.append(
+        PolyCollection(
+            boxes,
+            facecolors=[look.face for look in looks],
+            edgecolors=[look.edge for look in looks],
+            linewidths=[look.line_width for look in looks],
+            zorder=5,
+        )
+    )
+    artists.append(LineCollection(noses, colors="#222222", linewidths=0.6, zorder=6))
+    for artist in artists:
+        ax.add_collection(artist, autolim=False)
+    labels = [part for track, row in present for part in _label(ax, track, row, agent)]
+    return [*artists, *labels, *_marks(panel, ax, None if whole_paths else step * STEP_S)]
 
-    whole_paths: the generated vehicles' whole paths are drawn thinly, and all manoeuvres marked whatever the step.
+
+def _label(ax: Axes, track: Track, row: int, agent: str | None) -> list[Artist]:
+    """The id beside a generated or focal vehicle, or beside any where one is highlighted; a ring round that one."""
+    artists: list[Artist] = []
+    chosen = track.track_id == agent
+    if chosen:
+        ring = Circle(
+            (track.position[row, 0], track.position[row, 1]), 0.75 * track.size.length_m + 1.0,
+            fill=False, edgecolor=figures.HIGHLIGHT, linewidth=1.8, zorder=9,
+        )  # fmt: skip
+        artists.append(ax.add_patch(ring))
+    if not (agent or is_generated_id(track.track_id) or track.category == FOCAL_CATEGORY):
+        return artists
+    text = ax.annotate(
+        track.track_id, tuple(track.position[row]), xytext=(4, 4), textcoords="offset points", fontsize=6.5,
+        fontweight="bold" if chosen else "normal", annotation_clip=True, clip_on=True, zorder=10,
+        path_effects=[withStroke(linewidth=1.6, foreground="white")],
+    )  # fmt: skip
+    return [*artists, text]
+
+
+def _marks(panel: _Panel, ax: Axes, until_s: float | None) -> list[Artist]:
+    """Marks where manoeuvres were done or aborted, up to a time; None: all."""
+    artists: list[Artist] = []
+    tracks = {track.track_id: track for track in panel.tracks}
+    for track_id, maneuver in panel.maneuvers:
+        place = maneuver.crossing_s if maneuver.crossing_s is not None else maneuver.start_s
+        if place is None or maneuver.status not in {"done", "aborted"} or track_id not in tracks:
+            continue
+        if until_s is not None and place > until_s:
+            continue
+        track = tracks[track_id]
+        x, y = track.position[int(np.argmin(np.abs(track.timesteps * STEP_S - place)))]
+        done = maneuver.status == "done"
+        color = figures.POLICY_COLORS[_POLICY_OF_KIND[maneuver.kind]] if done else "black"
+        size = 110 if maneuver.kind == "overtake" else 45
+        artist = ax.scatter(
+            [x], [y], marker=MARKS[maneuver.kind] if done else "x", s=size, c=color,
+            edgecolors="black" if done else None, linewidths=0.8, zorder=8,
+        )  # fmt: skip
+        artists.append(artist)
+    return artists
+
+
+class _Drawing:
+    """A figure whose map is drawn once and whose vehicles are drawn for each step, generated and focal ones with ids.
+
+    agent: id of a track to highlight; then all have their ids. whole_paths: the generated vehicles' whole paths are
+    drawn thinly, and all manoeuvres marked whatever the step.
     """
 
     def __init__(
@@ -192,10 +305,11 @@ class _Drawing:
         panels: Sequence[_Panel],
         window: tuple[FloatArray, FloatArray],
         *,
+        agent: str | None,
         cells: bool,
         whole_paths: bool,
     ) -> None:
-        self.whole_paths = whole_paths
+        self.whole_paths, self.agent = whole_paths, agent
         figures.style()
         low, high = window
         span = high - low
@@ -213,27 +327,28 @@ class _Drawing:
             ax.set_title(panel.title)
         self.legend()
         self.clock = self.figure.suptitle("0.0 s", x=0.01, ha="left", fontsize=11, fontweight="bold")
-        self.moving: list[tuple[Axes, PolyCollection | LineCollection]] = []
+        self.moving: list[tuple[Axes, Artist]] = []
 
     def legend(self) -> None:
         """What the colours and marks mean, for those that appear."""
         panel = self.panels[-1][0]
         faces = {look.face for look in panel.looks.values()}
-        names = [("recorded vehicle", _RECORDED), ("focal vehicle (black edge)", figures.DARK_GREY)]
+        names = [("recorded vehicle", _RECORDED), ("recorded focal vehicle", figures.DARK_GREY)]
         names += [("recording vehicle (AV)", figures.SKY), ("other recorded agent", _OTHER)]
         names += [
-            (
-                f"generated: {name}" if len(faces & set(figures.POLICY_COLORS.values())) > 1 else "generated vehicle",
-                color,
-            )
-            for (policy, name) in figures.POLICY_NAMES.items()
-            for color in [figures.POLICY_COLORS[policy]]
+            (f"generated: {name}", figures.POLICY_COLORS[policy]) for policy, name in figures.POLICY_NAMES.items()
         ]
         handles: list[Patch | Line2D] = [
             Patch(facecolor=color, edgecolor="#333333", linewidth=0.4, label=name)
             for name, color in names
             if color in faces
         ]
+        handles.append(Patch(facecolor="none", edgecolor="black", linewidth=1.6, label="focal track: black edge"))
+        if self.agent is not None:
+            handles.append(
+                Line2D([], [], marker="o", color="none", markersize=11, markeredgecolor=figures.HIGHLIGHT,
+                       markeredgewidth=1.8, label=f"track {self.agent}")
+            )  # fmt: skip
         for kind in dict.fromkeys(maneuver.kind for _, maneuver in panel.maneuvers if maneuver.status == "done"):
             color = figures.POLICY_COLORS[_POLICY_OF_KIND[kind]]
             handles.append(
@@ -255,66 +370,12 @@ class _Drawing:
         """Put every vehicle where it is at a timestep."""
         for _, artist in self.moving:
             artist.remove()
-        self.moving = []
-        trail = round(TRAIL_S / STEP_S)
-        for panel, ax in self.panels:
-            present = [(track, int(np.searchsorted(track.timesteps, step))) for track in panel.tracks]
-            present = [(t, i) for t, i in present if i < len(t.timesteps) and t.timesteps[i] == step]
-            present.sort(key=lambda item: panel.looks[item[0].track_id].order)
-            looks = [panel.looks[track.track_id] for track, _ in present]
-            boxes = [
-                box_corners(t.position[i], t.heading[i], length_m=t.size.length_m, width_m=t.size.width_m)
-                for t, i in present
-            ]
-            noses = [
-                np.stack([t.position[i], box[:2].mean(axis=0)]) for (t, i), box in zip(present, boxes, strict=True)
-            ]
-            trails = [t.position[max(0, i - trail) : i + 1] for t, i in present]
-            artists: list[PolyCollection | LineCollection] = []
-            if self.whole_paths:
-                paths = [t for t in panel.tracks if is_generated_id(t.track_id)]
-                colors = [panel.looks[t.track_id].face for t in paths]
-                artists.append(
-                    LineCollection([t.position for t in paths], colors=colors, linewidths=0.8, alpha=0.8, zorder=3)
-                )
-            artists.append(
-                LineCollection(trails, colors=[look.face for look in looks], linewidths=2.2, alpha=0.5, zorder=4)
-            )
-            artists.append(
-                PolyCollection(
-                    boxes,
-                    facecolors=[look.face for look in looks],
-                    edgecolors=[look.edge for look in looks],
-                    linewidths=[look.line_width for look in looks],
-                    zorder=5,
-                )
-            )
-            artists.append(LineCollection(noses, colors="#222222", linewidths=0.6, zorder=6))
-            for artist in artists:
-                ax.add_collection(artist, autolim=False)
-                self.moving.append((ax, artist))
-            until = None if self.whole_paths else step * STEP_S
-            self._marks(panel, ax, until)
+        self.moving = [
+            (ax, artist)
+            for panel, ax in self.panels
+            for artist in _put(panel, ax, step, agent=self.agent, whole_paths=self.whole_paths)
+        ]
         self.clock.set_text(f"{step * STEP_S:.1f} s" + ("  (observed)" if step <= LAST_OBSERVED else "  (future)"))
-
-    def _marks(self, panel: _Panel, ax: Axes, until_s: float | None) -> None:
-        tracks = {track.track_id: track for track in panel.tracks}
-        for track_id, maneuver in panel.maneuvers:
-            place = maneuver.crossing_s if maneuver.crossing_s is not None else maneuver.start_s
-            if place is None or maneuver.status not in {"done", "aborted"} or track_id not in tracks:
-                continue
-            if until_s is not None and place > until_s:
-                continue
-            track = tracks[track_id]
-            x, y = track.position[int(np.argmin(np.abs(track.timesteps * STEP_S - place)))]
-            done = maneuver.status == "done"
-            color = figures.POLICY_COLORS[_POLICY_OF_KIND[maneuver.kind]] if done else "black"
-            size = 110 if maneuver.kind == "overtake" else 45
-            artist = ax.scatter(
-                [x], [y], marker=MARKS[maneuver.kind] if done else "x", s=size, c=color,
-                edgecolors="black" if done else None, linewidths=0.8, zorder=8,
-            )  # fmt: skip
-            self.moving.append((ax, artist))  # type: ignore[arg-type]
 
     def frames(self, steps: Sequence[int]) -> Iterator[npt.NDArray[np.uint8]]:
         """(H, W, 3) pictures, H and W even; the map is drawn once and kept."""

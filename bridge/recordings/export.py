@@ -114,14 +114,14 @@ def _check_generated(scenario: Scenario, generated: Sequence[Track], focal_track
     ids = {track.track_id for track in scenario.tracks}
     for track in generated:
         if track.track_id in ids:
-            raise ExportError(f"generated track {track.track_id!r}: the id is taken, want one of its own")
+            raise ExportError(f"generated track {track.track_id!r}: the id is taken, expected one of its own")
         ids.add(track.track_id)
         steps = track.timesteps
         if len(steps) == 0 or (np.diff(steps) != 1).any() or steps[0] < 0 or steps[-1] >= scenario.num_steps:
             raise ExportError(f"generated track {track.track_id!r}: timesteps have gaps or leave the scene")
         if not steps[0] <= LAST_OBSERVED <= steps[-1]:
             raise ExportError(
-                f"generated track {track.track_id!r}: timesteps {steps[0]} to {steps[-1]}, want {LAST_OBSERVED} in them"
+                f"generated track {track.track_id!r}: timesteps {steps[0]} to {steps[-1]} do not hold {LAST_OBSERVED}"
             )
         if not all(np.isfinite(values).all() for values in (track.position, track.heading, track.velocity)):
             raise ExportError(f"generated track {track.track_id!r}: a value is not finite")
@@ -152,9 +152,12 @@ def _generated_columns(generated: Sequence[Track], lengths: list[int], focal_tra
 def _pandas_metadata(table: pa.Table) -> dict[str, Any]:
     """What pandas writes beside the columns, so that it reads a RangeIndex; free of the version of any library."""
     names = {"string": ("unicode", "object"), "large_string": ("unicode", "object"), "double": ("float64", "float64")}
+    names |= {"null": ("empty", "object"), "float": ("float32", "float32"), "halffloat": ("float16", "float16")}
     columns = []
     for field in table.schema:
-        pandas_type, numpy_type = names.get(str(field.type), (str(field.type), str(field.type)))
+        plain = pa.types.is_integer(field.type) or pa.types.is_boolean(field.type)
+        other = str(field.type) if plain else "object"  # a column of the source's own, of whatever type
+        pandas_type, numpy_type = names.get(str(field.type), (other, other))
         columns.append(
             {
                 "name": field.name,

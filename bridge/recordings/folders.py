@@ -23,7 +23,7 @@ def find_scenarios(path: Path) -> list[Path]:
     Errors: NoSceneError where there is none.
     """
     if not path.is_dir():
-        raise NoSceneError(f"{path}: no such folder, want a scenario folder, a split folder or a data-set root")
+        raise NoSceneError(f"{path}: no such folder, expected a scenario folder, a split folder or a data-set root")
     if _is_scenario_folder(path):
         return [path]
     children = _subfolders(path)
@@ -31,7 +31,7 @@ def find_scenarios(path: Path) -> list[Path]:
     splits = [child for child in children if not _is_scenario_folder(child)]
     found += [folder for child in splits for folder in _subfolders(child) if _is_scenario_folder(folder)]
     if not found:
-        raise NoSceneError(f"{path}: no scenario here, want scenario_<id>.parquet in it or one or two folders below")
+        raise NoSceneError(f"{path}: no scenario; expected scenario_<id>.parquet in it or one or two folders below")
     return sorted(found)
 
 
@@ -45,7 +45,7 @@ def find_sources(paths: Sequence[Path]) -> list[Path]:
         folders = find_scenarios(path)
         recorded = [folder for folder in folders if not _is_generated(folder)]
         if not recorded:
-            raise NoSceneError(f"{path}: only scenes that hid2 wrote (hid2_<id>.json is in them), want recorded ones")
+            raise NoSceneError(f"{path}: holds generated scenes only (with hid2_<id>.json); give recorded ones")
         if len(recorded) < len(folders):
             passed_over = len(folders) - len(recorded)
             _LOG.warning("%s: %d of %d scenes passed over, which hid2 wrote", path, passed_over, len(folders))

@@ -1,14 +1,21 @@
-"""The rules on the map of a scenario: what every reader of Argoverse 2 maps demands, and the source's map."""
+"""The rules on the map of a scenario: what every reader of Argoverse 2 maps demands, and the source's map.
 
-import json
+They hold for maps that are read as much as for those that are written: a source that breaks one is refused.
+"""
+
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic_core import from_json
 
+from bridge.files import one_line, read_regular
+from bridge.recordings.limits import MAX_FILE_MB, check_map_size
 from bridge.recordings.rules import Breach
-from netconvert.lane_graph import LANE_TYPES
+from netconvert.av2_map import lane_graph_from_json
+from netconvert.errors import MapError
+from netconvert.lane_graph import LANE_TYPES, LaneGraph
 
 MARK_TYPES = frozenset(
     {
@@ -31,22 +38,49 @@ MARK_TYPES = frozenset(
 )
 
 
+def read_source_map(path: Path) -> LaneGraph:
+    """The lane graph of a map file that keeps the rules; only centrelines may be missing. Errors: MapError."""
+    try:
+        document = from_json(read_regular(path, most_mb=MAX_FILE_MB))
+    except OSError as error:
+        raise MapError(f"{path}: cannot read the map: {error.strerror}") from error
+    except ValueError as error:
+        raise MapError(f"{path}: not JSON: {error}") from error
+    with np.errstate(over="ignore", invalid="ignore"):  # coordinates may be anything until their size is known
+        graph = lane_graph_from_json(document, name=str(path))
+        check_map_size(graph, str(path))
+    said = _lacks_a_part(document) or next((said for _, said in _check_map(document, centerlines=False)), "")
+    if said:
+        raise MapError(f"{path}: {said}")
+    if not graph.drivable.area > 0.0:
+        raise MapError(f"{path}: drivable areas of 0 m2 in all, expected the ground that can be driven on")
+    return graph
+
+
 def read_map(path: Path) -> tuple[dict[str, Any] | None, list[Breach]]:
     """The document of a map file, None where it is no map, and what is wrong with it."""
     try:
-        document = json.loads(path.read_bytes())
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        document = from_json(read_regular(path, most_mb=MAX_FILE_MB))
+    except (OSError, ValueError) as error:
         return None, [("map", f"not JSON ({error})")]
-    if not isinstance(document, dict) or not all(
-        isinstance(document.get(part), dict) for part in ("drivable_areas", "lane_segments", "pedestrian_crossings")
-    ):
-        return None, [("map", "want drivable_areas, lane_segments and pedestrian_crossings")]
-    return document, list(_check_map(document))
+    said = _lacks_a_part(document)
+    return (None, [("map", said)]) if said else (document, list(_check_map(document, centerlines=True)))
 
 
-def _check_map(document: Mapping[str, Any]) -> Iterator[Breach]:
+def _lacks_a_part(document: object) -> str:
+    for part in ("drivable_areas", "lane_segments", "pedestrian_crossings"):
+        if not isinstance(document, dict) or not isinstance(document.get(part), dict):
+            return f"no object {part!r}, expected drivable_areas, lane_segments and pedestrian_crossings"
+        for key, value in document[part].items():
+            if not isinstance(value, dict):
+                return f"{part} {one_line(key, most=40)!r} is no object"
+    return ""
+
+
+def _check_map(document: Mapping[str, Any], *, centerlines: bool) -> Iterator[Breach]:
+    """What is wrong in a map that has its parts; centerlines: whether each lane must have one."""
     if not document["drivable_areas"]:
-        yield "map", "no drivable area"
+        yield "map", "no drivable area, expected at least one: where there is none, nothing tells what is off the road"
     for key, area in document["drivable_areas"].items():
         yield from _check_points(area, "area_boundary", f"drivable area {key}", least=3)
     for key, crossing in document["pedestrian_crossings"].items():
@@ -58,39 +92,52 @@ def _check_map(document: Mapping[str, Any]) -> Iterator[Breach]:
             if column not in lane:
                 yield "map", f"{name}: no {column}"
         if str(lane.get("id")) != str(key):
-            yield "map", f"{name}: id {lane.get('id')!r}, want its key"
+            yield "map", f"{name}: id {lane.get('id')!r}, expected its key"
         if lane.get("lane_type") not in LANE_TYPES:
-            yield "lane-type", f"{name}: lane_type {lane.get('lane_type')!r}, want {', '.join(sorted(LANE_TYPES))}"
+            yield "lane-type", f"{name}: lane_type {lane.get('lane_type')!r}, expected {', '.join(sorted(LANE_TYPES))}"
         for side in ("left", "right"):
             mark = lane.get(f"{side}_lane_mark_type")
             if mark not in MARK_TYPES:
-                yield "mark-type", f"{name}: {side}_lane_mark_type {mark!r}, want one of the enum"
+                yield "mark-type", f"{name}: {side}_lane_mark_type {mark!r}, expected one of the enum"
             yield from _check_points(lane, f"{side}_lane_boundary", name, least=2)
-        yield from _check_points(lane, "centerline", name, least=2)
+        if centerlines or lane.get("centerline"):
+            yield from _check_points(lane, "centerline", name, least=2)
 
 
 def _check_points(owner: Mapping[str, Any], field: str, name: str, *, least: int) -> Iterator[Breach]:
     points = owner.get(field)
     if not isinstance(points, list) or len(points) < least:
         have = len(points) if isinstance(points, list) else "none"
-        yield "boundary", f"{name}: {field} of {have} points, want at least {least}"
-        return
-    for i, point in enumerate(points):
-        values = [point.get(axis) for axis in "xyz"] if isinstance(point, dict) else [None]
-        if not all(isinstance(value, float | int) and np.isfinite(value) for value in values):
-            yield "map", f"{name}: {field}[{i}] is {point}, want finite x, y and z"
-            return
+        yield "boundary", f"{name}: {field} of {have} points, expected at least {least}"
+    elif not _are_finite(points):
+        i, point = next((i, point) for i, point in enumerate(points) if not _are_finite([point]))
+        yield "map", f"{name}: {field}[{i}] is {one_line(str(point), most=100)}, expected finite x, y and z"
+
+
+def _are_finite(points: list[Any]) -> bool:
+    try:
+        values = [point[axis] for point in points for axis in "xyz"]
+    except (KeyError, TypeError, IndexError):
+        return False
+    try:
+        return {*map(type, values)} <= {float, int} and bool(np.isfinite(np.array(values, dtype=np.float64)).all())
+    except OverflowError:  # an integer that no double holds
+        return False
 
 
 def compare_map(path: Path, document: Mapping[str, Any], source_path: Path) -> Iterator[str]:
     """The map against the source's, byte for byte; only centrelines may have been added."""
     try:
-        raw = source_path.read_bytes()
+        raw = read_regular(source_path, most_mb=MAX_FILE_MB)
         if path.read_bytes() == raw:
             return
-        source = json.loads(raw)
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        source = from_json(raw)
+    except (OSError, ValueError) as error:
         yield f"{source_path}: cannot be read ({error})"
+        return
+    said = _lacks_a_part(source)
+    if said:
+        yield f"{source_path}: {said}"
         return
     lanes = source.get("lane_segments", {})
     lacking = {key for key, lane in lanes.items() if not lane.get("centerline")}

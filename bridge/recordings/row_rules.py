@@ -1,6 +1,5 @@
 """The rules on the rows of a scenario: the format, what readers take for granted, generated tracks, the source."""
 
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
+from pydantic_core import from_json
 
-from bridge.recordings.rules import Breach
+from bridge.recordings.rules import RECORDED, Breach
 from bridge.recordings.scenario import (
     AV_ID,
     FOCAL_CATEGORY,
@@ -66,15 +66,17 @@ def check_rows(rows: Rows, new_id: str) -> Iterator[Breach]:
     for column in SCENARIO_COLUMNS:
         values = pc.unique(table.column(column))
         if len(values) != 1:
-            yield "constant", f"{column} has {len(values)} values, want one"
+            yield "constant", f"{column} has {len(values)} values, expected one"
     first = {column: table.column(column)[0].as_py() for column in SCENARIO_COLUMNS}
     if first["scenario_id"] != new_id:
-        yield "scenario-id", f"column scenario_id is {first['scenario_id']!r}, want {new_id!r} as the folder"
-    if first["city"] not in CITIES:
-        yield "city", f"city {first['city']!r}, want one of {', '.join(sorted(CITIES))}"
+        yield "scenario-id", f"column scenario_id is {first['scenario_id']!r}, expected {new_id!r} as the folder"
+    if not first["city"]:
+        yield "city", "no city"
+    elif first["city"] not in CITIES:
+        yield RECORDED, f"city {first['city']!r} is none of {', '.join(sorted(CITIES))}"
     if not rows.num_steps <= first["num_timestamps"] <= MAX_STEPS:
-        yield "timestep", f"num_timestamps {first['num_timestamps']}, want {rows.num_steps} to {MAX_STEPS}"
-    yield from _first(rows, (rows.timestep < 0) | (rows.timestep >= MAX_STEPS), "timestep", "want 0 to 109")
+        yield "timestep", f"num_timestamps {first['num_timestamps']}, expected {rows.num_steps} to {MAX_STEPS}"
+    yield from _first(rows, (rows.timestep < 0) | (rows.timestep >= MAX_STEPS), "timestep", "expected 0 to 109")
     for i, column in enumerate(_MOTION_COLUMNS):
         yield from _first(rows, ~np.isfinite(rows.motion[:, i]), "finite", f"{column} is not a finite number")
     order = np.lexsort((rows.timestep, rows.code))
@@ -84,9 +86,9 @@ def check_rows(rows: Rows, new_id: str) -> Iterator[Breach]:
     yield from _first(rows, rows.observed != (rows.timestep <= LAST_OBSERVED), "observed", "observed is wrong")
     kinds = table.column("object_type").to_numpy()
     unknown = ~np.isin(kinds, list(DEFAULT_SIZES))
-    yield from _first(rows, unknown, "object-type", f"want one of {', '.join(DEFAULT_SIZES)}")
+    yield from _first(rows, unknown, "object-type", f"expected one of {', '.join(DEFAULT_SIZES)}")
     outside = (rows.category < 0) | (rows.category > FOCAL_CATEGORY)
-    yield from _first(rows, outside, "category", "want 0, 1, 2 or 3")
+    yield from _first(rows, outside, "category", "expected 0, 1, 2 or 3")
     _, first_rows = np.unique(rows.code, return_index=True)
     yield from _first(rows, rows.category != rows.category[first_rows][rows.code], "constant", "category changes")
     yield from _first(rows, kinds != kinds[first_rows][rows.code], "constant", "object_type changes")
@@ -94,24 +96,32 @@ def check_rows(rows: Rows, new_id: str) -> Iterator[Breach]:
     focals = {rows.ids[code] for code in rows.code[rows.category == FOCAL_CATEGORY]}
     if focals != {first["focal_track_id"]}:
         names = ", ".join(map(repr, sorted(focals))) or "none"
-        yield "focal", f"tracks of category 3: {names}, want focal_track_id {first['focal_track_id']!r} alone"
+        yield "focal", f"tracks of category 3: {names}, expected focal_track_id {first['focal_track_id']!r} alone"
     for track_id in sorted(focals):
         steps = rows.timestep[rows.of(track_id)]
         if LAST_OBSERVED not in steps or steps[-1] != rows.num_steps - 1:
-            yield "focal", f"track {track_id!r} lasts from {steps[0]} to {steps[-1]}, want {rows.num_steps - 1}"
+            recorded = LAST_OBSERVED in steps and not _GENERATED_ID.fullmatch(track_id)
+            said = f"track {track_id!r} lasts from {steps[0]} to {steps[-1]}, expected {rows.num_steps - 1}"
+            yield RECORDED if recorded else "focal", said
     at_last = set(rows.code[rows.timestep == LAST_OBSERVED])
     for code in sorted(set(rows.code[rows.category == FOCAL_CATEGORY - 1]) - at_last):
-        yield "scored", f"track {rows.ids[code]!r} is scored and absent at timestep {LAST_OBSERVED}"
+        recorded = not _GENERATED_ID.fullmatch(rows.ids[code])
+        said = f"track {rows.ids[code]!r} is scored and absent at timestep {LAST_OBSERVED}"
+        yield RECORDED if recorded else "scored", said
     if AV_ID not in rows.ids:
         yield "av", f"no track {AV_ID!r} among {len(rows.ids)}"
 
 
 def _check_index(table: pa.Table) -> Iterator[Breach]:
     metadata = (table.schema.metadata or {}).get(b"pandas")
-    index = json.loads(metadata)["index_columns"] if metadata is not None else []
+    try:
+        index = from_json(metadata)["index_columns"] if metadata is not None else []
+    except (ValueError, KeyError, TypeError) as error:
+        yield "columns", f"what pandas wrote about its index cannot be read ({error})"
+        return
     wanted = {"kind": "range", "name": None, "start": 0, "stop": table.num_rows, "step": 1}
     if index not in ([], [wanted]):
-        yield "columns", f"index {index}, want a RangeIndex from 0 to {table.num_rows}"
+        yield "columns", f"index {index}, expected a RangeIndex from 0 to {table.num_rows}"
 
 
 def _first(rows: Rows, bad: npt.NDArray[np.bool_], rule: str, message: str) -> Iterator[Breach]:
@@ -127,20 +137,20 @@ def check_generated(rows: Rows, track_id: str) -> Iterator[Breach]:
     steps, category = rows.timestep[index], int(rows.category[index[0]])
     name = f"track {track_id!r}"
     if not _GENERATED_ID.fullmatch(track_id):
-        yield "generated", f"{name}: want an id gen_0, gen_1, ..."
+        yield "generated", f"{name}: expected an id gen_0, gen_1, ..."
     kind = rows.table.column("object_type")[int(index[0])].as_py()
     if kind not in VEHICLE_TYPES:
-        yield "generated", f"{name}: object_type {kind!r}, want {' or '.join(sorted(VEHICLE_TYPES))}"
+        yield "generated", f"{name}: object_type {kind!r}, expected {' or '.join(sorted(VEHICLE_TYPES))}"
     if category == 0:
-        yield "generated", f"{name}: category 0, want 1, 2 or 3"
+        yield "generated", f"{name}: category 0, expected 1, 2 or 3"
     if (np.diff(steps) != 1).any():
         at = int(steps[np.flatnonzero(np.diff(steps) != 1)[0]])
         yield "generated", f"{name}: gap after timestep {at}"
         return
     if LAST_OBSERVED not in steps:
-        yield "generated", f"{name}: lasts from {steps[0]} to {steps[-1]}, want {LAST_OBSERVED} in it"
+        yield "generated", f"{name}: lasts from {steps[0]} to {steps[-1]}, expected {LAST_OBSERVED} in it"
     if category >= FOCAL_CATEGORY - 1 and (steps[0] > 0 or steps[-1] < rows.num_steps - 1):
-        yield "generated", f"{name}: category {category}, from {steps[0]} to {steps[-1]}, want all {rows.num_steps}"
+        yield "generated", f"{name}: category {category}, from {steps[0]} to {steps[-1]}, expected all {rows.num_steps}"
     motion = rows.motion[index]
     if len(steps) < 3 or not np.isfinite(motion).all():
         return
@@ -159,7 +169,7 @@ def check_generated(rows: Rows, track_id: str) -> Iterator[Breach]:
         worst = int(np.argmax(off))
         yield "heading", f"{name}, timestep {steps[worst]}: {off[worst]:.3f} rad off the direction of motion"
     if np.abs(heading).max() > np.pi:
-        yield "heading", f"{name}: heading {heading[np.argmax(np.abs(heading))]:.3f}, want -pi to pi"
+        yield "heading", f"{name}: heading {heading[np.argmax(np.abs(heading))]:.3f}, expected -pi to pi"
 
 
 def compare_rows(table: pa.Table, source_path: Path, generated_ids: set[str]) -> Iterator[str]:
@@ -170,14 +180,14 @@ def compare_rows(table: pa.Table, source_path: Path, generated_ids: set[str]) ->
         yield str(error)
         return
     if [(field.name, field.type) for field in table.schema] != [(field.name, field.type) for field in source.schema]:
-        yield f"columns {table.schema.names}, want those of the source with their types"
+        yield f"columns {table.schema.names}, expected those of the source with their types"
         return
     generated = pc.is_in(
         table.column("track_id"), value_set=pa.array(sorted(generated_ids), table.schema.field("track_id").type)
     )
     recorded = table.filter(pc.invert(generated)) if generated_ids else table
     if recorded.num_rows != source.num_rows:
-        yield f"{recorded.num_rows} recorded rows, want {source.num_rows}"
+        yield f"{recorded.num_rows} recorded rows, expected {source.num_rows}"
         return
     focal_changes = table.column("focal_track_id")[0].as_py() in generated_ids
     for name in source.schema.names:
@@ -191,12 +201,21 @@ def compare_rows(table: pa.Table, source_path: Path, generated_ids: set[str]) ->
             row = int(np.flatnonzero(~same)[0])
             track, step = source.column("track_id")[row].as_py(), source.column("timestep")[row].as_py()
             found, wanted = recorded.column(name)[row].as_py(), source.column(name)[row].as_py()
-            yield f"track {track!r}, timestep {step}: {name} {found!r}, want {wanted!r} ({int((~same).sum())} rows)"
+            yield f"track {track!r}, timestep {step}: {name} {found!r}, expected {wanted!r} ({int((~same).sum())} rows)"
 
 
 def _same_bits(one: pa.ChunkedArray, other: pa.ChunkedArray) -> npt.NDArray[np.bool_]:
+    """Which rows of two columns of one type are the same; nulls are, with nulls alone."""
+    left_null, right_null = one.is_null().to_numpy(), other.is_null().to_numpy()
     if pa.types.is_floating(one.type):
-        left, right = (np.asarray(column.to_numpy()).view(np.int64) for column in (one, other))
+        left, right = (
+            np.ascontiguousarray(column.to_numpy(), dtype=np.float64).view(np.int64) for column in (one, other)
+        )
+        same = left == right
     else:
-        left, right = one.to_numpy(), other.to_numpy()
-    return np.asarray(left == right, dtype=bool)
+        try:
+            same = pc.fill_null(pc.equal(one, other), fill_value=False).to_numpy()
+        except pa.ArrowNotImplementedError:  # lists, or nothing at all, in a column of the source's own
+            same = np.array([left == right for left, right in zip(one.to_pylist(), other.to_pylist(), strict=True)])
+        same = same | left_null
+    return np.asarray((left_null == right_null) & same, dtype=bool)

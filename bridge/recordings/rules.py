@@ -5,6 +5,9 @@ from collections.abc import Mapping
 #: A rule that is broken, and how.
 Breach = tuple[str, str]
 
+#: The rule whose breaches are noted and are no findings: recorded rows are kept as they are.
+RECORDED = "recorded"
+
 #: What each rule demands; the names are those of findings.
 RULES: Mapping[str, str] = {
     "folder": "OUT/[train|val|test/]<id>/ with scenario_<id>.parquet, log_map_archive_<id>.json and hid2_<id>.json",
@@ -21,12 +24,14 @@ RULES: Mapping[str, str] = {
     "focal": "exactly one track of category 3, which is focal_track_id, present at timestep 49 and to the end",
     "scored": "a track of category 2 is present at timestep 49",
     "av": "a track named AV",
-    "city": "one of the six cities, that of the source",
+    "city": "a city, that of the source",
     "map": "drivable areas, lane segments with every field, z on every point",
     "mark-type": "lane mark types of the enum, never null",
     "lane-type": "VEHICLE, BIKE or BUS",
     "boundary": "boundaries and centrelines of at least two points",
     "sidecar": "the schema of hid2_<id>.json, in agreement with itself, the tracks and the map",
+    RECORDED: "noted, as the source has it so: another city than the six, a focal track that ends early, "
+    "a scored track that is absent at timestep 49",
     "generated": "gen_<n>, a vehicle, category 1 to 3, without gaps, present at 49; scored or focal: at all steps",
     "velocity": "a generated track's velocity is the time derivative of its position",
     "heading": "a generated track's heading follows its motion",

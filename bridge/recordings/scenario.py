@@ -13,15 +13,17 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from bridge.files import one_line, read_regular
+from bridge.recordings import limits
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN
 from bridge.recordings.folders import SPLITS as SPLITS
 from bridge.recordings.folders import find_scenarios as find_scenarios
 from bridge.recordings.folders import find_sources as find_sources
 from bridge.recordings.folders import source_id as source_id
 from bridge.recordings.folders import split_of as split_of
+from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.sidecar import read_sidecar, sidecar_path
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Track
-from netconvert.av2_map import read_lane_graph
 from netconvert.errors import MapError, NoSceneError, ScenarioError
 from netconvert.lane_graph import LaneGraph
 
@@ -83,7 +85,7 @@ class Scenario:
         for track in self.tracks:
             if track.track_id == track_id:
                 return track
-        raise ScenarioError(f"{self.folder}: no track {track_id!r}, have {len(self.tracks)} others")
+        raise ScenarioError(f"{self.folder}: no track {track_id!r} among {len(self.tracks)}")
 
 
 class Rows(NamedTuple):
@@ -99,22 +101,27 @@ class Rows(NamedTuple):
 def read_scenario(folder: Path) -> Scenario:
     """Read scenario_<id>.parquet, log_map_archive_<id>.json and the sizes that lie beside them.
 
-    Sizes (m) come from the sidecar of a generated scene, from agent_sizes.csv, else by object type.
+    Sizes (m) come from the sidecar of a generated scene, from agent_sizes.csv, else by object type. A scene beyond
+    `limits` is refused, and one that breaks what readers of the format demand: nothing recorded is repaired.
     Errors: ScenarioError or MapError with file, id, value and what was expected.
     """
     if not folder.is_dir():
-        raise NoSceneError(f"{folder}: no such folder, want a scenario folder")
+        raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
     parquet_path = _only_file(folder, PARQUET_PATTERN, ScenarioError)
     map_path = _only_file(folder, MAP_PATTERN, MapError)
     table = read_table(parquet_path)
     rows = split_rows(table, name=str(parquet_path), sizes=read_sizes(folder))
+    if rows.scenario_id != source_id(folder):
+        raise ScenarioError(f"{parquet_path}: scenario_id {rows.scenario_id!r}, expected the id in the file's name")
+    graph = read_source_map(map_path)
+    limits.check_ground(rows.tracks, graph, str(folder))
     return Scenario(
         scenario_id=rows.scenario_id,
         city=rows.city,
         focal_track_id=rows.focal_track_id,
         num_steps=rows.num_steps,
         tracks=rows.tracks,
-        graph=read_lane_graph(map_path),
+        graph=graph,
         table=table,
         folder=folder,
         map_path=map_path,
@@ -128,10 +135,15 @@ def read_table(path: Path) -> pa.Table:
     Errors: ScenarioError.
     """
     try:
-        table = pq.ParquetFile(io.BytesIO(path.read_bytes())).read(use_threads=False)
+        file = pq.ParquetFile(io.BytesIO(read_regular(path, most_mb=limits.MAX_FILE_MB)))
+        _check_table_size(file.metadata, str(path))
+        table = file.read(use_threads=False)
+        table.validate(full=True)
     except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such file, want a scenario in parquet") from None
-    except (pa.ArrowException, OSError) as error:
+        raise ScenarioError(f"{path}: no such file, expected a scenario in parquet") from None
+    except MemoryError:
+        raise
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path}: not a parquet file ({_first_line(error)})") from error
     _check_columns(table, str(path))
     return table
@@ -145,8 +157,14 @@ def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> R
     """
     _check_columns(table, name)
     same = {column: _one_value(table, column, name) for column in SCENARIO_COLUMNS}
+    for column in ("scenario_id", "focal_track_id", "city"):
+        _check_name(str(same[column]), f"{name}: {column}")
     encoded = pc.dictionary_encode(table.column("track_id")).combine_chunks()
     ids: list[str] = encoded.dictionary.to_pylist()
+    if len(ids) > limits.MAX_TRACKS:
+        raise ScenarioError(f"{name}: {len(ids)} tracks, expected at most {limits.MAX_TRACKS}")
+    for track_id in ids:
+        _check_name(track_id, f"{name}: track_id")
     code = np.asarray(encoded.indices.to_numpy(zero_copy_only=False), dtype=np.int64)
     timestep = _numbers(table, "timestep").astype(np.int64, copy=False)
 
@@ -162,14 +180,22 @@ def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> R
     _check_timesteps(code, timestep, _numbers(table, "observed")[order], where)
     if not np.isfinite(motion).all():
         row, column = np.argwhere(~np.isfinite(motion))[0]
-        raise ScenarioError(f"{where(row)}: {_MOTION_COLUMNS[column]} is {motion[row, column]}, want a finite number")
+        raise ScenarioError(
+            f"{where(row)}: {_MOTION_COLUMNS[column]} is {motion[row, column]}, expected a finite number"
+        )
+    speed = np.abs(motion[:, 3:]).max(axis=1)
+    if speed.max() > limits.MAX_SPEED_MPS:
+        row = int(speed.argmax())
+        raise ScenarioError(
+            f"{where(row)}: velocity {speed[row]:.6g} m/s, expected at most {limits.MAX_SPEED_MPS:g} m/s"
+        )
     for known in kinds:
         if known not in DEFAULT_SIZES:
-            raise ScenarioError(f"{name}: object_type {known!r}, want one of {', '.join(DEFAULT_SIZES)}")
+            raise ScenarioError(f"{name}: object_type {known[:40]!r}, expected one of {', '.join(DEFAULT_SIZES)}")
     outside = (category < 0) | (category > FOCAL_CATEGORY)
     if outside.any():
         row = int(np.flatnonzero(outside)[0])
-        raise ScenarioError(f"{where(row)}: object_category {category[row]}, want 0, 1, 2 or 3")
+        raise ScenarioError(f"{where(row)}: object_category {category[row]}, expected 0, 1, 2 or 3")
     starts = np.concatenate([[0], np.flatnonzero(np.diff(code)) + 1])
     run = np.repeat(starts, np.diff(np.concatenate([starts, [len(code)]])))
     for column, values in (("object_category", category), ("object_type", kind)):
@@ -200,11 +226,14 @@ def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> R
     if (code[starts[:-1]] > code[starts[1:]]).any():  # keep the order of first rows
         tracks.sort(key=lambda track: ids.index(track.track_id))
     _check_focal(tracks, str(same["focal_track_id"]), name)
+    steps, stated = int(timestep.max()) + 1, int(str(same["num_timestamps"]))
+    if not steps <= stated <= MAX_STEPS:
+        raise ScenarioError(f"{name}: num_timestamps {stated}, expected {steps}, as many as there are, to {MAX_STEPS}")
     return Rows(
         scenario_id=str(same["scenario_id"]),
         city=str(same["city"]),
         focal_track_id=str(same["focal_track_id"]),
-        num_steps=int(timestep.max()) + 1,
+        num_steps=steps,
         tracks=tuple(tracks),
     )
 
@@ -216,12 +245,17 @@ def read_sizes(folder: Path) -> dict[str, BoxSize]:
     """
     sizes: dict[str, BoxSize] = {}
     path = folder / "agent_sizes.csv"
-    if path.is_file():
+    if path.exists():
         try:
-            for number, row in enumerate(csv.DictReader(path.read_text(encoding="utf-8").splitlines()), start=2):
+            text = read_regular(path, most_mb=limits.MAX_FILE_MB).decode()
+            for number, row in enumerate(csv.DictReader(text.splitlines()), start=2):
                 sizes[row["track_id"]] = _size(row, f"{path} line {number}")
+        except OSError as error:
+            raise ScenarioError(f"{path}: cannot be read ({error.strerror})") from error
         except (KeyError, UnicodeDecodeError, csv.Error) as error:
-            raise ScenarioError(f"{path}: want columns track_id, length_m, width_m ({_first_line(error)})") from error
+            raise ScenarioError(
+                f"{path}: expected columns track_id, length_m, width_m ({_first_line(error)})"
+            ) from error
     for sidecar in sorted(folder.glob(sidecar_path(folder, "*").name)):
         sizes.update({agent.track_id: BoxSize(agent.length_m, agent.width_m) for agent in read_sidecar(sidecar).agents})
     return sizes
@@ -240,8 +274,8 @@ class _Where:
 def _only_file(folder: Path, pattern: str, error: type[ScenarioError | MapError]) -> Path:
     found = sorted(folder.glob(pattern))
     if len(found) != 1:
-        have = ", ".join(path.name for path in found) or "none"
-        raise error(f"{folder}: {have}, want exactly one {pattern.replace('*', '<id>')}")
+        have = f"{len(found)} files {pattern.replace('*', '<id>')}" if found else f"no {pattern.replace('*', '<id>')}"
+        raise error(f"{have} in {folder}; expected exactly one")
     return found[0]
 
 
@@ -249,30 +283,55 @@ def _size(row: Mapping[str, str], where: str) -> BoxSize:
     try:
         size = BoxSize(float(row["length_m"]), float(row["width_m"]))
     except (TypeError, ValueError):
-        raise ScenarioError(f"{where}: length_m {row['length_m']!r}, width_m {row['width_m']!r}, want m") from None
+        raise ScenarioError(
+            f"{where}: length_m {row['length_m']!r}, width_m {row['width_m']!r}, expected metres"
+        ) from None
     if not (0 < size.width_m < 10 and 0 < size.length_m < 50):
-        raise ScenarioError(f"{where}: box {size.length_m} x {size.width_m} m, want above 0 and below 50 x 10 m")
+        raise ScenarioError(f"{where}: box {size.length_m} x {size.width_m} m, expected above 0 and below 50 x 10 m")
     return size
+
+
+def _check_name(text: str, where: str) -> None:
+    """Refuse ids and names that are empty, endless, or do not print: they go into files, tables and messages."""
+    if not text or len(text) > limits.MAX_NAME or not text.isprintable():
+        shown = one_line(text, most=60)
+        raise ScenarioError(f"{where} {shown!r}: expected 1 to {limits.MAX_NAME} characters that can be printed")
+
+
+def _check_table_size(found: pq.FileMetaData, name: str) -> None:
+    """Before anything is unpacked, by what the file says of itself."""
+    unpacked_mb = sum(found.row_group(k).total_byte_size for k in range(found.num_row_groups)) / 1e6
+    for what, number, most in (
+        ("rows", found.num_rows, limits.MAX_ROWS),
+        ("columns", found.num_columns, limits.MAX_COLUMNS),
+        ("MB unpacked", unpacked_mb, limits.MAX_TABLE_MB),
+    ):
+        if not 0 <= number <= most:
+            raise ScenarioError(f"{name}: {number:g} {what}, expected at most {most}")
 
 
 def _check_columns(table: pa.Table, name: str) -> None:
     schema = table.schema
+    names = schema.names
+    for column in names:
+        if names.count(column) > 1:
+            raise ScenarioError(f"{name}: more than one column {one_line(column, most=60)!r}, expected each once")
     for column, types in REQUIRED_COLUMNS.items():
         indices = schema.get_all_field_indices(column)
         if len(indices) != 1:
-            raise ScenarioError(
-                f"{name}: {'no' if not indices else 'more than one'} column {column!r}, want {types[0]}"
-            )
+            raise ScenarioError(f"{name}: no column {column!r}, expected {types[0]}")
         found = schema.field(indices[0]).type
         if found not in types:
-            raise ScenarioError(f"{name}: column {column!r} is {found}, want {types[0]}")
+            raise ScenarioError(f"{name}: column {column!r} is {found}, expected {types[0]}")
     for column, types in REQUIRED_COLUMNS.items():
         if table.column(column).null_count:  # what pandas makes of NaN
             row = int(np.flatnonzero(table.column(column).is_null().to_numpy())[0])
             track, step = table.column("track_id")[row].as_py(), table.column("timestep")[row].as_py()
-            raise ScenarioError(f"{name}: track {track!r}, timestep {step}: {column} is null or NaN, want {types[0]}")
+            raise ScenarioError(
+                f"{name}: track {track!r}, timestep {step}: {column} is null or NaN, expected {types[0]}"
+            )
     if table.num_rows == 0:
-        raise ScenarioError(f"{name}: no rows, want at least one track")
+        raise ScenarioError(f"{name}: no rows, expected at least one track")
 
 
 def _numbers(table: pa.Table, column: str) -> npt.NDArray[Any]:
@@ -282,7 +341,8 @@ def _numbers(table: pa.Table, column: str) -> npt.NDArray[Any]:
 def _one_value(table: pa.Table, column: str, name: str) -> object:
     values = pc.unique(table.column(column))
     if len(values) != 1:
-        raise ScenarioError(f"{name}: column {column!r} has {len(values)} values {values[:3].to_pylist()}, want one")
+        shown = one_line(str(values[:3].to_pylist()), most=200)
+        raise ScenarioError(f"{name}: column {column!r} has {len(values)} values {shown}, expected one")
     return values[0].as_py()
 
 
@@ -296,14 +356,14 @@ def _order(code: IntArray, timestep: IntArray) -> IntArray | slice:
 def _check_timesteps(code: IntArray, timestep: IntArray, observed: npt.NDArray[np.bool_], where: _Where) -> None:
     outside = (timestep < 0) | (timestep >= MAX_STEPS)
     if outside.any():
-        raise ScenarioError(f"{where(int(np.flatnonzero(outside)[0]))}: want timesteps 0 to {MAX_STEPS - 1}")
+        raise ScenarioError(f"{where(int(np.flatnonzero(outside)[0]))}: expected timesteps 0 to {MAX_STEPS - 1}")
     repeated = (np.diff(code) == 0) & (np.diff(timestep) == 0)
     if repeated.any():
-        raise ScenarioError(f"{where(int(np.flatnonzero(repeated)[0]))}: more than one row, want one")
+        raise ScenarioError(f"{where(int(np.flatnonzero(repeated)[0]))}: more than one row, expected one")
     wrong = observed != (timestep <= LAST_OBSERVED)
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
-        raise ScenarioError(f"{where(row)}: observed is {observed[row]}, want {timestep[row] <= LAST_OBSERVED}")
+        raise ScenarioError(f"{where(row)}: observed is {observed[row]}, expected {timestep[row] <= LAST_OBSERVED}")
 
 
 def _check_focal(tracks: list[Track], focal_track_id: str, name: str) -> None:
@@ -311,12 +371,12 @@ def _check_focal(tracks: list[Track], focal_track_id: str, name: str) -> None:
     if [track.track_id for track in focals] != [focal_track_id]:
         have = ", ".join(repr(track.track_id) for track in focals) or "none"
         raise ScenarioError(
-            f"{name}: tracks of category {FOCAL_CATEGORY}: {have}, want focal_track_id {focal_track_id!r} alone"
+            f"{name}: tracks of category {FOCAL_CATEGORY}: {have}, expected focal_track_id {focal_track_id!r} alone"
         )
     if LAST_OBSERVED not in focals[0].timesteps:
         raise ScenarioError(
             f"{name}: focal track {focal_track_id!r} lasts from timestep {focals[0].timesteps[0]} "
-            f"to {focals[0].timesteps[-1]}, want it present at {LAST_OBSERVED}"
+            f"to {focals[0].timesteps[-1]}, expected it present at {LAST_OBSERVED}"
         )
     if all(track.track_id != AV_ID for track in tracks):
         raise ScenarioError(f"{name}: no track {AV_ID!r} among {len(tracks)}, readers of the format need one")

@@ -34,6 +34,6 @@ def check_scene_end(table: pa.Table, generated_ids: Set[str], *, sizes: Mapping[
                 "scene-end",
                 (
                     f"track {arrays.track_ids[agent]!r}, timestep {last}: TTC {contact.ttc_s:.2f} s to track "
-                    f"{arrays.track_ids[contact.other]!r} at constant velocity, want {limits.end_ttc_min_s:g} s"
+                    f"{arrays.track_ids[contact.other]!r} at constant velocity, expected {limits.end_ttc_min_s:g} s"
                 ),
             )

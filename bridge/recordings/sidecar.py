@@ -6,6 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from bridge.files import read_regular
+from bridge.recordings.limits import MAX_FILE_MB
 from hid2.agents import Policy
 from netconvert.errors import ScenarioError
 
@@ -172,9 +174,11 @@ def sidecar_bytes(sidecar: Sidecar) -> bytes:
 def read_sidecar(path: Path) -> Sidecar:
     """Read a sidecar. Errors: ScenarioError with the file, the first field that is wrong and its value."""
     try:
-        return Sidecar.model_validate_json(path.read_bytes())
+        return Sidecar.model_validate_json(read_regular(path, most_mb=MAX_FILE_MB))
     except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such file, want a sidecar") from None
+        raise ScenarioError(f"{path}: no such file, expected a sidecar") from None
+    except OSError as error:
+        raise ScenarioError(f"{path}: cannot be read ({error.strerror})") from error
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         field = ".".join(str(part) for part in first["loc"]) or "the file"

@@ -19,17 +19,17 @@ def check_sidecar(
         if str(uuid.UUID(new_id)) != new_id:
             raise ValueError
     except ValueError:
-        yield "scenario-id", f"folder {new_id!r}, want a UUID of 36 characters"
+        yield "scenario-id", f"folder {new_id!r}, expected a UUID of 36 characters"
     try:
         config = config_from_dict(sidecar.config)
     except ConfigError as error:
         yield "sidecar", f"config: {error}"
     else:
         if sidecar.config_sha256 != config_sha256(config) or config_to_dict(config) != sidecar.config:
-            yield "sidecar", f"config_sha256 {sidecar.config_sha256[:12]}..., want that of config"
+            yield "sidecar", f"config_sha256 {sidecar.config_sha256[:12]}..., expected that of config"
         wanted = new_scenario_id(sidecar.source_scenario_id, config, sidecar.seed, sidecar.variant)
         if wanted != new_id:
-            yield "scenario-id", f"{new_id}, want {wanted} of this source, configuration, seed and variant"
+            yield "scenario-id", f"{new_id}, expected {wanted} of this source, configuration, seed and variant"
     if sidecar.placed.agents != len(sidecar.agents):
         yield "sidecar", f"placed.agents {sidecar.placed.agents}, but {len(sidecar.agents)} agents"
     for policy in Policy:
@@ -63,7 +63,7 @@ def _check_agent(agent: AgentRecord, track_ids: Set[str] | None, lanes: Set[str]
             if time is not None
         ]
         if times != sorted(times):
-            yield "sidecar", f"{name}: {maneuver.kind}: times {times}, want trigger, start, crossing, end in order"
+            yield "sidecar", f"{name}: {maneuver.kind}: times {times}, expected trigger, start, crossing, end in order"
         if maneuver.status == "done" and (maneuver.start_s is None or maneuver.end_s is None):
             yield "sidecar", f"{name}: {maneuver.kind}: done without start_s and end_s"
         if track_ids is not None and maneuver.leader_track_id not in (None, *track_ids):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from bridge.recordings.map_rules import compare_map, read_map
 from bridge.recordings.row_rules import Rows, check_generated, check_rows, compare_rows
-from bridge.recordings.rules import RULES
+from bridge.recordings.rules import RECORDED, RULES
 from bridge.recordings.scenario import SPLITS, find_scenarios, read_sizes, read_table
 from bridge.recordings.scene_end_rule import check_scene_end
 from bridge.recordings.sidecar import Sidecar, read_sidecar, sidecar_path
@@ -25,11 +25,17 @@ class Finding(NamedTuple):
     rule: str
     message: str
 
+    @property
+    def is_note(self) -> bool:
+        """Whether it is about the source, which is kept as it is, and no fault of the scene."""
+        return self.rule == RECORDED
+
 
 def validate_folder(out: Path, *, source: Path | None = None) -> list[Finding]:
     """Check every scenario under a data set that was generated; source: where its recorded scenes lie.
 
-    out and source: a scenario folder, a split folder or a data-set root. Returns what is wrong, nothing if all is well.
+    out and source: a scenario folder, a split folder or a data-set root. Returns what is wrong, and notes on what the
+    source brings along; nothing if all is well.
     Errors: ScenarioError where out or source is no folder or holds no scenario.
     """
     folders = find_scenarios(out)
@@ -72,7 +78,7 @@ def validate_scene(folder: Path, *, sources: Mapping[str, Path] | None = None) -
         breaches = list(check_rows(rows, new_id))
         for track_id in sorted(generated_ids & set(rows.ids)):
             breaches += check_generated(rows, track_id)
-        if not breaches:  # what it reads is sound
+        if all(rule == RECORDED for rule, _ in breaches):  # what it reads is sound
             breaches += check_scene_end(rows.table, generated_ids, sizes=_sizes(sidecar, sources))
         findings += [Finding(parquet_path, *breach) for breach in breaches]
     if sidecar is not None:
@@ -112,7 +118,7 @@ def _check_tree(out: Path, folders: Sequence[Path]) -> Iterator[Finding]:
     for folder in folders:
         depth = len(folder.relative_to(out).parts)
         if depth == 2 and folder.parent.name not in SPLITS:
-            yield Finding(folder, "folder", f"split {folder.parent.name!r}, want one of {', '.join(SPLITS)}")
+            yield Finding(folder, "folder", f"split {folder.parent.name!r}, expected one of {', '.join(SPLITS)}")
 
 
 def _index_sources(source: Path) -> dict[str, Path]:

@@ -90,7 +90,7 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
     try:
         content = _File.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file, want a study in TOML") from None
+        raise ConfigError(f"{path}: no such file, expected a study in TOML") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"{path}: not TOML ({error})") from error
     except ValidationError as error:
@@ -201,11 +201,11 @@ def _latin_hypercube(content: _File, path: Path) -> list[dict[str, Value]]:
     from scipy.stats import qmc
 
     if content.samples < 1:
-        raise ConfigError(f"{path}: samples = {content.samples}, want the number of points of the hypercube")
+        raise ConfigError(f"{path}: samples = {content.samples}, expected the number of points of the hypercube")
     for key, bounds in content.vary.items():
         numbers = [bound for bound in bounds if isinstance(bound, int | float) and not isinstance(bound, bool)]
         if len(bounds) != 2 or len(numbers) != 2 or numbers[0] >= numbers[1]:
-            raise ConfigError(f"{path}: vary.{key} = {bounds!r}, want [low, high] with low < high")
+            raise ConfigError(f"{path}: vary.{key} = {bounds!r}, expected [low, high] with low < high")
     unit = qmc.LatinHypercube(d=len(content.vary), rng=content.sample_seed).random(content.samples)
     points = []
     for row in unit:
@@ -228,7 +228,7 @@ def _configured(base: Mapping[str, Any], changes: Mapping[str, Value], *, source
     for key, value in expanded.items():
         section, dot, name = key.partition(".")
         if not dot:
-            raise ConfigError(f"{source}: vary.{key}: want {TRIGGER} or a key section.parameter of `hid2 config`")
+            raise ConfigError(f"{source}: vary.{key}: expected {TRIGGER} or a key section.parameter of `hid2 config`")
         values.setdefault(section, {})[name] = value
     return config_from_dict(values, source=source)
 

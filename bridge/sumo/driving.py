@@ -30,9 +30,14 @@ _BINDS_MPS = 0.05
 #: A vehicle that slows down by more than this, m/s2, behind somebody has braked for it.
 _SLOWS_MPS2 = 0.3
 _STANDS_MPS = 0.5
-_OVERLAPS_M = 0.5  # by which a leader may lie beside the front bumper
+_LEADERS_SHOWN = 2  # the next ones ahead of each vehicle: its car following asks for no more
+_LEADS_FROM_M = 0.3  # gap from which on somebody ahead is a leader and not beside
 #: Braking for what SUMO does not see builds up at this rate, m/s3.
 _BRAKING_JERK_MPS3 = 3.5
+_LAST_BRAKING_MPS2, _LAST_BRAKING_PER_S = 0.6, 1.8  # at walking pace the brake is let go with the speed
+#: A driver who waits for a gap lets those beside go ahead: slows down by so much, m/s2, to a share of the desired speed.
+_LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
+_LETS_PASS_MPS2, _LETS_PASS_SHARE = 0.7, 0.8
 _HELD_BY_GUARD = frozenset({"conflict", "signal", "crossing"})
 _RELEASED_MPS2 = 0.5  # from here on SUMO's own acceleration takes over
 #: Who comes from behind on the way across is looked for so far ahead, s.
@@ -186,20 +191,38 @@ class Driving:
                 continue
             s = vehicle.s[-1] if vehicle.s else vehicle.start.start_s
             found, rows = self._known_of(row)
-            here = np.flatnonzero(np.isfinite(found.low[:, step]))
-            middle = 0.5 * (found.low[here, step] + found.high[here, step])
-            gap = middle - s - 0.5 * (vehicle.start.box.length_m + self._lengths[rows[here]])
-            stands = (np.abs(found.along[here, step]) < _STANDS_MPS) & ~found.crosses[here, step]
-            leads = (gap > -_OVERLAPS_M) & (gap < _SHOWN_M) & (found.aligned[here, step] | stands)
-            for place in np.flatnonzero(leads).tolist():
-                agent, at = int(rows[here[place]]), float(gap[place])
+            low, high = found.low[:, step], found.high[:, step]
+            with np.errstate(invalid="ignore"):  # inf - inf where nobody is
+                gap = 0.5 * (low + high) - s - 0.5 * (vehicle.start.box.length_m + self._lengths[rows])
+            stands = (np.abs(found.along[:, step]) < _STANDS_MPS) & ~found.crosses[:, step]
+            leads = (low < np.inf) & (gap > _LEADS_FROM_M) & (gap < _SHOWN_M) & (found.aligned[:, step] | stands)
+            places = np.flatnonzero(leads)
+            for place in places[np.argsort(gap[places], kind="stable")[:_LEADERS_SHOWN]].tolist():
+                agent, at = int(rows[place]), float(gap[place])
                 if agent not in shown or at < shown[agent][0]:  # on the lane of who is nearest behind it
-                    cell = self.scene.cell_at(vehicle.path, float(middle[place]))
+                    cell = self.scene.cell_at(vehicle.path, 0.5 * float(low[place] + high[place]))
                     shown[agent] = at, self.scene.grid.edge_id(cell), self.scene.grid.lane_index(cell)
+        shown = {agent: lane for agent, lane in shown.items() if not self._is_beside_somebody(agent, step)}
         count = len(self.scene.traffic.ids)
         recorded = {agent: (edge, lane) for agent, (_, edge, lane) in shown.items() if agent < count}
         kept = {agent - count: (edge, lane) for agent, (_, edge, lane) in shown.items() if agent >= count}
         return recorded, kept
+
+    def _is_beside_somebody(self, agent: int, step: int) -> bool:
+        """Whether an agent is beside some vehicle, which SUMO, to whom vehicles on a lane have no width, would stop."""
+        count = len(self.scene.traffic.ids)
+        traffic, row = (self.scene.traffic, agent) if agent < count else (self.fixed, agent - count)
+        x, y = traffic.position[row, step].tolist()
+        for vehicle in self.vehicles:
+            if not vehicle.running or not vehicle.s:
+                continue
+            at = vehicle.path.line
+            cell = min(int(vehicle.s[-1] / TABLE_STEP_M), at.table_xy.shape[0] - 1)
+            dx, dy = x - at.table_xy[cell, 0], y - at.table_xy[cell, 1]
+            reach = 0.5 * (vehicle.start.box.length_m + self._lengths[agent])
+            if dx * dx + dy * dy < reach * reach:
+                return True
+        return False
 
     def _known_of(self, row: int) -> tuple[PathOccupancy, IntArray]:
         """Intervals of everybody whose future is known on a vehicle's path, and their rows: recorded, then kept."""
@@ -242,6 +265,8 @@ class Driving:
         limits = [(self._road_speed(row, s, v), "turn" if self._turns(vehicle, s) else "curve")]
         if "collision" not in self.scene.config.without:
             limits += self._guarded(row, vehicle, now, desired)
+        if vehicle.stage is Stage.WAITING and vehicle.reason in _LETS_PASS:
+            limits.append((max(_LETS_PASS_SHARE * desired, v - _LETS_PASS_MPS2 * DT_S), "gap"))
         limit = min(limits)
         held = self._limit[row]
         if held is not None and held[1] in _HELD_BY_GUARD:  # a foot neither falls on the brake nor leaves it at once
@@ -299,7 +324,8 @@ class Driving:
         if stop is not None:
             limits.append(stop)
         eased = min(state[2], 0.0) - _BRAKING_JERK_MPS3 * DT_S
-        return [(state[1] + max(accel, eased) * DT_S, cause) for accel, cause in limits]
+        gentle = -max(_LAST_BRAKING_MPS2, _LAST_BRAKING_PER_S * state[1])  # nobody stops with a jerk
+        return [(state[1] + max(accel, eased, gentle) * DT_S, cause) for accel, cause in limits]
 
     @staticmethod
     def _slows_for(state: tuple[float, float, float], found: Braking, start: Start) -> bool:

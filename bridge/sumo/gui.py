@@ -4,6 +4,7 @@ import os
 import shutil
 import sys
 import tempfile
+from collections.abc import Callable
 from contextlib import redirect_stdout
 from importlib import import_module
 from pathlib import Path
@@ -11,69 +12,87 @@ from types import ModuleType
 
 import numpy as np
 
-from bridge.recordings.scenario import LAST_OBSERVED, Scenario, read_scenario
-from bridge.sumo.playback import GUI_SHAPES, paints, scene_view_files
+from bridge.pictures.figures import check_ending, check_step
+from bridge.recordings.scenario import STEP_S, Scenario, read_scenario
+from bridge.sumo.playback import GUI_SHAPES, ID_KEY, moving_ground, paints, scene_view_files, shows_id
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import Track
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ExportError, SimulationError
+from netconvert.gui_files import REAL_TIME_MS
 from netconvert.net_xml import write_net
 
 #: As for replayed vehicles in libsumo: exact positions, on and off lanes.
 _KEEP_ROUTE = 6
 _MATCH_M = 3.0
-_MARGIN_M = 20.0
+#: So often can a scene be seen again without a new start.
+_ROUNDS = 50
+_NEVER = 1e6
 _WINDOW = "1280,900"
-_HOW = "want: sh setup.sh tests, or in an environment of your own: pip install 'eclipse-sumo==1.28.*' 'traci==1.28.*'"
+_HOW = "install it: sh setup.sh tests, or in your own environment pip install 'eclipse-sumo==1.28.*' 'traci==1.28.*'"
 
 
 def play_scene(
-    folder: Path, *, delay_ms: int = 100, screenshot: Path | None = None, step: int | None = None
+    folder: Path,
+    *,
+    speed: float = 1.0,
+    screenshot: Path | None = None,
+    step: int | None = None,
+    on_shown: Callable[[], None] | None = None,
 ) -> Path | None:
-    """Play a recorded or generated scene folder in sumo-gui; returns when it is over or its window is closed.
+    """Play a recorded or generated scene folder in sumo-gui; returns when its window is closed.
 
-    delay_ms: wait between steps of 0.1 s. screenshot: a .png file, written at timestep `step` (default: the last
-    observed one); the window then closes at once and the file is returned.
-    Errors: ScenarioError, MapError; SimulationError without sumo-gui, traci or a display; ExportError where the picture
-    cannot be written.
+    It waits at the first step, and at the last one, until the user presses play there; then it begins again. speed: 1
+    is real time. on_shown is called when the window is there. screenshot: a .png file, written at timestep `step`
+    (default: the last observed one); the window then closes at once and the file is returned.
+    Errors: ScenarioError, MapError; ConfigError for a step that there is none of; SimulationError without sumo-gui,
+    traci or a display; ExportError where the picture cannot be written.
     """
     scenario = read_scenario(folder)
-    traci, binary = _traci(), _binary()
-    last = scenario.num_steps - 1
+    pictured = check_step(scenario, step)
     if screenshot is not None:
-        last = min(LAST_OBSERVED, last) if step is None else min(step, last)
+        check_ending(screenshot, [".png"])
+    traci, binary = _traci(), _binary()
     with tempfile.TemporaryDirectory(prefix="hid2-gui-") as place:
         grid = build_cell_grid(scenario.graph)
         write_net(grid, Path(place) / "scene.net.xml")
-        for name, content in scene_view_files(grid, "scene").items():
+        for name, content in scene_view_files(scenario, grid, "scene").items():
             (Path(place) / name).write_bytes(content)
-        command = [
-            binary,
-            "-c",
-            str(Path(place) / "scene.sumocfg"),
-            "--start",
-            "--quit-on-end",
-            "--no-warnings",
-            "true",
-            "--window-size",  # else what the user's last window had, or a small one
-            _WINDOW,
-        ]
-        command += ["--collision.action", "none", "--time-to-teleport", "-1", "--delay", str(delay_ms)]
+        command = [binary, "-c", str(Path(place) / "scene.sumocfg"), "--no-warnings", "true", "--quit-on-end"]
+        command += ["--window-size", _WINDOW]  # else what the user's last window had, or a small one
+        command += ["--collision.action", "none", "--time-to-teleport", "-1"]
+        # where a list is expected an empty one is refused, so a time that never comes
+        halts = [_NEVER] if screenshot is not None else _halts(scenario.num_steps)
+        command += ["--breakpoints", ",".join(f"{halt:.1f}" for halt in halts)]
+        command += ["--delay", "0" if screenshot is not None else f"{REAL_TIME_MS / speed:.0f}"]
         try:
             with redirect_stdout(sys.stderr):  # traci prints that it retries
                 traci.start(command, stdout=sys.stderr)
         except (traci.exceptions.TraCIException, traci.exceptions.FatalTraCIError, OSError) as error:
             raise SimulationError(f"sumo-gui does not start: {error}") from error
         try:
-            _play(traci, scenario, last)
+            _prepare(traci, scenario)
+            if on_shown is not None:
+                on_shown()
             if screenshot is not None:
+                _play(traci, scenario, pictured)
                 _photograph(traci, screenshot)
-        except traci.exceptions.FatalTraCIError as error:
+            else:
+                for _ in range(_ROUNDS):
+                    _play(traci, scenario, scenario.num_steps - 1)
+                    for name in traci.vehicle.getIDList():
+                        traci.vehicle.remove(name)
+        except traci.exceptions.FatalTraCIError as error:  # the window was closed
             if screenshot is not None:
                 raise SimulationError(f"sumo-gui ended before the picture was taken: {error}") from error
         finally:
             traci.close(wait=False)
     return screenshot
+
+
+def _halts(steps: int) -> list[float]:
+    """Seconds at which sumo-gui waits for its user: after the first step and at the end of every round."""
+    return [STEP_S, *(STEP_S * steps * number for number in range(1, _ROUNDS + 1))]
 
 
 def _traci() -> ModuleType:
@@ -82,7 +101,7 @@ def _traci() -> ModuleType:
     try:
         return import_module("traci")
     except ModuleNotFoundError:
-        raise SimulationError(f"traci is not installed, {_HOW}") from None
+        raise SimulationError(f"traci is not installed; {_HOW}") from None
     finally:
         if setting is not None:
             os.environ["LIBSUMO_AS_TRACI"] = setting
@@ -90,18 +109,24 @@ def _traci() -> ModuleType:
 
 def _binary() -> str:
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise SimulationError("no display for sumo-gui, want DISPLAY set (or run under xvfb-run)")
+        raise SimulationError("no display for sumo-gui: set DISPLAY, or run it under xvfb-run")
     beside = Path(sys.executable).with_name("sumo-gui")
     binary = str(beside) if beside.is_file() else shutil.which("sumo-gui")
     if binary is None:
-        raise SimulationError(f"sumo-gui is not installed, {_HOW}")
+        raise SimulationError(f"sumo-gui is not installed; {_HOW}")
     return binary
 
 
-def _play(traci: ModuleType, scenario: Scenario, last: int) -> None:
-    colors = paints(scenario)
-    _look(traci, scenario)
+def _prepare(traci: ModuleType, scenario: Scenario) -> None:
+    low, high = moving_ground(scenario)
+    view = traci.gui.getIDList()[0]
+    traci.gui.setBoundary(view, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
     traci.route.add("anywhere", [_any_edge(traci)])
+
+
+def _play(traci: ModuleType, scenario: Scenario, last: int) -> None:
+    """Show the steps from 0 to `last`, in as many steps of SUMO."""
+    colors = paints(scenario)
     poses = {
         track.track_id: sumo_poses(track.position, track.heading, np.full(len(track.timesteps), track.size.length_m))
         for track in scenario.tracks
@@ -140,17 +165,10 @@ def _add(traci: ModuleType, track: Track, rgba: tuple[int, int, int, int]) -> No
     traci.vehicle.setLength(name, track.size.length_m)
     traci.vehicle.setWidth(name, track.size.width_m)
     traci.vehicle.setColor(name, rgba)
+    if shows_id(track):
+        traci.vehicle.setParameter(name, ID_KEY, name)
     if track.object_type in GUI_SHAPES:
         traci.vehicle.setShapeClass(name, GUI_SHAPES[track.object_type])
-
-
-def _look(traci: ModuleType, scenario: Scenario) -> None:
-    """Show the ground on which something moves."""
-    moving = [track.position for track in scenario.tracks if np.ptp(track.position, axis=0).max() > 5.0]
-    points = np.concatenate(moving or [track.position for track in scenario.tracks])
-    low, high = points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
-    view = traci.gui.getIDList()[0]
-    traci.gui.setBoundary(view, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
 def _photograph(traci: ModuleType, path: Path) -> None:
@@ -166,4 +184,4 @@ def _photograph(traci: ModuleType, path: Path) -> None:
         traci.vehicle.moveToXY(name, "", -1, x, y, angle, keepRoute=_KEEP_ROUTE, matchThreshold=_MATCH_M)
     traci.simulationStep()
     if not path.is_file():
-        raise ExportError(f"{path}: sumo-gui wrote no picture, want a .png file in a writable folder")
+        raise ExportError(f"{path}: sumo-gui wrote no picture; is the folder writable?")

@@ -4,7 +4,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from netconvert.av2_map import read_lane_graph
+from bridge.recordings.map_rules import read_source_map
 from netconvert.cells import build_cell_grid
 from netconvert.errors import MapError, NetError, NoSceneError
 from netconvert.fidelity import FidelityReport, measure_fidelity
@@ -22,7 +22,7 @@ def convert(scene: Path, out_dir: Path, *, cell_m: float = 4.0, max_skew_m: floa
     """
     path = _map_file(scene)
     name = path.stem.removeprefix(_MAP_PREFIX)
-    grid = build_cell_grid(read_lane_graph(path), cell_m=cell_m, max_skew_m=max_skew_m)
+    grid = build_cell_grid(read_source_map(path), cell_m=cell_m, max_skew_m=max_skew_m)
     net = net_bytes(grid)
     report = measure_fidelity(grid, net)
     _write_all(out_dir, {f"{name}.net.xml": net, **gui_files(grid, name)})
@@ -33,10 +33,10 @@ def _map_file(scene: Path) -> Path:
     if scene.is_file():
         return scene
     if not scene.is_dir():
-        raise NoSceneError(f"{scene}: no such folder, want a scenario folder")
+        raise NoSceneError(f"{scene}: no such folder, expected a scenario folder")
     found = sorted(scene.glob(f"{_MAP_PREFIX}*.json"))
     if len(found) != 1:
-        raise MapError(f"{scene}: {len(found)} files {_MAP_PREFIX}*.json, want one")
+        raise MapError(f"{len(found) or 'no'} {_MAP_PREFIX}<id>.json in {scene}; expected exactly one")
     return found[0]
 
 

@@ -5,6 +5,7 @@ lanes of its own, a centimetre wide and laid along the way of its front bumper, 
 mean speed of that time as limit. `hid2 gui` (bridge.sumo.gui) shows the exact positions instead.
 """
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,7 +17,7 @@ from lxml import etree
 
 from bridge.files import beside
 from bridge.pictures.figures import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
-from bridge.recordings.scenario import AV_ID, STEP_S, Scenario, read_scenario
+from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, STEP_S, Scenario, read_scenario
 from bridge.recordings.sidecar import sidecar_in
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray, Policy, Track
@@ -24,7 +25,7 @@ from hid2.measures.arrays import is_generated_id
 from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ExportError
 from netconvert.geometry import arc_length
-from netconvert.gui_files import gui_files
+from netconvert.gui_files import WINDOW_ASPECT, gui_files
 from netconvert.net_xml import net_bytes
 
 #: A lane of a trace covers at least this much time and way (the last one whatever is left).
@@ -41,8 +42,16 @@ _CREEP_M = 0.1
 SMOOTHED = 9
 #: The last lane of a trace, on which the vehicle leaves the scene within a step.
 _OUT_M, _OUT_MPS = 0.5, 80.0
+#: Lanes for this class of vehicle are transparent in the view settings (`gui_files`); no map has any.
+_UNSEEN = "ship"
 #: Vehicles keep to the limits of their lanes, however sudden.
 _ANY_ACCELERATION = "1000"
+#: What moves further than this is looked at, with so much ground around it.
+_MOVES_M, _MARGIN_M = 5.0, 20.0
+#: Parameter of a vehicle that holds the id to show.
+ID_KEY = "shown_id"
+#: Distance of two lines of the legend, and its width, as a share of the height shown.
+_LEGEND_ROW, _LEGEND_WIDTH = 0.045, 0.25
 #: SUMO's pictures of vehicles, by object type.
 GUI_SHAPES: Mapping[str, str] = {
     "vehicle": "passenger/sedan",
@@ -92,7 +101,7 @@ def paints(scenario: Scenario) -> dict[str, Paint]:
     for track in scenario.tracks:
         if is_generated_id(track.track_id):
             out[track.track_id] = POLICIES[policy_of.get(track.track_id, Policy.STRAIGHT)]
-        elif track.category == 3:
+        elif track.category == FOCAL_CATEGORY:
             out[track.track_id] = FOCAL
         else:
             out[track.track_id] = AV if track.track_id == AV_ID else RECORDED
@@ -109,7 +118,7 @@ def write_playable(folder: Path, out_dir: Path) -> Path:
     scenario = read_scenario(folder)
     grid = build_cell_grid(scenario.graph)
     name = f"{scenario.scenario_id}_scene"
-    files = scene_view_files(grid, name)
+    files = scene_view_files(scenario, grid, name)
     traces = [_trace(track) for track in scenario.tracks]
     files[f"{name}.net.xml"] = _with_traces(net_bytes(grid), traces)
     files[f"{name}.rou.xml"] = _routes(scenario, traces)
@@ -123,18 +132,96 @@ def write_playable(folder: Path, out_dir: Path) -> Path:
     return out_dir / f"{name}.sumocfg"
 
 
-def scene_view_files(grid: CellGrid, name: str) -> dict[str, bytes]:
-    """<name>.sumocfg, .poly.xml and .view.xml as `hid2 net` writes them, with vehicles drawn as boxes of their size."""
-    files = gui_files(grid, name)
+def scene_view_files(scenario: Scenario, grid: CellGrid, name: str) -> dict[str, bytes]:
+    """<name>.sumocfg, .poly.xml and .view.xml: those of `hid2 net`, looking at what moves, with ids and a legend.
+
+    sumo-gui then shows the first step and waits: vehicles are boxes of their size, with their ids.
+    """
+    low, high = moving_ground(scenario)
+    files = gui_files(grid, name, shown=(low, high))
     del files[f"{name}.cells.csv"]
     view = etree.fromstring(files[f"{name}.view.xml"])
     scheme = view.find("scheme")
     assert scheme is not None
     boxes = {"vehicleMode": "0", "vehicleQuality": "1", "showBlinker": "0", "vehicle_minSize": "0"}
-    vehicles = etree.SubElement(scheme, "vehicles", {**boxes, "vehicle_exaggeration": "1.3"})
+    vehicles = etree.SubElement(
+        scheme,
+        "vehicles",
+        {
+            **boxes,
+            "vehicle_exaggeration": "1",
+            **_words("vehicleText", 46),
+            "vehicleText_bgColor": "255,255,255",
+            "vehicleTextParam": ID_KEY,
+        },
+    )
     etree.SubElement(vehicles, "colorScheme", {"name": "given vehicle/type/route color"})
+    etree.SubElement(scheme, "pois", {"poi_constantSize": "1", "poi_exaggeration": "1", **_words("poiName", 50)})
     files[f"{name}.view.xml"] = _content(view)
+    shapes = etree.fromstring(files[f"{name}.poly.xml"])
+    shapes.extend(_legend(scenario, low, high))
+    files[f"{name}.poly.xml"] = _content(shapes)
+    configuration = etree.fromstring(files[f"{name}.sumocfg"])
+    gui = configuration.find("gui_only")
+    assert gui is not None
+    etree.SubElement(gui, "start", {"value": "true"})
+    etree.SubElement(gui, "breakpoints", {"value": f"{STEP_S}"})
+    files[f"{name}.sumocfg"] = _content(configuration)
     return files
+
+
+def shows_id(track: Track) -> bool:
+    """Whether a vehicle shows its id: inserted ones and the focal one, as those of all would hide each other."""
+    return is_generated_id(track.track_id) or track.category == FOCAL_CATEGORY
+
+
+def moving_ground(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
+    """Low and high corner of the ground on which something moves, (2,) m."""
+    moving = [track.position for track in scenario.tracks if np.ptp(track.position, axis=0).max() > _MOVES_M]
+    points = np.concatenate(moving or [track.position for track in scenario.tracks])
+    return points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
+
+
+def _words(what: str, size: int) -> dict[str, str]:
+    """View settings that show names, as large at any zoom."""
+    return {f"{what}_show": "1", f"{what}_size": str(size), f"{what}_constantSize": "1", f"{what}_color": "10,10,10"}
+
+
+def _legend(scenario: Scenario, low: FloatArray, high: FloatArray) -> list[etree._Element]:
+    """What the colours mean: bars with names, in that corner of the ground shown where the fewest vehicles pass."""
+    there = set(paints(scenario).values())
+    shown = [paint for paint in (RECORDED, AV, FOCAL, *POLICIES.values()) if paint in there]
+    high_m = max(float(high[1] - low[1]), float(high[0] - low[0]) / WINDOW_ASPECT)
+    size = np.array([_LEGEND_WIDTH, _LEGEND_ROW * len(shown)]) * high_m
+    points = np.concatenate([track.position for track in scenario.tracks])
+    reach = np.array([high[0] - low[0], high_m]) / 2 - size  # of the legend's corners from the middle
+
+    def hidden(corner: FloatArray) -> int:
+        return int(((points > corner) & (points < corner + size)).all(axis=1).sum())
+
+    middle = (low + high) / 2
+    places = itertools.product((-reach[0] - size[0], reach[0]), (reach[1], -reach[1] - size[1]))
+    corners = [middle + np.array(place) for place in places]
+    left, bottom = min(corners, key=hidden).tolist()
+    parts = []
+    for row, paint in enumerate(reversed(shown)):
+        name = paint.meaning if paint not in POLICIES.values() else f"inserted {paint.meaning}"
+        parts += _bar(paint, name, (left, bottom + row * _LEGEND_ROW * high_m), high_m)
+    return parts
+
+
+def _bar(paint: Paint, name: str, corner: tuple[float, float], high_m: float) -> list[etree._Element]:
+    """A bar of the legend, lower left at `corner`, and its name, for which SUMO needs a point without colour."""
+    (left, lower), width, height = corner, _LEGEND_WIDTH * high_m, 0.8 * _LEGEND_ROW * high_m
+    ring = [(left, lower), (left + width, lower), (left + width, lower + height), (left, lower + height)]
+    bar = {"id": f"legend_{name}", "type": "legend", "color": paint.xml, "fill": "1", "layer": "450"}
+    bar["shape"] = " ".join(f"{x:.2f},{y:.2f}" for x, y in ring)
+    point = {"id": name, "type": "legend", "color": "0,0,0,0", "layer": "500"}
+    point |= {"x": f"{left + width / 2:.2f}", "y": f"{lower + height / 2:.2f}"}
+    elements = etree.Element("poly", bar), etree.Element("poi", point)
+    for element in elements:  # SUMO takes no spaces in ids, but those that do not break
+        element.set("id", element.get("id", "").replace(" ", "\u00a0"))
+    return list(elements)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -220,7 +307,7 @@ def _with_traces(net: bytes, traces: list[_Trace]) -> bytes:
             ends = {"from": f"{trace.edge(k)}_j", "to": f"{trace.edge(k + 1)}_j"}
             edge = etree.Element("edge", {"id": trace.edge(k), **ends, "priority": "0"})
             lane = {"id": f"{trace.edge(k)}_0", "index": "0", "speed": f"{limit:.4f}", "width": f"{_TRACE_WIDTH_M}"}
-            lane |= {"length": f"{arc_length(shape)[-1]:.4f}", "shape": _shape(shape)}
+            lane |= {"allow": _UNSEEN, "length": f"{arc_length(shape)[-1]:.4f}", "shape": _shape(shape)}
             etree.SubElement(edge, "lane", lane)
             edges.append(edge)
             if k:
@@ -251,7 +338,7 @@ def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
         kind = {"id": f"type_{trace.track.track_id}", "length": f"{size.length_m:.2f}", "width": f"{size.width_m:.2f}"}
         if trace.track.object_type in GUI_SHAPES:
             kind["guiShape"] = GUI_SHAPES[trace.track.object_type]
-        kind |= {"minGap": "0", "sigma": "0"}
+        kind |= {"vClass": _UNSEEN, "minGap": "0", "sigma": "0"}
         kind |= {"accel": _ANY_ACCELERATION, "decel": _ANY_ACCELERATION, "emergencyDecel": _ANY_ACCELERATION}
         kind |= {"maxSpeed": "80", "speedFactor": "1", "speedDev": "0", "tau": "0.1"}
         etree.SubElement(root, "vType", kind)
@@ -261,6 +348,8 @@ def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
         vehicle |= {"depart": f"{trace.track.timesteps[0] * STEP_S:.1f}", "departPos": f"{trace.depart_m:.2f}"}
         vehicle |= {"departSpeed": f"{trace.limits[0]:.4f}", "arrivalPos": "max"}
         element = etree.SubElement(root, "vehicle", vehicle)
+        if shows_id(trace.track):
+            etree.SubElement(element, "param", {"key": ID_KEY, "value": name})
         edges = " ".join(trace.edge(k) for k in range(len(trace.shapes)))
         etree.SubElement(element, "route", {"edges": edges})
     return _content(root)

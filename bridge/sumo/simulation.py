@@ -52,7 +52,7 @@ class Simulation:
     def __enter__(self) -> Self:
         """Start SUMO."""
         if Simulation._running:
-            raise SimulationError("a simulation is already running in this process, want one at a time")
+            raise SimulationError("a simulation is already running in this process, expected one at a time")
         self._beside = tempfile.TemporaryDirectory(prefix="hid2-sumo-")
         types = Path(self._beside.name) / _TYPES
         extra = "".join(f' {name}="{value:g}"' for name, value in self._parameters.items())

@@ -20,10 +20,9 @@ _BOX_MARGIN_M = 0.05
 #: Widths of the filter that are tried in turn, over `smoothing.filter_s`; shares of the driver's place in the lane.
 _FILTERS = (1.0, 1.6, 2.5)
 _OFFSETS = (1.0, 0.5, 0.0)
-_STANDING_MPS, _EDGE_M = 0.5, 5.0
 _MOVES_M = 2.0
 _ROLLS_BACK_MPS = -0.2
-_AFTER_END_M, _AFTER_END_SPARE_S = 120.0, 0.1
+_AFTER_END_M, _AFTER_END_SPARE_S = 120.0, 0.35
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -114,8 +113,6 @@ def _checked(
 ) -> ExportedVehicle | Reason:
     """Limits of motion, drivable area, boxes, the end of the scene; cheap ones first."""
     config, size = scene.config, vehicle.start.size
-    if np.any((motion.v < _STANDING_MPS) & (motion.s > vehicle.path.exit_s - size.length_m / 2 - _EDGE_M)):
-        return Reason.STOPS_AT_MAP_EDGE
     cells = slice(int(motion.s[0] / TABLE_STEP_M), int(motion.s[-1] / TABLE_STEP_M) + 2)
     if np.abs(vehicle.path.line.table_curvature[cells]).max() > 0.98 / config.limits.min_radius_m:
         return Reason.LIMIT_CURVATURE

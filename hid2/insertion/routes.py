@@ -4,7 +4,7 @@ import itertools
 from dataclasses import dataclass, field
 
 from hid2.agents import Policy
-from hid2.motion.route import ROUTE_LONGEST_M, Route, routes_from
+from hid2.motion.route import ROUTE_LONGEST_M, Route, route_beside, routes_from
 from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.turns import TURN_OF_POLICY
@@ -48,7 +48,7 @@ class Routes:
     scene: Scene
     lanes: tuple[int, ...] = field(init=False)
     _offers: dict[int, tuple[RouteOffer, ...]] = field(default_factory=dict)
-    _onward: dict[int, float] = field(default_factory=dict)
+    _beside: dict[tuple[Route, int], float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Lanes that cars drive on."""
@@ -103,27 +103,22 @@ class Routes:
             if row > 0 and lanes[whole[row]].turn is not TurnType.STRAIGHT
         )
         beside = tuple(
-            Beside(side, starts[row], ends[row], self._onward_m(lane), lanes[whole[row]].is_intersection)
+            Beside(side, starts[row], ends[row], self._beside_m(whole[row:], lane), lanes[whole[row]].is_intersection)
             for row in rows
             for side in _SIDES
             if (lane := admissible_neighbor(self.scene, whole[row], side)) is not None
         )
         return RouteOffer(whole, starts[len(before)], ends[-1], turns, beside)
 
-    def _onward_m(self, lane_id: int, sofar: tuple[int, ...] = ()) -> float:
-        """Length from the start of a lane to where it ends for good, m, at most ROUTE_LONGEST_M."""
-        if not sofar and lane_id in self._onward:
-            return self._onward[lane_id]
-        graph = self.scene.grid.graph
-        length = graph.lanes[lane_id].length_m
-        seen = (*sofar, lane_id)
-        if len(seen) < 12 and length < ROUTE_LONGEST_M:
-            onward = [n for n in graph.successors(lane_id) if n not in seen and self.usable(n)]
-            length += max((self._onward_m(n, seen) for n in onward), default=0.0)
-        length = min(length, ROUTE_LONGEST_M)
-        if not sofar:
-            self._onward[lane_id] = length
-        return length
+    def _beside_m(self, own: Route, lane_id: int) -> float:
+        """Length of the way on a lane beside an own route, from the start of that lane on, m."""
+        key = own, lane_id
+        if key not in self._beside:
+            graph = self.scene.grid.graph
+            route = route_beside(graph, own, lane_id, usable=self.usable)
+            ahead = route[route.index(lane_id) :]
+            self._beside[key] = sum(graph.lanes[n].length_m for n in ahead)
+        return self._beside[key]
 
     def _run_up(self, lane_id: int) -> Route:
         """Lanes that lead to a lane, the straightest way, back to the map's edge or _RUN_UP_M."""

@@ -19,6 +19,8 @@ from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.sigma import FREE
 from hid2.policy.decision import Side
+from hid2.policy.lane_change import lane_change_reason
+from hid2.policy.observation import lane_options
 from hid2.policy.roads import Roads
 from hid2.policy.turns import TURN_OF_POLICY
 from hid2.reasons import Reason
@@ -32,10 +34,12 @@ _TURN_PACE_MPS = 5.0  # mean speed on a turn lane, for an estimate of when it is
 _SLOW_SHARE = (0.3, 0.5)  # desired speed of a leader that is to be overtaken, over that of who overtakes it
 _STANDING_MPS = 0.3
 #: A vehicle may begin by braking so hard for its leader, m/s2.
-_BEGINS_BRAKING_MPS2 = 0.4
+_BEGINS_BRAKING_MPS2 = 0.8
 #: Drivers that are drawn for one site, and the verdicts that another one may change.
 _DRIVERS = 3
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.LEAVES_TOO_EARLY})
+#: Moments after the trigger at which a gap beside is looked for, s.
+_GAP_WAITS_S = (0.0, 0.7, 1.5)
 _AVOIDED_M = 5.0  # around a start that could not be kept
 _WAITS_M = 8.0  # who starts standing does so behind somebody who stands no farther ahead
 
@@ -87,15 +91,14 @@ class InsertionSites:
     def _starts(self, request: VehicleRequest) -> Iterator[Start]:
         """Starts at sites in weighted random order; first where more speaks for them.
 
-        Strict: the lane beside is not in an intersection; nobody known is in the way of a turn.
+        Strict: the lane beside is not in an intersection, and a gap in it is likely; nobody known is in the way of a
+        turn; whoever is to go straight meets no turn in the time of the scene.
         """
         if self.scene.config.request.sites == "any":
             yield from self._starts_where(request, _any_site)
             return
         for strict in (True, False):
             yield from self._starts_where(request, partial(self._promises, request, strict=strict), strict=strict)
-            if request.policy is Policy.STRAIGHT:
-                return
 
     def _starts_where(
         self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool], *, strict: bool = False
@@ -108,7 +111,7 @@ class InsertionSites:
                 if self._leaves_early(offer, s, 0.8 * usual_mps) or not promises(offer, s, usual_mps):
                     continue
                 start = self._start(request, offer, lane_id, s, strict=strict)
-                tried += 1
+                tried += start is not Reason.NO_SITE
                 if isinstance(start, Start):
                     yield start
                 else:
@@ -176,7 +179,7 @@ class InsertionSites:
             _, begin, end = ahead[0]
             needs_s = (begin - s) / (0.75 * speed_mps) + (end - begin) / _TURN_PACE_MPS + 2.0
             return begin - s > _BEFORE_TURN_M and needs_s < duration
-        if any(begin < reach for _, begin, _ in ahead):
+        if any(begin < reach for _, begin, _ in ahead) and (strict or request.policy is not Policy.STRAIGHT):
             return False
         at = s + 0.9 * speed_mps * request.trigger_s
         if request.policy is Policy.LANE_CHANGE:
@@ -223,6 +226,8 @@ class InsertionSites:
             if turn is None:
                 return Reason.TURN_NOT_SEEN
             reach_s = turn.end + 1.0 if strict else None
+        elif strict and request.policy is not Policy.STRAIGHT:  # whoever changes lanes has to be under way
+            reach_s = start_s + 0.5 * self._usual_speed(lane_id) * (scene.num_steps - 1) * DT_S
         verdict: Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else _DRIVERS):
             who = driver or draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))
@@ -237,6 +242,8 @@ class InsertionSites:
             return verdict
         speed = found
         sides: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
+        if strict and request.policy is Policy.LANE_CHANGE and not self._gap_likely(path, box, start_s, speed, request):
+            return Reason.CELLS_OCCUPIED
         return Start(
             vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=object_type, size=size,
             box=box, route=offer.route, path=path, start_s=start_s, start_mps=speed, driver=who,
@@ -245,6 +252,28 @@ class InsertionSites:
             ),
             offset=lane_offset(who, config, rng, length_m=path.line.length_m), sides=sides,
         )  # fmt: skip
+
+    def _gap_likely(self, path: DrivenPath, box: BoxSize, s: float, speed_mps: float, request: VehicleRequest) -> bool:
+        """Whether a vehicle that drives on finds a gap among the recorded ones beside it soon after its trigger."""
+        scene, change = self.scene, self.scene.config.lane_change
+        nobody = scene.traffic.rows([])
+        for wait_s in _GAP_WAITS_S:
+            at_s = request.trigger_s + wait_s
+            step, at = round(at_s / DT_S), s + 0.95 * speed_mps * at_s
+            if step >= scene.num_steps or at > path.exit_s:
+                break
+            options = lane_options(
+                scene, path, box, s=at, step=step, sides=("left", "right"), fixed=self.guard.fixed, fleet=nobody,
+                speed_mps=speed_mps, desired_mps=speed_mps,
+            )  # fmt: skip
+            for option, _ in options:
+                reason = lane_change_reason(
+                    speed_mps=speed_mps, cells_free=option.cells_free, front=option.front, rear=option.rear,
+                    remaining_m=option.remaining_m, params=change,
+                )  # fmt: skip
+                if reason is None:
+                    return True
+        return False
 
     def _start_speed(
         self, offer: RouteOffer, path: DrivenPath, box: BoxSize, s: float, start_s: float, speed: float,
@@ -310,7 +339,7 @@ class InsertionSites:
             if not np.any(ahead & (low - s < _WAITS_M) & (along < _STANDING_MPS)):
                 return Reason.NO_SITE
             speed = 0.0
-        elif speed < 0.35 * wished:
+        elif speed < 0.25 * wished:
             return Reason.NO_SITE  # nobody drives so slowly with so much room ahead
         fleet = np.array([[s, speed, 0.0, 0.0, 1.0]])
         found = self.guard.braking(
@@ -322,7 +351,7 @@ class InsertionSites:
         soon = found.free_conflict_s is not None and found.free_conflict_s < conflict.horizon_s
         if found.conflict_s is not None and found.conflict_s < spawn.settle_s:
             return Reason.CONFLICT_PREDICTED
-        if soon and found.decel_mps2 > 1.2 * driver.decel_mps2:
+        if soon and found.decel_mps2 > 1.4 * driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
         if reach_s is not None and found.free_s < reach_s:
             return Reason.CONFLICT_PREDICTED

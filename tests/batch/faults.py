@@ -4,8 +4,10 @@ A file FAULT in a source folder says what its scene does: segfault, hang, killed
 first attempt only (a file beside the output remembers it).
 """
 
+import errno
 import os
 import signal
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -41,6 +43,14 @@ def numbers(shared: str, items: Sequence[object]) -> Iterator[tuple[str, object,
         yield shared, item, os.getpid()
 
 
+def leaves_files(shared: str, items: Sequence[object]) -> Iterator[str]:
+    """Write a temporary file that only the end of the process could remove, then fail."""
+    for item in items:
+        Path(tempfile.mkdtemp(prefix="hid2-"), "net.xml").write_text("<net/>")
+        fail(str(item), Path())
+        yield str(item)
+
+
 def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
     """Write each scene with nothing added: quick, and independent of the simulation."""
     for run in runs:
@@ -69,6 +79,14 @@ def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]
             )
         except Exception as error:  # noqa: BLE001  # passed on as a failure of the scene, as the product does
             yield describe_error(error)
+
+
+def one_place(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow]:
+    """Write every scene to the same folder, as work that takes the names of its folders from elsewhere may."""
+    folder = place.out / "one"
+    folder.mkdir(exist_ok=True)
+    for run in runs:
+        yield base_row(place, run)._replace(folder="one")
 
 
 def other_version(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow]:
@@ -127,6 +145,12 @@ def fail(fault: str, scratch: Path) -> None:
         libsumo.start(["sumo", "-n", str(net), "--no-step-log"])
     elif fault == "killed":
         os.kill(os.getpid(), signal.SIGKILL)
+    elif fault == "memory":
+        bytearray(10**13)
+    elif fault == "full":
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(scratch / "scenario.parquet"))
+    elif fault == "long":
+        raise RuntimeError("x" * 150_000)
     elif fault == "exit":
         os._exit(3)
     elif fault == "hang":

@@ -19,11 +19,21 @@ from distributed import LocalCluster
 from processes import still_running
 
 from bridge.batch.batch import Options, plan, reproduce, run_batch
-from bridge.batch.manifest import DONE, QUARANTINED, ManifestRow, code_version, files_sha256, output_files
+from bridge.batch.manifest import (
+    DONE,
+    MAX_TEXT,
+    QUARANTINED,
+    Manifest,
+    ManifestRow,
+    code_version,
+    files_sha256,
+    output_files,
+    read_manifest,
+)
 from bridge.config import load_config
 from bridge.recordings.scenario import find_scenarios, find_sources
 from hid2.params import Config
-from netconvert.errors import BatchError, ConfigError
+from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportError
 
 COPIES = "faults:copies"
 MakeDataSet = Callable[..., list[Path]]
@@ -60,7 +70,7 @@ def test_every_run_has_a_row_and_a_folder(make_data_set: MakeDataSet, tmp_path: 
 def test_results_are_not_written_beside_the_sources(make_data_set: MakeDataSet, tmp_path: Path, where: str) -> None:
     folders = make_data_set(2)
     before = sorted((tmp_path / "source").rglob("*"))
-    with pytest.raises(ConfigError, match=r"scenes are read from .*source/val, want another folder to write to"):
+    with pytest.raises(ConfigError, match=r"source/val holds the input; choose another output folder"):
         run_batch(plan(folders, Config()), tmp_path / "source" / where, Options(function=COPIES))
     assert sorted((tmp_path / "source").rglob("*")) == before
 
@@ -98,15 +108,151 @@ def test_two_scenes_that_would_be_written_to_one_place_are_refused(
     folders = make_data_set(2)
     other = tmp_path / "other" / "val" / name
     shutil.copytree(folders[0], other)
-    with pytest.raises(ConfigError, match=r"scene-000 and .*/other/val/.* are both scene '.*', want each scene once"):
+    with pytest.raises(ConfigError, match=r"scene-000 and .*/other/val/.* are both scene '.*'; leave one out"):
         run_batch(plan([*folders, other], Config()), tmp_path / "out", Options(function=COPIES))
     assert not (tmp_path / "out").exists()
+
+
+def rename_scene(folder: Path, new_id: str) -> None:
+    """Another id in the names of a scene's files, the old one in its rows."""
+    for path in folder.iterdir():
+        prefix = "scenario_" if path.suffix == ".parquet" else "log_map_archive_"
+        path.rename(folder / f"{prefix}{new_id}{path.suffix}")
+
+
+def test_second_source_with_the_scenario_id_of_another_is_not_written_over_it(
+    make_data_set: MakeDataSet, tmp_path: Path
+) -> None:
+    """The names of its files do not tell: it is found when it is read."""
+    folders = make_data_set(2)
+    shutil.rmtree(folders[1])
+    shutil.copytree(folders[0], folders[1])
+    rename_scene(folders[1], "11111111-1111-4111-8111-111111111111")
+    good, bad = run_batch(plan(folders, Config()), tmp_path / "out", Options(function=COPIES))
+    assert (good.status, bad.failure) == (DONE, "error")
+    assert "scenario_id '00000000-0000-4000-8000-000000000000', expected the id in the file's name" in bad.reason
+    assert list(contents(tmp_path / "out")) == [good.folder]
+
+
+def test_scene_of_another_batch_is_not_replaced_by_one_of_its_id(make_data_set: MakeDataSet, tmp_path: Path) -> None:
+    folders = make_data_set(2)
+    run_batch(plan(folders, Config()), tmp_path / "out", Options(function=COPIES))
+    other = tmp_path / "other" / "val" / "copy"
+    shutil.copytree(folders[0], other)
+    before = contents(tmp_path / "out")
+    with pytest.raises(
+        ConfigError, match=r"copy: scene '0+-.*' is in .* already, made from another folder, 'scene-000'"
+    ):
+        run_batch(plan([other], Config()), tmp_path / "out", Options(function=COPIES))
+    assert contents(tmp_path / "out") == before
+    assert len(Manifest(tmp_path / "out").rows) == 2
+
+
+def test_one_folder_written_for_two_scenes_ends_the_batch(make_data_set: MakeDataSet, tmp_path: Path) -> None:
+    with pytest.raises(BatchError, match=r"one: written for 'scene-000' and for 'scene-001', which are the same scene"):
+        run_batch(plan(make_data_set(2), Config()), tmp_path / "out", Options(function="faults:one_place"))
+
+
+@pytest.mark.parametrize("timeout_s", [float("nan"), float("inf"), 0.0, 1e9])
+def test_time_that_never_comes_is_refused(timeout_s: float) -> None:
+    with pytest.raises(ConfigError, match=r"scene-timeout .*: expected 1 to 86400 s"):
+        Options(timeout_s=timeout_s)
+
+
+class TestFullDisk:
+    """Nothing more can be written: one line, nothing half-written, and the batch goes on when there is room."""
+
+    def check(self, folders: list[Path], out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        with pytest.raises(
+            DiskFullError, match=r"cannot be written \(No space left on device\); finished scenes are in "
+        ):
+            run_batch(plan(folders, Config()), out, Options(function=COPIES))
+        monkeypatch.undo()
+        assert_nothing_half_written(out)
+        assert list((out / "quarantine").rglob("*")) == [] or not (out / "quarantine").exists()
+        rows = run_batch(plan(folders, Config()), out, Options(function=COPIES, resume=True))
+        assert {row.status for row in rows} <= {DONE, QUARANTINED}
+        assert len(rows) == len(folders)
+
+    def test_in_a_scene(self, make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.check(make_data_set(3, {1: "full once"}), tmp_path / "out", monkeypatch)
+
+    @pytest.mark.parametrize("what", ["add", "save"])
+    def test_in_the_manifest(
+        self, make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+    ) -> None:
+        opened, calls = Path.open, []
+        name, mode = ("manifest.csv", "a") if what == "add" else (".manifest.csv", "w")
+
+        def full(path: Path, *arguments: object, **named: object) -> object:
+            if path.name == name and (arguments or (named.get("mode"),))[0] == mode:
+                calls.append(path)
+                if len(calls) > 1:
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return opened(path, *arguments, **named)  # type: ignore[call-overload]
+
+        monkeypatch.setattr(Path, "open", full)
+        self.check(make_data_set(3), tmp_path / "out", monkeypatch)
+        assert len(calls) > 1
+
+    def test_in_a_bundle(self, make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        def full(*_: object) -> None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        monkeypatch.setattr("bridge.batch.batch.write_bundle", full)
+        self.check(make_data_set(3, {1: "raise"}), tmp_path / "out", monkeypatch)
+
+
+def test_reason_without_end_does_not_keep_a_batch_from_being_resumed(
+    make_data_set: MakeDataSet, tmp_path: Path
+) -> None:
+    folders, out = make_data_set(2, {1: "long"}), tmp_path / "out"
+    for resume in (False, True):
+        (_, bad) = run_batch(plan(folders, Config()), out, Options(function=COPIES, resume=resume))
+        assert len(bad.reason) == MAX_TEXT
+        assert read_manifest(out / "manifest.csv")[1] == 0
+    bundle, _ = reproduce(out / bad.bundle, tmp_path / "again", function=COPIES)
+    assert len(bundle.failure.details) > 100_000
+
+
+def test_folder_with_any_bytes_in_its_name_is_a_scene_like_others(make_data_set: MakeDataSet, tmp_path: Path) -> None:
+    folders = make_data_set(3, {1: "raise"})
+    named = [folder.rename(folder.parent / f"s{k}\udcff\n,\x1b[2J") for k, folder in enumerate(folders[:2])]
+    for resume in (False, True):
+        options = Options(function=COPIES, resume=resume)
+        rows = run_batch(plan([*named, folders[2]], Config()), tmp_path / "out", options)
+        assert [row.failure or row.status for row in rows] == [DONE, "exception", DONE]
+        assert sorted(row.scenario for row in rows) == ["s0\\udcff ,\\x1b[2J", "s1\\udcff ,\\x1b[2J", "scene-002"]
+    assert rows[1].bundle
+    assert reproduce(tmp_path / "out" / rows[1].bundle, tmp_path / "again", function=COPIES)[1].failure == "exception"
+
+
+def test_pipes_and_folders_in_the_place_of_files_do_not_hold_a_batch_up(
+    make_data_set: MakeDataSet, tmp_path: Path
+) -> None:
+    folders = make_data_set(3)
+    for folder, pattern, make in ((folders[0], "*.parquet", os.mkfifo), (folders[1], "*.json", os.mkdir)):
+        (path,) = folder.glob(pattern)
+        path.unlink()
+        make(path)
+    rows = run_batch(plan(folders, Config()), tmp_path / "out", Options(function=COPIES, timeout_s=30))
+    assert statuses(rows) == {"scene-000": "error", "scene-001": "error", "scene-002": DONE}
+    assert all("not a regular file" in row.reason for row in rows[:2])
+
+
+def test_lock_that_is_a_link_is_not_written_through(make_data_set: MakeDataSet, tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / ".hid2.lock").symlink_to(tmp_path / "mine")
+    with pytest.raises(ExportError, match="cannot be written"):
+        run_batch(plan(make_data_set(1), Config()), tmp_path / "out", Options(function=COPIES))
+    assert (tmp_path / "mine").read_text() == "mine"
 
 
 def test_bad_scenes_are_quarantined_and_good_ones_complete(make_data_set: MakeDataSet, tmp_path: Path) -> None:
     faults = {1: "sumo", 2: "hang", 3: "corrupt", 4: "raise", 5: "killed", 6: "segfault once", 7: "hang once"}
     folders = make_data_set(9, faults)
-    rows = run_batch(plan(folders, Config()), tmp_path / "out", Options(jobs=2, timeout_s=6, function=COPIES))
+    rows = run_batch(plan(folders, Config()), tmp_path / "out", Options(jobs=2, timeout_s=12, function=COPIES))
     assert statuses(rows) == {
         "scene-000": DONE,
         "scene-001": "crashed",
@@ -134,7 +280,7 @@ def test_bundle_reproduces_its_failure(make_data_set: MakeDataSet, tmp_path: Pat
     folders = make_data_set(1, {0: fault})
     (row,) = run_batch(plan(folders, Config()), tmp_path / "out", Options(timeout_s=20, function=COPIES))
     shutil.rmtree(tmp_path / "source")  # the bundle holds all that is needed
-    bundle, again = reproduce(tmp_path / "out" / row.bundle, tmp_path / "again")
+    bundle, again = reproduce(tmp_path / "out" / row.bundle, tmp_path / "again", function=COPIES)
     assert (again.failure, again.reason) == (row.failure, row.reason.replace(str(folders[0]), str(bundle.folder)))
     assert bundle.failure.kind == row.failure
     assert bundle.variant == 0
@@ -206,12 +352,10 @@ class TestResume:
 
     def test_scene_made_by_other_code_of_the_same_version_is_redone(self, first: tuple[list[Path], Path]) -> None:
         folders, out = first
-        lines = (out / "manifest.csv").read_text().splitlines(keepends=True)
-        assert all(line.rstrip().endswith(code_version()) for line in lines[1:])
+        manifest = Manifest(out)
+        assert {row.version for row in manifest.rows} == {code_version()}
         number, _, digest = code_version().partition("+")
-        lines[2] = lines[2].replace(digest, "0" * len(digest))
-        (out / "manifest.csv").write_text("".join(lines))
-        assert code_version() == f"{number}+{digest}"
+        manifest.add(manifest.rows[1]._replace(version=f"{number}+{'0' * len(digest)}"))
         assert self.redone(folders, out) == ["scene-001"]
 
     def test_scene_without_a_row_is_redone(self, first: tuple[list[Path], Path]) -> None:
@@ -259,7 +403,7 @@ def test_address_of_no_scheduler_is_explained(
     make_data_set: MakeDataSet, tmp_path: Path, address: str, recwarn: pytest.WarningsRecorder
 ) -> None:
     options = Options(scheduler=address, function=COPIES)
-    with pytest.raises(ConfigError, match=rf"scheduler '{address}': .*, want tcp://HOST:PORT"):
+    with pytest.raises(ConfigError, match=rf"scheduler '{address}': .*, expected tls://HOST:PORT or tcp://HOST:PORT"):
         run_batch(plan(make_data_set(1), Config()), tmp_path / "out", options)
     gc.collect()  # a client that was half made would be complained about by now
     assert [str(warning.message) for warning in recwarn if "Client" in str(warning.message)] == []
@@ -271,22 +415,9 @@ def test_scheduler_that_gets_no_workers_is_given_up(
     monkeypatch.setattr("bridge.batch.cluster._WORKERS_S", 1.0)
     with LocalCluster(n_workers=0, processes=False, dashboard_address=None, host="127.0.0.1", protocol="tcp") as nobody:
         address = nobody.scheduler_address
-        with pytest.raises(BatchError, match=rf"scheduler {address}: no workers for 1 s, want some .*dask worker"):
+        with pytest.raises(BatchError, match=rf"scheduler {address}: no workers for 1 s, expected some .*dask worker"):
             run_batch(plan(make_data_set(1), Config()), tmp_path / "out", Options(scheduler=address, function=COPIES))
     assert_nothing_half_written(tmp_path / "out")
-
-
-def test_a_machine_without_semaphores_is_explained(
-    make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What Python says where /dev/shm is read-only; Dask's own message would be that a nanny failed to start."""
-
-    def read_only(_: object) -> None:
-        raise OSError(errno.EROFS, "Read-only file system")
-
-    monkeypatch.setattr("multiprocessing.context.BaseContext.Lock", read_only)
-    with pytest.raises(BatchError, match=r"no semaphores \(Read-only file system\), want a writable /dev/shm"):
-        run_batch(plan(make_data_set(2), Config()), tmp_path / "out", Options(jobs=2, function=COPIES))
 
 
 RUN = """

@@ -10,8 +10,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import dask
 import psutil
 import pytest
 
@@ -19,6 +21,7 @@ from bridge.batch.batch import Options, plan, run_batch
 from bridge.batch.manifest import DONE, files_sha256, output_files
 from bridge.config import load_config
 from bridge.recordings.validate import validate_folder
+from netconvert.errors import BatchError, ConfigError
 
 MakeDataSet = Callable[..., list[Path]]
 BIN = Path(sys.executable).parent
@@ -31,7 +34,7 @@ def contents(out: Path) -> dict[str, str]:
 
 
 class Killer:
-    """Sends SIGKILL to workers at random: scene processes, each scene at most once, and Dask workers."""
+    """Sends SIGKILL to scene processes at random, for each scene at most once."""
 
     def __init__(self, started: Path, *, kills: int, seed: int) -> None:
         self.started, self.kills, self.random = started, kills, random.Random(seed)
@@ -52,26 +55,20 @@ class Killer:
             target = self._choose()
             if target is not None:
                 with contextlib.suppress(psutil.NoSuchProcess, OSError):
-                    self._kill(*target)
+                    self._kill(target)
 
-    def _kill(self, process: psutil.Process, kind: str) -> None:
-        """Held while it is looked at: a scene takes less time than that, and none is to lose its only retry.
-
-        A worker that is not seen at a scene may have been given one, perhaps the retry of another: it is left alone.
-        """
-        at_work = [process, *process.children(recursive=True)]
-        for one in at_work:
-            one.suspend()
-        names = [path.read_text() for one in at_work if (path := self.started / str(one.pid)).is_file()]
-        if not names or any(name in self.hit for name in names):
-            for one in at_work:
-                one.resume()
+    def _kill(self, process: psutil.Process) -> None:
+        """Held while it is looked at: a scene takes less time than that, and none is to lose its only retry."""
+        process.suspend()
+        path = self.started / str(process.pid)
+        name = path.read_text() if path.is_file() else None
+        if name is None or name in self.hit:
+            process.resume()
             return
-        self.hit += [*names, *([kind] if kind == "dask worker" else [])]
-        for one in reversed(at_work):
-            one.kill()
+        self.hit.append(name)
+        process.kill()
 
-    def _choose(self) -> tuple[psutil.Process, str] | None:
+    def _choose(self) -> psutil.Process | None:
         workers = []
         for process in psutil.Process().children(recursive=True):
             with contextlib.suppress(psutil.Error, OSError):
@@ -79,9 +76,7 @@ class Killer:
                 if "bridge.batch.isolation" in command:
                     scene = (self.started / str(process.pid)).read_text()
                     if scene not in self.hit:
-                        workers.append((process, scene))
-                elif "spawn_main" in command and self.hit.count("dask worker") < 2:
-                    workers.append((process, "dask worker"))
+                        workers.append(process)
         return self.random.choice(workers) if workers else None
 
 
@@ -116,21 +111,24 @@ def test_chaos(make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.M
     assert [path for path in out.rglob(".*") if path.name != ".hid2.lock"] == [], "nothing is half-written"
 
 
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """A scheduler and two workers as a user starts them, each by its own command line."""
+Cluster = tuple[str, list[subprocess.Popen[bytes]]]
+
+
+@contextlib.contextmanager
+def started_cluster(tmp_path: Path, *, protocol: str, settings: dict[str, str], workers: int) -> Iterator[Cluster]:
+    """A scheduler and workers as a user starts them by README, each by its own command line."""
     file = tmp_path / "scheduler.json"
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)} | settings
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
-    scheduler = ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)]
-    worker = ["worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-dashboard", "--host", "127.0.0.1"]
-    worker += ["--local-directory", str(tmp_path)]
+    here = ["--host", "127.0.0.1", "--dashboard-address", "127.0.0.1:0", "--protocol", protocol]
+    scheduler = ["scheduler", *here, "--port", "0", "--scheduler-file", str(file)]
+    worker = ["worker", *here, "--scheduler-file", str(file), "--nthreads", "1", "--local-directory", str(tmp_path)]
     processes = [subprocess.Popen([str(BIN / "dask"), *scheduler], **quiet)]
     try:
         while not file.exists():
             assert processes[0].poll() is None
             time.sleep(0.1)
-        processes += [subprocess.Popen([str(BIN / "dask"), *worker], **quiet) for _ in range(2)]
+        processes += [subprocess.Popen([str(BIN / "dask"), *worker], **quiet) for _ in range(workers)]
         yield json.loads(file.read_text())["address"], processes
     finally:
         for process in reversed(processes):
@@ -142,9 +140,14 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]
                 process.kill()
 
 
-def test_cluster_that_others_started(
-    make_data_set: MakeDataSet, tmp_path: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]]
-) -> None:
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    """Two workers, no certificates."""
+    with started_cluster(tmp_path, protocol="tcp", settings={}, workers=2) as found:
+        yield found
+
+
+def test_cluster_that_others_started(make_data_set: MakeDataSet, tmp_path: Path, cluster: Cluster) -> None:
     """`hid2 generate --scheduler` uses its workers, also when one is killed on the way; the bytes are the same."""
     address, processes = cluster
     folders = make_data_set(9)
@@ -169,3 +172,57 @@ def test_scheduler_that_is_not_there_is_explained(make_data_set: MakeDataSet, tm
     assert result.returncode == 1
     assert "Traceback" not in result.stderr
     assert result.stderr.startswith("hid2: scheduler tcp://127.0.0.1:9: cannot be reached")
+
+
+def test_scheduler_that_dies_is_one_line(make_data_set: MakeDataSet, tmp_path: Path, cluster: Cluster) -> None:
+    """Also where Dask has much to say about it."""
+    address, processes = cluster
+    command = [str(BIN / "hid2"), "generate", str(make_data_set(9)[0].parent), "-o", str(tmp_path / "out"), "-q"]
+    generating = subprocess.Popen([*command, "--scheduler", address], stderr=subprocess.PIPE, text=True)
+    while not (tmp_path / "out" / "val").exists():
+        assert generating.poll() is None
+        time.sleep(0.1)
+    processes[0].kill()
+    _, errors = generating.communicate(timeout=300)
+    assert generating.returncode == 1
+    (line,) = errors.splitlines()
+    assert line.startswith(f"hid2: scheduler {address}: ")
+
+
+def certificates(folder: Path) -> dict[str, str]:
+    """Dask's settings for a CA and one certificate by it, made on the spot as README says."""
+    key = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2"]
+    signed = ["-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "2"]
+    for arguments in (
+        ["req", "-x509", *key, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=hid2 CA"],
+        ["req", *key[:-2], "-keyout", "node.key", "-out", "node.csr", "-subj", "/CN=hid2 cluster"],
+        ["x509", "-req", "-in", "node.csr", *signed, "-out", "node.pem"],
+    ):
+        subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True)
+    settings = {"distributed.comm.require-encryption": "True", "distributed.comm.tls.ca-file": str(folder / "ca.pem")}
+    for role in ("scheduler", "worker", "client"):
+        settings[f"distributed.comm.tls.{role}.cert"] = str(folder / "node.pem")
+        settings[f"distributed.comm.tls.{role}.key"] = str(folder / "node.key")
+    return settings
+
+
+def test_cluster_with_certificates_serves_those_who_have_one(make_data_set: MakeDataSet, tmp_path: Path) -> None:
+    settings = certificates(tmp_path)
+    environment = {f"DASK_{key.replace('.', '__').replace('-', '_').upper()}": text for key, text in settings.items()}
+    jobs = plan(make_data_set(2), CONFIG)
+    with started_cluster(tmp_path, protocol="tls", settings=environment, workers=1) as (address, processes):
+        assert address.startswith("tls://127.0.0.1:")
+        options = Options(scheduler=address, function="faults:copies")
+        with dask.config.set(settings):
+            rows = run_batch(jobs, tmp_path / "out", options)
+        assert [row.status for row in rows] == [DONE, DONE]
+        with pytest.raises(
+            ConfigError, match=r"scheduler 'tls://.*': no certificates for it, expected Dask's settings"
+        ):
+            run_batch(jobs, tmp_path / "other", options)
+        with pytest.raises(BatchError, match="cannot be reached"):
+            run_batch(jobs, tmp_path / "other", replace(options, scheduler=address.replace("tls", "tcp")))
+        family = [psutil.Process(p.pid) for p in processes]
+        family += [child for process in family for child in process.children(recursive=True)]
+        listening = {c.laddr.ip for p in family for c in p.net_connections("inet") if c.status == psutil.CONN_LISTEN}
+        assert listening == {"127.0.0.1"}

@@ -1,11 +1,18 @@
-"""Work on this machine without Dask: every task once, faults cost their item, and no process is left behind."""
+"""Work on this machine: every task once, faults cost their item, and no process is left behind."""
 
 import contextlib
+import sys
+import time
+from pathlib import Path
 
 import psutil
+import pytest
 from processes import still_running
 
+from bridge.batch.batch import GENERATE
 from bridge.batch.engine import Settings, Task, execute_here
+from bridge.batch.execution import execute
+from netconvert.errors import BatchError
 
 TASKS = [Task(f"t{k}", "faults:numbers", "", (10 * k, 10 * k + 1)) for k in range(6)]
 
@@ -36,3 +43,61 @@ def test_processes_end_when_the_results_are_not_wanted_any_more() -> None:
         children = [child for child in psutil.Process().children(recursive=True) if child not in before]
         assert len(children) == 2
     assert still_running(children, timeout_s=10) == []
+
+
+def test_work_that_cannot_be_imported_ends_the_batch_with_its_cause_at_once() -> None:
+    """The first reply of a process says so: it is no time-out, and no fault of the first scene."""
+    began = time.monotonic()
+    with pytest.raises(
+        BatchError, match=r"no scene process can begin .*ModuleNotFoundError: No module named 'nowhere'"
+    ):
+        list(execute([Task("t", "nowhere:work", "", (1, 2))]))
+    assert time.monotonic() - began < 60
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_file_in_the_place_of_libsumo_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int) -> None:
+    (tmp_path / "libsumo.py").write_text("TraCIException = FatalTraCIError = Exception\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(BatchError, match=r"libsumo\.py: not SUMO's libsumo, rename it or move it away"):
+        list(execute([Task("t", GENERATE, "", (1,))], jobs=jobs))
+
+
+def test_work_that_ends_its_process_on_import_is_told_by_its_last_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a broken native library does."""
+    (tmp_path / "broken_library.py").write_text(
+        "import sys, os\nprint('undefined symbol: f', file=sys.stderr)\nos._exit(127)"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(BatchError, match=r"no scene process can begin .*status 127: undefined symbol: f\)"):
+        list(execute([Task("t", "broken_library:work", "", (1,))]))
+
+
+@pytest.mark.parametrize(
+    ("program", "said"), [("/bin/false", "exited with status 1"), ("/nowhere/python", "No such file")]
+)
+def test_process_that_does_not_start_ends_the_batch(monkeypatch: pytest.MonkeyPatch, program: str, said: str) -> None:
+    monkeypatch.setattr(sys, "executable", program)
+    with pytest.raises(BatchError, match=f"no scene process can begin .*{said}"):
+        list(execute(TASKS))
+
+
+def test_nothing_listens_for_local_work() -> None:
+    """Neither this process nor its children: they talk over pairs of sockets that have no name."""
+    with contextlib.closing(execute([*TASKS, Task("t", "faults:numbers", "", ("hang",))], jobs=2)) as results:
+        next(results)
+        family = [psutil.Process(), *psutil.Process().children(recursive=True)]
+        assert len(family) >= 3
+        before = set(psutil.Process().net_connections(kind="inet"))
+        assert [c for process in family for c in process.net_connections(kind="inet") if c not in before] == []
+
+
+def test_temporary_files_of_a_process_go_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where it ran out of time in the middle, and had no chance to remove them itself."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    (result,) = execute([Task("t", "faults:leaves_files", "", ("hang",))], settings=Settings(timeout_s=1.0, retries=0))
+    assert result.outcomes[0].failure is not None
+    assert result.outcomes[0].failure.kind == "timeout"
+    assert list(tmp_path.rglob("*")) == []

@@ -36,6 +36,8 @@ def test_values_come_in_order_from_one_other_process(process: IsolatedProcess) -
         ("exit", "crashed", "status 3"),
         ("hang", "timeout", "2 s"),
         ("raise", "exception", "RuntimeError: fault raise"),
+        ("memory", "memory", "more memory than the 4000 MB a scene may take"),
+        ("full", "disk", "scenario.parquet: cannot be written (No space left on device)"),
     ],
 )
 def test_failure_says_how_the_process_ended(
@@ -96,9 +98,11 @@ def test_child_leaves_when_its_caller_is_killed(tmp_path) -> None:
         "print(p.pid, flush=True)\n"
         "time.sleep(60)\n"
     )
-    caller = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    caller = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, env=environment)
     assert caller.stdout is not None
     child = psutil.Process(int(caller.stdout.readline()))
     caller.kill()
     caller.communicate()
     assert still_running([child], timeout_s=30) == []
+    assert list(tmp_path.iterdir()) == [], "it takes its temporary files along"

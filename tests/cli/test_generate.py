@@ -76,6 +76,7 @@ def test_scene_that_fails_costs_exit_code_1_and_not_the_others(
     assert "not JSON" in result.stderr
     assert "1 of 2 scenes done" in result.stdout
     (bad,) = [row for row in rows_of(tmp_path / "out") if row["status"] == "quarantined"]
+    assert f"hid2 generate --repro {tmp_path / 'out' / bad['bundle']}" in result.stderr
     again = hid2("generate", "--repro", tmp_path / "out" / bad["bundle"])
     assert again.returncode == 1
     assert "now:  error:" in again.stdout
@@ -98,18 +99,20 @@ def test_zero_agents_is_a_scene_like_any_other(hid2: Run, data_scenes: dict[str,
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--agents", "some"], "--agents 'some': want a number or max"),
-        (["--agents", "-1"], "request.agents = -1, want"),
+        (["--agents", "some"], "--agents 'some': expected a number or max"),
+        (["--agents", "-1"], "request.agents = -1, expected"),
         (["--set", "lane_change.gap=1"], "unknown key 'lane_change.gap'"),
-        (["--set", "limits.min_radius_m=0"], "limits.min_radius_m = 0, want"),
+        (["--set", "limits.min_radius_m=0"], "limits.min_radius_m = 0, expected"),
         (["--behaviours", "fly=1"], "behaviours: 'fly=1'"),
         (["--trigger-time", "soon"], "trigger-time: 'soon'"),
-        (["--focal", "nobody"], "request.focal = 'nobody'"),
-        (["--without", "brakes"], "without"),
+        (["--focal", "nobody"], "'nobody' is not one of 'recorded', 'generated'"),
+        (["--without", "brakes"], "'brakes' is not one of 'topology'"),
         (["--config", "missing.toml"], "missing.toml: no such file"),
-        (["--can", "fly"], "--can 'fly'"),
+        (["--can", "fly"], "'fly' is not one of"),
+        (["--city", "Atlantis"], "the scenes are in austin, miami, pittsburgh"),
+        (["--agnts", "3"], "--agents"),
         (["--min-agents", "10000"], "none of 3 scenes is left"),
-        (["--no-such-option"], "No such option"),
+        (["--no-such-option"], "no such option"),
     ],
 )
 def test_wrong_request_is_exit_code_2_and_named(
@@ -125,7 +128,7 @@ def test_wrong_request_is_exit_code_2_and_named(
 def test_missing_scene_is_exit_code_2(hid2: Run, tmp_path: Path) -> None:
     result = hid2("generate", tmp_path / "nowhere", "-o", tmp_path / "out")
     assert result.returncode == 2
-    assert result.stderr.splitlines()[-1].startswith(f"hid2: {tmp_path / 'nowhere'}: no such folder")
+    assert result.stderr.splitlines()[-1].startswith(f"hid2: error: {tmp_path / 'nowhere'}: no such folder")
 
 
 def test_quiet_says_nothing_when_all_is_well(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:

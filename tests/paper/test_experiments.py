@@ -70,7 +70,7 @@ def test_diversity_uses_scenes_of_more_than_forty_agents(data_scenes, tmp_path):
 
 
 def test_unknown_experiment_is_explained(data_scenes, tmp_path):
-    with pytest.raises(ConfigError, match="want one of table1"):
+    with pytest.raises(ConfigError, match="expected one of table1"):
         run_experiment("table9", scenes=data_scenes["curve"], out_dir=tmp_path)
     with pytest.raises(ConfigError, match="seeds 0"):
         run_experiment("table1", scenes=data_scenes["curve"], out_dir=tmp_path, seeds=0)

@@ -54,19 +54,19 @@ def test_ablations_are_a_list() -> None:
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("request.agents=-3", "request.agents = -3, want integer >= 0, <= 500, or max"),
-        ("request.agents=many", "request.agents = 'many', want integer"),
-        ("request.agents=2.5", "request.agents = 2.5, want integer"),
-        ("request.agent=3", "unknown key 'request.agent' .* want one of request.agents"),
-        ("reqest.agents=3", "unknown key 'reqest.agents' .* want one of car_following"),
+        ("request.agents=-3", "request.agents = -3, expected integer >= 0, <= 500, or max"),
+        ("request.agents=many", "request.agents = 'many', expected integer"),
+        ("request.agents=2.5", "request.agents = 2.5, expected integer"),
+        ("request.agent=3", "unknown key 'request.agent' .* did you mean request.agents"),
+        ("reqest.agents=3", "unknown key 'reqest.agents' .* did you mean request.agents"),
         ("request=3", "unknown key 'request'"),
-        ("request.agents", "want section.key=value"),
-        ("turn.trough_at=0.95", "turn.trough_at = 0.95, want number >= 0.1, <= 0.9"),
-        ("turn.trough_at=nan", "turn.trough_at = nan, want number >= 0.1"),
+        ("request.agents", "expected section.key=value"),
+        ("turn.trough_at=0.95", "turn.trough_at = 0.95, expected number >= 0.1, <= 0.9"),
+        ("turn.trough_at=nan", "turn.trough_at = nan, expected number >= 0.1"),
         ("request.trigger_max_s=0.1", "trigger_max_s 0.1 is below trigger_min_s 0.5"),
-        ("request.spawn_leaders=1", "request.spawn_leaders = 1, want true, false"),
-        ("request.focal=nobody", "request.focal = 'nobody', want recorded, generated"),
-        ("without=brakes", "without = .*brakes.*, want any of topology, collision, smoothing"),
+        ("request.spawn_leaders=1", "request.spawn_leaders = 1, expected true, false"),
+        ("request.focal=nobody", "request.focal = 'nobody', expected recorded, generated"),
+        ("without=brakes", "without = .*brakes.*, expected any of topology, collision, smoothing"),
     ],
 )
 def test_an_override_that_is_wrong_is_named_with_value_and_range(override: str, said: str) -> None:
@@ -77,10 +77,10 @@ def test_an_override_that_is_wrong_is_named_with_value_and_range(override: str, 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[request]\nagents = '3'\n", "request.agents = '3', want integer"),
+        ("[request]\nagents = '3'\n", "request.agents = '3', expected integer"),
         ("[request]\nagnts = 3\n", "unknown key 'request.agnts'"),
         ("[rqst]\nagents = 3\n", "unknown key 'rqst'"),
-        ("request = 3\n", "request = 3, want a table"),
+        ("request = 3\n", "request = 3, expected a table"),
         ("[request.agents]\na = 1\n", "request.agents = {'a': 1}"),
         ("[request\n", "not TOML"),
         ("without = 'all'\n", "without = 'all'"),
@@ -114,13 +114,13 @@ def test_behaviours_that_are_given_replace_all_shares() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("lane_chnge=1", "'lane_chnge=1', want name=share with a name of straight"),
-        ("lane_change", "want name=share"),
-        ("", "want name=share"),
-        ("straight=a", "straight: 'a', want a share"),
+        ("lane_chnge=1", "'lane_chnge=1', expected name=share with a name of straight"),
+        ("lane_change", "expected name=share"),
+        ("", "expected name=share"),
+        ("straight=a", "straight: 'a', expected a share"),
         ("straight=1,straight=0", "'straight' is given twice"),
-        ("straight=2", "request.straight = 2.0, want number >= 0, <= 1"),
-        ("straight=-1", "request.straight = -1.0, want number >= 0"),
+        ("straight=2", "request.straight = 2.0, expected number >= 0, <= 1"),
+        ("straight=-1", "request.straight = -1.0, expected number >= 0"),
         ("straight=nan", "request.straight = nan"),
         ("straight=0", "the behaviour shares sum to 0"),
     ],
@@ -142,7 +142,13 @@ def test_a_trigger_time_that_is_wrong_is_refused(text: str) -> None:
         load_config(None, [], parse_trigger_time(text))
 
 
-CHANGED = ["request.agents=max", "without=topology,collision", "turn.trough_at=0.3", "request.seed=7"]
+CHANGED = [
+    "request.agents=max",
+    "without=topology,collision",
+    "turn.trough_at=0.3",
+    "request.seed=7",
+    "request.trigger_list_s=[1, 2.5]",
+]
 
 
 @pytest.mark.parametrize("overrides", [[], CHANGED])
@@ -182,4 +188,5 @@ def test_every_parameter_is_described() -> None:
     assert all(row.default and row.unit and row.range and row.source for row in rows.values())
     assert rows["grid.cell_m"][1:4] == ("4.0", "m", "number >= 1, <= 20")
     assert rows["request.agents"].range == "integer >= 0, <= 500, or max"
+    assert rows["request.trigger_list_s"][1:4] == ("none", "s", "list of numbers >= 0, <= 60")
     assert rows["without"][1:4] == ("none", "-", "any of topology, collision, smoothing")

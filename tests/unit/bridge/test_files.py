@@ -1,11 +1,13 @@
-"""Files are there whole or not at all."""
+"""Files are there whole or not at all; those of others may be anything."""
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
 
-from bridge.files import beside, make_folder, write_text
-from netconvert.errors import ExportError
+from bridge.files import beside, disk_error, explained, make_folder, one_line, read_regular, write_text
+from netconvert.errors import DiskFullError, ExportError
 
 
 def test_file_appears_when_all_is_written(tmp_path: Path) -> None:
@@ -36,3 +38,39 @@ def test_folder_that_cannot_be_made_is_explained(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ExportError, match=r"file/folder: cannot be written \(Not a directory\)"):
         make_folder(tmp_path / "file" / "folder")
+
+
+def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"x" * 1_000_000)
+    assert len(read_regular(tmp_path / "file", most_mb=1)) == 1_000_000
+    (tmp_path / "file").write_bytes(b"x" * 1_000_001)
+    with pytest.raises(OSError, match="larger than 1 MB"):
+        read_regular(tmp_path / "file", most_mb=1)
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", tmp_path, Path(os.devnull)):
+        with pytest.raises(OSError, match="not a regular file"):
+            read_regular(path, most_mb=1)
+
+
+@pytest.mark.parametrize("text", ["plain", "two  spaces", "a\n\tb", "\x1b[2J", "\udcff\u202e", "x" * 50, "\n" * 50, ""])
+def test_text_on_one_line_is_bounded_printable_and_stays_as_it_is(text: str) -> None:
+    shown = one_line(text, most=20)
+    assert len(shown) <= 20
+    assert shown.isprintable()
+    assert one_line(shown, most=20) == shown
+    assert shown.encode("utf-8") is not None, "it is text for every file"
+
+
+def test_full_disk_is_told_from_other_failures() -> None:
+    def raised(number: int) -> Exception:
+        try:
+            with explained(Path("out")):
+                raise OSError(number, os.strerror(number))
+        except ExportError as error:
+            return error
+        raise AssertionError
+
+    assert isinstance(raised(errno.ENOSPC), DiskFullError)
+    assert disk_error(raised(errno.EDQUOT)) is not None
+    assert not isinstance(raised(errno.ENOTDIR), DiskFullError)
+    assert disk_error(raised(errno.ENOTDIR)) is None

@@ -108,25 +108,28 @@ def test_links_that_lead_nowhere_do_not_stop_the_map(lane_json: Json, map_json: 
 
 # Each case: what is wrong, the field changed, and what the message must say beside the file's name.
 BAD_LANES = {
-    "zero length": ({"centerline": [{"x": 1, "y": 2, "z": 0}] * 2}, r"lane 5: centerline is 0\.000000 m long, want"),
-    "one point": ({"centerline": [{"x": 1, "y": 2, "z": 0}]}, "lane 5: centerline: 1 points, want at least 2"),
+    "zero length": (
+        {"centerline": [{"x": 1, "y": 2, "z": 0}] * 2},
+        r"lane 5: centerline is 0\.000000 m long, expected",
+    ),
+    "one point": ({"centerline": [{"x": 1, "y": 2, "z": 0}]}, "lane 5: centerline: 1 points, expected at least 2"),
     "boundary of one point": (
         {"left_lane_boundary": [{"x": 1, "y": 2, "z": 0}]},
-        "lane 5: left_lane_boundary: 1 points, want at least 2",
+        "lane 5: left_lane_boundary: 1 points, expected at least 2",
     ),
     "NaN": (
         {"centerline": [{"x": 1, "y": 2, "z": 0}, {"x": float("nan"), "y": 2, "z": 0}]},
-        r"lane 5: centerline: point \[nan\s+2\.?\], want finite",
+        r"lane 5: centerline: point \[nan\s+2\.?\], expected finite",
     ),
     "no y": ({"centerline": [{"x": 1}, {"x": 2}]}, "lane 5: centerline: a point has no 'y'"),
     "words": ({"centerline": [{"x": "a", "y": 1}, {"x": 2, "y": 1}]}, "lane 5: centerline: a point is not made of"),
-    "no points": ({"right_lane_boundary": None}, "lane 5: right_lane_boundary: None, want at least 2 points"),
-    "lane type": ({"lane_type": "TRAM"}, "lane 5: lane_type: 'TRAM', want one of BIKE, BUS, VEHICLE"),
-    "mark type": ({"left_lane_mark_type": None}, "lane 5: left_lane_mark_type: None, want one of DASHED_WHITE"),
-    "intersection": ({"is_intersection": "no"}, "lane 5: is_intersection 'no', want true or false"),
-    "successors": ({"successors": "7"}, "lane 5: successors: '7', want a list of lane ids"),
-    "neighbour": ({"left_neighbor_id": 1.5}, "lane 5: left_neighbor_id: 1.5, want an integer"),
-    "id": ({"id": "5"}, "lane 5: id: '5', want an integer"),
+    "no points": ({"right_lane_boundary": None}, "lane 5: right_lane_boundary: None, expected at least 2 points"),
+    "lane type": ({"lane_type": "TRAM"}, "lane 5: lane_type: 'TRAM', expected one of BIKE, BUS, VEHICLE"),
+    "mark type": ({"left_lane_mark_type": None}, "lane 5: left_lane_mark_type: None, expected one of DASHED_WHITE"),
+    "intersection": ({"is_intersection": "no"}, "lane 5: is_intersection 'no', expected true or false"),
+    "successors": ({"successors": "7"}, "lane 5: successors: '7', expected a list of lane ids"),
+    "neighbour": ({"left_neighbor_id": 1.5}, "lane 5: left_neighbor_id: 1.5, expected an integer"),
+    "id": ({"id": "5"}, "lane 5: id: '5', expected an integer"),
 }
 
 
@@ -141,13 +144,13 @@ def test_a_broken_lane_is_refused_with_its_id_and_value(case: str, lane_json: Js
 def test_a_missing_field_is_named(lane_json: Json, map_json: Json) -> None:
     segment = lane_json(5, STRAIGHT)
     del segment["successors"], segment["lane_type"]
-    with pytest.raises(MapError, match="map: lane 5: no lane_type, successors, want"):
+    with pytest.raises(MapError, match="map: lane 5: no lane_type, successors, expected"):
         lane_graph_from_json(map_json(segment), name="map")
 
 
 def test_a_map_without_vehicle_lane_is_refused(lane_json: Json, map_json: Json) -> None:
     data = map_json(lane_json(5, STRAIGHT, lane_type="BIKE"), lane_json(6, STRAIGHT, lane_type="BUS"))
-    with pytest.raises(MapError, match="map: no lane of type VEHICLE among 2 lane segments, want at least one"):
+    with pytest.raises(MapError, match="map: no lane of type VEHICLE among 2 lane segments, expected at least one"):
         lane_graph_from_json(data, name="map")
 
 
@@ -166,7 +169,7 @@ def test_an_id_that_appears_twice_is_refused(lane_json: Json, map_json: Json) ->
         ({"lane_segments": []}, "no object 'lane_segments'"),
         ({"lane_segments": {}}, "no object 'drivable_areas'"),
         ({"lane_segments": {}, "drivable_areas": {}}, "no lane of type VEHICLE among 0 lane segments"),
-        ({"lane_segments": {"5": None}, "drivable_areas": {}}, "lane 5: NoneType, want an object"),
+        ({"lane_segments": {"5": None}, "drivable_areas": {}}, "lane 5: NoneType, expected an object"),
     ],
 )
 def test_json_that_is_no_map_is_refused(data: Any, message: str) -> None:

@@ -46,9 +46,27 @@ def test_the_configuration_names_files_beside_it(grid: CellGrid) -> None:
 
 
 def test_the_drivable_area_lies_under_the_lanes(grid: CellGrid) -> None:
-    (area,) = etree.fromstring(gui_files(grid, "scene")["scene.poly.xml"]).iterfind("poly")
+    (area,) = etree.fromstring(gui_files(grid, "scene")["scene.poly.xml"]).iterfind("poly[@type='drivable_area']")
     assert area.get("shape") == "0.00,-5.00 20.00,-5.00 20.00,5.00 0.00,-5.00"
     assert float(area.get("layer")) < 0
+
+
+def test_every_cell_is_outlined_above_its_lane(grid: CellGrid) -> None:
+    """sumo-gui draws lanes on layer 100."""
+    cells = etree.fromstring(gui_files(grid, "scene")["scene.poly.xml"]).findall("poly[@type='cell']")
+    assert [cell.get("id") for cell in cells] == ["cell_5_0", "cell_5_1", "cell_5_2"]
+    assert all(float(cell.get("layer")) > 100 and cell.get("fill") == "0" for cell in cells)
+
+
+def test_the_view_can_be_closer(grid: CellGrid) -> None:
+    """The area is 20 m by 10 m, which 20 m of width show; half of it is seen twice as large."""
+    shown = np.array([0.0, -2.0]), np.array([10.0, 2.0])
+    whole = np.array([0.0, -5.0]), np.array([20.0, 5.0])
+    zooms = [
+        float(etree.fromstring(gui_files(grid, "s", shown=part)["s.view.xml"]).find("viewport").get("zoom"))
+        for part in (whole, shown)
+    ]
+    assert zooms[1] == pytest.approx(2 * zooms[0], rel=0.01)
 
 
 def test_the_view_looks_at_the_middle_of_the_lanes(grid: CellGrid) -> None:

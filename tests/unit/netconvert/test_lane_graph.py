@@ -207,7 +207,7 @@ def test_a_map_without_drivable_area_has_an_empty_one(lane: Lane, graph: Graph) 
 
 
 def test_a_lane_of_unknown_type_is_refused(lane: Lane) -> None:
-    with pytest.raises(MapError, match="lane 5: lane_type 'TRAM', want one of"):
+    with pytest.raises(MapError, match="lane 5: lane_type 'TRAM', expected one of"):
         lane(5, [(0, 0), (10, 0)], lane_type="TRAM")
 
 

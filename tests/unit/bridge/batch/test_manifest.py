@@ -1,19 +1,49 @@
-"""manifest.csv survives what can happen to a file that is written all night."""
+"""manifest.csv survives what can happen to a file that is written all night, and what others may put in its place."""
 
+import csv
+import os
+from collections.abc import Callable
 from pathlib import Path
 
-from bridge.batch.manifest import DONE, Manifest, ManifestRow, files_sha256, read_manifest
+import pytest
+
+from bridge.batch.manifest import (
+    DONE,
+    MAX_TEXT,
+    QUARANTINED,
+    Manifest,
+    ManifestRow,
+    files_sha256,
+    read_manifest,
+    source_files,
+)
+from bridge.recordings.limits import MAX_FILE_MB
+from netconvert.errors import BatchError
 
 
 def row(scenario: str, variant: int = 0, **values: object) -> ManifestRow:
-    return ManifestRow(scenario, "val", variant, 0, DONE, config_sha256="c", version="1")._replace(**values)
+    return ManifestRow(scenario, "val", variant, 0, QUARANTINED, config_sha256="c" * 64, version="1")._replace(**values)
+
+
+def rows_of(path: Path) -> list[ManifestRow]:
+    rows, unread = read_manifest(path)
+    assert unread == 0
+    return rows
 
 
 def test_rows_come_back_with_their_types(tmp_path: Path) -> None:
     manifest = Manifest(tmp_path)
     written = row("a", 1, seconds=1.25, placed=10, requested="max", rejected='a "b", c (2); d (1)')
     manifest.add(written)
-    assert read_manifest(manifest.path) == [written]
+    assert rows_of(manifest.path) == [written]
+
+
+def test_file_is_a_table_for_other_programs(tmp_path: Path) -> None:
+    Manifest(tmp_path).add(row("a", reason='says "no", twice'))
+    with (tmp_path / "manifest.csv").open(newline="", encoding="utf-8") as file:
+        (read,) = csv.DictReader(file)
+    assert (read["scenario"], read["reason"]) == ("a", 'says "no", twice')
+    assert list(read) == [*ManifestRow._fields, "check"]
 
 
 def test_later_row_takes_the_place_of_the_earlier(tmp_path: Path) -> None:
@@ -29,11 +59,7 @@ def test_saved_file_is_sorted_whatever_the_order_of_the_work(tmp_path: Path) -> 
     for scenario, variant in (("b", 0), ("a", 10), ("a", 2)):
         manifest.add(row(scenario, variant))
     manifest.save()
-    assert [(entry.scenario, entry.variant) for entry in read_manifest(manifest.path)] == [
-        ("a", 2),
-        ("a", 10),
-        ("b", 0),
-    ]
+    assert [(entry.scenario, entry.variant) for entry in rows_of(manifest.path)] == [("a", 2), ("a", 10), ("b", 0)]
 
 
 def test_line_that_was_cut_is_left_out(tmp_path: Path) -> None:
@@ -43,9 +69,106 @@ def test_line_that_was_cut_is_left_out(tmp_path: Path) -> None:
     text = manifest.path.read_text()
     for cut in range(len(text) - 20, len(text) - 1):
         manifest.path.write_text(text[:cut])
-        rows = {entry.scenario: entry for entry in read_manifest(manifest.path)}
-        assert rows["a"] == row("a")
-        assert rows.get("b") != row("b"), "a row that is not whole is not taken for the whole one"
+        assert read_manifest(manifest.path) == ([row("a")], 1)
+
+
+def _flip(raw: bytes) -> bytes:
+    at = raw.index(b"scene-1")
+    return raw[:at] + b"scenf-1" + raw[at + 7 :]
+
+
+DAMAGES: dict[str, Callable[[bytes], bytes]] = {
+    "a byte of a name": _flip,
+    "bytes that are no text": lambda raw: raw.replace(b"scene-1", b"scene\xff1"),
+    "a quote that does not end": lambda raw: raw.replace(b"scene-1", b'"scene-1'),
+    "two lines in one": lambda raw: b"\n".join(raw.split(b"\n")[:3]) + b"".join(raw.split(b"\n")[3:5]) + b"\n",
+    "zeros": lambda raw: raw.replace(b"scene-1", b"\0" * 7),
+    "a long text": lambda raw: raw.replace(b"scene-1", b"x" * 300_000),
+    "another number of columns": lambda raw: raw.replace(b"scene-1,val", b"scene-1"),
+    "windows line ends": lambda raw: raw.replace(b"\n", b"\r\n"),
+    "no header": lambda raw: raw[raw.index(b"\n") + 1 :],
+    "a header twice": lambda raw: raw[: raw.index(b"\n") + 1] + raw,
+    "something else": lambda raw: os.urandom(5000),
+    "nothing": lambda raw: b"",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_damage_costs_the_lines_it_touches_and_makes_none_up(
+    tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """No row is read that was not written, and what was read is written whole again."""
+    manifest = Manifest(tmp_path)
+    written = [row(f"scene-{number}", reason="a reason, with a comma") for number in range(5)]
+    for one in written:
+        manifest.add(one)
+    raw = manifest.path.read_bytes()
+    manifest.path.write_bytes(DAMAGES[name](raw))
+    read = Manifest(tmp_path).rows
+    assert set(read) <= set(written)
+    if name in ("a byte of a name", "bytes that are no text", "a quote that does not end", "zeros", "a long text"):
+        assert [one.scenario for one in read] == ["scene-0", "scene-2", "scene-3", "scene-4"]
+        assert "cannot be read: their scenes are made again" in caplog.text
+    if name in ("no header", "a header twice"):
+        assert read == written
+    assert rows_of(manifest.path) == read
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"status": DONE, "folder": "../elsewhere"},
+        {"status": DONE, "folder": "/etc"},
+        {"bundle": "quarantine/../../x.zip"},
+        {"status": "finished"},
+        {"split": "../val"},
+        {"variant": -1},
+        {"config_sha256": "short"},
+        {"status": DONE},
+        {"folder": "val/x"},
+    ],
+    ids=str,
+)
+def test_row_that_cannot_have_been_written_here_is_left_out(tmp_path: Path, values: dict[str, object]) -> None:
+    """A manifest may come from anywhere: what it says is joined to no path outside OUT."""
+    Manifest(tmp_path).add(row("a", **values))
+    assert read_manifest(tmp_path / "manifest.csv") == ([], 1)
+
+
+def test_long_and_wild_texts_do_not_keep_a_manifest_from_being_read(tmp_path: Path) -> None:
+    Manifest(tmp_path).add(row("a\udcff", reason="x" * 150_000, city="line\nline\x1b[2J"))
+    (read,) = rows_of(tmp_path / "manifest.csv")
+    assert len(read.reason) == MAX_TEXT
+    assert read.reason.endswith("... (shortened)")
+    assert (read.scenario, read.city) == ("a\\udcff", "line line\\x1b[2J")
+
+
+def test_row_of_a_scene_that_is_not_there_any_more_is_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    manifest = Manifest(tmp_path)
+    for name in ("a", "b"):
+        (tmp_path / "val" / name).mkdir(parents=True)
+        manifest.add(row(name, status=DONE, folder=f"val/{name}"))
+    (tmp_path / "val" / "b").rmdir()
+    assert [one.scenario for one in Manifest(tmp_path).rows] == ["a"]
+    assert "1 rows left out, whose folders are not there" in caplog.text
+
+
+def test_something_else_of_that_name_is_said(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "manifest.csv")
+    with pytest.raises(BatchError, match=r"manifest\.csv: not a regular file, expected a manifest"):
+        Manifest(tmp_path)
+
+
+def test_link_in_the_place_of_the_manifest_is_not_written_through(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "mine").write_text("mine\n")
+    for name in ("manifest.csv", ".manifest.csv"):
+        (tmp_path / "out" / name).symlink_to(tmp_path / "mine")
+    Manifest(tmp_path / "out").add(row("a"))
+    assert (tmp_path / "mine").read_text() == "mine\n"
+    assert rows_of(tmp_path / "out" / "manifest.csv") == [row("a")]
 
 
 def test_foreign_file_gives_no_rows(tmp_path: Path) -> None:
@@ -62,3 +185,16 @@ def test_digest_depends_on_names_and_contents_only(tmp_path: Path) -> None:
     b.write_text("3")
     assert files_sha256([a, b]) != before
     assert files_sha256([]) == ""
+
+
+def test_digest_reads_no_pipes_and_no_giants(tmp_path: Path) -> None:
+    """It is taken in the main process, which no time-out ends."""
+    os.mkfifo(tmp_path / "scenario_a.parquet")
+    (tmp_path / "log_map_archive_a.json").mkdir()
+    assert source_files(tmp_path) == []
+    giant = tmp_path / "agent_sizes.csv"
+    giant.touch()
+    os.truncate(giant, MAX_FILE_MB * 1_000_000 + 1)
+    first = files_sha256(source_files(tmp_path))
+    os.truncate(giant, 10**12)
+    assert files_sha256(source_files(tmp_path)) != first

@@ -124,7 +124,7 @@ def test_before_is_the_sources_of_what_is_measured_and_after_holds_what_was_adde
 def test_report_stands_alone_and_says_what_a_newcomer_needs(report):
     _, folder = report
     text = (folder / "report.html").read_text()
-    assert not re.search(r'(src|href)="(?!data:)', text)
+    assert not re.search(r'(src|href)="(?!data:|#)', text)
     for word in (
         "SCR",
         "ORR",
@@ -139,7 +139,28 @@ def test_report_stands_alone_and_says_what_a_newcomer_needs(report):
         "m/s²",
     ):
         assert word in text
-    assert text.count("data:image/png;base64,") == 4
+    assert text.count("data:image/png;base64,") == text.count("What to see:") == 4
+
+
+def test_every_link_of_the_report_leads_somewhere_and_every_section_is_in_the_contents(report):
+    _, folder = report
+    text = (folder / "report.html").read_text()
+    anchors = re.findall(r'id="([^"]+)"', text)
+    assert len(anchors) == len(set(anchors))
+    assert set(re.findall(r'href="#([^"]+)"', text)) <= set(anchors)
+    sections = re.findall(r'<section id="([^"]+)"><h2>', text)
+    contents = re.findall(r'href="#([^"]+)"', text.split("</nav>")[0])
+    assert sections == contents
+    assert sections[:3] == ["glance", "encounters", "realism"]
+    assert "Of 2 scenes made from 2 recorded ones" in text
+
+
+def test_what_comes_from_files_is_escaped(made_root, tmp_path):
+    evaluation = evaluate_folder(made_root, report_dir=tmp_path / "report")
+    evaluation.metrics["scenes"]["failed"] = [{"folder": "a<b>", "reason": "<script>"}]
+    write_report(evaluation, tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text()
+    assert "<li>a&lt;b&gt;: &lt;script&gt;</li>" in text
 
 
 def test_result_does_not_depend_on_jobs(report, made_root, data_root, tmp_path):

@@ -118,7 +118,7 @@ def test_what_cannot_be_scored_is_listed_or_explained(data_scenes, data_root, tm
     result = score_predictions(tmp_path / "some", predictions="constant-velocity", report_dir=tmp_path / "report")
     assert result.left_out[0].startswith(f"{broken}: not a parquet file (")
     assert len({score.scenario_id for score in result.scores}) == 2
-    with pytest.raises(ScenarioError, match="no such file, want a forecast file or one of constant-velocity"):
+    with pytest.raises(ScenarioError, match="no such file, expected a forecast file or one of constant-velocity"):
         read_forecasts(tmp_path / "none.parquet")
     (tmp_path / "bad.parquet").write_bytes(b"no")
     with pytest.raises(ScenarioError, match="not a forecast file"):

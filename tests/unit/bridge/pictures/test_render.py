@@ -11,11 +11,11 @@ from matplotlib.collections import PolyCollection
 from PIL import Image
 
 from bridge.pictures import figures
-from bridge.pictures.plot import plot_agent
-from bridge.pictures.render import ANIMATIONS, PICTURES, render_scene, scene_figure
+from bridge.pictures.plot import _levels, plot_agent
+from bridge.pictures.render import ANIMATIONS, PICTURES, draw_scene, render_scene, scene_figure
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import sidecar_in
-from netconvert.errors import ExportError, ScenarioError
+from netconvert.errors import ConfigError, ExportError
 
 
 def pixels(path, color):
@@ -38,8 +38,9 @@ def test_picture_of_a_generated_scene_shows_before_and_after(made_scene):
     titles = [ax.get_title() for ax in figure.axes]
     scenario = read_scenario(made_scene)
     count = sum(track.track_id.startswith("gen_") for track in scenario.tracks)
-    assert titles[0] == f"before: {len(scenario.tracks) - count} recorded agents"
-    assert titles[1] == f"after: {len(scenario.tracks) - count} recorded + {count} generated vehicles"
+    recorded = len(scenario.tracks) - count
+    assert titles[0].splitlines()[0] == f"before: {recorded} recorded agents"
+    assert titles[1].splitlines()[0] == f"after: {recorded} recorded agents + {count} generated vehicles"
     assert "east, m" in words(figure)
     assert "north, m" in words(figure)
     assert "generated: lane change (LC)" in words(figure)
@@ -66,7 +67,9 @@ def test_recorded_scene_is_one_panel_without_generated_colours(data_scenes, tmp_
 def test_source_is_shown_before(made_scene, data_scenes, tmp_path):
     figure = scene_figure(made_scene, source=data_scenes["curve"])
     recorded = len(read_scenario(data_scenes["curve"]).tracks)
-    assert figure.axes[0].get_title() == f"before: {recorded} recorded agents"
+    name = data_scenes["curve"].name[:8]
+    title = f"before: {recorded} recorded agents\n(source scene {name}, with the sizes labelled there)"
+    assert figure.axes[0].get_title() == title
     plt.close(figure)
 
 
@@ -116,20 +119,52 @@ def test_animation_has_a_frame_for_every_step_and_moves(made_scene, tmp_path, su
             assert picture.info["duration"] == 100
 
 
-def test_same_scene_gives_the_same_picture(made_scene, tmp_path):
-    paths = [render_scene(made_scene, tmp_path / name) for name in ("a.png", "b.png")]
+def test_inserted_and_focal_vehicles_carry_their_ids(made_scene):
+    figure = scene_figure(made_scene)
+    scenario = read_scenario(made_scene)
+    shown = [text.get_text() for text in figure.axes[1].texts]
+    there = [t.track_id for t in scenario.tracks if 49 in t.timesteps]
+    assert sorted(shown) == sorted(name for name in there if name.startswith("gen_") or name == scenario.focal_track_id)
+    plt.close(figure)
+
+
+def test_vehicle_that_is_asked_for_is_ringed_and_named(made_scene, tmp_path):
+    agent = sidecar_in(made_scene, made_scene.name).agents[0].track_id
+    figure = scene_figure(made_scene, agent=agent)
+    assert f"track {agent}" in words(figure)
+    rings = [patch for ax in figure.axes for patch in ax.patches]
+    assert len(rings) == 1
+    plt.close(figure)
+    assert pixels(render_scene(made_scene, tmp_path / "a.png", agent=agent), figures.HIGHLIGHT) > 100
+    assert pixels(render_scene(made_scene, tmp_path / "b.png"), figures.HIGHLIGHT) == 0
+
+
+@pytest.mark.parametrize("suffix", PICTURES)
+def test_same_scene_gives_the_same_picture(made_scene, tmp_path, suffix):
+    paths = [render_scene(made_scene, tmp_path / f"{name}{suffix}") for name in ("a", "b")]
     assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_progress_of_a_film_is_told(data_scenes, tmp_path):
+    told = []
+    render_scene(data_scenes["curve"], tmp_path / "a.gif", on_frame=lambda done, total: told.append((done, total)))
+    assert told == [(number, 110) for number in range(1, 111)]
+
+
+def test_labels_of_lanes_do_not_overlap():
+    """Labels 1.0 wide that begin at 0, 0.5, 1.2 and 1.4: the second goes a line down, the fourth two."""
+    assert _levels([0.0, 0.5, 1.2, 1.4], width=1.0) == [0, 1, 0, 2]
 
 
 def test_unknown_ending_step_or_agent_is_explained(data_scenes, tmp_path):
     scene = data_scenes["arterial"]
-    with pytest.raises(ExportError, match=r"want one of \.png, \.gif, \.mp4"):
-        render_scene(scene, tmp_path / "scene.jpg")
-    with pytest.raises(ScenarioError, match="no timestep 110"):
+    with pytest.raises(ConfigError, match=r"ending '\.tif' is not supported; expected one of \.png, \.jpg, .*\.mp4"):
+        render_scene(scene, tmp_path / "scene.tif")
+    with pytest.raises(ConfigError, match=r"timestep 110 is out of range \(0-109\)"):
         render_scene(scene, tmp_path / "scene.png", step=110)
-    with pytest.raises(ScenarioError, match="no track 'nobody'"):
-        render_scene(scene, tmp_path / "scene.png", agent="nobody")
-    with pytest.raises(ExportError, match="single step"):
+    with pytest.raises(ConfigError, match="no track 'AW' among 26; there are AV, "):
+        render_scene(scene, tmp_path / "scene.png", agent="AW")
+    with pytest.raises(ConfigError, match="a film shows every timestep"):
         render_scene(scene, tmp_path / "scene.gif", step=3)
     (tmp_path / "file").write_text("")
     for suffix in PICTURES + ANIMATIONS:
@@ -195,3 +230,16 @@ def test_plot_marks_the_moments_of_the_sidecar(made_scene, tmp_path, monkeypatch
 def test_plot_of_a_recorded_track_is_written(data_scenes, tmp_path):
     path = plot_agent(data_scenes["arterial"], "AV", tmp_path / "deep" / "av.png")
     assert iio.imread(path).shape[0] > 500
+
+
+def test_scene_is_drawn_into_axes_of_the_caller(made_scene):
+    figure, axes = plt.subplots(1, 2)
+    scenario = read_scenario(made_scene)
+    draw_scene(axes[1], scenario, step=20, cells=True)
+    shown = {text.get_text() for text in axes[1].texts}
+    assert {t.track_id for t in scenario.tracks if t.track_id.startswith("gen_") and 20 in t.timesteps} <= shown
+    assert not axes[0].collections
+    assert axes[1].get_xlabel() == "east, m"
+    with pytest.raises(ConfigError, match="timestep 500"):
+        draw_scene(axes[0], scenario, step=500)
+    plt.close(figure)

@@ -293,7 +293,7 @@ def test_an_output_that_is_a_file_is_said(scenario: Scenario, fake_generated: Fa
         (lambda track: replace(track, track_id="AV"), "'AV': the id is taken"),
         (lambda track: replace(track, timesteps=track.timesteps + 1), "have gaps or leave the scene"),
         (lambda track: _cut(track, np.r_[0:60, 61:110]), "have gaps or leave the scene"),
-        (lambda track: _cut(track, np.r_[50:110]), "50 to 109, want 49 in them"),
+        (lambda track: _cut(track, np.r_[50:110]), "50 to 109 do not hold 49"),
         (lambda track: _cut(track, np.r_[0:0]), "have gaps"),
         (lambda track: replace(track, position=np.where(track.timesteps[:, None] == 5, np.nan, 0.0)), "not finite"),
     ],

@@ -96,7 +96,7 @@ def test_sizes_come_from_the_file_beside_and_else_from_the_type(copy_scene: Call
     [
         ("track_id,length_m\nAV,4.9\n", "width_m"),
         ("track_id,length_m,width_m\nAV,long,2.0\n", "line 2: length_m 'long'"),
-        ("track_id,length_m,width_m\nAV,-4.9,2.0\n", "-4.9 x 2.0 m, want above 0"),
+        ("track_id,length_m,width_m\nAV,-4.9,2.0\n", "-4.9 x 2.0 m, expected above 0"),
         ("track_id,length_m,width_m\nAV,nan,2.0\n", "nan x 2.0 m"),
     ],
 )
@@ -115,7 +115,7 @@ def test_scenarios_are_found_from_folder_split_and_root(data_root: Path, data_sc
 
 
 def test_a_folder_without_scenarios_is_said(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match=r"no scenario here, want scenario_<id>.parquet"):
+    with pytest.raises(ScenarioError, match=r"no scenario; expected scenario_<id>.parquet"):
         find_scenarios(tmp_path)
     with pytest.raises(ScenarioError, match="no such folder"):
         find_scenarios(tmp_path / "nowhere")
@@ -136,7 +136,7 @@ def test_sources_are_recorded_scenes_each_once(
     found = find_sources([root, tmp_path / "link", root / "train"])
     assert found == [root / scene.relative_to(data_root) for scene in sorted(data_scenes.values())]
     assert caplog.messages == [f"{root}: 1 of 4 scenes passed over, which hid2 wrote"]
-    with pytest.raises(ScenarioError, match=r"generated: only scenes that hid2 wrote .* want recorded ones"):
+    with pytest.raises(ScenarioError, match=r"generated: holds generated scenes only .*; give recorded ones"):
         find_sources([root, generated])
 
 
@@ -186,19 +186,19 @@ def test_missing_map_and_missing_parquet_are_said(copy_scene: Callable[..., Path
     (map_path,) = folder.glob("log_map_archive_*.json")
     raw = map_path.read_bytes()
     map_path.unlink()
-    with pytest.raises(MapError, match=r"none, want exactly one log_map_archive_<id>.json"):
+    with pytest.raises(MapError, match=r"no log_map_archive_<id>.json in .*; expected exactly one"):
         read_scenario(folder)
     map_path.write_bytes(raw)
     next(folder.glob("scenario_*.parquet")).unlink()
     assert find_scenarios(folder) == [folder]
-    with pytest.raises(ScenarioError, match=r"none, want exactly one scenario_<id>.parquet"):
+    with pytest.raises(ScenarioError, match=r"no scenario_<id>.parquet in .*; expected exactly one"):
         read_scenario(folder)
 
 
 def test_two_parquet_files_are_said(copy_scene: Callable[..., Path]) -> None:
     folder = copy_scene()
     (folder / "scenario_other.parquet").write_bytes(b"")
-    with pytest.raises(ScenarioError, match=r"scenario_other.parquet, want exactly one"):
+    with pytest.raises(ScenarioError, match=r"2 files scenario_<id>.parquet in .*; expected exactly one"):
         read_scenario(folder)
 
 
@@ -242,7 +242,7 @@ COLUMNS = [
 def test_a_missing_column_is_named(copy_scene: Callable[..., Path], edit_rows: Edit, column: str) -> None:
     folder = copy_scene()
     edit_rows(folder, lambda rows: rows.drop(columns=column))
-    with pytest.raises(ScenarioError, match=f"no column '{column}', want"):
+    with pytest.raises(ScenarioError, match=f"no column '{column}', expected"):
         read_scenario(folder)
 
 
@@ -250,7 +250,7 @@ def test_a_missing_column_is_named(copy_scene: Callable[..., Path], edit_rows: E
 def test_a_wrong_dtype_is_named(copy_scene: Callable[..., Path], edit_rows: Edit, column: str) -> None:
     folder = copy_scene()
     edit_rows(folder, lambda rows: rows.assign(**{column: np.arange(len(rows), dtype=np.int16)}))
-    with pytest.raises(ScenarioError, match=f"column '{column}' is int16, want"):
+    with pytest.raises(ScenarioError, match=f"column '{column}' is int16, expected"):
         read_scenario(folder)
 
 
@@ -263,7 +263,7 @@ def test_nulls_are_named(copy_scene: Callable[..., Path], column: str) -> None:
     values = table.column(index).to_pylist()
     values[5] = None
     pq.write_table(table.set_column(index, table.schema.field(index), [values]), path)
-    with pytest.raises(ScenarioError, match=f"{column} is null or NaN, want"):
+    with pytest.raises(ScenarioError, match=f"{column} is null or NaN, expected"):
         read_scenario(folder)
 
 
@@ -276,7 +276,7 @@ def test_nan_that_is_no_null_is_named_too(copy_scene: Callable[..., Path]) -> No
     values = table.column(index).to_numpy().copy()
     values[5] = np.nan
     pq.write_table(table.set_column(index, table.schema.field(index), [values]), path)
-    with pytest.raises(ScenarioError, match="track '310100', timestep 5: position_x is nan, want a finite number"):
+    with pytest.raises(ScenarioError, match="track '310100', timestep 5: position_x is nan, expected a finite number"):
         read_scenario(folder)
 
 
@@ -302,23 +302,26 @@ def _scored_focal(rows: pd.DataFrame) -> pd.DataFrame:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (_set("position_x", np.nan), "track 'AV', timestep 7: position_x is null or NaN, want double"),
+        (_set("position_x", np.nan), "track 'AV', timestep 7: position_x is null or NaN, expected double"),
         (_set("position_y", np.inf), "track 'AV', timestep 7: position_y is inf"),
         (_set("heading", np.nan), "track 'AV', timestep 7: heading is null or NaN"),
         (_set("velocity_y", np.nan), "track 'AV', timestep 7: velocity_y is null or NaN"),
-        (_set("timestep", 8), "track 'AV', timestep 8: more than one row, want one"),
-        (_set("timestep", 110, 109), "track 'AV', timestep 110: want timesteps 0 to 109"),
-        (_set("timestep", -1, 0), "track 'AV', timestep -1: want timesteps 0 to 109"),
-        (_set("observed", False), "track 'AV', timestep 7: observed is False, want True"),
-        (_set("observed", True, 50), "track 'AV', timestep 50: observed is True, want False"),
+        (_set("timestep", 8), "track 'AV', timestep 8: more than one row, expected one"),
+        (_set("timestep", 110, 109), "track 'AV', timestep 110: expected timesteps 0 to 109"),
+        (_set("timestep", -1, 0), "track 'AV', timestep -1: expected timesteps 0 to 109"),
+        (_set("observed", False), "track 'AV', timestep 7: observed is False, expected True"),
+        (_set("observed", True, 50), "track 'AV', timestep 50: observed is True, expected False"),
         (_set("object_category", 2), "track 'AV', timestep 7: object_category changes within the track"),
-        (_set("object_category", 4), "track 'AV', timestep 7: object_category 4, want 0, 1, 2 or 3"),
+        (_set("object_category", 4), "track 'AV', timestep 7: object_category 4, expected 0, 1, 2 or 3"),
         (_set("object_type", "bus"), "track 'AV', timestep 7: object_type changes within the track"),
-        (_set("object_type", "spaceship"), "object_type 'spaceship', want one of vehicle, bus"),
-        (_set("city", "miami"), r"column 'city' has 2 values \['austin', 'miami'\], want one"),
-        (_scored_focal, "tracks of category 3: none, want focal_track_id '310100' alone"),
-        (lambda rows: rows.assign(focal_track_id="x"), "tracks of category 3: '310100', want focal_track_id 'x' alone"),
-        (lambda rows: rows[(rows.track_id != "310100") | (rows.timestep < 49)], "0 to 48, want it present at 49"),
+        (_set("object_type", "spaceship"), "object_type 'spaceship', expected one of vehicle, bus"),
+        (_set("city", "miami"), r"column 'city' has 2 values \['austin', 'miami'\], expected one"),
+        (_scored_focal, "tracks of category 3: none, expected focal_track_id '310100' alone"),
+        (
+            lambda rows: rows.assign(focal_track_id="x"),
+            "tracks of category 3: '310100', expected focal_track_id 'x' alone",
+        ),
+        (lambda rows: rows[(rows.track_id != "310100") | (rows.timestep < 49)], "0 to 48, expected it present at 49"),
         (lambda rows: rows[rows.track_id != "AV"], "no track 'AV' among 25"),
     ],
 )

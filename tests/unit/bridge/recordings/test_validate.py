@@ -106,10 +106,12 @@ FOCAL, SCORED = "310100", "310107"
         (_track(SCORED, "object_category", 3), "focal"),
         (_track(FOCAL, "object_category", 2), "focal"),
         (lambda rows: rows.assign(focal_track_id=SCORED), "focal"),
-        (_without(FOCAL, *range(100, 110)), "focal"),
+        (_without(FOCAL, *range(100, 110)), "recorded"),
         (_without(FOCAL, 49), "focal"),
-        (_without(SCORED, 49), "scored"),
-        (lambda rows: rows.assign(city="atlantis"), "city"),
+        (_without(SCORED, 49), "recorded"),
+        (lambda rows: _without("gen_1", 49)(_track("gen_1", "object_category", 2)(rows)), "scored"),
+        (lambda rows: rows.assign(city=""), "city"),
+        (lambda rows: rows.assign(city="atlantis"), "recorded"),
         (_at("AV", 3, "city", "miami"), "constant"),
         (_at("AV", 3, "observed", False), "observed"),
         (_at("AV", 80, "observed", True), "observed"),
@@ -258,7 +260,7 @@ def _agent(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]]
         (lambda document: document["placed"].update(agents=3), "placed.agents 3, but 2 agents"),
         (lambda document: document["placed"]["behaviours"].update(straight=1), "placed.behaviours.straight 1, but 0"),
         (lambda document: document["agents"].pop(), "placed.agents 2, but 1 agents"),
-        (lambda document: document.update(config_sha256="0" * 64), "want that of config"),
+        (lambda document: document.update(config_sha256="0" * 64), "expected that of config"),
         (lambda document: document["config"]["request"].update(agents=-1), "request.agents = -1"),
         (lambda document: document.update(seed=1), "of this source, configuration, seed and variant"),
         (lambda document: document.update(variant=1), "of this source, configuration, seed and variant"),
@@ -266,7 +268,10 @@ def _agent(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]]
         (_agent(lambda agent: agent.update(track_id="gen_1")), "two agents have the same track_id"),
         (_agent(lambda agent: agent.update(route=[1])), "lane segment 1 is not in the map"),
         (_agent(lambda agent: agent.update(maneuvers=[])), "policy lane_change, but no record of it"),
-        (_agent(lambda agent: agent["maneuvers"][0].update(start_s=9)), "want trigger, start, crossing, end in order"),
+        (
+            _agent(lambda agent: agent["maneuvers"][0].update(start_s=9)),
+            "expected trigger, start, crossing, end in order",
+        ),
         (_agent(lambda agent: agent["maneuvers"][0].update(end_s=None)), "done without start_s and end_s"),
         (_agent(lambda agent: agent["maneuvers"][0].update(leader_track_id="nobody")), "no leader 'nobody'"),
     ],
@@ -301,6 +306,26 @@ def test_recorded_rows_are_compared_bit_for_bit(
     assert "source" in rules(written, source=data_root)
 
 
+def test_nulls_in_columns_of_the_source_are_the_same_as_nulls_alone(
+    tmp_path: Path, copy_scene: Callable[..., Path], edit_rows: Callable[..., None], fake_generated: Callable[..., Any]
+) -> None:
+    """In numbers that are none, in integers and in texts that nobody asks for."""
+    source = copy_scene()
+
+    def change(rows: pd.DataFrame) -> pd.DataFrame:
+        gone = rows.index % 3 == 0
+        return rows.assign(map_id=rows.map_id.astype("Int64").mask(gone), mine=rows.heading.mask(gone), why=None)
+
+    edit_rows(source, change)
+    scenario = read_scenario(source)
+    tracks, sidecar, new_id = fake_generated(scenario)
+    out = tmp_path / "out"
+    folder = write_scene(scenario, tracks, sidecar, out, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    assert validate_folder(out, source=source) == []
+    edit_rows(folder, lambda rows: rows.assign(mine=rows.mine.fillna(0.0)))
+    assert "source" in rules(folder, source=source)
+
+
 def test_a_map_that_differs_from_the_source_is_found(
     written: Path, data_root: Path, edit_json: Callable[..., None]
 ) -> None:
@@ -332,5 +357,5 @@ def test_added_centrelines_are_no_difference(
 
 
 def test_an_empty_output_is_said(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match="no scenario here"):
+    with pytest.raises(ScenarioError, match="no scenario; expected"):
         validate_folder(tmp_path)

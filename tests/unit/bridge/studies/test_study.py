@@ -43,7 +43,7 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[vary]\nnothing = [1]\n", "vary.nothing: want trigger_s or a key"),
+        ("[vary]\nnothing = [1]\n", "vary.nothing: expected trigger_s or a key"),
         ('[vary]\n"lane_change.gap" = [1]\n', "unknown key 'lane_change.gap'"),
         ('[vary]\n"request.agents" = [-1]\n', "request.agents = -1"),
         ("seeds = 0\n[vary]\ntrigger_s = [1.0]\n", "seeds"),

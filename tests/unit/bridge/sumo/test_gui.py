@@ -14,7 +14,7 @@ from lxml import etree
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.playback import POLICIES, RECORDED, STANDS_M, paints, write_playable
 from bridge.sumo.poses import sumo_poses
-from netconvert.errors import SimulationError
+from netconvert.errors import ConfigError, SimulationError
 
 BIN = Path(sys.executable).parent
 
@@ -113,19 +113,20 @@ def colored(path, rgb):
 
 OPEN = """
 import sys, traci
-traci.start([sys.argv[3], "-c", sys.argv[1], "--start", "--quit-on-end", "--delay", "0"])
+traci.start([sys.argv[3], "-c", sys.argv[1], "--quit-on-end", "--delay", "0", "--breakpoints", "1000"])
 for _ in range(50):
     traci.simulationStep()
 traci.gui.screenshot(traci.gui.getIDList()[0], sys.argv[2])
 traci.simulationStep()
 traci.close()
 """
-LANE_GREY = (96, 99, 104)
+LANE_GREY, CELL_LINE = (96, 99, 104), (150, 154, 160)
 
 
 def assert_shows_the_scene(picture, folder):
     """Road, recorded and generated vehicles are there in their colours."""
     assert colored(picture, LANE_GREY) > 2000
+    assert colored(picture, CELL_LINE) > 200
     assert colored(picture, RECORDED.rgba[:3]) > 20
     policies = {paint for paint in paints(read_scenario(folder)).values() if paint in POLICIES.values()}
     assert sum(colored(picture, paint.rgba[:3]) for paint in policies) > 20 * len(policies)
@@ -143,7 +144,7 @@ def test_sumo_gui_opens_the_files_and_shows_net_and_vehicles(playable, made_scen
 def test_gui_plays_the_scene_at_exact_positions_and_takes_a_picture(made_scene, tmp_path, screen):
     picture = tmp_path / "deep" / "gui.png"
     code = "import sys; from pathlib import Path; from bridge.sumo.gui import play_scene; "
-    code += "print(play_scene(Path(sys.argv[1]), screenshot=Path(sys.argv[2]), delay_ms=0))"
+    code += "print(play_scene(Path(sys.argv[1]), screenshot=Path(sys.argv[2])))"
     result = subprocess.run(
         [sys.executable, "-c", code, made_scene, picture], capture_output=True, text=True, timeout=300, env=screen
     )
@@ -166,9 +167,54 @@ def test_a_map_that_begins_with_a_bicycle_lane_is_played_too(real_scene, tmp_pat
     """Cars cannot enter on the first edge of this map's net, in the order of its names."""
     picture = tmp_path / "gui.png"
     code = "import sys; from pathlib import Path; from bridge.sumo.gui import play_scene; "
-    code += "play_scene(Path(sys.argv[1]), screenshot=Path(sys.argv[2]), delay_ms=0)"
+    code += "play_scene(Path(sys.argv[1]), screenshot=Path(sys.argv[2]))"
     result = subprocess.run(
         [sys.executable, "-c", code, real_scene, picture], capture_output=True, text=True, timeout=300, env=screen
     )
     assert result.returncode == 0, result.stderr
     assert colored(picture, LANE_GREY) > 2000
+
+
+STEPS = """
+import sys, time, traci
+traci.start([sys.argv[2], "-c", sys.argv[1]])
+while True:
+    traci.simulationStep()
+    print(traci.simulation.getTime(), flush=True)
+"""
+
+
+def test_sumo_gui_shows_the_first_step_and_waits(playable, screen):
+    """The second step begins when the user presses play, so that four seconds see one."""
+    environment = {key: value for key, value in screen.items() if key != "LIBSUMO_AS_TRACI"}
+    command = [sys.executable, "-c", STEPS, playable, BIN / "sumo-gui"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment) as it:
+        lines = iter(it.stdout.readline, "")
+        first = next(line for line in lines if line[0].isdigit())
+        with pytest.raises(subprocess.TimeoutExpired):
+            it.wait(4)
+        it.kill()
+        assert [float(first), *(float(line) for line in lines)] == [0.1]
+
+
+def test_files_play_in_real_time_and_say_what_the_colours_mean(playable, made_scene):
+    configuration = etree.parse(playable)
+    assert configuration.find("gui_only/delay").get("value") == "1000"  # milliseconds for a simulated second
+    assert [configuration.find(f"gui_only/{key}").get("value") for key in ("start", "breakpoints")] == ["true", "0.1"]
+    shapes = etree.parse(str(playable).replace(".sumocfg", ".poly.xml"))
+    told = {shape.get("color") for shape in shapes.iterfind("poly") if shape.get("type") == "legend"}
+    assert told == {paint.xml for paint in paints(read_scenario(made_scene)).values()}
+
+
+def test_inserted_and_focal_vehicles_show_their_ids(playable, made_scene):
+    routes = etree.parse(str(playable).replace(".sumocfg", ".rou.xml"))
+    shown = {param.get("value") for param in routes.iter("param")}
+    tracks = read_scenario(made_scene).tracks
+    assert shown == {t.track_id for t in tracks if t.track_id.startswith("gen_") or t.category == 3}
+
+
+def test_step_that_the_scene_does_not_have_is_named(made_scene):
+    from bridge.sumo.gui import play_scene
+
+    with pytest.raises(ConfigError, match=r"timestep 500 is out of range \(0-109\)"):
+        play_scene(made_scene, step=500)

@@ -1,0 +1,51 @@
+"""The command `hid2`. Every command is a thin shell round functions of the package; imports wait until one is called.
+
+Exit codes: 0 all done, 1 some scene could not be done, 2 usage or configuration, 130 interrupted. Results go to stdout,
+messages to stderr.
+"""
+
+import sys
+
+from bridge.cli import configuration, generation, measuring, pictures, scenes
+from bridge.cli.app import app
+from bridge.cli.options import INTERRUPTED, SOME_FAILED, USAGE
+from bridge.console import say
+from netconvert.errors import ConfigError, Hid2Error
+
+__all__ = ["app", "main"]
+
+#: Modules whose commands are registered as they are imported.
+GROUPS = (generation, scenes, measuring, pictures, configuration)
+
+
+def main() -> None:
+    """Run the command; an explained error is a line on stderr, never a traceback."""
+    from typer.exceptions import Abort, TyperException
+
+    try:
+        code = app(standalone_mode=False)
+    except Hid2Error as error:
+        code = _failed(str(error), USAGE if isinstance(error, ConfigError) else SOME_FAILED)
+    except TyperException as error:  # a mistake in the command line
+        code = _mistake(error)
+    except Abort:
+        code = INTERRUPTED
+    except BrokenPipeError:  # the reader of stdout, as `head`, has had enough
+        sys.stderr.close()
+        code = SOME_FAILED
+    sys.exit(code or 0)
+
+
+def _failed(message: str, code: int) -> int:
+    say(f"hid2: error: {message}")
+    return code
+
+
+def _mistake(error: Exception) -> int:
+    context = getattr(error, "ctx", None)
+    if type(error).__name__ == "NoArgsIsHelpError":  # `hid2` alone
+        say(error.format_message())  # type: ignore[attr-defined]
+        return USAGE
+    command = context.command_path if context is not None else "hid2"
+    message = error.format_message().replace("Value error, ", "")  # type: ignore[attr-defined]
+    return _failed(f"{message[:1].lower()}{message[1:].rstrip('.')} (see {command} --help)", USAGE)

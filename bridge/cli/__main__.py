@@ -1,0 +1,5 @@
+"""`python -m bridge.cli` is `hid2`."""
+
+from bridge.cli import main
+
+main()

@@ -1,0 +1,95 @@
+"""What is said of a batch: a message for every scene that failed, and a table at the end."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from bridge.batch.batch import Progress
+from bridge.batch.manifest import DONE, ManifestRow
+from bridge.console import Activity, print_table
+
+#: A batch with more runs than this is summed up instead of listed.
+_LISTED_RUNS = 24
+#: Reasons shown in a row of the table; manifest.csv has them all.
+_REASONS = 3
+
+
+class BatchNotes:
+    """Tells an activity what becomes of a batch's runs; when verbose, of those that succeed too."""
+
+    def __init__(self, activity: Activity, out: Path, *, verbose: bool) -> None:
+        self._activity, self._out, self._verbose = activity, out, verbose
+
+    def note(self, row: ManifestRow, progress: Progress) -> None:
+        """Take note of one more run."""
+        if row.status != DONE:
+            self._activity.message(
+                f"hid2: warning: {row.scenario} variant {row.variant}: {row.failure}: {row.reason}\n"
+                f"  to see it again: hid2 generate --repro {self._out / row.bundle}"
+            )
+        elif self._verbose:
+            placed = f"{row.placed} of {row.requested} placed, {row.seconds:.1f} s"
+            self._activity.message(f"{row.scenario} variant {row.variant}: {placed}")
+        details = f" ({progress.skipped} complete before, {progress.quarantined} quarantined)"
+        self._activity.show(progress.finished, progress.total, progress.rate, details)
+
+
+def batch_rows(rows: Sequence[ManifestRow]) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
+    """The rows of a manifest as a table with its head."""
+    return ManifestRow._fields, [tuple(row) for row in rows]
+
+
+def print_batch(rows: Sequence[ManifestRow]) -> None:
+    """Print what happened, run by run when there are few, and the sums."""
+    bad = [row for row in rows if row.status != DONE]
+    if len(rows) <= _LISTED_RUNS:
+        listed = ("scene", "variant", "placed", "left", "right", "changes", "overtakes", "manoeuvres", "s", "remarks")
+        print_table("Generated scenes", listed, [_line(row) for row in rows])
+    elif bad:
+        summed = ("scene", "variant", "failure", "reason")
+        print_table(
+            f"Quarantined: {len(bad)}, of which the first {min(len(bad), _LISTED_RUNS)}",
+            summed,
+            [(row.scenario, row.variant, row.failure, row.reason) for row in bad[:_LISTED_RUNS]],
+        )
+    done = [row for row in rows if row.status == DONE]
+    asked = (
+        "as many as possible"
+        if any(row.requested == "max" for row in done)
+        else sum(int(row.requested) for row in done)
+    )
+    print(
+        f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)} of {asked}; "
+        f"manoeuvres done: {sum(row.maneuvers_done for row in done)} of {sum(row.maneuvers_requested for row in done)}"
+    )
+
+
+def _line(row: ManifestRow) -> tuple[object, ...]:
+    if row.status != DONE:
+        return (row.scenario, row.variant, "-", "-", "-", "-", "-", "-", row.seconds, f"{row.failure}: {row.reason}")
+    remarks = "; ".join(
+        f"{what}: {_first(reasons)}"
+        for what, reasons, told in (
+            ("not done", row.not_done, True),
+            ("candidates rejected", row.rejected, row.requested == "max" or row.placed < int(row.requested)),
+        )
+        if reasons and told
+    )
+    return (
+        row.scenario,
+        row.variant,
+        f"{row.placed} of {row.requested}",
+        row.left_turn,
+        row.right_turn,
+        row.lane_change,
+        row.overtake,
+        f"{row.maneuvers_done} of {row.maneuvers_requested}",
+        round(row.seconds, 2),
+        remarks or "-",
+    )
+
+
+def _first(reasons: str) -> str:
+    """The most frequent reasons, and how many kinds more there are."""
+    each = reasons.split("; ")
+    more = f", {len(each) - _REASONS} more in manifest.csv" if len(each) > _REASONS else ""
+    return ", ".join(each[:_REASONS]) + more

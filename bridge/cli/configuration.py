@@ -1,0 +1,38 @@
+"""`hid2 config`."""
+
+from typing import Annotated
+
+import typer
+
+from bridge.cli.app import command
+from bridge.cli.options import OUTPUT, AsJson, ConfigFile, Settings
+from bridge.cli.session import set_up
+from bridge.console import print_json, print_table
+
+
+@command("config")
+def show_config(
+    *,
+    config: ConfigFile = None,
+    settings: Settings = [],  # noqa: B006
+    toml: Annotated[
+        bool,
+        typer.Option(
+            "--toml",
+            metavar="",
+            help="Print the resolved configuration as a TOML file; so do --config and --set.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List every parameter with default, unit, range and source."""
+    set_up(verbose=False, quiet=False)
+    from bridge.config import ParameterRow, config_to_toml, describe_config, load_config
+
+    if toml or config is not None or settings:
+        print(config_to_toml(load_config(config, settings)), end="")
+    elif as_json:
+        print_json(ParameterRow._fields, describe_config())
+    else:
+        print_table("Parameters", ParameterRow._fields, describe_config())

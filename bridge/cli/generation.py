@@ -1,0 +1,228 @@
+"""`hid2 generate`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bridge.cli.app import command
+from bridge.cli.options import (
+    ALL_DONE,
+    INTERRUPTED,
+    OUTPUT,
+    REQUEST,
+    RUNNING,
+    SOME_FAILED,
+    AsJson,
+    Can,
+    City,
+    ComponentName,
+    ConfigFile,
+    FocalName,
+    Jobs,
+    Memory,
+    MinAgents,
+    Quiet,
+    Resume,
+    Sample,
+    Scheduler,
+    Settings,
+    Split,
+    Timeout,
+    Verbose,
+)
+from bridge.cli.places import check_out, check_scenes
+from bridge.cli.session import select_scenes, set_up
+from bridge.console import Activity, print_json
+from netconvert.errors import ConfigError
+
+#: Batches up to this size list every folder that was written.
+_SHOWN_PATHS = 24
+
+
+@command()
+def generate(
+    *,
+    scenes: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="SCENE", help="Scenario folders, split folders or data-set roots."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", metavar="OUT", help="Folder to write to (required).", rich_help_panel=OUTPUT),
+    ] = None,
+    agents: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N|max",
+            help="Vehicles to insert into each scene; max: as many as it holds.",
+            show_default="10",
+            rich_help_panel=REQUEST,
+        ),
+    ] = None,
+    behaviours: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME=SHARE,...",
+            help="Shares of straight, left_turn, right_turn, lane_change, overtake; those not named get none.",
+            show_default="straight=0.6,left_turn=0.1,right_turn=0.1,lane_change=0.15,overtake=0.05",
+            rich_help_panel=REQUEST,
+        ),
+    ] = None,
+    trigger_time: Annotated[
+        str | None,
+        typer.Option(
+            metavar="S|A:B",
+            help="When manoeuvres are triggered, in seconds: a time, or a range to draw from.",
+            show_default="0.5:4",
+            rich_help_panel=REQUEST,
+        ),
+    ] = None,
+    variants: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="K", help="Scenes to write for each source scene.", show_default="1", rich_help_panel=REQUEST
+        ),
+    ] = None,
+    focal: Annotated[
+        FocalName | None,
+        typer.Option(help="Which track is the focal one.", show_default="recorded", rich_help_panel=REQUEST),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            min=0, metavar="N", help="Seed of every random choice.", show_default="0", rich_help_panel=REQUEST
+        ),
+    ] = None,
+    spawn_leaders: Annotated[
+        bool | None,
+        typer.Option(
+            "--spawn-leaders/--no-spawn-leaders",
+            metavar="",
+            help="Add a slow lead vehicle when an overtake has none.",
+            show_default="spawn-leaders",
+            rich_help_panel=REQUEST,
+        ),
+    ] = None,
+    without: Annotated[
+        list[ComponentName],
+        typer.Option(help="Ablation: leave a component out; repeatable.", rich_help_panel=REQUEST, show_default=False),
+    ] = [],  # noqa: B006  # typer copies it
+    config: ConfigFile = None,
+    settings: Settings = [],  # noqa: B006
+    min_agents: MinAgents = 0,
+    city: City = [],  # noqa: B006
+    split: Split = [],  # noqa: B006
+    can: Can = [],  # noqa: B006
+    sample: Sample = None,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
+    scene_timeout: Timeout = 300.0,
+    scene_memory: Memory = 4000,
+    resume: Resume = False,
+    repro: Annotated[
+        Path | None,
+        typer.Option(metavar="BUNDLE", help="Run a quarantined scene again, from its bundle.", rich_help_panel=RUNNING),
+    ] = None,
+    function: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MODULE:NAME",
+            help="With --repro: a function of yours that the bundle may ask for.",
+            rich_help_panel=RUNNING,
+        ),
+    ] = None,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write denser scenes: insert vehicles with the behaviours asked for among the recorded ones."""
+    set_up(verbose=verbose, quiet=quiet)
+    if repro is not None:
+        raise typer.Exit(_reproduce(repro, out, function, quiet=quiet))
+    missing = [name for name, value in (("SCENE", scenes), ("-o/--out", out)) if not value]
+    if not scenes or out is None:
+        raise ConfigError(f"missing {' and '.join(missing)} (see hid2 generate --help)")
+    check_scenes(scenes)
+    check_out(out)
+    with Activity(quiet=quiet) as activity:
+        from bridge.config import load_config, parse_behaviours, parse_trigger_time
+        from bridge.recordings.folders import find_sources
+
+        flags: dict[str, object] = {
+            "request.agents": None if agents is None else _agents(agents),
+            "request.variants": variants,
+            "request.focal": focal,
+            "request.seed": seed,
+            "request.spawn_leaders": spawn_leaders,
+            "without": [str(name) for name in without] or None,
+        }
+        flags |= parse_behaviours(behaviours) if behaviours is not None else {}
+        flags |= parse_trigger_time(trigger_time) if trigger_time is not None else {}
+        resolved = load_config(config, settings, {key: value for key, value in flags.items() if value is not None})
+        activity.doing("looking for scenes")
+        folders = find_sources(scenes)
+        if min_agents or city or split or can or sample:  # else nothing need be imported that reads scenes
+            from bridge.batch.scan import Selection
+
+            selection = Selection(
+                min_agents, tuple(city), tuple(map(str, split)), tuple(map(str, can)), sample, resolved.request.seed
+            )
+            folders = select_scenes(folders, selection, activity, jobs=jobs)
+
+        from bridge.batch.batch import Options, plan, run_batch
+        from bridge.batch.manifest import DONE
+        from bridge.cli.batch_display import BatchNotes, batch_rows, print_batch
+
+        options = Options(
+            jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume, memory_mb=scene_memory
+        )
+        notes = BatchNotes(activity, out, verbose=verbose)
+        activity.doing("generating")
+        try:
+            rows = run_batch(plan(folders, resolved), out, options, on_row=notes.note)
+        except KeyboardInterrupt:
+            activity.message(f"interrupted; finished scenes are in {out / 'manifest.csv'}, continue with --resume")
+            raise typer.Exit(INTERRUPTED) from None
+    if as_json:
+        print_json(*batch_rows(rows))
+    elif not quiet:
+        print_batch(rows)
+        for row in rows if len(rows) <= _SHOWN_PATHS else []:
+            if row.folder:
+                print(out / row.folder)
+        print(out / "manifest.csv")
+    raise typer.Exit(ALL_DONE if all(row.status == DONE for row in rows) else SOME_FAILED)
+
+
+def _agents(text: str) -> int | str:
+    if text == "max":
+        return text
+    try:
+        return int(text)
+    except ValueError:
+        raise ConfigError(f"--agents {text!r}: expected a number or max") from None
+
+
+def _reproduce(bundle_path: Path, out: Path | None, function: str | None, *, quiet: bool) -> int:
+    """Run a bundle; without an output folder nothing is kept. Returns the exit code."""
+    import tempfile
+
+    if not bundle_path.is_file():
+        raise ConfigError(f"{bundle_path}: no such file, expected a bundle, OUT/quarantine/.../NAME.zip")
+    if out is not None:
+        check_out(out)
+    with (
+        Activity("running the scene of the bundle", quiet=quiet),
+        tempfile.TemporaryDirectory(prefix="hid2-") as scratch,
+    ):
+        from bridge.batch.batch import reproduce
+        from bridge.batch.manifest import DONE
+
+        bundle, row = reproduce(bundle_path, out or Path(scratch), function=function)
+    print(f"{bundle.folder.name} variant {bundle.variant}, made by hid2-sumo {bundle.version}")
+    print(f"then: {bundle.failure.kind}: {bundle.failure.message}")
+    print(f"now:  {'done' if row.status == DONE else f'{row.failure}: {row.reason}'}")
+    if bundle.failure.details:
+        print(bundle.failure.details)
+    return ALL_DONE if row.status == DONE else SOME_FAILED

@@ -1,0 +1,200 @@
+"""`hid2 evaluate`, `study` and `paper`: from scenes to figures and tables."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bridge.cli.app import command
+from bridge.cli.options import (
+    ALL_DONE,
+    INTERRUPTED,
+    OUTPUT,
+    SOME_FAILED,
+    ExperimentName,
+    Jobs,
+    Out,
+    Quiet,
+    Scheduler,
+    Timeout,
+    Verbose,
+)
+from bridge.cli.places import check_out, check_scenes
+from bridge.cli.session import set_up, unread_text
+from bridge.console import Activity, print_json, print_table
+from netconvert.errors import ConfigError
+
+
+@command()
+def evaluate(
+    out: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCENES",
+            help="Scenes to measure, generated or recorded: a scenario folder, a split folder or a root.",
+            show_default=False,
+        ),
+    ],
+    report: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="REPORT",
+            help="Folder for metrics.json, the tables and report.html.",
+            rich_help_panel=OUTPUT,
+        ),
+    ],
+    *,
+    source: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="The source scenes: before is those of the scenes measured."),
+    ] = None,
+    predictions: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|constant-velocity|constant-turn-rate",
+            help="Score forecasts instead: a file in av2's submission format, or a baseline.",
+        ),
+    ] = None,
+    bands: Annotated[
+        str, typer.Option(metavar="N,N,...", help="With --predictions: bands of scenes with more agents than each N.")
+    ] = "50,70,90",
+    jobs: Jobs = 1,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", metavar="", help="With --predictions: print the table as JSON.", rich_help_panel=OUTPUT),
+    ] = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure density, diversity, safety, kinematics and realism of any number of scenes, or score forecasts."""
+    set_up(verbose=verbose, quiet=quiet)
+    check_scenes([out, *([source] if source else [])])
+    check_out(report)
+    if predictions is not None:
+        raise typer.Exit(_score(out, predictions, bands, report, as_json=as_json, quiet=quiet))
+    with Activity(quiet=quiet) as activity:
+        from bridge.evaluation.evaluate import evaluate_folder
+
+        activity.doing("measuring scenes")
+
+        def show(done: int, total: int) -> None:
+            activity.show(done, total)
+            if done == total:
+                activity.doing("writing the report")
+
+        evaluation = evaluate_folder(out, report_dir=report, source=source, jobs=jobs, on_scene=show)
+        for folder, reason in evaluation.failures:
+            activity.message(unread_text(folder, reason))
+    if not quiet:
+        print(report / "report.html")
+    raise typer.Exit(SOME_FAILED if evaluation.failures else ALL_DONE)
+
+
+@command()
+def study(
+    file: Annotated[
+        Path, typer.Argument(metavar="STUDY.toml", help="The study, as those in data/studies.", show_default=False)
+    ],
+    out: Out,
+    *,
+    scenes: Annotated[
+        list[Path],
+        typer.Option(metavar="SCENE", help="Scenes instead of those in the file; repeatable.", show_default=False),
+    ] = [],  # noqa: B006
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
+    scene_timeout: Timeout = 300.0,
+    keep_scenes: Annotated[
+        bool,
+        typer.Option(
+            "--keep-scenes", metavar="", help="Keep the generated scenes beside the tables.", rich_help_panel=OUTPUT
+        ),
+    ] = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a parameter study. Called again, it continues: completed runs are skipped."""
+    set_up(verbose=verbose, quiet=quiet)
+    if file.is_dir():
+        raise ConfigError(f"{file}: is a folder, expected a study in TOML, as those in data/studies")
+    check_scenes(scenes)
+    check_out(out)
+    with Activity(quiet=quiet) as activity:
+        from bridge.batch.batch import Options
+        from bridge.cli.batch_display import BatchNotes
+        from bridge.studies.study import read_study, run_study
+
+        options = Options(jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=True)
+        activity.doing("reading the study and its scenes")
+        found = read_study(file, scenes=scenes)
+        notes = BatchNotes(activity, out, verbose=verbose)
+        activity.doing("generating")
+        try:
+            report = run_study(found, out, options, keep_scenes=keep_scenes, on_row=notes.note)
+        except KeyboardInterrupt:
+            activity.message("interrupted; the same command continues")
+            raise typer.Exit(INTERRUPTED) from None
+    if not quiet:
+        for path in report.files:
+            print(path)
+    raise typer.Exit(SOME_FAILED if report.failed else ALL_DONE)
+
+
+@command()
+def paper(
+    experiment: Annotated[
+        ExperimentName, typer.Argument(metavar="EXPERIMENT", help="One of table1, ablation, density, diversity.")
+    ],
+    out: Out,
+    *,
+    scenes: Annotated[
+        Path, typer.Option(metavar="DIR", help="Recorded scenes; diversity needs real ones of over 40 agents.")
+    ] = Path("data/av2"),
+    seeds: Annotated[int, typer.Option(min=1, metavar="N", help="Seeds per scene.")] = 10,
+    agents: Annotated[int, typer.Option(min=0, metavar="N", help="Vehicles added, except in density.")] = 10,
+    jobs: Jobs = 1,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run an experiment of the paper that needs no training, from generation to the table beside the paper's."""
+    set_up(verbose=verbose, quiet=quiet)
+    check_scenes([scenes])
+    check_out(out)
+    with Activity(quiet=quiet) as activity:
+        from bridge.evaluation.paper import run_experiment
+
+        activity.doing("generating and measuring")
+        page = run_experiment(
+            experiment, scenes=scenes, out_dir=out, seeds=seeds, agents=agents, jobs=jobs, on_scene=activity.show
+        )
+    print(page)
+
+
+def _score(out: Path, predictions: str, bands: str, report: Path, *, as_json: bool, quiet: bool) -> int:
+    """Score forecasts; returns the exit code."""
+    try:
+        bounds = [int(band) for band in bands.split(",")]
+    except ValueError:
+        raise ConfigError(f"--bands {bands!r}: expected numbers of agents, joined by commas") from None
+    with Activity(quiet=quiet) as activity:
+        from bridge.evaluation.predictions import BASELINES, TABLE_HEAD, score_predictions
+
+        baseline = next((name for name in BASELINES if name == predictions), None)
+        if baseline is None and not Path(predictions).is_file():
+            raise ConfigError(
+                f"--predictions {predictions}: no such file; expected a forecast file or one of {', '.join(BASELINES)}"
+            )
+        activity.doing("scoring forecasts")
+        scored = score_predictions(
+            out, predictions=baseline or Path(predictions), report_dir=report, bounds=bounds, on_scene=activity.show
+        )
+        for reason in scored.left_out:
+            activity.message(f"hid2: warning: not scored: {reason}")
+    if as_json:
+        print_json(TABLE_HEAD, scored.rows())
+    elif not quiet:
+        print_table(f"{len(scored.scores)} scores", TABLE_HEAD, scored.rows())
+        print(report / "predictions.html")
+    return SOME_FAILED if scored.left_out else ALL_DONE

@@ -1,0 +1,119 @@
+"""`hid2 render`, `plot` and `gui`: scenes to look at."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bridge.cli.app import command
+from bridge.cli.options import OUTPUT, Quiet, Scene, Verbose
+from bridge.cli.places import check_one_scene, check_out_file
+from bridge.cli.session import set_up
+from bridge.console import Activity, say
+
+Step = Annotated[
+    int | None,
+    typer.Option(min=0, metavar="N", help="Timestep of a picture.", show_default="the last observed one, 49"),
+]
+
+
+@command()
+def render(
+    scene: Scene,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="FILE",
+            help="Picture (.png, .jpg, .pdf, .svg) or film (.gif, .mp4) to write.",
+            rich_help_panel=OUTPUT,
+        ),
+    ],
+    *,
+    source: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="SCENE", help="The source scene: shown as before, and its labelled sizes are used in both halves."
+        ),
+    ] = None,
+    agent: Annotated[
+        str | None, typer.Option(metavar="ID", help="Highlight this track and show its surroundings.")
+    ] = None,
+    cells: Annotated[bool, typer.Option("--cells", metavar="", help="Show the cells of the lanes.")] = False,
+    step: Step = None,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Draw a scene from above, before and after: a picture or a film."""
+    set_up(verbose=verbose, quiet=quiet)
+    check_one_scene(scene)
+    if source is not None:
+        check_one_scene(source)
+    check_out_file(out)
+    with Activity(quiet=quiet) as activity:
+        from bridge.pictures.render import render_scene
+
+        activity.doing("drawing")
+        written = render_scene(scene, out, source=source, agent=agent, cells=cells, step=step, on_frame=activity.show)
+    if not quiet:
+        print(written)
+
+
+@command()
+def plot(
+    scene: Scene,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--out", metavar="FILE", help="Picture to write: .png, .jpg, .pdf or .svg.", rich_help_panel=OUTPUT
+        ),
+    ],
+    agent: Annotated[str, typer.Option(metavar="ID", help="The track, for example gen_0.")],
+    *,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Draw one track over time: speed, acceleration, jerk, lateral offset and cells, with its manoeuvres marked."""
+    set_up(verbose=verbose, quiet=quiet)
+    check_one_scene(scene)
+    check_out_file(out)
+    with Activity("drawing", quiet=quiet):
+        from bridge.pictures.plot import plot_agent
+
+        written = plot_agent(scene, agent, out)
+    if not quiet:
+        print(written)
+
+
+@command()
+def gui(
+    scene: Scene,
+    *,
+    speed: Annotated[
+        float, typer.Option(min=0.01, max=100, metavar="X", help="Speed of playing; 1 is real time.")
+    ] = 1.0,
+    screenshot: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.png", help="Take a picture, then close the window.", rich_help_panel=OUTPUT),
+    ] = None,
+    step: Step = None,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Play a scene in sumo-gui at its exact positions, paused at first (needs the extra `gui` and a screen)."""
+    set_up(verbose=verbose, quiet=quiet)
+    check_one_scene(scene)
+    if screenshot is not None:
+        check_out_file(screenshot)
+    with Activity("starting sumo-gui", quiet=quiet) as activity:
+        from bridge.sumo.gui import play_scene
+
+        def shown() -> None:
+            activity.end()
+            if screenshot is None and not quiet:
+                say("sumo-gui waits at the first step: play with Ctrl+A, stop with Ctrl+S, close the window to end")
+
+        picture = play_scene(scene, speed=speed, screenshot=screenshot, step=step, on_shown=shown)
+    if picture is not None and not quiet:
+        print(picture)

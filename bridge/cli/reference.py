@@ -1,0 +1,39 @@
+"""The command reference: bridge/COMMANDS.md, made of what `--help` says. `python -m bridge.cli.reference` writes it."""
+
+from pathlib import Path
+from typing import Any
+
+import typer
+from typer.main import get_command
+
+from bridge.cli import app
+
+PAGE = Path(__file__).parents[1] / "COMMANDS.md"
+#: Columns that the help is laid out for.
+_WIDTH = 100
+_INTRODUCTION = """\
+# Commands
+
+What `hid2 COMMAND --help` says; `python -m bridge.cli.reference` writes this page, and a test compares it.
+
+Results go to stdout, messages to stderr. Exit codes: 0 all done, 1 some scene could not be done,
+2 usage or configuration, 130 interrupted. `hid2 --install-completion` adds completion to your shell.
+"""
+
+
+def reference() -> str:
+    """The text of the page."""
+    group: Any = get_command(app)
+    context = typer.Context(group, info_name="hid2", terminal_width=_WIDTH, max_content_width=_WIDTH)
+    names = group.list_commands(context)
+    contents = "\n".join(f"- [`hid2 {name}`](#hid2-{name})" for name in names)
+    parts = [f"{_INTRODUCTION}\n{contents}\n"]
+    for name in names:
+        command = group.get_command(context, name)
+        with typer.Context(command, info_name=name, parent=context, terminal_width=_WIDTH) as inner:
+            parts.append(f"## hid2 {name}\n\n```text\n{command.get_help(inner).rstrip()}\n```\n")
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(reference(), encoding="utf-8")

@@ -1,0 +1,72 @@
+"""What every command does alike: logging and signals, telling of scenes that cannot be read, choosing scenes."""
+
+import io
+import logging
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bridge.console import Activity
+from netconvert.errors import ConfigError
+
+if TYPE_CHECKING:
+    from bridge.batch.scan import SceneFacts, Selection
+
+
+class _Formatter(logging.Formatter):
+    """Messages of the packages look as those of the command."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return f"hid2: {record.levelname.lower()}: {record.getMessage()}"
+
+
+def set_up(*, verbose: bool, quiet: bool) -> None:
+    """Logging as asked for; SIGTERM ends the command as Ctrl-C does; no figure opens a window.
+
+    Names of any bytes can be printed.
+    """
+    level = logging.DEBUG if verbose else logging.ERROR if quiet else logging.WARNING
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_Formatter())
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
+    for package in ("bridge", "hid2", "netconvert"):
+        logging.getLogger(package).setLevel(level)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def unread_text(folder: Path, reason: str) -> str:
+    """A warning about a scene that cannot be read; most reasons name the file themselves."""
+    return f"hid2: warning: {reason if reason.startswith(str(folder)) else f'{folder}: {reason}'}"
+
+
+def select_scenes(folders: Sequence[Path], selection: "Selection", activity: Activity, *, jobs: int) -> list[Path]:
+    """The scenes that the selection wants. Errors: ConfigError where there is none."""
+    from bridge.batch.scan import facts_of, wanted
+
+    activity.doing("reading scenes for the selection")
+    facts, failures = facts_of(folders, jobs=jobs, on_scene=activity.show)
+    for folder, reason in failures:
+        activity.message(unread_text(folder, reason))
+    chosen = wanted(folders, facts, failures, with_cities_of(facts, selection))
+    activity.note(f"{len(chosen)} of {len(folders)} scenes selected")
+    return chosen
+
+
+def with_cities_of(facts: Sequence["SceneFacts"], selection: "Selection") -> "Selection":
+    """The selection with its cities as the data set spells them, whatever their case.
+
+    Errors: ConfigError for a city that no scene is in, with those that there are.
+    """
+    known = {fact.city.casefold(): fact.city for fact in facts}
+    for city in selection.cities:
+        if facts and city.casefold() not in known:
+            raise ConfigError(
+                f"--city {city!r}: no scene is there; the scenes are in {', '.join(sorted(known.values()))}"
+            )
+    return selection._replace(cities=tuple(known.get(city.casefold(), city) for city in selection.cities))

@@ -1,0 +1,93 @@
+"""What a recorded scene may be at most: anything beyond is refused at reading, in one line.
+
+A real scene is far below each of these (the figures are those of Argoverse 2's motion-forecasting scenes). They are
+there so that a file from anywhere costs bounded time and memory: what follows grows with the cells of the map, the
+pairs of tracks, and the ground that both lie on.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hid2.agents import FloatArray, Track
+from netconvert.errors import MapError, ScenarioError
+from netconvert.geometry import arc_length
+from netconvert.lane_graph import LaneGraph
+
+#: Each file of a scene, MB. Real: below 3.
+MAX_FILE_MB = 32
+#: Parquet: rows, columns, and bytes that the columns unpack to, MB. Real: 10,000 rows, 18 columns, 2 MB.
+MAX_ROWS, MAX_COLUMNS, MAX_TABLE_MB = 200_000, 200, 256
+#: Tracks of a scene. Real: below 300.
+MAX_TRACKS = 2_000
+#: Length of an id or a name in a scene, characters. Real: 36.
+MAX_NAME = 200
+#: Lane segments and drivable areas of a map, and points of one line of it. Real: below 400, 50 and 3,000.
+MAX_LANES, MAX_AREAS, MAX_POINTS = 3_000, 1_000, 20_000
+#: A lane, and all lanes of a map together, m. Real: 200 and 15,000.
+MAX_LANE_M, MAX_LANES_M = 5_000.0, 100_000.0
+#: Width and height of the ground that the map and all tracks lie on, m. Real: below 1,000.
+MAX_EXTENT_M = 10_000.0
+#: Distance from the origin, m: UTM coordinates are below.
+MAX_COORDINATE_M = 1e7
+#: Speed of anything, m/s: the format's fastest trains are below 100.
+MAX_SPEED_MPS = 1_000.0
+#: Lane ids are 64-bit integers with a sign.
+MAX_LANE_ID = 2**63 - 1
+
+
+def check_map_size(graph: LaneGraph, name: str) -> None:
+    """Refuse a map that is too large for a scene. name: what messages call it. Errors: MapError with lane and value."""
+    _check_map(len(graph.lanes), MAX_LANES, f"{name}: lane segments")
+    _check_map(len(graph.drivable_areas), MAX_AREAS, f"{name}: drivable areas")
+    total_m = 0.0
+    lines: list[FloatArray] = list(graph.drivable_areas)
+    for lane in graph.lanes.values():
+        where = f"{name}: lane {lane.lane_id}"
+        for lane_id in (lane.lane_id, *lane.successors, lane.left_neighbor_id or 0, lane.right_neighbor_id or 0):
+            if abs(lane_id) > MAX_LANE_ID:
+                raise MapError(f"{where}: lane id {str(lane_id)[:40]}, expected an integer of 64 bit")
+        for line in (lane.centerline, lane.left_boundary, lane.right_boundary):
+            if line is not None:
+                _check_map(len(line), MAX_POINTS, f"{where}: points of a line")
+                lines.append(line)
+        length_m = float(arc_length(lane.centerline)[-1])
+        if not length_m <= MAX_LANE_M:
+            raise MapError(f"{where}: {length_m:.0f} m long, expected at most {MAX_LANE_M:.0f} m")
+        total_m += length_m
+    if not total_m <= MAX_LANES_M:
+        raise MapError(f"{name}: {total_m:.0f} m of lanes, expected at most {MAX_LANES_M:.0f} m")
+    for ring in graph.drivable_areas:
+        _check_map(len(ring), MAX_POINTS, f"{name}: points of a drivable area")
+    said = _extent_breach(lines)
+    if said:
+        raise MapError(f"{name}: {said}")
+
+
+def check_ground(tracks: Sequence[Track], graph: LaneGraph, name: str) -> None:
+    """Refuse tracks that do not lie on the ground of the map. Errors: ScenarioError with track and value."""
+    lanes = [lane.centerline for lane in graph.lanes.values()]
+    for track in tracks:
+        said = _extent_breach([*lanes[:1], track.position])
+        if said:
+            raise ScenarioError(f"{name}: track {track.track_id!r} and the map: {said}")
+    said = _extent_breach([*lanes, *(track.position for track in tracks)])
+    if said:
+        raise ScenarioError(f"{name}: tracks and map: {said}")
+
+
+def _check_map(count: int, most: int, what: str) -> None:
+    if count > most:
+        raise MapError(f"{what}: {count}, expected at most {most}")
+
+
+def _extent_breach(lines: Sequence[FloatArray]) -> str:
+    low = np.min([line.min(axis=0) for line in lines], axis=0)
+    high = np.max([line.max(axis=0) for line in lines], axis=0)
+    with np.errstate(over="ignore"):  # of coordinates near the largest double: infinity is too far as well
+        (x, y), far = high - low, float(np.abs([low, high]).max())
+    if not max(x, y) <= MAX_EXTENT_M:
+        return f"spread over {x:.6g} x {y:.6g} m, expected at most {MAX_EXTENT_M:.0f} m each way"
+    if far > MAX_COORDINATE_M:
+        return f"a coordinate of {far:.6g} m, expected at most {MAX_COORDINATE_M:.0e} m"
+    return ""

@@ -1,0 +1,111 @@
+"""What the options say is what the package has, though it is written twice for the sake of a quick start."""
+
+import fcntl
+import os
+import pty
+import struct
+import subprocess
+import sys
+import termios
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+from typer.main import get_command
+
+from bridge.cli import app, options
+from bridge.config import config_to_dict, describe_config, load_config, parse_behaviours, parse_trigger_time
+from bridge.evaluation.paper import EXPERIMENTS
+from bridge.recordings.scenario import SPLITS
+from hid2.agents import Policy
+from hid2.params import Config, Request
+
+ROOT = Path(__file__).parents[2]
+Run = Callable[..., Any]
+
+
+def option(name: str) -> Any:
+    (found,) = [parameter for parameter in get_command(app).commands["generate"].params if name in parameter.opts]  # type: ignore[attr-defined]
+    return found
+
+
+def test_choices_are_those_of_the_package() -> None:
+    assert [str(name) for name in options.BehaviourName] == [policy.value for policy in Policy]
+    assert tuple(options.SplitName) == SPLITS
+    assert get_args(options.ExperimentName) == EXPERIMENTS
+    assert get_args(options.FocalName) == get_args(Request.model_fields["focal"].annotation)
+    components = {row.key: row.range for row in describe_config()}["without"]
+    assert components == f"any of {', '.join(options.ComponentName)}"
+
+
+def test_defaults_in_the_help_are_those_of_the_configuration() -> None:
+    shown = {name: option(f"--{name}").show_default for name in ("agents", "variants", "focal", "seed")}
+    request = config_to_dict(Config())["request"]
+    assert shown == {name: str(request[name]) for name in shown}
+    assert load_config(None, [], parse_behaviours(option("--behaviours").show_default)) == Config()
+    assert load_config(None, [], parse_trigger_time(option("--trigger-time").show_default)) == Config()
+    assert Request().spawn_leaders is True
+
+
+def test_version_is_that_of_the_distribution(hid2: Run) -> None:
+    result = hid2("--version")
+    assert (result.returncode, result.stdout) == (0, f"hid2 {version('hid2-sumo')}\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "Usage: hid2"),
+        (["genrate"], "did you mean 'generate'?"),
+        (["generate"], "missing SCENE and -o/--out"),
+        (["generate", "data/av2"], "missing -o/--out"),
+        (["evaluate"], "missing argument 'SCENES'"),
+        (["plot", "data/av2", "-o", "a.png"], "missing option '--agent'"),
+        (["scan", "data/av2", "--jobs", "0"], "should be greater than or equal to 1"),
+        (["paper", "table9", "-o", "x"], "'table9' is not one of 'table1'"),
+    ],
+)
+def test_mistake_in_the_command_line_is_a_line_with_the_way_to_the_help(
+    hid2: Run, arguments: list[str], words: str
+) -> None:
+    result = hid2(*arguments, cwd=ROOT)
+    assert result.returncode == 2
+    assert words.lower() in result.stderr.lower()
+    if arguments:
+        assert result.stderr.startswith("hid2: error: ")
+        assert len(result.stderr.splitlines()) == 1
+
+
+def test_completion_names_commands(hid2: Run) -> None:
+    shown = subprocess.run(
+        [Path(sys.executable).parent / "hid2"], capture_output=True, text=True, timeout=60, check=False,
+        env=os.environ | {"_HID2_COMPLETE": "complete_bash", "COMP_WORDS": "hid2 gen", "COMP_CWORD": "1"},
+    ).stdout  # fmt: skip
+    assert shown.split() == ["generate"]
+
+
+@pytest.mark.parametrize("columns", [60, 80, 120, 200])
+def test_table_on_a_terminal_fits_and_crops_nothing(columns: int) -> None:
+    """`hid2 config` on a terminal of that width: all words of each row are there, no line is longer."""
+    leading, following = pty.openpty()
+    fcntl.ioctl(following, termios.TIOCSWINSZ, struct.pack("HHHH", 50, columns, 0, 0))
+    environment = {key: value for key, value in os.environ.items() if key not in {"COLUMNS", "LINES"}}
+    command = [Path(sys.executable).parent / "hid2", "config"]
+    with subprocess.Popen(command, stdout=following, stderr=subprocess.PIPE, env=environment) as process:
+        os.close(following)
+        text = b""
+        while True:
+            try:
+                part = os.read(leading, 65536)
+            except OSError:  # the other end is closed
+                break
+            text += part
+        assert process.wait() == 0
+    os.close(leading)
+    lines = text.decode().splitlines()
+    assert max(map(len, lines)) <= columns
+    words = set(" ".join(lines).split())
+    missing = [word for row in describe_config() for cell in row for word in cell.split() if word not in words]
+    assert missing == []

@@ -1,0 +1,85 @@
+"""Paths of the command line that cannot be what they are given as, and results that would lie among the sources."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from bridge.cli.places import check_out, check_out_file, check_scenes
+from netconvert.errors import ConfigError
+
+Run = Callable[..., object]
+
+
+@pytest.fixture
+def data_set(tmp_path: Path, data_scenes: dict[str, Path]) -> Path:
+    """A root with one scene in its split train."""
+    root = tmp_path / "root"
+    shutil.copytree(data_scenes["curve"], root / "train" / data_scenes["curve"].name)
+    return root
+
+
+@pytest.mark.parametrize("below", ["", "deep/er"])
+def test_out_in_a_scene_or_a_split_folder_is_refused(data_set: Path, below: str) -> None:
+    scene = next((data_set / "train").iterdir())
+    with pytest.raises(ConfigError, match="inside the scene"):
+        check_out(scene / below)
+    with pytest.raises(ConfigError, match="inside the split folder"):
+        check_out(data_set / "train" / (below or "out"))
+    with pytest.raises(ConfigError, match="inside the scene"):
+        check_out_file(scene / "picture.png")
+
+
+def test_out_below_a_data_set_is_taken_with_a_warning(data_set: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    check_out(data_set / "out")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"hid2: warning: {data_set / 'out'} lies inside the data set {data_set}")
+
+
+def test_out_elsewhere_or_of_an_earlier_run_is_taken_silently(
+    data_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Scenes with a sidecar were generated: more may be written beside them, and reports too."""
+    scene = next((data_set / "train").iterdir())
+    (scene / "hid2_x.json").touch()
+    for out in (tmp_path / "out", data_set, data_set / "report", data_set / "train" / "report"):
+        check_out(out)
+    assert capsys.readouterr().err == ""
+
+
+def test_out_that_is_a_link_into_a_split_is_refused(data_set: Path, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(data_set / "train")
+    with pytest.raises(ConfigError, match="inside the split folder"):
+        check_out(tmp_path / "link" / "out")
+
+
+def test_file_where_a_folder_is_wanted_is_named_with_what_to_give(data_set: Path, tmp_path: Path) -> None:
+    parquet = next(data_set.rglob("scenario_*.parquet"))
+    with pytest.raises(ConfigError, match=f"is a file, expected a folder; give its folder, {parquet.parent}"):
+        check_scenes([parquet])
+    for name, said in (("a.zip", "hid2 generate --repro"), ("a.tar.gz", "unpack it"), ("a.txt", "folder of a scene")):
+        (tmp_path / name).touch()
+        with pytest.raises(ConfigError, match=said):
+            check_scenes([tmp_path / name])
+    with pytest.raises(ConfigError, match="is a file; choose another output folder"):
+        check_out(tmp_path / "a.txt")
+    with pytest.raises(ConfigError, match="expected a file to write"):
+        check_out_file(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "arguments", [("render", "-o", "a.png"), ("plot", "-o", "a.png", "--agent", "AV"), ("net", "-o", "out"), ("gui",)],
+    ids=" ".join,
+)  # fmt: skip
+def test_data_set_for_a_command_of_one_scene_is_refused_with_an_example(
+    hid2: Run, data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = hid2(*arguments, data_root)
+    assert result.returncode == 2
+    assert (
+        f"hid2: error: {data_root}: holds several scenes, this command takes one; for example {data_root}/"
+        in result.stderr
+    )
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,179 @@
+"""Bundles: what is written is read back; what others made is data, and stays in its folder."""
+
+import json
+import os
+import struct
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.batch.isolation import Failure
+from bridge.batch.quarantine import MAX_MEMBERS, Bundle, read_bundle, write_bundle
+from bridge.config import config_to_dict
+from hid2.params import Config
+from netconvert.errors import BatchError
+
+OWN = "bridge.batch.scene_work:generate_runs"
+FAILURE = Failure("exception", "ValueError: \x1b[2J no", "Traceback\n  line\n")
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    folder = tmp_path / "source" / "val" / "scene"
+    folder.mkdir(parents=True)
+    (folder / "scenario_x.parquet").write_bytes(b"rows")
+    return folder
+
+
+def bundle_of(scene: Path, **changes: Any) -> Bundle:
+    values = {"folder": scene, "split": "val", "config": Config(), "variant": 1, "timeout_s": 5.0, "function": OWN}
+    return Bundle(**(values | {"failure": FAILURE, "version": "1"} | changes))
+
+
+def test_bundle_comes_back(scene: Path, tmp_path: Path) -> None:
+    write_bundle(bundle_of(scene), tmp_path / "b.zip")
+    read = read_bundle(tmp_path / "b.zip", tmp_path / "into")
+    assert read.folder == tmp_path / "into" / "val" / "scene"
+    assert [path.name for path in read.folder.iterdir()] == ["scenario_x.parquet"]
+    assert (read.config, read.variant, read.timeout_s, read.function) == (Config(), 1, 5.0, OWN)
+    assert read.failure == Failure("exception", "ValueError: \\x1b[2J no", "Traceback\n  line\n")
+    assert read.failure.message.isprintable(), "nothing that a terminal obeys"
+
+
+def test_pipes_giants_and_hidden_files_of_a_scene_are_left_out_and_named(scene: Path, tmp_path: Path) -> None:
+    os.mkfifo(scene / "pipe")
+    (scene / ".hidden").touch()
+    (scene / "giant").touch()
+    os.truncate(scene / "giant", 10**11)
+    write_bundle(bundle_of(scene), tmp_path / "b.zip")
+    with zipfile.ZipFile(tmp_path / "b.zip") as archive:
+        assert json.loads(archive.read("request.json"))["left_out"] == [".hidden", "giant", "pipe"]
+    assert [path.name for path in read_bundle(tmp_path / "b.zip", tmp_path / "into").folder.iterdir()] == [
+        "scenario_x.parquet"
+    ]
+
+
+def request(**changes: Any) -> dict[str, Any]:
+    values = {"format": 1, "version": "1", "python": "3", "platform": "x", "scenario": "scene", "split": "val"}
+    values |= {"variant": 0, "timeout_s": 5.0, "function": OWN, "config": config_to_dict(Config()), "left_out": []}
+    return values | changes
+
+
+def craft(path: Path, members: dict[str, bytes], *, compression: int = zipfile.ZIP_DEFLATED) -> Path:
+    with zipfile.ZipFile(path, "w", compression) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return path
+
+
+def members(**changes: Any) -> dict[str, bytes]:
+    failure = {"kind": "error", "message": "m"}
+    return {
+        "request.json": json.dumps(request(**changes)).encode(),
+        "failure.json": json.dumps(failure).encode(),
+        "details.txt": b"",
+        "scene/scenario_x.parquet": b"rows",
+    }
+
+
+REQUESTS: dict[str, tuple[dict[str, Any], str]] = {
+    "split upwards": ({"split": "../../outside"}, "split"),
+    "split absolute": ({"split": "/tmp/outside"}, "split"),
+    "scenario upwards": ({"scenario": "../../outside"}, "name '../../outside'"),
+    "scenario of dots": ({"scenario": ".."}, "name '..'"),
+    "scenario empty": ({"scenario": ""}, "name ''"),
+    "scenario with a zero": ({"scenario": "a\0b"}, "name"),
+    "another function": ({"function": "os:system"}, r"'os:system', which is none of hid2's: .* --function os:system"),
+    "a function that is none": ({"function": "../x"}, "function"),
+    "a function that is no text": ({"function": ["os"]}, "function"),
+    "a time-out of NaN": ({"timeout_s": float("nan")}, "timeout_s"),
+    "a time-out without end": ({"timeout_s": 1e300}, "timeout_s"),
+    "a time-out of nothing": ({"timeout_s": -1}, "timeout_s"),
+    "a variant below 0": ({"variant": -1}, "variant"),
+    "a variant of text": ({"variant": "1"}, "variant"),
+    "a configuration that is a list": ({"config": []}, "config: .* have \\[\\]"),
+    "a configuration that is nothing": ({"config": None}, "config"),
+    "an unknown parameter": ({"config": {"no": 1}}, "unknown key 'no'"),
+    "a parameter of NaN": ({"config": {"limits": {"min_radius_m": float("nan")}}}, "limits|JSON"),
+    "another format": ({"format": 2}, "format"),
+    "a field more": ({"run": "me"}, "run"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REQUESTS)
+def test_request_of_a_crafted_bundle_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    changes, said = REQUESTS[name]
+    refused(craft(tmp_path / "b.zip", members(**changes)), said)
+
+
+def refused(path: Path, said: str) -> None:
+    """Refused in one line, with nothing but an empty folder left."""
+    into = path.parent / "into"
+    with pytest.raises(BatchError, match=rf"b\.zip: not a bundle of hid2 that can be run \(.*({said})") as caught:
+        read_bundle(path, into)
+    assert "\n" not in str(caught.value)
+    assert [entry.name for entry in path.parent.iterdir() if entry.name != "into"] == ["b.zip"]
+    assert [entry for entry in into.rglob("*") if not entry.is_dir()] == []
+
+
+def _encrypted(path: Path) -> None:
+    """The flags of the last member, in its own header and in the directory."""
+    craft(path, members())
+    raw = bytearray(path.read_bytes())
+    for signature, offset in ((b"PK\3\4", 6), (b"PK\1\2", 8)):
+        at = raw.rindex(signature) + offset
+        raw[at : at + 2] = struct.pack("<H", 1)
+    path.write_bytes(raw)
+
+
+def _bomb(path: Path) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members().items():
+            archive.writestr(name, content)
+        with archive.open("scene/zeros", "w") as file:
+            for _ in range(150):
+                file.write(bytes(1_000_000))
+
+
+def _twice(path: Path) -> None:
+    craft(path, members())
+    with pytest.warns(UserWarning, match="Duplicate name"), zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("request.json", b"{}")
+
+
+ARCHIVES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "a bomb": (_bomb, "unpacks to 150 MB, expected at most 128 MB"),
+    "many files": (lambda p: craft(p, members() | {f"scene/{k}": b"" for k in range(MAX_MEMBERS)}), "68 files in it"),
+    "another compression": (lambda p: craft(p, members(), compression=zipfile.ZIP_LZMA), "compression 14"),
+    "encrypted": (_encrypted, "is encrypted"),
+    "a file twice": (_twice, "is in it twice"),
+    "a file upwards": (lambda p: craft(p, members() | {"scene/../../x": b"x"}), r"name '\.\./\.\./x'"),
+    "an absolute file": (lambda p: craft(p, members() | {"scene//etc/x": b"x"}), "name '/etc/x'"),
+    "a hidden file": (lambda p: craft(p, members() | {"scene/.x": b"x"}), r"name '\.x'"),
+    "a file beside": (lambda p: craft(p, members() | {"setup.py": b"x"}), "file 'setup.py'"),
+    "no failure": (lambda p: craft(p, {"request.json": members()["request.json"]}), "no 'failure.json'"),
+    "deep JSON": (lambda p: craft(p, members() | {"request.json": b"[" * 100_000}), "the file: Invalid JSON"),
+    "details that are no text": (lambda p: craft(p, members() | {"details.txt": b"\xff"}), "invalid start byte"),
+    "no archive": (lambda p: p.write_bytes(b"no"), "not a zip file"),
+    "cut": (lambda p: p.write_bytes(craft(p, members()).read_bytes()[:-30]), "not a zip file"),
+    "a pipe": (os.mkfifo, "not a regular file"),
+    "a folder": (lambda p: p.mkdir(), "not a regular file"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ARCHIVES)
+def test_crafted_archive_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    make, said = ARCHIVES[name]
+    make(tmp_path / "b.zip")
+    refused(tmp_path / "b.zip", said)
+
+
+def test_own_function_is_agreed_to_by_name(tmp_path: Path) -> None:
+    path = craft(tmp_path / "b.zip", members(function="mine:work"))
+    refused(path, "--function mine:work")
+    assert read_bundle(path, tmp_path / "again", function="mine:work").function == "mine:work"
+    with pytest.raises(BatchError):
+        read_bundle(path, tmp_path / "third", function="mine:other")

@@ -1,0 +1,197 @@
+"""What a scene may be at most, and what its readers demand: anything beyond is refused at reading, in one line."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from bridge.recordings import limits
+from bridge.recordings.scenario import read_scenario
+from netconvert.errors import Hid2Error, MapError, ScenarioError
+
+Document = dict[str, Any]
+
+
+def refused(folder: Path, said: str) -> None:
+    with pytest.raises(Hid2Error, match=said) as caught:
+        read_scenario(folder)
+    assert isinstance(caught.value, MapError | ScenarioError)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 1000
+
+
+def _points(document: Document) -> list[dict[str, float]]:
+    lists = [area["area_boundary"] for area in document["drivable_areas"].values()]
+    for lane in document["lane_segments"].values():
+        lists += [lane["left_lane_boundary"], lane["right_lane_boundary"], lane.get("centerline") or []]
+    return [point for points in lists for point in points]
+
+
+def _scale(factor: float, shift: float = 0.0) -> Callable[[Document], None]:
+    def change(document: Document) -> None:
+        for point in _points(document):
+            point.update(x=point["x"] * factor + shift, y=point["y"] * factor + shift)
+
+    return change
+
+
+def _first_lane(change: Callable[[dict[str, Any]], Any]) -> Callable[[Document], None]:
+    return lambda document: change(next(iter(document["lane_segments"].values())))
+
+
+def _long_lane(length_m: float) -> Callable[[Document], None]:
+    def change(lane: dict[str, Any]) -> None:
+        for name in ("left_lane_boundary", "right_lane_boundary", "centerline"):
+            first = lane[name][0]
+            lane[name] = [first, {**first, "x": first["x"] + length_m}]
+
+    return _first_lane(change)
+
+
+def _many_lanes(document: Document) -> None:
+    lane = next(iter(document["lane_segments"].values()))
+    for lane_id in range(1, limits.MAX_LANES + 2):
+        document["lane_segments"][str(lane_id)] = {**lane, "id": lane_id}
+
+
+def _flat(document: Document) -> None:
+    for area in document["drivable_areas"].values():
+        area["area_boundary"] = 3 * area["area_boundary"][:1]
+
+
+def _swapped(document: Document) -> None:
+    lanes = document["lane_segments"]
+    one, other = list(lanes)[:2]
+    lanes[one], lanes[other] = lanes[other], lanes[one]
+
+
+MAPS: dict[str, tuple[Callable[[Document], Any], str]] = {
+    "10,000 times as large": (_scale(1e4), "expected at most"),
+    "without end": (_scale(1e300), "expected at most"),
+    "far away": (_scale(1.0, 1e8), "a coordinate of 1.*e\\+08 m"),
+    "a lane of 100 km": (_long_lane(1e5), "lane .*: 100000 m long, expected at most 5000 m"),
+    "a lane of 1e8 m": (_long_lane(1e8), "long, expected at most 5000 m"),
+    "too many lanes": (_many_lanes, r"lane segments: 30\d\d, expected at most 3000"),
+    "an id beyond 64 bit": (_first_lane(lambda lane: lane["successors"].append(2**64)), "expected an integer of 64 bit"),
+    "an id of 4,000 digits": (_first_lane(lambda lane: lane.update(left_neighbor_id=int("9" * 4000))), "64 bit"),
+    "ids of each other": (_swapped, r"id \d+, expected its key"),
+    "no drivable area": (lambda document: document["drivable_areas"].clear(), "no drivable area, expected at least one"),
+    "drivable areas without ground": (_flat, "drivable areas of 0 m2 in all"),
+    "no crossings": (lambda document: document.pop("pedestrian_crossings"), "no object 'pedestrian_crossings'"),
+    "a crossing that is none": (
+        lambda document: document["pedestrian_crossings"].update({"1": {"id": 1}}),
+        "pedestrian crossing 1: no edge1 or no edge2",
+    ),
+    "no predecessors": (_first_lane(lambda lane: lane.pop("predecessors")), "no predecessors"),
+    "no z": (_first_lane(lambda lane: lane["centerline"][1].pop("z")), r"centerline\[1\] is .* expected finite x, y and z"),
+    "a lane that is a number": (lambda document: document["lane_segments"].update({"1": 1}), "lane 1"),
+    "an area that is a list": (lambda document: document["drivable_areas"].update({"1": []}), "drivable area 1"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_map_is_refused(copy_scene: Callable[..., Path], edit_json: Callable[..., None], name: str) -> None:
+    change, said = MAPS[name]
+    folder = copy_scene("curve")
+    edit_json(next(folder.glob("log_map_archive_*.json")), change)
+    refused(folder, said)
+
+
+@pytest.mark.parametrize("raw", [b"[" * 200_000, b'{"lane_segments": ' + b"9" * 5000 + b"}"], ids=["deep", "digits"])
+def test_map_that_wears_out_its_parser_is_refused(copy_scene: Callable[..., Path], raw: bytes) -> None:
+    folder = copy_scene("curve")
+    next(folder.glob("log_map_archive_*.json")).write_bytes(raw)
+    refused(folder, "not JSON|no object")
+
+
+@pytest.mark.parametrize("pattern", ["*.parquet", "*.json", "agent_sizes.csv"])
+@pytest.mark.parametrize("what", ["pipe", "giant"])
+def test_pipe_and_giant_are_refused_unread(copy_scene: Callable[..., Path], pattern: str, what: str) -> None:
+    folder = copy_scene("curve")
+    path = next(folder.glob(pattern), folder / pattern)
+    path.unlink(missing_ok=True)
+    if what == "pipe":
+        os.mkfifo(path)
+    else:
+        path.touch()
+        os.truncate(path, 10**12)
+    refused(folder, "not a regular file" if what == "pipe" else f"larger than {limits.MAX_FILE_MB} MB")
+
+
+def _times(column: str, factor: float) -> Callable[[pd.DataFrame], pd.DataFrame]:
+    return lambda rows: rows.assign(**{column: rows[column] * factor})
+
+
+TABLES: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
+    "num_timestamps 50": (lambda rows: rows.assign(num_timestamps=50), "num_timestamps 50, expected 110, .* to 110"),
+    "num_timestamps 200": (lambda rows: rows.assign(num_timestamps=200), "num_timestamps 200"),
+    "num_timestamps -1": (lambda rows: rows.assign(num_timestamps=-1), "num_timestamps -1"),
+    "no city": (lambda rows: rows.assign(city=""), "city '': expected 1 to 200 characters"),
+    "a city without end": (lambda rows: rows.assign(city="x" * 150_000), "city 'x*.* expected 1 to 200 characters"),
+    "another id than its file": (lambda rows: rows.assign(scenario_id="x"), "scenario_id 'x', expected the id in the file"),
+    "an id that clears the screen": (
+        lambda rows: rows.assign(track_id=rows.track_id.replace({"AV": "AV\x1b[2J"})), r"track_id 'AV\\+x1b\[2J'"),
+    "positions far apart": (_times("position_x", 1e4), "track '.*' and the map: spread over .* expected at most 10000 m"),
+    "a velocity beyond all": (
+        lambda rows: rows.assign(velocity_x=rows.velocity_x.where(rows.index != 5, 1e200)),
+        "velocity 1e\\+200 m/s, expected at most 1000 m/s",
+    ),
+    "too many tracks": (
+        lambda rows: pd.concat([rows, *(rows.iloc[:1].assign(track_id=str(-k)) for k in range(limits.MAX_TRACKS))]),
+        r"20\d\d tracks, expected at most 2000",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_table_is_refused(copy_scene: Callable[..., Path], edit_rows: Callable[..., None], name: str) -> None:
+    change, said = TABLES[name]
+    folder = copy_scene("curve")
+    edit_rows(folder, change)
+    refused(folder, said)
+
+
+def test_two_columns_of_one_name_are_refused(copy_scene: Callable[..., Path]) -> None:
+    """Also of a column that nobody asks for: its rows could not be written back."""
+    folder = copy_scene("curve")
+    (path,) = folder.glob("*.parquet")
+    table = pq.read_table(path)
+    for _ in range(2):
+        table = table.append_column("mine", pa.array(np.zeros(table.num_rows)))
+    pq.write_table(table, path)
+    refused(folder, "more than one column 'mine', expected each once")
+
+
+def test_table_that_unpacks_to_too_much_is_refused_unread(copy_scene: Callable[..., Path]) -> None:
+    folder = copy_scene("curve")
+    (path,) = folder.glob("*.parquet")
+    pq.write_table(pa.table({"x": np.zeros(limits.MAX_ROWS + 1)}), path)
+    refused(folder, r"200001 rows, expected at most 200000")
+
+
+def test_bytes_that_are_no_text_are_refused(copy_scene: Callable[..., Path]) -> None:
+    folder = copy_scene("curve")
+    (path,) = folder.glob("*.parquet")
+    table = pq.read_table(path)
+    city = pa.array([b"\xff\xfe"] * table.num_rows, pa.binary()).view(pa.string())
+    pq.write_table(table.set_column(table.schema.get_field_index("city"), "city", city), path)
+    refused(folder, "not a parquet file .*UTF8")
+
+
+def test_real_scenes_are_far_below_every_limit(real_scene: Path) -> None:
+    """A tenth of what is allowed, or less."""
+    scenario = read_scenario(real_scene)
+    lanes = scenario.graph.lanes.values()
+    extent = np.ptp(np.concatenate([lane.centerline for lane in lanes]), axis=0).max()
+    assert 10 * extent < limits.MAX_EXTENT_M
+    assert 5 * len(lanes) < limits.MAX_LANES
+    assert 5 * len(scenario.tracks) < limits.MAX_TRACKS
+    assert 5 * sum(lane.length_m for lane in lanes) < limits.MAX_LANES_M
+    assert 10 * scenario.table.num_rows < limits.MAX_ROWS
+    assert max(path.stat().st_size for path in real_scene.iterdir()) * 5 < limits.MAX_FILE_MB * 1e6

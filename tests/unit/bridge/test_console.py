@@ -1,0 +1,58 @@
+"""Progress and messages: something is said every few seconds, and nothing when quiet."""
+
+import time
+
+import pytest
+
+from bridge import console
+from bridge.console import Activity, duration, print_json
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(console, "_PLAIN_EVERY_S", 0.3)
+
+
+def test_long_work_says_what_it_does_before_anything_is_counted(
+    impatient: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Activity("starting", quiet=False) as activity:
+        activity.doing("reading scenes")
+        time.sleep(1.2)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) >= 2
+    assert all(line.startswith("reading scenes, ") and line.endswith(" s so far") for line in lines)
+
+
+def test_counted_work_says_how_much_is_done_and_left(impatient: None, capsys: pytest.CaptureFixture[str]) -> None:
+    """3 of 12 at half a scene a second: 18 s left."""
+    with Activity(quiet=False) as activity:
+        activity.doing("generating")
+        activity.show(3, 12, 0.5, " (1 quarantined)")
+        time.sleep(0.7)
+    assert capsys.readouterr().err.splitlines()[0] == "generating: 3 of 12 (1 quarantined), 0.5/s, 18 s left"
+
+
+def test_quiet_says_messages_only(impatient: None, capsys: pytest.CaptureFixture[str]) -> None:
+    with Activity("starting", quiet=True) as activity:
+        activity.show(1, 2)
+        activity.note("not needed")
+        activity.message("needed")
+        time.sleep(0.7)
+    assert capsys.readouterr().err == "needed\n"
+
+
+def test_short_work_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with Activity("starting", quiet=False) as activity:
+        activity.show(1, 1)
+    assert capsys.readouterr().err == ""
+
+
+def test_json_has_an_object_a_row(capsys: pytest.CaptureFixture[str]) -> None:
+    print_json(("name", "n"), [("a", 1)])
+    assert capsys.readouterr().out == '[\n {\n  "name": "a",\n  "n": 1\n }\n]\n'
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(59.4, "59 s"), (61, "1 min 01 s"), (3660, "1 h 01 min")])
+def test_durations(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
