@@ -83,12 +83,6 @@ def test_who_stands_throughout_is_not_exported(scene_of: Callable[..., Scene]) -
     assert _alone(scene_of(), np.zeros(110)) is Reason.STANDS_THROUGHOUT
 
 
-def test_nobody_stops_at_the_edge_of_the_map(scene_of: Callable[..., Scene]) -> None:
-    """From 10 m/s at 1.25 m/s2 to a stand 40 m on, 5 m before the end of the lane."""
-    v = np.clip(10.0 - 1.25 * T, 0.0, None)
-    assert _alone(scene_of(length_m=126.0), v, 82.0) is Reason.STOPS_AT_MAP_EDGE
-
-
 @pytest.mark.parametrize(
     ("v", "reason"),
     [
