@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hid2.agents import VEHICLE_TYPES, BoxSize, IntArray, Track
+from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Track
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.surrogate_safety import RecordedVehicles
 from hid2.motion.route import DrivenPath, Route, path_along, route_beside
@@ -41,13 +41,15 @@ class Scene:
 
     traffic: recorded agents over the scene's T steps; future: the same, and beyond the last step at constant velocity,
     T + E steps. first_exit_step: a generated vehicle may leave the map only from this step on. vehicle_rows: rows of
-    the recorded cars and buses, which an overtaker may pass.
+    the recorded cars and buses, which an overtaker may pass. stated_velocity (A, T, 2) m/s: as the tracks state it,
+    which is what readers of the file take for it; that of the positions where a track has no state.
     """
 
     grid: CellGrid
     config: Config
     traffic: Traffic
     future: Traffic
+    stated_velocity: FloatArray
     object_types: tuple[str, ...]
     vehicle_rows: IntArray
     recorded: RecordedVehicles
@@ -138,6 +140,9 @@ def build_scene(
     traffic = traffic_of(tracks, num_steps, step_s=DT_S)
     boxes = cell_boxes(grid)
     occupancy = original_occupancy(boxes, traffic)
+    stated = traffic.velocity.copy()
+    for row, track in enumerate(tracks):
+        stated[row, track.timesteps] = track.velocity
     through = config.request.focal == "generated" or config.request.generated_category >= 2
     lane_speeds, scene_speeds = _speeds(grid, tracks, traffic, occupancy)
     rows = [row for row, track in enumerate(tracks) if track.object_type in VEHICLE_TYPES]
@@ -147,6 +152,7 @@ def build_scene(
         config=config,
         traffic=traffic,
         future=traffic.extended(beyond, step_s=DT_S),
+        stated_velocity=stated,
         object_types=tuple(track.object_type for track in tracks),
         vehicle_rows=np.array(rows, dtype=np.int64),
         recorded=RecordedVehicles([tracks[row] for row in rows], flatten_lanes(grid.graph), num_steps),

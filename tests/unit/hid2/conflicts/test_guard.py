@@ -57,7 +57,9 @@ def test_case_1_cell_held_by_an_original_agent_rejects_the_transition() -> None:
 
 def test_nobody_brakes_on_a_free_road(look: Callable[..., Braking]) -> None:
     for v in (0.0, 5.0, 12.0):
-        assert look(v=v) == Braking(0.0, None, None, -1, np.inf, run_into=False)
+        found = look(v=v)
+        assert (found.decel_mps2, found.conflict_s, found.free_conflict_s) == (0.0, None, None)
+        assert (found.leader, found.leader_gap_m, found.run_into) == (-1, np.inf, False)
 
 
 def test_nobody_brakes_for_who_drives_beside_or_oncoming_on_the_next_lane(look: Callable[..., Braking]) -> None:

@@ -1,6 +1,7 @@
 """The last word on a driven vehicle: exported, or the reason why not."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -80,12 +81,6 @@ def test_scored_vehicles_stay_to_the_end(scene_of: Callable[..., Scene]) -> None
 
 def test_who_stands_throughout_is_not_exported(scene_of: Callable[..., Scene]) -> None:
     assert _alone(scene_of(), np.zeros(110)) is Reason.STANDS_THROUGHOUT
-
-
-def test_nobody_stops_at_the_edge_of_the_map(scene_of: Callable[..., Scene]) -> None:
-    """From 10 m/s at 1.25 m/s2 to a stand 40 m on, 5 m before the end of the lane."""
-    v = np.clip(10.0 - 1.25 * T, 0.0, None)
-    assert _alone(scene_of(length_m=126.0), v, 82.0) is Reason.STOPS_AT_MAP_EDGE
 
 
 @pytest.mark.parametrize(
@@ -189,6 +184,17 @@ def test_oncoming_pair_at_the_end_is_looked_at(scene_of: Callable[..., Scene]) -
         np.tile([-10.0, 0.0], (10, 1)), CAR,
     )  # fmt: skip
     assert _alone(scene_of(oncoming), np.full(110, 10.0)) is Reason.TTC_AT_END
+
+
+def test_velocity_at_the_end_is_the_one_that_the_file_states(scene_of: Callable[..., Scene]) -> None:
+    """A leader ends 30 m of gap ahead, at 10 m/s by its positions. Stated are -25 m/s: 30 m close at 35 m/s, 0.86 s.
+
+    Trackers' velocities are not the differences of their positions; readers of the file know no others.
+    """
+    agrees = recorded(74.5, 0.0, 10.0)
+    assert isinstance(_alone(scene_of(agrees), np.full(110, 10.0)), ExportedVehicle)
+    other = replace(agrees, velocity=np.tile([-25.0, 0.0], (110, 1)))
+    assert _alone(scene_of(other), np.full(110, 10.0)) is Reason.TTC_AT_END
 
 
 def test_kept_ones_go_on_at_constant_velocity_beyond_the_scene(scene_of: Callable[..., Scene]) -> None:
