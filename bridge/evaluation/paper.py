@@ -24,7 +24,7 @@ from bridge.recordings.scenario import find_sources, read_scenario
 from hid2.evaluation.metrics import METRICS, Metric
 from hid2.evaluation.safety import prepare_map
 from hid2.params import Config, Limits, Request
-from netconvert.errors import ConfigError, ExportError, ScenarioError
+from netconvert.errors import ConfigError, ExportError
 
 Experiment = Literal["table1", "ablation", "density", "diversity"]
 EXPERIMENTS: tuple[Experiment, ...] = ("table1", "ablation", "density", "diversity")
@@ -81,23 +81,24 @@ def run_experiment(
 
     Writes <name>.html, <name>.csv (the table), <name>_scenes.csv (one row per scene and seed) and <name>.json into
     out_dir. `agents`: vehicles added in table1, ablation and diversity. on_scene(done, total) is called as generated
-    scenes are done. Errors: ConfigError for an unknown name, ScenarioError where there is no scene, ExportError.
+    scenes are done. Errors: ConfigError for an unknown name, or where no scene has as many agents as
+    diversity needs; ScenarioError where there is no scene; ExportError.
     """
     if name not in EXPERIMENTS:
         raise ConfigError(f"experiment {name!r}, expected one of {', '.join(EXPERIMENTS)}")
     if seeds < 1:
         raise ConfigError(f"seeds {seeds}, expected at least 1")
     folders = find_sources([scenes])
-    make_folder(out_dir)
     if name == "diversity":
         facts, unread = facts_of(folders, jobs=jobs)
         try:
             folders = wanted(folders, facts, unread, Selection(min_agents=TEMPLATE_AGENTS + 1))
         except ConfigError:
-            raise ScenarioError(
+            raise ConfigError(
                 f"{scenes}: no scene of more than {TEMPLATE_AGENTS} agents, which diversity needs as templates; "
                 "give real ones by --scenes DIR"
             ) from None
+    make_folder(out_dir)
     outcomes = _run(folders, _settings(name, agents), seeds=seeds, jobs=jobs, on_scene=on_scene)
     try:
         return _write(name, outcomes, out_dir, seeds=seeds, sources=len(folders), agents=agents)

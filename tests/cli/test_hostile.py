@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -21,6 +22,8 @@ from bridge.config import config_to_dict
 from hid2.params import Config
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
+#: What a command that takes longer says of its progress every few seconds.
+PROGRESS = re.compile(r"[a-z ]+(, \d+ s so far|: \d+ of \d+.*)")
 
 
 def tree(folder: Path) -> list[str]:
@@ -29,7 +32,7 @@ def tree(folder: Path) -> list[str]:
 
 def one_line(result: subprocess.CompletedProcess[str], *, code: int) -> str:
     assert result.returncode == code, result.stderr
-    (line,) = result.stderr.splitlines()
+    (line,) = (said for said in result.stderr.splitlines() if not PROGRESS.fullmatch(said))
     assert line.startswith("hid2: ")
     return line
 
@@ -67,10 +70,10 @@ def test_scenes_that_cannot_be_used_are_quarantined_with_their_reason(
     edit_rows: Callable[..., None], tmp_path: Path,
 ) -> None:  # fmt: skip
     """Large maps, no drivable area, a pipe, another id than the file's: at once, and the batch goes on to its end."""
-    made = {}
-    for name in ("large", "no road", "pipe", "id", "steps"):
-        copy_scene("curve").rename(tmp_path / name)
-        made[name] = tmp_path / name
+    made = {name: tmp_path / "scenes" / name for name in ("large", "no road", "pipe", "id", "steps")}
+    (tmp_path / "scenes").mkdir()
+    for folder in made.values():
+        copy_scene("curve").rename(folder)
     map_of = {name: next(folder.glob("log_map_archive_*.json")) for name, folder in made.items()}
     new_ids = {name: f"{k:08d}-0000-4000-8000-000000000000" for k, name in enumerate(made)}
 

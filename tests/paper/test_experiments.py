@@ -7,7 +7,7 @@ import pytest
 
 from bridge.evaluation.paper import PAPER_ABLATION, run_experiment
 from bridge.evaluation.report import PAPER_HID2, PAPER_ORIGINAL
-from netconvert.errors import ConfigError, ScenarioError
+from netconvert.errors import ConfigError
 
 
 def lines(path):
@@ -65,7 +65,7 @@ def test_density_begins_with_nothing_added(data_scenes, tmp_path):
 
 
 def test_diversity_uses_scenes_of_more_than_forty_agents(data_scenes, tmp_path):
-    with pytest.raises(ScenarioError, match="more than 40 agents"):
+    with pytest.raises(ConfigError, match="more than 40 agents"):
         run_experiment("diversity", scenes=data_scenes["curve"], out_dir=tmp_path, seeds=1)
 
 

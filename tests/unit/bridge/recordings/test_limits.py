@@ -78,10 +78,10 @@ MAPS: dict[str, tuple[Callable[[Document], Any], str]] = {
     "a lane of 100 km": (_long_lane(1e5), "lane .*: 100000 m long, expected at most 5000 m"),
     "a lane of 1e8 m": (_long_lane(1e8), "long, expected at most 5000 m"),
     "too many lanes": (_many_lanes, r"lane segments: 30\d\d, expected at most 3000"),
-    "an id beyond 64 bit": (_first_lane(lambda lane: lane["successors"].append(2**64)), "expected an integer of 64 bit"),
+    "an id beyond 64 bit": (_first_lane(lambda lane: lane["successors"].append(2**64)), "an integer of 64 bit"),
     "an id of 4,000 digits": (_first_lane(lambda lane: lane.update(left_neighbor_id=int("9" * 4000))), "64 bit"),
     "ids of each other": (_swapped, r"id \d+, expected its key"),
-    "no drivable area": (lambda document: document["drivable_areas"].clear(), "no drivable area, expected at least one"),
+    "no drivable area": (lambda document: document["drivable_areas"].clear(), "no drivable area, expected"),
     "drivable areas without ground": (_flat, "drivable areas of 0 m2 in all"),
     "no crossings": (lambda document: document.pop("pedestrian_crossings"), "no object 'pedestrian_crossings'"),
     "a crossing that is none": (
@@ -89,7 +89,7 @@ MAPS: dict[str, tuple[Callable[[Document], Any], str]] = {
         "pedestrian crossing 1: no edge1 or no edge2",
     ),
     "no predecessors": (_first_lane(lambda lane: lane.pop("predecessors")), "no predecessors"),
-    "no z": (_first_lane(lambda lane: lane["centerline"][1].pop("z")), r"centerline\[1\] is .* expected finite x, y and z"),
+    "no z": (_first_lane(lambda lane: lane["centerline"][1].pop("z")), r"centerline\[1\] is .* expected finite"),
     "a lane that is a number": (lambda document: document["lane_segments"].update({"1": 1}), "lane 1"),
     "an area that is a list": (lambda document: document["drivable_areas"].update({"1": []}), "drivable area 1"),
 }  # fmt: skip
@@ -134,10 +134,10 @@ TABLES: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
     "num_timestamps -1": (lambda rows: rows.assign(num_timestamps=-1), "num_timestamps -1"),
     "no city": (lambda rows: rows.assign(city=""), "city '': expected 1 to 200 characters"),
     "a city without end": (lambda rows: rows.assign(city="x" * 150_000), "city 'x*.* expected 1 to 200 characters"),
-    "another id than its file": (lambda rows: rows.assign(scenario_id="x"), "scenario_id 'x', expected the id in the file"),
+    "another id than its file": (lambda rows: rows.assign(scenario_id="x"), "scenario_id 'x', expected the id in"),
     "an id that clears the screen": (
         lambda rows: rows.assign(track_id=rows.track_id.replace({"AV": "AV\x1b[2J"})), r"track_id 'AV\\+x1b\[2J'"),
-    "positions far apart": (_times("position_x", 1e4), "track '.*' and the map: spread over .* expected at most 10000 m"),
+    "positions far apart": (_times("position_x", 1e4), "track '.*' and the map: spread over .* at most 10000 m"),
     "a velocity beyond all": (
         lambda rows: rows.assign(velocity_x=rows.velocity_x.where(rows.index != 5, 1e200)),
         "velocity 1e\\+200 m/s, expected at most 1000 m/s",

@@ -1,6 +1,7 @@
 """Scenes in sumo-gui: from files alone, and steered through TraCI, on a virtual screen."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -188,12 +189,16 @@ def test_sumo_gui_shows_the_first_step_and_waits(playable, screen):
     """The second step begins when the user presses play, so that four seconds see one."""
     environment = {key: value for key, value in screen.items() if key != "LIBSUMO_AS_TRACI"}
     command = [sys.executable, "-c", STEPS, playable, BIN / "sumo-gui"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment) as it:
-        lines = iter(it.stdout.readline, "")
-        first = next(line for line in lines if line[0].isdigit())
-        with pytest.raises(subprocess.TimeoutExpired):
-            it.wait(4)
-        it.kill()
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment, start_new_session=True
+    ) as it:
+        try:
+            lines = iter(it.stdout.readline, "")
+            first = next(line for line in lines if line[0].isdigit())
+            with pytest.raises(subprocess.TimeoutExpired):
+                it.wait(4)
+        finally:
+            os.killpg(it.pid, signal.SIGKILL)  # sumo-gui too, which holds the pipe
         assert [float(first), *(float(line) for line in lines)] == [0.1]
 
 
