@@ -35,7 +35,7 @@ _LEADS_FROM_M = 0.3  # gap from which on somebody ahead is a leader and not besi
 #: Braking for what SUMO does not see builds up at this rate, m/s3.
 _BRAKING_JERK_MPS3 = 3.5
 _LAST_BRAKING_MPS2, _LAST_BRAKING_PER_S = 0.6, 1.8  # at walking pace the brake is let go with the speed
-#: A driver who waits for a gap lets those beside go ahead: slows down by so much, m/s2, to a share of the desired speed.
+#: A driver who waits for a gap lets those beside go ahead: slows down so hard, m/s2, to a share of the desired speed.
 _LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
 _LETS_PASS_MPS2, _LETS_PASS_SHARE = 0.7, 0.8
 _HELD_BY_GUARD = frozenset({"conflict", "signal", "crossing"})

@@ -41,8 +41,8 @@ class Braking:
 
     decel_mps2: least constant braking without a conflict, 0 for none; conflict_s: seconds to a conflict that remains
     even so, None where none does; free_conflict_s: to the one without braking; leader: fleet row of the generated
-    leader within leader_gap_m; run_into: a recorded vehicle comes up from behind; free_s: where it gets without braking before a
-    conflict or the horizon, m on the path.
+    leader within leader_gap_m; run_into: a recorded vehicle comes up from behind; free_s: where it gets
+    without braking before a conflict or the horizon, m on the path.
     """
 
     decel_mps2: float

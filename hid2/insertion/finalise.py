@@ -112,7 +112,7 @@ def _checked(
     scene: Scene, vehicle: DrivenVehicle, motion: Motion, path: Trajectory, off_m: FloatArray, others: Traffic
 ) -> ExportedVehicle | Reason:
     """Limits of motion, drivable area, boxes, the end of the scene; cheap ones first."""
-    config, size = scene.config, vehicle.start.size
+    config = scene.config
     cells = slice(int(motion.s[0] / TABLE_STEP_M), int(motion.s[-1] / TABLE_STEP_M) + 2)
     if np.abs(vehicle.path.line.table_curvature[cells]).max() > 0.98 / config.limits.min_radius_m:
         return Reason.LIMIT_CURVATURE
