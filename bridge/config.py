@@ -67,12 +67,15 @@ def parse_behaviours(text: str) -> dict[str, float]:
     return shares
 
 
-def parse_trigger_time(text: str) -> dict[str, float]:
-    """Trigger time "S" or "A:B", seconds, as flags. Errors: ConfigError."""
+def parse_trigger_time(text: str) -> dict[str, Any]:
+    """Trigger time "S", "A:B" or "S,S,...", seconds, as flags. Errors: ConfigError."""
+    wanted = "S, A:B or S,S,... in seconds"
+    if "," in text:
+        return {"request.trigger_list_s": [_number(part.strip(), "trigger-time", wanted) for part in text.split(",")]}
     first, separator, second = text.partition(":")
-    low = _number(first.strip(), "trigger-time", "S or A:B in seconds")
-    high = _number(second.strip(), "trigger-time", "S or A:B in seconds") if separator else low
-    return {"request.trigger_min_s": low, "request.trigger_max_s": high}
+    low = _number(first.strip(), "trigger-time", wanted)
+    high = _number(second.strip(), "trigger-time", wanted) if separator else low
+    return {"request.trigger_min_s": low, "request.trigger_max_s": high, "request.trigger_list_s": []}
 
 
 def config_to_dict(config: Config) -> dict[str, Any]:

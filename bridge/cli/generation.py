@@ -72,8 +72,8 @@ def generate(
     trigger_time: Annotated[
         str | None,
         typer.Option(
-            metavar="S|A:B",
-            help="When manoeuvres are triggered, in seconds: a time, or a range to draw from.",
+            metavar="S|A:B|S,S,...",
+            help="When manoeuvres are triggered, in seconds: a time, a range to draw from, or a list to draw from.",
             show_default="0.5:4",
             rich_help_panel=REQUEST,
         ),

@@ -101,8 +101,9 @@ def needed_braking(
     """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) whose predicted motion meets nobody.
 
     low, high, along, aligned (A, T): agents whose future is known, as in `PathOccupancy`. stop_s (L,) m, closed
-    (L, T): stop lines. swept (3, G, K): low, high, cosine of generated vehicles by their own arc length, of rows (G,) of
-    fleet (N, 5): s, v, a, executing, present. start: own s, v, a; driver: tau s, acceleration, deceleration m/s2, gap at standstill m. Returns
+    (L, T): stop lines. swept (3, G, K): low, high, cosine of generated vehicles by their own arc length, of rows (G,)
+    of fleet (N, 5): s, v, a, executing, present. start: own s, v, a; driver: tau s, acceleration, deceleration m/s2,
+    gap at standstill m. Returns
     (row of brakes, step of its first conflict or -1, step of the first conflict without braking or -1, fleet row of
     the nearest generated leader or -1, gap to it m, whether some known agent comes up from behind,
     where the vehicle gets without braking before a conflict or the horizon, m).

@@ -130,6 +130,10 @@ def test_behaviours_that_are_wrong_are_named(text: str, said: str) -> None:
         load_config(None, [], parse_behaviours(text))
 
 
+def test_trigger_time_is_a_list() -> None:
+    assert load_config(None, [], parse_trigger_time("2, 4,6")).request.trigger_list_s == (2.0, 4.0, 6.0)
+
+
 @pytest.mark.parametrize(("text", "low", "high"), [("2", 2, 2), ("0.5:4", 0.5, 4), (" 1 : 2 ", 1, 2)])
 def test_trigger_time_is_a_time_or_a_range(text: str, low: float, high: float) -> None:
     request = load_config(None, [], parse_trigger_time(text)).request
