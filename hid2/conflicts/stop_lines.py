@@ -70,7 +70,7 @@ class StopLines:
     def braking(
         self, path: DrivenPath, box: BoxSize, driver: Driver, *, s: float, speed_mps: float, step: int
     ) -> tuple[float, str] | None:
-        """Acceleration, m/s2, at which a driver comes to stand at the next closed line, and its cause; None: no line."""
+        """Acceleration, m/s2, that stops a driver at the next closed line, and its cause; None for none."""
         lines = self.on(path, box)
         if not lines:
             return None
