@@ -31,13 +31,15 @@ _MOVING_MPS = 1.0
 _TRIES = 150  # sites that are looked at in full for one request, in one round
 _BEFORE_TURN_M = 5.0
 _TURN_PACE_MPS = 5.0  # mean speed on a turn lane, for an estimate of when it is left
-_SLOW_SHARE = (0.3, 0.5)  # desired speed of a leader that is to be overtaken, over that of who overtakes it
+_SLOW_SHARE = (0.25, 0.38)  # desired speed of a leader that is to be overtaken, over that of who overtakes it
 _STANDING_MPS = 0.3
 #: A vehicle may begin by braking so hard for its leader, m/s2.
 _BEGINS_BRAKING_MPS2 = 0.8
 #: Drivers that are drawn for one site, and the verdicts that another one may change.
 _DRIVERS = 3
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.LEAVES_TOO_EARLY})
+#: Nobody else begins beside a vehicle that is to overtake, from so far behind it to so far ahead, m.
+_PASSES_BEHIND_M, _PASSES_AHEAD_M, _LANES_APART_M = 15.0, 70.0, 5.5
 #: Moments after the trigger at which a gap beside is looked for, s.
 _GAP_WAITS_S = (0.0, 0.7, 1.5)
 _AVOIDED_M = 5.0  # around a start that could not be kept
@@ -78,8 +80,31 @@ class InsertionSites:
         self.taken += starts
         return starts
 
+    def _may_pass(self, start: Start) -> bool:
+        """Whether the recorded traffic leaves a lane beside free for an overtake soon after the trigger."""
+        overtake, nobody = self.scene.config.overtake, self.scene.traffic.rows([])
+        for wait_s in _GAP_WAITS_S:
+            at_s = start.request.trigger_s + wait_s
+            step, at = round(at_s / DT_S), start.start_s + 0.8 * start.start_mps * at_s
+            if step >= self.scene.num_steps or at > start.path.exit_s:
+                break
+            options = lane_options(
+                self.scene, start.path, start.box, s=at, step=step, sides=("left", "right"), fixed=self.guard.fixed,
+                fleet=nobody, speed_mps=start.start_mps, desired_mps=start.driver.desired_mps,
+            )  # fmt: skip
+            if any(
+                option.cells_free and option.corridor_m >= overtake.d_overtake_m
+                and option.rear.distance_m >= overtake.safe_rear_m
+                for option, _ in options
+            ):  # fmt: skip
+                return True
+        return False
+
     def _propose_overtake(self, request: VehicleRequest, slow_leader: VehicleRequest | None) -> list[Start]:
         for start in self._starts(request):
+            if self.scene.config.request.sites == "promising" and not self._may_pass(start):
+                self.rejected[Reason.NO_LANE] += 1
+                continue
             if self._has_slower_leader(start):
                 return self._take([start])
             if slow_leader is not None and self.scene.config.request.spawn_leaders:
@@ -382,7 +407,10 @@ class InsertionSites:
         gap = abs(along) - (box.length_m + other.box.length_m) / 2
         beside = across > (box.width_m + other.box.width_m) / 2 + 0.5
         if beside:
-            return speed
+            ahead_of_other = -float(offset @ tangent[0])
+            passing = other.request.policy is Policy.OVERTAKE and float(own_t[0] @ tangent[0]) > 0.7
+            in_the_way = passing and across < _LANES_APART_M and -_PASSES_BEHIND_M < ahead_of_other < _PASSES_AHEAD_M
+            return None if in_the_way else speed
         if float(own_t[0] @ tangent[0]) < 0.7:
             return speed if gap > 6.0 else None
         if along > 0:
@@ -412,9 +440,9 @@ class InsertionSites:
         rng = self.rng
         share = float(rng.uniform(*_SLOW_SHARE))
         base = draw_driver(self.scene.config, rng, lane_speed_mps=start.driver.desired_mps)
-        slow = replace(base, desired_mps=max(2.5, share * start.driver.desired_mps))
+        slow = replace(base, desired_mps=max(2.0, share * start.driver.desired_mps))
         catch_up = (start.start_mps - slow.desired_mps) * start.request.trigger_s
-        s = start.start_s + start.box.length_m + 12.0 + 0.6 * start.start_mps + max(0.0, catch_up)
+        s = start.start_s + start.box.length_m + 12.0 + 0.8 * start.start_mps + max(0.0, catch_up)
         raw = start.path.to_raw(s)
         lanes, begin = self.scene.grid.graph.lanes, 0.0
         for lane_id in start.route:
