@@ -115,7 +115,7 @@ class InferredSignals:
         pose, way, _, flows, bounds, _ = self._states
         traffic = self.traffic
         return crossing_steps(
-            borders[0] if len(borders) == 1 else np.concatenate(borders), UNDER_SHARE * width_m / 2,
+            np.ascontiguousarray(borders[0] if len(borders) == 1 else np.concatenate(borders)), UNDER_SHARE * width_m / 2,
             math.cos(math.radians(self.params.crossing_deg)), pose, way, flows, others,
             traffic.length_m / 2, traffic.width_m / 2, bounds,
         )  # fmt: skip
