@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import dask
+import distributed  # noqa: F401  # brings its settings, which would go with those set for a while
 import psutil
 import pytest
 
