@@ -1,5 +1,6 @@
 """Argoverse 2 vector maps (log_map_archive_*.json) as lane graphs."""
 
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -150,7 +151,7 @@ def _lane_segment(
         raise MapError(f"{where}: centerline is {length_m:.6f} m long, expected at least {MIN_LENGTH_M} m")
     is_intersection = segment["is_intersection"]
     if not isinstance(is_intersection, bool):
-        raise MapError(f"{where}: is_intersection {is_intersection!r}, expected true or false")
+        raise MapError(f"{where}: is_intersection {reprlib.repr(is_intersection)}, expected true or false")
     gaps = left_rungs - right_rungs
     return LaneSegment(
         lane_id=_lane_id(segment["id"], where=f"{where}: id"),
@@ -172,7 +173,7 @@ def _lane_segment(
 def _points(value: Any, *, where: str, axes: str, at_least: int) -> FloatArray:  # noqa: ANN401
     """Coordinates of a list of {x, y, z}; (N, len(axes)) m."""
     if not isinstance(value, list) or len(value) < at_least:
-        found = f"{len(value)} points" if isinstance(value, list) else repr(value)
+        found = f"{len(value)} points" if isinstance(value, list) else reprlib.repr(value)
         raise MapError(f"{where}: {found}, expected at least {at_least} points")
     try:
         if axes == "xy":
@@ -219,7 +220,7 @@ def _without_repeats(points: FloatArray) -> FloatArray:
 
 def _lane_id(value: Any, *, where: str) -> int:  # noqa: ANN401
     if not isinstance(value, int) or isinstance(value, bool):
-        raise MapError(f"{where}: {value!r}, expected an integer")
+        raise MapError(f"{where}: {reprlib.repr(value)}, expected an integer")
     return value
 
 
@@ -229,11 +230,11 @@ def _neighbor_id(value: Any, *, where: str) -> int | None:  # noqa: ANN401
 
 def _lane_ids(value: Any, *, where: str) -> tuple[int, ...]:  # noqa: ANN401
     if not isinstance(value, Sequence) or isinstance(value, str):
-        raise MapError(f"{where}: {value!r}, expected a list of lane ids")
+        raise MapError(f"{where}: {reprlib.repr(value)}, expected a list of lane ids")
     return tuple(_lane_id(item, where=where) for item in value)
 
 
 def _one_of(value: Any, allowed: frozenset[str], *, where: str) -> str:  # noqa: ANN401
     if not isinstance(value, str) or value not in allowed:
-        raise MapError(f"{where}: {value!r}, expected one of {', '.join(sorted(allowed))}")
+        raise MapError(f"{where}: {reprlib.repr(value)}, expected one of {', '.join(sorted(allowed))}")
     return value

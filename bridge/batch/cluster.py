@@ -12,6 +12,7 @@ import pickle
 import queue
 import time
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
 from dataclasses import replace
 from typing import Any, cast
 
@@ -39,6 +40,9 @@ _NO_WORKERS = (
 )
 _TLS = "expected Dask's settings distributed.comm.tls.ca-file, .client.cert and .client.key (README, On several hosts)"
 
+#: Whose messages errors say instead.
+_LOGGERS = ("distributed", "tornado", "asyncio")
+
 _LOG = logging.getLogger(__name__)
 
 
@@ -57,7 +61,8 @@ def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings
         while True:
             now = time.monotonic()
             if now - looked_up >= _LOOK_UP_S:
-                threads = sum(client.nthreads().values())
+                with _lost(scheduler):
+                    threads = sum(client.nthreads().values())
                 if not threads and now - staffed >= _WORKERS_S:
                     raise BatchError(_NO_WORKERS.format(where=scheduler, seconds=_WORKERS_S))
                 if not threads and room == 0:
@@ -65,7 +70,9 @@ def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings
                 staffed = now if threads else staffed
                 room, looked_up = _AHEAD * max(1, threads), now
             while len(running) < room and (task := next(waiting, None)) is not None:
-                future = client.submit(_run_on_worker, _packed(task), key=f"{task.key}-{next(number)}-{time.time_ns()}")
+                packed, key = _packed(task), f"{task.key}-{next(number)}-{time.time_ns()}"
+                with _lost(scheduler):
+                    future = client.submit(_run_on_worker, packed, key=key)
                 running[future.key] = task
                 future.add_done_callback(completed.put)
             if not running:
@@ -79,7 +86,8 @@ def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings
 def _result(future: Any, task: Task, where: str) -> Result:  # noqa: ANN401  # a Future, generic or not by release
     error = future.exception() if future.status == "error" else None
     if future.status == "finished":
-        packed: Result = future.result()
+        with _lost(where):  # it may go away between the end of a task and its result
+            packed: Result = future.result()
         return Result(task, tuple(map(_unpacked, task.items, packed.outcomes)))
     if isinstance(error, KilledWorker):
         failure = Failure("killed", "its Dask worker died again and again", str(error))
@@ -88,6 +96,15 @@ def _result(future: Any, task: Task, where: str) -> Result:  # noqa: ANN401  # a
         raise error
     reason = f"{type(error).__name__}: {error}" if error else f"task {future.status}"
     raise BatchError(f"scheduler {where}: {reason}") from error
+
+
+@contextlib.contextmanager
+def _lost(where: str) -> Iterator[None]:
+    """What Dask raises when its scheduler goes away, as one line. Errors: BatchError."""
+    try:
+        yield
+    except (OSError, CancelledError, RuntimeError) as error:
+        raise BatchError(f"scheduler {where}: lost ({type(error).__name__}: {error})") from error
 
 
 def _packed(task: Task) -> Task:
@@ -139,12 +156,8 @@ class SceneProcesses(WorkerPlugin):
 def _client(scheduler: str) -> Iterator[Client]:
     """Connect to the scheduler at an address; what Dask would log is said by errors instead."""
     checked = _checked(scheduler)
-    for name in ("distributed", "tornado", "asyncio", *logging.root.manager.loggerDict):
-        if name.partition(".")[0] in (
-            "distributed",
-            "tornado",
-            "asyncio",
-        ):  # Dask sets levels of its modules one by one
+    for name in (*_LOGGERS, *logging.root.manager.loggerDict):  # Dask sets levels of its modules one by one
+        if name.partition(".")[0] in _LOGGERS:
             logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = Client(checked, timeout=_CONNECT_S, set_as_default=False)

@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import dask
+import distributed  # noqa: F401  # brings its settings, which would go with those set for a while
 import psutil
 import pytest
 
@@ -167,11 +168,11 @@ def test_cluster_that_others_started(make_data_set: MakeDataSet, tmp_path: Path,
 
 
 def test_scheduler_that_is_not_there_is_explained(make_data_set: MakeDataSet, tmp_path: Path) -> None:
-    command = [str(BIN / "hid2"), "generate", str(make_data_set(1)[0]), "-o", str(tmp_path / "out")]
+    command = [str(BIN / "hid2"), "generate", str(make_data_set(1)[0]), "-o", str(tmp_path / "out"), "-q"]
     result = subprocess.run([*command, "--scheduler", "tcp://127.0.0.1:9"], capture_output=True, text=True, timeout=300)
     assert result.returncode == 1
     assert "Traceback" not in result.stderr
-    assert result.stderr.startswith("hid2: scheduler tcp://127.0.0.1:9: cannot be reached")
+    assert result.stderr.startswith("hid2: error: scheduler tcp://127.0.0.1:9: cannot be reached")
 
 
 def test_scheduler_that_dies_is_one_line(make_data_set: MakeDataSet, tmp_path: Path, cluster: Cluster) -> None:
@@ -186,7 +187,7 @@ def test_scheduler_that_dies_is_one_line(make_data_set: MakeDataSet, tmp_path: P
     _, errors = generating.communicate(timeout=300)
     assert generating.returncode == 1
     (line,) = errors.splitlines()
-    assert line.startswith(f"hid2: scheduler {address}: ")
+    assert line.startswith(f"hid2: error: scheduler {address}: ")
 
 
 def certificates(folder: Path) -> dict[str, str]:
