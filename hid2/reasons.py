@@ -83,7 +83,10 @@ class Reason(StrEnum):
         "A recorded vehicle closes in on it from behind below the critical TTC.",
     )
     PET = "pet", "It crosses somebody's path below the critical post-encroachment time."
-    TTC_AT_END = "ttc_at_end", "At its last step TTC to somebody, all at constant velocity, is below the critical value."
+    TTC_AT_END = (
+        "ttc_at_end",
+        "At its last step TTC to somebody, all at constant velocity, is below the critical value.",
+    )
     DID_NOT_DO_IT = "did_not_do_it", "It did not perform its manoeuvre, and was replaced by another vehicle."
     WAITED_FOR_GONE = "waited_for_gone", "It had braked for a vehicle that is not exported, and was driven again."
     STANDS_THROUGHOUT = "stands_throughout", "It stands from the first step to the last."
