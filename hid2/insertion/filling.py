@@ -25,7 +25,6 @@ from netconvert.cells import Cell
 
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
-_LOG = logging.getLogger(__name__)
 _MOST_AGENTS = 400
 _AGAIN_MOST = 1  # times that a vehicle is driven again because it had waited for one that is gone
 _NO_MAP: dict[Policy, Reason] = {
@@ -37,6 +36,7 @@ _NO_MAP: dict[Policy, Reason] = {
 }
 #: What needs the most room chooses its site first.
 _ORDER = (Policy.OVERTAKE, Policy.LEFT_TURN, Policy.RIGHT_TURN, Policy.LANE_CHANGE, Policy.STRAIGHT)
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +155,6 @@ class Filling:
             starts += found
             if not found:
                 full = request.policy is Policy.STRAIGHT
-                _LOG.debug("round %d: request %d, %s: %s", number, request.number, request.policy, Reason.NO_SITE)
                 self._last_reason[request.number] = Reason.NO_SITE
         if spare and starts and not full:
             extra = math.ceil(config.spawn.spare_share * len(starts))
@@ -164,6 +163,8 @@ class Filling:
                 self._next_spare += 1
                 starts += sites.propose(request)
         self.no_site.update(sites.rejected)
+        refused = ", ".join(f"{reason} {count}" for reason, count in sites.rejected.most_common())
+        _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
         return starts
 
     def _give_up_manoeuvres(self) -> bool:
