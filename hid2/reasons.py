@@ -29,7 +29,6 @@ class Reason(StrEnum):
         "no_site",
         "Every admissible start site was taken, or the recorded traffic would have run into a vehicle there.",
     )
-    COUNT_REACHED = "count_reached", "The count asked for was reached without it."
     # what the simulation answered
     NO_ROUTE = "no_route", "The start site is not on the vehicle's route."
     SUMO_REFUSES_INSERTION = "sumo_refuses_insertion", "SUMO did not accept the vehicle at its start site."
@@ -84,8 +83,10 @@ class Reason(StrEnum):
         "A recorded vehicle closes in on it from behind below the critical TTC.",
     )
     PET = "pet", "It crosses somebody's path below the critical post-encroachment time."
-    TTC_AT_END = "ttc_at_end", "Within 3 s of its last step it would meet somebody, everybody at constant velocity."
-    UNAVOIDABLE_AT_END = "unavoidable_at_end", "Braking at its last step would not avoid a contact on its route."
+    TTC_AT_END = (
+        "ttc_at_end",
+        "At its last step TTC to somebody, all at constant velocity, is below the critical value.",
+    )
     DID_NOT_DO_IT = "did_not_do_it", "It did not perform its manoeuvre, and was replaced by another vehicle."
     WAITED_FOR_GONE = "waited_for_gone", "It had braked for a vehicle that is not exported, and was driven again."
     STANDS_THROUGHOUT = "stands_throughout", "It stands from the first step to the last."

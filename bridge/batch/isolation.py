@@ -12,6 +12,7 @@ import faulthandler
 import gc
 import importlib
 import itertools
+import logging
 import os
 import pickle
 import resource
@@ -47,6 +48,10 @@ MEMORY_MB = 4000
 _COLLECT = (5_000, 20, 20)
 
 _MB = 1_000_000
+
+#: Packages whose messages an isolated process passes on to its caller.
+_PACKAGES = ("netconvert", "hid2", "bridge")
+_LOG = logging.getLogger(__name__)
 
 _SERVE = "from bridge.batch.isolation import serve; serve()"
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
@@ -119,6 +124,8 @@ class IsolatedProcess:
     def stream(self, function: str, *arguments: object) -> Iterator[Any]:
         """Yield what `function(*arguments)` yields in the child; each value has `timeout_s` of its own.
 
+        Debug messages of the child are the caller's, where it has them on.
+
         Raises WorkFailedError when the process dies or runs out of time, or the function raises; StartFailedError when
         it does not come so far.
         """
@@ -129,7 +136,9 @@ class IsolatedProcess:
         assert self._connection is not None
         self._calls += 1
         try:
-            self._connection.send_bytes(pickle.dumps((function, arguments, self._timeout_s)))
+            self._connection.send_bytes(
+                pickle.dumps((function, arguments, self._timeout_s, _LOG.isEnabledFor(logging.DEBUG)))
+            )
         except OSError as error:
             raise WorkFailedError(self._end(None)) from error
         self._receive_start()  # imported: the clock of the work starts here
@@ -137,6 +146,9 @@ class IsolatedProcess:
             kind, value, self._rss_mb = self._receive(self._timeout_s)
             if kind == "end":
                 return
+            if kind == "log":
+                logging.getLogger(value[0]).log(value[1], "%s", value[2])
+                continue
             if kind == "raised":
                 raise WorkFailedError(value)
             yield value
@@ -275,6 +287,27 @@ def leave_pandas_out() -> None:
     sys.meta_path.remove(finder)
 
 
+class _ToCaller(logging.Handler):
+    """Passes messages on to the caller."""
+
+    def __init__(self, connection: "Connection[Any, Any]") -> None:
+        super().__init__()
+        self._connection = connection
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """One message."""
+        _reply(self._connection, "log", (record.name, record.levelno, record.getMessage()))
+
+
+def _log_to(connection: "Connection[Any, Any]", *, debug: bool) -> None:
+    """Pass the packages' messages on, where the caller wants debug messages; else they go to stderr, as warnings do."""
+    for package in _PACKAGES:
+        logger = logging.getLogger(package)
+        logger.handlers = [_ToCaller(connection)] if debug else []
+        logger.propagate = not debug
+        logger.setLevel(logging.DEBUG if debug else logging.NOTSET)
+
+
 def serve() -> None:
     """Run in the child: answer calls until the caller goes away."""
     leave_pandas_out()
@@ -287,12 +320,13 @@ def serve() -> None:
         if call == 1:
             spare_the_collector()
         try:
-            function, arguments, timeout_s = pickle.loads(connection.recv_bytes())  # noqa: S301  # our own caller
+            function, arguments, timeout_s, debug = pickle.loads(connection.recv_bytes())  # noqa: S301  # our own caller
         except (EOFError, OSError):  # the caller is gone, and cannot remove this process's folder any more
             shutil.rmtree(tempfile.gettempdir(), ignore_errors=True)
             return
         os.ftruncate(sys.stderr.fileno(), 0)
         os.lseek(sys.stderr.fileno(), 0, os.SEEK_SET)
+        _log_to(connection, debug=debug)
         _answer(connection, function, arguments, timeout_s=timeout_s)
 
 

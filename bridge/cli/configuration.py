@@ -27,7 +27,7 @@ def show_config(
     as_json: AsJson = False,
 ) -> None:
     """List every parameter with default, unit, range and source."""
-    set_up(verbose=False, quiet=False)
+    set_up()
     from bridge.config import ParameterRow, config_to_toml, describe_config, load_config
 
     if toml or config is not None or settings:

@@ -133,7 +133,7 @@ def generate(
         ),
     ] = None,
     as_json: AsJson = False,
-    verbose: Verbose = False,
+    verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
     """Write denser scenes: insert vehicles with the behaviours asked for among the recorded ones."""
@@ -177,7 +177,7 @@ def generate(
         options = Options(
             jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume, memory_mb=scene_memory
         )
-        notes = BatchNotes(activity, out, verbose=verbose)
+        notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")
         try:
             rows = run_batch(plan(folders, resolved), out, options, on_row=notes.note)

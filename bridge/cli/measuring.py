@@ -65,7 +65,7 @@ def evaluate(
         bool,
         typer.Option("--json", metavar="", help="With --predictions: print the table as JSON.", rich_help_panel=OUTPUT),
     ] = False,
-    verbose: Verbose = False,
+    verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
     """Measure density, diversity, safety, kinematics and realism of any number of scenes, or score forecasts."""
@@ -112,7 +112,7 @@ def study(
             "--keep-scenes", metavar="", help="Keep the generated scenes beside the tables.", rich_help_panel=OUTPUT
         ),
     ] = False,
-    verbose: Verbose = False,
+    verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
     """Run a parameter study. Called again, it continues: completed runs are skipped."""
@@ -129,7 +129,7 @@ def study(
         options = Options(jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=True)
         activity.doing("reading the study and its scenes")
         found = read_study(file, scenes=scenes)
-        notes = BatchNotes(activity, out, verbose=verbose)
+        notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")
         try:
             report = run_study(found, out, options, keep_scenes=keep_scenes, on_row=notes.note)
@@ -155,7 +155,7 @@ def paper(
     seeds: Annotated[int, typer.Option(min=1, metavar="N", help="Seeds per scene.")] = 10,
     agents: Annotated[int, typer.Option(min=0, metavar="N", help="Vehicles added, except in density.")] = 10,
     jobs: Jobs = 1,
-    verbose: Verbose = False,
+    verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
     """Run an experiment of the paper that needs no training, from generation to the table beside the paper's."""

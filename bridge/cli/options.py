@@ -73,7 +73,16 @@ Resume = Annotated[
     typer.Option("--resume", metavar="", help="Skip scenes that are complete and unchanged.", rich_help_panel=RUNNING),
 ]
 Verbose = Annotated[
-    bool, typer.Option("-v", "--verbose", metavar="", help="Print debug messages.", rich_help_panel=OUTPUT)
+    int,
+    typer.Option(
+        "-v",
+        "--verbose",
+        count=True,
+        metavar="",
+        help="Say more; -vv: debug messages, such as the story of every vehicle that was tried.",
+        show_default=False,
+        rich_help_panel=OUTPUT,
+    ),
 ]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", metavar="", help="Print errors only.", rich_help_panel=OUTPUT)]
 AsJson = Annotated[bool, typer.Option("--json", metavar="", help="Print the table as JSON.", rich_help_panel=OUTPUT)]

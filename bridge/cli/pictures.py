@@ -42,7 +42,7 @@ def render(
     ] = None,
     cells: Annotated[bool, typer.Option("--cells", metavar="", help="Show the cells of the lanes.")] = False,
     step: Step = None,
-    verbose: Verbose = False,
+    verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
     """Draw a scene from above, before and after: a picture or a film."""
@@ -71,7 +71,7 @@ def plot(
     ],
     agent: Annotated[str, typer.Option(metavar="ID", help="The track, for example gen_0.")],
     *,
-    verbose: Verbose = False,
+    verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
     """Draw one track over time: speed, acceleration, jerk, lateral offset and cells, with its manoeuvres marked."""
@@ -98,7 +98,7 @@ def gui(
         typer.Option(metavar="FILE.png", help="Take a picture, then close the window.", rich_help_panel=OUTPUT),
     ] = None,
     step: Step = None,
-    verbose: Verbose = False,
+    verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
     """Play a scene in sumo-gui at its exact positions, paused at first (needs the extra `gui` and a screen)."""

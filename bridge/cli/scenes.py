@@ -42,7 +42,7 @@ def validate(
         Path | None, typer.Option(metavar="DIR", help="The source scenes, to compare recorded tracks with.")
     ] = None,
     as_json: AsJson = False,
-    verbose: Verbose = False,
+    verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
     """Check that scenes are valid Argoverse 2 scenes; findings go to stdout."""
@@ -83,7 +83,7 @@ def scan(
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of --sample.", rich_help_panel=SELECTION)] = 0,
     jobs: Jobs = 1,
     as_json: AsJson = False,
-    verbose: Verbose = False,
+    verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
     """Tabulate a data set: agents, density, lanes, neighbours, and room for each manoeuvre."""
@@ -116,7 +116,7 @@ def scan(
 
 
 @command()
-def net(scene: Scene, out: Out, *, as_json: AsJson = False, verbose: Verbose = False, quiet: Quiet = False) -> None:
+def net(scene: Scene, out: Out, *, as_json: AsJson = False, verbose: Verbose = 0, quiet: Quiet = False) -> None:
     """Write the lane graph as a SUMO net of 4 m cells, with files to play the scene in sumo-gui, and a report.
 
     The net is for simulating and looking at, not for editing: every cell ends in a junction, which netedit draws large.

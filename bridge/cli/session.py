@@ -23,12 +23,13 @@ class _Formatter(logging.Formatter):
         return f"hid2: {record.levelname.lower()}: {record.getMessage()}"
 
 
-def set_up(*, verbose: bool, quiet: bool) -> None:
+def set_up(*, verbose: int = 0, quiet: bool = False) -> None:
     """Logging as asked for; SIGTERM ends the command as Ctrl-C does; no figure opens a window.
 
-    Names of any bytes can be printed.
+    verbose: 0, 1 for more messages, 2 for debug messages. Names of any bytes can be printed.
     """
-    level = logging.DEBUG if verbose else logging.ERROR if quiet else logging.WARNING
+    wanted = logging.ERROR if quiet else logging.WARNING
+    level = (wanted, logging.INFO, logging.DEBUG)[min(verbose, 2)]
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_Formatter())
     logging.basicConfig(level=logging.WARNING, handlers=[handler])

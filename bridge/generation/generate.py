@@ -1,5 +1,6 @@
 """One recording -> a denser one: request, site, driver, [observe, decide, act, step], smooth, verify, export."""
 
+import logging
 import tempfile
 import zlib
 from collections import Counter
@@ -35,6 +36,8 @@ from hid2.vehicle import DrivenVehicle, Start
 from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ScenarioError
 from netconvert.net_xml import net_bytes
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -82,6 +85,7 @@ def generate(source: Scenario | PreparedScene, config: Config, *, variant: int =
         last_observed_step=min(LAST_OBSERVED, scenario.num_steps - 1),
     )  # fmt: skip
     filling = Filling(scene, seed)
+    _LOG.debug("%s variant %d: %s vehicles asked for", scenario.scenario_id, variant, config.request.agents)
     with tempfile.TemporaryDirectory(prefix="hid2-") as folder:
         net = Path(folder) / "scene.net.xml"
         net.write_bytes(prepared.net)

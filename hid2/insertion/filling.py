@@ -1,5 +1,6 @@
 """Rounds of inserting vehicles until the count is reached: site, driver, drive, smooth, verify, keep or try another."""
 
+import logging
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -20,6 +21,7 @@ from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import DT_S, Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
+from netconvert.cells import Cell
 
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
@@ -38,6 +40,7 @@ _NO_MAP: dict[Policy, Reason] = {
 }
 #: What needs the most room chooses its site first.
 _ORDER = (Policy.OVERTAKE, Policy.LEFT_TURN, Policy.RIGHT_TURN, Policy.LANE_CHANGE, Policy.STRAIGHT)
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +175,8 @@ class Filling:
                 self._next_spare += 1
                 starts += sites.propose(request)
         self.no_site.update(sites.rejected)
+        refused = ", ".join(f"{reason} {count}" for reason, count in sites.rejected.most_common())
+        _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
         return starts
 
     def _give_up_manoeuvres(self) -> bool:
@@ -220,6 +225,10 @@ class Filling:
         for vehicle, reason, detail in gone.values():
             self._note(vehicle, reason, detail, number)
         kept_now = [one for one in new if one.driven.vehicle_id not in gone]
+        for one in kept_now:
+            outcome = self.outcomes.get(one.driven.vehicle_id)
+            became = None if outcome is None else " ".join(filter(None, (outcome.status, outcome.reason)))
+            _tell(one.driven, _site(self.scene, one.driven), number, "kept", became)
         self.kept += kept_now
         self._close(kept_now)
 
@@ -254,8 +263,8 @@ class Filling:
                     self._again.append(driven.start)
 
     def _note(self, vehicle: DrivenVehicle, reason: Reason, detail: str | None, number: int) -> None:
-        start = vehicle.start
-        cell = self.scene.cell_at(start.path, start.start_s)
+        start, cell = vehicle.start, _site(self.scene, vehicle)
+        _tell(vehicle, cell, number, reason, detail)
         self.rejected.append(
             Rejection(
                 reason,
@@ -264,7 +273,7 @@ class Filling:
                 number,
                 cell.lane_id,
                 cell.index,
-                max(0, len(vehicle.s) - 1),
+                _last_step(vehicle),
                 detail,
             )
         )
@@ -285,3 +294,22 @@ class Filling:
                 return
             self._open.remove(straight[-1])
             spare -= 1
+
+
+def _site(scene: Scene, vehicle: DrivenVehicle) -> Cell:
+    """Cell that a vehicle started in."""
+    return scene.cell_at(vehicle.start.path, vehicle.start.start_s)
+
+
+def _last_step(vehicle: DrivenVehicle) -> int:
+    """Last step at which SUMO had a vehicle."""
+    return max(0, len(vehicle.s) - 1)
+
+
+def _tell(vehicle: DrivenVehicle, cell: Cell, number: int, verdict: str, detail: str | None) -> None:
+    """What became of a vehicle that was driven, as a line of the debug log."""
+    more = "" if detail is None else f" ({detail})"
+    _LOG.debug(
+        "round %d: vehicle %s, %s, lane %d cell %d, last step %d: %s%s",
+        number, vehicle.vehicle_id, vehicle.policy, cell.lane_id, cell.index, _last_step(vehicle), verdict, more,
+    )  # fmt: skip

@@ -72,7 +72,7 @@ def path_occupancy(
     """Intervals of every agent of `traffic` on `line` for a box of the given size. Only agents that ever touch it.
 
     clear_steps, clear_margin_m: as in `PathOccupancy.kept_clear`, unless 0. What is found is kept with the traffic, for
-    what is joined to it, too: vehicles are planned one after the other, and each looks along the same few paths.
+    what is joined to it, too: many vehicles look along the same few paths.
     """
     if not traffic.ids:
         return _nobody(traffic.num_steps)

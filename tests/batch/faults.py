@@ -5,6 +5,7 @@ first attempt only (a file beside the output remembers it).
 """
 
 import errno
+import logging
 import os
 import signal
 import tempfile
@@ -157,3 +158,10 @@ def fail(fault: str, scratch: Path) -> None:
         while True:
             pass
     raise RuntimeError(f"fault {fault}")
+
+
+def talkative(shared: str, items: tuple[object, ...]) -> Iterator[object]:
+    """Yields the items; says each to the debug log."""
+    for item in items:
+        logging.getLogger("hid2.insertion.filling").debug("%s: %s", shared, item)
+        yield item

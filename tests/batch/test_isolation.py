@@ -1,5 +1,6 @@
 """An isolated process survives nothing and endangers nobody."""
 
+import logging
 import os
 import signal
 import time
@@ -106,3 +107,12 @@ def test_child_leaves_when_its_caller_is_killed(tmp_path) -> None:
     caller.communicate()
     assert still_running([child], timeout_s=30) == []
     assert list(tmp_path.iterdir()) == [], "it takes its temporary files along"
+
+
+@pytest.mark.parametrize(("level", "heard"), [(logging.DEBUG, ["scene: 1", "scene: 2"]), (logging.INFO, [])])
+def test_debug_messages_of_the_child_are_the_callers_where_it_wants_them(
+    process: IsolatedProcess, caplog: pytest.LogCaptureFixture, level: int, heard: list[str]
+) -> None:
+    with caplog.at_level(level, logger="bridge"), caplog.at_level(logging.DEBUG, logger="hid2"):
+        assert list(process.stream("faults:talkative", "scene", (1, 2))) == [1, 2]
+    assert [record.getMessage() for record in caplog.records if record.name == "hid2.insertion.filling"] == heard

@@ -9,7 +9,7 @@ The median of the turns' ratios counts: a machine that others use changes its pa
 
     floor   load the ready-made net, replay the recorded agents with moveToXY, 110 steps with as many unsteered
             vehicles as were placed, on the routes and from the places of a generated result, close
-    scene   read, build grid and net, plan, drive, smooth, check, write: all of `hid2 generate` for one scene
+    scene   read, build grid and net, find sites, drive, smooth, check, write: all of `hid2 generate` for one scene
 
 Times on the wall are what the ratio is defined on; the ratio of processor times stands beside it, because it hardly
 changes when others use the machine.

@@ -4,7 +4,7 @@ Not part of the default run: `pytest -m benchmark -s`, or as a script:
 
     python tests/benchmarks/test_growth.py --figure growth.png
 
-Seconds of processor time of grid, net, planning, driving, smoothing and checking; reading and writing are left out. By
+Seconds of processor time of grid, net, sites, driving, smoothing and checking; reading and writing are left out. By
 vehicles: the real scenes, those with room for 60 vehicles and those without. By length: straight roads of three lanes
 with nobody recorded on them, so that nothing but the map grows.
 """

@@ -152,3 +152,21 @@ def test_manifest_counts_are_those_of_the_sidecars(hid2: Run, data_root: Path, t
         assert int(row["maneuvers_requested"]) == len(maneuvers)
         assert int(row["lane_change"]) == sum(m.kind == "lane_change" and m.status == "done" for m in maneuvers)
         assert json.loads(json.dumps(row["config_sha256"])) == sidecar.config_sha256
+
+
+def test_debug_log_tells_the_story_of_every_vehicle(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    """As many lines as vehicles that are in the scene or in its record of replaced ones; without -vv none of them."""
+    asked = ("generate", data_scenes["arterial"], "--agents", 4)
+    told = hid2(*asked, "-o", tmp_path / "told", "-vv")
+    assert told.returncode == 0, told.stderr
+    sidecar = sidecar_of(tmp_path / "told", rows_of(tmp_path / "told")[0])
+    lines = [line for line in told.stderr.splitlines() if ": vehicle v" in line]
+    kept = [line for line in lines if ": kept" in line]
+    assert len(kept) == sidecar.placed.agents > 0
+    assert len(lines) == len(kept) + len(sidecar.replaced)
+    for one in sidecar.replaced:
+        place = f"lane {one.lane_segment_id} cell {one.cell}, last step {one.last_step}: {one.reason}"
+        assert sum(f"vehicle {one.vehicle}, {one.policy}, {place}" in line for line in lines) == 1
+    silent = hid2(*asked, "-o", tmp_path / "silent", "-v")
+    assert "vehicle v" not in silent.stderr
+    assert "placed" in silent.stderr

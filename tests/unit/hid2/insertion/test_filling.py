@@ -1,5 +1,6 @@
 """Rounds of filling a scene; in SUMO's place a function says how the starts were driven."""
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -223,3 +224,29 @@ def test_nobody_asked_for_is_one_empty_simulation(scene_for: Callable[..., Scene
     filling, drive = _fill(scene_for(agents=0))
     assert filling.kept == []
     assert [len(starts) for starts in drive.rounds] == [0]
+
+
+def test_debug_log_tells_what_became_of_every_vehicle_that_was_tried(
+    scene_for: Callable[..., Scene], caplog: pytest.LogCaptureFixture
+) -> None:
+    """V0 is refused and replaced in round 1; the lane change of the other request never comes about."""
+
+    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
+        if number == 0 and vehicle.policy is Policy.STRAIGHT:
+            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+        vehicle.reason = Reason.SUMO_REFUSES
+        return vehicle
+
+    with caplog.at_level(logging.DEBUG, logger="hid2.insertion.filling"):
+        filling, drive = _fill(scene_for(agents=2, spare=0.0, straight=0.5, lane_change=0.5), spoil)
+    told = [record.getMessage() for record in caplog.records]
+    tried = [start.vehicle_id for starts in drive.rounds for start in starts]
+    assert [sum(f"vehicle {vehicle_id}," in line for line in told) for vehicle_id in tried] == [1] * len(tried)
+    for one in filling.rejected:
+        detail = f" ({one.detail})" if one.detail else ""
+        assert (
+            f"round {one.round_number}: vehicle {one.vehicle_id}, {one.policy}, lane {one.lane_id} cell {one.cell}, "
+            f"last step {one.last_step}: {one.reason}{detail}"
+        ) in told
+    assert {one.reason for one in filling.rejected} == {Reason.SUMO_REFUSES_INSERTION, Reason.DID_NOT_DO_IT}
+    assert sum(line.endswith(": kept") for line in told) == len(filling.kept) == 2
