@@ -12,7 +12,7 @@ from hid2.policy.overtake import Stage
 
 @dataclass(frozen=True, slots=True)
 class VehicleRequest:
-    """A vehicle that is asked for: what it is to do, and from which moment on, s. slow: led by a slow leader."""
+    """A vehicle that is asked for: what it is to do, and from which moment on, s."""
 
     number: int
     policy: Policy
@@ -95,10 +95,7 @@ class DrivenVehicle:
     limited: Counter[str] = field(default_factory=Counter)
     policies: Counter[Policy] = field(default_factory=Counter)
     waited_for: set[str] = field(default_factory=set)
-    turning_steps: int = 0
-    retry_at: int = 0
     yielding: bool = False
-    sumo_off_m: float = 0.0
 
     @property
     def vehicle_id(self) -> str:

@@ -38,7 +38,7 @@ def agent_record(
     start, driver = driven.start, driven.start.driver
     cell = scene.cell_at(start.path, start.start_s)
     end_s = float(vehicle.motion.s[-1])
-    steps = max(vehicle.num_steps - 1, 1)
+    steps = max(len(driven.s) - 1, 1)
     parameters = {
         "desired_mps": driver.desired_mps, "tau_s": driver.tau_s, "accel_mps2": driver.accel_mps2,
         "decel_mps2": driver.decel_mps2, "min_gap_m": driver.min_gap_m,

@@ -4,7 +4,7 @@
 2. Generated against generated: executing before pending, then closer before farther (metres to the cell that both
    want), then the lower id; in the compiled loop.
 3. Future conflicts: predicted boxes over the horizon, recorded agents by their true future, generated ones by their
-   state and intention at this step (`Guard.braking`): adjust timing, else reroute at the next split, else abort.
+   state and intention at this step (`Guard.braking`): adjust timing, else a manoeuvre not yet begun is given up.
 """
 
 from dataclasses import dataclass, field

@@ -114,8 +114,9 @@ class InferredSignals:
         width_m = np.repeat([self.grid.graph.lanes[one].width_m for one in through], counts)[:-1]
         pose, way, _, flows, bounds, _ = self._states
         traffic = self.traffic
+        line = np.ascontiguousarray(borders[0] if len(borders) == 1 else np.concatenate(borders))
         return crossing_steps(
-            np.ascontiguousarray(borders[0] if len(borders) == 1 else np.concatenate(borders)), UNDER_SHARE * width_m / 2,
+            line, UNDER_SHARE * width_m / 2,
             math.cos(math.radians(self.params.crossing_deg)), pose, way, flows, others,
             traffic.length_m / 2, traffic.width_m / 2, bounds,
         )  # fmt: skip

@@ -1,9 +1,7 @@
 """Routes through the lane graph, and the path that a vehicle drives along one (with its lane changes)."""
 
-from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from itertools import accumulate
 
 import numpy as np
 
@@ -84,45 +82,6 @@ class DrivenPath:
     def to_raw(self, s: float) -> float:
         """Arc length on the raw polyline of an arc length on the line."""
         return float(np.interp(s, self.line.points_s, self.raw_s))
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Way:
-    """A route, with what is looked up along it again and again.
-
-    ends_m (K,): arc length at the end of each lane, m; table (K, 2): the same, and the lanes' rows in `FlatLanes`.
-    """
-
-    route: Route
-    ends_m: tuple[float, ...]
-    table: FloatArray
-
-    @property
-    def length_m(self) -> float:
-        """Of all lanes."""
-        return self.ends_m[-1]
-
-    def on_lane(self, s: float) -> tuple[int, float]:
-        """Lane at arc length s, m, and the arc length on it; the last one beyond the end."""
-        row = min(bisect_right(self.ends_m, s), len(self.route) - 1)
-        return self.route[row], s - (self.ends_m[row - 1] if row else 0.0)
-
-    def between(self, first: float, last: float) -> Iterator[tuple[int, float]]:
-        """Lanes between two arc lengths, m, each with where on it that stretch begins."""
-        start = 0.0
-        for lane_id, end in zip(self.route, self.ends_m, strict=True):
-            if start >= last:
-                return
-            if end > first:
-                yield lane_id, max(first - start, 0.0)
-            start = end
-
-
-def way_along(graph: LaneGraph, route: Route, row_of: Mapping[int, int]) -> Way:
-    """A route with the lengths of its lanes; row_of: row of each lane in `FlatLanes`."""
-    ends = tuple(accumulate(graph.lanes[lane_id].length_m for lane_id in route))
-    table = np.array([ends, [row_of[lane_id] for lane_id in route]], dtype=np.float64)
-    return Way(route, ends, np.ascontiguousarray(table.T))
 
 
 def route_points(graph: LaneGraph, route: Route) -> FloatArray:

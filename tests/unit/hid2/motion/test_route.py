@@ -13,7 +13,6 @@ from hid2.motion.route import (
     routes_from,
     shifted_path,
     turn_segments,
-    way_along,
 )
 from hid2.params import Limits, Smoothing
 from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
@@ -81,19 +80,6 @@ def test_line_and_polyline_scales_are_inverse(forked: LaneGraph) -> None:
 def test_turns_are_told_by_stretch(forked: LaneGraph) -> None:
     kinds = [kind for _, _, kind in turn_segments(forked, _path(forked, 1, 3, 4))]
     assert kinds == [TurnType.STRAIGHT, TurnType.LEFT, TurnType.STRAIGHT]
-
-
-def test_way_tells_the_lanes_along_a_route(forked: LaneGraph) -> None:
-    """Lanes 1 and 2 of 50 m each; behind the end it is still the last one."""
-    way = way_along(forked, (1, 2), {1: 7, 2: 4})
-    assert way.length_m == 100.0
-    assert way.table.tolist() == [[50.0, 7.0], [100.0, 4.0]]
-    assert [way.on_lane(s) for s in (0.0, 49.0, 50.0, 120.0)] == [(1, 0.0), (1, 49.0), (2, 0.0), (2, 70.0)]
-    assert list(way.between(10.0, 50.0)) == [(1, 10.0)]
-    assert list(way.between(10.0, 51.0)) == [(1, 10.0), (2, 0.0)]
-    assert list(way.between(50.0, 51.0)) == [(2, 0.0)]
-    assert list(way.between(60.0, 300.0)) == [(2, 10.0)]
-    assert list(way.between(100.0, 300.0)) == []
 
 
 def test_routes_follow_the_order_chosen_at_a_split(forked: LaneGraph) -> None:
