@@ -36,7 +36,7 @@ def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def sumo(net: Path) -> Iterator[Simulation]:
-    with Simulation(net, seed=0, step_s=0.1) as simulation:
+    with Simulation(net, seed=0, step_s=0.1, model="Krauss") as simulation:
         yield simulation
 
 
@@ -86,9 +86,9 @@ def test_rewound_simulation_is_as_good_as_a_fresh_one(net: Path) -> None:
             speeds.append(sumo.speed("v1"))
         return speeds
 
-    with Simulation(net, seed=0, step_s=0.1) as fresh:
+    with Simulation(net, seed=0, step_s=0.1, model="Krauss") as fresh:
         wanted = drive(fresh)
-    with Simulation(net, seed=0, step_s=0.1) as sumo:
+    with Simulation(net, seed=0, step_s=0.1, model="Krauss") as sumo:
         sumo.rewind()
         assert _insert(sumo, "v1", 60.0, 3.0) is None
         for _ in range(30):
@@ -109,7 +109,7 @@ def test_inserted_vehicle_starts_where_and_as_fast_as_asked(sumo: Simulation) ->
     assert _insert(sumo, "v1", 22.25, 8.0) is None
     assert sumo.lane("v1") == ("1#5_0", pytest.approx(2.25))
     assert sumo.speed("v1") == pytest.approx(8.0)
-    sumo.set_speed("v1", 8.0)
+    sumo.drive("v1", desired_mps=12.0, limit_mps=8.0)
     sumo.step()
     assert sumo.pose("v1") == pytest.approx((23.05, 0.0, 90.0))
 
@@ -123,10 +123,10 @@ def test_vehicle_is_inserted_close_behind_another_if_it_was_planned_so(sumo: Sim
     assert {"v1", "v2"} <= sumo.driven()
 
 
-def test_asked_speed_is_driven_within_the_vehicle_s_acceleration(sumo: Simulation) -> None:
+def test_desired_speed_is_reached_within_the_vehicle_s_acceleration(sumo: Simulation) -> None:
     """From 8 towards 10 m/s at 1.8 m/s2: 8.18 after a step, 10 after 1.2 s."""
     _insert(sumo, "v1", 22.25, 8.0)
-    sumo.set_speed("v1", 10.0)
+    sumo.drive("v1", desired_mps=10.0, limit_mps=None)
     sumo.step()
     assert sumo.speed("v1") == pytest.approx(8.18)
     for _ in range(12):
@@ -134,13 +134,24 @@ def test_asked_speed_is_driven_within_the_vehicle_s_acceleration(sumo: Simulatio
     assert sumo.speed("v1") == pytest.approx(10.0)
 
 
-def test_car_following_stays_above_an_asked_speed(sumo: Simulation) -> None:
-    """Asked for 12 m/s towards a replayed vehicle that stands at 60 m: it stops with its gap of 2.5 m, near 55 m."""
+def test_limit_holds_below_the_desired_speed_and_ends_with_it(sumo: Simulation) -> None:
+    """7.9 m/s for one step at 8; without a limit the vehicle speeds up again."""
+    _insert(sumo, "v1", 22.25, 8.0)
+    sumo.drive("v1", desired_mps=10.0, limit_mps=7.9)
+    sumo.step()
+    assert sumo.speed("v1") == pytest.approx(7.9)
+    sumo.drive("v1", desired_mps=10.0, limit_mps=None)
+    sumo.step()
+    assert sumo.speed("v1") == pytest.approx(8.08)
+
+
+def test_car_following_stays_below_a_desired_speed(sumo: Simulation) -> None:
+    """12 m/s are desired towards a replayed vehicle that stands at 62 m: it stops with its gap, near 55 m."""
     sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
     _insert(sumo, "v1", 10.0, 8.0)
     for _ in range(200):
         sumo.place("r0", 62.0, 0.0, 90.0)
-        sumo.set_speed("v1", 12.0)
+        sumo.drive("v1", desired_mps=12.0, limit_mps=12.0)
         sumo.step()
     front = sumo.pose("v1")[0]
     assert sumo.speed("v1") < 0.1
@@ -159,14 +170,14 @@ def test_lane_change_is_instant_and_keeps_the_route(sumo: Simulation) -> None:
     assert sumo.lane("v1")[0].endswith("_1")
 
 
-def test_lane_change_waits_for_a_gap(sumo: Simulation) -> None:
+def test_unsafe_lane_change_is_refused(sumo: Simulation) -> None:
     """A vehicle that stands right beside: nothing happens, nobody is touched."""
     sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
     sumo.place("r0", 24.0, 3.5, 90.0)
     sumo.step()
     _insert(sumo, "v1", 22.25, 0.0)
     sumo.place("r0", 24.0, 3.5, 90.0)
-    sumo.set_speed("v1", 0.0)
+    sumo.drive("v1", desired_mps=12.0, limit_mps=0.0)
     sumo.change_lane("v1", 1, edges=EDGES[5:])
     sumo.step()
     assert sumo.lane("v1")[0].endswith("_0")
@@ -224,7 +235,7 @@ def test_gap_behind_a_replayed_vehicle_is_what_its_expected_deceleration_asks_fo
     """Krauss: gap_min + v tau + v^2 / 2b - v^2 / 2b_leader. At 5 m/s, tau 1, gap_min 1.5 and b 2.5: 6.5 m behind one
     that is expected to brake alike, and 25 / 5 - 25 / 9 = 2.2 m more behind one that is expected to brake with 4.5.
     """
-    with Simulation(net, seed=0, step_s=0.1, expected_decel_mps2=decel) as sumo:
+    with Simulation(net, seed=0, step_s=0.1, expected_decel_mps2=decel, model="Krauss") as sumo:
         sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
         for step in range(120):
             front = 30.0 + 0.5 * step
