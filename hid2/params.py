@@ -195,7 +195,7 @@ class Conflict(_Section):
 
     horizon_s: float = _param(4.0, "s", "H delta: how far ahead conflicts are looked for", gt=0, le=10)
     act_mps2: float = _param(
-        0.8, "m/s2", "deceleration that a conflict must ask for before the timing is changed", ge=0, le=4
+        1.1, "m/s2", "deceleration that a conflict must ask for before the timing is changed", ge=0, le=4
     )
     brake_max_mps2: float = _param(3.5, "m/s2", "hardest braking for a conflict", gt=0, le=4.05)
     margin_lateral_m: float = _param(0.1, "m", "added to each side of a box", ge=0, le=2)

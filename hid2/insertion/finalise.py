@@ -22,7 +22,7 @@ _FILTERS = (1.0, 1.6, 2.5)
 _OFFSETS = (1.0, 0.5, 0.0)
 _MOVES_M = 2.0
 _ROLLS_BACK_MPS = -0.2
-_AFTER_END_M, _AFTER_END_SPARE_S = 120.0, 0.35
+_AFTER_END_M, _AFTER_END_SPARE_S = 120.0, 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True)

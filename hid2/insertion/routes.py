@@ -89,7 +89,12 @@ class Routes:
             return any(offer.turns and offer.turns[0][0] is kind for n in self.lanes for offer in self.offers(n))
         if policy is Policy.STRAIGHT:
             return bool(self.lanes)
-        return any(offer.beside for n in self.lanes for offer in self.offers(n))
+        config = self.scene.config
+        lane_change = policy is Policy.LANE_CHANGE
+        needed_m = config.lane_change.min_remaining_m if lane_change else config.overtake.d_overtake_m
+        return any(
+            beside.remaining_m > needed_m for n in self.lanes for offer in self.offers(n) for beside in offer.beside
+        )
 
     def _offer(self, before: Route, route: Route) -> RouteOffer:
         lanes = self.scene.grid.graph.lanes

@@ -212,7 +212,7 @@ class InsertionSites:
             return any(
                 beside.start <= at + 1.0 and beside.end > at + 1.0
                 and not (strict and beside.in_intersection)
-                and beside.remaining_m - (at - beside.start) > needed
+                and beside.remaining_m - (at + 0.3 * speed_mps * request.trigger_s - beside.start) > needed
                 for beside in offer.beside
             )  # fmt: skip
         if request.policy is Policy.OVERTAKE:
