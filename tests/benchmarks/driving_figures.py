@@ -1,0 +1,103 @@
+"""What becomes of inserted vehicles on real scenes: counts, manoeuvres, limits, motion. A script, no test:
+
+python tests/benchmarks/driving_figures.py --agents 10 --seeds 10 [ROOT]
+"""
+
+import argparse
+import os
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from bridge.generation.generate import GeneratedScene, generate, prepare
+from bridge.recordings.folders import find_scenarios
+from bridge.recordings.scenario import read_scenario
+from hid2.params import Config, Request
+
+STEP_S = 0.1
+WINDOW = 41  # steps of a window of 4 s
+CONSTANT = 0.05  # m/s2 and m/s3 below which a cubic fit of s(t) is constant speed
+
+
+def is_constant(s: np.ndarray) -> bool:
+    """Whether a cubic fit of s (T,) m has neither acceleration nor jerk, and the vehicle moves."""
+    time_s = STEP_S * np.arange(s.size)
+    fit = np.polyfit(time_s, s - s[0], 3)
+    accel, jerk = 2 * fit[1] + 6 * fit[0] * time_s, 6 * fit[0]
+    return bool(np.all(np.abs(accel) < CONSTANT) and abs(jerk) < CONSTANT and s[-1] - s[0] > 0.5 * time_s[-1])
+
+
+class Figures:
+    """Sums over scenes."""
+
+    def __init__(self) -> None:
+        self.manoeuvres: Counter[tuple[str, str]] = Counter()
+        self.reasons: Counter[tuple[str, str]] = Counter()
+        self.replaced: Counter[str] = Counter()
+        self.limited: Counter[str] = Counter()
+        self.off_m: list[float] = []
+        self.windows: list[bool] = []
+        self.beginnings: list[bool] = []
+        self.stands: list[bool] = []
+        self.steps = 0
+
+    def add(self, scene: GeneratedScene) -> None:
+        for record in scene.sidecar.replaced:
+            self.replaced[record.reason if record.detail is None else f"{record.reason}:{record.detail}"] += 1
+        for agent in scene.sidecar.agents:
+            for record in agent.maneuvers:
+                if str(record.reason).startswith("map_offers"):
+                    continue
+                self.manoeuvres[record.kind, record.status] += 1
+                if record.status != "done":
+                    self.reasons[record.kind, str(record.reason)] += 1
+        for vehicle in scene.vehicles:
+            s, v = vehicle.motion.s, vehicle.motion.v
+            self.steps += len(vehicle.driven.s) - 1
+            self.limited.update(vehicle.driven.limited)
+            self.off_m.append(float(np.abs(vehicle.simulated_off_m).max()))
+            self.stands.append(int((v < 0.3).sum()) >= 5)
+            self.windows += [is_constant(s[k : k + WINDOW]) for k in range(10, s.size - WINDOW - 9, 10)]
+            self.beginnings.append(is_constant(s[:11]))
+
+    def lines(self) -> list[str]:
+        limited = {cause: round(count / self.steps, 3) for cause, count in sorted(self.limited.items())}
+        median, most = np.percentile(self.off_m, [50, 95])
+        besides = sum(share for cause, share in limited.items() if cause != "turn")
+        return [
+            f"manoeuvres that the map offers: {dict(self.manoeuvres)}",
+            f"reasons: {self.reasons.most_common(12)}",
+            f"replaced: {self.replaced.most_common(12)}",
+            f"share of steps limited: {limited}, besides turns {besides:.3f}",
+            f"exported minus simulated s, m: median {median:.2f}, 95 % {most:.2f}",
+            f"windows at constant speed {np.mean(self.windows):.3f}, first seconds {np.mean(self.beginnings):.3f}",
+            f"vehicles that stand at some time {np.mean(self.stands):.3f}",
+        ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--agents", type=int, default=10)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("root", type=Path, nargs="?", help="data-set root, by default the shared real scenes")
+    options = parser.parse_args()
+    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
+    figures, placed = Figures(), []
+    for folder in find_scenarios(options.root or shared / "av2"):
+        prepared, began = prepare(read_scenario(folder), Config()), time.process_time()
+        for seed in range(options.seeds):
+            scene = generate(prepared, Config(request=Request(agents=options.agents, seed=seed)))
+            placed.append(len(scene.generated))
+            figures.add(scene)
+        seconds = (time.process_time() - began) / options.seeds
+        print(
+            f"{folder.name[:8]} placed {placed[-options.seeds :]}, {seconds:.2f} s of processor time each", flush=True
+        )
+    print(f"scenes with the count asked for: {np.mean([n == options.agents for n in placed]):.3f}")
+    print("\n".join(figures.lines()))
+
+
+if __name__ == "__main__":
+    main()
