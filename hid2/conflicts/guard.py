@@ -112,7 +112,8 @@ class Guard:
         key = path, box, other, other_box
         if key not in self._swept:
             every = slice(None, None, round(1.0 / TABLE_STEP_M))
-            xy, heading = other.line.table_xy[every], other.line.table_heading[every]
+            xy = np.ascontiguousarray(other.line.table_xy[every])
+            heading = np.ascontiguousarray(other.line.table_heading[every])
             forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
             alone = Traffic(
                 ids=("other",), position=xy[None], heading=heading[None], velocity=forward[None],

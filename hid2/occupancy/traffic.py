@@ -43,10 +43,10 @@ class Traffic:
         span = slice(step, step + 1)
         return Traffic(
             ids=self.ids,
-            position=self.position[:, span],
-            heading=self.heading[:, span],
-            velocity=self.velocity[:, span],
-            present=self.present[:, span],
+            position=np.ascontiguousarray(self.position[:, span]),
+            heading=np.ascontiguousarray(self.heading[:, span]),
+            velocity=np.ascontiguousarray(self.velocity[:, span]),
+            present=np.ascontiguousarray(self.present[:, span]),
             length_m=self.length_m,
             width_m=self.width_m,
         )
