@@ -8,7 +8,7 @@ import numpy as np
 from bridge.sumo.poses import front_arc_m
 from bridge.sumo.replay import Replay, ReplayErrors
 from bridge.sumo.simulation import Simulation
-from hid2.agents import FloatArray, IntArray, Policy
+from hid2.agents import BoxSize, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S, V
 from hid2.conflicts.stop_lines import StopLines
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -296,13 +296,15 @@ class Driving:
         known = self._obstacles[row]
         if known is None:
             vehicle = self.vehicles[row]
-            others = [
-                (other, one.path, one.start.box)
-                for other, one in enumerate(self.vehicles)
-                if other != row and one.running
-            ]
-            known = self._obstacles[row] = self._guard.obstacles(vehicle.path, vehicle.start.box, others)
+            known = self._guard.obstacles(vehicle.path, vehicle.start.box, self._others(row))
+            self._obstacles[row] = known
         return known
+
+    def _others(self, row: int) -> list[tuple[int, DrivenPath, BoxSize]]:
+        """Rows of the other vehicles that SUMO has, with their paths and boxes."""
+        return [
+            (other, one.path, one.start.box) for other, one in enumerate(self.vehicles) if other != row and one.running
+        ]
 
     def _guarded(self, row: int, vehicle: DrivenVehicle, now: int, desired: float) -> list[tuple[float, str]]:
         """Limits of the guard for the coming step: predicted conflicts (case 3, timing)."""
@@ -458,11 +460,8 @@ class Driving:
 
     def _meets_on(self, row: int, vehicle: DrivenVehicle, now: int, path: DrivenPath) -> bool:
         """Whether a path across has a predicted conflict that ordinary braking does not solve."""
-        others = [
-            (other, one.path, one.start.box) for other, one in enumerate(self.vehicles) if other != row and one.running
-        ]
         found = self._guard.braking(
-            self._guard.obstacles(path, vehicle.start.box, others), own=row, step=now, fleet=self._state,
+            self._guard.obstacles(path, vehicle.start.box, self._others(row)), own=row, step=now, fleet=self._state,
             state=(vehicle.s[-1], vehicle.v[-1], 0.0), desired_mps=float(vehicle.start.desired[now]),
             road=self.roads.speeds(path, vehicle.start.driver), driver=vehicle.start.driver, horizon_s=_ACROSS_S,
         )  # fmt: skip

@@ -61,11 +61,14 @@ class StopLines:
 
     def arrays(self, path: DrivenPath, box: BoxSize) -> tuple[FloatArray, BoolArray]:
         """The same as arrays: where they are (L,) m, and whether they are closed (L, T)."""
-        lines = self.on(path, box)
-        closed = np.zeros((len(lines), self.scene.num_steps), dtype=np.bool_)
-        for row, line in enumerate(lines):
-            closed[row] = line.closed
-        return np.array([line.stop_s for line in lines], dtype=np.float64), closed
+        key = path, box
+        if key not in self._arrays:
+            lines = self.on(path, box)
+            closed = np.zeros((len(lines), self.scene.num_steps), dtype=np.bool_)
+            for row, line in enumerate(lines):
+                closed[row] = line.closed
+            self._arrays[key] = np.array([line.stop_s for line in lines], dtype=np.float64), closed
+        return self._arrays[key]
 
     def braking(
         self, path: DrivenPath, box: BoxSize, driver: Driver, *, s: float, speed_mps: float, step: int
@@ -74,9 +77,6 @@ class StopLines:
         lines = self.on(path, box)
         if not lines:
             return None
-        key = path, box
-        if key not in self._arrays:
-            self._arrays[key] = self.arrays(path, box)
-        stop_s, closed = self._arrays[key]
+        stop_s, closed = self.arrays(path, box)
         row, accel = stop_ahead(stop_s, closed, s, speed_mps, step, driver.accel_mps2, driver.decel_mps2)
         return None if row < 0 else (float(accel), lines[row].cause)
