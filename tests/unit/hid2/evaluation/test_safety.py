@@ -41,8 +41,9 @@ sizes = st.floats(0.5, 12)
 
 
 @settings(deadline=None)  # the first call may compile
-@given(places, places, angles, angles, sizes, sizes, sizes, sizes)
-def test_shared_area_equals_shapelys(x, y, first, second, length_a, width_a, length_b, width_b):
+@given(places, places, angles, angles, st.tuples(sizes, sizes), st.tuples(sizes, sizes))
+def test_shared_area_equals_shapelys(x, y, first, second, size_a, size_b):
+    (length_a, width_a), (length_b, width_b) = size_a, size_b
     iou, _, _ = pairwise_overlap(
         np.array([[0.0, 0.0], [x, y]]),
         np.array([first, second]),
