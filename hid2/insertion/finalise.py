@@ -17,8 +17,9 @@ from hid2.scene import DT_S, Scene
 from hid2.vehicle import DrivenVehicle
 
 _BOX_MARGIN_M = 0.05
-#: Widths of the filter that are tried in turn, over `smoothing.filter_s`; shares of the driver's place in the lane.
-_FILTERS = (1.0, 1.6, 2.5)
+#: Tried in turn: width of the filter over `smoothing.filter_s`, and whether the ends are eased; shares of the driver's
+#: place in the lane.
+_FILTERS = ((1.0, False), (1.0, True), (1.6, True), (2.5, True))
 _OFFSETS = (1.0, 0.5, 0.0)
 _MOVES_M = 2.0
 _ROLLS_BACK_MPS = -0.2
@@ -86,8 +87,11 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, others: Traffic) -> ExportedV
     if "smoothing" in config.without:
         return _grid_path(scene, vehicle, s[:steps], v[:steps], others)
     verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK
-    for filtered in _FILTERS:
-        motion = smooth_motion(s[:steps], v[:steps], filter_s=filtered * config.smoothing.filter_s, step_s=DT_S)
+    for wider, eased in _FILTERS:
+        motion = smooth_motion(
+            s[:steps], v[:steps], filter_s=wider * config.smoothing.filter_s, step_s=DT_S,
+            end_jerk_mps3=config.limits.longitudinal_jerk_mps3 if eased else None,
+        )  # fmt: skip
         for share in _OFFSETS:
             path = trajectory(vehicle.path.line, motion, start.offset.scaled(share))
             verdict = _checked(scene, vehicle, motion, path, motion.s - s[:steps], others)
