@@ -80,8 +80,12 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, others: Traffic) -> ExportedV
     if "smoothing" in config.without:
         return _grid_path(scene, vehicle, s[:steps], v[:steps], others)
     verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK
-    for filtered in config.export.filter_ratios:
-        motion = smooth_motion(s[:steps], v[:steps], filter_s=filtered * config.smoothing.filter_s, step_s=DT_S)
+    ratios = config.export.filter_ratios
+    for ratio, eased in [(ratios[0], False), *((ratio, True) for ratio in ratios)]:  # ends are eased where they must be
+        motion = smooth_motion(
+            s[:steps], v[:steps], filter_s=ratio * config.smoothing.filter_s, step_s=DT_S,
+            end_jerk_mps3=config.limits.longitudinal_jerk_mps3 if eased else None,
+        )  # fmt: skip
         for share in config.export.offset_shares:
             path = trajectory(vehicle.path.line, motion, start.offset.scaled(share))
             verdict = _checked(scene, vehicle, motion, path, motion.s - s[:steps], others)
