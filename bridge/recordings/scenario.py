@@ -388,8 +388,3 @@ def _check_focal(tracks: list[Track], focal_track_id: str, name: str) -> None:
 
 def _first_line(error: Exception) -> str:
     return str(error).strip().split("\n", 1)[0]
-
-
-def position_of(table: pa.Table) -> FloatArray:
-    """(N, 2) m, box centres in the order of the table's rows."""
-    return np.column_stack([_numbers(table, "position_x"), _numbers(table, "position_y")])
