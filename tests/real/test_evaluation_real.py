@@ -15,7 +15,7 @@ import shapely
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import DEFAULT_SIZES
 from hid2.evaluation.kinematics import kinematics, motion
-from hid2.evaluation.safety import off_footprint, off_road, overlaps, prepare_map
+from hid2.evaluation.safety import colliding, off_footprint, off_road, overlaps, prepare_map
 from hid2.measures.arrays import stack
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.manoeuvres import detect
