@@ -11,6 +11,7 @@ from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S, V
 from hid2.conflicts.stop_lines import StopLines
+from hid2.kernels.leaders import next_two_ahead
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along
@@ -27,7 +28,6 @@ from netconvert.lane_graph import TurnType
 
 _BINDS_MPS = 0.05  # book-keeping: a limit this close to the speed driven is what decided it
 _TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
-_LEADERS_SHOWN = 2  # car following asks for no more than the next ones ahead
 #: Refusals of a gap in which waiting for those beside to go ahead helps.
 _LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
 _HELD_BY_GUARD = frozenset({"conflict", "signal", "crossing"})
@@ -81,7 +81,9 @@ class Driving:
     _guard: Guard = field(init=False)
     _state: FloatArray = field(init=False)
     _obstacles: list[Obstacles | None] = field(init=False)
-    _known: list[tuple[PathOccupancy, IntArray] | None] = field(init=False)
+    _known: list[tuple[PathOccupancy, IntArray, FloatArray] | None] = field(init=False)
+    _centre: FloatArray = field(init=False)
+    _own_lengths: FloatArray = field(init=False)
     _road: list[FloatArray] = field(init=False)
     _lengths: FloatArray = field(init=False)
     _limit: list[tuple[float, str] | None] = field(init=False)
@@ -94,6 +96,8 @@ class Driving:
         self._obstacles = [None] * len(self.starts)
         self._lengths = np.concatenate([self.scene.traffic.length_m, self.fixed.length_m])
         self._known = [None] * len(self.starts)
+        self._centre = np.full((len(self.starts), 2), np.inf)
+        self._own_lengths = np.array([start.box.length_m for start in self.starts])
         self._road = [self.roads.speeds(start.path, start.driver) for start in self.starts]
         self._limit = [None] * len(self.starts)
 
@@ -143,7 +147,7 @@ class Driving:
                     vehicle.objection = Reason.SUMO_REFUSES_INSERTION
                 else:
                     vehicle.left_at = step
-                self._state[row, PRESENT] = 0.0
+                self._state[row, PRESENT], self._centre[row] = 0.0, np.inf
                 continue
             if step == 0:
                 speed, s = vehicle.start.start_mps, vehicle.start.start_s
@@ -156,6 +160,8 @@ class Driving:
             before = vehicle.v[-1] if vehicle.v else speed
             vehicle.s.append(s)
             vehicle.v.append(speed)
+            table = vehicle.path.line.table_xy
+            self._centre[row] = table[min(int(s / TABLE_STEP_M), len(table) - 1)]
             self._state[row] = s, speed, (speed - before) / DT_S, self._is_executing(vehicle), 1.0
 
     def _is_executing(self, vehicle: DrivenVehicle) -> bool:
@@ -172,51 +178,40 @@ class Driving:
         stand. Who crosses is the guard's business: to SUMO it would appear out of nowhere.
         """
         driving, shown = self.scene.config.driving, dict[int, tuple[float, str, int]]()
+        if "collision" in self.scene.config.without:
+            return {}, {}
         for row, vehicle in enumerate(self.vehicles):
-            if not vehicle.running or "collision" in self.scene.config.without:
+            if not vehicle.running:
                 continue
             s = vehicle.s[-1] if vehicle.s else vehicle.start.start_s
-            found, rows = self._known_of(row)
-            low, high = found.low[:, step], found.high[:, step]
-            with np.errstate(invalid="ignore"):  # inf - inf where nobody is
-                gap = 0.5 * (low + high) - s - 0.5 * (vehicle.start.box.length_m + self._lengths[rows])
-            stands = (np.abs(found.along[:, step]) < driving.standing_mps) & ~found.crosses[:, step]
-            leads = (
-                (low < np.inf)
-                & (gap > driving.leads_from_m)
-                & (gap < driving.shown_m)
-                & (found.aligned[:, step] | stands)
-            )
-            places = np.flatnonzero(leads)
-            for place in places[np.argsort(gap[places], kind="stable")[:_LEADERS_SHOWN]].tolist():
-                agent, at = int(rows[place]), float(gap[place])
-                if agent not in shown or at < shown[agent][0]:  # on the lane of who is nearest behind it
-                    cell = self.scene.cell_at(vehicle.path, 0.5 * float(low[place] + high[place]))
+            found, rows, lengths = self._known_of(row)
+            ahead = next_two_ahead(
+                found.low, found.high, found.along, found.aligned, found.crosses, lengths, step, s,
+                vehicle.start.box.length_m, driving.standing_mps, driving.leads_from_m, driving.shown_m,
+            )  # fmt: skip
+            for place, at, middle in (ahead[:3], ahead[3:]):  # its car following asks for no more
+                agent = int(rows[place]) if place >= 0 else -1
+                if agent >= 0 and (agent not in shown or at < shown[agent][0]):  # on the lane of who is nearest behind
+                    cell = self.scene.cell_at(vehicle.path, middle)
                     shown[agent] = at, self.scene.grid.edge_id(cell), self.scene.grid.lane_index(cell)
-        shown = {agent: lane for agent, lane in shown.items() if not self._is_beside_somebody(agent, step)}
         count = len(self.scene.traffic.ids)
-        recorded = {agent: (edge, lane) for agent, (_, edge, lane) in shown.items() if agent < count}
-        kept = {agent - count: (edge, lane) for agent, (_, edge, lane) in shown.items() if agent >= count}
+        recorded: dict[int, tuple[str, int]] = {}
+        kept: dict[int, tuple[str, int]] = {}
+        for agent, (_, edge, lane) in shown.items():
+            if not self._is_beside_somebody(agent, step):
+                (recorded if agent < count else kept)[agent if agent < count else agent - count] = edge, lane
         return recorded, kept
 
     def _is_beside_somebody(self, agent: int, step: int) -> bool:
         """Whether an agent is beside some vehicle, which SUMO, to whom vehicles on a lane have no width, would stop."""
         count = len(self.scene.traffic.ids)
         traffic, row = (self.scene.traffic, agent) if agent < count else (self.fixed, agent - count)
-        x, y = traffic.position[row, step].tolist()
-        for vehicle in self.vehicles:
-            if not vehicle.running or not vehicle.s:
-                continue
-            at = vehicle.path.line
-            cell = min(int(vehicle.s[-1] / TABLE_STEP_M), at.table_xy.shape[0] - 1)
-            dx, dy = x - at.table_xy[cell, 0], y - at.table_xy[cell, 1]
-            reach = 0.5 * (vehicle.start.box.length_m + self._lengths[agent])
-            if dx * dx + dy * dy < reach * reach:
-                return True
-        return False
+        offset = self._centre - traffic.position[row, step]
+        reach = 0.5 * (self._own_lengths + self._lengths[agent])
+        return bool(np.any(np.square(offset).sum(axis=1) < reach * reach))
 
-    def _known_of(self, row: int) -> tuple[PathOccupancy, IntArray]:
-        """Intervals of everybody whose future is known on a vehicle's path, and their rows: recorded, then kept."""
+    def _known_of(self, row: int) -> tuple[PathOccupancy, IntArray, FloatArray]:
+        """Intervals of everybody whose future is known on a vehicle's path, rows (recorded, then kept), lengths m."""
         known = self._known[row]
         if known is None:
             vehicle = self.vehicles[row]
@@ -226,7 +221,7 @@ class Driving:
                 kept_rows, more = look_along(path.line, self.fixed, box.length_m, box.width_m)
                 found = found.joined(more)
                 rows = np.concatenate([rows, kept_rows + len(self.scene.traffic.ids)])
-            known = self._known[row] = found, rows
+            known = self._known[row] = found, rows, self._lengths[rows]
         return known
 
     def _fleet(self) -> Traffic:
@@ -381,7 +376,7 @@ class Driving:
 
     def _vehicles(self, now: int, others: Traffic) -> Traffic:
         """Vehicles that can be overtaken, as they are now (one step)."""
-        recorded = self.scene.traffic.rows(self.scene.vehicle_rows.tolist()).at(now)
+        recorded = self.scene.traffic.at(now).rows(self.scene.vehicle_rows.tolist())
         return recorded.joined(self.fixed.at(now), others) if self.fixed.ids else recorded.joined(others)
 
     def _passed_gap_m(self, vehicle: DrivenVehicle, now: int, others: Traffic) -> float:

@@ -309,10 +309,10 @@ class Filling:
                 detail,
             )
         )
-        if reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE):
-            if self.scene.config.request.sites == "promising":
-                segment = start.path.segment_at(start.start_s)
-                self._avoided.append((segment.lane_id, segment.lane_s(start.start_s)))
+        place_failed = reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE)
+        if place_failed and self.scene.config.request.sites == "promising":
+            segment = start.path.segment_at(start.start_s)
+            self._avoided.append((segment.lane_id, segment.lane_s(start.start_s)))
 
     def _close(self, kept: list[ExportedVehicle]) -> None:
         """Take requests that are met off the list; a spare vehicle meets the last open one that goes straight."""

@@ -32,6 +32,9 @@ from hid2.vehicle import Start, VehicleRequest
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.LEAVES_TOO_EARLY})
 _BESIDE_MOST_M = 80.0  # no tunable, spares time: two starts farther apart have nothing to do with each other
 
+#: Centre (x, y), m, and unit vector of the direction, of one vehicle.
+_Pose = tuple[list[float], list[float]]
+
 
 @dataclass(slots=True)
 class InsertionSites:
@@ -50,6 +53,7 @@ class InsertionSites:
     avoided: Sequence[tuple[int, float]] = ()
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
+    _poses: dict[str, _Pose] = field(default_factory=dict)
     _usual: dict[int, float] = field(default_factory=dict)
     _obstacles: dict[tuple[DrivenPath, BoxSize], Obstacles] = field(default_factory=dict)
 
@@ -140,7 +144,7 @@ class InsertionSites:
                 return
 
     def _order(self, request: VehicleRequest, offers: Sequence[RouteOffer]) -> list[RouteOffer]:
-        order = self.rng.permutation(len(offers)).tolist()
+        order = self.rng.permutation(len(offers)).tolist() if len(offers) > 1 else [0] * len(offers)
         if request.policy in TURN_OF_POLICY:
             return [offers[row] for row in order]
         return sorted((offers[row] for row in order), key=lambda offer: bool(offer.turns))
@@ -354,8 +358,10 @@ class InsertionSites:
         stop = self.stop_lines.braking(path, box, driver, s=s, speed_mps=speed, step=0)
         if stop is not None and stop[0] < -driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
+        own_xy, own_t, _ = path.line.motion(np.array([s]))
+        own = own_xy[0].tolist(), own_t[0].tolist()
         for other in self.taken:
-            verdict = self._beside_start(path, box, s, driver, other, speed)
+            verdict = self._beside_start(own, box, driver, other, speed)
             if verdict is None:
                 return Reason.NO_SITE
             speed = min(speed, verdict)
@@ -381,26 +387,32 @@ class InsertionSites:
             return Reason.CONFLICT_PREDICTED
         return speed
 
-    def _beside_start(
-        self, path: DrivenPath, box: BoxSize, s: float, driver: Driver, other: Start, speed: float
-    ) -> float | None:
+    def _pose_of(self, start: Start) -> _Pose:
+        """Where another start of this round is, m, and its direction."""
+        if start.vehicle_id not in self._poses:
+            xy, tangent, _ = start.path.line.motion(np.array([start.start_s]))
+            self._poses[start.vehicle_id] = xy[0].tolist(), tangent[0].tolist()
+        return self._poses[start.vehicle_id]
+
+    def _beside_start(self, own: _Pose, box: BoxSize, driver: Driver, other: Start, speed: float) -> float | None:
         """Fastest start speed beside another start of this round; None where the two are too near."""
         sites = self.scene.config.sites
-        own_xy, own_t, _ = path.line.motion(np.array([s]))
-        xy, tangent, _ = other.path.line.motion(np.array([other.start_s]))
-        offset = xy[0] - own_xy[0]
-        if math.hypot(offset[0], offset[1]) > _BESIDE_MOST_M:
+        (own_x, own_y), (own_tx, own_ty) = own
+        (x, y), (tx, ty) = self._pose_of(other)
+        dx, dy = x - own_x, y - own_y
+        if math.hypot(dx, dy) > _BESIDE_MOST_M:
             return speed
-        along = float(offset @ own_t[0])
-        across = abs(float(offset[1] * own_t[0, 0] - offset[0] * own_t[0, 1]))
+        same_way = own_tx * tx + own_ty * ty
+        along = dx * own_tx + dy * own_ty
+        across = abs(dy * own_tx - dx * own_ty)
         gap = abs(along) - (box.length_m + other.box.length_m) / 2
         beside = across > (box.width_m + other.box.width_m) / 2 + 0.5
         if beside:
-            ahead_of_other = -float(offset @ tangent[0])
-            passing = other.request.policy is Policy.OVERTAKE and float(own_t[0] @ tangent[0]) > 0.7
+            ahead_of_other = -(dx * tx + dy * ty)
+            passing = other.request.policy is Policy.OVERTAKE and same_way > 0.7
             near = across < sites.pass_beside_m and -sites.pass_behind_m < ahead_of_other < sites.pass_ahead_m
             return None if passing and near else speed
-        if float(own_t[0] @ tangent[0]) < 0.7:
+        if same_way < 0.7:
             return speed if gap > sites.crossing_gap_m else None
         if along > 0:
             fits = speed_behind(gap, other.start_mps, driver, sites)
@@ -410,8 +422,8 @@ class InsertionSites:
     def _meets_taken_roughly(self, lane_id: int, lane_s: float, box: BoxSize) -> bool:
         point = self.scene.grid.graph.lanes[lane_id].path.point(np.array([lane_s]))[0]
         for other in self.taken:
-            xy = other.path.line.position(np.array([other.start_s]))[0]
-            if math.hypot(xy[0] - point[0], xy[1] - point[1]) < min(box.width_m, other.box.width_m):
+            x, y = self._pose_of(other)[0]
+            if math.hypot(x - point[0], y - point[1]) < min(box.width_m, other.box.width_m):
                 return True
         return False
 
