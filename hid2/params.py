@@ -96,11 +96,12 @@ class Spawn(_Section):
     near_weight: float = _param(4.0, "ratio", "weight of sites near moving recorded traffic", ge=1, le=100)
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(
-        2, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
+        3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
     )
-    candidates: int = _param(
-        3, "vehicles", "driven at once for one manoeuvre, of which one that does it is kept", ge=1, le=10
+    rivals: int = _param(
+        2, "vehicles", "driven beside the first for one manoeuvre, of which one that does it is kept", ge=0, le=10
     )
+    rivals_share: float = _param(0.6, "share", "of the vehicles still missing: most rivals in one round", ge=0, le=5)
     spare_share: float = _param(
         0.2, "share", "vehicles driven beyond the count, in case some cannot be made safe", ge=0, le=2
     )

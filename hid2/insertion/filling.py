@@ -148,7 +148,7 @@ class Filling:
         waiting = sorted(self._open, key=lambda request: (_ORDER.index(request.policy), request.number))
         used: set[int] = {start.request.number for start in starts}
         failed: Counter[Policy] = Counter()
-        rivals: list[tuple[VehicleRequest, int]] = []
+        waiting_rivals: list[VehicleRequest] = []
         for request in waiting:
             if request.number in used:
                 continue
@@ -166,18 +166,8 @@ class Filling:
                 failed[request.policy] += 1
                 self._last_reason[request.number] = Reason.NO_SITE
             elif request.policy is not Policy.STRAIGHT:
-                more = config.spawn.candidates - 1
-                rivals.append((request, more))
-        while rivals:
-            request, more = rivals.pop(0)
-            slow = next(
-                (r for r in waiting if r.policy is Policy.STRAIGHT and r.number not in used), None
-            ) if request.policy is Policy.OVERTAKE else None  # fmt: skip
-            found = sites.propose(request, slow) if more > 0 else []
-            used.update(start.request.number for start in found)
-            starts += found
-            if found and more > 1:
-                rivals.append((request, more - 1))
+                waiting_rivals.append(request)
+        starts += self._rivals(sites, waiting_rivals, math.ceil(config.spawn.rivals_share * max(0, missing)))
         if spare and starts and not failed[Policy.STRAIGHT]:
             extra = math.ceil(config.spawn.spare_share * len(starts))
             if number + 1 == config.spawn.reseed_rounds:  # in place of manoeuvres that fail once more
@@ -189,6 +179,26 @@ class Filling:
         self.no_site.update(sites.rejected)
         refused = ", ".join(f"{reason} {count}" for reason, count in sites.rejected.most_common())
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
+        return starts
+
+    def _rivals(self, sites: InsertionSites, requests: list[VehicleRequest], most: int) -> list[Start]:
+        """More vehicles for the same requests, in turns, so that one of them does what is asked for in this round.
+
+        Who is to be overtaken by them is a spare vehicle.
+        """
+        starts: list[Start] = []
+        for _ in range(self.scene.config.spawn.rivals):
+            for request in list(requests):
+                if len(starts) >= most:
+                    return starts
+                slow: VehicleRequest | None = None
+                if request.policy is Policy.OVERTAKE:
+                    slow = VehicleRequest(self._next_spare, Policy.STRAIGHT, 0.0)
+                    self._next_spare += 1
+                found = sites.propose(request, slow)
+                starts += found
+                if not found:
+                    requests.remove(request)
         return starts
 
     def _give_up_manoeuvres(self, met: Set[int] = frozenset()) -> bool:
