@@ -3,6 +3,7 @@
 import hashlib
 import json
 import tomllib
+import uuid
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -93,6 +94,12 @@ def config_from_dict(values: Mapping[str, Any], *, source: str = "configuration"
 def config_sha256(config: Config) -> str:
     """Digest that names a configuration."""
     return hashlib.sha256(json.dumps(config_to_dict(config), sort_keys=True).encode()).hexdigest()
+
+
+def new_scenario_id(source_id: str, config: Config, seed: int, variant: int) -> str:
+    """UUID (version 5) of a request: the same request names the same scenario."""
+    space = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo")
+    return str(uuid.uuid5(space, "\n".join([source_id, config_sha256(config), str(seed), str(variant)])))
 
 
 def config_to_toml(config: Config) -> str:

@@ -41,7 +41,7 @@ _SHOWN_PATHS = 24
 
 
 @command()
-def generate(
+def generate(  # noqa: PLR0913  # one for each option
     *,
     scenes: Annotated[
         list[Path] | None,

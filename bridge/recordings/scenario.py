@@ -178,17 +178,7 @@ def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> R
     kind = np.asarray(kind_encoded.indices.to_numpy(zero_copy_only=False))[order]
 
     _check_timesteps(code, timestep, _numbers(table, "observed")[order], where)
-    if not np.isfinite(motion).all():
-        row, column = np.argwhere(~np.isfinite(motion))[0]
-        raise ScenarioError(
-            f"{where(row)}: {_MOTION_COLUMNS[column]} is {motion[row, column]}, expected a finite number"
-        )
-    speed = np.abs(motion[:, 3:]).max(axis=1)
-    if speed.max() > limits.MAX_SPEED_MPS:
-        row = int(speed.argmax())
-        raise ScenarioError(
-            f"{where(row)}: velocity {speed[row]:.6g} m/s, expected at most {limits.MAX_SPEED_MPS:g} m/s"
-        )
+    _check_motion(motion, where)
     for known in kinds:
         if known not in DEFAULT_SIZES:
             raise ScenarioError(f"{name}: object_type {known[:40]!r}, expected one of {', '.join(DEFAULT_SIZES)}")
@@ -353,6 +343,20 @@ def _order(code: IntArray, timestep: IntArray) -> IntArray | slice:
     return np.asarray(np.lexsort((timestep, code)), dtype=np.int64)
 
 
+def _check_motion(motion: FloatArray, where: _Where) -> None:
+    if not np.isfinite(motion).all():
+        row, column = np.argwhere(~np.isfinite(motion))[0]
+        raise ScenarioError(
+            f"{where(row)}: {_MOTION_COLUMNS[column]} is {motion[row, column]}, expected a finite number"
+        )
+    speed = np.abs(motion[:, 3:]).max(axis=1)
+    if speed.max() > limits.MAX_SPEED_MPS:
+        row = int(speed.argmax())
+        raise ScenarioError(
+            f"{where(row)}: velocity {speed[row]:.6g} m/s, expected at most {limits.MAX_SPEED_MPS:g} m/s"
+        )
+
+
 def _check_timesteps(code: IntArray, timestep: IntArray, observed: npt.NDArray[np.bool_], where: _Where) -> None:
     outside = (timestep < 0) | (timestep >= MAX_STEPS)
     if outside.any():
@@ -384,8 +388,3 @@ def _check_focal(tracks: list[Track], focal_track_id: str, name: str) -> None:
 
 def _first_line(error: Exception) -> str:
     return str(error).strip().split("\n", 1)[0]
-
-
-def position_of(table: pa.Table) -> FloatArray:
-    """(N, 2) m, box centres in the order of the table's rows."""
-    return np.column_stack([_numbers(table, "position_x"), _numbers(table, "position_y")])
