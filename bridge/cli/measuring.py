@@ -50,6 +50,13 @@ def evaluate(
         Path | None,
         typer.Option(metavar="DIR", help="The source scenes: before is those of the scenes measured."),
     ] = None,
+    control: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Scenes of the same sources with drivers that the critics must tell, as data/configs has them.",
+        ),
+    ] = None,
     predictions: Annotated[
         str | None,
         typer.Option(
@@ -70,7 +77,7 @@ def evaluate(
 ) -> None:
     """Measure density, diversity, safety, kinematics and realism of any number of scenes, or score forecasts."""
     set_up(verbose=verbose, quiet=quiet)
-    check_scenes([out, *([source] if source else [])])
+    check_scenes([out, *(folder for folder in (source, control) if folder)])
     check_out(report)
     if predictions is not None:
         raise typer.Exit(_score(out, predictions, bands, report, as_json=as_json, quiet=quiet))
@@ -84,7 +91,7 @@ def evaluate(
             if done == total:
                 activity.doing("writing the report")
 
-        evaluation = evaluate_folder(out, report_dir=report, source=source, jobs=jobs, on_scene=show)
+        evaluation = evaluate_folder(out, report_dir=report, source=source, control=control, jobs=jobs, on_scene=show)
         for folder, reason in evaluation.failures:
             activity.message(unread_text(folder, reason))
     if not quiet:

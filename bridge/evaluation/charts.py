@@ -21,7 +21,7 @@ def reason_words(reason: str) -> str:
 
 def distribution_figure(counts: RealismCounts) -> Figure:
     """Generated and recorded distribution of every feature as steps over the same bins."""
-    figure, axes = plt.subplots(2, 4, figsize=(13, 5.6), layout="constrained")
+    figure, axes = plt.subplots(2, 5, figsize=(15, 5.6), layout="constrained")
     for ax, feature in zip(axes.flat, FEATURES, strict=True):
         edges = np.linspace(feature.low, feature.high, feature.bins + 1)
         for name, data, color, line in (
