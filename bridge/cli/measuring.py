@@ -100,6 +100,51 @@ def evaluate(
 
 
 @command()
+def calibrate(
+    root: Annotated[
+        Path,
+        typer.Argument(
+            metavar="ROOT", help="Recorded scenes: a scenario folder, a split folder or a root.", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--out", metavar="DRIVERS.toml", help="File to write; tables and a page go beside it.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = Path("drivers.toml"),
+    *,
+    without: Annotated[
+        list[str],
+        typer.Option(
+            metavar="ID", help="Leave a scene out, such as one to generate from; repeatable.", show_default=False
+        ),
+    ] = [],  # noqa: B006
+    jobs: Jobs = 1,
+    verbose: Verbose = 0,
+    quiet: Quiet = False,
+) -> None:  # fmt: skip
+    """Measure how people drive in recorded scenes, for `hid2 generate --drivers`."""
+    set_up(verbose=verbose, quiet=quiet)
+    check_scenes([root])
+    if out.is_dir():
+        raise ConfigError(f"{out}: is a folder, expected a file to write, such as {out / 'drivers.toml'}")
+    check_out(out.parent)
+    with Activity(quiet=quiet) as activity:
+        from bridge.evaluation.calibrate import calibrate_folder
+
+        activity.doing("measuring how people drive")
+        found = calibrate_folder(root, out, without=without, jobs=jobs, on_scene=activity.show)
+        for folder, reason in found.failures:
+            activity.message(unread_text(folder, reason))
+    if not quiet:
+        print(out)
+        print(out.with_name(f"{out.stem}.html"))
+    raise typer.Exit(SOME_FAILED if found.failures else ALL_DONE)
+
+
+@command()
 def study(
     file: Annotated[
         Path, typer.Argument(metavar="STUDY.toml", help="The study, as those in data/studies.", show_default=False)

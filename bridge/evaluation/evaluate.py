@@ -170,6 +170,12 @@ class _Table:
             self._writer.writerow({key: _cell(value) for key, value in row.items()})
 
 
+def write_table(path: Path, rows: Iterable[Row]) -> None:
+    """Rows as a CSV file. Errors: OSError."""
+    with _table(path) as table:
+        table.write(rows)
+
+
 def _cell(value: object) -> object:
     if isinstance(value, float):
         return f"{value:.6g}"
@@ -181,8 +187,7 @@ def _cell(value: object) -> object:
 def _write_tables(metrics: Mapping[str, Any], report_dir: Path) -> None:
     text = json.dumps(metrics, indent=1, allow_nan=False)
     write_text(report_dir / "metrics.json", text + "\n")
-    with _table(report_dir / "realism.csv") as table:
-        table.write(metrics["realism"]["distances"])
+    write_table(report_dir / "realism.csv", metrics["realism"]["distances"])
 
 
 def _metrics(evaluation: Evaluation) -> dict[str, Any]:

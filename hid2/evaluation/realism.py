@@ -35,8 +35,9 @@ FEATURES = (
     Feature("speed", "speed", "m/s", 0.0, 25.0, 25),
     Feature("longitudinal_accel", "longitudinal acceleration", "m/s²", -5.0, 5.0, 40),
     Feature("jerk", "longitudinal jerk", "m/s³", -4.0, 4.0, 32),
-    Feature("lateral_accel", "lateral acceleration", "m/s²", -4.0, 4.0, 32),
-    Feature("yaw_rate", "yaw rate", "rad/s", -0.64, 0.64, 32),
+    Feature("lateral_accel", "lateral acceleration outside turns", "m/s²", -4.0, 4.0, 32),
+    Feature("yaw_rate", "yaw rate outside turns", "rad/s", -0.64, 0.64, 32),
+    Feature("turn_lateral_accel", "lateral acceleration in turns", "m/s²", -4.0, 4.0, 32),
     Feature("offset", "offset from the lane's middle", "m", -2.0, 2.0, 32),
     Feature("ttc", "time to collision", "s", 0.0, CAP_S, 10),
     Feature("time_gap", "time gap to the leader", "s", 0.0, 5.0, 10),
@@ -180,10 +181,17 @@ def scene_values(
     crossing counts for its generated vehicle, else for the first.
     """
     motion = {
-        "speed": found.speed_mps, "longitudinal_accel": found.accel_mps2, "jerk": found.jerk_mps3,
-        "lateral_accel": found.lateral_accel_mps2, "yaw_rate": found.yaw[:, 0], "offset": found.d_parabola[:, 0],
-    }  # fmt: skip
+        "speed": found.speed_mps,
+        "longitudinal_accel": found.accel_mps2,
+        "jerk": found.jerk_mps3,
+        "offset": found.d_parabola[:, 0],
+    }
     out = {name: Values(value, found.agent) for name, value in motion.items()}
+    # as many turns as were asked for are no measure of how they are driven: apart
+    sideways, turns = found.lateral_accel_mps2, found.turning
+    out["lateral_accel"] = Values(sideways[~turns], found.agent[~turns])
+    out["yaw_rate"] = Values(found.yaw[~turns, 0], found.agent[~turns])
+    out["turn_lateral_accel"] = Values(sideways[turns], found.agent[turns])
     for name, value in (("ttc", safe.ttc_s), ("time_gap", safe.leaders.time_gap_s)):
         # boxes that overlap already tell of a tracker, not of a driver
         defined = np.isfinite(value) & (value > 0.0) & ((value < CAP_S) | (name != "ttc"))
