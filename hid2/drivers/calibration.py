@@ -58,7 +58,7 @@ class Observed(NamedTuple):
 
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.bool_]] | IntArray) -> "Observed":
         """Some of the windows."""
-        return Observed(*(values[chosen] for values in self))
+        return self._make(values[chosen] for values in self)
 
 
 class Extra(NamedTuple):
@@ -214,7 +214,7 @@ def _range_of_turns(values: FloatArray, prior: Drivers, rng: np.random.Generator
 
 def _fits() -> tuple[FloatArray, FloatArray, FloatArray]:
     """Times of a window, and the pseudo-inverses that give a parabola and a cubic."""
-    time = _STEP_S * np.arange(_STEPS // 2 + 1) - _HALF_S
+    time = np.asarray(_STEP_S * np.arange(_STEPS // 2 + 1) - _HALF_S, dtype=np.float64)
     parabola = np.linalg.pinv(np.vander(time, 3, increasing=True))
     cubic = np.linalg.pinv(np.vander(time, 4, increasing=True))
     return time, parabola, cubic

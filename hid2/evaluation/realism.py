@@ -218,10 +218,10 @@ def count_scene(
     number[agents] = np.arange(len(agents))
     counts = RealismCounts()
     for feature in FEATURES:
-        value, agent = values[feature.name]
-        counts.generated[feature.name] = histogram(feature, value[generated[agent]])
-        mine = number[agent] >= 0
-        _count(counts, feature, value[mine], number[agent[mine]], member)
+        value, owner = values[feature.name]
+        counts.generated[feature.name] = histogram(feature, value[generated[owner]])
+        mine = number[owner] >= 0
+        _count(counts, feature, value[mine], number[owner[mine]], member)
     return counts
 
 

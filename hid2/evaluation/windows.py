@@ -77,14 +77,14 @@ class Windows(NamedTuple):
 
     def rows(self, chosen: BoolArray | IntArray) -> "Windows":
         """Some of the windows."""
-        return Windows(*(values[chosen] for values in self))
+        return self._make(values[chosen] for values in self)
 
 
 def windows(arrays: SceneArrays, safe: Safety, members: BoolArray) -> Windows:
     """Windows of the agents in `members` (A,), in the order of agents and time."""
     size = round(WINDOW_S / arrays.step_s) + 1
     trimmed, stride = round(TRIMMED_S / arrays.step_s), max(1, round(STRIDE_S / arrays.step_s))
-    time = arrays.step_s * (np.arange(size) - size // 2)
+    time = np.asarray(arrays.step_s * (np.arange(size) - size // 2), dtype=np.float64)
     fits = {degree: np.linalg.pinv(np.vander(time, degree + 1, increasing=True)) for degree in (1, 2, 3, 4)}
     found = [
         _of_track(arrays, safe, rows, time, fits)
@@ -130,7 +130,7 @@ def _of_track(
     turns = (safe.lanes.turn[np.maximum(lane, 0)] != 0).any(axis=1) | (np.ptp(direction, axis=1) > _TURNS_RAD)
     found = Windows(
         agent=arrays.agent[rows[:, middle]],
-        time_s=arrays.step[rows[:, middle]] * arrays.step_s,
+        time_s=np.asarray(arrays.step[rows[:, middle]] * arrays.step_s, dtype=np.float64),
         s_cubic=(s @ fits[3].T)[:, 1:],
         s_quartic=(s @ fits[4].T)[:, 1:],
         d_parabola=d @ fits[2].T,
