@@ -9,7 +9,7 @@ documented prior and says so.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,7 +58,8 @@ class Observed(NamedTuple):
 
     def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.bool_]] | IntArray) -> "Observed":
         """Some of the windows."""
-        return self._make(values[chosen] for values in self)
+        some: list[Any] = [values[chosen] for values in self]
+        return Observed(*some)
 
 
 class Extra(NamedTuple):
@@ -215,9 +216,8 @@ def _range_of_turns(values: FloatArray, prior: Drivers, rng: np.random.Generator
 def _fits() -> tuple[FloatArray, FloatArray, FloatArray]:
     """Times of a window, and the pseudo-inverses that give a parabola and a cubic."""
     time = np.asarray(_STEP_S * np.arange(_STEPS // 2 + 1) - _HALF_S, dtype=np.float64)
-    parabola = np.linalg.pinv(np.vander(time, 3, increasing=True))
-    cubic = np.linalg.pinv(np.vander(time, 4, increasing=True))
-    return time, parabola, cubic
+    parabola, cubic = (np.linalg.pinv(np.vander(time, powers, increasing=True)) for powers in (3, 4))
+    return time, np.asarray(parabola, dtype=np.float64), np.asarray(cubic, dtype=np.float64)
 
 
 _DRIVER = Driver(

@@ -5,7 +5,7 @@ first and the last second of a track are left out, and so are windows in which t
 compared by their own table.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -77,7 +77,8 @@ class Windows(NamedTuple):
 
     def rows(self, chosen: BoolArray | IntArray) -> "Windows":
         """Some of the windows."""
-        return self._make(values[chosen] for values in self)
+        some: list[Any] = [values[chosen] for values in self]
+        return Windows(*some)
 
 
 def windows(arrays: SceneArrays, safe: Safety, members: BoolArray) -> Windows:
@@ -85,7 +86,10 @@ def windows(arrays: SceneArrays, safe: Safety, members: BoolArray) -> Windows:
     size = round(WINDOW_S / arrays.step_s) + 1
     trimmed, stride = round(TRIMMED_S / arrays.step_s), max(1, round(STRIDE_S / arrays.step_s))
     time = np.asarray(arrays.step_s * (np.arange(size) - size // 2), dtype=np.float64)
-    fits = {degree: np.linalg.pinv(np.vander(time, degree + 1, increasing=True)) for degree in (1, 2, 3, 4)}
+    fits: dict[int, FloatArray] = {
+        degree: np.asarray(np.linalg.pinv(np.vander(time, degree + 1, increasing=True)), dtype=np.float64)
+        for degree in (2, 3, 4)
+    }
     found = [
         _of_track(arrays, safe, rows, time, fits)
         for agent in np.flatnonzero(members)

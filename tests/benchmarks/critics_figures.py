@@ -80,7 +80,7 @@ class Figures:
         if controls:
             for critic, view in JUDGED:
                 constant = judge(constant_on_the_middle(found), critic, view)
-                apart = [judge(halves_apart(found, k), critic, view) for k in range(8)]
+                apart = [judge(halves_apart(found, k), critic, view) for k in range(4)]
                 print(f"controls     {critic:9s} {view:8s} constant {constant.auc:.3f}, recorded against recorded "
                       f"{np.mean([a.auc for a in apart if a]):.3f}")  # fmt: skip
         print("betrays:", ", ".join(f"{name} {auc:.2f}" for name, auc in betrayals(found)[:9]))
