@@ -49,6 +49,20 @@ def load_config(
     return _validated(data, "configuration") if flags or overrides else config
 
 
+def read_drivers(path: Path) -> dict[str, object]:
+    """The section [drivers] of a file that `hid2 calibrate` wrote, as flags.
+
+    Errors: ConfigError for another section, and for a key, a value or a range that no driver has.
+    """
+    data = _read_toml(path)
+    others = sorted(data.keys() - {"drivers"})
+    if others or not isinstance(data.get("drivers"), dict):
+        wrong = f"section or key {', '.join(others)}" if others else "no section [drivers]"
+        raise ConfigError(f"{path}: {wrong}, expected [drivers] alone, as hid2 calibrate writes; else use --config")
+    _validated(data, str(path))
+    return {f"drivers.{name}": value for name, value in data["drivers"].items()}
+
+
 def parse_behaviours(text: str) -> dict[str, float]:
     """Shares "straight=.5,lane_change=.5" as flags; a behaviour that is not named gets 0.
 

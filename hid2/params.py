@@ -194,9 +194,28 @@ class Drivers(_Section):
         1.5, "m/s2", "lateral acceleration taken in turns, uniform from here", gt=0, le=4.89
     )
     turn_lateral_max_mps2: float = _param(3.0, "m/s2", "to here (comfort ends at 3)", gt=0, le=4.89)
-    offset_sd_m: float = _param(0.25, "m", "SD between drivers of the mean place in the lane", ge=0, le=1)
-    lateral_wander_sd_m: float = _param(0.15, "m", "SD of the wandering about that place", ge=0, le=0.5)
-    lateral_wander_time_s: float = _param(3.0, "s", "its correlation time at the desired speed", gt=0, le=30)
+    offset_mean_m: float = _param(
+        0.1,
+        "m",
+        "mean place in the lane, left positive: away from the kerb and parked cars; measured: 0.10",
+        ge=-1,
+        le=1,
+    )
+    offset_sd_m: float = _param(
+        0.32, "m", "SD between drivers of the mean place in the lane; measured, robust: 0.29", ge=0, le=1
+    )
+    offset_max_m: float = _param(0.9, "m", "no driver is farther from the lane's middle", ge=0, le=1.5)
+    lateral_wander_sd_m: float = _param(
+        0.2,
+        "m",
+        "SD of the wandering about that place, of the median driver; measured: drift of 0.065 m/s",
+        ge=0,
+        le=0.5,
+    )
+    lateral_wander_spread: float = _param(
+        0.8, "-", "SD between drivers of its logarithm: some hold the lane, some weave; measured", ge=0, le=1.5
+    )
+    lateral_wander_time_s: float = _param(2.0, "s", "its correlation time at the desired speed", gt=0, le=30)
     lane_change_mean_s: float = _param(
         5.5, "s", "duration of a lane change (highD: 5.5 cars, 6.1 heavy)", ge=1.5, le=15
     )

@@ -10,6 +10,7 @@ from bridge.cli.options import (
     ALL_DONE,
     INTERRUPTED,
     OUTPUT,
+    PARAMETERS,
     REQUEST,
     RUNNING,
     SOME_FAILED,
@@ -108,6 +109,12 @@ def generate(  # noqa: PLR0913  # one for each option
         list[ComponentName],
         typer.Option(help="Ablation: leave a component out; repeatable.", rich_help_panel=REQUEST, show_default=False),
     ] = [],  # noqa: B006  # typer copies it
+    drivers: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DRIVERS.toml", help="Drivers as `hid2 calibrate` measured them.", rich_help_panel=PARAMETERS
+        ),
+    ] = None,
     config: ConfigFile = None,
     settings: Settings = [],  # noqa: B006
     min_agents: MinAgents = 0,
@@ -146,7 +153,7 @@ def generate(  # noqa: PLR0913  # one for each option
     check_scenes(scenes)
     check_out(out)
     with Activity(quiet=quiet) as activity:
-        from bridge.config import load_config, parse_behaviours, parse_trigger_time
+        from bridge.config import load_config, parse_behaviours, parse_trigger_time, read_drivers
         from bridge.recordings.folders import find_sources
 
         flags: dict[str, object] = {
@@ -157,6 +164,7 @@ def generate(  # noqa: PLR0913  # one for each option
             "request.spawn_leaders": spawn_leaders,
             "without": [str(name) for name in without] or None,
         }
+        flags |= read_drivers(drivers) if drivers is not None else {}
         flags |= parse_behaviours(behaviours) if behaviours is not None else {}
         flags |= parse_trigger_time(trigger_time) if trigger_time is not None else {}
         resolved = load_config(config, settings, {key: value for key, value in flags.items() if value is not None})

@@ -43,7 +43,7 @@ def agent_record(
         "desired_mps": driver.desired_mps, "tau_s": driver.tau_s, "accel_mps2": driver.accel_mps2,
         "decel_mps2": driver.decel_mps2, "min_gap_m": driver.min_gap_m,
         "turn_lateral_mps2": driver.turn_lateral_mps2, "offset_m": driver.offset_m,
-        "lane_change_s": driver.lane_change_s,
+        "lane_change_s": driver.lane_change_s, "wander_m": driver.wander_m,
     }  # fmt: skip
     return AgentRecord(
         track_id=names[driven.vehicle_id],

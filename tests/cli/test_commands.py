@@ -11,7 +11,9 @@ from typing import Any
 import pytest
 
 Run = Callable[..., Any]
-COMMANDS = ("generate", "net", "validate", "evaluate", "render", "plot", "config", "scan", "study", "paper", "gui")
+COMMANDS = (
+    "generate", "net", "validate", "evaluate", "calibrate", "render", "plot", "config", "scan", "study", "paper", "gui",
+)  # fmt: skip
 
 
 def last_message(result: Any) -> str:
