@@ -39,6 +39,17 @@ class Request(_Section):
     sites: Literal["promising", "any"] = _param(
         "promising", "-", "start sites: those first where map and traffic allow what is asked for; any: uniformly drawn"
     )
+    near: str = _param(
+        "traffic",
+        "-",
+        "sites first from which these are met: traffic (recorded moving vehicles), av (the recording vehicle), focal, "
+        "scored, a track id; anywhere: all alike",
+        min_length=1, max_length=100,
+    )  # fmt: skip
+    within_m: float = _param(
+        30.0, "m", "a site is near where centres would come so near: to traffic at some step, to others at the last "
+        "observed one", gt=0, le=500,
+    )  # fmt: skip
     focal: Literal["recorded", "generated"] = _param("recorded", "-", "which track carries category 3")
     generated_category: Literal[1, 2] = _param(1, "-", "category of generated tracks: 1 context, 2 scored")
     seed: int = _param(0, "-", "seed of every random choice", ge=0, le=2**31 - 1)
@@ -86,14 +97,13 @@ class Spawn(_Section):
         3.0, "s", "a start holds if nobody is met so long by a vehicle that drives on and brakes as a driver would",
         ge=0, le=10,
     )  # fmt: skip
-    near_m: float = _param(
-        30.0,
-        "m",
-        "sites this near to moving recorded traffic are drawn as much more often as near_weight",
-        gt=0,
-        le=200,
+    near_weight: float = _param(8.0, "ratio", "weight of sites near to whom request.near asks for", ge=1, le=100)
+    leader_weight: float = _param(
+        6.0, "ratio", "weight of sites from which a recorded vehicle would be followed", ge=1, le=100
     )
-    near_weight: float = _param(4.0, "ratio", "weight of sites near moving recorded traffic", ge=1, le=100)
+    crossing_weight: float = _param(
+        3.0, "ratio", "weight of sites from which recorded traffic would be crossed", ge=1, le=100
+    )
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(
         3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20

@@ -78,6 +78,20 @@ def generate(
             rich_help_panel=REQUEST,
         ),
     ] = None,
+    near: Annotated[
+        str | None,
+        typer.Option(
+            metavar="av|focal|scored|traffic|anywhere|TRACK_ID",
+            help="Where vehicles are inserted: near moving traffic, the recording vehicle, the focal track, scored "
+            "tracks, or a track.",
+            show_default="traffic",
+            rich_help_panel=REQUEST,
+        ),
+    ] = None,
+    within: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="How near that is, in metres.", show_default="30", rich_help_panel=REQUEST),
+    ] = None,
     variants: Annotated[
         int | None,
         typer.Option(
@@ -152,6 +166,8 @@ def generate(
         flags: dict[str, object] = {
             "request.agents": None if agents is None else _agents(agents),
             "request.variants": variants,
+            "request.near": near,
+            "request.within_m": within,
             "request.focal": focal,
             "request.seed": seed,
             "request.spawn_leaders": spawn_leaders,
