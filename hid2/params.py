@@ -7,7 +7,7 @@ number is written beside it.
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from hid2.policies import Policy
 
@@ -284,6 +284,58 @@ class Smoothing(_Section):
     )
 
 
+Band = tuple[float, float]
+
+
+class Event(_Section):
+    """One kind of event that is asked for in a scene: `[[event]]` in TOML, `--event` on the command line.
+
+    Bands are (least, largest). gap_m: bumper to bumper at the moment of the event (cross: from the target's bumper to
+    the conflict point); speed_difference_mps: vehicle minus target; ttc_s, pet_s, drac_mps2: criticality, None: what
+    the critical values of `conflict` allow.
+    """
+
+    kind: Literal["cut_in", "overtake", "lead", "follow", "merge", "cross"]
+    target: str = Field(default="av", min_length=1, max_length=100)
+    at_s: Band = (2.0, 7.0)
+    gap_m: Band = (4.0, 30.0)
+    speed_difference_mps: Band = (-6.0, 6.0)
+    brakes_mps2: float = Field(default=0.0, ge=0, le=4.05)
+    ttc_s: Band | None = None
+    pet_s: Band | None = None
+    drac_mps2: Band | None = None
+    count: int = Field(default=1, ge=1, le=20)
+
+    @field_validator("at_s", "gap_m", "speed_difference_mps", "ttc_s", "pet_s", "drac_mps2", mode="before")
+    @classmethod
+    def _band(cls, value: Any) -> Any:  # noqa: ANN401
+        """A band may be given as a list, which is what JSON and TOML have, or as one number."""
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value), float(value)
+        return tuple(value) if isinstance(value, list) else value
+
+    @model_validator(mode="after")
+    def _check(self) -> "Event":
+        for name in ("at_s", "gap_m", "speed_difference_mps", "ttc_s", "pet_s", "drac_mps2"):
+            band = getattr(self, name)
+            if band is not None and band[1] < band[0]:
+                raise ValueError(f"{name} {band[0]:g}:{band[1]:g}, expected the smaller value first")
+            if band is not None and name != "speed_difference_mps" and band[0] < 0:
+                raise ValueError(f"{name} {band[0]:g}:{band[1]:g}, expected values of 0 or more")
+        if self.brakes_mps2 and self.kind != "lead":
+            raise ValueError(f"brakes_mps2 {self.brakes_mps2:g} with kind {self.kind}, expected kind lead")
+        if self.pet_s is not None and self.kind != "cross":
+            raise ValueError(f"pet_s with kind {self.kind}, expected kind cross: only crossing paths have a PET")
+        return self
+
+
+class EventSearch(_Section):
+    """The search for a site, a speed and a trigger time with which an event comes about."""
+
+    tries: int = _param(14, "vehicles", "driven for one event before it is given up", ge=1, le=200)
+    moment_s: float = _param(0.5, "s", "an event counts so much before or after the time asked for", ge=0, le=5)
+
+
 class Config(_Section):
     """A whole request: what to generate and every parameter of the method."""
 
@@ -300,7 +352,12 @@ class Config(_Section):
     crossings: Crossings = Crossings()
     limits: Limits = Limits()
     smoothing: Smoothing = Smoothing()
+    event_search: EventSearch = EventSearch()
 
+    event: tuple[Event, ...] = Field(
+        default=(),
+        json_schema_extra={"unit": "-", "source": "events, a section [[event]] each; see hid2 generate --event"},
+    )
     without: frozenset[Literal["topology", "collision", "smoothing"]] = Field(
         default=frozenset(),
         json_schema_extra={"unit": "-", "source": "paper, Table ablation: components switched off"},

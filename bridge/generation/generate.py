@@ -26,6 +26,7 @@ from bridge.sumo.driving import Driving
 from bridge.sumo.replay import ReplayErrors
 from bridge.sumo.simulation import Simulation
 from hid2.agents import IntArray, Policy, Track
+from hid2.insertion.events import EventSearch
 from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -94,6 +95,9 @@ def generate(source: Scenario | PreparedScene, config: Config, *, variant: int =
             parameters=_model_parameters(config),
         ) as simulation:  # fmt: skip
             rounds = _Rounds(scene, simulation, filling)
+            search = EventSearch(scene, filling.roads, filling.routes, filling.stop_lines, seed)
+            events = search.run(rounds.drive_alone)
+            filling.take_events(events)
             filling.fill(rounds.drive)
             sumo_version = simulation.version()
     vehicles = sorted(filling.kept, key=lambda one: one.driven.start.request.number)
@@ -146,6 +150,14 @@ class _Rounds:
             apart = np.square(offset).sum(axis=-1).min(axis=-1)
             near[left] = np.any(present[left] & (apart < _NEAR_M * _NEAR_M), axis=1)
         return np.flatnonzero(near)
+
+    def drive_alone(self, scene: Scene, start: Start, fixed: Traffic, _number: int) -> DrivenVehicle:
+        """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
+        filling = self._filling
+        return Driving(
+            scene, self._simulation, [start], fixed, filling.roads, filling.stop_lines, rows=self._near([start]),
+            checked=False,
+        ).run()[0]  # fmt: skip
 
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
         """One simulation. The first one replays every recorded agent and compares; later ones those on the grid."""

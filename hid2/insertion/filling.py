@@ -11,6 +11,7 @@ import numpy as np
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.events import EventOutcome
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.outcome import Outcome, outcome_of
@@ -82,6 +83,7 @@ class Filling:
     unmet: list[Unmet] = field(default_factory=list)
     rejected: list[Rejection] = field(default_factory=list)
     no_site: Counter[Reason] = field(default_factory=Counter)
+    events: list[EventOutcome] = field(default_factory=list)
     rounds: int = 0
     _open: list[VehicleRequest] = field(default_factory=list)
     _again: list[Start] = field(default_factory=list)
@@ -95,12 +97,22 @@ class Filling:
         self.roads, self.routes, self.stop_lines = Roads(self.scene), Routes(self.scene), StopLines(self.scene)
         self.meetings = Meetings(self.scene, self.routes)
 
+    def take_events(self, found: Sequence[EventOutcome]) -> None:
+        """Vehicles of events are kept before all others, which have to do with them; they count among the vehicles."""
+        self.events = list(found)
+        for one in found:
+            if one.vehicle is not None:
+                self.kept.append(one.vehicle)
+                if one.outcome is not None:
+                    self.outcomes[one.vehicle.driven.vehicle_id] = one.outcome
+
     def fill(self, drive: Drive) -> None:
         """All rounds. The count is a wish: a full road ends with fewer, and says so."""
         config = self.scene.config
         asked = config.request.agents
         target = self._most() if asked == "max" else asked
-        self._open = self._possible(draw_requests(config, np.random.default_rng([*self.seed, 0]), count=target))
+        count = max(0, target - len(self.kept))
+        self._open = self._possible(draw_requests(config, np.random.default_rng([*self.seed, 0]), count=count))
         self._next_spare = target
         for number in range(config.spawn.rounds):
             missing = target - len(self.kept)
