@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, Policy
+from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import draw_driver, lane_offset
 from hid2.insertion.event_plans import CHANGE_S, Plan, Planner, Target, target_of
@@ -49,7 +49,8 @@ _PLAN_MARGIN_M = 0.25
 _LOOKS_STEPS = 5  # between looks at stop lines
 _STOPS_MPS2 = -0.4
 #: The driver of an event holds to its plan: a short time gap, and whatever acceleration the plan has.
-_TAU_S, _ACCEL_MPS2, _DECEL_MPS2, _MIN_GAP_M = 0.7, 2.2, 2.6, 1.2
+_TAU_S, _ACCEL_MPS2, _DECEL_MPS2, _MIN_GAP_M = 0.6, 2.2, 2.6, 1.2
+_HEADWAY_S = 0.9
 _LOG = logging.getLogger(__name__)
 
 
@@ -140,7 +141,9 @@ class EventSearch:
                 if best is None or tries >= scene.config.event_search.tries:
                     break
                 start = self._start(planner, best, number, tries, rng)
-                if not self._is_worth_driving(planner, best, start, fixed):
+                objection = self._objection(planner, best, start, fixed)
+                if objection is not None:
+                    self.tried[objection] += 1
                     break
                 outcome, best = self._drive(scene, best, start, fixed, tries, drive)
                 tries += 1
@@ -148,6 +151,8 @@ class EventSearch:
                     return replace(outcome, tries=tries)
             if tries >= scene.config.event_search.tries:
                 break
+        said = ", ".join(f"{reason} {count}" for reason, count in self.tried.most_common())
+        _LOG.debug("event %s: %d tries; %s", event.kind, tries, said or "no plan")
         return EventOutcome(event, Reason.EVENT_NOT_AS_ASKED if tries else Reason.EVENT_NO_PLACE, tries=tries)
 
     def _targets(self, event: Event, rng: np.random.Generator) -> list[int]:
@@ -192,28 +197,40 @@ class EventSearch:
             sides=("left", "right") if plan.side is None else (plan.side,),
         )  # fmt: skip
 
-    def _is_worth_driving(self, planner: Planner, plan: Plan, start: Start, fixed: Traffic) -> bool:
-        """Whether road, stop lines and everybody known leave the plan alone until the event, before SUMO is asked."""
+    def _objection(self, planner: Planner, plan: Plan, start: Start, fixed: Traffic) -> Reason | None:
+        """What road, stop lines and everybody known have against a plan before SUMO is asked; None for nothing."""
         scene, path = planner.scene, start.path
         until = min(plan.at_step + 10, scene.num_steps)
         way = plan.way
         if way[0] < 0.5 * start.box.length_m:
-            return False
+            return Reason.NO_SITE
         table = self.roads.speeds(path, start.driver)
         asked = table[np.minimum((way / TABLE_STEP_M).astype(np.int64), table.size - 1)]
         if (plan.speeds[:until] > asked[:until] + _ROAD_SPARE_MPS).any():
-            return False
+            return Reason.TOO_SLOW
         for step in range(0, until, _LOOKS_STEPS):
             stop = self.stop_lines.braking(
                 path, start.box, start.driver, s=float(way[step]), speed_mps=float(plan.speeds[step]), step=step
             )
             if stop is not None and stop[0] < _STOPS_MPS2:
-                return False
+                return Reason.CONFLICT_PREDICTED
         if plan.event.kind == "overtake":  # the plan goes straight through its leader
-            return True
+            return None
         planned = planner.trajectory(plan)
         everybody = (scene.traffic, fixed.first(scene.num_steps)) if fixed.ids else (scene.traffic,)
-        return all(first_overlap(planned, start.box, others, margin_m=_PLAN_MARGIN_M) is None for others in everybody)
+        if any(first_overlap(planned, start.box, others, margin_m=_PLAN_MARGIN_M) is not None for others in everybody):
+            return Reason.MEETS_RECORDED
+        # until the event nobody may be so near ahead that the driver would fall behind the plan
+        head_m = _MIN_GAP_M + _HEADWAY_S * float(plan.speeds[:until].mean())
+        forward = np.stack([np.cos(planned.heading), np.sin(planned.heading)], axis=1)
+        ahead = replace(
+            planned, position=np.ascontiguousarray((planned.position + 0.5 * head_m * forward)[:until]),
+            heading=planned.heading[:until], velocity=planned.velocity[:until], s=planned.s[:until],
+        )  # fmt: skip
+        longer = BoxSize(start.box.length_m + head_m, start.box.width_m)
+        rows = [row for row in range(len(scene.traffic.ids)) if row != plan.target.row or plan.order > 0]
+        known = scene.traffic.rows(rows)
+        return None if first_overlap(ahead, longer, known, margin_m=0.0) is None else Reason.FRONT_GAP
 
     def _drive(
         self, scene: Scene, plan: Plan, start: Start, fixed: Traffic, tries: int, drive: DriveAlone
