@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from bridge.config import config_sha256
-from bridge.generation.records import agent_record, rejected_records, replaced_record, with_unmet
+from bridge.generation.records import agent_record, event_record, rejected_records, replaced_record, with_unmet
 from bridge.recordings.export import new_scenario_id, write_scene
 from bridge.recordings.scenario import LAST_OBSERVED, Scenario
 from bridge.recordings.sidecar import (
@@ -241,6 +241,7 @@ def _sidecar(
         requested=RequestedRecord(agents=config.request.agents, behaviours=config.request.behaviours),
         placed=PlacedRecord(agents=len(agents), behaviours={p: placed[p] for p in Policy if placed[p]}),
         agents=tuple(agents),
+        events=tuple(event_record(one, names) for one in filling.events),
         rejected=rejected_records(filling),
         replaced=tuple(replaced_record(one) for one in filling.rejected),
     )  # fmt: skip
