@@ -120,7 +120,7 @@ def generate(
         typer.Option(
             metavar="A:B",
             help="Bumper to bumper at that moment, in metres.",
-            show_default="4:30",
+            show_default="4:30, cross 0:100",
             rich_help_panel=EVENTS,
         ),
     ] = None,

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, Track
+from hid2.drivers.driver import Driver
 from hid2.insertion.routes import Routes
 from hid2.measures.arrays import stack
 from hid2.measures.driven_lanes import LaneView, Run, runs_of
@@ -32,6 +33,7 @@ from hid2.occupancy.traffic import BoolArray
 from hid2.params import Event
 from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
+from hid2.policy.roads import Roads
 from hid2.scene import DT_S, Scene
 from netconvert.lane_graph import TurnType
 
@@ -134,9 +136,11 @@ class Planner:
 
     scene: Scene
     routes: Routes
+    roads: Roads
     size: BoxSize
     box: BoxSize
     _ways: dict[tuple[int, tuple[int, ...]], list[Route]] = field(default_factory=dict)
+    _caps: dict[tuple[Route, float], FloatArray] = field(default_factory=dict)
 
     def plans(self, event: Event, target: Target) -> list[Plan]:
         """Plans for an event with a target, the likeliest ones first."""
@@ -161,7 +165,7 @@ class Planner:
         """Gaps, m, and speed differences, m/s, within what is asked for, and their distance from its middle."""
         wanted = event.ttc_s
         for g in _SHARES:
-            gap = event.gap_m[0] + g * (min(event.gap_m[1], 30.0) - event.gap_m[0])
+            gap = event.gap_band_m[0] + g * (min(event.gap_band_m[1], 30.0) - event.gap_band_m[0])
             low, high = event.speed_difference_mps
             slower = [low + d * (high - low) for d in _SHARES]
             if wanted is None and low <= 0.0 <= high:
@@ -234,7 +238,7 @@ class Planner:
                     for at, off in self._moments(event, target):
                         gap = abs(begin - float(ahead[at])) - self._lengths(target)
                         order = 1 if begin > ahead[at] else -1
-                        if not event.gap_m[0] <= gap <= event.gap_m[1]:
+                        if not event.gap_band_m[0] <= gap <= event.gap_band_m[1]:
                             continue
                         for _, difference, more in self._relations(event):
                             yield from self._keeping(
@@ -259,7 +263,7 @@ class Planner:
                         if at >= self.scene.num_steps or not target.present[at]:
                             continue
                         gap = abs(float(target.way[crossed] - target.way[at])) - 0.5 * target.track.size.length_m
-                        if not event.gap_m[0] <= gap <= event.gap_m[1]:
+                        if not event.gap_band_m[0] <= gap <= event.gap_band_m[1]:
                             continue
                         for speed in self._speeds_of(lane):
                             yield self._steady(event, target, route, point, at, order, speed, 0.1 * number)
@@ -306,7 +310,7 @@ class Planner:
         speeds = np.empty(steps)
         if starts_beside:  # steady up to the change of lanes, then towards the target's speed
             change = max(0, at - round(0.5 * CHANGE_S / DT_S)) if event.kind == "cut_in" else at
-            speeds[: at + 1] = speed
+            speeds, _ = self._up_to(route, place, at, speed)
             if event.kind == "cut_in" and event.ttc_s is None and difference < 0.0:
                 speeds[change : at + 1] = np.minimum(
                     speed + _SPEEDS_UP_MPS2 * DT_S * np.arange(at + 1 - change), target.speed[at]
@@ -314,7 +318,7 @@ class Planner:
         else:
             speeds[: at + 1] = np.maximum(target.speed[: at + 1] + difference * np.linspace(0.0, 1.0, at + 1), 0.0)
         start = place - float(speeds[1 : at + 1].sum()) * DT_S
-        s, v = place, float(speeds[at])
+        s, v, cap = place, float(speeds[at]), self._cap(route, _FASTEST_MPS)
         brakes = event.brakes_mps2 if event.kind == "lead" else 0.0
         for step in range(at + 1, steps):
             t_speed, t_s = float(target.speed[step - 1]), float(ahead[step - 1])
@@ -324,7 +328,7 @@ class Planner:
             accel = min(max(accel, _SLOWS_MPS2), _SPEEDS_UP_MPS2)
             if brakes and (step - at) * DT_S <= _BRAKES_FOR_S:
                 accel = -brakes
-            v = max(0.0, v + accel * DT_S)
+            v = max(0.0, min(v + accel * DT_S, float(cap[min(max(int(s / TABLE_STEP_M), 0), cap.size - 1)])))
             s += v * DT_S
             speeds[step] = v
         plan = Plan(event, target, route, start, speeds, at, order, score)
@@ -354,9 +358,37 @@ class Planner:
         self, event: Event, target: Target, route: Route, point: float, at: int, order: int, speed: float, score: float
     ) -> Plan:  # fmt: skip
         """A vehicle that comes to a point at a moment at a constant speed."""
-        return Plan(
-            event, target, route, point - speed * at * DT_S, np.full(self.scene.num_steps, speed), at, order, score
-        )
+        speeds, start = self._up_to(route, point, at, speed)
+        cap, s = self._cap(route, speed), point
+        for step in range(at + 1, self.scene.num_steps):
+            speeds[step] = min(speed, float(cap[min(int(s / TABLE_STEP_M), cap.size - 1)]))
+            s += float(speeds[step]) * DT_S
+        return Plan(event, target, route, start, speeds, at, order, score)
+
+    def _up_to(self, route: Route, place: float, at: int, speed: float) -> tuple[FloatArray, float]:
+        """Speeds (T,) m/s of a vehicle that is at a place at a step, as fast as the road lets it up to a speed.
+
+        Only those up to that step are filled in; and where it starts, m.
+        """
+        cap, s = self._cap(route, speed), place
+        speeds = np.full(self.scene.num_steps, speed)
+        for step in range(at, -1, -1):
+            speeds[step] = min(speed, float(cap[min(max(int(s / TABLE_STEP_M), 0), cap.size - 1)]))
+            if step:
+                s -= float(speeds[step]) * DT_S
+        return speeds, s
+
+    def _cap(self, route: Route, speed: float) -> FloatArray:
+        """(S,) m/s, what the road lets a vehicle drive at most at the table of its path."""
+        key = route, speed
+        if key not in self._caps:
+            driver = Driver(
+                desired_mps=speed, tau_s=1.0, accel_mps2=_SPEEDS_UP_MPS2, decel_mps2=-_SLOWS_MPS2, min_gap_m=2.0,
+                turn_lateral_mps2=self.scene.config.drivers.turn_lateral_max_mps2, offset_m=0.0,
+                lane_change_s=CHANGE_S,
+            )  # fmt: skip
+            self._caps[key] = self.roads.speeds(self.scene.path(route), driver)
+        return self._caps[key]
 
     # the map
 

@@ -132,7 +132,7 @@ class EventSearch:
         if not targets:
             return EventOutcome(event, Reason.EVENT_NO_TARGET)
         object_type, size = draw_size(scene.config.request.model_copy(update={"bus_share": 0.0}), rng)
-        planner = Planner(scene, self.routes, size, clearance_box(size, DEFAULT_SIZES[object_type]))
+        planner = Planner(scene, self.routes, self.roads, size, clearance_box(size, DEFAULT_SIZES[object_type]))
         fixed = traffic_of_exported(self.kept, scene)
         tries = 0
         for plan in self._plans(planner, event, targets, rng):
@@ -183,7 +183,8 @@ class EventSearch:
         fastest = float(plan.speeds.max())
         driver = replace(
             draw_driver(scene.config, rng, lane_speed_mps=fastest), desired_mps=fastest, tau_s=_TAU_S,
-            accel_mps2=_ACCEL_MPS2, decel_mps2=max(_DECEL_MPS2, plan.event.brakes_mps2), min_gap_m=_MIN_GAP_M,
+            turn_lateral_mps2=scene.config.drivers.turn_lateral_max_mps2, accel_mps2=_ACCEL_MPS2,
+            decel_mps2=max(_DECEL_MPS2, plan.event.brakes_mps2), min_gap_m=_MIN_GAP_M,
             lane_change_s=CHANGE_S,
         )  # fmt: skip
         desired = np.concatenate([plan.speeds[_LAG_STEPS:], np.repeat(plan.speeds[-1:], _LAG_STEPS)])
@@ -248,7 +249,7 @@ class EventSearch:
             return None, None
         if not _is_as_asked(scene, event, seen):
             missing = seen.measures
-            low, high = event.gap_m
+            low, high = event.gap_band_m
             gap = min(max(missing.gap_m, low + 0.2 * (high - low)), high - 0.2 * (high - low)) - missing.gap_m
             late_s = (plan.at_step - seen.at_step) * DT_S
             self._tell(plan, start, Reason.EVENT_NOT_AS_ASKED, f"at {seen.at_step * DT_S:.1f} s {missing}")
@@ -316,7 +317,7 @@ def _is_as_asked(scene: Scene, event: Event, seen: _Seen) -> bool:
     found, spare = seen.measures, scene.config.event_search.moment_s
     within = [
         (seen.at_step * DT_S, (event.at_s[0] - spare, event.at_s[1] + spare)),
-        (found.gap_m, event.gap_m),
+        (found.gap_m, event.gap_band_m),
         (found.speed_difference_mps, event.speed_difference_mps),
     ]
     if event.ttc_s is not None:

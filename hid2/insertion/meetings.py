@@ -41,23 +41,23 @@ def target_rows(scene: Scene, near: str) -> IntArray:
     """
     if near in ("traffic", "anywhere"):
         return moving_vehicles(scene)
-    return named_rows(scene, near)
+    rows = named_rows(scene, near)
+    if not rows.size:
+        ids = scene.traffic.ids
+        raise ScenarioError(
+            f"near {near!r}: the scene has no such track; expected av, focal, scored, traffic, anywhere or one of its "
+            f"{len(ids)} track ids ({', '.join(ids[:5])}, ...)"
+        )
+    return rows
 
 
 def named_rows(scene: Scene, name: str) -> IntArray:
-    """Rows of `scene.traffic` by name: av, focal, scored, or a track id. Errors: ScenarioError where there is none."""
-    ids, category = scene.traffic.ids, np.array(scene.categories, dtype=np.int64)
+    """Rows of `scene.traffic` by name: av, focal, scored, or a track id; none where there is none."""
     if name in ("focal", "scored"):
-        rows = np.flatnonzero(category == _SCORED[-1] if name == "focal" else np.isin(category, _SCORED))
-    else:
-        wanted = _RECORDING_VEHICLE if name == "av" else name
-        rows = np.array([row for row, track_id in enumerate(ids) if track_id == wanted], dtype=np.int64)
-    if not rows.size:
-        raise ScenarioError(
-            f"{name!r}: the scene has no such track; expected av, focal, scored or one of its {len(ids)} track ids "
-            f"({', '.join(ids[:5])}, ...)"
-        )
-    return rows
+        category = np.array(scene.categories, dtype=np.int64)
+        return np.flatnonzero(category == _SCORED[-1] if name == "focal" else np.isin(category, _SCORED))
+    wanted = _RECORDING_VEHICLE if name == "av" else name
+    return np.array([row for row, track_id in enumerate(scene.traffic.ids) if track_id == wanted], dtype=np.int64)
 
 
 def moving_vehicles(scene: Scene) -> IntArray:
