@@ -290,9 +290,9 @@ Band = tuple[float, float]
 class Event(_Section):
     """One kind of event that is asked for in a scene: `[[event]]` in TOML, `--event` on the command line.
 
-    Bands are (least, largest). gap_m (None: 4 to 30 m, cross: 0 to 100 m): bumper to bumper at the moment of the event (cross: from the target's bumper to
-    the conflict point); speed_difference_mps: vehicle minus target; ttc_s, pet_s, drac_mps2: criticality, None: what
-    the critical values of `conflict` allow.
+    Bands are (least, largest). gap_m: bumper to bumper at the moment of the event (cross: from the target's bumper to
+    the conflict point), None: `gap_band_m`; speed_difference_mps: vehicle minus target; ttc_s, pet_s, drac_mps2:
+    criticality, None: what the critical values of `conflict` allow.
     """
 
     kind: Literal["cut_in", "overtake", "lead", "follow", "merge", "cross"]

@@ -26,6 +26,7 @@ from bridge.sumo.driving import Driving
 from bridge.sumo.replay import ReplayErrors
 from bridge.sumo.simulation import Simulation
 from hid2.agents import IntArray, Policy, Track
+from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.events import EventSearch
 from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle
@@ -151,11 +152,10 @@ class _Rounds:
             near[left] = np.any(present[left] & (apart < _NEAR_M * _NEAR_M), axis=1)
         return np.flatnonzero(near)
 
-    def drive_alone(self, scene: Scene, start: Start, fixed: Traffic, _number: int) -> DrivenVehicle:
+    def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, fixed: Traffic) -> DrivenVehicle:
         """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
-        filling = self._filling
         return Driving(
-            scene, self._simulation, [start], fixed, filling.roads, filling.stop_lines, rows=self._near([start]),
+            scene, self._simulation, [start], fixed, self._filling.roads, stop_lines, rows=self._near([start]),
             checked=False,
         ).run()[0]  # fmt: skip
 

@@ -36,11 +36,12 @@ from hid2.reasons import Reason
 from hid2.scene import DT_S, Scene, clearance_box
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
-#: Drives one vehicle alone among the recorded and the kept ones: scene, start, kept ones, number of the try.
-DriveAlone = Callable[[Scene, Start, Traffic, int], DrivenVehicle]
+#: Drives one vehicle alone among the recorded and the kept ones: scene, stop lines, start, kept ones.
+DriveAlone = Callable[[Scene, StopLines, Start, Traffic], DrivenVehicle]
 #: Vehicles of events are numbered from here on, behind all others.
 FIRST_NUMBER = 10_000
 _POLICY = {"cut_in": Policy.LANE_CHANGE, "overtake": Policy.OVERTAKE}
+_MEETS_CROSSING = frozenset({"cross", "merge"})
 _PLANS_MOST = 600  # that are looked at closely
 _SAME_PLAN = 3  # times that a plan is tried, with a better start each time
 _ROAD_SPARE_MPS = 0.4
@@ -83,7 +84,8 @@ class _Seen:
 def scene_for(scene: Scene, event: Event) -> Scene:
     """The scene with the rules that an event is made by: the gap asked for counts, not the one that drivers like.
 
-    Critical values are lowered only where a criticality below them is asked for.
+    Critical values are lowered only where a criticality below them is asked for. Recorded traffic that crosses makes an
+    entrance red (`conflicts/signals.py`); where meeting it is what is asked for, it is red only while it crosses.
     """
     config, conflict = scene.config, scene.config.conflict
     critical: dict[str, float] = {}
@@ -93,6 +95,8 @@ def scene_for(scene: Scene, event: Event) -> Scene:
     if event.pet_s is not None:
         critical["pet_min_s"] = min(conflict.pet_min_s, event.pet_s[0])
     update: dict[str, object] = {"conflict": conflict.model_copy(update=critical)}
+    if event.kind in _MEETS_CROSSING:
+        update["signals"] = config.signals.model_copy(update={"before_s": 0.0, "after_s": 0.0})
     if event.kind == "cut_in":
         change = {"time_gap_rear_s": 0.0, "min_gap_m": 1.0, "braking_mps2": 9.0, "give_up_s": 0.6}
         update["lane_change"] = config.lane_change.model_copy(update=change)
@@ -134,6 +138,7 @@ class EventSearch:
         object_type, size = draw_size(scene.config.request.model_copy(update={"bus_share": 0.0}), rng)
         planner = Planner(scene, self.routes, self.roads, size, clearance_box(size, DEFAULT_SIZES[object_type]))
         fixed = traffic_of_exported(self.kept, scene)
+        lines = StopLines(scene) if event.kind in _MEETS_CROSSING else self.stop_lines
         tries = 0
         for plan in self._plans(planner, event, targets, rng):
             best: Plan | None = plan
@@ -141,11 +146,11 @@ class EventSearch:
                 if best is None or tries >= scene.config.event_search.tries:
                     break
                 start = self._start(planner, best, number, tries, rng)
-                objection = self._objection(planner, best, start, fixed)
+                objection = self._objection(planner, lines, best, start, fixed)
                 if objection is not None:
                     self.tried[objection] += 1
                     break
-                outcome, best = self._drive(scene, best, start, fixed, tries, drive)
+                outcome, best = self._drive(scene, lines, best, start, fixed, drive)
                 tries += 1
                 if outcome is not None:
                     return replace(outcome, tries=tries)
@@ -198,7 +203,7 @@ class EventSearch:
             sides=("left", "right") if plan.side is None else (plan.side,),
         )  # fmt: skip
 
-    def _objection(self, planner: Planner, plan: Plan, start: Start, fixed: Traffic) -> Reason | None:
+    def _objection(self, planner: Planner, lines: StopLines, plan: Plan, start: Start, fixed: Traffic) -> Reason | None:
         """What road, stop lines and everybody known have against a plan before SUMO is asked; None for nothing."""
         scene, path = planner.scene, start.path
         until = min(plan.at_step + 10, scene.num_steps)
@@ -210,7 +215,7 @@ class EventSearch:
         if (plan.speeds[:until] > asked[:until] + _ROAD_SPARE_MPS).any():
             return Reason.TOO_SLOW
         for step in range(0, until, _LOOKS_STEPS):
-            stop = self.stop_lines.braking(
+            stop = lines.braking(
                 path, start.box, start.driver, s=float(way[step]), speed_mps=float(plan.speeds[step]), step=step
             )
             if stop is not None and stop[0] < _STOPS_MPS2:
@@ -234,11 +239,11 @@ class EventSearch:
         return None if first_overlap(ahead, longer, known, margin_m=0.0) is None else Reason.FRONT_GAP
 
     def _drive(
-        self, scene: Scene, plan: Plan, start: Start, fixed: Traffic, tries: int, drive: DriveAlone
+        self, scene: Scene, lines: StopLines, plan: Plan, start: Start, fixed: Traffic, drive: DriveAlone
     ) -> tuple[EventOutcome | None, Plan | None]:
         """Drive a plan: the event where it came about as asked, else a better plan, None where none is known."""
         event, target = plan.event, plan.target
-        driven = drive(scene, start, fixed, tries)
+        driven = drive(scene, lines, start, fixed)
         vehicle = finalise(scene, driven, fixed)
         if not isinstance(vehicle, ExportedVehicle):
             self._tell(plan, start, vehicle, driven.reason)

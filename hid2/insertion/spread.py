@@ -13,8 +13,8 @@ import numpy as np
 
 from hid2.agents import FloatArray, IntArray
 
-#: Steps of the recurrences: golden ratio from variant to variant, plastic number from seed to seed and kind to kind.
-_GOLDEN, _PLASTIC = 0.6180339887498949, 0.7548776662466927
+#: Steps of the recurrences, all of them far from any fraction: from variant to variant, seed to seed, kind to kind.
+_VARIANT, _SEED, _KIND = 0.6180339887498949, 0.4142135623730951, 0.7320508075688773
 #: A round later, and for those beyond the count, the first place is shifted by this.
 _LAP = 0.3247179572447460
 
@@ -31,7 +31,7 @@ class Spread:
         """Of (seed, variant, scene): `Filling.seed`."""
         number, variant, *scene = [*seed, 0, 0][: max(3, len(seed))]
         base = float(np.random.default_rng([*scene, 0x5EED]).random())
-        return cls(base, (number * _PLASTIC + variant * _GOLDEN) % 1.0)
+        return cls(base, (number * _SEED + variant * _VARIANT) % 1.0)
 
     def order(
         self, weight: FloatArray, rng: np.random.Generator, *, number: int, of: int, kind: int, round_number: int
@@ -44,7 +44,7 @@ class Spread:
         if not order.size:
             return order
         lap, place = divmod(number, max(1, of))
-        share = (place + (self.offset + kind * _PLASTIC) % 1.0) / max(1, of)
+        share = (place + (self.offset + kind * _KIND) % 1.0) / max(1, of)
         line = np.cumsum(weight)
         at = (self.base + share + (lap + round_number) * _LAP) % 1.0
         first = min(int(np.searchsorted(line, at * line[-1], side="right")), int(order.max()))
