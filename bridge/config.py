@@ -151,8 +151,8 @@ def describe_config() -> list[ParameterRow]:
         for key, inner in _leaves(section, field):
             extra = inner.json_schema_extra if isinstance(inner.json_schema_extra, dict) else {}
             default = inner.get_default(call_default_factory=True)
-            listed = isinstance(default, frozenset | tuple)
-            text = ",".join(sorted(map(str, default))) or "none" if listed else str(default)
+            values = sorted(default) if isinstance(default, frozenset) else default
+            text = ",".join(map(str, values)) or "none" if isinstance(values, list | tuple) else str(default)
             rows.append(
                 ParameterRow(key, text, str(extra.get("unit", "-")), _range(inner), str(extra.get("source", "")))
             )
@@ -180,8 +180,10 @@ def _range(field: FieldInfo) -> str:
         return "true, false"
     if get_origin(field.annotation) is tuple:
         tables = [leaf for leaf in leaves if isinstance(leaf, type) and issubclass(leaf, BaseModel)]
-        names = ", ".join(name for table in tables for name in table.model_fields)
-        return f"tables of {names}" if tables else f"list of numbers {_bounds(inner)}"
+        if tables:
+            return f"tables of {', '.join(name for table in tables for name in table.model_fields)}"
+        least = " and not empty" if any(getattr(entry, "min_length", 0) for entry in field.metadata) else ""
+        return f"list of numbers {_bounds(inner)}{least}"
     if str in leaves:
         return "text"
     if int not in leaves and float not in leaves:
