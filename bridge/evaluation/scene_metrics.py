@@ -29,6 +29,7 @@ from hid2.evaluation.realism import RealismCounts, count_scene, half_number, sce
 from hid2.evaluation.safety import IOU_THRESHOLD, PreparedMap, Safety, prepare_map, safety
 from hid2.evaluation.windows import is_labelled, windows
 from hid2.measures.arrays import BoolArray, SceneArrays, stack
+from hid2.measures.encounters import encounters
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.scene_end import Contact, contacts_after_last_step
 from hid2.params import Limits
@@ -147,6 +148,7 @@ def measure(
     everybody = np.ones(arrays.num_agents, dtype=bool)
     kinematic = kinematics(arrays, moved)
     beyond = beyond_limits(arrays, moved, limits)
+    met = encounters(arrays, safe.lanes, safe.matches, safe.leaders)
     groups = {}
     # whom a group's vehicles may touch: what was added any road user, what was recorded what was recorded
     for name, members, others in (
@@ -164,6 +166,7 @@ def measure(
             end_contacts=contacts_after_last_step(
                 arrays, members & last_step_counts(arrays), horizon_s=CRITICAL.end_horizon_s, among=others
             ),
+            met=met,
         )
     view = _View(
         arrays,

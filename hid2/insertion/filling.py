@@ -11,11 +11,14 @@ import numpy as np
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.events import EventOutcome
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
+from hid2.insertion.meetings import Meetings
 from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.routes import Routes
 from hid2.insertion.sites import InsertionSites
+from hid2.insertion.spread import Spread
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
@@ -68,11 +71,13 @@ class Filling:
     roads: Roads = field(init=False)
     routes: Routes = field(init=False)
     stop_lines: StopLines = field(init=False)
+    meetings: Meetings = field(init=False)
     kept: list[ExportedVehicle] = field(default_factory=list)
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     unmet: list[Unmet] = field(default_factory=list)
     rejected: list[Rejection] = field(default_factory=list)
     no_site: Counter[Reason] = field(default_factory=Counter)
+    events: list[EventOutcome] = field(default_factory=list)
     rounds: int = 0
     _open: list[VehicleRequest] = field(default_factory=list)
     _again: list[Start] = field(default_factory=list)
@@ -84,13 +89,24 @@ class Filling:
     def __post_init__(self) -> None:
         """What is found out about the map is kept over the rounds."""
         self.roads, self.routes, self.stop_lines = Roads(self.scene), Routes(self.scene), StopLines(self.scene)
+        self.meetings = Meetings(self.scene, self.routes)
+
+    def take_events(self, found: Sequence[EventOutcome]) -> None:
+        """Vehicles of events are kept before all others, which have to do with them; they count among the vehicles."""
+        self.events = list(found)
+        for one in found:
+            if one.vehicle is not None:
+                self.kept.append(one.vehicle)
+                if one.outcome is not None:
+                    self.outcomes[one.vehicle.driven.vehicle_id] = one.outcome
 
     def fill(self, drive: Drive) -> None:
         """All rounds. The count is a wish: a full road ends with fewer, and says so."""
         config = self.scene.config
         asked = config.request.agents
         target = self._most() if asked == "max" else asked
-        self._open = self._possible(draw_requests(config, np.random.default_rng([*self.seed, 0]), count=target))
+        count = max(0, target - len(self.kept))
+        self._open = self._possible(draw_requests(config, np.random.default_rng([*self.seed, 0]), count=count))
         self._next_spare = target
         for number in range(config.spawn.rounds):
             missing = target - len(self.kept)
@@ -140,7 +156,10 @@ class Filling:
         config = self.scene.config
         rng = np.random.default_rng([*self.seed, 1 + number])
         guard = Guard(self.scene, self._fixed(), self.stop_lines)
-        sites = InsertionSites(self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number, self._avoided)
+        sites = InsertionSites(
+            self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number, self._avoided,
+            meetings=self.meetings, spread=Spread.of(self.seed), asked=Counter(r.policy for r in self._open),
+        )  # fmt: skip
         sites.taken += self._again
         starts, self._again = list(self._again), []
         if number >= config.spawn.reseed_rounds:  # the count matters more by now
