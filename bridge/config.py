@@ -142,7 +142,7 @@ def _range(field: FieldInfo) -> str:
     if get_origin(field.annotation) is tuple:
         return f"list of numbers {_bounds(inner)}"
     if int not in leaves and float not in leaves:
-        return choices
+        return f"{choices}, or module:function" if str in leaves else choices  # the one text that is free
     words = f"{'integer' if int in leaves else 'number'} {_bounds([*field.metadata, *inner])}".strip()
     return f"{words}, or {choices}" if choices else words
 

@@ -11,6 +11,7 @@ import math
 import os
 import re
 import shutil
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -41,6 +42,9 @@ from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportErro
 
 QUARANTINE = "quarantine"
 GENERATE = "bridge.batch.scene_work:generate_runs"
+GENERATE_WITH_GAPS = "bridge.batch.scene_work:generate_and_record_gaps"
+#: By function, the file that a complete folder holds beside the usual ones.
+_EXTRA_FILES = {GENERATE_WITH_GAPS: "gaps_*.csv.gz"}
 
 _LOG = logging.getLogger(__name__)
 _HALF_WRITTEN = re.compile(r"\.[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}-.*")
@@ -150,6 +154,7 @@ def run_batch(
     _check_places(jobs, out_dir)
     progress = Progress(total=sum(len(job.runs) for job in jobs))
     rows: list[ManifestRow] = []
+    _check_rules(jobs)
     with _locked(out_dir):
         remove_half_written(out_dir)
         manifest = Manifest(out_dir)
@@ -186,6 +191,18 @@ def run_batch(
         finally:
             remove_half_written(out_dir)
     return sorted(rows, key=lambda row: row.key)
+
+
+def _check_rules(jobs: Sequence[SceneJob]) -> None:
+    """Raise ConfigError where a lane-change rule of the user's own is not found, in the working folder either."""
+    from hid2.policy.rules import user_rule  # only where there is one
+
+    rules = {run.config.lane_change.rule for job in jobs for run in job.runs}
+    names = sorted(rule for rule in rules if ":" in rule)
+    if names and str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))  # processes of the batch get it from here
+    for name in names:
+        user_rule(name)
 
 
 class _Written:
@@ -284,7 +301,7 @@ def _tasks(
         wanted = []
         for run in job.runs:
             row = manifest.get(base_row(place, run).key) if options.resume else None
-            if row is not None and _is_complete(row, base_row(place, run), out_dir, source_sha256):
+            if row is not None and _is_complete(row, base_row(place, run), out_dir, source_sha256, options):
                 skip(row)
             else:
                 wanted.append(run)
@@ -307,13 +324,15 @@ def _digest(folder: Path) -> str:
         return ""
 
 
-def _is_complete(row: ManifestRow, base: ManifestRow, out_dir: Path, source_sha256: str) -> bool:
+def _is_complete(row: ManifestRow, base: ManifestRow, out_dir: Path, source_sha256: str, options: Options) -> bool:
+    folder, extra = out_dir / row.folder, _EXTRA_FILES.get(options.function)
     return (
         row.status == DONE
         and source_sha256 != ""
         and (row.version, row.source_sha256) == (base.version, source_sha256)
         and row.output_sha256 != ""
-        and row.output_sha256 == files_sha256(output_files(out_dir / row.folder))
+        and row.output_sha256 == files_sha256(output_files(folder))
+        and (extra is None or any(folder.glob(extra)))
     )
 
 

@@ -26,6 +26,7 @@ from netconvert.errors import BatchError, ConfigError
 OWN_WORK = frozenset(
     {
         "bridge.batch.scene_work:generate_runs",
+        "bridge.batch.scene_work:generate_and_record_gaps",
         "bridge.studies.study_work:measure_runs",
         "bridge.studies.study_work:measure_and_keep_runs",
     }

@@ -15,6 +15,7 @@ REQUEST, SELECTION, PARAMETERS, RUNNING, OUTPUT = "What to generate", "Which sce
 BehaviourName = StrEnum("BehaviourName", ["STRAIGHT", "LEFT_TURN", "RIGHT_TURN", "LANE_CHANGE", "OVERTAKE"])
 ComponentName = StrEnum("ComponentName", ["TOPOLOGY", "COLLISION", "SMOOTHING"])
 SplitName = StrEnum("SplitName", ["TRAIN", "VAL", "TEST"])
+RecordName = StrEnum("RecordName", ["GAPS"])
 FocalName = Literal["recorded", "generated"]
 ExperimentName = Literal["table1", "ablation", "density", "diversity"]
 

@@ -7,7 +7,7 @@ import re
 import shutil
 import tempfile
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +45,9 @@ def write_scene(
     *,
     new_id: str,
     focal_track_id: str,
+    extra: Mapping[str, bytes] | None = None,
 ) -> Path:
-    """Write OUT/[split/]new_id/ with parquet, map and sidecar; returns the folder.
+    """Write OUT/[split/]new_id/ with parquet, map and sidecar; returns the folder. extra: more files, by name.
 
     Everything is written to a hidden folder beside and then renamed; a folder that is there already is replaced.
     Errors: ExportError.
@@ -57,6 +58,7 @@ def write_scene(
         ),
         f"log_map_archive_{new_id}.json": _map_bytes(scenario.map_path, scenario.graph),
         sidecar_path(Path(), new_id).name: sidecar_bytes(sidecar),
+        **(extra or {}),
     }
     folder = (out_dir / scenario.split if scenario.split else out_dir) / new_id
     with explained(folder):

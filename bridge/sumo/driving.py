@@ -16,9 +16,10 @@ from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Observation, Side, decide
-from hid2.policy.observation import gap_ahead_of, lane_options, lay_across, leader_on, returns_to
+from hid2.policy.observation import gap_ahead_of, gaps_on, lane_options, lay_across, leader_on, returns_to
 from hid2.policy.overtake import Leader, Stage
 from hid2.policy.roads import Roads
+from hid2.policy.rules import Wish
 from hid2.reasons import Reason
 from hid2.scene import DT_S, Scene
 from hid2.vehicle import DrivenVehicle, GapLook, Shift, Start
@@ -348,23 +349,30 @@ class Driving:
         if due:
             others = _without(fleet.value, vehicle.vehicle_id)
             options, leader = self._look_around(vehicle, now, others)
+            if change.rule == "LC2013":
+                options = {side: (self._with_wish(vehicle, found), path) for side, (found, path) in options.items()}
             passed_m = self._passed_gap_m(vehicle, now, others)
         seen = self._observation(vehicle, now, tuple(option for option, _ in options.values()), leader, passed_m)
+        if due and change.rule not in ("paper", "LC2013"):
+            ahead, behind = gaps_on(
+                self.scene, vehicle.path, vehicle.start.box, at=vehicle.s[-1], step=now, fixed=self.fixed, fleet=others
+            )  # fmt: skip
+            seen = replace(seen, own_front=ahead, own_rear=behind)
         decision = decide(seen, lane_change=change, overtake=config.overtake)
         vehicle.policies[decision.policy] += 1
         if not due:
             return []
         side = decision.side
+        for (option, _), answer in zip(options.values(), decision.answers, strict=False):  # those not looked at: none
+            vehicle.gaps.append(_look(vehicle, now, option, answer))
         if side is None:
             vehicle.reason = decision.reason
-            for option, _ in options.values():
-                _note(vehicle, now, option, decision.reason)
             return []
         option, target = options[side]
         attempt = self._attempt(row, vehicle, now, option, target, leader)
         if isinstance(attempt, str):
             vehicle.reason = attempt
-            _note(vehicle, now, option, attempt)
+            vehicle.gaps[-1] = replace(vehicle.gaps[-1], guard=attempt)
             return []
         return [attempt]
 
@@ -418,7 +426,13 @@ class Driving:
             leader=leader,
             options=options,
             passed_gap_m=passed_m,
+            length_m=vehicle.start.box.length_m,
+            driver=vehicle.start.driver,
         )
+
+    def _with_wish(self, vehicle: DrivenVehicle, option: LaneOption) -> LaneOption:
+        """An adjacent lane with what SUMO's own model makes of it."""
+        return replace(option, wish=Wish(*self.simulation.wish(vehicle.vehicle_id, option.side)))
 
     def _attempt(
         self, row: int, vehicle: DrivenVehicle, now: int, option: LaneOption, target: DrivenPath, leader: Leader | None
@@ -455,7 +469,7 @@ class Driving:
         stage = Stage.RETURN if vehicle.stage is Stage.PASS else Stage.ENTER
         if leader is not None and stage is Stage.ENTER:
             vehicle.leader_id = leader.track_id
-        look = _note(vehicle, now, option, None)
+        look = len(vehicle.gaps) - 1
         return _Attempt(vehicle, look, path, target, scene.grid.sumo_lane_id(link.target), shift, stage)
 
     def _meets_on(self, row: int, vehicle: DrivenVehicle, now: int, path: DrivenPath) -> bool:
@@ -495,23 +509,12 @@ class Driving:
         self._obstacles = [None] * len(self.vehicles)  # everybody sees the new intention
 
 
-def _note(vehicle: DrivenVehicle, step: int, option: LaneOption, rule: str | None) -> int:
-    """Record one look at a gap; returns its row."""
-    vehicle.gaps.append(
-        GapLook(
-            step=step,
-            side=option.side,
-            front_m=option.front.distance_m,
-            front_mps=option.front.speed_mps,
-            rear_m=option.rear.distance_m,
-            rear_mps=option.rear.speed_mps,
-            own_mps=vehicle.v[-1],
-            remaining_m=option.remaining_m,
-            rule=rule,
-            sumo=None,
-        )
-    )
-    return len(vehicle.gaps) - 1
+def _look(vehicle: DrivenVehicle, step: int, option: LaneOption, rule: str | None) -> GapLook:
+    """What is recorded of one look at a gap."""
+    return GapLook(
+        step=step, side=option.side, target=option.target, front=option.front, rear=option.rear,
+        own_mps=vehicle.v[-1], remaining_m=option.remaining_m, cells_free=option.cells_free, rule=rule,
+    )  # fmt: skip
 
 
 def _without(fleet: Traffic, vehicle_id: str) -> Traffic:

@@ -17,6 +17,8 @@ from netconvert.errors import SimulationError
 _ONLY_ASKED_IF_SAFE = 512
 #: TraCI speed mode: car following and the greatest acceleration hold; a limit may brake harder than is comfortable.
 _SAFE_SPEED = 1 + 2 + 8 + 16
+#: Motives of SUMO's lane-change model, as it names them.
+_MOTIVES = frozenset({"strategic", "cooperative", "speedGain", "keepRight"})
 _REPLAY_KEEP_ROUTE = 6
 _REPLAY_MATCH_M = 2.0  # half a lane and a little: farther aside nobody is ahead of anybody
 _ASIDE_MATCH_M = 0.01  # on no lane
@@ -199,6 +201,13 @@ class Simulation:
         """Ask for an instant change within the edge, onto a route that the new lane continues."""
         libsumo.vehicle.setRoute(vehicle_id, list(edges))
         libsumo.vehicle.changeLane(vehicle_id, lane_index, self._step_s)
+
+    @staticmethod
+    def wish(vehicle_id: str, side: str) -> tuple[frozenset[str], bool, bool]:
+        """What SUMO's lane-change model made of a side at the last step: motives, blocked ahead, blocked behind."""
+        words = libsumo.vehicle.getLaneChangeStatePretty(vehicle_id, 1 if side == "left" else -1)[0]
+        ahead, behind = (any(w.startswith("blocked") and w.endswith(e) for w in words) for e in ("leader", "follower"))
+        return _MOTIVES & frozenset(words) if side in words else frozenset(), ahead, behind
 
     def set_route(self, vehicle_id: str, edges: Sequence[str]) -> None:
         """Replace the route, from the current edge on."""

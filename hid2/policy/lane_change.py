@@ -1,22 +1,26 @@
 """Lane change: feasibility on the grid and in metres (paper, Lane Change)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from hid2.params import LaneChange
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A neighbour on a lane path: bumper gap in m, its speed in m/s. No neighbour: gap inf."""
+    """A neighbour on a lane path: bumper gap in m, its speed in m/s, its id. No neighbour: gap inf."""
 
     distance_m: float
     speed_mps: float
+    track_id: str | None = field(default=None, compare=False)
 
     @staticmethod
     def none() -> "Gap":
         """Nobody there."""
         return Gap(math.inf, 0.0)
+
+
+NOBODY = Gap.none()
 
 
 def safe_gap_m(follower_mps: float, leader_mps: float, *, time_gap_s: float, params: LaneChange) -> float:
