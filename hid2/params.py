@@ -261,6 +261,16 @@ class CarFollowing(_Section):
     jerk_mps3: float = _param(3.0, "m/s3", "EIDM jerkmax", gt=0, le=10)
 
 
+class Flow(_Section):
+    """Traffic that enters at the edges of the map while the scene runs: in studies (`hid2 study`)."""
+
+    veh_per_h_lane: float = _param(0.0, "veh/h", "flow on each lane that begins at the map's edge", ge=0, le=3000)
+    min_headway_s: float = _param(
+        1.2, "s", "headways are exponential beyond this (shifted exponential, Cowan's M2)", ge=0, le=10
+    )
+    warm_up_s: float = _param(30.0, "s", "requests before this are not counted", ge=0, le=3600)
+
+
 class Limits(_Section):
     """Limits of motion of every exported step (nuPlan's comfort bounds; R_min and a_y,max of the paper)."""
 
@@ -301,6 +311,7 @@ class Config(_Section):
     conflict: Conflict = Conflict()
     signals: Signals = Signals()
     crossings: Crossings = Crossings()
+    flow: Flow = Flow()
     limits: Limits = Limits()
     smoothing: Smoothing = Smoothing()
 

@@ -1,7 +1,7 @@
 """`hid2 evaluate`, `study` and `paper`: from scenes to figures and tables."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -140,6 +140,23 @@ def study(
         for path in report.files:
             print(path)
     raise typer.Exit(SOME_FAILED if report.failed else ALL_DONE)
+
+
+@command()
+def make(
+    what: Annotated[Literal["corridor"], typer.Argument(metavar="WHAT", help="corridor: a straight one-way road.")],
+    out: Out,
+    *,
+    length: Annotated[float, typer.Option(metavar="M", help="Length of the road, m.")] = 600.0,
+    lanes: Annotated[int, typer.Option(metavar="N", help="Lanes.")] = 2,
+    seconds: Annotated[float, typer.Option(metavar="S", help="Duration of the recording, s.")] = 180.0,
+) -> None:
+    """Make a synthetic scene for studies; it is no scene of Argoverse, and its id says so."""
+    check_out(out)
+    from bridge.recordings.corridor import write_corridor
+
+    assert what == "corridor"
+    print(write_corridor(out, length_m=length, lanes=lanes, seconds=seconds))
 
 
 @command()

@@ -93,8 +93,8 @@ def generate(source: Scenario | PreparedScene, config: Config, *, variant: int =
         net = Path(folder) / "scene.net.xml"
         net.write_bytes(prepared.net)
         with Simulation(
-            net, seed=_sumo_seed(seed), step_s=DT_S, model=config.car_following.model,
-            parameters=_model_parameters(config),
+            net, seed=sumo_seed(seed), step_s=DT_S, model=config.car_following.model,
+            parameters=model_parameters(config),
         ) as simulation:  # fmt: skip
             rounds = _Rounds(scene, simulation, filling)
             filling.fill(rounds.drive)
@@ -112,12 +112,12 @@ def generate(source: Scenario | PreparedScene, config: Config, *, variant: int =
     )  # fmt: skip
 
 
-def _sumo_seed(seed: Sequence[int]) -> int:
+def sumo_seed(seed: Sequence[int]) -> int:
     """SUMO's seed from seed, variant and scene; rounds go on in its stream of random numbers."""
     return zlib.crc32(repr(list(seed)).encode()) & 0x7FFFFFFF
 
 
-def _model_parameters(config: Config) -> dict[str, float]:
+def model_parameters(config: Config) -> dict[str, float]:
     """Attributes of SUMO's vehicle type that its vehicles share."""
     found: dict[str, float] = {}
     if config.car_following.model == "EIDM":

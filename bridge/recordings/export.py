@@ -62,7 +62,7 @@ def write_scene(
     }
     folder = (out_dir / scenario.split if scenario.split else out_dir) / new_id
     with explained(folder):
-        _write_folder(folder, files)
+        write_folder(folder, files)
     return folder
 
 
@@ -200,7 +200,7 @@ def _map_bytes(path: Path, graph: LaneGraph) -> bytes:
     return json.dumps(document).encode()
 
 
-def _write_folder(folder: Path, files: dict[str, bytes]) -> None:
+def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files into a hidden folder beside, then put it in the place of folder."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))

@@ -33,6 +33,8 @@ STEP_S = 0.1
 LAST_OBSERVED = 49
 #: Longest scenario of the format, timesteps.
 MAX_STEPS = 110
+#: Ids of synthetic corridors, which are no scenes of Argoverse and may be longer.
+CORRIDOR_PREFIX = "corridor-"
 #: Track id of the recording vehicle.
 AV_ID = "AV"
 FOCAL_CATEGORY = 3
@@ -177,7 +179,8 @@ def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> R
     kinds: list[str] = kind_encoded.dictionary.to_pylist()
     kind = np.asarray(kind_encoded.indices.to_numpy(zero_copy_only=False))[order]
 
-    _check_timesteps(code, timestep, _numbers(table, "observed")[order], where)
+    most_steps = longest(str(same["scenario_id"]))
+    _check_timesteps(code, timestep, _numbers(table, "observed")[order], where, most_steps)
     if not np.isfinite(motion).all():
         row, column = np.argwhere(~np.isfinite(motion))[0]
         raise ScenarioError(
@@ -227,8 +230,8 @@ def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> R
         tracks.sort(key=lambda track: ids.index(track.track_id))
     _check_focal(tracks, str(same["focal_track_id"]), name)
     steps, stated = int(timestep.max()) + 1, int(str(same["num_timestamps"]))
-    if not steps <= stated <= MAX_STEPS:
-        raise ScenarioError(f"{name}: num_timestamps {stated}, expected {steps}, as many as there are, to {MAX_STEPS}")
+    if not steps <= stated <= most_steps:
+        raise ScenarioError(f"{name}: num_timestamps {stated}, expected {steps}, as many as there are, to {most_steps}")
     return Rows(
         scenario_id=str(same["scenario_id"]),
         city=str(same["city"]),
@@ -353,10 +356,17 @@ def _order(code: IntArray, timestep: IntArray) -> IntArray | slice:
     return np.asarray(np.lexsort((timestep, code)), dtype=np.int64)
 
 
-def _check_timesteps(code: IntArray, timestep: IntArray, observed: npt.NDArray[np.bool_], where: _Where) -> None:
-    outside = (timestep < 0) | (timestep >= MAX_STEPS)
+def longest(scenario_id: str) -> int:
+    """Timesteps that a scene may have at most."""
+    return limits.MAX_CORRIDOR_STEPS if scenario_id.startswith(CORRIDOR_PREFIX) else MAX_STEPS
+
+
+def _check_timesteps(
+    code: IntArray, timestep: IntArray, observed: npt.NDArray[np.bool_], where: _Where, most_steps: int
+) -> None:
+    outside = (timestep < 0) | (timestep >= most_steps)
     if outside.any():
-        raise ScenarioError(f"{where(int(np.flatnonzero(outside)[0]))}: expected timesteps 0 to {MAX_STEPS - 1}")
+        raise ScenarioError(f"{where(int(np.flatnonzero(outside)[0]))}: expected timesteps 0 to {most_steps - 1}")
     repeated = (np.diff(code) == 0) & (np.diff(timestep) == 0)
     if repeated.any():
         raise ScenarioError(f"{where(int(np.flatnonzero(repeated)[0]))}: more than one row, expected one")

@@ -137,15 +137,19 @@ class Driving:
             if self.fixed.ids:
                 kept.place(step, seen_kept)
             simulation.step()
-            if step == 0:  # after the first step, so that the state of step 0 is the start
-                for vehicle in self.vehicles:
-                    vehicle.objection = insert(simulation, scene, vehicle.start)
+            self._enter(step)
             recorded.check(step)
             self._read(step)
             for attempt in attempts:
                 self._conclude(attempt, step)
         self.replay_errors = recorded.errors
         return self.vehicles
+
+    def _enter(self, step: int) -> None:
+        """Insert whoever begins; after the first step, so that the state of step 0 is the start."""
+        if step == 0:
+            for vehicle in self.vehicles:
+                vehicle.objection = insert(self.simulation, self.scene, vehicle.start)
 
     def _read(self, step: int) -> None:
         """Take down what SUMO did, and which limit decided it."""
@@ -154,13 +158,13 @@ class Driving:
             if not vehicle.running:
                 continue
             if vehicle.vehicle_id not in inside:
-                if step == 0:
+                if not vehicle.s:
                     vehicle.objection = Reason.SUMO_REFUSES_INSERTION
                 else:
                     vehicle.left_at = step
                 self._state[row, PRESENT] = 0.0
                 continue
-            if step == 0:
+            if not vehicle.s:
                 speed, s = vehicle.start.start_mps, vehicle.start.start_s
             else:
                 speed = self.simulation.speed(vehicle.vehicle_id)
@@ -192,6 +196,8 @@ class Driving:
                 continue
             s = vehicle.s[-1] if vehicle.s else vehicle.start.start_s
             found, rows = self._known_of(row)
+            if rows.size == 0:
+                continue
             low, high = found.low[:, step], found.high[:, step]
             with np.errstate(invalid="ignore"):  # inf - inf where nobody is
                 gap = 0.5 * (low + high) - s - 0.5 * (vehicle.start.box.length_m + self._lengths[rows])

@@ -162,6 +162,42 @@ class Simulation:
         SUMO's own insertion check is not asked: it knows neither crossing lanes nor what anybody will do next, and the
         place was chosen with both.
         """
+        type_id = self._driver_type(
+            vehicle_id, length_m=length_m, width_m=width_m, accel_mps2=accel_mps2, decel_mps2=decel_mps2, tau_s=tau_s,
+            min_gap_m=min_gap_m, max_speed_mps=max_speed_mps,
+        )  # fmt: skip
+        try:
+            libsumo.vehicle.add(
+                vehicle_id, self._route(edges), typeID=type_id, depart="now", departSpeed=f"{speed_mps:.6f}"
+            )
+            libsumo.vehicle.moveTo(vehicle_id, lane_id, front_m)
+        except libsumo.TraCIException as error:
+            return str(error)
+        libsumo.vehicle.setLaneChangeMode(vehicle_id, _ONLY_ASKED_IF_SAFE)
+        libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
+        return None
+
+    def queue(
+        self, vehicle_id: str, *, edges: Sequence[str], lane_index: int, length_m: float, width_m: float,
+        accel_mps2: float, decel_mps2: float, tau_s: float, min_gap_m: float, max_speed_mps: float,
+    ) -> None:  # fmt: skip
+        """Let a vehicle wait before the first edge until SUMO finds room for it, at the fastest speed that is safe."""
+        type_id = self._driver_type(
+            vehicle_id, length_m=length_m, width_m=width_m, accel_mps2=accel_mps2, decel_mps2=decel_mps2, tau_s=tau_s,
+            min_gap_m=min_gap_m, max_speed_mps=max_speed_mps,
+        )  # fmt: skip
+        libsumo.vehicle.add(
+            vehicle_id, self._route(edges), typeID=type_id, depart="now", departLane=str(lane_index),
+            departPos="base", departSpeed="avg",
+        )  # fmt: skip
+        libsumo.vehicle.setLaneChangeMode(vehicle_id, _ONLY_ASKED_IF_SAFE)
+        libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
+
+    def _driver_type(
+        self, vehicle_id: str, *, length_m: float, width_m: float, accel_mps2: float, decel_mps2: float, tau_s: float,
+        min_gap_m: float, max_speed_mps: float,
+    ) -> str:  # fmt: skip
+        """A vehicle type of one driver's own."""
         type_id = f"driven_{vehicle_id}"
         libsumo.vehicletype.copy(_DRIVEN, type_id)
         libsumo.vehicletype.setLength(type_id, length_m)
@@ -176,16 +212,7 @@ class Simulation:
             libsumo.vehicletype.setImperfection(type_id, 0.0)
         libsumo.vehicletype.setSpeedFactor(type_id, 1.0)
         libsumo.vehicletype.setSpeedDeviation(type_id, 0.0)
-        try:
-            libsumo.vehicle.add(
-                vehicle_id, self._route(edges), typeID=type_id, depart="now", departSpeed=f"{speed_mps:.6f}"
-            )
-            libsumo.vehicle.moveTo(vehicle_id, lane_id, front_m)
-        except libsumo.TraCIException as error:
-            return str(error)
-        libsumo.vehicle.setLaneChangeMode(vehicle_id, _ONLY_ASKED_IF_SAFE)
-        libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
-        return None
+        return type_id
 
     def disregard_others(self, vehicle_id: str) -> None:
         """Switch SUMO's regard for others off, in following and in changing lanes."""

@@ -9,7 +9,7 @@ import pytest
 from hand_drawn import draw_lane
 from inserted import DRIVER, nobody, recorded, scene_on, start_on
 
-from bridge.generation.generate import _model_parameters
+from bridge.generation.generate import model_parameters
 from bridge.sumo.driving import Driving
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
@@ -43,7 +43,7 @@ def change(tmp_path: Path) -> Callable[..., DrivenVehicle]:
         start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=1.0, driver=DRIVER)
         net = tmp_path / "road.net.xml"
         net.write_bytes(net_bytes(scene.grid))
-        parameters = _model_parameters(config)
+        parameters = model_parameters(config)
         with Simulation(net, seed=0, step_s=0.1, model="EIDM", parameters=parameters) as simulation:
             driving = Driving(
                 scene, simulation, [replace(start)], nobody(scene.future.num_steps), Roads(scene), StopLines(scene)
