@@ -106,12 +106,6 @@ def study(
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     scene_timeout: Timeout = 300.0,
-    keep_scenes: Annotated[
-        bool,
-        typer.Option(
-            "--keep-scenes", metavar="", help="Keep the generated scenes beside the tables.", rich_help_panel=OUTPUT
-        ),
-    ] = False,
     verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -124,7 +118,8 @@ def study(
     with Activity(quiet=quiet) as activity:
         from bridge.batch.batch import Options
         from bridge.cli.batch_display import BatchNotes
-        from bridge.studies.study import read_study, run_study
+        from bridge.studies.run import run_study
+        from bridge.studies.study import read_study
 
         options = Options(jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=True)
         activity.doing("reading the study and its scenes")
@@ -132,7 +127,7 @@ def study(
         notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")
         try:
-            report = run_study(found, out, options, keep_scenes=keep_scenes, on_row=notes.note)
+            report = run_study(found, out, options, on_row=notes.note)
         except KeyboardInterrupt:
             activity.message("interrupted; the same command continues")
             raise typer.Exit(INTERRUPTED) from None

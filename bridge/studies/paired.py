@@ -8,7 +8,6 @@ exported is a column.
 
 import tempfile
 import zlib
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,7 +31,6 @@ from hid2.measures.post_encroachment import encroachments
 from hid2.measures.time_to_collision import CAP_S, ttc_to_anything
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.params import Config, LaneChange
-from hid2.policy.overtake import Stage
 from hid2.reasons import Reason
 from hid2.scene import DT_S, Scene, build_scene
 from hid2.vehicle import DrivenVehicle, Start
@@ -153,7 +151,7 @@ def _measured(
         if vehicle.policy is Policy.STRAIGHT:
             continue
         entered = driving.entered.get(vehicle.vehicle_id)
-        row = _request_row(vehicle, first=entered or 0, num_steps=scene.num_steps)
+        row = _request_row(scene, vehicle, first=entered or 0)
         row["source"] = "start" if entered is None else "flow"
         row["exported"] = exported.get(vehicle.vehicle_id)
         if vehicle.vehicle_id in simulated:
@@ -187,20 +185,19 @@ _EMPTY: dict[str, Any] = dict.fromkeys(
 )  # fmt: skip
 
 
-def _request_row(vehicle: DrivenVehicle, *, first: int, num_steps: int) -> dict[str, Any]:
+def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[str, Any]:
     """What the looks at gaps tell of one request. first: step at which the vehicle began."""
     start, trigger_s = vehicle.start, vehicle.start.request.trigger_s
     last_s = (first + max(len(vehicle.s) - 1, 0)) * DT_S
     shift = vehicle.shifts[0] if vehicle.shifts else None
     accepted_s = None if shift is None else shift.requested_step * DT_S
-    last_look_s = vehicle.gaps[-1].step * DT_S if vehicle.gaps else None
-    # until when it could have accepted: it gave up, or it or the scene ended
-    until_s = accepted_s if accepted_s is not None else last_s if vehicle.stage is not Stage.ABORTED else last_look_s
+    # until when it could have accepted: it gave up, or it left, or the scene ended
+    until_s = min(last_s, trigger_s + scene.config.lane_change.give_up_s) if accepted_s is None else accepted_s
     row = _EMPTY | {
         "vehicle": vehicle.vehicle_id, "kind": vehicle.policy.value, "entered_s": _rounded(first * DT_S),
         "desired_mps": _rounded(start.driver.desired_mps), "trigger_s": _rounded(trigger_s),
         "accepted": shift is not None, "accepted_s": _rounded(accepted_s), "observed_to_s": _rounded(until_s),
-        "waited_s": None if until_s is None or until_s < trigger_s else _rounded(until_s - trigger_s),
+        "waited_s": None if until_s < trigger_s else _rounded(until_s - trigger_s),
         "looks": len(vehicle.gaps), "refused_by_rule": sum(look.rule is not None for look in vehicle.gaps),
         "refused_by_guard": sum(look.guard is not None for look in vehicle.gaps),
         "refused_by_sumo": sum(look.sumo is False for look in vehicle.gaps),
@@ -214,8 +211,7 @@ def _request_row(vehicle: DrivenVehicle, *, first: int, num_steps: int) -> dict[
             "lag_time_gap_s": _rounded(lag.distance_m / lag.speed_mps) if lag.speed_mps > 0 else None,
             "speed_mps": _rounded(took.own_mps),
         }  # fmt: skip
-    late = trigger_s > last_s or trigger_s > (num_steps - 1) * DT_S
-    row["status"] = "not_triggered" if late else "not_feasible"
+    row["status"] = "not_triggered" if trigger_s > last_s else "not_feasible"
     row["reason"] = str(vehicle.objection or vehicle.reason or Reason.SCENE_ENDED)
     return row
 
@@ -311,8 +307,8 @@ def _fundamental(scene: Scene, driving: FlowDriving, vehicles: Sequence[DrivenVe
     length_m = sum(scene.grid.graph.lanes[lane].length_m for lane in lanes)
     steps = round(_INTERVAL_S / DT_S)
     begins = range(round(warm_up_s / DT_S), scene.num_steps - steps + 1, steps)
-    distance: Counter[int] = Counter()
-    present: Counter[int] = Counter()
+    distance = dict.fromkeys(begins, 0.0)
+    present = dict.fromkeys(begins, 0)
     for vehicle in vehicles:
         first = driving.entered.get(vehicle.vehicle_id, 0)
         v = np.array(vehicle.v)
