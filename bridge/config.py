@@ -95,6 +95,15 @@ def config_sha256(config: Config) -> str:
     return hashlib.sha256(json.dumps(config_to_dict(config), sort_keys=True).encode()).hexdigest()
 
 
+def check_no_flow(config: Config) -> None:
+    """Raise ConfigError where traffic is to enter at the map's edge: whoever does so is not exported, only studied."""
+    if config.flow.veh_per_h_lane > 0.0:
+        raise ConfigError(
+            f"flow.veh_per_h_lane = {config.flow.veh_per_h_lane:g}: traffic enters in studies only (hid2 study), "
+            "expected 0 here"
+        )
+
+
 def config_to_toml(config: Config) -> str:
     """The configuration as a TOML file that load_config reads back."""
     values = config_to_dict(config)

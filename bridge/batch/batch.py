@@ -33,7 +33,7 @@ from bridge.batch.manifest import (
     source_files,
 )
 from bridge.batch.quarantine import MAX_TIMEOUT_S, Bundle, read_bundle, write_bundle
-from bridge.config import config_sha256
+from bridge.config import check_no_flow, config_sha256
 from bridge.files import explained, one_line
 from bridge.recordings.export import new_scenario_id
 from bridge.recordings.folders import SPLITS, source_id, split_of
@@ -41,13 +41,15 @@ from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportError
 
 QUARANTINE = "quarantine"
+#: Where a study keeps what its runs have measured.
+RUNS = "runs"
 GENERATE = "bridge.batch.scene_work:generate_runs"
 GENERATE_WITH_GAPS = "bridge.batch.scene_work:generate_and_record_gaps"
 #: By function, the file that a complete folder holds beside the usual ones.
 _EXTRA_FILES = {GENERATE_WITH_GAPS: "gaps_*.csv.gz"}
 
 _LOG = logging.getLogger(__name__)
-_HALF_WRITTEN = re.compile(r"\.[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}-.*")
+_HALF_WRITTEN = re.compile(r"\.(?:corridor-)?[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}-.*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +130,7 @@ def plan(folders: Iterable[Path], config: Config) -> list[SceneJob]:
 
     The number of variants is taken out of each run's configuration: variant 0 is the same scene however many there are.
     """
+    check_no_flow(config)
     request = config.request.model_copy(update={"variants": 1})
     single = config.model_copy(update={"request": request})
     runs = tuple(Run(single, variant) for variant in range(config.request.variants))
@@ -266,7 +269,7 @@ def reproduce(path: Path, out_dir: Path, *, function: str | None = None) -> tupl
 
 def remove_half_written(out_dir: Path) -> None:
     """Remove the hidden folders in which a process that was ended was writing."""
-    for parent in (out_dir, *(out_dir / split for split in SPLITS)):
+    for parent in (out_dir, *(out_dir / name for name in (*SPLITS, RUNS))):
         if parent.is_dir():
             for entry in parent.iterdir():
                 if entry.is_dir() and _HALF_WRITTEN.fullmatch(entry.name):

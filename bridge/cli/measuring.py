@@ -147,7 +147,6 @@ def make(
     seconds: Annotated[float, typer.Option(metavar="S", help="Duration of the recording, s.")] = 180.0,
 ) -> None:
     """Make a synthetic scene for studies; it is no scene of Argoverse, and its id says so."""
-    check_out(out)
     from bridge.recordings.corridor import write_corridor
 
     assert what == "corridor"

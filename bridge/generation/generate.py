@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bridge.config import config_sha256
+from bridge.config import check_no_flow, config_sha256
 from bridge.generation.gaps import gaps_bytes
 from bridge.generation.records import agent_record, rejected_records, replaced_record, with_unmet
 from bridge.recordings.export import new_scenario_id, write_scene
@@ -76,9 +76,10 @@ def prepare(scenario: Scenario, config: Config) -> PreparedScene:
 def generate(source: Scenario | PreparedScene, config: Config, *, variant: int = 0) -> GeneratedScene:
     """Insert vehicles into a recorded scene as `config` asks; nothing is written.
 
-    Same scenario, configuration and variant: the same result. Errors: MapError, NetError, SimulationError,
+    Same scenario, configuration and variant: the same result. Errors: MapError, NetError, SimulationError, ConfigError,
     ScenarioError where a generated focal track was asked for and no vehicle lives through the scene.
     """
+    check_no_flow(config)
     prepared = source if isinstance(source, PreparedScene) else prepare(source, config)
     scenario = prepared.scenario
     new_id = new_scenario_id(scenario.scenario_id, config, config.request.seed, variant)

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 
 from bridge.config import config_sha256
 from bridge.files import explained
-from bridge.recordings.scenario import FOCAL_CATEGORY, LAST_OBSERVED, SCENARIO_COLUMNS, Scenario
+from bridge.recordings.scenario import CORRIDOR_PREFIX, FOCAL_CATEGORY, LAST_OBSERVED, SCENARIO_COLUMNS, Scenario
 from bridge.recordings.sidecar import Sidecar, sidecar_bytes, sidecar_path
 from hid2.agents import Track
 from hid2.params import Config
@@ -33,8 +33,9 @@ _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo")
 
 
 def new_scenario_id(source_id: str, config: Config, seed: int, variant: int) -> str:
-    """UUID (version 5) of a request: the same request names the same scenario."""
-    return str(uuid.uuid5(_NAMESPACE, "\n".join([source_id, config_sha256(config), str(seed), str(variant)])))
+    """UUID (version 5) of a request: the same request names the same scenario. What comes of a corridor says so."""
+    new_id = uuid.uuid5(_NAMESPACE, "\n".join([source_id, config_sha256(config), str(seed), str(variant)]))
+    return f"{CORRIDOR_PREFIX if source_id.startswith(CORRIDOR_PREFIX) else ''}{new_id}"
 
 
 def write_scene(

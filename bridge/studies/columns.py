@@ -76,8 +76,8 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
     },
     "flow": {
         **_RUN,
-        "from_s": "begin of an interval of 30 s",
-        "flow_veh_per_h_lane": "distance driven over length and time (Edie), all lanes of the edge",
+        "from_s": "begin of an interval of 30 s, or of the whole scene where it is shorter",
+        "flow_veh_per_h_lane": "distance driven over length and time (Edie), on the lanes where traffic enters",
         "density_veh_per_km_lane": "time spent over length and time",
         "speed_kmph": "flow over density",
         "waiting_to_enter_s": "mean wait before the map of those who entered in the interval",

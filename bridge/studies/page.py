@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
 
 from bridge.files import beside, explained, table_file, write_text
 from bridge.studies.columns import dictionary_rows
@@ -102,21 +105,25 @@ def write_results(study: Study, tables: Tables, out_dir: Path) -> list[Path]:
 
 #: A parameter with more values than this has no dose-response of its own: its effect is in effects.csv.
 _MOST_VALUES = 12
+#: A larger share of requests that are cut off is spoken of.
+_CUT_SHARE = 0.02
+#: Tables of more rows are compressed.
+_LONG = 50_000
 
 
 def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> list[Path]:
     """CSV (compressed where it is long) and parquet."""
-    text = table.to_csv(index=False, lineterminator="\n", float_format="%.6g")
-    long = len(table) > 50_000
+    long = len(table) > _LONG
     csv_path = out_dir / (f"{name}.csv.gz" if long else f"{name}.csv")
     parquet_path = out_dir / f"{name}.parquet"
-    sink = io.BytesIO()
     mixed = [column for column in table.columns if table[column].dtype == object]
-    table.assign(**{column: table[column].astype("string") for column in mixed}).to_parquet(sink, index=False)
-    for path, content in (
-        (csv_path, gzip.compress(text.encode(), mtime=0) if long else text.encode()),
-        (parquet_path, sink.getvalue()),
-    ):
+    tidy = table.assign(**{column: table[column].astype("string") for column in mixed})
+    arrow = pa.Table.from_pandas(tidy, preserve_index=False).replace_schema_metadata(None)
+    text, columnar = io.BytesIO(), io.BytesIO()
+    pa_csv.write_csv(arrow, text, pa_csv.WriteOptions(quoting_style="needed"))
+    pq.write_table(arrow, columnar)
+    csv_bytes = gzip.compress(text.getvalue(), mtime=0) if long else text.getvalue()
+    for path, content in ((csv_path, csv_bytes), (parquet_path, columnar.getvalue())):
         with explained(path), beside(path) as hidden:
             hidden.write_bytes(content)
     return [csv_path, parquet_path]
@@ -318,6 +325,14 @@ def _limits(study: Study, requests: pd.DataFrame) -> list[str]:
         found.append("Real traffic: the flow is simulated, its headways are a shifted exponential distribution.")
     else:
         found.append("Followers that react: recorded vehicles drive as recorded, whoever changes lanes before them.")
+    counted = requests[requests["counted"]]
+    cut = (~counted["accepted"].astype(bool)) & (counted["waited_s"] < study.configs[0][0].lane_change.give_up_s - 0.05)
+    if len(counted) and cut.mean() > _CUT_SHARE:
+        found.append(
+            f"Chances of one length: {100 * cut.mean():.0f} % of the requests counted ended without a gap before the "
+            "longest wait, because the vehicle left or the scene ended; shares accepted compare what was left of it, "
+            "waiting times take it as censored [requests.observed_to_s]."
+        )
     scenes = requests["scene"].nunique()
     if scenes < 3:
         found.append(

@@ -37,7 +37,7 @@ from hid2.vehicle import DrivenVehicle, Start
 
 #: Others within this of a manoeuvre are looked at for its TTC and PET, m.
 _AROUND_M = 80.0
-#: Fundamental diagram: length of the intervals, s; of shorter rests nothing is told.
+#: Fundamental diagram: length of the intervals, s; of a shorter rest nothing is told.
 _INTERVAL_S = 30.0
 
 
@@ -299,24 +299,29 @@ def _conflicts(everybody: Sequence[Track], own: str, first: int, last: int) -> t
 
 
 def _fundamental(scene: Scene, driving: FlowDriving, vehicles: Sequence[DrivenVehicle]) -> list[dict[str, Any]]:
-    """Flow, density and speed of all entry lanes together by interval (Edie 1963), where flows enter."""
+    """Flow, density and speed on the entry lanes, all together, by interval (Edie 1963), where flows enter."""
     if not driving.arrivals:
         return []
     warm_up_s = scene.config.flow.warm_up_s
     lanes = sorted({arrival.lane_id for arrival in driving.arrivals})
     length_m = sum(scene.grid.graph.lanes[lane].length_m for lane in lanes)
-    steps = round(_INTERVAL_S / DT_S)
-    begins = range(round(warm_up_s / DT_S), scene.num_steps - steps + 1, steps)
+    first_step = round(warm_up_s / DT_S)
+    steps = min(round(_INTERVAL_S / DT_S), scene.num_steps - first_step)
+    begins = range(first_step, scene.num_steps - steps + 1, steps) if steps > 0 else range(0)
     distance = dict.fromkeys(begins, 0.0)
     present = dict.fromkeys(begins, 0)
     for vehicle in vehicles:
         first = driving.entered.get(vehicle.vehicle_id, 0)
-        v = np.array(vehicle.v)
+        s, v = np.array(vehicle.s), np.array(vehicle.v)
+        there = np.zeros(s.size, dtype=np.bool_)
+        for segment in vehicle.path.segments:
+            if segment.lane_id in lanes:
+                there |= (s >= segment.start) & (s < segment.end)
         for begin in begins:
-            inside = v[max(0, begin - first) : max(0, begin + steps - first)]
-            distance[begin] += float(inside.sum()) * DT_S
-            present[begin] += inside.size
-    area = length_m / 1000.0 * _INTERVAL_S / 3600.0  # km h
+            span = slice(max(0, begin - first), max(0, begin + steps - first))
+            distance[begin] += float(v[span][there[span]].sum()) * DT_S
+            present[begin] += int(there[span].sum())
+    area = length_m / 1000.0 * steps * DT_S / 3600.0  # km h
     rows = []
     for begin in begins:
         flow = distance[begin] / 1000.0 / area

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from hid2.agents import FloatArray
+from hid2.agents import FloatArray, IntArray
 
 #: Resamples of the bootstrap, and its interval, percent.
 RESAMPLES, INTERVAL = 500, (2.5, 97.5)
@@ -21,6 +21,8 @@ _SCENES_LEAST, _UNITS_LEAST = 3, 3  # fewer scenes, or units at all, are not dra
 _FEWEST = 8  # gaps of each answer, drivers: below, no curve and no critical gap is fitted
 #: Coefficients beyond this say that a threshold parts the gaps without exception: no curve has an interval then.
 _SEPARATED = 50.0
+#: Longer time gaps count as this, s: behind whoever hardly moves they grow without end.
+_LONG_GAP_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,15 +56,15 @@ def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
 
 
 def resampled(
-    frame: pd.DataFrame, statistic: Callable[[pd.DataFrame, FloatArray], FloatArray], *, unit: Sequence[str]
+    frame: pd.DataFrame, statistic: Callable[[FloatArray], FloatArray], *, unit: Sequence[str]
 ) -> tuple[FloatArray, FloatArray]:
-    """A statistic (K,) of weighted rows, and (RESAMPLES, K) of it with units drawn again, with a fixed seed."""
+    """A statistic (K,) of the weights of rows, and (RESAMPLES, K) of it with units drawn again, with a fixed seed."""
     code = pd.factorize(pd.MultiIndex.from_frame(frame[list(unit)]))[0]
     count = int(code.max()) + 1 if len(code) else 0
     rng = np.random.default_rng(0)
-    whole = statistic(frame, np.ones(len(frame)))
+    whole = statistic(np.ones(len(frame)))
     draws = [
-        statistic(frame, np.bincount(rng.integers(count, size=count), minlength=count)[code].astype(np.float64))
+        statistic(np.bincount(rng.integers(count, size=count), minlength=count)[code].astype(np.float64))
         for _ in range(RESAMPLES if count >= _UNITS_LEAST else 0)
     ]
     return whole, np.array(draws).reshape(-1, whole.size)
@@ -103,7 +105,9 @@ def mean_wait(waited_s: FloatArray, accepted: FloatArray, weights: FloatArray, *
     keep = weights > 0
     if not keep.any():
         return math.nan
-    curve = kaplan_meier(waited_s[keep], accepted[keep], weights[keep])
+    # equal rows count together: looks are a tenth of a second apart
+    rows, place = np.unique(np.column_stack([waited_s[keep], accepted[keep]]), axis=0, return_inverse=True)
+    curve = kaplan_meier(rows[:, 0], rows[:, 1], np.bincount(place.ravel(), weights[keep]))
     times = np.concatenate([[0.0], np.minimum(curve.surv_times, within_s), [within_s]])
     level = np.concatenate([[1.0], curve.surv_prob])
     return float((np.diff(times) * level).sum())
@@ -112,7 +116,7 @@ def mean_wait(waited_s: FloatArray, accepted: FloatArray, weights: FloatArray, *
 # Per value ------------------------------------------------------------------------------------------------------------
 
 
-def _ratio(above: FloatArray, below: FloatArray, codes: FloatArray, count: int) -> FloatArray:
+def _ratio(above: FloatArray, below: FloatArray, codes: IntArray, count: int) -> FloatArray:
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.bincount(codes, above, count) / np.bincount(codes, below, count)
 
@@ -138,9 +142,30 @@ OUTCOMES = (
     Outcome("looks_refused_by_rule", "share that the rule refused", "requests", "refused_by_rule", "looks"),
     Outcome("looks_refused_by_guard", "share that the guard refused", "requests", "refused_by_guard", "looks"),
     Outcome("lateral_s", "mean duration of the lateral motion, s", "requests", "lateral_s"),
-    Outcome("lag_time_gap_s", "mean time gap to the new follower at the acceptance, s", "requests", "lag_time_gap_s"),
+    Outcome("lag_time_gap_s", "mean time gap to the new follower at the acceptance (above 10 s: 10 s), s", "requests", "lag_time_gap_s"),
     Outcome("share_ttc_below_critical", "share of the changes with a TTC below 1.5 s", "requests", "ttc_critical"),
 )  # fmt: skip
+
+
+def _by_value(
+    frame: pd.DataFrame,
+    outcome: Outcome,
+    code: IntArray,
+    count: int,
+    *,
+    give_up_s: float,
+) -> Callable[[FloatArray], FloatArray]:
+    """An outcome by value (count,), as a function of the weights of the rows; code: the value's place of each row."""
+    if outcome.above is None:
+        waited, accepted = frame["waited_s"].to_numpy(float), frame["accepted"].to_numpy(float)
+        mine = [code == place for place in range(count)]
+        return lambda weight: np.array(
+            [mean_wait(waited[own], accepted[own], weight[own], within_s=give_up_s) for own in mine]
+        )
+    above = frame[outcome.above].to_numpy(float)
+    below = np.ones(len(frame)) if outcome.below is None else frame[outcome.below].to_numpy(float)
+    known = np.isfinite(above)
+    return lambda weight: _ratio((above * weight)[known], (below * weight)[known], code[known], count)
 
 
 def dose_response(
@@ -150,6 +175,7 @@ def dose_response(
     counted = requests[requests["counted"]].copy()
     started = counted["start_s"].notna()
     counted["ttc_critical"] = np.where(started, (counted["min_ttc_s"] < critical_ttc_s).astype(float), np.nan)
+    counted["lag_time_gap_s"] = counted["lag_time_gap_s"].clip(upper=_LONG_GAP_S)
     counted["looked"] = (counted["looks"] > 0).astype(float)
     frames = {"requests": counted, "gaps": gaps}
     rows = []
@@ -162,23 +188,7 @@ def dose_response(
             frame[key], values
         ).codes.astype(int)  # fmt: skip
 
-        def statistic(
-            part: pd.DataFrame, weight: FloatArray, outcome: Outcome = outcome, code: Any = code,  # noqa: ANN401
-            number: int = len(values),
-        ) -> FloatArray:  # fmt: skip
-            if outcome.above is None:
-                waited, accepted = part["waited_s"].to_numpy(float), part["accepted"].to_numpy(float)
-                return np.array(
-                    [
-                        mean_wait(waited[code == k], accepted[code == k], weight[code == k], within_s=give_up_s)
-                        for k in range(number)
-                    ]
-                )
-            above = part[outcome.above].to_numpy(float)
-            below = np.ones(len(part)) if outcome.below is None else part[outcome.below].to_numpy(float)
-            known = np.isfinite(above)
-            return _ratio((above * weight)[known], (below * weight)[known], code[known], number)
-
+        statistic = _by_value(frame, outcome, code, len(values), give_up_s=give_up_s)
         row_sets = []
         for unit, columns in units(frame).items():
             whole, draws = resampled(frame, statistic, unit=columns)
@@ -215,8 +225,10 @@ def acceptance_curve(gaps: pd.DataFrame) -> dict[str, Any] | None:
     frame["lead_time_gap_s"] = frame["lead_time_gap_s"].fillna(frame["lead_time_gap_s"].max())
     if frame["lead_time_gap_s"].isna().any():
         return None
-    design = np.column_stack([np.ones(len(frame)), frame["lag_time_gap_s"], frame["lead_time_gap_s"].clip(upper=10.0)])
-    design[:, 1] = np.minimum(design[:, 1], 10.0)
+    design = np.column_stack(
+        [np.ones(len(frame)), frame["lag_time_gap_s"], frame["lead_time_gap_s"].clip(upper=_LONG_GAP_S)]
+    )
+    design[:, 1] = np.minimum(design[:, 1], _LONG_GAP_S)
     runs = pd.factorize(pd.MultiIndex.from_frame(frame[["scene", "seed"]]))[0]
     many = len(np.unique(runs)) > len(design[0])
     with warnings.catch_warnings():
@@ -354,6 +366,7 @@ def effects(requests: pd.DataFrame, keys: Sequence[str], *, give_up_s: float) ->
     with its own where there are enough points.
     """
     counted = requests[requests["counted"]].copy()
+    counted["lag_time_gap_s"] = counted["lag_time_gap_s"].clip(upper=_LONG_GAP_S)
     counted["waited_or_end_s"] = np.minimum(counted["waited_s"], give_up_s)
     numeric = [key for key in keys if pd.api.types.is_numeric_dtype(counted[key])]
     rows: list[dict[str, Any]] = []
@@ -364,17 +377,7 @@ def effects(requests: pd.DataFrame, keys: Sequence[str], *, give_up_s: float) ->
         if len(frame) < 10 * len(numeric):
             continue
 
-        def statistic(part: pd.DataFrame, weight: FloatArray, outcome: str = outcome) -> FloatArray:
-            keep = weight > 0
-            w = weight[keep]
-            x, y = part[numeric].to_numpy(float)[keep], part[outcome].to_numpy(float)[keep]
-            x = (x - np.average(x, axis=0, weights=w)) * np.sqrt(w)[:, None]
-            y = (y - np.average(y, weights=w)) * np.sqrt(w)
-            if not y.any() or np.linalg.matrix_rank(x) < len(numeric):
-                return np.full(len(numeric), np.nan)
-            slope = np.linalg.lstsq(x, y, rcond=None)[0]
-            return np.asarray(slope * np.linalg.norm(x, axis=0) / np.linalg.norm(y))
-
+        statistic = _standardised(frame[numeric].to_numpy(float), frame[outcome].to_numpy(float))
         sensitivity = _first_order(frame, numeric, outcome)
         for unit, columns in units(frame).items():
             whole, draws = resampled(frame, statistic, unit=columns)
@@ -388,6 +391,21 @@ def effects(requests: pd.DataFrame, keys: Sequence[str], *, give_up_s: float) ->
                     }
                 )  # fmt: skip
     return pd.DataFrame(rows)
+
+
+def _standardised(x: FloatArray, y: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Standardised coefficients (K,) of a linear regression of y (N,) on x (N, K), as a function of weights."""
+
+    def statistic(weight: FloatArray) -> FloatArray:
+        share = weight / weight.sum()
+        xc, yc = x - share @ x, y - share @ y
+        covariance = (xc * share[:, None]).T @ xc
+        spread = np.sqrt(np.diag(covariance)), math.sqrt(float(share @ (yc * yc)))
+        if spread[1] == 0.0 or not spread[0].all() or np.linalg.matrix_rank(covariance) < x.shape[1]:
+            return np.full(x.shape[1], np.nan)
+        return np.asarray(np.linalg.solve(covariance, (xc * share[:, None]).T @ yc) * spread[0] / spread[1])
+
+    return statistic
 
 
 def _first_order(frame: pd.DataFrame, keys: Sequence[str], outcome: str) -> dict[str, dict[str, float]]:

@@ -25,8 +25,8 @@ from netconvert.errors import ConfigError, ScenarioError
 
 #: Stands for request.trigger_min_s and request.trigger_max_s: a fixed trigger time.
 TRIGGER = "trigger_s"
-#: Below OUT: one folder for each run, with what was measured in it and every look at a gap.
-RUNS, RUN_FILE, LOOKS_FILE = "runs", "run.json.gz", "looks.csv.gz"
+#: Of each run, in a folder of its own below OUT/runs: what was measured, and every look at a gap.
+RUN_FILE, LOOKS_FILE = "run.json.gz", "looks.csv.gz"
 #: What decides in a run, and leaves vehicles, drivers, sites and traffic as they are.
 _DECIDES = ("lane_change", "overtake", "conflict", "signals", "crossings", "car_following")
 #: What changes the traffic itself: allowed, but its values are compared between different vehicles.
@@ -163,8 +163,9 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
         if row.status == DONE:
             folder = out_dir / row.folder
             found = json.loads(gzip.decompress((folder / RUN_FILE).read_bytes()))
-            seen = pd.read_csv(folder / LOOKS_FILE, dtype={"lead_id": str, "lag_id": str, "vehicle": str})
-            looks.append(pd.DataFrame(name, index=seen.index).join(seen.drop(columns=["round", "track_id"])))
+            own_looks = pd.read_csv(folder / LOOKS_FILE, dtype={"lead_id": str, "lag_id": str, "vehicle": str})
+            named = pd.DataFrame(name, index=own_looks.index)
+            looks.append(named.join(own_looks.drop(columns=["round", "track_id"])))
         mine = [request for request in found["requests"] if request["kind"] == study.kind]
         requests += [{**name, **request, "counted": _counts(request, warm_up_s)} for request in mine]
         flow += [{**name, **interval} for interval in found["flow"]]
@@ -174,9 +175,17 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
                 "accepted": sum(bool(request["accepted"]) for request in mine), "seconds": row.seconds,
             }
         )  # fmt: skip
-    return Tables(
-        pd.DataFrame(runs), pd.DataFrame(requests), pd.concat(looks) if looks else pd.DataFrame(), pd.DataFrame(flow)
-    )
+    seen = pd.concat(looks) if looks else pd.DataFrame()
+    return Tables(pd.DataFrame(runs), _numeric(pd.DataFrame(requests)), _numeric(seen), pd.DataFrame(flow))
+
+
+#: Endings of the columns that are numbers, also where all of a run's are missing.
+_NUMBERS = ("_s", "_m", "_mps")
+
+
+def _numeric(table: "pd.DataFrame") -> "pd.DataFrame":
+    """Columns of numbers as numbers, whatever is missing in them."""
+    return table.astype({column: float for column in table.columns if str(column).endswith(_NUMBERS)})
 
 
 def _counts(request: Mapping[str, Any], warm_up_s: float) -> bool:

@@ -5,7 +5,7 @@ import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from bridge.batch.batch import Place, Run, base_row
+from bridge.batch.batch import RUNS, Place, Run, base_row
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.config import config_sha256
@@ -15,7 +15,7 @@ from bridge.generation.generate import PreparedScene, prepare
 from bridge.recordings.export import new_scenario_id, write_folder
 from bridge.recordings.scenario import read_scenario
 from bridge.studies.paired import Drawn, PairedRun, draw, drawing_config, paired_run
-from bridge.studies.study import LOOKS_FILE, RUN_FILE, RUNS
+from bridge.studies.study import LOOKS_FILE, RUN_FILE
 from hid2.params import Config
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bridge.generation.generate import prepare
+from bridge.generation.generate import generate, prepare, write
 from bridge.recordings.corridor import write_corridor
 from bridge.recordings.scenario import read_scenario
 from bridge.studies.paired import draw, drawing_config, paired_run
@@ -133,6 +133,33 @@ def test_flow_enters_one_after_the_other_and_looks_at_gaps(corridor: Path) -> No
         assert interval["flow_veh_per_h_lane"] == pytest.approx(product, rel=1e-3)
 
 
+def test_flow_enters_beside_recorded_traffic(data_scenes: dict[str, Path]) -> None:
+    """A recorded scene of 11 s: traffic at its edges, starts inside, and nothing recorded is moved or met."""
+    config = _corridor_config().model_copy(
+        update={"request": CHANGES, "flow": Flow(veh_per_h_lane=900.0, warm_up_s=0.0)}
+    )
+    prepared = prepare(read_scenario(data_scenes["arterial"]), config)
+    drawn = draw(prepared, drawing_config(config))
+    run = paired_run(prepared, drawn, config)
+    assert {row["source"] for row in run.requests} == {"start", "flow"}
+    assert len(run.driven) > len(drawn.starts)
+    assert len(run.flow) == 1
+    assert all(row["min_ttc_s"] is None or row["min_ttc_s"] > 0.0 for row in run.requests)
+
+
+def test_flow_is_refused_where_scenes_are_written(data_scenes: dict[str, Path]) -> None:
+    with pytest.raises(ConfigError, match=r"flow\.veh_per_h_lane = 1500: traffic enters in studies only"):
+        generate(read_scenario(data_scenes["arterial"]), _corridor_config())
+
+
+def test_what_comes_of_a_corridor_says_so(corridor: Path, tmp_path: Path) -> None:
+    """A generated scene of 400 steps: its id begins with corridor-, and it can be read again."""
+    scene = generate(read_scenario(corridor), Config(request=CHANGES.model_copy(update={"agents": 2})))
+    folder = write(scene, tmp_path)
+    assert folder.name.startswith("corridor-")
+    assert read_scenario(folder).num_steps == 400
+
+
 def test_larger_lag_gap_asked_for_is_no_easier(corridor: Path) -> None:
     """0.4 s against 2.5 s, the same arrivals: fewer of the same requests are accepted."""
     accepted = []
@@ -190,7 +217,7 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
     again = run_study(study, out, Options(resume=True), on_row=lambda row, progress: seen.append(progress.skipped))
     assert seen[-1] == 6
     assert {path.name: path.read_bytes() for path in again.files} == first
-    for table in ("runs", "requests", "looks", "gaps", "dose_response"):
+    for table in ("runs", "requests", "looks", "gaps", "flow", "dose_response"):
         frame = pd.read_csv(out / f"{table}.csv")
         assert len(pd.read_parquet(out / f"{table}.parquet")) == len(frame)
         said = {name.strip() for column in DICTIONARY[table] for name in column.split(",")}
