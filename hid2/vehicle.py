@@ -9,6 +9,7 @@ from hid2.motion.route import DrivenPath, Route
 from hid2.policy.decision import Side
 from hid2.policy.lane_change import Gap
 from hid2.policy.overtake import Stage
+from hid2.reasons import Reason
 from netconvert.cells import Cell
 
 
@@ -73,8 +74,8 @@ class GapLook:
     own_mps: float
     remaining_m: float
     cells_free: bool
-    rule: str | None
-    guard: str | None = None
+    rule: Reason | None
+    guard: Reason | None = None
     sumo: bool | None = None
 
 
@@ -91,8 +92,8 @@ class DrivenVehicle:
     s: list[float] = field(default_factory=list)
     v: list[float] = field(default_factory=list)
     stage: Stage = Stage.WAITING
-    reason: str | None = None
-    objection: str | None = None
+    reason: Reason | None = None
+    objection: Reason | None = None
     left_at: int | None = None
     shifts: list[Shift] = field(default_factory=list)
     gaps: list[GapLook] = field(default_factory=list)

@@ -142,7 +142,7 @@ OUTCOMES = (
     Outcome("looks_refused_by_rule", "share that the rule refused", "requests", "refused_by_rule", "looks"),
     Outcome("looks_refused_by_guard", "share that the guard refused", "requests", "refused_by_guard", "looks"),
     Outcome("lateral_s", "mean duration of the lateral motion, s", "requests", "lateral_s"),
-    Outcome("lag_time_gap_s", "mean lag time gap at the acceptance (above 10 s: 10 s), s", "requests", "lag_time_gap_s"),
+    Outcome("lag_time_gap_s", "mean lag time gap taken (above 10 s: 10 s), s", "requests", "lag_time_gap_s"),
     Outcome("share_ttc_below_critical", "share of the changes with a TTC below 1.5 s", "requests", "ttc_critical"),
 )  # fmt: skip
 

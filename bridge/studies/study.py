@@ -28,7 +28,7 @@ TRIGGER = "trigger_s"
 #: Of each run, in a folder of its own below OUT/runs: what was measured, and every look at a gap.
 RUN_FILE, LOOKS_FILE = "run.json.gz", "looks.csv.gz"
 #: What decides in a run, and leaves vehicles, drivers, sites and traffic as they are.
-_DECIDES = ("lane_change", "overtake", "conflict", "signals", "crossings", "car_following")
+_DECIDES = ("lane_change", "overtake", "conflict", "signals", "crossings", "car_following", "driving")
 #: What changes the traffic itself: allowed, but its values are compared between different vehicles.
 _CHANGES_TRAFFIC = ("flow.veh_per_h_lane", "flow.min_headway_s", "drivers")
 

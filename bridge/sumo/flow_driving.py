@@ -36,7 +36,10 @@ class FlowDriving(Driving):
     def __post_init__(self) -> None:
         """Room in the fleet's state for everybody who may come."""
         Driving.__post_init__(self)
-        self._state = np.zeros((len(self.starts) + len(self.arrivals), 5))
+        more = len(self.arrivals)
+        self._state = np.concatenate([self._state, np.zeros((more, self._state.shape[1]))])
+        self._centre = np.concatenate([self._centre, np.full((more, 2), np.inf)])
+        self._own_lengths = np.concatenate([self._own_lengths, [one.box.length_m for one in self.arrivals]])
 
     def _enter(self, step: int) -> None:
         Driving._enter(self, step)
@@ -93,6 +96,7 @@ class FlowDriving(Driving):
             start_mps=simulation.speed(arrival.vehicle_id), driver=arrival.driver, desired=arrival.desired,
             offset=arrival.offset, sides=arrival.sides,
         )  # fmt: skip
+        self._own_lengths[len(self.vehicles)] = arrival.box.length_m
         self.entered[arrival.vehicle_id] = step
         self.waiting_s[arrival.vehicle_id] = step * DT_S - arrival.due_s
         self.vehicles.append(DrivenVehicle(start=start, path=start.path))

@@ -3,7 +3,7 @@
 import logging
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,12 +25,6 @@ from netconvert.cells import Cell
 
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
-_MOST_AGENTS = 400
-#: Length of lane a vehicle takes on a road that is full, m; a round of `max` that adds a smaller share is the last.
-_USUAL_SPACING_M, _FULL_SHARE = 25.0, 0.1
-#: Requests in vain after which a round looks for no more sites for that policy: for manoeuvres, and for going straight.
-_FAILED_MOST = (2, 1)
-_AGAIN_MOST = 1  # times that a vehicle is driven again because it had waited for one that is gone
 _NO_MAP: dict[Policy, Reason] = {
     Policy.STRAIGHT: Reason.MAP_OFFERS_NO_LANE,
     Policy.LEFT_TURN: Reason.MAP_OFFERS_NO_LEFT_TURN,
@@ -110,7 +104,7 @@ class Filling:
                 break
             self.rounds = number + 1
             self._keep(drive(starts, self._fixed(), number), number)
-            if asked == "max" and number > 0 and len(self.kept) - before <= _FULL_SHARE * len(self.kept):
+            if asked == "max" and number > 0 and len(self.kept) - before <= config.spawn.full_share * len(self.kept):
                 break
         for request in self._open:
             if request.policy is not Policy.STRAIGHT:
@@ -128,8 +122,9 @@ class Filling:
 
     def _most(self) -> int:
         """How many the road takes at usual gaps, about: what `max` asks for."""
-        lanes = self.scene.grid.graph.lanes
-        return min(_MOST_AGENTS, math.ceil(sum(lanes[n].length_m for n in self.routes.lanes) / _USUAL_SPACING_M))
+        lanes, spawn = self.scene.grid.graph.lanes, self.scene.config.spawn
+        length_m = sum(lanes[lane_id].length_m for lane_id in self.routes.lanes)
+        return min(spawn.most_agents, math.ceil(length_m / spawn.spacing_m))
 
     def _fixed(self) -> Traffic:
         return traffic_of_exported(self.kept, self.scene)
@@ -163,10 +158,12 @@ class Filling:
         waiting = sorted(self._open, key=lambda request: (_ORDER.index(request.policy), request.number))
         used: set[int] = {start.request.number for start in starts}
         failed: Counter[Policy] = Counter()
+        rivals: list[tuple[VehicleRequest, int]] = []
         for request in waiting:
             if request.number in used:
                 continue
-            if failed[request.policy] >= _FAILED_MOST[request.policy is Policy.STRAIGHT]:
+            straight = request.policy is Policy.STRAIGHT
+            if failed[request.policy] >= (config.spawn.failed_straight if straight else config.spawn.failed_manoeuvres):
                 self._last_reason[request.number] = Reason.NO_SITE
                 continue
             slow = next(
@@ -178,8 +175,23 @@ class Filling:
             if not found:
                 failed[request.policy] += 1
                 self._last_reason[request.number] = Reason.NO_SITE
+            elif request.policy is not Policy.STRAIGHT:
+                more = config.spawn.candidates - 1
+                rivals.append((request, more))
+        while rivals:
+            request, more = rivals.pop(0)
+            slow = next(
+                (r for r in waiting if r.policy is Policy.STRAIGHT and r.number not in used), None
+            ) if request.policy is Policy.OVERTAKE else None  # fmt: skip
+            found = sites.propose(request, slow) if more > 0 else []
+            used.update(start.request.number for start in found)
+            starts += found
+            if found and more > 1:
+                rivals.append((request, more - 1))
         if spare and starts and not failed[Policy.STRAIGHT]:
             extra = math.ceil(config.spawn.spare_share * len(starts))
+            if number + 1 == config.spawn.reseed_rounds:  # in place of manoeuvres that fail once more
+                extra = max(extra, sum(request.policy is not Policy.STRAIGHT for request in waiting))
             for _ in range(min(extra, max(0, missing))):
                 request = VehicleRequest(self._next_spare, Policy.STRAIGHT, 0.0)
                 self._next_spare += 1
@@ -189,12 +201,12 @@ class Filling:
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
         return starts
 
-    def _give_up_manoeuvres(self) -> bool:
-        """Requests that no round met become vehicles that go straight; whether there was any."""
+    def _give_up_manoeuvres(self, met: Set[int] = frozenset()) -> bool:
+        """Requests that no round met become vehicles that go straight; whether there was any. met: numbers."""
         before = len(self.unmet)
         still = []
         for request in self._open:
-            if request.policy is not Policy.STRAIGHT:
+            if request.policy is not Policy.STRAIGHT and request.number not in met:
                 self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
                 request = replace(request, policy=Policy.STRAIGHT)
             still.append(request)
@@ -230,6 +242,14 @@ class Filling:
                     said = outcome.reason or Reason.SCENE_ENDED
                     gone[one.driven.vehicle_id] = one.driven, Reason.DID_NOT_DO_IT, said
                     self._last_reason[one.driven.start.request.number] = said
+        for vehicle, reason, _ in gone.values():
+            if reason is not Reason.DID_NOT_DO_IT:
+                self._last_reason[vehicle.start.request.number] = reason
+        self._drop_rivals(new, gone)
+        if number + 1 >= self.scene.config.spawn.reseed_rounds:
+            self._give_up_manoeuvres(
+                {one.driven.start.request.number for one in new if one.driven.vehicle_id not in gone}
+            )
         self._drop_surplus(new, gone)
         self._drive_again(new, gone)
         for vehicle, reason, detail in gone.values():
@@ -241,6 +261,18 @@ class Filling:
             _tell(one.driven, _site(self.scene, one.driven), number, "kept", became)
         self.kept += kept_now
         self._close(kept_now)
+
+    def _drop_rivals(
+        self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]
+    ) -> None:
+        """Of several vehicles for one request one is kept: one that somebody waited for before others."""
+        waited_for = set().union(*(one.driven.waited_for for one in new)) if new else set()
+        left = [one.driven for one in new if one.driven.vehicle_id not in gone]
+        met: set[int] = set()
+        for driven in sorted(left, key=lambda driven: driven.vehicle_id not in waited_for):
+            if driven.start.request.number in met:
+                gone[driven.vehicle_id] = driven, Reason.SPARE, None
+            met.add(driven.start.request.number)
 
     def _drop_surplus(
         self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]
@@ -268,7 +300,7 @@ class Filling:
                     continue
                 gone[driven.vehicle_id] = driven, Reason.WAITED_FOR_GONE, None
                 changed = True
-                if self._driven_again[driven.vehicle_id] < _AGAIN_MOST:
+                if self._driven_again[driven.vehicle_id] < self.scene.config.spawn.driven_again:
                     self._driven_again[driven.vehicle_id] += 1
                     self._again.append(driven.start)
 
@@ -287,11 +319,10 @@ class Filling:
                 detail,
             )
         )
-        if reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE):
-            if self.scene.config.request.sites == "promising":
-                segment = start.path.segment_at(start.start_s)
-                self._avoided.append((segment.lane_id, segment.lane_s(start.start_s)))
-            self._last_reason[start.request.number] = reason
+        place_failed = reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE)
+        if place_failed and self.scene.config.request.sites == "promising":
+            segment = start.path.segment_at(start.start_s)
+            self._avoided.append((segment.lane_id, segment.lane_s(start.start_s)))
 
     def _close(self, kept: list[ExportedVehicle]) -> None:
         """Take requests that are met off the list; a spare vehicle meets the last open one that goes straight."""

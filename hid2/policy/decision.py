@@ -9,6 +9,7 @@ from hid2.params import LaneChange, Overtake
 from hid2.policy.lane_change import NOBODY, Gap
 from hid2.policy.overtake import Leader, Stage, enter_reason, return_reason
 from hid2.policy.rules import GapView, Wish, rule_reason
+from hid2.reasons import Reason
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
@@ -68,24 +69,24 @@ class Decision:
     policy: Policy
     target: Cell | None
     side: Side | None = None
-    reason: str | None = None
-    answers: tuple[str | None, ...] = field(default=(), compare=False)
+    reason: Reason | None = None
+    answers: tuple[Reason | None, ...] = field(default=(), compare=False)
 
 
 def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) -> Decision:
     """Algorithm 1 (Agent Decision). "Not feasible" is a reason, never an exception."""
-    reason: str | None = None
-    answers: list[str | None] = []
+    reason: Reason | None = None
+    answers: list[Reason | None] = []
     due = seen.time_s >= seen.trigger_s and seen.stage is not Stage.DONE and seen.stage is not Stage.ABORTED
     if due and seen.request is Policy.LANE_CHANGE:
-        reason = "no_adjacent_lane"
+        reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
             reason = rule_reason(_view(seen, option), lane_change)
             answers.append(reason)
             if reason is None:
                 return Decision(Policy.LANE_CHANGE, option.target, option.side, answers=tuple(answers))
     elif due and seen.request is Policy.OVERTAKE:
-        reason = "no_adjacent_lane"
+        reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
             if seen.stage is Stage.PASS:
                 reason = return_reason(

@@ -57,7 +57,7 @@ class GapView:
 UserRule = Callable[[GapView], bool]
 
 
-def rule_reason(view: GapView, params: LaneChange) -> str | None:
+def rule_reason(view: GapView, params: LaneChange) -> Reason | None:
     """Why the rule `lane_change.rule` does not take a gap; None where it does.
 
     Errors: ConfigError for a user's rule that cannot be imported or does not answer True or False.
@@ -109,7 +109,7 @@ def idm_mps2(speed_mps: float, ahead: Gap, view: GapView) -> float:
     return view.accel_mps2 * (free - (wanted / max(ahead.distance_m, 0.1)) ** 2)
 
 
-def mobil_reason(view: GapView, params: LaneChange) -> str | None:
+def mobil_reason(view: GapView, params: LaneChange) -> Reason | None:
     """MOBIL (Kesting, Treiber and Helbing 2007): safety for the new follower, then the incentive with politeness p.
 
     a_c' - a_c + p (a_n' - a_n + a_o' - a_o) > threshold - bias, by the intelligent driver model.
@@ -133,7 +133,7 @@ def mobil_reason(view: GapView, params: LaneChange) -> str | None:
     return None if gain > params.mobil_threshold_mps2 - params.mobil_bias_mps2 else Reason.MOBIL_NO_ADVANTAGE
 
 
-def _lc2013_reason(view: GapView) -> str | None:
+def _lc2013_reason(view: GapView) -> Reason | None:
     """SUMO's own model: it wants the lane (strategic, cooperative, speed gain, keep right) and finds it free."""
     if view.wish is None or not view.wish.motives:
         return Reason.LC2013_NO_MOTIVE
