@@ -16,6 +16,9 @@ from hid2.params import Config, Event
 from hid2.policies import Policy
 from netconvert.errors import ConfigError
 
+#: Ids of synthetic corridors, which are no scenes of Argoverse and may be longer.
+CORRIDOR_PREFIX = "corridor-"
+
 
 class ParameterRow(NamedTuple):
     """One line of `hid2 config`."""
@@ -149,9 +152,19 @@ def config_sha256(config: Config) -> str:
 
 
 def new_scenario_id(source_id: str, config: Config, seed: int, variant: int) -> str:
-    """UUID (version 5) of a request: the same request names the same scenario."""
+    """UUID (version 5) of a request: the same request names the same scenario. What comes of a corridor says so."""
     space = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo")
-    return str(uuid.uuid5(space, "\n".join([source_id, config_sha256(config), str(seed), str(variant)])))
+    new_id = uuid.uuid5(space, "\n".join([source_id, config_sha256(config), str(seed), str(variant)]))
+    return f"{CORRIDOR_PREFIX if source_id.startswith(CORRIDOR_PREFIX) else ''}{new_id}"
+
+
+def check_no_flow(config: Config) -> None:
+    """Raise ConfigError where traffic is to enter at the map's edge: whoever does so is not exported, only studied."""
+    if config.flow.veh_per_h_lane > 0.0:
+        raise ConfigError(
+            f"flow.veh_per_h_lane = {config.flow.veh_per_h_lane:g}: traffic enters in studies only (hid2 study), "
+            "expected 0 here"
+        )
 
 
 def config_to_toml(config: Config) -> str:
@@ -208,7 +221,7 @@ def _range(field: FieldInfo) -> str:
     if str in leaves:
         return "text"
     if int not in leaves and float not in leaves:
-        return choices
+        return f"{choices}, or module:function" if str in leaves else choices  # the one text that is free
     words = f"{'integer' if int in leaves else 'number'} {_bounds([*field.metadata, *inner])}".strip()
     return f"{words}, or {choices}" if choices else words
 

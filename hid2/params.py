@@ -16,6 +16,9 @@ def _param(default: Any, unit: str, source: str, **bounds: Any) -> Any:  # noqa:
     return Field(default=default, json_schema_extra={"unit": unit, "source": source}, **bounds)
 
 
+_FUNCTION = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"  # module:function
+
+
 class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -245,6 +248,16 @@ class LaneChange(_Section):
     min_duration_s: float = _param(2.5, "s", "shortest lateral motion (11 s scenes)", ge=1.5, le=10)
     max_duration_s: float = _param(6.0, "s", "longest lateral motion", ge=1.5, le=15)
     min_speed_mps: float = _param(2.0, "m/s", "slower vehicles cannot shift a lane in time", ge=0, le=20)
+    rule: Literal["paper", "MOBIL", "LC2013"] | Annotated[str, Field(pattern=_FUNCTION)] = _param(
+        "paper", "-", "what decides whether a gap is taken; module:function names one of your own"
+    )
+    mobil_politeness: float = _param(0.3, "-", "MOBIL p (Kesting et al. 2007: 0 to 1)", ge=0, le=2)
+    mobil_threshold_mps2: float = _param(0.1, "m/s2", "MOBIL, advantage that is worth a change", ge=0, le=5)
+    mobil_bias_mps2: float = _param(0.3, "m/s2", "MOBIL, bias towards the lane that is asked for", ge=0, le=10)
+    mobil_safe_mps2: float = _param(4.0, "m/s2", "MOBIL b_safe, hardest braking left to the new follower", gt=0, le=9)
+    lc_strategic: float = _param(1.0, "-", "LC2013 lcStrategic; SUMO's default", ge=0, le=100)
+    lc_cooperative: float = _param(1.0, "-", "LC2013 lcCooperative; SUMO's default", ge=0, le=1)
+    lc_speed_gain: float = _param(1.0, "-", "LC2013 lcSpeedGain; SUMO's default", ge=0, le=1000)
     max_shift_m: float = _param(5.5, "m", "middles of lanes farther apart are not side by side", gt=0, le=20)
     time_share: float = _param(0.95, "share", "of the time left that the lateral motion may take", gt=0, le=1)
     spare_s: float = _param(0.5, "s", "of that time, left after the lateral motion", ge=0, le=5)
@@ -391,6 +404,16 @@ class CarFollowing(_Section):
     jerk_mps3: float = _param(3.0, "m/s3", "EIDM jerkmax", gt=0, le=10)
 
 
+class Flow(_Section):
+    """Traffic that enters at the edges of the map while the scene runs: in studies (`hid2 study`)."""
+
+    veh_per_h_lane: float = _param(0.0, "veh/h", "flow on each lane that begins at the map's edge", ge=0, le=3000)
+    min_headway_s: float = _param(
+        1.2, "s", "headways are exponential beyond this (shifted exponential, Cowan's M2)", ge=0, le=10
+    )
+    warm_up_s: float = _param(30.0, "s", "requests before this are not counted", ge=0, le=3600)
+
+
 class Limits(_Section):
     """Limits of motion of every exported step (nuPlan's comfort bounds; R_min and a_y,max of the paper)."""
 
@@ -510,6 +533,7 @@ class Config(_Section):
     conflict: Conflict = Conflict()
     signals: Signals = Signals()
     crossings: Crossings = Crossings()
+    flow: Flow = Flow()
     limits: Limits = Limits()
     smoothing: Smoothing = Smoothing()
     event_search: EventSearch = EventSearch()

@@ -26,6 +26,7 @@ from bridge.cli.options import (
     Memory,
     MinAgents,
     Quiet,
+    RecordName,
     Resume,
     Sample,
     Scheduler,
@@ -201,6 +202,14 @@ def generate(  # noqa: PLR0913  # one for each option
     scene_timeout: Timeout = 300.0,
     scene_memory: Memory = 4000,
     resume: Resume = False,
+    record: Annotated[
+        list[RecordName],
+        typer.Option(
+            help="Write more beside each scene; gaps: every look at a gap, gaps_<id>.csv.gz.",
+            rich_help_panel=OUTPUT,
+            show_default=False,
+        ),
+    ] = [],  # noqa: B006
     repro: Annotated[
         Path | None,
         typer.Option(metavar="BUNDLE", help="Run a quarantined scene again, from its bundle.", rich_help_panel=RUNNING),
@@ -259,13 +268,14 @@ def generate(  # noqa: PLR0913  # one for each option
             )
             folders = select_scenes(folders, selection, activity, jobs=jobs)
 
-        from bridge.batch.batch import Options, plan, run_batch
+        from bridge.batch.batch import GENERATE, GENERATE_WITH_GAPS, Options, plan, run_batch
         from bridge.batch.manifest import DONE
         from bridge.cli.batch_display import BatchNotes, batch_rows, print_batch
 
         options = Options(
-            jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume, memory_mb=scene_memory
-        )
+            jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume, memory_mb=scene_memory,
+            function=GENERATE_WITH_GAPS if record else GENERATE,
+        )  # fmt: skip
         notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")
         try:

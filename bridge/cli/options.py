@@ -17,6 +17,7 @@ BehaviourName = StrEnum("BehaviourName", ["STRAIGHT", "LEFT_TURN", "RIGHT_TURN",
 EventName = StrEnum("EventName", ["CUT_IN", "OVERTAKE", "LEAD", "FOLLOW", "MERGE", "CROSS"])
 ComponentName = StrEnum("ComponentName", ["TOPOLOGY", "COLLISION", "SMOOTHING"])
 SplitName = StrEnum("SplitName", ["TRAIN", "VAL", "TEST"])
+RecordName = StrEnum("RecordName", ["GAPS"])
 FocalName = Literal["recorded", "generated"]
 ExperimentName = Literal["table1", "ablation", "density", "diversity"]
 

@@ -68,7 +68,7 @@ def agent_record(
         policies={policy: round(count / steps, 6) for policy, count in sorted(driven.policies.items())},
         gaps=GapsRecord(
             looked_at=len(driven.gaps),
-            refused_by_rule=sum(look.rule is not None for look in driven.gaps),
+            refused_by_rule=sum((look.rule or look.guard) is not None for look in driven.gaps),
             refused_by_sumo=sum(look.sumo is False for look in driven.gaps),
         ),
         simulated=SimulatedRecord(max_off_m=round(float(abs(vehicle.simulated_off_m).max()), 6)),

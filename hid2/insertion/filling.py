@@ -126,6 +126,16 @@ class Filling:
             if request.policy is not Policy.STRAIGHT:
                 self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
 
+    def first_starts(self, count: int) -> list[Start]:
+        """Starts of one round for `count` requests, spare ones left out; who finds none is in `unmet`."""
+        self._open = self._possible(
+            draw_requests(self.scene.config, np.random.default_rng([*self.seed, 0]), count=count)
+        )
+        starts = self._starts(0, count, spare=False)
+        met = {start.request.number for start in starts}
+        self.unmet += [Unmet(request, Reason.NO_SITE) for request in self._open if request.number not in met]
+        return starts
+
     def _most(self) -> int:
         """How many the road takes at usual gaps, about: what `max` asks for."""
         lanes, spawn = self.scene.grid.graph.lanes, self.scene.config.spawn
