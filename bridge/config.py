@@ -112,8 +112,8 @@ def describe_config() -> list[ParameterRow]:
         for key, inner in _leaves(section, field):
             extra = inner.json_schema_extra if isinstance(inner.json_schema_extra, dict) else {}
             default = inner.get_default(call_default_factory=True)
-            listed = isinstance(default, frozenset | tuple)
-            text = ",".join(sorted(map(str, default))) or "none" if listed else str(default)
+            values = sorted(default) if isinstance(default, frozenset) else default
+            text = ",".join(map(str, values)) or "none" if isinstance(values, list | tuple) else str(default)
             rows.append(
                 ParameterRow(key, text, str(extra.get("unit", "-")), _range(inner), str(extra.get("source", "")))
             )
@@ -140,7 +140,8 @@ def _range(field: FieldInfo) -> str:
     if bool in leaves:
         return "true, false"
     if get_origin(field.annotation) is tuple:
-        return f"list of numbers {_bounds(inner)}"
+        least = " and not empty" if any(getattr(entry, "min_length", 0) for entry in field.metadata) else ""
+        return f"list of numbers {_bounds(inner)}{least}"
     if int not in leaves and float not in leaves:
         return choices
     words = f"{'integer' if int in leaves else 'number'} {_bounds([*field.metadata, *inner])}".strip()

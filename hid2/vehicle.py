@@ -8,6 +8,7 @@ from hid2.drivers.driver import Driver, LaneOffset
 from hid2.motion.route import DrivenPath, Route
 from hid2.policy.decision import Side
 from hid2.policy.overtake import Stage
+from hid2.reasons import Reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,7 @@ class GapLook:
     rear_mps: float
     own_mps: float
     remaining_m: float
-    rule: str | None
+    rule: Reason | None
     sumo: bool | None
 
 
@@ -86,8 +87,8 @@ class DrivenVehicle:
     s: list[float] = field(default_factory=list)
     v: list[float] = field(default_factory=list)
     stage: Stage = Stage.WAITING
-    reason: str | None = None
-    objection: str | None = None
+    reason: Reason | None = None
+    objection: Reason | None = None
     left_at: int | None = None
     shifts: list[Shift] = field(default_factory=list)
     gaps: list[GapLook] = field(default_factory=list)

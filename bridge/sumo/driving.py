@@ -25,26 +25,12 @@ from hid2.vehicle import DrivenVehicle, GapLook, Shift, Start
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
-#: A limit this close to the speed driven is what decided it, m/s.
-_BINDS_MPS = 0.05
-#: A vehicle that slows down by more than this, m/s2, behind somebody has braked for it.
-_SLOWS_MPS2 = 0.3
-_STANDS_MPS = 0.5
-_LEADERS_SHOWN = 2  # the next ones ahead of each vehicle: its car following asks for no more
-_LEADS_FROM_M = 0.3  # gap from which on somebody ahead is a leader and not beside
-#: Braking for what SUMO does not see builds up at this rate, m/s3.
-_BRAKING_JERK_MPS3 = 3.5
-_LAST_BRAKING_MPS2, _LAST_BRAKING_PER_S = 0.6, 1.8  # at walking pace the brake is let go with the speed
-#: A driver who waits for a gap lets those beside go ahead: slows down so hard, m/s2, to a share of the desired speed.
+_BINDS_MPS = 0.05  # book-keeping: a limit this close to the speed driven is what decided it
+_TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
+_LEADERS_SHOWN = 2  # car following asks for no more than the next ones ahead
+#: Refusals of a gap in which waiting for those beside to go ahead helps.
 _LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
-_LETS_PASS_MPS2, _LETS_PASS_SHARE = 0.7, 0.8
 _HELD_BY_GUARD = frozenset({"conflict", "signal", "crossing"})
-_RELEASED_MPS2 = 0.5  # from here on SUMO's own acceleration takes over
-#: Who comes from behind on the way across is looked for so far ahead, s.
-_ACROSS_S = 8.0
-_SOON_S = 3.0  # a conflict later than this does not make a driver brake yet, unless hard braking is needed
-#: SUMO is shown recorded agents up to here ahead of a vehicle, m.
-_SHOWN_M = 120.0
 
 
 @dataclass(eq=False, slots=True)
@@ -185,7 +171,7 @@ class Driving:
         Those whose boxes reach into the driving width on the present way of some vehicle and who move along it or
         stand. Who crosses is the guard's business: to SUMO it would appear out of nowhere.
         """
-        shown: dict[int, tuple[float, str, int]] = {}
+        driving, shown = self.scene.config.driving, dict[int, tuple[float, str, int]]()
         for row, vehicle in enumerate(self.vehicles):
             if not vehicle.running or "collision" in self.scene.config.without:
                 continue
@@ -194,8 +180,13 @@ class Driving:
             low, high = found.low[:, step], found.high[:, step]
             with np.errstate(invalid="ignore"):  # inf - inf where nobody is
                 gap = 0.5 * (low + high) - s - 0.5 * (vehicle.start.box.length_m + self._lengths[rows])
-            stands = (np.abs(found.along[:, step]) < _STANDS_MPS) & ~found.crosses[:, step]
-            leads = (low < np.inf) & (gap > _LEADS_FROM_M) & (gap < _SHOWN_M) & (found.aligned[:, step] | stands)
+            stands = (np.abs(found.along[:, step]) < driving.standing_mps) & ~found.crosses[:, step]
+            leads = (
+                (low < np.inf)
+                & (gap > driving.leads_from_m)
+                & (gap < driving.shown_m)
+                & (found.aligned[:, step] | stands)
+            )
             places = np.flatnonzero(leads)
             for place in places[np.argsort(gap[places], kind="stable")[:_LEADERS_SHOWN]].tolist():
                 agent, at = int(rows[place]), float(gap[place])
@@ -256,7 +247,7 @@ class Driving:
 
     def _steer(self, row: int, vehicle: DrivenVehicle, now: int, fleet: "_Lazy") -> list[_Attempt]:
         """Decide at step `now`, limit the speed where SUMO is blind, and pass both on for the coming step."""
-        s, v = vehicle.s[-1], vehicle.v[-1]
+        s, v, driving = vehicle.s[-1], vehicle.v[-1], self.scene.config.driving
         if vehicle.path.shifts and vehicle.stage in (Stage.ENTER, Stage.RETURN) and s >= vehicle.path.shifts[-1][1]:
             passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
             vehicle.stage = Stage.PASS if passing else Stage.DONE
@@ -266,13 +257,13 @@ class Driving:
         if "collision" not in self.scene.config.without:
             limits += self._guarded(row, vehicle, now, desired)
         if vehicle.stage is Stage.WAITING and vehicle.reason in _LETS_PASS:
-            limits.append((max(_LETS_PASS_SHARE * desired, v - _LETS_PASS_MPS2 * DT_S), "gap"))
+            limits.append((max(driving.let_pass_share * desired, v - driving.let_pass_mps2 * DT_S), "gap"))
         limit = min(limits)
         held = self._limit[row]
         if held is not None and held[1] in _HELD_BY_GUARD:  # a foot neither falls on the brake nor leaves it at once
             a = float(self._state[row, A])
-            eased = v + (a + _BRAKING_JERK_MPS3 * DT_S) * DT_S
-            if a < _RELEASED_MPS2 and eased < limit[0]:
+            eased = v + (a + driving.brake_jerk_mps3 * DT_S) * DT_S
+            if a < driving.released_mps2 and eased < limit[0]:
                 limit = eased, held[1]
         self._limit[row] = limit if limit[0] < desired - 1e-3 else None
         held = self._limit[row]
@@ -288,7 +279,7 @@ class Driving:
     def _turns(self, vehicle: DrivenVehicle, s: float) -> bool:
         """Whether it is in a turn lane or slows down for one."""
         lanes = self.scene.grid.graph.lanes
-        ahead = vehicle.path.segment_at(s + 4.0 * vehicle.v[-1])
+        ahead = vehicle.path.segment_at(s + _TURN_AHEAD_S * vehicle.v[-1])
         here = vehicle.path.segment_at(s)
         return lanes[here.lane_id].turn is not TurnType.STRAIGHT or lanes[ahead.lane_id].turn is not TurnType.STRAIGHT
 
@@ -309,15 +300,16 @@ class Driving:
     def _guarded(self, row: int, vehicle: DrivenVehicle, now: int, desired: float) -> list[tuple[float, str]]:
         """Limits of the guard for the coming step: predicted conflicts (case 3, timing)."""
         state = (float(self._state[row, S]), float(self._state[row, V]), float(self._state[row, A]))
+        driving = self.scene.config.driving
         found = self._guard.braking(
             self._obstacles_of(row), own=row, step=now, fleet=self._state, state=state, desired_mps=desired,
             road=self._road[row], driver=vehicle.start.driver,
         )  # fmt: skip
         if found.leader >= 0 and self._slows_for(state, found, vehicle.start):
             vehicle.waited_for.add(self.vehicles[found.leader].vehicle_id)
-        act = 0.3 if vehicle.yielding else self.scene.config.conflict.act_mps2
-        soon = found.free_conflict_s is not None and found.free_conflict_s <= _SOON_S
-        urgent = vehicle.yielding or soon or found.decel_mps2 >= 2.0 * act
+        act = driving.keep_yielding_mps2 if vehicle.yielding else self.scene.config.conflict.act_mps2
+        soon = found.free_conflict_s is not None and found.free_conflict_s <= driving.soon_s
+        urgent = vehicle.yielding or soon or found.decel_mps2 >= driving.urgent_ratio * act
         vehicle.yielding = found.decel_mps2 >= act and urgent
         start, limits = vehicle.start, []
         if vehicle.yielding:
@@ -325,14 +317,14 @@ class Driving:
         stop = self.stop_lines.braking(vehicle.path, start.box, start.driver, s=state[0], speed_mps=state[1], step=now)
         if stop is not None:
             limits.append(stop)
-        eased = min(state[2], 0.0) - _BRAKING_JERK_MPS3 * DT_S
-        gentle = -max(_LAST_BRAKING_MPS2, _LAST_BRAKING_PER_S * state[1])  # nobody stops with a jerk
+        eased = min(state[2], 0.0) - driving.brake_jerk_mps3 * DT_S
+        gentle = -max(driving.last_brake_mps2, driving.last_brake_per_s * state[1])  # nobody stops with a jerk
         return [(state[1] + max(accel, eased, gentle) * DT_S, cause) for accel, cause in limits]
 
-    @staticmethod
-    def _slows_for(state: tuple[float, float, float], found: Braking, start: Start) -> bool:
-        near = found.leader_gap_m < 2.0 * start.driver.tau_s * state[1] + 2.0 * start.driver.min_gap_m
-        return near and state[2] < -_SLOWS_MPS2
+    def _slows_for(self, state: tuple[float, float, float], found: Braking, start: Start) -> bool:
+        driving, driver = self.scene.config.driving, start.driver
+        usual_m = driver.tau_s * state[1] + driver.min_gap_m
+        return found.leader_gap_m < driving.behind_ratio * usual_m and state[2] < -driving.slows_mps2
 
     def _decide(self, row: int, vehicle: DrivenVehicle, now: int, fleet: "_Lazy") -> list[_Attempt]:
         """Algorithm 1 for one vehicle at one step: what it observes, the decision, and what is asked of SUMO."""
@@ -362,7 +354,7 @@ class Driving:
             return []
         option, target = options[side]
         attempt = self._attempt(row, vehicle, now, option, target, leader)
-        if isinstance(attempt, str):
+        if isinstance(attempt, Reason):
             vehicle.reason = attempt
             _note(vehicle, now, option, attempt)
             return []
@@ -422,15 +414,16 @@ class Driving:
 
     def _attempt(
         self, row: int, vehicle: DrivenVehicle, now: int, option: LaneOption, target: DrivenPath, leader: Leader | None
-    ) -> _Attempt | str:
+    ) -> _Attempt | Reason:
         """Lay the path across, look along it (conflict case 3), and ask SUMO; or the reason not to."""
         scene, start, s, v = self.scene, vehicle.start, vehicle.s[-1], vehicle.v[-1]
-        wanted = start.driver.lane_change_s * (0.7 if vehicle.policy is Policy.OVERTAKE else 1.0)
+        overtakes = vehicle.policy is Policy.OVERTAKE
+        wanted = start.driver.lane_change_s * (scene.config.overtake.shift_ratio if overtakes else 1.0)
         path = lay_across(
             scene, vehicle.path, target, s=s, step=now, pace_mps=0.5 * (v + max(v, start.driver.desired_mps)),
             remaining_m=option.remaining_m, lasting_s=wanted,
         )  # fmt: skip
-        if isinstance(path, str):
+        if isinstance(path, Reason):
             return path
         if vehicle.stage is Stage.PASS and not returns_to(start.path, path):
             return Reason.LANES_PART
@@ -463,7 +456,8 @@ class Driving:
         found = self._guard.braking(
             self._guard.obstacles(path, vehicle.start.box, self._others(row)), own=row, step=now, fleet=self._state,
             state=(vehicle.s[-1], vehicle.v[-1], 0.0), desired_mps=float(vehicle.start.desired[now]),
-            road=self.roads.speeds(path, vehicle.start.driver), driver=vehicle.start.driver, horizon_s=_ACROSS_S,
+            road=self.roads.speeds(path, vehicle.start.driver), driver=vehicle.start.driver,
+            horizon_s=self.scene.config.driving.across_s,
         )  # fmt: skip
         return found.conflict_s is not None or found.run_into or found.decel_mps2 > vehicle.start.driver.decel_mps2
 
@@ -495,7 +489,7 @@ class Driving:
         self._obstacles = [None] * len(self.vehicles)  # everybody sees the new intention
 
 
-def _note(vehicle: DrivenVehicle, step: int, option: LaneOption, rule: str | None) -> int:
+def _note(vehicle: DrivenVehicle, step: int, option: LaneOption, rule: Reason | None) -> int:
     """Record one look at a gap; returns its row."""
     vehicle.gaps.append(
         GapLook(
@@ -536,7 +530,7 @@ def edges_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[str, ...] |
     return tuple(edges)
 
 
-def insert(simulation: Simulation, scene: Scene, start: Start) -> str | None:
+def insert(simulation: Simulation, scene: Scene, start: Start) -> Reason | None:
     """Insert a vehicle at its cell, position and speed, with its driver. Returns SUMO's objection, None if accepted."""
     front = front_arc_m(start.start_s, start.size.length_m)
     segment = start.path.segment_at(front)

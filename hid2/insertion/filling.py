@@ -25,12 +25,6 @@ from netconvert.cells import Cell
 
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
-_MOST_AGENTS = 400
-#: Length of lane a vehicle takes on a road that is full, m; a round of `max` that adds a smaller share is the last.
-_USUAL_SPACING_M, _FULL_SHARE = 25.0, 0.1
-#: Requests in vain after which a round looks for no more sites for that policy: for manoeuvres, and for going straight.
-_FAILED_MOST = (2, 1)
-_AGAIN_MOST = 1  # times that a vehicle is driven again because it had waited for one that is gone
 _NO_MAP: dict[Policy, Reason] = {
     Policy.STRAIGHT: Reason.MAP_OFFERS_NO_LANE,
     Policy.LEFT_TURN: Reason.MAP_OFFERS_NO_LEFT_TURN,
@@ -110,7 +104,7 @@ class Filling:
                 break
             self.rounds = number + 1
             self._keep(drive(starts, self._fixed(), number), number)
-            if asked == "max" and number > 0 and len(self.kept) - before <= _FULL_SHARE * len(self.kept):
+            if asked == "max" and number > 0 and len(self.kept) - before <= config.spawn.full_share * len(self.kept):
                 break
         for request in self._open:
             if request.policy is not Policy.STRAIGHT:
@@ -118,8 +112,9 @@ class Filling:
 
     def _most(self) -> int:
         """How many the road takes at usual gaps, about: what `max` asks for."""
-        lanes = self.scene.grid.graph.lanes
-        return min(_MOST_AGENTS, math.ceil(sum(lanes[n].length_m for n in self.routes.lanes) / _USUAL_SPACING_M))
+        lanes, spawn = self.scene.grid.graph.lanes, self.scene.config.spawn
+        length_m = sum(lanes[lane_id].length_m for lane_id in self.routes.lanes)
+        return min(spawn.most_agents, math.ceil(length_m / spawn.spacing_m))
 
     def _fixed(self) -> Traffic:
         return traffic_of_exported(self.kept, self.scene)
@@ -156,7 +151,8 @@ class Filling:
         for request in waiting:
             if request.number in used:
                 continue
-            if failed[request.policy] >= _FAILED_MOST[request.policy is Policy.STRAIGHT]:
+            straight = request.policy is Policy.STRAIGHT
+            if failed[request.policy] >= (config.spawn.failed_straight if straight else config.spawn.failed_manoeuvres):
                 self._last_reason[request.number] = Reason.NO_SITE
                 continue
             slow = next(
@@ -258,7 +254,7 @@ class Filling:
                     continue
                 gone[driven.vehicle_id] = driven, Reason.WAITED_FOR_GONE, None
                 changed = True
-                if self._driven_again[driven.vehicle_id] < _AGAIN_MOST:
+                if self._driven_again[driven.vehicle_id] < self.scene.config.spawn.driven_again:
                     self._driven_again[driven.vehicle_id] += 1
                     self._again.append(driven.start)
 

@@ -7,6 +7,7 @@ from hid2.agents import Policy
 from hid2.params import LaneChange, Overtake
 from hid2.policy.lane_change import Gap, lane_change_reason
 from hid2.policy.overtake import Leader, Stage, enter_reason, return_reason
+from hid2.reasons import Reason
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
@@ -55,15 +56,15 @@ class Decision:
     policy: Policy
     target: Cell | None
     side: Side | None = None
-    reason: str | None = None
+    reason: Reason | None = None
 
 
 def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) -> Decision:
     """Algorithm 1 (Agent Decision). "Not feasible" is a reason, never an exception."""
-    reason: str | None = None
+    reason: Reason | None = None
     due = seen.time_s >= seen.trigger_s and seen.stage is not Stage.DONE and seen.stage is not Stage.ABORTED
     if due and seen.request is Policy.LANE_CHANGE:
-        reason = "no_adjacent_lane"
+        reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
             reason = lane_change_reason(
                 speed_mps=seen.speed_mps,
@@ -76,7 +77,7 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
             if reason is None:
                 return Decision(Policy.LANE_CHANGE, option.target, option.side)
     elif due and seen.request is Policy.OVERTAKE:
-        reason = "no_adjacent_lane"
+        reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
             if seen.stage is Stage.PASS:
                 reason = return_reason(

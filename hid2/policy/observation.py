@@ -15,12 +15,11 @@ from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Side
 from hid2.policy.lane_change import Gap
 from hid2.policy.overtake import Leader
+from hid2.reasons import Reason
 from hid2.scene import DRIVABLE_TYPES, DT_S, Scene
 from netconvert.cells import Cell
 
-_MAX_SHIFT_M = 5.5
-_HALF_LANE_M = 1.5
-_SPARE_S = 0.5
+_HALF_LANE_M = 1.5  # half of the narrowest lane: what "on a lane path" means, the same for all
 
 
 def admissible_neighbor(scene: Scene, lane_id: int, side: Side) -> int | None:
@@ -161,21 +160,21 @@ def gap_ahead_of(
 def lay_across(
     scene: Scene, path: DrivenPath, target: DrivenPath, *, s: float, step: int, pace_mps: float, remaining_m: float,
     lasting_s: float,
-) -> DrivenPath | str:  # fmt: skip
+) -> DrivenPath | Reason:  # fmt: skip
     """Path that shifts to `target` from arc length s on within lasting_s at about pace_mps; or why there is none.
 
     The shift is no longer than the lane and the scene have room for, and no shorter than the shortest duration.
     """
     change, smoothing = scene.config.lane_change, scene.config.smoothing
     pace = max(pace_mps, change.min_speed_mps)
-    time_left_s = 0.95 * (scene.num_steps - 1 - step) * DT_S - _SPARE_S
-    lasting_s = max(change.min_duration_s, min(lasting_s, time_left_s, 0.8 * remaining_m / pace))
+    time_left_s = change.time_share * (scene.num_steps - 1 - step) * DT_S - change.spare_s
+    lasting_s = max(change.min_duration_s, min(lasting_s, time_left_s, change.length_share * remaining_m / pace))
     blend = blend_paths(
         path.raw, target.raw, start_m=path.to_raw(s), length_m=pace * lasting_s, step_m=smoothing.path_step_m,
-        max_shift_m=_MAX_SHIFT_M,
+        max_shift_m=change.max_shift_m,
     )  # fmt: skip
     if blend is None:
-        return "lanes_not_side_by_side"
+        return Reason.LANES_NOT_SIDE_BY_SIDE
     return shifted_path(path, target, blend, smoothing=smoothing, limits=scene.config.limits)
 
 
