@@ -336,12 +336,8 @@ def _about(name: Experiment, outcomes: Sequence[Outcome], *, seeds: int, sources
 def _of(outcomes: Sequence[Outcome], sources: int) -> str:
     """How many scenes and vehicles an experiment is of."""
     made = [row for outcome in outcomes if outcome.setting.config is not None for row in outcome.rows]
-    scenes, vehicles = f"{len(made)} scene{_plural(len(made))}", sum(int(row["generated"]) for row in made)
-    return f"{scenes} made from {sources} recorded one{_plural(sources)}, with {vehicles} generated vehicle{_plural(vehicles)}"
-
-
-def _plural(count: int) -> str:
-    return "" if count == 1 else "s"
+    vehicles = sum(int(row["generated"]) for row in made)
+    return f"{len(made)} generated scenes made from {sources} recorded, with {vehicles} generated vehicles in all"
 
 
 _COLUMNS_TEXT = (

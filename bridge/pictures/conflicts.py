@@ -32,8 +32,9 @@ class ConflictKind(StrEnum):
 class Conflict(NamedTuple):
     """Two agents of a scene that touch or come close.
 
-    first, second: track ids; of CLOSING_IN the follower and its leader. time_s: when it begins, or is worst. position:
-    (2,) m, between the two. value: of CONTACT the largest IoU, of CROSSING the PET and of CLOSING_IN the smallest TTC, s.
+    first, second: track ids; of CLOSING_IN the follower and its leader. time_s: when it begins, or is worst. position
+    (2,), m, city frame: between the two. value: the largest IoU of a CONTACT, the PET of a CROSSING, s, the smallest
+    TTC of CLOSING_IN, s.
     """
 
     kind: ConflictKind
