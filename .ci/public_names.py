@@ -1,4 +1,4 @@
-"""Writes bridge/PYTHON.md from the public names and their docstrings: python .ci/public_names.py. A test compares them."""
+"""Writes bridge/PYTHON.md from the docstrings of the public names: python .ci/public_names.py. A test compares them."""
 
 import inspect
 import re
@@ -10,13 +10,13 @@ PAGE = Path(__file__).parents[1] / "bridge" / "PYTHON.md"
 INTRODUCTION = """\
 # From Python
 
-The public interface, `from bridge import ...`. `python .ci/public_names.py` makes this page of the docstrings, and a test compares
-them; `help(name)` has shapes, units and errors. It follows semantic versioning from 1.0 on: until then a minor version may change
-it, and [CHANGELOG.md](../CHANGELOG.md) says so. All other names may change with any version. The packages carry types, which mypy
-and editors follow in an editable install too.
+The public interface, `from bridge import ...`. `python .ci/public_names.py` makes this page of the docstrings, and a
+test compares them; `help(name)` has shapes, units and errors. It follows semantic versioning from 1.0 on: until then a
+minor version may change it, and [CHANGELOG.md](../CHANGELOG.md) says so. All other names may change with any version.
+The packages carry types, which mypy and editors follow in an editable install too.
 
-Lengths are in metres, times in seconds, headings in radians counter-clockwise from east; positions are box centres in city
-coordinates. One process runs one simulation at a time: to use several cores, use `run_batch`.
+Lengths are in metres, times in seconds, headings in radians counter-clockwise from east; positions are box centres in
+city coordinates. One process runs one simulation at a time: to use several cores, use `run_batch`.
 
 | name | what it is |
 |---|---|
@@ -25,7 +25,9 @@ coordinates. One process runs one simulation at a time: to use several cores, us
 
 def page() -> str:
     """The text of the page: each name with its arguments and the first sentence of its docstring."""
-    return INTRODUCTION + "".join(f"| `{_call(name)}` | {_sentence(name)} |\n" for name in sorted(bridge.__all__, key=str.lower))
+    return INTRODUCTION + "".join(
+        f"| `{_call(name)}` | {_sentence(name)} |\n" for name in sorted(bridge.__all__, key=str.lower)
+    )
 
 
 def _call(name: str) -> str:

@@ -9,7 +9,16 @@ from pathlib import Path
 import imageio.v3 as iio
 from PIL import Image
 
-from bridge import evaluate_folder, find_scenarios, generate, load_config, plot_agent, read_scenario, render_scene, write
+from bridge import (
+    evaluate_folder,
+    find_scenarios,
+    generate,
+    load_config,
+    plot_agent,
+    read_scenario,
+    render_scene,
+    write,
+)
 from bridge.evaluation.charts import distribution_figure
 from bridge.pictures import figures
 

@@ -1,7 +1,8 @@
 """Runs the notebooks in data/examples and writes their outputs: python data/run_notebooks.py [NOTEBOOK...].
 
-Without Jupyter: the code of a notebook runs cell after cell in a process of its own, as it does there; what is printed, the value
-of a last expression and figures become the outputs. The tests run them with `run` and compare the kinds of the outputs.
+Without Jupyter: the code of a notebook runs cell after cell in a process of its own, as it does there; what is printed,
+the value of a last expression and figures become the outputs. The tests run them with `run` and compare the kinds of
+outputs.
 """
 
 import ast
@@ -55,7 +56,9 @@ def _outputs(source: str, names: dict[str, Any], number: int) -> list[dict[str, 
             value = eval(compile(ast.Expression(last.value), f"cell {number}", "eval"), names)  # noqa: S307
     outputs: list[dict[str, Any]] = []
     if printed.getvalue():
-        outputs.append({"name": "stdout", "output_type": "stream", "text": printed.getvalue().splitlines(keepends=True)})
+        outputs.append(
+            {"name": "stdout", "output_type": "stream", "text": printed.getvalue().splitlines(keepends=True)}
+        )
     if value is not None:
         data = {"text/plain": repr(value).splitlines(keepends=True)}
         if hasattr(value, "_repr_html_"):

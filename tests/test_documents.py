@@ -138,7 +138,9 @@ def test_readme_is_short_and_its_pictures_are_small() -> None:
     pictures = list((ROOT / "data" / "pictures").iterdir())
     assert pictures
     assert max(path.stat().st_size for path in pictures) < 150_000
-    tracked = subprocess.run(["git", "ls-files", "data/pictures"], cwd=ROOT, capture_output=True, text=True, check=False)
+    tracked = subprocess.run(
+        ["git", "ls-files", "data/pictures"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     shown = (ROOT / "README.md").read_text(encoding="utf-8")
     assert [name for name in tracked.stdout.split() if name not in shown] == []
 

@@ -143,7 +143,7 @@ class Filling:
         sites = InsertionSites(self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number, self._avoided)
         sites.taken += self._again
         starts, self._again = list(self._again), []
-        if number >= config.spawn.reseed_rounds:  # the count matters more by now
+        if number >= max(1, config.spawn.reseed_rounds):  # the count matters more by now; each is tried once
             self._give_up_manoeuvres()
         waiting = sorted(self._open, key=lambda request: (_ORDER.index(request.policy), request.number))
         used: set[int] = {start.request.number for start in starts}

@@ -6,7 +6,11 @@ from pathlib import Path
 import pytest
 
 from bridge.batch.manifest import DONE, ManifestRow
+from bridge.config import load_config
+from bridge.generation.generate import generate
+from bridge.recordings.scenario import read_scenario
 from bridge.studies.study import read_study, tables
+from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 
 ROOT = Path(__file__).parents[4]
@@ -110,3 +114,14 @@ def test_tables_are_tidy(tmp_path: Path, data_scenes: dict[str, Path]) -> None:
 def test_study_may_ask_for_maps_with_room(tmp_path: Path, data_root: Path) -> None:
     study = read_study(study_file(tmp_path, 'can = ["left_turn"]\n[vary]\ntrigger_s = [1.0]\n', data_root))
     assert [folder.name for folder in study.folders] == ["bf8c5e9d-76de-5c6f-a44b-69cc2c9a318a"]
+
+
+def test_without_reseeding_each_request_is_tried_once(data_scenes: dict[str, Path]) -> None:
+    """As the studies in data/studies ask for: manoeuvres are begun, and what failed is not tried elsewhere."""
+    settings = ["spawn.reseed_rounds=0", "request.agents=6", "request.straight=0", "request.left_turn=0"]
+    settings += ["request.right_turn=0", "request.overtake=0", "request.lane_change=1"]
+    scene = generate(read_scenario(data_scenes["arterial"]), load_config(None, settings))
+    records = [record for agent in scene.sidecar.agents for record in agent.maneuvers]
+    assert len(records) == 6
+    assert sum(record.status == "done" for record in records) >= 3
+    assert not any(vehicle.reason == Reason.DID_NOT_DO_IT for vehicle in scene.sidecar.replaced)
