@@ -3,7 +3,7 @@
 import logging
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -144,7 +144,7 @@ class Filling:
         sites.taken += self._again
         starts, self._again = list(self._again), []
         if number >= max(1, config.spawn.reseed_rounds):  # the count matters more by now; each is tried once
-            self._give_up_manoeuvres()
+            self._give_up_manoeuvres(keep={start.request.number for start in starts})
         waiting = sorted(self._open, key=lambda request: (_ORDER.index(request.policy), request.number))
         used: set[int] = {start.request.number for start in starts}
         failed: Counter[Policy] = Counter()
@@ -175,12 +175,15 @@ class Filling:
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
         return starts
 
-    def _give_up_manoeuvres(self) -> bool:
-        """Requests that no round met become vehicles that go straight; whether there was any."""
+    def _give_up_manoeuvres(self, *, keep: Collection[int] = ()) -> bool:
+        """Requests that no round met become vehicles that go straight; whether there was any.
+
+        keep: numbers of requests that are driven once more, and may still be met.
+        """
         before = len(self.unmet)
         still = []
         for request in self._open:
-            if request.policy is not Policy.STRAIGHT:
+            if request.policy is not Policy.STRAIGHT and request.number not in keep:
                 self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
                 request = replace(request, policy=Policy.STRAIGHT)
             still.append(request)

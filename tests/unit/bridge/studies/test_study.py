@@ -125,3 +125,14 @@ def test_without_reseeding_each_request_is_tried_once(data_scenes: dict[str, Pat
     assert len(records) == 6
     assert sum(record.status == "done" for record in records) >= 3
     assert not any(vehicle.reason == Reason.DID_NOT_DO_IT for vehicle in scene.sidecar.replaced)
+
+
+def test_a_request_has_one_record_though_its_vehicle_is_driven_again(data_scenes: dict[str, Path]) -> None:
+    """Four lane changes are asked for; one vehicle has braked for another that goes, and is driven once more."""
+    settings = ["spawn.reseed_rounds=1", "request.trigger_min_s=1", "request.trigger_max_s=1", "request.agents=8"]
+    settings += ["request.straight=0.5", "request.left_turn=0", "request.right_turn=0", "request.overtake=0"]
+    scene = generate(
+        read_scenario(data_scenes["arterial"]),
+        load_config(None, [*settings, "request.lane_change=0.5", "request.seed=1"]),
+    )
+    assert sum(len(agent.maneuvers) for agent in scene.sidecar.agents) == 4
