@@ -27,6 +27,7 @@ say_done() {
     alive=
 }
 trap say_done EXIT
+say_alive "looking at what is there"
 
 # A Python for .venv, and to bring uv into .uv: that of the machine, also where some environment is active.
 LOCATE='import sys; fits = (3, 11) <= sys.version_info < (3, 13)
@@ -66,6 +67,7 @@ packages=$(missing_packages "$@" | tr '\n' ' ')
 if [ -n "$packages" ]; then
     if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
         echo "setup.sh: installing $packages" >&2
+        say_done
         say_alive "installing them"
         # shellcheck disable=SC2086  # one word a package
         { # a list that cannot be renewed may still do
@@ -81,6 +83,7 @@ if [ -n "$packages" ]; then
     fi
 fi
 
+say_done
 case "$(.uv/bin/uv --version 2>/dev/null)" in
 "uv $UV_VERSION"*) ;;
 *)
@@ -119,6 +122,6 @@ if ! grep -qxF "$made ${1:-}" .venv/.hid2 2>/dev/null; then
 fi
 .venv/bin/python -c 'import libsumo' >/dev/null || fail "SUMO's library cannot be loaded (see above)"
 # Compiled once, so that no scene waits for it; says so where there is something to compile.
-say_alive "compiling"
+say_alive "at compiled code"
 .venv/bin/python -m compileall -q netconvert hid2 bridge >/dev/null || true
 .venv/bin/python -m hid2.kernels.compile || fail "the loops of hid2/kernels cannot be compiled (see above)"
