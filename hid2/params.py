@@ -96,7 +96,10 @@ class Spawn(_Section):
     near_weight: float = _param(4.0, "ratio", "weight of sites near moving recorded traffic", ge=1, le=100)
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(
-        3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
+        2, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
+    )
+    candidates: int = _param(
+        3, "vehicles", "driven at once for one manoeuvre, of which one that does it is kept", ge=1, le=10
     )
     spare_share: float = _param(
         0.2, "share", "vehicles driven beyond the count, in case some cannot be made safe", ge=0, le=2
@@ -261,7 +264,7 @@ class Turn(_Section):
 class Conflict(_Section):
     """The three cases of conflict resolution, and what is exported at all."""
 
-    horizon_s: float = _param(4.0, "s", "H delta: how far ahead conflicts are looked for", gt=0, le=10)
+    horizon_s: float = _param(8.0, "s", "H delta: how far ahead conflicts are looked for", gt=0, le=10)
     act_mps2: float = _param(
         1.1, "m/s2", "deceleration that a conflict must ask for before the timing is changed", ge=0, le=4
     )

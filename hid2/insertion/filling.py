@@ -3,7 +3,7 @@
 import logging
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -144,10 +144,11 @@ class Filling:
         sites.taken += self._again
         starts, self._again = list(self._again), []
         if number >= max(1, config.spawn.reseed_rounds):  # the count matters more by now; each is tried once
-            self._give_up_manoeuvres(keep={start.request.number for start in starts})
+            self._give_up_manoeuvres({start.request.number for start in starts})
         waiting = sorted(self._open, key=lambda request: (_ORDER.index(request.policy), request.number))
         used: set[int] = {start.request.number for start in starts}
         failed: Counter[Policy] = Counter()
+        rivals: list[tuple[VehicleRequest, int]] = []
         for request in waiting:
             if request.number in used:
                 continue
@@ -164,8 +165,23 @@ class Filling:
             if not found:
                 failed[request.policy] += 1
                 self._last_reason[request.number] = Reason.NO_SITE
+            elif request.policy is not Policy.STRAIGHT:
+                more = config.spawn.candidates - 1
+                rivals.append((request, more))
+        while rivals:
+            request, more = rivals.pop(0)
+            slow = next(
+                (r for r in waiting if r.policy is Policy.STRAIGHT and r.number not in used), None
+            ) if request.policy is Policy.OVERTAKE else None  # fmt: skip
+            found = sites.propose(request, slow) if more > 0 else []
+            used.update(start.request.number for start in found)
+            starts += found
+            if found and more > 1:
+                rivals.append((request, more - 1))
         if spare and starts and not failed[Policy.STRAIGHT]:
             extra = math.ceil(config.spawn.spare_share * len(starts))
+            if number + 1 == config.spawn.reseed_rounds:  # in place of manoeuvres that fail once more
+                extra = max(extra, sum(request.policy is not Policy.STRAIGHT for request in waiting))
             for _ in range(min(extra, max(0, missing))):
                 request = VehicleRequest(self._next_spare, Policy.STRAIGHT, 0.0)
                 self._next_spare += 1
@@ -175,15 +191,12 @@ class Filling:
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
         return starts
 
-    def _give_up_manoeuvres(self, *, keep: Collection[int] = ()) -> bool:
-        """Requests that no round met become vehicles that go straight; whether there was any.
-
-        keep: numbers of requests that are driven once more, and may still be met.
-        """
+    def _give_up_manoeuvres(self, met: Set[int] = frozenset()) -> bool:
+        """Requests that no round met become vehicles that go straight; whether there was any. met: numbers."""
         before = len(self.unmet)
         still = []
         for request in self._open:
-            if request.policy is not Policy.STRAIGHT and request.number not in keep:
+            if request.policy is not Policy.STRAIGHT and request.number not in met:
                 self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
                 request = replace(request, policy=Policy.STRAIGHT)
             still.append(request)
@@ -219,6 +232,14 @@ class Filling:
                     said = outcome.reason or Reason.SCENE_ENDED
                     gone[one.driven.vehicle_id] = one.driven, Reason.DID_NOT_DO_IT, said
                     self._last_reason[one.driven.start.request.number] = said
+        for vehicle, reason, _ in gone.values():
+            if reason is not Reason.DID_NOT_DO_IT:
+                self._last_reason[vehicle.start.request.number] = reason
+        self._drop_rivals(new, gone)
+        if number + 1 >= self.scene.config.spawn.reseed_rounds:
+            self._give_up_manoeuvres(
+                {one.driven.start.request.number for one in new if one.driven.vehicle_id not in gone}
+            )
         self._drop_surplus(new, gone)
         self._drive_again(new, gone)
         for vehicle, reason, detail in gone.values():
@@ -230,6 +251,18 @@ class Filling:
             _tell(one.driven, _site(self.scene, one.driven), number, "kept", became)
         self.kept += kept_now
         self._close(kept_now)
+
+    def _drop_rivals(
+        self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]
+    ) -> None:
+        """Of several vehicles for one request one is kept: one that somebody waited for before others."""
+        waited_for = set().union(*(one.driven.waited_for for one in new)) if new else set()
+        left = [one.driven for one in new if one.driven.vehicle_id not in gone]
+        met: set[int] = set()
+        for driven in sorted(left, key=lambda driven: driven.vehicle_id not in waited_for):
+            if driven.start.request.number in met:
+                gone[driven.vehicle_id] = driven, Reason.SPARE, None
+            met.add(driven.start.request.number)
 
     def _drop_surplus(
         self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]
@@ -280,7 +313,6 @@ class Filling:
             if self.scene.config.request.sites == "promising":
                 segment = start.path.segment_at(start.start_s)
                 self._avoided.append((segment.lane_id, segment.lane_s(start.start_s)))
-            self._last_reason[start.request.number] = reason
 
     def _close(self, kept: list[ExportedVehicle]) -> None:
         """Take requests that are met off the list; a spare vehicle meets the last open one that goes straight."""

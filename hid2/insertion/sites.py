@@ -116,7 +116,14 @@ class InsertionSites:
         self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool], *, strict: bool = False
     ) -> Iterator[Start]:
         tried = 0
+        rivals_on = {
+            start.path.segment_at(start.start_s).lane_id
+            for start in self.taken
+            if start.request.number == request.number
+        }
         for lane_id, lane_s in self._places():
+            if lane_id in rivals_on:  # of two on one lane the one behind would wait for the other
+                continue
             for offer in self._order(request, self.routes.offers(lane_id)):
                 s = offer.start_m + lane_s
                 usual_mps = self._usual_speed(lane_id)
@@ -258,13 +265,17 @@ class InsertionSites:
         if strict and request.policy is Policy.LANE_CHANGE and not self._gap_likely(path, box, start_s, speed, request):
             return Reason.CELLS_OCCUPIED
         return Start(
-            vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=object_type, size=size,
+            vehicle_id=self._name(request), request=request, object_type=object_type, size=size,
             box=box, route=offer.route, path=path, start_s=start_s, start_mps=speed, driver=who,
             desired=desired_speeds(
                 who, config, rng, num_steps=scene.num_steps, step_s=DT_S, at_least_mps=speed
             ),
             offset=lane_offset(who, config, rng, length_m=path.line.length_m), sides=sides,
         )  # fmt: skip
+
+    def _name(self, request: VehicleRequest) -> str:
+        rivals = sum(start.request.number == request.number for start in self.taken)
+        return f"v{request.number}_{self.round_number}" + (f"_{rivals}" if rivals else "")
 
     def _gap_likely(self, path: DrivenPath, box: BoxSize, s: float, speed_mps: float, request: VehicleRequest) -> bool:
         """Whether a vehicle that drives on finds a gap among the recorded ones beside it soon after its trigger."""
