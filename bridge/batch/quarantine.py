@@ -25,8 +25,8 @@ from netconvert.errors import BatchError, ConfigError
 OWN_WORK = frozenset(
     {
         "bridge.batch.scene_work:generate_runs",
+        "bridge.batch.scene_work:generate_and_record_gaps",
         "bridge.studies.study_work:measure_runs",
-        "bridge.studies.study_work:measure_and_keep_runs",
     }
 )
 #: Longest time a scene may be given, s.

@@ -6,7 +6,7 @@ import json
 import re
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +37,9 @@ def write_scene(
     *,
     new_id: str,
     focal_track_id: str,
+    extra: Mapping[str, bytes] | None = None,
 ) -> Path:
-    """Write OUT/[split/]new_id/ with parquet, map and sidecar; returns the folder.
+    """Write OUT/[split/]new_id/ with parquet, map and sidecar; returns the folder. extra: more files, by name.
 
     Everything is written to a hidden folder beside and then renamed; a folder that is there already is replaced.
     Errors: ExportError.
@@ -49,10 +50,11 @@ def write_scene(
         ),
         f"log_map_archive_{new_id}.json": _map_bytes(scenario.map_path, scenario.graph),
         sidecar_path(Path(), new_id).name: sidecar_bytes(sidecar),
+        **(extra or {}),
     }
     folder = (out_dir / scenario.split if scenario.split else out_dir) / new_id
     with explained(folder):
-        _write_folder(folder, files)
+        write_folder(folder, files)
     return folder
 
 
@@ -190,7 +192,7 @@ def _map_bytes(path: Path, graph: LaneGraph) -> bytes:
     return json.dumps(document).encode()
 
 
-def _write_folder(folder: Path, files: dict[str, bytes]) -> None:
+def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files into a hidden folder beside, then put it in the place of folder."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))

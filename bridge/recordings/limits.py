@@ -17,6 +17,8 @@ from netconvert.lane_graph import LaneGraph
 
 #: Parquet: rows, columns, and bytes that the columns unpack to, MB. Real: 10,000 rows, 18 columns, 2 MB.
 MAX_ROWS, MAX_COLUMNS, MAX_TABLE_MB = 200_000, 200, 256
+#: Timesteps of a synthetic corridor: an hour.
+MAX_CORRIDOR_STEPS = 36_000
 #: Tracks of a scene. Real: below 300.
 MAX_TRACKS = 2_000
 #: Length of an id or a name in a scene, characters. Real: 36.

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from bridge.config import CORRIDOR_PREFIX
 from bridge.files import one_line, read_regular
 from bridge.recordings import limits
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN
@@ -177,7 +178,8 @@ def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> R
     kinds: list[str] = kind_encoded.dictionary.to_pylist()
     kind = np.asarray(kind_encoded.indices.to_numpy(zero_copy_only=False))[order]
 
-    _check_timesteps(code, timestep, _numbers(table, "observed")[order], where)
+    most_steps = longest(str(same["scenario_id"]))
+    _check_timesteps(code, timestep, _numbers(table, "observed")[order], where, most_steps)
     _check_motion(motion, where)
     for known in kinds:
         if known not in DEFAULT_SIZES:
@@ -217,8 +219,8 @@ def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> R
         tracks.sort(key=lambda track: ids.index(track.track_id))
     _check_focal(tracks, str(same["focal_track_id"]), name)
     steps, stated = int(timestep.max()) + 1, int(str(same["num_timestamps"]))
-    if not steps <= stated <= MAX_STEPS:
-        raise ScenarioError(f"{name}: num_timestamps {stated}, expected {steps}, as many as there are, to {MAX_STEPS}")
+    if not steps <= stated <= most_steps:
+        raise ScenarioError(f"{name}: num_timestamps {stated}, expected {steps}, as many as there are, to {most_steps}")
     return Rows(
         scenario_id=str(same["scenario_id"]),
         city=str(same["city"]),
@@ -357,10 +359,17 @@ def _check_motion(motion: FloatArray, where: _Where) -> None:
         )
 
 
-def _check_timesteps(code: IntArray, timestep: IntArray, observed: npt.NDArray[np.bool_], where: _Where) -> None:
-    outside = (timestep < 0) | (timestep >= MAX_STEPS)
+def longest(scenario_id: str) -> int:
+    """Timesteps that a scene may have at most."""
+    return limits.MAX_CORRIDOR_STEPS if scenario_id.startswith(CORRIDOR_PREFIX) else MAX_STEPS
+
+
+def _check_timesteps(
+    code: IntArray, timestep: IntArray, observed: npt.NDArray[np.bool_], where: _Where, most_steps: int
+) -> None:
+    outside = (timestep < 0) | (timestep >= most_steps)
     if outside.any():
-        raise ScenarioError(f"{where(int(np.flatnonzero(outside)[0]))}: expected timesteps 0 to {MAX_STEPS - 1}")
+        raise ScenarioError(f"{where(int(np.flatnonzero(outside)[0]))}: expected timesteps 0 to {most_steps - 1}")
     repeated = (np.diff(code) == 0) & (np.diff(timestep) == 0)
     if repeated.any():
         raise ScenarioError(f"{where(int(np.flatnonzero(repeated)[0]))}: more than one row, expected one")
