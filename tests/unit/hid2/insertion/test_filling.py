@@ -272,3 +272,14 @@ def test_debug_log_tells_what_became_of_every_vehicle_that_was_tried(
         ) in told
     assert {one.reason for one in filling.rejected} == {Reason.SUMO_REFUSES_INSERTION, Reason.DID_NOT_DO_IT}
     assert sum(line.endswith(": kept") for line in told) == len(filling.kept) == 2
+
+
+def test_vehicle_that_conflicts_with_others_together_is_replaced_and_kept_ones_stay(
+    scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Row 0 is said to conflict in both rounds: in the first it is new, in the second it was kept before."""
+    monkeypatch.setattr("hid2.insertion.filling.conflicting", lambda _scene, _exported: [(0, Reason.PET)])
+    filling, drive = _fill(scene_for(spare=0.0))
+    assert [(one.reason, one.round_number) for one in filling.rejected] == [(Reason.PET, 0)]
+    assert drive.kept_before == [0, 3]
+    assert len(filling.kept) == 4
