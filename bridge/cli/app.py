@@ -16,6 +16,7 @@ ORDER = (
     "evaluate",
     "calibrate",
     "study",
+    "make",
     "paper",
     "render",
     "plot",

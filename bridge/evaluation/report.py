@@ -130,7 +130,8 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
     metrics = evaluation.metrics
     sections = [
         Section("glance", "At a glance: are the generated vehicles safe?", _glance(metrics)),
-        Section("encounters", "Encounters and safety", _encounters(metrics)),
+        Section("safety", "Safety", _safety(metrics)),
+        Section("encounters", "Encounters", _encounters(metrics)),
         Section("realism", "Realism", _realism(evaluation)),
         Section("example", "One of the scenes", _example(evaluation)),
         Section("motion", "Motion", _kinematics(metrics)),
@@ -195,7 +196,7 @@ def _name(key: str, entry: Mapping[str, Any]) -> str:
 
 def _described(metrics: Mapping[str, Any]) -> list[dict[str, str]]:
     """Key, label and sentence of every metric that has a sentence."""
-    tables = [metrics["safety"], *metrics["kinematics"].values()]
+    tables = [metrics["safety"], metrics["encounters"], *metrics["kinematics"].values()]
     return [
         {"key": key, "label": entry["label"], "sentence": entry["sentence"]}
         for part in tables
@@ -282,6 +283,16 @@ def _busiest(agents: Sequence[AgentRecord]) -> AgentRecord | None:
 
 
 def _encounters(metrics: Mapping[str, Any]) -> str:
+    """What inserted vehicles meet, beside what recorded ones meet among themselves."""
+    rows = [
+        (_name(key, entry), *(with_interval(entry[group]) for group in ("original", "generated")))
+        for key, entry in metrics["encounters"].items()
+    ]
+    head = ("share of vehicles that …", _GROUP_NAMES["original"], _GROUP_NAMES["generated"])
+    return _section("encounters", metrics["scenes"], table(head, rows))
+
+
+def _safety(metrics: Mapping[str, Any]) -> str:
     safety = metrics["safety"]
     rows = [
         (_name(key, entry), *(with_interval(entry[group], 4) for group in _GROUP_NAMES), *_paper(key))
@@ -301,7 +312,7 @@ def _encounters(metrics: Mapping[str, Any]) -> str:
     ]
     head = ("share of …", *_GROUP_NAMES.values(), "paper: recorded", "paper: combined")
     kinds = ("vehicles, IoU &gt; 0.02", "any type, IoU &gt; 0.02", "any contact", "crossing paths", "PET &lt; 1 s")
-    return _section("encounters", metrics["scenes"], table(head, rows), table(("pairs", *kinds), pair_rows))
+    return _section("safety", metrics["scenes"], table(head, rows), table(("pairs", *kinds), pair_rows))
 
 
 def _paper(key: str) -> tuple[str, str]:

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 
 from bridge.batch.isolation import Failure, describe_error
+from bridge.files import read_regular
+from bridge.recordings.limits import MAX_FILE_MB, check_ground
+from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import (
     LAST_OBSERVED,
     STEP_S,
@@ -29,10 +32,10 @@ from hid2.evaluation.realism import RealismCounts, count_scene, half_number, sce
 from hid2.evaluation.safety import IOU_THRESHOLD, PreparedMap, Safety, prepare_map, safety
 from hid2.evaluation.windows import is_labelled, windows
 from hid2.measures.arrays import BoolArray, SceneArrays, stack
+from hid2.measures.encounters import encounters
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.scene_end import Contact, contacts_after_last_step
 from hid2.params import Limits
-from netconvert.av2_map import read_lane_graph
 from netconvert.errors import ScenarioError
 
 #: A manoeuvre seen belongs to a record of its kind whose crossing (or start) is at most this far away.
@@ -88,9 +91,12 @@ class Maps:
         self._known: dict[bytes, PreparedMap] = {}
 
     def read(self, path: Path) -> PreparedMap:
-        """The map in a file. Errors: MapError."""
-        content = path.read_bytes() if path.is_file() else b""
-        ground = self._known.pop(content, None) or prepare_map(read_lane_graph(path))
+        """The map in a file, which keeps the rules and limits of a source's. Errors: MapError."""
+        try:
+            content = read_regular(path, most_mb=MAX_FILE_MB)
+        except OSError:
+            content = b""  # what is wrong is said below
+        ground = self._known.pop(content, None) or prepare_map(read_source_map(path))
         self._known[content] = ground  # the last one used comes last
         while len(self._known) > _MOST_MAPS:
             self._known.pop(next(iter(self._known)))
@@ -125,7 +131,9 @@ def _read(folder: Path, maps: Maps) -> tuple[Rows, PreparedMap]:
         read_scenario(folder)  # says what is wrong
         raise ScenarioError(f"{folder}: {len(tables)} scenarios and {len(files)} maps, expected one of each")
     rows = split_rows(read_table(tables[0]), name=str(tables[0]), sizes=read_sizes(folder))
-    return rows, maps.read(files[0])
+    ground = maps.read(files[0])
+    check_ground(rows.tracks, ground.graph, str(folder))
+    return rows, ground
 
 
 def measure(
@@ -147,6 +155,7 @@ def measure(
     everybody = np.ones(arrays.num_agents, dtype=bool)
     kinematic = kinematics(arrays, moved)
     beyond = beyond_limits(arrays, moved, limits)
+    met = encounters(arrays, safe.lanes, safe.matches, safe.leaders)
     groups = {}
     # whom a group's vehicles may touch: what was added any road user, what was recorded what was recorded
     for name, members, others in (
@@ -164,6 +173,7 @@ def measure(
             end_contacts=contacts_after_last_step(
                 arrays, members & last_step_counts(arrays), horizon_s=CRITICAL.end_horizon_s, among=others
             ),
+            met=met,
         )
     view = _View(
         arrays,

@@ -182,6 +182,7 @@ class Totals:
             },
             "safety": table(self.sums, metrics_in(Section.SAFETY))
             | {"pairs": {kind: {g: counts[f"{kind}_{g}"] for g in PAIR_GROUPS} for kind in PAIR_KINDS}},
+            "encounters": table(self.sums, metrics_in(Section.ENCOUNTERS)),
             "diversity": self.diversity.content(),
             "realism": {
                 "distances": _distances(self.realism),

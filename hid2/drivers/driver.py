@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hid2.agents import FloatArray
-from hid2.params import Config
+from hid2.params import Config, Drivers
 
 #: Draws are cut off so many standard deviations from the mean.
 _TRUNCATED_AT = 2.0
@@ -33,6 +33,17 @@ class Driver:
     offset_m: float
     lane_change_s: float
     wander_m: float = 0.0
+
+
+def usual_driver(desired_mps: float) -> Driver:
+    """The mean driver of the defaults, with a desired speed, m/s."""
+    law = Drivers()
+    return Driver(
+        desired_mps=desired_mps, tau_s=law.tau_mean_s, accel_mps2=law.accel_mean_mps2,
+        decel_mps2=law.decel_mean_mps2, min_gap_m=law.min_gap_mean_m,
+        turn_lateral_mps2=0.5 * (law.turn_lateral_min_mps2 + law.turn_lateral_max_mps2), offset_m=0.0,
+        lane_change_s=law.lane_change_mean_s,
+    )  # fmt: skip
 
 
 def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: float) -> Driver:
