@@ -7,7 +7,7 @@ number is written beside it.
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from hid2.policies import Policy
 
@@ -42,6 +42,17 @@ class Request(_Section):
     sites: Literal["promising", "any"] = _param(
         "promising", "-", "start sites: those first where map and traffic allow what is asked for; any: uniformly drawn"
     )
+    near: str = _param(
+        "traffic",
+        "-",
+        "sites first from which these are met: traffic (recorded moving vehicles), av (the recording vehicle), focal, "
+        "scored, a track id; anywhere: all alike",
+        min_length=1, max_length=100,
+    )  # fmt: skip
+    within_m: float = _param(
+        30.0, "m", "a site is near where centres would come so near: to traffic at some step, to others at the last "
+        "observed one", gt=0, le=500,
+    )  # fmt: skip
     focal: Literal["recorded", "generated"] = _param("recorded", "-", "which track carries category 3")
     generated_category: Literal[1, 2] = _param(1, "-", "category of generated tracks: 1 context, 2 scored")
     seed: int = _param(0, "-", "seed of every random choice", ge=0, le=2**31 - 1)
@@ -89,21 +100,21 @@ class Spawn(_Section):
         3.0, "s", "a start holds if nobody is met so long by a vehicle that drives on and brakes as a driver would",
         ge=0, le=10,
     )  # fmt: skip
-    near_m: float = _param(
-        30.0,
-        "m",
-        "sites this near to moving recorded traffic are drawn as much more often as near_weight",
-        gt=0,
-        le=200,
+    near_weight: float = _param(8.0, "ratio", "weight of sites near to whom request.near asks for", ge=1, le=100)
+    leader_weight: float = _param(
+        6.0, "ratio", "weight of sites from which a recorded vehicle would be followed", ge=1, le=100
     )
-    near_weight: float = _param(4.0, "ratio", "weight of sites near moving recorded traffic", ge=1, le=100)
+    crossing_weight: float = _param(
+        3.0, "ratio", "weight of sites from which recorded traffic would be crossed", ge=1, le=100
+    )
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(
-        2, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
+        3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
     )
-    candidates: int = _param(
-        3, "vehicles", "driven at once for one manoeuvre, of which one that does it is kept", ge=1, le=10
+    rivals: int = _param(
+        2, "vehicles", "driven beside the first for one manoeuvre, of which one that does it is kept", ge=0, le=10
     )
+    rivals_share: float = _param(0.6, "share", "of the vehicles still missing: most rivals in one round", ge=0, le=5)
     spare_share: float = _param(
         0.2, "share", "vehicles driven beyond the count, in case some cannot be made safe", ge=0, le=2
     )
@@ -125,7 +136,6 @@ class Sites(_Section):
     tries: int = _param(150, "sites", "looked at in full for a request in a round", ge=1, le=10_000)
     drivers: int = _param(3, "drivers", "drawn for a site before it is turned down", ge=1, le=50)
     avoided_m: float = _param(5.0, "m", "around a start that could not be kept nobody begins", ge=0, le=100)
-    moving_mps: float = _param(1.0, "m/s", "recorded traffic that moves faster draws sites to it", ge=0, le=10)
     standing_mps: float = _param(0.3, "m/s", "who would begin more slowly begins standing", ge=0, le=3)
     queue_m: float = _param(8.0, "m", "who begins standing does so this near behind somebody who stands", ge=0, le=50)
     slowest_share: float = _param(
@@ -196,9 +206,28 @@ class Drivers(_Section):
         1.5, "m/s2", "lateral acceleration taken in turns, uniform from here", gt=0, le=4.89
     )
     turn_lateral_max_mps2: float = _param(3.0, "m/s2", "to here (comfort ends at 3)", gt=0, le=4.89)
-    offset_sd_m: float = _param(0.25, "m", "SD between drivers of the mean place in the lane", ge=0, le=1)
-    lateral_wander_sd_m: float = _param(0.15, "m", "SD of the wandering about that place", ge=0, le=0.5)
-    lateral_wander_time_s: float = _param(3.0, "s", "its correlation time at the desired speed", gt=0, le=30)
+    offset_mean_m: float = _param(
+        0.1,
+        "m",
+        "mean place in the lane, left positive: away from the kerb and parked cars; measured: 0.10",
+        ge=-1,
+        le=1,
+    )
+    offset_sd_m: float = _param(
+        0.32, "m", "SD between drivers of the mean place in the lane; measured, robust: 0.29", ge=0, le=1
+    )
+    offset_max_m: float = _param(0.9, "m", "no driver is farther from the lane's middle", ge=0, le=1.5)
+    lateral_wander_sd_m: float = _param(
+        0.2,
+        "m",
+        "SD of the wandering about that place, of the median driver; measured: drift of 0.065 m/s",
+        ge=0,
+        le=0.5,
+    )
+    lateral_wander_spread: float = _param(
+        0.8, "-", "SD between drivers of its logarithm: some hold the lane, some weave; measured", ge=0, le=1.5
+    )
+    lateral_wander_time_s: float = _param(2.0, "s", "its correlation time at the desired speed", gt=0, le=30)
     lane_change_mean_s: float = _param(
         5.5, "s", "duration of a lane change (highD: 5.5 cars, 6.1 heavy)", ge=1.5, le=15
     )
@@ -277,7 +306,7 @@ class Turn(_Section):
 class Conflict(_Section):
     """The three cases of conflict resolution, and what is exported at all."""
 
-    horizon_s: float = _param(8.0, "s", "H delta: how far ahead conflicts are looked for", gt=0, le=10)
+    horizon_s: float = _param(5.0, "s", "H delta: how far ahead conflicts are looked for", gt=0, le=10)
     act_mps2: float = _param(
         1.1, "m/s2", "deceleration that a conflict must ask for before the timing is changed", ge=0, le=4
     )
@@ -411,6 +440,63 @@ class Smoothing(_Section):
     )
 
 
+Band = tuple[float, float]
+
+
+class Event(_Section):
+    """One kind of event that is asked for in a scene: `[[event]]` in TOML, `--event` on the command line.
+
+    Bands are (least, largest). gap_m: bumper to bumper at the moment of the event (cross: from the target's bumper to
+    the conflict point), None: `gap_band_m`; speed_difference_mps: vehicle minus target; ttc_s, pet_s, drac_mps2:
+    criticality, None: what the critical values of `conflict` allow.
+    """
+
+    kind: Literal["cut_in", "overtake", "lead", "follow", "merge", "cross"]
+    target: str = Field(default="av", min_length=1, max_length=100)
+    at_s: Band = (2.0, 7.0)
+    gap_m: Band | None = None
+    speed_difference_mps: Band = (-6.0, 6.0)
+    brakes_mps2: float = Field(default=0.0, ge=0, le=4.05)
+    ttc_s: Band | None = None
+    pet_s: Band | None = None
+    drac_mps2: Band | None = None
+    count: int = Field(default=1, ge=1, le=20)
+
+    @property
+    def gap_band_m(self) -> Band:
+        """Gap asked for; where none is, what is usual for the kind."""
+        return self.gap_m or ((0.0, 100.0) if self.kind == "cross" else (4.0, 30.0))
+
+    @field_validator("at_s", "gap_m", "speed_difference_mps", "ttc_s", "pet_s", "drac_mps2", mode="before")
+    @classmethod
+    def _band(cls, value: Any) -> Any:  # noqa: ANN401
+        """A band may be given as a list, which is what JSON and TOML have, or as one number."""
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value), float(value)
+        return tuple(value) if isinstance(value, list) else value
+
+    @model_validator(mode="after")
+    def _check(self) -> "Event":
+        for name in ("at_s", "gap_m", "speed_difference_mps", "ttc_s", "pet_s", "drac_mps2"):
+            band = getattr(self, name)
+            if band is not None and band[1] < band[0]:
+                raise ValueError(f"{name} {band[0]:g}:{band[1]:g}, expected the smaller value first")
+            if band is not None and name != "speed_difference_mps" and band[0] < 0:
+                raise ValueError(f"{name} {band[0]:g}:{band[1]:g}, expected values of 0 or more")
+        if self.brakes_mps2 and self.kind != "lead":
+            raise ValueError(f"brakes_mps2 {self.brakes_mps2:g} with kind {self.kind}, expected kind lead")
+        if self.pet_s is not None and self.kind != "cross":
+            raise ValueError(f"pet_s with kind {self.kind}, expected kind cross: only crossing paths have a PET")
+        return self
+
+
+class EventSearch(_Section):
+    """The search for a site, a speed and a trigger time with which an event comes about."""
+
+    tries: int = _param(14, "vehicles", "driven for one event before it is given up", ge=1, le=200)
+    moment_s: float = _param(0.5, "s", "an event counts so much before or after the time asked for", ge=0, le=5)
+
+
 class Export(_Section):
     """The last word on what is exported at all."""
 
@@ -450,8 +536,13 @@ class Config(_Section):
     flow: Flow = Flow()
     limits: Limits = Limits()
     smoothing: Smoothing = Smoothing()
+    event_search: EventSearch = EventSearch()
     export: Export = Export()
 
+    event: tuple[Event, ...] = Field(
+        default=(),
+        json_schema_extra={"unit": "-", "source": "events, a section [[event]] each; see hid2 generate --event"},
+    )
     without: frozenset[Literal["topology", "collision", "smoothing"]] = Field(
         default=frozenset(),
         json_schema_extra={"unit": "-", "source": "paper, Table ablation: components switched off"},

@@ -33,9 +33,8 @@ from bridge.batch.manifest import (
     source_files,
 )
 from bridge.batch.quarantine import MAX_TIMEOUT_S, Bundle, read_bundle, write_bundle
-from bridge.config import check_no_flow, config_sha256
+from bridge.config import check_no_flow, config_sha256, new_scenario_id
 from bridge.files import explained, one_line
-from bridge.recordings.export import new_scenario_id
 from bridge.recordings.folders import SPLITS, source_id, split_of
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportError

@@ -13,7 +13,7 @@ import numpy as np
 
 from bridge.config import check_no_flow, config_sha256
 from bridge.generation.gaps import gaps_bytes
-from bridge.generation.records import agent_record, rejected_records, replaced_record, with_unmet
+from bridge.generation.records import agent_record, event_record, rejected_records, replaced_record, with_unmet
 from bridge.recordings.export import new_scenario_id, write_scene
 from bridge.recordings.scenario import LAST_OBSERVED, Scenario
 from bridge.recordings.sidecar import (
@@ -27,6 +27,8 @@ from bridge.sumo.driving import Driving
 from bridge.sumo.replay import ReplayErrors
 from bridge.sumo.simulation import Simulation
 from hid2.agents import IntArray, Policy, Track
+from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.events import EventSearch
 from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -98,6 +100,9 @@ def generate(source: Scenario | PreparedScene, config: Config, *, variant: int =
             parameters=model_parameters(config),
         ) as simulation:  # fmt: skip
             rounds = _Rounds(scene, simulation, filling)
+            search = EventSearch(scene, filling.roads, filling.routes, filling.stop_lines, seed)
+            events = search.run(rounds.drive_alone)
+            filling.take_events(events)
             filling.fill(rounds.drive)
             sumo_version = simulation.version()
     vehicles = sorted(filling.kept, key=lambda one: one.driven.start.request.number)
@@ -156,6 +161,13 @@ class _Rounds:
             apart = np.square(offset).sum(axis=-1).min(axis=-1)
             near[left] = np.any(present[left] & (apart < _NEAR_M * _NEAR_M), axis=1)
         return np.flatnonzero(near)
+
+    def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, fixed: Traffic) -> DrivenVehicle:
+        """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
+        return Driving(
+            scene, self._simulation, [start], fixed, self._filling.roads, stop_lines, rows=self._near([start]),
+            checked=False,
+        ).run()[0]  # fmt: skip
 
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
         """One simulation. The first one replays every recorded agent and compares; later ones those on the grid."""
@@ -245,6 +257,7 @@ def _sidecar(
         requested=RequestedRecord(agents=config.request.agents, behaviours=config.request.behaviours),
         placed=PlacedRecord(agents=len(agents), behaviours={p: placed[p] for p in Policy if placed[p]}),
         agents=tuple(agents),
+        events=tuple(event_record(one, names) for one in filling.events),
         rejected=rejected_records(filling),
         replaced=tuple(replaced_record(one) for one in filling.rejected),
     )  # fmt: skip

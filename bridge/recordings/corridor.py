@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from bridge.config import CORRIDOR_PREFIX
 from bridge.files import explained
 from bridge.recordings.export import parquet_bytes, write_folder
 from bridge.recordings.limits import MAX_CORRIDOR_STEPS, MAX_LANE_M
-from bridge.recordings.scenario import AV_ID, CORRIDOR_PREFIX, FOCAL_CATEGORY, LAST_OBSERVED, STEP_S
+from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, LAST_OBSERVED, STEP_S
 from netconvert.errors import ConfigError
 
 _LANE_M, _SHOULDER_M = 3.5, 4.0

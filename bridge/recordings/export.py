@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import tempfile
-import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from bridge.config import config_sha256
+from bridge.config import new_scenario_id as new_scenario_id
 from bridge.files import explained
-from bridge.recordings.scenario import CORRIDOR_PREFIX, FOCAL_CATEGORY, LAST_OBSERVED, SCENARIO_COLUMNS, Scenario
+from bridge.recordings.scenario import FOCAL_CATEGORY, LAST_OBSERVED, SCENARIO_COLUMNS, Scenario
 from bridge.recordings.sidecar import Sidecar, sidecar_bytes, sidecar_path
 from hid2.agents import Track
-from hid2.params import Config
 from netconvert.errors import ExportError
 from netconvert.lane_graph import LaneGraph
 
@@ -29,13 +27,6 @@ from netconvert.lane_graph import LaneGraph
 _FORMER_FOCAL_CATEGORY = 2
 #: A lane's centreline with at least one point, in a map file.
 _CENTERLINE = re.compile(rb'"centerline":\s*\[\s*\{')
-_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo")
-
-
-def new_scenario_id(source_id: str, config: Config, seed: int, variant: int) -> str:
-    """UUID (version 5) of a request: the same request names the same scenario. What comes of a corridor says so."""
-    new_id = uuid.uuid5(_NAMESPACE, "\n".join([source_id, config_sha256(config), str(seed), str(variant)]))
-    return f"{CORRIDOR_PREFIX if source_id.startswith(CORRIDOR_PREFIX) else ''}{new_id}"
 
 
 def write_scene(

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from bridge.config import CORRIDOR_PREFIX
 from bridge.files import one_line, read_regular
 from bridge.recordings import limits
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN
@@ -33,8 +34,6 @@ STEP_S = 0.1
 LAST_OBSERVED = 49
 #: Longest scenario of the format, timesteps.
 MAX_STEPS = 110
-#: Ids of synthetic corridors, which are no scenes of Argoverse and may be longer.
-CORRIDOR_PREFIX = "corridor-"
 #: Track id of the recording vehicle.
 AV_ID = "AV"
 FOCAL_CATEGORY = 3
@@ -181,17 +180,7 @@ def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> R
 
     most_steps = longest(str(same["scenario_id"]))
     _check_timesteps(code, timestep, _numbers(table, "observed")[order], where, most_steps)
-    if not np.isfinite(motion).all():
-        row, column = np.argwhere(~np.isfinite(motion))[0]
-        raise ScenarioError(
-            f"{where(row)}: {_MOTION_COLUMNS[column]} is {motion[row, column]}, expected a finite number"
-        )
-    speed = np.abs(motion[:, 3:]).max(axis=1)
-    if speed.max() > limits.MAX_SPEED_MPS:
-        row = int(speed.argmax())
-        raise ScenarioError(
-            f"{where(row)}: velocity {speed[row]:.6g} m/s, expected at most {limits.MAX_SPEED_MPS:g} m/s"
-        )
+    _check_motion(motion, where)
     for known in kinds:
         if known not in DEFAULT_SIZES:
             raise ScenarioError(f"{name}: object_type {known[:40]!r}, expected one of {', '.join(DEFAULT_SIZES)}")
@@ -356,6 +345,20 @@ def _order(code: IntArray, timestep: IntArray) -> IntArray | slice:
     return np.asarray(np.lexsort((timestep, code)), dtype=np.int64)
 
 
+def _check_motion(motion: FloatArray, where: _Where) -> None:
+    if not np.isfinite(motion).all():
+        row, column = np.argwhere(~np.isfinite(motion))[0]
+        raise ScenarioError(
+            f"{where(row)}: {_MOTION_COLUMNS[column]} is {motion[row, column]}, expected a finite number"
+        )
+    speed = np.abs(motion[:, 3:]).max(axis=1)
+    if speed.max() > limits.MAX_SPEED_MPS:
+        row = int(speed.argmax())
+        raise ScenarioError(
+            f"{where(row)}: velocity {speed[row]:.6g} m/s, expected at most {limits.MAX_SPEED_MPS:g} m/s"
+        )
+
+
 def longest(scenario_id: str) -> int:
     """Timesteps that a scene may have at most."""
     return limits.MAX_CORRIDOR_STEPS if scenario_id.startswith(CORRIDOR_PREFIX) else MAX_STEPS
@@ -394,8 +397,3 @@ def _check_focal(tracks: list[Track], focal_track_id: str, name: str) -> None:
 
 def _first_line(error: Exception) -> str:
     return str(error).strip().split("\n", 1)[0]
-
-
-def position_of(table: pa.Table) -> FloatArray:
-    """(N, 2) m, box centres in the order of the table's rows."""
-    return np.column_stack([_numbers(table, "position_x"), _numbers(table, "position_y")])

@@ -141,7 +141,7 @@ class Simulation:
         """Take a vehicle out."""
         libsumo.vehicle.remove(vehicle_id)
 
-    def insert(
+    def insert(  # noqa: PLR0913  # what SUMO wants to know, by name
         self,
         vehicle_id: str,
         *,

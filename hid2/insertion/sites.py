@@ -8,12 +8,14 @@ from functools import partial
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import Guard, Obstacles
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver, desired_speeds, draw_driver, lane_offset
+from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.insertion.sizes import draw_size
+from hid2.insertion.spread import Spread, by_weight
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.along_path import PathOccupancy
@@ -40,7 +42,8 @@ _Pose = tuple[list[float], list[float]]
 class InsertionSites:
     """Sites of one scene for requests; what was proposed in this round is kept clear of.
 
-    avoided: lanes and arc lengths, m, at which vehicles of rounds before began that could not be kept.
+    avoided: lanes and arc lengths, m, at which vehicles of rounds before began that could not be kept; asked: how many
+    vehicles of each policy the scene is asked for, which share its sites.
     """
 
     scene: Scene
@@ -51,10 +54,13 @@ class InsertionSites:
     rng: np.random.Generator
     round_number: int
     avoided: Sequence[tuple[int, float]] = ()
+    meetings: Meetings | None = None
+    spread: Spread | None = None
+    asked: Counter[Policy] = field(default_factory=Counter)
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
+    _looked: Counter[Policy] = field(default_factory=Counter)
     _poses: dict[str, _Pose] = field(default_factory=dict)
-    _usual: dict[int, float] = field(default_factory=dict)
     _obstacles: dict[tuple[DrivenPath, BoxSize], Obstacles] = field(default_factory=dict)
 
     def propose(self, request: VehicleRequest, slow_leader: VehicleRequest | None = None) -> list[Start]:
@@ -125,10 +131,10 @@ class InsertionSites:
             for start in self.taken
             if start.request.number == request.number
         }
-        for lane_id, lane_s in self._places():
+        for lane_id, lane_s in self._places(request):
             if lane_id in rivals_on:  # of two on one lane the one behind would wait for the other
                 continue
-            for offer in self._order(request, self.routes.offers(lane_id)):
+            for offer in self._order(request, lane_id):
                 s = offer.start_m + lane_s
                 usual_mps = self._usual_speed(lane_id)
                 if self._leaves_early(offer, s, 0.8 * usual_mps) or not promises(offer, s, usual_mps):
@@ -143,50 +149,78 @@ class InsertionSites:
             if tried >= self.scene.config.sites.tries:
                 return
 
-    def _order(self, request: VehicleRequest, offers: Sequence[RouteOffer]) -> list[RouteOffer]:
-        order = self.rng.permutation(len(offers)).tolist() if len(offers) > 1 else [0] * len(offers)
+    def _order(self, request: VehicleRequest, lane_id: int) -> list[RouteOffer]:
+        """Routes from a lane in weighted random order; those that go straight on first unless a turn is asked for."""
+        offers = self.routes.offers(lane_id)
+        key = self.rng.exponential(size=len(offers))
+        if self.scene.config.request.sites == "promising":
+            key /= np.array(self._meetings.offer_weights(lane_id))
+        order = [offers[row] for row in np.argsort(key, kind="stable").tolist()]
         if request.policy in TURN_OF_POLICY:
-            return [offers[row] for row in order]
-        return sorted((offers[row] for row in order), key=lambda offer: bool(offer.turns))
+            return order
+        return sorted(order, key=lambda offer: bool(offer.turns))
+
+    @property
+    def _meetings(self) -> Meetings:
+        if self.meetings is None:
+            self.meetings = Meetings(self.scene, self.routes)
+        return self.meetings
 
     def _usual_speed(self, lane_id: int) -> float:
-        if lane_id not in self._usual:
-            pool = self.scene.lane_speeds.get(lane_id) or self.scene.scene_speeds
-            self._usual[lane_id] = float(np.median(pool)) if pool else self.scene.config.spawn.prior_speed_mps
-        return self._usual[lane_id]
+        return self._meetings.usual_speed(lane_id)
 
-    def _places(self) -> Iterator[tuple[int, float]]:
-        """Lane and arc length, m, of free cells at step 0, in weighted random order; intersections last."""
-        scene, spawn = self.scene, self.scene.config.spawn
+    def _places(self, request: VehicleRequest) -> Iterator[tuple[int, float]]:
+        """Lane and arc length, m, of free cells at step 0; first from where more is met, intersections last.
+
+        The order is that of `Spread`, by the number of this vehicle among those of its policy; else by weight alone.
+        """
+        scene = self.scene
         grid, lanes = scene.grid, scene.grid.graph.lanes
-        usable = set(self.routes.lanes)
+        promising = scene.config.request.sites == "promising"
+        usable = {n for n in self.routes.lanes if not promising or self.routes.lane_offers(n, request.policy)}
         rows = [row for row, cell in enumerate(grid.cells) if cell.lane_id in usable]
         free = scene.occupancy.sigma[0, rows] == FREE
         rows = [row for row, is_free in zip(rows, free, strict=True) if is_free]
         if not rows:
             return
-        weight = np.ones(len(rows))
-        if scene.config.request.sites == "promising":
-            speed = np.hypot(*scene.traffic.velocity[:, 0].T)
-            moving = scene.traffic.present[:, 0] & (speed > scene.config.sites.moving_mps)
-            if moving.any():
-                offset = grid.centers[rows][:, None] - scene.traffic.position[moving, 0][None]
-                near = np.hypot(offset[..., 0], offset[..., 1]).min(axis=1) < spawn.near_m
-                weight[near] = spawn.near_weight
-        key = self.rng.exponential(size=len(rows)) / weight
+        weight, tier = np.ones(len(rows)), np.zeros(len(rows), dtype=np.int64)
+        if promising:
+            weight, tier = self._weights(np.array(rows))
         inside = np.array([lanes[grid.cells[row].lane_id].is_intersection for row in rows])
         share = self.rng.random(len(rows))
         failed: dict[int, list[float]] = {}
         for lane_id, at in self.avoided:
             failed.setdefault(lane_id, []).append(at)
-        for place in np.lexsort((key, inside)).tolist():
+        policy = request.policy
+        if self.spread is None or not promising:
+            order = by_weight(weight, self.rng)
+        else:
+            order = self.spread.order(
+                weight, self.rng, number=self._looked[policy], of=self.asked[policy],
+                kind=list(Policy).index(policy), round_number=self.round_number,
+            )  # fmt: skip
+        self._looked[policy] += 1
+        for place in order[np.lexsort((tier[order], inside[order]))].tolist():
             cell = grid.cells[rows[place]]
-            if inside[place] and not inside.all() and scene.config.request.sites == "promising":
+            if inside[place] and not inside.all() and promising:
                 return
             begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
             lane_s = float(begin + share[place] * (end - begin))
             if not any(abs(lane_s - at) < scene.config.sites.avoided_m for at in failed.get(cell.lane_id, ())):
                 yield cell.lane_id, lane_s
+
+    def _weights(self, rows: IntArray) -> tuple[FloatArray, IntArray]:
+        """Weights of cells, rows (N,) of the grid; and 1 for those from which a named target is not met, else 0.
+
+        A leader whom a vehicle of this round follows already speaks for no other site.
+        """
+        meetings, scene = self._meetings, self.scene
+        begun = [scene.grid.index_of[scene.cell_at(start.path, start.start_s)] for start in self.taken]
+        leader, weight = meetings.leader[rows], meetings.weight[rows].copy()
+        led = np.isin(leader, meetings.leader[begun]) & (leader >= 0)
+        weight[led] /= scene.config.spawn.leader_weight
+        tier = ~meetings.near[rows] if meetings.is_target_named else np.zeros(len(rows), dtype=np.bool_)
+        return weight, tier.astype(np.int64)
 
     def _promises(
         self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, strict: bool
@@ -208,6 +242,8 @@ class InsertionSites:
         at = s + 0.9 * speed_mps * request.trigger_s
         if request.policy is Policy.LANE_CHANGE:
             needed = max(change.min_remaining_m, 1.3 * change.min_duration_s * speed_mps) + 0.5 * speed_mps
+            if strict and self._meets_junction(offer, at, at + scene.config.drivers.lane_change_mean_s * speed_mps):
+                return False  # lane changes outside intersections first
             return any(
                 beside.start <= at + 1.0 and beside.end > at + 1.0
                 and not (strict and beside.in_intersection)
@@ -226,6 +262,16 @@ class InsertionSites:
                     return True
             return False
         return True
+
+    def _meets_junction(self, offer: RouteOffer, begin: float, end: float) -> bool:
+        """Whether a stretch of a route, m along its lanes, touches an intersection."""
+        lanes, at = self.scene.grid.graph.lanes, 0.0
+        for lane_id in offer.route:
+            lane = lanes[lane_id]
+            if lane.is_intersection and at < end and at + lane.length_m > begin:
+                return True
+            at += lane.length_m
+        return False
 
     def _start(
         self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float, *, driver: Driver | None = None,
