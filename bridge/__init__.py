@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from bridge.recordings.scenario import read_scenario as read_scenario
     from bridge.recordings.sidecar import sidecar_in as sidecar_in
     from bridge.recordings.validate import validate_folder as validate_folder
+    from bridge.studies.run import run_study as run_study
     from bridge.studies.study import read_study as read_study
-    from bridge.studies.study import run_study as run_study
     from hid2.params import Config as Config
     from hid2.reasons import Reason as Reason
     from netconvert.errors import Hid2Error as Hid2Error
@@ -58,7 +58,7 @@ _HOMES = {
     "read_study": "bridge.studies.study",
     "render_scene": "bridge.pictures.render",
     "run_batch": "bridge.batch.batch",
-    "run_study": "bridge.studies.study",
+    "run_study": "bridge.studies.run",
     "sidecar_in": "bridge.recordings.sidecar",
     "validate_folder": "bridge.recordings.validate",
     "write": "bridge.generation.generate",

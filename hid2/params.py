@@ -7,13 +7,16 @@ number is written beside it.
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from hid2.policies import Policy
 
 
 def _param(default: Any, unit: str, source: str, **bounds: Any) -> Any:  # noqa: ANN401
     return Field(default=default, json_schema_extra={"unit": unit, "source": source}, **bounds)
+
+
+_FUNCTION = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"  # module:function
 
 
 class _Section(BaseModel):
@@ -39,6 +42,17 @@ class Request(_Section):
     sites: Literal["promising", "any"] = _param(
         "promising", "-", "start sites: those first where map and traffic allow what is asked for; any: uniformly drawn"
     )
+    near: str = _param(
+        "traffic",
+        "-",
+        "sites first from which these are met: traffic (recorded moving vehicles), av (the recording vehicle), focal, "
+        "scored, a track id; anywhere: all alike",
+        min_length=1, max_length=100,
+    )  # fmt: skip
+    within_m: float = _param(
+        30.0, "m", "a site is near where centres would come so near: to traffic at some step, to others at the last "
+        "observed one", gt=0, le=500,
+    )  # fmt: skip
     focal: Literal["recorded", "generated"] = _param("recorded", "-", "which track carries category 3")
     generated_category: Literal[1, 2] = _param(1, "-", "category of generated tracks: 1 context, 2 scored")
     seed: int = _param(0, "-", "seed of every random choice", ge=0, le=2**31 - 1)
@@ -86,21 +100,21 @@ class Spawn(_Section):
         3.0, "s", "a start holds if nobody is met so long by a vehicle that drives on and brakes as a driver would",
         ge=0, le=10,
     )  # fmt: skip
-    near_m: float = _param(
-        30.0,
-        "m",
-        "sites this near to moving recorded traffic are drawn as much more often as near_weight",
-        gt=0,
-        le=200,
+    near_weight: float = _param(8.0, "ratio", "weight of sites near to whom request.near asks for", ge=1, le=100)
+    leader_weight: float = _param(
+        6.0, "ratio", "weight of sites from which a recorded vehicle would be followed", ge=1, le=100
     )
-    near_weight: float = _param(4.0, "ratio", "weight of sites near moving recorded traffic", ge=1, le=100)
+    crossing_weight: float = _param(
+        3.0, "ratio", "weight of sites from which recorded traffic would be crossed", ge=1, le=100
+    )
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(
-        2, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
+        3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
     )
-    candidates: int = _param(
-        3, "vehicles", "driven at once for one manoeuvre, of which one that does it is kept", ge=1, le=10
+    rivals: int = _param(
+        2, "vehicles", "driven beside the first for one manoeuvre, of which one that does it is kept", ge=0, le=10
     )
+    rivals_share: float = _param(0.6, "share", "of the vehicles still missing: most rivals in one round", ge=0, le=5)
     spare_share: float = _param(
         0.2, "share", "vehicles driven beyond the count, in case some cannot be made safe", ge=0, le=2
     )
@@ -122,7 +136,6 @@ class Sites(_Section):
     tries: int = _param(150, "sites", "looked at in full for a request in a round", ge=1, le=10_000)
     drivers: int = _param(3, "drivers", "drawn for a site before it is turned down", ge=1, le=50)
     avoided_m: float = _param(5.0, "m", "around a start that could not be kept nobody begins", ge=0, le=100)
-    moving_mps: float = _param(1.0, "m/s", "recorded traffic that moves faster draws sites to it", ge=0, le=10)
     standing_mps: float = _param(0.3, "m/s", "who would begin more slowly begins standing", ge=0, le=3)
     queue_m: float = _param(8.0, "m", "who begins standing does so this near behind somebody who stands", ge=0, le=50)
     slowest_share: float = _param(
@@ -193,9 +206,28 @@ class Drivers(_Section):
         1.5, "m/s2", "lateral acceleration taken in turns, uniform from here", gt=0, le=4.89
     )
     turn_lateral_max_mps2: float = _param(3.0, "m/s2", "to here (comfort ends at 3)", gt=0, le=4.89)
-    offset_sd_m: float = _param(0.25, "m", "SD between drivers of the mean place in the lane", ge=0, le=1)
-    lateral_wander_sd_m: float = _param(0.15, "m", "SD of the wandering about that place", ge=0, le=0.5)
-    lateral_wander_time_s: float = _param(3.0, "s", "its correlation time at the desired speed", gt=0, le=30)
+    offset_mean_m: float = _param(
+        0.1,
+        "m",
+        "mean place in the lane, left positive: away from the kerb and parked cars; measured: 0.10",
+        ge=-1,
+        le=1,
+    )
+    offset_sd_m: float = _param(
+        0.32, "m", "SD between drivers of the mean place in the lane; measured, robust: 0.29", ge=0, le=1
+    )
+    offset_max_m: float = _param(0.9, "m", "no driver is farther from the lane's middle", ge=0, le=1.5)
+    lateral_wander_sd_m: float = _param(
+        0.2,
+        "m",
+        "SD of the wandering about that place, of the median driver; measured: drift of 0.065 m/s",
+        ge=0,
+        le=0.5,
+    )
+    lateral_wander_spread: float = _param(
+        0.8, "-", "SD between drivers of its logarithm: some hold the lane, some weave; measured", ge=0, le=1.5
+    )
+    lateral_wander_time_s: float = _param(2.0, "s", "its correlation time at the desired speed", gt=0, le=30)
     lane_change_mean_s: float = _param(
         5.5, "s", "duration of a lane change (highD: 5.5 cars, 6.1 heavy)", ge=1.5, le=15
     )
@@ -216,6 +248,16 @@ class LaneChange(_Section):
     min_duration_s: float = _param(2.5, "s", "shortest lateral motion (11 s scenes)", ge=1.5, le=10)
     max_duration_s: float = _param(6.0, "s", "longest lateral motion", ge=1.5, le=15)
     min_speed_mps: float = _param(2.0, "m/s", "slower vehicles cannot shift a lane in time", ge=0, le=20)
+    rule: Literal["paper", "MOBIL", "LC2013"] | Annotated[str, Field(pattern=_FUNCTION)] = _param(
+        "paper", "-", "what decides whether a gap is taken; module:function names one of your own"
+    )
+    mobil_politeness: float = _param(0.3, "-", "MOBIL p (Kesting et al. 2007: 0 to 1)", ge=0, le=2)
+    mobil_threshold_mps2: float = _param(0.1, "m/s2", "MOBIL, advantage that is worth a change", ge=0, le=5)
+    mobil_bias_mps2: float = _param(0.3, "m/s2", "MOBIL, bias towards the lane that is asked for", ge=0, le=10)
+    mobil_safe_mps2: float = _param(4.0, "m/s2", "MOBIL b_safe, hardest braking left to the new follower", gt=0, le=9)
+    lc_strategic: float = _param(1.0, "-", "LC2013 lcStrategic; SUMO's default", ge=0, le=100)
+    lc_cooperative: float = _param(1.0, "-", "LC2013 lcCooperative; SUMO's default", ge=0, le=1)
+    lc_speed_gain: float = _param(1.0, "-", "LC2013 lcSpeedGain; SUMO's default", ge=0, le=1000)
     max_shift_m: float = _param(5.5, "m", "middles of lanes farther apart are not side by side", gt=0, le=20)
     time_share: float = _param(0.95, "share", "of the time left that the lateral motion may take", gt=0, le=1)
     spare_s: float = _param(0.5, "s", "of that time, left after the lateral motion", ge=0, le=5)
@@ -362,6 +404,16 @@ class CarFollowing(_Section):
     jerk_mps3: float = _param(3.0, "m/s3", "EIDM jerkmax", gt=0, le=10)
 
 
+class Flow(_Section):
+    """Traffic that enters at the edges of the map while the scene runs: in studies (`hid2 study`)."""
+
+    veh_per_h_lane: float = _param(0.0, "veh/h", "flow on each lane that begins at the map's edge", ge=0, le=3000)
+    min_headway_s: float = _param(
+        1.2, "s", "headways are exponential beyond this (shifted exponential, Cowan's M2)", ge=0, le=10
+    )
+    warm_up_s: float = _param(30.0, "s", "requests before this are not counted", ge=0, le=3600)
+
+
 class Limits(_Section):
     """Limits of motion of every exported step (nuPlan's comfort bounds; R_min and a_y,max of the paper)."""
 
@@ -386,6 +438,63 @@ class Smoothing(_Section):
     filter_s: float = _param(
         0.3, "s", "standard deviation of the Gaussian that takes SUMO's steps out of the speed", gt=0, le=2
     )
+
+
+Band = tuple[float, float]
+
+
+class Event(_Section):
+    """One kind of event that is asked for in a scene: `[[event]]` in TOML, `--event` on the command line.
+
+    Bands are (least, largest). gap_m: bumper to bumper at the moment of the event (cross: from the target's bumper to
+    the conflict point), None: `gap_band_m`; speed_difference_mps: vehicle minus target; ttc_s, pet_s, drac_mps2:
+    criticality, None: what the critical values of `conflict` allow.
+    """
+
+    kind: Literal["cut_in", "overtake", "lead", "follow", "merge", "cross"]
+    target: str = Field(default="av", min_length=1, max_length=100)
+    at_s: Band = (2.0, 7.0)
+    gap_m: Band | None = None
+    speed_difference_mps: Band = (-6.0, 6.0)
+    brakes_mps2: float = Field(default=0.0, ge=0, le=4.05)
+    ttc_s: Band | None = None
+    pet_s: Band | None = None
+    drac_mps2: Band | None = None
+    count: int = Field(default=1, ge=1, le=20)
+
+    @property
+    def gap_band_m(self) -> Band:
+        """Gap asked for; where none is, what is usual for the kind."""
+        return self.gap_m or ((0.0, 100.0) if self.kind == "cross" else (4.0, 30.0))
+
+    @field_validator("at_s", "gap_m", "speed_difference_mps", "ttc_s", "pet_s", "drac_mps2", mode="before")
+    @classmethod
+    def _band(cls, value: Any) -> Any:  # noqa: ANN401
+        """A band may be given as a list, which is what JSON and TOML have, or as one number."""
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value), float(value)
+        return tuple(value) if isinstance(value, list) else value
+
+    @model_validator(mode="after")
+    def _check(self) -> "Event":
+        for name in ("at_s", "gap_m", "speed_difference_mps", "ttc_s", "pet_s", "drac_mps2"):
+            band = getattr(self, name)
+            if band is not None and band[1] < band[0]:
+                raise ValueError(f"{name} {band[0]:g}:{band[1]:g}, expected the smaller value first")
+            if band is not None and name != "speed_difference_mps" and band[0] < 0:
+                raise ValueError(f"{name} {band[0]:g}:{band[1]:g}, expected values of 0 or more")
+        if self.brakes_mps2 and self.kind != "lead":
+            raise ValueError(f"brakes_mps2 {self.brakes_mps2:g} with kind {self.kind}, expected kind lead")
+        if self.pet_s is not None and self.kind != "cross":
+            raise ValueError(f"pet_s with kind {self.kind}, expected kind cross: only crossing paths have a PET")
+        return self
+
+
+class EventSearch(_Section):
+    """The search for a site, a speed and a trigger time with which an event comes about."""
+
+    tries: int = _param(14, "vehicles", "driven for one event before it is given up", ge=1, le=200)
+    moment_s: float = _param(0.5, "s", "an event counts so much before or after the time asked for", ge=0, le=5)
 
 
 class Export(_Section):
@@ -424,10 +533,16 @@ class Config(_Section):
     conflict: Conflict = Conflict()
     signals: Signals = Signals()
     crossings: Crossings = Crossings()
+    flow: Flow = Flow()
     limits: Limits = Limits()
     smoothing: Smoothing = Smoothing()
+    event_search: EventSearch = EventSearch()
     export: Export = Export()
 
+    event: tuple[Event, ...] = Field(
+        default=(),
+        json_schema_extra={"unit": "-", "source": "events, a section [[event]] each; see hid2 generate --event"},
+    )
     without: frozenset[Literal["topology", "collision", "smoothing"]] = Field(
         default=frozenset(),
         json_schema_extra={"unit": "-", "source": "paper, Table ablation: components switched off"},

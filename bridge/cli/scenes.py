@@ -68,7 +68,7 @@ def validate(
 
 
 @command()
-def scan(
+def scan(  # noqa: PLR0913  # one for each option
     scenes: Scenes,
     *,
     out: Annotated[

@@ -11,11 +11,14 @@ import numpy as np
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.events import EventOutcome
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
+from hid2.insertion.meetings import Meetings
 from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.routes import Routes
 from hid2.insertion.sites import InsertionSites
+from hid2.insertion.spread import Spread
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
@@ -68,11 +71,13 @@ class Filling:
     roads: Roads = field(init=False)
     routes: Routes = field(init=False)
     stop_lines: StopLines = field(init=False)
+    meetings: Meetings = field(init=False)
     kept: list[ExportedVehicle] = field(default_factory=list)
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     unmet: list[Unmet] = field(default_factory=list)
     rejected: list[Rejection] = field(default_factory=list)
     no_site: Counter[Reason] = field(default_factory=Counter)
+    events: list[EventOutcome] = field(default_factory=list)
     rounds: int = 0
     _open: list[VehicleRequest] = field(default_factory=list)
     _again: list[Start] = field(default_factory=list)
@@ -84,13 +89,24 @@ class Filling:
     def __post_init__(self) -> None:
         """What is found out about the map is kept over the rounds."""
         self.roads, self.routes, self.stop_lines = Roads(self.scene), Routes(self.scene), StopLines(self.scene)
+        self.meetings = Meetings(self.scene, self.routes)
+
+    def take_events(self, found: Sequence[EventOutcome]) -> None:
+        """Vehicles of events are kept before all others, which have to do with them; they count among the vehicles."""
+        self.events = list(found)
+        for one in found:
+            if one.vehicle is not None:
+                self.kept.append(one.vehicle)
+                if one.outcome is not None:
+                    self.outcomes[one.vehicle.driven.vehicle_id] = one.outcome
 
     def fill(self, drive: Drive) -> None:
         """All rounds. The count is a wish: a full road ends with fewer, and says so."""
         config = self.scene.config
         asked = config.request.agents
         target = self._most() if asked == "max" else asked
-        self._open = self._possible(draw_requests(config, np.random.default_rng([*self.seed, 0]), count=target))
+        count = max(0, target - len(self.kept))
+        self._open = self._possible(draw_requests(config, np.random.default_rng([*self.seed, 0]), count=count))
         self._next_spare = target
         for number in range(config.spawn.rounds):
             missing = target - len(self.kept)
@@ -109,6 +125,16 @@ class Filling:
         for request in self._open:
             if request.policy is not Policy.STRAIGHT:
                 self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
+
+    def first_starts(self, count: int) -> list[Start]:
+        """Starts of one round for `count` requests, spare ones left out; who finds none is in `unmet`."""
+        self._open = self._possible(
+            draw_requests(self.scene.config, np.random.default_rng([*self.seed, 0]), count=count)
+        )
+        starts = self._starts(0, count, spare=False)
+        met = {start.request.number for start in starts}
+        self.unmet += [Unmet(request, Reason.NO_SITE) for request in self._open if request.number not in met]
+        return starts
 
     def _most(self) -> int:
         """How many the road takes at usual gaps, about: what `max` asks for."""
@@ -140,7 +166,10 @@ class Filling:
         config = self.scene.config
         rng = np.random.default_rng([*self.seed, 1 + number])
         guard = Guard(self.scene, self._fixed(), self.stop_lines)
-        sites = InsertionSites(self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number, self._avoided)
+        sites = InsertionSites(
+            self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number, self._avoided,
+            meetings=self.meetings, spread=Spread.of(self.seed), asked=Counter(r.policy for r in self._open),
+        )  # fmt: skip
         sites.taken += self._again
         starts, self._again = list(self._again), []
         if number >= max(1, config.spawn.reseed_rounds):  # the count matters more by now; each is tried once
@@ -148,7 +177,7 @@ class Filling:
         waiting = sorted(self._open, key=lambda request: (_ORDER.index(request.policy), request.number))
         used: set[int] = {start.request.number for start in starts}
         failed: Counter[Policy] = Counter()
-        rivals: list[tuple[VehicleRequest, int]] = []
+        waiting_rivals: list[VehicleRequest] = []
         for request in waiting:
             if request.number in used:
                 continue
@@ -166,18 +195,9 @@ class Filling:
                 failed[request.policy] += 1
                 self._last_reason[request.number] = Reason.NO_SITE
             elif request.policy is not Policy.STRAIGHT:
-                more = config.spawn.candidates - 1
-                rivals.append((request, more))
-        while rivals:
-            request, more = rivals.pop(0)
-            slow = next(
-                (r for r in waiting if r.policy is Policy.STRAIGHT and r.number not in used), None
-            ) if request.policy is Policy.OVERTAKE else None  # fmt: skip
-            found = sites.propose(request, slow) if more > 0 else []
-            used.update(start.request.number for start in found)
-            starts += found
-            if found and more > 1:
-                rivals.append((request, more - 1))
+                waiting_rivals.append(request)
+        if number < config.spawn.reseed_rounds:
+            starts += self._rivals(sites, waiting_rivals, math.ceil(config.spawn.rivals_share * max(0, missing)))
         if spare and starts and not failed[Policy.STRAIGHT]:
             extra = math.ceil(config.spawn.spare_share * len(starts))
             if number + 1 == config.spawn.reseed_rounds:  # in place of manoeuvres that fail once more
@@ -189,6 +209,26 @@ class Filling:
         self.no_site.update(sites.rejected)
         refused = ", ".join(f"{reason} {count}" for reason, count in sites.rejected.most_common())
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
+        return starts
+
+    def _rivals(self, sites: InsertionSites, requests: list[VehicleRequest], most: int) -> list[Start]:
+        """More vehicles for the same requests, in turns, so that one of them does what is asked for in this round.
+
+        Who is to be overtaken by them is a spare vehicle.
+        """
+        starts: list[Start] = []
+        for _ in range(self.scene.config.spawn.rivals):
+            for request in list(requests):
+                if len(starts) >= most:
+                    return starts
+                slow: VehicleRequest | None = None
+                if request.policy is Policy.OVERTAKE:
+                    slow = VehicleRequest(self._next_spare, Policy.STRAIGHT, 0.0)
+                    self._next_spare += 1
+                found = sites.propose(request, slow)
+                starts += found
+                if not found:
+                    requests.remove(request)
         return starts
 
     def _give_up_manoeuvres(self, met: Set[int] = frozenset()) -> bool:
@@ -309,10 +349,10 @@ class Filling:
                 detail,
             )
         )
-        if reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE):
-            if self.scene.config.request.sites == "promising":
-                segment = start.path.segment_at(start.start_s)
-                self._avoided.append((segment.lane_id, segment.lane_s(start.start_s)))
+        place_failed = reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE)
+        if place_failed and self.scene.config.request.sites == "promising":
+            segment = start.path.segment_at(start.start_s)
+            self._avoided.append((segment.lane_id, segment.lane_s(start.start_s)))
 
     def _close(self, kept: list[ExportedVehicle]) -> None:
         """Take requests that are met off the list; a spare vehicle meets the last open one that goes straight."""

@@ -8,12 +8,14 @@ from functools import partial
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import Guard, Obstacles
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver, desired_speeds, draw_driver, lane_offset
+from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.insertion.sizes import draw_size
+from hid2.insertion.spread import Spread, by_weight
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.along_path import PathOccupancy
@@ -32,12 +34,16 @@ from hid2.vehicle import Start, VehicleRequest
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.LEAVES_TOO_EARLY})
 _BESIDE_MOST_M = 80.0  # no tunable, spares time: two starts farther apart have nothing to do with each other
 
+#: Centre (x, y), m, and unit vector of the direction, of one vehicle.
+_Pose = tuple[list[float], list[float]]
+
 
 @dataclass(slots=True)
 class InsertionSites:
     """Sites of one scene for requests; what was proposed in this round is kept clear of.
 
-    avoided: lanes and arc lengths, m, at which vehicles of rounds before began that could not be kept.
+    avoided: lanes and arc lengths, m, at which vehicles of rounds before began that could not be kept; asked: how many
+    vehicles of each policy the scene is asked for, which share its sites.
     """
 
     scene: Scene
@@ -48,9 +54,13 @@ class InsertionSites:
     rng: np.random.Generator
     round_number: int
     avoided: Sequence[tuple[int, float]] = ()
+    meetings: Meetings | None = None
+    spread: Spread | None = None
+    asked: Counter[Policy] = field(default_factory=Counter)
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
-    _usual: dict[int, float] = field(default_factory=dict)
+    _looked: Counter[Policy] = field(default_factory=Counter)
+    _poses: dict[str, _Pose] = field(default_factory=dict)
     _obstacles: dict[tuple[DrivenPath, BoxSize], Obstacles] = field(default_factory=dict)
 
     def propose(self, request: VehicleRequest, slow_leader: VehicleRequest | None = None) -> list[Start]:
@@ -121,10 +131,10 @@ class InsertionSites:
             for start in self.taken
             if start.request.number == request.number
         }
-        for lane_id, lane_s in self._places():
+        for lane_id, lane_s in self._places(request):
             if lane_id in rivals_on:  # of two on one lane the one behind would wait for the other
                 continue
-            for offer in self._order(request, self.routes.offers(lane_id)):
+            for offer in self._order(request, lane_id):
                 s = offer.start_m + lane_s
                 usual_mps = self._usual_speed(lane_id)
                 if self._leaves_early(offer, s, 0.8 * usual_mps) or not promises(offer, s, usual_mps):
@@ -139,50 +149,78 @@ class InsertionSites:
             if tried >= self.scene.config.sites.tries:
                 return
 
-    def _order(self, request: VehicleRequest, offers: Sequence[RouteOffer]) -> list[RouteOffer]:
-        order = self.rng.permutation(len(offers)).tolist()
+    def _order(self, request: VehicleRequest, lane_id: int) -> list[RouteOffer]:
+        """Routes from a lane in weighted random order; those that go straight on first unless a turn is asked for."""
+        offers = self.routes.offers(lane_id)
+        key = self.rng.exponential(size=len(offers))
+        if self.scene.config.request.sites == "promising":
+            key /= np.array(self._meetings.offer_weights(lane_id))
+        order = [offers[row] for row in np.argsort(key, kind="stable").tolist()]
         if request.policy in TURN_OF_POLICY:
-            return [offers[row] for row in order]
-        return sorted((offers[row] for row in order), key=lambda offer: bool(offer.turns))
+            return order
+        return sorted(order, key=lambda offer: bool(offer.turns))
+
+    @property
+    def _meetings(self) -> Meetings:
+        if self.meetings is None:
+            self.meetings = Meetings(self.scene, self.routes)
+        return self.meetings
 
     def _usual_speed(self, lane_id: int) -> float:
-        if lane_id not in self._usual:
-            pool = self.scene.lane_speeds.get(lane_id) or self.scene.scene_speeds
-            self._usual[lane_id] = float(np.median(pool)) if pool else self.scene.config.spawn.prior_speed_mps
-        return self._usual[lane_id]
+        return self._meetings.usual_speed(lane_id)
 
-    def _places(self) -> Iterator[tuple[int, float]]:
-        """Lane and arc length, m, of free cells at step 0, in weighted random order; intersections last."""
-        scene, spawn = self.scene, self.scene.config.spawn
+    def _places(self, request: VehicleRequest) -> Iterator[tuple[int, float]]:
+        """Lane and arc length, m, of free cells at step 0; first from where more is met, intersections last.
+
+        The order is that of `Spread`, by the number of this vehicle among those of its policy; else by weight alone.
+        """
+        scene = self.scene
         grid, lanes = scene.grid, scene.grid.graph.lanes
-        usable = set(self.routes.lanes)
+        promising = scene.config.request.sites == "promising"
+        usable = {n for n in self.routes.lanes if not promising or self.routes.lane_offers(n, request.policy)}
         rows = [row for row, cell in enumerate(grid.cells) if cell.lane_id in usable]
         free = scene.occupancy.sigma[0, rows] == FREE
         rows = [row for row, is_free in zip(rows, free, strict=True) if is_free]
         if not rows:
             return
-        weight = np.ones(len(rows))
-        if scene.config.request.sites == "promising":
-            speed = np.hypot(*scene.traffic.velocity[:, 0].T)
-            moving = scene.traffic.present[:, 0] & (speed > scene.config.sites.moving_mps)
-            if moving.any():
-                offset = grid.centers[rows][:, None] - scene.traffic.position[moving, 0][None]
-                near = np.hypot(offset[..., 0], offset[..., 1]).min(axis=1) < spawn.near_m
-                weight[near] = spawn.near_weight
-        key = self.rng.exponential(size=len(rows)) / weight
+        weight, tier = np.ones(len(rows)), np.zeros(len(rows), dtype=np.int64)
+        if promising:
+            weight, tier = self._weights(np.array(rows))
         inside = np.array([lanes[grid.cells[row].lane_id].is_intersection for row in rows])
         share = self.rng.random(len(rows))
         failed: dict[int, list[float]] = {}
         for lane_id, at in self.avoided:
             failed.setdefault(lane_id, []).append(at)
-        for place in np.lexsort((key, inside)).tolist():
+        policy = request.policy
+        if self.spread is None or not promising:
+            order = by_weight(weight, self.rng)
+        else:
+            order = self.spread.order(
+                weight, self.rng, number=self._looked[policy], of=self.asked[policy],
+                kind=list(Policy).index(policy), round_number=self.round_number,
+            )  # fmt: skip
+        self._looked[policy] += 1
+        for place in order[np.lexsort((tier[order], inside[order]))].tolist():
             cell = grid.cells[rows[place]]
-            if inside[place] and not inside.all() and scene.config.request.sites == "promising":
+            if inside[place] and not inside.all() and promising:
                 return
             begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
             lane_s = float(begin + share[place] * (end - begin))
             if not any(abs(lane_s - at) < scene.config.sites.avoided_m for at in failed.get(cell.lane_id, ())):
                 yield cell.lane_id, lane_s
+
+    def _weights(self, rows: IntArray) -> tuple[FloatArray, IntArray]:
+        """Weights of cells, rows (N,) of the grid; and 1 for those from which a named target is not met, else 0.
+
+        A leader whom a vehicle of this round follows already speaks for no other site.
+        """
+        meetings, scene = self._meetings, self.scene
+        begun = [scene.grid.index_of[scene.cell_at(start.path, start.start_s)] for start in self.taken]
+        leader, weight = meetings.leader[rows], meetings.weight[rows].copy()
+        led = np.isin(leader, meetings.leader[begun]) & (leader >= 0)
+        weight[led] /= scene.config.spawn.leader_weight
+        tier = ~meetings.near[rows] if meetings.is_target_named else np.zeros(len(rows), dtype=np.bool_)
+        return weight, tier.astype(np.int64)
 
     def _promises(
         self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, strict: bool
@@ -204,6 +242,8 @@ class InsertionSites:
         at = s + 0.9 * speed_mps * request.trigger_s
         if request.policy is Policy.LANE_CHANGE:
             needed = max(change.min_remaining_m, 1.3 * change.min_duration_s * speed_mps) + 0.5 * speed_mps
+            if strict and self._meets_junction(offer, at, at + scene.config.drivers.lane_change_mean_s * speed_mps):
+                return False  # lane changes outside intersections first
             return any(
                 beside.start <= at + 1.0 and beside.end > at + 1.0
                 and not (strict and beside.in_intersection)
@@ -222,6 +262,16 @@ class InsertionSites:
                     return True
             return False
         return True
+
+    def _meets_junction(self, offer: RouteOffer, begin: float, end: float) -> bool:
+        """Whether a stretch of a route, m along its lanes, touches an intersection."""
+        lanes, at = self.scene.grid.graph.lanes, 0.0
+        for lane_id in offer.route:
+            lane = lanes[lane_id]
+            if lane.is_intersection and at < end and at + lane.length_m > begin:
+                return True
+            at += lane.length_m
+        return False
 
     def _start(
         self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float, *, driver: Driver | None = None,
@@ -354,8 +404,10 @@ class InsertionSites:
         stop = self.stop_lines.braking(path, box, driver, s=s, speed_mps=speed, step=0)
         if stop is not None and stop[0] < -driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
+        own_xy, own_t, _ = path.line.motion(np.array([s]))
+        own = own_xy[0].tolist(), own_t[0].tolist()
         for other in self.taken:
-            verdict = self._beside_start(path, box, s, driver, other, speed)
+            verdict = self._beside_start(own, box, driver, other, speed)
             if verdict is None:
                 return Reason.NO_SITE
             speed = min(speed, verdict)
@@ -381,26 +433,32 @@ class InsertionSites:
             return Reason.CONFLICT_PREDICTED
         return speed
 
-    def _beside_start(
-        self, path: DrivenPath, box: BoxSize, s: float, driver: Driver, other: Start, speed: float
-    ) -> float | None:
+    def _pose_of(self, start: Start) -> _Pose:
+        """Where another start of this round is, m, and its direction."""
+        if start.vehicle_id not in self._poses:
+            xy, tangent, _ = start.path.line.motion(np.array([start.start_s]))
+            self._poses[start.vehicle_id] = xy[0].tolist(), tangent[0].tolist()
+        return self._poses[start.vehicle_id]
+
+    def _beside_start(self, own: _Pose, box: BoxSize, driver: Driver, other: Start, speed: float) -> float | None:
         """Fastest start speed beside another start of this round; None where the two are too near."""
         sites = self.scene.config.sites
-        own_xy, own_t, _ = path.line.motion(np.array([s]))
-        xy, tangent, _ = other.path.line.motion(np.array([other.start_s]))
-        offset = xy[0] - own_xy[0]
-        if math.hypot(offset[0], offset[1]) > _BESIDE_MOST_M:
+        (own_x, own_y), (own_tx, own_ty) = own
+        (x, y), (tx, ty) = self._pose_of(other)
+        dx, dy = x - own_x, y - own_y
+        if math.hypot(dx, dy) > _BESIDE_MOST_M:
             return speed
-        along = float(offset @ own_t[0])
-        across = abs(float(offset[1] * own_t[0, 0] - offset[0] * own_t[0, 1]))
+        same_way = own_tx * tx + own_ty * ty
+        along = dx * own_tx + dy * own_ty
+        across = abs(dy * own_tx - dx * own_ty)
         gap = abs(along) - (box.length_m + other.box.length_m) / 2
         beside = across > (box.width_m + other.box.width_m) / 2 + 0.5
         if beside:
-            ahead_of_other = -float(offset @ tangent[0])
-            passing = other.request.policy is Policy.OVERTAKE and float(own_t[0] @ tangent[0]) > 0.7
+            ahead_of_other = -(dx * tx + dy * ty)
+            passing = other.request.policy is Policy.OVERTAKE and same_way > 0.7
             near = across < sites.pass_beside_m and -sites.pass_behind_m < ahead_of_other < sites.pass_ahead_m
             return None if passing and near else speed
-        if float(own_t[0] @ tangent[0]) < 0.7:
+        if same_way < 0.7:
             return speed if gap > sites.crossing_gap_m else None
         if along > 0:
             fits = speed_behind(gap, other.start_mps, driver, sites)
@@ -410,8 +468,8 @@ class InsertionSites:
     def _meets_taken_roughly(self, lane_id: int, lane_s: float, box: BoxSize) -> bool:
         point = self.scene.grid.graph.lanes[lane_id].path.point(np.array([lane_s]))[0]
         for other in self.taken:
-            xy = other.path.line.position(np.array([other.start_s]))[0]
-            if math.hypot(xy[0] - point[0], xy[1] - point[1]) < min(box.width_m, other.box.width_m):
+            x, y = self._pose_of(other)[0]
+            if math.hypot(x - point[0], y - point[1]) < min(box.width_m, other.box.width_m):
                 return True
         return False
 

@@ -15,7 +15,7 @@ from hid2.drivers.driver import LaneOffset
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 
 _TRUNCATED_AT = 3.0  # standard deviations of the filter
-#: Acceleration at the first and last step, over the jerk limit, and how fast it may grow from there: derived, not tuned.
+#: Acceleration at the first and last step over the jerk limit, and how fast it may grow from there: derived, not tuned.
 #: Who differentiates positions three times, one-sided at the ends, finds there a jerk of 2.5 /s times the acceleration
 #: plus .8 times the jerk.
 _EDGE_S, _EDGE_GROWTH = 0.14, 0.7
@@ -74,7 +74,7 @@ def _with_eased_ends(v: FloatArray, jerk_mps3: float, step_s: float) -> FloatArr
     bound = jerk_mps3 * (_EDGE_S + _EDGE_GROWTH * step_s * np.minimum(step, step[::-1]))
     change = np.clip(a, -bound, bound) - a
     gained = np.concatenate([[0.0], np.cumsum(0.5 * step_s * (change[1:] + change[:-1]))])
-    return np.maximum(v + gained - gained[v.size // 2], 0.0)
+    return np.asarray(np.maximum(v + gained - gained[v.size // 2], 0.0), dtype=np.float64)
 
 
 def trajectory(line: ReferenceLine, motion: Motion, offset: LaneOffset) -> Trajectory:

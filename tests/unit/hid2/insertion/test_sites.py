@@ -51,7 +51,7 @@ def _many(scene: Scene, count: int, **request: Any) -> list[Start]:
 
 
 def test_site_is_never_on_an_occupied_cell_nor_near_a_box(scene_of: Callable[..., Scene]) -> None:
-    """Parked ones at 60 and 130 m of lane 1, one at 9 m/s on lane 2 at 100 m: 2.5 m of bumper gap to all."""
+    """Parked ones at 60 and 130 m of lane 1, one at 9 m/s on lane 2 at 100 m: spawn.clear_gap_m of 2 m to all."""
     others = [recorded(60.0, 0.0, name="a"), recorded(130.0, 0.0, name="b"), recorded(100.0, 3.5, 9.0, name="c")]
     scene = scene_of(*others)
     starts = _many(scene, 120)
@@ -62,7 +62,7 @@ def test_site_is_never_on_an_occupied_cell_nor_near_a_box(scene_of: Callable[...
         x, y = start.path.line.position(np.array([start.start_s]))[0]
         for one in others:
             if abs(one.position[0, 1] - y) < 1.5:
-                assert abs(one.position[0, 0] - x) - 0.5 * (start.size.length_m + 4.5) >= 2.5 - 0.01
+                assert abs(one.position[0, 0] - x) - 0.5 * (start.size.length_m + 4.5) >= 2.0 - 0.01
 
 
 def test_start_that_a_recorded_vehicle_would_run_into_is_rejected(scene_of: Callable[..., Scene]) -> None:
