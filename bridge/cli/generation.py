@@ -278,8 +278,10 @@ def generate(  # noqa: PLR0913  # one for each option
         )  # fmt: skip
         notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")
+        jobs_wanted = plan(folders, resolved)
+        activity.show(0, sum(len(job.runs) for job in jobs_wanted))
         try:
-            rows = run_batch(plan(folders, resolved), out, options, on_row=notes.note)
+            rows = run_batch(jobs_wanted, out, options, on_row=notes.note)
         except KeyboardInterrupt:
             activity.message(f"interrupted; finished scenes are in {out / 'manifest.csv'}, continue with --resume")
             raise typer.Exit(INTERRUPTED) from None

@@ -184,6 +184,7 @@ def study(
         found = read_study(file, scenes=scenes)
         notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")
+        activity.show(0, sum(len(job.runs) for job in found.jobs))
         try:
             report = run_study(found, out, options, on_row=notes.note)
         except KeyboardInterrupt:
