@@ -58,6 +58,7 @@ class SceneMeasures:
     scene: Row
     tracks: list[Row]
     maneuvers: list[Row]
+    events: list[Row]
     realism: RealismCounts
     samples: FloatArray
     sample_generated: BoolArray
@@ -205,6 +206,7 @@ def measure(
         scene=scene,
         tracks=_track_rows(view, policy_of, sidecar),
         maneuvers=_maneuver_rows(view, sidecar),
+        events=[event.model_dump(mode="json") for event in sidecar.events] if sidecar else [],
         realism=count_scene(
             source, arrays, row_features(arrays, moved, safe), durations, generated=generated, recorded=recorded
         ),
@@ -223,6 +225,7 @@ def _named(measures: SceneMeasures, scene: Rows, folder: Path) -> SceneMeasures:
         scene=name | place | measures.scene,
         tracks=[name | row for row in measures.tracks],
         maneuvers=[name | row for row in measures.maneuvers],
+        events=[name | {"folder": str(folder)} | row for row in measures.events],
         realism=measures.realism,
         samples=measures.samples,
         sample_generated=measures.sample_generated,
