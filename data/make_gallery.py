@@ -1,7 +1,7 @@
-"""Write the gallery of events, EVENTS.md with a picture of each kind, from the synthetic scenes: python data/make_gallery.py.
+"""Write the gallery of events, EVENTS.md, from the synthetic scenes: python data/make_gallery.py.
 
-Each kind of event is asked for in the scenes of data/av2, with any moving recorded vehicle as target; the first scene in
-which it comes about is shown.
+Each kind of event is asked for in the scenes of data/av2, with any moving recorded vehicle as target; the first scene
+in which it comes about is shown.
 """
 
 import sys
@@ -31,8 +31,8 @@ SEEN = {
 }
 
 
-def first_of(kind: str, folders: list[Path], out: Path) -> tuple[Path, Path, EventRecord] | None:
-    """Source, generated folder and record of the first event of a kind that comes about; None where none does."""
+def first_of(kind: str, folders: list[Path], out: Path) -> tuple[Path, Path, EventRecord, int] | None:
+    """Source, generated folder, record and seed of the first event of a kind that comes about; None where none does."""
     for seed in range(SEEDS):
         for folder in folders:
             config = Config(
@@ -42,7 +42,7 @@ def first_of(kind: str, folders: list[Path], out: Path) -> tuple[Path, Path, Eve
             scene = generate(prepare(read_scenario(folder), config), config)
             (event,) = scene.sidecar.events
             if event.status == "done":
-                return folder, write(scene, out), event
+                return folder, write(scene, out), event, seed
     return None
 
 
@@ -52,8 +52,8 @@ def main() -> None:
     PICTURES.mkdir(exist_ok=True)
     lines = [
         "# Events", "", "A picture of each kind of event, in the synthetic scenes of this folder. `python",
-        "data/make_gallery.py` writes this page; the same event comes of the command below its picture. The ring marks the",
-        "inserted vehicle at the last observed step; the target is recorded and does not react.", "",
+        "data/make_gallery.py` writes this page; the same event comes of the command below its picture. The ring marks",
+        "the inserted vehicle at the last observed step; the target is recorded and does not react.", "",
     ]  # fmt: skip
     with tempfile.TemporaryDirectory() as scratch:
         for kind in get_args(Event.model_fields["kind"].annotation):
@@ -62,15 +62,15 @@ def main() -> None:
             if found is None:
                 lines += [f"The vehicle {SEEN[kind]}. None of these scenes has room for it.", ""]
                 continue
-            source, folder, event = found
+            source, folder, event, seed = found
             figure = scene_figure(folder, agent=event.track_id)
             figure.savefig(PICTURES / f"{kind}.png", dpi=70, metadata={"Software": None})
+            asked = f"--agents 0 --seed {seed} --event {kind} --target any --at 1.5:6"
             measured = f"{event.gap_m:.1f} m from the target at {event.at_s:.1f} s"
             lines += [
                 f"![{kind}](events/{kind}.png)", "",
                 f"The vehicle {SEEN[kind]}, track {event.target_track_id}: {measured}, {event.tries} tried.", "",
-                f"    hid2 generate data/av2/{source.parent.name}/{source.name} -o out --agents 0 --event {kind} "
-                "--target any --at 1.5:6", "",
+                f"    hid2 generate data/av2/{source.parent.name}/{source.name} -o out {asked}", "",
             ]  # fmt: skip
             print(kind, source.name, measured, file=sys.stderr)
     PAGE.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")

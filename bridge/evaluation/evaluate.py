@@ -47,8 +47,9 @@ def evaluate_folder(
     """Measure every scene below `out`, recorded or generated, and write the report into `report_dir`.
 
     Writes metrics.json, scenes.csv, tracks.csv, maneuvers.csv, events.csv, realism.csv and report.html. "Before" is the
-    source scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded vehicles beside them,
-    else the recorded tracks of the first scene made from each. A scene that cannot be read is listed and left out.
+    source scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded vehicles beside
+    them, else the recorded tracks of the first scene made from each. A scene that cannot be read is listed and left
+    out.
     on_scene(done, total) is called as scenes are done.
     Errors: ScenarioError where there is no scene; ExportError where the report cannot be written.
     """
