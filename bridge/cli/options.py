@@ -13,8 +13,17 @@ REQUEST, EVENTS, SELECTION = "What to generate", "Events", "Which scenes"
 PARAMETERS, RUNNING, OUTPUT = "Parameters", "Running", "Output"
 
 # Choices, written out because what they mirror is slow to import; tests/cli/test_options.py compares them.
-BehaviourName = StrEnum("BehaviourName", ["STRAIGHT", "LEFT_TURN", "RIGHT_TURN", "LANE_CHANGE", "OVERTAKE"])
 EventName = StrEnum("EventName", ["CUT_IN", "OVERTAKE", "LEAD", "FOLLOW", "MERGE", "CROSS"])
+CanName = StrEnum(
+    "CanName",
+    {
+        "STRAIGHT": "straight", "LEFT_TURN": "left_turn", "RIGHT_TURN": "right_turn", "LANE_CHANGE": "lane_change",
+        "OVERTAKE": "overtake", "CUT_IN_AV": "cut_in:av", "CUT_IN_FOCAL": "cut_in:focal", "OVERTAKE_AV": "overtake:av",
+        "OVERTAKE_FOCAL": "overtake:focal", "LEAD_AV": "lead:av", "LEAD_FOCAL": "lead:focal", "FOLLOW_AV": "follow:av",
+        "FOLLOW_FOCAL": "follow:focal", "MERGE_AV": "merge:av", "MERGE_FOCAL": "merge:focal", "CROSS_AV": "cross:av",
+        "CROSS_FOCAL": "cross:focal",
+    },
+)  # fmt: skip
 ComponentName = StrEnum("ComponentName", ["TOPOLOGY", "COLLISION", "SMOOTHING"])
 SplitName = StrEnum("SplitName", ["TRAIN", "VAL", "TEST"])
 RecordName = StrEnum("RecordName", ["GAPS"])
@@ -104,9 +113,11 @@ Split = Annotated[
     typer.Option(help="Only scenes of this split; repeatable.", rich_help_panel=SELECTION, show_default=False),
 ]
 Can = Annotated[
-    list[BehaviourName],
+    list[CanName],
     typer.Option(
-        help="Only maps with room for this manoeuvre; repeatable.", rich_help_panel=SELECTION, show_default=False
+        help="Only scenes with room for this manoeuvre or event; repeatable.",
+        rich_help_panel=SELECTION,
+        show_default=False,
     ),
 ]
 Sample = Annotated[

@@ -55,6 +55,7 @@ class SceneMeasures:
     scene: Row
     tracks: list[Row]
     maneuvers: list[Row]
+    events: list[Row]
     realism: RealismCounts
     samples: FloatArray
     sample_generated: BoolArray
@@ -208,6 +209,7 @@ def measure(
         scene=scene,
         tracks=_track_rows(view, policy_of, sidecar),
         maneuvers=_maneuver_rows(view, sidecar),
+        events=[event.model_dump(mode="json") for event in sidecar.events] if sidecar else [],
         realism=count_scene(
             source, arrays, scene_values(arrays, safe, driving, durations), generated=generated, recorded=recorded
         ),
@@ -224,6 +226,7 @@ def _named(measures: SceneMeasures, scene: Rows, folder: Path) -> SceneMeasures:
         scene=name | place | measures.scene,
         tracks=[name | row for row in measures.tracks],
         maneuvers=[name | row for row in measures.maneuvers],
+        events=[name | {"folder": str(folder)} | row for row in measures.events],
         realism=measures.realism,
         samples=measures.samples,
         sample_generated=measures.sample_generated,

@@ -49,7 +49,8 @@ def scene_for(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
     def make(*, agents: int = 4, rounds: int = 6, spare: float = 0.5, rivals: int = 0, **request: object) -> Scene:
         mix = {**NOTHING, "straight": 1.0, **request}
         config = Config(
-            request=Request(agents=agents, **mix), spawn=Spawn(rounds=rounds, reseed_rounds=3, spare_share=spare, rivals=rivals)
+            request=Request(agents=agents, **mix),
+            spawn=Spawn(rounds=rounds, reseed_rounds=3, spare_share=spare, rivals=rivals),
         )
         return scene_on(road(length_m=500.0), config=config)
 
