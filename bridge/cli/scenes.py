@@ -15,6 +15,7 @@ from bridge.cli.options import (
     Can,
     City,
     Jobs,
+    MapChoice,
     MinAgents,
     Out,
     Quiet,
@@ -22,10 +23,12 @@ from bridge.cli.options import (
     Scene,
     Scenes,
     Split,
+    Stride,
     Verbose,
+    Window,
 )
 from bridge.cli.places import check_one_scene, check_out, check_out_file, check_scenes
-from bridge.cli.session import set_up, unread_text, with_cities_of
+from bridge.cli.session import set_up, tell_formats, unread_text, with_cities_of
 from bridge.console import Activity, print_json, print_table, say
 
 
@@ -41,6 +44,7 @@ def validate(
     source: Annotated[
         Path | None, typer.Option(metavar="DIR", help="The source scenes, to compare recorded tracks with.")
     ] = None,
+    map_path: MapChoice = None,
     as_json: AsJson = False,
     verbose: Verbose = 0,
     quiet: Quiet = False,
@@ -51,7 +55,7 @@ def validate(
     with Activity("checking scenes", quiet=quiet):
         from bridge.recordings.validate import validate_folder
 
-        findings = validate_folder(out, source=source)
+        findings = validate_folder(out, source=source, map_path=map_path)
     if as_json:
         print_json(("file", "rule", "message"), findings)
     else:
@@ -81,6 +85,9 @@ def scan(
     can: Can = [],  # noqa: B006
     sample: Sample = None,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of --sample.", rich_help_panel=SELECTION)] = 0,
+    map_path: MapChoice = None,
+    window: Window = 0,
+    stride: Stride = None,
     jobs: Jobs = 1,
     as_json: AsJson = False,
     verbose: Verbose = 0,
@@ -94,9 +101,11 @@ def scan(
     with Activity(quiet=quiet) as activity:
         from bridge.batch.scan import SceneFacts, Selection, facts_of, select, write_facts
         from bridge.files import make_folder
-        from bridge.recordings.folders import find_scenarios
+        from bridge.recordings.folders import Choices
+        from bridge.recordings.sources import find_recordings
 
-        folders = list(dict.fromkeys(folder for path in scenes for folder in find_scenarios(path)))
+        folders = find_recordings(scenes, Choices(map_path, window, stride))
+        tell_formats(folders, activity)
         if out is not None:
             make_folder(out.parent)
         activity.doing("reading scenes")

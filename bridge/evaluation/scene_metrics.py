@@ -10,7 +10,7 @@ import numpy as np
 
 from bridge.batch.isolation import Failure, describe_error
 from bridge.recordings.scenario import (
-    LAST_OBSERVED,
+    OBSERVED_STEPS,
     STEP_S,
     Rows,
     read_scenario,
@@ -141,9 +141,12 @@ def measure(
     limits: Limits,
     num_steps: int,
     source: str,
+    observed_steps: int = OBSERVED_STEPS,
+    step_s: float = STEP_S,
 ) -> SceneMeasures:
-    """Measure tracks on a map. `source`: id of the recorded scene."""
-    arrays = stack(tracks, num_steps=num_steps, step_s=STEP_S)
+    """Measure tracks on a map. `source`: id of the recorded scene; observed_steps, step_s: of its data set."""
+    arrays = stack(tracks, num_steps=num_steps, step_s=step_s)
+    last_observed = min(observed_steps, num_steps) - 1
     moved = motion(arrays)
     safe = safety(arrays, ground)
     maneuvers = detect(arrays, safe.lanes, safe.matches)
@@ -183,9 +186,9 @@ def measure(
         "source": source,
         "steps": arrays.num_steps,
         "tracks": arrays.num_agents,
-        "tracks_at_49": int((arrays.row_of[:, min(LAST_OBSERVED, num_steps - 1)] >= 0).sum()),
+        "tracks_at_49": int((arrays.row_of[:, last_observed] >= 0).sum()),
         "generated": int(arrays.generated.sum()),
-        "generated_at_49": int((arrays.row_of[arrays.generated, min(LAST_OBSERVED, num_steps - 1)] >= 0).sum()),
+        "generated_at_49": int((arrays.row_of[arrays.generated, last_observed] >= 0).sum()),
     }
     for group in GROUPS:
         row = _group_row(groups[group], maneuvers, policy_of)

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from bridge.pictures import figures
 from bridge.pictures.render import MARK_NAMES
-from bridge.recordings.scenario import STEP_S, Scenario, read_scenario
+from bridge.recordings.scenario import Scenario, read_scenario
 from bridge.recordings.sidecar import sidecar_in
 from hid2.agents import FloatArray
 from hid2.evaluation.kinematics import Motion, motion
@@ -53,12 +53,12 @@ def plot_agent(folder: Path, agent_id: str, out_file: Path) -> Path:
     figures.check_ending(out_file)
     scenario = read_scenario(folder)
     track = figures.find_track(scenario, agent_id)
-    arrays = stack([track], step_s=STEP_S)
+    arrays = stack([track], step_s=scenario.step_s)
     lanes = flatten_lanes(scenario.graph)
     matches, _ = match_lanes(arrays, lanes)
     seen = detect(arrays, lanes, matches)
     moments, note = _moments(scenario, agent_id, seen)
-    time = np.asarray(track.timesteps * STEP_S, dtype=np.float64)
+    time = np.asarray(track.timesteps * scenario.step_s, dtype=np.float64)
     figures.style()
     figure, axes = _axes(track.position)
     _plan(axes[0], scenario, track.position, moments, time)

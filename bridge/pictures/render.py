@@ -22,7 +22,7 @@ from PIL import Image
 
 from bridge.files import beside, explained
 from bridge.pictures import figures
-from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, LAST_OBSERVED, STEP_S, Scenario, read_scenario
+from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario, read_scenario
 from bridge.recordings.sidecar import ManeuverRecord, sidecar_in
 from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
@@ -218,7 +218,7 @@ def _window(scenario: Scenario, agent: str | None) -> tuple[FloatArray, FloatArr
 
 def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: bool) -> list[Artist]:
     """Draw every vehicle where it is at a timestep; returns what was drawn, to be taken away again."""
-    trail = round(TRAIL_S / STEP_S)
+    trail = round(TRAIL_S / panel.scenario.step_s)
     present = [(track, int(np.searchsorted(track.timesteps, step))) for track in panel.tracks]
     present = [(t, i) for t, i in present if i < len(t.timesteps) and t.timesteps[i] == step]
     present.sort(key=lambda item: panel.looks[item[0].track_id].order)
@@ -247,7 +247,7 @@ def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: 
     for artist in artists:
         ax.add_collection(artist, autolim=False)
     labels = [part for track, row in present for part in _label(ax, track, row, agent)]
-    return [*artists, *labels, *_marks(panel, ax, None if whole_paths else step * STEP_S)]
+    return [*artists, *labels, *_marks(panel, ax, None if whole_paths else step * panel.scenario.step_s)]
 
 
 def _label(ax: Axes, track: Track, row: int, agent: str | None) -> list[Artist]:
@@ -281,7 +281,7 @@ def _marks(panel: _Panel, ax: Axes, until_s: float | None) -> list[Artist]:
         if until_s is not None and place > until_s:
             continue
         track = tracks[track_id]
-        x, y = track.position[int(np.argmin(np.abs(track.timesteps * STEP_S - place)))]
+        x, y = track.position[int(np.argmin(np.abs(track.timesteps * panel.scenario.step_s - place)))]
         done = maneuver.status == "done"
         color = figures.POLICY_COLORS[_POLICY_OF_KIND[maneuver.kind]] if done else "black"
         size = 110 if maneuver.kind == "overtake" else 45
@@ -375,7 +375,9 @@ class _Drawing:
             for panel, ax in self.panels
             for artist in _put(panel, ax, step, agent=self.agent, whole_paths=self.whole_paths)
         ]
-        self.clock.set_text(f"{step * STEP_S:.1f} s" + ("  (observed)" if step <= LAST_OBSERVED else "  (future)"))
+        scenario = self.panels[0][0].scenario
+        when = "observed" if step <= scenario.last_observed else "future"
+        self.clock.set_text(f"{step * scenario.step_s:.1f} s  ({when})")
 
     def frames(self, steps: Sequence[int]) -> Iterator[npt.NDArray[np.uint8]]:
         """(H, W, 3) pictures, H and W even; the map is drawn once and kept."""

@@ -16,6 +16,8 @@ from netconvert.lane_graph import LaneGraph
 
 #: Each file of a scene, MB. Real: below 3.
 MAX_FILE_MB = 32
+#: Each map file of a whole city, MB.
+MAX_CITY_MB = 128
 #: Parquet: rows, columns, and bytes that the columns unpack to, MB. Real: 10,000 rows, 18 columns, 2 MB.
 MAX_ROWS, MAX_COLUMNS, MAX_TABLE_MB = 200_000, 200, 256
 #: Tracks of a scene. Real: below 300.

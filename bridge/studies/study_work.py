@@ -13,7 +13,6 @@ from bridge.batch.manifest import ManifestRow
 from bridge.batch.scene_work import run_each
 from bridge.files import write_text
 from bridge.generation.generate import GeneratedScene, write
-from bridge.recordings.scenario import STEP_S
 from bridge.studies.study import RUN_FILE, RUNS, SCENES
 from hid2.evaluation.safety import prepare_map, safety
 from hid2.measures.arrays import stack
@@ -41,7 +40,8 @@ def measure_scene(scene: GeneratedScene) -> list[dict[str, Any]]:
     window_ttc_s: smallest two-dimensional TTC to anything from start to end (None where it did not start), at most
     5 s; pet_s: smallest PET of the vehicle at a crossing of paths with another, None without one within 5 s.
     """
-    arrays = stack([*scene.scenario.tracks, *scene.generated], num_steps=scene.scenario.num_steps, step_s=STEP_S)
+    step_s = scene.scenario.step_s
+    arrays = stack([*scene.scenario.tracks, *scene.generated], num_steps=scene.scenario.num_steps, step_s=step_s)
     measured = safety(arrays, prepare_map(scene.scenario.graph))
     number = {track_id: index for index, track_id in enumerate(arrays.track_ids)}
     pet: dict[int, float] = {}
@@ -52,12 +52,12 @@ def measure_scene(scene: GeneratedScene) -> list[dict[str, Any]]:
     for agent in scene.sidecar.agents:
         index = number[agent.track_id]
         rows = slice(int(arrays.first[index]), int(arrays.first[index + 1]))
-        time_s, ttc_s = arrays.step[rows] * STEP_S, measured.ttc_s[rows]
+        time_s, ttc_s = arrays.step[rows] * step_s, measured.ttc_s[rows]
         for maneuver in agent.maneuvers:
             inside = np.zeros(len(time_s), dtype=bool)
             if maneuver.start_s is not None:
                 end_s = maneuver.end_s if maneuver.end_s is not None else float(time_s[-1])
-                inside = (time_s >= maneuver.start_s - STEP_S / 2) & (time_s <= end_s + STEP_S / 2)
+                inside = (time_s >= maneuver.start_s - step_s / 2) & (time_s <= end_s + step_s / 2)
             records.append(
                 {
                     "track_id": agent.track_id,

@@ -17,7 +17,7 @@ from lxml import etree
 
 from bridge.files import beside
 from bridge.pictures.figures import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
-from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, STEP_S, Scenario, read_scenario
+from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario, read_scenario
 from bridge.recordings.sidecar import sidecar_in
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray, Policy, Track
@@ -119,10 +119,10 @@ def write_playable(folder: Path, out_dir: Path) -> Path:
     grid = build_cell_grid(scenario.graph)
     name = f"{scenario.scenario_id}_scene"
     files = scene_view_files(scenario, grid, name)
-    traces = [_trace(track) for track in scenario.tracks]
+    traces = [_trace(track, scenario.step_s) for track in scenario.tracks]
     files[f"{name}.net.xml"] = _with_traces(net_bytes(grid), traces)
     files[f"{name}.rou.xml"] = _routes(scenario, traces)
-    files[f"{name}.sumocfg"] = _with_routes(files[f"{name}.sumocfg"], name, end_s=scenario.num_steps * STEP_S)
+    files[f"{name}.sumocfg"] = _with_routes(files[f"{name}.sumocfg"], name, end_s=scenario.num_steps * scenario.step_s)
     try:
         for file_name, content in files.items():
             with beside(out_dir / file_name) as hidden:
@@ -165,7 +165,7 @@ def scene_view_files(scenario: Scenario, grid: CellGrid, name: str) -> dict[str,
     gui = configuration.find("gui_only")
     assert gui is not None
     etree.SubElement(gui, "start", {"value": "true"})
-    etree.SubElement(gui, "breakpoints", {"value": f"{STEP_S}"})
+    etree.SubElement(gui, "breakpoints", {"value": f"{scenario.step_s}"})
     files[f"{name}.sumocfg"] = _content(configuration)
     return files
 
@@ -241,8 +241,8 @@ class _Trace:
         return f"trace_{self.track.track_id}_{number}"
 
 
-def _trace(track: Track) -> _Trace:
-    points, when = _way(track)
+def _trace(track: Track, step_s: float) -> _Trace:
+    points, when = _way(track, step_s)
     knots = [0]
     for row in range(1, len(points)):
         way = float(arc_length(points[knots[-1] : row + 1])[-1])
@@ -258,17 +258,17 @@ def _trace(track: Track) -> _Trace:
     return _Trace(track, tuple(shapes), (*limits, _OUT_MPS), track.size.length_m)
 
 
-def _way(track: Track) -> tuple[FloatArray, FloatArray]:
+def _way(track: Track, step_s: float) -> tuple[FloatArray, FloatArray]:
     """Places of the front bumper (N, 2) m, N >= 2, that follow each other forwards, and when it is there (N,) s.
 
     An agent that stays within STANDS_M creeps a hand's breadth, and positions are smoothed: jitter would turn it round.
     """
-    times = np.asarray(track.timesteps * STEP_S, dtype=np.float64)
+    times = np.asarray(track.timesteps * step_s, dtype=np.float64)
     middle = len(times) // 2
     if np.hypot(*np.ptp(track.position, axis=0)) <= STANDS_M:
         heading = float(track.heading[middle])
         front = np.median(track.position, axis=0) + 0.5 * track.size.length_m * _direction(heading)
-        return np.stack([front, front + _CREEP_M * _direction(heading)]), np.array([times[0], times[-1] + STEP_S])
+        return np.stack([front, front + _CREEP_M * _direction(heading)]), np.array([times[0], times[-1] + step_s])
     front, _ = sumo_poses(track.position, track.heading, np.full(len(times), track.size.length_m))
     front = _smooth(front)
     backwards = (track.position[-1] - track.position[0]) @ _direction(track.heading[middle]) < 0
@@ -345,7 +345,7 @@ def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
     for trace in ordered:
         name = trace.track.track_id
         vehicle = {"id": name, "type": f"type_{name}", "color": colors[name].xml, "insertionChecks": "none"}
-        vehicle |= {"depart": f"{trace.track.timesteps[0] * STEP_S:.1f}", "departPos": f"{trace.depart_m:.2f}"}
+        vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.1f}", "departPos": f"{trace.depart_m:.2f}"}
         vehicle |= {"departSpeed": f"{trace.limits[0]:.4f}", "arrivalPos": "max"}
         element = etree.SubElement(root, "vehicle", vehicle)
         if shows_id(trace.track):
