@@ -192,7 +192,9 @@ def generate(
         if formats and others:
             raise ConfigError(f"--format argoverse1: {others[0]} is no Argoverse 1 sequence, expected these alone")
         if formats and resolved.request.focal == "generated":
-            raise ConfigError("--format argoverse1 with --focal generated: its AGENT is recorded, expected one of the two")
+            raise ConfigError(
+                "--format argoverse1 with --focal generated: its AGENT is recorded, expected one of the two"
+            )
         if min_agents or city or split or can or sample:  # else nothing need be imported that reads scenes
             from bridge.batch.scan import Selection
 
@@ -206,8 +208,13 @@ def generate(
         from bridge.cli.batch_display import BatchNotes, batch_rows, print_batch
 
         options = Options(
-            jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume, memory_mb=scene_memory,
-            argoverse1=bool(formats), sumo=sumo.resolve() if sumo is not None else None,
+            jobs=jobs,
+            scheduler=scheduler,
+            timeout_s=scene_timeout,
+            resume=resume,
+            memory_mb=scene_memory,
+            argoverse1=bool(formats),
+            sumo=sumo.resolve() if sumo is not None else None,
         )
         notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")

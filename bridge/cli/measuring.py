@@ -13,11 +13,14 @@ from bridge.cli.options import (
     SOME_FAILED,
     ExperimentName,
     Jobs,
+    MapChoice,
     Out,
     Quiet,
     Scheduler,
+    Stride,
     Timeout,
     Verbose,
+    Window,
 )
 from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import set_up, unread_text
@@ -60,6 +63,9 @@ def evaluate(
     bands: Annotated[
         str, typer.Option(metavar="N,N,...", help="With --predictions: bands of scenes with more agents than each N.")
     ] = "50,70,90",
+    map_path: MapChoice = None,
+    window: Window = 0,
+    stride: Stride = None,
     jobs: Jobs = 1,
     as_json: Annotated[
         bool,
@@ -76,6 +82,7 @@ def evaluate(
         raise typer.Exit(_score(out, predictions, bands, report, as_json=as_json, quiet=quiet))
     with Activity(quiet=quiet) as activity:
         from bridge.evaluation.evaluate import evaluate_folder
+        from bridge.recordings.folders import Choices
 
         activity.doing("measuring scenes")
 
@@ -84,7 +91,14 @@ def evaluate(
             if done == total:
                 activity.doing("writing the report")
 
-        evaluation = evaluate_folder(out, report_dir=report, source=source, jobs=jobs, on_scene=show)
+        evaluation = evaluate_folder(
+            out,
+            report_dir=report,
+            source=source,
+            choices=Choices(map_path, window, stride),
+            jobs=jobs,
+            on_scene=show,
+        )
         for folder, reason in evaluation.failures:
             activity.message(unread_text(folder, reason))
     if not quiet:

@@ -125,8 +125,17 @@ def scan(
 
 
 @command()
-def net(scene: Scene, out: Out, *, as_json: AsJson = False, verbose: Verbose = 0, quiet: Quiet = False) -> None:
-    """Write the lane graph as a SUMO net of 4 m cells, with files to play the scene in sumo-gui, and a report.
+def net(
+    scene: Scene,
+    out: Out,
+    *,
+    map_path: MapChoice = None,
+    window: Window = 0,
+    as_json: AsJson = False,
+    verbose: Verbose = 0,
+    quiet: Quiet = False,
+) -> None:
+    """Write the lane graph as a SUMO net of 4 m cells, with the scene in SUMO's formats, and a report.
 
     The net is for simulating and looking at, not for editing: every cell ends in a junction, which netedit draws large.
     """
@@ -134,11 +143,18 @@ def net(scene: Scene, out: Out, *, as_json: AsJson = False, verbose: Verbose = 0
     check_one_scene(scene, map_file=True)
     check_out(out)
     with Activity("converting the map", quiet=quiet):
-        from bridge.sumo.net import convert
-        from bridge.sumo.playback import write_playable
+        from bridge.recordings.folders import Choices
+        from bridge.recordings.sources import find_one
 
-        report = convert(scene, out)
-        playable = write_playable(scene, out) if any(scene.glob("scenario_*.parquet")) else None
+        found, playable = find_one(scene, Choices(map_path, window)), None
+        if isinstance(found, Path) and not any(found.glob("scenario_*.parquet")):
+            from bridge.sumo.net import convert
+
+            report = convert(found, out)
+        else:
+            from bridge.sumo.exchange import write_sumo
+
+            report, playable = write_sumo(found, out)
     head = ("what", "value")
     if as_json:
         print_json(head, report.rows())

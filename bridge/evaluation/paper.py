@@ -20,7 +20,8 @@ from bridge.evaluation.aggregate import SourceSums, estimate
 from bridge.evaluation.diversity import Diversity
 from bridge.evaluation.scene_metrics import Row, measure
 from bridge.files import make_folder, table_file, write_text
-from bridge.recordings.scenario import find_sources, read_scenario
+from bridge.recordings.folders import Address, Choices
+from bridge.recordings.sources import find_sources, read_recording
 from hid2.evaluation.metrics import METRICS, Metric
 from hid2.evaluation.safety import prepare_map
 from hid2.params import Config, Limits, Request
@@ -122,7 +123,7 @@ def _settings(name: Experiment, agents: int) -> list[Setting]:
 
 
 def _run(
-    folders: Sequence[Path],
+    folders: Sequence[Address],
     settings: Sequence[Setting],
     *,
     seeds: int,
@@ -157,13 +158,13 @@ def _run(
 
 
 def generate_and_measure(
-    shared: tuple[Path, tuple[Setting, ...]], items: Sequence[tuple[int, int]]
+    shared: tuple[Address, tuple[Setting, ...]], items: Sequence[tuple[int, int]]
 ) -> Iterator[Row | Failure]:
     """The work of a process: one scene row for each (setting, seed)."""
     from bridge.generation.generate import generate, prepare  # libsumo: only where scenes are made
 
     folder, settings = shared
-    scenario = read_scenario(folder)
+    scenario = read_recording(folder)
     ground = prepare_map(scenario.graph)
     prepared = prepare(scenario, next((s.config for s in settings if s.config), Config()))
     for number, seed in items:
@@ -182,11 +183,14 @@ def generate_and_measure(
                 limits=Limits(),
                 num_steps=scenario.num_steps,
                 source=scenario.scenario_id,
+                observed_steps=scenario.observed_steps,
+                step_s=scenario.step_s,
             )
         except Exception as error:  # noqa: BLE001  # listed with its reason
             yield describe_error(error)
         else:
-            yield {"setting": settings[number].name, "city": scenario.city, "seed_run": seed} | measures.scene
+            which = {"format": scenario.format, "provenance": scenario.provenance}
+            yield {"setting": settings[number].name, "city": scenario.city, "seed_run": seed} | which | measures.scene
 
 
 # Tables

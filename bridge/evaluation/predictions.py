@@ -183,7 +183,9 @@ def _forecast(track: Track, kind: Baseline, share: float, scenario: Scenario) ->
 
 def _future_steps(scenario: Scenario) -> int:
     """Steps that are forecast: what is not observed; of a scene without them those of the format."""
-    return scenario.num_steps - scenario.observed_steps if scenario.num_steps > scenario.observed_steps else FUTURE_STEPS
+    return (
+        scenario.num_steps - scenario.observed_steps if scenario.num_steps > scenario.observed_steps else FUTURE_STEPS
+    )
 
 
 def _score_scene(

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from bridge.batch.isolation import Failure, describe_error
+from bridge.recordings.export import recording_record_of
+from bridge.recordings.folders import Address, Source
 from bridge.recordings.scenario import (
     OBSERVED_STEPS,
     STEP_S,
@@ -17,9 +19,11 @@ from bridge.recordings.scenario import (
     read_sizes,
     read_table,
     split_of,
+    recording_record,
     split_rows,
 )
-from bridge.recordings.sidecar import ManeuverRecord, Sidecar, sidecar_in
+from bridge.recordings.sidecar import ManeuverRecord, RecordingRecord, Sidecar, sidecar_in
+from bridge.recordings.sources import read_recording
 from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
 from hid2.evaluation.kinematics import Kinematics, Motion, beyond_limits, kinematics, motion
@@ -75,7 +79,7 @@ class _View:
 
 
 def measure_folders(
-    limits: Limits, folders: Sequence[Path], labelled: Labelled | None = None
+    limits: Limits, folders: Sequence[Address], labelled: Labelled | None = None
 ) -> Iterator[SceneMeasures | Failure]:
     """The work of a process: measure each folder; a folder that cannot be read gives its failure."""
     maps = Maps()
@@ -102,13 +106,13 @@ class Maps:
         return ground
 
 
-def measure_folder(folder: Path, limits: Limits, maps: Maps, labelled: Labelled | None = None) -> SceneMeasures:
-    """Measure one recorded or generated scene folder. Errors: ScenarioError, MapError.
+def measure_folder(folder: Address, limits: Limits, maps: Maps, labelled: Labelled | None = None) -> SceneMeasures:
+    """Measure one recording or generated scene. Errors: ScenarioError, MapError.
 
-    labelled: sizes of the recorded tracks of source scenes; a generated scene's folder does not have them.
+    labelled: sizes of the recorded tracks of source scenes, for generated ones whose sidecar does not have them.
     """
-    rows, ground = _read(folder, maps)
-    sidecar = sidecar_in(folder, rows.scenario_id)
+    rows, ground, known = _read(folder, maps)
+    sidecar = sidecar_in(folder, rows.scenario_id) if isinstance(folder, Path) else None
     sizes = (labelled or {}).get(sidecar.source_scenario_id, {}) if sidecar else {}
     measures = measure(
         [replace(t, size=sizes[t.track_id]) if t.track_id in sizes else t for t in rows.tracks]
@@ -119,18 +123,27 @@ def measure_folder(folder: Path, limits: Limits, maps: Maps, labelled: Labelled 
         limits=limits,
         num_steps=rows.num_steps,
         source=sidecar.source_scenario_id if sidecar else rows.scenario_id,
+        observed_steps=known.observed_steps,
+        step_s=known.step_s,
     )
-    return _named(measures, rows, folder)
+    return _named(measures, rows, folder, known)
 
 
-def _read(folder: Path, maps: Maps) -> tuple[Rows, PreparedMap]:
-    """As read_scenario, but a map that is known is not read again."""
+def _read(folder: Address, maps: Maps) -> tuple[Rows, PreparedMap, RecordingRecord]:
+    """As read_recording, but the map of a folder that is known is not read again."""
+    if isinstance(folder, Source):
+        scenario = read_recording(folder)
+        rows = Rows(scenario.scenario_id, scenario.city, scenario.focal_track_id, scenario.num_steps, scenario.tracks)
+        return rows, prepare_map(scenario.graph), recording_record_of(scenario)
     tables, files = list(folder.glob("scenario_*.parquet")), list(folder.glob("log_map_archive_*.json"))
     if len(tables) != 1 or len(files) != 1:
         read_scenario(folder)  # says what is wrong
         raise ScenarioError(f"{folder}: {len(tables)} scenarios and {len(files)} maps, expected one of each")
-    rows = split_rows(read_table(tables[0]), name=str(tables[0]), sizes=read_sizes(folder))
-    return rows, maps.read(files[0])
+    known = recording_record(folder)
+    rows = split_rows(
+        read_table(tables[0]), name=str(tables[0]), sizes=read_sizes(folder), observed_steps=known.observed_steps
+    )
+    return rows, maps.read(files[0]), known
 
 
 def measure(
@@ -215,10 +228,11 @@ def measure(
     )
 
 
-def _named(measures: SceneMeasures, scene: Rows, folder: Path) -> SceneMeasures:
+def _named(measures: SceneMeasures, scene: Rows, folder: Address, known: RecordingRecord) -> SceneMeasures:
     """Put the scene's names in front of every row."""
     name: Row = {"scenario_id": scene.scenario_id}
     place: Row = {"split": split_of(folder) or "", "city": scene.city, "folder": str(folder)}
+    place |= {"format": known.format, "provenance": known.provenance}
     return SceneMeasures(
         scene=name | place | measures.scene,
         tracks=[name | row for row in measures.tracks],

@@ -22,8 +22,10 @@ from PIL import Image
 
 from bridge.files import beside, explained
 from bridge.pictures import figures
-from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario, read_scenario
+from bridge.recordings.folders import Address
+from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario
 from bridge.recordings.sidecar import ManeuverRecord, sidecar_in
+from bridge.recordings.sources import read_recording
 from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
 from netconvert.errors import ConfigError
@@ -78,10 +80,10 @@ class _Panel:
 
 
 def render_scene(
-    folder: Path,
+    folder: Address,
     out_file: Path,
     *,
-    source: Path | None = None,
+    source: Address | None = None,
     agent: str | None = None,
     cells: bool = False,
     step: int | None = None,
@@ -100,7 +102,7 @@ def render_scene(
     figures.check_ending(out_file, PICTURES + ANIMATIONS)
     if step is not None and suffix in ANIMATIONS:
         raise ConfigError(f"{out_file}: a film shows every timestep; for one give a picture, {', '.join(PICTURES)}")
-    scenario = read_scenario(folder)
+    scenario = read_recording(folder)
     shown = figures.check_step(scenario, step)
     panels = _panels(scenario, source)
     window = _window(scenario, agent)
@@ -127,12 +129,12 @@ def _counted(
         yield frame
 
 
-def scene_figure(folder: Path, *, source: Path | None = None, agent: str | None = None) -> Figure:
+def scene_figure(folder: Address, *, source: Address | None = None, agent: str | None = None) -> Figure:
     """A scene folder, or the surroundings of one track in it, at its last observed step, before | after, as a figure.
 
     Errors: ScenarioError, MapError.
     """
-    scenario = read_scenario(folder)
+    scenario = read_recording(folder)
     window = _window(scenario, agent)
     drawing = _Drawing(_panels(scenario, source), window, agent=agent, cells=False, whole_paths=True)
     drawing.show(figures.check_step(scenario, None))
@@ -155,7 +157,7 @@ def draw_scene(
     figures.frame(axes, low, high, origin=np.floor(low / 100) * 100)
 
 
-def _panels(scenario: Scenario, source: Path | None) -> list[_Panel]:
+def _panels(scenario: Scenario, source: Address | None) -> list[_Panel]:
     sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
     generated = {track.track_id for track in scenario.tracks if is_generated_id(track.track_id)}
     policies = {record.track_id: record.policy for record in sidecar.agents} if sidecar else {}
@@ -167,7 +169,7 @@ def _panels(scenario: Scenario, source: Path | None) -> list[_Panel]:
     name = scenario.scenario_id[:8]
     if not generated and source is None:
         return [_Panel(f"{name}: {len(recorded)} recorded agents", scenario, scenario.tracks, looks, ())]
-    before = scenario if source is None else read_scenario(source)
+    before = scenario if source is None else read_recording(source)
     origin = (
         "the recorded tracks of this scene, sizes by object type"
         if source is None

@@ -195,9 +195,7 @@ def _steps(stamp: FloatArray, name: str) -> tuple[list[float], IntArray]:
     """The time stamps in order, and the timestep of each row."""
     stamps = np.unique(stamp)
     if len(stamps) not in (NUM_STEPS, OBSERVED_STEPS):
-        raise ScenarioError(
-            f"{name}: {len(stamps)} time stamps, expected {NUM_STEPS} ({OBSERVED_STEPS} in test_obs)"
-        )
+        raise ScenarioError(f"{name}: {len(stamps)} time stamps, expected {NUM_STEPS} ({OBSERVED_STEPS} in test_obs)")
     apart_s = np.diff(stamps)
     if not (_MEAN_S[0] <= apart_s.mean() <= _MEAN_S[1] and apart_s.max() <= _MOST_S):
         said = f"time stamps {apart_s.mean():.3f} s apart in the mean and {apart_s.max():.3f} s at most"
@@ -320,7 +318,9 @@ def map_files(folder: Path, city: str) -> tuple[Path, Path, Path]:
         name = f"{city}_{number}_{what}_"
         files = sorted(path for path in folder.iterdir() if path.name.startswith(name) and path.suffix == ".npy")
         if len(files) != 1:
-            raise MapError(f"{folder}: {len(files) or 'no'} {name}<date>.npy, expected exactly one beside {vector.name}")
+            raise MapError(
+                f"{folder}: {len(files) or 'no'} {name}<date>.npy, expected exactly one beside {vector.name}"
+            )
         rasters += files
     return vector, rasters[0], rasters[1]
 

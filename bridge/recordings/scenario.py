@@ -116,9 +116,7 @@ def recording_record(folder: Path) -> RecordingRecord:
     if known is not None:
         return known
     provenance: Provenance = "human" if (folder / SIZES_FILE).exists() else "tracker"
-    return RecordingRecord(
-        format="argoverse2", provenance=provenance, step_s=STEP_S, observed_steps=OBSERVED_STEPS
-    )
+    return RecordingRecord(format="argoverse2", provenance=provenance, step_s=STEP_S, observed_steps=OBSERVED_STEPS)
 
 
 def _sidecars(folder: Path) -> list[Sidecar]:

@@ -232,7 +232,9 @@ def _window(every: Any, start: int, path: Path) -> Any:  # noqa: ANN401  # numpy
         raise ScenarioError(f"{path}: {len(every)} sweeps, expected at least {NUM_STEPS}")
     if len(sweeps) < NUM_STEPS:
         last = len(every) - NUM_STEPS
-        raise ScenarioError(f"{path}: no {NUM_STEPS} of {len(every)} sweeps from {start} on, expected --window 0 to {last}")
+        raise ScenarioError(
+            f"{path}: no {NUM_STEPS} of {len(every)} sweeps from {start} on, expected --window 0 to {last}"
+        )
     apart_s = np.diff(sweeps) / 1e9
     worst = int(np.abs(apart_s - STEP_S).argmax())
     if abs(apart_s[worst] - STEP_S) > _OFF_S:
@@ -249,7 +251,9 @@ def _check_boxes(boxes: pd.DataFrame, path: Path) -> None:
         first = again.iloc[0]
         where = f"track {one_line(first.track_uuid, most=60)!r}, timestamp {first.timestamp_ns}"
         raise ScenarioError(f"{path}: {where}: two boxes, expected one")
-    wrong = boxes[~(boxes.length_m.between(0, 50, inclusive="neither") & boxes.width_m.between(0, 10, inclusive="neither"))]
+    wrong = boxes[
+        ~(boxes.length_m.between(0, 50, inclusive="neither") & boxes.width_m.between(0, 10, inclusive="neither"))
+    ]
     if len(wrong):
         first = wrong.iloc[0]
         where = f"track {one_line(first.track_uuid, most=60)!r}"

@@ -100,7 +100,9 @@ def _find(paths: Sequence[Path], choices: Choices, is_wanted: Callable[[Address]
                 raise NoSceneError(
                     f"{path}: no such folder, expected a scenario folder, a split folder or a data-set root"
                 )
-            wanted = "scenario_<id>.parquet (Argoverse 2), <number>.csv (Argoverse 1) or annotations.feather (sensor log)"
+            wanted = (
+                "scenario_<id>.parquet (Argoverse 2), <number>.csv (Argoverse 1) or annotations.feather (sensor log)"
+            )
             raise NoSceneError(f"{path}: no scenario; expected {wanted} in it or one to three folders below")
         wanted_there = [address for address in there if is_wanted(address)]
         if not wanted_there:

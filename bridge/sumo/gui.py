@@ -13,7 +13,9 @@ from types import ModuleType
 import numpy as np
 
 from bridge.pictures.figures import check_ending, check_step
-from bridge.recordings.scenario import Scenario, read_scenario
+from bridge.recordings.folders import Address
+from bridge.recordings.scenario import Scenario
+from bridge.recordings.sources import read_recording
 from bridge.sumo.playback import GUI_SHAPES, ID_KEY, moving_ground, paints, scene_view_files, shows_id
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import Track
@@ -33,7 +35,7 @@ _HOW = "install it: sh setup.sh tests, or in your own environment pip install 'e
 
 
 def play_scene(
-    folder: Path,
+    folder: Address,
     *,
     speed: float = 1.0,
     screenshot: Path | None = None,
@@ -48,7 +50,7 @@ def play_scene(
     Errors: ScenarioError, MapError; ConfigError for a step that there is none of; SimulationError without sumo-gui,
     traci or a display; ExportError where the picture cannot be written.
     """
-    scenario = read_scenario(folder)
+    scenario = read_recording(folder)
     pictured = check_step(scenario, step)
     if screenshot is not None:
         check_ending(screenshot, [".png"])

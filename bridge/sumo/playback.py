@@ -17,13 +17,16 @@ from lxml import etree
 
 from bridge.files import beside
 from bridge.pictures.figures import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
-from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario, read_scenario
+from bridge.recordings.folders import Address
+from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario
 from bridge.recordings.sidecar import sidecar_in
+from bridge.recordings.sources import read_recording
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
 from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ExportError
+from netconvert.geo import CITY_ORIGINS
 from netconvert.geometry import arc_length
 from netconvert.gui_files import WINDOW_ASPECT, gui_files
 from netconvert.net_xml import net_bytes
@@ -108,28 +111,33 @@ def paints(scenario: Scenario) -> dict[str, Paint]:
     return out
 
 
-def write_playable(folder: Path, out_dir: Path) -> Path:
+def write_playable(address: Address, out_dir: Path) -> Path:
     """Write <id>_scene.sumocfg, .net.xml, .rou.xml, .poly.xml and .view.xml into out_dir; returns the .sumocfg to open.
 
     The net is that of `hid2 net` with the lanes of the traces added.
 
     Errors: ScenarioError, MapError, NetError; ExportError where the files cannot be written.
     """
-    scenario = read_scenario(folder)
-    grid = build_cell_grid(scenario.graph)
-    name = f"{scenario.scenario_id}_scene"
-    files = scene_view_files(scenario, grid, name)
-    traces = [_trace(track, scenario.step_s) for track in scenario.tracks]
-    files[f"{name}.net.xml"] = _with_traces(net_bytes(grid), traces)
-    files[f"{name}.rou.xml"] = _routes(scenario, traces)
-    files[f"{name}.sumocfg"] = _with_routes(files[f"{name}.sumocfg"], name, end_s=scenario.num_steps * scenario.step_s)
+    scenario = read_recording(address)
+    files = playable_files(scenario, build_cell_grid(scenario.graph))
     try:
         for file_name, content in files.items():
             with beside(out_dir / file_name) as hidden:
                 hidden.write_bytes(content)
     except OSError as error:
         raise ExportError(f"{out_dir}: cannot write the files for sumo-gui ({error})") from error
-    return out_dir / f"{name}.sumocfg"
+    return out_dir / next(name for name in files if name.endswith(".sumocfg"))
+
+
+def playable_files(scenario: Scenario, grid: CellGrid) -> dict[str, bytes]:
+    """What `write_playable` writes, by file name."""
+    name = f"{scenario.scenario_id}_scene"
+    files = scene_view_files(scenario, grid, name)
+    traces = [_trace(track, scenario.step_s) for track in scenario.tracks]
+    files[f"{name}.net.xml"] = _with_traces(net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city)), traces)
+    files[f"{name}.rou.xml"] = _routes(scenario, traces)
+    files[f"{name}.sumocfg"] = _with_routes(files[f"{name}.sumocfg"], name, end_s=scenario.num_steps * scenario.step_s)
+    return files
 
 
 def scene_view_files(scenario: Scenario, grid: CellGrid, name: str) -> dict[str, bytes]:
