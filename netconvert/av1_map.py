@@ -59,7 +59,7 @@ def read_city_lanes(content: bytes, *, name: str) -> dict[int, CityLane]:
         root = etree.fromstring(content, parser)
     except etree.XMLSyntaxError as error:
         raise MapError(f"{name}: not XML ({str(error)[:200]})") from error
-    if root.getroottree().docinfo.doctype:
+    if root.getroottree().docinfo.internalDTD is not None:
         raise MapError(f"{name}: a document type, expected nodes and ways alone")
     if len(root) > MAX_ELEMENTS:
         raise MapError(f"{name}: {len(root)} elements, expected at most {MAX_ELEMENTS}")

@@ -18,7 +18,7 @@ from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import Labelled, Row, SceneMeasures, measure_folders
 from bridge.evaluation.totals import Evaluation, Totals
 from bridge.files import table_file, write_text
-from bridge.recordings.folders import MAP_PATTERN, Address, Choices, source_id
+from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Source, source_id
 from bridge.recordings.scenario import read_sizes
 from bridge.recordings.sidecar import sidecar_in
 from bridge.recordings.sources import find_recordings, read_recording, source_files
@@ -197,8 +197,10 @@ def _nets(folders: Mapping[str, str], by_name: Mapping[str, Address]) -> dict[st
     for source, folder in folders.items():
         try:
             address = by_name[folder]
-            is_folder = isinstance(address, Path)
-            graph = read_lane_graph(next(address.glob(MAP_PATTERN))) if is_folder else read_recording(address).graph
+            if isinstance(address, Source):
+                graph = read_recording(address).graph
+            else:
+                graph = read_lane_graph(next(address.glob(MAP_PATTERN)))
             grid = build_cell_grid(graph)
             report = measure_fidelity(grid, net_bytes(grid))
         except Hid2Error as error:

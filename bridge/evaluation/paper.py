@@ -20,7 +20,7 @@ from bridge.evaluation.aggregate import SourceSums, estimate
 from bridge.evaluation.diversity import Diversity
 from bridge.evaluation.scene_metrics import Row, measure
 from bridge.files import make_folder, table_file, write_text
-from bridge.recordings.folders import Address, Choices
+from bridge.recordings.folders import Address
 from bridge.recordings.sources import find_sources, read_recording
 from hid2.evaluation.metrics import METRICS, Metric
 from hid2.evaluation.safety import prepare_map

@@ -155,7 +155,10 @@ def write_baseline(out: Path, path: Path, *, kind: Baseline) -> Path:
 
 
 def baseline(scenario: Scenario, kind: Baseline) -> tuple[FloatArray, Mapping[str, FloatArray]]:
-    """Probabilities (6,) and modes (6, N, 2) m, N the steps that are not observed, of the focal track, from what is observed of it."""
+    """Probabilities (6,) and modes (6, N, 2) m of the focal track, from what is observed of it.
+
+    N: steps that are not observed, 60 in scenes of 110.
+    """
     track = scenario.track(scenario.focal_track_id)
     modes = np.stack([_forecast(track, kind, share, scenario) for share, _ in _MODES])
     return np.array([probability for _, probability in _MODES]), {track.track_id: modes}

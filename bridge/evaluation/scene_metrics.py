@@ -18,8 +18,8 @@ from bridge.recordings.scenario import (
     read_scenario,
     read_sizes,
     read_table,
-    split_of,
     recording_record,
+    split_of,
     split_rows,
 )
 from bridge.recordings.sidecar import ManeuverRecord, RecordingRecord, Sidecar, sidecar_in

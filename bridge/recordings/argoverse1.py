@@ -93,8 +93,8 @@ def read(source: Source) -> Recording:
     on_map = float(np.mean(shapely.contains_xy(graph.drivable, agent)))
     if on_map < _ON_MAP:
         raise MapError(
-            f"{source.map_path}: {on_map:.0%} of the AGENT of {path.name} ({rows.city}) is on its drivable area, expected "
-            f"{_ON_MAP:.0%} or more: a map of the place"
+            f"{source.map_path}: {on_map:.0%} of the AGENT of {path.name} ({rows.city}) is on its drivable area, "
+            f"expected {_ON_MAP:.0%} or more: a map of the place"
         )
     table = _table(rows, graph, source.scenario_id)
     checked = split_rows(table, name=name, sizes={}, observed_steps=OBSERVED_STEPS)

@@ -9,8 +9,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pydantic_core import from_json
 
-from bridge.recordings.rules import RECORDED, Breach
 from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY
+from bridge.recordings.rules import RECORDED, Breach
 from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, SCENARIO_COLUMNS, STEP_S
 from hid2.agents import DEFAULT_SIZES, VEHICLE_TYPES
 

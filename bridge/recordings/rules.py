@@ -21,7 +21,8 @@ RULES: Mapping[str, str] = {
     "observed": "observed where the timestep is below 50 (20 in a scene of Argoverse 1), and only there",
     "object-type": "an object type of the format",
     "category": "0 fragment, 1 context, 2 scored or 3 focal",
-    "focal": "exactly one track of category 3, which is focal_track_id, present at the last observed timestep and to the end",
+    "focal": "exactly one track of category 3, which is focal_track_id, present at the last observed "
+    "timestep and to the end",
     "scored": "a track of category 2 is present at the last observed timestep",
     "av": "a track named AV",
     "city": "a city, that of the source",
@@ -32,7 +33,8 @@ RULES: Mapping[str, str] = {
     "sidecar": "the schema of hid2_<id>.json, in agreement with itself, the tracks and the map",
     RECORDED: "noted, as the source has it so: another city than the six, a focal track that ends early, "
     "a scored track that is absent at the last observed timestep",
-    "generated": "gen_<n>, a vehicle, category 1 to 3, without gaps, present at the last observed step; scored or focal: at all steps",
+    "generated": "gen_<n>, a vehicle, category 1 to 3, without gaps, present at the last observed step; "
+    "scored or focal: at all steps",
     "velocity": "a generated track's velocity is the time derivative of its position",
     "heading": "a generated track's heading follows its motion",
     "scene-end": "TTC of 1 s or more after a generated track's last step, everybody at constant velocity",

@@ -84,7 +84,7 @@ def read(source: Source) -> Recording:
     map_path, map_id, log_id, city = _map_of(log)
     states, sweeps = _states(log, source.start)
     states, focal = _with_tracks(states, log, source.start)
-    same = {
+    same: dict[str, Any] = {
         "scenario_id": source.scenario_id, "start_timestamp": float(sweeps[0]), "end_timestamp": float(sweeps[-1]),
         "num_timestamps": NUM_STEPS, "focal_track_id": focal, "city": city, "map_id": map_id, "slice_id": log_id,
     }  # fmt: skip
@@ -184,7 +184,8 @@ def _table(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
             row = int(np.flatnonzero(bad)[0])
             raise ScenarioError(f"{path}: row {row}: {column} is {values[row].as_py()}, expected a value")
         plain[column] = values.cast(pa.float64()) if kind == "floats" else values
-    return pa.table(plain).to_pandas()
+    frame: pd.DataFrame = pa.table(plain).to_pandas()
+    return frame
 
 
 def _states(log: Path, start: int) -> tuple[pd.DataFrame, list[int]]:
@@ -307,7 +308,8 @@ def _with_tracks(states: pd.DataFrame, log: Path, start: int) -> tuple[pd.DataFr
     av = states.loc[states.track_id == AV_ID, ["position_x", "position_y"]].to_numpy()
     category: dict[str, int] = {}
     path: dict[str, float] = {}
-    for track, rows in states.groupby("track_id"):
+    for name, rows in states.groupby("track_id"):
+        track = str(name)
         category[track] = 0
         if len(rows) < NUM_STEPS:
             continue

@@ -27,7 +27,7 @@ def sequence_path(out_dir: Path, split: str | None, new_id: str) -> Path:
 
 
 def write_sequence(scenario: Recording, generated: Sequence[Track], out_dir: Path, *, new_id: str) -> Path:
-    """Write the sequence of a scene that was made from an Argoverse 1 sequence; returns its path. Errors: ExportError."""
+    """Write the sequence of a scene that was made from one; returns its path. Errors: ExportError."""
     path = sequence_path(out_dir, scenario.split, new_id)
     content = sequence_bytes(scenario, generated)
     with explained(path), beside(path) as hidden:
@@ -67,7 +67,7 @@ def sequence_bytes(scenario: Recording, generated: Sequence[Track]) -> bytes:
 
 
 def inserted_id(number: int) -> str:
-    """TRACK_ID of an inserted vehicle gen_<number>: like those of recorded tracks, which have a zero before the last."""
+    """TRACK_ID of an inserted vehicle gen_<number>; recorded ones have 0000 before the last part."""
     return f"00000000-0000-0000-0001-{number:012d}"
 
 

@@ -17,7 +17,8 @@ SCHEMA_VERSION = "1"
 ManeuverKind = Literal["lane_change", "overtake", "left_turn", "right_turn"]
 ManeuverStatus = Literal["done", "aborted", "not_feasible", "not_triggered"]
 Seconds = Annotated[float, Field(ge=0)]
-BoxLength, BoxWidth = Annotated[float, Field(gt=0, lt=50)], Annotated[float, Field(gt=0, lt=10)]
+BoxLength = Annotated[float, Field(gt=0, lt=50)]
+BoxWidth = Annotated[float, Field(gt=0, lt=10)]
 
 
 class _Record(BaseModel):

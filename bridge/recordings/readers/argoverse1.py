@@ -38,7 +38,7 @@ class Argoverse1(Reader):
 
     def find(self, path: Path, names: frozenset[str], choices: Choices) -> list[Address]:
         """By number. Errors: NoSceneError where there are no map files for them."""
-        numbers = {name: int(found[1]) for name in names if (found := _SEQUENCE.fullmatch(name))}
+        numbers = {name: int(named[1]) for name in names if (named := _SEQUENCE.fullmatch(name))}
         folder = path if numbers else path.parent
         split = next((_SPLITS[place.name] for place in _above(folder) if place.name in _SPLITS), None)
         map_path = _chosen_map(choices.map_path) if choices.map_path is not None else _city_maps(folder)
@@ -80,8 +80,9 @@ def _city_maps(folder: Path) -> Path:
                 return maps
     root = list(_above(folder))[min(2, _ABOVE - 1)]
     raise NoSceneError(
-        f"{folder}: this is Argoverse 1: its map files are missing, expected pruned_argoverse_<CITY>_<n>_vector_map.xml "
-        f"and the rasters of the drivable area in {root / MAP_FILES}; or give --map, an Argoverse 2 map of the place"
+        f"{folder}: this is Argoverse 1: its map files are missing, expected "
+        f"pruned_argoverse_<CITY>_<n>_vector_map.xml and the rasters of the drivable area in {root / MAP_FILES}; "
+        "or give --map, an Argoverse 2 map of the place"
     )
 
 
