@@ -22,6 +22,7 @@ The constants are rules of this reader and no parameters of the method: another 
 import csv
 import io
 import json
+import math
 import re
 from functools import lru_cache
 from pathlib import Path
@@ -221,10 +222,11 @@ def _table(rows: _Rows, graph: LaneGraph, scenario_id: str) -> pa.Table:
     """The rows as Argoverse 2 has them."""
     steps = len(rows.stamps)
     velocity, heading = np.empty_like(rows.position), np.empty(len(rows.code))
+    lines = LaneLines.of(graph)
     category = np.empty(len(rows.code), dtype=np.int64)
     for k, kind in enumerate(rows.kinds):
         own = rows.code == k
-        velocity[own], heading[own] = motion_of(rows.position[own], rows.timestep[own], graph)
+        velocity[own], heading[own] = motion_of(rows.position[own], rows.timestep[own], lines)
         category[own] = FOCAL_CATEGORY if kind == AGENT else int(own.sum() == steps)
     focal = rows.ids[rows.kinds.index(AGENT)]
     count = len(rows.code)
@@ -250,7 +252,28 @@ def _table(rows: _Rows, graph: LaneGraph, scenario_id: str) -> pa.Table:
     return pa.table(columns, schema=schema)
 
 
-def motion_of(position: FloatArray, timestep: IntArray, graph: LaneGraph) -> tuple[FloatArray, FloatArray]:
+class LaneLines(NamedTuple):
+    """The pieces of all centrelines of a map: begin (M, 2) m and step (M, 2) m to the end."""
+
+    begin: FloatArray
+    step: FloatArray
+
+    @staticmethod
+    def of(graph: LaneGraph) -> "LaneLines":
+        """Those of every lane."""
+        lines = [lane.centerline for lane in graph.lanes.values()]
+        begin = np.concatenate([line[:-1] for line in lines])
+        return LaneLines(begin, np.concatenate([np.diff(line, axis=0) for line in lines]))
+
+    def heading(self, point: FloatArray) -> float:
+        """Direction of the nearest lane at a point (2,) m."""
+        along = ((point - self.begin) * self.step).sum(axis=1) / np.square(self.step).sum(axis=1)
+        nearest = self.begin + np.clip(along, 0.0, 1.0)[:, None] * self.step
+        x, y = self.step[int(np.square(nearest - point).sum(axis=1).argmin())].tolist()
+        return math.atan2(y, x)
+
+
+def motion_of(position: FloatArray, timestep: IntArray, lines: LaneLines) -> tuple[FloatArray, FloatArray]:
     """Velocities (N, 2) m/s and headings (N,) rad in (-pi, pi] of a track from its positions (N, 2) m."""
     breaks = np.flatnonzero(np.diff(timestep) != 1) + 1
     velocity = np.vstack([_velocity(run) for run in np.split(position, breaks)])
@@ -258,7 +281,7 @@ def motion_of(position: FloatArray, timestep: IntArray, graph: LaneGraph) -> tup
     away_m = float(np.hypot(*(position - position[0]).T).max())
     moves = np.flatnonzero(speed >= _MOVES_MPS) if away_m >= _MOVES_M else np.empty(0, dtype=np.int64)
     if not len(moves):
-        return velocity, np.full(len(position), _lane_heading(position.mean(axis=0), graph))
+        return velocity, np.full(len(position), lines.heading(position.mean(axis=0)))
     last = np.maximum(np.searchsorted(moves, np.arange(len(position)), side="right") - 1, 0)
     moving = velocity[moves[last]]
     return velocity, np.arctan2(moving[:, 1], moving[:, 0])
@@ -272,20 +295,6 @@ def _velocity(position: FloatArray) -> FloatArray:
         return np.repeat(mean[None], count, axis=0)
     window = min(_SAMPLES, count - (count + 1) % 2)
     return np.asarray(savgol_filter(position, window, _DEGREE, deriv=1, delta=STEP_S, axis=0), dtype=np.float64)
-
-
-def _lane_heading(point: FloatArray, graph: LaneGraph) -> float:
-    """Direction of the nearest lane at a point."""
-    nearest, best = 0.0, np.inf
-    for lane in graph.lanes.values():
-        line = lane.centerline
-        steps = np.diff(line, axis=0)
-        along = np.clip(((point - line[:-1]) * steps).sum(axis=1) / np.square(steps).sum(axis=1), 0.0, 1.0)
-        apart = np.square(line[:-1] + along[:, None] * steps - point).sum(axis=1)
-        k = int(apart.argmin())
-        if apart[k] < best:
-            best, nearest = float(apart[k]), float(np.arctan2(steps[k, 1], steps[k, 0]))
-    return nearest
 
 
 # Maps

@@ -1,4 +1,4 @@
-"""Synthetic recordings in other formats: an Argoverse 1 data set by the script in data/, and a sensor log of a scene."""
+"""Synthetic recordings in other formats: the Argoverse 1 data set of data/, and a sensor log of a scene."""
 
 import importlib.util
 import json

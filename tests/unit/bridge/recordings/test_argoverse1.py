@@ -11,7 +11,7 @@ import shapely
 from lxml import etree
 from recordings import make_argoverse1
 
-from bridge.recordings.argoverse1 import motion_of
+from bridge.recordings.argoverse1 import LaneLines, motion_of
 from bridge.recordings.folders import Choices, Source
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario
@@ -127,14 +127,15 @@ def test_headings_and_velocities_come_from_positions(root: Path, data_scenes: di
 def test_who_stands_keeps_the_heading_or_has_that_of_the_lane(root: Path) -> None:
     """A vehicle drives east, stops and stays east while its position jitters; one that never moved has the lane's."""
     graph = sequence(root).graph
+    lines = LaneLines.of(graph)
     rng = np.random.default_rng(0)
     x = np.concatenate([np.linspace(0, 20, 25), np.full(25, 20.0)])
     xy = np.column_stack([x, np.zeros(50)]) + rng.normal(0, 0.03, (50, 2))
-    _, heading = motion_of(xy, np.arange(50), graph)
+    _, heading = motion_of(xy, np.arange(50), lines)
     assert np.abs(heading[30:]).max() < np.radians(10)
     lane = next(iter(graph.lanes.values()))
     middle = lane.path.point(lane.length_m / 2)
-    _, heading = motion_of(middle + rng.normal(0, 0.03, (50, 2)), np.arange(50), graph)
+    _, heading = motion_of(middle + rng.normal(0, 0.03, (50, 2)), np.arange(50), lines)
     assert np.unique(heading).size == 1
     assert abs(np.angle(np.exp(1j * (heading[0] - float(lane.path.heading(lane.length_m / 2)))))) < 0.1
 
@@ -151,7 +152,7 @@ def test_the_map_is_that_of_the_scene_with_lanes_of_the_data_sets_width(
         assert found.successors(lane_id) == truth.successors(lane_id)
         assert lane.turn is truth.lanes[lane_id].turn
     common = found.drivable.intersection(truth.drivable).area
-    assert common / found.drivable.union(truth.drivable).area > 0.97
+    assert common / found.drivable.union(truth.drivable).area > 0.95
 
 
 def test_a_city_is_cut_around_the_tracks(root: Path) -> None:
@@ -382,14 +383,14 @@ def test_a_wrong_city_map_is_refused_in_one_line(copy: Path, change: Callable[[P
 def test_map_files_that_are_not_there_are_said_with_the_way_out(copy: Path) -> None:
     shutil.rmtree(copy / "map_files")
     with pytest.raises(
-        NoSceneError, match="this is Argoverse 1: its map files are missing, .*map_files; or give --map"
+        NoSceneError, match=r"this is Argoverse 1: its map files are missing, .*map_files; or give --map"
     ):
         find_recordings([copy])
 
 
 def test_a_chosen_map_of_another_place_is_refused(root: Path, data_scenes: dict[str, Path]) -> None:
     (address,) = find_sources([root / "val/data/7.csv"], Choices(map_path=data_scenes["curve"]))
-    with pytest.raises(MapError, match="0% of the AGENT of 7.csv"):
+    with pytest.raises(MapError, match=r"0% of the AGENT of 7\.csv"):
         read_recording(address)
-    with pytest.raises(NoSceneError, match="--map .*: no log_map_archive_<id>.json"):
+    with pytest.raises(NoSceneError, match=r"--map .*: no log_map_archive_<id>\.json"):
         find_sources([root / "val/data/7.csv"], Choices(map_path=root))
