@@ -164,8 +164,14 @@ def paper(
     out: Out,
     *,
     scenes: Annotated[
-        Path, typer.Option(metavar="DIR", help="Recorded scenes; diversity needs real ones of over 40 agents.")
+        Path,
+        typer.Option(
+            metavar="DIR", help="Recordings; diversity needs real ones of over 40 agents for the paper's part."
+        ),
     ] = Path("data/av2"),
+    map_path: MapChoice = None,
+    window: Window = 0,
+    stride: Stride = None,
     seeds: Annotated[int, typer.Option(min=1, metavar="N", help="Seeds per scene.")] = 10,
     agents: Annotated[int, typer.Option(min=0, metavar="N", help="Vehicles added, except in density.")] = 10,
     jobs: Jobs = 1,
@@ -178,11 +184,13 @@ def paper(
     check_out(out)
     with Activity(quiet=quiet) as activity:
         from bridge.evaluation.paper import run_experiment
+        from bridge.recordings.folders import Choices
 
         activity.doing("generating and measuring")
         page = run_experiment(
-            experiment, scenes=scenes, out_dir=out, seeds=seeds, agents=agents, jobs=jobs, on_scene=activity.show
-        )
+            experiment, scenes=scenes, out_dir=out, choices=Choices(map_path, window, stride), seeds=seeds,
+            agents=agents, jobs=jobs, on_scene=activity.show,
+        )  # fmt: skip
     print(page)
 
 

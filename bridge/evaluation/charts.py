@@ -79,8 +79,8 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[int, Estimate]]]]) -> Figure:
-    """The paper's figure of added agents: LO, LA, JE, SCR, ORR against the number added; series[metric][group]."""
+def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[float, Estimate]]]]) -> Figure:
+    """The paper's figure of added agents: LO, LA, JE, SCR, ORR against the number placed; series[metric][group]."""
     figure, axes = plt.subplots(1, len(series), figsize=(3.0 * len(series), 3.4), layout="constrained")
     labels = {"lo": "LO, m/s²", "la": "LA, m/s²", "je": "JE, m/s³", "scr": "SCR, share", "orr": "ORR, share"}
     looks = {"combined": (figures.COMBINED, "-", "o"), "generated": (figures.GENERATED, "--", "s")}
@@ -98,7 +98,7 @@ def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[int, Estimat
                 ax.fill_between(
                     [b[0] for b in band], [b[1] for b in band], [b[2] for b in band], color=color, alpha=0.15
                 )
-        ax.set_xlabel("vehicles asked for")
+        ax.set_xlabel("vehicles placed, mean")
         ax.set_title(labels[metric])
         ax.set_ylim(bottom=0)
         ax.set_xticks(sorted({x for points in groups.values() for x, _ in points}))
