@@ -458,148 +458,6 @@ _ARGOVERSE1_TEXT = (
     "decimetres is mostly noise. Timesteps are 0.1 s, as every reader of the data set takes them; its own time stamps "
     "are up to twice as far apart, which makes accelerations by timesteps larger than they were.</p>"
 )
-_TEMPLATES_TEXT.format(len(templates)), *report.diversity_parts(content["templates"])]
-        _write_rows(_diversity_rows(content), out_dir / f"{name}.csv")
-        figures.save(charts.diversity_figure(content), out_dir / f"{name}.png")
-    else:
-        lines = _lines(name, outcomes)
-        content["lines"] = [
-            {"row": line.label, **{key: dict(value) for key, value in line.values.items()}} for line in lines
-        ]
-        parts.append(_html_table(lines))
-        _write_rows([_flat(line) for line in lines], out_dir / f"{name}.csv")
-        if name == "density":
-            series = {_placed(o): (SourceSums.of(o.rows), o.setting.config is not None) for o in outcomes}
-            parts.append(report.picture(charts.density_figure(_density(series)), _DENSITY_CAPTION))
-            parts.append(f"<p>{html.escape(_directions(_density(series)))}</p>")
-            figures.save(charts.density_figure(_density(series)), out_dir / f"{name}.png")
-    write_text(out_dir / f"{name}.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
-    path = out_dir / f"{name}.html"
-    write_text(path, report.page(_TITLES[name], parts))
-    return path
-
-
-_DENSITY_CAPTION = (
-    "Each panel: the measure against the number of vehicles placed in a scene, in the mean. Solid: recorded and "
-    "generated together, "
-    "with the 95 % interval over recorded scenes (few scenes, wide interval: it is the same scenes at every number, so "
-    "that the slope is surer than the level); dashed: generated vehicles alone."
-)
-
-
-def _placed(outcome: Outcome) -> float:
-    """Vehicles placed in a scene, in the mean."""
-    placed: int = sum(row["generated"] for row in outcome.rows)
-    return round(placed / max(1, len(outcome.rows)), 1)
-
-
-def _directions(points: Mapping[str, Mapping[str, Sequence[tuple[float, Estimate]]]]) -> str:
-    """Where a measure goes the other way than in the paper, from the fewest vehicles to the most."""
-    differs = []
-    for metric in COLUMNS:
-        values = [estimate.value for _, estimate in points[metric.key]["combined"] if estimate.value is not None]
-        if metric.key in PAPER_RISES and len(values) > 1 and values[-1] <= values[0]:
-            name = metric.label.split(":")[0]
-            differs.append(f"{name} falls here, from {values[0]:.3f} to {values[-1]:.3f}, and rises in the paper")
-    if not differs:
-        return "SCR and ORR rise with the number of vehicles, as in the paper's figure."
-    return (
-        "The direction differs from the paper's figure: "
-        + "; ".join(differs)
-        + ". Inserted vehicles touch nobody and stay on the road: each lowers the share of those that do."
-    )
-
-
-def _asked_and_done(outcomes: Sequence[Outcome]) -> dict[str, dict[str, float]]:
-    """Manoeuvres asked for and done in a scene, in the mean, by kind."""
-    rows = [row for outcome in outcomes for row in outcome.rows]
-    return {
-        kind.value: {what: sum(row[f"{what}_{kind.value}"] for row in rows) / max(1, len(rows)) for what in _ASKED}
-        for kind in ManeuverKind
-    }
-
-
-_ASKED = ("asked", "done")
-
-
-def _asked_parts(counts: Mapping[str, Mapping[str, float]]) -> list[str]:
-    rows = [
-        (kind.replace("_", " "), *(report.number(part[what], 2) for what in _ASKED)) for kind, part in counts.items()
-    ]
-    return [
-        "<p>Manoeuvres of inserted vehicles in a scene, in the mean:</p>",
-        report.table(("manoeuvre", "asked for", "done"), rows),
-    ]
-
-
-def _density(series: Mapping[float, tuple[SourceSums, bool]]) -> dict[str, dict[str, list[tuple[float, Estimate]]]]:
-    """Estimates by metric and group along the numbers placed."""
-    return {
-        metric.key: {
-            group: [
-                (added, estimate(sums, metric, group))
-                for added, (sums, generates) in sorted(series.items())
-                if generates or group == "combined"
-            ]
-            for group in ("combined", "generated")
-        }
-        for metric in COLUMNS
-    }
-
-
-def _about(name: Experiment, outcomes: Sequence[Outcome], *, seeds: int, sources: int, agents: int) -> str:
-    placed = [
-        f"{sum(row['generated'] for row in o.rows) / max(1, len(o.rows)):.1f} {_NAMES.get(o.setting.name, '')}".strip()
-        for o in outcomes
-        if o.setting.config is not None
-    ]
-    failures = [f"{o.setting.name}, {failure}" for o in outcomes for failure in o.failures]
-    asked = "0 to 40 vehicles" if name == "density" else f"{agents} vehicles"
-    text = (
-        f"<p>{sources} recorded scene{'s' if sources > 1 else ''}, each with seeds 0 to {seeds - 1}, {asked} asked for."
-        f" Placed in a scene, in the mean: {', '.join(placed)}.</p>"
-    )
-    if name != "diversity":
-        text += _COLUMNS_TEXT
-    formats = {(row["format"], row["provenance"]) for o in outcomes for row in o.rows}
-    if name == "table1" and len({provenance for kind, provenance in formats if kind != "argoverse1"}) > 1:
-        text += _TABLE1_TEXT
-    if name == "table1" and any(kind == "argoverse1" for kind, _ in formats):
-        text += _ARGOVERSE1_TEXT
-    if name == "ablation":
-        text += _ABLATION_TEXT
-    if name == "diversity":
-        text += _DIVERSITY_TEXT
-    if failures:
-        text += (
-            "<p class=bad>Not generated:</p><ul>"
-            + "".join(f"<li>{html.escape(line)}</li>" for line in failures)
-            + "</ul>"
-        )
-    return text
-
-
-_COLUMNS_TEXT = (
-    "<p><b>LO</b>, <b>LA</b>, <b>JE</b>: mean magnitude of longitudinal acceleration, lateral acceleration and jerk, "
-    "from positions, over all road users. <b>SCR</b>: share of vehicles whose box overlaps another one's (IoU above "
-    "0.02) at some step. <b>ORR</b>: share of positions off the drivable area; <b>footprint ORR</b>: share of boxes "
-    "with a corner more than 0.3 m off it. Lower is smoother or safer; recorded tracks carry tracker noise, so that "
-    "even perfect driving beside them lowers every mean. Generated vehicles alone are held against every road user for "
-    "SCR, the other rows against vehicles.</p><p>Small print: 95 % interval by bootstrap over recorded scenes (all "
-    "seeds of a scene are drawn together). The paper's lines, without interval, are its own figures for Argoverse 2, "
-    "on its own, far larger choice of scenes: compare the change from row to row, not the level.</p>"
-)
-_TABLE1_TEXT = (
-    "<p>Scenes <b>tracked on board</b> carry the noise of the recording vehicle's tracker, as all of the paper's do. "
-    "Those <b>labelled by people</b>, windows of sensor logs, are smoother: hold the tracked ones against the paper's "
-    "LO, LA and JE.</p>"
-)
-_ARGOVERSE1_TEXT = (
-    "<p><b>Argoverse 1</b> has positions alone, without headings, sizes and types: every track is held to be a vehicle of "
-    "4.5 x 1.9 m, so that SCR and footprint ORR are upper bounds, and the third derivative of positions that jump by "
-    "decimetres is mostly noise. Timesteps are 0.1 s, as every reader of the data set takes them; its own time "
-    "stamps are up to twice as far apart, which makes accelerations by timesteps larger than they were.</p>"
-)
 _TEMPLATES_TEXT = "<h2>The paper's templates</h2><p>{} scenes of more than 40 agents alone:</p>"
 _ABLATION_TEXT = (
     "<p>Without <b>topology</b> vehicles drive straight on where they are, whatever the lanes do: smooth, off the road."
@@ -610,8 +468,8 @@ _ABLATION_TEXT = (
 _DIVERSITY_TEXT = (
     f"<p>The whole data set, before and after; where it has scenes of more than {TEMPLATE_AGENTS} agents, the paper's "
     "templates, they follow alone. After: all scenes made with either mix, the default one for density and one of "
-    "turns, lane changes and overtakes for behaviours. The paper gives its comparison as a figure without numbers: more scenes in every higher band, and "
-    "more of every behaviour but straight driving.</p>"
+    "turns, lane changes and overtakes for behaviours. The paper gives its comparison as a figure without numbers: more "
+    "scenes in every higher band, and more of every behaviour but straight driving.</p>"
 )
 
 
