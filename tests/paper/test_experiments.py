@@ -86,7 +86,9 @@ def test_table1_has_the_rows_of_argoverse_1_beside_the_papers(tmp_path):
     assert found["paper: HiD2 on Argoverse 1"]["je"]["value"] == 11.031
     assert found["ours: Argoverse 1, generated vehicles alone"]["scr"]["value"] == 0.0
     assert "paper: Argoverse 2" not in found
-    assert "time stamps are up to twice" in (tmp_path / "out" / "table1.html").read_text().replace("\n", " ")
+    raw, filtered = (found[f"ours: Argoverse 1, recorded, positions {how}"] for how in ("as they are", "smoothed"))
+    assert 0 < filtered["je"]["value"] <= raw["je"]["value"]
+    assert "Positions jump by decimetres" in (tmp_path / "out" / "table1.html").read_text().replace("\n", " ")
 
 
 def test_tracked_scenes_and_labelled_ones_have_rows_of_their_own(data_scenes, tmp_path):
