@@ -34,7 +34,7 @@ from bridge.batch.quarantine import MAX_TIMEOUT_S, Bundle, read_bundle, write_bu
 from bridge.config import config_sha256
 from bridge.files import explained, one_line
 from bridge.recordings.export import new_scenario_id
-from bridge.recordings.folders import SPLITS, Address, source_id, split_of
+from bridge.recordings.folders import SPLITS, Address, sequence_path, source_id, split_of, sumo_folder
 from bridge.recordings.sources import source_files
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportError
@@ -288,7 +288,11 @@ def _tasks(
         wanted = []
         for run in job.runs:
             row = manifest.get(base_row(place, run).key) if options.resume else None
-            if row is not None and _is_complete(row, base_row(place, run), out_dir, source_sha256):
+            if (
+                row is not None
+                and _is_complete(row, base_row(place, run), out_dir, source_sha256)
+                and _has_formats(row, place)
+            ):
                 skip(row)
             else:
                 wanted.append(run)
@@ -318,6 +322,14 @@ def _is_complete(row: ManifestRow, base: ManifestRow, out_dir: Path, source_sha2
         and (row.version, row.source_sha256) == (base.version, source_sha256)
         and row.output_sha256 != ""
         and row.output_sha256 == files_sha256(output_files(out_dir / row.folder))
+    )
+
+
+def _has_formats(row: ManifestRow, place: Place) -> bool:
+    """Whether what was asked for in other formats is there."""
+    new_id, split = Path(row.folder).name, row.split or None
+    return (not place.argoverse1 or sequence_path(place.out, split, new_id).is_file()) and (
+        place.sumo is None or sumo_folder(place.sumo, split, new_id).is_dir()
     )
 
 

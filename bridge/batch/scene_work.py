@@ -9,10 +9,11 @@ from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare, write
+from bridge.recordings.folders import sumo_folder
 from bridge.recordings.sequence import write_sequence
 from bridge.recordings.sidecar import Sidecar
 from bridge.recordings.sources import read_recording
-from bridge.sumo.exchange import sumo_folder, write_sumo
+from bridge.sumo.exchange import write_sumo
 from hid2.agents import Policy
 from hid2.params import Grid
 

@@ -493,9 +493,9 @@ _ARGOVERSE1_TEXT = (
     "<p><b>Argoverse 1</b> has positions alone, without headings, sizes and types: every track is held to be a vehicle "
     "of 4.5 x 1.9 m, so that SCR and footprint ORR are upper bounds. Positions jump by decimetres, and their third "
     "derivative is mostly that: the paper's figures must be of smoothed tracks, and a filter over 1.3 s (13 samples, "
-    "cubic; tracks of as many steps without a gap) comes near to them. Timesteps are 0.1 s, as every reader of the data "
-    "set takes them; its own time stamps are up to twice as far apart, which makes accelerations by timesteps larger "
-    "than they were.</p>"
+    "cubic; tracks of as many steps without a gap) comes near to them. Timesteps are 0.1 s, as every reader of the "
+    "data set takes them; its own time stamps are up to twice as far apart, which makes accelerations by timesteps "
+    "larger than they were.</p>"
 )
 _TEMPLATES_TEXT = "<h2>The paper's templates</h2><p>{} scenes of more than 40 agents alone:</p>"
 _ABLATION_TEXT = (

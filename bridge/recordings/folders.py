@@ -21,6 +21,8 @@ SIZES_FILE = "agent_sizes.csv"
 
 #: Names of the folders of a data-set root.
 SPLITS = ("train", "val", "test")
+#: Folder of generated Argoverse 1 sequences below an output folder.
+SEQUENCES = "argoverse1"
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -133,6 +135,18 @@ def split_of(folder: Address) -> str | None:
         return folder.split
     parents = folder.absolute().parent, folder.resolve().parent
     return next((parent.name for parent in parents if parent.name in SPLITS), None)
+
+
+def sequence_path(out_dir: Path, split: str | None, new_id: str) -> Path:
+    """Where the Argoverse 1 sequence of a generated scene lies below an output folder."""
+    root = out_dir / SEQUENCES
+    folder = root / ("test_obs" if split == "test" else split) if split else root
+    return folder / "data" / f"{int(new_id.replace('-', '')[:12], 16)}.csv"
+
+
+def sumo_folder(root: Path, split: str | None, scenario_id: str) -> Path:
+    """Where the files for SUMO of a scene lie below the folder that was asked for."""
+    return (root / split if split else root) / scenario_id
 
 
 def names_in(folder: Path) -> list[str]:

@@ -11,19 +11,10 @@ from pathlib import Path
 
 from bridge.files import beside, explained
 from bridge.recordings.argoverse1 import AGENT, AV, COLUMNS, OTHERS
+from bridge.recordings.folders import sequence_path
 from bridge.recordings.recording import Recording
-from bridge.recordings.sources import SEQUENCES
 from hid2.agents import Track
 from netconvert.errors import ExportError
-
-_SPLIT_FOLDERS = {"train": "train", "val": "val", "test": "test_obs"}
-
-
-def sequence_path(out_dir: Path, split: str | None, new_id: str) -> Path:
-    """Where the sequence of a generated scene lies below an output folder."""
-    root = out_dir / SEQUENCES
-    folder = root / _SPLIT_FOLDERS[split] if split else root
-    return folder / "data" / f"{int(new_id.replace('-', '')[:12], 16)}.csv"
 
 
 def write_sequence(scenario: Recording, generated: Sequence[Track], out_dir: Path, *, new_id: str) -> Path:

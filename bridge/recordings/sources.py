@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from bridge.recordings.folders import (
     MAP_PATTERN,
     PARQUET_PATTERN,
+    SEQUENCES,
     SIDECAR_PATTERN,
     SIZES_FILE,
     Address,
@@ -28,8 +29,8 @@ if TYPE_CHECKING:
     from bridge.recordings.recording import Recording
 
 _LOG = logging.getLogger(__name__)
-#: Folder of generated Argoverse 1 sequences below an output folder, which has a manifest.
-SEQUENCES, MANIFEST = "argoverse1", "manifest.csv"
+#: What an output folder has beside generated Argoverse 1 sequences.
+_MANIFEST = "manifest.csv"
 #: The formats; the first one that recognises a path has it.
 READERS: tuple[Reader, ...] = (SensorLog(), Argoverse2(), Argoverse1())
 #: Folders below a path that are looked into: DATA/av2/train/<id>.
@@ -125,5 +126,5 @@ def _walk(path: Path, choices: Choices, depth: int) -> Iterator[Address]:
             if reader.is_folder:
                 return
     for folder in subfolders(path, names) if depth else []:
-        if not (folder.name == SEQUENCES and MANIFEST in names):  # what hid2 wrote for loaders of Argoverse 1
+        if not (folder.name == SEQUENCES and _MANIFEST in names):  # what hid2 wrote for loaders of Argoverse 1
             yield from _walk(folder, choices, depth - 1)

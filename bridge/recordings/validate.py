@@ -11,7 +11,16 @@ import pyarrow as pa
 
 from bridge.files import read_regular
 from bridge.recordings.export import map_bytes, recording_record_of
-from bridge.recordings.folders import SPLITS, Address, Choices, Source, find_scenarios, source_id, split_of
+from bridge.recordings.folders import (
+    SPLITS,
+    Address,
+    Choices,
+    Source,
+    find_scenarios,
+    sequence_path,
+    source_id,
+    split_of,
+)
 from bridge.recordings.limits import MAX_FILE_MB
 from bridge.recordings.map_rules import compare_map, read_map
 from bridge.recordings.recording import Recording
@@ -19,7 +28,6 @@ from bridge.recordings.row_rules import Rows, check_generated, check_rows, compa
 from bridge.recordings.rules import RECORDED, RULES
 from bridge.recordings.scenario import read_sizes, read_table
 from bridge.recordings.scene_end_rule import check_scene_end
-from bridge.recordings.sequence import sequence_path
 from bridge.recordings.sequence_rules import check_written_sequence
 from bridge.recordings.sidecar import Sidecar, read_sidecar, sidecar_path
 from bridge.recordings.sidecar_rules import check_sidecar

@@ -49,11 +49,6 @@ class _Placed(NamedTuple):
     pos_m: FloatArray
 
 
-def sumo_folder(root: Path, split: str | None, scenario_id: str) -> Path:
-    """Where the files of a scene lie below the folder that was asked for."""
-    return (root / split if split else root) / scenario_id
-
-
 def write_sumo(address: Address, out_dir: Path) -> tuple[FidelityReport, Path]:
     """Write a recording's or a generated scene's files into out_dir: how true the net is, and what sumo-gui plays.
 

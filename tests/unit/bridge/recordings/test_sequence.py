@@ -11,8 +11,9 @@ from recordings import make_argoverse1
 
 from bridge.config import config_sha256, config_to_dict
 from bridge.recordings.export import new_scenario_id, recording_record_of, write_scene
+from bridge.recordings.folders import sequence_path
 from bridge.recordings.recording import Recording
-from bridge.recordings.sequence import inserted_id, sequence_bytes, sequence_path, write_sequence
+from bridge.recordings.sequence import inserted_id, sequence_bytes, write_sequence
 from bridge.recordings.sidecar import (
     AgentRecord,
     GeneratorRecord,

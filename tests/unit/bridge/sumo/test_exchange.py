@@ -9,9 +9,10 @@ import pytest
 from av2.geometry.utm import CITY_ORIGIN_LATLONG_DICT, UTM_ZONE_MAP, CityName, convert_gps_to_utm
 from lxml import etree
 
+from bridge.recordings.folders import sumo_folder
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import read_sidecar, sidecar_path
-from bridge.sumo.exchange import sumo_files, sumo_folder, write_sumo
+from bridge.sumo.exchange import sumo_files, write_sumo
 from bridge.sumo.poses import box_poses
 from netconvert.cells import build_cell_grid
 from netconvert.geo import CITY_ORIGINS
