@@ -94,7 +94,7 @@ def drivable_raster(pixels: npt.NDArray[Any], se2: npt.NDArray[Any], *, name: st
     if se2.shape != (3, 3) or se2.dtype.kind not in "iuf" or not np.isfinite(se2).all():
         raise MapError(f"{name}: transformation of shape {se2.shape}, expected (3, 3) finite numbers")
     rotation = np.asarray(se2[:2, :2], dtype=np.float64)
-    if not np.allclose(rotation @ rotation.T, np.eye(2), atol=1e-6) or np.abs(se2).max() > _MOST_M:
+    if np.abs(se2).max() > _MOST_M or not np.allclose(rotation @ rotation.T, np.eye(2), atol=1e-6):
         raise MapError(f"{name}: transformation {rotation.tolist()}, expected a rotation and a translation in metres")
     with np.errstate(invalid="ignore"):
         drivable = np.asarray(pixels > 0)

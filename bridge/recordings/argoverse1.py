@@ -24,8 +24,10 @@ import io
 import json
 import math
 import re
+import warnings
 from functools import lru_cache
 from pathlib import Path
+from tokenize import TokenError
 from typing import NamedTuple
 
 import numpy as np
@@ -59,6 +61,12 @@ _MARGIN_M = 30.0
 #: Share of the AGENT's positions that has to lie on the map's drivable area: on another city's map none does.
 _ON_MAP = 0.5
 _RASTERS = ("driveable_area_mat", "npyimage_to_city_se2")
+
+
+#: What numpy raises for files that are no arrays of numbers.
+_NOT_AN_ARRAY = (
+    ValueError, EOFError, TypeError, SyntaxError, OverflowError, MemoryError, KeyError, UnicodeError, TokenError,
+)  # fmt: skip
 
 
 class CityMap(NamedTuple):
@@ -355,8 +363,10 @@ def _array(path: Path) -> npt.NDArray[np.generic]:
     """The array of an npy file; objects, which could be anything, are refused. Errors: MapError."""
     try:
         content = io.BytesIO(read_regular(path, most_mb=limits.MAX_CITY_MB))
-        return np.asarray(np.lib.format.read_array(content, allow_pickle=False))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of headers that Python 2 wrote
+            return np.asarray(np.lib.format.read_array(content, allow_pickle=False))
     except OSError as error:
         raise MapError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, EOFError, TypeError, SyntaxError, OverflowError, MemoryError, KeyError, UnicodeError) as error:
+    except _NOT_AN_ARRAY as error:
         raise MapError(f"{path}: not an npy file of numbers ({one_line(str(error), most=200)})") from error
