@@ -42,6 +42,11 @@ def _write(scene: GeneratedScene, place: Place) -> Path:
     return folder
 
 
+def generate_and_record_gaps(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+    """The same, with every look at a gap in a file beside each scene."""
+    return run_each(place, runs, lambda scene: write(scene, place.out, record=("gaps",)))
+
+
 def run_each(
     place: Place, runs: Sequence[Run], finish: Callable[[GeneratedScene], Path]
 ) -> Iterator[ManifestRow | Failure]:

@@ -11,7 +11,7 @@ from pydantic_core import from_json
 
 from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY
 from bridge.recordings.rules import RECORDED, Breach
-from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, SCENARIO_COLUMNS, STEP_S
+from bridge.recordings.scenario import OBSERVED_STEPS, SCENARIO_COLUMNS, STEP_S, longest
 from hid2.agents import DEFAULT_SIZES, VEHICLE_TYPES
 
 CITIES = frozenset({"austin", "dearborn", "miami", "palo-alto", "pittsburgh", "washington-dc"})
@@ -73,9 +73,10 @@ def check_rows(rows: Rows, new_id: str) -> Iterator[Breach]:
         yield "city", "no city"
     elif first["city"] not in CITIES:
         yield RECORDED, f"city {first['city']!r} is none of {', '.join(sorted(CITIES))}"
-    if not rows.num_steps <= first["num_timestamps"] <= MAX_STEPS:
-        yield "timestep", f"num_timestamps {first['num_timestamps']}, expected {rows.num_steps} to {MAX_STEPS}"
-    yield from _first(rows, (rows.timestep < 0) | (rows.timestep >= MAX_STEPS), "timestep", "expected 0 to 109")
+    most = longest(str(first["scenario_id"]))
+    if not rows.num_steps <= first["num_timestamps"] <= most:
+        yield "timestep", f"num_timestamps {first['num_timestamps']}, expected {rows.num_steps} to {most}"
+    yield from _first(rows, (rows.timestep < 0) | (rows.timestep >= most), "timestep", f"expected 0 to {most - 1}")
     for i, column in enumerate(_MOTION_COLUMNS):
         yield from _first(rows, ~np.isfinite(rows.motion[:, i]), "finite", f"{column} is not a finite number")
     order = np.lexsort((rows.timestep, rows.code))

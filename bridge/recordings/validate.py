@@ -5,7 +5,7 @@ The rules are in `rules`; what is checked of rows, map and sidecar in `row_rules
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 
@@ -76,7 +76,8 @@ def validate_scene(
     parquet_path = folder / f"scenario_{new_id}.parquet"
     map_path = folder / f"log_map_archive_{new_id}.json"
     wanted = (parquet_path, map_path, sidecar_path(folder, new_id))
-    findings += [Finding(path, "folder", "no such file") for path in wanted if not path.is_file()]
+    missing = {sidecar_path(folder, new_id): "no such file, which every generated scene has (a recorded one has none)"}
+    findings += [Finding(path, "folder", missing.get(path, "no such file")) for path in wanted if not path.is_file()]
 
     sidecar = None
     if sidecar_path(folder, new_id).is_file():
@@ -91,12 +92,7 @@ def validate_scene(
     rows = None
     if parquet_path.is_file():
         try:
-            known = sidecar.recording if sidecar is not None else None
-            rows = (
-                Rows(read_table(parquet_path))
-                if known is None
-                else Rows(read_table(parquet_path), observed_steps=known.observed_steps, step_s=known.step_s)
-            )
+            rows = _rows(parquet_path, sidecar)
         except ScenarioError as error:
             findings.append(Finding(parquet_path, "columns", str(error)))
 
@@ -116,25 +112,21 @@ def validate_scene(
         findings += [Finding(sidecar_path(folder, new_id), *breach) for breach in breaches]
     source = None
     if sources is not None and sidecar is not None:
-        address = sources.get(sidecar.source_scenario_id)
-        if address is None:
-            message = f"source scenario {sidecar.source_scenario_id} is not among the {len(sources)} given"
-            return [*findings, Finding(sidecar_path(folder, new_id), "source", message)]
         try:
-            source = _compared(address, sidecar.source_scenario_id)
+            source = _compared(sources, sidecar.source_scenario_id)
         except Hid2Error as error:
             return [*findings, Finding(sidecar_path(folder, new_id), "source", str(error))]
-        if rows is not None:
-            messages = compare_rows(rows.table, source.table, generated_ids)
-            findings += [Finding(parquet_path, "source", message) for message in messages]
-        if document is not None:
-            messages = compare_map(map_path, document, source.map_json, name=source.map_name)
-            findings += [Finding(map_path, "source", message) for message in messages]
-        if source.recording is not None and sidecar.recording != recording_record_of(source.recording):
-            findings.append(Finding(sidecar_path(folder, new_id), "source", "recording: not that of the source"))
+        findings += _compare(source, sidecar, folder, rows=rows, document=document, generated_ids=generated_ids)
     if out is not None and rows is not None and sidecar is not None:
         findings += _check_sequence(out, folder, rows, generated_ids, source)
     return findings
+
+
+def _rows(path: Path, sidecar: Sidecar | None) -> Rows:
+    """The rows of a scene, with the steps of its recording. Errors: ScenarioError."""
+    known = sidecar.recording if sidecar is not None else None
+    table = read_table(path)
+    return Rows(table) if known is None else Rows(table, observed_steps=known.observed_steps, step_s=known.step_s)
 
 
 class _Compared(NamedTuple):
@@ -146,8 +138,11 @@ class _Compared(NamedTuple):
     recording: Recording | None
 
 
-def _compared(address: Address, scenario_id: str) -> _Compared:
-    """Errors: ScenarioError, MapError."""
+def _compared(sources: Mapping[str, Address], scenario_id: str) -> _Compared:
+    """The source of a scene. Errors: ScenarioError, MapError."""
+    address = sources.get(scenario_id)
+    if address is None:
+        raise ScenarioError(f"source scenario {scenario_id} is not among the {len(sources)} given")
     if isinstance(address, Source):
         recording = read_recording(address)
         return _Compared(recording.table, map_bytes(recording), recording.map_path.name, recording)
@@ -157,6 +152,25 @@ def _compared(address: Address, scenario_id: str) -> _Compared:
         return _Compared(table, read_regular(path, most_mb=MAX_FILE_MB), path.name, None)
     except OSError as error:
         raise MapError(f"{path}: cannot be read ({error})") from error
+
+
+def _compare(
+    source: _Compared, sidecar: Sidecar, folder: Path, *, rows: Rows | None, document: Mapping[str, Any] | None,
+    generated_ids: set[str],
+) -> list[Finding]:  # fmt: skip
+    """Rows, map and sidecar of a scene against its source."""
+    findings = []
+    if rows is not None:
+        messages = compare_rows(rows.table, source.table, generated_ids)
+        findings += [Finding(folder / f"scenario_{folder.name}.parquet", "source", message) for message in messages]
+    if document is not None:
+        path = folder / f"log_map_archive_{folder.name}.json"
+        messages = compare_map(path, document, source.map_json, name=source.map_name)
+        findings += [Finding(path, "source", message) for message in messages]
+    if source.recording is not None and sidecar.recording != recording_record_of(source.recording):
+        message = "recording: not that of the source"
+        findings.append(Finding(sidecar_path(folder, folder.name), "source", message))
+    return findings
 
 
 def _check_sequence(
