@@ -9,7 +9,9 @@ from typing import NamedTuple, get_args
 from bridge.batch.engine import Settings, Task, execute_here
 from bridge.batch.isolation import Failure, describe_error
 from bridge.files import explained, table_file
-from bridge.recordings.scenario import LAST_OBSERVED, Scenario, read_scenario
+from bridge.recordings.folders import Address
+from bridge.recordings.recording import Recording
+from bridge.recordings.sources import read_recording
 from hid2.agents import VEHICLE_TYPES, Policy
 from hid2.insertion.events import offered_events
 from hid2.params import Config, Event
@@ -36,7 +38,7 @@ class SceneFacts(NamedTuple):
     there is room for with the recording vehicle and the focal track, as `cut_in:av lead:focal`.
     """
 
-    folder: Path
+    folder: Address
     scenario: str
     split: str
     city: str
@@ -90,8 +92,8 @@ class Selection(NamedTuple):
 
 
 def facts_of(
-    folders: Sequence[Path], *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
-) -> tuple[list[SceneFacts], list[tuple[Path, str]]]:
+    folders: Sequence[Address], *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
+) -> tuple[list[SceneFacts], list[tuple[Address, str]]]:
     """Facts of scenes in the order of folders, and the scenes that cannot be read with the reason.
 
     on_scene(done, total) is called as scenes are done.
@@ -100,8 +102,8 @@ def facts_of(
     tasks = (
         Task(f"scan-{number}", "bridge.batch.scan:scan_folders", Config(), chunk) for number, chunk in enumerate(chunks)
     )
-    found: dict[Path, SceneFacts] = {}
-    failures: dict[Path, str] = {}
+    found: dict[Address, SceneFacts] = {}
+    failures: dict[Address, str] = {}
     for result in execute_here(tasks, jobs=min(jobs, max(1, len(chunks))), settings=Settings(timeout_s=60)):
         for outcome in result.outcomes:
             failure = outcome.failure or (outcome.value if isinstance(outcome.value, Failure) else None)
@@ -116,7 +118,7 @@ def facts_of(
     ]
 
 
-def scan_folders(config: Config, folders: Sequence[Path]) -> Iterator[SceneFacts | Failure]:
+def scan_folders(config: Config, folders: Sequence[Address]) -> Iterator[SceneFacts | Failure]:
     """The work of a process: read and describe each scene."""
     for folder in folders:
         try:
@@ -125,9 +127,9 @@ def scan_folders(config: Config, folders: Sequence[Path]) -> Iterator[SceneFacts
             yield describe_error(error)
 
 
-def describe_scene(folder: Path, config: Config) -> SceneFacts:
+def describe_scene(folder: Address, config: Config) -> SceneFacts:
     """Read one scene and count. Errors: ScenarioError, MapError."""
-    scenario = read_scenario(folder)
+    scenario = read_recording(folder)
     graph = scenario.graph
     vehicles = [track for track in scenario.tracks if track.object_type in VEHICLE_TYPES]
     lanes = [lane for lane in graph.lanes.values() if lane.lane_type == "VEHICLE"]
@@ -140,7 +142,7 @@ def describe_scene(folder: Path, config: Config) -> SceneFacts:
         city=scenario.city,
         steps=scenario.num_steps,
         tracks=len(scenario.tracks),
-        at_49=sum(LAST_OBSERVED in track.timesteps for track in scenario.tracks),
+        at_49=sum(scenario.last_observed in track.timesteps for track in scenario.tracks),
         vehicles=len(vehicles),
         moving=sum(track.path_m > _MOVING_M and len(track.timesteps) > _MOVING_STEPS for track in vehicles),
         lanes=len(graph.lanes),
@@ -155,12 +157,12 @@ def describe_scene(folder: Path, config: Config) -> SceneFacts:
     )
 
 
-def _events(scenario: Scenario, config: Config) -> tuple[str, ...]:
+def _events(scenario: Recording, config: Config) -> tuple[str, ...]:
     """Events that there is room for."""
     grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m, max_skew_m=config.grid.max_skew_m)
     scene = build_scene(
         grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
-        last_observed_step=min(LAST_OBSERVED, scenario.num_steps - 1),
+        last_observed_step=scenario.last_observed,
     )  # fmt: skip
     return offered_events(scene, EVENT_TARGETS)
 
@@ -191,8 +193,8 @@ def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts
 
 
 def wanted(
-    folders: Sequence[Path], facts: Sequence[SceneFacts], unread: Sequence[tuple[Path, str]], selection: Selection
-) -> list[Path]:
+    folders: Sequence[Address], facts: Sequence[SceneFacts], unread: Sequence[tuple[Address, str]], selection: Selection
+) -> list[Address]:
     """The scenes that are wanted, in the order of folders; with them, but for a sample, those that cannot be read.
 
     Those may be wanted or not: as they are tried, they are found with their reason among what could not be done.

@@ -26,10 +26,33 @@ CanName = StrEnum(
 )  # fmt: skip
 ComponentName = StrEnum("ComponentName", ["TOPOLOGY", "COLLISION", "SMOOTHING"])
 SplitName = StrEnum("SplitName", ["TRAIN", "VAL", "TEST"])
+FormatName = StrEnum("FormatName", ["ARGOVERSE1"])
 RecordName = StrEnum("RecordName", ["GAPS"])
 FocalName = Literal["recorded", "generated"]
 ExperimentName = Literal["table1", "ablation", "density", "diversity"]
 
+MapChoice = Annotated[
+    Path | None,
+    typer.Option(
+        "--map",
+        metavar="MAP",
+        help="An Argoverse 2 map, or a scene's folder with one, for Argoverse 1 sequences without their city's map.",
+        rich_help_panel=SELECTION,
+    ),
+]
+Window = Annotated[
+    int,
+    typer.Option(min=0, metavar="N", help="First sweep of a sensor log that is taken.", rich_help_panel=SELECTION),
+]
+Stride = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="More windows of a sensor log, N sweeps from one to the next.",
+        rich_help_panel=SELECTION,
+    ),
+]
 Scenes = Annotated[
     list[Path],
     typer.Argument(metavar="SCENE", help="Scenario folders, split folders or data-set roots.", show_default=False),

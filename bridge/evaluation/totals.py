@@ -6,7 +6,6 @@ from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +15,7 @@ from bridge.evaluation.critique import critique
 from bridge.evaluation.diversity import Diversity
 from bridge.evaluation.samples import Samples
 from bridge.evaluation.scene_metrics import SceneMeasures
+from bridge.recordings.folders import Address
 from hid2.evaluation.metrics import Section, metrics_in
 from hid2.evaluation.realism import FEATURES, TAIL_SHARES, TAILS, RealismCounts, quantiles
 
@@ -239,7 +239,7 @@ class Evaluation:
     """
 
     totals: Totals = field(default_factory=Totals)
-    failures: list[tuple[Path, str]] = field(default_factory=list)
+    failures: list[tuple[Address, str]] = field(default_factory=list)
     metrics: dict[str, Any] = field(default_factory=dict)
 
 
