@@ -34,8 +34,8 @@ from scipy.spatial.transform import Rotation
 from bridge.files import one_line, read_regular
 from bridge.recordings import limits
 from bridge.recordings.folders import Source
+from bridge.recordings.log_files import ANNOTATIONS, MAP_NAME, POSES, maps_of
 from bridge.recordings.map_rules import graph_of, read_document
-from bridge.recordings.readers.sensor_log import ANNOTATIONS, MAP_NAME, POSES, SensorLog, maps_of
 from bridge.recordings.recording import AV_ID, Recording
 from bridge.recordings.scenario import REQUIRED_COLUMNS, split_rows
 from hid2.agents import BoxSize, FloatArray
@@ -114,7 +114,7 @@ def read(source: Source) -> Recording:
         split=source.split,
         observed_steps=OBSERVED_STEPS,
         step_s=STEP_S,
-        format=SensorLog.name,
+        format="sensor_log",
         provenance="human",
         sizes=sizes,
         map_json=json.dumps(document).encode(),

@@ -1,19 +1,15 @@
 """Argoverse 2 sensor logs: where their files are; `bridge.recordings.sensor_log` reads them."""
 
 import fnmatch
-import re
 import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Reader, Source, split_of
+from bridge.recordings.folders import Address, Choices, Reader, Source, split_of
+from bridge.recordings.log_files import ANNOTATIONS, MAP_NAME, POSES, maps_of
 
 if TYPE_CHECKING:
     from bridge.recordings.recording import Recording
-
-ANNOTATIONS, POSES = "annotations*.feather", "city_SE3_egovehicle.feather"
-#: Log, city and number in the name of a log's map.
-MAP_NAME = re.compile(r"log_map_archive_(.+)____([A-Z]{3})_city_(\d{1,18})")
 
 
 class SensorLog(Reader):
@@ -62,11 +58,6 @@ def window_id(log_id: str, start: int) -> str:
     except ValueError:
         space = uuid.uuid5(uuid.NAMESPACE_DNS, log_id)
     return str(uuid.uuid5(space, str(start)))
-
-
-def maps_of(log: Path) -> list[Path]:
-    """Map files of a log, in its folder map or in its own."""
-    return sorted(log.glob(f"map/{MAP_PATTERN}")) or sorted(log.glob(MAP_PATTERN))
 
 
 def _log_id(log: Path) -> str:
