@@ -21,7 +21,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import savgol_filter
 
-from bridge.recordings.scenario import STEP_S, Scenario, find_sources, read_scenario
+from bridge.recordings.scenario import Scenario
+from bridge.recordings.sources import find_sources, read_recording
 from hid2.measures.arrays import SceneArrays, stack
 from hid2.measures.driven_lanes import LaneView, runs_of
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
@@ -90,7 +91,10 @@ def fit(medians: Mapping[str, FloatArray]) -> dict[str, Fit]:
 
 def turns_of(scenario: Scenario) -> Turns:
     """Turns of a scene's recorded vehicles."""
-    arrays, lanes = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=STEP_S), flatten_lanes(scenario.graph)
+    arrays, lanes = (
+        stack(scenario.tracks, num_steps=scenario.num_steps, step_s=scenario.step_s),
+        flatten_lanes(scenario.graph),
+    )
     matches, _ = match_lanes(arrays, lanes)
     view, found = LaneView(arrays, lanes, matches), Turns()
     for agent in np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.fragment).tolist():
@@ -163,7 +167,7 @@ def report(turns: Turns, scenes: int, *, prior: Turn) -> tuple[Turn, list[str]]:
 
 def _scenarios(paths: Sequence[Path]) -> Iterator[Scenario]:
     for folder in find_sources(paths):
-        yield read_scenario(folder)
+        yield read_recording(folder)
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from netconvert.cells import Cell, CellGrid
 from netconvert.errors import NetError
+from netconvert.geo import CityOrigin
 from netconvert.geometry import FloatArray
 from netconvert.lane_graph import SIDES, LaneSegment, TurnType
 
@@ -26,15 +27,18 @@ _MIN_STEP_M = 1e-3
 _DIRECTION = {TurnType.STRAIGHT: "s", TurnType.LEFT: "l", TurnType.RIGHT: "r"}
 
 
-def net_bytes(grid: CellGrid, *, speed_limit_mps: float = SPEED_LIMIT_MPS) -> bytes:
-    """The net.xml of a grid, in city coordinates. Equal grids give equal bytes."""
+def net_bytes(grid: CellGrid, *, speed_limit_mps: float = SPEED_LIMIT_MPS, origin: CityOrigin | None = None) -> bytes:
+    """The net.xml of a grid, in city coordinates. Equal grids give equal bytes.
+
+    origin: of the city frame; with it the net has a geo-reference, so that it lies on a map.
+    """
     rows = tuple(grid.rows())
     edge_ids = [grid.edge_id(row[0]) for row in rows]
     place = {cell: (edge, index) for edge, row in enumerate(rows) for index, cell in enumerate(row)}
     links = _links(grid, rows, place)
     names = _junction_names(len(rows), [(from_edge, to_edge) for from_edge, _, to_edge, _, _ in links])
 
-    text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', _location(grid)]
+    text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', _location(grid, origin)]
     templates = {lane_id: _lane_attributes(grid, lane, speed_limit_mps) for lane_id, lane in grid.graph.lanes.items()}
     shapes = {lane_id: _cell_shapes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
     closed = {
@@ -126,11 +130,18 @@ def _junctions(
     ]
 
 
-def _location(grid: CellGrid) -> str:
+def _location(grid: CellGrid, origin: CityOrigin | None) -> str:
     points = np.concatenate([lane.centerline for lane in grid.graph.lanes.values()])
     (left, bottom), (right, top) = points.min(axis=0), points.max(axis=0)
     boundary = f"{left:.2f},{bottom:.2f},{right:.2f},{top:.2f}"
-    return f'  <location netOffset="0.00,0.00" convBoundary="{boundary}" origBoundary="{boundary}" projParameter="!"/>'
+    if origin is None:
+        offset, original, projection = "0.00,0.00", boundary, "!"
+    else:  # SUMO: net = projected + offset; the original boundary is in the projection, before the offset
+        east, north, projection = origin.easting_m, origin.northing_m, origin.projection
+        offset = f"{-east:.4f},{-north:.4f}"
+        original = f"{left + east:.2f},{bottom + north:.2f},{right + east:.2f},{top + north:.2f}"
+    places = f'netOffset="{offset}" convBoundary="{boundary}" origBoundary="{original}"'
+    return f'  <location {places} projParameter="{projection}"/>'
 
 
 def _lane_attributes(grid: CellGrid, lane: LaneSegment, speed_limit_mps: float) -> str:

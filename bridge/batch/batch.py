@@ -30,12 +30,12 @@ from bridge.batch.manifest import (
     code_version,
     files_sha256,
     output_files,
-    source_files,
 )
 from bridge.batch.quarantine import MAX_TIMEOUT_S, Bundle, read_bundle, write_bundle
 from bridge.config import check_no_flow, config_sha256, new_scenario_id
 from bridge.files import explained, one_line
-from bridge.recordings.folders import SPLITS, source_id, split_of
+from bridge.recordings.folders import SPLITS, Address, sequence_path, source_id, split_of, sumo_folder
+from bridge.recordings.sources import source_files
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportError
 
@@ -61,18 +61,20 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class SceneJob:
-    """A source scene (its folder) and the runs on it, which share its map, net and replay."""
+    """A recording and the runs on it, which share its map, net and replay."""
 
-    folder: Path
+    folder: Address
     runs: tuple[Run, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a scene is read and where its results are written."""
+    """Where a recording is read and where its results are written, beside out in other formats that were asked for."""
 
-    folder: Path
+    folder: Address
     out: Path
+    argoverse1: bool = False
+    sumo: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +82,7 @@ class Options:
     """How a batch runs. Errors: ConfigError.
 
     scheduler: address of a Dask scheduler; resume: skip what is complete and unchanged; memory_mb: what a scene may
-    take.
+    take; argoverse1: write sequences of Argoverse 1 as well; sumo: folder for files of SUMO.
     """
 
     jobs: int = 1
@@ -90,6 +92,8 @@ class Options:
     function: str = GENERATE
     recycle_after: int = 200
     memory_mb: int = MEMORY_MB
+    argoverse1: bool = False
+    sumo: Path | None = None
 
     def __post_init__(self) -> None:
         """Refuse a time that would never come."""
@@ -124,8 +128,8 @@ class Progress:
         return made / max(time.monotonic() - self.began, 1e-9) if made else 0.0
 
 
-def plan(folders: Iterable[Path], config: Config) -> list[SceneJob]:
-    """One job for every scene folder, with the variants that the configuration asks for.
+def plan(folders: Iterable[Address], config: Config) -> list[SceneJob]:
+    """One job for every recording, with the variants that the configuration asks for.
 
     The number of variants is taken out of each run's configuration: variant 0 is the same scene however many there are.
     """
@@ -162,7 +166,7 @@ def run_batch(
         manifest = Manifest(out_dir)
         written = _Written(manifest, out_dir)
         written.check(jobs)
-        sources: dict[Path, str] = {}
+        sources: dict[Address, str] = {}
         tasks = _tasks(jobs, out_dir, options, manifest, sources, lambda row: note(row, skipped=True))
 
         def note(row: ManifestRow, *, skipped: bool = False) -> None:
@@ -277,7 +281,7 @@ def remove_half_written(out_dir: Path) -> None:
 
 def _check_places(jobs: Sequence[SceneJob], out_dir: Path) -> None:
     """Raise ConfigError where two scenes would be written to one place, or beside the sources."""
-    taken: dict[tuple[str, str], Path] = {}
+    taken: dict[tuple[str, str], Address] = {}
     for folder in dict.fromkeys(job.folder.absolute() for job in jobs):
         split, real = split_of(folder) or "", folder.resolve()
         if real.parent in (out_dir, out_dir / split):
@@ -293,17 +297,21 @@ def _tasks(
     out_dir: Path,
     options: Options,
     manifest: Manifest,
-    sources: dict[Path, str],
+    sources: dict[Address, str],
     skip: Callable[[ManifestRow], None],
 ) -> Iterator[Task]:
     """Yield a task for every job that has something to do; called as workers become free."""
     for job in jobs:
-        place = Place(job.folder.absolute(), out_dir)
+        place = Place(job.folder.absolute(), out_dir, options.argoverse1, options.sumo)
         source_sha256 = _digest(place.folder)
         wanted = []
         for run in job.runs:
             row = manifest.get(base_row(place, run).key) if options.resume else None
-            if row is not None and _is_complete(row, base_row(place, run), out_dir, source_sha256, options):
+            if (
+                row is not None
+                and _is_complete(row, base_row(place, run), out_dir, source_sha256, options)
+                and _has_formats(row, place)
+            ):
                 skip(row)
             else:
                 wanted.append(run)
@@ -312,12 +320,12 @@ def _tasks(
             yield Task(place.folder.name, options.function, place, tuple(wanted))
 
 
-def _name(folder: Path) -> str:
-    """What a scene is called in the manifest: its folder's name, with bytes that are no text escaped."""
+def _name(folder: Address) -> str:
+    """What a recording is called in the manifest: its folder's name, with bytes that are no text escaped."""
     return one_line(folder.name, most=MAX_TEXT)
 
 
-def _digest(folder: Path) -> str:
+def _digest(folder: Address) -> str:
     """Digest of a source; "" where it cannot be read: the scene is tried, and says why."""
     try:
         return files_sha256(source_files(folder))
@@ -335,6 +343,14 @@ def _is_complete(row: ManifestRow, base: ManifestRow, out_dir: Path, source_sha2
         and row.output_sha256 != ""
         and row.output_sha256 == files_sha256(output_files(folder))
         and (extra is None or any(folder.glob(extra)))
+    )
+
+
+def _has_formats(row: ManifestRow, place: Place) -> bool:
+    """Whether what was asked for in other formats is there."""
+    new_id, split = Path(row.folder).name, row.split or None
+    return (not place.argoverse1 or sequence_path(place.out, split, new_id).is_file()) and (
+        place.sumo is None or sumo_folder(place.sumo, split, new_id).is_dir()
     )
 
 

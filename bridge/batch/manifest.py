@@ -244,12 +244,6 @@ def code_version() -> str:
     return f"{installed_version('hid2-sumo')}+{digest.hexdigest()[:12]}"
 
 
-def source_files(folder: Path) -> list[Path]:
-    """The regular files of a scenario folder that a generated scene depends on."""
-    patterns = ("scenario_*.parquet", "log_map_archive_*.json", "hid2_*.json", "agent_sizes.csv")
-    return [path for pattern in patterns for path in folder.glob(pattern) if path.is_file()]
-
-
 def output_files(folder: Path) -> list[Path]:
     """All regular files of a written scenario folder."""
     return [Path(entry.path) for entry in os.scandir(folder) if entry.is_file()] if folder.is_dir() else []

@@ -11,15 +11,17 @@ import zipfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeGuard
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bridge.batch.isolation import Failure, FailureKind
 from bridge.config import config_from_dict, config_to_dict
 from bridge.files import MAX_FILE_MB, beside, one_line, printable, read_regular
+from bridge.recordings.folders import Address, Choices, Source
+from bridge.recordings.sources import find_one, source_files
 from hid2.params import Config
-from netconvert.errors import BatchError, ConfigError
+from netconvert.errors import BatchError, ConfigError, NoSceneError
 
 #: Functions that a bundle may ask for: any other has to be named by the person who runs it.
 OWN_WORK = frozenset(
@@ -53,6 +55,8 @@ class _Request(_Strict):
     scenario: str
     split: Literal["train", "val", "test"] | None
     variant: Annotated[int, Field(ge=0, le=1_000_000)]
+    start: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    map: Annotated[str, Field(max_length=255)] | None = None
     timeout_s: Annotated[float, Field(ge=1, le=MAX_TIMEOUT_S)]
     function: Annotated[str, Field(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", max_length=200)]
     config: dict[str, Any]
@@ -68,9 +72,9 @@ class _Seen(_Strict):
 
 @dataclass(frozen=True, slots=True)
 class Bundle:
-    """A failed run. folder: the source scene's; function: what ran it; split: of the source, None without one."""
+    """A failed run. folder: of the recording; function: what ran it; split: of the source, None without one."""
 
-    folder: Path
+    folder: Address
     split: str | None
     config: Config
     variant: int
@@ -87,7 +91,8 @@ def write_bundle(bundle: Bundle, path: Path) -> None:
     """
     files: dict[str, bytes] = {}
     left_out: list[str] = []
-    for entry in sorted(bundle.folder.iterdir()) if bundle.folder.is_dir() else []:
+    source = bundle.folder if isinstance(bundle.folder, Source) else None
+    for entry in _entries(bundle.folder):
         name = one_line(entry.name, most=200)
         try:
             if len(files) + len(left_out) >= MAX_MEMBERS - 3 or name.startswith("."):
@@ -103,6 +108,8 @@ def write_bundle(bundle: Bundle, path: Path) -> None:
         scenario=one_line(bundle.folder.name, most=200),
         split=bundle.split,  # type: ignore[arg-type]  # of split_of
         variant=bundle.variant,
+        start=source.start if source is not None else 0,
+        map=source.map_path.name if source is not None and _is_file(source.map_path) else None,
         timeout_s=bundle.timeout_s,
         function=bundle.function,
         config=config_to_dict(bundle.config),
@@ -141,6 +148,7 @@ def read_bundle(path: Path, into: Path, *, function: str | None = None) -> Bundl
             for name, member in members.items():
                 if name.startswith(_SCENE):
                     (folder / _plain(name.removeprefix(_SCENE))).write_bytes(archive.read(member))
+            address = _unpacked(folder, request)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         field = ".".join(str(part) for part in first["loc"]) or "the file"
@@ -161,7 +169,7 @@ def read_bundle(path: Path, into: Path, *, function: str | None = None) -> Bundl
     ) as error:
         raise BatchError(_no_bundle(path, str(error))) from error
     return Bundle(
-        folder=folder,
+        folder=address,
         split=request.split,
         config=config,
         variant=request.variant,
@@ -170,6 +178,26 @@ def read_bundle(path: Path, into: Path, *, function: str | None = None) -> Bundl
         failure=Failure(seen.kind, one_line(seen.message, most=_MOST_REASON), details),
         version=one_line(request.version, most=200),
     )
+
+
+def _entries(address: Address) -> list[Path]:
+    """What goes into a bundle: all in a scene's folder, which may be damaged; of another format what is read."""
+    if isinstance(address, Source):
+        return source_files(address)
+    return sorted(address.iterdir()) if address.is_dir() else []
+
+
+def _is_file(path: Path | None) -> TypeGuard[Path]:
+    return path is not None and path.is_file()
+
+
+def _unpacked(folder: Path, request: _Request) -> Address:
+    """The recording in an unpacked scene; the folder itself where none is recognised: reading it says why."""
+    try:
+        map_path = None if request.map is None else folder / _plain(request.map)
+        return find_one(folder, Choices(map_path, request.start))
+    except (NoSceneError, ConfigError):
+        return folder
 
 
 def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:

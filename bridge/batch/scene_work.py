@@ -9,8 +9,11 @@ from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare, write
-from bridge.recordings.scenario import read_scenario
+from bridge.recordings.folders import sumo_folder
+from bridge.recordings.sequence import write_sequence
 from bridge.recordings.sidecar import Sidecar
+from bridge.recordings.sources import read_recording
+from bridge.sumo.exchange import write_sumo
 from hid2.agents import Policy
 from hid2.params import Grid
 
@@ -26,8 +29,17 @@ _check_libsumo()
 
 
 def generate_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
-    """Generate and write each run."""
-    return run_each(place, runs, lambda scene: write(scene, place.out))
+    """Generate and write each run, in the other formats that were asked for as well."""
+    return run_each(place, runs, lambda scene: _write(scene, place))
+
+
+def _write(scene: GeneratedScene, place: Place) -> Path:
+    if place.argoverse1:
+        write_sequence(scene.scenario, scene.generated, place.out, new_id=scene.new_id)
+    folder = write(scene, place.out)
+    if place.sumo is not None:
+        write_sumo(folder, sumo_folder(place.sumo, scene.scenario.split, scene.new_id))
+    return folder
 
 
 def generate_and_record_gaps(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
@@ -42,7 +54,7 @@ def run_each(
     scenario, unreadable = None, None
     prepared: dict[Grid, PreparedScene] = {}
     try:
-        scenario = read_scenario(place.folder)
+        scenario = read_recording(place.folder)
     except Exception as error:  # noqa: BLE001  # every run of the scene is quarantined with it
         unreadable = describe_error(error)
     for run in runs:

@@ -22,7 +22,9 @@ from bridge.cli.options import (
     ConfigFile,
     EventName,
     FocalName,
+    FormatName,
     Jobs,
+    MapChoice,
     Memory,
     MinAgents,
     Quiet,
@@ -32,11 +34,13 @@ from bridge.cli.options import (
     Scheduler,
     Settings,
     Split,
+    Stride,
     Timeout,
     Verbose,
+    Window,
 )
 from bridge.cli.places import check_out, check_scenes
-from bridge.cli.session import select_scenes, set_up
+from bridge.cli.session import select_scenes, set_up, tell_formats
 from bridge.console import Activity, print_json
 from netconvert.errors import ConfigError
 
@@ -197,6 +201,24 @@ def generate(  # noqa: PLR0913  # one for each option
     split: Split = [],  # noqa: B006
     can: Can = [],  # noqa: B006
     sample: Sample = None,
+    map_path: MapChoice = None,
+    window: Window = 0,
+    stride: Stride = None,
+    formats: Annotated[
+        list[FormatName],
+        typer.Option(
+            "--format",
+            help="A format to write beside Argoverse 2's: sequences in OUT/argoverse1. Repeatable.",
+            rich_help_panel=OUTPUT,
+            show_default=False,
+        ),
+    ] = [],  # noqa: B006
+    sumo: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Write files for SUMO as well: net, routes, FCD output.", rich_help_panel=OUTPUT
+        ),
+    ] = None,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     scene_timeout: Timeout = 300.0,
@@ -235,9 +257,12 @@ def generate(  # noqa: PLR0913  # one for each option
         raise ConfigError(f"missing {' and '.join(missing)} (see hid2 generate --help)")
     check_scenes(scenes)
     check_out(out)
+    if sumo is not None:
+        check_out(sumo)
     with Activity(quiet=quiet) as activity:
         from bridge.config import load_config, parse_behaviours, parse_events, parse_trigger_time, read_drivers
-        from bridge.recordings.folders import find_sources
+        from bridge.recordings.folders import Choices, Source
+        from bridge.recordings.sources import find_sources
 
         flags: dict[str, object] = {
             "request.agents": None if agents is None else _agents(agents),
@@ -259,7 +284,15 @@ def generate(  # noqa: PLR0913  # one for each option
         flags |= parse_events([str(kind) for kind in event], event_values, criticality)
         resolved = load_config(config, settings, {key: value for key, value in flags.items() if value is not None})
         activity.doing("looking for scenes")
-        folders = find_sources(scenes)
+        folders = find_sources(scenes, Choices(map_path, window, stride))
+        tell_formats(folders, activity)
+        others = [f for f in folders if not (isinstance(f, Source) and f.format == "argoverse1")]
+        if formats and others:
+            raise ConfigError(f"--format argoverse1: {others[0]} is no Argoverse 1 sequence, expected these alone")
+        if formats and resolved.request.focal == "generated":
+            raise ConfigError(
+                "--format argoverse1 with --focal generated: its AGENT is recorded, expected one of the two"
+            )
         if min_agents or city or split or can or sample:  # else nothing need be imported that reads scenes
             from bridge.batch.scan import Selection
 
@@ -275,11 +308,14 @@ def generate(  # noqa: PLR0913  # one for each option
         options = Options(
             jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume, memory_mb=scene_memory,
             function=GENERATE_WITH_GAPS if record else GENERATE,
+            argoverse1=bool(formats), sumo=sumo.resolve() if sumo is not None else None,
         )  # fmt: skip
         notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")
+        jobs_wanted = plan(folders, resolved)
+        activity.show(0, sum(len(job.runs) for job in jobs_wanted))
         try:
-            rows = run_batch(plan(folders, resolved), out, options, on_row=notes.note)
+            rows = run_batch(jobs_wanted, out, options, on_row=notes.note)
         except KeyboardInterrupt:
             activity.message(f"interrupted; finished scenes are in {out / 'manifest.csv'}, continue with --resume")
             raise typer.Exit(INTERRUPTED) from None

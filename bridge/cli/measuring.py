@@ -13,11 +13,14 @@ from bridge.cli.options import (
     SOME_FAILED,
     ExperimentName,
     Jobs,
+    MapChoice,
     Out,
     Quiet,
     Scheduler,
+    Stride,
     Timeout,
     Verbose,
+    Window,
 )
 from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import set_up, unread_text
@@ -26,7 +29,7 @@ from netconvert.errors import ConfigError
 
 
 @command()
-def evaluate(
+def evaluate(  # noqa: PLR0913  # one for each option
     out: Annotated[
         Path,
         typer.Argument(
@@ -67,6 +70,9 @@ def evaluate(
     bands: Annotated[
         str, typer.Option(metavar="N,N,...", help="With --predictions: bands of scenes with more agents than each N.")
     ] = "50,70,90",
+    map_path: MapChoice = None,
+    window: Window = 0,
+    stride: Stride = None,
     jobs: Jobs = 1,
     as_json: Annotated[
         bool,
@@ -83,6 +89,7 @@ def evaluate(
         raise typer.Exit(_score(out, predictions, bands, report, as_json=as_json, quiet=quiet))
     with Activity(quiet=quiet) as activity:
         from bridge.evaluation.evaluate import evaluate_folder
+        from bridge.recordings.folders import Choices
 
         activity.doing("measuring scenes")
 
@@ -91,7 +98,15 @@ def evaluate(
             if done == total:
                 activity.doing("writing the report")
 
-        evaluation = evaluate_folder(out, report_dir=report, source=source, control=control, jobs=jobs, on_scene=show)
+        evaluation = evaluate_folder(
+            out,
+            report_dir=report,
+            source=source,
+            choices=Choices(map_path, window, stride),
+            control=control,
+            jobs=jobs,
+            on_scene=show,
+        )
         for folder, reason in evaluation.failures:
             activity.message(unread_text(folder, reason))
     if not quiet:
@@ -184,6 +199,7 @@ def study(
         found = read_study(file, scenes=scenes)
         notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")
+        activity.show(0, sum(len(job.runs) for job in found.jobs))
         try:
             report = run_study(found, out, options, on_row=notes.note)
         except KeyboardInterrupt:
@@ -212,15 +228,21 @@ def make(
 
 
 @command()
-def paper(
+def paper(  # noqa: PLR0913  # one for each option
     experiment: Annotated[
         ExperimentName, typer.Argument(metavar="EXPERIMENT", help="One of table1, ablation, density, diversity.")
     ],
     out: Out,
     *,
     scenes: Annotated[
-        Path, typer.Option(metavar="DIR", help="Recorded scenes; diversity needs real ones of over 40 agents.")
+        Path,
+        typer.Option(
+            metavar="DIR", help="Recordings; diversity needs real ones of over 40 agents for the paper's part."
+        ),
     ] = Path("data/av2"),
+    map_path: MapChoice = None,
+    window: Window = 0,
+    stride: Stride = None,
     seeds: Annotated[int, typer.Option(min=1, metavar="N", help="Seeds per scene.")] = 10,
     agents: Annotated[int, typer.Option(min=0, metavar="N", help="Vehicles added, except in density.")] = 10,
     jobs: Jobs = 1,
@@ -233,11 +255,13 @@ def paper(
     check_out(out)
     with Activity(quiet=quiet) as activity:
         from bridge.evaluation.paper import run_experiment
+        from bridge.recordings.folders import Choices
 
         activity.doing("generating and measuring")
         page = run_experiment(
-            experiment, scenes=scenes, out_dir=out, seeds=seeds, agents=agents, jobs=jobs, on_scene=activity.show
-        )
+            experiment, scenes=scenes, out_dir=out, choices=Choices(map_path, window, stride), seeds=seeds,
+            agents=agents, jobs=jobs, on_scene=activity.show,
+        )  # fmt: skip
     print(page)
 
 

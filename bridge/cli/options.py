@@ -13,14 +13,46 @@ REQUEST, EVENTS, SELECTION = "What to generate", "Events", "Which scenes"
 PARAMETERS, RUNNING, OUTPUT = "Parameters", "Running", "Output"
 
 # Choices, written out because what they mirror is slow to import; tests/cli/test_options.py compares them.
-BehaviourName = StrEnum("BehaviourName", ["STRAIGHT", "LEFT_TURN", "RIGHT_TURN", "LANE_CHANGE", "OVERTAKE"])
 EventName = StrEnum("EventName", ["CUT_IN", "OVERTAKE", "LEAD", "FOLLOW", "MERGE", "CROSS"])
+CanName = StrEnum(
+    "CanName",
+    {
+        "STRAIGHT": "straight", "LEFT_TURN": "left_turn", "RIGHT_TURN": "right_turn", "LANE_CHANGE": "lane_change",
+        "OVERTAKE": "overtake", "CUT_IN_AV": "cut_in:av", "CUT_IN_FOCAL": "cut_in:focal", "OVERTAKE_AV": "overtake:av",
+        "OVERTAKE_FOCAL": "overtake:focal", "LEAD_AV": "lead:av", "LEAD_FOCAL": "lead:focal", "FOLLOW_AV": "follow:av",
+        "FOLLOW_FOCAL": "follow:focal", "MERGE_AV": "merge:av", "MERGE_FOCAL": "merge:focal", "CROSS_AV": "cross:av",
+        "CROSS_FOCAL": "cross:focal",
+    },
+)  # fmt: skip
 ComponentName = StrEnum("ComponentName", ["TOPOLOGY", "COLLISION", "SMOOTHING"])
 SplitName = StrEnum("SplitName", ["TRAIN", "VAL", "TEST"])
+FormatName = StrEnum("FormatName", ["ARGOVERSE1"])
 RecordName = StrEnum("RecordName", ["GAPS"])
 FocalName = Literal["recorded", "generated"]
 ExperimentName = Literal["table1", "ablation", "density", "diversity"]
 
+MapChoice = Annotated[
+    Path | None,
+    typer.Option(
+        "--map",
+        metavar="MAP",
+        help="An Argoverse 2 map, or a scene's folder with one, for Argoverse 1 sequences without their city's map.",
+        rich_help_panel=SELECTION,
+    ),
+]
+Window = Annotated[
+    int,
+    typer.Option(min=0, metavar="N", help="First sweep of a sensor log that is taken.", rich_help_panel=SELECTION),
+]
+Stride = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="More windows of a sensor log, N sweeps from one to the next.",
+        rich_help_panel=SELECTION,
+    ),
+]
 Scenes = Annotated[
     list[Path],
     typer.Argument(metavar="SCENE", help="Scenario folders, split folders or data-set roots.", show_default=False),
@@ -104,9 +136,11 @@ Split = Annotated[
     typer.Option(help="Only scenes of this split; repeatable.", rich_help_panel=SELECTION, show_default=False),
 ]
 Can = Annotated[
-    list[BehaviourName],
+    list[CanName],
     typer.Option(
-        help="Only maps with room for this manoeuvre; repeatable.", rich_help_panel=SELECTION, show_default=False
+        help="Only scenes with room for this manoeuvre or event; repeatable.",
+        rich_help_panel=SELECTION,
+        show_default=False,
     ),
 ]
 Sample = Annotated[

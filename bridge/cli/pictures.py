@@ -6,14 +6,14 @@ from typing import Annotated
 import typer
 
 from bridge.cli.app import command
-from bridge.cli.options import OUTPUT, Quiet, Scene, Verbose
+from bridge.cli.options import OUTPUT, MapChoice, Quiet, Scene, Verbose, Window
 from bridge.cli.places import check_one_scene, check_out_file
 from bridge.cli.session import set_up
 from bridge.console import Activity, say
 
 Step = Annotated[
     int | None,
-    typer.Option(min=0, metavar="N", help="Timestep of a picture.", show_default="the last observed one, 49"),
+    typer.Option(min=0, metavar="N", help="Timestep of a picture.", show_default="the last observed one"),
 ]
 
 
@@ -42,6 +42,8 @@ def render(
     ] = None,
     cells: Annotated[bool, typer.Option("--cells", metavar="", help="Show the cells of the lanes.")] = False,
     step: Step = None,
+    map_path: MapChoice = None,
+    window: Window = 0,
     verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -53,9 +55,13 @@ def render(
     check_out_file(out)
     with Activity(quiet=quiet) as activity:
         from bridge.pictures.render import render_scene
+        from bridge.recordings.folders import Choices
+        from bridge.recordings.sources import find_one
 
         activity.doing("drawing")
-        written = render_scene(scene, out, source=source, agent=agent, cells=cells, step=step, on_frame=activity.show)
+        choices = Choices(map_path, window)
+        found, before = find_one(scene, choices), None if source is None else find_one(source, choices)
+        written = render_scene(found, out, source=before, agent=agent, cells=cells, step=step, on_frame=activity.show)
     if not quiet:
         print(written)
 
@@ -71,6 +77,8 @@ def plot(
     ],
     agent: Annotated[str, typer.Option(metavar="ID", help="The track, for example gen_0.")],
     *,
+    map_path: MapChoice = None,
+    window: Window = 0,
     verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -80,8 +88,10 @@ def plot(
     check_out_file(out)
     with Activity("drawing", quiet=quiet):
         from bridge.pictures.plot import plot_agent
+        from bridge.recordings.folders import Choices
+        from bridge.recordings.sources import find_one
 
-        written = plot_agent(scene, agent, out)
+        written = plot_agent(find_one(scene, Choices(map_path, window)), agent, out)
     if not quiet:
         print(written)
 
@@ -98,6 +108,8 @@ def gui(
         typer.Option(metavar="FILE.png", help="Take a picture, then close the window.", rich_help_panel=OUTPUT),
     ] = None,
     step: Step = None,
+    map_path: MapChoice = None,
+    window: Window = 0,
     verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -107,13 +119,17 @@ def gui(
     if screenshot is not None:
         check_out_file(screenshot)
     with Activity("starting sumo-gui", quiet=quiet) as activity:
+        from bridge.recordings.folders import Choices
+        from bridge.recordings.sources import find_one
         from bridge.sumo.gui import play_scene
+
+        found = find_one(scene, Choices(map_path, window))
 
         def shown() -> None:
             activity.end()
             if screenshot is None and not quiet:
                 say("sumo-gui waits at the first step: play with Ctrl+A, stop with Ctrl+S, close the window to end")
 
-        picture = play_scene(scene, speed=speed, screenshot=screenshot, step=step, on_shown=shown)
+        picture = play_scene(found, speed=speed, screenshot=screenshot, step=step, on_shown=shown)
     if picture is not None and not quiet:
         print(picture)

@@ -16,9 +16,9 @@ _LOOKED_AT = 20
 
 
 def check_scenes(paths: Sequence[Path]) -> None:
-    """Errors: ConfigError for a path that is a file, with what to give instead."""
+    """Errors: ConfigError for a path that is a file and no recording, with what to give instead."""
     for path in paths:
-        if path.is_file():
+        if path.is_file() and path.suffix != ".csv":
             raise ConfigError(f"{path}: is a file, expected a folder; {_instead_of_file(path)}")
 
 
@@ -27,6 +27,8 @@ def check_one_scene(path: Path, *, map_file: bool = False) -> None:
     if map_file and path.is_file() and path.suffix == ".json":
         return
     check_scenes([path])
+    if path.is_file():
+        return
     if not path.is_dir():
         raise ConfigError(f"{path}: no such folder, expected a scenario folder")
     if not _is_scene(path):

@@ -15,6 +15,7 @@ from bridge.cli.options import (
     Can,
     City,
     Jobs,
+    MapChoice,
     MinAgents,
     Out,
     Quiet,
@@ -22,10 +23,12 @@ from bridge.cli.options import (
     Scene,
     Scenes,
     Split,
+    Stride,
     Verbose,
+    Window,
 )
 from bridge.cli.places import check_one_scene, check_out, check_out_file, check_scenes
-from bridge.cli.session import set_up, unread_text, with_cities_of
+from bridge.cli.session import set_up, tell_formats, unread_text, with_cities_of
 from bridge.console import Activity, counted, print_json, print_table, say
 
 
@@ -41,6 +44,7 @@ def validate(
     source: Annotated[
         Path | None, typer.Option(metavar="DIR", help="The source scenes, to compare recorded tracks with.")
     ] = None,
+    map_path: MapChoice = None,
     as_json: AsJson = False,
     verbose: Verbose = 0,
     quiet: Quiet = False,
@@ -53,7 +57,7 @@ def validate(
         from bridge.recordings.validate import validate_folder
 
         scenes = len(find_scenarios(out))
-        findings = validate_folder(out, source=source)
+        findings = validate_folder(out, source=source, map_path=map_path)
     if as_json:
         print_json(("file", "rule", "message"), findings)
     else:
@@ -83,6 +87,9 @@ def scan(  # noqa: PLR0913  # one for each option
     can: Can = [],  # noqa: B006
     sample: Sample = None,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of --sample.", rich_help_panel=SELECTION)] = 0,
+    map_path: MapChoice = None,
+    window: Window = 0,
+    stride: Stride = None,
     jobs: Jobs = 1,
     as_json: AsJson = False,
     verbose: Verbose = 0,
@@ -96,9 +103,11 @@ def scan(  # noqa: PLR0913  # one for each option
     with Activity(quiet=quiet) as activity:
         from bridge.batch.scan import SceneFacts, Selection, facts_of, select, write_facts
         from bridge.files import make_folder
-        from bridge.recordings.folders import find_scenarios
+        from bridge.recordings.folders import Choices
+        from bridge.recordings.sources import find_recordings
 
-        folders = list(dict.fromkeys(folder for path in scenes for folder in find_scenarios(path)))
+        folders = find_recordings(scenes, Choices(map_path, window, stride))
+        tell_formats(folders, activity)
         if out is not None:
             make_folder(out.parent)
         activity.doing("reading scenes")
@@ -118,8 +127,17 @@ def scan(  # noqa: PLR0913  # one for each option
 
 
 @command()
-def net(scene: Scene, out: Out, *, as_json: AsJson = False, verbose: Verbose = 0, quiet: Quiet = False) -> None:
-    """Write the lane graph as a SUMO net of 4 m cells, with files to play the scene in sumo-gui, and a report.
+def net(
+    scene: Scene,
+    out: Out,
+    *,
+    map_path: MapChoice = None,
+    window: Window = 0,
+    as_json: AsJson = False,
+    verbose: Verbose = 0,
+    quiet: Quiet = False,
+) -> None:
+    """Write the lane graph as a SUMO net of 4 m cells, with the scene in SUMO's formats, and a report.
 
     The net is for simulating and looking at, not for editing: every cell ends in a junction, which netedit draws large.
     """
@@ -127,11 +145,18 @@ def net(scene: Scene, out: Out, *, as_json: AsJson = False, verbose: Verbose = 0
     check_one_scene(scene, map_file=True)
     check_out(out)
     with Activity("converting the map", quiet=quiet):
-        from bridge.sumo.net import convert
-        from bridge.sumo.playback import write_playable
+        from bridge.recordings.folders import Choices
+        from bridge.recordings.sources import find_one
 
-        report = convert(scene, out)
-        playable = write_playable(scene, out) if any(scene.glob("scenario_*.parquet")) else None
+        found, playable = find_one(scene, Choices(map_path, window)), None
+        if isinstance(found, Path) and not any(found.glob("scenario_*.parquet")):
+            from bridge.sumo.net import convert
+
+            report = convert(found, out)
+        else:
+            from bridge.sumo.exchange import write_sumo
+
+            report, playable = write_sumo(found, out)
     head = ("what", "value")
     if as_json:
         print_json(head, report.rows())

@@ -6,7 +6,6 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bridge.console import Activity
@@ -14,6 +13,7 @@ from netconvert.errors import ConfigError
 
 if TYPE_CHECKING:
     from bridge.batch.scan import SceneFacts, Selection
+    from bridge.recordings.folders import Address
 
 
 class _Formatter(logging.Formatter):
@@ -41,12 +41,22 @@ def set_up(*, verbose: int = 0, quiet: bool = False) -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def unread_text(folder: Path, reason: str) -> str:
+def unread_text(folder: "Address", reason: str) -> str:
     """A warning about a scene that cannot be read; most reasons name the file themselves."""
     return f"hid2: warning: {reason if reason.startswith(str(folder)) else f'{folder}: {reason}'}"
 
 
-def select_scenes(folders: Sequence[Path], selection: "Selection", activity: Activity, *, jobs: int) -> list[Path]:
+def tell_formats(found: Sequence["Address"], activity: Activity) -> None:
+    """Say what was found that is no Argoverse 2 scene, and what its format lacks, once."""
+    from bridge.recordings.sources import described
+
+    for line in described(found):
+        activity.note(line)
+
+
+def select_scenes(
+    folders: Sequence["Address"], selection: "Selection", activity: Activity, *, jobs: int
+) -> list["Address"]:
     """The scenes that the selection wants. Errors: ConfigError where there is none."""
     from bridge.batch.scan import facts_of, wanted
 

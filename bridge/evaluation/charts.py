@@ -81,8 +81,8 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[int, Estimate]]]], *, of: str) -> Figure:
-    """The paper's figure of added agents: LO, LA, JE, SCR, ORR against the number added; series[metric][group].
+def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[float, Estimate]]]], *, of: str) -> Figure:
+    """The paper's figure of added agents: LO, LA, JE, SCR, ORR against the number placed; series[metric][group].
 
     of: how many scenes and vehicles it is of, in words.
     """
@@ -103,7 +103,7 @@ def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[int, Estimat
                 ax.fill_between(
                     [b[0] for b in band], [b[1] for b in band], [b[2] for b in band], color=color, alpha=0.15
                 )
-        ax.set_xlabel("vehicles asked for")
+        ax.set_xlabel("vehicles placed, mean")
         ax.set_title(labels[metric])
         ax.set_ylim(bottom=0)
         ax.set_xticks(sorted({x for points in groups.values() for x, _ in points}))

@@ -18,9 +18,11 @@ from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import Labelled, Row, SceneMeasures, measure_folders
 from bridge.evaluation.totals import Evaluation, Totals
 from bridge.files import table_file, write_text
+from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Source, find_scenarios, source_id
 from bridge.recordings.map_rules import read_source_map
-from bridge.recordings.scenario import find_scenarios, read_sizes, source_id
+from bridge.recordings.scenario import read_sizes
 from bridge.recordings.sidecar import sidecar_in
+from bridge.recordings.sources import find_recordings, read_recording, source_files
 from hid2.agents import BoxSize
 from hid2.measures.arrays import is_generated_id
 from hid2.params import Limits
@@ -31,7 +33,7 @@ from netconvert.net_xml import net_bytes
 
 _LOG = logging.getLogger(__name__)
 #: Tables that grow as scenes are done.
-_BY_SCENE = ("scenes", "tracks", "maneuvers")
+_BY_SCENE = ("scenes", "tracks", "maneuvers", "events")
 #: Most scenes that a process gets at a time.
 _CHUNK = 40
 
@@ -41,15 +43,18 @@ def evaluate_folder(
     *,
     report_dir: Path,
     source: Path | None = None,
+    choices: Choices | None = None,
     control: Path | None = None,
     jobs: int = 1,
     on_scene: Callable[[int, int], None] | None = None,
 ) -> Evaluation:
-    """Measure every scene below `out`, recorded or generated, and write the report into `report_dir`.
+    """Measure every scene below `out`, recorded in any format or generated, and write the report into `report_dir`.
 
-    Writes metrics.json, scenes.csv, tracks.csv, maneuvers.csv, realism.csv and report.html. "Before" is the source
-    scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded vehicles beside them,
-    else the recorded tracks of the first scene made from each. A scene that cannot be read is listed and left out.
+    Writes metrics.json, scenes.csv, tracks.csv, maneuvers.csv, events.csv, realism.csv and report.html. "Before" is the
+    source scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded vehicles beside
+    them, else the recorded tracks of the first scene made from each. A scene that cannot be read is listed and left
+    out.
+    choices: for recordings of formats that leave something open.
     control: scenes made from the same sources with drivers that the critics must tell, such as SUMO's default ones.
     on_scene(done, total) is called as scenes are done.
     Errors: ScenarioError where there is no scene; ExportError where the report cannot be written.
@@ -57,8 +62,8 @@ def evaluate_folder(
     from bridge.evaluation.report import write_report  # matplotlib: only this half needs it
 
     # by map, so that each is read once, and large ones first: what a process needs at most it needs from the start
-    folders = sorted(find_scenarios(out), key=_map_size, reverse=True)
-    sources = _sources_of(folders, source) if source is not None else {}
+    folders = sorted(find_recordings([out], choices), key=_map_size, reverse=True)
+    sources = _sources_of(folders, source, choices) if source is not None else {}
     controls = sorted(find_scenarios(control), key=_map_size, reverse=True) if control is not None else []
     known = len(folders) + len(sources)
     evaluation = Evaluation(Totals(sources))
@@ -78,12 +83,12 @@ def evaluate_folder(
                 else:
                     totals.add(measures)
                     for table, rows in zip(
-                        tables, ([measures.scene], measures.tracks, measures.maneuvers), strict=True
+                        tables, ([measures.scene], measures.tracks, measures.maneuvers, measures.events), strict=True
                     ):
                         table.write(rows)
                 if on_scene is not None:
                     on_scene(done, known + len(controls))
-        evaluation.metrics = _metrics(evaluation)
+        evaluation.metrics = _metrics(evaluation, {str(folder): folder for folder in folders})
         _write_tables(evaluation.metrics, report_dir)
         write_report(evaluation, report_dir / "report.html")
     except OSError as error:
@@ -97,25 +102,26 @@ def _table(path: Path) -> Iterator["_Table"]:
         yield _Table(stream)
 
 
-def _sources_of(folders: Sequence[Path], source: Path) -> dict[str, Path]:
+def _sources_of(folders: Sequence[Address], source: Path, choices: Choices | None) -> dict[str, Address]:
     """Source scenes of the folders by id, as far as they lie below `source`; it is logged where some do not."""
     ids = set()
     for folder in folders:
         with contextlib.suppress(ScenarioError):  # reported with its scene
-            sidecar = sidecar_in(folder, source_id(folder))
+            sidecar = sidecar_in(folder, source_id(folder)) if isinstance(folder, Path) else None
             ids.add(sidecar.source_scenario_id if sidecar is not None else source_id(folder))
-    found = {source_id(folder): folder for folder in find_scenarios(source)}
+    map_path = choices.map_path if choices is not None else None
+    found = {source_id(folder): folder for folder in find_recordings([source], Choices(map_path, stride=1))}
     if lacking := len(ids - found.keys()):
         _LOG.warning("%s: %d of %d source scenes are not there; their recorded tracks stand", source, lacking, len(ids))
     return {known: found[known] for known in sorted(ids & found.keys())}
 
 
-def _labelled(sources: Mapping[str, Path]) -> Labelled:
+def _labelled(sources: Mapping[str, Address]) -> Labelled:
     """Sizes that lie beside source scenes; a file that cannot be read is reported with its scene."""
     sizes: dict[str, Mapping[str, BoxSize]] = {}
     for name, folder in sources.items():
         with contextlib.suppress(ScenarioError):
-            own = read_sizes(folder)
+            own = read_sizes(folder) if isinstance(folder, Path) else {}
             recorded = {track_id: size for track_id, size in own.items() if not is_generated_id(track_id)}
             if recorded:
                 sizes[name] = recorded
@@ -123,8 +129,8 @@ def _labelled(sources: Mapping[str, Path]) -> Labelled:
 
 
 def _measured(
-    folders: Sequence[Path], labelled: Labelled, *, jobs: int
-) -> Iterator[tuple[Path, SceneMeasures | Failure]]:
+    folders: Sequence[Address], labelled: Labelled, *, jobs: int
+) -> Iterator[tuple[Address, SceneMeasures | Failure]]:
     """Measures of each folder, in the order of the folders whatever the order in which they are done."""
     size = max(1, min(_CHUNK, len(folders) // (4 * jobs)))
     chunks = [tuple(folders[start : start + size]) for start in range(0, len(folders), size)]
@@ -132,7 +138,7 @@ def _measured(
         Task(f"evaluate-{number}", "bridge.evaluation.evaluate:measure", (Limits(), labelled), chunk)
         for number, chunk in enumerate(chunks)
     )
-    waiting: dict[int, list[tuple[Path, bytes | Failure]]] = {}
+    waiting: dict[int, list[tuple[Address, bytes | Failure]]] = {}
     following = 0
     for result in execute_here(tasks, jobs=min(jobs, max(1, len(chunks))), settings=Settings(timeout_s=120)):
         number = int(result.task.key.removeprefix("evaluate-"))
@@ -143,16 +149,17 @@ def _measured(
             following += 1
 
 
-def measure(shared: tuple[Limits, Labelled], folders: Sequence[Path]) -> Iterator[bytes | Failure]:
+def measure(shared: tuple[Limits, Labelled], folders: Sequence[Address]) -> Iterator[bytes | Failure]:
     """The work of a process: measure each folder. A scene is packed, to a tenth: many may wait for one before them."""
     limits, labelled = shared
     for measures in measure_folders(limits, folders, labelled):
         yield measures if isinstance(measures, Failure) else zlib.compress(pickle.dumps(measures), 1)
 
 
-def _map_size(folder: Path) -> int:
+def _map_size(folder: Address) -> int:
     """Bytes of a scene's map: scenes in this order have those of one map together, so that it is read once."""
-    return sum(path.stat().st_size for path in folder.glob("log_map_archive_*.json"))
+    maps = folder.glob(MAP_PATTERN) if isinstance(folder, Path) else source_files(folder)[1:]
+    return sum(path.stat().st_size for path in maps)
 
 
 class _Table:
@@ -190,18 +197,23 @@ def _write_tables(metrics: Mapping[str, Any], report_dir: Path) -> None:
     write_table(report_dir / "realism.csv", metrics["realism"]["distances"])
 
 
-def _metrics(evaluation: Evaluation) -> dict[str, Any]:
+def _metrics(evaluation: Evaluation, by_name: Mapping[str, Address]) -> dict[str, Any]:
     content = evaluation.totals.content()
     content["scenes"]["failed"] = [{"folder": str(folder), "reason": reason} for folder, reason in evaluation.failures]
-    return content | {"nets": _nets(evaluation.totals.net_folders())}
+    return content | {"nets": _nets(evaluation.totals.net_folders(), by_name)}
 
 
-def _nets(folders: Mapping[str, str]) -> dict[str, Any]:
+def _nets(folders: Mapping[str, str], by_name: Mapping[str, Address]) -> dict[str, Any]:
     """Fidelity of the nets of the maps in scene folders, by source scene."""
     nets: dict[str, Any] = {}
     for source, folder in folders.items():
         try:
-            grid = build_cell_grid(read_source_map(next(Path(folder).glob("log_map_archive_*.json"))))
+            address = by_name[folder]
+            if isinstance(address, Source):
+                graph = read_recording(address).graph
+            else:
+                graph = read_source_map(next(address.glob(MAP_PATTERN)))
+            grid = build_cell_grid(graph)
             report = measure_fidelity(grid, net_bytes(grid))
         except Hid2Error as error:
             nets[source] = {"failed": str(error)}

@@ -18,9 +18,8 @@ from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 from bridge.evaluation import report
 from bridge.files import make_folder, table_file, write_text
 from bridge.recordings.scenario import (
-    LAST_OBSERVED,
     MAX_STEPS,
-    STEP_S,
+    OBSERVED_STEPS,
     Scenario,
     find_scenarios,
     read_scenario,
@@ -37,7 +36,7 @@ KS = (1, 6)
 MISS_M = 2.0
 #: Bands of the paper: scenes with more agents than these.
 BOUNDS = (50, 70, 90)
-FUTURE_STEPS = MAX_STEPS - LAST_OBSERVED - 1
+FUTURE_STEPS = MAX_STEPS - OBSERVED_STEPS
 #: Speed, or turn rate, of each mode of a baseline as a share of the observed one, and how probable it is.
 _MODES = ((1.0, 0.4), (0.75, 0.15), (1.25, 0.15), (0.5, 0.1), (1.5, 0.1), (0.0, 0.1))
 #: A baseline's speed and turn rate are means over this many steps before the last observed one.
@@ -142,19 +141,22 @@ def read_forecasts(path: Path) -> Forecasts:
 
 
 def baseline(scenario: Scenario, kind: Baseline) -> tuple[FloatArray, Mapping[str, FloatArray]]:
-    """Probabilities (6,) and modes (6, 60, 2) m of the focal track, from what is observed of it."""
+    """Probabilities (6,) and modes (6, N, 2) m of the focal track, from what is observed of it.
+
+    N: steps that are not observed, 60 in scenes of 110.
+    """
     track = scenario.track(scenario.focal_track_id)
-    modes = np.stack([_forecast(track, kind, share) for share, _ in _MODES])
+    modes = np.stack([_forecast(track, kind, share, scenario) for share, _ in _MODES])
     return np.array([probability for _, probability in _MODES]), {track.track_id: modes}
 
 
-def _forecast(track: Track, kind: Baseline, share: float) -> FloatArray:
-    """(60, 2) m: on at the observed velocity, or at the observed speed and turn rate; `share` scales what is varied."""
-    observed = np.flatnonzero(track.timesteps <= LAST_OBSERVED)[-_HISTORY - 1 :]
+def _forecast(track: Track, kind: Baseline, share: float, scenario: Scenario) -> FloatArray:
+    """(N, 2) m: on at the observed velocity, or at the observed speed and turn rate; `share` scales what is varied."""
+    observed = np.flatnonzero(track.timesteps <= scenario.last_observed)[-_HISTORY - 1 :]
     last = observed[-1]
-    seconds = (track.timesteps[last] - track.timesteps[observed[0]]) * STEP_S
+    seconds = (track.timesteps[last] - track.timesteps[observed[0]]) * scenario.step_s
     velocity = (track.position[last] - track.position[observed[0]]) / seconds if seconds > 0 else track.velocity[last]
-    ahead = np.arange(1, FUTURE_STEPS + 1) * STEP_S
+    ahead = np.arange(1, _future_steps(scenario) + 1) * scenario.step_s
     if kind == "constant-velocity":
         return np.asarray(track.position[last] + share * ahead[:, None] * velocity, dtype=np.float64)
     heading = np.unwrap(track.heading[observed])
@@ -168,6 +170,13 @@ def _forecast(track: Track, kind: Baseline, share: float) -> FloatArray:
     return np.asarray(track.position[last] + speed / rate * along, dtype=np.float64)
 
 
+def _future_steps(scenario: Scenario) -> int:
+    """Steps that are forecast: what is not observed; of a scene without them those of the format."""
+    return (
+        scenario.num_steps - scenario.observed_steps if scenario.num_steps > scenario.observed_steps else FUTURE_STEPS
+    )
+
+
 def _score_scene(
     scenario: Scenario, forecast: tuple[FloatArray, Mapping[str, FloatArray]]
 ) -> tuple[list[Score], list[str]]:
@@ -175,11 +184,12 @@ def _score_scene(
     order = np.argsort(-np.asarray(probabilities), kind="stable")
     tracks = {track.track_id: track for track in scenario.tracks}
     scores, reasons = [], []
+    wanted = _future_steps(scenario)
     for track_id, modes in sorted(by_track.items()):
         track = tracks.get(str(track_id))
-        future = np.empty((0, 2)) if track is None else track.position[track.timesteps > LAST_OBSERVED]
-        if track is None or len(future) != FUTURE_STEPS:
-            what = "no such track" if track is None else f"{len(future)} future steps, expected {FUTURE_STEPS}"
+        future = np.empty((0, 2)) if track is None else track.position[track.timesteps > scenario.last_observed]
+        if track is None or len(future) != wanted:
+            what = "no such track" if track is None else f"{len(future)} future steps, expected {wanted}"
             reasons.append(f"{scenario.scenario_id}, track {track_id}: {what}")
             continue
         for k in KS:

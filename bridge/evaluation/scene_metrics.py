@@ -10,19 +10,23 @@ import numpy as np
 
 from bridge.batch.isolation import Failure, describe_error
 from bridge.files import read_regular
+from bridge.recordings.export import recording_record_of
+from bridge.recordings.folders import Address, Source
 from bridge.recordings.limits import MAX_FILE_MB, check_ground
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import (
-    LAST_OBSERVED,
+    OBSERVED_STEPS,
     STEP_S,
     Rows,
     read_scenario,
     read_sizes,
     read_table,
+    recording_record,
     split_of,
     split_rows,
 )
-from bridge.recordings.sidecar import ManeuverRecord, Sidecar, sidecar_in
+from bridge.recordings.sidecar import ManeuverRecord, RecordingRecord, Sidecar, sidecar_in
+from bridge.recordings.sources import read_recording
 from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
 from hid2.evaluation.critics import pack
@@ -55,6 +59,7 @@ class SceneMeasures:
     scene: Row
     tracks: list[Row]
     maneuvers: list[Row]
+    events: list[Row]
     realism: RealismCounts
     samples: FloatArray
     sample_generated: BoolArray
@@ -73,7 +78,7 @@ class _View:
 
 
 def measure_folders(
-    limits: Limits, folders: Sequence[Path], labelled: Labelled | None = None
+    limits: Limits, folders: Sequence[Address], labelled: Labelled | None = None
 ) -> Iterator[SceneMeasures | Failure]:
     """The work of a process: measure each folder; a folder that cannot be read gives its failure."""
     maps = Maps()
@@ -103,13 +108,13 @@ class Maps:
         return ground
 
 
-def measure_folder(folder: Path, limits: Limits, maps: Maps, labelled: Labelled | None = None) -> SceneMeasures:
-    """Measure one recorded or generated scene folder. Errors: ScenarioError, MapError.
+def measure_folder(folder: Address, limits: Limits, maps: Maps, labelled: Labelled | None = None) -> SceneMeasures:
+    """Measure one recording or generated scene. Errors: ScenarioError, MapError.
 
-    labelled: sizes of the recorded tracks of source scenes; a generated scene's folder does not have them.
+    labelled: sizes of the recorded tracks of source scenes, for generated ones whose sidecar does not have them.
     """
-    rows, ground = _read(folder, maps)
-    sidecar = sidecar_in(folder, rows.scenario_id)
+    rows, ground, known = _read(folder, maps)
+    sidecar = sidecar_in(folder, rows.scenario_id) if isinstance(folder, Path) else None
     sizes = (labelled or {}).get(sidecar.source_scenario_id, {}) if sidecar else {}
     measures = measure(
         [replace(t, size=sizes[t.track_id]) if t.track_id in sizes else t for t in rows.tracks]
@@ -120,20 +125,29 @@ def measure_folder(folder: Path, limits: Limits, maps: Maps, labelled: Labelled 
         limits=limits,
         num_steps=rows.num_steps,
         source=sidecar.source_scenario_id if sidecar else rows.scenario_id,
+        observed_steps=known.observed_steps,
+        step_s=known.step_s,
     )
-    return _named(measures, rows, folder)
+    return _named(measures, rows, folder, known)
 
 
-def _read(folder: Path, maps: Maps) -> tuple[Rows, PreparedMap]:
-    """As read_scenario, but a map that is known is not read again."""
+def _read(folder: Address, maps: Maps) -> tuple[Rows, PreparedMap, RecordingRecord]:
+    """As read_recording, but the map of a folder that is known is not read again."""
+    if isinstance(folder, Source):
+        scenario = read_recording(folder)
+        rows = Rows(scenario.scenario_id, scenario.city, scenario.focal_track_id, scenario.num_steps, scenario.tracks)
+        return rows, prepare_map(scenario.graph), recording_record_of(scenario)
     tables, files = list(folder.glob("scenario_*.parquet")), list(folder.glob("log_map_archive_*.json"))
     if len(tables) != 1 or len(files) != 1:
         read_scenario(folder)  # says what is wrong
         raise ScenarioError(f"{folder}: {len(tables)} scenarios and {len(files)} maps, expected one of each")
-    rows = split_rows(read_table(tables[0]), name=str(tables[0]), sizes=read_sizes(folder))
+    known = recording_record(folder)
+    rows = split_rows(
+        read_table(tables[0]), name=str(tables[0]), sizes=read_sizes(folder), observed_steps=known.observed_steps
+    )
     ground = maps.read(files[0])
     check_ground(rows.tracks, ground.graph, str(folder))
-    return rows, ground
+    return rows, ground, known
 
 
 def measure(
@@ -144,9 +158,12 @@ def measure(
     limits: Limits,
     num_steps: int,
     source: str,
+    observed_steps: int = OBSERVED_STEPS,
+    step_s: float = STEP_S,
 ) -> SceneMeasures:
-    """Measure tracks on a map. `source`: id of the recorded scene."""
-    arrays = stack(tracks, num_steps=num_steps, step_s=STEP_S)
+    """Measure tracks on a map. `source`: id of the recorded scene; observed_steps, step_s: of its data set."""
+    arrays = stack(tracks, num_steps=num_steps, step_s=step_s)
+    last_observed = min(observed_steps, num_steps) - 1
     moved = motion(arrays)
     safe = safety(arrays, ground)
     maneuvers = detect(arrays, safe.lanes, safe.matches)
@@ -188,9 +205,9 @@ def measure(
         "source": source,
         "steps": arrays.num_steps,
         "tracks": arrays.num_agents,
-        "tracks_at_49": int((arrays.row_of[:, min(LAST_OBSERVED, num_steps - 1)] >= 0).sum()),
+        "tracks_at_49": int((arrays.row_of[:, last_observed] >= 0).sum()),
         "generated": int(arrays.generated.sum()),
-        "generated_at_49": int((arrays.row_of[arrays.generated, min(LAST_OBSERVED, num_steps - 1)] >= 0).sum()),
+        "generated_at_49": int((arrays.row_of[arrays.generated, last_observed] >= 0).sum()),
     }
     for group in GROUPS:
         row = _group_row(groups[group], maneuvers, policy_of)
@@ -208,6 +225,7 @@ def measure(
         scene=scene,
         tracks=_track_rows(view, policy_of, sidecar),
         maneuvers=_maneuver_rows(view, sidecar),
+        events=[event.model_dump(mode="json") for event in sidecar.events] if sidecar else [],
         realism=count_scene(
             source, arrays, scene_values(arrays, safe, driving, durations), generated=generated, recorded=recorded
         ),
@@ -216,14 +234,16 @@ def measure(
     )
 
 
-def _named(measures: SceneMeasures, scene: Rows, folder: Path) -> SceneMeasures:
+def _named(measures: SceneMeasures, scene: Rows, folder: Address, known: RecordingRecord) -> SceneMeasures:
     """Put the scene's names in front of every row."""
     name: Row = {"scenario_id": scene.scenario_id}
     place: Row = {"split": split_of(folder) or "", "city": scene.city, "folder": str(folder)}
+    place |= {"format": known.format, "provenance": known.provenance}
     return SceneMeasures(
         scene=name | place | measures.scene,
         tracks=[name | row for row in measures.tracks],
         maneuvers=[name | row for row in measures.maneuvers],
+        events=[name | {"folder": str(folder)} | row for row in measures.events],
         realism=measures.realism,
         samples=measures.samples,
         sample_generated=measures.sample_generated,

@@ -14,8 +14,8 @@ import numpy as np
 from bridge.config import check_no_flow, config_sha256
 from bridge.generation.gaps import gaps_bytes
 from bridge.generation.records import agent_record, event_record, rejected_records, replaced_record, with_unmet
-from bridge.recordings.export import new_scenario_id, write_scene
-from bridge.recordings.scenario import LAST_OBSERVED, Scenario
+from bridge.recordings.export import new_scenario_id, recording_record_of, write_scene
+from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import (
     GeneratorRecord,
     PlacedRecord,
@@ -51,7 +51,7 @@ class GeneratedScene:
     of all that were tried.
     """
 
-    scenario: Scenario
+    scenario: Recording
     generated: tuple[Track, ...]
     sidecar: Sidecar
     focal_track_id: str
@@ -64,18 +64,18 @@ class GeneratedScene:
 class PreparedScene:
     """What the variants of one scene share: grid and net."""
 
-    scenario: Scenario
+    scenario: Recording
     grid: CellGrid
     net: bytes
 
 
-def prepare(scenario: Scenario, config: Config) -> PreparedScene:
+def prepare(scenario: Recording, config: Config) -> PreparedScene:
     """Grid and net of a scenario. Errors: MapError, NetError."""
     grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m, max_skew_m=config.grid.max_skew_m)
     return PreparedScene(scenario=scenario, grid=grid, net=net_bytes(grid))
 
 
-def generate(source: Scenario | PreparedScene, config: Config, *, variant: int = 0) -> GeneratedScene:
+def generate(source: Recording | PreparedScene, config: Config, *, variant: int = 0) -> GeneratedScene:
     """Insert vehicles into a recorded scene as `config` asks; nothing is written.
 
     Same scenario, configuration and variant: the same result. Errors: MapError, NetError, SimulationError, ConfigError,
@@ -88,7 +88,7 @@ def generate(source: Scenario | PreparedScene, config: Config, *, variant: int =
     seed = [config.request.seed, variant, zlib.crc32(scenario.scenario_id.encode())]
     scene = build_scene(
         prepared.grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
-        last_observed_step=min(LAST_OBSERVED, scenario.num_steps - 1),
+        last_observed_step=scenario.last_observed,
     )  # fmt: skip
     filling = Filling(scene, seed)
     _LOG.debug("%s variant %d: %s vehicles asked for", scenario.scenario_id, variant, config.request.agents)
@@ -213,7 +213,7 @@ def _with_category(track: Track, category: int) -> Track:
     )
 
 
-def _focal(scenario: Scenario, vehicles: Sequence[ExportedVehicle], tracks: Sequence[Track], filling: Filling) -> str:
+def _focal(scenario: Recording, vehicles: Sequence[ExportedVehicle], tracks: Sequence[Track], filling: Filling) -> str:
     """Generated focal track: lives through the scene; a manoeuvre done before none, a longer path before a shorter."""
     through = [
         (_did_something(one, filling), track.path_m, track.track_id)
@@ -244,6 +244,7 @@ def _sidecar(
     return Sidecar(
         source_scenario_id=prepared.scenario.scenario_id,
         generator=GeneratorRecord(version=version("hid2-sumo")),
+        recording=recording_record_of(prepared.scenario),
         sumo_version=sumo_version,
         seed=config.request.seed,
         variant=variant,

@@ -17,7 +17,7 @@ from matplotlib.path import Path as MplPath
 from matplotlib.ticker import MaxNLocator
 
 from bridge.files import beside, explained
-from bridge.recordings.scenario import LAST_OBSERVED, Scenario
+from bridge.recordings.scenario import Scenario
 from hid2.agents import FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
 from netconvert.cells import build_cell_grid
@@ -146,7 +146,7 @@ def check_step(scenario: Scenario, step: int | None) -> int:
     """A timestep to show, the last observed one for None. Errors: ConfigError for one that the scene does not have."""
     last = scenario.num_steps - 1
     if step is None:
-        return min(LAST_OBSERVED, last)
+        return scenario.last_observed
     if not 0 <= step <= last:
         raise ConfigError(f"{scenario.folder}: timestep {step} is out of range (0-{last})")
     return step

@@ -13,8 +13,10 @@ from matplotlib.lines import Line2D
 
 from bridge.pictures import figures
 from bridge.pictures.render import MARK_NAMES
-from bridge.recordings.scenario import STEP_S, Scenario, read_scenario
+from bridge.recordings.folders import Address
+from bridge.recordings.scenario import Scenario
 from bridge.recordings.sidecar import sidecar_in
+from bridge.recordings.sources import read_recording
 from hid2.agents import FloatArray
 from hid2.evaluation.kinematics import Motion, motion
 from hid2.measures.arrays import SceneArrays, stack
@@ -43,7 +45,7 @@ _STYLES: Mapping[str, Literal["dotted", "dashed", "solid", "dashdot"]] = {
 }
 
 
-def plot_agent(folder: Path, agent_id: str, out_file: Path) -> Path:
+def plot_agent(folder: Address, agent_id: str, out_file: Path) -> Path:
     """Draw one track of a scene folder over time into a picture: .png, .jpg, .pdf or .svg.
 
     Vertical lines are the trigger, start, crossing and end of its manoeuvres: the sidecar's for generated vehicles, the
@@ -51,14 +53,14 @@ def plot_agent(folder: Path, agent_id: str, out_file: Path) -> Path:
     the picture cannot be written.
     """
     figures.check_ending(out_file)
-    scenario = read_scenario(folder)
+    scenario = read_recording(folder)
     track = figures.find_track(scenario, agent_id)
-    arrays = stack([track], step_s=STEP_S)
+    arrays = stack([track], step_s=scenario.step_s)
     lanes = flatten_lanes(scenario.graph)
     matches, _ = match_lanes(arrays, lanes)
     seen = detect(arrays, lanes, matches)
     moments, note = _moments(scenario, agent_id, seen)
-    time = np.asarray(track.timesteps * STEP_S, dtype=np.float64)
+    time = np.asarray(track.timesteps * scenario.step_s, dtype=np.float64)
     figures.style()
     figure, axes = _axes(track.position)
     _plan(axes[0], scenario, track.position, moments, time)

@@ -22,8 +22,10 @@ from PIL import Image
 
 from bridge.files import beside, explained
 from bridge.pictures import figures
-from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, LAST_OBSERVED, STEP_S, Scenario, read_scenario
+from bridge.recordings.folders import Address
+from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario
 from bridge.recordings.sidecar import ManeuverRecord, sidecar_in
+from bridge.recordings.sources import read_recording
 from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
 from netconvert.errors import ConfigError
@@ -78,10 +80,10 @@ class _Panel:
 
 
 def render_scene(
-    folder: Path,
+    folder: Address,
     out_file: Path,
     *,
-    source: Path | None = None,
+    source: Address | None = None,
     agent: str | None = None,
     cells: bool = False,
     step: int | None = None,
@@ -100,7 +102,7 @@ def render_scene(
     figures.check_ending(out_file, PICTURES + ANIMATIONS)
     if step is not None and suffix in ANIMATIONS:
         raise ConfigError(f"{out_file}: a film shows every timestep; for one give a picture, {', '.join(PICTURES)}")
-    scenario = read_scenario(folder)
+    scenario = read_recording(folder)
     shown = figures.check_step(scenario, step)
     panels = _panels(scenario, source)
     window = _window(scenario, agent)
@@ -127,12 +129,12 @@ def _counted(
         yield frame
 
 
-def scene_figure(folder: Path, *, source: Path | None = None, agent: str | None = None) -> Figure:
+def scene_figure(folder: Address, *, source: Address | None = None, agent: str | None = None) -> Figure:
     """A scene folder, or the surroundings of one track in it, at its last observed step, before | after, as a figure.
 
     Errors: ScenarioError, MapError.
     """
-    scenario = read_scenario(folder)
+    scenario = read_recording(folder)
     window = _window(scenario, agent)
     drawing = _Drawing(_panels(scenario, source), window, agent=agent, cells=False, whole_paths=True)
     drawing.show(figures.check_step(scenario, None))
@@ -157,7 +159,7 @@ def draw_scene(
     figures.frame(axes, low, high, origin=np.floor(low / 100) * 100, aspect=room.width / room.height)
 
 
-def _panels(scenario: Scenario, source: Path | None) -> list[_Panel]:
+def _panels(scenario: Scenario, source: Address | None) -> list[_Panel]:
     sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
     generated = {track.track_id for track in scenario.tracks if is_generated_id(track.track_id)}
     policies = {record.track_id: record.policy for record in sidecar.agents} if sidecar else {}
@@ -169,7 +171,7 @@ def _panels(scenario: Scenario, source: Path | None) -> list[_Panel]:
     name = scenario.scenario_id[:8]
     if not generated and source is None:
         return [_Panel(f"{name}: {len(recorded)} recorded agents", scenario, scenario.tracks, looks, ())]
-    before = scenario if source is None else read_scenario(source)
+    before = scenario if source is None else read_recording(source)
     origin = (
         "the recorded tracks of this scene, sizes by object type"
         if source is None
@@ -220,7 +222,7 @@ def _window(scenario: Scenario, agent: str | None) -> tuple[FloatArray, FloatArr
 
 def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: bool) -> list[Artist]:
     """Draw every vehicle where it is at a timestep; returns what was drawn, to be taken away again."""
-    trail = round(TRAIL_S / STEP_S)
+    trail = round(TRAIL_S / panel.scenario.step_s)
     present = [(track, int(np.searchsorted(track.timesteps, step))) for track in panel.tracks]
     present = [(t, i) for t, i in present if i < len(t.timesteps) and t.timesteps[i] == step]
     present.sort(key=lambda item: panel.looks[item[0].track_id].order)
@@ -249,7 +251,7 @@ def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: 
     for artist in artists:
         ax.add_collection(artist, autolim=False)
     labels = [part for track, row in present for part in _label(ax, track, row, agent)]
-    return [*artists, *labels, *_marks(panel, ax, None if whole_paths else step * STEP_S)]
+    return [*artists, *labels, *_marks(panel, ax, None if whole_paths else step * panel.scenario.step_s)]
 
 
 def _label(ax: Axes, track: Track, row: int, agent: str | None) -> list[Artist]:
@@ -283,7 +285,7 @@ def _marks(panel: _Panel, ax: Axes, until_s: float | None) -> list[Artist]:
         if until_s is not None and place > until_s:
             continue
         track = tracks[track_id]
-        x, y = track.position[int(np.argmin(np.abs(track.timesteps * STEP_S - place)))]
+        x, y = track.position[int(np.argmin(np.abs(track.timesteps * panel.scenario.step_s - place)))]
         done = maneuver.status == "done"
         color = figures.POLICY_COLORS[_POLICY_OF_KIND[maneuver.kind]] if done else "black"
         size = 110 if maneuver.kind == "overtake" else 45
@@ -377,7 +379,9 @@ class _Drawing:
             for panel, ax in self.panels
             for artist in _put(panel, ax, step, agent=self.agent, whole_paths=self.whole_paths)
         ]
-        self.clock.set_text(f"{step * STEP_S:.1f} s" + ("  (observed)" if step <= LAST_OBSERVED else "  (future)"))
+        scenario = self.panels[0][0].scenario
+        when = "observed" if step <= scenario.last_observed else "future"
+        self.clock.set_text(f"{step * scenario.step_s:.1f} s  ({when})")
 
     def frames(self, steps: Sequence[int]) -> Iterator[npt.NDArray[np.uint8]]:
         """(H, W, 3) pictures, H and W even; the map is drawn once and kept."""

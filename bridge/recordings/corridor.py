@@ -16,7 +16,7 @@ from bridge.config import CORRIDOR_PREFIX
 from bridge.files import explained
 from bridge.recordings.export import parquet_bytes, write_folder
 from bridge.recordings.limits import MAX_CORRIDOR_STEPS, MAX_LANE_M
-from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, LAST_OBSERVED, STEP_S
+from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, OBSERVED_STEPS, STEP_S
 from netconvert.errors import ConfigError
 
 _LANE_M, _SHOULDER_M = 3.5, 4.0
@@ -29,7 +29,7 @@ def write_corridor(out_dir: Path, *, length_m: float, lanes: int, seconds: float
 
     Errors: ConfigError for a value out of its range; ExportError.
     """
-    least_s, most_s = (LAST_OBSERVED + 1) * STEP_S, MAX_CORRIDOR_STEPS * STEP_S
+    least_s, most_s = OBSERVED_STEPS * STEP_S, MAX_CORRIDOR_STEPS * STEP_S
     for name, value, least, most, unit in (
         ("length", length_m, _LEAST_M, MAX_LANE_M, " m"),
         ("lanes", lanes, 2, _MOST_LANES, ""),
@@ -95,7 +95,7 @@ def _table(scenario_id: str, steps: int) -> pa.Table:
 
     return pa.table(
         {
-            "observed": pa.array(timestep <= LAST_OBSERVED),
+            "observed": pa.array(timestep < OBSERVED_STEPS),
             "track_id": pa.array(each("1", AV_ID), pa.string()),
             "object_type": pa.array(each("vehicle", "vehicle"), pa.string()),
             "object_category": pa.array(each(FOCAL_CATEGORY, 1), pa.int64()),

@@ -17,20 +17,20 @@ import pyarrow.parquet as pq
 
 from bridge.config import new_scenario_id as new_scenario_id
 from bridge.files import explained
-from bridge.recordings.scenario import FOCAL_CATEGORY, LAST_OBSERVED, SCENARIO_COLUMNS, Scenario
-from bridge.recordings.sidecar import Sidecar, sidecar_bytes, sidecar_path
+from bridge.recordings.recording import FOCAL_CATEGORY, SCORED_CATEGORY, Recording
+from bridge.recordings.scenario import SCENARIO_COLUMNS
+from bridge.recordings.sidecar import RecordingRecord, Sidecar, sidecar_bytes, sidecar_path
 from hid2.agents import Track
 from netconvert.errors import ExportError
-from netconvert.lane_graph import LaneGraph
 
-#: Category of a formerly focal track when a generated one takes its place: scored, as it lives through the scene.
-_FORMER_FOCAL_CATEGORY = 2
+#: Category of a formerly focal track when a generated one takes its place: it lives through the scene.
+_FORMER_FOCAL_CATEGORY = SCORED_CATEGORY
 #: A lane's centreline with at least one point, in a map file.
 _CENTERLINE = re.compile(rb'"centerline":\s*\[\s*\{')
 
 
 def write_scene(
-    scenario: Scenario,
+    scenario: Recording,
     generated: Sequence[Track],
     sidecar: Sidecar,
     out_dir: Path,
@@ -48,7 +48,7 @@ def write_scene(
         f"scenario_{new_id}.parquet": parquet_bytes(
             scene_table(scenario, generated, new_id=new_id, focal_track_id=focal_track_id)
         ),
-        f"log_map_archive_{new_id}.json": _map_bytes(scenario.map_path, scenario.graph),
+        f"log_map_archive_{new_id}.json": map_bytes(scenario),
         sidecar_path(Path(), new_id).name: sidecar_bytes(sidecar),
         **(extra or {}),
     }
@@ -58,7 +58,7 @@ def write_scene(
     return folder
 
 
-def scene_table(scenario: Scenario, generated: Sequence[Track], *, new_id: str, focal_track_id: str) -> pa.Table:
+def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str, focal_track_id: str) -> pa.Table:
     """The source's rows, bit for bit, and behind them those of the generated tracks.
 
     Columns and types are the source's. Changed in recorded rows: scenario_id, and where the focal track is another
@@ -75,7 +75,7 @@ def scene_table(scenario: Scenario, generated: Sequence[Track], *, new_id: str, 
     }
     constants |= {"scenario_id": pa.scalar(new_id), "focal_track_id": pa.scalar(focal_track_id)}
     lengths = [len(track.timesteps) for track in generated]
-    added = _generated_columns(generated, lengths, focal_track_id)
+    added = _generated_columns(generated, lengths, focal_track_id, scenario.observed_steps)
     columns = []
     for field in source.schema:
         name, recorded = field.name, source.column(field.name)
@@ -104,7 +104,7 @@ def parquet_bytes(table: pa.Table) -> bytes:
     return sink.getvalue()
 
 
-def _check_generated(scenario: Scenario, generated: Sequence[Track], focal_track_id: str) -> None:
+def _check_generated(scenario: Recording, generated: Sequence[Track], focal_track_id: str) -> None:
     ids = {track.track_id for track in scenario.tracks}
     for track in generated:
         if track.track_id in ids:
@@ -113,9 +113,10 @@ def _check_generated(scenario: Scenario, generated: Sequence[Track], focal_track
         steps = track.timesteps
         if len(steps) == 0 or (np.diff(steps) != 1).any() or steps[0] < 0 or steps[-1] >= scenario.num_steps:
             raise ExportError(f"generated track {track.track_id!r}: timesteps have gaps or leave the scene")
-        if not steps[0] <= LAST_OBSERVED <= steps[-1]:
+        if not steps[0] <= scenario.last_observed <= steps[-1]:
             raise ExportError(
-                f"generated track {track.track_id!r}: timesteps {steps[0]} to {steps[-1]} do not hold {LAST_OBSERVED}"
+                f"generated track {track.track_id!r}: timesteps {steps[0]} to {steps[-1]} do not hold "
+                f"{scenario.last_observed}"
             )
         if not all(np.isfinite(values).all() for values in (track.position, track.heading, track.velocity)):
             raise ExportError(f"generated track {track.track_id!r}: a value is not finite")
@@ -123,14 +124,16 @@ def _check_generated(scenario: Scenario, generated: Sequence[Track], focal_track
         raise ExportError(f"focal track {focal_track_id!r}: no such track")
 
 
-def _generated_columns(generated: Sequence[Track], lengths: list[int], focal_track_id: str) -> dict[str, pa.Array]:
+def _generated_columns(
+    generated: Sequence[Track], lengths: list[int], focal_track_id: str, observed_steps: int
+) -> dict[str, pa.Array]:
     timestep = np.concatenate([np.empty(0, np.int64), *(track.timesteps for track in generated)])
     position = np.concatenate([np.empty((0, 2)), *(track.position for track in generated)])
     velocity = np.concatenate([np.empty((0, 2)), *(track.velocity for track in generated)])
     heading = np.concatenate([np.empty(0), *(track.heading for track in generated)])
     category = [FOCAL_CATEGORY if track.track_id == focal_track_id else track.category for track in generated]
     return {
-        "observed": pa.array(timestep <= LAST_OBSERVED),
+        "observed": pa.array(timestep < observed_steps),
         "track_id": pa.array(np.repeat([track.track_id for track in generated], lengths).tolist(), pa.string()),
         "object_type": pa.array(np.repeat([track.object_type for track in generated], lengths).tolist(), pa.string()),
         "object_category": pa.array(np.repeat(np.asarray(category, dtype=np.int64), lengths)),
@@ -178,9 +181,10 @@ def _pandas_metadata(table: pa.Table) -> dict[str, Any]:
     }
 
 
-def _map_bytes(path: Path, graph: LaneGraph) -> bytes:
-    """The source's map byte for byte; with centrelines where it has none."""
-    raw = path.read_bytes()
+def map_bytes(scenario: Recording) -> bytes:
+    """The map that goes with a recording: the source's byte for byte, with centrelines where it has none."""
+    graph = scenario.graph
+    raw = scenario.map_path.read_bytes() if scenario.map_json is None else scenario.map_json
     if len(_CENTERLINE.findall(raw)) == len(graph.lanes):  # one of its points for every lane: nothing to add
         return raw
     document = json.loads(raw)
@@ -213,6 +217,21 @@ def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
             shutil.rmtree(old)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
+
+
+def recording_record_of(scenario: Recording) -> RecordingRecord:
+    """What a sidecar says about a recording."""
+    measured = {track_id: (size.length_m, size.width_m) for track_id, size in sorted(scenario.sizes.items())}
+    chosen = scenario.map_path.is_file() and scenario.sequence is not None
+    return RecordingRecord(
+        format=scenario.format,
+        provenance=scenario.provenance,
+        step_s=scenario.step_s,
+        observed_steps=scenario.observed_steps,
+        first_step=scenario.start,
+        map=scenario.map_path.name if chosen else None,
+        sizes=measured,
+    )
 
 
 def sha256_of(path: Path) -> str:

@@ -1,20 +1,106 @@
-"""Where scenes are: folders of scenarios, their splits and ids, by the names of files alone. Quick to import."""
+"""Where recordings are and what they are called, by the names of files alone. Quick to import."""
 
 import fnmatch
 import logging
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from netconvert.errors import NoSceneError
+
+if TYPE_CHECKING:
+    from bridge.recordings.recording import Recording
 
 _LOG = logging.getLogger(__name__)
 #: Names of the two files of a scenario folder.
 PARQUET_PATTERN, MAP_PATTERN = "scenario_*.parquet", "log_map_archive_*.json"
 #: Name of the file that hid2 writes beside them.
 SIDECAR_PATTERN = "hid2_*.json"
+#: Sizes beside a scene whose boxes people have labelled.
+SIZES_FILE = "agent_sizes.csv"
 
 #: Names of the folders of a data-set root.
 SPLITS = ("train", "val", "test")
+#: Folder of generated Argoverse 1 sequences below an output folder.
+SEQUENCES = "argoverse1"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Source:
+    """A recording in another format than Argoverse 2's scenes, with what was chosen for it.
+
+    path: its file or folder; format: the name of its reader; start: the first step of the source that is in it;
+    map_path: the map that goes with it, where the format keeps maps elsewhere.
+    """
+
+    path: Path
+    format: str
+    scenario_id: str
+    split: str | None = None
+    start: int = 0
+    map_path: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """What the recording is called in tables and messages."""
+        return self.scenario_id
+
+    def absolute(self) -> "Source":
+        """The same with paths that do not depend on the working directory."""
+        map_path = None if self.map_path is None else self.map_path.absolute()
+        return Source(self.path.absolute(), self.format, self.scenario_id, self.split, self.start, map_path)
+
+    def resolve(self) -> Path:
+        """Where it really is."""
+        return self.path.resolve()
+
+    def __str__(self) -> str:
+        """The path, with the first step where that is not the source's first."""
+        return f"{self.path}" + (f" from step {self.start}" if self.start else "")
+
+
+#: A recording: the folder of a scene in Argoverse 2's format, or a Source.
+Address: TypeAlias = Path | Source
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What a user may choose where a format leaves it open.
+
+    map_path: a map in Argoverse 2's format instead of the recording's own; window: first step of a long recording that
+    is taken; stride: steps from one window to the next, None for one window.
+    """
+
+    map_path: Path | None = None
+    window: int = 0
+    stride: int | None = None
+
+
+class Reader(Protocol):
+    """A format of recordings.
+
+    name: as in sidecars and in Source.format; one, many: what a recording is called; lacks: what the format does not
+    tell and how it is made up for, a sentence; "" where nothing is missing; is_folder: whether a recording is a folder,
+    which then holds nothing else.
+    """
+
+    name: str
+    one: str
+    many: str
+    lacks: str
+    is_folder: bool
+
+    def sniff(self, path: Path, names: frozenset[str]) -> bool:
+        """Whether a file, or a folder with these names in it, holds recordings of this format."""
+
+    def find(self, path: Path, names: frozenset[str], choices: Choices) -> list[Address]:
+        """The recordings there, sorted. Errors: NoSceneError where something that all of them need is missing."""
+
+    def files(self, source: Source) -> list[Path]:
+        """The files that a recording is read from, as far as they are there."""
+
+    def read(self, source: Source) -> "Recording":
+        """Read one. Errors: ScenarioError, MapError with file, id, value and what was expected."""
 
 
 def find_scenarios(path: Path) -> list[Path]:
@@ -35,38 +121,35 @@ def find_scenarios(path: Path) -> list[Path]:
     return sorted(found)
 
 
-def find_sources(paths: Sequence[Path]) -> list[Path]:
-    """Folders of recorded scenes at all paths, each once. Those that hid2 wrote are passed over, which is logged.
-
-    Errors: NoSceneError where a path holds none.
-    """
-    found: dict[Path, Path] = {}  # by where it really is
-    for path in paths:
-        folders = find_scenarios(path)
-        recorded = [folder for folder in folders if not _is_generated(folder)]
-        if not recorded:
-            raise NoSceneError(f"{path}: holds generated scenes only (with hid2_<id>.json); give recorded ones")
-        if len(recorded) < len(folders):
-            passed_over = len(folders) - len(recorded)
-            _LOG.warning("%s: %d of %d scenes passed over, which hid2 wrote", path, passed_over, len(folders))
-        for folder in recorded:
-            found.setdefault(folder.resolve(), folder)
-    return list(found.values())
-
-
-def source_id(folder: Path) -> str:
+def source_id(folder: Address) -> str:
     """Scenario id by the names of a folder's files; the folder's own name where none tells it."""
+    if isinstance(folder, Source):
+        return folder.scenario_id
     ids = [path.stem.removeprefix("scenario_") for path in folder.glob(PARQUET_PATTERN)]
     return ids[0] if len(ids) == 1 else folder.name
 
 
-def split_of(folder: Path) -> str | None:
+def split_of(folder: Address) -> str | None:
     """Split that a scene is in: the name of the folder above, as it is named here or, behind links, as it really is."""
+    if isinstance(folder, Source):
+        return folder.split
     parents = folder.absolute().parent, folder.resolve().parent
     return next((parent.name for parent in parents if parent.name in SPLITS), None)
 
 
-def _names(folder: Path) -> list[str]:
+def sequence_path(out_dir: Path, split: str | None, new_id: str) -> Path:
+    """Where the Argoverse 1 sequence of a generated scene lies below an output folder."""
+    root = out_dir / SEQUENCES
+    folder = root / ("test_obs" if split == "test" else split) if split else root
+    return folder / "data" / f"{int(new_id.replace('-', '')[:12], 16)}.csv"
+
+
+def sumo_folder(root: Path, split: str | None, scenario_id: str) -> Path:
+    """Where the files for SUMO of a scene lie below the folder that was asked for."""
+    return (root / split if split else root) / scenario_id
+
+
+def names_in(folder: Path) -> list[str]:
     """Names in a folder. One that may not be read, as at the root of a disk, is logged: it holds no scenes."""
     try:
         return [entry.name for entry in folder.iterdir()]
@@ -75,14 +158,24 @@ def _names(folder: Path) -> list[str]:
         return []
 
 
-def _is_scenario_folder(folder: Path) -> bool:
-    names = _names(folder)
+def has_scenario(names: frozenset[str]) -> bool:
+    """Whether a folder with these names in it is a scenario folder."""
     return any(fnmatch.filter(names, pattern) for pattern in (PARQUET_PATTERN, MAP_PATTERN))
 
 
-def _is_generated(folder: Path) -> bool:
+def is_generated(folder: Path) -> bool:
+    """Whether hid2 wrote a scenario folder."""
     return any(folder.glob(SIDECAR_PATTERN))
 
 
+def subfolders(path: Path, names: frozenset[str]) -> list[Path]:
+    """The folders among the names in a folder, sorted; hidden ones are left out."""
+    return sorted(path / name for name in names if not name.startswith(".") and (path / name).is_dir())
+
+
+def _is_scenario_folder(folder: Path) -> bool:
+    return has_scenario(frozenset(names_in(folder)))
+
+
 def _subfolders(path: Path) -> list[Path]:
-    return sorted(path / name for name in _names(path) if not name.startswith(".") and (path / name).is_dir())
+    return subfolders(path, frozenset(names_in(path)))

@@ -15,6 +15,8 @@ from netconvert.errors import MapError, ScenarioError
 from netconvert.geometry import arc_length
 from netconvert.lane_graph import LaneGraph
 
+#: Each map file of a whole city, MB.
+MAX_CITY_MB = 128
 #: Parquet: rows, columns, and bytes that the columns unpack to, MB. Real: 10,000 rows, 18 columns, 2 MB.
 MAX_ROWS, MAX_COLUMNS, MAX_TABLE_MB = 200_000, 200, 256
 #: Timesteps of a synthetic corridor: an hour.

@@ -40,21 +40,41 @@ MARK_TYPES = frozenset(
 
 def read_source_map(path: Path) -> LaneGraph:
     """The lane graph of a map file that keeps the rules; only centrelines may be missing. Errors: MapError."""
+    return graph_of(_decoded(path), name=str(path))
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """The document of a map file that has the parts of a map. Errors: MapError."""
+    document = _decoded(path)
+    said = _lacks_a_part(document)
+    if said:
+        raise MapError(f"{path}: {said}")
+    return document  # type: ignore[no-any-return]  # it has parts
+
+
+def graph_of(document: Any, *, name: str) -> LaneGraph:  # noqa: ANN401  # decoded JSON
+    """The lane graph of a document that keeps the rules; only centrelines may be missing. Errors: MapError.
+
+    name: what messages call the document.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # coordinates may be anything until their size is known
+        graph = lane_graph_from_json(document, name=name)
+        check_map_size(graph, name)
+    said = _lacks_a_part(document) or next((said for _, said in _check_map(document, centerlines=False)), "")
+    if said:
+        raise MapError(f"{name}: {said}")
+    if not graph.drivable.area > 0.0:
+        raise MapError(f"{name}: drivable areas of 0 m2 in all, expected the ground that can be driven on")
+    return graph
+
+
+def _decoded(path: Path) -> Any:  # noqa: ANN401  # whatever JSON holds
     try:
-        document = from_json(read_regular(path, most_mb=MAX_FILE_MB))
+        return from_json(read_regular(path, most_mb=MAX_FILE_MB))
     except OSError as error:
         raise MapError(f"{path}: cannot read the map: {error.strerror}") from error
     except ValueError as error:
         raise MapError(f"{path}: not JSON: {error}") from error
-    with np.errstate(over="ignore", invalid="ignore"):  # coordinates may be anything until their size is known
-        graph = lane_graph_from_json(document, name=str(path))
-        check_map_size(graph, str(path))
-    said = _lacks_a_part(document) or next((said for _, said in _check_map(document, centerlines=False)), "")
-    if said:
-        raise MapError(f"{path}: {said}")
-    if not graph.drivable.area > 0.0:
-        raise MapError(f"{path}: drivable areas of 0 m2 in all, expected the ground that can be driven on")
-    return graph
 
 
 def read_map(path: Path) -> tuple[dict[str, Any] | None, list[Breach]]:
@@ -125,24 +145,23 @@ def _are_finite(points: list[Any]) -> bool:
         return False
 
 
-def compare_map(path: Path, document: Mapping[str, Any], source_path: Path) -> Iterator[str]:
-    """The map against the source's, byte for byte; only centrelines may have been added."""
+def compare_map(path: Path, document: Mapping[str, Any], raw: bytes, *, name: str) -> Iterator[str]:
+    """The map against the bytes of the source's; only centrelines may have been added. name: of the source's map."""
     try:
-        raw = read_regular(source_path, most_mb=MAX_FILE_MB)
         if path.read_bytes() == raw:
             return
         source = from_json(raw)
     except (OSError, ValueError) as error:
-        yield f"{source_path}: cannot be read ({error})"
+        yield f"{name}: cannot be read ({error})"
         return
     said = _lacks_a_part(source)
     if said:
-        yield f"{source_path}: {said}"
+        yield f"{name}: {said}"
         return
     lanes = source.get("lane_segments", {})
     lacking = {key for key, lane in lanes.items() if not lane.get("centerline")}
     if not lacking:
-        yield f"not the bytes of {source_path.name}"
+        yield f"not the bytes of {name}"
         return
 
     def without_added(lane_segments: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -153,4 +172,4 @@ def compare_map(path: Path, document: Mapping[str, Any], source_path: Path) -> I
 
     ours = {**document, "lane_segments": without_added(document["lane_segments"])}
     if ours != {**source, "lane_segments": without_added(lanes)}:
-        yield f"differs from {source_path.name} in more than added centrelines"
+        yield f"differs from {name} in more than added centrelines"

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -10,18 +9,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pydantic_core import from_json
 
+from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY
 from bridge.recordings.rules import RECORDED, Breach
-from bridge.recordings.scenario import (
-    AV_ID,
-    FOCAL_CATEGORY,
-    LAST_OBSERVED,
-    SCENARIO_COLUMNS,
-    STEP_S,
-    longest,
-    read_table,
-)
+from bridge.recordings.scenario import OBSERVED_STEPS, SCENARIO_COLUMNS, STEP_S, longest
 from hid2.agents import DEFAULT_SIZES, VEHICLE_TYPES
-from netconvert.errors import ScenarioError
 
 CITIES = frozenset({"austin", "dearborn", "miami", "palo-alto", "pittsburgh", "washington-dc"})
 #: Between central differences of positions 0.2 s apart and the velocity, m/s: 8.37 m/s3 of jerk make 0.014.
@@ -36,10 +27,13 @@ _GENERATED_ID = re.compile(r"gen_(0|[1-9][0-9]*)")
 
 
 class Rows:
-    """The rows of a scenario as arrays (N,), in the order of the file; code: index into ids."""
+    """The rows of a scenario as arrays (N,), in the order of the file; code: index into ids.
 
-    def __init__(self, table: pa.Table) -> None:
-        self.table = table
+    observed_steps, step_s: of the recording, by default those of the format.
+    """
+
+    def __init__(self, table: pa.Table, *, observed_steps: int = OBSERVED_STEPS, step_s: float = STEP_S) -> None:
+        self.table, self.observed_steps, self.step_s = table, observed_steps, step_s
         encoded = pc.dictionary_encode(table.column("track_id")).combine_chunks()
         self.ids: list[str] = encoded.dictionary.to_pylist()
         self.code: npt.NDArray[np.int64] = encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)
@@ -48,6 +42,11 @@ class Rows:
         self.observed: npt.NDArray[np.bool_] = table.column("observed").to_numpy()
         self.motion: npt.NDArray[np.float64] = np.column_stack([table.column(c).to_numpy() for c in _MOTION_COLUMNS])
         self.num_steps = int(self.timestep.max()) + 1
+
+    @property
+    def last_observed(self) -> int:
+        """The last observed timestep."""
+        return self.observed_steps - 1
 
     def where(self, row: int) -> str:
         """Names a row in messages."""
@@ -84,7 +83,7 @@ def check_rows(rows: Rows, new_id: str) -> Iterator[Breach]:
     again = np.zeros(len(order), dtype=bool)
     again[order[1:]] = (np.diff(rows.code[order]) == 0) & (np.diff(rows.timestep[order]) == 0)
     yield from _first(rows, again, "duplicate", "is there more than once")
-    yield from _first(rows, rows.observed != (rows.timestep <= LAST_OBSERVED), "observed", "observed is wrong")
+    yield from _first(rows, rows.observed != (rows.timestep < rows.observed_steps), "observed", "observed is wrong")
     kinds = table.column("object_type").to_numpy()
     unknown = ~np.isin(kinds, list(DEFAULT_SIZES))
     yield from _first(rows, unknown, "object-type", f"expected one of {', '.join(DEFAULT_SIZES)}")
@@ -100,14 +99,14 @@ def check_rows(rows: Rows, new_id: str) -> Iterator[Breach]:
         yield "focal", f"tracks of category 3: {names}, expected focal_track_id {first['focal_track_id']!r} alone"
     for track_id in sorted(focals):
         steps = rows.timestep[rows.of(track_id)]
-        if LAST_OBSERVED not in steps or steps[-1] != rows.num_steps - 1:
-            recorded = LAST_OBSERVED in steps and not _GENERATED_ID.fullmatch(track_id)
+        if rows.last_observed not in steps or steps[-1] != rows.num_steps - 1:
+            recorded = rows.last_observed in steps and not _GENERATED_ID.fullmatch(track_id)
             said = f"track {track_id!r} lasts from {steps[0]} to {steps[-1]}, expected {rows.num_steps - 1}"
             yield RECORDED if recorded else "focal", said
-    at_last = set(rows.code[rows.timestep == LAST_OBSERVED])
+    at_last = set(rows.code[rows.timestep == rows.last_observed])
     for code in sorted(set(rows.code[rows.category == FOCAL_CATEGORY - 1]) - at_last):
         recorded = not _GENERATED_ID.fullmatch(rows.ids[code])
-        said = f"track {rows.ids[code]!r} is scored and absent at timestep {LAST_OBSERVED}"
+        said = f"track {rows.ids[code]!r} is scored and absent at timestep {rows.last_observed}"
         yield RECORDED if recorded else "scored", said
     if AV_ID not in rows.ids:
         yield "av", f"no track {AV_ID!r} among {len(rows.ids)}"
@@ -148,15 +147,15 @@ def check_generated(rows: Rows, track_id: str) -> Iterator[Breach]:
         at = int(steps[np.flatnonzero(np.diff(steps) != 1)[0]])
         yield "generated", f"{name}: gap after timestep {at}"
         return
-    if LAST_OBSERVED not in steps:
-        yield "generated", f"{name}: lasts from {steps[0]} to {steps[-1]}, expected {LAST_OBSERVED} in it"
+    if rows.last_observed not in steps:
+        yield "generated", f"{name}: lasts from {steps[0]} to {steps[-1]}, expected {rows.last_observed} in it"
     if category >= FOCAL_CATEGORY - 1 and (steps[0] > 0 or steps[-1] < rows.num_steps - 1):
         yield "generated", f"{name}: category {category}, from {steps[0]} to {steps[-1]}, expected all {rows.num_steps}"
     motion = rows.motion[index]
     if len(steps) < 3 or not np.isfinite(motion).all():
         return
     position, heading, velocity = motion[:, :2], motion[:, 2], motion[:, 3:]
-    error = np.hypot(*(np.gradient(position, STEP_S, axis=0) - velocity).T)
+    error = np.hypot(*(np.gradient(position, rows.step_s, axis=0) - velocity).T)
     tolerance = np.full(len(steps), VELOCITY_TOLERANCE_MPS)
     tolerance[[0, -1]] = END_VELOCITY_TOLERANCE_MPS
     wrong = np.flatnonzero(error > tolerance)
@@ -173,13 +172,8 @@ def check_generated(rows: Rows, track_id: str) -> Iterator[Breach]:
         yield "heading", f"{name}: heading {heading[np.argmax(np.abs(heading))]:.3f}, expected -pi to pi"
 
 
-def compare_rows(table: pa.Table, source_path: Path, generated_ids: set[str]) -> Iterator[str]:
+def compare_rows(table: pa.Table, source: pa.Table, generated_ids: set[str]) -> Iterator[str]:
     """Recorded rows against those of the source, bit for bit."""
-    try:
-        source = read_table(source_path)
-    except ScenarioError as error:
-        yield str(error)
-        return
     if [(field.name, field.type) for field in table.schema] != [(field.name, field.type) for field in source.schema]:
         yield f"columns {table.schema.names}, expected those of the source with their types"
         return

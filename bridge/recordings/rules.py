@@ -18,11 +18,12 @@ RULES: Mapping[str, str] = {
     "finite": "no NaN and no infinity",
     "duplicate": "one row for a track and a timestep",
     "timestep": "timesteps from 0 to 109, num_timestamps at least as many as there are and at most 110",
-    "observed": "observed where the timestep is below 50, and only there",
+    "observed": "observed where the timestep is below 50 (20 in a scene of Argoverse 1), and only there",
     "object-type": "an object type of the format",
     "category": "0 fragment, 1 context, 2 scored or 3 focal",
-    "focal": "exactly one track of category 3, which is focal_track_id, present at timestep 49 and to the end",
-    "scored": "a track of category 2 is present at timestep 49",
+    "focal": "exactly one track of category 3, which is focal_track_id, present at the last observed "
+    "timestep and to the end",
+    "scored": "a track of category 2 is present at the last observed timestep",
     "av": "a track named AV",
     "city": "a city, that of the source",
     "map": "drivable areas, lane segments with every field, z on every point",
@@ -31,10 +32,12 @@ RULES: Mapping[str, str] = {
     "boundary": "boundaries and centrelines of at least two points",
     "sidecar": "the schema of hid2_<id>.json, in agreement with itself, the tracks and the map",
     RECORDED: "noted, as the source has it so: another city than the six, a focal track that ends early, "
-    "a scored track that is absent at timestep 49",
-    "generated": "gen_<n>, a vehicle, category 1 to 3, without gaps, present at 49; scored or focal: at all steps",
+    "a scored track that is absent at the last observed timestep",
+    "generated": "gen_<n>, a vehicle, category 1 to 3, without gaps, present at the last observed step; "
+    "scored or focal: at all steps",
     "velocity": "a generated track's velocity is the time derivative of its position",
     "heading": "a generated track's heading follows its motion",
     "scene-end": "TTC of 1 s or more after a generated track's last step, everybody at constant velocity",
+    "sequence": "an Argoverse 1 sequence keeps that format, its inserted tracks are the scene's",
     "source": "recorded rows are the source's bit for bit, but for a former focal's category; the map is the source's",
 }

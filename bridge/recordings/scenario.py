@@ -3,7 +3,6 @@
 import csv
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,27 +15,24 @@ import pyarrow.parquet as pq
 from bridge.config import CORRIDOR_PREFIX
 from bridge.files import one_line, read_regular
 from bridge.recordings import limits
-from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN
+from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIZES_FILE
 from bridge.recordings.folders import SPLITS as SPLITS
 from bridge.recordings.folders import find_scenarios as find_scenarios
-from bridge.recordings.folders import find_sources as find_sources
 from bridge.recordings.folders import source_id as source_id
 from bridge.recordings.folders import split_of as split_of
 from bridge.recordings.map_rules import read_source_map
-from bridge.recordings.sidecar import read_sidecar, sidecar_path
+from bridge.recordings.recording import AV_ID as AV_ID
+from bridge.recordings.recording import FOCAL_CATEGORY as FOCAL_CATEGORY
+from bridge.recordings.recording import Provenance, Recording
+from bridge.recordings.sidecar import RecordingRecord, Sidecar, read_sidecar, sidecar_path
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Track
 from netconvert.errors import MapError, NoSceneError, ScenarioError
-from netconvert.lane_graph import LaneGraph
 
-#: Seconds from one timestep to the next.
-STEP_S = 0.1
-#: The last observed timestep: a track that is predicted is present here.
-LAST_OBSERVED = 49
-#: Longest scenario of the format, timesteps.
-MAX_STEPS = 110
-#: Track id of the recording vehicle.
-AV_ID = "AV"
-FOCAL_CATEGORY = 3
+#: A recording of this format, which generated scenes are in as well.
+Scenario = Recording
+
+#: The format's seconds from one timestep to the next, observed timesteps, and timesteps at most.
+STEP_S, OBSERVED_STEPS, MAX_STEPS = 0.1, 50, 110
 
 #: Columns that every scenario has, in the order of the format, with their types.
 REQUIRED_COLUMNS: Mapping[str, tuple[pa.DataType, ...]] = {
@@ -62,33 +58,6 @@ SCENARIO_COLUMNS = ("scenario_id", "start_timestamp", "end_timestamp", "num_time
 _MOTION_COLUMNS = ("position_x", "position_y", "heading", "velocity_x", "velocity_y")
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Scenario:
-    """One recorded scene.
-
-    num_steps: last timestep + 1 (110, or 50 in the test split); tracks in the order of their first row; table: the
-    source's rows and columns as they are; split: as of `split_of`.
-    """
-
-    scenario_id: str
-    city: str
-    focal_track_id: str
-    num_steps: int
-    tracks: tuple[Track, ...]
-    graph: LaneGraph
-    table: pa.Table
-    folder: Path
-    map_path: Path
-    split: str | None
-
-    def track(self, track_id: str) -> Track:
-        """One track by id; ScenarioError where there is none."""
-        for track in self.tracks:
-            if track.track_id == track_id:
-                return track
-        raise ScenarioError(f"{self.folder}: no track {track_id!r} among {len(self.tracks)}")
-
-
 class Rows(NamedTuple):
     """The rows of a scenario, checked, and the tracks in them."""
 
@@ -102,8 +71,9 @@ class Rows(NamedTuple):
 def read_scenario(folder: Path) -> Scenario:
     """Read scenario_<id>.parquet, log_map_archive_<id>.json and the sizes that lie beside them.
 
-    Sizes (m) come from the sidecar of a generated scene, from agent_sizes.csv, else by object type. A scene beyond
-    `limits` is refused, and one that breaks what readers of the format demand: nothing recorded is repaired.
+    Sizes (m) come from the sidecar of a generated scene, from agent_sizes.csv, else by object type. Observed are the
+    first 50 timesteps, in a generated scene those of its recording. A scene beyond `limits` is refused, and one that
+    breaks what readers of the format demand: nothing recorded is repaired.
     Errors: ScenarioError or MapError with file, id, value and what was expected.
     """
     if not folder.is_dir():
@@ -111,12 +81,14 @@ def read_scenario(folder: Path) -> Scenario:
     parquet_path = _only_file(folder, PARQUET_PATTERN, ScenarioError)
     map_path = _only_file(folder, MAP_PATTERN, MapError)
     table = read_table(parquet_path)
-    rows = split_rows(table, name=str(parquet_path), sizes=read_sizes(folder))
+    known = recording_record(folder)
+    sizes = read_sizes(folder)
+    rows = split_rows(table, name=str(parquet_path), sizes=sizes, observed_steps=known.observed_steps)
     if rows.scenario_id != source_id(folder):
         raise ScenarioError(f"{parquet_path}: scenario_id {rows.scenario_id!r}, expected the id in the file's name")
     graph = read_source_map(map_path)
     limits.check_ground(rows.tracks, graph, str(folder))
-    return Scenario(
+    return Recording(
         scenario_id=rows.scenario_id,
         city=rows.city,
         focal_track_id=rows.focal_track_id,
@@ -127,7 +99,29 @@ def read_scenario(folder: Path) -> Scenario:
         folder=folder,
         map_path=map_path,
         split=split_of(folder),
+        observed_steps=known.observed_steps,
+        step_s=known.step_s,
+        format=known.format,
+        provenance=known.provenance,
+        sizes=sizes,
+        start=known.first_step,
     )
+
+
+def recording_record(folder: Path) -> RecordingRecord:
+    """What is known of the recording in a scenario folder: by the sidecar of a generated scene, else by the format.
+
+    A recorded scene with sizes beside it was labelled by people, any other one tracked. Errors: ScenarioError.
+    """
+    known = next((sidecar.recording for sidecar in _sidecars(folder)), None)
+    if known is not None:
+        return known
+    provenance: Provenance = "human" if (folder / SIZES_FILE).exists() else "tracker"
+    return RecordingRecord(format="argoverse2", provenance=provenance, step_s=STEP_S, observed_steps=OBSERVED_STEPS)
+
+
+def _sidecars(folder: Path) -> list[Sidecar]:
+    return [read_sidecar(path) for path in sorted(folder.glob(sidecar_path(folder, "*").name))]
 
 
 def read_table(path: Path) -> pa.Table:
@@ -150,7 +144,9 @@ def read_table(path: Path) -> pa.Table:
     return table
 
 
-def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> Rows:
+def split_rows(
+    table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize], observed_steps: int = OBSERVED_STEPS
+) -> Rows:
     """Check the rows of a scenario and split them by track.
 
     name: what messages call the table; sizes: boxes by track id, by object type where a track has none.
@@ -179,7 +175,7 @@ def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> R
     kind = np.asarray(kind_encoded.indices.to_numpy(zero_copy_only=False))[order]
 
     most_steps = longest(str(same["scenario_id"]))
-    _check_timesteps(code, timestep, _numbers(table, "observed")[order], where, most_steps)
+    _check_timesteps(code, timestep, _numbers(table, "observed")[order], where, (observed_steps, most_steps))
     _check_motion(motion, where)
     for known in kinds:
         if known not in DEFAULT_SIZES:
@@ -217,10 +213,10 @@ def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> R
         )
     if (code[starts[:-1]] > code[starts[1:]]).any():  # keep the order of first rows
         tracks.sort(key=lambda track: ids.index(track.track_id))
-    _check_focal(tracks, str(same["focal_track_id"]), name)
     steps, stated = int(timestep.max()) + 1, int(str(same["num_timestamps"]))
     if not steps <= stated <= most_steps:
         raise ScenarioError(f"{name}: num_timestamps {stated}, expected {steps}, as many as there are, to {most_steps}")
+    _check_focal(tracks, str(same["focal_track_id"]), name, last_observed=observed_steps - 1)
     return Rows(
         scenario_id=str(same["scenario_id"]),
         city=str(same["city"]),
@@ -236,7 +232,7 @@ def read_sizes(folder: Path) -> dict[str, BoxSize]:
     Errors: ScenarioError.
     """
     sizes: dict[str, BoxSize] = {}
-    path = folder / "agent_sizes.csv"
+    path = folder / SIZES_FILE
     if path.exists():
         try:
             text = read_regular(path, most_mb=limits.MAX_FILE_MB).decode()
@@ -248,8 +244,8 @@ def read_sizes(folder: Path) -> dict[str, BoxSize]:
             raise ScenarioError(
                 f"{path}: expected columns track_id, length_m, width_m ({_first_line(error)})"
             ) from error
-    for sidecar in sorted(folder.glob(sidecar_path(folder, "*").name)):
-        sizes.update({agent.track_id: BoxSize(agent.length_m, agent.width_m) for agent in read_sidecar(sidecar).agents})
+    for sidecar in _sidecars(folder):
+        sizes.update(sidecar.boxes)
     return sizes
 
 
@@ -365,31 +361,33 @@ def longest(scenario_id: str) -> int:
 
 
 def _check_timesteps(
-    code: IntArray, timestep: IntArray, observed: npt.NDArray[np.bool_], where: _Where, most_steps: int
+    code: IntArray, timestep: IntArray, observed: npt.NDArray[np.bool_], where: _Where, counts: tuple[int, int]
 ) -> None:
+    """counts: observed timesteps, and the most that a scene may have."""
+    observed_steps, most_steps = counts
     outside = (timestep < 0) | (timestep >= most_steps)
     if outside.any():
         raise ScenarioError(f"{where(int(np.flatnonzero(outside)[0]))}: expected timesteps 0 to {most_steps - 1}")
     repeated = (np.diff(code) == 0) & (np.diff(timestep) == 0)
     if repeated.any():
         raise ScenarioError(f"{where(int(np.flatnonzero(repeated)[0]))}: more than one row, expected one")
-    wrong = observed != (timestep <= LAST_OBSERVED)
+    wrong = observed != (timestep < observed_steps)
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
-        raise ScenarioError(f"{where(row)}: observed is {observed[row]}, expected {timestep[row] <= LAST_OBSERVED}")
+        raise ScenarioError(f"{where(row)}: observed is {observed[row]}, expected {timestep[row] < observed_steps}")
 
 
-def _check_focal(tracks: list[Track], focal_track_id: str, name: str) -> None:
+def _check_focal(tracks: list[Track], focal_track_id: str, name: str, *, last_observed: int) -> None:
     focals = [track for track in tracks if track.category == FOCAL_CATEGORY]
     if [track.track_id for track in focals] != [focal_track_id]:
         have = ", ".join(repr(track.track_id) for track in focals) or "none"
         raise ScenarioError(
             f"{name}: tracks of category {FOCAL_CATEGORY}: {have}, expected focal_track_id {focal_track_id!r} alone"
         )
-    if LAST_OBSERVED not in focals[0].timesteps:
+    if last_observed not in focals[0].timesteps:
         raise ScenarioError(
             f"{name}: focal track {focal_track_id!r} lasts from timestep {focals[0].timesteps[0]} "
-            f"to {focals[0].timesteps[-1]}, expected it present at {LAST_OBSERVED}"
+            f"to {focals[0].timesteps[-1]}, expected it present at {last_observed}"
         )
     if all(track.track_id != AV_ID for track in tracks):
         raise ScenarioError(f"{name}: no track {AV_ID!r} among {len(tracks)}, readers of the format need one")

@@ -8,7 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bridge.files import read_regular
 from bridge.recordings.limits import MAX_FILE_MB
-from hid2.agents import Policy
+from bridge.recordings.recording import Provenance
+from hid2.agents import BoxSize, Policy
 from netconvert.errors import ScenarioError
 
 SCHEMA_VERSION = "1"
@@ -16,6 +17,8 @@ SCHEMA_VERSION = "1"
 ManeuverKind = Literal["lane_change", "overtake", "left_turn", "right_turn"]
 ManeuverStatus = Literal["done", "aborted", "not_feasible", "not_triggered"]
 Seconds = Annotated[float, Field(ge=0)]
+BoxLength = Annotated[float, Field(gt=0, lt=50)]
+BoxWidth = Annotated[float, Field(gt=0, lt=10)]
 
 
 class _Record(BaseModel):
@@ -27,6 +30,21 @@ class GeneratorRecord(_Record):
 
     name: str = "hid2-sumo"
     version: str
+
+
+class RecordingRecord(_Record):
+    """The recording that vehicles were inserted into. first_step: of the source; map: a map chosen for it, by name.
+
+    sizes: length and width of recorded tracks whose boxes were measured, m.
+    """
+
+    format: str
+    provenance: Provenance
+    step_s: float = Field(gt=0)
+    observed_steps: int = Field(ge=1)
+    first_step: int = Field(default=0, ge=0)
+    map: str | None = None
+    sizes: Mapping[str, tuple[BoxLength, BoxWidth]] = Field(default_factory=dict)
 
 
 class ReplayRecord(_Record):
@@ -173,6 +191,7 @@ class Sidecar(_Record):
     schema_version: str = SCHEMA_VERSION
     source_scenario_id: str
     generator: GeneratorRecord
+    recording: RecordingRecord | None = None
     sumo_version: str
     seed: int = Field(ge=0)
     variant: int = Field(ge=0)
@@ -185,6 +204,13 @@ class Sidecar(_Record):
     events: tuple[EventRecord, ...] = ()
     rejected: tuple[RejectedRecord, ...] = ()
     replaced: tuple[ReplacedRecord, ...] = ()
+
+    @property
+    def boxes(self) -> dict[str, BoxSize]:
+        """Boxes by track id, as far as they are known: those measured of recorded tracks, those of inserted ones."""
+        measured = {} if self.recording is None else self.recording.sizes
+        recorded = {track_id: BoxSize(*size) for track_id, size in measured.items()}
+        return recorded | {agent.track_id: BoxSize(agent.length_m, agent.width_m) for agent in self.agents}
 
 
 def sidecar_path(folder: Path, scenario_id: str) -> Path:

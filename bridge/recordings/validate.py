@@ -5,17 +5,35 @@ The rules are in `rules`; what is checked of rows, map and sidecar in `row_rules
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import pyarrow as pa
+
+from bridge.files import read_regular
+from bridge.recordings.export import map_bytes, recording_record_of
+from bridge.recordings.folders import (
+    SPLITS,
+    Address,
+    Choices,
+    Source,
+    find_scenarios,
+    sequence_path,
+    source_id,
+    split_of,
+)
+from bridge.recordings.limits import MAX_FILE_MB
 from bridge.recordings.map_rules import compare_map, read_map
+from bridge.recordings.recording import Recording
 from bridge.recordings.row_rules import Rows, check_generated, check_rows, compare_rows
 from bridge.recordings.rules import RECORDED, RULES
-from bridge.recordings.scenario import SPLITS, find_scenarios, read_sizes, read_table
+from bridge.recordings.scenario import read_sizes, read_table
 from bridge.recordings.scene_end_rule import check_scene_end
+from bridge.recordings.sequence_rules import check_written_sequence
 from bridge.recordings.sidecar import Sidecar, read_sidecar, sidecar_path
 from bridge.recordings.sidecar_rules import check_sidecar
+from bridge.recordings.sources import find_recordings, read_recording
 from hid2.agents import BoxSize
-from netconvert.errors import ScenarioError
+from netconvert.errors import Hid2Error, MapError, ScenarioError
 
 
 class Finding(NamedTuple):
@@ -31,23 +49,28 @@ class Finding(NamedTuple):
         return self.rule == RECORDED
 
 
-def validate_folder(out: Path, *, source: Path | None = None) -> list[Finding]:
-    """Check every scenario under a data set that was generated; source: where its recorded scenes lie.
+def validate_folder(out: Path, *, source: Path | None = None, map_path: Path | None = None) -> list[Finding]:
+    """Check every scenario under a data set that was generated; source: where its recordings lie.
 
-    out and source: a scenario folder, a split folder or a data-set root. Returns what is wrong, and notes on what the
-    source brings along; nothing if all is well.
+    out: a scenario folder, a split folder or a data-set root; source: recordings of any format; map_path: the map that
+    was chosen for them. Returns what is wrong, and notes on what the source brings along; nothing if all is well.
     Errors: ScenarioError where out or source is no folder or holds no scenario.
     """
     folders = find_scenarios(out)
-    sources = _index_sources(source) if source is not None else None
+    sources = _index_sources(source, map_path) if source is not None else None
     findings = list(_check_tree(out, folders))
     for folder in folders:
-        findings += validate_scene(folder, sources=sources)
+        findings += validate_scene(folder, sources=sources, out=out)
     return findings
 
 
-def validate_scene(folder: Path, *, sources: Mapping[str, Path] | None = None) -> list[Finding]:
-    """Check one scenario folder; sources: folders of recorded scenarios by id, None for no comparison."""
+def validate_scene(
+    folder: Path, *, sources: Mapping[str, Address] | None = None, out: Path | None = None
+) -> list[Finding]:
+    """Check one scenario folder, and its sequence of Argoverse 1 below out where there is one.
+
+    sources: recordings by id, None for no comparison.
+    """
     findings: list[Finding] = []
     new_id = folder.name
     parquet_path = folder / f"scenario_{new_id}.parquet"
@@ -69,7 +92,7 @@ def validate_scene(folder: Path, *, sources: Mapping[str, Path] | None = None) -
     rows = None
     if parquet_path.is_file():
         try:
-            rows = Rows(read_table(parquet_path))
+            rows = _rows(parquet_path, sidecar)
         except ScenarioError as error:
             findings.append(Finding(parquet_path, "columns", str(error)))
 
@@ -80,35 +103,93 @@ def validate_scene(folder: Path, *, sources: Mapping[str, Path] | None = None) -
         for track_id in sorted(generated_ids & set(rows.ids)):
             breaches += check_generated(rows, track_id)
         if all(rule == RECORDED for rule, _ in breaches):  # what it reads is sound
-            breaches += check_scene_end(rows.table, generated_ids, sizes=_sizes(sidecar, sources))
+            breaches += check_scene_end(rows, generated_ids, sizes=_sizes(sidecar, sources))
         findings += [Finding(parquet_path, *breach) for breach in breaches]
     if sidecar is not None:
         track_ids = set(rows.ids) if rows is not None else None
         lanes = {str(lane) for lane in document["lane_segments"]} if document is not None else None
         breaches = list(check_sidecar(sidecar, new_id, track_ids=track_ids, generated_ids=generated_ids, lanes=lanes))
         findings += [Finding(sidecar_path(folder, new_id), *breach) for breach in breaches]
+    source = None
     if sources is not None and sidecar is not None:
-        source = sources.get(sidecar.source_scenario_id)
-        if source is None:
-            message = f"source scenario {sidecar.source_scenario_id} is not among the {len(sources)} given"
-            return [*findings, Finding(sidecar_path(folder, new_id), "source", message)]
-        source_id = sidecar.source_scenario_id
-        if rows is not None:
-            messages = compare_rows(rows.table, source / f"scenario_{source_id}.parquet", generated_ids)
-            findings += [Finding(parquet_path, "source", message) for message in messages]
-        if document is not None:
-            messages = compare_map(map_path, document, source / f"log_map_archive_{source_id}.json")
-            findings += [Finding(map_path, "source", message) for message in messages]
+        try:
+            source = _compared(sources, sidecar.source_scenario_id)
+        except Hid2Error as error:
+            return [*findings, Finding(sidecar_path(folder, new_id), "source", str(error))]
+        findings += _compare(source, sidecar, folder, rows=rows, document=document, generated_ids=generated_ids)
+    if out is not None and rows is not None and sidecar is not None:
+        findings += _check_sequence(out, folder, rows, generated_ids, source)
     return findings
 
 
-def _sizes(sidecar: Sidecar | None, sources: Mapping[str, Path] | None) -> dict[str, BoxSize]:
+def _rows(path: Path, sidecar: Sidecar | None) -> Rows:
+    """The rows of a scene, with the steps of its recording. Errors: ScenarioError."""
+    known = sidecar.recording if sidecar is not None else None
+    table = read_table(path)
+    return Rows(table) if known is None else Rows(table, observed_steps=known.observed_steps, step_s=known.step_s)
+
+
+class _Compared(NamedTuple):
+    """What a scene is compared with. recording: of a source in another format."""
+
+    table: pa.Table
+    map_json: bytes
+    map_name: str
+    recording: Recording | None
+
+
+def _compared(sources: Mapping[str, Address], scenario_id: str) -> _Compared:
+    """The source of a scene. Errors: ScenarioError, MapError."""
+    address = sources.get(scenario_id)
+    if address is None:
+        raise ScenarioError(f"source scenario {scenario_id} is not among the {len(sources)} given")
+    if isinstance(address, Source):
+        recording = read_recording(address)
+        return _Compared(recording.table, map_bytes(recording), recording.map_path.name, recording)
+    table = read_table(address / f"scenario_{scenario_id}.parquet")
+    path = address / f"log_map_archive_{scenario_id}.json"
+    try:
+        return _Compared(table, read_regular(path, most_mb=MAX_FILE_MB), path.name, None)
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read ({error})") from error
+
+
+def _compare(
+    source: _Compared, sidecar: Sidecar, folder: Path, *, rows: Rows | None, document: Mapping[str, Any] | None,
+    generated_ids: set[str],
+) -> list[Finding]:  # fmt: skip
+    """Rows, map and sidecar of a scene against its source."""
+    findings = []
+    if rows is not None:
+        messages = compare_rows(rows.table, source.table, generated_ids)
+        findings += [Finding(folder / f"scenario_{folder.name}.parquet", "source", message) for message in messages]
+    if document is not None:
+        path = folder / f"log_map_archive_{folder.name}.json"
+        messages = compare_map(path, document, source.map_json, name=source.map_name)
+        findings += [Finding(path, "source", message) for message in messages]
+    if source.recording is not None and sidecar.recording != recording_record_of(source.recording):
+        message = "recording: not that of the source"
+        findings.append(Finding(sidecar_path(folder, folder.name), "source", message))
+    return findings
+
+
+def _check_sequence(
+    out: Path, folder: Path, rows: Rows, generated_ids: set[str], source: _Compared | None
+) -> list[Finding]:
+    path = sequence_path(out, split_of(folder), folder.name)
+    if not path.is_file():
+        return []
+    recording = source.recording if source is not None else None
+    return [Finding(path, *breach) for breach in check_written_sequence(path, rows, generated_ids, source=recording)]
+
+
+def _sizes(sidecar: Sidecar | None, sources: Mapping[str, Address] | None) -> dict[str, BoxSize]:
     """Boxes by track id as far as they are known: of generated tracks, and of recorded ones beside their source."""
     if sidecar is None:
         return {}
     source = (sources or {}).get(sidecar.source_scenario_id)
-    recorded = read_sizes(source) if source is not None else {}
-    return recorded | {agent.track_id: BoxSize(agent.length_m, agent.width_m) for agent in sidecar.agents}
+    recorded = read_sizes(source) if isinstance(source, Path) else {}
+    return recorded | sidecar.boxes
 
 
 def _check_tree(out: Path, folders: Sequence[Path]) -> Iterator[Finding]:
@@ -122,6 +203,6 @@ def _check_tree(out: Path, folders: Sequence[Path]) -> Iterator[Finding]:
             yield Finding(folder, "folder", f"split {folder.parent.name!r}, expected one of {', '.join(SPLITS)}")
 
 
-def _index_sources(source: Path) -> dict[str, Path]:
-    found = [path for folder in find_scenarios(source) for path in folder.glob("scenario_*.parquet")]
-    return {path.stem.removeprefix("scenario_"): path.parent for path in found}
+def _index_sources(source: Path, map_path: Path | None) -> dict[str, Address]:
+    """Recordings by id, every window of a log among them."""
+    return {source_id(address): address for address in find_recordings([source], Choices(map_path, stride=1))}

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from bridge.generation.generate import PreparedScene, model_parameters, sumo_seed
-from bridge.recordings.scenario import LAST_OBSERVED, STEP_S
+from bridge.recordings.scenario import STEP_S
 from bridge.sumo.flow_driving import FlowDriving
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, Policy, Track
@@ -80,7 +80,7 @@ def draw(prepared: PreparedScene, config: Config) -> Drawn:
     scenario = prepared.scenario
     scene = build_scene(
         prepared.grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
-        last_observed_step=min(LAST_OBSERVED, scenario.num_steps - 1),
+        last_observed_step=scenario.last_observed,
     )  # fmt: skip
     seed = config.request.seed, 0, zlib.crc32(scenario.scenario_id.encode())
     filling = Filling(scene, seed)

@@ -19,7 +19,8 @@ from bridge.batch.batch import Run, SceneJob
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.batch.scan import Selection, facts_of, wanted
 from bridge.config import config_from_dict, config_sha256
-from bridge.recordings.scenario import find_sources
+from bridge.recordings.folders import Address
+from bridge.recordings.sources import find_sources
 from hid2.params import Config
 from netconvert.errors import ConfigError, ScenarioError
 
@@ -65,7 +66,7 @@ class Study:
     name: str
     kind: str
     design: str
-    folders: tuple[Path, ...]
+    folders: tuple[Address, ...]
     points: tuple[Point, ...]
     seeds: tuple[int, ...]
     configs: tuple[tuple[Config, ...], ...]

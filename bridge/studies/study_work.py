@@ -13,7 +13,7 @@ from bridge.files import explained
 from bridge.generation.gaps import gaps_bytes
 from bridge.generation.generate import PreparedScene, prepare
 from bridge.recordings.export import new_scenario_id, write_folder
-from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sources import read_recording
 from bridge.studies.paired import Drawn, PairedRun, draw, drawing_config, paired_run
 from bridge.studies.study import LOOKS_FILE, RUN_FILE
 from hid2.params import Config
@@ -26,7 +26,7 @@ def measure_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Fa
     for run in runs:
         try:
             if prepared is None:
-                prepared = prepare(read_scenario(place.folder), run.config)
+                prepared = prepare(read_recording(place.folder), run.config)
             who = drawing_config(run.config)
             key = config_sha256(who)
             if key not in drawn:

@@ -14,7 +14,9 @@ from types import ModuleType
 import numpy as np
 
 from bridge.pictures.figures import check_ending, check_step
-from bridge.recordings.scenario import STEP_S, Scenario, read_scenario
+from bridge.recordings.folders import Address
+from bridge.recordings.scenario import Scenario
+from bridge.recordings.sources import read_recording
 from bridge.sumo.playback import GUI_SHAPES, ID_KEY, moving_ground, paints, scene_view_files, shows_id
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import Track
@@ -34,7 +36,7 @@ _HOW = "install it: sh setup.sh tests, or in your own environment pip install 'e
 
 
 def play_scene(
-    folder: Path,
+    folder: Address,
     *,
     speed: float = 1.0,
     screenshot: Path | None = None,
@@ -52,7 +54,7 @@ def play_scene(
     if screenshot is not None:
         check_ending(screenshot, [".png"])
     traci, binary = _traci(), _binary()
-    scenario = read_scenario(folder)
+    scenario = read_recording(folder)
     pictured = check_step(scenario, step)
     with tempfile.TemporaryDirectory(prefix="hid2-gui-") as place:
         grid = build_cell_grid(scenario.graph)
@@ -63,7 +65,7 @@ def play_scene(
         command += ["--window-size", _WINDOW]  # else what the user's last window had, or a small one
         command += ["--collision.action", "none", "--time-to-teleport", "-1"]
         # where a list is expected an empty one is refused, so a time that never comes
-        halts = [_NEVER] if screenshot is not None else _halts(scenario.num_steps)
+        halts = [_NEVER] if screenshot is not None else _halts(scenario.num_steps * scenario.step_s, scenario.step_s)
         command += ["--breakpoints", ",".join(f"{halt:.1f}" for halt in halts)]
         command += ["--delay", "0" if screenshot is not None else f"{REAL_TIME_MS / speed:.0f}"]
         try:
@@ -91,9 +93,9 @@ def play_scene(
     return screenshot
 
 
-def _halts(steps: int) -> list[float]:
+def _halts(lasts_s: float, step_s: float) -> list[float]:
     """Seconds at which sumo-gui waits for its user: after the first step and at the end of every round."""
-    return [STEP_S, *(STEP_S * steps * number for number in range(1, _ROUNDS + 1))]
+    return [step_s, *(lasts_s * number for number in range(1, _ROUNDS + 1))]
 
 
 def _traci() -> ModuleType:

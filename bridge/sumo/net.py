@@ -25,7 +25,7 @@ def convert(scene: Path, out_dir: Path, *, cell_m: float = 4.0, max_skew_m: floa
     grid = build_cell_grid(read_source_map(path), cell_m=cell_m, max_skew_m=max_skew_m)
     net = net_bytes(grid)
     report = measure_fidelity(grid, net)
-    _write_all(out_dir, {f"{name}.net.xml": net, **gui_files(grid, name)})
+    write_all(out_dir, {f"{name}.net.xml": net, **gui_files(grid, name)})
     return report
 
 
@@ -40,7 +40,7 @@ def _map_file(scene: Path) -> Path:
     return found[0]
 
 
-def _write_all(folder: Path, files: Mapping[str, bytes]) -> None:
+def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write every file to a hidden folder beside its place, then move all of them there."""
     try:
         folder.mkdir(parents=True, exist_ok=True)

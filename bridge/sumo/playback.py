@@ -17,13 +17,16 @@ from lxml import etree
 
 from bridge.files import beside
 from bridge.pictures.figures import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
-from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, STEP_S, Scenario, read_scenario
+from bridge.recordings.folders import Address
+from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario
 from bridge.recordings.sidecar import sidecar_in
+from bridge.recordings.sources import read_recording
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
 from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ExportError
+from netconvert.geo import CITY_ORIGINS
 from netconvert.geometry import arc_length
 from netconvert.gui_files import WINDOW_ASPECT, gui_files
 from netconvert.net_xml import net_bytes
@@ -108,28 +111,33 @@ def paints(scenario: Scenario) -> dict[str, Paint]:
     return out
 
 
-def write_playable(folder: Path, out_dir: Path) -> Path:
+def write_playable(address: Address, out_dir: Path) -> Path:
     """Write <id>_scene.sumocfg, .net.xml, .rou.xml, .poly.xml and .view.xml into out_dir; returns the .sumocfg to open.
 
     The net is that of `hid2 net` with the lanes of the traces added.
 
     Errors: ScenarioError, MapError, NetError; ExportError where the files cannot be written.
     """
-    scenario = read_scenario(folder)
-    grid = build_cell_grid(scenario.graph)
-    name = f"{scenario.scenario_id}_scene"
-    files = scene_view_files(scenario, grid, name)
-    traces = [_trace(track) for track in scenario.tracks]
-    files[f"{name}.net.xml"] = _with_traces(net_bytes(grid), traces)
-    files[f"{name}.rou.xml"] = _routes(scenario, traces)
-    files[f"{name}.sumocfg"] = _with_routes(files[f"{name}.sumocfg"], name, end_s=scenario.num_steps * STEP_S)
+    scenario = read_recording(address)
+    files = playable_files(scenario, build_cell_grid(scenario.graph))
     try:
         for file_name, content in files.items():
             with beside(out_dir / file_name) as hidden:
                 hidden.write_bytes(content)
     except OSError as error:
         raise ExportError(f"{out_dir}: cannot write the files for sumo-gui ({error})") from error
-    return out_dir / f"{name}.sumocfg"
+    return out_dir / next(name for name in files if name.endswith(".sumocfg"))
+
+
+def playable_files(scenario: Scenario, grid: CellGrid) -> dict[str, bytes]:
+    """What `write_playable` writes, by file name."""
+    name = f"{scenario.scenario_id}_scene"
+    files = scene_view_files(scenario, grid, name)
+    traces = [_trace(track, scenario.step_s) for track in scenario.tracks]
+    files[f"{name}.net.xml"] = _with_traces(net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city)), traces)
+    files[f"{name}.rou.xml"] = _routes(scenario, traces)
+    files[f"{name}.sumocfg"] = _with_routes(files[f"{name}.sumocfg"], name, end_s=scenario.num_steps * scenario.step_s)
+    return files
 
 
 def scene_view_files(scenario: Scenario, grid: CellGrid, name: str) -> dict[str, bytes]:
@@ -165,7 +173,7 @@ def scene_view_files(scenario: Scenario, grid: CellGrid, name: str) -> dict[str,
     gui = configuration.find("gui_only")
     assert gui is not None
     etree.SubElement(gui, "start", {"value": "true"})
-    etree.SubElement(gui, "breakpoints", {"value": f"{STEP_S}"})
+    etree.SubElement(gui, "breakpoints", {"value": f"{scenario.step_s}"})
     files[f"{name}.sumocfg"] = _content(configuration)
     return files
 
@@ -241,8 +249,8 @@ class _Trace:
         return f"trace_{self.track.track_id}_{number}"
 
 
-def _trace(track: Track) -> _Trace:
-    points, when = _way(track)
+def _trace(track: Track, step_s: float) -> _Trace:
+    points, when = _way(track, step_s)
     knots = [0]
     for row in range(1, len(points)):
         way = float(arc_length(points[knots[-1] : row + 1])[-1])
@@ -258,17 +266,17 @@ def _trace(track: Track) -> _Trace:
     return _Trace(track, tuple(shapes), (*limits, _OUT_MPS), track.size.length_m)
 
 
-def _way(track: Track) -> tuple[FloatArray, FloatArray]:
+def _way(track: Track, step_s: float) -> tuple[FloatArray, FloatArray]:
     """Places of the front bumper (N, 2) m, N >= 2, that follow each other forwards, and when it is there (N,) s.
 
     An agent that stays within STANDS_M creeps a hand's breadth, and positions are smoothed: jitter would turn it round.
     """
-    times = np.asarray(track.timesteps * STEP_S, dtype=np.float64)
+    times = np.asarray(track.timesteps * step_s, dtype=np.float64)
     middle = len(times) // 2
     if np.hypot(*np.ptp(track.position, axis=0)) <= STANDS_M:
         heading = float(track.heading[middle])
         front = np.median(track.position, axis=0) + 0.5 * track.size.length_m * _direction(heading)
-        return np.stack([front, front + _CREEP_M * _direction(heading)]), np.array([times[0], times[-1] + STEP_S])
+        return np.stack([front, front + _CREEP_M * _direction(heading)]), np.array([times[0], times[-1] + step_s])
     front, _ = sumo_poses(track.position, track.heading, np.full(len(times), track.size.length_m))
     front = _smooth(front)
     backwards = (track.position[-1] - track.position[0]) @ _direction(track.heading[middle]) < 0
@@ -345,7 +353,7 @@ def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
     for trace in ordered:
         name = trace.track.track_id
         vehicle = {"id": name, "type": f"type_{name}", "color": colors[name].xml, "insertionChecks": "none"}
-        vehicle |= {"depart": f"{trace.track.timesteps[0] * STEP_S:.1f}", "departPos": f"{trace.depart_m:.2f}"}
+        vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.1f}", "departPos": f"{trace.depart_m:.2f}"}
         vehicle |= {"departSpeed": f"{trace.limits[0]:.4f}", "arrivalPos": "max"}
         element = etree.SubElement(root, "vehicle", vehicle)
         if shows_id(trace.track):

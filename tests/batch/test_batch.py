@@ -31,7 +31,8 @@ from bridge.batch.manifest import (
     read_manifest,
 )
 from bridge.config import load_config
-from bridge.recordings.scenario import find_scenarios, find_sources
+from bridge.recordings.scenario import find_scenarios
+from bridge.recordings.sources import find_sources
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportError
 
@@ -424,7 +425,8 @@ RUN = """
 import sys
 from pathlib import Path
 from bridge.batch.batch import Options, plan, run_batch
-from bridge.recordings.scenario import find_scenarios, find_sources
+from bridge.recordings.scenario import find_scenarios
+from bridge.recordings.sources import find_sources
 from hid2.params import Config
 import signal
 if __name__ == "__main__":

@@ -16,12 +16,13 @@ import pytest
 from typer.main import get_command
 
 from bridge.batch.batch import GENERATE_WITH_GAPS
+from bridge.batch.scan import EVENT_TARGETS
 from bridge.cli import app, options
 from bridge.config import config_to_dict, describe_config, load_config, parse_behaviours, parse_trigger_time
 from bridge.evaluation.paper import EXPERIMENTS
 from bridge.recordings.scenario import SPLITS
 from hid2.agents import Policy
-from hid2.params import Config, Request
+from hid2.params import Config, Event, Request
 
 ROOT = Path(__file__).parents[2]
 Run = Callable[..., Any]
@@ -33,7 +34,11 @@ def option(name: str) -> Any:
 
 
 def test_choices_are_those_of_the_package() -> None:
-    assert [str(name) for name in options.BehaviourName] == [policy.value for policy in Policy]
+    kinds = get_args(Event.model_fields["kind"].annotation)
+    events = [f"{kind}:{target}" for kind in kinds for target in EVENT_TARGETS]
+    assert [str(name) for name in options.EventName] == list(kinds)
+    assert [str(name) for name in options.CanName][:5] == [policy.value for policy in Policy]
+    assert sorted(str(name) for name in list(options.CanName)[5:]) == sorted(events)
     assert tuple(options.SplitName) == SPLITS
     assert [f"generate_and_record_{name}" for name in options.RecordName] == [GENERATE_WITH_GAPS.partition(":")[2]]
     assert get_args(options.ExperimentName) == EXPERIMENTS

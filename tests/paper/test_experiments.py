@@ -2,10 +2,12 @@
 
 import csv
 import json
+import shutil
 
 import pytest
+from recordings import make_argoverse1, make_log
 
-from bridge.evaluation.paper import PAPER_ABLATION, run_experiment
+from bridge.evaluation.paper import PAPER_ABLATION, PAPER_ARGOVERSE1, run_experiment
 from bridge.evaluation.report import PAPER_HID2, PAPER_ORIGINAL
 from netconvert.errors import ConfigError
 
@@ -64,9 +66,43 @@ def test_density_begins_with_nothing_added(data_scenes, tmp_path):
     assert (tmp_path / "density.png").stat().st_size > 10_000
 
 
-def test_diversity_uses_scenes_of_more_than_forty_agents(data_scenes, tmp_path):
-    with pytest.raises(ConfigError, match="more than 40 agents"):
-        run_experiment("diversity", scenes=data_scenes["curve"], out_dir=tmp_path, seeds=1)
+def test_diversity_is_of_the_whole_data_set_and_says_what_was_asked_for_and_done(data_scenes, tmp_path):
+    """The synthetic scenes have fewer than 40 agents: no part on the paper's templates."""
+    run_experiment("diversity", scenes=data_scenes["curve"], out_dir=tmp_path, seeds=1, agents=4)
+    found = json.loads((tmp_path / "diversity.json").read_text())
+    assert found["scenes"] == {"before": 1, "after": 2}
+    assert "templates" not in found
+    counts = found["asked_and_done"]
+    assert all(0 <= part["done"] <= part["asked"] for part in counts.values())
+    assert sum(part["asked"] for part in counts.values()) > 0
+    assert "asked for" in (tmp_path / "diversity.html").read_text()
+
+
+def test_table1_has_the_rows_of_argoverse_1_beside_the_papers(tmp_path):
+    root = make_argoverse1(tmp_path / "made")
+    run_experiment("table1", scenes=root / "val", out_dir=tmp_path / "out", seeds=1, agents=3)
+    found = lines(tmp_path / "out" / "table1.json")
+    assert {key: found["paper: Argoverse 1"][key]["value"] for key in PAPER_ARGOVERSE1} == PAPER_ARGOVERSE1
+    assert found["paper: HiD2 on Argoverse 1"]["je"]["value"] == 11.031
+    assert found["ours: Argoverse 1, generated vehicles alone"]["scr"]["value"] == 0.0
+    assert "paper: Argoverse 2" not in found
+    raw, filtered = (found[f"ours: Argoverse 1, recorded, positions {how}"] for how in ("as they are", "smoothed"))
+    assert 0 < filtered["je"]["value"] <= raw["je"]["value"]
+    assert "Positions jump by decimetres" in (tmp_path / "out" / "table1.html").read_text().replace("\n", " ")
+
+
+def test_tracked_scenes_and_labelled_ones_have_rows_of_their_own(data_scenes, tmp_path):
+    shutil.copytree(data_scenes["arterial"], tmp_path / "in" / data_scenes["arterial"].name)
+    make_log(data_scenes["intersection"], tmp_path / "in")
+    run_experiment("table1", scenes=tmp_path / "in", out_dir=tmp_path / "out", seeds=1, agents=2)
+    found = lines(tmp_path / "out" / "table1.json")
+    whole, parts = (
+        found["ours: recorded scenes"],
+        [line for name, line in found.items() if "ours: recorded scenes," in name],
+    )
+    assert len(parts) == 2
+    low, high = sorted(part["je"]["value"] for part in parts)
+    assert low <= whole["je"]["value"] <= high
 
 
 def test_unknown_experiment_is_explained(data_scenes, tmp_path):

@@ -15,9 +15,9 @@ from bridge.batch.manifest import (
     ManifestRow,
     files_sha256,
     read_manifest,
-    source_files,
 )
 from bridge.recordings.limits import MAX_FILE_MB
+from bridge.recordings.sources import source_files
 from netconvert.errors import BatchError
 
 

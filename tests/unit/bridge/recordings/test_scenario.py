@@ -12,7 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
 
-from bridge.recordings.scenario import find_scenarios, find_sources, read_scenario, source_id, split_of
+from bridge.recordings.scenario import find_scenarios, read_scenario, source_id, split_of
+from bridge.recordings.sources import find_sources
 from hid2.agents import DEFAULT_SIZES
 from netconvert.errors import MapError, ScenarioError
 

@@ -1,0 +1,371 @@
+"""Argoverse 1 forecasting sequences (format 1.1): positions of tracks, 5 s at about 10 Hz, on the map of a city.
+
+What becomes of a sequence, step for step:
+
+- Its 50 time stamps (20 in test_obs) are timesteps of 0.1 s, as the data set defines and every reader of it takes them;
+  the first 20 are observed. Positions stay as they are, to the last bit. The stamps themselves are 0.1 to 0.2 s apart
+  in the mean, and the AV's way from one to the next goes with them: by the data set's own clock the vehicles of such a
+  sequence are slower than they look.
+- Track AV keeps its type as its id. AGENT is the focal track; others seen at every step are context, shorter ones
+  fragments. Types are not told: each track is a vehicle of that type's usual size.
+- Velocities are the derivative of a Savitzky-Golay filter (11 samples, degree 2) over each unbroken run of a track:
+  positions are a tracker's, and their differences are mostly noise.
+- Headings are the direction of these velocities where a vehicle moves: 1 m/s and faster, of tracks that get 1.5 m away
+  from where they begin. In between a vehicle keeps its last heading, before its first motion it has its next. One that
+  never moves has the direction of the nearest lane.
+- The map is cut from that of the city, 30 m around the tracks, or is the Argoverse 2 map that the user chose: both data
+  sets have the same city frames.
+
+The constants are rules of this reader and no parameters of the method: another value would be another recording.
+"""
+
+import csv
+import io
+import json
+import math
+import re
+import warnings
+from functools import lru_cache
+from pathlib import Path
+from tokenize import TokenError
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import shapely
+from scipy.signal import savgol_filter
+
+from bridge.files import one_line, read_regular
+from bridge.recordings import limits
+from bridge.recordings.folders import Source
+from bridge.recordings.map_rules import graph_of, read_document
+from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY, Recording
+from bridge.recordings.scenario import REQUIRED_COLUMNS, split_rows
+from hid2.agents import FloatArray, IntArray
+from netconvert.av1_map import CityLane, DrivableRaster, cut_city, drivable_raster, read_city_lanes
+from netconvert.errors import MapError, ScenarioError
+from netconvert.lane_graph import LaneGraph
+
+COLUMNS = ("TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "CITY_NAME")
+AV, AGENT, OTHERS = "AV", "AGENT", "OTHERS"
+#: Steps of a sequence, those of them that are observed (all of a test_obs sequence), seconds from one to the next.
+NUM_STEPS, OBSERVED_STEPS, STEP_S = 50, 20, 0.1
+#: Time stamps: the mean of their distances, and the largest one, s. Of 60 real sequences: 0.1 to 0.2, and 0.27.
+_MEAN_S, _MOST_S = (0.05, 0.3), 0.6
+_CITIES = {"MIA": "miami", "PIT": "pittsburgh"}
+_SAMPLES, _DEGREE = 11, 2
+_MOVES_MPS, _MOVES_M = 1.0, 1.5
+_MARGIN_M = 30.0
+#: Share of the AGENT's positions that has to lie on the map's drivable area: on another city's map none does.
+_ON_MAP = 0.5
+_RASTERS = ("driveable_area_mat", "npyimage_to_city_se2")
+
+
+#: What numpy raises for files that are no arrays of numbers.
+_NOT_AN_ARRAY = (
+    ValueError, EOFError, TypeError, SyntaxError, OverflowError, MemoryError, KeyError, UnicodeError, TokenError,
+)  # fmt: skip
+
+
+class CityMap(NamedTuple):
+    """The map of a city."""
+
+    lanes: dict[int, CityLane]
+    raster: DrivableRaster
+
+
+class _Rows(NamedTuple):
+    """The rows of a sequence by track, in the order of first appearance; position (N, 2) m."""
+
+    ids: list[str]
+    code: IntArray
+    timestep: IntArray
+    kinds: list[str]
+    position: FloatArray
+    stamps: list[float]
+    city: str
+
+
+def read(source: Source) -> Recording:
+    """Read one sequence. Errors: ScenarioError, MapError with file, id, value and what was expected."""
+    path, name = source.path, str(source.path)
+    try:
+        content = read_regular(path, most_mb=limits.MAX_FILE_MB)
+    except OSError as error:
+        raise ScenarioError(f"{path}: cannot be read ({error.strerror}), expected an Argoverse 1 sequence") from error
+    rows = _rows(content, name)
+    assert source.map_path is not None
+    graph, map_json = _map(source.map_path, rows)
+    agent = rows.position[rows.code == rows.kinds.index(AGENT)]
+    on_map = float(np.mean(shapely.contains_xy(graph.drivable, agent)))
+    if on_map < _ON_MAP:
+        raise MapError(
+            f"{source.map_path}: {on_map:.0%} of the AGENT of {path.name} ({rows.city}) is on its drivable area, "
+            f"expected {_ON_MAP:.0%} or more: a map of the place"
+        )
+    table = _table(rows, graph, source.scenario_id)
+    checked = split_rows(table, name=name, sizes={}, observed_steps=OBSERVED_STEPS)
+    limits.check_ground(checked.tracks, graph, name)
+    return Recording(
+        scenario_id=source.scenario_id,
+        city=checked.city,
+        focal_track_id=checked.focal_track_id,
+        num_steps=checked.num_steps,
+        tracks=checked.tracks,
+        graph=graph,
+        table=table,
+        folder=path,
+        map_path=source.map_path,
+        split=source.split,
+        observed_steps=OBSERVED_STEPS,
+        step_s=STEP_S,
+        format="argoverse1",
+        provenance="tracker",
+        map_json=map_json,
+        sequence=content,
+    )
+
+
+def check_sequence(content: bytes, name: str) -> None:
+    """Whether a CSV file keeps the rules of the format. name: what messages call it. Errors: ScenarioError."""
+    _rows(content, name)
+
+
+def _rows(content: bytes, name: str) -> _Rows:
+    """The rows of a CSV file, checked. Errors: ScenarioError."""
+    try:
+        lines = list(csv.reader(io.StringIO(content.decode("ascii"), newline="")))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ScenarioError(f"{name}: not a CSV file ({error})") from error
+    header = lines[0] if lines else []
+    if sorted(header) != sorted(COLUMNS):
+        shown = one_line(",".join(header), most=120)
+        raise ScenarioError(f"{name}: columns {shown!r}, expected {','.join(COLUMNS)} of Argoverse 1")
+    if not 0 < len(lines) - 1 <= limits.MAX_ROWS:
+        raise ScenarioError(f"{name}: {len(lines) - 1} rows, expected 1 to {limits.MAX_ROWS}")
+    for number, line in enumerate(lines[1:], start=2):
+        if len(line) != len(header):
+            raise ScenarioError(f"{name} line {number}: {len(line)} values, expected {len(header)}")
+    by_name = {column: [line[k] for line in lines[1:]] for k, column in enumerate(header)}
+    stamp = _floats(by_name["TIMESTAMP"], "TIMESTAMP", name)
+    position = np.column_stack([_floats(by_name[axis], axis, name) for axis in "XY"])
+    stamps, timestep = _steps(stamp, name)
+    codes = {track_id: k for k, track_id in enumerate(dict.fromkeys(by_name["TRACK_ID"]))}
+    code = np.array([codes[track_id] for track_id in by_name["TRACK_ID"]], dtype=np.int64)
+    ids, kinds = list(codes), _kinds(codes, code, by_name["OBJECT_TYPE"], name)
+    cities = list(dict.fromkeys(by_name["CITY_NAME"]))
+    if len(cities) != 1 or cities[0] not in _CITIES:
+        shown = one_line(", ".join(cities), most=60)
+        raise ScenarioError(f"{name}: CITY_NAME {shown!r}, expected one of {', '.join(_CITIES)} in every row")
+    order = np.lexsort((timestep, code))
+    code, timestep, position = code[order], timestep[order], position[order]
+    again = np.flatnonzero((np.diff(code) == 0) & (np.diff(timestep) == 0))
+    if len(again):
+        row = int(again[0])
+        where = f"track {one_line(ids[code[row]], most=60)!r}, time stamp {stamps[timestep[row]]}"
+        raise ScenarioError(f"{name}: {where}: more than one row, expected one")
+    for kind in (AV, AGENT):
+        have = [k for k, found in enumerate(kinds) if found == kind]
+        if len(have) != 1:
+            raise ScenarioError(f"{name}: {len(have) or 'no'} track of OBJECT_TYPE {kind}, expected exactly one")
+        seen = int((code == have[0]).sum())
+        if seen != len(stamps):
+            raise ScenarioError(f"{name}: track {kind} at {seen} of {len(stamps)} time stamps, expected it at all")
+    ids = [AV_ID if kind == AV else track_id for track_id, kind in zip(ids, kinds, strict=True)]
+    if ids.count(AV_ID) > 1:
+        raise ScenarioError(f"{name}: TRACK_ID {AV_ID!r} of a track of another OBJECT_TYPE, expected it of none")
+    return _Rows(ids, code, timestep, kinds, position, stamps, cities[0])
+
+
+def _floats(texts: list[str], column: str, name: str) -> FloatArray:
+    try:
+        values = np.array([float(text) for text in texts], dtype=np.float64)
+    except ValueError:
+        row = next(k for k, text in enumerate(texts) if not _is_number(text))
+        shown = one_line(texts[row], most=60)
+        raise ScenarioError(f"{name} line {row + 2}: {column} {shown!r}, expected a number") from None
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        raise ScenarioError(f"{name} line {int(bad[0]) + 2}: {column} {values[bad[0]]}, expected a finite number")
+    return values
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _steps(stamp: FloatArray, name: str) -> tuple[list[float], IntArray]:
+    """The time stamps in order, and the timestep of each row."""
+    stamps = np.unique(stamp)
+    if len(stamps) not in (NUM_STEPS, OBSERVED_STEPS):
+        raise ScenarioError(f"{name}: {len(stamps)} time stamps, expected {NUM_STEPS} ({OBSERVED_STEPS} in test_obs)")
+    apart_s = np.diff(stamps)
+    if not (_MEAN_S[0] <= apart_s.mean() <= _MEAN_S[1] and apart_s.max() <= _MOST_S):
+        said = f"time stamps {apart_s.mean():.3f} s apart in the mean and {apart_s.max():.3f} s at most"
+        raise ScenarioError(f"{name}: {said}, expected about {STEP_S} s and at most {_MOST_S} s")
+    return stamps.tolist(), np.searchsorted(stamps, stamp).astype(np.int64)
+
+
+def _kinds(codes: dict[str, int], code: IntArray, types: list[str], name: str) -> list[str]:
+    """The type of each track."""
+    kinds = [""] * len(codes)
+    ids = list(codes)
+    for k, kind in zip(code.tolist(), types, strict=True):
+        where = f"{name}: track {one_line(ids[k], most=60)!r}"
+        if kind not in (AV, AGENT, OTHERS):
+            raise ScenarioError(f"{where}: OBJECT_TYPE {one_line(kind, most=40)!r}, expected {AV}, {AGENT} or {OTHERS}")
+        if kinds[k] not in ("", kind):
+            raise ScenarioError(f"{where}: OBJECT_TYPE {kinds[k]} and {kind}, expected one")
+        kinds[k] = kind
+    return kinds
+
+
+def _table(rows: _Rows, graph: LaneGraph, scenario_id: str) -> pa.Table:
+    """The rows as Argoverse 2 has them."""
+    steps = len(rows.stamps)
+    velocity, heading = np.empty_like(rows.position), np.empty(len(rows.code))
+    lines = LaneLines.of(graph)
+    category = np.empty(len(rows.code), dtype=np.int64)
+    for k, kind in enumerate(rows.kinds):
+        own = rows.code == k
+        velocity[own], heading[own] = motion_of(rows.position[own], rows.timestep[own], lines)
+        category[own] = FOCAL_CATEGORY if kind == AGENT else int(own.sum() == steps)
+    focal = rows.ids[rows.kinds.index(AGENT)]
+    count = len(rows.code)
+    columns = {
+        "observed": rows.timestep < OBSERVED_STEPS,
+        "track_id": [rows.ids[k] for k in rows.code.tolist()],
+        "object_type": ["vehicle"] * count,
+        "object_category": category,
+        "timestep": rows.timestep,
+        "position_x": rows.position[:, 0],
+        "position_y": rows.position[:, 1],
+        "heading": heading,
+        "velocity_x": velocity[:, 0],
+        "velocity_y": velocity[:, 1],
+        "scenario_id": [scenario_id] * count,
+        "start_timestamp": np.full(count, rows.stamps[0] * 1e9),
+        "end_timestamp": np.full(count, rows.stamps[-1] * 1e9),
+        "num_timestamps": np.full(count, steps),
+        "focal_track_id": [focal] * count,
+        "city": [_CITIES[rows.city]] * count,
+    }
+    schema = pa.schema([(name, types[0]) for name, types in REQUIRED_COLUMNS.items()])
+    return pa.table(columns, schema=schema)
+
+
+class LaneLines(NamedTuple):
+    """The pieces of all centrelines of a map: begin (M, 2) m and step (M, 2) m to the end."""
+
+    begin: FloatArray
+    step: FloatArray
+
+    @staticmethod
+    def of(graph: LaneGraph) -> "LaneLines":
+        """Those of every lane."""
+        lines = [lane.centerline for lane in graph.lanes.values()]
+        begin = np.concatenate([line[:-1] for line in lines])
+        return LaneLines(begin, np.concatenate([np.diff(line, axis=0) for line in lines]))
+
+    def heading(self, point: FloatArray) -> float:
+        """Direction of the nearest lane at a point (2,) m."""
+        along = ((point - self.begin) * self.step).sum(axis=1) / np.square(self.step).sum(axis=1)
+        nearest = self.begin + np.clip(along, 0.0, 1.0)[:, None] * self.step
+        x, y = self.step[int(np.square(nearest - point).sum(axis=1).argmin())].tolist()
+        return math.atan2(y, x)
+
+
+def motion_of(position: FloatArray, timestep: IntArray, lines: LaneLines) -> tuple[FloatArray, FloatArray]:
+    """Velocities (N, 2) m/s and headings (N,) rad in (-pi, pi] of a track from its positions (N, 2) m."""
+    breaks = np.flatnonzero(np.diff(timestep) != 1) + 1
+    velocity = np.vstack([_velocity(run) for run in np.split(position, breaks)])
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    away_m = float(np.hypot(*(position - position[0]).T).max())
+    moves = np.flatnonzero(speed >= _MOVES_MPS) if away_m >= _MOVES_M else np.empty(0, dtype=np.int64)
+    if not len(moves):
+        return velocity, np.full(len(position), lines.heading(position.mean(axis=0)))
+    last = np.maximum(np.searchsorted(moves, np.arange(len(position)), side="right") - 1, 0)
+    moving = velocity[moves[last]]
+    return velocity, np.arctan2(moving[:, 1], moving[:, 0])
+
+
+def _velocity(position: FloatArray) -> FloatArray:
+    """As `motion_of`, of an unbroken run; short runs take the longest odd window, the shortest their mean."""
+    count = len(position)
+    if count < 5:
+        mean = (position[-1] - position[0]) / (STEP_S * max(count - 1, 1))
+        return np.repeat(mean[None], count, axis=0)
+    window = min(_SAMPLES, count - (count + 1) % 2)
+    return np.asarray(savgol_filter(position, window, _DEGREE, deriv=1, delta=STEP_S, axis=0), dtype=np.float64)
+
+
+# Maps
+
+
+def _map(path: Path, rows: _Rows) -> tuple[LaneGraph, bytes | None]:
+    """Lane graph, and the document that is written for it; None for a map of Argoverse 2, which is copied."""
+    if path.is_file():
+        return graph_of(read_document(path), name=str(path)), None
+    vector, pixels, se2 = map_files(path, rows.city)
+    city = _city(vector, pixels, se2, tuple(_stamp(file) for file in (vector, pixels, se2)))
+    low, high = rows.position.min(axis=0) - _MARGIN_M, rows.position.max(axis=0) + _MARGIN_M
+    if not (high - low).max() <= limits.MAX_EXTENT_M:
+        spread = (high - low).max() - 2 * _MARGIN_M
+        raise ScenarioError(f"tracks spread over {spread:.6g} m, expected at most {limits.MAX_EXTENT_M:.0f} m")
+    document = cut_city(city.lanes, city.raster, low=low, high=high, name=str(vector))
+    return graph_of(document, name=str(vector)), json.dumps(document).encode()
+
+
+def map_files(folder: Path, city: str) -> tuple[Path, Path, Path]:
+    """Vector map, raster and its transformation of a city. Errors: MapError with the name that is missing."""
+    pattern = re.compile(rf"pruned_argoverse_{city}_(\d+)_vector_map\.xml")
+    found = sorted((path, match[1]) for path in folder.iterdir() if (match := pattern.fullmatch(path.name)))
+    if len(found) != 1:
+        wanted = f"pruned_argoverse_{city}_<n>_vector_map.xml"
+        raise MapError(f"{folder}: {len(found) or 'no'} {wanted}, expected exactly one: the map of {_CITIES[city]}")
+    vector, number = found[0]
+    rasters = []
+    for what in _RASTERS:
+        name = f"{city}_{number}_{what}_"
+        files = sorted(path for path in folder.iterdir() if path.name.startswith(name) and path.suffix == ".npy")
+        if len(files) != 1:
+            raise MapError(
+                f"{folder}: {len(files) or 'no'} {name}<date>.npy, expected exactly one beside {vector.name}"
+            )
+        rasters += files
+    return vector, rasters[0], rasters[1]
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    """What tells one state of a file from another."""
+    status = path.stat()
+    return status.st_mtime_ns, status.st_size
+
+
+@lru_cache(maxsize=2)  # a city-wide map is read once by each process
+def _city(vector: Path, pixels: Path, se2: Path, stamps: tuple[tuple[int, int], ...]) -> CityMap:
+    del stamps  # part of the key
+    try:
+        content = read_regular(vector, most_mb=limits.MAX_CITY_MB)
+    except OSError as error:
+        raise MapError(f"{vector}: cannot be read ({error.strerror})") from error
+    raster = drivable_raster(_array(pixels), _array(se2), name=str(pixels))
+    return CityMap(read_city_lanes(content, name=str(vector)), raster)
+
+
+def _array(path: Path) -> npt.NDArray[np.generic]:
+    """The array of an npy file; objects, which could be anything, are refused. Errors: MapError."""
+    try:
+        content = io.BytesIO(read_regular(path, most_mb=limits.MAX_CITY_MB))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of headers that Python 2 wrote
+            return np.asarray(np.lib.format.read_array(content, allow_pickle=False))
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except _NOT_AN_ARRAY as error:
+        raise MapError(f"{path}: not an npy file of numbers ({one_line(str(error), most=200)})") from error

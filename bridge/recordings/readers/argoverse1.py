@@ -1,0 +1,107 @@
+"""Argoverse 1 forecasting sequences: where sequences and maps are; `bridge.recordings.argoverse1` reads them."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Reader, Source
+from netconvert.errors import NoSceneError
+
+if TYPE_CHECKING:
+    from bridge.recordings.recording import Recording
+
+_SEQUENCE = re.compile(r"(\d{1,15})\.csv")
+#: Split by the name of a folder above a sequence.
+_SPLITS = {"train": "train", "val": "val", "test_obs": "test", "test": "test"}
+MAP_FILES = "map_files"
+_VECTOR_MAPS = "pruned_argoverse_*_vector_map.xml"
+#: Folders above a sequence that are looked at for its split and its map files: ROOT/val/data/1.csv.
+_ABOVE = 4
+
+
+class Argoverse1(Reader):
+    """Sequences: CSV files named by a number. Their maps are files of the whole city, or one chosen by the user."""
+
+    name = "argoverse1"
+    one, many = "Argoverse 1 sequence", "Argoverse 1 sequences"
+    lacks = (
+        "Argoverse 1 tells no types, sizes and headings: every track is taken for a vehicle of 4.5 x 1.9 m, headings "
+        "and velocities come from smoothed positions, who stands keeps the heading or has that of the lane; its maps "
+        "tell no lane boundaries: lanes are 3.8 m wide"
+    )
+    is_folder = False
+
+    def sniff(self, path: Path, names: frozenset[str]) -> bool:
+        """A file of such a name, or a folder with one."""
+        return _is_sequence(path) or any(_SEQUENCE.fullmatch(name) for name in names)
+
+    def find(self, path: Path, names: frozenset[str], choices: Choices) -> list[Address]:
+        """By number. Errors: NoSceneError where there are no map files for them."""
+        numbers = {name: int(named[1]) for name in names if (named := _SEQUENCE.fullmatch(name))}
+        folder = path if numbers else path.parent
+        split = next((_SPLITS[place.name] for place in _above(folder) if place.name in _SPLITS), None)
+        map_path = _chosen_map(choices.map_path) if choices.map_path is not None else _city_maps(folder)
+        found: list[Address] = []
+        for name in sorted(numbers, key=lambda name: (numbers[name], name)) or [path.name]:
+            place = folder / name
+            found.append(Source(place, self.name, _scenario_id(place, split, map_path), split, 0, map_path))
+        return found
+
+    def files(self, source: Source) -> list[Path]:
+        """Sequence and map; all maps of a folder, as the sequence tells its city."""
+        found = [source.path]
+        if source.map_path is not None:
+            is_file = source.map_path.is_file()
+            found += [source.map_path] if is_file else sorted(entry for entry in source.map_path.iterdir())
+        return [path for path in found if path.is_file()]
+
+    def read(self, source: Source) -> "Recording":
+        """Errors: ScenarioError, MapError."""
+        from bridge.recordings.argoverse1 import read
+
+        return read(source)
+
+
+def _is_sequence(path: Path) -> bool:
+    return _SEQUENCE.fullmatch(path.name) is not None and path.is_file()
+
+
+def _above(folder: Path) -> Iterator[Path]:
+    real = folder.absolute()
+    yield from (real, *real.parents[: _ABOVE - 1])
+
+
+def _city_maps(folder: Path) -> Path:
+    """The folder of map files that is nearest to a folder of sequences. Errors: NoSceneError."""
+    for place in _above(folder):
+        for maps in (place, place / MAP_FILES):
+            if any(maps.glob(_VECTOR_MAPS)):
+                return maps
+    root = list(_above(folder))[min(2, _ABOVE - 1)]
+    raise NoSceneError(
+        f"{folder}: this is Argoverse 1: its map files are missing, expected "
+        f"pruned_argoverse_<CITY>_<n>_vector_map.xml and the rasters of the drivable area in {root / MAP_FILES}; "
+        "or give --map, an Argoverse 2 map of the place"
+    )
+
+
+def _chosen_map(path: Path) -> Path:
+    """The Argoverse 2 map file that a user chose, by itself or by the folder that it is in. Errors: NoSceneError."""
+    if path.is_file():
+        return path
+    if any(path.glob(_VECTOR_MAPS)):
+        return path
+    found = sorted(path.glob(MAP_PATTERN)) if path.is_dir() else []
+    if len(found) != 1:
+        have = f"{len(found)} files log_map_archive_<id>.json" if found else "no log_map_archive_<id>.json"
+        raise NoSceneError(f"--map {path}: {have}, expected one Argoverse 2 map, or the folder of one")
+    return found[0]
+
+
+def _scenario_id(path: Path, split: str | None, map_path: Path) -> str:
+    """Numbers come again in every split; on another map a sequence is another scene."""
+    parts = ["argoverse1", *([split] if split else []), path.stem]
+    if map_path.is_file():
+        parts += ["on", map_path.stem.removeprefix(MAP_PATTERN.split("*")[0])]
+    return "-".join(parts)

@@ -1,0 +1,66 @@
+"""Argoverse 2 sensor logs: where their files are; `bridge.recordings.sensor_log` reads them."""
+
+import fnmatch
+import uuid
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bridge.recordings.folders import Address, Choices, Reader, Source, split_of
+from bridge.recordings.log_files import ANNOTATIONS, MAP_NAME, POSES, maps_of
+
+if TYPE_CHECKING:
+    from bridge.recordings.recording import Recording
+
+
+class SensorLog(Reader):
+    """Windows of sensor logs. An id is the log's for the first window, of log and first sweep for any other."""
+
+    name = "sensor_log"
+    one, many = "window of an Argoverse 2 sensor log", "windows of Argoverse 2 sensor logs"
+    lacks = (
+        "Sensor logs have no focal and scored tracks and no centrelines of lanes: the longest path of a vehicle that "
+        "is seen throughout is focal, centrelines run midway between the boundaries"
+    )
+    is_folder = True
+
+    def sniff(self, path: Path, names: frozenset[str]) -> bool:
+        """By the names of annotations or poses."""
+        return POSES in names or bool(fnmatch.filter(names, ANNOTATIONS))
+
+    def find(self, path: Path, names: frozenset[str], choices: Choices) -> list[Address]:
+        """The window that was chosen, and with a stride all from there on that fit."""
+        starts = [choices.window]
+        if choices.stride is not None:
+            from bridge.recordings.sensor_log import last_start
+
+            starts = list(range(choices.window, max(last_start(path), choices.window) + 1, choices.stride))
+        log_id, split = _log_id(path), split_of(path)
+        return [Source(path, self.name, window_id(log_id, start), split, start) for start in starts]
+
+    def files(self, source: Source) -> list[Path]:
+        """Annotations, poses, map."""
+        found = [*sorted(source.path.glob(ANNOTATIONS))[:1], source.path / POSES, *maps_of(source.path)]
+        return [path for path in found if path.is_file()]
+
+    def read(self, source: Source) -> "Recording":
+        """Errors: ScenarioError, MapError."""
+        from bridge.recordings.sensor_log import read
+
+        return read(source)
+
+
+def window_id(log_id: str, start: int) -> str:
+    """Scenario id of the window of a log that begins at a sweep: the log's own id for the first."""
+    if start == 0:
+        return log_id
+    try:
+        space = uuid.UUID(log_id)
+    except ValueError:
+        space = uuid.uuid5(uuid.NAMESPACE_DNS, log_id)
+    return str(uuid.uuid5(space, str(start)))
+
+
+def _log_id(log: Path) -> str:
+    maps = maps_of(log)
+    named = MAP_NAME.fullmatch(maps[0].stem) if len(maps) == 1 else None
+    return named[1] if named is not None else log.absolute().name

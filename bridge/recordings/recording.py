@@ -1,0 +1,68 @@
+"""A recording, whatever data set it came from: what generation, evaluation and pictures know of a scene."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import pyarrow as pa
+
+from hid2.agents import BoxSize, Track
+from netconvert.errors import ScenarioError
+from netconvert.lane_graph import LaneGraph
+
+#: Who made the tracks: the recording vehicle's own tracker, or people who labelled boxes.
+Provenance = Literal["tracker", "human"]
+#: Track id of the recording vehicle.
+AV_ID = "AV"
+#: Categories of the tracks that forecasts are scored on, and of the one among them that matters most.
+SCORED_CATEGORY, FOCAL_CATEGORY = 2, 3
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Recording:
+    """One recorded scene.
+
+    num_steps: last timestep + 1; observed_steps: the first so many are what a forecast may see; step_s: seconds from
+    one timestep to the next; tracks in the order of their first row; table: the rows of the scene in the columns of
+    Argoverse 2, as the source has them where it has them; folder: the folder or file that was read; map_path: its map;
+    map_json: the map as Argoverse 2 has it, where map_path is none; sizes: boxes that were measured, by track id, all
+    others are by object type; start: first step of the source that is in it; sequence: the bytes of an Argoverse 1
+    file.
+    """
+
+    scenario_id: str
+    city: str
+    focal_track_id: str
+    num_steps: int
+    tracks: tuple[Track, ...]
+    graph: LaneGraph
+    table: pa.Table
+    folder: Path
+    map_path: Path
+    split: str | None
+    observed_steps: int = 50
+    step_s: float = 0.1
+    format: str = "argoverse2"
+    provenance: Provenance = "tracker"
+    sizes: Mapping[str, BoxSize] = field(default_factory=dict)
+    map_json: bytes | None = None
+    start: int = 0
+    sequence: bytes | None = None
+
+    @property
+    def last_observed(self) -> int:
+        """The last observed timestep: a track that is forecast is present here."""
+        return min(self.observed_steps, self.num_steps) - 1
+
+    @property
+    def scored_track_ids(self) -> tuple[str, ...]:
+        """Tracks that forecasts are scored on, the focal one among them."""
+        return tuple(track.track_id for track in self.tracks if track.category >= SCORED_CATEGORY)
+
+    def track(self, track_id: str) -> Track:
+        """One track by id; ScenarioError where there is none."""
+        for track in self.tracks:
+            if track.track_id == track_id:
+                return track
+        raise ScenarioError(f"{self.folder}: no track {track_id!r} among {len(self.tracks)}")

@@ -1,0 +1,378 @@
+"""Argoverse 2 sensor logs: boxes that people labelled, poses of the egovehicle, and a vector map without centrelines.
+
+What becomes of a log, step for step:
+
+- A window of 110 sweeps, 0.1 s apart to within 10 ms; its first 50 are observed, as in the forecasting scenes.
+- Boxes are taken to the city frame with the pose of their own sweep. Positions and headings are not smoothed: people
+  have. Velocities are the derivative of a Savitzky-Golay filter (7 samples, degree 2) over each unbroken run.
+- Categories become object types of the forecasting scenes (`OBJECT_TYPES`). Tracks of fewer than 5 sweeps are left
+  out; the others are numbered from 10000 by first appearance.
+- Track AV is the pose, moved 1.4 m ahead: from the rear axle to the centre of the box, as recorded scenes have it.
+- Focal is the vehicle with the longest path of those seen at every step. Scored are the other road users seen at every
+  step that move 2 m or more and come within 35 m of the AV. What else is seen at every step is context, the rest
+  fragments.
+- Sizes are the medians of the labelled boxes.
+- The map gets a centreline for each lane, midway between its boundaries, and the predecessors that successors imply.
+
+The constants are rules of this reader and no parameters of the method: another value would be another recording.
+"""
+
+import io
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from pyarrow import feather
+from scipy.signal import savgol_filter
+from scipy.spatial.transform import Rotation
+
+from bridge.files import one_line, read_regular
+from bridge.recordings import limits
+from bridge.recordings.folders import Source
+from bridge.recordings.log_files import ANNOTATIONS, MAP_NAME, POSES, maps_of
+from bridge.recordings.map_rules import graph_of, read_document
+from bridge.recordings.recording import AV_ID, Recording
+from bridge.recordings.scenario import REQUIRED_COLUMNS, split_rows
+from hid2.agents import BoxSize, FloatArray
+from netconvert.errors import MapError, ScenarioError
+
+#: Steps of a window, those of them that are observed, seconds from one to the next, and how far sweeps may be off that.
+NUM_STEPS, OBSERVED_STEPS, STEP_S, _OFF_S = 110, 50, 0.1, 0.01
+_MIN_STEPS, _AV_AHEAD_M, _FIRST_ID = 5, 1.4, 10_000
+#: Length, width, height of the egovehicle where a log does not tell, m.
+_AV_SIZE = (4.877, 2.0, 1.473)
+_SCORED_PATH_M, _SCORED_NEAR_M, _PATH_EVERY = 2.0, 35.0, 10
+_VELOCITY_SAMPLES, _VELOCITY_DEGREE = 7, 2
+#: Distance of points of a centreline, and places at which boundaries are paired for it.
+_CENTERLINE_STEP_M, _LADDER = 2.0, 100
+_CITIES = {
+    "ATX": "austin", "DTW": "dearborn", "MIA": "miami", "PAO": "palo-alto", "PIT": "pittsburgh",
+    "WDC": "washington-dc",
+}  # fmt: skip
+_CATEGORIES = {
+    "vehicle": (
+        "REGULAR_VEHICLE", "LARGE_VEHICLE", "BOX_TRUCK", "TRUCK", "TRUCK_CAB", "VEHICULAR_TRAILER", "RAILED_VEHICLE",
+    ),
+    "bus": ("BUS", "SCHOOL_BUS", "ARTICULATED_BUS"),
+    "pedestrian": ("PEDESTRIAN", "OFFICIAL_SIGNALER", "WHEELCHAIR"),
+    "cyclist": ("BICYCLIST", "WHEELED_RIDER"),
+    "motorcyclist": ("MOTORCYCLIST",),
+    "riderless_bicycle": ("BICYCLE",),
+    "construction": ("CONSTRUCTION_CONE", "CONSTRUCTION_BARREL"),
+    "static": (
+        "BOLLARD", "SIGN", "STOP_SIGN", "MOBILE_PEDESTRIAN_CROSSING_SIGN", "MESSAGE_BOARD_TRAILER",
+        "TRAFFIC_LIGHT_TRAILER", "MOTORCYCLE",
+    ),
+}  # fmt: skip
+#: Object type by category of the annotations; any other category is "unknown".
+OBJECT_TYPES = {source: target for target, sources in _CATEGORIES.items() for source in sources}
+_ROAD_USERS = ("vehicle", "bus", "pedestrian", "cyclist", "motorcyclist")
+_EGO = "EGO_VEHICLE"
+_QUATERNION = ["qx", "qy", "qz", "qw"]
+_POSE = ["tx_m", "ty_m", "tz_m", *_QUATERNION]
+_SIZE = ["length_m", "width_m", "height_m"]
+
+
+def read(source: Source) -> Recording:
+    """Read one window of a log. Errors: ScenarioError, MapError with file, id, value and what was expected."""
+    log = source.path
+    map_path, map_id, log_id, city = _map_of(log)
+    states, sweeps = _states(log, source.start)
+    states, focal = _with_tracks(states, log, source.start)
+    same: dict[str, Any] = {
+        "scenario_id": source.scenario_id, "start_timestamp": float(sweeps[0]), "end_timestamp": float(sweeps[-1]),
+        "num_timestamps": NUM_STEPS, "focal_track_id": focal, "city": city, "map_id": map_id, "slice_id": log_id,
+    }  # fmt: skip
+    states = states.assign(observed=states.timestep < OBSERVED_STEPS, **same)
+    schema = pa.schema(
+        [(name, types[0]) for name, types in REQUIRED_COLUMNS.items()]
+        + [("map_id", pa.uint64()), ("slice_id", pa.string())]
+    )
+    table = pa.Table.from_pandas(states[schema.names], schema=schema, preserve_index=False)
+    table = table.replace_schema_metadata(None)
+    medians = states.groupby("track_id")[["length_m", "width_m"]].median().round(3)
+    sizes = {str(track): BoxSize(*row) for track, row in zip(medians.index, medians.to_numpy().tolist(), strict=True)}
+    rows = split_rows(table, name=str(source), sizes=sizes, observed_steps=OBSERVED_STEPS)
+    document = _with_centerlines(read_document(map_path), name=str(map_path))
+    graph = graph_of(document, name=str(map_path))
+    limits.check_ground(rows.tracks, graph, str(log))
+    return Recording(
+        scenario_id=source.scenario_id,
+        city=city,
+        focal_track_id=focal,
+        num_steps=rows.num_steps,
+        tracks=rows.tracks,
+        graph=graph,
+        table=table,
+        folder=log,
+        map_path=map_path,
+        split=source.split,
+        observed_steps=OBSERVED_STEPS,
+        step_s=STEP_S,
+        format="sensor_log",
+        provenance="human",
+        sizes=sizes,
+        map_json=json.dumps(document).encode(),
+        start=source.start,
+    )
+
+
+def last_start(log: Path) -> int:
+    """First sweep of the last window that a log holds; below 0 where it holds none, or cannot be read."""
+    found = sorted(log.glob(ANNOTATIONS))
+    if not found:
+        return -1
+    try:
+        return len(_table(found[0], {"timestamp_ns": "integers"}).timestamp_ns.unique()) - NUM_STEPS
+    except ScenarioError:  # reading a window says why
+        return -1
+
+
+def _map_of(log: Path) -> tuple[Path, int, str, str]:
+    """Map file, number of the map, log id and city. Errors: MapError."""
+    found = maps_of(log)
+    wanted = "log_map_archive_<log>____<CITY>_city_<n>.json"
+    if len(found) != 1:
+        raise MapError(f"{log}: {len(found) or 'no'} {wanted} in it or in its folder map, expected exactly one")
+    named = MAP_NAME.fullmatch(found[0].stem)
+    if named is None or named[2] not in _CITIES:
+        raise MapError(f"{found[0]}: expected a name {wanted}, CITY one of {', '.join(_CITIES)}")
+    return found[0], int(named[3]), named[1], _CITIES[named[2]]
+
+
+_KINDS: Mapping[str, Any] = {
+    "integers": pa.types.is_integer,
+    "floats": pa.types.is_floating,
+    "strings": lambda kind: pa.types.is_string(kind) or pa.types.is_large_string(kind),
+}
+
+
+def _table(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
+    """Columns of a feather file, each of its kind (a key of `_KINDS`), finite, without nulls. Errors: ScenarioError."""
+    try:
+        table = feather.read_table(io.BytesIO(read_regular(path, most_mb=limits.MAX_FILE_MB)), use_threads=False)
+        table.validate(full=True)
+    except FileNotFoundError:
+        raise ScenarioError(f"{path}: no such file, expected it in a sensor log") from None
+    except MemoryError:
+        raise
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path}: not a feather file ({one_line(str(error), most=200)})") from error
+    size = table.num_rows, table.num_columns
+    if not 0 < size[0] <= limits.MAX_ROWS or size[1] > limits.MAX_COLUMNS:
+        most = f"1 to {limits.MAX_ROWS} rows and at most {limits.MAX_COLUMNS} columns"
+        raise ScenarioError(f"{path}: {size[0]} rows, {size[1]} columns, expected {most}")
+    plain = {}
+    for column, kind in columns.items():
+        count = table.schema.names.count(column)
+        if count != 1:
+            raise ScenarioError(f"{path}: {count or 'no'} column {column!r}, expected one of {kind}")
+        values = table.column(column)
+        if pa.types.is_dictionary(values.type):
+            values = values.cast(values.type.value_type)
+        if not _KINDS[kind](values.type):
+            raise ScenarioError(f"{path}: column {column!r} is {values.type}, expected {kind}")
+        bad = values.is_null().to_numpy()
+        if kind == "floats":
+            bad = bad | ~np.isfinite(values.to_numpy().astype(np.float64))
+        if bad.any():
+            row = int(np.flatnonzero(bad)[0])
+            raise ScenarioError(f"{path}: row {row}: {column} is {values[row].as_py()}, expected a value")
+        plain[column] = values.cast(pa.float64()) if kind == "floats" else values
+    frame: pd.DataFrame = pa.table(plain).to_pandas()
+    return frame
+
+
+def _states(log: Path, start: int) -> tuple[pd.DataFrame, list[int]]:
+    """One row for each object and sweep of the window, in the city frame; the AV is the last object."""
+    found = sorted(log.glob(ANNOTATIONS))
+    if not found:
+        raise ScenarioError(f"{log}: no annotations.feather, expected the labelled boxes of a sensor log")
+    path, pose_path = found[0], log / POSES
+    kinds = {"timestamp_ns": "integers", "track_uuid": "strings", "category": "strings"}
+    annotations = _table(path, kinds | dict.fromkeys([*_POSE, *_SIZE], "floats"))
+    poses = _table(pose_path, {"timestamp_ns": "integers"} | dict.fromkeys(_POSE, "floats"))
+    poses = poses.drop_duplicates("timestamp_ns").set_index("timestamp_ns")
+    sweeps = _window(np.sort(annotations.timestamp_ns.unique()), start, path)
+    lacking = np.setdiff1d(sweeps, poses.index.to_numpy())
+    if len(lacking):
+        said = f"no pose at timestamp {lacking[0]}, nor at {len(lacking) - 1} more of {NUM_STEPS} sweeps"
+        raise ScenarioError(f"{pose_path}: {said}, expected one for each annotated sweep")
+    ego = annotations[annotations.category == _EGO]
+    boxes = annotations[annotations.timestamp_ns.isin(sweeps) & (annotations.category != _EGO)].copy()
+    poses = poses.loc[sweeps]
+    _check_boxes(boxes, path)
+    _check_rotations(boxes, path)
+    _check_rotations(poses, pose_path)
+
+    at = poses.loc[boxes.timestamp_ns]
+    in_city = _rotations(at).apply(boxes[["tx_m", "ty_m", "tz_m"]].to_numpy(copy=True))
+    boxes["position_x"], boxes["position_y"] = (in_city[:, :2] + at[["tx_m", "ty_m"]].to_numpy()).T
+    boxes["heading"] = _yaw(_rotations(at) * _rotations(boxes))
+    boxes["object_type"] = boxes.category.map(OBJECT_TYPES).fillna("unknown")
+    ahead = _rotations(poses).apply([_AV_AHEAD_M, 0.0, 0.0])
+    av = pd.DataFrame({"timestamp_ns": sweeps, "track_uuid": AV_ID, "category": _EGO, "object_type": "vehicle"})
+    av["position_x"] = poses.tx_m.to_numpy() + ahead[:, 0]
+    av["position_y"] = poses.ty_m.to_numpy() + ahead[:, 1]
+    av["heading"] = _yaw(_rotations(poses))
+    av[_SIZE] = ego[_SIZE].median().to_list() if len(ego) else _AV_SIZE
+    states = pd.concat([boxes, av], ignore_index=True)
+    states["timestep"] = np.searchsorted(sweeps, states.timestamp_ns)
+    return states, sweeps.tolist()
+
+
+def _window(every: Any, start: int, path: Path) -> Any:  # noqa: ANN401  # numpy integers of any width
+    """The time stamps of a window among all of a log. Errors: ScenarioError."""
+    sweeps = every[start : start + NUM_STEPS]
+    if len(every) < NUM_STEPS:
+        raise ScenarioError(f"{path}: {len(every)} sweeps, expected at least {NUM_STEPS}")
+    if len(sweeps) < NUM_STEPS:
+        last = len(every) - NUM_STEPS
+        raise ScenarioError(
+            f"{path}: no {NUM_STEPS} of {len(every)} sweeps from {start} on, expected --window 0 to {last}"
+        )
+    apart_s = np.diff(sweeps) / 1e9
+    worst = int(np.abs(apart_s - STEP_S).argmax())
+    if abs(apart_s[worst] - STEP_S) > _OFF_S:
+        which = f"sweeps {start + worst} and {start + worst + 1} are {apart_s[worst]:.3f} s apart"
+        raise ScenarioError(f"{path}: {which}, expected {STEP_S} s: choose a --window without the gap")
+    return sweeps
+
+
+def _check_boxes(boxes: pd.DataFrame, path: Path) -> None:
+    if not len(boxes):
+        raise ScenarioError(f"{path}: no box in the window, expected those of a scene")
+    again = boxes[boxes.duplicated(["track_uuid", "timestamp_ns"])]
+    if len(again):
+        first = again.iloc[0]
+        where = f"track {one_line(first.track_uuid, most=60)!r}, timestamp {first.timestamp_ns}"
+        raise ScenarioError(f"{path}: {where}: two boxes, expected one")
+    wrong = boxes[
+        ~(boxes.length_m.between(0, 50, inclusive="neither") & boxes.width_m.between(0, 10, inclusive="neither"))
+    ]
+    if len(wrong):
+        first = wrong.iloc[0]
+        where = f"track {one_line(first.track_uuid, most=60)!r}"
+        box = f"box {first.length_m:.4g} x {first.width_m:.4g} m"
+        raise ScenarioError(f"{path}: {where}: {box}, expected above 0 and below 50 x 10 m")
+    if (boxes.track_uuid == AV_ID).any():
+        raise ScenarioError(f"{path}: a box of track {AV_ID!r}, expected that of the egovehicle as {_EGO}")
+
+
+def _check_rotations(frame: pd.DataFrame, path: Path) -> None:
+    with np.errstate(over="ignore"):
+        norm = np.linalg.norm(frame[_QUATERNION].to_numpy(), axis=1)
+    worst = int(np.abs(norm - 1.0).argmax())
+    if not abs(norm[worst] - 1.0) < 0.01:
+        raise ScenarioError(f"{path}: a quaternion of norm {norm[worst]:.4g} (row {worst} of the window), expected 1")
+
+
+def _rotations(table: pd.DataFrame) -> Any:  # noqa: ANN401  # scipy has no types
+    return Rotation.from_quat(table[_QUATERNION].to_numpy(copy=True))
+
+
+def _yaw(rotation: Any) -> FloatArray:  # noqa: ANN401  # scipy has no types
+    """Heading about the vertical, in (-pi, pi]."""
+    angle = rotation.as_euler("ZYX")[:, 0]
+    return np.where(angle <= -np.pi, np.pi, angle)
+
+
+def velocity_of(position: FloatArray, step_s: float = STEP_S) -> FloatArray:
+    """(N, 2) m/s: the filter's derivative over an unbroken run (N, 2) m; short runs take the longest odd window."""
+    count = len(position)
+    if count < 3:
+        return np.repeat(np.diff(position, axis=0) / step_s, 2, axis=0) if count == 2 else np.zeros((1, 2))
+    window = min(_VELOCITY_SAMPLES, count - (count + 1) % 2)
+    degree = min(_VELOCITY_DEGREE, window - 1)
+    return np.asarray(savgol_filter(position, window, degree, deriv=1, delta=step_s, axis=0), dtype=np.float64)
+
+
+def _with_tracks(states: pd.DataFrame, log: Path, start: int) -> tuple[pd.DataFrame, str]:
+    """Number the tracks by first appearance, add velocity and category; the rows and the focal track's id."""
+    states = states[states.groupby("track_uuid").timestep.transform("size") >= _MIN_STEPS]
+    first = states[states.track_uuid != AV_ID].groupby("track_uuid").timestep.min()
+    order = first.reset_index().sort_values(["timestep", "track_uuid"]).track_uuid
+    names = {track: str(_FIRST_ID + number) for number, track in enumerate(order)} | {AV_ID: AV_ID}
+    states = states.assign(track_id=states.track_uuid.map(names)).sort_values(["track_id", "timestep"])
+    states = states.reset_index(drop=True)
+    run = ((states.track_id != states.track_id.shift()) | (states.timestep.diff() != 1)).cumsum()
+    position = states[["position_x", "position_y"]]
+    velocities = [velocity_of(part.to_numpy()) for _, part in position.groupby(run)]
+    states[["velocity_x", "velocity_y"]] = np.vstack(velocities)
+
+    av = states.loc[states.track_id == AV_ID, ["position_x", "position_y"]].to_numpy()
+    category: dict[str, int] = {}
+    path: dict[str, float] = {}
+    for name, rows in states.groupby("track_id"):
+        track = str(name)
+        category[track] = 0
+        if len(rows) < NUM_STEPS:
+            continue
+        category[track] = 1
+        place, kind = rows[["position_x", "position_y"]].to_numpy(), rows.object_type.iloc[0]
+        length_m = float(np.hypot(*np.diff(place[::_PATH_EVERY], axis=0).T).sum())
+        near_m = float(np.hypot(*(place - av).T).min())
+        if track != AV_ID and kind in _ROAD_USERS and length_m >= _SCORED_PATH_M and near_m <= _SCORED_NEAR_M:
+            category[track] = 2
+        if track != AV_ID and kind == "vehicle":
+            path[track] = length_m
+    if not path:
+        said = f"no vehicle is labelled at every one of the {NUM_STEPS} sweeps from {start} on"
+        raise ScenarioError(f"{log}: {said}, expected one as focal track: choose another --window")
+    focal = max(path, key=path.__getitem__)
+    category[focal] = 3
+    return states.assign(object_category=states.track_id.map(category)), focal
+
+
+def _with_centerlines(layers: Mapping[str, Any], *, name: str) -> dict[str, Any]:
+    """The map in the key order of forecasting maps, with centrelines and every predecessor. Errors: MapError."""
+    segments = layers["lane_segments"]
+    lanes = {lane.get("id"): lane for lane in segments.values() if isinstance(lane.get("id"), int)}
+    for key, lane in segments.items():
+        if not lane.get("centerline"):
+            lane["centerline"] = _centerline(lane, where=f"{name}: lane segment {one_line(key, most=40)}")
+        following = lane.get("successors")
+        for successor in following if isinstance(following, list) else []:
+            other = lanes.get(successor) if isinstance(successor, int) else None
+            before = None if other is None else other.get("predecessors")
+            if isinstance(before, list) and lane.get("id") not in before:
+                before.append(lane.get("id"))
+    return {
+        layer: {key: dict(sorted(item.items())) for key, item in layers[layer].items()}
+        for layer in ("drivable_areas", "lane_segments", "pedestrian_crossings")
+    }
+
+
+def _centerline(lane: Mapping[str, Any], *, where: str) -> list[dict[str, float]]:
+    """Midway between the boundaries, at equal steps of at most 2 m, z = 0, centimetres: as forecasting maps have it."""
+    ladder = np.linspace(0.0, 1.0, _LADDER)
+    left, right = (_resampled(_points(lane, f"{side}_lane_boundary", where), ladder) for side in ("left", "right"))
+    middle = (left + right) / 2
+    length_m = float(np.hypot(*np.diff(middle, axis=0).T).sum())
+    if not length_m <= limits.MAX_LANE_M:
+        raise MapError(f"{where}: {length_m:.0f} m long, expected at most {limits.MAX_LANE_M:.0f} m")
+    steps = max(1, math.ceil(length_m / _CENTERLINE_STEP_M))
+    points = _resampled(middle, np.linspace(0.0, 1.0, steps + 1))
+    return [{"x": round(float(x), 2), "y": round(float(y), 2), "z": 0.0} for x, y in points]
+
+
+def _points(lane: Mapping[str, Any], side: str, where: str) -> FloatArray:
+    points = lane.get(side)
+    try:
+        line = np.array([(point["x"], point["y"]) for point in points or []], dtype=np.float64)
+    except (TypeError, KeyError, ValueError, OverflowError):
+        line = np.empty((0, 2))
+    if len(line) < 2 or not (np.abs(line) <= limits.MAX_COORDINATE_M).all():
+        raise MapError(f"{where}: {side}, expected a list of at least two points x, y, z in metres")
+    return line
+
+
+def _resampled(line: FloatArray, fractions: FloatArray) -> FloatArray:
+    """Points of a polyline at fractions of its length."""
+    distance = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    return np.column_stack([np.interp(fractions * distance[-1], distance, line[:, axis]) for axis in (0, 1)])

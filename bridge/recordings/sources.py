@@ -1,0 +1,130 @@
+"""Recordings of every format: what lies at a path, and reading it. A new format is one more entry of `READERS`."""
+
+import logging
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bridge.recordings.folders import (
+    MAP_PATTERN,
+    PARQUET_PATTERN,
+    SEQUENCES,
+    SIDECAR_PATTERN,
+    SIZES_FILE,
+    Address,
+    Choices,
+    Reader,
+    Source,
+    is_generated,
+    names_in,
+    subfolders,
+)
+from bridge.recordings.readers.argoverse1 import Argoverse1
+from bridge.recordings.readers.argoverse2 import Argoverse2
+from bridge.recordings.readers.sensor_log import SensorLog
+from netconvert.errors import ConfigError, NoSceneError
+
+if TYPE_CHECKING:
+    from bridge.recordings.recording import Recording
+
+_LOG = logging.getLogger(__name__)
+#: What an output folder has beside generated Argoverse 1 sequences.
+_MANIFEST = "manifest.csv"
+#: The formats; the first one that recognises a path has it.
+READERS: tuple[Reader, ...] = (SensorLog(), Argoverse2(), Argoverse1())
+#: Folders below a path that are looked into: DATA/av2/train/<id>.
+_DEPTH = 3
+
+
+def find_recordings(paths: Sequence[Path], choices: Choices | None = None) -> list[Address]:
+    """Recordings and generated scenes at all paths, each once, in the order of the paths.
+
+    A path is a recording, a folder of them, or up to three folders above, of one format or of several. What is found
+    of which format is logged. Errors: NoSceneError where a path holds none.
+    """
+    return _find(paths, choices or Choices(), lambda address: True)
+
+
+def find_sources(paths: Sequence[Path], choices: Choices | None = None) -> list[Address]:
+    """As `find_recordings`, without the scenes that hid2 wrote: these are passed over, which is logged.
+
+    Errors: NoSceneError where a path holds none.
+    """
+    return _find(paths, choices or Choices(), lambda address: isinstance(address, Source) or not is_generated(address))
+
+
+def find_one(path: Path, choices: Choices | None = None) -> Address:
+    """The recording or generated scene that a path is; the path itself where it is none: reading it says why.
+
+    Errors: NoSceneError where something that all recordings of the format need is missing; ConfigError for several.
+    """
+    found = list(_walk(path, choices or Choices(), 0))
+    if len(found) > 1:
+        raise ConfigError(f"{path}: holds {len(found)} recordings, expected one; for example {found[0]}")
+    return found[0] if found else path
+
+
+def read_recording(address: Address) -> "Recording":
+    """Read a recording, or a generated scene; a path is that of one. Errors: ScenarioError, MapError."""
+    if isinstance(address, Path):
+        name, source = Argoverse2.name, Source(address, Argoverse2.name, address.name)
+    else:
+        name, source = address.format, address
+    return next(reader for reader in READERS if reader.name == name).read(source)
+
+
+def source_files(address: Address) -> list[Path]:
+    """The regular files that a generated scene depends on."""
+    if isinstance(address, Source):
+        return next(reader for reader in READERS if reader.name == address.format).files(address)
+    patterns = (PARQUET_PATTERN, MAP_PATTERN, SIDECAR_PATTERN, SIZES_FILE)
+    return [path for pattern in patterns for path in address.glob(pattern) if path.is_file()]
+
+
+def described(found: Sequence[Address]) -> list[str]:
+    """What was found that is no Argoverse 2 scene, and what these formats lack: lines for the user."""
+    counts = Counter(address.format for address in found if isinstance(address, Source))
+    readers = [reader for reader in READERS if reader.name in counts]
+    lines = [
+        f"{counts[reader.name]} {reader.one if counts[reader.name] == 1 else reader.many} found" for reader in readers
+    ]
+    return lines + [reader.lacks for reader in readers if reader.lacks]
+
+
+def _find(paths: Sequence[Path], choices: Choices, is_wanted: Callable[[Address], bool]) -> list[Address]:
+    found: dict[tuple[Path, str, int], Address] = {}  # by where it really is
+    for path in paths:
+        there = list(_walk(path, choices, _DEPTH))
+        if not there:
+            if not path.exists():
+                raise NoSceneError(
+                    f"{path}: no such folder, expected a scenario folder, a split folder or a data-set root"
+                )
+            wanted = (
+                "scenario_<id>.parquet (Argoverse 2), <number>.csv (Argoverse 1) or annotations.feather (sensor log)"
+            )
+            raise NoSceneError(f"{path}: no scenario; expected {wanted} in it or one to three folders below")
+        wanted_there = [address for address in there if is_wanted(address)]
+        if not wanted_there:
+            raise NoSceneError(f"{path}: holds generated scenes only (with hid2_<id>.json); give recorded ones")
+        if len(wanted_there) < len(there):
+            passed_over = len(there) - len(wanted_there)
+            _LOG.warning("%s: %d of %d scenes passed over, which hid2 wrote", path, passed_over, len(there))
+        for address in wanted_there:
+            kind, start = (address.format, address.start) if isinstance(address, Source) else ("", 0)
+            found.setdefault((address.resolve(), kind, start), address)
+    return list(found.values())
+
+
+def _walk(path: Path, choices: Choices, depth: int) -> Iterator[Address]:
+    """Recordings at a path and below; folders of a recording are not looked into."""
+    names = frozenset(names_in(path)) if path.is_dir() else frozenset()
+    for reader in READERS:
+        if reader.sniff(path, names):
+            yield from reader.find(path, names, choices)
+            if reader.is_folder:
+                return
+    for folder in subfolders(path, names) if depth else []:
+        if not (folder.name == SEQUENCES and _MANIFEST in names):  # what hid2 wrote for loaders of Argoverse 1
+            yield from _walk(folder, choices, depth - 1)

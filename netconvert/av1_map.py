@@ -1,0 +1,278 @@
+"""Argoverse 1 maps of a whole city: an XML file of nodes and ways, and a raster of the drivable area.
+
+A way is a lane: its centreline, links and tags; booleans are the texts True and False. There are no lane boundaries:
+lanes are LANE_WIDTH_M wide, the data set's own convention (argoverse-api, `centerline_to_polygon`: 1.9 m to each side).
+A part of a city is cut out as the document of an Argoverse 2 map.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import shapely
+from lxml import etree
+
+from netconvert.errors import MapError
+from netconvert.geometry import FloatArray
+
+#: The data set's convention.
+LANE_WIDTH_M = 3.8
+#: A boundary point is moved no farther than this from the centreline in sharp bends, as a multiple of half the width.
+_MITRE = 2.0
+#: Limits of what is read: elements of the XML, nodes of a lane, pixels of the raster. Real: 170,000, 12 and 6 million.
+MAX_ELEMENTS, MAX_NODES, MAX_PIXELS = 5_000_000, 5_000, 100_000_000
+_UNIQUE = ("has_traffic_control", "turn_direction", "is_intersection", "l_neighbor_id", "r_neighbor_id")
+#: Farthest coordinate, m.
+_MOST_M = 1e7
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CityLane:
+    """One way. centerline: (N, 2) m in the city frame, in driving direction; turn: LEFT, RIGHT or NONE."""
+
+    lane_id: int
+    centerline: FloatArray
+    is_intersection: bool
+    has_traffic_control: bool
+    turn: str
+    left_neighbor_id: int | None
+    right_neighbor_id: int | None
+    predecessors: tuple[int, ...]
+    successors: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DrivableRaster:
+    """Drivable area: pixels (H, W) of 1 m, and the transformation from the city to column and row, (3, 3)."""
+
+    drivable: npt.NDArray[np.bool_]
+    pixel_se2_city: FloatArray
+
+
+def read_city_lanes(content: bytes, *, name: str) -> dict[int, CityLane]:
+    """The lanes of a vector map by id. name: what messages call the file. Errors: MapError with way and value."""
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
+    try:
+        root = etree.fromstring(content, parser)
+    except etree.XMLSyntaxError as error:
+        raise MapError(f"{name}: not XML ({str(error)[:200]})") from error
+    if root.getroottree().docinfo.internalDTD is not None:
+        raise MapError(f"{name}: a document type, expected nodes and ways alone")
+    if len(root) > MAX_ELEMENTS:
+        raise MapError(f"{name}: {len(root)} elements, expected at most {MAX_ELEMENTS}")
+    nodes: dict[int, tuple[float, float]] = {}
+    lanes: dict[int, CityLane] = {}
+    for element in root:
+        if element.tag == "node":
+            where = f"{name}: node {_shown(element.get('id'))}"
+            nodes[_integer(element.get("id"), where)] = (
+                _coordinate(element.get("x"), f"{where}: x"),
+                _coordinate(element.get("y"), f"{where}: y"),
+            )
+        elif element.tag == "way":
+            lane = _lane(element, nodes, name)
+            if lane.lane_id in lanes:
+                raise MapError(f"{name}: way {lane.lane_id} appears twice, expected one way an id")
+            lanes[lane.lane_id] = lane
+        elif isinstance(element.tag, str):  # comments have none
+            raise MapError(f"{name}: element {_shown(element.tag)}, expected node or way")
+    if not lanes:
+        raise MapError(f"{name}: no way among {len(root)} elements, expected the lanes of a city")
+    return lanes
+
+
+def drivable_raster(pixels: npt.NDArray[Any], se2: npt.NDArray[Any], *, name: str) -> DrivableRaster:
+    """Check the two arrays of a drivable area. Errors: MapError."""
+    if pixels.ndim != 2 or not 0 < pixels.size <= MAX_PIXELS or pixels.dtype.kind not in "biuf":
+        raise MapError(
+            f"{name}: pixels of shape {pixels.shape} and type {pixels.dtype}, expected numbers (H, W), at most "
+            f"{MAX_PIXELS}"
+        )
+    if se2.shape != (3, 3) or se2.dtype.kind not in "iuf" or not np.isfinite(se2).all():
+        raise MapError(f"{name}: transformation of shape {se2.shape}, expected (3, 3) finite numbers")
+    rotation = np.asarray(se2[:2, :2], dtype=np.float64)
+    if np.abs(se2).max() > _MOST_M or not np.allclose(rotation @ rotation.T, np.eye(2), atol=1e-6):
+        raise MapError(f"{name}: transformation {rotation.tolist()}, expected a rotation and a translation in metres")
+    with np.errstate(invalid="ignore"):
+        drivable = np.asarray(pixels > 0)
+    return DrivableRaster(drivable, np.asarray(se2, dtype=np.float64))
+
+
+def cut_city(
+    lanes: Mapping[int, CityLane], raster: DrivableRaster, *, low: FloatArray, high: FloatArray, name: str
+) -> dict[str, Any]:
+    """The part of a city from a low to a high corner, (2,) m, as the document of an Argoverse 2 map.
+
+    Lanes that come into the rectangle are in it whole; links to others stay, as in maps of scenes. Errors: MapError
+    where there is no lane or no drivable ground.
+    """
+    kept = {
+        lane_id: lane
+        for lane_id, lane in sorted(lanes.items())
+        if (lane.centerline.min(axis=0) <= high).all() and (lane.centerline.max(axis=0) >= low).all()
+    }
+    where = f"x {low[0]:.0f} to {high[0]:.0f}, y {low[1]:.0f} to {high[1]:.0f}"
+    if not kept:
+        raise MapError(f"{name}: no lane within {where}, where the tracks are: expected the map of their city")
+    extremes = [np.vstack([lane.centerline.min(axis=0), lane.centerline.max(axis=0)]) for lane in kept.values()]
+    ground = np.vstack([low[None], high[None], *extremes])
+    areas = _areas(raster, ground.min(axis=0) - LANE_WIDTH_M, ground.max(axis=0) + LANE_WIDTH_M)
+    if not areas:
+        raise MapError(f"{name}: no drivable area within {where}, where the tracks are: expected the map of their city")
+    return {
+        "drivable_areas": {
+            str(number): {"area_boundary": _xyz(ring), "id": number} for number, ring in enumerate(areas, start=1)
+        },
+        "lane_segments": {str(lane_id): _segment(lane) for lane_id, lane in kept.items()},
+        "pedestrian_crossings": {},
+    }
+
+
+def _lane(way: etree._Element, nodes: Mapping[int, tuple[float, float]], name: str) -> CityLane:
+    lane_id = _integer(way.get("lane_id"), f"{name}: way {_shown(way.get('lane_id'))}: lane_id")
+    where = f"{name}: way {lane_id}"
+    tags: dict[str, str] = {}
+    links: dict[str, list[int]] = {"predecessor": [], "successor": []}
+    points: list[tuple[float, float]] = []
+    for child in way:
+        if child.tag == "nd":
+            node = _integer(child.get("ref"), f"{where}: nd ref")
+            if node not in nodes:
+                raise MapError(f"{where}: node {node} is not in the file, expected it before the way")
+            points.append(nodes[node])
+        elif child.tag == "tag":
+            key, value = child.get("k"), child.get("v") or ""
+            if key in links:
+                links[key].append(_integer(value, f"{where}: {key}"))
+            elif key in _UNIQUE:
+                tags[key] = value
+    for key in _UNIQUE:
+        if key not in tags:
+            raise MapError(f"{where}: no tag {key}, expected one")
+    line = np.array(points, dtype=np.float64).reshape(-1, 2)
+    line = line[np.concatenate([[True], np.any(np.diff(line, axis=0) != 0, axis=1)])] if len(line) else line
+    if not 2 <= len(line) <= MAX_NODES:
+        raise MapError(f"{where}: {len(line)} different nodes, expected 2 to {MAX_NODES}")
+    if tags["turn_direction"] not in ("LEFT", "RIGHT", "NONE"):
+        raise MapError(f"{where}: turn_direction {_shown(tags['turn_direction'])}, expected LEFT, RIGHT or NONE")
+    return CityLane(
+        lane_id=lane_id,
+        centerline=line,
+        is_intersection=_boolean(tags["is_intersection"], f"{where}: is_intersection"),
+        has_traffic_control=_boolean(tags["has_traffic_control"], f"{where}: has_traffic_control"),
+        turn=tags["turn_direction"],
+        left_neighbor_id=_neighbor(tags["l_neighbor_id"], f"{where}: l_neighbor_id"),
+        right_neighbor_id=_neighbor(tags["r_neighbor_id"], f"{where}: r_neighbor_id"),
+        predecessors=tuple(links["predecessor"]),
+        successors=tuple(links["successor"]),
+    )
+
+
+def _segment(lane: CityLane) -> dict[str, Any]:
+    """A lane segment of an Argoverse 2 map. Markings are not told: they may be crossed."""
+    left, right = boundaries(lane.centerline)
+    return {
+        "centerline": _xyz(lane.centerline),
+        "id": lane.lane_id,
+        "is_intersection": lane.is_intersection,
+        "lane_type": "VEHICLE",
+        "left_lane_boundary": _xyz(left),
+        "left_lane_mark_type": "UNKNOWN",
+        "left_neighbor_id": lane.left_neighbor_id,
+        "predecessors": list(lane.predecessors),
+        "right_lane_boundary": _xyz(right),
+        "right_lane_mark_type": "UNKNOWN",
+        "right_neighbor_id": lane.right_neighbor_id,
+        "successors": list(lane.successors),
+    }
+
+
+def boundaries(centerline: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Left and right boundary of a lane of LANE_WIDTH_M, each (N, 2) m, along the bisectors of a centreline (N, 2)."""
+    steps = np.diff(centerline, axis=0)
+    along = steps / np.hypot(steps[:, 0], steps[:, 1])[:, None]
+    normals = np.column_stack([-along[:, 1], along[:, 0]])
+    before, after = np.vstack([normals[:1], normals]), np.vstack([normals, normals[-1:]])
+    middle = before + after
+    length = np.hypot(middle[:, 0], middle[:, 1])
+    folds = length < 2.0 / _MITRE  # the lane turns back: the bisector runs away
+    stretch = np.where(folds, 1.0, 2.0 / np.maximum(length, 1e-9))
+    direction = np.where(folds[:, None], before, middle / np.maximum(length, 1e-9)[:, None])
+    offset = 0.5 * LANE_WIDTH_M * stretch[:, None] * direction
+    return centerline + offset, centerline - offset
+
+
+def _areas(raster: DrivableRaster, low: FloatArray, high: FloatArray) -> list[FloatArray]:
+    """Outlines (N, 2) m of the drivable pixels within a rectangle, without holes: areas are cut apart at theirs."""
+    rotation, translation = raster.pixel_se2_city[:2, :2], raster.pixel_se2_city[:2, 2]
+    corners = np.array([[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]])
+    pixels = corners @ rotation.T + translation
+    height, width = raster.drivable.shape
+    (first_x, first_y), (last_x, last_y) = np.floor(pixels.min(axis=0)), np.ceil(pixels.max(axis=0))
+    columns = range(max(0, int(first_x)), min(width, int(last_x) + 1))
+    boxes = []
+    for row in range(max(0, int(first_y)), min(height, int(last_y) + 1)):
+        line = raster.drivable[row, columns.start : columns.stop].astype(np.int8)
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], line, [0]]))) + columns.start
+        boxes += [shapely.box(begin, row, end, row + 1) for begin, end in edges.reshape(-1, 2).tolist()]
+    ground = shapely.union_all(boxes)
+    rings = []
+    for part in shapely.get_parts(ground):
+        rings += [np.asarray(piece.exterior.coords)[:-1] for piece in _without_holes(part)]
+    return [(ring - translation) @ rotation for ring in rings]
+
+
+def _without_holes(area: shapely.Polygon) -> list[shapely.Polygon]:
+    """The pieces of a polygon that is cut along a vertical line through each of its holes."""
+    todo, done = [area], []
+    while todo:
+        piece = todo.pop()
+        if not piece.interiors:
+            done.append(piece)
+            continue
+        x = math.floor(shapely.Polygon(piece.interiors[0]).centroid.x) + 0.5
+        left, low, right, high = piece.bounds
+        for side in (shapely.box(left, low, x, high), shapely.box(x, low, right, high)):
+            cut = shapely.get_parts(piece.intersection(side))
+            todo += [part for part in cut if part.geom_type == "Polygon" and part.area > 0]
+    return sorted(done, key=lambda piece: piece.bounds)
+
+
+def _xyz(points: FloatArray) -> list[dict[str, float]]:
+    return [{"x": round(x, 6), "y": round(y, 6), "z": 0.0} for x, y in points.tolist()]
+
+
+def _shown(value: object) -> str:
+    return repr(value)[:60]
+
+
+def _integer(text: str | None, where: str) -> int:
+    try:
+        if text is None or len(text) > 20:
+            raise ValueError
+        return int(text)
+    except ValueError:
+        raise MapError(f"{where}: {_shown(text)}, expected an integer") from None
+
+
+def _neighbor(text: str, where: str) -> int | None:
+    return None if text == "None" else _integer(text, where)
+
+
+def _boolean(text: str, where: str) -> bool:
+    if text not in ("True", "False"):
+        raise MapError(f"{where}: {_shown(text)}, expected True or False")
+    return text == "True"
+
+
+def _coordinate(text: str | None, where: str) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= _MOST_M:
+        raise MapError(f"{where}: {_shown(text)}, expected metres")
+    return value

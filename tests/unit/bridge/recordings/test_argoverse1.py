@@ -1,0 +1,396 @@
+"""Argoverse 1 in: sequences and city maps; the synthetic data set of data/make_argoverse1.py has the format."""
+
+import csv
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from lxml import etree
+from recordings import make_argoverse1
+
+from bridge.recordings.argoverse1 import LaneLines, motion_of
+from bridge.recordings.folders import Choices, Source
+from bridge.recordings.recording import Recording
+from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sources import described, find_recordings, find_sources, read_recording
+from netconvert.av1_map import LANE_WIDTH_M, boundaries, cut_city, drivable_raster, read_city_lanes
+from netconvert.errors import Hid2Error, MapError, NoSceneError, ScenarioError
+
+Change = Callable[[list[list[str]]], object]
+HEADER = ["TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "CITY_NAME"]
+
+
+@pytest.fixture(scope="session")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_argoverse1(tmp_path_factory.mktemp("argoverse1") / "made")
+
+
+@pytest.fixture
+def copy(root: Path, tmp_path: Path) -> Path:
+    shutil.copytree(root, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def sequence(root: Path, name: str = "train/data/1.csv") -> Recording:
+    (address,) = find_recordings([root / name])
+    return read_recording(address)
+
+
+def rows_of(path: Path) -> list[list[str]]:
+    return list(csv.reader(path.read_text().splitlines()))
+
+
+def write_rows(path: Path, rows: list[list[str]]) -> None:
+    path.write_text("\n".join(",".join(row) for row in rows) + "\n")
+
+
+# The format
+
+
+def test_the_synthetic_data_set_keeps_the_formats_rules(root: Path) -> None:
+    """Columns, 50 time stamps about 0.1 s apart and not on a grid, AV and AGENT at each, ids as in the data set."""
+    paths = sorted(root.glob("*/data/*.csv"))
+    assert {path.parent.parent.name for path in paths} == {"train", "val", "test_obs"}
+    for path in paths:
+        head, *rows = rows_of(path)
+        assert head == HEADER
+        stamps = sorted({float(row[0]) for row in rows})
+        assert len(stamps) == (20 if "test_obs" in path.parts else 50)
+        apart = np.diff(stamps)
+        assert 0.09 < apart.min() < apart.max() < 0.11
+        assert apart.std() > 1e-3
+        assert {row[2] for row in rows} == {"AV", "AGENT", "OTHERS"}
+        for kind in ("AV", "AGENT"):
+            assert len({row[1] for row in rows if row[2] == kind}) == 1
+            assert sum(row[2] == kind for row in rows) == len(stamps)
+        assert all(len(row[1]) == 36 for row in rows)
+        assert {row[5] for row in rows} <= {"MIA", "PIT"}
+    for city, number in (("MIA", 10316), ("PIT", 10314)):
+        maps = root / "map_files"
+        document = etree.parse(maps / f"pruned_argoverse_{city}_{number}_vector_map.xml").getroot()
+        assert {element.tag for element in document} == {"node", "way"}
+        for way in document.iter("way"):
+            tags = [tag.get("k") for tag in way.iter("tag")]
+            assert tags[:5] == [
+                "has_traffic_control", "turn_direction", "is_intersection", "l_neighbor_id", "r_neighbor_id"
+            ]  # fmt: skip
+            assert {way.find(f"tag[@k='{key}']").get("v") for key in (tags[0], tags[2])} <= {"True", "False"}
+        assert np.load(maps / f"{city}_{number}_driveable_area_mat_2019_05_28.npy").ndim == 2
+        assert np.load(maps / f"{city}_{number}_npyimage_to_city_se2_2019_05_28.npy").shape == (3, 3)
+
+
+def test_a_sequence_is_fifty_steps_of_which_twenty_are_observed(root: Path) -> None:
+    found = sequence(root)
+    assert (found.num_steps, found.observed_steps, found.step_s, found.last_observed) == (50, 20, 0.1, 19)
+    assert (found.format, found.provenance, found.city, found.split) == ("argoverse1", "tracker", "miami", "train")
+    assert found.track("AV").category == 1
+    focal = found.track(found.focal_track_id)
+    assert (focal.category, len(focal.timesteps)) == (3, 50)
+    assert {track.category for track in found.tracks if len(track.timesteps) < 50} <= {0}
+    assert {track.object_type for track in found.tracks} == {"vehicle"}
+    last = sequence(root, "test_obs/data/4.csv")
+    assert (last.num_steps, last.observed_steps, last.split) == (20, 20, "test")
+
+
+def test_positions_are_those_of_the_file_to_the_last_bit(root: Path) -> None:
+    path = root / "val/data/7.csv"
+    found = sequence(root, "val/data/7.csv")
+    _, *rows = rows_of(path)
+    stamps = sorted({float(row[0]) for row in rows})
+    wanted = {(row[1] if row[2] != "AV" else "AV", stamps.index(float(row[0]))): (row[3], row[4]) for row in rows}
+    assert len(wanted) == found.table.num_rows == len(rows)
+    for track in found.tracks:
+        for step, xy in zip(track.timesteps.tolist(), track.position.tolist(), strict=True):
+            assert tuple(map(float, wanted[track.track_id, step])) == tuple(xy)
+
+
+def test_headings_and_velocities_come_from_positions(root: Path, data_scenes: dict[str, Path]) -> None:
+    """Against those of the scene that the sequence is made of: 3 degrees and 0.3 m/s for all that move."""
+    truth = read_scenario(data_scenes["arterial"])
+    found = sequence(root)
+    by_place = {tuple(np.round(track.position[0], 6)): track for track in truth.tracks}
+    compared = 0
+    for track in found.tracks:
+        same = by_place.get(tuple(np.round(track.position[0], 6)))
+        if same is None or track.speed.min() < 2.0 or len(track.timesteps) < 50:
+            continue
+        heading, velocity = same.heading[:50], same.velocity[:50]
+        assert np.abs(np.angle(np.exp(1j * (track.heading - heading)))).max() < np.radians(3)
+        assert np.hypot(*(track.velocity - velocity).T).max() < 0.3
+        compared += 1
+    assert compared >= 5
+
+
+def test_who_stands_keeps_the_heading_or_has_that_of_the_lane(root: Path) -> None:
+    """A vehicle drives east, stops and stays east while its position jitters; one that never moved has the lane's."""
+    graph = sequence(root).graph
+    lines = LaneLines.of(graph)
+    rng = np.random.default_rng(0)
+    x = np.concatenate([np.linspace(0, 20, 25), np.full(25, 20.0)])
+    xy = np.column_stack([x, np.zeros(50)]) + rng.normal(0, 0.03, (50, 2))
+    _, heading = motion_of(xy, np.arange(50), lines)
+    assert np.abs(heading[30:]).max() < np.radians(10)
+    lane = next(iter(graph.lanes.values()))
+    middle = lane.path.point(lane.length_m / 2)
+    _, heading = motion_of(middle + rng.normal(0, 0.03, (50, 2)), np.arange(50), lines)
+    assert np.unique(heading).size == 1
+    assert abs(np.angle(np.exp(1j * (heading[0] - float(lane.path.heading(lane.length_m / 2)))))) < 0.1
+
+
+def test_the_map_is_that_of_the_scene_with_lanes_of_the_data_sets_width(
+    root: Path, data_scenes: dict[str, Path]
+) -> None:
+    """Centrelines to a micrometre, links as they are, the drivable area to a metre's pixels."""
+    truth, found = read_scenario(data_scenes["intersection"]).graph, sequence(root, "val/data/7.csv").graph
+    assert found.lanes.keys() == truth.lanes.keys()
+    for lane_id, lane in found.lanes.items():
+        assert np.abs(lane.centerline - truth.lanes[lane_id].centerline).max() < 1e-6
+        assert lane.width_m == pytest.approx(LANE_WIDTH_M, abs=0.1)
+        assert found.successors(lane_id) == truth.successors(lane_id)
+        assert lane.turn is truth.lanes[lane_id].turn
+    common = found.drivable.intersection(truth.drivable).area
+    assert common / found.drivable.union(truth.drivable).area > 0.95
+
+
+def test_a_city_is_cut_around_the_tracks(root: Path) -> None:
+    """Miami has two streets: the arterial's sequence has no lane of the curve's."""
+    there, other = sequence(root).graph, sequence(root, "test_obs/data/4.csv").graph
+    assert not set(there.lanes) & set(other.lanes)
+    assert shapely.disjoint(there.drivable, other.drivable)
+
+
+def test_holes_of_the_drivable_area_stay_holes() -> None:
+    """
+    A ring road of pixels around a block, in a rotated image:
+
+        11111
+        10001      area 12 m2, the block of 3 m2 is not drivable
+        11111
+    """
+    pixels = np.array([[1, 1, 1, 1, 1], [1, 0, 0, 0, 1], [1, 1, 1, 1, 1]])
+    turned = np.array([[0.0, -1.0, 10.0], [1.0, 0.0, 20.0], [0.0, 0.0, 1.0]])
+    raster = drivable_raster(pixels, turned, name="r")
+    xml = (
+        '<A><node id="0" x="-21" y="9"/><node id="1" x="-16" y="9"/><way lane_id="7">'
+        '<tag k="has_traffic_control" v="False"/><tag k="turn_direction" v="NONE"/>'
+        '<tag k="is_intersection" v="False"/><tag k="l_neighbor_id" v="None"/><tag k="r_neighbor_id" v="None"/>'
+        '<nd ref="0"/><nd ref="1"/></way></A>'
+    )
+    lanes = read_city_lanes(xml.encode(), name="m")
+    low, high = np.array([-30.0, 0.0]), np.array([0.0, 20.0])
+    document = cut_city(lanes, raster, low=low, high=high, name="m")
+    rings = [[(p["x"], p["y"]) for p in area["area_boundary"]] for area in document["drivable_areas"].values()]
+    ground = shapely.union_all([shapely.Polygon(ring) for ring in rings])
+    assert ground.area == pytest.approx(12.0)
+    for row, column in ((0, 0), (1, 2), (2, 4)):
+        city = turned[:2, :2].T @ (np.array([column + 0.5, row + 0.5]) - turned[:2, 2])
+        assert shapely.contains_xy(ground, *city) == bool(pixels[row, column])
+
+
+def test_boundaries_lie_half_a_width_to_each_side() -> None:
+    """East, then north: at the corner they lie on the bisector.
+
+          |  |
+    ______|  |      left is inside the turn
+    ________/
+    """
+    left, right = boundaries(np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]]))
+    assert left.tolist() == [[0.0, 1.9], [pytest.approx(8.1), pytest.approx(1.9)], [8.1, 10.0]]
+    assert right.tolist() == [[0.0, -1.9], [pytest.approx(11.9), pytest.approx(-1.9)], [11.9, 10.0]]
+
+
+def test_a_map_of_argoverse_2_takes_the_place_of_the_citys(root: Path, data_scenes: dict[str, Path]) -> None:
+    choices = Choices(map_path=data_scenes["intersection"])
+    (address,) = find_sources([root / "val/data/7.csv"], choices)
+    found = read_recording(address)
+    assert found.scenario_id == f"argoverse1-val-7-on-{data_scenes['intersection'].name}"
+    assert found.map_json is None
+    assert found.map_path == next(data_scenes["intersection"].glob("log_map_archive_*.json"))
+    assert found.graph.lanes.keys() == read_scenario(data_scenes["intersection"]).graph.lanes.keys()
+
+
+def test_what_a_folder_holds_is_found_and_said(root: Path, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    (tmp_path / "mixed").mkdir()
+    shutil.copytree(data_scenes["curve"], tmp_path / "mixed" / data_scenes["curve"].name)
+    shutil.copytree(root, tmp_path / "mixed" / "av1")
+    found = find_sources([tmp_path / "mixed"])
+    assert sum(isinstance(address, Source) for address in found) == 9
+    assert len(found) == 10
+    lines = described(found)
+    assert lines[0] == "9 Argoverse 1 sequences found"
+    assert "headings" in lines[1]
+
+
+# What is wrong
+
+
+def _set(row: int, column: str, value: str) -> Change:
+    def change(rows: list[list[str]]) -> None:
+        rows[row][HEADER.index(column)] = value
+
+    return change
+
+
+def _all(column: str, value: str) -> Change:
+    def change(rows: list[list[str]]) -> None:
+        for row in rows[1:]:
+            row[HEADER.index(column)] = value
+
+    return change
+
+
+def _without(is_out: Callable[[list[str]], bool]) -> Change:
+    def change(rows: list[list[str]]) -> None:
+        rows[1:] = [row for row in rows[1:] if not is_out(row)]
+
+    return change
+
+
+def _last_stamp_gone(rows: list[list[str]]) -> None:
+    last = max(float(row[0]) for row in rows[1:])
+    rows[1:] = [row for row in rows[1:] if float(row[0]) != last]
+
+
+def _one_of_agent_gone(rows: list[list[str]]) -> None:
+    rows.remove(next(row for row in rows if row[2] == "AGENT"))
+
+
+def _stretched(rows: list[list[str]]) -> None:
+    first = min(float(row[0]) for row in rows[1:])
+    for row in rows[1:]:
+        row[0] = repr(first + 20 * (float(row[0]) - first))
+
+
+def _second_agent(rows: list[list[str]]) -> None:
+    name = next(row[1] for row in rows[1:] if row[2] == "OTHERS")
+    for row in rows[1:]:
+        if row[1] == name:
+            row[2] = "AGENT"
+
+
+def _jump(rows: list[list[str]]) -> None:
+    """Far from its place, and from the map."""
+    for row in rows[1:]:
+        row[3] = repr(float(row[3]) + 60_000.0)
+
+
+WRONG_SEQUENCES: dict[str, tuple[Change, str]] = {
+    "forty-nine-steps": (_last_stamp_gone, "49 time stamps, expected 50"),
+    "no-agent": (_without(lambda row: row[2] == "AGENT"), "no track of OBJECT_TYPE AGENT"),
+    "no-av": (_without(lambda row: row[2] == "AV"), "no track of OBJECT_TYPE AV"),
+    "two-agents": (_second_agent, "2 track of OBJECT_TYPE AGENT"),
+    "agent-with-a-gap": (_one_of_agent_gone, "AGENT at 49 of 50"),
+    "duplicate-stamp": (lambda rows: rows.append(list(rows[1])), "more than one row"),
+    "slow-clock": (_stretched, "apart in the mean"),
+    "no-header": (lambda rows: rows.pop(0), "columns .* expected TIMESTAMP"),
+    "missing-column": (lambda rows: [row.pop() for row in rows], "expected TIMESTAMP,TRACK_ID"),
+    "short-line": (lambda rows: rows[5].pop(), "line 6: 5 values, expected 6"),
+    "x-is-text": (_set(7, "X", "east"), "line 8: X 'east', expected a number"),
+    "y-is-nan": (_set(7, "Y", "nan"), "line 8: Y nan"),
+    "stamp-is-infinite": (_set(3, "TIMESTAMP", "inf"), "TIMESTAMP inf"),
+    "unknown-type": (_set(4, "OBJECT_TYPE", "CAR"), "OBJECT_TYPE 'CAR'"),
+    "unknown-city": (_all("CITY_NAME", "NYC"), "CITY_NAME 'NYC', expected one of MIA, PIT"),
+    "two-cities": (_set(4, "CITY_NAME", "PIT"), "CITY_NAME"),
+    "wrong-city": (_all("CITY_NAME", "PIT"), "no lane within .* the map of their city"),
+    "off-the-map": (_jump, "no lane within"),
+    "no-rows": (lambda rows: rows.__delitem__(slice(1, None)), "0 rows"),
+    "track-id-does-not-print": (_set(4, "TRACK_ID", "\x1b[2J"), "characters that can be printed"),
+    "too-fast": (_set(9, "X", "1e9"), "spread over|velocity|no lane"),
+}
+
+
+@pytest.mark.parametrize(("change", "said"), WRONG_SEQUENCES.values(), ids=WRONG_SEQUENCES)
+def test_a_wrong_sequence_is_refused_in_one_line(copy: Path, change: Change, said: str) -> None:
+    path = copy / "train/data/1.csv"
+    rows = rows_of(path)
+    change(rows)
+    write_rows(path, rows)
+    with pytest.raises(Hid2Error, match=said) as caught:
+        sequence(copy)
+    assert isinstance(caught.value, ScenarioError | MapError)
+    assert "\n" not in str(caught.value)
+
+
+def _replace(name: str, old: str, new: str) -> Callable[[Path], None]:
+    def change(maps: Path) -> None:
+        path = maps / name
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new, 1))
+
+    return change
+
+
+VECTOR = "pruned_argoverse_MIA_10316_vector_map.xml"
+RASTER = "MIA_10316_driveable_area_mat_2019_05_28.npy"
+SE2 = "MIA_10316_npyimage_to_city_se2_2019_05_28.npy"
+
+
+def _save(name: str, array: np.ndarray, *, pickled: bool = False) -> Callable[[Path], None]:
+    return lambda maps: np.save(maps / name, array, allow_pickle=pickled)
+
+
+WRONG_MAPS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "no-vector-map": (lambda maps: (maps / VECTOR).unlink(), "no pruned_argoverse_MIA_<n>_vector_map.xml"),
+    "no-raster": (lambda maps: (maps / RASTER).unlink(), "no MIA_10316_driveable_area_mat_<date>.npy"),
+    "no-transformation": (lambda maps: (maps / SE2).unlink(), "no MIA_10316_npyimage_to_city_se2_<date>.npy"),
+    "two-rasters": (
+        lambda maps: shutil.copyfile(maps / RASTER, maps / RASTER.replace("2019", "2020")), "2 MIA_10316_driveable"
+    ),
+    "not-xml": (lambda maps: (maps / VECTOR).write_text("lanes"), "not XML"),
+    "cut-off": (lambda maps: (maps / VECTOR).write_bytes((maps / VECTOR).read_bytes()[:900]), "not XML"),
+    "entities": (
+        _replace(VECTOR, "<ArgoverseVectorMap>", '<!DOCTYPE a [<!ENTITY e "x">]><ArgoverseVectorMap>'), "document type"
+    ),
+    "node-missing": (_replace(VECTOR, '<node id="0"', '<node id="987654"'), "node 0 is not in the file"),
+    "node-is-text": (_replace(VECTOR, '<nd ref="0"', '<nd ref="first"'), "'first', expected an integer"),
+    "coordinate-is-text": (_replace(VECTOR, ' x="', ' x="w'), "expected metres"),
+    "boolean-is-a-number": (
+        _replace(VECTOR, 'k="is_intersection" v="False"', 'k="is_intersection" v="0"'), "expected True or False"
+    ),
+    "tag-missing": (_replace(VECTOR, 'k="l_neighbor_id"', 'k="left"'), "no tag l_neighbor_id"),
+    "lane-twice": (
+        lambda maps: (maps / VECTOR).write_text(_twice((maps / VECTOR).read_text())), "appears twice, expected one way"
+    ),
+    "no-lanes": (lambda maps: (maps / VECTOR).write_text("<A/>"), "no way among"),
+    "another-element": (_replace(VECTOR, "<node ", "<relation/><node "), "element 'relation'"),
+    "raster-of-objects": (_save(RASTER, np.array([[{}]], dtype=object), pickled=True), "not an npy file of numbers"),
+    "raster-is-text": (lambda maps: (maps / RASTER).write_text("1"), "not an npy file"),
+    "raster-is-flat": (_save(RASTER, np.ones(9)), "pixels of shape"),
+    "raster-is-empty": (_save(RASTER, np.zeros((50, 50))), "no drivable area within"),
+    "transformation-is-small": (_save(SE2, np.eye(2)), "expected \\(3, 3\\)"),
+    "transformation-scales": (_save(SE2, np.diag([2.0, 2.0, 1.0])), "expected a rotation"),
+    "transformation-is-nan": (_save(SE2, np.full((3, 3), np.nan)), "finite numbers"),
+}  # fmt: skip
+
+
+def _twice(text: str) -> str:
+    start, stop = text.index("  <way"), text.index("</way>") + len("</way>\n")
+    return text[:stop] + text[start:stop] + text[stop:]
+
+
+@pytest.mark.parametrize(("change", "said"), WRONG_MAPS.values(), ids=WRONG_MAPS)
+def test_a_wrong_city_map_is_refused_in_one_line(copy: Path, change: Callable[[Path], object], said: str) -> None:
+    change(copy / "map_files")
+    with pytest.raises(MapError, match=said) as caught:
+        sequence(copy)
+    assert "\n" not in str(caught.value)
+
+
+def test_map_files_that_are_not_there_are_said_with_the_way_out(copy: Path) -> None:
+    shutil.rmtree(copy / "map_files")
+    with pytest.raises(
+        NoSceneError, match=r"this is Argoverse 1: its map files are missing, .*map_files; or give --map"
+    ):
+        find_recordings([copy])
+
+
+def test_a_chosen_map_of_another_place_is_refused(root: Path, data_scenes: dict[str, Path]) -> None:
+    (address,) = find_sources([root / "val/data/7.csv"], Choices(map_path=data_scenes["curve"]))
+    with pytest.raises(MapError, match=r"0% of the AGENT of 7\.csv"):
+        read_recording(address)
+    with pytest.raises(NoSceneError, match=r"--map .*: no log_map_archive_<id>\.json"):
+        find_sources([root / "val/data/7.csv"], Choices(map_path=root))
