@@ -120,7 +120,7 @@ def read(source: Source) -> Recording:
         split=source.split,
         observed_steps=OBSERVED_STEPS,
         step_s=STEP_S,
-        format="argoverse1",
+        format=source.format,
         provenance="tracker",
         map_json=map_json,
         sequence=content,

@@ -2,6 +2,7 @@
 
 import fnmatch
 import logging
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias
@@ -21,6 +22,9 @@ SIZES_FILE = "agent_sizes.csv"
 
 #: Names of the folders of a data-set root.
 SPLITS = ("train", "val", "test")
+#: Boxes and poses of a sensor log, and log, city and number in the name of its map.
+ANNOTATIONS, POSES = "annotations*.feather", "city_SE3_egovehicle.feather"
+LOG_MAP_NAME = re.compile(r"log_map_archive_(.+)____([A-Z]{3})_city_(\d{1,18})")
 #: Folder of generated Argoverse 1 sequences below an output folder.
 SEQUENCES = "argoverse1"
 
@@ -147,6 +151,11 @@ def sequence_path(out_dir: Path, split: str | None, new_id: str) -> Path:
 def sumo_folder(root: Path, split: str | None, scenario_id: str) -> Path:
     """Where the files for SUMO of a scene lie below the folder that was asked for."""
     return (root / split if split else root) / scenario_id
+
+
+def log_maps(log: Path) -> list[Path]:
+    """Map files of a sensor log, in its folder map or in its own."""
+    return sorted(log.glob(f"map/{MAP_PATTERN}")) or sorted(log.glob(MAP_PATTERN))
 
 
 def names_in(folder: Path) -> list[str]:

@@ -33,8 +33,7 @@ from scipy.spatial.transform import Rotation
 
 from bridge.files import one_line, read_regular
 from bridge.recordings import limits
-from bridge.recordings.folders import Source
-from bridge.recordings.log_files import ANNOTATIONS, MAP_NAME, POSES, maps_of
+from bridge.recordings.folders import ANNOTATIONS, LOG_MAP_NAME, POSES, Source, log_maps
 from bridge.recordings.map_rules import graph_of, read_document
 from bridge.recordings.recording import AV_ID, Recording
 from bridge.recordings.scenario import REQUIRED_COLUMNS, split_rows
@@ -114,7 +113,7 @@ def read(source: Source) -> Recording:
         split=source.split,
         observed_steps=OBSERVED_STEPS,
         step_s=STEP_S,
-        format="sensor_log",
+        format=source.format,
         provenance="human",
         sizes=sizes,
         map_json=json.dumps(document).encode(),
@@ -135,11 +134,11 @@ def last_start(log: Path) -> int:
 
 def _map_of(log: Path) -> tuple[Path, int, str, str]:
     """Map file, number of the map, log id and city. Errors: MapError."""
-    found = maps_of(log)
+    found = log_maps(log)
     wanted = "log_map_archive_<log>____<CITY>_city_<n>.json"
     if len(found) != 1:
         raise MapError(f"{log}: {len(found) or 'no'} {wanted} in it or in its folder map, expected exactly one")
-    named = MAP_NAME.fullmatch(found[0].stem)
+    named = LOG_MAP_NAME.fullmatch(found[0].stem)
     if named is None or named[2] not in _CITIES:
         raise MapError(f"{found[0]}: expected a name {wanted}, CITY one of {', '.join(_CITIES)}")
     return found[0], int(named[3]), named[1], _CITIES[named[2]]

@@ -5,8 +5,17 @@ import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bridge.recordings.folders import Address, Choices, Reader, Source, split_of
-from bridge.recordings.log_files import ANNOTATIONS, MAP_NAME, POSES, maps_of
+from bridge.recordings.folders import (
+    ANNOTATIONS,
+    LOG_MAP_NAME,
+    POSES,
+    Address,
+    Choices,
+    Reader,
+    Source,
+    log_maps,
+    split_of,
+)
 
 if TYPE_CHECKING:
     from bridge.recordings.recording import Recording
@@ -39,7 +48,7 @@ class SensorLog(Reader):
 
     def files(self, source: Source) -> list[Path]:
         """Annotations, poses, map."""
-        found = [*sorted(source.path.glob(ANNOTATIONS))[:1], source.path / POSES, *maps_of(source.path)]
+        found = [*sorted(source.path.glob(ANNOTATIONS))[:1], source.path / POSES, *log_maps(source.path)]
         return [path for path in found if path.is_file()]
 
     def read(self, source: Source) -> "Recording":
@@ -61,6 +70,6 @@ def window_id(log_id: str, start: int) -> str:
 
 
 def _log_id(log: Path) -> str:
-    maps = maps_of(log)
-    named = MAP_NAME.fullmatch(maps[0].stem) if len(maps) == 1 else None
+    maps = log_maps(log)
+    named = LOG_MAP_NAME.fullmatch(maps[0].stem) if len(maps) == 1 else None
     return named[1] if named is not None else log.absolute().name
