@@ -3,6 +3,7 @@
 import hashlib
 import json
 import tomllib
+import uuid
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -14,6 +15,9 @@ from pydantic.fields import FieldInfo
 from hid2.params import Config, Event
 from hid2.policies import Policy
 from netconvert.errors import ConfigError
+
+#: Ids of synthetic corridors, which are no scenes of Argoverse and may be longer.
+CORRIDOR_PREFIX = "corridor-"
 
 
 class ParameterRow(NamedTuple):
@@ -48,6 +52,20 @@ def load_config(
     return _validated(data, "configuration") if flags or overrides else config
 
 
+def read_drivers(path: Path) -> dict[str, object]:
+    """The section [drivers] of a file that `hid2 calibrate` wrote, as flags.
+
+    Errors: ConfigError for another section, and for a key, a value or a range that no driver has.
+    """
+    data = _read_toml(path)
+    others = sorted(data.keys() - {"drivers"})
+    if others or not isinstance(data.get("drivers"), dict):
+        wrong = f"section or key {', '.join(others)}" if others else "no section [drivers]"
+        raise ConfigError(f"{path}: {wrong}, expected [drivers] alone, as hid2 calibrate writes; else use --config")
+    _validated(data, str(path))
+    return {f"drivers.{name}": value for name, value in data["drivers"].items()}
+
+
 def parse_behaviours(text: str) -> dict[str, float]:
     """Shares "straight=.5,lane_change=.5" as flags; a behaviour that is not named gets 0.
 
@@ -59,7 +77,9 @@ def parse_behaviours(text: str) -> dict[str, float]:
     for part in text.split(","):
         name, separator, value = (piece.strip() for piece in part.partition("="))
         if name not in names or not separator:
-            raise ConfigError(f"behaviours: {part.strip()!r}, expected name=share with a name of {', '.join(names)}")
+            alike = get_close_matches(name, names, 1)
+            hint = f"; did you mean {alike[0]}?" if alike and name not in names else ""
+            raise ConfigError(f"behaviours: {part.strip()!r}, expected name=share of {', '.join(names)}{hint}")
         if name in given:
             raise ConfigError(f"behaviours: {name!r} is given twice; give each once")
         given.add(name)
@@ -133,6 +153,22 @@ def config_sha256(config: Config) -> str:
     return hashlib.sha256(json.dumps(config_to_dict(config), sort_keys=True).encode()).hexdigest()
 
 
+def new_scenario_id(source_id: str, config: Config, seed: int, variant: int) -> str:
+    """UUID (version 5) of a request: the same request names the same scenario. What comes of a corridor says so."""
+    space = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo")
+    new_id = uuid.uuid5(space, "\n".join([source_id, config_sha256(config), str(seed), str(variant)]))
+    return f"{CORRIDOR_PREFIX if source_id.startswith(CORRIDOR_PREFIX) else ''}{new_id}"
+
+
+def check_no_flow(config: Config) -> None:
+    """Raise ConfigError where traffic is to enter at the map's edge: whoever does so is not exported, only studied."""
+    if config.flow.veh_per_h_lane > 0.0:
+        raise ConfigError(
+            f"flow.veh_per_h_lane = {config.flow.veh_per_h_lane:g}: traffic enters in studies only (hid2 study), "
+            "expected 0 here"
+        )
+
+
 def config_to_toml(config: Config) -> str:
     """The configuration as a TOML file that load_config reads back."""
     values = config_to_dict(config)
@@ -187,7 +223,7 @@ def _range(field: FieldInfo) -> str:
     if str in leaves:
         return "text"
     if int not in leaves and float not in leaves:
-        return choices
+        return f"{choices}, or module:function" if str in leaves else choices  # the one text that is free
     words = f"{'integer' if int in leaves else 'number'} {_bounds([*field.metadata, *inner])}".strip()
     return f"{words}, or {choices}" if choices else words
 

@@ -16,6 +16,9 @@ def _param(default: Any, unit: str, source: str, **bounds: Any) -> Any:  # noqa:
     return Field(default=default, json_schema_extra={"unit": unit, "source": source}, **bounds)
 
 
+_FUNCTION = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"  # module:function
+
+
 class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -106,11 +109,12 @@ class Spawn(_Section):
     )
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(
-        2, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
+        3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
     )
-    candidates: int = _param(
-        3, "vehicles", "driven at once for one manoeuvre, of which one that does it is kept", ge=1, le=10
+    rivals: int = _param(
+        2, "vehicles", "driven beside the first for one manoeuvre, of which one that does it is kept", ge=0, le=10
     )
+    rivals_share: float = _param(0.6, "share", "of the vehicles still missing: most rivals in one round", ge=0, le=5)
     spare_share: float = _param(
         0.2, "share", "vehicles driven beyond the count, in case some cannot be made safe", ge=0, le=2
     )
@@ -202,9 +206,28 @@ class Drivers(_Section):
         1.5, "m/s2", "lateral acceleration taken in turns, uniform from here", gt=0, le=4.89
     )
     turn_lateral_max_mps2: float = _param(3.0, "m/s2", "to here (comfort ends at 3)", gt=0, le=4.89)
-    offset_sd_m: float = _param(0.25, "m", "SD between drivers of the mean place in the lane", ge=0, le=1)
-    lateral_wander_sd_m: float = _param(0.15, "m", "SD of the wandering about that place", ge=0, le=0.5)
-    lateral_wander_time_s: float = _param(3.0, "s", "its correlation time at the desired speed", gt=0, le=30)
+    offset_mean_m: float = _param(
+        0.1,
+        "m",
+        "mean place in the lane, left positive: away from the kerb and parked cars; measured: 0.10",
+        ge=-1,
+        le=1,
+    )
+    offset_sd_m: float = _param(
+        0.32, "m", "SD between drivers of the mean place in the lane; measured, robust: 0.29", ge=0, le=1
+    )
+    offset_max_m: float = _param(0.9, "m", "no driver is farther from the lane's middle", ge=0, le=1.5)
+    lateral_wander_sd_m: float = _param(
+        0.2,
+        "m",
+        "SD of the wandering about that place, of the median driver; measured: drift of 0.065 m/s",
+        ge=0,
+        le=0.5,
+    )
+    lateral_wander_spread: float = _param(
+        0.8, "-", "SD between drivers of its logarithm: some hold the lane, some weave; measured", ge=0, le=1.5
+    )
+    lateral_wander_time_s: float = _param(2.0, "s", "its correlation time at the desired speed", gt=0, le=30)
     lane_change_mean_s: float = _param(
         5.5, "s", "duration of a lane change (highD: 5.5 cars, 6.1 heavy)", ge=1.5, le=15
     )
@@ -225,6 +248,16 @@ class LaneChange(_Section):
     min_duration_s: float = _param(2.5, "s", "shortest lateral motion (11 s scenes)", ge=1.5, le=10)
     max_duration_s: float = _param(6.0, "s", "longest lateral motion", ge=1.5, le=15)
     min_speed_mps: float = _param(2.0, "m/s", "slower vehicles cannot shift a lane in time", ge=0, le=20)
+    rule: Literal["paper", "MOBIL", "LC2013"] | Annotated[str, Field(pattern=_FUNCTION)] = _param(
+        "paper", "-", "what decides whether a gap is taken; module:function names one of your own"
+    )
+    mobil_politeness: float = _param(0.3, "-", "MOBIL p (Kesting et al. 2007: 0 to 1)", ge=0, le=2)
+    mobil_threshold_mps2: float = _param(0.1, "m/s2", "MOBIL, advantage that is worth a change", ge=0, le=5)
+    mobil_bias_mps2: float = _param(0.3, "m/s2", "MOBIL, bias towards the lane that is asked for", ge=0, le=10)
+    mobil_safe_mps2: float = _param(4.0, "m/s2", "MOBIL b_safe, hardest braking left to the new follower", gt=0, le=9)
+    lc_strategic: float = _param(1.0, "-", "LC2013 lcStrategic; SUMO's default", ge=0, le=100)
+    lc_cooperative: float = _param(1.0, "-", "LC2013 lcCooperative; SUMO's default", ge=0, le=1)
+    lc_speed_gain: float = _param(1.0, "-", "LC2013 lcSpeedGain; SUMO's default", ge=0, le=1000)
     max_shift_m: float = _param(5.5, "m", "middles of lanes farther apart are not side by side", gt=0, le=20)
     time_share: float = _param(0.95, "share", "of the time left that the lateral motion may take", gt=0, le=1)
     spare_s: float = _param(0.5, "s", "of that time, left after the lateral motion", ge=0, le=5)
@@ -273,7 +306,7 @@ class Turn(_Section):
 class Conflict(_Section):
     """The three cases of conflict resolution, and what is exported at all."""
 
-    horizon_s: float = _param(8.0, "s", "H delta: how far ahead conflicts are looked for", gt=0, le=10)
+    horizon_s: float = _param(5.0, "s", "H delta: how far ahead conflicts are looked for", gt=0, le=10)
     act_mps2: float = _param(
         1.1, "m/s2", "deceleration that a conflict must ask for before the timing is changed", ge=0, le=4
     )
@@ -369,6 +402,16 @@ class CarFollowing(_Section):
 
     model: Literal["EIDM", "IDM", "Krauss"] = _param("EIDM", "-", "SUMO's carFollowModel")
     jerk_mps3: float = _param(3.0, "m/s3", "EIDM jerkmax", gt=0, le=10)
+
+
+class Flow(_Section):
+    """Traffic that enters at the edges of the map while the scene runs: in studies (`hid2 study`)."""
+
+    veh_per_h_lane: float = _param(0.0, "veh/h", "flow on each lane that begins at the map's edge", ge=0, le=3000)
+    min_headway_s: float = _param(
+        1.2, "s", "headways are exponential beyond this (shifted exponential, Cowan's M2)", ge=0, le=10
+    )
+    warm_up_s: float = _param(30.0, "s", "requests before this are not counted", ge=0, le=3600)
 
 
 class Limits(_Section):
@@ -490,6 +533,7 @@ class Config(_Section):
     conflict: Conflict = Conflict()
     signals: Signals = Signals()
     crossings: Crossings = Crossings()
+    flow: Flow = Flow()
     limits: Limits = Limits()
     smoothing: Smoothing = Smoothing()
     event_search: EventSearch = EventSearch()

@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class Reason(StrEnum):
-    """A reason; its sentence is its `text`. The README's table of reasons is made from this list."""
+    """A reason; its sentence is its `text`. The table in REASONS.md is made from this list."""
 
     text: str
 
@@ -46,6 +46,10 @@ class Reason(StrEnum):
     CELLS_OCCUPIED = "cells_occupied", "Cells j-1, j, j+1 of the lane beside are not free."
     FRONT_GAP = "front_gap", "The gap to the new leader is too small."
     REAR_GAP = "rear_gap", "The gap to the new follower is too small."
+    MOBIL_UNSAFE = "mobil_unsafe", "MOBIL: the new follower would have to brake harder than b_safe."
+    MOBIL_NO_ADVANTAGE = "mobil_no_advantage", "MOBIL: the advantage, politeness included, is below the threshold."
+    LC2013_NO_MOTIVE = "lc2013_no_motive", "SUMO's LC2013 has no motive to change to that lane."
+    RULE_REFUSES = "rule_refuses", "The user's own lane-change rule does not take the gap."
     # overtake
     NO_LEADER = "no_leader", "No leader within the observation horizon."
     LEADER_NOT_SLOWER = "leader_not_slower", "The leader is not slower than the desired speed by enough."

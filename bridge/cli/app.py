@@ -8,7 +8,21 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 #: Order of the commands in the help: that of the work.
-ORDER = ("generate", "validate", "scan", "net", "evaluate", "study", "paper", "render", "plot", "gui", "config")
+ORDER = (
+    "generate",
+    "validate",
+    "scan",
+    "net",
+    "evaluate",
+    "calibrate",
+    "study",
+    "make",
+    "paper",
+    "render",
+    "plot",
+    "gui",
+    "config",
+)
 
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])

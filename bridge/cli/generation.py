@@ -11,6 +11,7 @@ from bridge.cli.options import (
     EVENTS,
     INTERRUPTED,
     OUTPUT,
+    PARAMETERS,
     REQUEST,
     RUNNING,
     SOME_FAILED,
@@ -25,6 +26,7 @@ from bridge.cli.options import (
     Memory,
     MinAgents,
     Quiet,
+    RecordName,
     Resume,
     Sample,
     Scheduler,
@@ -43,7 +45,7 @@ _SHOWN_PATHS = 24
 
 
 @command()
-def generate(
+def generate(  # noqa: PLR0913  # one for each option
     *,
     scenes: Annotated[
         list[Path] | None,
@@ -182,6 +184,12 @@ def generate(
         list[ComponentName],
         typer.Option(help="Ablation: leave a component out; repeatable.", rich_help_panel=REQUEST, show_default=False),
     ] = [],  # noqa: B006  # typer copies it
+    drivers: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DRIVERS.toml", help="Drivers as `hid2 calibrate` measured them.", rich_help_panel=PARAMETERS
+        ),
+    ] = None,
     config: ConfigFile = None,
     settings: Settings = [],  # noqa: B006
     min_agents: MinAgents = 0,
@@ -194,6 +202,14 @@ def generate(
     scene_timeout: Timeout = 300.0,
     scene_memory: Memory = 4000,
     resume: Resume = False,
+    record: Annotated[
+        list[RecordName],
+        typer.Option(
+            help="Write more beside each scene; gaps: every look at a gap, gaps_<id>.csv.gz.",
+            rich_help_panel=OUTPUT,
+            show_default=False,
+        ),
+    ] = [],  # noqa: B006
     repro: Annotated[
         Path | None,
         typer.Option(metavar="BUNDLE", help="Run a quarantined scene again, from its bundle.", rich_help_panel=RUNNING),
@@ -220,7 +236,7 @@ def generate(
     check_scenes(scenes)
     check_out(out)
     with Activity(quiet=quiet) as activity:
-        from bridge.config import load_config, parse_behaviours, parse_events, parse_trigger_time
+        from bridge.config import load_config, parse_behaviours, parse_events, parse_trigger_time, read_drivers
         from bridge.recordings.folders import find_sources
 
         flags: dict[str, object] = {
@@ -233,6 +249,7 @@ def generate(
             "request.spawn_leaders": spawn_leaders,
             "without": [str(name) for name in without] or None,
         }
+        flags |= read_drivers(drivers) if drivers is not None else {}
         flags |= parse_behaviours(behaviours) if behaviours is not None else {}
         flags |= parse_trigger_time(trigger_time) if trigger_time is not None else {}
         event_values = {
@@ -251,13 +268,14 @@ def generate(
             )
             folders = select_scenes(folders, selection, activity, jobs=jobs)
 
-        from bridge.batch.batch import Options, plan, run_batch
+        from bridge.batch.batch import GENERATE, GENERATE_WITH_GAPS, Options, plan, run_batch
         from bridge.batch.manifest import DONE
         from bridge.cli.batch_display import BatchNotes, batch_rows, print_batch
 
         options = Options(
-            jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume, memory_mb=scene_memory
-        )
+            jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume, memory_mb=scene_memory,
+            function=GENERATE_WITH_GAPS if record else GENERATE,
+        )  # fmt: skip
         notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")
         try:

@@ -1,7 +1,7 @@
 """`hid2 evaluate`, `study` and `paper`: from scenes to figures and tables."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -21,7 +21,7 @@ from bridge.cli.options import (
 )
 from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import set_up, unread_text
-from bridge.console import Activity, print_json, print_table
+from bridge.console import Activity, counted, print_json, print_table, say
 from netconvert.errors import ConfigError
 
 
@@ -50,6 +50,13 @@ def evaluate(
         Path | None,
         typer.Option(metavar="DIR", help="The source scenes: before is those of the scenes measured."),
     ] = None,
+    control: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Scenes of the same sources with drivers that the critics must tell, as data/configs has them.",
+        ),
+    ] = None,
     predictions: Annotated[
         str | None,
         typer.Option(
@@ -70,7 +77,7 @@ def evaluate(
 ) -> None:
     """Measure density, diversity, safety, kinematics and realism of any number of scenes, or score forecasts."""
     set_up(verbose=verbose, quiet=quiet)
-    check_scenes([out, *([source] if source else [])])
+    check_scenes([out, *(folder for folder in (source, control) if folder)])
     check_out(report)
     if predictions is not None:
         raise typer.Exit(_score(out, predictions, bands, report, as_json=as_json, quiet=quiet))
@@ -84,12 +91,63 @@ def evaluate(
             if done == total:
                 activity.doing("writing the report")
 
-        evaluation = evaluate_folder(out, report_dir=report, source=source, jobs=jobs, on_scene=show)
+        evaluation = evaluate_folder(out, report_dir=report, source=source, control=control, jobs=jobs, on_scene=show)
         for folder, reason in evaluation.failures:
             activity.message(unread_text(folder, reason))
     if not quiet:
+        counts = evaluation.metrics["scenes"]
+        made, left_out = counts["generated_vehicles"], len(evaluation.failures)
+        say(
+            f"{out}: {counted(counts['scenes'], 'scene')} made from {counts['sources']} recorded, with "
+            f"{counted(made, 'generated vehicle')}" + (f"; {left_out} not readable, left out" if left_out else "")
+        )
         print(report / "report.html")
     raise typer.Exit(SOME_FAILED if evaluation.failures else ALL_DONE)
+
+
+@command()
+def calibrate(
+    root: Annotated[
+        Path,
+        typer.Argument(
+            metavar="ROOT", help="Recorded scenes: a scenario folder, a split folder or a root.", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--out", metavar="DRIVERS.toml", help="File to write; tables and a page go beside it.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = Path("drivers.toml"),
+    *,
+    without: Annotated[
+        list[str],
+        typer.Option(
+            metavar="ID", help="Leave a scene out, such as one to generate from; repeatable.", show_default=False
+        ),
+    ] = [],  # noqa: B006
+    jobs: Jobs = 1,
+    verbose: Verbose = 0,
+    quiet: Quiet = False,
+) -> None:  # fmt: skip
+    """Measure how people drive in recorded scenes, for `hid2 generate --drivers`."""
+    set_up(verbose=verbose, quiet=quiet)
+    check_scenes([root])
+    if out.is_dir():
+        raise ConfigError(f"{out}: is a folder, expected a file to write, such as {out / 'drivers.toml'}")
+    check_out(out.parent)
+    with Activity(quiet=quiet) as activity:
+        from bridge.evaluation.calibrate import calibrate_folder
+
+        activity.doing("measuring how people drive")
+        found = calibrate_folder(root, out, without=without, jobs=jobs, on_scene=activity.show)
+        for folder, reason in found.failures:
+            activity.message(unread_text(folder, reason))
+    if not quiet:
+        print(out)
+        print(out.with_name(f"{out.stem}.html"))
+    raise typer.Exit(SOME_FAILED if found.failures else ALL_DONE)
 
 
 @command()
@@ -106,12 +164,6 @@ def study(
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     scene_timeout: Timeout = 300.0,
-    keep_scenes: Annotated[
-        bool,
-        typer.Option(
-            "--keep-scenes", metavar="", help="Keep the generated scenes beside the tables.", rich_help_panel=OUTPUT
-        ),
-    ] = False,
     verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -124,7 +176,8 @@ def study(
     with Activity(quiet=quiet) as activity:
         from bridge.batch.batch import Options
         from bridge.cli.batch_display import BatchNotes
-        from bridge.studies.study import read_study, run_study
+        from bridge.studies.run import run_study
+        from bridge.studies.study import read_study
 
         options = Options(jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=True)
         activity.doing("reading the study and its scenes")
@@ -132,7 +185,7 @@ def study(
         notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")
         try:
-            report = run_study(found, out, options, keep_scenes=keep_scenes, on_row=notes.note)
+            report = run_study(found, out, options, on_row=notes.note)
         except KeyboardInterrupt:
             activity.message("interrupted; the same command continues")
             raise typer.Exit(INTERRUPTED) from None
@@ -140,6 +193,22 @@ def study(
         for path in report.files:
             print(path)
     raise typer.Exit(SOME_FAILED if report.failed else ALL_DONE)
+
+
+@command()
+def make(
+    what: Annotated[Literal["corridor"], typer.Argument(metavar="WHAT", help="corridor: a straight one-way road.")],
+    out: Out,
+    *,
+    length: Annotated[float, typer.Option(metavar="M", help="Length of the road, m.")] = 600.0,
+    lanes: Annotated[int, typer.Option(metavar="N", help="Lanes.")] = 2,
+    seconds: Annotated[float, typer.Option(metavar="S", help="Duration of the recording, s.")] = 180.0,
+) -> None:
+    """Make a synthetic scene for studies; it is no scene of Argoverse, and its id says so."""
+    from bridge.recordings.corridor import write_corridor
+
+    assert what == "corridor"
+    print(write_corridor(out, length_m=length, lanes=lanes, seconds=seconds))
 
 
 @command()

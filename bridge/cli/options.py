@@ -26,6 +26,7 @@ CanName = StrEnum(
 )  # fmt: skip
 ComponentName = StrEnum("ComponentName", ["TOPOLOGY", "COLLISION", "SMOOTHING"])
 SplitName = StrEnum("SplitName", ["TRAIN", "VAL", "TEST"])
+RecordName = StrEnum("RecordName", ["GAPS"])
 FocalName = Literal["recorded", "generated"]
 ExperimentName = Literal["table1", "ablation", "density", "diversity"]
 

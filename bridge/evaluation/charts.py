@@ -21,8 +21,8 @@ def reason_words(reason: str) -> str:
 
 def distribution_figure(counts: RealismCounts) -> Figure:
     """Generated and recorded distribution of every feature as steps over the same bins."""
-    figure, axes = plt.subplots(2, 4, figsize=(13, 5.6), layout="constrained")
-    for ax, feature in zip(axes.flat, FEATURES, strict=True):
+    figure, axes = plt.subplots(3, 4, figsize=(13, 8.4), layout="constrained")
+    for ax, feature in zip(axes.flat, FEATURES, strict=False):
         edges = np.linspace(feature.low, feature.high, feature.bins + 1)
         for name, data, color, line in (
             ("recorded", counts.recorded, figures.DARK_GREY, "-"),
@@ -34,6 +34,8 @@ def distribution_figure(counts: RealismCounts) -> Figure:
         ax.set_xlabel(f"{feature.label}, {feature.unit}")
         ax.set_ylabel("share")
         ax.set_ylim(bottom=0)
+    for ax in axes.flat[len(FEATURES) :]:
+        ax.set_axis_off()
     axes.flat[0].legend(fontsize=8)
     return figure
 
@@ -79,8 +81,11 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[int, Estimate]]]]) -> Figure:
-    """The paper's figure of added agents: LO, LA, JE, SCR, ORR against the number added; series[metric][group]."""
+def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[int, Estimate]]]], *, of: str) -> Figure:
+    """The paper's figure of added agents: LO, LA, JE, SCR, ORR against the number added; series[metric][group].
+
+    of: how many scenes and vehicles it is of, in words.
+    """
     figure, axes = plt.subplots(1, len(series), figsize=(3.0 * len(series), 3.4), layout="constrained")
     labels = {"lo": "LO, m/s²", "la": "LA, m/s²", "je": "JE, m/s³", "scr": "SCR, share", "orr": "ORR, share"}
     looks = {"combined": (figures.COMBINED, "-", "o"), "generated": (figures.GENERATED, "--", "s")}
@@ -102,5 +107,6 @@ def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[int, Estimat
         ax.set_title(labels[metric])
         ax.set_ylim(bottom=0)
         ax.set_xticks(sorted({x for points in groups.values() for x, _ in points}))
+    figure.suptitle(of, fontsize=9)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure

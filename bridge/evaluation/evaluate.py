@@ -18,12 +18,12 @@ from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import Labelled, Row, SceneMeasures, measure_folders
 from bridge.evaluation.totals import Evaluation, Totals
 from bridge.files import table_file, write_text
+from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import find_scenarios, read_sizes, source_id
 from bridge.recordings.sidecar import sidecar_in
 from hid2.agents import BoxSize
 from hid2.measures.arrays import is_generated_id
 from hid2.params import Limits
-from netconvert.av2_map import read_lane_graph
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ExportError, Hid2Error, ScenarioError
 from netconvert.fidelity import measure_fidelity
@@ -41,6 +41,7 @@ def evaluate_folder(
     *,
     report_dir: Path,
     source: Path | None = None,
+    control: Path | None = None,
     jobs: int = 1,
     on_scene: Callable[[int, int], None] | None = None,
 ) -> Evaluation:
@@ -50,6 +51,7 @@ def evaluate_folder(
     source scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded vehicles beside
     them, else the recorded tracks of the first scene made from each. A scene that cannot be read is listed and left
     out.
+    control: scenes made from the same sources with drivers that the critics must tell, such as SUMO's default ones.
     on_scene(done, total) is called as scenes are done.
     Errors: ScenarioError where there is no scene; ExportError where the report cannot be written.
     """
@@ -58,16 +60,20 @@ def evaluate_folder(
     # by map, so that each is read once, and large ones first: what a process needs at most it needs from the start
     folders = sorted(find_scenarios(out), key=_map_size, reverse=True)
     sources = _sources_of(folders, source) if source is not None else {}
+    controls = sorted(find_scenarios(control), key=_map_size, reverse=True) if control is not None else []
+    known = len(folders) + len(sources)
     evaluation = Evaluation(Totals(sources))
     totals = evaluation.totals
     try:
         with contextlib.ExitStack() as stack:
             tables = [stack.enter_context(_table(report_dir / f"{name}.csv")) for name in _BY_SCENE]
             for done, (folder, measures) in enumerate(
-                _measured([*folders, *sources.values()], _labelled(sources), jobs=jobs), 1
+                _measured([*folders, *sources.values(), *controls], _labelled(sources), jobs=jobs), 1
             ):
                 if isinstance(measures, Failure):
                     evaluation.failures.append((folder, measures.message))
+                elif done > known:
+                    totals.add_control(measures)
                 elif done > len(folders):
                     totals.add_source(measures.scene)
                 else:
@@ -77,7 +83,7 @@ def evaluate_folder(
                     ):
                         table.write(rows)
                 if on_scene is not None:
-                    on_scene(done, len(folders) + len(sources))
+                    on_scene(done, known + len(controls))
         evaluation.metrics = _metrics(evaluation)
         _write_tables(evaluation.metrics, report_dir)
         write_report(evaluation, report_dir / "report.html")
@@ -165,6 +171,12 @@ class _Table:
             self._writer.writerow({key: _cell(value) for key, value in row.items()})
 
 
+def write_table(path: Path, rows: Iterable[Row]) -> None:
+    """Rows as a CSV file. Errors: OSError."""
+    with _table(path) as table:
+        table.write(rows)
+
+
 def _cell(value: object) -> object:
     if isinstance(value, float):
         return f"{value:.6g}"
@@ -176,8 +188,7 @@ def _cell(value: object) -> object:
 def _write_tables(metrics: Mapping[str, Any], report_dir: Path) -> None:
     text = json.dumps(metrics, indent=1, allow_nan=False)
     write_text(report_dir / "metrics.json", text + "\n")
-    with _table(report_dir / "realism.csv") as table:
-        table.write(metrics["realism"]["distances"])
+    write_table(report_dir / "realism.csv", metrics["realism"]["distances"])
 
 
 def _metrics(evaluation: Evaluation) -> dict[str, Any]:
@@ -191,7 +202,7 @@ def _nets(folders: Mapping[str, str]) -> dict[str, Any]:
     nets: dict[str, Any] = {}
     for source, folder in folders.items():
         try:
-            grid = build_cell_grid(read_lane_graph(next(Path(folder).glob("log_map_archive_*.json"))))
+            grid = build_cell_grid(read_source_map(next(Path(folder).glob("log_map_archive_*.json"))))
             report = measure_fidelity(grid, net_bytes(grid))
         except Hid2Error as error:
             nets[source] = {"failed": str(error)}

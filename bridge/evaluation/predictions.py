@@ -16,7 +16,7 @@ from av2.datasets.motion_forecasting.eval.metrics import compute_ade, compute_fd
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
 from bridge.evaluation import report
-from bridge.files import beside, make_folder, table_file, write_text
+from bridge.files import make_folder, table_file, write_text
 from bridge.recordings.scenario import (
     LAST_OBSERVED,
     MAX_STEPS,
@@ -137,22 +137,8 @@ def read_forecasts(path: Path) -> Forecasts:
             f"{path}: no such file, expected a forecast file or one of {', '.join(BASELINES)}"
         ) from None
     except (ValueError, KeyError, OSError, IndexError) as error:
-        raise ScenarioError(f"{path}: not a forecast file of av2's submission format ({error})") from error
-
-
-def write_baseline(out: Path, path: Path, *, kind: Baseline) -> Path:
-    """Write a baseline's forecasts of the focal tracks below `out` as a submission file. Errors: as above."""
-    submission = {}
-    for folder in find_scenarios(out):
-        scenario = read_scenario(folder)
-        forecast = baseline(scenario, kind)
-        submission[scenario.scenario_id] = (forecast[0], dict(forecast[1]))
-    try:
-        with beside(path) as hidden:
-            ChallengeSubmission(submission).to_parquet(hidden)
-    except OSError as error:
-        raise ExportError(f"{path}: cannot write the forecasts ({error})") from error
-    return path
+        said = str(error).split("\n")[0].split(". ")[0]  # pyarrow goes on for lines
+        raise ScenarioError(f"{path}: not a forecast file of av2's submission format ({said})") from error
 
 
 def baseline(scenario: Scenario, kind: Baseline) -> tuple[FloatArray, Mapping[str, FloatArray]]:

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 
 from bridge.batch.isolation import Failure, describe_error
+from bridge.files import read_regular
+from bridge.recordings.limits import MAX_FILE_MB, check_ground
+from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import (
     LAST_OBSERVED,
     STEP_S,
@@ -22,23 +25,17 @@ from bridge.recordings.scenario import (
 from bridge.recordings.sidecar import ManeuverRecord, Sidecar, sidecar_in
 from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
+from hid2.evaluation.critics import pack
 from hid2.evaluation.kinematics import Kinematics, Motion, beyond_limits, kinematics, motion
 from hid2.evaluation.metrics import CRITICAL, GROUPS, Group, last_step_counts, measure_group
-from hid2.evaluation.realism import (
-    DRIVING_FEATURES,
-    MOTION_FEATURES,
-    RealismCounts,
-    count_scene,
-    row_features,
-    track_features,
-)
+from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
 from hid2.evaluation.safety import IOU_THRESHOLD, PreparedMap, Safety, prepare_map, safety
+from hid2.evaluation.windows import is_labelled, windows
 from hid2.measures.arrays import BoolArray, SceneArrays, stack
 from hid2.measures.encounters import encounters
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.scene_end import Contact, contacts_after_last_step
 from hid2.params import Limits
-from netconvert.av2_map import read_lane_graph
 from netconvert.errors import ScenarioError
 
 #: A manoeuvre seen belongs to a record of its kind whose crossing (or start) is at most this far away.
@@ -53,7 +50,7 @@ Labelled = Mapping[str, Mapping[str, BoxSize]]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SceneMeasures:
-    """What evaluation keeps of a scene. samples (M, K), sample_generated (M,): vectors for the classifier test."""
+    """What evaluation keeps of a scene. samples (M, WIDTH), sample_generated (M,): windows for the critics."""
 
     scene: Row
     tracks: list[Row]
@@ -95,9 +92,12 @@ class Maps:
         self._known: dict[bytes, PreparedMap] = {}
 
     def read(self, path: Path) -> PreparedMap:
-        """The map in a file. Errors: MapError."""
-        content = path.read_bytes() if path.is_file() else b""
-        ground = self._known.pop(content, None) or prepare_map(read_lane_graph(path))
+        """The map in a file, which keeps the rules and limits of a source's. Errors: MapError."""
+        try:
+            content = read_regular(path, most_mb=MAX_FILE_MB)
+        except OSError:
+            content = b""  # what is wrong is said below
+        ground = self._known.pop(content, None) or prepare_map(read_source_map(path))
         self._known[content] = ground  # the last one used comes last
         while len(self._known) > _MOST_MAPS:
             self._known.pop(next(iter(self._known)))
@@ -132,7 +132,9 @@ def _read(folder: Path, maps: Maps) -> tuple[Rows, PreparedMap]:
         read_scenario(folder)  # says what is wrong
         raise ScenarioError(f"{folder}: {len(tables)} scenarios and {len(files)} maps, expected one of each")
     rows = split_rows(read_table(tables[0]), name=str(tables[0]), sizes=read_sizes(folder))
-    return rows, maps.read(files[0])
+    ground = maps.read(files[0])
+    check_ground(rows.tracks, ground.graph, str(folder))
+    return rows, ground
 
 
 def measure(
@@ -201,19 +203,18 @@ def measure(
         if maneuver.kind is ManeuverKind.LANE_CHANGE and maneuver.complete:
             durations.setdefault(maneuver.track_id, []).append(maneuver.duration_s)
     generated, recorded = vehicles & arrays.generated, vehicles & ~arrays.generated & ~arrays.fragment
-    compared = np.flatnonzero(generated | recorded)
+    driving = windows(arrays, safe, generated | recorded)
+    halves = np.array([half_number(source, arrays.track_ids[a]) for a in driving.agent], dtype=np.int64)
     return SceneMeasures(
         scene=scene,
         tracks=_track_rows(view, policy_of, sidecar),
         maneuvers=_maneuver_rows(view, sidecar),
         events=[event.model_dump(mode="json") for event in sidecar.events] if sidecar else [],
         realism=count_scene(
-            source, arrays, row_features(arrays, moved, safe), durations, generated=generated, recorded=recorded
+            source, arrays, scene_values(arrays, safe, driving, durations), generated=generated, recorded=recorded
         ),
-        samples=np.array([track_features(arrays, moved, safe, int(a)) for a in compared]).reshape(
-            len(compared), len(DRIVING_FEATURES) + len(MOTION_FEATURES)
-        ),
-        sample_generated=generated[compared],
+        samples=pack(driving, halves, labelled=is_labelled(arrays)),
+        sample_generated=arrays.generated[driving.agent],
     )
 
 

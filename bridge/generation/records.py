@@ -45,7 +45,7 @@ def agent_record(
         "desired_mps": driver.desired_mps, "tau_s": driver.tau_s, "accel_mps2": driver.accel_mps2,
         "decel_mps2": driver.decel_mps2, "min_gap_m": driver.min_gap_m,
         "turn_lateral_mps2": driver.turn_lateral_mps2, "offset_m": driver.offset_m,
-        "lane_change_s": driver.lane_change_s,
+        "lane_change_s": driver.lane_change_s, "wander_m": driver.wander_m,
     }  # fmt: skip
     return AgentRecord(
         track_id=names[driven.vehicle_id],
@@ -68,7 +68,7 @@ def agent_record(
         policies={policy: round(count / steps, 6) for policy, count in sorted(driven.policies.items())},
         gaps=GapsRecord(
             looked_at=len(driven.gaps),
-            refused_by_rule=sum(look.rule is not None for look in driven.gaps),
+            refused_by_rule=sum((look.rule or look.guard) is not None for look in driven.gaps),
             refused_by_sumo=sum(look.sumo is False for look in driven.gaps),
         ),
         simulated=SimulatedRecord(max_off_m=round(float(abs(vehicle.simulated_off_m).max()), 6)),

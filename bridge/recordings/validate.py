@@ -53,7 +53,8 @@ def validate_scene(folder: Path, *, sources: Mapping[str, Path] | None = None) -
     parquet_path = folder / f"scenario_{new_id}.parquet"
     map_path = folder / f"log_map_archive_{new_id}.json"
     wanted = (parquet_path, map_path, sidecar_path(folder, new_id))
-    findings += [Finding(path, "folder", "no such file") for path in wanted if not path.is_file()]
+    missing = {sidecar_path(folder, new_id): "no such file, which every generated scene has (a recorded one has none)"}
+    findings += [Finding(path, "folder", missing.get(path, "no such file")) for path in wanted if not path.is_file()]
 
     sidecar = None
     if sidecar_path(folder, new_id).is_file():

@@ -17,9 +17,10 @@ from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Observation, Side, decide
-from hid2.policy.observation import gap_ahead_of, lane_options, lay_across, leader_on, returns_to
+from hid2.policy.observation import gap_ahead_of, gaps_on, lane_options, lay_across, leader_on, returns_to
 from hid2.policy.overtake import Leader, Stage
 from hid2.policy.roads import Roads
+from hid2.policy.rules import Wish
 from hid2.reasons import Reason
 from hid2.scene import DT_S, Scene
 from hid2.vehicle import DrivenVehicle, GapLook, Shift, Start
@@ -126,15 +127,19 @@ class Driving:
             if self.fixed.ids:
                 kept.place(step, seen_kept)
             simulation.step()
-            if step == 0:  # after the first step, so that the state of step 0 is the start
-                for vehicle in self.vehicles:
-                    vehicle.objection = insert(simulation, scene, vehicle.start)
+            self._enter(step)
             recorded.check(step)
             self._read(step)
             for attempt in attempts:
                 self._conclude(attempt, step)
         self.replay_errors = recorded.errors
         return self.vehicles
+
+    def _enter(self, step: int) -> None:
+        """Insert whoever begins; after the first step, so that the state of step 0 is the start."""
+        if step == 0:
+            for vehicle in self.vehicles:
+                vehicle.objection = insert(self.simulation, self.scene, vehicle.start)
 
     def _read(self, step: int) -> None:
         """Take down what SUMO did, and which limit decided it."""
@@ -143,13 +148,13 @@ class Driving:
             if not vehicle.running:
                 continue
             if vehicle.vehicle_id not in inside:
-                if step == 0:
+                if not vehicle.s:
                     vehicle.objection = Reason.SUMO_REFUSES_INSERTION
                 else:
                     vehicle.left_at = step
                 self._state[row, PRESENT], self._centre[row] = 0.0, np.inf
                 continue
-            if step == 0:
+            if not vehicle.s:
                 speed, s = vehicle.start.start_mps, vehicle.start.start_s
             else:
                 speed = self.simulation.speed(vehicle.vehicle_id)
@@ -185,6 +190,8 @@ class Driving:
                 continue
             s = vehicle.s[-1] if vehicle.s else vehicle.start.start_s
             found, rows, lengths = self._known_of(row)
+            if rows.size == 0:
+                continue
             ahead = next_two_ahead(
                 found.low, found.high, found.along, found.aligned, found.crosses, lengths, step, s,
                 vehicle.start.box.length_m, driving.standing_mps, driving.leads_from_m, driving.shown_m,
@@ -335,23 +342,30 @@ class Driving:
         if due:
             others = _without(fleet.value, vehicle.vehicle_id)
             options, leader = self._look_around(vehicle, now, others)
+            if change.rule == "LC2013":
+                options = {side: (self._with_wish(vehicle, found), path) for side, (found, path) in options.items()}
             passed_m = self._passed_gap_m(vehicle, now, others)
         seen = self._observation(vehicle, now, tuple(option for option, _ in options.values()), leader, passed_m)
+        if due and change.rule not in ("paper", "LC2013"):
+            ahead, behind = gaps_on(
+                self.scene, vehicle.path, vehicle.start.box, at=vehicle.s[-1], step=now, fixed=self.fixed, fleet=others
+            )  # fmt: skip
+            seen = replace(seen, own_front=ahead, own_rear=behind)
         decision = decide(seen, lane_change=change, overtake=config.overtake)
         vehicle.policies[decision.policy] += 1
         if not due:
             return []
         side = decision.side
+        for (option, _), answer in zip(options.values(), decision.answers, strict=False):  # those not looked at: none
+            vehicle.gaps.append(_look(vehicle, now, option, answer))
         if side is None:
             vehicle.reason = decision.reason
-            for option, _ in options.values():
-                _note(vehicle, now, option, decision.reason)
             return []
         option, target = options[side]
         attempt = self._attempt(row, vehicle, now, option, target, leader)
         if isinstance(attempt, Reason):
             vehicle.reason = attempt
-            _note(vehicle, now, option, attempt)
+            vehicle.gaps[-1] = replace(vehicle.gaps[-1], guard=attempt)
             return []
         return [attempt]
 
@@ -405,7 +419,13 @@ class Driving:
             leader=leader,
             options=options,
             passed_gap_m=passed_m,
+            length_m=vehicle.start.box.length_m,
+            driver=vehicle.start.driver,
         )
+
+    def _with_wish(self, vehicle: DrivenVehicle, option: LaneOption) -> LaneOption:
+        """An adjacent lane with what SUMO's own model makes of it."""
+        return replace(option, wish=Wish(*self.simulation.wish(vehicle.vehicle_id, option.side)))
 
     def _attempt(
         self, row: int, vehicle: DrivenVehicle, now: int, option: LaneOption, target: DrivenPath, leader: Leader | None
@@ -443,7 +463,7 @@ class Driving:
         stage = Stage.RETURN if vehicle.stage is Stage.PASS else Stage.ENTER
         if leader is not None and stage is Stage.ENTER:
             vehicle.leader_id = leader.track_id
-        look = _note(vehicle, now, option, None)
+        look = len(vehicle.gaps) - 1
         return _Attempt(vehicle, look, path, target, scene.grid.sumo_lane_id(link.target), shift, stage)
 
     def _meets_on(self, row: int, vehicle: DrivenVehicle, now: int, path: DrivenPath) -> bool:
@@ -484,23 +504,12 @@ class Driving:
         self._obstacles = [None] * len(self.vehicles)  # everybody sees the new intention
 
 
-def _note(vehicle: DrivenVehicle, step: int, option: LaneOption, rule: Reason | None) -> int:
-    """Record one look at a gap; returns its row."""
-    vehicle.gaps.append(
-        GapLook(
-            step=step,
-            side=option.side,
-            front_m=option.front.distance_m,
-            front_mps=option.front.speed_mps,
-            rear_m=option.rear.distance_m,
-            rear_mps=option.rear.speed_mps,
-            own_mps=vehicle.v[-1],
-            remaining_m=option.remaining_m,
-            rule=rule,
-            sumo=None,
-        )
-    )
-    return len(vehicle.gaps) - 1
+def _look(vehicle: DrivenVehicle, step: int, option: LaneOption, rule: Reason | None) -> GapLook:
+    """What is recorded of one look at a gap."""
+    return GapLook(
+        step=step, side=option.side, target=option.target, front=option.front, rear=option.rear,
+        own_mps=vehicle.v[-1], remaining_m=option.remaining_m, cells_free=option.cells_free, rule=rule,
+    )  # fmt: skip
 
 
 def _without(fleet: Traffic, vehicle_id: str) -> Traffic:

@@ -126,6 +126,16 @@ class Filling:
             if request.policy is not Policy.STRAIGHT:
                 self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
 
+    def first_starts(self, count: int) -> list[Start]:
+        """Starts of one round for `count` requests, spare ones left out; who finds none is in `unmet`."""
+        self._open = self._possible(
+            draw_requests(self.scene.config, np.random.default_rng([*self.seed, 0]), count=count)
+        )
+        starts = self._starts(0, count, spare=False)
+        met = {start.request.number for start in starts}
+        self.unmet += [Unmet(request, Reason.NO_SITE) for request in self._open if request.number not in met]
+        return starts
+
     def _most(self) -> int:
         """How many the road takes at usual gaps, about: what `max` asks for."""
         lanes, spawn = self.scene.grid.graph.lanes, self.scene.config.spawn
@@ -162,12 +172,12 @@ class Filling:
         )  # fmt: skip
         sites.taken += self._again
         starts, self._again = list(self._again), []
-        if number >= config.spawn.reseed_rounds:  # the count matters more by now
-            self._give_up_manoeuvres()
+        if number >= max(1, config.spawn.reseed_rounds):  # the count matters more by now; each is tried once
+            self._give_up_manoeuvres({start.request.number for start in starts})
         waiting = sorted(self._open, key=lambda request: (_ORDER.index(request.policy), request.number))
         used: set[int] = {start.request.number for start in starts}
         failed: Counter[Policy] = Counter()
-        rivals: list[tuple[VehicleRequest, int]] = []
+        waiting_rivals: list[VehicleRequest] = []
         for request in waiting:
             if request.number in used:
                 continue
@@ -185,18 +195,9 @@ class Filling:
                 failed[request.policy] += 1
                 self._last_reason[request.number] = Reason.NO_SITE
             elif request.policy is not Policy.STRAIGHT:
-                more = config.spawn.candidates - 1
-                rivals.append((request, more))
-        while rivals:
-            request, more = rivals.pop(0)
-            slow = next(
-                (r for r in waiting if r.policy is Policy.STRAIGHT and r.number not in used), None
-            ) if request.policy is Policy.OVERTAKE else None  # fmt: skip
-            found = sites.propose(request, slow) if more > 0 else []
-            used.update(start.request.number for start in found)
-            starts += found
-            if found and more > 1:
-                rivals.append((request, more - 1))
+                waiting_rivals.append(request)
+        if number < config.spawn.reseed_rounds:
+            starts += self._rivals(sites, waiting_rivals, math.ceil(config.spawn.rivals_share * max(0, missing)))
         if spare and starts and not failed[Policy.STRAIGHT]:
             extra = math.ceil(config.spawn.spare_share * len(starts))
             if number + 1 == config.spawn.reseed_rounds:  # in place of manoeuvres that fail once more
@@ -208,6 +209,26 @@ class Filling:
         self.no_site.update(sites.rejected)
         refused = ", ".join(f"{reason} {count}" for reason, count in sites.rejected.most_common())
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
+        return starts
+
+    def _rivals(self, sites: InsertionSites, requests: list[VehicleRequest], most: int) -> list[Start]:
+        """More vehicles for the same requests, in turns, so that one of them does what is asked for in this round.
+
+        Who is to be overtaken by them is a spare vehicle.
+        """
+        starts: list[Start] = []
+        for _ in range(self.scene.config.spawn.rivals):
+            for request in list(requests):
+                if len(starts) >= most:
+                    return starts
+                slow: VehicleRequest | None = None
+                if request.policy is Policy.OVERTAKE:
+                    slow = VehicleRequest(self._next_spare, Policy.STRAIGHT, 0.0)
+                    self._next_spare += 1
+                found = sites.propose(request, slow)
+                starts += found
+                if not found:
+                    requests.remove(request)
         return starts
 
     def _give_up_manoeuvres(self, met: Set[int] = frozenset()) -> bool:

@@ -242,6 +242,8 @@ class InsertionSites:
         at = s + 0.9 * speed_mps * request.trigger_s
         if request.policy is Policy.LANE_CHANGE:
             needed = max(change.min_remaining_m, 1.3 * change.min_duration_s * speed_mps) + 0.5 * speed_mps
+            if strict and self._meets_junction(offer, at, at + scene.config.drivers.lane_change_mean_s * speed_mps):
+                return False  # lane changes outside intersections first
             return any(
                 beside.start <= at + 1.0 and beside.end > at + 1.0
                 and not (strict and beside.in_intersection)
@@ -260,6 +262,16 @@ class InsertionSites:
                     return True
             return False
         return True
+
+    def _meets_junction(self, offer: RouteOffer, begin: float, end: float) -> bool:
+        """Whether a stretch of a route, m along its lanes, touches an intersection."""
+        lanes, at = self.scene.grid.graph.lanes, 0.0
+        for lane_id in offer.route:
+            lane = lanes[lane_id]
+            if lane.is_intersection and at < end and at + lane.length_m > begin:
+                return True
+            at += lane.length_m
+        return False
 
     def _start(
         self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float, *, driver: Driver | None = None,

@@ -1,7 +1,7 @@
 """Lane change: feasibility on the grid and in metres (paper, Lane Change)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from hid2.params import LaneChange
 from hid2.reasons import Reason
@@ -9,15 +9,19 @@ from hid2.reasons import Reason
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A neighbour on a lane path: bumper gap in m, its speed in m/s. No neighbour: gap inf."""
+    """A neighbour on a lane path: bumper gap in m, its speed in m/s, its id. No neighbour: gap inf."""
 
     distance_m: float
     speed_mps: float
+    track_id: str | None = field(default=None, compare=False)
 
     @staticmethod
     def none() -> "Gap":
         """Nobody there."""
         return Gap(math.inf, 0.0)
+
+
+NOBODY = Gap.none()
 
 
 def safe_gap_m(follower_mps: float, leader_mps: float, *, time_gap_s: float, params: LaneChange) -> float:

@@ -89,26 +89,38 @@ def gaps_on(
     """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres."""
     known = scene.recorded_on(target, box)
     columns = [(known.low[:, step], known.high[:, step], known.along[:, step])]
+    sources = [(scene.traffic, step)] * known.low.shape[0]
     for traffic, column in ((fixed, step), (fleet, 0)):
         if traffic.ids:
             more = path_occupancy(
                 target.line, traffic, length_m=box.length_m, width_m=box.width_m, margin_lateral_m=0.1
             )
             columns.append((more.low[:, column], more.high[:, column], more.along[:, column]))
+            sources += [(traffic, column)] * more.low.shape[0]
     low, high, along = (np.concatenate(one) for one in zip(*columns, strict=True))
     touched = np.isfinite(low)
+    places = np.flatnonzero(touched)
     low, high, along = low[touched], high[touched], along[touched]
     front, rear = Gap.none(), Gap.none()
     middle = 0.5 * (low + high)
     ahead = np.where(middle >= at, low - at, np.inf)
     if ahead.size and np.isfinite(ahead.min()):
         row = int(np.argmin(ahead))
-        front = Gap(float(ahead[row]), max(0.0, float(along[row])))
+        who = _agent_at(target, middle[row], *sources[places[row]])
+        front = Gap(float(ahead[row]), max(0.0, float(along[row])), who)
     behind = np.where(middle < at, at - high, np.inf)
     if behind.size and np.isfinite(behind.min()):
         row = int(np.argmin(behind))
-        rear = Gap(float(behind[row]), max(0.0, float(along[row])))
+        who = _agent_at(target, middle[row], *sources[places[row]])
+        rear = Gap(float(behind[row]), max(0.0, float(along[row])), who)
     return front, rear
+
+
+def _agent_at(path: DrivenPath, s: float, traffic: Traffic, column: int) -> str:
+    """Id of the agent of `traffic` that is nearest to a place on a path, m, at a step."""
+    offset = traffic.position[:, column] - path.line.position(np.array([s]))[0]
+    apart = np.where(traffic.present[:, column], np.hypot(offset[:, 0], offset[:, 1]), np.inf)
+    return traffic.ids[int(np.argmin(apart))]
 
 
 def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here: Traffic) -> Leader | None:

@@ -15,6 +15,7 @@ from typing import Any, get_args
 import pytest
 from typer.main import get_command
 
+from bridge.batch.batch import GENERATE_WITH_GAPS
 from bridge.batch.scan import EVENT_TARGETS
 from bridge.cli import app, options
 from bridge.config import config_to_dict, describe_config, load_config, parse_behaviours, parse_trigger_time
@@ -39,6 +40,7 @@ def test_choices_are_those_of_the_package() -> None:
     assert [str(name) for name in options.CanName][:5] == [policy.value for policy in Policy]
     assert sorted(str(name) for name in list(options.CanName)[5:]) == sorted(events)
     assert tuple(options.SplitName) == SPLITS
+    assert [f"generate_and_record_{name}" for name in options.RecordName] == [GENERATE_WITH_GAPS.partition(":")[2]]
     assert get_args(options.ExperimentName) == EXPERIMENTS
     assert get_args(options.FocalName) == get_args(Request.model_fields["focal"].annotation)
     components = {row.key: row.range for row in describe_config()}["without"]
@@ -68,7 +70,10 @@ def test_version_is_that_of_the_distribution(hid2: Run) -> None:
         (["generate", "data/av2"], "missing -o/--out"),
         (["evaluate"], "missing argument 'SCENES'"),
         (["plot", "data/av2", "-o", "a.png"], "missing option '--agent'"),
-        (["scan", "data/av2", "--jobs", "0"], "should be greater than or equal to 1"),
+        (["scan", "data/av2", "--jobs", "0"], "invalid value for '--jobs' / '-j': expected at least 1"),
+        (["gui", "data/av2", "--speed", "200"], "invalid value for '--speed': expected at most 100"),
+        (["scan", "data/av2", "--jobs", "two"], "invalid value for '--jobs' / '-j': expected integer (see"),
+        (["generate", "data/av2", "-o", "x", "--behaviours", "lanechange=1"], "did you mean lane_change?"),
         (["paper", "table9", "-o", "x"], "'table9' is not one of 'table1'"),
     ],
 )

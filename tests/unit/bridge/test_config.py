@@ -15,6 +15,7 @@ from bridge.config import (
     load_config,
     parse_behaviours,
     parse_trigger_time,
+    read_drivers,
 )
 from hid2.params import Config
 from netconvert.errors import ConfigError
@@ -199,3 +200,29 @@ def test_every_parameter_is_described() -> None:
     assert rows["export.offset_shares"][1:4] == ("1.0,0.5,0.0", "share", "list of numbers >= 0, <= 1 and not empty")
     assert rows["request.trigger_list_s"][1:4] == ("none", "s", "list of numbers >= 0, <= 60")
     assert rows["without"][1:4] == ("none", "-", "any of topology, collision, smoothing")
+
+
+def test_drivers_of_a_file_are_flags_of_their_section(tmp_path: Path) -> None:
+    path = tmp_path / "drivers.toml"
+    path.write_text("[drivers]\noffset_sd_m = 0.4\n# tau_mean_s keeps its prior 1.15\n")
+    assert read_drivers(path) == {"drivers.offset_sd_m": 0.4}
+    assert load_config(None, ["drivers.offset_sd_m=0.2"], read_drivers(path)).drivers.offset_sd_m == 0.2
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[drivers]\noffset_sd_m = 4.0\n", "drivers.offset_sd_m = 4.0, expected"),
+        ("[drivers]\noffset = 0.4\n", "unknown key 'drivers.offset'"),
+        ("[drivers]\n[request]\nagents = 3\n", "section or key request, expected [drivers] alone"),
+        ("", "no section [drivers]"),
+        ("[drivers", "not TOML"),
+    ],
+)
+def test_a_file_of_drivers_that_is_wrong_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "drivers.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        read_drivers(path)
+    assert said in str(caught.value)
+    assert str(path) in str(caught.value)
