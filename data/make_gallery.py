@@ -19,7 +19,7 @@ from hid2.params import Config, Event, Request
 
 DATA = Path(__file__).parent
 PAGE, PICTURES = DATA / "EVENTS.md", DATA / "events"
-SEEDS = 4
+SEEDS = 1
 #: What is to be seen in each picture.
 SEEN = {
     "cut_in": "changes from the lane beside to before the target",

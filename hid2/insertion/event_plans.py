@@ -192,7 +192,7 @@ class Planner:
                         event,
                         target,
                         route,
-                        ahead,
+                        ahead=ahead,
                         at=at,
                         order=order,
                         gap=gap,
@@ -228,7 +228,7 @@ class Planner:
                             event,
                             target,
                             route,
-                            ahead,
+                            ahead=ahead,
                             at=at,
                             order=1,
                             gap=gap,
@@ -265,7 +265,7 @@ class Planner:
                                 event,
                                 target,
                                 route,
-                                ahead,
+                                ahead=ahead,
                                 at=at,
                                 order=order,
                                 gap=gap,
@@ -295,7 +295,7 @@ class Planner:
                             continue
                         for speed in self._speeds_of(lane):
                             yield self._steady(
-                                event, target, route, point, at=at, order=order, speed=speed, score=0.1 * number
+                                event, target, route, point=point, at=at, order=order, speed=speed, score=0.1 * number
                             )
 
     def _overtakes(self, event: Event, target: Target) -> Iterator[Plan]:
@@ -324,7 +324,7 @@ class Planner:
     # how a plan is driven
 
     def _keeping(
-        self, event: Event, target: Target, route: Route, ahead: FloatArray, *, at: int, order: int, gap: float,
+        self, event: Event, target: Target, route: Route, *, ahead: FloatArray, at: int, order: int, gap: float,
         difference: float, score: float,
     ) -> Iterator[Plan]:  # fmt: skip
         """A vehicle that is at its gap, with its speed difference, at the moment, and keeps to the target from then on.
@@ -385,7 +385,7 @@ class Planner:
         return least > conflict.ttc_min_s + 0.3
 
     def _steady(
-        self, event: Event, target: Target, route: Route, point: float, *, at: int, order: int, speed: float,
+        self, event: Event, target: Target, route: Route, *, point: float, at: int, order: int, speed: float,
         score: float,
     ) -> Plan:  # fmt: skip
         """A vehicle that comes to a point at a moment at a constant speed."""
