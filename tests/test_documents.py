@@ -129,7 +129,7 @@ def test_every_command_line_of_a_page_is_understood(name: str) -> None:
     text = (ROOT / name).read_text(encoding="utf-8").replace("`hid2 ...", "")
     for line in COMMAND.findall(text):
         words = shlex.split(line.replace("\\\n", " "), comments=True)[1:]
-        words = [part for word in words for part in ([word] if "..." not in word else [])]
+        words = [word.removesuffix("...") for word in words if word != "..."]
         command = group.commands[words[0]]  # type: ignore[attr-defined]
         arguments = [re.sub(r"^(EXPERIMENT)$", "density", word) for word in words[1:]]
         context = command.make_context(words[0], arguments, parent=typer.Context(group))
