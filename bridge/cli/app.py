@@ -8,7 +8,10 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 #: Order of the commands in the help: that of the work.
-ORDER = ("generate", "validate", "scan", "net", "evaluate", "study", "paper", "render", "plot", "gui", "config")
+ORDER = (
+    "generate", "validate", "scan", "net", "evaluate", "compose", "forecast", "study", "paper", "render", "plot", "gui",
+    "config",
+)  # fmt: skip
 
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])

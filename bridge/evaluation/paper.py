@@ -70,7 +70,7 @@ class Outcome:
 def run_experiment(
     name: Experiment,
     *,
-    scenes: Path,
+    scenes: Path | Sequence[Path],
     out_dir: Path,
     seeds: int = 10,
     jobs: int = 1,
@@ -88,14 +88,15 @@ def run_experiment(
         raise ConfigError(f"experiment {name!r}, expected one of {', '.join(EXPERIMENTS)}")
     if seeds < 1:
         raise ConfigError(f"seeds {seeds}, expected at least 1")
-    folders = find_sources([scenes])
+    places = [scenes] if isinstance(scenes, Path) else list(scenes)
+    folders = find_sources(places)
     if name == "diversity":
         facts, unread = facts_of(folders, jobs=jobs)
         try:
             folders = wanted(folders, facts, unread, Selection(min_agents=TEMPLATE_AGENTS + 1))
         except ConfigError:
             raise ConfigError(
-                f"{scenes}: no scene of more than {TEMPLATE_AGENTS} agents, which diversity needs as templates; "
+                f"{', '.join(map(str, places))}: no scene of more than {TEMPLATE_AGENTS} agents, which diversity needs as templates; "
                 "give real ones by --scenes DIR"
             ) from None
     make_folder(out_dir)

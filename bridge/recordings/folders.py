@@ -15,12 +15,14 @@ SIDECAR_PATTERN = "hid2_*.json"
 
 #: Names of the folders of a data-set root.
 SPLITS = ("train", "val", "test")
+#: Folder between a split and its scenes, as QCNet lays data sets out.
+RAW = "raw"
 
 
 def find_scenarios(path: Path) -> list[Path]:
     """Scenario folders at path, sorted: a scenario folder itself, those of a split folder, or of a data-set root.
 
-    Errors: NoSceneError where there is none.
+    The scenes of a split may lie in <split>/raw/. Errors: NoSceneError where there is none.
     """
     if not path.is_dir():
         raise NoSceneError(f"{path}: no such folder, expected a scenario folder, a split folder or a data-set root")
@@ -28,8 +30,11 @@ def find_scenarios(path: Path) -> list[Path]:
         return [path]
     children = _subfolders(path)
     found = [child for child in children if _is_scenario_folder(child)]
-    splits = [child for child in children if not _is_scenario_folder(child)]
-    found += [folder for child in splits for folder in _subfolders(child) if _is_scenario_folder(folder)]
+    for split in (child for child in children if not _is_scenario_folder(child)):
+        below = _subfolders(split)
+        if RAW in (folder.name for folder in below):
+            below = [folder for folder in below if folder.name != RAW] + _subfolders(split / RAW)
+        found += [folder for folder in below if _is_scenario_folder(folder)]
     if not found:
         raise NoSceneError(f"{path}: no scenario; expected scenario_<id>.parquet in it or one or two folders below")
     return sorted(found)
@@ -43,7 +48,7 @@ def find_sources(paths: Sequence[Path]) -> list[Path]:
     found: dict[Path, Path] = {}  # by where it really is
     for path in paths:
         folders = find_scenarios(path)
-        recorded = [folder for folder in folders if not _is_generated(folder)]
+        recorded = [folder for folder in folders if not is_generated(folder)]
         if not recorded:
             raise NoSceneError(f"{path}: holds generated scenes only (with hid2_<id>.json); give recorded ones")
         if len(recorded) < len(folders):
@@ -61,9 +66,13 @@ def source_id(folder: Path) -> str:
 
 
 def split_of(folder: Path) -> str | None:
-    """Split that a scene is in: the name of the folder above, as it is named here or, behind links, as it really is."""
+    """Split that a scene is in: the name of the folder above, as it is named here or, behind links, as it really is.
+
+    Above <split>/raw/ it is that of the split.
+    """
     parents = folder.absolute().parent, folder.resolve().parent
-    return next((parent.name for parent in parents if parent.name in SPLITS), None)
+    names = (parent.parent.name if parent.name == RAW else parent.name for parent in parents)
+    return next((name for name in names if name in SPLITS), None)
 
 
 def _names(folder: Path) -> list[str]:
@@ -80,7 +89,8 @@ def _is_scenario_folder(folder: Path) -> bool:
     return any(fnmatch.filter(names, pattern) for pattern in (PARQUET_PATTERN, MAP_PATTERN))
 
 
-def _is_generated(folder: Path) -> bool:
+def is_generated(folder: Path) -> bool:
+    """Whether hid2 wrote a scene: it has a sidecar."""
     return any(folder.glob(SIDECAR_PATTERN))
 
 

@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 from bridge.files import one_line, read_regular
 from bridge.recordings import limits
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN
+from bridge.recordings.folders import RAW as RAW
 from bridge.recordings.folders import SPLITS as SPLITS
 from bridge.recordings.folders import find_scenarios as find_scenarios
 from bridge.recordings.folders import find_sources as find_sources
@@ -127,6 +128,14 @@ def read_scenario(folder: Path) -> Scenario:
         map_path=map_path,
         split=split_of(folder),
     )
+
+
+def read_rows(folder: Path) -> Rows:
+    """The rows of a scenario folder, checked as `read_scenario` does, without its map. Errors: ScenarioError."""
+    if not folder.is_dir():
+        raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
+    path = _only_file(folder, PARQUET_PATTERN, ScenarioError)
+    return split_rows(read_table(path), name=str(path), sizes=read_sizes(folder))
 
 
 def read_table(path: Path) -> pa.Table:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from bridge.recordings.map_rules import compare_map, read_map
 from bridge.recordings.row_rules import Rows, check_generated, check_rows, compare_rows
 from bridge.recordings.rules import RECORDED, RULES
-from bridge.recordings.scenario import SPLITS, find_scenarios, read_sizes, read_table
+from bridge.recordings.scenario import RAW, SPLITS, find_scenarios, read_sizes, read_table
 from bridge.recordings.scene_end_rule import check_scene_end
 from bridge.recordings.sidecar import Sidecar, read_sidecar, sidecar_path
 from bridge.recordings.sidecar_rules import check_sidecar
@@ -32,7 +32,7 @@ class Finding(NamedTuple):
 
 
 def validate_folder(out: Path, *, source: Path | None = None) -> list[Finding]:
-    """Check every scenario under a data set that was generated; source: where its recorded scenes lie.
+    """Check every scenario under a data set that was generated, or mixed; source: where its recorded scenes lie.
 
     out and source: a scenario folder, a split folder or a data-set root. Returns what is wrong, and notes on what the
     source brings along; nothing if all is well.
@@ -47,12 +47,15 @@ def validate_folder(out: Path, *, source: Path | None = None) -> list[Finding]:
 
 
 def validate_scene(folder: Path, *, sources: Mapping[str, Path] | None = None) -> list[Finding]:
-    """Check one scenario folder; sources: folders of recorded scenarios by id, None for no comparison."""
+    """Check one scenario folder; sources: folders of recorded scenarios by id, None for no comparison.
+
+    A scene without sidecar in which no track is a generated one was recorded: it is held to the format alone.
+    """
     findings: list[Finding] = []
     new_id = folder.name
     parquet_path = folder / f"scenario_{new_id}.parquet"
     map_path = folder / f"log_map_archive_{new_id}.json"
-    wanted = (parquet_path, map_path, sidecar_path(folder, new_id))
+    wanted = (parquet_path, map_path)
     findings += [Finding(path, "folder", "no such file") for path in wanted if not path.is_file()]
 
     sidecar = None
@@ -72,6 +75,9 @@ def validate_scene(folder: Path, *, sources: Mapping[str, Path] | None = None) -
         except ScenarioError as error:
             findings.append(Finding(parquet_path, "columns", str(error)))
 
+    has_generated = rows is None or any(track_id.startswith("gen_") for track_id in rows.ids)
+    if sidecar is None and has_generated and not sidecar_path(folder, new_id).is_file():
+        findings.append(Finding(sidecar_path(folder, new_id), "folder", "no such file"))
     generated_ids: set[str] = {agent.track_id for agent in sidecar.agents} if sidecar is not None else set()
     if rows is not None:
         generated_ids |= {track_id for track_id in rows.ids if track_id.startswith("gen_")}
@@ -117,8 +123,9 @@ def _check_tree(out: Path, folders: Sequence[Path]) -> Iterator[Finding]:
             yield Finding(path, "other-parquet", RULES["other-parquet"])
     for folder in folders:
         depth = len(folder.relative_to(out).parts)
-        if depth == 2 and folder.parent.name not in SPLITS:
-            yield Finding(folder, "folder", f"split {folder.parent.name!r}, expected one of {', '.join(SPLITS)}")
+        split = folder.parent.parent.name if depth == 3 and folder.parent.name == RAW else folder.parent.name
+        if depth > 1 and split not in SPLITS:
+            yield Finding(folder, "folder", f"split {split!r}, expected one of {', '.join(SPLITS)}")
 
 
 def _index_sources(source: Path) -> dict[str, Path]:

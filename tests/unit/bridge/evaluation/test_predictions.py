@@ -91,6 +91,7 @@ def test_bands_hold_scenes_with_more_agents(data_root, tmp_path):
     assert bands["all scenes", 1]["tracks"] == len(find_scenarios(data_root))
     assert bands["more than 1000", 6] == {
         "band": "more than 1000", "k": 6, "tracks": 0, "min_ade_m": None, "min_fde_m": None, "miss_rate": None,
+        "brier_min_fde": None,
     }  # fmt: skip
     assert json.loads((tmp_path / "predictions.json").read_text())["bands"] == list(result.bands)
     assert len(pd.read_csv(tmp_path / "predictions.csv")) == len(result.scores)
