@@ -40,6 +40,10 @@ class Request(_Section):
         "promising", "-", "start sites: those first where map and traffic allow what is asked for; any: uniformly drawn"
     )
     focal: Literal["recorded", "generated"] = _param("recorded", "-", "which track carries category 3")
+    focal_radius_m: float = _param(
+        50.0, "m", "a generated focal track is the one with the most neighbours within this that does its manoeuvre",
+        gt=0, le=200,
+    )  # fmt: skip
     generated_category: Literal[1, 2] = _param(1, "-", "category of generated tracks: 1 context, 2 scored")
     seed: int = _param(0, "-", "seed of every random choice", ge=0, le=2**31 - 1)
     variants: int = _param(1, "scenes", "scenes written for each source scene", ge=1, le=10_000)

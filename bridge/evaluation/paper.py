@@ -96,8 +96,8 @@ def run_experiment(
             folders = wanted(folders, facts, unread, Selection(min_agents=TEMPLATE_AGENTS + 1))
         except ConfigError:
             raise ConfigError(
-                f"{', '.join(map(str, places))}: no scene of more than {TEMPLATE_AGENTS} agents, which diversity needs as templates; "
-                "give real ones by --scenes DIR"
+                f"{', '.join(map(str, places))}: no scene of more than {TEMPLATE_AGENTS} agents, which diversity needs "
+                "as templates; give real ones by --scenes DIR"
             ) from None
     make_folder(out_dir)
     outcomes = _run(folders, _settings(name, agents), seeds=seeds, jobs=jobs, on_scene=on_scene)

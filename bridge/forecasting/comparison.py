@@ -58,7 +58,7 @@ class Difference(NamedTuple):
     """A model minus another one, on the tracks that all of their files forecast.
 
     sources: recorded scenes behind them, which are drawn; detectable: least difference that such a comparison finds
-    four times in five (two-sided test at 5 %), None with fewer than two sources.
+    four times in five (two-sided test at 5 %), None with fewer than two sources, or where all differ by the same.
     """
 
     model: str
@@ -102,7 +102,7 @@ def difference_of(
     if mine is None or theirs is None:
         return Difference(model[0], other[0], band, metric, NOTHING, 0, 0, (len(model[1]), len(other[1])), None)
     estimate = _bootstrap([(mine, 1.0), (theirs, -1.0)], params)
-    detectable = None if estimate.se is None else (_Z_TEST + _Z_POWER) * estimate.se
+    detectable = None if not estimate.se else (_Z_TEST + _Z_POWER) * estimate.se
     return Difference(
         model[0], other[0], band, metric, estimate, mine.values.shape[1], mine.sources, (len(model[1]), len(other[1])),
         detectable,
@@ -290,8 +290,9 @@ def as_dicts(differences: Sequence[Difference]) -> list[dict[str, Any]]:
 ABOUT = (
     "<p>Each difference is over the same tracks, pair by pair; below 0 the first model is better. 95 % interval: "
     "bootstrap over recorded scenes, with all that was generated from one, and over the seeds of each model; with one "
-    "seed it tells nothing of other seeds. Detectable: the least true difference that a comparison like this one finds "
-    "four times in five. A metric counts the six most probable futures of each track.</p>"
+    "seed it tells nothing of other seeds, and with fewer than some twenty recorded scenes it is too narrow. "
+    "Detectable: the least true difference that a comparison like this one finds four times in five. A metric counts "
+    "the six most probable futures of each track.</p>"
 )
 
 

@@ -235,7 +235,7 @@ class _Pool:
         """The scenes of one split of one data set. Errors: ConfigError where there are too few."""
         scenes: list[_Scene] = []
         copies: Counter[str] = Counter()
-        for source in sorted(draw.sources, key=list(draw.sources).index):
+        for source in draw.sources:
             there = [fact for fact in self._scenes[split, source] if _agents(fact, draw) >= draw.min_agents]
             count = draw.take.get(source, 0)
             wanted = len(there) if count == "all" else count

@@ -64,9 +64,9 @@ class Draw(_Part):
     min_agents_in: Literal["all", "observed"] = "all"
 
     @property
-    def sources(self) -> set[str]:
-        """Names of the sources that are drawn from."""
-        return {*self.take, *self.again, *self.densest}
+    def sources(self) -> tuple[str, ...]:
+        """Names of the sources that are drawn from, each once."""
+        return tuple(dict.fromkeys([*self.take, *self.again, *self.densest]))
 
 
 class Controls(_Part):
@@ -121,7 +121,7 @@ class Composition(_Part):
         draws = {f"sets.{name}": draw for name, draw in self.all_sets(1).items()}
         draws |= {f"validation.{name}": draw for name, draw in self.validation.items()} | {"test": self.test}
         for where, draw in draws.items():
-            unknown = sorted(draw.sources - set(self.sources))
+            unknown = sorted(set(draw.sources) - set(self.sources))
             if unknown:
                 raise ValueError(f"{where}: source {unknown[0]!r}, expected one of {', '.join(self.sources)}")
         return self

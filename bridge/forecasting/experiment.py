@@ -265,7 +265,7 @@ def _more_than(bound: int) -> Callable[[Score], bool]:
 def _differences(
     runs: Mapping[str, Mapping[str, Runs]], source_of: Mapping[str, str], params: Forecasting
 ) -> list[Difference]:
-    """The controls minus recorded scenes alone, HiD2 minus its strongest rivals, on recorded scenes; Table 2 on both."""
+    """The controls minus recorded scenes alone, and HiD2 minus its rivals, on recorded scenes; Table 2 on both."""
     bands: dict[str, Callable[[Score], bool]] = {"all scenes": lambda _: True}
     bands |= {f"more than {bound}": _more_than(bound) for bound in BOUNDS}
     found = []
@@ -333,8 +333,8 @@ def _verdict(one: Difference) -> str:
 _ABOUT = (
     "<p>The small forecaster is an instrument, no state of the art: what counts is the change from row to row. Every "
     "training has the same number of updates, whatever the number of scenes. Validation scenes share neither ground "
-    "nor source nor log with training scenes. Best of six futures: the one that ends nearest, as av2, QCNet and SIMPL have "
-    "it (DeMo and forecast-mae take the least ADE, so that their minADE is lower).</p>"
+    "nor source nor log with training scenes. Best of six futures: the one that ends nearest, as av2, QCNet and SIMPL "
+    "have it (DeMo and forecast-mae take the least ADE, so that their minADE is lower).</p>"
 )
 _READINGS: Mapping[Reading, str] = {
     "recorded": "the recorded focal track, among more vehicles",
