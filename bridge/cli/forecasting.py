@@ -184,16 +184,16 @@ def forecast(
     set_up(verbose=verbose, quiet=quiet)
     check_scenes([root, *([scenes] if scenes else [])])
     check_out(out)
+    from bridge.forecasting.torch_extra import check_torch
+
+    check_torch()
     with Activity(quiet=quiet) as activity:
         from bridge.evaluation.predictions import write_forecasts
         from bridge.forecasting.features import features_of
-        from bridge.forecasting.torch_extra import check_torch
+        from bridge.forecasting.training import be_deterministic, train
+        from bridge.forecasting.training import forecast as predict
         from bridge.recordings.folders import find_scenarios
         from hid2.params import Forecasting
-
-        check_torch()
-        from bridge.forecasting.training import forecast as predict
-        from bridge.forecasting.training import train
 
         params = Forecasting() if updates is None else Forecasting(updates=updates)
         targets = []
@@ -204,6 +204,7 @@ def forecast(
             for line in left_out:
                 activity.message(f"hid2: warning: not used: {line}")
         activity.doing("training")
+        be_deterministic(1)
         model = train(targets[0], out / "checkpoint.pt", params, seed=seed, resume=resume, on_update=activity.show)
         activity.doing("forecasting")
         path = write_forecasts(predict(model, targets[1], params), out / "predictions.parquet")

@@ -215,6 +215,10 @@ def paper(
     set_up(verbose=verbose, quiet=quiet)
     check_scenes([*scenes, *([composed] if composed else [])])
     check_out(out)
+    if experiment == "prediction" and predictions is None:
+        from bridge.forecasting.torch_extra import check_torch
+
+        check_torch()
     with Activity(quiet=quiet) as activity:
         if experiment == "prediction":
             from bridge.forecasting.experiment import Plan, run_prediction

@@ -309,7 +309,7 @@ def power_text(differences: Sequence[Difference]) -> str:
         "shown with an interval, with several seeds, and against the same number of dense recorded scenes.</p>"
     )
     if one.detectable is None:
-        return f"{start}One recorded scene has no interval: nothing can be said of others. {end}"
+        return f"{start}There is no interval to go by.{_few(one)} {end}"
     needed = one.sources_for(PAPER_GAIN_M)
     return (
         f"{start}A true difference of minFDE between hid2 and recorded would be found four times in five if it were "
@@ -320,14 +320,15 @@ def power_text(differences: Sequence[Difference]) -> str:
 
 def _verdict(one: Difference) -> str:
     low, high = one.estimate.low, one.estimate.high
-    few = (
-        " So few scenes show that the way works from end to end, and nothing about the claim."
-        if one.sources < 100
-        else ""
-    )
     if low is None or high is None or low <= 0 <= high:
-        return f"The interval of the difference holds 0: no difference is shown.{few}"
-    return f"The interval of the difference does not hold 0.{few}"
+        return f"The interval of the difference holds 0: no difference is shown.{_few(one)}"
+    return f"The interval of the difference does not hold 0.{_few(one)}"
+
+
+def _few(one: Difference) -> str:
+    if one.sources >= _FEW_SCENES:
+        return ""
+    return " So few scenes show that the way works from end to end, and nothing about the claim."
 
 
 _ABOUT = (
