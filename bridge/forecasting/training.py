@@ -39,7 +39,7 @@ def train(
         raise ScenarioError("nothing to train on: no scored or focal track with 60 future steps in the training scenes")
     device = _device()
     torch.manual_seed(seed)
-    model = VectorNet(params).to(device)
+    model: VectorNet = VectorNet(params).to(device)
     optimiser = torch.optim.AdamW(model.parameters(), lr=params.learning_rate, weight_decay=params.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, params.updates)
     done = 0
@@ -60,8 +60,9 @@ def train(
         epoch, number = divmod(update, per_epoch)
         order = np.random.default_rng([seed, epoch]).permutation(len(data))
         rows = torch.from_numpy(order[number * params.batch : (number + 1) * params.batch]).to(device)
-        batch = Batch(*(values[rows] for values in everything))
-        loss = loss_of(*model(batch), batch.future)
+        batch = Batch._make(values[rows] for values in everything)
+        futures, logits = model(batch)
+        loss = loss_of(futures, logits, batch.future)
         if not torch.isfinite(loss):
             raise ScenarioError(f"update {update}: the loss is {float(loss)}, expected a finite number")
         optimiser.zero_grad()
@@ -120,8 +121,11 @@ def _device() -> Any:  # noqa: ANN401
 def _batch(targets: Sequence[Target], device: Any) -> Batch:  # noqa: ANN401
     future = [target.future for target in targets]
     whole = None if any(values is None for values in future) else torch.from_numpy(np.stack(future)).to(device)  # type: ignore[arg-type]
-    names = ("agents", "agent_kinds", "lanes", "lane_kinds")
-    return Batch(*(torch.from_numpy(np.stack([getattr(t, n) for t in targets])).to(device) for n in names), whole)
+
+    def stacked(name: str) -> Any:  # noqa: ANN401
+        return torch.from_numpy(np.stack([getattr(target, name) for target in targets])).to(device)
+
+    return Batch(stacked("agents"), stacked("agent_kinds"), stacked("lanes"), stacked("lane_kinds"), whole)
 
 
 def _load(checkpoint: Path, device: Any) -> dict[str, Any]:  # noqa: ANN401
