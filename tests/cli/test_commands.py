@@ -11,7 +11,10 @@ from typing import Any
 import pytest
 
 Run = Callable[..., Any]
-COMMANDS = ("generate", "net", "validate", "evaluate", "render", "plot", "config", "scan", "study", "paper", "gui")
+COMMANDS = (
+    "generate", "net", "validate", "evaluate", "render", "plot", "config", "scan", "study", "paper", "gui", "compose",
+    "forecast",
+)  # fmt: skip
 
 
 def last_message(result: Any) -> str:
