@@ -8,14 +8,17 @@ are scored and compared in pairs. Forecasts from elsewhere on a composed root ta
 import csv
 import html
 import json
+import shutil
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from bridge.batch.batch import Options, Run, SceneJob, run_batch
+from bridge.batch.batch import Progress as BatchProgress
 from bridge.batch.engine import Settings, Task, execute_here
 from bridge.batch.isolation import Failure
-from bridge.batch.manifest import DONE
+from bridge.batch.manifest import DONE, ManifestRow
 from bridge.evaluation import report
 from bridge.evaluation.predictions import BOUNDS, Score, score_predictions, write_forecasts
 from bridge.files import explained, make_folder, table_file, write_text
@@ -34,7 +37,7 @@ from bridge.forecasting.comparison import (
     rows_of,
     sources_of,
 )
-from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose
+from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose, origins_of
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, Controls, Draw, Split
 from bridge.forecasting.torch_extra import check_torch
 from bridge.recordings.scenario import find_sources
@@ -117,13 +120,16 @@ def run_prediction(
 def _composed(scenes: Sequence[Path], out: Path, plan: Plan, *, jobs: int, tell: Progress) -> Path:
     folders = find_sources(scenes)
     places = {}
+    made: dict[str, int] = {}
+
+    def count(_: ManifestRow, progress: BatchProgress) -> None:
+        made[name] = progress.done
+        tell(f"generating {name}", progress.finished, progress.total)
+
     for name, without in (("hid2", frozenset[str]()), ("no-interaction", frozenset({"collision"}))):
         places[name] = out / "generated" / name
         work = [SceneJob(folder, _runs(plan, without)) for folder in folders]
-        rows = run_batch(
-            work, places[name], Options(jobs=jobs, resume=True, timeout_s=600),
-            on_row=lambda row, progress, what=name: tell(f"generating {what}", progress.finished, progress.total),  # type: ignore[misc]
-        )  # fmt: skip
+        rows = run_batch(work, places[name], Options(jobs=jobs, resume=True, timeout_s=600), on_row=count)
         if not any(row.status == DONE for row in rows):
             raise BatchError(f"{places[name]}: no scene could be generated; {rows[0].reason}")
     composition = Composition(
@@ -134,7 +140,10 @@ def _composed(scenes: Sequence[Path], out: Path, plan: Plan, *, jobs: int, tell:
     )
     root = out / "composed"
     text = composition.model_dump_json(indent=1) + "\n"
-    if not (root / COMPOSITION).is_file() or (root / COMPOSITION).read_text(encoding="utf-8") != text:
+    same = (root / COMPOSITION).is_file() and (root / COMPOSITION).read_text(encoding="utf-8") == text
+    if same and any(made.values()):  # of scenes that have been made anew since
+        shutil.rmtree(root)
+    if not same or any(made.values()):
         compose(composition, root, jobs=jobs, on_scene=tell)
     return root
 
@@ -195,7 +204,10 @@ def train_and_forecast(
         raise ScenarioError(f"{len(left_out)} scenes cannot be read, the first: {left_out[0]}")
     for seed in seeds:
         folder = models / str(seed)
-        model = train(targets, folder / "checkpoint.pt", params, seed=seed, resume=True)
+        try:
+            model = train(targets, folder / "checkpoint.pt", params, seed=seed, resume=True)
+        except ConfigError:  # of other scenes or parameters
+            model = train(targets, folder / "checkpoint.pt", params, seed=seed)
         for name, found in held_out.items():
             write_forecasts(forecast(model, found, params), folder / f"{name}.parquet")
         yield seed
@@ -368,6 +380,8 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
     parts = [
         f"<p>{who} Seeds: {', '.join(f'{html.escape(k)} {v}' for k, v in seeds.items())}.{focal}</p>",
         power_text(differences),
+        "<h2>What the forecasters were trained on, and scored on</h2>",
+        report.table(_SETS_HEAD, _sets(composed)),
         "<h2>Table 2: trained on recorded scenes or on generated ones</h2>",
         report.table(head2, [_cells(line) for line in table2]),
         "<h2>Table 3: recorded validation scenes of more than 50, 70 and 90 agents</h2>",
@@ -389,6 +403,25 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
         page = out / "prediction.html"
         write_text(page, report.page("Tables 2 and 3: forecasters trained with generated scenes", parts))
     return page
+
+
+_SETS_HEAD = ("scenes", "recorded", "generated", "copies", "tracks, mean", "at the observation’s end")
+
+
+def _sets(composed: Path) -> list[tuple[str, ...]]:
+    """Scenes of each training and validation set by kind, and how many tracks they have, by origins.csv."""
+    places = [(name, composed / name, "train") for name in SETS]
+    places += [(f"{name} validation", composed / VALIDATION / name, "val") for name in (RECORDED, HID2)]
+    rows = []
+    for name, root, split in places:
+        found = [origin for origin in origins_of(root).values() if origin.split == split]
+        kinds = Counter(origin.kind for origin in found)
+        means = [
+            sum(counts) / max(1, len(found)) for counts in zip(*((o.tracks, o.observed) for o in found), strict=True)
+        ]
+        cells = [str(kinds[kind]) for kind in ("recorded", "generated", "copy")]
+        rows.append((html.escape(name), *cells, *(f"{mean:.1f}" for mean in means or (0.0, 0.0))))
+    return rows
 
 
 def _cells(line: _Line) -> tuple[str, ...]:
