@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from bridge.recordings.scenario import Scenario as Scenario
     from bridge.recordings.scenario import read_scenario as read_scenario
     from bridge.recordings.validate import validate_folder as validate_folder
+    from bridge.studies.run import run_study as run_study
     from bridge.studies.study import read_study as read_study
-    from bridge.studies.study import run_study as run_study
     from hid2.params import Config as Config
     from netconvert.errors import Hid2Error as Hid2Error
 
@@ -47,7 +47,7 @@ _HOMES = {
     "read_study": "bridge.studies.study",
     "render_scene": "bridge.pictures.render",
     "run_batch": "bridge.batch.batch",
-    "run_study": "bridge.studies.study",
+    "run_study": "bridge.studies.run",
     "validate_folder": "bridge.recordings.validate",
     "write": "bridge.generation.generate",
 }

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import tomllib
+import uuid
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -11,9 +12,12 @@ from typing import Any, NamedTuple, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from hid2.params import Config
+from hid2.params import Config, Event
 from hid2.policies import Policy
 from netconvert.errors import ConfigError
+
+#: Ids of synthetic corridors, which are no scenes of Argoverse and may be longer.
+CORRIDOR_PREFIX = "corridor-"
 
 
 class ParameterRow(NamedTuple):
@@ -48,6 +52,20 @@ def load_config(
     return _validated(data, "configuration") if flags or overrides else config
 
 
+def read_drivers(path: Path) -> dict[str, object]:
+    """The section [drivers] of a file that `hid2 calibrate` wrote, as flags.
+
+    Errors: ConfigError for another section, and for a key, a value or a range that no driver has.
+    """
+    data = _read_toml(path)
+    others = sorted(data.keys() - {"drivers"})
+    if others or not isinstance(data.get("drivers"), dict):
+        wrong = f"section or key {', '.join(others)}" if others else "no section [drivers]"
+        raise ConfigError(f"{path}: {wrong}, expected [drivers] alone, as hid2 calibrate writes; else use --config")
+    _validated(data, str(path))
+    return {f"drivers.{name}": value for name, value in data["drivers"].items()}
+
+
 def parse_behaviours(text: str) -> dict[str, float]:
     """Shares "straight=.5,lane_change=.5" as flags; a behaviour that is not named gets 0.
 
@@ -78,6 +96,44 @@ def parse_trigger_time(text: str) -> dict[str, Any]:
     return {"request.trigger_min_s": low, "request.trigger_max_s": high, "request.trigger_list_s": []}
 
 
+def parse_events(
+    kinds: Sequence[str], values: Mapping[str, str | int | float | None], criticality: Sequence[str]
+) -> dict[str, Any]:
+    """Events of the command line as flags, all of them with the same values and criticality.
+
+    values: by the names of the options, target, at, gap, speed-difference, brakes, count. Errors: ConfigError, also
+    where there are values and no event.
+    """
+    given: dict[str, Any] = {}
+    for name, key in _EVENT_BANDS.items():
+        if values.get(name) is not None:
+            given[key] = _band(str(values[name]), name)
+    for name, key in (("target", "target"), ("brakes", "brakes_mps2"), ("count", "count")):
+        if values.get(name) is not None:
+            given[key] = values[name]
+    for text in criticality:
+        measure, separator, band = text.partition("=")
+        if measure not in _CRITICALITY or not separator:
+            raise ConfigError(f"criticality: {text!r}, expected ttc=A:B, pet=A:B (s) or drac=A:B (m/s2)")
+        given[_CRITICALITY[measure]] = _band(band, f"criticality: {measure}")
+    if given and not kinds:
+        raise ConfigError(f"{', '.join(given)}: without --event; say which event is meant, such as --event cut_in")
+    return {"event": [{"kind": kind, **given} for kind in kinds]} if kinds else {}
+
+
+#: Options of events that are bands, and their parameters.
+_EVENT_BANDS = {"at": "at_s", "gap": "gap_m", "speed-difference": "speed_difference_mps"}
+_CRITICALITY = {"ttc": "ttc_s", "pet": "pet_s", "drac": "drac_mps2"}
+
+
+def _band(text: str, name: str) -> list[float]:
+    """Least and largest value of "A:B"; twice the same of "A"."""
+    wanted = "A or A:B"
+    first, separator, second = text.partition(":")
+    low = _number(first.strip(), name, wanted)
+    return [low, _number(second.strip(), name, wanted) if separator else low]
+
+
 def config_to_dict(config: Config) -> dict[str, Any]:
     """The configuration as JSON values, in a fixed order."""
     values = config.model_dump(mode="json")
@@ -95,13 +151,30 @@ def config_sha256(config: Config) -> str:
     return hashlib.sha256(json.dumps(config_to_dict(config), sort_keys=True).encode()).hexdigest()
 
 
+def new_scenario_id(source_id: str, config: Config, seed: int, variant: int) -> str:
+    """UUID (version 5) of a request: the same request names the same scenario. What comes of a corridor says so."""
+    space = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo")
+    new_id = uuid.uuid5(space, "\n".join([source_id, config_sha256(config), str(seed), str(variant)]))
+    return f"{CORRIDOR_PREFIX if source_id.startswith(CORRIDOR_PREFIX) else ''}{new_id}"
+
+
+def check_no_flow(config: Config) -> None:
+    """Raise ConfigError where traffic is to enter at the map's edge: whoever does so is not exported, only studied."""
+    if config.flow.veh_per_h_lane > 0.0:
+        raise ConfigError(
+            f"flow.veh_per_h_lane = {config.flow.veh_per_h_lane:g}: traffic enters in studies only (hid2 study), "
+            "expected 0 here"
+        )
+
+
 def config_to_toml(config: Config) -> str:
     """The configuration as a TOML file that load_config reads back."""
     values = config_to_dict(config)
+    tables = [entries for entries in values.pop("event") if entries]
     lines = [f"{key} = {json.dumps(value)}" for key, value in values.items() if not isinstance(value, dict)]
-    for section, entries in values.items():
-        if isinstance(entries, dict):
-            lines += ["", f"[{section}]", *(f"{key} = {json.dumps(value)}" for key, value in entries.items())]
+    sections = [(f"[{key}]", value) for key, value in values.items() if isinstance(value, dict)]
+    for head, entries in (*sections, *(("[[event]]", table) for table in tables)):
+        lines += ["", head, *(f"{key} = {json.dumps(value)}" for key, value in entries.items() if value is not None)]
     return "\n".join(lines).lstrip("\n") + "\n"
 
 
@@ -112,8 +185,8 @@ def describe_config() -> list[ParameterRow]:
         for key, inner in _leaves(section, field):
             extra = inner.json_schema_extra if isinstance(inner.json_schema_extra, dict) else {}
             default = inner.get_default(call_default_factory=True)
-            listed = isinstance(default, frozenset | tuple)
-            text = ",".join(sorted(map(str, default))) or "none" if listed else str(default)
+            values = sorted(default) if isinstance(default, frozenset) else default
+            text = ",".join(map(str, values)) or "none" if isinstance(values, list | tuple) else str(default)
             rows.append(
                 ParameterRow(key, text, str(extra.get("unit", "-")), _range(inner), str(extra.get("source", "")))
             )
@@ -140,9 +213,15 @@ def _range(field: FieldInfo) -> str:
     if bool in leaves:
         return "true, false"
     if get_origin(field.annotation) is tuple:
-        return f"list of numbers {_bounds(inner)}"
+        tables = [leaf for leaf in leaves if isinstance(leaf, type) and issubclass(leaf, BaseModel)]
+        if tables:
+            return f"tables of {', '.join(name for table in tables for name in table.model_fields)}"
+        least = " and not empty" if any(getattr(entry, "min_length", 0) for entry in field.metadata) else ""
+        return f"list of numbers {_bounds(inner)}{least}"
+    if str in leaves:
+        return "text"
     if int not in leaves and float not in leaves:
-        return choices
+        return f"{choices}, or module:function" if str in leaves else choices  # the one text that is free
     words = f"{'integer' if int in leaves else 'number'} {_bounds([*field.metadata, *inner])}".strip()
     return f"{words}, or {choices}" if choices else words
 
@@ -207,6 +286,8 @@ def _put(data: dict[str, Any], key: str, value: object) -> None:
 
 def _validated(data: Mapping[str, Any], source: str) -> Config:
     values = {key: _with_tuples(value) if isinstance(value, Mapping) else value for key, value in data.items()}
+    if isinstance(values.get("event"), list):
+        values["event"] = tuple(values["event"])
     if isinstance(values.get("without"), list | tuple):
         values["without"] = frozenset(str(name) for name in values["without"])
     try:
@@ -224,6 +305,8 @@ def _explain(error: ValidationError) -> str:
     first = error.errors(include_url=False)[0]
     location = [str(part) for part in first["loc"]]
     fields = _fields()
+    if location[0] == "event" and len(location) > 1:
+        return _explain_event(first["loc"], first["msg"], first["input"])
     key = location[0] if location and location[0] in fields else ".".join(location[:2])
     if first["type"] == "extra_forbidden":
         return _unknown(key, first["input"])
@@ -233,6 +316,21 @@ def _explain(error: ValidationError) -> str:
     if first["type"] == "value_error":  # a check across fields
         return f"{key}: {first['msg'].removeprefix('Value error, ')}"
     return f"{key} = {first['input']!r}, expected a table of parameters"
+
+
+def _explain_event(location: tuple[int | str, ...], message: str, value: object) -> str:
+    """What is wrong with one of the events: which, what was given and what is expected."""
+    names = ", ".join(Event.model_fields)
+    which = f"event {int(location[1]) + 1}"
+    if len(location) == 2:  # a check across fields, or no table at all
+        text = message.removeprefix("Value error, ")
+        return f"{which}: {text}" if isinstance(value, Mapping) else f"{which} = {value!r}, expected a table of {names}"
+    key = str(location[2])
+    if key not in Event.model_fields:
+        return f"{which}: unknown key {key!r} (= {value!r}), expected one of {names}"
+    kinds = ", ".join(get_args(Event.model_fields["kind"].annotation))
+    wanted = f"one of {kinds}" if key == "kind" else message[0].lower() + message[1:]
+    return f"{which}: {key} = {value!r}, expected {wanted}"
 
 
 def _unknown(key: str, value: object) -> str:

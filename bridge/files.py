@@ -12,6 +12,8 @@ from netconvert.errors import DiskFullError, ExportError
 
 #: What the system says when nothing more can be written: full, over the quota or the size, read-only.
 _DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
+#: Each file of a scene, MB. Real: below 3.
+MAX_FILE_MB = 32
 _SHORTENED = " ... (shortened)"
 
 

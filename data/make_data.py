@@ -64,6 +64,18 @@ def arterial() -> Scene:
     return scene
 
 
+def _ground_of_intersection(scene: Scene, reach: float) -> None:
+    """Drivable area and pedestrian crossings."""
+    outline = [(-reach, 7.8), (-13.6, 7.8), (-4.3, 15.1), (-4.3, reach)]  # a quarter: arm, corner, arm
+    corners = [*outline, *[(-x, y) for x, y in reversed(outline)]]
+    corners += [*[(-x, -y) for x, y in outline], *[(x, -y) for x, y in reversed(outline)]]
+    parking = [(-36.0, -7.8), (-37.5, -10.2), (-82.0, -10.2), (-83.5, -7.8)]  # beside the eastbound lanes
+    scene.areas.append(np.array([*corners[:-1], *parking, corners[-1]]))
+    for sign in (1.0, -1.0):
+        scene.crossings.append((np.array([(-4.3, sign * 16.5), (4.3, sign * 16.5)]),
+                                np.array([(-4.3, sign * 19.5), (4.3, sign * 19.5)])))  # fmt: skip
+
+
 def intersection() -> Scene:
     """Two lanes each way on the east-west road, one each way on the other; no signal; stop lines at 13.5 and 15 m."""
     scene = Scene("intersection", "val", "pittsburgh", -0.6, (2480.0, 1130.0), slope(41.0, -0.01, 0.015), 320_200_000)
@@ -117,14 +129,7 @@ def intersection() -> Scene:
         scene.link(name, f"{to}{to_lane}_out0")
     for way in "ew":
         scene.side_by_side(f"{way}l_straight", f"{way}r_straight")
-    outline = [(-reach, 7.8), (-13.6, 7.8), (-4.3, 15.1), (-4.3, reach)]  # a quarter: arm, corner, arm
-    corners = [*outline, *[(-x, y) for x, y in reversed(outline)]]
-    corners += [*[(-x, -y) for x, y in outline], *[(x, -y) for x, y in reversed(outline)]]
-    parking = [(-36.0, -7.8), (-37.5, -10.2), (-82.0, -10.2), (-83.5, -7.8)]  # beside the eastbound lanes
-    scene.areas.append(np.array([*corners[:-1], *parking, corners[-1]]))
-    for sign in (1.0, -1.0):
-        scene.crossings.append((np.array([(-4.3, sign * 16.5), (4.3, sign * 16.5)]),
-                                np.array([(-4.3, sign * 19.5), (4.3, sign * 19.5)])))  # fmt: skip
+    _ground_of_intersection(scene, reach)
 
     def route(*names: str) -> Path2d:
         return Path2d.joined(*(paths[name] for name in names))

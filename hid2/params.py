@@ -7,13 +7,16 @@ number is written beside it.
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from hid2.policies import Policy
 
 
 def _param(default: Any, unit: str, source: str, **bounds: Any) -> Any:  # noqa: ANN401
     return Field(default=default, json_schema_extra={"unit": unit, "source": source}, **bounds)
+
+
+_FUNCTION = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"  # module:function
 
 
 class _Section(BaseModel):
@@ -39,6 +42,17 @@ class Request(_Section):
     sites: Literal["promising", "any"] = _param(
         "promising", "-", "start sites: those first where map and traffic allow what is asked for; any: uniformly drawn"
     )
+    near: str = _param(
+        "traffic",
+        "-",
+        "sites first from which these are met: traffic (recorded moving vehicles), av (the recording vehicle), focal, "
+        "scored, a track id; anywhere: all alike",
+        min_length=1, max_length=100,
+    )  # fmt: skip
+    within_m: float = _param(
+        30.0, "m", "a site is near where centres would come so near: to traffic at some step, to others at the last "
+        "observed one", gt=0, le=500,
+    )  # fmt: skip
     focal: Literal["recorded", "generated"] = _param("recorded", "-", "which track carries category 3")
     focal_radius_m: float = _param(
         50.0, "m", "a generated focal track is the one with the most neighbours within this that does its manoeuvre",
@@ -90,21 +104,86 @@ class Spawn(_Section):
         3.0, "s", "a start holds if nobody is met so long by a vehicle that drives on and brakes as a driver would",
         ge=0, le=10,
     )  # fmt: skip
-    near_m: float = _param(
-        30.0,
-        "m",
-        "sites this near to moving recorded traffic are drawn as much more often as near_weight",
-        gt=0,
-        le=200,
+    near_weight: float = _param(8.0, "ratio", "weight of sites near to whom request.near asks for", ge=1, le=100)
+    leader_weight: float = _param(
+        6.0, "ratio", "weight of sites from which a recorded vehicle would be followed", ge=1, le=100
     )
-    near_weight: float = _param(4.0, "ratio", "weight of sites near moving recorded traffic", ge=1, le=100)
+    crossing_weight: float = _param(
+        3.0, "ratio", "weight of sites from which recorded traffic would be crossed", ge=1, le=100
+    )
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(
         3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
     )
+    rivals: int = _param(
+        2, "vehicles", "driven beside the first for one manoeuvre, of which one that does it is kept", ge=0, le=10
+    )
+    rivals_share: float = _param(0.6, "share", "of the vehicles still missing: most rivals in one round", ge=0, le=5)
     spare_share: float = _param(
         0.2, "share", "vehicles driven beyond the count, in case some cannot be made safe", ge=0, le=2
     )
+    most_agents: int = _param(400, "vehicles", "most that `agents = max` asks for", ge=1, le=500)
+    spacing_m: float = _param(25.0, "m", "lane that a vehicle takes on a full road; `agents = max`", ge=5, le=200)
+    full_share: float = _param(0.1, "share", "a round of `max` that adds a smaller share is the last", ge=0, le=1)
+    failed_manoeuvres: int = _param(
+        2, "requests", "without a site, after which a round looks for no more for that manoeuvre", ge=1, le=500
+    )
+    failed_straight: int = _param(1, "requests", "the same for those that go straight", ge=1, le=500)
+    driven_again: int = _param(
+        1, "times", "a vehicle that had waited for one that is gone is driven again", ge=0, le=10
+    )
+
+
+class Sites(_Section):
+    """Where vehicles may begin, and how fast. Chosen on the scenes of tests/real unless another source is named."""
+
+    tries: int = _param(150, "sites", "looked at in full for a request in a round", ge=1, le=10_000)
+    drivers: int = _param(3, "drivers", "drawn for a site before it is turned down", ge=1, le=50)
+    avoided_m: float = _param(5.0, "m", "around a start that could not be kept nobody begins", ge=0, le=100)
+    standing_mps: float = _param(0.3, "m/s", "who would begin more slowly begins standing", ge=0, le=3)
+    queue_m: float = _param(8.0, "m", "who begins standing does so this near behind somebody who stands", ge=0, le=50)
+    slowest_share: float = _param(
+        0.25, "share", "of the desired speed; nobody begins moving more slowly, with so much room ahead", ge=0, le=1
+    )
+    begin_braking_mps2: float = _param(0.8, "m/s2", "a vehicle may begin by braking so hard for its leader", ge=0, le=4)
+    braking_ratio: float = _param(
+        1.4, "ratio", "of the comfortable deceleration, that a conflict soon after the start may ask for", ge=0, le=5
+    )
+    crossing_gap_m: float = _param(6.0, "m", "kept at the start to another one that heads elsewhere", ge=0, le=50)
+    under_way_share: float = _param(
+        0.5, "share", "of the way at usual speed that is free ahead of who is to change lanes", ge=0, le=1
+    )
+    gap_waits_s: tuple[Annotated[float, Field(ge=0, le=10)], ...] = _param(
+        (0.0, 0.7, 1.5), "s", "moments after the trigger at which a gap beside is looked for"
+    )
+    before_turn_m: float = _param(5.0, "m", "who is to turn begins so far before the turn", ge=0, le=100)
+    turn_approach_share: float = _param(0.75, "share", "mean speed up to a turn, over the usual one", gt=0, le=1)
+    turn_pace_mps: float = _param(5.0, "m/s", "mean speed on a turn lane, to tell when it is left", gt=0, le=20)
+    turn_spare_s: float = _param(2.0, "s", "left of the scene after a turn", ge=0, le=10)
+    pass_behind_m: float = _param(
+        15.0, "m", "nobody else begins beside a vehicle that is to overtake, from so far behind it", ge=0, le=200
+    )
+    pass_ahead_m: float = _param(70.0, "m", "to so far ahead of it", ge=0, le=300)
+    pass_beside_m: float = _param(5.5, "m", "and so near beside it", ge=0, le=20)
+    leader_beyond_m: float = _param(
+        20.0, "m", "beyond d_obs, where a leader to be overtaken may be at the start", ge=0, le=100
+    )
+    leader_advantage_ratio: float = _param(
+        2.0, "ratio", "over speed_advantage_mps, by which that leader is slower at the start", ge=0, le=10
+    )
+    slow_leader_min: float = _param(
+        0.25, "share", "desired speed of an added leader over that of who overtakes it, uniform from here", gt=0, le=1
+    )
+    slow_leader_max: float = _param(0.38, "share", "to here", gt=0, le=1)
+    slow_leader_mps: float = _param(2.0, "m/s", "slowest desired speed of an added leader", gt=0, le=20)
+    slow_leader_gap_m: float = _param(12.0, "m", "to an added leader when the overtake is due", ge=0, le=100)
+    slow_leader_gap_s: float = _param(0.8, "s", "and so much more by the start speed", ge=0, le=5)
+
+    @model_validator(mode="after")
+    def _check(self) -> "Sites":
+        if self.slow_leader_max < self.slow_leader_min:
+            raise ValueError(f"slow_leader_max {self.slow_leader_max} is below slow_leader_min {self.slow_leader_min}")
+        return self
 
 
 class Drivers(_Section):
@@ -131,9 +210,28 @@ class Drivers(_Section):
         1.5, "m/s2", "lateral acceleration taken in turns, uniform from here", gt=0, le=4.89
     )
     turn_lateral_max_mps2: float = _param(3.0, "m/s2", "to here (comfort ends at 3)", gt=0, le=4.89)
-    offset_sd_m: float = _param(0.25, "m", "SD between drivers of the mean place in the lane", ge=0, le=1)
-    lateral_wander_sd_m: float = _param(0.15, "m", "SD of the wandering about that place", ge=0, le=0.5)
-    lateral_wander_time_s: float = _param(3.0, "s", "its correlation time at the desired speed", gt=0, le=30)
+    offset_mean_m: float = _param(
+        0.1,
+        "m",
+        "mean place in the lane, left positive: away from the kerb and parked cars; measured: 0.10",
+        ge=-1,
+        le=1,
+    )
+    offset_sd_m: float = _param(
+        0.32, "m", "SD between drivers of the mean place in the lane; measured, robust: 0.29", ge=0, le=1
+    )
+    offset_max_m: float = _param(0.9, "m", "no driver is farther from the lane's middle", ge=0, le=1.5)
+    lateral_wander_sd_m: float = _param(
+        0.2,
+        "m",
+        "SD of the wandering about that place, of the median driver; measured: drift of 0.065 m/s",
+        ge=0,
+        le=0.5,
+    )
+    lateral_wander_spread: float = _param(
+        0.8, "-", "SD between drivers of its logarithm: some hold the lane, some weave; measured", ge=0, le=1.5
+    )
+    lateral_wander_time_s: float = _param(2.0, "s", "its correlation time at the desired speed", gt=0, le=30)
     lane_change_mean_s: float = _param(
         5.5, "s", "duration of a lane change (highD: 5.5 cars, 6.1 heavy)", ge=1.5, le=15
     )
@@ -154,6 +252,20 @@ class LaneChange(_Section):
     min_duration_s: float = _param(2.5, "s", "shortest lateral motion (11 s scenes)", ge=1.5, le=10)
     max_duration_s: float = _param(6.0, "s", "longest lateral motion", ge=1.5, le=15)
     min_speed_mps: float = _param(2.0, "m/s", "slower vehicles cannot shift a lane in time", ge=0, le=20)
+    rule: Literal["paper", "MOBIL", "LC2013"] | Annotated[str, Field(pattern=_FUNCTION)] = _param(
+        "paper", "-", "what decides whether a gap is taken; module:function names one of your own"
+    )
+    mobil_politeness: float = _param(0.3, "-", "MOBIL p (Kesting et al. 2007: 0 to 1)", ge=0, le=2)
+    mobil_threshold_mps2: float = _param(0.1, "m/s2", "MOBIL, advantage that is worth a change", ge=0, le=5)
+    mobil_bias_mps2: float = _param(0.3, "m/s2", "MOBIL, bias towards the lane that is asked for", ge=0, le=10)
+    mobil_safe_mps2: float = _param(4.0, "m/s2", "MOBIL b_safe, hardest braking left to the new follower", gt=0, le=9)
+    lc_strategic: float = _param(1.0, "-", "LC2013 lcStrategic; SUMO's default", ge=0, le=100)
+    lc_cooperative: float = _param(1.0, "-", "LC2013 lcCooperative; SUMO's default", ge=0, le=1)
+    lc_speed_gain: float = _param(1.0, "-", "LC2013 lcSpeedGain; SUMO's default", ge=0, le=1000)
+    max_shift_m: float = _param(5.5, "m", "middles of lanes farther apart are not side by side", gt=0, le=20)
+    time_share: float = _param(0.95, "share", "of the time left that the lateral motion may take", gt=0, le=1)
+    spare_s: float = _param(0.5, "s", "of that time, left after the lateral motion", ge=0, le=5)
+    length_share: float = _param(0.8, "share", "of the length of l' left that the lateral motion may take", gt=0, le=1)
 
     @model_validator(mode="after")
     def _check(self) -> "LaneChange":
@@ -172,6 +284,7 @@ class Overtake(_Section):
     safe_rear_m: float = _param(8.0, "m", "delta d_safe^rear", ge=0, le=100)
     return_gap_m: float = _param(5.0, "m", "bumper gap ahead of the passed vehicle before the return", ge=1, le=50)
     parked_mps: float = _param(0.5, "m/s", "a slower leader is an obstacle, not an overtaken vehicle", ge=0, le=5)
+    shift_ratio: float = _param(0.7, "ratio", "duration of its lane changes over the driver's usual one", gt=0, le=2)
 
 
 class Turn(_Section):
@@ -197,11 +310,19 @@ class Turn(_Section):
 class Conflict(_Section):
     """The three cases of conflict resolution, and what is exported at all."""
 
-    horizon_s: float = _param(4.0, "s", "H delta: how far ahead conflicts are looked for", gt=0, le=10)
+    horizon_s: float = _param(8.0, "s", "H delta: how far ahead conflicts are looked for", gt=0, le=10)
     act_mps2: float = _param(
         1.1, "m/s2", "deceleration that a conflict must ask for before the timing is changed", ge=0, le=4
     )
     brake_max_mps2: float = _param(3.5, "m/s2", "hardest braking for a conflict", gt=0, le=4.05)
+    brakes_mps2: tuple[Annotated[float, Field(ge=0, le=9)], ...] = _param(
+        (0.0, 0.5, 0.8, 1.1, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0),
+        "m/s2",
+        "decelerations tried, from 0 on and least first, up to brake_max_mps2",
+        min_length=1,
+    )
+    predicted_jerk_mps3: float = _param(4.0, "m/s3", "predicted braking builds up at this rate", gt=0, le=20)
+    stride: int = _param(2, "steps", "between two looks at the predicted motion", ge=1, le=10)
     margin_lateral_m: float = _param(0.1, "m", "added to each side of a box", ge=0, le=2)
     margin_front_m: float = _param(1.0, "m", "kept to a box that crosses or stands ahead", ge=0, le=10)
     stop_margin_m: float = _param(1.0, "m", "kept to a stop line", ge=0, le=10)
@@ -212,6 +333,12 @@ class Conflict(_Section):
     pet_min_s: float = _param(1.0, "s", "critical PET, kept to everybody whose path is crossed", ge=0, le=5)
     end_horizon_s: float = _param(3.0, "s", "beyond its last step a vehicle is looked at so long", ge=0, le=10)
     end_ttc_min_s: float = _param(1.0, "s", "smallest TTC at the last step, everybody at constant velocity", ge=0, le=5)
+
+    @model_validator(mode="after")
+    def _check(self) -> "Conflict":
+        if self.brakes_mps2[0] != 0 or list(self.brakes_mps2) != sorted(self.brakes_mps2):
+            raise ValueError(f"brakes_mps2 {list(self.brakes_mps2)} does not rise from 0")
+        return self
 
 
 class Signals(_Section):
@@ -227,6 +354,10 @@ class Signals(_Section):
     crossing_deg: float = _param(40.0, "deg", "smaller angles between two ways are merges, not crossings", gt=0, lt=90)
     entry_before_s: float = _param(1.0, "s", "green so long before a recorded vehicle enters", ge=0, le=10)
     entry_after_s: float = _param(2.0, "s", "green so long after one has entered", ge=0, le=10)
+    beside_m: float = _param(0.5, "m", "a centre so far beside a lane's edge is still on the lane", ge=0, le=3)
+    alike_m: float = _param(
+        0.3, "m", "who enters follows the lane nearest on average, and those farther by at most this", ge=0, le=3
+    )
     crossing_s: float = _param(
         1.0, "s", "no entry makes it green this close to cross traffic (critical PET)", ge=0, le=5
     )
@@ -237,6 +368,7 @@ class Crossings(_Section):
 
     near_m: float = _param(1.0, "m", "whoever is this near and moves towards the crossing counts", ge=0, le=5)
     towards_mps: float = _param(0.3, "m/s", "slower approach to the crossing is standing beside it", ge=0, le=3)
+    directed_mps: float = _param(0.5, "m/s", "slower agents have no direction of motion", ge=0, le=3)
     ahead_s: float = _param(1.5, "s", "whoever is on the crossing within this time counts", ge=0, le=10)
     strip_m: float = _param(
         1.0, "m", "to each side of the swept width, where nobody may be while it is passed", ge=0, le=5
@@ -245,11 +377,45 @@ class Crossings(_Section):
     along_deg: float = _param(40.0, "deg", "who moves along the path within this angle does not cross it", gt=0, lt=90)
 
 
+class Driving(_Section):
+    """What is added to SUMO's car following, which is blind to who crosses. Chosen on the scenes of tests/real."""
+
+    standing_mps: float = _param(0.5, "m/s", "slower agents stand: SUMO is shown them in any direction", ge=0, le=3)
+    leads_from_m: float = _param(0.3, "m", "gap from which on somebody ahead leads and is not beside", ge=0, le=5)
+    shown_m: float = _param(120.0, "m", "SUMO is shown agents up to here ahead of a vehicle", ge=20, le=500)
+    soon_s: float = _param(
+        3.0, "s", "no braking yet for a conflict later than this, unless it asks for hard braking", ge=0, le=10
+    )
+    urgent_ratio: float = _param(2.0, "ratio", "hard braking over conflict.act_mps2", ge=1, le=10)
+    keep_yielding_mps2: float = _param(0.3, "m/s2", "who yields goes on while a conflict asks for this", ge=0, le=4)
+    brake_jerk_mps3: float = _param(3.5, "m/s3", "braking for what SUMO does not see builds up so", gt=0, le=20)
+    last_brake_mps2: float = _param(0.6, "m/s2", "hardest braking just before standing still", gt=0, le=4)
+    last_brake_per_s: float = _param(1.8, "1/s", "and so much harder by the speed", ge=0, le=20)
+    released_mps2: float = _param(0.5, "m/s2", "from here on SUMO's own acceleration takes over", ge=0, le=4)
+    across_s: float = _param(
+        8.0, "s", "who comes from behind on the way across is looked for so far ahead", gt=0, le=15
+    )
+    let_pass_mps2: float = _param(0.7, "m/s2", "who waits for a gap slows down so for those beside", ge=0, le=4)
+    let_pass_share: float = _param(0.8, "share", "of the desired speed, to which that goes", ge=0, le=1)
+    slows_mps2: float = _param(0.3, "m/s2", "who slows down more behind somebody near has waited for it", ge=0, le=4)
+    behind_ratio: float = _param(2.0, "ratio", "near: the gap over that of time gap and jam gap", ge=0, le=10)
+
+
 class CarFollowing(_Section):
     """SUMO's car following of the inserted vehicles."""
 
     model: Literal["EIDM", "IDM", "Krauss"] = _param("EIDM", "-", "SUMO's carFollowModel")
     jerk_mps3: float = _param(3.0, "m/s3", "EIDM jerkmax", gt=0, le=10)
+
+
+class Flow(_Section):
+    """Traffic that enters at the edges of the map while the scene runs: in studies (`hid2 study`)."""
+
+    veh_per_h_lane: float = _param(0.0, "veh/h", "flow on each lane that begins at the map's edge", ge=0, le=3000)
+    min_headway_s: float = _param(
+        1.2, "s", "headways are exponential beyond this (shifted exponential, Cowan's M2)", ge=0, le=10
+    )
+    warm_up_s: float = _param(30.0, "s", "requests before this are not counted", ge=0, le=3600)
 
 
 class Limits(_Section):
@@ -278,13 +444,92 @@ class Smoothing(_Section):
     )
 
 
+Band = tuple[float, float]
+
+
+class Event(_Section):
+    """One kind of event that is asked for in a scene: `[[event]]` in TOML, `--event` on the command line.
+
+    Bands are (least, largest). gap_m: bumper to bumper at the moment of the event (cross: from the target's bumper to
+    the conflict point), None: `gap_band_m`; speed_difference_mps: vehicle minus target; ttc_s, pet_s, drac_mps2:
+    criticality, None: what the critical values of `conflict` allow.
+    """
+
+    kind: Literal["cut_in", "overtake", "lead", "follow", "merge", "cross"]
+    target: str = Field(default="av", min_length=1, max_length=100)
+    at_s: Band = (2.0, 7.0)
+    gap_m: Band | None = None
+    speed_difference_mps: Band = (-6.0, 6.0)
+    brakes_mps2: float = Field(default=0.0, ge=0, le=4.05)
+    ttc_s: Band | None = None
+    pet_s: Band | None = None
+    drac_mps2: Band | None = None
+    count: int = Field(default=1, ge=1, le=20)
+
+    @property
+    def gap_band_m(self) -> Band:
+        """Gap asked for; where none is, what is usual for the kind."""
+        return self.gap_m or ((0.0, 100.0) if self.kind == "cross" else (4.0, 30.0))
+
+    @field_validator("at_s", "gap_m", "speed_difference_mps", "ttc_s", "pet_s", "drac_mps2", mode="before")
+    @classmethod
+    def _band(cls, value: Any) -> Any:  # noqa: ANN401
+        """A band may be given as a list, which is what JSON and TOML have, or as one number."""
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value), float(value)
+        return tuple(value) if isinstance(value, list) else value
+
+    @model_validator(mode="after")
+    def _check(self) -> "Event":
+        for name in ("at_s", "gap_m", "speed_difference_mps", "ttc_s", "pet_s", "drac_mps2"):
+            band = getattr(self, name)
+            if band is not None and band[1] < band[0]:
+                raise ValueError(f"{name} {band[0]:g}:{band[1]:g}, expected the smaller value first")
+            if band is not None and name != "speed_difference_mps" and band[0] < 0:
+                raise ValueError(f"{name} {band[0]:g}:{band[1]:g}, expected values of 0 or more")
+        if self.brakes_mps2 and self.kind != "lead":
+            raise ValueError(f"brakes_mps2 {self.brakes_mps2:g} with kind {self.kind}, expected kind lead")
+        if self.pet_s is not None and self.kind != "cross":
+            raise ValueError(f"pet_s with kind {self.kind}, expected kind cross: only crossing paths have a PET")
+        return self
+
+
+class EventSearch(_Section):
+    """The search for a site, a speed and a trigger time with which an event comes about."""
+
+    tries: int = _param(14, "vehicles", "driven for one event before it is given up", ge=1, le=200)
+    moment_s: float = _param(0.5, "s", "an event counts so much before or after the time asked for", ge=0, le=5)
+
+
+class Export(_Section):
+    """The last word on what is exported at all."""
+
+    filter_ratios: tuple[Annotated[float, Field(gt=0, le=10)], ...] = _param(
+        (1.0, 1.6, 2.5), "ratio", "widths of the filter tried in turn, over smoothing.filter_s", min_length=1
+    )
+    offset_shares: tuple[Annotated[float, Field(ge=0, le=1)], ...] = _param(
+        (1.0, 0.5, 0.0), "share", "of the driver's place in the lane, tried in turn", min_length=1
+    )
+    moves_m: float = _param(2.0, "m", "who moves less stands throughout", ge=0, le=50)
+    box_margin_m: float = _param(0.05, "m", "between boxes, so that readers' rounding makes none meet", ge=0, le=1)
+    limit_share: float = _param(0.98, "share", "of the curvature 1 / R_min that a path may have", gt=0, le=1)
+    drivable_share: float = _param(0.9, "share", "of limits.drivable_tolerance_m that is used", ge=0, le=1)
+    touching_m: float = _param(1.0, "m", "boxes on a path that overlap by more are side by side", ge=0, le=5)
+    rolls_back_mps: float = _param(
+        0.2, "m/s", "who comes back faster is parking, or noise of the tracker: no leader to close in on", ge=0, le=3
+    )
+    end_spare_s: float = _param(0.1, "s", "above conflict.end_ttc_min_s, for the rounding of files", ge=0, le=2)
+
+
 class Config(_Section):
     """A whole request: what to generate and every parameter of the method."""
 
     request: Request = Request()
     grid: Grid = Grid()
     spawn: Spawn = Spawn()
+    sites: Sites = Sites()
     drivers: Drivers = Drivers()
+    driving: Driving = Driving()
     car_following: CarFollowing = CarFollowing()
     lane_change: LaneChange = LaneChange()
     overtake: Overtake = Overtake()
@@ -292,9 +537,16 @@ class Config(_Section):
     conflict: Conflict = Conflict()
     signals: Signals = Signals()
     crossings: Crossings = Crossings()
+    flow: Flow = Flow()
     limits: Limits = Limits()
     smoothing: Smoothing = Smoothing()
+    event_search: EventSearch = EventSearch()
+    export: Export = Export()
 
+    event: tuple[Event, ...] = Field(
+        default=(),
+        json_schema_extra={"unit": "-", "source": "events, a section [[event]] each; see hid2 generate --event"},
+    )
     without: frozenset[Literal["topology", "collision", "smoothing"]] = Field(
         default=frozenset(),
         json_schema_extra={"unit": "-", "source": "paper, Table ablation: components switched off"},

@@ -32,6 +32,13 @@ class Reason(StrEnum):
     # what the simulation answered
     NO_ROUTE = "no_route", "The start site is not on the vehicle's route."
     SUMO_REFUSES_INSERTION = "sumo_refuses_insertion", "SUMO did not accept the vehicle at its start site."
+    # events
+    EVENT_NO_TARGET = "event_no_target", "The target of an event is not in the scene, or no vehicle on a lane."
+    EVENT_NO_PLACE = "event_no_place", "The target's way offers no place for the event at the time asked for."
+    EVENT_NOT_AS_ASKED = (
+        "event_not_as_asked",
+        "No vehicle that was tried made the event as asked for: time, gap, speed difference or criticality.",
+    )
     # answers to a look at a gap (Algorithm 1, lane change)
     NO_ADJACENT_LANE = "no_adjacent_lane", "There is no lane beside that may be changed to."
     TOO_SLOW = "too_slow", "The vehicle is too slow to shift a lane in time."
@@ -39,6 +46,10 @@ class Reason(StrEnum):
     CELLS_OCCUPIED = "cells_occupied", "Cells j-1, j, j+1 of the lane beside are not free."
     FRONT_GAP = "front_gap", "The gap to the new leader is too small."
     REAR_GAP = "rear_gap", "The gap to the new follower is too small."
+    MOBIL_UNSAFE = "mobil_unsafe", "MOBIL: the new follower would have to brake harder than b_safe."
+    MOBIL_NO_ADVANTAGE = "mobil_no_advantage", "MOBIL: the advantage, politeness included, is below the threshold."
+    LC2013_NO_MOTIVE = "lc2013_no_motive", "SUMO's LC2013 has no motive to change to that lane."
+    RULE_REFUSES = "rule_refuses", "The user's own lane-change rule does not take the gap."
     # overtake
     NO_LEADER = "no_leader", "No leader within the observation horizon."
     LEADER_NOT_SLOWER = "leader_not_slower", "The leader is not slower than the desired speed by enough."

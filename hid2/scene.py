@@ -51,6 +51,7 @@ class Scene:
     future: Traffic
     stated_velocity: FloatArray
     object_types: tuple[str, ...]
+    categories: tuple[int, ...]
     vehicle_rows: IntArray
     recorded: RecordedVehicles
     occupancy: OriginalOccupancy
@@ -154,6 +155,7 @@ def build_scene(
         future=traffic.extended(beyond, step_s=DT_S),
         stated_velocity=stated,
         object_types=tuple(track.object_type for track in tracks),
+        categories=tuple(track.category for track in tracks),
         vehicle_rows=np.array(rows, dtype=np.int64),
         recorded=RecordedVehicles([tracks[row] for row in rows], flatten_lanes(grid.graph), num_steps),
         occupancy=occupancy,

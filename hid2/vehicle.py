@@ -7,7 +7,10 @@ from hid2.agents import BoxSize, FloatArray, Policy
 from hid2.drivers.driver import Driver, LaneOffset
 from hid2.motion.route import DrivenPath, Route
 from hid2.policy.decision import Side
+from hid2.policy.lane_change import Gap
 from hid2.policy.overtake import Stage
+from hid2.reasons import Reason
+from netconvert.cells import Cell
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,19 +61,22 @@ class Shift:
 class GapLook:
     """One look at a gap: what was seen at a step, and the answers.
 
-    rule: reason of hid2, None for yes; sumo: its answer.
+    target: cell g_{l',j}; front, rear: new leader and new follower; rule: reason of the lane-change rule, None for yes;
+    guard: reason found on the way across (path, conflict case 3), None for yes or where the rule said no; sumo: its
+    answer, None where it was not asked.
     """
 
     step: int
     side: Side
-    front_m: float
-    front_mps: float
-    rear_m: float
-    rear_mps: float
+    target: Cell
+    front: Gap
+    rear: Gap
     own_mps: float
     remaining_m: float
-    rule: str | None
-    sumo: bool | None
+    cells_free: bool
+    rule: Reason | None
+    guard: Reason | None = None
+    sumo: bool | None = None
 
 
 @dataclass(eq=False, slots=True)
@@ -86,8 +92,8 @@ class DrivenVehicle:
     s: list[float] = field(default_factory=list)
     v: list[float] = field(default_factory=list)
     stage: Stage = Stage.WAITING
-    reason: str | None = None
-    objection: str | None = None
+    reason: Reason | None = None
+    objection: Reason | None = None
     left_at: int | None = None
     shifts: list[Shift] = field(default_factory=list)
     gaps: list[GapLook] = field(default_factory=list)

@@ -2,13 +2,11 @@
 
 import csv
 import io
-from pathlib import Path
 
 import numpy as np
 from lxml import etree
 
 from netconvert.cells import CellGrid
-from netconvert.errors import NetError
 from netconvert.geometry import FloatArray
 
 CELL_COLUMNS = (
@@ -49,16 +47,6 @@ def gui_files(grid: CellGrid, name: str, *, shown: tuple[FloatArray, FloatArray]
         f"{name}.view.xml": _view(grid, shown),
         f"{name}.cells.csv": cells_csv(grid),
     }
-
-
-def write_gui_files(grid: CellGrid, folder: Path | str, name: str) -> None:
-    """Write gui_files into a folder that exists. NetError if a file cannot be written."""
-    for file_name, content in gui_files(grid, name).items():
-        path = Path(folder) / file_name
-        try:
-            path.write_bytes(content)
-        except OSError as error:
-            raise NetError(f"{path}: cannot write: {error.strerror}") from error
 
 
 def cells_csv(grid: CellGrid) -> bytes:

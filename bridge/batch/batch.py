@@ -11,6 +11,7 @@ import math
 import os
 import re
 import shutil
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -32,18 +33,22 @@ from bridge.batch.manifest import (
     source_files,
 )
 from bridge.batch.quarantine import MAX_TIMEOUT_S, Bundle, read_bundle, write_bundle
-from bridge.config import config_sha256
+from bridge.config import check_no_flow, config_sha256, new_scenario_id
 from bridge.files import explained, one_line
-from bridge.recordings.export import new_scenario_id
 from bridge.recordings.folders import SPLITS, source_id, split_of
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportError
 
 QUARANTINE = "quarantine"
+#: Where a study keeps what its runs have measured.
+RUNS = "runs"
 GENERATE = "bridge.batch.scene_work:generate_runs"
+GENERATE_WITH_GAPS = "bridge.batch.scene_work:generate_and_record_gaps"
+#: By function, the file that a complete folder holds beside the usual ones.
+_EXTRA_FILES = {GENERATE_WITH_GAPS: "gaps_*.csv.gz"}
 
 _LOG = logging.getLogger(__name__)
-_HALF_WRITTEN = re.compile(r"\.[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}-.*")
+_HALF_WRITTEN = re.compile(r"\.(?:corridor-)?[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}-.*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +129,7 @@ def plan(folders: Iterable[Path], config: Config) -> list[SceneJob]:
 
     The number of variants is taken out of each run's configuration: variant 0 is the same scene however many there are.
     """
+    check_no_flow(config)
     request = config.request.model_copy(update={"variants": 1})
     single = config.model_copy(update={"request": request})
     runs = tuple(Run(single, variant) for variant in range(config.request.variants))
@@ -150,6 +156,7 @@ def run_batch(
     _check_places(jobs, out_dir)
     progress = Progress(total=sum(len(job.runs) for job in jobs))
     rows: list[ManifestRow] = []
+    _check_rules(jobs)
     with _locked(out_dir):
         remove_half_written(out_dir)
         manifest = Manifest(out_dir)
@@ -186,6 +193,18 @@ def run_batch(
         finally:
             remove_half_written(out_dir)
     return sorted(rows, key=lambda row: row.key)
+
+
+def _check_rules(jobs: Sequence[SceneJob]) -> None:
+    """Raise ConfigError where a lane-change rule of the user's own is not found, in the working folder either."""
+    from hid2.policy.rules import user_rule  # only where there is one
+
+    rules = {run.config.lane_change.rule for job in jobs for run in job.runs}
+    names = sorted(rule for rule in rules if ":" in rule)
+    if names and str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))  # processes of the batch get it from here
+    for name in names:
+        user_rule(name)
 
 
 class _Written:
@@ -249,7 +268,7 @@ def reproduce(path: Path, out_dir: Path, *, function: str | None = None) -> tupl
 
 def remove_half_written(out_dir: Path) -> None:
     """Remove the hidden folders in which a process that was ended was writing."""
-    for parent in (out_dir, *(out_dir / split for split in SPLITS)):
+    for parent in (out_dir, *(out_dir / name for name in (*SPLITS, RUNS))):
         if parent.is_dir():
             for entry in parent.iterdir():
                 if entry.is_dir() and _HALF_WRITTEN.fullmatch(entry.name):
@@ -284,7 +303,7 @@ def _tasks(
         wanted = []
         for run in job.runs:
             row = manifest.get(base_row(place, run).key) if options.resume else None
-            if row is not None and _is_complete(row, base_row(place, run), out_dir, source_sha256):
+            if row is not None and _is_complete(row, base_row(place, run), out_dir, source_sha256, options):
                 skip(row)
             else:
                 wanted.append(run)
@@ -307,13 +326,15 @@ def _digest(folder: Path) -> str:
         return ""
 
 
-def _is_complete(row: ManifestRow, base: ManifestRow, out_dir: Path, source_sha256: str) -> bool:
+def _is_complete(row: ManifestRow, base: ManifestRow, out_dir: Path, source_sha256: str, options: Options) -> bool:
+    folder, extra = out_dir / row.folder, _EXTRA_FILES.get(options.function)
     return (
         row.status == DONE
         and source_sha256 != ""
         and (row.version, row.source_sha256) == (base.version, source_sha256)
         and row.output_sha256 != ""
-        and row.output_sha256 == files_sha256(output_files(out_dir / row.folder))
+        and row.output_sha256 == files_sha256(output_files(folder))
+        and (extra is None or any(folder.glob(extra)))
     )
 
 

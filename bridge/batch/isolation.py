@@ -31,6 +31,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import IO, Any, Literal
 
+from bridge.batch.start_up import spare_imports, spare_modules_of_kernels
 from bridge.files import disk_error
 from netconvert.errors import Hid2Error
 
@@ -263,30 +264,6 @@ def resolve(function: str) -> Callable[..., Iterator[Any]]:
     return found
 
 
-class _NoPandas:
-    """Finds that there is no pandas."""
-
-    @staticmethod
-    def find_spec(name: str, path: object = None, target: object = None) -> None:
-        """Errors: ImportError for pandas."""
-        del path, target
-        if name == "pandas":
-            raise ImportError(name)
-
-
-def leave_pandas_out() -> None:
-    """Let pyarrow believe that there is no pandas: with its first array it would import it, which nothing here needs.
-
-    Half a second of every process. pyarrow asks once and remembers.
-    """
-    import pyarrow as pa
-
-    finder: Any = _NoPandas()
-    sys.meta_path.insert(0, finder)
-    pa.array([0])
-    sys.meta_path.remove(finder)
-
-
 class _ToCaller(logging.Handler):
     """Passes messages on to the caller."""
 
@@ -310,7 +287,7 @@ def _log_to(connection: "Connection[Any, Any]", *, debug: bool) -> None:
 
 def serve() -> None:
     """Run in the child: answer calls until the caller goes away."""
-    leave_pandas_out()
+    spare_imports()
     connection: Connection[Any, Any] = Connection(int(sys.argv[1]))
     threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
     _bound_memory(int(sys.argv[2]))
@@ -366,6 +343,7 @@ def _make_kernels_ready() -> None:
         from hid2.kernels.compile import make_ready
 
         make_ready()
+        spare_modules_of_kernels()
 
 
 def describe_error(error: Exception) -> Failure:

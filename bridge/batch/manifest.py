@@ -24,9 +24,8 @@ from typing import NamedTuple
 import bridge
 import hid2
 import netconvert
-from bridge.files import explained, one_line, table_file
-from bridge.recordings.limits import MAX_FILE_MB
-from bridge.recordings.scenario import SPLITS
+from bridge.files import MAX_FILE_MB, explained, one_line, table_file
+from bridge.recordings.folders import SPLITS
 from netconvert.errors import BatchError
 
 MANIFEST_NAME = "manifest.csv"

@@ -17,8 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bridge.batch.isolation import Failure, FailureKind
 from bridge.config import config_from_dict, config_to_dict
-from bridge.files import beside, one_line, printable, read_regular
-from bridge.recordings.limits import MAX_FILE_MB
+from bridge.files import MAX_FILE_MB, beside, one_line, printable, read_regular
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError
 
@@ -26,8 +25,8 @@ from netconvert.errors import BatchError, ConfigError
 OWN_WORK = frozenset(
     {
         "bridge.batch.scene_work:generate_runs",
+        "bridge.batch.scene_work:generate_and_record_gaps",
         "bridge.studies.study_work:measure_runs",
-        "bridge.studies.study_work:measure_and_keep_runs",
     }
 )
 #: Longest time a scene may be given, s.

@@ -80,11 +80,6 @@ class Selection(NamedTuple):
     sample: int | None = None
     seed: int = 0
 
-    @property
-    def needs_facts(self) -> bool:
-        """Whether scenes have to be read before the choice."""
-        return self._replace(seed=0) != Selection()
-
 
 def facts_of(
     folders: Sequence[Path], *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None

@@ -30,6 +30,11 @@ def generate_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | F
     return run_each(place, runs, lambda scene: write(scene, place.out))
 
 
+def generate_and_record_gaps(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+    """The same, with every look at a gap in a file beside each scene."""
+    return run_each(place, runs, lambda scene: write(scene, place.out, record=("gaps",)))
+
+
 def run_each(
     place: Place, runs: Sequence[Run], finish: Callable[[GeneratedScene], Path]
 ) -> Iterator[ManifestRow | Failure]:

@@ -9,9 +9,22 @@ from typer.core import TyperCommand, TyperGroup
 
 #: Order of the commands in the help: that of the work.
 ORDER = (
-    "generate", "validate", "scan", "net", "evaluate", "compose", "forecast", "study", "paper", "render", "plot", "gui",
+    "generate",
+    "validate",
+    "scan",
+    "net",
+    "evaluate",
+    "calibrate",
+    "compose",
+    "forecast",
+    "study",
+    "make",
+    "paper",
+    "render",
+    "plot",
+    "gui",
     "config",
-)  # fmt: skip
+)
 
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])

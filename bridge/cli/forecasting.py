@@ -21,7 +21,7 @@ _SHOWN = 10
 
 
 @command()
-def compose(
+def compose(  # noqa: PLR0913  # one for each option
     sources: Annotated[
         list[str],
         typer.Argument(

@@ -8,8 +8,10 @@ import typer
 from bridge.cli.app import command
 from bridge.cli.options import (
     ALL_DONE,
+    EVENTS,
     INTERRUPTED,
     OUTPUT,
+    PARAMETERS,
     REQUEST,
     RUNNING,
     SOME_FAILED,
@@ -18,11 +20,13 @@ from bridge.cli.options import (
     City,
     ComponentName,
     ConfigFile,
+    EventName,
     FocalName,
     Jobs,
     Memory,
     MinAgents,
     Quiet,
+    RecordName,
     Resume,
     Sample,
     Scheduler,
@@ -41,7 +45,7 @@ _SHOWN_PATHS = 24
 
 
 @command()
-def generate(
+def generate(  # noqa: PLR0913  # one for each option
     *,
     scenes: Annotated[
         list[Path] | None,
@@ -78,6 +82,78 @@ def generate(
             rich_help_panel=REQUEST,
         ),
     ] = None,
+    near: Annotated[
+        str | None,
+        typer.Option(
+            metavar="av|focal|scored|traffic|anywhere|TRACK_ID",
+            help="Where vehicles are inserted: near moving traffic, the recording vehicle, the focal track, scored "
+            "tracks, or a track.",
+            show_default="traffic",
+            rich_help_panel=REQUEST,
+        ),
+    ] = None,
+    within: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="How near that is, in metres.", show_default="30", rich_help_panel=REQUEST),
+    ] = None,
+    event: Annotated[
+        list[EventName],
+        typer.Option(
+            help="An event with a recorded vehicle, searched until it comes about; repeatable.",
+            rich_help_panel=EVENTS,
+            show_default=False,
+        ),
+    ] = [],  # noqa: B006
+    target: Annotated[
+        str | None,
+        typer.Option(metavar="av|focal|any|TRACK_ID", help="Whom with.", show_default="av", rich_help_panel=EVENTS),
+    ] = None,
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="S|S:S",
+            help="When, in seconds: the moment of crossing into the target's lane, or of passing the conflict point.",
+            show_default="2:7",
+            rich_help_panel=EVENTS,
+        ),
+    ] = None,
+    gap: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A:B",
+            help="Bumper to bumper at that moment, in metres.",
+            show_default="4:30, cross 0:100",
+            rich_help_panel=EVENTS,
+        ),
+    ] = None,
+    speed_difference: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A:B",
+            help="Own speed minus the target's at that moment, in m/s.",
+            show_default="-6:6",
+            rich_help_panel=EVENTS,
+        ),
+    ] = None,
+    brakes: Annotated[
+        float | None,
+        typer.Option(metavar="MPS2", help="A leader brakes so hard at that moment, in m/s2.", rich_help_panel=EVENTS),
+    ] = None,
+    criticality: Annotated[
+        list[str],
+        typer.Option(
+            metavar="ttc=A:B|pet=A:B|drac=A:B",
+            help="Only events within this band of TTC or PET in seconds, or DRAC in m/s2; repeatable.",
+            rich_help_panel=EVENTS,
+            show_default=False,
+        ),
+    ] = [],  # noqa: B006
+    count: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="N", help="Events of each kind in a scene.", show_default="1", rich_help_panel=EVENTS
+        ),
+    ] = None,
     variants: Annotated[
         int | None,
         typer.Option(
@@ -108,6 +184,12 @@ def generate(
         list[ComponentName],
         typer.Option(help="Ablation: leave a component out; repeatable.", rich_help_panel=REQUEST, show_default=False),
     ] = [],  # noqa: B006  # typer copies it
+    drivers: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DRIVERS.toml", help="Drivers as `hid2 calibrate` measured them.", rich_help_panel=PARAMETERS
+        ),
+    ] = None,
     config: ConfigFile = None,
     settings: Settings = [],  # noqa: B006
     min_agents: MinAgents = 0,
@@ -133,6 +215,14 @@ def generate(
         Path | None,
         typer.Option(metavar="ROOT", help="With --from: where its recorded scene lies.", rich_help_panel=RUNNING),
     ] = None,
+    record: Annotated[
+        list[RecordName],
+        typer.Option(
+            help="Write more beside each scene; gaps: every look at a gap, gaps_<id>.csv.gz.",
+            rich_help_panel=OUTPUT,
+            show_default=False,
+        ),
+    ] = [],  # noqa: B006
     repro: Annotated[
         Path | None,
         typer.Option(metavar="BUNDLE", help="Run a quarantined scene again, from its bundle.", rich_help_panel=RUNNING),
@@ -161,19 +251,27 @@ def generate(
     check_scenes(scenes)
     check_out(out)
     with Activity(quiet=quiet) as activity:
-        from bridge.config import load_config, parse_behaviours, parse_trigger_time
+        from bridge.config import load_config, parse_behaviours, parse_events, parse_trigger_time, read_drivers
         from bridge.recordings.folders import find_sources
 
         flags: dict[str, object] = {
             "request.agents": None if agents is None else _agents(agents),
             "request.variants": variants,
+            "request.near": near,
+            "request.within_m": within,
             "request.focal": focal,
             "request.seed": seed,
             "request.spawn_leaders": spawn_leaders,
             "without": [str(name) for name in without] or None,
         }
+        flags |= read_drivers(drivers) if drivers is not None else {}
         flags |= parse_behaviours(behaviours) if behaviours is not None else {}
         flags |= parse_trigger_time(trigger_time) if trigger_time is not None else {}
+        event_values = {
+            "target": target, "at": at, "gap": gap, "speed-difference": speed_difference, "brakes": brakes,
+            "count": count,
+        }  # fmt: skip
+        flags |= parse_events([str(kind) for kind in event], event_values, criticality)
         resolved = load_config(config, settings, {key: value for key, value in flags.items() if value is not None})
         activity.doing("looking for scenes")
         folders = find_sources(scenes)
@@ -185,13 +283,14 @@ def generate(
             )
             folders = select_scenes(folders, selection, activity, jobs=jobs)
 
-        from bridge.batch.batch import Options, plan, run_batch
+        from bridge.batch.batch import GENERATE, GENERATE_WITH_GAPS, Options, plan, run_batch
         from bridge.batch.manifest import DONE
         from bridge.cli.batch_display import BatchNotes, batch_rows, print_batch
 
         options = Options(
-            jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume, memory_mb=scene_memory
-        )
+            jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=resume, memory_mb=scene_memory,
+            function=GENERATE_WITH_GAPS if record else GENERATE,
+        )  # fmt: skip
         notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")
         try:

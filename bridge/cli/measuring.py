@@ -1,7 +1,7 @@
 """`hid2 evaluate`, `study` and `paper`: from scenes to figures and tables."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -52,6 +52,13 @@ def evaluate(
         Path | None,
         typer.Option(metavar="DIR", help="The source scenes: before is those of the scenes measured."),
     ] = None,
+    control: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Scenes of the same sources with drivers that the critics must tell, as data/configs has them.",
+        ),
+    ] = None,
     predictions: Annotated[
         list[str],
         typer.Option(
@@ -74,7 +81,7 @@ def evaluate(
 ) -> None:
     """Measure density, diversity, safety, kinematics and realism of any number of scenes, or score forecasts."""
     set_up(verbose=verbose, quiet=quiet)
-    check_scenes([out, *([source] if source else [])])
+    check_scenes([out, *(folder for folder in (source, control) if folder)])
     check_out(report)
     if predictions:
         score = _score if len(predictions) == 1 else _compare
@@ -89,12 +96,57 @@ def evaluate(
             if done == total:
                 activity.doing("writing the report")
 
-        evaluation = evaluate_folder(out, report_dir=report, source=source, jobs=jobs, on_scene=show)
+        evaluation = evaluate_folder(out, report_dir=report, source=source, control=control, jobs=jobs, on_scene=show)
         for folder, reason in evaluation.failures:
             activity.message(unread_text(folder, reason))
     if not quiet:
         print(report / "report.html")
     raise typer.Exit(SOME_FAILED if evaluation.failures else ALL_DONE)
+
+
+@command()
+def calibrate(
+    root: Annotated[
+        Path,
+        typer.Argument(
+            metavar="ROOT", help="Recorded scenes: a scenario folder, a split folder or a root.", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--out", metavar="DRIVERS.toml", help="File to write; tables and a page go beside it.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = Path("drivers.toml"),
+    *,
+    without: Annotated[
+        list[str],
+        typer.Option(
+            metavar="ID", help="Leave a scene out, such as one to generate from; repeatable.", show_default=False
+        ),
+    ] = [],  # noqa: B006
+    jobs: Jobs = 1,
+    verbose: Verbose = 0,
+    quiet: Quiet = False,
+) -> None:  # fmt: skip
+    """Measure how people drive in recorded scenes, for `hid2 generate --drivers`."""
+    set_up(verbose=verbose, quiet=quiet)
+    check_scenes([root])
+    if out.is_dir():
+        raise ConfigError(f"{out}: is a folder, expected a file to write, such as {out / 'drivers.toml'}")
+    check_out(out.parent)
+    with Activity(quiet=quiet) as activity:
+        from bridge.evaluation.calibrate import calibrate_folder
+
+        activity.doing("measuring how people drive")
+        found = calibrate_folder(root, out, without=without, jobs=jobs, on_scene=activity.show)
+        for folder, reason in found.failures:
+            activity.message(unread_text(folder, reason))
+    if not quiet:
+        print(out)
+        print(out.with_name(f"{out.stem}.html"))
+    raise typer.Exit(SOME_FAILED if found.failures else ALL_DONE)
 
 
 @command()
@@ -111,12 +163,6 @@ def study(
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     scene_timeout: Timeout = 300.0,
-    keep_scenes: Annotated[
-        bool,
-        typer.Option(
-            "--keep-scenes", metavar="", help="Keep the generated scenes beside the tables.", rich_help_panel=OUTPUT
-        ),
-    ] = False,
     verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -129,7 +175,8 @@ def study(
     with Activity(quiet=quiet) as activity:
         from bridge.batch.batch import Options
         from bridge.cli.batch_display import BatchNotes
-        from bridge.studies.study import read_study, run_study
+        from bridge.studies.run import run_study
+        from bridge.studies.study import read_study
 
         options = Options(jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=True)
         activity.doing("reading the study and its scenes")
@@ -137,7 +184,7 @@ def study(
         notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")
         try:
-            report = run_study(found, out, options, keep_scenes=keep_scenes, on_row=notes.note)
+            report = run_study(found, out, options, on_row=notes.note)
         except KeyboardInterrupt:
             activity.message("interrupted; the same command continues")
             raise typer.Exit(INTERRUPTED) from None
@@ -148,7 +195,23 @@ def study(
 
 
 @command()
-def paper(
+def make(
+    what: Annotated[Literal["corridor"], typer.Argument(metavar="WHAT", help="corridor: a straight one-way road.")],
+    out: Out,
+    *,
+    length: Annotated[float, typer.Option(metavar="M", help="Length of the road, m.")] = 600.0,
+    lanes: Annotated[int, typer.Option(metavar="N", help="Lanes.")] = 2,
+    seconds: Annotated[float, typer.Option(metavar="S", help="Duration of the recording, s.")] = 180.0,
+) -> None:
+    """Make a synthetic scene for studies; it is no scene of Argoverse, and its id says so."""
+    from bridge.recordings.corridor import write_corridor
+
+    assert what == "corridor"
+    print(write_corridor(out, length_m=length, lanes=lanes, seconds=seconds))
+
+
+@command()
+def paper(  # noqa: PLR0913  # one for each option
     experiment: Annotated[
         ExperimentName,
         typer.Argument(metavar="EXPERIMENT", help="One of table1, ablation, density, diversity, prediction."),

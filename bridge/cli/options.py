@@ -9,13 +9,16 @@ import typer
 ALL_DONE, SOME_FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
 #: Groups of options in the help.
-REQUEST, SELECTION, PARAMETERS, RUNNING, OUTPUT = "What to generate", "Which scenes", "Parameters", "Running", "Output"
+REQUEST, EVENTS, SELECTION = "What to generate", "Events", "Which scenes"
+PARAMETERS, RUNNING, OUTPUT = "Parameters", "Running", "Output"
 PREDICTION = "With prediction"
 
 # Choices, written out because what they mirror is slow to import; tests/cli/test_options.py compares them.
 BehaviourName = StrEnum("BehaviourName", ["STRAIGHT", "LEFT_TURN", "RIGHT_TURN", "LANE_CHANGE", "OVERTAKE"])
+EventName = StrEnum("EventName", ["CUT_IN", "OVERTAKE", "LEAD", "FOLLOW", "MERGE", "CROSS"])
 ComponentName = StrEnum("ComponentName", ["TOPOLOGY", "COLLISION", "SMOOTHING"])
 SplitName = StrEnum("SplitName", ["TRAIN", "VAL", "TEST"])
+RecordName = StrEnum("RecordName", ["GAPS"])
 FocalName = Literal["recorded", "generated"]
 ExperimentName = Literal["table1", "ablation", "density", "diversity", "prediction"]
 ReadingName = Literal["recorded", "generated", "both"]

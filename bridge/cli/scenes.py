@@ -66,7 +66,7 @@ def validate(
 
 
 @command()
-def scan(
+def scan(  # noqa: PLR0913  # one for each option
     scenes: Scenes,
     *,
     out: Annotated[

@@ -21,8 +21,8 @@ def reason_words(reason: str) -> str:
 
 def distribution_figure(counts: RealismCounts) -> Figure:
     """Generated and recorded distribution of every feature as steps over the same bins."""
-    figure, axes = plt.subplots(2, 4, figsize=(13, 5.6), layout="constrained")
-    for ax, feature in zip(axes.flat, FEATURES, strict=True):
+    figure, axes = plt.subplots(3, 4, figsize=(13, 8.4), layout="constrained")
+    for ax, feature in zip(axes.flat, FEATURES, strict=False):
         edges = np.linspace(feature.low, feature.high, feature.bins + 1)
         for name, data, color, line in (
             ("recorded", counts.recorded, figures.DARK_GREY, "-"),
@@ -34,6 +34,8 @@ def distribution_figure(counts: RealismCounts) -> Figure:
         ax.set_xlabel(f"{feature.label}, {feature.unit}")
         ax.set_ylabel("share")
         ax.set_ylim(bottom=0)
+    for ax in axes.flat[len(FEATURES) :]:
+        ax.set_axis_off()
     axes.flat[0].legend(fontsize=8)
     return figure
 

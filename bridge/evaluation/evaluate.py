@@ -41,6 +41,7 @@ def evaluate_folder(
     *,
     report_dir: Path,
     source: Path | None = None,
+    control: Path | None = None,
     jobs: int = 1,
     on_scene: Callable[[int, int], None] | None = None,
 ) -> Evaluation:
@@ -49,6 +50,7 @@ def evaluate_folder(
     Writes metrics.json, scenes.csv, tracks.csv, maneuvers.csv, realism.csv and report.html. "Before" is the source
     scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded vehicles beside them,
     else the recorded tracks of the first scene made from each. A scene that cannot be read is listed and left out.
+    control: scenes made from the same sources with drivers that the critics must tell, such as SUMO's default ones.
     on_scene(done, total) is called as scenes are done.
     Errors: ScenarioError where there is no scene; ExportError where the report cannot be written.
     """
@@ -57,16 +59,20 @@ def evaluate_folder(
     # by map, so that each is read once, and large ones first: what a process needs at most it needs from the start
     folders = sorted(find_scenarios(out), key=_map_size, reverse=True)
     sources = _sources_of(folders, source) if source is not None else {}
+    controls = sorted(find_scenarios(control), key=_map_size, reverse=True) if control is not None else []
+    known = len(folders) + len(sources)
     evaluation = Evaluation(Totals(sources))
     totals = evaluation.totals
     try:
         with contextlib.ExitStack() as stack:
             tables = [stack.enter_context(_table(report_dir / f"{name}.csv")) for name in _BY_SCENE]
             for done, (folder, measures) in enumerate(
-                _measured([*folders, *sources.values()], _labelled(sources), jobs=jobs), 1
+                _measured([*folders, *sources.values(), *controls], _labelled(sources), jobs=jobs), 1
             ):
                 if isinstance(measures, Failure):
                     evaluation.failures.append((folder, measures.message))
+                elif done > known:
+                    totals.add_control(measures)
                 elif done > len(folders):
                     totals.add_source(measures.scene)
                 else:
@@ -76,7 +82,7 @@ def evaluate_folder(
                     ):
                         table.write(rows)
                 if on_scene is not None:
-                    on_scene(done, len(folders) + len(sources))
+                    on_scene(done, known + len(controls))
         evaluation.metrics = _metrics(evaluation)
         _write_tables(evaluation.metrics, report_dir)
         write_report(evaluation, report_dir / "report.html")
@@ -164,6 +170,12 @@ class _Table:
             self._writer.writerow({key: _cell(value) for key, value in row.items()})
 
 
+def write_table(path: Path, rows: Iterable[Row]) -> None:
+    """Rows as a CSV file. Errors: OSError."""
+    with _table(path) as table:
+        table.write(rows)
+
+
 def _cell(value: object) -> object:
     if isinstance(value, float):
         return f"{value:.6g}"
@@ -175,8 +187,7 @@ def _cell(value: object) -> object:
 def _write_tables(metrics: Mapping[str, Any], report_dir: Path) -> None:
     text = json.dumps(metrics, indent=1, allow_nan=False)
     write_text(report_dir / "metrics.json", text + "\n")
-    with _table(report_dir / "realism.csv") as table:
-        table.write(metrics["realism"]["distances"])
+    write_table(report_dir / "realism.csv", metrics["realism"]["distances"])
 
 
 def _metrics(evaluation: Evaluation) -> dict[str, Any]:

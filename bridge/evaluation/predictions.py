@@ -213,12 +213,6 @@ def write_forecasts(forecasts: Forecasts, path: Path) -> Path:
     return path
 
 
-def write_baseline(out: Path, path: Path, *, kind: Baseline) -> Path:
-    """Write a baseline's forecasts of the focal tracks below `out` as a submission file. Errors: as above."""
-    scenes = (read_rows(folder) for folder in find_scenarios(out))
-    return write_forecasts({rows.scenario_id: baseline(rows, kind) for rows in scenes}, path)
-
-
 def baseline(scene: Scenario | Rows, kind: Baseline) -> Forecast:
     """Probabilities (6,) and modes (6, 60, 2) m of the focal track, from what is observed of it."""
     track = next(track for track in scene.tracks if track.track_id == scene.focal_track_id)

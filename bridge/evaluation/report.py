@@ -88,6 +88,12 @@ _TERMS = (
         "mean distance by which the values of one sample would have to be shifted to become the other.",
     ),
     Term(
+        "auc",
+        "AUC",
+        "how often a critic ranks an inserted window above a recorded one: 0.5 by guessing, 1 always; below 0.5 it "
+        "learned on the other scenes what does not hold on these.",
+    ),
+    Term(
         "overtake",
         "overtake, pass, obstacle avoidance",
         "driving past a slower vehicle by the lane beside it and back; the same without coming back; past one that "
@@ -124,7 +130,8 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
     metrics = evaluation.metrics
     sections = [
         Section("glance", "At a glance: are the generated vehicles safe?", _glance(metrics)),
-        Section("encounters", "Encounters and safety", _encounters(metrics)),
+        Section("safety", "Safety", _safety(metrics)),
+        Section("encounters", "Encounters", _encounters(metrics)),
         Section("realism", "Realism", _realism(evaluation)),
         Section("example", "One of the scenes", _example(evaluation)),
         Section("motion", "Motion", _kinematics(metrics)),
@@ -189,7 +196,7 @@ def _name(key: str, entry: Mapping[str, Any]) -> str:
 
 def _described(metrics: Mapping[str, Any]) -> list[dict[str, str]]:
     """Key, label and sentence of every metric that has a sentence."""
-    tables = [metrics["safety"], *metrics["kinematics"].values()]
+    tables = [metrics["safety"], metrics["encounters"], *metrics["kinematics"].values()]
     return [
         {"key": key, "label": entry["label"], "sentence": entry["sentence"]}
         for part in tables
@@ -276,6 +283,16 @@ def _busiest(agents: Sequence[AgentRecord]) -> AgentRecord | None:
 
 
 def _encounters(metrics: Mapping[str, Any]) -> str:
+    """What inserted vehicles meet, beside what recorded ones meet among themselves."""
+    rows = [
+        (_name(key, entry), *(with_interval(entry[group]) for group in ("original", "generated")))
+        for key, entry in metrics["encounters"].items()
+    ]
+    head = ("share of vehicles that …", _GROUP_NAMES["original"], _GROUP_NAMES["generated"])
+    return _section("encounters", metrics["scenes"], table(head, rows))
+
+
+def _safety(metrics: Mapping[str, Any]) -> str:
     safety = metrics["safety"]
     rows = [
         (_name(key, entry), *(with_interval(entry[group], 4) for group in _GROUP_NAMES), *_paper(key))
@@ -295,7 +312,7 @@ def _encounters(metrics: Mapping[str, Any]) -> str:
     ]
     head = ("share of …", *_GROUP_NAMES.values(), "paper: recorded", "paper: combined")
     kinds = ("vehicles, IoU &gt; 0.02", "any type, IoU &gt; 0.02", "any contact", "crossing paths", "PET &lt; 1 s")
-    return _section("encounters", metrics["scenes"], table(head, rows), table(("pairs", *kinds), pair_rows))
+    return _section("safety", metrics["scenes"], table(head, rows), table(("pairs", *kinds), pair_rows))
 
 
 def _paper(key: str) -> tuple[str, str]:
@@ -324,6 +341,18 @@ def _kinematics(metrics: Mapping[str, Any]) -> str:
     return _section("motion", metrics["scenes"], table(head, rows), limited)
 
 
+#: How the critics and what they are shown are named in the report.
+_CRITIC_NAMES = {
+    "logistic": "a straight-line rule (logistic regression)",
+    "trees": "gradient-boosted trees",
+    "temporal": "one that sees the course of the four seconds (random convolutions)",
+}
+_VIEW_NAMES = {"speed": "speed alone", "lateral": "place in the lane alone", "all": "everything"}
+_RECORDINGS = {"all": "all scenes", "tracker": "recorded by a tracker", "labelled": "labelled by people"}
+#: A constant-speed vehicle has to be found out so often, SUMO's default drivers so often, for the critics to count.
+_CONSTANT_FOUND, _DEFAULTS_FOUND = 0.90, 0.75
+
+
 def _realism(evaluation: Evaluation) -> str:
     realism = evaluation.metrics["realism"]
     if not evaluation.totals.realism.generated["speed"].sum():
@@ -348,8 +377,110 @@ def _realism(evaluation: Evaluation) -> str:
     )  # fmt: skip
     caption = "Distributions behind the table; end bins hold what lies beyond."
     shown = picture(distribution_figure(evaluation.totals.realism), caption, _furthest(realism["distances"], names))
-    aucs = (number(realism[key], 2) for key in ("classifier_auc_driving", "classifier_auc"))
-    return _section("realism", evaluation.metrics["scenes"], table(head, rows), shown, *aucs)
+    critics = realism["critics"]
+    plain = plain_words(critics, realism["tails"])
+    return _section(
+        "realism", evaluation.metrics["scenes"], plain, _critics_table(critics), _tails_table(realism["tails"], names),
+        table(head, rows), shown,
+    )  # fmt: skip
+
+
+def _of_100(auc: float) -> int:
+    return round(100 * auc)
+
+
+def plain_words(critics: Mapping[str, Any], tails: Sequence[Mapping[str, Any]]) -> list[str]:
+    """How close the driving is, in sentences that need no statistics."""
+    verdicts = [v for v in critics["verdicts"] if v["recordings"] == "all" and v["view"] == "all"]
+    if not verdicts:
+        return ["There are too few scenes to say how close the driving is: at least two recorded ones are needed."]
+    best = max(verdicts, key=lambda v: v["auc"])
+    spread = (
+        f" (between {_of_100(best['low'])} and {_of_100(best['high'])}, depending on which scenes are looked at)"
+        if best["low"] is not None
+        else ""
+    )
+    task = (
+        "Take one recorded and one inserted vehicle in the same kind of traffic, each for four seconds. A program is "
+        "trained to say which of the two is the inserted one. By guessing it is right 50 times of 100. The best of "
+    )
+    words = [f"{task}ours is right {_of_100(best['auc'])} times of 100{spread}."]
+    recorded = [v for v in critics["negative_control"] if v["critic"] == best["critic"] and v["view"] == "all"]
+    constant = [v for v in critics["constant_speed_control"] if v["view"] == "all"]
+    if recorded:
+        words.append(
+            "For comparison: between two halves of the recorded vehicles, which differ by nothing but chance, it is "
+            f"right {_of_100(recorded[0]['auc'])} times of 100."
+        )
+    if constant:
+        found = max(v["auc"] for v in constant)
+        verdict = "so it is able to see a difference" if found >= _CONSTANT_FOUND else "so it is easily fooled"
+        words.append(
+            "Vehicles that keep one speed on the very middle of the lane, as nobody drives, it finds out "
+            f"{_of_100(found)} times of 100: {verdict}."
+        )
+    if critics["drivers_control"]:
+        found = max(v["auc"] for v in critics["drivers_control"] if v["view"] == "all")
+        verdict = "" if found >= _DEFAULTS_FOUND else ", fewer than critics of worth would"
+        words.append(f"The drivers given as a control are found out {_of_100(found)} times of 100{verdict}.")
+    told = [b for b in critics["betrays"] if abs(b["auc"] - 0.5) >= _TELLING][:3]
+    if told:
+        listed = "; ".join(
+            f"{b['feature']} (inserted vehicles have {'more' if b['auc'] > 0.5 else 'less'} of it)" for b in told
+        )
+        words.append(f"What gives inserted vehicles away most: {listed}.")
+    else:
+        words.append("No single quantity gives inserted vehicles away.")
+    return words + _tails_in_words(tails)
+
+
+#: A single quantity tells from here on: 58 of 100.
+_TELLING = 0.08
+#: Tails of the generated vehicles count as different from here on, ratio.
+_APART = 1.5
+_CAUTIOUS = {
+    "time_gap": ("Those who follow closest (the lowest 5 of 100) keep", "s behind the vehicle ahead"),
+    "ttc": ("The tightest 5 of 100 moments of closing in leave", "s to a contact"),
+}
+
+
+def _tails_in_words(tails: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Whether inserted vehicles are too cautious or too bold, in sentences."""
+    words = []
+    for item in tails:
+        if item["feature"] not in _CAUTIOUS or item["generated"] is None or item["recorded"] is None:
+            continue
+        row = item["shares"].index(0.05)
+        ours, theirs = item["generated"][row], item["recorded"][row]
+        begin, unit = _CAUTIOUS[item["feature"]]
+        ratio = ours / max(theirs, 1e-6)
+        verdict = "much the same" if 1 / _APART < ratio < _APART else "too cautious" if ratio > 1 else "too bold"
+        words.append(f"{begin} {ours:.1f} {unit} when inserted and {theirs:.1f} when recorded: {verdict}.")
+    return words
+
+
+def _critics_table(critics: Mapping[str, Any]) -> Markup:
+    def row(first: str, v: Mapping[str, Any]) -> tuple[str, ...]:
+        found = {"value": v["auc"], "low": v["low"], "high": v["high"]}
+        counts = (f"{v['generated']:,}", f"{v['recorded']:,}", str(v["scenes"])) if "scenes" in v else ("", "", "")
+        return (f"{first}{_CRITIC_NAMES[v['critic']]}, {_VIEW_NAMES[v['view']]}", with_interval(found, 2), *counts)
+
+    rows = [row(f"{_RECORDINGS[v['recordings']]}: ", v) for v in critics["verdicts"]]
+    rows += [row("recorded against recorded: ", v) for v in critics["negative_control"]]
+    rows += [row("constant speed on the lane’s middle: ", v) for v in critics["constant_speed_control"]]
+    rows += [row("drivers of the control: ", v) for v in critics["drivers_control"]]
+    return table(("told apart", "AUC", "generated windows", "recorded windows", "scenes"), rows)
+
+
+def _tails_table(tails: Sequence[Mapping[str, Any]], names: Mapping[str, Any]) -> Markup:
+    shares = tails[0]["shares"] if tails else []
+    rows = [
+        (f"{names[item['feature']].label}, {item['unit']}, {who}", *(number(value, 2) for value in item[key]))
+        for item in tails
+        for key, who in (("recorded", "recorded"), ("generated", "generated"))
+        if item[key] is not None
+    ]
+    return table(("quantile", *(f"{share:.0%}" for share in shares)), rows)
 
 
 def _furthest(distances: Sequence[Mapping[str, Any]], names: Mapping[str, Any]) -> str:

@@ -1,29 +1,29 @@
-"""Vehicles for the classifier test: all of them, or a fair sample of fixed size where there are more."""
+"""Windows of driving for the critics: all of them, or a fair sample of fixed size where there are more."""
 
 import hashlib
 
 import numpy as np
 
 from hid2.agents import FloatArray
-from hid2.evaluation.realism import DRIVING_FEATURES, MOTION_FEATURES, classifier_test
+from hid2.evaluation.critics import WIDTH, Packed
 from hid2.measures.arrays import BoolArray
 
-#: Most generated, and most recorded, vehicles that the test looks at.
-MOST_OF_A_KIND = 5000
-#: Vehicles that are collected before those that are too much are dropped.
+#: Most generated, and most recorded, windows that the critics look at.
+MOST_OF_A_KIND = 4000
+#: Windows that are collected before those that are too much are dropped.
 _BATCH = 1000
 
 
 class Samples:
-    """The vehicles with the smallest hashes, up to `most` generated and `most` recorded ones.
+    """The windows with the smallest hashes, up to `most` generated and `most` recorded ones.
 
-    A vehicle's hash is drawn from the name of its scene, so that which ones are kept does not depend on the order of
+    A window's hash is drawn from the name of its scene, so that which ones are kept does not depend on the order of
     the scenes, and the memory not on their number.
     """
 
     def __init__(self, *, most: int = MOST_OF_A_KIND) -> None:
         self._most = most
-        self._vectors: FloatArray = np.empty((0, len(DRIVING_FEATURES) + len(MOTION_FEATURES)))
+        self._rows: FloatArray = np.empty((0, WIDTH))
         self._generated: BoolArray = np.empty(0, dtype=bool)
         self._hashes: FloatArray = np.empty(0)
         self._sources: list[str] = []
@@ -32,34 +32,45 @@ class Samples:
     def __len__(self) -> int:
         return len(self._sources)
 
-    @property
-    def vectors(self) -> FloatArray:
-        """(M, K) what `test` looks at, as of the last time that samples were joined."""
-        return self._vectors
-
-    def add(self, vectors: FloatArray, generated: BoolArray, *, scene: str, source: str) -> None:
-        """Offer vehicles of a scene: vectors (M, K), generated (M,). `source`: the scene that it was made from."""
+    def add(self, rows: FloatArray, generated: BoolArray, *, scene: str, source: str) -> None:
+        """Offer windows of a scene: rows (M, WIDTH), generated (M,). `source`: the scene that it was made from."""
         seed = hashlib.blake2b(scene.encode(), digest_size=8).digest()
-        hashes = np.random.default_rng(int.from_bytes(seed)).random(len(vectors))
-        self._waiting.append((vectors, generated, hashes))
-        self._sources += [source] * len(vectors)
-        if len(self._sources) > len(self._vectors) + _BATCH:
+        hashes = np.random.default_rng(int.from_bytes(seed)).random(len(rows))
+        self._waiting.append((rows, generated, hashes))
+        self._sources += [source] * len(rows)
+        if len(self._sources) > len(self._rows) + _BATCH:
             self._keep()
 
-    def test(self, columns: int | None = None) -> float | None:
-        """AUC of a classifier on the first `columns` features (None: all); None where there is nothing to tell."""
+    def packed(self) -> Packed:
+        """The windows kept; scenes are numbered in the order of their sources' names."""
         self._keep()
-        return classifier_test(self._vectors[:, :columns], self._generated, self._sources)
+        # by source and content, so that the order in which scenes came does not matter
+        order = sorted(range(len(self._sources)), key=lambda k: (self._sources[k], self._hashes[k]))
+        number = {name: k for k, name in enumerate(sorted(set(self._sources)))}
+        scene = np.array([number[self._sources[k]] for k in order], dtype=np.int64)
+        return Packed(self._rows[order], self._generated[order], scene)
+
+    def joined(self, other: "Samples") -> Packed:
+        """Recorded windows of this one with the generated ones of another: what a control is judged on."""
+        both = Samples(most=self._most)
+        for samples, kind in ((self, False), (other, True)):
+            samples._keep()  # of the same class
+            chosen = np.flatnonzero(samples._generated == kind)
+            both._waiting.append((samples._rows[chosen], samples._generated[chosen], samples._hashes[chosen]))
+            both._sources += [samples._sources[k] for k in chosen]
+        return both.packed()
 
     def _keep(self) -> None:
         """Join what came in, and drop what is too much."""
-        vectors = np.concatenate([self._vectors, *(each[0] for each in self._waiting)])
+        if not self._waiting:
+            return
+        rows = np.concatenate([self._rows, *(each[0] for each in self._waiting)])
         generated = np.concatenate([self._generated, *(each[1] for each in self._waiting)])
         hashes = np.concatenate([self._hashes, *(each[2] for each in self._waiting)])
         kept = np.zeros(len(hashes), dtype=bool)
         for kind in (True, False):
             members = np.flatnonzero(generated == kind)
             kept[members[np.argsort(hashes[members], kind="stable")[: self._most]]] = True
-        self._vectors, self._generated, self._hashes = vectors[kept], generated[kept], hashes[kept]
+        self._rows, self._generated, self._hashes = rows[kept], generated[kept], hashes[kept]
         self._sources = [self._sources[k] for k in np.flatnonzero(kept)]
         self._waiting = []

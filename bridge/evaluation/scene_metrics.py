@@ -22,18 +22,14 @@ from bridge.recordings.scenario import (
 from bridge.recordings.sidecar import ManeuverRecord, Sidecar, sidecar_in
 from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
+from hid2.evaluation.critics import pack
 from hid2.evaluation.kinematics import Kinematics, Motion, beyond_limits, kinematics, motion
 from hid2.evaluation.metrics import CRITICAL, GROUPS, Group, last_step_counts, measure_group
-from hid2.evaluation.realism import (
-    DRIVING_FEATURES,
-    MOTION_FEATURES,
-    RealismCounts,
-    count_scene,
-    row_features,
-    track_features,
-)
+from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
 from hid2.evaluation.safety import IOU_THRESHOLD, PreparedMap, Safety, prepare_map, safety
+from hid2.evaluation.windows import is_labelled, windows
 from hid2.measures.arrays import BoolArray, SceneArrays, stack
+from hid2.measures.encounters import encounters
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.scene_end import Contact, contacts_after_last_step
 from hid2.params import Limits
@@ -52,7 +48,7 @@ Labelled = Mapping[str, Mapping[str, BoxSize]]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SceneMeasures:
-    """What evaluation keeps of a scene. samples (M, K), sample_generated (M,): vectors for the classifier test."""
+    """What evaluation keeps of a scene. samples (M, WIDTH), sample_generated (M,): windows for the critics."""
 
     scene: Row
     tracks: list[Row]
@@ -152,6 +148,7 @@ def measure(
     everybody = np.ones(arrays.num_agents, dtype=bool)
     kinematic = kinematics(arrays, moved)
     beyond = beyond_limits(arrays, moved, limits)
+    met = encounters(arrays, safe.lanes, safe.matches, safe.leaders)
     groups = {}
     # whom a group's vehicles may touch: what was added any road user, what was recorded what was recorded
     for name, members, others in (
@@ -169,6 +166,7 @@ def measure(
             end_contacts=contacts_after_last_step(
                 arrays, members & last_step_counts(arrays), horizon_s=CRITICAL.end_horizon_s, among=others
             ),
+            met=met,
         )
     view = _View(
         arrays,
@@ -197,18 +195,17 @@ def measure(
         if maneuver.kind is ManeuverKind.LANE_CHANGE and maneuver.complete:
             durations.setdefault(maneuver.track_id, []).append(maneuver.duration_s)
     generated, recorded = vehicles & arrays.generated, vehicles & ~arrays.generated & ~arrays.fragment
-    compared = np.flatnonzero(generated | recorded)
+    driving = windows(arrays, safe, generated | recorded)
+    halves = np.array([half_number(source, arrays.track_ids[a]) for a in driving.agent], dtype=np.int64)
     return SceneMeasures(
         scene=scene,
         tracks=_track_rows(view, policy_of, sidecar),
         maneuvers=_maneuver_rows(view, sidecar),
         realism=count_scene(
-            source, arrays, row_features(arrays, moved, safe), durations, generated=generated, recorded=recorded
+            source, arrays, scene_values(arrays, safe, driving, durations), generated=generated, recorded=recorded
         ),
-        samples=np.array([track_features(arrays, moved, safe, int(a)) for a in compared]).reshape(
-            len(compared), len(DRIVING_FEATURES) + len(MOTION_FEATURES)
-        ),
-        sample_generated=generated[compared],
+        samples=pack(driving, halves, labelled=is_labelled(arrays)),
+        sample_generated=arrays.generated[driving.agent],
     )
 
 

@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bridge.evaluation.aggregate import SourceSums, table
+from bridge.evaluation.critique import critique
 from bridge.evaluation.diversity import Diversity
 from bridge.evaluation.samples import Samples
 from bridge.evaluation.scene_metrics import SceneMeasures
 from hid2.evaluation.metrics import Section, metrics_in
-from hid2.evaluation.realism import DRIVING_FEATURES, RealismCounts
+from hid2.evaluation.realism import FEATURES, TAIL_SHARES, TAILS, RealismCounts, quantiles
 
 #: Nets of at most this many different maps are measured.
 MOST_NETS = 20
@@ -113,6 +114,7 @@ class Totals:
         self.realism = RealismCounts()
         self.maneuvers = ManeuverCounts()
         self.samples = Samples()
+        self.control: Samples | None = None
         self.example: Example | None = None
         self._sources = NameSet()
         self._nets: dict[str, str] = {}
@@ -148,6 +150,17 @@ class Totals:
         """Take the row of a source scene in: what there was before."""
         self.diversity.add_source(row)
 
+    def add_control(self, measures: SceneMeasures) -> None:
+        """Take a scene of the control's drivers in: of it only what the critics look at counts."""
+        self.control = self.control or Samples()
+        mine = measures.sample_generated
+        self.control.add(
+            measures.samples[mine],
+            mine[mine],
+            scene=measures.scene["scenario_id"],
+            source=str(measures.scene["source"]),
+        )
+
     def net_folders(self) -> dict[str, str]:
         """Scene folder of each of the first source scenes by name."""
         return {source: self._nets[source] for source in sorted(self._nets)}
@@ -169,11 +182,14 @@ class Totals:
             },
             "safety": table(self.sums, metrics_in(Section.SAFETY))
             | {"pairs": {kind: {g: counts[f"{kind}_{g}"] for g in PAIR_GROUPS} for kind in PAIR_KINDS}},
+            "encounters": table(self.sums, metrics_in(Section.ENCOUNTERS)),
             "diversity": self.diversity.content(),
             "realism": {
                 "distances": _distances(self.realism),
-                "classifier_auc": self.samples.test(),
-                "classifier_auc_driving": self.samples.test(len(DRIVING_FEATURES)),
+                "tails": _tails(self.realism),
+                "critics": critique(
+                    self.samples.packed(), self.samples.joined(self.control) if self.control is not None else None
+                ),
             },
             "requests": {
                 "requested": counts["requested"],
@@ -231,6 +247,21 @@ def _distances(realism: RealismCounts) -> list[dict[str, Any]]:
             "recorded_samples": d.recorded,
         }
         for d in realism.distances()
+    ]
+
+
+def _tails(realism: RealismCounts) -> list[dict[str, Any]]:
+    """Quantiles of generated and recorded vehicles side by side."""
+    return [
+        {
+            "feature": feature.name,
+            "unit": feature.unit,
+            "shares": list(TAIL_SHARES),
+            "generated": quantiles(feature, realism.generated[feature.name]),
+            "recorded": quantiles(feature, realism.recorded[feature.name]),
+        }
+        for feature in FEATURES
+        if feature.name in TAILS
     ]
 
 

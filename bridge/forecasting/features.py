@@ -90,18 +90,26 @@ def targets_of(scenario: Scenario, params: Forecasting) -> list[Target]:
         history[row, steps] = np.column_stack(
             [track.position[seen], np.cos(heading), np.sin(heading), track.velocity[seen]]
         )
-    lanes, kinds = _lanes(scenario, params.lane_points)
+    lanes, lane_kinds = _lanes(scenario, params.lane_points)
+    seen = _Seen(history, present, lanes, lane_kinds)
     return [
-        _target(scenario, row, history, present, lanes, kinds, params)
+        _target(scenario, row, seen, params)
         for row, track in enumerate(scenario.tracks)
         if track.category >= _SCORED_CATEGORY and present[row, LAST_OBSERVED]
     ]
 
 
-def _target(
-    scenario: Scenario, row: int, history: FloatArray, present: npt.NDArray[np.bool_], lanes: FloatArray,
-    lane_kinds: FloatArray, params: Forecasting,
-) -> Target:  # fmt: skip
+class _Seen(NamedTuple):
+    """What all targets of a scene see, in the city: agents (N, 50, 6) where present (N, 50), and `_lanes`."""
+
+    history: FloatArray
+    present: npt.NDArray[np.bool_]
+    lanes: FloatArray
+    lane_kinds: FloatArray
+
+
+def _target(scenario: Scenario, row: int, around: _Seen, params: Forecasting) -> Target:
+    history, present, lanes, lane_kinds = around
     track = scenario.tracks[row]
     last = history[row, LAST_OBSERVED]
     origin, heading = last[:2], float(np.arctan2(last[3], last[2]))

@@ -4,15 +4,16 @@ import logging
 import tempfile
 import zlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
-from bridge.config import config_sha256
-from bridge.generation.records import agent_record, rejected_records, replaced_record, with_unmet
+from bridge.config import check_no_flow, config_sha256
+from bridge.generation.gaps import gaps_bytes
+from bridge.generation.records import agent_record, event_record, rejected_records, replaced_record, with_unmet
 from bridge.recordings.export import new_scenario_id, write_scene
 from bridge.recordings.scenario import LAST_OBSERVED, Scenario
 from bridge.recordings.sidecar import (
@@ -26,6 +27,8 @@ from bridge.sumo.driving import Driving
 from bridge.sumo.replay import ReplayErrors
 from bridge.sumo.simulation import Simulation
 from hid2.agents import IntArray, Policy, Track
+from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.events import EventSearch
 from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -44,7 +47,8 @@ _LOG = logging.getLogger(__name__)
 class GeneratedScene:
     """A recorded scene with generated vehicles in it, before it is written.
 
-    generated: tracks gen_0, gen_1, ...; vehicles: their paths and motion, in the same order.
+    generated: tracks gen_0, gen_1, ...; vehicles: their paths and motion, in the same order; driven: round and vehicle
+    of all that were tried.
     """
 
     scenario: Scenario
@@ -53,6 +57,7 @@ class GeneratedScene:
     focal_track_id: str
     new_id: str
     vehicles: tuple[ExportedVehicle, ...]
+    driven: tuple[tuple[int, DrivenVehicle], ...]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -73,9 +78,10 @@ def prepare(scenario: Scenario, config: Config) -> PreparedScene:
 def generate(source: Scenario | PreparedScene, config: Config, *, variant: int = 0) -> GeneratedScene:
     """Insert vehicles into a recorded scene as `config` asks; nothing is written.
 
-    Same scenario, configuration and variant: the same result. Errors: MapError, NetError, SimulationError,
+    Same scenario, configuration and variant: the same result. Errors: MapError, NetError, SimulationError, ConfigError,
     ScenarioError where a generated focal track was asked for and no vehicle lives through the scene.
     """
+    check_no_flow(config)
     prepared = source if isinstance(source, PreparedScene) else prepare(source, config)
     scenario = prepared.scenario
     new_id = new_scenario_id(scenario.scenario_id, config, config.request.seed, variant)
@@ -90,10 +96,13 @@ def generate(source: Scenario | PreparedScene, config: Config, *, variant: int =
         net = Path(folder) / "scene.net.xml"
         net.write_bytes(prepared.net)
         with Simulation(
-            net, seed=_sumo_seed(seed), step_s=DT_S, model=config.car_following.model,
-            parameters=_model_parameters(config),
+            net, seed=sumo_seed(seed), step_s=DT_S, model=config.car_following.model,
+            parameters=model_parameters(config),
         ) as simulation:  # fmt: skip
             rounds = _Rounds(scene, simulation, filling)
+            search = EventSearch(scene, filling.roads, filling.routes, filling.stop_lines, seed)
+            events = search.run(rounds.drive_alone)
+            filling.take_events(events)
             filling.fill(rounds.drive)
             sumo_version = simulation.version()
     vehicles = sorted(filling.kept, key=lambda one: one.driven.start.request.number)
@@ -105,21 +114,26 @@ def generate(source: Scenario | PreparedScene, config: Config, *, variant: int =
     sidecar = _sidecar(prepared, scene, filling, vehicles, rounds.errors, variant=variant, sumo_version=sumo_version)
     return GeneratedScene(
         scenario=scenario, generated=tuple(tracks), sidecar=sidecar, focal_track_id=focal, new_id=new_id,
-        vehicles=tuple(vehicles),
+        vehicles=tuple(vehicles), driven=tuple(rounds.driven),
     )  # fmt: skip
 
 
-def _sumo_seed(seed: Sequence[int]) -> int:
+def sumo_seed(seed: Sequence[int]) -> int:
     """SUMO's seed from seed, variant and scene; rounds go on in its stream of random numbers."""
     return zlib.crc32(repr(list(seed)).encode()) & 0x7FFFFFFF
 
 
-def _model_parameters(config: Config) -> dict[str, float]:
+def model_parameters(config: Config) -> dict[str, float]:
     """Attributes of SUMO's vehicle type that its vehicles share."""
-    if config.car_following.model != "EIDM":
-        return {}
-    law = config.drivers
-    return {"sigmaerror": law.error, "jerkmax": config.car_following.jerk_mps3, "treaction": law.reaction_s}
+    found: dict[str, float] = {}
+    if config.car_following.model == "EIDM":
+        law = config.drivers
+        found = {"sigmaerror": law.error, "jerkmax": config.car_following.jerk_mps3, "treaction": law.reaction_s}
+    if config.lane_change.rule == "LC2013":
+        change = config.lane_change
+        found |= {"lcStrategic": change.lc_strategic, "lcCooperative": change.lc_cooperative}
+        found["lcSpeedGain"] = change.lc_speed_gain
+    return found
 
 
 #: Recorded agents farther than this from a way all the time need no replay in later rounds; how finely that is told.
@@ -132,6 +146,7 @@ class _Rounds:
     def __init__(self, scene: Scene, simulation: Simulation, filling: Filling) -> None:
         self._scene, self._simulation, self._filling = scene, simulation, filling
         self.errors = ReplayErrors()
+        self.driven: list[tuple[int, DrivenVehicle]] = []
 
     def _near(self, starts: Sequence[Start]) -> IntArray:
         """Rows of the recorded agents that ever come near to a way, on its lanes or those beside."""
@@ -147,6 +162,13 @@ class _Rounds:
             near[left] = np.any(present[left] & (apart < _NEAR_M * _NEAR_M), axis=1)
         return np.flatnonzero(near)
 
+    def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, fixed: Traffic) -> DrivenVehicle:
+        """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
+        return Driving(
+            scene, self._simulation, [start], fixed, self._filling.roads, stop_lines, rows=self._near([start]),
+            checked=False,
+        ).run()[0]  # fmt: skip
+
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
         """One simulation. The first one replays every recorded agent and compares; later ones those on the grid."""
         rows = None if number == 0 else self._near(starts)
@@ -155,13 +177,18 @@ class _Rounds:
             rows=rows, checked=number == 0,
         )  # fmt: skip
         vehicles = driving.run()
+        self.driven += [(number, vehicle) for vehicle in vehicles]
         if number == 0:
             self.errors = driving.replay_errors
         return vehicles
 
 
-def write(scene: GeneratedScene, out_dir: Path) -> Path:
-    """Write a generated scene; returns its folder. Errors: ExportError."""
+def write(scene: GeneratedScene, out_dir: Path, *, record: Collection[str] = ()) -> Path:
+    """Write a generated scene; returns its folder. record: `gaps`, beside it. Errors: ExportError."""
+    extra: dict[str, bytes] = {}
+    if "gaps" in record:
+        names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(scene.vehicles)}
+        extra[f"gaps_{scene.new_id}.csv.gz"] = gaps_bytes(scene.driven, names)
     return write_scene(
         scene.scenario,
         scene.generated,
@@ -169,6 +196,7 @@ def write(scene: GeneratedScene, out_dir: Path) -> Path:
         out_dir,
         new_id=scene.new_id,
         focal_track_id=scene.focal_track_id,
+        extra=extra,
     )
 
 
@@ -242,6 +270,7 @@ def _sidecar(
         requested=RequestedRecord(agents=config.request.agents, behaviours=config.request.behaviours),
         placed=PlacedRecord(agents=len(agents), behaviours={p: placed[p] for p in Policy if placed[p]}),
         agents=tuple(agents),
+        events=tuple(event_record(one, names) for one in filling.events),
         rejected=rejected_records(filling),
         replaced=tuple(replaced_record(one) for one in filling.rejected),
     )  # fmt: skip

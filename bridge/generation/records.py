@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from bridge.recordings.sidecar import (
     AgentRecord,
     DriverRecord,
+    EventRecord,
     GapsRecord,
     ManeuverKind,
     ManeuverRecord,
@@ -16,6 +17,7 @@ from bridge.recordings.sidecar import (
     SpawnRecord,
 )
 from hid2.agents import Policy
+from hid2.insertion.events import EventOutcome
 from hid2.insertion.filling import Filling, Rejection, Unmet
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.outcome import Outcome
@@ -43,7 +45,7 @@ def agent_record(
         "desired_mps": driver.desired_mps, "tau_s": driver.tau_s, "accel_mps2": driver.accel_mps2,
         "decel_mps2": driver.decel_mps2, "min_gap_m": driver.min_gap_m,
         "turn_lateral_mps2": driver.turn_lateral_mps2, "offset_m": driver.offset_m,
-        "lane_change_s": driver.lane_change_s,
+        "lane_change_s": driver.lane_change_s, "wander_m": driver.wander_m,
     }  # fmt: skip
     return AgentRecord(
         track_id=names[driven.vehicle_id],
@@ -66,7 +68,7 @@ def agent_record(
         policies={policy: round(count / steps, 6) for policy, count in sorted(driven.policies.items())},
         gaps=GapsRecord(
             looked_at=len(driven.gaps),
-            refused_by_rule=sum(look.rule is not None for look in driven.gaps),
+            refused_by_rule=sum((look.rule or look.guard) is not None for look in driven.gaps),
             refused_by_sumo=sum(look.sumo is False for look in driven.gaps),
         ),
         simulated=SimulatedRecord(max_off_m=round(float(abs(vehicle.simulated_off_m).max()), 6)),
@@ -99,6 +101,24 @@ def maneuver_record(vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[s
         gap_rear_m=None if shift is None else _finite(shift.gap_rear_m),
         min_ttc_s=_finite(vehicle.min_ttc_s),
     )
+
+
+def event_record(found: EventOutcome, names: Mapping[str, str]) -> EventRecord:
+    """Record of one event that was asked for; names: as of `agent_record`."""
+    event, measures = found.event, found.measures
+    if found.vehicle is None or measures is None or found.at_s is None:
+        reason = None if found.reason is None else str(found.reason.value)
+        return EventRecord(
+            kind=event.kind, target=event.target, status="not_feasible", reason=reason, tries=found.tries
+        )
+    return EventRecord(
+        kind=event.kind, target=event.target, status="done", track_id=names[found.vehicle.driven.vehicle_id],
+        target_track_id=found.target_id, at_s=round(found.at_s, 6), ahead=found.order > 0,
+        gap_m=round(measures.gap_m, 6), speed_difference_mps=round(measures.speed_difference_mps, 6),
+        min_ttc_s=None if measures.min_ttc_s is None else round(measures.min_ttc_s, 6),
+        pet_s=None if measures.pet_s is None else round(measures.pet_s, 6), drac_mps2=round(measures.drac_mps2, 6),
+        human_brakes=measures.human_brakes, tries=found.tries,
+    )  # fmt: skip
 
 
 def with_unmet(agents: Sequence[AgentRecord], unmet: Sequence[Unmet]) -> list[AgentRecord]:

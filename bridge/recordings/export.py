@@ -6,8 +6,7 @@ import json
 import re
 import shutil
 import tempfile
-import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +15,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from bridge.config import config_sha256
+from bridge.config import new_scenario_id as new_scenario_id
 from bridge.files import explained
 from bridge.recordings.scenario import FOCAL_CATEGORY, LAST_OBSERVED, SCENARIO_COLUMNS, Scenario
 from bridge.recordings.sidecar import Sidecar, sidecar_bytes, sidecar_path
 from hid2.agents import Track
-from hid2.params import Config
 from netconvert.errors import ExportError
 from netconvert.lane_graph import LaneGraph
 
@@ -29,12 +27,6 @@ from netconvert.lane_graph import LaneGraph
 _FORMER_FOCAL_CATEGORY = 2
 #: A lane's centreline with at least one point, in a map file.
 _CENTERLINE = re.compile(rb'"centerline":\s*\[\s*\{')
-_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo")
-
-
-def new_scenario_id(source_id: str, config: Config, seed: int, variant: int) -> str:
-    """UUID (version 5) of a request: the same request names the same scenario."""
-    return str(uuid.uuid5(_NAMESPACE, "\n".join([source_id, config_sha256(config), str(seed), str(variant)])))
 
 
 def write_scene(
@@ -45,8 +37,9 @@ def write_scene(
     *,
     new_id: str,
     focal_track_id: str,
+    extra: Mapping[str, bytes] | None = None,
 ) -> Path:
-    """Write OUT/[split/]new_id/ with parquet, map and sidecar; returns the folder.
+    """Write OUT/[split/]new_id/ with parquet, map and sidecar; returns the folder. extra: more files, by name.
 
     Everything is written to a hidden folder beside and then renamed; a folder that is there already is replaced.
     Errors: ExportError.
@@ -57,10 +50,11 @@ def write_scene(
         ),
         f"log_map_archive_{new_id}.json": _map_bytes(scenario.map_path, scenario.graph),
         sidecar_path(Path(), new_id).name: sidecar_bytes(sidecar),
+        **(extra or {}),
     }
     folder = (out_dir / scenario.split if scenario.split else out_dir) / new_id
     with explained(folder):
-        _write_folder(folder, files)
+        write_folder(folder, files)
     return folder
 
 
@@ -198,7 +192,7 @@ def _map_bytes(path: Path, graph: LaneGraph) -> bytes:
     return json.dumps(document).encode()
 
 
-def _write_folder(folder: Path, files: dict[str, bytes]) -> None:
+def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files into a hidden folder beside, then put it in the place of folder."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))

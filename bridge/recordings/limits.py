@@ -9,15 +9,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bridge.files import MAX_FILE_MB as MAX_FILE_MB
 from hid2.agents import FloatArray, Track
 from netconvert.errors import MapError, ScenarioError
 from netconvert.geometry import arc_length
 from netconvert.lane_graph import LaneGraph
 
-#: Each file of a scene, MB. Real: below 3.
-MAX_FILE_MB = 32
 #: Parquet: rows, columns, and bytes that the columns unpack to, MB. Real: 10,000 rows, 18 columns, 2 MB.
 MAX_ROWS, MAX_COLUMNS, MAX_TABLE_MB = 200_000, 200, 256
+#: Timesteps of a synthetic corridor: an hour.
+MAX_CORRIDOR_STEPS = 36_000
 #: Tracks of a scene. Real: below 300.
 MAX_TRACKS = 2_000
 #: Length of an id or a name in a scene, characters. Real: 36.

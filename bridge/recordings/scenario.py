@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from bridge.config import CORRIDOR_PREFIX
 from bridge.files import one_line, read_regular
 from bridge.recordings import limits
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN
@@ -186,18 +187,9 @@ def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> R
     kinds: list[str] = kind_encoded.dictionary.to_pylist()
     kind = np.asarray(kind_encoded.indices.to_numpy(zero_copy_only=False))[order]
 
-    _check_timesteps(code, timestep, _numbers(table, "observed")[order], where)
-    if not np.isfinite(motion).all():
-        row, column = np.argwhere(~np.isfinite(motion))[0]
-        raise ScenarioError(
-            f"{where(row)}: {_MOTION_COLUMNS[column]} is {motion[row, column]}, expected a finite number"
-        )
-    speed = np.abs(motion[:, 3:]).max(axis=1)
-    if speed.max() > limits.MAX_SPEED_MPS:
-        row = int(speed.argmax())
-        raise ScenarioError(
-            f"{where(row)}: velocity {speed[row]:.6g} m/s, expected at most {limits.MAX_SPEED_MPS:g} m/s"
-        )
+    most_steps = longest(str(same["scenario_id"]))
+    _check_timesteps(code, timestep, _numbers(table, "observed")[order], where, most_steps)
+    _check_motion(motion, where)
     for known in kinds:
         if known not in DEFAULT_SIZES:
             raise ScenarioError(f"{name}: object_type {known[:40]!r}, expected one of {', '.join(DEFAULT_SIZES)}")
@@ -236,8 +228,8 @@ def split_rows(table: pa.Table, *, name: str, sizes: Mapping[str, BoxSize]) -> R
         tracks.sort(key=lambda track: ids.index(track.track_id))
     _check_focal(tracks, str(same["focal_track_id"]), name)
     steps, stated = int(timestep.max()) + 1, int(str(same["num_timestamps"]))
-    if not steps <= stated <= MAX_STEPS:
-        raise ScenarioError(f"{name}: num_timestamps {stated}, expected {steps}, as many as there are, to {MAX_STEPS}")
+    if not steps <= stated <= most_steps:
+        raise ScenarioError(f"{name}: num_timestamps {stated}, expected {steps}, as many as there are, to {most_steps}")
     return Rows(
         scenario_id=str(same["scenario_id"]),
         city=str(same["city"]),
@@ -362,10 +354,31 @@ def _order(code: IntArray, timestep: IntArray) -> IntArray | slice:
     return np.asarray(np.lexsort((timestep, code)), dtype=np.int64)
 
 
-def _check_timesteps(code: IntArray, timestep: IntArray, observed: npt.NDArray[np.bool_], where: _Where) -> None:
-    outside = (timestep < 0) | (timestep >= MAX_STEPS)
+def _check_motion(motion: FloatArray, where: _Where) -> None:
+    if not np.isfinite(motion).all():
+        row, column = np.argwhere(~np.isfinite(motion))[0]
+        raise ScenarioError(
+            f"{where(row)}: {_MOTION_COLUMNS[column]} is {motion[row, column]}, expected a finite number"
+        )
+    speed = np.abs(motion[:, 3:]).max(axis=1)
+    if speed.max() > limits.MAX_SPEED_MPS:
+        row = int(speed.argmax())
+        raise ScenarioError(
+            f"{where(row)}: velocity {speed[row]:.6g} m/s, expected at most {limits.MAX_SPEED_MPS:g} m/s"
+        )
+
+
+def longest(scenario_id: str) -> int:
+    """Timesteps that a scene may have at most."""
+    return limits.MAX_CORRIDOR_STEPS if scenario_id.startswith(CORRIDOR_PREFIX) else MAX_STEPS
+
+
+def _check_timesteps(
+    code: IntArray, timestep: IntArray, observed: npt.NDArray[np.bool_], where: _Where, most_steps: int
+) -> None:
+    outside = (timestep < 0) | (timestep >= most_steps)
     if outside.any():
-        raise ScenarioError(f"{where(int(np.flatnonzero(outside)[0]))}: expected timesteps 0 to {MAX_STEPS - 1}")
+        raise ScenarioError(f"{where(int(np.flatnonzero(outside)[0]))}: expected timesteps 0 to {most_steps - 1}")
     repeated = (np.diff(code) == 0) & (np.diff(timestep) == 0)
     if repeated.any():
         raise ScenarioError(f"{where(int(np.flatnonzero(repeated)[0]))}: more than one row, expected one")
@@ -393,8 +406,3 @@ def _check_focal(tracks: list[Track], focal_track_id: str, name: str) -> None:
 
 def _first_line(error: Exception) -> str:
     return str(error).strip().split("\n", 1)[0]
-
-
-def position_of(table: pa.Table) -> FloatArray:
-    """(N, 2) m, box centres in the order of the table's rows."""
-    return np.column_stack([_numbers(table, "position_x"), _numbers(table, "position_y")])

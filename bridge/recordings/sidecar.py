@@ -142,6 +142,31 @@ class ReplacedRecord(_Record):
     last_step: int = Field(ge=0)
 
 
+class EventRecord(_Record):
+    """One event that was asked for: with whom, what became of it, and what it was like for its target as recorded.
+
+    track_id: the vehicle that made it; gap_m bumper to bumper at at_s (cross: from the target's bumper to the conflict
+    point); drac_mps2: what the target would have had to brake with; human_brakes: whether TTC came below the one before
+    which drivers brake; tries: vehicles that were driven for it.
+    """
+
+    kind: Literal["cut_in", "overtake", "lead", "follow", "merge", "cross"]
+    target: str
+    status: Literal["done", "not_feasible"]
+    reason: str | None = None
+    track_id: str | None = None
+    target_track_id: str | None = None
+    at_s: Seconds | None = None
+    ahead: bool | None = None
+    gap_m: float | None = None
+    speed_difference_mps: float | None = None
+    min_ttc_s: Seconds | None = None
+    pet_s: Seconds | None = None
+    drac_mps2: float | None = Field(default=None, ge=0)
+    human_brakes: bool | None = None
+    tries: int = Field(ge=0)
+
+
 class Sidecar(_Record):
     """The whole file. Nothing in it depends on the clock or the machine: same request, same bytes."""
 
@@ -157,6 +182,7 @@ class Sidecar(_Record):
     requested: RequestedRecord
     placed: PlacedRecord
     agents: tuple[AgentRecord, ...] = ()
+    events: tuple[EventRecord, ...] = ()
     rejected: tuple[RejectedRecord, ...] = ()
     replaced: tuple[ReplacedRecord, ...] = ()
 

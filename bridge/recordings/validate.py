@@ -75,9 +75,7 @@ def validate_scene(folder: Path, *, sources: Mapping[str, Path] | None = None) -
         except ScenarioError as error:
             findings.append(Finding(parquet_path, "columns", str(error)))
 
-    has_generated = rows is None or any(track_id.startswith("gen_") for track_id in rows.ids)
-    if sidecar is None and has_generated and not sidecar_path(folder, new_id).is_file():
-        findings.append(Finding(sidecar_path(folder, new_id), "folder", "no such file"))
+    findings += _missing_sidecar(folder, rows)
     generated_ids: set[str] = {agent.track_id for agent in sidecar.agents} if sidecar is not None else set()
     if rows is not None:
         generated_ids |= {track_id for track_id in rows.ids if track_id.startswith("gen_")}
@@ -105,6 +103,13 @@ def validate_scene(folder: Path, *, sources: Mapping[str, Path] | None = None) -
             messages = compare_map(map_path, document, source / f"log_map_archive_{source_id}.json")
             findings += [Finding(map_path, "source", message) for message in messages]
     return findings
+
+
+def _missing_sidecar(folder: Path, rows: Rows | None) -> list[Finding]:
+    """A finding where there is no sidecar, unless none of the tracks is a generated one: the scene was recorded."""
+    path = sidecar_path(folder, folder.name)
+    generated = rows is None or any(track_id.startswith("gen_") for track_id in rows.ids)
+    return [Finding(path, "folder", "no such file")] if generated and not path.is_file() else []
 
 
 def _sizes(sidecar: Sidecar | None, sources: Mapping[str, Path] | None) -> dict[str, BoxSize]:

@@ -1,34 +1,39 @@
-"""Parameter studies: a design over parameters, scenes and seeds, run by the batch engine, told in two tables.
+"""Parameter studies: a paired design over parameters, scenes and seeds, run by the batch engine, told in tables.
 
-A study is a TOML file (examples in data/studies). Its runs are resumed like those of a batch.
+A study is a TOML file (examples in data/studies, the page README.md in this folder). Its runs are resumed like those of
+a batch.
 """
 
-import csv
+import gzip
 import itertools
 import json
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from bridge.batch.batch import Options, Progress, Run, SceneJob, run_batch
+from bridge.batch.batch import Run, SceneJob
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.batch.scan import Selection, facts_of, wanted
 from bridge.config import config_from_dict, config_sha256
-from bridge.files import table_file
 from bridge.recordings.scenario import find_sources
 from hid2.params import Config
 from netconvert.errors import ConfigError, ScenarioError
 
 #: Stands for request.trigger_min_s and request.trigger_max_s: a fixed trigger time.
 TRIGGER = "trigger_s"
-#: Below OUT: one folder per run with what was measured, and the scenes where they are kept.
-RUNS, SCENES, RUN_FILE = "runs", "scenes", "run.json"
-#: Runs on one scene that share its map, net and process.
-_CHUNK = 20
+#: Of each run, in a folder of its own below OUT/runs: what was measured, and every look at a gap.
+RUN_FILE, LOOKS_FILE = "run.json.gz", "looks.csv.gz"
+#: What decides in a run, and leaves vehicles, drivers, sites and traffic as they are.
+_DECIDES = ("lane_change", "overtake", "conflict", "signals", "crossings", "car_following", "driving")
+#: What changes the traffic itself: allowed, but its values are compared between different vehicles.
+_CHANGES_TRAFFIC = ("flow.veh_per_h_lane", "flow.min_headway_s", "drivers")
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Value = float | int | str | bool
 Point = Mapping[str, Value]
@@ -52,7 +57,10 @@ class _File(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """A study, resolved. points: what varies; configs[p][k]: configuration of point p with the k-th seed."""
+    """A study, resolved. points: what varies; configs[p][k]: configuration of point p with the k-th seed.
+
+    paired: nothing that varies changes who takes part.
+    """
 
     name: str
     kind: str
@@ -61,25 +69,21 @@ class Study:
     points: tuple[Point, ...]
     seeds: tuple[int, ...]
     configs: tuple[tuple[Config, ...], ...]
+    paired: bool
 
     @property
     def jobs(self) -> list[SceneJob]:
-        """The runs, scene by scene, some at a time."""
-        runs = [Run(config) for configs in self.configs for config in configs]
+        """The runs; those of one scene and seed, who share vehicles, in one job."""
         return [
-            SceneJob(folder, tuple(runs[start : start + _CHUNK]))
+            SceneJob(folder, tuple(Run(configs[number]) for configs in self.configs))
             for folder in self.folders
-            for start in range(0, len(runs), _CHUNK)
+            for number in range(len(self.seeds))
         ]
 
-
-@dataclass(frozen=True, slots=True)
-class StudyReport:
-    """What a study wrote. failed: runs without a result."""
-
-    files: tuple[Path, ...]
-    runs: int
-    failed: int
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """What varies."""
+        return tuple(key for key in self.points[0] if len({point[key] for point in self.points}) > 1)
 
 
 def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
@@ -114,82 +118,81 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
         tuple(_configured(content.config, {**point, "request.seed": seed}, source=str(path)) for seed in seeds)
         for point in points
     )
-    return Study(path.stem, content.kind, content.design, folders, points, seeds, configs)
+    for key in content.vary:
+        if key != TRIGGER and not key.startswith((*(f"{section}." for section in _DECIDES), *_CHANGES_TRAFFIC)):
+            raise ConfigError(
+                f"{path}: vary.{key}: would choose other vehicles or sites, and nothing could be compared; "
+                f"expected {TRIGGER}, flow.veh_per_h_lane, or a key of {', '.join((*_DECIDES, 'drivers'))}"
+            )
+    if any(config.request.agents == "max" for config in configs[0]):
+        raise ConfigError(f"{path}: config.request.agents = 'max', expected a number of vehicles")
+    paired = not any(key.startswith(_CHANGES_TRAFFIC) for key in content.vary)
+    return Study(path.stem, content.kind, content.design, folders, points, seeds, configs, paired)
 
 
-def run_study(
-    study: Study,
-    out_dir: Path,
-    options: Options,
-    *,
-    keep_scenes: bool = False,
-    on_row: Callable[[ManifestRow, Progress], None] | None = None,
-) -> StudyReport:
-    """Do the runs that are not done yet, then write runs.csv, manoeuvres.csv and the figures into out_dir.
+@dataclass(frozen=True, slots=True)
+class Tables:
+    """What was measured, tidy: one row for each run, request, look at a gap, and interval of flow."""
 
-    Errors: BatchError, ExportError.
-    """
-    from bridge.studies.study_figures import draw_study  # matplotlib, at the end
-
-    work = "measure_and_keep_runs" if keep_scenes else "measure_runs"
-    options = replace(options, function=f"bridge.studies.study_work:{work}")
-    rows = run_batch(study.jobs, out_dir, options, on_row=on_row)
-    runs, maneuvers = tables(study, rows, out_dir)
-    files = [out_dir / "runs.csv", out_dir / "manoeuvres.csv"]
-    for file, table in zip(files, (runs, maneuvers), strict=True):
-        _write_table(file, table)
-    figures = draw_study(study, maneuvers, out_dir)
-    return StudyReport((*files, *figures), len(rows), sum(row.status != DONE for row in rows))
+    runs: "pd.DataFrame"
+    requests: "pd.DataFrame"
+    looks: "pd.DataFrame"
+    flow: "pd.DataFrame"
 
 
-def tables(
-    study: Study, rows: Iterable[ManifestRow], out_dir: Path
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Tidy tables: one row per run, and one per manoeuvre that was asked for."""
+def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
+    """Read what the runs have written."""
+    import pandas as pd
+
     points = {
         config_sha256(config): (number, point)
         for number, (point, configs) in enumerate(zip(study.points, study.configs, strict=True))
         for config in configs
     }
-    runs, maneuvers = [], []
+    warm_up_s = study.configs[0][0].flow.warm_up_s
+    runs: list[dict[str, Any]] = []
+    requests: list[dict[str, Any]] = []
+    flow: list[dict[str, Any]] = []
+    looks: list[pd.DataFrame] = []
     for row in rows:
         number, point = points[row.config_sha256]
-        name = {"scene": row.scenario, "city": row.city, "point": number, **point, "seed": row.seed}
-        records = []
+        # the design's own trigger_s is a column of its own: that of a request in a flow is later by its entry
+        own = {("trigger_after_s" if key == TRIGGER else key): value for key, value in point.items()}
+        name = {"scene": row.scenario, "city": row.city, "point": number, **own, "seed": row.seed}
+        found: dict[str, list[dict[str, Any]]] = {"requests": [], "flow": []}
         if row.status == DONE:
-            records = json.loads((out_dir / row.folder / RUN_FILE).read_text(encoding="utf-8"))
-        # triggered_s is None where no vehicle could be found for the request; trigger_s may be a column of the design
-        maneuvers += [{**name, **_renamed(record), "wait_s": _wait(record)} for record in records]
-        mine = [record for record in records if record["kind"] == study.kind]
+            folder = out_dir / row.folder
+            found = json.loads(gzip.decompress((folder / RUN_FILE).read_bytes()))
+            own_looks = pd.read_csv(folder / LOOKS_FILE, dtype={"lead_id": str, "lag_id": str, "vehicle": str})
+            named = pd.DataFrame(name, index=own_looks.index)
+            looks.append(named.join(own_looks.drop(columns=["round", "track_id"])))
+        mine = [request for request in found["requests"] if request["kind"] == study.kind]
+        requests += [{**name, **request, "counted": _counts(request, warm_up_s)} for request in mine]
+        flow += [{**name, **interval} for interval in found["flow"]]
         runs.append(
             {
-                **name,
-                "status": row.status,
-                "reason": row.reason,
-                "requested": row.requested,
-                "placed": row.placed,
-                f"{study.kind}_requested": len(mine),
-                f"{study.kind}_done": sum(record["status"] == "done" for record in mine),
-                "min_ttc_s": _least(record["window_ttc_s"] for record in mine),
-                "min_pet_s": _least(record["pet_s"] for record in mine),
-                "seconds": row.seconds,
+                **name, "status": row.status, "reason": row.reason, "vehicles": row.placed, "requests": len(mine),
+                "accepted": sum(bool(request["accepted"]) for request in mine), "seconds": row.seconds,
             }
-        )
-    return runs, maneuvers
+        )  # fmt: skip
+    seen = pd.concat(looks) if looks else pd.DataFrame()
+    return Tables(pd.DataFrame(runs), _numeric(pd.DataFrame(requests)), _numeric(seen), pd.DataFrame(flow))
 
 
-def _renamed(record: Mapping[str, Any]) -> dict[str, Any]:
-    return {"triggered_s" if key == TRIGGER else key: value for key, value in record.items()}
+#: Endings of the columns that are numbers, also where all of a run's are missing.
+_NUMBERS = ("_s", "_m", "_mps")
 
 
-def _wait(record: Mapping[str, Any]) -> float | None:
-    if record["start_s"] is None or record["trigger_s"] is None:
-        return None
-    return round(float(record["start_s"]) - float(record["trigger_s"]), 6)
+def _numeric(table: "pd.DataFrame") -> "pd.DataFrame":
+    """Columns of numbers as numbers, whatever is missing in them."""
+    return table.astype({column: float for column in table.columns if str(column).endswith(_NUMBERS)})
 
 
-def _least(values: Iterable[float | None]) -> float | None:
-    return min((value for value in values if value is not None), default=None)
+def _counts(request: Mapping[str, Any], warm_up_s: float) -> bool:
+    """Whether a request enters the statistics: it was triggered, and not in the warm-up of a flow."""
+    if request["waited_s"] is None:
+        return False
+    return request["source"] == "start" or float(request["trigger_s"]) >= warm_up_s
 
 
 def _grid(vary: Mapping[str, Sequence[Value]]) -> list[dict[str, Value]]:
@@ -231,11 +234,3 @@ def _configured(base: Mapping[str, Any], changes: Mapping[str, Value], *, source
             raise ConfigError(f"{source}: vary.{key}: expected {TRIGGER} or a key section.parameter of `hid2 config`")
         values.setdefault(section, {})[name] = value
     return config_from_dict(values, source=source)
-
-
-def _write_table(path: Path, table: Sequence[Mapping[str, Any]]) -> None:
-    columns = list(dict.fromkeys(key for row in table for key in row))
-    with table_file(path) as file:
-        writer = csv.DictWriter(file, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(table)

@@ -1,187 +1,155 @@
-"""The figures of a study: for each parameter that varies, what becomes of the manoeuvres along it."""
+"""The figures of a study: for each parameter what becomes of requests and gaps along it; the fundamental diagram."""
 
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 
-from bridge.evaluation.aggregate import Estimate, ratio_estimate
-from bridge.evaluation.charts import reason_words
 from bridge.pictures import figures
+from bridge.studies.statistics import curve_at, kaplan_meier
 from hid2.params import Conflict
 
-#: Values of a parameter beyond this many are put into this many groups of equal size.
-_GROUPS = 8
-#: Reasons shown apart; the others are one.
-_REASONS = 6
-_REASON_COLORS = (
-    figures.VERMILION, figures.ORANGE, figures.SKY, figures.GREEN, figures.PURPLE, figures.BLACK, figures.GREY,
-)  # fmt: skip
 #: Critical values, whatever a run was made with.
-_CRITICAL = Conflict()
-
-Record = Mapping[str, Any]
+CRITICAL = Conflict()
 LABELS = {
-    "trigger_s": "trigger time, s",
-    "request.agents": "vehicles requested",
+    "trigger_after_s": "trigger time, s",
     "lane_change.time_gap_front_s": "smallest time gap to the new leader, s",
     "lane_change.time_gap_rear_s": "smallest time gap to the new follower, s",
-    "lane_change.max_duration_s": "longest lane change allowed, s",
-    "overtake.d_obs_m": "observation horizon d_obs, m",
+    "lane_change.mobil_politeness": "MOBIL politeness p",
+    "lane_change.lc_speed_gain": "LC2013 lcSpeedGain",
+    "lane_change.rule": "lane-change rule",
+    "car_following.model": "car-following model",
+    "flow.veh_per_h_lane": "flow asked for, veh/h per lane",
 }
+_REFUSALS = (
+    ("looks_refused_by_rule", "the rule", figures.ORANGE),
+    ("looks_refused_by_guard", "the guard", figures.GREEN),
+    ("looks_refused_by_sumo", "SUMO", figures.VERMILION),
+)
 
 
-class DrawnStudy(Protocol):
-    """What the figures read of a study."""
-
-    @property
-    def name(self) -> str:
-        """As in the names of the files."""
-
-    @property
-    def kind(self) -> str:
-        """The manoeuvre that is drawn."""
-
-    @property
-    def points(self) -> Sequence[Mapping[str, Any]]:
-        """Values of the parameters that vary, one mapping for each run."""
+def label_of(key: str) -> str:
+    """A parameter as a reader would say it."""
+    return LABELS.get(key, key)
 
 
-def draw_study(study: DrawnStudy, maneuvers: Sequence[Record], out_dir: Path) -> list[Path]:
-    """Draw one figure for each numeric parameter that varies; returns the files."""
-    mine = [record for record in maneuvers if record["kind"] == study.kind]
-    keys = [key for key in study.points[0] if len({point[key] for point in study.points}) > 1]
-    files = []
-    for key in keys:
-        if mine and all(isinstance(record[key], int | float) for record in mine):
-            path = out_dir / f"{study.name}_{key.replace('.', '_')}.png"
-            _draw(study, mine, key, path)
-            files.append(path)
-    return files
-
-
-def _draw(study: DrawnStudy, records: Sequence[Record], key: str, path: Path) -> None:
+def draw_parameter(
+    path: Path, title: str, key: str, *, dose: pd.DataFrame, requests: pd.DataFrame,
+    curves: Mapping[Any, dict[str, Any] | None], give_up_s: float,
+) -> None:  # fmt: skip
+    """Six panels for one parameter. dose: its rows; curves: logistic acceptance by value."""
     figures.style()
-    groups = _groups(records, key)
-    x = np.array([np.mean([record[key] for record in group]) for group in groups])
-    figure, axes = plt.subplots(2, 3, figsize=(12, 6.8), layout="constrained")
-    panels: list[tuple[Axes, str, list[tuple[str, str, Callable[[Record], tuple[float, float]]]]]] = [
-        (axes[0, 0], "share of requests", [
-            ("a vehicle was there for it", figures.GREY, lambda r: (r["triggered_s"] is not None, 1)),
-            ("started", figures.SKY, lambda r: (r["start_s"] is not None, 1)),
-            ("done", figures.BLUE, lambda r: (r["status"] == "done", 1)),
-        ]),
-        (axes[0, 1], "from trigger to start, mean, s", [("", figures.BLUE, _mean_of("wait_s"))]),
-        (axes[0, 2], "smallest TTC from start to end, mean, s\n(values above 5 s count as 5 s)", [
-            ("to anything", figures.BLUE, _mean_of("window_ttc_s")),
-        ]),
-        (axes[1, 0], "smallest PET of the vehicle, mean, s\n(where paths cross within 5 s)", [
-            ("", figures.BLUE, _mean_of("pet_s")),
-        ]),
-        (axes[1, 1], "bumper gap at the start, mean, m", [
-            ("to the new leader", figures.BLUE, _mean_of("gap_front_m")),
-            ("to the new follower", figures.ORANGE, _mean_of("gap_rear_m")),
-        ]),
-    ]  # fmt: skip
-    for panel, title, lines in panels:
-        for label, color, value in lines:
-            _line(panel, x, [_estimate(group, value) for group in groups], color=color, label=label)
-        panel.set_title(title)
-        panel.set_ylim(bottom=0)
-        if len(lines) > 1:
-            panel.legend(fontsize=8)
-        if not panel.lines:
-            panel.annotate("none", (0.5, 0.5), xycoords="axes fraction", ha="center", color=figures.GREY)
+    values = list(curves)
+    numeric = not isinstance(values[0], str)
+    at = {value: (float(value) if numeric else float(place)) for place, value in enumerate(values)}
+    colors = plt.get_cmap("viridis")(np.linspace(0.0, 0.85, len(values)))
+    figure, axes = plt.subplots(2, 3, figsize=(12.5, 7), layout="constrained")
+
+    _dots(axes[0, 0], dose, at, "share_accepted", figures.BLUE, "requests that got a gap")
+    _dots(axes[0, 0], dose, at, "gaps_accepted", figures.SKY, "gaps taken")
+    axes[0, 0].set_title("accepted, share")
     axes[0, 0].set_ylim(0, 1.03)
-    for panel, critical in ((axes[0, 2], _CRITICAL.ttc_min_s), (axes[1, 0], _CRITICAL.pet_min_s)):
-        panel.set_ylim(0, max(panel.get_ylim()[1], 1.5 * critical))
-        panel.axhline(critical, color=figures.VERMILION, linewidth=0.8, linestyle=":")
-        panel.annotate(
-            "critical", (1, critical), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=7
-        )
-    _reasons(axes[1, 2], x, groups)
-    label = LABELS.get(key, key)
-    margin = 0.06 * max(float(np.ptp(x)), 1e-9) + (0.4 * float(np.diff(x).min()) if len(x) > 1 else 0.5)
-    for panel in axes.flat:
-        panel.set_xlabel(label)
-        panel.set_xlim(x.min() - margin, x.max() + margin)
-    scenes = len({record["scene"] for record in records})
-    runs = len({(record["scene"], record["point"], record["seed"]) for record in records})
-    figure.suptitle(
-        f"{study.name.replace('_', ' ')}: {study.kind.replace('_', ' ')}, {len(records)} requests in {runs} runs on "
-        f"{scenes} scene{'s' if scenes > 1 else ''}; bars: 95 % intervals, bootstrap over runs",
-        fontsize=10,
-    )
+    axes[0, 0].legend(fontsize=8)
+
+    _dots(axes[0, 1], dose, at, "mean_wait_s", figures.BLUE, f"waiting, up to {give_up_s:g} s")
+    _dots(axes[0, 1], dose, at, "lateral_s", figures.ORANGE, "lateral motion, once accepted")
+    axes[0, 1].set_title("mean duration, s")
+    axes[0, 1].set_ylim(bottom=0)
+    axes[0, 1].legend(fontsize=8)
+
+    for outcome, label, color in _REFUSALS:
+        _dots(axes[0, 2], dose, at, outcome, color, label)
+    axes[0, 2].set_title("looks refused, share, by")
+    axes[0, 2].set_ylim(0, 1.03)
+    axes[0, 2].legend(fontsize=8)
+    for panel in axes[0]:
+        panel.set_xlabel(label_of(key))
+        if not numeric:
+            panel.set_xticks(list(at.values()), [str(value) for value in values])
+
+    counted = requests[requests["counted"]]
+    for value, color in zip(values, colors, strict=True):
+        mine = counted[counted[key] == value]
+        if len(mine):
+            survival = kaplan_meier(mine["waited_s"].to_numpy(float), mine["accepted"].to_numpy(float))
+            times = np.concatenate([[0.0], survival.surv_times, [give_up_s]])
+            level = np.concatenate([[1.0], survival.surv_prob, survival.surv_prob[-1:]])
+            axes[1, 0].step(times, level[: times.size], where="post", color=color, label=str(value))
+    axes[1, 0].set_title("still waiting (Kaplan-Meier)")
+    axes[1, 0].set_xlabel("time from the trigger, s")
+    axes[1, 0].set_ylim(0, 1.03)
+    axes[1, 0].set_xlim(0, give_up_s)
+    axes[1, 0].legend(fontsize=7, title=label_of(key), title_fontsize=7)
+
+    lag = np.linspace(0.0, 5.0, 101)
+    for value, color in zip(values, colors, strict=True):
+        curve = curves[value]
+        if curve is not None and "separated" not in curve:
+            middle, low, high = curve_at(curve, lag)
+            axes[1, 1].plot(lag, middle, color=color, label=str(value))
+            axes[1, 1].fill_between(lag, low, high, color=color, alpha=0.12, linewidth=0)
+    axes[1, 1].set_title("gap taken, logistic, at the median lead gap")
+    axes[1, 1].set_xlabel("lag time gap, s")
+    axes[1, 1].set_ylim(0, 1.03)
+    if axes[1, 1].lines:
+        axes[1, 1].legend(fontsize=7)
+    else:
+        axes[1, 1].annotate("too few gaps, or parted by a threshold", (0.5, 0.5), xycoords="axes fraction", ha="center")
+
+    for value, color in zip(values, colors, strict=True):
+        mine = counted[(counted[key] == value) & counted["start_s"].notna()]
+        _distribution(axes[1, 2], mine["min_ttc_s"], color, "-")
+        _distribution(axes[1, 2], mine["min_pet_s"], color, ":")
+    axes[1, 2].axvline(CRITICAL.ttc_min_s, color=figures.VERMILION, linewidth=0.8)
+    axes[1, 2].set_title("changes with a TTC (line), PET (dots) below")
+    axes[1, 2].set_xlabel("s")
+    axes[1, 2].set_xlim(0, 5)
+    figure.suptitle(title, fontsize=10)
     figures.save(figure, path)
 
 
-def _mean_of(column: str) -> Callable[[Record], tuple[float, float]]:
-    return lambda record: (0.0, 0.0) if record[column] is None else (float(record[column]), 1.0)
+def draw_fundamental(path: Path, title: str, flow: pd.DataFrame, key: str | None) -> None:
+    """Flow and speed by density; key: what colours the dots."""
+    figures.style()
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
+    values = [None] if key is None else sorted(flow[key].unique())
+    colors = plt.get_cmap("viridis")(np.linspace(0.0, 0.85, len(values)))
+    for value, color in zip(values, colors, strict=True):
+        mine = flow if key is None else flow[flow[key] == value]
+        for panel, column in ((axes[0], "flow_veh_per_h_lane"), (axes[1], "speed_kmph")):
+            panel.plot(mine["density_veh_per_km_lane"], mine[column], "o", markersize=3, color=color, label=str(value))
+    axes[0].set_ylabel("flow, veh/h per lane")
+    axes[1].set_ylabel("speed, km/h")
+    for panel in axes:
+        panel.set_xlabel("density, veh/km per lane")
+        panel.set_xlim(left=0)
+        panel.set_ylim(bottom=0)
+    if key is not None:
+        axes[1].legend(fontsize=7, title=label_of(key), title_fontsize=7)
+    figure.suptitle(title, fontsize=10)
+    figures.save(figure, path)
 
 
-def _groups(records: Sequence[Record], key: str) -> list[list[Record]]:
-    """Records by value of a parameter; by intervals with as many records each where it has many values."""
-    values = sorted({record[key] for record in records})
-    if len(values) <= _GROUPS:
-        return [[record for record in records if record[key] == value] for value in values]
-    ordered = sorted(records, key=lambda record: float(record[key]))
-    return [[ordered[i] for i in part] for part in np.array_split(np.arange(len(ordered)), _GROUPS)]
-
-
-def _estimate(group: Sequence[Record], value: Callable[[Record], tuple[float, float]]) -> Estimate:
-    """Ratio of sums, resampled by run: the vehicles of one run are not independent."""
-    sums: dict[tuple[str, int, int], list[float]] = {}
-    for record in group:
-        total = sums.setdefault((record["scene"], record["point"], record["seed"]), [0.0, 0.0])
-        above, below = value(record)
-        total[0] += above
-        total[1] += below
-    table = np.array([sums[key] for key in sorted(sums)]).reshape(-1, 2)
-    return ratio_estimate(table[:, 0], table[:, 1])
-
-
-def _line(
-    axes: Axes, x: "np.typing.NDArray[np.float64]", estimates: Sequence[Estimate], *, color: str, label: str
-) -> None:
-    known = [(at, e.value, e.low, e.high) for at, e in zip(x, estimates, strict=True) if e.value is not None]
-    if not known:
+def _dots(axes: Axes, dose: pd.DataFrame, at: Mapping[Any, float], outcome: str, color: str, label: str) -> None:
+    """Estimates with the intervals of runs."""
+    mine = dose[(dose["outcome"] == outcome) & dose["estimate"].notna()]
+    if mine.empty:
         return
-    at = [k[0] for k in known]
-    middle = [k[1] for k in known]
-    low = [k[1] - (k[1] if k[2] is None else k[2]) for k in known]
-    high = [(k[1] if k[3] is None else k[3]) - k[1] for k in known]
-    axes.errorbar(
-        at, middle, yerr=np.maximum([low, high], 0), color=color, marker="o", markersize=4, linewidth=1.2,
-        capsize=2, label=label or None,
-    )  # fmt: skip
+    x = np.array([at[value] for value in mine["value"]])
+    middle = mine["estimate"].to_numpy(float)
+    low = np.where(mine["low_runs"].isna(), middle, mine["low_runs"]).astype(float)
+    high = np.where(mine["high_runs"].isna(), middle, mine["high_runs"]).astype(float)
+    error = np.maximum([middle - low, high - middle], 0.0)
+    axes.errorbar(x, middle, yerr=error, color=color, marker="o", markersize=4, linewidth=1.2, capsize=2, label=label)
 
 
-def _reasons(axes: Axes, x: "np.typing.NDArray[np.float64]", groups: Sequence[Sequence[Record]]) -> None:
-    """Stacked shares of requests that were not done, by reason."""
-    failed = [[r for r in group if r["status"] != "done"] for group in groups]
-    counts = Counter(_reason(record) for group in failed for record in group)
-    shown = [reason for reason, _ in counts.most_common(_REASONS)]
-    width = 0.8 * float(np.diff(x).min()) if len(x) > 1 else 0.5
-    bottom = np.zeros(len(x))
-    for number, reason in enumerate([*shown, "other"]):
-        share = np.array(
-            [
-                sum((_reason(r) if _reason(r) in shown else "other") == reason for r in bad) / max(len(group), 1)
-                for bad, group in zip(failed, groups, strict=True)
-            ]
-        )
-        if share.any():
-            axes.bar(x, share, width, bottom=bottom, color=_REASON_COLORS[number], label=reason_words(reason))
-            bottom += share
-    axes.set_title("not done, share of requests by reason")
-    axes.set_ylim(0, 1)
-    if bottom.any():
-        axes.legend(fontsize=7, loc="upper left")
-
-
-def _reason(record: Record) -> str:
-    return str(record["reason"] or record["status"])
+def _distribution(axes: Axes, values: "pd.Series[float]", color: Any, style: str) -> None:  # noqa: ANN401
+    """Share of the changes below each value; those without one, which have none below 5 s, count too."""
+    known = np.sort(values.dropna().to_numpy(float))
+    if known.size:
+        share = np.arange(1, known.size + 1) / len(values)
+        axes.step([0.0, *known, 5.0], [0.0, *share, share[-1]], where="post", color=color, linestyle=style)

@@ -1,76 +1,56 @@
-"""What a process of a study does: generate each run and keep what was measured, with or without the scene itself."""
+"""What a process of a study does: drive each run and write what was measured."""
 
+import gzip
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from bridge.batch.batch import Place, Run
-from bridge.batch.isolation import Failure
-from bridge.batch.manifest import ManifestRow
-from bridge.batch.scene_work import run_each
-from bridge.files import write_text
-from bridge.generation.generate import GeneratedScene, write
-from bridge.recordings.scenario import STEP_S
-from bridge.studies.study import RUN_FILE, RUNS, SCENES
-from hid2.evaluation.safety import prepare_map, safety
-from hid2.measures.arrays import stack
-from hid2.measures.time_to_collision import CAP_S
+from bridge.batch.batch import RUNS, Place, Run, base_row
+from bridge.batch.isolation import Failure, describe_error
+from bridge.batch.manifest import ManifestRow, files_sha256, output_files
+from bridge.config import config_sha256
+from bridge.files import explained
+from bridge.generation.gaps import gaps_bytes
+from bridge.generation.generate import PreparedScene, prepare
+from bridge.recordings.export import new_scenario_id, write_folder
+from bridge.recordings.scenario import read_scenario
+from bridge.studies.paired import Drawn, PairedRun, draw, drawing_config, paired_run
+from bridge.studies.study import LOOKS_FILE, RUN_FILE
+from hid2.params import Config
 
 
 def measure_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
-    """Generate and measure each run."""
-    yield from run_each(place, runs, lambda scene: _write_run(scene, place.out))
-
-
-def measure_and_keep_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
-    """Generate and measure each run, and write its scene."""
-
-    def finish(scene: GeneratedScene) -> Path:
-        write(scene, place.out / SCENES)
-        return _write_run(scene, place.out)
-
-    yield from run_each(place, runs, finish)
-
-
-def measure_scene(scene: GeneratedScene) -> list[dict[str, Any]]:
-    """One record per manoeuvre that was asked for: the sidecar's, and what the exported positions show.
-
-    window_ttc_s: smallest two-dimensional TTC to anything from start to end (None where it did not start), at most
-    5 s; pet_s: smallest PET of the vehicle at a crossing of paths with another, None without one within 5 s.
-    """
-    arrays = stack([*scene.scenario.tracks, *scene.generated], num_steps=scene.scenario.num_steps, step_s=STEP_S)
-    measured = safety(arrays, prepare_map(scene.scenario.graph))
-    number = {track_id: index for index, track_id in enumerate(arrays.track_ids)}
-    pet: dict[int, float] = {}
-    for crossing in measured.encroachments:
-        for one in (crossing.first, crossing.second):
-            pet[one] = min(pet.get(one, CAP_S), crossing.pet_s)
-    records = []
-    for agent in scene.sidecar.agents:
-        index = number[agent.track_id]
-        rows = slice(int(arrays.first[index]), int(arrays.first[index + 1]))
-        time_s, ttc_s = arrays.step[rows] * STEP_S, measured.ttc_s[rows]
-        for maneuver in agent.maneuvers:
-            inside = np.zeros(len(time_s), dtype=bool)
-            if maneuver.start_s is not None:
-                end_s = maneuver.end_s if maneuver.end_s is not None else float(time_s[-1])
-                inside = (time_s >= maneuver.start_s - STEP_S / 2) & (time_s <= end_s + STEP_S / 2)
-            records.append(
-                {
-                    "track_id": agent.track_id,
-                    "policy": agent.policy.value,
-                    **maneuver.model_dump(mode="json"),
-                    "window_ttc_s": float(ttc_s[inside].min()) if inside.any() else None,
-                    "pet_s": pet.get(index),
-                }
+    """Drive and measure each run; what the runs share is made once."""
+    prepared: PreparedScene | None = None
+    drawn: dict[str, Drawn] = {}
+    for run in runs:
+        try:
+            if prepared is None:
+                prepared = prepare(read_scenario(place.folder), run.config)
+            who = drawing_config(run.config)
+            key = config_sha256(who)
+            if key not in drawn:
+                drawn = {key: draw(prepared, who)}  # the last one is enough: runs come seed by seed
+            found = paired_run(prepared, drawn[key], run.config)
+            folder = _write(place.out, prepared.scenario.scenario_id, run.config, found)
+            requests = [row for row in found.requests if row["status"] != "not_placed"]
+            yield base_row(place, run)._replace(
+                city=prepared.scenario.city,
+                recorded=len(prepared.scenario.tracks),
+                placed=len(found.driven),
+                maneuvers_requested=len(found.requests),
+                maneuvers_done=sum(row["status"] == "done" for row in requests),
+                folder=folder.relative_to(place.out).as_posix(),
+                output_sha256=files_sha256(output_files(folder)),
             )
-    return records
+        except Exception as error:  # noqa: BLE001  # quarantined with its traceback
+            yield describe_error(error)
 
 
-def _write_run(scene: GeneratedScene, out_dir: Path) -> Path:
-    folder = out_dir / RUNS / scene.new_id
-    write_text(folder / RUN_FILE, json.dumps(measure_scene(scene), indent=1) + "\n")
+def _write(out_dir: Path, source_id: str, config: Config, found: PairedRun) -> Path:
+    folder = out_dir / RUNS / new_scenario_id(source_id, config, config.request.seed, 0)
+    text = json.dumps({"requests": found.requests, "flow": found.flow}, indent=1, allow_nan=False) + "\n"
+    looks = gaps_bytes([(0, vehicle) for vehicle in found.driven], {})
+    with explained(folder):
+        write_folder(folder, {RUN_FILE: gzip.compress(text.encode(), mtime=0), LOOKS_FILE: looks})
     return folder

@@ -11,40 +11,27 @@ from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S, V
 from hid2.conflicts.stop_lines import StopLines
+from hid2.kernels.leaders import next_two_ahead
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Observation, Side, decide
-from hid2.policy.observation import gap_ahead_of, lane_options, lay_across, leader_on, returns_to
+from hid2.policy.observation import gap_ahead_of, gaps_on, lane_options, lay_across, leader_on, returns_to
 from hid2.policy.overtake import Leader, Stage
 from hid2.policy.roads import Roads
+from hid2.policy.rules import Wish
 from hid2.reasons import Reason
 from hid2.scene import DT_S, Scene
 from hid2.vehicle import DrivenVehicle, GapLook, Shift, Start
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
-#: A limit this close to the speed driven is what decided it, m/s.
-_BINDS_MPS = 0.05
-#: A vehicle that slows down by more than this, m/s2, behind somebody has braked for it.
-_SLOWS_MPS2 = 0.3
-_STANDS_MPS = 0.5
-_LEADERS_SHOWN = 2  # the next ones ahead of each vehicle: its car following asks for no more
-_LEADS_FROM_M = 0.3  # gap from which on somebody ahead is a leader and not beside
-#: Braking for what SUMO does not see builds up at this rate, m/s3.
-_BRAKING_JERK_MPS3 = 3.5
-_LAST_BRAKING_MPS2, _LAST_BRAKING_PER_S = 0.6, 1.8  # at walking pace the brake is let go with the speed
-#: A driver who waits for a gap lets those beside go ahead: slows down so hard, m/s2, to a share of the desired speed.
+_BINDS_MPS = 0.05  # book-keeping: a limit this close to the speed driven is what decided it
+_TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
+#: Refusals of a gap in which waiting for those beside to go ahead helps.
 _LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
-_LETS_PASS_MPS2, _LETS_PASS_SHARE = 0.7, 0.8
 _HELD_BY_GUARD = frozenset({"conflict", "signal", "crossing"})
-_RELEASED_MPS2 = 0.5  # from here on SUMO's own acceleration takes over
-#: Who comes from behind on the way across is looked for so far ahead, s.
-_ACROSS_S = 8.0
-_SOON_S = 3.0  # a conflict later than this does not make a driver brake yet, unless hard braking is needed
-#: SUMO is shown recorded agents up to here ahead of a vehicle, m.
-_SHOWN_M = 120.0
 
 
 @dataclass(eq=False, slots=True)
@@ -95,7 +82,9 @@ class Driving:
     _guard: Guard = field(init=False)
     _state: FloatArray = field(init=False)
     _obstacles: list[Obstacles | None] = field(init=False)
-    _known: list[tuple[PathOccupancy, IntArray] | None] = field(init=False)
+    _known: list[tuple[PathOccupancy, IntArray, FloatArray] | None] = field(init=False)
+    _centre: FloatArray = field(init=False)
+    _own_lengths: FloatArray = field(init=False)
     _road: list[FloatArray] = field(init=False)
     _lengths: FloatArray = field(init=False)
     _limit: list[tuple[float, str] | None] = field(init=False)
@@ -108,6 +97,8 @@ class Driving:
         self._obstacles = [None] * len(self.starts)
         self._lengths = np.concatenate([self.scene.traffic.length_m, self.fixed.length_m])
         self._known = [None] * len(self.starts)
+        self._centre = np.full((len(self.starts), 2), np.inf)
+        self._own_lengths = np.array([start.box.length_m for start in self.starts])
         self._road = [self.roads.speeds(start.path, start.driver) for start in self.starts]
         self._limit = [None] * len(self.starts)
 
@@ -136,15 +127,19 @@ class Driving:
             if self.fixed.ids:
                 kept.place(step, seen_kept)
             simulation.step()
-            if step == 0:  # after the first step, so that the state of step 0 is the start
-                for vehicle in self.vehicles:
-                    vehicle.objection = insert(simulation, scene, vehicle.start)
+            self._enter(step)
             recorded.check(step)
             self._read(step)
             for attempt in attempts:
                 self._conclude(attempt, step)
         self.replay_errors = recorded.errors
         return self.vehicles
+
+    def _enter(self, step: int) -> None:
+        """Insert whoever begins; after the first step, so that the state of step 0 is the start."""
+        if step == 0:
+            for vehicle in self.vehicles:
+                vehicle.objection = insert(self.simulation, self.scene, vehicle.start)
 
     def _read(self, step: int) -> None:
         """Take down what SUMO did, and which limit decided it."""
@@ -153,13 +148,13 @@ class Driving:
             if not vehicle.running:
                 continue
             if vehicle.vehicle_id not in inside:
-                if step == 0:
+                if not vehicle.s:
                     vehicle.objection = Reason.SUMO_REFUSES_INSERTION
                 else:
                     vehicle.left_at = step
-                self._state[row, PRESENT] = 0.0
+                self._state[row, PRESENT], self._centre[row] = 0.0, np.inf
                 continue
-            if step == 0:
+            if not vehicle.s:
                 speed, s = vehicle.start.start_mps, vehicle.start.start_s
             else:
                 speed = self.simulation.speed(vehicle.vehicle_id)
@@ -170,6 +165,8 @@ class Driving:
             before = vehicle.v[-1] if vehicle.v else speed
             vehicle.s.append(s)
             vehicle.v.append(speed)
+            table = vehicle.path.line.table_xy
+            self._centre[row] = table[min(int(s / TABLE_STEP_M), len(table) - 1)]
             self._state[row] = s, speed, (speed - before) / DT_S, self._is_executing(vehicle), 1.0
 
     def _is_executing(self, vehicle: DrivenVehicle) -> bool:
@@ -185,47 +182,43 @@ class Driving:
         Those whose boxes reach into the driving width on the present way of some vehicle and who move along it or
         stand. Who crosses is the guard's business: to SUMO it would appear out of nowhere.
         """
-        shown: dict[int, tuple[float, str, int]] = {}
+        driving, shown = self.scene.config.driving, dict[int, tuple[float, str, int]]()
+        if "collision" in self.scene.config.without:
+            return {}, {}
         for row, vehicle in enumerate(self.vehicles):
-            if not vehicle.running or "collision" in self.scene.config.without:
+            if not vehicle.running:
                 continue
             s = vehicle.s[-1] if vehicle.s else vehicle.start.start_s
-            found, rows = self._known_of(row)
-            low, high = found.low[:, step], found.high[:, step]
-            with np.errstate(invalid="ignore"):  # inf - inf where nobody is
-                gap = 0.5 * (low + high) - s - 0.5 * (vehicle.start.box.length_m + self._lengths[rows])
-            stands = (np.abs(found.along[:, step]) < _STANDS_MPS) & ~found.crosses[:, step]
-            leads = (low < np.inf) & (gap > _LEADS_FROM_M) & (gap < _SHOWN_M) & (found.aligned[:, step] | stands)
-            places = np.flatnonzero(leads)
-            for place in places[np.argsort(gap[places], kind="stable")[:_LEADERS_SHOWN]].tolist():
-                agent, at = int(rows[place]), float(gap[place])
-                if agent not in shown or at < shown[agent][0]:  # on the lane of who is nearest behind it
-                    cell = self.scene.cell_at(vehicle.path, 0.5 * float(low[place] + high[place]))
+            found, rows, lengths = self._known_of(row)
+            if rows.size == 0:
+                continue
+            ahead = next_two_ahead(
+                found.low, found.high, found.along, found.aligned, found.crosses, lengths, step, s,
+                vehicle.start.box.length_m, driving.standing_mps, driving.leads_from_m, driving.shown_m,
+            )  # fmt: skip
+            for place, at, middle in (ahead[:3], ahead[3:]):  # its car following asks for no more
+                agent = int(rows[place]) if place >= 0 else -1
+                if agent >= 0 and (agent not in shown or at < shown[agent][0]):  # on the lane of who is nearest behind
+                    cell = self.scene.cell_at(vehicle.path, middle)
                     shown[agent] = at, self.scene.grid.edge_id(cell), self.scene.grid.lane_index(cell)
-        shown = {agent: lane for agent, lane in shown.items() if not self._is_beside_somebody(agent, step)}
         count = len(self.scene.traffic.ids)
-        recorded = {agent: (edge, lane) for agent, (_, edge, lane) in shown.items() if agent < count}
-        kept = {agent - count: (edge, lane) for agent, (_, edge, lane) in shown.items() if agent >= count}
+        recorded: dict[int, tuple[str, int]] = {}
+        kept: dict[int, tuple[str, int]] = {}
+        for agent, (_, edge, lane) in shown.items():
+            if not self._is_beside_somebody(agent, step):
+                (recorded if agent < count else kept)[agent if agent < count else agent - count] = edge, lane
         return recorded, kept
 
     def _is_beside_somebody(self, agent: int, step: int) -> bool:
         """Whether an agent is beside some vehicle, which SUMO, to whom vehicles on a lane have no width, would stop."""
         count = len(self.scene.traffic.ids)
         traffic, row = (self.scene.traffic, agent) if agent < count else (self.fixed, agent - count)
-        x, y = traffic.position[row, step].tolist()
-        for vehicle in self.vehicles:
-            if not vehicle.running or not vehicle.s:
-                continue
-            at = vehicle.path.line
-            cell = min(int(vehicle.s[-1] / TABLE_STEP_M), at.table_xy.shape[0] - 1)
-            dx, dy = x - at.table_xy[cell, 0], y - at.table_xy[cell, 1]
-            reach = 0.5 * (vehicle.start.box.length_m + self._lengths[agent])
-            if dx * dx + dy * dy < reach * reach:
-                return True
-        return False
+        offset = self._centre - traffic.position[row, step]
+        reach = 0.5 * (self._own_lengths + self._lengths[agent])
+        return bool(np.any(np.square(offset).sum(axis=1) < reach * reach))
 
-    def _known_of(self, row: int) -> tuple[PathOccupancy, IntArray]:
-        """Intervals of everybody whose future is known on a vehicle's path, and their rows: recorded, then kept."""
+    def _known_of(self, row: int) -> tuple[PathOccupancy, IntArray, FloatArray]:
+        """Intervals of everybody whose future is known on a vehicle's path, rows (recorded, then kept), lengths m."""
         known = self._known[row]
         if known is None:
             vehicle = self.vehicles[row]
@@ -235,7 +228,7 @@ class Driving:
                 kept_rows, more = look_along(path.line, self.fixed, box.length_m, box.width_m)
                 found = found.joined(more)
                 rows = np.concatenate([rows, kept_rows + len(self.scene.traffic.ids)])
-            known = self._known[row] = found, rows
+            known = self._known[row] = found, rows, self._lengths[rows]
         return known
 
     def _fleet(self) -> Traffic:
@@ -256,7 +249,7 @@ class Driving:
 
     def _steer(self, row: int, vehicle: DrivenVehicle, now: int, fleet: "_Lazy") -> list[_Attempt]:
         """Decide at step `now`, limit the speed where SUMO is blind, and pass both on for the coming step."""
-        s, v = vehicle.s[-1], vehicle.v[-1]
+        s, v, driving = vehicle.s[-1], vehicle.v[-1], self.scene.config.driving
         if vehicle.path.shifts and vehicle.stage in (Stage.ENTER, Stage.RETURN) and s >= vehicle.path.shifts[-1][1]:
             passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
             vehicle.stage = Stage.PASS if passing else Stage.DONE
@@ -266,13 +259,13 @@ class Driving:
         if "collision" not in self.scene.config.without:
             limits += self._guarded(row, vehicle, now, desired)
         if vehicle.stage is Stage.WAITING and vehicle.reason in _LETS_PASS:
-            limits.append((max(_LETS_PASS_SHARE * desired, v - _LETS_PASS_MPS2 * DT_S), "gap"))
+            limits.append((max(driving.let_pass_share * desired, v - driving.let_pass_mps2 * DT_S), "gap"))
         limit = min(limits)
         held = self._limit[row]
         if held is not None and held[1] in _HELD_BY_GUARD:  # a foot neither falls on the brake nor leaves it at once
             a = float(self._state[row, A])
-            eased = v + (a + _BRAKING_JERK_MPS3 * DT_S) * DT_S
-            if a < _RELEASED_MPS2 and eased < limit[0]:
+            eased = v + (a + driving.brake_jerk_mps3 * DT_S) * DT_S
+            if a < driving.released_mps2 and eased < limit[0]:
                 limit = eased, held[1]
         self._limit[row] = limit if limit[0] < desired - 1e-3 else None
         held = self._limit[row]
@@ -288,7 +281,7 @@ class Driving:
     def _turns(self, vehicle: DrivenVehicle, s: float) -> bool:
         """Whether it is in a turn lane or slows down for one."""
         lanes = self.scene.grid.graph.lanes
-        ahead = vehicle.path.segment_at(s + 4.0 * vehicle.v[-1])
+        ahead = vehicle.path.segment_at(s + _TURN_AHEAD_S * vehicle.v[-1])
         here = vehicle.path.segment_at(s)
         return lanes[here.lane_id].turn is not TurnType.STRAIGHT or lanes[ahead.lane_id].turn is not TurnType.STRAIGHT
 
@@ -309,15 +302,16 @@ class Driving:
     def _guarded(self, row: int, vehicle: DrivenVehicle, now: int, desired: float) -> list[tuple[float, str]]:
         """Limits of the guard for the coming step: predicted conflicts (case 3, timing)."""
         state = (float(self._state[row, S]), float(self._state[row, V]), float(self._state[row, A]))
+        driving = self.scene.config.driving
         found = self._guard.braking(
             self._obstacles_of(row), own=row, step=now, fleet=self._state, state=state, desired_mps=desired,
             road=self._road[row], driver=vehicle.start.driver,
         )  # fmt: skip
         if found.leader >= 0 and self._slows_for(state, found, vehicle.start):
             vehicle.waited_for.add(self.vehicles[found.leader].vehicle_id)
-        act = 0.3 if vehicle.yielding else self.scene.config.conflict.act_mps2
-        soon = found.free_conflict_s is not None and found.free_conflict_s <= _SOON_S
-        urgent = vehicle.yielding or soon or found.decel_mps2 >= 2.0 * act
+        act = driving.keep_yielding_mps2 if vehicle.yielding else self.scene.config.conflict.act_mps2
+        soon = found.free_conflict_s is not None and found.free_conflict_s <= driving.soon_s
+        urgent = vehicle.yielding or soon or found.decel_mps2 >= driving.urgent_ratio * act
         vehicle.yielding = found.decel_mps2 >= act and urgent
         start, limits = vehicle.start, []
         if vehicle.yielding:
@@ -325,14 +319,14 @@ class Driving:
         stop = self.stop_lines.braking(vehicle.path, start.box, start.driver, s=state[0], speed_mps=state[1], step=now)
         if stop is not None:
             limits.append(stop)
-        eased = min(state[2], 0.0) - _BRAKING_JERK_MPS3 * DT_S
-        gentle = -max(_LAST_BRAKING_MPS2, _LAST_BRAKING_PER_S * state[1])  # nobody stops with a jerk
+        eased = min(state[2], 0.0) - driving.brake_jerk_mps3 * DT_S
+        gentle = -max(driving.last_brake_mps2, driving.last_brake_per_s * state[1])  # nobody stops with a jerk
         return [(state[1] + max(accel, eased, gentle) * DT_S, cause) for accel, cause in limits]
 
-    @staticmethod
-    def _slows_for(state: tuple[float, float, float], found: Braking, start: Start) -> bool:
-        near = found.leader_gap_m < 2.0 * start.driver.tau_s * state[1] + 2.0 * start.driver.min_gap_m
-        return near and state[2] < -_SLOWS_MPS2
+    def _slows_for(self, state: tuple[float, float, float], found: Braking, start: Start) -> bool:
+        driving, driver = self.scene.config.driving, start.driver
+        usual_m = driver.tau_s * state[1] + driver.min_gap_m
+        return found.leader_gap_m < driving.behind_ratio * usual_m and state[2] < -driving.slows_mps2
 
     def _decide(self, row: int, vehicle: DrivenVehicle, now: int, fleet: "_Lazy") -> list[_Attempt]:
         """Algorithm 1 for one vehicle at one step: what it observes, the decision, and what is asked of SUMO."""
@@ -348,23 +342,30 @@ class Driving:
         if due:
             others = _without(fleet.value, vehicle.vehicle_id)
             options, leader = self._look_around(vehicle, now, others)
+            if change.rule == "LC2013":
+                options = {side: (self._with_wish(vehicle, found), path) for side, (found, path) in options.items()}
             passed_m = self._passed_gap_m(vehicle, now, others)
         seen = self._observation(vehicle, now, tuple(option for option, _ in options.values()), leader, passed_m)
+        if due and change.rule not in ("paper", "LC2013"):
+            ahead, behind = gaps_on(
+                self.scene, vehicle.path, vehicle.start.box, at=vehicle.s[-1], step=now, fixed=self.fixed, fleet=others
+            )  # fmt: skip
+            seen = replace(seen, own_front=ahead, own_rear=behind)
         decision = decide(seen, lane_change=change, overtake=config.overtake)
         vehicle.policies[decision.policy] += 1
         if not due:
             return []
         side = decision.side
+        for (option, _), answer in zip(options.values(), decision.answers, strict=False):  # those not looked at: none
+            vehicle.gaps.append(_look(vehicle, now, option, answer))
         if side is None:
             vehicle.reason = decision.reason
-            for option, _ in options.values():
-                _note(vehicle, now, option, decision.reason)
             return []
         option, target = options[side]
         attempt = self._attempt(row, vehicle, now, option, target, leader)
-        if isinstance(attempt, str):
+        if isinstance(attempt, Reason):
             vehicle.reason = attempt
-            _note(vehicle, now, option, attempt)
+            vehicle.gaps[-1] = replace(vehicle.gaps[-1], guard=attempt)
             return []
         return [attempt]
 
@@ -389,7 +390,7 @@ class Driving:
 
     def _vehicles(self, now: int, others: Traffic) -> Traffic:
         """Vehicles that can be overtaken, as they are now (one step)."""
-        recorded = self.scene.traffic.rows(self.scene.vehicle_rows.tolist()).at(now)
+        recorded = self.scene.traffic.at(now).rows(self.scene.vehicle_rows.tolist())
         return recorded.joined(self.fixed.at(now), others) if self.fixed.ids else recorded.joined(others)
 
     def _passed_gap_m(self, vehicle: DrivenVehicle, now: int, others: Traffic) -> float:
@@ -418,19 +419,26 @@ class Driving:
             leader=leader,
             options=options,
             passed_gap_m=passed_m,
+            length_m=vehicle.start.box.length_m,
+            driver=vehicle.start.driver,
         )
+
+    def _with_wish(self, vehicle: DrivenVehicle, option: LaneOption) -> LaneOption:
+        """An adjacent lane with what SUMO's own model makes of it."""
+        return replace(option, wish=Wish(*self.simulation.wish(vehicle.vehicle_id, option.side)))
 
     def _attempt(
         self, row: int, vehicle: DrivenVehicle, now: int, option: LaneOption, target: DrivenPath, leader: Leader | None
-    ) -> _Attempt | str:
+    ) -> _Attempt | Reason:
         """Lay the path across, look along it (conflict case 3), and ask SUMO; or the reason not to."""
         scene, start, s, v = self.scene, vehicle.start, vehicle.s[-1], vehicle.v[-1]
-        wanted = start.driver.lane_change_s * (0.7 if vehicle.policy is Policy.OVERTAKE else 1.0)
+        overtakes = vehicle.policy is Policy.OVERTAKE
+        wanted = start.driver.lane_change_s * (scene.config.overtake.shift_ratio if overtakes else 1.0)
         path = lay_across(
             scene, vehicle.path, target, s=s, step=now, pace_mps=0.5 * (v + max(v, start.driver.desired_mps)),
             remaining_m=option.remaining_m, lasting_s=wanted,
         )  # fmt: skip
-        if isinstance(path, str):
+        if isinstance(path, Reason):
             return path
         if vehicle.stage is Stage.PASS and not returns_to(start.path, path):
             return Reason.LANES_PART
@@ -455,7 +463,7 @@ class Driving:
         stage = Stage.RETURN if vehicle.stage is Stage.PASS else Stage.ENTER
         if leader is not None and stage is Stage.ENTER:
             vehicle.leader_id = leader.track_id
-        look = _note(vehicle, now, option, None)
+        look = len(vehicle.gaps) - 1
         return _Attempt(vehicle, look, path, target, scene.grid.sumo_lane_id(link.target), shift, stage)
 
     def _meets_on(self, row: int, vehicle: DrivenVehicle, now: int, path: DrivenPath) -> bool:
@@ -463,7 +471,8 @@ class Driving:
         found = self._guard.braking(
             self._guard.obstacles(path, vehicle.start.box, self._others(row)), own=row, step=now, fleet=self._state,
             state=(vehicle.s[-1], vehicle.v[-1], 0.0), desired_mps=float(vehicle.start.desired[now]),
-            road=self.roads.speeds(path, vehicle.start.driver), driver=vehicle.start.driver, horizon_s=_ACROSS_S,
+            road=self.roads.speeds(path, vehicle.start.driver), driver=vehicle.start.driver,
+            horizon_s=self.scene.config.driving.across_s,
         )  # fmt: skip
         return found.conflict_s is not None or found.run_into or found.decel_mps2 > vehicle.start.driver.decel_mps2
 
@@ -495,23 +504,12 @@ class Driving:
         self._obstacles = [None] * len(self.vehicles)  # everybody sees the new intention
 
 
-def _note(vehicle: DrivenVehicle, step: int, option: LaneOption, rule: str | None) -> int:
-    """Record one look at a gap; returns its row."""
-    vehicle.gaps.append(
-        GapLook(
-            step=step,
-            side=option.side,
-            front_m=option.front.distance_m,
-            front_mps=option.front.speed_mps,
-            rear_m=option.rear.distance_m,
-            rear_mps=option.rear.speed_mps,
-            own_mps=vehicle.v[-1],
-            remaining_m=option.remaining_m,
-            rule=rule,
-            sumo=None,
-        )
-    )
-    return len(vehicle.gaps) - 1
+def _look(vehicle: DrivenVehicle, step: int, option: LaneOption, rule: Reason | None) -> GapLook:
+    """What is recorded of one look at a gap."""
+    return GapLook(
+        step=step, side=option.side, target=option.target, front=option.front, rear=option.rear,
+        own_mps=vehicle.v[-1], remaining_m=option.remaining_m, cells_free=option.cells_free, rule=rule,
+    )  # fmt: skip
 
 
 def _without(fleet: Traffic, vehicle_id: str) -> Traffic:
@@ -536,7 +534,7 @@ def edges_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[str, ...] |
     return tuple(edges)
 
 
-def insert(simulation: Simulation, scene: Scene, start: Start) -> str | None:
+def insert(simulation: Simulation, scene: Scene, start: Start) -> Reason | None:
     """Insert a vehicle at its cell, position and speed, with its driver. Returns SUMO's objection, None if accepted."""
     front = front_arc_m(start.start_s, start.size.length_m)
     segment = start.path.segment_at(front)

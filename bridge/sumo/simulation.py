@@ -17,6 +17,8 @@ from netconvert.errors import SimulationError
 _ONLY_ASKED_IF_SAFE = 512
 #: TraCI speed mode: car following and the greatest acceleration hold; a limit may brake harder than is comfortable.
 _SAFE_SPEED = 1 + 2 + 8 + 16
+#: Motives of SUMO's lane-change model, as it names them.
+_MOTIVES = frozenset({"strategic", "cooperative", "speedGain", "keepRight"})
 _REPLAY_KEEP_ROUTE = 6
 _REPLAY_MATCH_M = 2.0  # half a lane and a little: farther aside nobody is ahead of anybody
 _ASIDE_MATCH_M = 0.01  # on no lane
@@ -139,7 +141,7 @@ class Simulation:
         """Take a vehicle out."""
         libsumo.vehicle.remove(vehicle_id)
 
-    def insert(
+    def insert(  # noqa: PLR0913  # what SUMO wants to know, by name
         self,
         vehicle_id: str,
         *,
@@ -160,6 +162,42 @@ class Simulation:
         SUMO's own insertion check is not asked: it knows neither crossing lanes nor what anybody will do next, and the
         place was chosen with both.
         """
+        type_id = self._driver_type(
+            vehicle_id, length_m=length_m, width_m=width_m, accel_mps2=accel_mps2, decel_mps2=decel_mps2, tau_s=tau_s,
+            min_gap_m=min_gap_m, max_speed_mps=max_speed_mps,
+        )  # fmt: skip
+        try:
+            libsumo.vehicle.add(
+                vehicle_id, self._route(edges), typeID=type_id, depart="now", departSpeed=f"{speed_mps:.6f}"
+            )
+            libsumo.vehicle.moveTo(vehicle_id, lane_id, front_m)
+        except libsumo.TraCIException as error:
+            return str(error)
+        libsumo.vehicle.setLaneChangeMode(vehicle_id, _ONLY_ASKED_IF_SAFE)
+        libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
+        return None
+
+    def queue(
+        self, vehicle_id: str, *, edges: Sequence[str], lane_index: int, length_m: float, width_m: float,
+        accel_mps2: float, decel_mps2: float, tau_s: float, min_gap_m: float, max_speed_mps: float,
+    ) -> None:  # fmt: skip
+        """Let a vehicle wait before the first edge until SUMO finds room for it, at the fastest speed that is safe."""
+        type_id = self._driver_type(
+            vehicle_id, length_m=length_m, width_m=width_m, accel_mps2=accel_mps2, decel_mps2=decel_mps2, tau_s=tau_s,
+            min_gap_m=min_gap_m, max_speed_mps=max_speed_mps,
+        )  # fmt: skip
+        libsumo.vehicle.add(
+            vehicle_id, self._route(edges), typeID=type_id, depart="now", departLane=str(lane_index),
+            departPos="base", departSpeed="avg",
+        )  # fmt: skip
+        libsumo.vehicle.setLaneChangeMode(vehicle_id, _ONLY_ASKED_IF_SAFE)
+        libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
+
+    def _driver_type(
+        self, vehicle_id: str, *, length_m: float, width_m: float, accel_mps2: float, decel_mps2: float, tau_s: float,
+        min_gap_m: float, max_speed_mps: float,
+    ) -> str:  # fmt: skip
+        """A vehicle type of one driver's own."""
         type_id = f"driven_{vehicle_id}"
         libsumo.vehicletype.copy(_DRIVEN, type_id)
         libsumo.vehicletype.setLength(type_id, length_m)
@@ -174,16 +212,7 @@ class Simulation:
             libsumo.vehicletype.setImperfection(type_id, 0.0)
         libsumo.vehicletype.setSpeedFactor(type_id, 1.0)
         libsumo.vehicletype.setSpeedDeviation(type_id, 0.0)
-        try:
-            libsumo.vehicle.add(
-                vehicle_id, self._route(edges), typeID=type_id, depart="now", departSpeed=f"{speed_mps:.6f}"
-            )
-            libsumo.vehicle.moveTo(vehicle_id, lane_id, front_m)
-        except libsumo.TraCIException as error:
-            return str(error)
-        libsumo.vehicle.setLaneChangeMode(vehicle_id, _ONLY_ASKED_IF_SAFE)
-        libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
-        return None
+        return type_id
 
     def disregard_others(self, vehicle_id: str) -> None:
         """Switch SUMO's regard for others off, in following and in changing lanes."""
@@ -199,6 +228,13 @@ class Simulation:
         """Ask for an instant change within the edge, onto a route that the new lane continues."""
         libsumo.vehicle.setRoute(vehicle_id, list(edges))
         libsumo.vehicle.changeLane(vehicle_id, lane_index, self._step_s)
+
+    @staticmethod
+    def wish(vehicle_id: str, side: str) -> tuple[frozenset[str], bool, bool]:
+        """What SUMO's lane-change model made of a side at the last step: motives, blocked ahead, blocked behind."""
+        words = libsumo.vehicle.getLaneChangeStatePretty(vehicle_id, 1 if side == "left" else -1)[0]
+        ahead, behind = (any(w.startswith("blocked") and w.endswith(e) for w in words) for e in ("leader", "follower"))
+        return _MOTIVES & frozenset(words) if side in words else frozenset(), ahead, behind
 
     def set_route(self, vehicle_id: str, edges: Sequence[str]) -> None:
         """Replace the route, from the current edge on."""

@@ -16,8 +16,6 @@ from hid2.params import Crossings
 
 #: Recorded object types that use crossings.
 CROSSING_TYPES = frozenset({"pedestrian", "cyclist", "riderless_bicycle"})
-#: Slower agents have no direction of motion, m/s.
-_SLOW_MPS = 0.5
 
 
 class CrossingOnPath(NamedTuple):
@@ -77,7 +75,7 @@ class PedestrianCrossings:
             occupied = held_up(
                 self._at[crossing], xy[middle], heading[middle], width_m / 2 + params.strip_m,
                 traffic.position, traffic.velocity, traffic.present, round(params.strip_s / self.step_s),
-                math.cos(math.radians(params.along_deg)), _SLOW_MPS,
+                math.cos(math.radians(params.along_deg)), params.directed_mps,
             )  # fmt: skip
             found.append(CrossingOnPath(first * TABLE_STEP_M, last * TABLE_STEP_M, occupied))
         return sorted(found, key=lambda one: one.entry_s)

@@ -22,10 +22,6 @@ from hid2.occupancy.sigma import ORIGINAL
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.scene import DT_S, Scene
 
-#: Decelerations that are tried, m/s2, up to `conflict.brake_max_mps2`.
-_BRAKES = np.array([0.0, 0.5, 0.8, 1.1, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0])
-_STRIDE = 2  # steps between two looks at the predicted motion
-_BRAKING_JERK_MPS3 = 4.0
 #: Columns of the fleet's state.
 S, V, A, EXECUTING, PRESENT = range(5)
 
@@ -79,6 +75,12 @@ class Guard:
     _swept: dict[tuple[DrivenPath, BoxSize, DrivenPath, BoxSize], tuple[FloatArray, FloatArray, FloatArray] | None] = (
         field(default_factory=dict)
     )
+    _brakes: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        """The decelerations that are tried."""
+        conflict = self.scene.config.conflict
+        self._brakes = np.array([brake for brake in conflict.brakes_mps2 if brake <= conflict.brake_max_mps2])
 
     def obstacles(self, path: DrivenPath, box: BoxSize, others: list[tuple[int, DrivenPath, BoxSize]]) -> Obstacles:
         """Everybody on a path for a box; others: fleet rows with the paths and boxes of those driven together."""
@@ -134,16 +136,15 @@ class Guard:
         horizon_s: another one than `conflict.horizon_s`.
         """
         conflict, known = self.scene.config.conflict, obstacles.known
-        brakes = _BRAKES[conflict.brake_max_mps2 >= _BRAKES]
         row, hit, free, leader, gap, run_into, free_s = needed_braking(
             known.low, known.high, known.along, known.aligned, obstacles.stop_s, obstacles.closed, obstacles.swept,
             obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
-            round((conflict.horizon_s if horizon_s is None else horizon_s) / DT_S), _STRIDE, DT_S,
-            (driver.tau_s, driver.accel_mps2, driver.decel_mps2, driver.min_gap_m), brakes, _BRAKING_JERK_MPS3,
-            0.5 * conflict.margin_front_m,
+            round((conflict.horizon_s if horizon_s is None else horizon_s) / DT_S), conflict.stride, DT_S,
+            (driver.tau_s, driver.accel_mps2, driver.decel_mps2, driver.min_gap_m), self._brakes,
+            conflict.predicted_jerk_mps3, 0.5 * conflict.margin_front_m,
         )  # fmt: skip
         return Braking(
-            decel_mps2=float(brakes[row]),
+            decel_mps2=float(self._brakes[row]),
             conflict_s=None if hit < 0 else hit * DT_S,
             free_conflict_s=None if free < 0 else free * DT_S,
             leader=int(leader),

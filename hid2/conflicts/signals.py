@@ -22,10 +22,6 @@ from netconvert.lane_graph import SIDES, LaneGraph, TurnType
 
 #: Recorded object types that obey signals.
 SIGNALLED_TYPES = frozenset({"vehicle", "bus", "motorcyclist", "cyclist"})
-#: A centre this far beside a lane's edge still counts as on the lane, m.
-_BEYOND_EDGE_M = 0.5
-#: An entering vehicle follows the lane that it is nearest to on average, and those that are farther by at most this, m.
-_ALIKE_M = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +128,7 @@ class InferredSignals:
         lanes = [graph.lanes[lane] for _, lane, _ in before] + [graph.lanes[lane] for lane in approach.fan]
         first = np.cumsum([0, *(len(lane.path.points) for lane in lanes)])
         pose, _, state, _, bounds, moves = self._states
-        rule = _BEYOND_EDGE_M, math.cos(AGREES_RAD), params.queue_m, params.beyond_m, _ALIKE_M
+        rule = params.beside_m, math.cos(AGREES_RAD), params.queue_m, params.beyond_m, params.alike_m
         comes_from, enters, waits = watch_approach(
             np.concatenate([lane.path.points for lane in lanes]), np.concatenate([lane.path.s for lane in lanes]),
             first, np.array([lane.width_m / 2 for lane in lanes]), np.array([ahead_m for _, _, ahead_m in before]),

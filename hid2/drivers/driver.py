@@ -5,10 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hid2.agents import FloatArray
-from hid2.params import Config
+from hid2.params import Config, Drivers
 
 #: Draws are cut off so many standard deviations from the mean.
 _TRUNCATED_AT = 2.0
+#: Knots of the place in the lane are no nearer to each other, m: a car is not a bicycle.
+_LEAST_SPACING_M = 6.0
 #: A foot does not jump: the wandering of the desired speed is eased over this, s.
 _EASED_S = 0.8
 
@@ -19,7 +21,7 @@ class Driver:
 
     desired_mps m/s; tau_s s, time gap; accel_mps2, decel_mps2 m/s2, comfortable; min_gap_m m to a standing leader;
     turn_lateral_mps2 m/s2, what the driver takes in turns; offset_m m, mean place in the lane, left positive;
-    lane_change_s s, duration of a lane change.
+    lane_change_s s, duration of a lane change; wander_m m, SD of the wandering about the place in the lane.
     """
 
     desired_mps: float
@@ -30,6 +32,18 @@ class Driver:
     turn_lateral_mps2: float
     offset_m: float
     lane_change_s: float
+    wander_m: float = 0.0
+
+
+def usual_driver(desired_mps: float) -> Driver:
+    """The mean driver of the defaults, with a desired speed, m/s."""
+    law = Drivers()
+    return Driver(
+        desired_mps=desired_mps, tau_s=law.tau_mean_s, accel_mps2=law.accel_mean_mps2,
+        decel_mps2=law.decel_mean_mps2, min_gap_m=law.min_gap_mean_m,
+        turn_lateral_mps2=0.5 * (law.turn_lateral_min_mps2 + law.turn_lateral_max_mps2), offset_m=0.0,
+        lane_change_s=law.lane_change_mean_s,
+    )  # fmt: skip
 
 
 def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: float) -> Driver:
@@ -47,10 +61,11 @@ def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: flo
         decel_mps2=float(np.clip(normal(law.decel_mean_mps2, law.decel_sd_mps2), 0.8, -config.limits.accel_min_mps2)),
         min_gap_m=max(1.0, normal(law.min_gap_mean_m, law.min_gap_sd_m)),
         turn_lateral_mps2=float(rng.uniform(law.turn_lateral_min_mps2, law.turn_lateral_max_mps2)),
-        offset_m=normal(0.0, law.offset_sd_m),
+        offset_m=normal(law.offset_mean_m, law.offset_sd_m),
         lane_change_s=float(
             np.clip(normal(law.lane_change_mean_s, law.lane_change_sd_s), change.min_duration_s, change.max_duration_s)
         ),
+        wander_m=law.lateral_wander_sd_m * float(np.exp(normal(0.0, law.lateral_wander_spread))),
     )
 
 
@@ -108,7 +123,7 @@ class LaneOffset:
 def lane_offset(driver: Driver, config: Config, rng: np.random.Generator, *, length_m: float) -> LaneOffset:
     """The driver's place along a path of length_m: its mean with a wandering about it."""
     law = config.drivers
-    spacing = max(12.0, driver.desired_mps * law.lateral_wander_time_s)
+    spacing = max(_LEAST_SPACING_M, driver.desired_mps * law.lateral_wander_time_s)
     count = max(4, int(length_m / spacing) + 3)
     knots = spacing * (np.arange(count) - rng.uniform())
     kept = float(np.exp(-1.0))
@@ -116,7 +131,8 @@ def lane_offset(driver: Driver, config: Config, rng: np.random.Generator, *, len
     value[0] = rng.standard_normal()
     for row in range(1, count):
         value[row] = kept * value[row - 1] + np.sqrt(1.0 - kept * kept) * rng.standard_normal()
-    offset = driver.offset_m + law.lateral_wander_sd_m * np.clip(value, -_TRUNCATED_AT, _TRUNCATED_AT)
+    offset = driver.offset_m + driver.wander_m * np.clip(value, -_TRUNCATED_AT, _TRUNCATED_AT)
+    offset = np.clip(offset, -law.offset_max_m, law.offset_max_m)
     return LaneOffset(
         np.asarray(knots, dtype=np.float64), offset, np.asarray(np.gradient(offset, knots), dtype=np.float64)
     )

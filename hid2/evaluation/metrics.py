@@ -7,6 +7,7 @@ numerators and denominators. To add one, add it to METRICS: tables, report and m
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,17 @@ import numpy as np
 from hid2.evaluation.kinematics import Kinematics, clean
 from hid2.evaluation.safety import Safety, colliding
 from hid2.measures.arrays import BoolArray, SceneArrays
+from hid2.measures.encounters import (
+    BRAKES_MPS2,
+    FOLLOWS_FOR_S,
+    FOLLOWS_S,
+    NEAR_M,
+    STANDS_FOR_S,
+    STANDS_MPS,
+    WITHIN_S,
+    Encounters,
+    Partner,
+)
 from hid2.measures.motion_limits import MOTION_LIMITS
 from hid2.measures.scene_end import Contact
 from hid2.params import Conflict, Limits
@@ -33,6 +45,7 @@ class Section(StrEnum):
     CLEAN = "clean"
     SAFETY = "safety"
     LIMITS = "limits"
+    ENCOUNTERS = "encounters"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -40,7 +53,7 @@ class Group:
     """One group of the agents of a scene, with what was measured of the whole scene.
 
     members (A,); beyond: rows (N,) that exceed each limit of motion; partners (A,): whom a member may collide with;
-    end_contacts: first contacts of `ends`, by agent, after the last step.
+    end_contacts: first contacts of `ends`, by agent, after the last step; met: what each agent of the scene meets.
     """
 
     arrays: SceneArrays
@@ -50,6 +63,7 @@ class Group:
     members: BoolArray
     partners: BoolArray
     end_contacts: Mapping[int, Contact]
+    met: Encounters
 
     @property
     def vehicles(self) -> BoolArray:
@@ -70,6 +84,12 @@ class Group:
     def ends(self) -> BoolArray:
         """(A,) members whose last step counts."""
         return np.asarray(self.members & last_step_counts(self.arrays))
+
+    @property
+    def meeting(self) -> BoolArray:
+        """(A,) vehicles that may meet somebody: all inserted ones, recorded ones that move and are no fragments."""
+        moving = self.arrays.moving & ~self.arrays.fragment
+        return np.asarray(self.vehicles & (self.arrays.generated | moving))
 
     @property
     def rows(self) -> BoolArray:
@@ -127,8 +147,42 @@ SCENES_WITH_VEHICLES = Column("scr_scenes", lambda g: int(g.vehicles.any()))
 ROWS = Column("rows", lambda g: int(g.rows.sum()))
 MOVING_ROWS = Column("moving_rows", lambda g: int(g.moving_rows.sum()))
 FOLLOWING_ROWS = Column("following_rows", lambda g: int(np.isfinite(g.safe.leaders.time_gap_s[g.moving_rows]).sum()))
+MEETING = Column("meeting", lambda g: int(g.meeting.sum()))
 ENDS = Column("ends", lambda g: int(g.ends.sum()))
 SCENES_WITH_ENDS = Column("end_scenes", lambda g: int(g.ends.any()))
+
+
+def _met(key: str, label: str, sentence: str, of: Callable[[Encounters], BoolArray]) -> Metric:
+    """Share of vehicles with an encounter."""
+    return Metric(
+        f"met_{key}", label, "share", Section.ENCOUNTERS, sentence,
+        Column(f"met_{key}", lambda g: int((of(g.met) & g.meeting).sum())), MEETING,
+    )  # fmt: skip
+
+
+def _followed(kind: Partner) -> tuple[Metric, Metric, Metric]:
+    """What is measured of a kind of leader."""
+    return (
+        _met(
+            f"follows_{kind}", f"follows a leader, {kind}",
+            f"Behind a vehicle ({kind}) at a time gap below {FOLLOWS_S:g} s for {FOLLOWS_FOR_S:g} s on end.",
+            lambda met: met.follows[kind],
+        ),
+        _met(
+            f"brakes_{kind}", f"brakes for a leader, {kind}",
+            f"Deceleration beyond {-BRAKES_MPS2:g} m/s² behind a near leader ({kind}).", lambda met: met.brakes[kind],
+        ),
+        _met(
+            f"merges_{kind}", f"merges with a vehicle, {kind}",
+            f"Comes onto a lane within {WITHIN_S:g} s of a vehicle ({kind}) that came onto it from elsewhere.",
+            lambda met: met.merges[kind],
+        ),
+    )  # fmt: skip
+
+
+def _crossing(kind: Partner, met: Encounters) -> BoolArray:
+    return met.crosses[kind]
+
 
 _TTC = f"TTC below {CRITICAL.ttc_min_s:g} s"
 _END_TTC = f"TTC below {CRITICAL.end_ttc_min_s:g} s"
@@ -228,6 +282,25 @@ METRICS: tuple[Metric, ...] = (
         "limit_radius", f"radius below {Limits().min_radius_m:g} m", "share", Section.LIMITS,
         "Steps of moving vehicles on a tighter curve than vehicles can drive.",
         _beyond("radius"), MOVING_ROWS,
+    ),
+    _met(
+        "far", f"never within {NEAR_M:g} m of moving recorded traffic",
+        f"Centre never within {NEAR_M:g} m of that of another vehicle that was recorded and moves.",
+        lambda met: met.distance_m > NEAR_M,
+    ),
+    *_followed(Partner.RECORDED),
+    *_followed(Partner.INSERTED),
+    *(
+        _met(
+            f"crosses_{kind}", f"crossing with PET below {WITHIN_S:g} s, {kind}",
+            f"Swept path crosses that of a road user that moves ({kind}) at a PET below {WITHIN_S:g} s.",
+            partial(_crossing, kind),
+        )
+        for kind in Partner
+    ),
+    _met(
+        "stands", "stands at some time", f"Slower than {STANDS_MPS:g} m/s for {STANDS_FOR_S:g} s.",
+        lambda met: met.stands,
     ),
 )  # fmt: skip
 

@@ -83,14 +83,6 @@ def colliding(
     return hit
 
 
-def scenario_collision_rate(
-    arrays: SceneArrays, pairs: tuple[Overlap, ...], members: BoolArray, *, iou: float = IOU_THRESHOLD
-) -> float:
-    """Colliding members / members: one scene's term of the paper's SCR; 0 for a scene without members."""
-    total = int(members.sum())
-    return float(colliding(arrays, pairs, members, iou=iou).sum()) / total if total else 0.0
-
-
 def off_road(position: FloatArray, graph: LaneGraph) -> BoolArray:
     """Which points (N, 2) lie outside the union of the drivable areas."""
     area = graph.drivable

@@ -3,7 +3,7 @@
 import logging
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,11 +11,14 @@ import numpy as np
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.events import EventOutcome
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
+from hid2.insertion.meetings import Meetings
 from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.routes import Routes
 from hid2.insertion.sites import InsertionSites
+from hid2.insertion.spread import Spread
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
@@ -25,12 +28,6 @@ from netconvert.cells import Cell
 
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
-_MOST_AGENTS = 400
-#: Length of lane a vehicle takes on a road that is full, m; a round of `max` that adds a smaller share is the last.
-_USUAL_SPACING_M, _FULL_SHARE = 25.0, 0.1
-#: Requests in vain after which a round looks for no more sites for that policy: for manoeuvres, and for going straight.
-_FAILED_MOST = (2, 1)
-_AGAIN_MOST = 1  # times that a vehicle is driven again because it had waited for one that is gone
 _NO_MAP: dict[Policy, Reason] = {
     Policy.STRAIGHT: Reason.MAP_OFFERS_NO_LANE,
     Policy.LEFT_TURN: Reason.MAP_OFFERS_NO_LEFT_TURN,
@@ -74,11 +71,13 @@ class Filling:
     roads: Roads = field(init=False)
     routes: Routes = field(init=False)
     stop_lines: StopLines = field(init=False)
+    meetings: Meetings = field(init=False)
     kept: list[ExportedVehicle] = field(default_factory=list)
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     unmet: list[Unmet] = field(default_factory=list)
     rejected: list[Rejection] = field(default_factory=list)
     no_site: Counter[Reason] = field(default_factory=Counter)
+    events: list[EventOutcome] = field(default_factory=list)
     rounds: int = 0
     _open: list[VehicleRequest] = field(default_factory=list)
     _again: list[Start] = field(default_factory=list)
@@ -90,13 +89,24 @@ class Filling:
     def __post_init__(self) -> None:
         """What is found out about the map is kept over the rounds."""
         self.roads, self.routes, self.stop_lines = Roads(self.scene), Routes(self.scene), StopLines(self.scene)
+        self.meetings = Meetings(self.scene, self.routes)
+
+    def take_events(self, found: Sequence[EventOutcome]) -> None:
+        """Vehicles of events are kept before all others, which have to do with them; they count among the vehicles."""
+        self.events = list(found)
+        for one in found:
+            if one.vehicle is not None:
+                self.kept.append(one.vehicle)
+                if one.outcome is not None:
+                    self.outcomes[one.vehicle.driven.vehicle_id] = one.outcome
 
     def fill(self, drive: Drive) -> None:
         """All rounds. The count is a wish: a full road ends with fewer, and says so."""
         config = self.scene.config
         asked = config.request.agents
         target = self._most() if asked == "max" else asked
-        self._open = self._possible(draw_requests(config, np.random.default_rng([*self.seed, 0]), count=target))
+        count = max(0, target - len(self.kept))
+        self._open = self._possible(draw_requests(config, np.random.default_rng([*self.seed, 0]), count=count))
         self._next_spare = target
         for number in range(config.spawn.rounds):
             missing = target - len(self.kept)
@@ -110,16 +120,27 @@ class Filling:
                 break
             self.rounds = number + 1
             self._keep(drive(starts, self._fixed(), number), number)
-            if asked == "max" and number > 0 and len(self.kept) - before <= _FULL_SHARE * len(self.kept):
+            if asked == "max" and number > 0 and len(self.kept) - before <= config.spawn.full_share * len(self.kept):
                 break
         for request in self._open:
             if request.policy is not Policy.STRAIGHT:
                 self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
 
+    def first_starts(self, count: int) -> list[Start]:
+        """Starts of one round for `count` requests, spare ones left out; who finds none is in `unmet`."""
+        self._open = self._possible(
+            draw_requests(self.scene.config, np.random.default_rng([*self.seed, 0]), count=count)
+        )
+        starts = self._starts(0, count, spare=False)
+        met = {start.request.number for start in starts}
+        self.unmet += [Unmet(request, Reason.NO_SITE) for request in self._open if request.number not in met]
+        return starts
+
     def _most(self) -> int:
         """How many the road takes at usual gaps, about: what `max` asks for."""
-        lanes = self.scene.grid.graph.lanes
-        return min(_MOST_AGENTS, math.ceil(sum(lanes[n].length_m for n in self.routes.lanes) / _USUAL_SPACING_M))
+        lanes, spawn = self.scene.grid.graph.lanes, self.scene.config.spawn
+        length_m = sum(lanes[lane_id].length_m for lane_id in self.routes.lanes)
+        return min(spawn.most_agents, math.ceil(length_m / spawn.spacing_m))
 
     def _fixed(self) -> Traffic:
         return traffic_of_exported(self.kept, self.scene)
@@ -145,7 +166,10 @@ class Filling:
         config = self.scene.config
         rng = np.random.default_rng([*self.seed, 1 + number])
         guard = Guard(self.scene, self._fixed(), self.stop_lines)
-        sites = InsertionSites(self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number, self._avoided)
+        sites = InsertionSites(
+            self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number, self._avoided,
+            meetings=self.meetings, spread=Spread.of(self.seed), asked=Counter(r.policy for r in self._open),
+        )  # fmt: skip
         sites.taken += self._again
         starts, self._again = list(self._again), []
         if number >= config.spawn.reseed_rounds:  # the count matters more by now
@@ -153,10 +177,12 @@ class Filling:
         waiting = sorted(self._open, key=lambda request: (_ORDER.index(request.policy), request.number))
         used: set[int] = {start.request.number for start in starts}
         failed: Counter[Policy] = Counter()
+        waiting_rivals: list[VehicleRequest] = []
         for request in waiting:
             if request.number in used:
                 continue
-            if failed[request.policy] >= _FAILED_MOST[request.policy is Policy.STRAIGHT]:
+            straight = request.policy is Policy.STRAIGHT
+            if failed[request.policy] >= (config.spawn.failed_straight if straight else config.spawn.failed_manoeuvres):
                 self._last_reason[request.number] = Reason.NO_SITE
                 continue
             slow = next(
@@ -168,8 +194,13 @@ class Filling:
             if not found:
                 failed[request.policy] += 1
                 self._last_reason[request.number] = Reason.NO_SITE
+            elif request.policy is not Policy.STRAIGHT:
+                waiting_rivals.append(request)
+        starts += self._rivals(sites, waiting_rivals, math.ceil(config.spawn.rivals_share * max(0, missing)))
         if spare and starts and not failed[Policy.STRAIGHT]:
             extra = math.ceil(config.spawn.spare_share * len(starts))
+            if number + 1 == config.spawn.reseed_rounds:  # in place of manoeuvres that fail once more
+                extra = max(extra, sum(request.policy is not Policy.STRAIGHT for request in waiting))
             for _ in range(min(extra, max(0, missing))):
                 request = VehicleRequest(self._next_spare, Policy.STRAIGHT, 0.0)
                 self._next_spare += 1
@@ -179,12 +210,32 @@ class Filling:
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
         return starts
 
-    def _give_up_manoeuvres(self) -> bool:
-        """Requests that no round met become vehicles that go straight; whether there was any."""
+    def _rivals(self, sites: InsertionSites, requests: list[VehicleRequest], most: int) -> list[Start]:
+        """More vehicles for the same requests, in turns, so that one of them does what is asked for in this round.
+
+        Who is to be overtaken by them is a spare vehicle.
+        """
+        starts: list[Start] = []
+        for _ in range(self.scene.config.spawn.rivals):
+            for request in list(requests):
+                if len(starts) >= most:
+                    return starts
+                slow: VehicleRequest | None = None
+                if request.policy is Policy.OVERTAKE:
+                    slow = VehicleRequest(self._next_spare, Policy.STRAIGHT, 0.0)
+                    self._next_spare += 1
+                found = sites.propose(request, slow)
+                starts += found
+                if not found:
+                    requests.remove(request)
+        return starts
+
+    def _give_up_manoeuvres(self, met: Set[int] = frozenset()) -> bool:
+        """Requests that no round met become vehicles that go straight; whether there was any. met: numbers."""
         before = len(self.unmet)
         still = []
         for request in self._open:
-            if request.policy is not Policy.STRAIGHT:
+            if request.policy is not Policy.STRAIGHT and request.number not in met:
                 self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
                 request = replace(request, policy=Policy.STRAIGHT)
             still.append(request)
@@ -220,6 +271,14 @@ class Filling:
                     said = outcome.reason or Reason.SCENE_ENDED
                     gone[one.driven.vehicle_id] = one.driven, Reason.DID_NOT_DO_IT, said
                     self._last_reason[one.driven.start.request.number] = said
+        for vehicle, reason, _ in gone.values():
+            if reason is not Reason.DID_NOT_DO_IT:
+                self._last_reason[vehicle.start.request.number] = reason
+        self._drop_rivals(new, gone)
+        if number + 1 >= self.scene.config.spawn.reseed_rounds:
+            self._give_up_manoeuvres(
+                {one.driven.start.request.number for one in new if one.driven.vehicle_id not in gone}
+            )
         self._drop_surplus(new, gone)
         self._drive_again(new, gone)
         for vehicle, reason, detail in gone.values():
@@ -231,6 +290,18 @@ class Filling:
             _tell(one.driven, _site(self.scene, one.driven), number, "kept", became)
         self.kept += kept_now
         self._close(kept_now)
+
+    def _drop_rivals(
+        self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]
+    ) -> None:
+        """Of several vehicles for one request one is kept: one that somebody waited for before others."""
+        waited_for = set().union(*(one.driven.waited_for for one in new)) if new else set()
+        left = [one.driven for one in new if one.driven.vehicle_id not in gone]
+        met: set[int] = set()
+        for driven in sorted(left, key=lambda driven: driven.vehicle_id not in waited_for):
+            if driven.start.request.number in met:
+                gone[driven.vehicle_id] = driven, Reason.SPARE, None
+            met.add(driven.start.request.number)
 
     def _drop_surplus(
         self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]
@@ -258,7 +329,7 @@ class Filling:
                     continue
                 gone[driven.vehicle_id] = driven, Reason.WAITED_FOR_GONE, None
                 changed = True
-                if self._driven_again[driven.vehicle_id] < _AGAIN_MOST:
+                if self._driven_again[driven.vehicle_id] < self.scene.config.spawn.driven_again:
                     self._driven_again[driven.vehicle_id] += 1
                     self._again.append(driven.start)
 
@@ -277,11 +348,10 @@ class Filling:
                 detail,
             )
         )
-        if reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE):
-            if self.scene.config.request.sites == "promising":
-                segment = start.path.segment_at(start.start_s)
-                self._avoided.append((segment.lane_id, segment.lane_s(start.start_s)))
-            self._last_reason[start.request.number] = reason
+        place_failed = reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE)
+        if place_failed and self.scene.config.request.sites == "promising":
+            segment = start.path.segment_at(start.start_s)
+            self._avoided.append((segment.lane_id, segment.lane_s(start.start_s)))
 
     def _close(self, kept: list[ExportedVehicle]) -> None:
         """Take requests that are met off the list; a spare vehicle meets the last open one that goes straight."""

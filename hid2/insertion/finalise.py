@@ -16,13 +16,7 @@ from hid2.reasons import Reason, limit_reason
 from hid2.scene import DT_S, Scene
 from hid2.vehicle import DrivenVehicle
 
-_BOX_MARGIN_M = 0.05
-#: Widths of the filter that are tried in turn, over `smoothing.filter_s`; shares of the driver's place in the lane.
-_FILTERS = (1.0, 1.6, 2.5)
-_OFFSETS = (1.0, 0.5, 0.0)
-_MOVES_M = 2.0
-_ROLLS_BACK_MPS = -0.2
-_AFTER_END_M, _AFTER_END_SPARE_S = 120.0, 0.1
+_AFTER_END_M = 120.0  # no tunable, spares time: nobody closes in from farther away within `conflict.end_horizon_s`
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -70,7 +64,7 @@ def traffic_of_exported(vehicles: Sequence[ExportedVehicle], scene: Scene) -> Tr
 def finalise(scene: Scene, vehicle: DrivenVehicle, others: Traffic) -> ExportedVehicle | Reason:
     """Smooth a driven vehicle and check it against everything recorded and `others`; or why it is not exported."""
     if vehicle.objection is not None:
-        return Reason(vehicle.objection)
+        return vehicle.objection
     start, config = vehicle.start, scene.config
     s, v = np.array(vehicle.s), np.array(vehicle.v)
     if "topology" in config.without and s.size < scene.num_steps:  # off the grid it goes on as it was
@@ -81,14 +75,18 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, others: Traffic) -> ExportedV
     steps = int((s <= end).sum())
     if steps < scene.first_exit_step:
         return Reason.LEAVES_TOO_EARLY
-    if s[steps - 1] - s[0] < _MOVES_M and "collision" not in config.without:
+    if s[steps - 1] - s[0] < config.export.moves_m and "collision" not in config.without:
         return Reason.STANDS_THROUGHOUT
     if "smoothing" in config.without:
         return _grid_path(scene, vehicle, s[:steps], v[:steps], others)
     verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK
-    for filtered in _FILTERS:
-        motion = smooth_motion(s[:steps], v[:steps], filter_s=filtered * config.smoothing.filter_s, step_s=DT_S)
-        for share in _OFFSETS:
+    ratios = config.export.filter_ratios
+    for ratio, eased in [(ratios[0], False), *((ratio, True) for ratio in ratios)]:  # ends are eased where they must be
+        motion = smooth_motion(
+            s[:steps], v[:steps], filter_s=ratio * config.smoothing.filter_s, step_s=DT_S,
+            end_jerk_mps3=config.limits.longitudinal_jerk_mps3 if eased else None,
+        )  # fmt: skip
+        for share in config.export.offset_shares:
             path = trajectory(vehicle.path.line, motion, start.offset.scaled(share))
             verdict = _checked(scene, vehicle, motion, path, motion.s - s[:steps], others)
             if isinstance(verdict, ExportedVehicle) or verdict not in _LATERAL:
@@ -112,25 +110,25 @@ def _checked(
     scene: Scene, vehicle: DrivenVehicle, motion: Motion, path: Trajectory, off_m: FloatArray, others: Traffic
 ) -> ExportedVehicle | Reason:
     """Limits of motion, drivable area, boxes, the end of the scene; cheap ones first."""
-    config = scene.config
+    config, export = scene.config, scene.config.export
     cells = slice(int(motion.s[0] / TABLE_STEP_M), int(motion.s[-1] / TABLE_STEP_M) + 2)
-    if np.abs(vehicle.path.line.table_curvature[cells]).max() > 0.98 / config.limits.min_radius_m:
+    if np.abs(vehicle.path.line.table_curvature[cells]).max() > export.limit_share / config.limits.min_radius_m:
         return Reason.LIMIT_CURVATURE
     exceeded = limit_exceeded(path, config.limits, step_s=DT_S)
     if exceeded is not None:
         return limit_reason(exceeded)
     ttc_s = np.inf
     if "collision" not in config.without:
-        tolerance = 0.9 * config.limits.drivable_tolerance_m
+        tolerance = export.drivable_share * config.limits.drivable_tolerance_m
         drivable = scene.grid.graph.drivable
         if (
             "topology" not in config.without
             and off_road_steps(path.position, path.heading, vehicle.start.size, drivable, tolerance_m=tolerance).any()
         ):
             return Reason.OFF_ROAD
-        if first_overlap(path, vehicle.start.box, scene.traffic, margin_m=_BOX_MARGIN_M) is not None:
+        if first_overlap(path, vehicle.start.box, scene.traffic, margin_m=export.box_margin_m) is not None:
             return Reason.MEETS_RECORDED
-        if others.ids and first_overlap(path, vehicle.start.box, others, margin_m=_BOX_MARGIN_M) is not None:
+        if others.ids and first_overlap(path, vehicle.start.box, others, margin_m=export.box_margin_m) is not None:
             return Reason.MEETS_GENERATED
         ttc_s = _min_leader_ttc_s(scene, vehicle, motion, others)
         if ttc_s < config.conflict.ttc_min_s:
@@ -149,7 +147,7 @@ def _checked(
 
 def _min_leader_ttc_s(scene: Scene, vehicle: DrivenVehicle, motion: Motion, others: Traffic) -> float:
     """Smallest TTC to who moves with the path ahead of the vehicle on it; inf when never closing in."""
-    start, steps = vehicle.start, motion.s.size
+    start, steps, export = vehicle.start, motion.s.size, scene.config.export
     seen = scene.recorded_on(vehicle.path, start.box)
     if others.ids:
         margin = scene.config.conflict.margin_lateral_m
@@ -161,8 +159,8 @@ def _min_leader_ttc_s(scene: Scene, vehicle: DrivenVehicle, motion: Motion, othe
         )  # fmt: skip
     gap = seen.low[:, :steps] - motion.s
     closing = motion.v - seen.along[:, :steps]
-    rolls_back = seen.along[:, :steps] < _ROLLS_BACK_MPS  # noise of the tracker, or parking: no leader to close in on
-    leads = np.isfinite(gap) & seen.aligned[:, :steps] & (gap > -1.0) & (closing > 1e-3) & ~rolls_back
+    ahead = np.isfinite(gap) & (gap > -export.touching_m) & (seen.along[:, :steps] >= -export.rolls_back_mps)
+    leads = ahead & seen.aligned[:, :steps] & (closing > 1e-3)
     if not leads.any():
         return float("inf")
     return float((gap[leads] / closing[leads]).min())
@@ -183,7 +181,7 @@ def _meets_after_end(scene: Scene, vehicle: DrivenVehicle, path: Trajectory, oth
         size=np.concatenate([np.array([[vehicle.start.box.length_m, vehicle.start.box.width_m]]), size]),
     )
     contact = first_contact(0, boxes, horizon_s=conflict.end_horizon_s)
-    return contact is not None and contact.ttc_s < conflict.end_ttc_min_s + _AFTER_END_SPARE_S
+    return contact is not None and contact.ttc_s < conflict.end_ttc_min_s + scene.config.export.end_spare_s
 
 
 def _grid_path(

@@ -81,7 +81,7 @@ def _turn(scene: Scene, vehicle: ExportedVehicle) -> Outcome:
 def _missed(vehicle: ExportedVehicle) -> Outcome:
     driven = vehicle.driven
     late = driven.start.request.trigger_s > (vehicle.num_steps - 1) * DT_S
-    reason = Reason(driven.reason) if driven.reason else Reason.SCENE_ENDED
+    reason = driven.reason or Reason.SCENE_ENDED
     return Outcome(driven.policy, "not_triggered" if late else "not_feasible", reason)
 
 
@@ -113,7 +113,7 @@ def _overtake(scene: Scene, vehicle: ExportedVehicle, traffic: Traffic) -> Outco
         reason = Reason.LEADER_NOT_KEPT
     elif entered is None:
         reason = Reason.SCENE_ENDED_ENTERING
-    elif len(driven.shifts) == 1 and driven.stage is Stage.PASS and driven.reason == Reason.NOT_AHEAD:
+    elif len(driven.shifts) == 1 and driven.stage is Stage.PASS and driven.reason is Reason.NOT_AHEAD:
         reason = Reason.NOT_PASSED
     elif len(driven.shifts) == 1:
         reason, detail = Reason.PASSED_WITHOUT_RETURN, driven.reason or Reason.SCENE_ENDED

@@ -84,17 +84,19 @@ class Routes:
 
     def map_offers(self, policy: Policy) -> bool:
         """Whether the map has any place at all for a policy, whoever is on it; the rule of `hid2 scan` too."""
+        return any(self.lane_offers(lane_id, policy) for lane_id in self.lanes)
+
+    def lane_offers(self, lane_id: int, policy: Policy) -> bool:
+        """Whether some route from a lane has a place for a policy."""
+        if policy is Policy.STRAIGHT:
+            return True
         if policy in TURN_OF_POLICY:
             kind = TURN_OF_POLICY[policy]
-            return any(offer.turns and offer.turns[0][0] is kind for n in self.lanes for offer in self.offers(n))
-        if policy is Policy.STRAIGHT:
-            return bool(self.lanes)
+            return any(offer.turns and offer.turns[0][0] is kind for offer in self.offers(lane_id))
         config = self.scene.config
         lane_change = policy is Policy.LANE_CHANGE
         needed_m = config.lane_change.min_remaining_m if lane_change else config.overtake.d_overtake_m
-        return any(
-            beside.remaining_m > needed_m for n in self.lanes for offer in self.offers(n) for beside in offer.beside
-        )
+        return any(beside.remaining_m > needed_m for offer in self.offers(lane_id) for beside in offer.beside)
 
     def _offer(self, before: Route, route: Route) -> RouteOffer:
         lanes = self.scene.grid.graph.lanes

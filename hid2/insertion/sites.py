@@ -8,16 +8,19 @@ from functools import partial
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import Guard, Obstacles
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver, desired_speeds, draw_driver, lane_offset
+from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.insertion.sizes import draw_size
+from hid2.insertion.spread import Spread, by_weight
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.sigma import FREE
+from hid2.params import Sites
 from hid2.policy.decision import Side
 from hid2.policy.lane_change import lane_change_reason
 from hid2.policy.observation import lane_options
@@ -27,30 +30,20 @@ from hid2.reasons import Reason
 from hid2.scene import DT_S, Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
-_MOVING_MPS = 1.0
-_TRIES = 150  # sites that are looked at in full for one request, in one round
-_BEFORE_TURN_M = 5.0
-_TURN_PACE_MPS = 5.0  # mean speed on a turn lane, for an estimate of when it is left
-_SLOW_SHARE = (0.25, 0.38)  # desired speed of a leader that is to be overtaken, over that of who overtakes it
-_STANDING_MPS = 0.3
-#: A vehicle may begin by braking so hard for its leader, m/s2.
-_BEGINS_BRAKING_MPS2 = 0.8
-#: Drivers that are drawn for one site, and the verdicts that another one may change.
-_DRIVERS = 3
+#: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.LEAVES_TOO_EARLY})
-#: Nobody else begins beside a vehicle that is to overtake, from so far behind it to so far ahead, m.
-_PASSES_BEHIND_M, _PASSES_AHEAD_M, _LANES_APART_M = 15.0, 70.0, 5.5
-#: Moments after the trigger at which a gap beside is looked for, s.
-_GAP_WAITS_S = (0.0, 0.7, 1.5)
-_AVOIDED_M = 5.0  # around a start that could not be kept
-_WAITS_M = 8.0  # who starts standing does so behind somebody who stands no farther ahead
+_BESIDE_MOST_M = 80.0  # no tunable, spares time: two starts farther apart have nothing to do with each other
+
+#: Centre (x, y), m, and unit vector of the direction, of one vehicle.
+_Pose = tuple[list[float], list[float]]
 
 
 @dataclass(slots=True)
 class InsertionSites:
     """Sites of one scene for requests; what was proposed in this round is kept clear of.
 
-    avoided: lanes and arc lengths, m, at which vehicles of rounds before began that could not be kept.
+    avoided: lanes and arc lengths, m, at which vehicles of rounds before began that could not be kept; asked: how many
+    vehicles of each policy the scene is asked for, which share its sites.
     """
 
     scene: Scene
@@ -61,9 +54,13 @@ class InsertionSites:
     rng: np.random.Generator
     round_number: int
     avoided: Sequence[tuple[int, float]] = ()
+    meetings: Meetings | None = None
+    spread: Spread | None = None
+    asked: Counter[Policy] = field(default_factory=Counter)
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
-    _usual: dict[int, float] = field(default_factory=dict)
+    _looked: Counter[Policy] = field(default_factory=Counter)
+    _poses: dict[str, _Pose] = field(default_factory=dict)
     _obstacles: dict[tuple[DrivenPath, BoxSize], Obstacles] = field(default_factory=dict)
 
     def propose(self, request: VehicleRequest, slow_leader: VehicleRequest | None = None) -> list[Start]:
@@ -83,7 +80,7 @@ class InsertionSites:
     def _may_pass(self, start: Start) -> bool:
         """Whether the recorded traffic leaves a lane beside free for an overtake soon after the trigger."""
         overtake, nobody = self.scene.config.overtake, self.scene.traffic.rows([])
-        for wait_s in _GAP_WAITS_S:
+        for wait_s in self.scene.config.sites.gap_waits_s:
             at_s = start.request.trigger_s + wait_s
             step, at = round(at_s / DT_S), start.start_s + 0.8 * start.start_mps * at_s
             if step >= self.scene.num_steps or at > start.path.exit_s:
@@ -129,8 +126,15 @@ class InsertionSites:
         self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool], *, strict: bool = False
     ) -> Iterator[Start]:
         tried = 0
-        for lane_id, lane_s in self._places():
-            for offer in self._order(request, self.routes.offers(lane_id)):
+        rivals_on = {
+            start.path.segment_at(start.start_s).lane_id
+            for start in self.taken
+            if start.request.number == request.number
+        }
+        for lane_id, lane_s in self._places(request):
+            if lane_id in rivals_on:  # of two on one lane the one behind would wait for the other
+                continue
+            for offer in self._order(request, lane_id):
                 s = offer.start_m + lane_s
                 usual_mps = self._usual_speed(lane_id)
                 if self._leaves_early(offer, s, 0.8 * usual_mps) or not promises(offer, s, usual_mps):
@@ -142,59 +146,87 @@ class InsertionSites:
                 else:
                     self.rejected[start] += 1
                 break
-            if tried >= _TRIES:
+            if tried >= self.scene.config.sites.tries:
                 return
 
-    def _order(self, request: VehicleRequest, offers: Sequence[RouteOffer]) -> list[RouteOffer]:
-        order = self.rng.permutation(len(offers)).tolist()
+    def _order(self, request: VehicleRequest, lane_id: int) -> list[RouteOffer]:
+        """Routes from a lane in weighted random order; those that go straight on first unless a turn is asked for."""
+        offers = self.routes.offers(lane_id)
+        key = self.rng.exponential(size=len(offers))
+        if self.scene.config.request.sites == "promising":
+            key /= np.array(self._meetings.offer_weights(lane_id))
+        order = [offers[row] for row in np.argsort(key, kind="stable").tolist()]
         if request.policy in TURN_OF_POLICY:
-            return [offers[row] for row in order]
-        return sorted((offers[row] for row in order), key=lambda offer: bool(offer.turns))
+            return order
+        return sorted(order, key=lambda offer: bool(offer.turns))
+
+    @property
+    def _meetings(self) -> Meetings:
+        if self.meetings is None:
+            self.meetings = Meetings(self.scene, self.routes)
+        return self.meetings
 
     def _usual_speed(self, lane_id: int) -> float:
-        if lane_id not in self._usual:
-            pool = self.scene.lane_speeds.get(lane_id) or self.scene.scene_speeds
-            self._usual[lane_id] = float(np.median(pool)) if pool else self.scene.config.spawn.prior_speed_mps
-        return self._usual[lane_id]
+        return self._meetings.usual_speed(lane_id)
 
-    def _places(self) -> Iterator[tuple[int, float]]:
-        """Lane and arc length, m, of free cells at step 0, in weighted random order; intersections last."""
-        scene, spawn = self.scene, self.scene.config.spawn
+    def _places(self, request: VehicleRequest) -> Iterator[tuple[int, float]]:
+        """Lane and arc length, m, of free cells at step 0; first from where more is met, intersections last.
+
+        The order is that of `Spread`, by the number of this vehicle among those of its policy; else by weight alone.
+        """
+        scene = self.scene
         grid, lanes = scene.grid, scene.grid.graph.lanes
-        usable = set(self.routes.lanes)
+        promising = scene.config.request.sites == "promising"
+        usable = {n for n in self.routes.lanes if not promising or self.routes.lane_offers(n, request.policy)}
         rows = [row for row, cell in enumerate(grid.cells) if cell.lane_id in usable]
         free = scene.occupancy.sigma[0, rows] == FREE
         rows = [row for row, is_free in zip(rows, free, strict=True) if is_free]
         if not rows:
             return
-        weight = np.ones(len(rows))
-        if scene.config.request.sites == "promising":
-            speed = np.hypot(*scene.traffic.velocity[:, 0].T)
-            moving = scene.traffic.present[:, 0] & (speed > _MOVING_MPS)
-            if moving.any():
-                offset = grid.centers[rows][:, None] - scene.traffic.position[moving, 0][None]
-                near = np.hypot(offset[..., 0], offset[..., 1]).min(axis=1) < spawn.near_m
-                weight[near] = spawn.near_weight
-        key = self.rng.exponential(size=len(rows)) / weight
+        weight, tier = np.ones(len(rows)), np.zeros(len(rows), dtype=np.int64)
+        if promising:
+            weight, tier = self._weights(np.array(rows))
         inside = np.array([lanes[grid.cells[row].lane_id].is_intersection for row in rows])
         share = self.rng.random(len(rows))
         failed: dict[int, list[float]] = {}
         for lane_id, at in self.avoided:
             failed.setdefault(lane_id, []).append(at)
-        for place in np.lexsort((key, inside)).tolist():
+        policy = request.policy
+        if self.spread is None or not promising:
+            order = by_weight(weight, self.rng)
+        else:
+            order = self.spread.order(
+                weight, self.rng, number=self._looked[policy], of=self.asked[policy],
+                kind=list(Policy).index(policy), round_number=self.round_number,
+            )  # fmt: skip
+        self._looked[policy] += 1
+        for place in order[np.lexsort((tier[order], inside[order]))].tolist():
             cell = grid.cells[rows[place]]
-            if inside[place] and not inside.all() and scene.config.request.sites == "promising":
+            if inside[place] and not inside.all() and promising:
                 return
             begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
             lane_s = float(begin + share[place] * (end - begin))
-            if not any(abs(lane_s - at) < _AVOIDED_M for at in failed.get(cell.lane_id, ())):
+            if not any(abs(lane_s - at) < scene.config.sites.avoided_m for at in failed.get(cell.lane_id, ())):
                 yield cell.lane_id, lane_s
+
+    def _weights(self, rows: IntArray) -> tuple[FloatArray, IntArray]:
+        """Weights of cells, rows (N,) of the grid; and 1 for those from which a named target is not met, else 0.
+
+        A leader whom a vehicle of this round follows already speaks for no other site.
+        """
+        meetings, scene = self._meetings, self.scene
+        begun = [scene.grid.index_of[scene.cell_at(start.path, start.start_s)] for start in self.taken]
+        leader, weight = meetings.leader[rows], meetings.weight[rows].copy()
+        led = np.isin(leader, meetings.leader[begun]) & (leader >= 0)
+        weight[led] /= scene.config.spawn.leader_weight
+        tier = ~meetings.near[rows] if meetings.is_target_named else np.zeros(len(rows), dtype=np.bool_)
+        return weight, tier.astype(np.int64)
 
     def _promises(
         self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, strict: bool
     ) -> bool:
         """Whether the map offers what is asked for from arc length s on, in the time that the scene has."""
-        scene, change = self.scene, self.scene.config.lane_change
+        scene, change, sites = self.scene, self.scene.config.lane_change, self.scene.config.sites
         duration = (scene.num_steps - 1) * DT_S
         reach = s + speed_mps * duration
         ahead = [turn for turn in offer.turns if turn[2] > s]
@@ -202,13 +234,16 @@ class InsertionSites:
             if not ahead or ahead[0][0] is not TURN_OF_POLICY[request.policy]:
                 return False
             _, begin, end = ahead[0]
-            needs_s = (begin - s) / (0.75 * speed_mps) + (end - begin) / _TURN_PACE_MPS + 2.0
-            return begin - s > _BEFORE_TURN_M and needs_s < duration
+            to_turn_s = (begin - s) / (sites.turn_approach_share * speed_mps)
+            needs_s = to_turn_s + (end - begin) / sites.turn_pace_mps + sites.turn_spare_s
+            return begin - s > sites.before_turn_m and needs_s < duration
         if any(begin < reach for _, begin, _ in ahead) and (strict or request.policy is not Policy.STRAIGHT):
             return False
         at = s + 0.9 * speed_mps * request.trigger_s
         if request.policy is Policy.LANE_CHANGE:
             needed = max(change.min_remaining_m, 1.3 * change.min_duration_s * speed_mps) + 0.5 * speed_mps
+            if strict and self._meets_junction(offer, at, at + scene.config.drivers.lane_change_mean_s * speed_mps):
+                return False  # lane changes outside intersections first
             return any(
                 beside.start <= at + 1.0 and beside.end > at + 1.0
                 and not (strict and beside.in_intersection)
@@ -227,6 +262,16 @@ class InsertionSites:
                     return True
             return False
         return True
+
+    def _meets_junction(self, offer: RouteOffer, begin: float, end: float) -> bool:
+        """Whether a stretch of a route, m along its lanes, touches an intersection."""
+        lanes, at = self.scene.grid.graph.lanes, 0.0
+        for lane_id in offer.route:
+            lane = lanes[lane_id]
+            if lane.is_intersection and at < end and at + lane.length_m > begin:
+                return True
+            at += lane.length_m
+        return False
 
     def _start(
         self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float, *, driver: Driver | None = None,
@@ -252,9 +297,9 @@ class InsertionSites:
                 return Reason.TURN_NOT_SEEN
             reach_s = turn.end + 1.0 if strict else None
         elif strict and request.policy is not Policy.STRAIGHT:  # whoever changes lanes has to be under way
-            reach_s = start_s + 0.5 * self._usual_speed(lane_id) * (scene.num_steps - 1) * DT_S
+            reach_s = start_s + config.sites.under_way_share * self._usual_speed(lane_id) * (scene.num_steps - 1) * DT_S
         verdict: Reason = Reason.NO_SITE
-        for _ in range(1 if driver is not None else _DRIVERS):
+        for _ in range(1 if driver is not None else config.sites.drivers):
             who = driver or draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))
             speed = who.desired_mps * (1.0 + config.spawn.speed_sd * float(np.clip(rng.standard_normal(), -2, 2)))
             found = self._start_speed(offer, path, box, s, start_s, speed, who, reach_s)
@@ -270,7 +315,7 @@ class InsertionSites:
         if strict and request.policy is Policy.LANE_CHANGE and not self._gap_likely(path, box, start_s, speed, request):
             return Reason.CELLS_OCCUPIED
         return Start(
-            vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=object_type, size=size,
+            vehicle_id=self._name(request), request=request, object_type=object_type, size=size,
             box=box, route=offer.route, path=path, start_s=start_s, start_mps=speed, driver=who,
             desired=desired_speeds(
                 who, config, rng, num_steps=scene.num_steps, step_s=DT_S, at_least_mps=speed
@@ -278,11 +323,15 @@ class InsertionSites:
             offset=lane_offset(who, config, rng, length_m=path.line.length_m), sides=sides,
         )  # fmt: skip
 
+    def _name(self, request: VehicleRequest) -> str:
+        rivals = sum(start.request.number == request.number for start in self.taken)
+        return f"v{request.number}_{self.round_number}" + (f"_{rivals}" if rivals else "")
+
     def _gap_likely(self, path: DrivenPath, box: BoxSize, s: float, speed_mps: float, request: VehicleRequest) -> bool:
         """Whether a vehicle that drives on finds a gap among the recorded ones beside it soon after its trigger."""
         scene, change = self.scene, self.scene.config.lane_change
         nobody = scene.traffic.rows([])
-        for wait_s in _GAP_WAITS_S:
+        for wait_s in self.scene.config.sites.gap_waits_s:
             at_s = request.trigger_s + wait_s
             step, at = round(at_s / DT_S), s + 0.95 * speed_mps * at_s
             if step >= scene.num_steps or at > path.exit_s:
@@ -308,11 +357,11 @@ class InsertionSites:
 
         s, start_s: the site along the route's lanes and on the path, m; reach_s: where it has to get unhindered.
         """
-        limits = self.scene.config.limits
+        limits, export = self.scene.config.limits, self.scene.config.export
         if self._leaves_early(offer, s + box.length_m / 2, 0.95 * speed):
             return Reason.LEAVES_TOO_EARLY
         reach = slice(int(start_s / TABLE_STEP_M), int((start_s + 12.0 * speed) / TABLE_STEP_M) + 2)
-        if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > 0.98 / limits.min_radius_m:
+        if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > export.limit_share / limits.min_radius_m:
             return Reason.LIMIT_CURVATURE
         road = self.roads.speeds(path, driver)
         speed = min(speed, float(road[min(int(start_s / TABLE_STEP_M), road.size - 1)]))
@@ -345,26 +394,28 @@ class InsertionSites:
         self, path: DrivenPath, box: BoxSize, s: float, speed: float, driver: Driver, reach_s: float | None
     ) -> float | Reason:
         """Speed that who is ahead allows, m/s, at most the one wished for; or why nobody can begin there."""
-        conflict, spawn = self.scene.config.conflict, self.scene.config.spawn
+        conflict, spawn, sites = self.scene.config.conflict, self.scene.config.spawn, self.scene.config.sites
         obstacles, wished = self._obstacles_on(path, box), speed
         known = obstacles.known
         low, along = known.low[:, 0], known.along[:, 0]
         ahead = np.isfinite(low) & (low >= s)
         for gap, leader_mps in zip((low - s)[ahead].tolist(), along[ahead].tolist(), strict=True):
-            speed = min(speed, self._speed_behind(gap, max(0.0, leader_mps), driver))
+            speed = min(speed, speed_behind(gap, max(0.0, leader_mps), driver, sites))
         stop = self.stop_lines.braking(path, box, driver, s=s, speed_mps=speed, step=0)
         if stop is not None and stop[0] < -driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
+        own_xy, own_t, _ = path.line.motion(np.array([s]))
+        own = own_xy[0].tolist(), own_t[0].tolist()
         for other in self.taken:
-            verdict = self._beside_start(path, box, s, driver, other, speed)
+            verdict = self._beside_start(own, box, driver, other, speed)
             if verdict is None:
                 return Reason.NO_SITE
             speed = min(speed, verdict)
-        if speed < _STANDING_MPS:
-            if not np.any(ahead & (low - s < _WAITS_M) & (along < _STANDING_MPS)):
+        if speed < sites.standing_mps:
+            if not np.any(ahead & (low - s < sites.queue_m) & (along < sites.standing_mps)):
                 return Reason.NO_SITE
             speed = 0.0
-        elif speed < 0.25 * wished:
+        elif speed < sites.slowest_share * wished:
             return Reason.NO_SITE  # nobody drives so slowly with so much room ahead
         fleet = np.array([[s, speed, 0.0, 0.0, 1.0]])
         found = self.guard.braking(
@@ -376,73 +427,75 @@ class InsertionSites:
         soon = found.free_conflict_s is not None and found.free_conflict_s < conflict.horizon_s
         if found.conflict_s is not None and found.conflict_s < spawn.settle_s:
             return Reason.CONFLICT_PREDICTED
-        if soon and found.decel_mps2 > 1.4 * driver.decel_mps2:
+        if soon and found.decel_mps2 > sites.braking_ratio * driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
         if reach_s is not None and found.free_s < reach_s:
             return Reason.CONFLICT_PREDICTED
         return speed
 
-    @staticmethod
-    def _speed_behind(gap_m: float, leader_mps: float, driver: Driver) -> float:
-        """Fastest speed at which a driver may begin behind a leader without having to brake (IDM), m/s."""
-        room = math.sqrt(1.0 + _BEGINS_BRAKING_MPS2 / driver.accel_mps2) * gap_m - driver.min_gap_m
-        if room <= 0.0:
-            return 0.0
-        # v tau + v max(0, v - v_l) / (2 sqrt(a b)) = room
-        c = 2.0 * math.sqrt(driver.accel_mps2 * driver.decel_mps2)
-        b = driver.tau_s * c - leader_mps
-        return min(room / driver.tau_s, 0.5 * (-b + math.sqrt(b * b + 4.0 * c * room)))
+    def _pose_of(self, start: Start) -> _Pose:
+        """Where another start of this round is, m, and its direction."""
+        if start.vehicle_id not in self._poses:
+            xy, tangent, _ = start.path.line.motion(np.array([start.start_s]))
+            self._poses[start.vehicle_id] = xy[0].tolist(), tangent[0].tolist()
+        return self._poses[start.vehicle_id]
 
-    def _beside_start(
-        self, path: DrivenPath, box: BoxSize, s: float, driver: Driver, other: Start, speed: float
-    ) -> float | None:
+    def _beside_start(self, own: _Pose, box: BoxSize, driver: Driver, other: Start, speed: float) -> float | None:
         """Fastest start speed beside another start of this round; None where the two are too near."""
-        own_xy, own_t, _ = path.line.motion(np.array([s]))
-        xy, tangent, _ = other.path.line.motion(np.array([other.start_s]))
-        offset = xy[0] - own_xy[0]
-        if math.hypot(offset[0], offset[1]) > 80.0:
+        sites = self.scene.config.sites
+        (own_x, own_y), (own_tx, own_ty) = own
+        (x, y), (tx, ty) = self._pose_of(other)
+        dx, dy = x - own_x, y - own_y
+        if math.hypot(dx, dy) > _BESIDE_MOST_M:
             return speed
-        along = float(offset @ own_t[0])
-        across = abs(float(offset[1] * own_t[0, 0] - offset[0] * own_t[0, 1]))
+        same_way = own_tx * tx + own_ty * ty
+        along = dx * own_tx + dy * own_ty
+        across = abs(dy * own_tx - dx * own_ty)
         gap = abs(along) - (box.length_m + other.box.length_m) / 2
         beside = across > (box.width_m + other.box.width_m) / 2 + 0.5
         if beside:
-            ahead_of_other = -float(offset @ tangent[0])
-            passing = other.request.policy is Policy.OVERTAKE and float(own_t[0] @ tangent[0]) > 0.7
-            in_the_way = passing and across < _LANES_APART_M and -_PASSES_BEHIND_M < ahead_of_other < _PASSES_AHEAD_M
-            return None if in_the_way else speed
-        if float(own_t[0] @ tangent[0]) < 0.7:
-            return speed if gap > 6.0 else None
+            ahead_of_other = -(dx * tx + dy * ty)
+            passing = other.request.policy is Policy.OVERTAKE and same_way > 0.7
+            near = across < sites.pass_beside_m and -sites.pass_behind_m < ahead_of_other < sites.pass_ahead_m
+            return None if passing and near else speed
+        if same_way < 0.7:
+            return speed if gap > sites.crossing_gap_m else None
         if along > 0:
-            fits = self._speed_behind(gap, other.start_mps, driver)
+            fits = speed_behind(gap, other.start_mps, driver, sites)
             return min(speed, fits) if gap > self.scene.config.spawn.clear_gap_m else None
-        return speed if self._speed_behind(gap, speed, other.driver) >= other.start_mps else None
+        return speed if speed_behind(gap, speed, other.driver, sites) >= other.start_mps else None
 
     def _meets_taken_roughly(self, lane_id: int, lane_s: float, box: BoxSize) -> bool:
         point = self.scene.grid.graph.lanes[lane_id].path.point(np.array([lane_s]))[0]
         for other in self.taken:
-            xy = other.path.line.position(np.array([other.start_s]))[0]
-            if math.hypot(xy[0] - point[0], xy[1] - point[1]) < min(box.width_m, other.box.width_m):
+            x, y = self._pose_of(other)[0]
+            if math.hypot(x - point[0], y - point[1]) < min(box.width_m, other.box.width_m):
                 return True
         return False
 
     def _has_slower_leader(self, start: Start) -> bool:
-        overtake = self.scene.config.overtake
+        overtake, sites = self.scene.config.overtake, self.scene.config.sites
         found = self.scene.recorded_on(start.path, start.box)
         low, along = found.low[:, 0], found.along[:, 0]
         rows = np.isin(self.scene.rows_on(start.path, start.box), self.scene.vehicle_rows)
-        near = rows & found.aligned[:, 0] & (low > start.start_s) & (low - start.start_s < overtake.d_obs_m + 20.0)
-        slower = along < start.driver.desired_mps - 2.0 * overtake.speed_advantage_mps
+        near = (
+            rows
+            & found.aligned[:, 0]
+            & (low > start.start_s)
+            & (low - start.start_s < overtake.d_obs_m + sites.leader_beyond_m)
+        )
+        slower = along < start.driver.desired_mps - sites.leader_advantage_ratio * overtake.speed_advantage_mps
         return bool(np.any(near & slower & (along > overtake.parked_mps)))
 
     def _slow_leader(self, start: Start, request: VehicleRequest) -> Start | None:
         """A slow vehicle ahead of one that is to overtake, so far that it is caught up with at the trigger."""
-        rng = self.rng
-        share = float(rng.uniform(*_SLOW_SHARE))
+        rng, sites = self.rng, self.scene.config.sites
+        share = float(rng.uniform(sites.slow_leader_min, sites.slow_leader_max))
         base = draw_driver(self.scene.config, rng, lane_speed_mps=start.driver.desired_mps)
-        slow = replace(base, desired_mps=max(2.0, share * start.driver.desired_mps))
+        slow = replace(base, desired_mps=max(sites.slow_leader_mps, share * start.driver.desired_mps))
         catch_up = (start.start_mps - slow.desired_mps) * start.request.trigger_s
-        s = start.start_s + start.box.length_m + 12.0 + 0.8 * start.start_mps + max(0.0, catch_up)
+        s = start.start_s + start.box.length_m + sites.slow_leader_gap_m
+        s += sites.slow_leader_gap_s * start.start_mps + max(0.0, catch_up)
         raw = start.path.to_raw(s)
         lanes, begin = self.scene.grid.graph.lanes, 0.0
         for lane_id in start.route:
@@ -459,3 +512,14 @@ class InsertionSites:
 def _any_site(_offer: RouteOffer, _s: float, _speed_mps: float) -> bool:
     """Every admissible site will do."""
     return True
+
+
+def speed_behind(gap_m: float, leader_mps: float, driver: Driver, sites: Sites) -> float:
+    """Fastest speed at which a driver may begin behind a leader without having to brake (IDM), m/s."""
+    room = math.sqrt(1.0 + sites.begin_braking_mps2 / driver.accel_mps2) * gap_m - driver.min_gap_m
+    if room <= 0.0:
+        return 0.0
+    # v tau + v max(0, v - v_l) / (2 sqrt(a b)) = room
+    c = 2.0 * math.sqrt(driver.accel_mps2 * driver.decel_mps2)
+    b = driver.tau_s * c - leader_mps
+    return min(room / driver.tau_s, 0.5 * (-b + math.sqrt(b * b + 4.0 * c * room)))

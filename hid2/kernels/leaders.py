@@ -1,11 +1,11 @@
-"""The next vehicle ahead on the lane path of every vehicle at every step."""
+"""The next vehicles ahead: on the lane path of every vehicle at every step, and on one path at one step."""
 
 import math
 
 import numpy as np
 
 from hid2.kernels.compiled import kernel
-from netconvert.geometry import FloatArray, IntArray
+from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 
 @kernel("(i8[::1], f8[::1], f8[::1], i8[::1], i8[:,::1], i8[::1], f8[::1], f8[::1], f8[::1], i8[:,::1], i8[::1], f8,)")
@@ -78,3 +78,32 @@ def lane_leaders(
                 leader[i] = best
                 gap[i] = best_distance - (length[a] + length[best]) / 2
     return leader, gap
+
+
+@kernel("(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], b1[:,::1], f8[::1], i8, f8, f8, f8, f8, f8)")
+def next_two_ahead(
+    low: FloatArray, high: FloatArray, along: FloatArray, aligned: BoolArray, crosses: BoolArray, lengths: FloatArray,
+    step: int, s: float, length: float, standing: float, nearest: float, farthest: float,
+) -> tuple[int, float, float, int, float, float]:  # fmt: skip
+    """Of who moves along a path or stands on it at a step, the next two ahead of arc length s: row, gap m, middle m.
+
+    low .. crosses (A, T): as in `PathOccupancy`; lengths (A,) m; length: of the box at s; standing m/s: slower agents
+    stand; nearest, farthest m: bounds of the gap. A row of -1 for none.
+    """
+    first, second = -1, -1
+    first_gap, second_gap, first_at, second_at = np.inf, np.inf, 0.0, 0.0
+    for a in range(low.shape[0]):
+        if low[a, step] == np.inf:
+            continue
+        if not aligned[a, step] and (crosses[a, step] or abs(along[a, step]) >= standing):
+            continue
+        middle = 0.5 * (low[a, step] + high[a, step])
+        gap = middle - s - 0.5 * (length + lengths[a])
+        if gap <= nearest or gap >= farthest or gap >= second_gap:
+            continue
+        if gap < first_gap:
+            second, second_gap, second_at = first, first_gap, first_at
+            first, first_gap, first_at = a, gap, middle
+        else:
+            second, second_gap, second_at = a, gap, middle
+    return first, first_gap, first_at, second, second_gap, second_at

@@ -161,30 +161,3 @@ def stack(
         row_of=row_of,
         step_s=step_s,
     )
-
-
-def between_steps(track: Track) -> Track:
-    """The track at twice its rate: poses half-way between consecutive steps are put in (gaps stay gaps).
-
-    Steps count half the original duration afterwards. Position linear, heading on the shorter arc.
-    """
-    steps = track.timesteps
-    joined = np.diff(steps) == 1
-    turn = np.diff(track.heading)
-    turn = np.arctan2(np.sin(turn), np.cos(turn))
-
-    def interleave(values: FloatArray, middle: FloatArray) -> FloatArray:
-        order = np.argsort(np.concatenate([2 * steps, 2 * steps[:-1][joined] + 1]), kind="stable")
-        return np.concatenate([values, middle[joined]])[order]
-
-    heading = interleave(track.heading, track.heading[:-1] + turn / 2)
-    return Track(
-        track_id=track.track_id,
-        object_type=track.object_type,
-        category=track.category,
-        timesteps=np.sort(np.concatenate([2 * steps, 2 * steps[:-1][joined] + 1])),
-        position=interleave(track.position, (track.position[:-1] + track.position[1:]) / 2),
-        heading=np.arctan2(np.sin(heading), np.cos(heading)),
-        velocity=interleave(track.velocity, (track.velocity[:-1] + track.velocity[1:]) / 2),
-        size=track.size,
-    )

@@ -43,11 +43,6 @@ def first_contact(own: int, boxes: BoxesAtStep, *, horizon_s: float) -> Contact 
     return None if other < 0 else Contact(float(ttc_s), int(other))
 
 
-def first_contacts(boxes: BoxesAtStep, *, horizon_s: float) -> list[Contact | None]:
-    """`first_contact` of each of the boxes."""
-    return [first_contact(own, boxes, horizon_s=horizon_s) for own in range(len(boxes.heading))]
-
-
 def contacts_after_last_step(
     arrays: SceneArrays, members: BoolArray, *, horizon_s: float, among: BoolArray | None = None
 ) -> dict[int, Contact]:

@@ -9,18 +9,18 @@ from netconvert.geometry import Polyline, arc_length, resample
 
 
 def lateral_share(tau: FloatArray) -> FloatArray:
-    """d(t) / D over tau = t / T in [0, 1]: four cubics with jerk +J, -J, -J, +J, J = 32 D / T^3.
+    """d(t) / D over tau = t / T in [0, 1]: cubics with jerk +J, -J, 0, 0, -J, +J, J = 54 D / T^3.
 
-    Position, speed and acceleration are continuous at the knots 1/4, 1/2 (symmetry), 3/4 and zero at both ends
-    (paper: d(t) = b0 + b1 t + b2 t2 + b3 t3 from boundary conditions).
+    The lateral speed rises for a third of the time to 1.5 D / T, keeps it for a third, and falls: drivers cross a lane
+    at an even pace. Position, speed and acceleration are continuous at the knots 1/6, 1/3, 2/3, 5/6 and zero at both
+    ends (paper: d(t) = b0 + b1 t + b2 t2 + b3 t3 from boundary conditions).
     """
     t = np.clip(tau, 0.0, 1.0)
     mirrored = np.where(t > 0.5, 1.0 - t, t)
-    first = 32.0 / 6.0 * mirrored**3
-    u = mirrored - 0.25
-    knot = 32.0 / 6.0 * 0.25**3, 16.0 * 0.25**2, 32.0 * 0.25
-    second = knot[0] + knot[1] * u + knot[2] * u**2 / 2 - 32.0 / 6.0 * u**3
-    rise = np.where(mirrored < 0.25, first, second)
+    u = mirrored - 1.0 / 6.0
+    rising = 1.0 / 24.0 + 0.75 * u + 4.5 * u**2 - 9.0 * u**3
+    even = 0.25 + 1.5 * (mirrored - 1.0 / 3.0)
+    rise = np.where(mirrored < 1.0 / 6.0, 9.0 * mirrored**3, np.where(mirrored < 1.0 / 3.0, rising, even))
     return np.asarray(np.where(t > 0.5, 1.0 - rise, rise))
 
 

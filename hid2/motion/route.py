@@ -55,11 +55,6 @@ class DrivenPath:
         object.__setattr__(self, "raw_s", np.linspace(0.0, total, self.line.points_s.size))
 
     @property
-    def grid_end_s(self) -> float:
-        """Arc length up to which the path lies on cells, m."""
-        return self.segments[-1].end
-
-    @property
     def exit_s(self) -> float:
         """Arc length where the last lane ends, m."""
         return self.line.length_m

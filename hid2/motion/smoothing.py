@@ -15,6 +15,10 @@ from hid2.drivers.driver import LaneOffset
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 
 _TRUNCATED_AT = 3.0  # standard deviations of the filter
+#: Acceleration at the first and last step over the jerk limit, and how fast it may grow from there: derived, not tuned.
+#: Who differentiates positions three times, one-sided at the ends, finds there a jerk of 2.5 /s times the acceleration
+#: plus .8 times the jerk.
+_EDGE_S, _EDGE_GROWTH = 0.14, 0.7
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -36,8 +40,12 @@ class Trajectory:
     s: FloatArray
 
 
-def smooth_motion(s_driven: FloatArray, v_driven: FloatArray, *, filter_s: float, step_s: float) -> Motion:
+def smooth_motion(
+    s_driven: FloatArray, v_driven: FloatArray, *, filter_s: float, step_s: float, end_jerk_mps3: float | None = None
+) -> Motion:
     """s(t) nearest to a driven one (T,) m, (T,) m/s whose speed has passed a Gaussian of standard deviation filter_s.
+
+    end_jerk_mps3: bound on the jerk that differences of positions show at both ends; None: the ends are left as driven.
 
     Beyond both ends the speed goes on as it changes there. s between two steps is the cubic through position, speed and
     acceleration at both (paper: coefficients from position, speed, and acceleration by differences of speed).
@@ -48,11 +56,25 @@ def smooth_motion(s_driven: FloatArray, v_driven: FloatArray, *, filter_s: float
     longer = np.maximum(np.concatenate([before, v_driven, after]), 0.0)
     v = np.maximum(_gaussian_filter(longer, filter_s / step_s)[before.size :], 0.0)
     v = v[: v_driven.size]
+    if end_jerk_mps3 is not None:
+        v = _with_eased_ends(v, end_jerk_mps3, step_s)
     a = np.gradient(v, step_s)
     moved = 0.5 * step_s * (v[1:] + v[:-1]) - step_s * step_s / 12.0 * np.diff(a)
     s = np.concatenate([[0.0], np.cumsum(np.maximum(moved, 0.0))])
     drift = float(np.mean(s_driven - s_driven[0] - s))
     return Motion(s=s_driven[0] + s + np.clip(drift, -0.2, 0.2), v=v, a=a)
+
+
+def _with_eased_ends(v: FloatArray, jerk_mps3: float, step_s: float) -> FloatArray:
+    """Speed (T,) whose acceleration grows from a small one at the first step, and shrinks to one at the last.
+
+    Otherwise a vehicle that brakes as its track ends shows, by one-sided differences, a jerk that it never had.
+    """
+    a, step = np.gradient(v, step_s), np.arange(v.size)
+    bound = jerk_mps3 * (_EDGE_S + _EDGE_GROWTH * step_s * np.minimum(step, step[::-1]))
+    change = np.clip(a, -bound, bound) - a
+    gained = np.concatenate([[0.0], np.cumsum(0.5 * step_s * (change[1:] + change[:-1]))])
+    return np.asarray(np.maximum(v + gained - gained[v.size // 2], 0.0), dtype=np.float64)
 
 
 def trajectory(line: ReferenceLine, motion: Motion, offset: LaneOffset) -> Trajectory:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hid2.agents import FloatArray
-from hid2.kernels.path_intervals import boxes_met, crossings_kept_clear, intervals_on_path
+from hid2.kernels.path_intervals import crossings_kept_clear, intervals_on_path
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
-from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.occupancy.traffic import Traffic
 
 _NEAR_M = (
     11.0  # half the diagonals of a large car and of a bus, or of a car that keeps room for a lane change, and that
@@ -108,14 +108,3 @@ def look_along(
         points, line.table_heading, TABLE_STEP_M, *near, length_m, width_m, *others, since
     )
     return rows, PathOccupancy(low, high, along, aligned, crosses)
-
-
-def meet_all(
-    traffic: Traffic, step: int, center: FloatArray, heading: FloatArray, length_m: FloatArray, width_m: float
-) -> BoolArray:
-    """(B,) whether each of many boxes touches any agent at a step.
-
-    Centres (B, 2) m, headings (B,) rad, lengths (B,) m, and one width, m.
-    """
-    others = traffic.position, traffic.heading, traffic.present, traffic.length_m, traffic.width_m
-    return boxes_met(center, heading, length_m, width_m, step, *others)

@@ -1,12 +1,15 @@
 """Algorithm 1 of the paper: the decision of one generated agent at one step. Values in, a value out."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from hid2.agents import Policy
+from hid2.drivers.driver import Driver, usual_driver
 from hid2.params import LaneChange, Overtake
-from hid2.policy.lane_change import Gap, lane_change_reason
+from hid2.policy.lane_change import NOBODY, Gap
 from hid2.policy.overtake import Leader, Stage, enter_reason, return_reason
+from hid2.policy.rules import GapView, Wish, rule_reason
+from hid2.reasons import Reason
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
@@ -18,7 +21,7 @@ class LaneOption:
     """An adjacent lane l' that the marking lets the agent change to, as it sees it at one step.
 
     target: cell g_{l',j}; cells_free: sigma = 0 in j-1, j, j+1; gaps to the vehicles ahead and behind there, Frenet m;
-    remaining_m: length of l' left through its successors; corridor_m: its free stretch m * delta s.
+    remaining_m: length of l' left through its successors; corridor_m: its free stretch m * delta s; wish: SUMO's.
     """
 
     side: Side
@@ -28,11 +31,15 @@ class LaneOption:
     rear: Gap
     remaining_m: float
     corridor_m: float
+    wish: Wish | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What the agent knows at time t: its cell, lane type, request, leader within d_obs, and adjacent lanes."""
+    """What the agent knows at time t: its cell, lane type, request, leader within d_obs, and adjacent lanes.
+
+    driver: its own, None for a usual one; own_front, own_rear: who is ahead and behind on its lane, where a rule asks.
+    """
 
     time_s: float
     cell: Cell
@@ -46,37 +53,40 @@ class Observation:
     leader: Leader | None
     options: tuple[LaneOption, ...]
     passed_gap_m: float = -1.0
+    length_m: float = 4.5
+    driver: Driver | None = None
+    own_front: Gap = NOBODY
+    own_rear: Gap = NOBODY
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """policy_i and g_i^{t+1}. reason: why a manoeuvre that is due was not begun; None where begun or not due."""
+    """policy_i and g_i^{t+1}. reason: why a manoeuvre that is due was not begun; None where begun or not due.
+
+    answers: to each adjacent lane that was looked at, in order: a reason, None for yes.
+    """
 
     policy: Policy
     target: Cell | None
     side: Side | None = None
-    reason: str | None = None
+    reason: Reason | None = None
+    answers: tuple[Reason | None, ...] = field(default=(), compare=False)
 
 
 def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) -> Decision:
     """Algorithm 1 (Agent Decision). "Not feasible" is a reason, never an exception."""
-    reason: str | None = None
+    reason: Reason | None = None
+    answers: list[Reason | None] = []
     due = seen.time_s >= seen.trigger_s and seen.stage is not Stage.DONE and seen.stage is not Stage.ABORTED
     if due and seen.request is Policy.LANE_CHANGE:
-        reason = "no_adjacent_lane"
+        reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
-            reason = lane_change_reason(
-                speed_mps=seen.speed_mps,
-                cells_free=option.cells_free,
-                front=option.front,
-                rear=option.rear,
-                remaining_m=option.remaining_m,
-                params=lane_change,
-            )
+            reason = rule_reason(_view(seen, option), lane_change)
+            answers.append(reason)
             if reason is None:
-                return Decision(Policy.LANE_CHANGE, option.target, option.side)
+                return Decision(Policy.LANE_CHANGE, option.target, option.side, answers=tuple(answers))
     elif due and seen.request is Policy.OVERTAKE:
-        reason = "no_adjacent_lane"
+        reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
             if seen.stage is Stage.PASS:
                 reason = return_reason(
@@ -95,11 +105,24 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
                     free_corridor_m=option.corridor_m,
                     params=overtake,
                 )
+            answers.append(reason)
             if reason is None:
-                return Decision(Policy.OVERTAKE, option.target, option.side)
+                return Decision(Policy.OVERTAKE, option.target, option.side, answers=tuple(answers))
     policy = {
         TurnType.STRAIGHT: Policy.STRAIGHT,
         TurnType.LEFT: Policy.LEFT_TURN,
         TurnType.RIGHT: Policy.RIGHT_TURN,
     }[seen.lane_turn]
-    return Decision(policy, seen.next_cell, reason=reason)
+    return Decision(policy, seen.next_cell, reason=reason, answers=tuple(answers))
+
+
+def _view(seen: Observation, option: LaneOption) -> GapView:
+    """What a rule is told of one adjacent lane."""
+    driver = seen.driver or usual_driver(seen.desired_mps)
+    return GapView(
+        time_s=seen.time_s, waited_s=max(0.0, seen.time_s - seen.trigger_s), side=option.side,
+        speed_mps=seen.speed_mps, desired_mps=seen.desired_mps, length_m=seen.length_m,
+        tau_s=driver.tau_s, accel_mps2=driver.accel_mps2, decel_mps2=driver.decel_mps2, min_gap_m=driver.min_gap_m,
+        cells_free=option.cells_free, front=option.front, rear=option.rear, own_front=seen.own_front,
+        own_rear=seen.own_rear, remaining_m=option.remaining_m, wish=option.wish,
+    )  # fmt: skip

@@ -1,22 +1,27 @@
 """Lane change: feasibility on the grid and in metres (paper, Lane Change)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from hid2.params import LaneChange
+from hid2.reasons import Reason
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A neighbour on a lane path: bumper gap in m, its speed in m/s. No neighbour: gap inf."""
+    """A neighbour on a lane path: bumper gap in m, its speed in m/s, its id. No neighbour: gap inf."""
 
     distance_m: float
     speed_mps: float
+    track_id: str | None = field(default=None, compare=False)
 
     @staticmethod
     def none() -> "Gap":
         """Nobody there."""
         return Gap(math.inf, 0.0)
+
+
+NOBODY = Gap.none()
 
 
 def safe_gap_m(follower_mps: float, leader_mps: float, *, time_gap_s: float, params: LaneChange) -> float:
@@ -33,19 +38,19 @@ def lane_change_reason(
     rear: Gap,
     remaining_m: float,
     params: LaneChange,
-) -> str | None:
+) -> Reason | None:
     """Why the change to l' is not feasible now; None where it is.
 
     cells_free: sigma = 0 in cells j-1, j, j+1 of l'. Gaps are to the new leader and follower in Frenet metres.
     """
     if speed_mps < params.min_speed_mps:
-        return "too_slow"
+        return Reason.TOO_SLOW
     if remaining_m < params.min_remaining_m:
-        return "lane_ends"
+        return Reason.LANE_ENDS
     if not cells_free:
-        return "cells_occupied"
+        return Reason.CELLS_OCCUPIED
     if front.distance_m < safe_gap_m(speed_mps, front.speed_mps, time_gap_s=params.time_gap_front_s, params=params):
-        return "front_gap"
+        return Reason.FRONT_GAP
     if rear.distance_m < safe_gap_m(rear.speed_mps, speed_mps, time_gap_s=params.time_gap_rear_s, params=params):
-        return "rear_gap"
+        return Reason.REAR_GAP
     return None

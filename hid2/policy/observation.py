@@ -15,12 +15,11 @@ from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Side
 from hid2.policy.lane_change import Gap
 from hid2.policy.overtake import Leader
+from hid2.reasons import Reason
 from hid2.scene import DRIVABLE_TYPES, DT_S, Scene
 from netconvert.cells import Cell
 
-_MAX_SHIFT_M = 5.5
-_HALF_LANE_M = 1.5
-_SPARE_S = 0.5
+_HALF_LANE_M = 1.5  # half of the narrowest lane: what "on a lane path" means, the same for all
 
 
 def admissible_neighbor(scene: Scene, lane_id: int, side: Side) -> int | None:
@@ -90,26 +89,38 @@ def gaps_on(
     """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres."""
     known = scene.recorded_on(target, box)
     columns = [(known.low[:, step], known.high[:, step], known.along[:, step])]
+    sources = [(scene.traffic, step)] * known.low.shape[0]
     for traffic, column in ((fixed, step), (fleet, 0)):
         if traffic.ids:
             more = path_occupancy(
                 target.line, traffic, length_m=box.length_m, width_m=box.width_m, margin_lateral_m=0.1
             )
             columns.append((more.low[:, column], more.high[:, column], more.along[:, column]))
+            sources += [(traffic, column)] * more.low.shape[0]
     low, high, along = (np.concatenate(one) for one in zip(*columns, strict=True))
     touched = np.isfinite(low)
+    places = np.flatnonzero(touched)
     low, high, along = low[touched], high[touched], along[touched]
     front, rear = Gap.none(), Gap.none()
     middle = 0.5 * (low + high)
     ahead = np.where(middle >= at, low - at, np.inf)
     if ahead.size and np.isfinite(ahead.min()):
         row = int(np.argmin(ahead))
-        front = Gap(float(ahead[row]), max(0.0, float(along[row])))
+        who = _agent_at(target, middle[row], *sources[places[row]])
+        front = Gap(float(ahead[row]), max(0.0, float(along[row])), who)
     behind = np.where(middle < at, at - high, np.inf)
     if behind.size and np.isfinite(behind.min()):
         row = int(np.argmin(behind))
-        rear = Gap(float(behind[row]), max(0.0, float(along[row])))
+        who = _agent_at(target, middle[row], *sources[places[row]])
+        rear = Gap(float(behind[row]), max(0.0, float(along[row])), who)
     return front, rear
+
+
+def _agent_at(path: DrivenPath, s: float, traffic: Traffic, column: int) -> str:
+    """Id of the agent of `traffic` that is nearest to a place on a path, m, at a step."""
+    offset = traffic.position[:, column] - path.line.position(np.array([s]))[0]
+    apart = np.where(traffic.present[:, column], np.hypot(offset[:, 0], offset[:, 1]), np.inf)
+    return traffic.ids[int(np.argmin(apart))]
 
 
 def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here: Traffic) -> Leader | None:
@@ -161,21 +172,21 @@ def gap_ahead_of(
 def lay_across(
     scene: Scene, path: DrivenPath, target: DrivenPath, *, s: float, step: int, pace_mps: float, remaining_m: float,
     lasting_s: float,
-) -> DrivenPath | str:  # fmt: skip
+) -> DrivenPath | Reason:  # fmt: skip
     """Path that shifts to `target` from arc length s on within lasting_s at about pace_mps; or why there is none.
 
     The shift is no longer than the lane and the scene have room for, and no shorter than the shortest duration.
     """
     change, smoothing = scene.config.lane_change, scene.config.smoothing
     pace = max(pace_mps, change.min_speed_mps)
-    time_left_s = 0.95 * (scene.num_steps - 1 - step) * DT_S - _SPARE_S
-    lasting_s = max(change.min_duration_s, min(lasting_s, time_left_s, 0.8 * remaining_m / pace))
+    time_left_s = change.time_share * (scene.num_steps - 1 - step) * DT_S - change.spare_s
+    lasting_s = max(change.min_duration_s, min(lasting_s, time_left_s, change.length_share * remaining_m / pace))
     blend = blend_paths(
         path.raw, target.raw, start_m=path.to_raw(s), length_m=pace * lasting_s, step_m=smoothing.path_step_m,
-        max_shift_m=_MAX_SHIFT_M,
+        max_shift_m=change.max_shift_m,
     )  # fmt: skip
     if blend is None:
-        return "lanes_not_side_by_side"
+        return Reason.LANES_NOT_SIDE_BY_SIDE
     return shifted_path(path, target, blend, smoothing=smoothing, limits=scene.config.limits)
 
 

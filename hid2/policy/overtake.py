@@ -5,6 +5,7 @@ from enum import StrEnum
 
 from hid2.params import Overtake
 from hid2.policy.lane_change import Gap
+from hid2.reasons import Reason
 
 
 class Stage(StrEnum):
@@ -37,32 +38,32 @@ def enter_reason(
     behind: Gap,
     free_corridor_m: float,
     params: Overtake,
-) -> str | None:
+) -> Reason | None:
     """Why the overtake cannot begin now; None where it can.
 
     The paper's three conditions: a free overtaking lane l', gaps ahead and behind, m * delta s >= d_overtake.
     """
     if leader is None or leader.gap_m > params.d_obs_m:
-        return "no_leader"
+        return Reason.NO_LEADER
     if desired_mps - leader.speed_mps < params.speed_advantage_mps:
-        return "leader_not_slower"
+        return Reason.LEADER_NOT_SLOWER
     if not lane_available:
-        return "no_lane"
+        return Reason.NO_LANE
     if ahead.distance_m < params.safe_front_m:
-        return "front_gap"
+        return Reason.FRONT_GAP
     if behind.distance_m < params.safe_rear_m:
-        return "rear_gap"
+        return Reason.REAR_GAP
     if free_corridor_m < params.d_overtake_m:
-        return "corridor_short"
+        return Reason.CORRIDOR_SHORT
     return None
 
 
-def return_reason(*, lead_gap_m: float, lane_available: bool, ahead: Gap, params: Overtake) -> str | None:
+def return_reason(*, lead_gap_m: float, lane_available: bool, ahead: Gap, params: Overtake) -> Reason | None:
     """Why the return cannot begin now: lead_gap_m is the bumper gap to the passed vehicle, negative beside it."""
     if lead_gap_m < params.return_gap_m:
-        return "not_ahead"
+        return Reason.NOT_AHEAD
     if not lane_available:
-        return "no_lane"
+        return Reason.NO_LANE
     if ahead.distance_m < params.safe_front_m:
-        return "front_gap"
+        return Reason.FRONT_GAP
     return None

@@ -12,8 +12,8 @@ import pytest
 
 Run = Callable[..., Any]
 COMMANDS = (
-    "generate", "net", "validate", "evaluate", "render", "plot", "config", "scan", "study", "paper", "gui", "compose",
-    "forecast",
+    "generate", "net", "validate", "evaluate", "calibrate", "render", "plot", "config", "scan", "study", "make",
+    "paper", "gui", "compose", "forecast",
 )  # fmt: skip
 
 
@@ -145,7 +145,7 @@ def test_scan_tabulates_scenes(hid2: Run, data_root: Path, tmp_path: Path) -> No
     assert hid2("scan", tmp_path / "nowhere").returncode == 2
 
 
-def test_study_writes_tables_and_a_figure(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+def test_study_writes_page_tables_and_a_figure(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
     file = tmp_path / "small.toml"
     file.write_text(
         f'scenes = ["{data_scenes["arterial"]}"]\nseeds = 2\n[vary]\ntrigger_s = [1.0, 3.0]\n'
@@ -154,7 +154,8 @@ def test_study_writes_tables_and_a_figure(hid2: Run, data_scenes: dict[str, Path
     result = hid2("study", file, "-o", tmp_path / "out")
     assert result.returncode == 0
     names = [Path(line).name for line in result.stdout.splitlines()]
-    assert names == ["runs.csv", "manoeuvres.csv", "small_trigger_s.png"]
+    assert names[:4] == ["study.md", "small_trigger_after_s.png", "columns.csv", "runs.csv"]
+    assert all((tmp_path / "out" / name).is_file() for name in names)
     with (tmp_path / "out" / "runs.csv").open() as table:
         assert len(list(csv.DictReader(table))) == 4
 
@@ -194,6 +195,15 @@ def test_result_that_cannot_be_written_is_said_at_once(
     line = last_message(result)
     assert line.startswith("hid2: error: file")
     assert "is a file; choose another output folder" in line
+
+
+def test_corridor_is_made_and_its_range_is_said(hid2: Run, tmp_path: Path) -> None:
+    result = hid2("make", "corridor", "-o", tmp_path, "--length", "300", "--lanes", "3", "--seconds", "20")
+    assert result.returncode == 0
+    assert Path(result.stdout.strip()).name == "corridor-300m-3lanes-20s"
+    wrong = hid2("make", "corridor", "-o", tmp_path, "--lanes", "1")
+    assert wrong.returncode == 2
+    assert last_message(wrong) == "hid2: error: --lanes 1: expected 2 to 8"
 
 
 def test_study_without_scenes_says_so(hid2: Run, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from bridge.evaluation.predictions import write_baseline
+from baseline_file import write_baseline
 
 Run = Callable[..., Any]
 

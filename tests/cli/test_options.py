@@ -15,6 +15,7 @@ from typing import Any, get_args
 import pytest
 from typer.main import get_command
 
+from bridge.batch.batch import GENERATE_WITH_GAPS
 from bridge.cli import app, options
 from bridge.cli.forecasting import CountIn, Layout, SplitBy
 from bridge.config import config_to_dict, describe_config, load_config, parse_behaviours, parse_trigger_time
@@ -37,6 +38,7 @@ def option(name: str) -> Any:
 def test_choices_are_those_of_the_package() -> None:
     assert [str(name) for name in options.BehaviourName] == [policy.value for policy in Policy]
     assert tuple(options.SplitName) == SPLITS
+    assert [f"generate_and_record_{name}" for name in options.RecordName] == [GENERATE_WITH_GAPS.partition(":")[2]]
     assert get_args(options.ExperimentName) == (*EXPERIMENTS, "prediction")
     assert get_args(options.ReadingName) == get_args(Reading)
     split = Split.model_fields["by"].annotation, [str(name) for name in SplitBy]

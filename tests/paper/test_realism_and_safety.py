@@ -5,7 +5,7 @@ import pytest
 
 from hid2.agents import BoxSize, Track
 from hid2.evaluation.kinematics import kinematics, motion
-from hid2.evaluation.safety import off_road, overlaps, scenario_collision_rate
+from hid2.evaluation.safety import colliding, off_road, overlaps
 from hid2.measures.arrays import stack
 from netconvert.lane_graph import LaneGraph
 
@@ -109,9 +109,9 @@ def test_scr_is_the_share_of_vehicles_that_collide_at_any_step():
     assert [(p.first, p.second, p.first_step) for p in pairs] == [(0, 1, 7), (1, 2, 0)]
     assert pairs[1].iou == pytest.approx(0.2 / 15.8)
     everyone = np.ones(4, dtype=bool)
-    assert scenario_collision_rate(arrays, pairs, everyone) == pytest.approx(0.5)
-    assert scenario_collision_rate(arrays, pairs, everyone, iou=0.0) == pytest.approx(0.75)
-    assert scenario_collision_rate(arrays, pairs, ~everyone) == 0.0
+    assert colliding(arrays, pairs, everyone).mean() == 0.5
+    assert colliding(arrays, pairs, everyone, iou=0.0).mean() == 0.75
+    assert not colliding(arrays, pairs, ~everyone).any()
 
 
 def test_orr_counts_centres_outside_the_union_of_drivable_areas():

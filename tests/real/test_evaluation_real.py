@@ -15,7 +15,7 @@ import shapely
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import DEFAULT_SIZES
 from hid2.evaluation.kinematics import kinematics, motion
-from hid2.evaluation.safety import off_footprint, off_road, overlaps, prepare_map, scenario_collision_rate
+from hid2.evaluation.safety import colliding, off_footprint, off_road, overlaps, prepare_map
 from hid2.measures.arrays import stack
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.manoeuvres import detect
@@ -75,7 +75,7 @@ def test_scr_equals_shapely_polygons_step_by_step(real_scene):
     rows = rows_of(real_scene)
     sizes = sizes_of(real_scene, rows)
     vehicles = rows[rows.object_type.isin(["vehicle", "bus"])]
-    colliding: set[str] = set()
+    hit: set[str] = set()
     largest: dict[tuple[str, str], float] = {}
     for _, step in vehicles.groupby("timestep"):
         boxes = {
@@ -90,12 +90,12 @@ def test_scr_equals_shapely_polygons_step_by_step(real_scene):
             if shared > 1e-9:
                 largest[a, b] = max(largest.get((a, b), 0.0), iou)
             if iou > 0.02:
-                colliding |= {a, b}
+                hit |= {a, b}
     scenario = read_scenario(real_scene)
     arrays = stack(scenario.tracks)
     pairs = overlaps(arrays)
-    rate = scenario_collision_rate(arrays, pairs, arrays.vehicle)
-    assert rate == pytest.approx(len(colliding) / vehicles.track_id.nunique(), abs=1e-9)
+    rate = colliding(arrays, pairs, arrays.vehicle).sum() / arrays.vehicle.sum()
+    assert rate == pytest.approx(len(hit) / vehicles.track_id.nunique(), abs=1e-9)
     found = {
         tuple(sorted((arrays.track_ids[p.first], arrays.track_ids[p.second]))): p.iou
         for p in pairs

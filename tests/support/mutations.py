@@ -121,7 +121,13 @@ def _change_geometry(document: Any, rng: random.Random) -> str:
             del areas[key]
     elif how == "area":
         rng.shuffle(rng.choice(list(document["drivable_areas"].values()))["area_boundary"])
-    for points in lists if how in ("scale", "shift", "jitter", "reverse", "collapse") else ():
+    else:
+        _change_points(lists, how, factor, rng)
+    return f"{how} of {'one lane' if len(lists) == 3 else 'all lanes'} ({factor:g})"
+
+
+def _change_points(lists: list[Any], how: str, factor: float, rng: random.Random) -> None:
+    for points in lists:
         if how == "reverse":
             points.reverse()
         for point in points:
@@ -134,7 +140,6 @@ def _change_geometry(document: Any, rng: random.Random) -> str:
                     point[axis] += rng.gauss(0.0, 2.0)
                 elif how == "collapse":
                     point[axis] = points[0][axis]
-    return f"{how} of {'one lane' if len(lists) == 3 else 'all lanes'} ({factor:g})"
 
 
 def _change_table(path: Path, rng: random.Random) -> str:

@@ -15,6 +15,7 @@ from bridge.config import (
     load_config,
     parse_behaviours,
     parse_trigger_time,
+    read_drivers,
 )
 from hid2.params import Config
 from netconvert.errors import ConfigError
@@ -64,6 +65,10 @@ def test_ablations_are_a_list() -> None:
         ("turn.trough_at=0.95", "turn.trough_at = 0.95, expected number >= 0.1, <= 0.9"),
         ("turn.trough_at=nan", "turn.trough_at = nan, expected number >= 0.1"),
         ("request.trigger_max_s=0.1", "trigger_max_s 0.1 is below trigger_min_s 0.5"),
+        ("sites.slow_leader_max=0.1", "slow_leader_max 0.1 is below slow_leader_min 0.25"),
+        ("conflict.brakes_mps2=[0.0, 2.0, 1.0]", "brakes_mps2 .* does not rise from 0"),
+        ("conflict.brakes_mps2=[1.0, 2.0]", "brakes_mps2 .* does not rise from 0"),
+        ("export.filter_ratios=[]", "export.filter_ratios = .*, expected list of numbers > 0, <= 10 and not empty"),
         ("request.spawn_leaders=1", "request.spawn_leaders = 1, expected true, false"),
         ("request.focal=nobody", "request.focal = 'nobody', expected recorded, generated"),
         ("without=brakes", "without = .*brakes.*, expected any of topology, collision, smoothing"),
@@ -192,5 +197,32 @@ def test_every_parameter_is_described() -> None:
     assert all(row.default and row.unit and row.range and row.source for row in rows.values())
     assert rows["grid.cell_m"][1:4] == ("4.0", "m", "number >= 1, <= 20")
     assert rows["request.agents"].range == "integer >= 0, <= 500, or max"
+    assert rows["export.offset_shares"][1:4] == ("1.0,0.5,0.0", "share", "list of numbers >= 0, <= 1 and not empty")
     assert rows["request.trigger_list_s"][1:4] == ("none", "s", "list of numbers >= 0, <= 60")
     assert rows["without"][1:4] == ("none", "-", "any of topology, collision, smoothing")
+
+
+def test_drivers_of_a_file_are_flags_of_their_section(tmp_path: Path) -> None:
+    path = tmp_path / "drivers.toml"
+    path.write_text("[drivers]\noffset_sd_m = 0.4\n# tau_mean_s keeps its prior 1.15\n")
+    assert read_drivers(path) == {"drivers.offset_sd_m": 0.4}
+    assert load_config(None, ["drivers.offset_sd_m=0.2"], read_drivers(path)).drivers.offset_sd_m == 0.2
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[drivers]\noffset_sd_m = 4.0\n", "drivers.offset_sd_m = 4.0, expected"),
+        ("[drivers]\noffset = 0.4\n", "unknown key 'drivers.offset'"),
+        ("[drivers]\n[request]\nagents = 3\n", "section or key request, expected [drivers] alone"),
+        ("", "no section [drivers]"),
+        ("[drivers", "not TOML"),
+    ],
+)
+def test_a_file_of_drivers_that_is_wrong_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "drivers.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        read_drivers(path)
+    assert said in str(caught.value)
+    assert str(path) in str(caught.value)

@@ -1,5 +1,9 @@
+import ast
+from pathlib import Path
+
 import pytest
 
+import hid2
 from hid2.measures.motion_limits import MotionProfile, exceeded
 from hid2.params import Limits
 from hid2.reasons import Reason, limit_reason
@@ -19,6 +23,20 @@ def test_reason_is_written_as_its_name() -> None:
     for reason in Reason:
         assert reason.value == str(reason) == reason.value.lower()
         assert Reason(reason.value) is reason
+
+
+def test_no_reason_is_a_string_literal() -> None:
+    """Whoever searches for a reason finds its member. Measures and metrics have names of their own, such as "pet"."""
+    root, values = Path(hid2.__file__).parents[1], {reason.value for reason in Reason} - {"pet"}
+    rooms = "hid2/policy", "hid2/conflicts", "hid2/insertion", "hid2/motion", "bridge/sumo", "bridge/generation"
+    found = [
+        f"{path}:{node.lineno}: {node.value}"
+        for room in rooms
+        for path in (root / room).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Constant) and node.value in values
+    ]
+    assert not found
 
 
 def test_every_limit_of_motion_has_a_reason() -> None:

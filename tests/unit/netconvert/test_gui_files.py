@@ -1,15 +1,13 @@
 import csv
 import io
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 from lxml import etree
 
 from netconvert.cells import CellGrid, build_cell_grid
-from netconvert.errors import NetError
-from netconvert.gui_files import CELL_COLUMNS, cells_csv, gui_files, write_gui_files
+from netconvert.gui_files import CELL_COLUMNS, cells_csv, gui_files
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
 
@@ -72,10 +70,3 @@ def test_the_view_can_be_closer(grid: CellGrid) -> None:
 def test_the_view_looks_at_the_middle_of_the_lanes(grid: CellGrid) -> None:
     view = etree.fromstring(gui_files(grid, "scene")["scene.view.xml"]).find("viewport")
     assert (view.get("x"), view.get("y")) == ("5.00", "0.00")
-
-
-def test_files_that_cannot_be_written_are_an_error_that_names_one(grid: CellGrid, tmp_path: Path) -> None:
-    write_gui_files(grid, tmp_path, "scene")
-    assert (tmp_path / "scene.cells.csv").read_bytes() == cells_csv(grid)
-    with pytest.raises(NetError, match=r"missing/scene\.sumocfg: cannot write"):
-        write_gui_files(grid, tmp_path / "missing", "scene")

@@ -69,11 +69,6 @@ def test_scene_that_cannot_be_read_is_tried_with_those_selected() -> None:
         wanted(folders, FACTS, unread, Selection(splits=("test",)))
 
 
-def test_nothing_is_read_unless_it_is_asked_for() -> None:
-    assert not Selection(seed=5).needs_facts
-    assert Selection(can=("straight",)).needs_facts
-
-
 def test_synthetic_maps_offer_what_they_were_made_for(data_scenes: dict[str, Path]) -> None:
     facts = {name: describe_scene(folder, Config()) for name, folder in data_scenes.items()}
     assert facts["arterial"].lane_change_m > 500

@@ -18,8 +18,8 @@ from bridge.evaluation.totals import Evaluation, Totals
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics
+from hid2.evaluation.critics import WIDTH
 from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric, Section
-from hid2.evaluation.realism import DRIVING_FEATURES, MOTION_FEATURES
 from hid2.evaluation.safety import prepare_map
 from hid2.params import Limits
 from netconvert.errors import ExportError, ScenarioError
@@ -236,7 +236,7 @@ def test_a_scene_in_which_nothing_moves_is_measured(made_scene):
         for track in scenario.tracks[:3]
     ]
     measures = measure(parked, prepare_map(scenario.graph), None, limits=Limits(), num_steps=110, source="parked")
-    assert measures.samples.shape == (0, len(DRIVING_FEATURES) + len(MOTION_FEATURES))
+    assert measures.samples.shape == (0, WIDTH)
     assert measures.scene["combined_moving"] == 0
 
 

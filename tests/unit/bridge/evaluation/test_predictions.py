@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from av2.datasets.motion_forecasting.eval import metrics
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
+from baseline_file import write_baseline
 
 from bridge.evaluation import predictions
 from bridge.evaluation.predictions import (
@@ -16,7 +17,6 @@ from bridge.evaluation.predictions import (
     baseline,
     read_forecasts,
     score_predictions,
-    write_baseline,
     write_forecasts,
 )
 from bridge.recordings.scenario import find_scenarios, read_scenario
@@ -149,7 +149,13 @@ def test_constant_turn_rate_keeps_to_a_circle(data_scenes):
 
 @pytest.mark.parametrize("kind", BASELINES)
 def test_baseline_through_a_file_scores_the_same(data_root, tmp_path, kind):
-    path = write_baseline(data_root, tmp_path / "deep" / "f.parquet", kind=kind)
+    """A submission file as av2 writes it, with the forecasts of the baseline."""
+    path, submission = tmp_path / "f.parquet", {}
+    for folder in find_scenarios(data_root):
+        scenario = read_scenario(folder)
+        probabilities, modes = baseline(scenario, kind)
+        submission[scenario.scenario_id] = probabilities, dict(modes)
+    ChallengeSubmission(submission).to_parquet(path)
     direct = score_predictions(data_root, predictions=kind)
     assert direct.scores == score_predictions(data_root, predictions=path).scores
     assert len(direct.scores) == 2 * len(find_scenarios(data_root))

@@ -15,6 +15,7 @@ from bridge.evaluation.samples import Samples
 from bridge.evaluation.scene_metrics import Maps, measure_folder
 from bridge.evaluation.totals import ManeuverCounts, NameSet, Totals
 from hid2.agents import Policy
+from hid2.evaluation.critics import WIDTH
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.params import Limits
 
@@ -88,10 +89,9 @@ def test_groups_hold_about_the_same_number_of_sources():
 def offer(samples, scenes):
     """Each scene: two generated and one recorded vehicle, whose vectors tell which they are."""
     for number in scenes:
-        vectors = np.array([[number, 0.0], [number, 1.0], [number, 2.0]]) @ np.eye(2, 16)
+        vectors = np.array([[number, 0.0], [number, 1.0], [number, 2.0]]) @ np.eye(2, WIDTH)
         samples.add(vectors, np.array([True, True, False]), scene=f"scene-{number}", source=f"s{number % 4}")
-    samples.test()
-    return {tuple(vector[:2]) for vector in samples.vectors}
+    return {tuple(vector[:2]) for vector in samples.packed().rows}
 
 
 def test_every_vehicle_is_a_sample_as_long_as_there_is_room():

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from baseline_file import write_baseline
 
-from bridge.evaluation.predictions import Score, write_baseline, write_forecasts
+from bridge.evaluation.predictions import Score, write_forecasts
 from bridge.forecasting.comparison import compare_predictions, difference_of, in_band, mean_of, parse_models
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from hid2.params import Forecasting

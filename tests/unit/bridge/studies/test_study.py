@@ -1,12 +1,11 @@
 """Designs of studies and their tables."""
 
-import json
 from pathlib import Path
 
 import pytest
 
-from bridge.batch.manifest import DONE, ManifestRow
-from bridge.studies.study import read_study, tables
+from bridge.recordings.corridor import write_corridor
+from bridge.studies.study import _counts, read_study
 from netconvert.errors import ConfigError
 
 ROOT = Path(__file__).parents[4]
@@ -19,24 +18,27 @@ def study_file(tmp_path: Path, text: str, scenes: Path) -> Path:
 
 
 def test_grid_is_every_combination_with_every_seed(tmp_path: Path, data_root: Path) -> None:
-    text = 'seeds = [3, 5]\n[vary]\ntrigger_s = [1.0, 2.0]\n"request.agents" = [5, 10, 15]\n'
+    text = 'seeds = [3, 5]\n[vary]\ntrigger_s = [1.0, 2.0]\n"lane_change.give_up_s" = [5.0, 10.0, 15.0]\n'
     study = read_study(study_file(tmp_path, text, data_root))
     assert len(study.folders) == 3
     assert [tuple(point.values()) for point in study.points] == [
-        (1.0, 5), (1.0, 10), (1.0, 15), (2.0, 5), (2.0, 10), (2.0, 15),
+        (1.0, 5.0), (1.0, 10.0), (1.0, 15.0), (2.0, 5.0), (2.0, 10.0), (2.0, 15.0),
     ]  # fmt: skip
     config = study.configs[4][1]
     assert (config.request.trigger_min_s, config.request.trigger_max_s) == (2.0, 2.0)
-    assert (config.request.agents, config.request.seed) == (10, 5)
+    assert (config.lane_change.give_up_s, config.request.seed) == (10.0, 5)
+    assert study.paired
     assert sum(len(job.runs) for job in study.jobs) == 3 * 6 * 2
 
 
 def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: Path) -> None:
     """Ten points over [0, 10]: each interval of length 1 holds exactly one."""
-    text = 'design = "latin_hypercube"\nsamples = 10\n[vary]\ntrigger_s = [0.0, 10.0]\n"request.agents" = [1, 10]\n'
+    text = (
+        'design = "latin_hypercube"\nsamples = 10\n[vary]\ntrigger_s = [0.0, 10.0]\n"lane_change.give_up_s" = [1, 10]\n'
+    )
     study = read_study(study_file(tmp_path, text, data_root))
     assert sorted(int(point["trigger_s"]) for point in study.points) == list(range(10))
-    assert sorted(point["request.agents"] for point in study.points) == list(range(1, 11))
+    assert sorted(point["lane_change.give_up_s"] for point in study.points) == list(range(1, 11))
     assert study.points == read_study(study_file(tmp_path, text, data_root)).points
 
 
@@ -45,7 +47,10 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
     [
         ("[vary]\nnothing = [1]\n", "vary.nothing: expected trigger_s or a key"),
         ('[vary]\n"lane_change.gap" = [1]\n', "unknown key 'lane_change.gap'"),
-        ('[vary]\n"request.agents" = [-1]\n', "request.agents = -1"),
+        ('[vary]\n"lane_change.give_up_s" = [-1.0]\n', "lane_change.give_up_s = -1"),
+        ('[vary]\n"request.agents" = [5, 10]\n', "vary.request.agents: would choose other vehicles or sites"),
+        ('[vary]\n"spawn.speed_sd" = [0.1]\n', "vary.spawn.speed_sd: would choose other vehicles or sites"),
+        ('[vary]\ntrigger_s = [1.0]\n[config.request]\nagents = "max"\n', "expected a number of vehicles"),
         ("seeds = 0\n[vary]\ntrigger_s = [1.0]\n", "seeds"),
         ("[vary]\n", "vary"),
         ("colour = 1\n[vary]\ntrigger_s = [1.0]\n", "colour"),
@@ -66,45 +71,38 @@ def test_missing_scenes_are_named(tmp_path: Path) -> None:
         read_study(study_file(tmp_path, "[vary]\ntrigger_s = [1.0]\n", tmp_path / "nowhere"))
 
 
-@pytest.mark.parametrize("name", ["lane_change_timing", "lane_change_gaps"])
-def test_example_studies_can_be_read(name: str) -> None:
-    assert read_study(ROOT / "data" / "studies" / f"{name}.toml").points
+def test_runs_of_one_scene_and_seed_share_a_job(tmp_path: Path, data_root: Path) -> None:
+    study = read_study(study_file(tmp_path, "seeds = 2\n[vary]\ntrigger_s = [1.0, 2.0, 3.0]\n", data_root))
+    assert [len(job.runs) for job in study.jobs] == [3] * 6
+    assert all(len({run.config.request.seed for run in job.runs}) == 1 for job in study.jobs)
 
 
-def test_example_on_real_scenes_has_at_least_200_runs(real_scenes: list[Path]) -> None:
+def test_what_changes_the_traffic_is_not_called_paired(tmp_path: Path, data_root: Path) -> None:
+    study = read_study(study_file(tmp_path, '[vary]\n"flow.veh_per_h_lane" = [500.0, 1500.0]\n', data_root))
+    assert not study.paired
+
+
+@pytest.mark.parametrize("name", ["corridor_lag_gap", "corridor_mobil", "corridor_lc2013"])
+def test_studies_on_the_corridor_can_be_read(tmp_path: Path, name: str) -> None:
+    write_corridor(tmp_path, length_m=500.0, lanes=2, seconds=140.0)
+    study = read_study(ROOT / "data" / "studies" / f"{name}.toml", scenes=[tmp_path])
+    assert len(study.points) == 5
+    assert study.configs[0][0].flow.veh_per_h_lane == 1500.0
+
+
+def test_example_on_real_scenes_has_at_least_600_runs(real_scenes: list[Path]) -> None:
     study = read_study(ROOT / "data" / "studies" / "lane_change_timing_real.toml", scenes=real_scenes)
-    assert len(study.folders) * len(study.points) * len(study.seeds) >= 200
+    assert len(study.folders) == 6
+    assert len(study.folders) * len(study.points) * len(study.seeds) >= 600
 
 
-def test_tables_are_tidy(tmp_path: Path, data_scenes: dict[str, Path]) -> None:
-    """Two manoeuvres: one waits from 1.0 to 1.5 s, one is never done; the overtake is not this study's kind."""
-    text = "[vary]\ntrigger_s = [1.0]\n"
-    study = read_study(study_file(tmp_path, text, data_scenes["arterial"]))
-    from bridge.config import config_sha256
-
-    base = {"track_id": "gen_0", "trigger_s": 1.0, "pet_s": None}
-    records = [
-        {**base, "kind": "lane_change", "status": "done", "start_s": 1.5, "window_ttc_s": 2.5, "reason": None},
-        {
-            **base,
-            "trigger_s": None,
-            "kind": "lane_change",
-            "status": "not_feasible",
-            "start_s": None,
-            "window_ttc_s": None,
-            "reason": "gap",
-        },
-        {**base, "kind": "overtake", "status": "done", "start_s": 2.0, "window_ttc_s": 0.5, "reason": None},
-    ]
-    (tmp_path / "runs" / "x").mkdir(parents=True)
-    (tmp_path / "runs" / "x" / "run.json").write_text(json.dumps(records))
-    row = ManifestRow("scene", "val", 0, 0, DONE, folder="runs/x", config_sha256=config_sha256(study.configs[0][0]))
-    (run,), maneuvers = tables(study, [row], tmp_path)
-    assert (run["lane_change_requested"], run["lane_change_done"], run["min_ttc_s"]) == (2, 1, 2.5)
-    assert [maneuver["wait_s"] for maneuver in maneuvers] == [0.5, None, 1.0]
-    assert all(maneuver["scene"] == "scene" and maneuver["point"] == 0 for maneuver in maneuvers)
-    assert [maneuver["trigger_s"] for maneuver in maneuvers] == [1.0, 1.0, 1.0]
-    assert [maneuver["triggered_s"] for maneuver in maneuvers] == [1.0, None, 1.0]
+@pytest.mark.parametrize(
+    ("source", "trigger_s", "waited_s", "counted"),
+    [("start", 1.0, 2.0, True), ("start", 1.0, None, False), ("flow", 20.0, 2.0, False), ("flow", 30.0, 2.0, True)],
+)
+def test_warm_up_of_a_flow_is_cut_off(source: str, trigger_s: float, waited_s: float | None, counted: bool) -> None:
+    """Warm-up of 25 s."""
+    assert _counts({"source": source, "trigger_s": trigger_s, "waited_s": waited_s}, 25.0) is counted
 
 
 def test_study_may_ask_for_maps_with_room(tmp_path: Path, data_root: Path) -> None:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from inserted import DRIVER
@@ -8,12 +10,17 @@ from hid2.params import Config, Drivers, Limits, Spawn
 #: Every value that a number below is worked from; the defaults may be tuned.
 CONFIG = Config(
     drivers=Drivers(
-        desired_sd=0.1, wander_sd_mps=0.6, wander_time_s=3.0, tau_mean_s=1.15, tau_sd_s=0.25, offset_sd_m=0.25,
-        lateral_wander_sd_m=0.15, lateral_wander_time_s=3.0,
+        desired_sd=0.1, wander_sd_mps=0.6, wander_time_s=3.0, tau_mean_s=1.15, tau_sd_s=0.25,
+        offset_mean_m=0.0, offset_sd_m=0.25, offset_max_m=0.9, lateral_wander_sd_m=0.15, lateral_wander_spread=0.5,
+        lateral_wander_time_s=3.0,
     ),
     spawn=Spawn(min_speed_mps=4.0, max_speed_mps=20.0),
     limits=Limits(),
 )  # fmt: skip
+
+
+#: Wanders 0.15 m about the middle of the lane.
+WEAVES = replace(DRIVER, offset_m=0.0, wander_m=0.15)
 
 
 @pytest.mark.parametrize("lane_speed", [3.0, 10.0, 19.0])
@@ -26,6 +33,8 @@ def test_draws_stay_within_two_standard_deviations_and_the_bounds(lane_speed: fl
     assert desired.max() <= min(20.0, max(4.0, 1.2 * lane_speed)) + 1e-9
     assert all(0.65 - 1e-9 <= driver.tau_s <= 1.65 + 1e-9 for driver in drivers)
     assert all(abs(driver.offset_m) <= 0.5 for driver in drivers)
+    # SD of the wandering: 0.15 m times exp(-1) to exp(1)
+    assert all(0.055 < driver.wander_m < 0.41 for driver in drivers)
     assert all(driver.accel_mps2 <= 2.40 for driver in drivers)
     assert all(driver.decel_mps2 <= 4.05 for driver in drivers)
     assert all(2.5 <= driver.lane_change_s <= 6.0 for driver in drivers)
@@ -88,7 +97,7 @@ def test_desired_speed_never_falls_below_half() -> None:
 
 def test_place_in_the_lane_does_not_move_while_standing() -> None:
     """D is a function of the way driven: at one s there is one d, whatever the time."""
-    offset = lane_offset(DRIVER, CONFIG, np.random.default_rng(1), length_m=200.0)
+    offset = lane_offset(WEAVES, CONFIG, np.random.default_rng(1), length_m=200.0)
     d, slope, bend = offset.at(np.full(50, 70.0))
     assert np.ptp(d) == np.ptp(slope) == np.ptp(bend) == 0.0
     assert np.ptp(offset.at(np.linspace(0.0, 200.0, 50))[0]) > 0.05
@@ -97,7 +106,7 @@ def test_place_in_the_lane_does_not_move_while_standing() -> None:
 def test_place_in_the_lane_is_smooth_and_within_two_standard_deviations() -> None:
     """At most 2 SD = 0.3 m beside the driver's own place (here the middle), knots 30 m apart; d' is that of d."""
     for seed in range(30):
-        offset = lane_offset(DRIVER, CONFIG, np.random.default_rng(seed), length_m=200.0)
+        offset = lane_offset(WEAVES, CONFIG, np.random.default_rng(seed), length_m=200.0)
         assert np.diff(offset.knots_m) == pytest.approx(np.full(offset.knots_m.size - 1, 30.0))
         assert np.abs(offset.offset_m).max() <= 0.3 + 1e-9
         s = np.arange(5.0, 195.0, 0.1)
@@ -114,3 +123,17 @@ def test_cubic_between_two_knots_by_hand() -> None:
     assert slope == pytest.approx([0.0, 0.03, 0.0])
     assert bend == pytest.approx([6 * 0.4 / 400, 0.0, -6 * 0.4 / 400])
     assert offset.scaled(0.5).at(np.array([10.0]))[0] == pytest.approx([0.1])
+
+
+def test_nobody_is_farther_from_the_middle_than_the_bound() -> None:
+    """Place 0.8 m to the left and a wandering of 0.4 m: cut off at 0.9 m."""
+    wide = replace(DRIVER, offset_m=0.8, wander_m=0.4)
+    offsets = [lane_offset(wide, CONFIG, np.random.default_rng(seed), length_m=200.0).offset_m for seed in range(30)]
+    assert max(np.abs(one).max() for one in offsets) == pytest.approx(0.9)
+
+
+def test_some_hold_the_lane_and_some_weave() -> None:
+    """Truncated at two deviations, the logarithm of the wandering has an SD of 0.88 * 0.5 = 0.44."""
+    rng = np.random.default_rng(0)
+    weave = [draw_driver(CONFIG, rng, lane_speed_mps=10.0).wander_m for _ in range(2000)]
+    assert np.log(weave).std() == pytest.approx(0.47, abs=0.03)

@@ -12,9 +12,9 @@ from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.routes import Routes
-from hid2.insertion.sites import InsertionSites
+from hid2.insertion.sites import InsertionSites, speed_behind
 from hid2.occupancy.sigma import FREE
-from hid2.params import Config, Request, Spawn
+from hid2.params import Config, Request, Sites, Spawn
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -51,7 +51,7 @@ def _many(scene: Scene, count: int, **request: Any) -> list[Start]:
 
 
 def test_site_is_never_on_an_occupied_cell_nor_near_a_box(scene_of: Callable[..., Scene]) -> None:
-    """Parked ones at 60 and 130 m of lane 1, one at 9 m/s on lane 2 at 100 m: 2.5 m of bumper gap to all."""
+    """Parked ones at 60 and 130 m of lane 1, one at 9 m/s on lane 2 at 100 m: spawn.clear_gap_m of 2 m to all."""
     others = [recorded(60.0, 0.0, name="a"), recorded(130.0, 0.0, name="b"), recorded(100.0, 3.5, 9.0, name="c")]
     scene = scene_of(*others)
     starts = _many(scene, 120)
@@ -62,7 +62,7 @@ def test_site_is_never_on_an_occupied_cell_nor_near_a_box(scene_of: Callable[...
         x, y = start.path.line.position(np.array([start.start_s]))[0]
         for one in others:
             if abs(one.position[0, 1] - y) < 1.5:
-                assert abs(one.position[0, 0] - x) - 0.5 * (start.size.length_m + 4.5) >= 2.5 - 0.01
+                assert abs(one.position[0, 0] - x) - 0.5 * (start.size.length_m + 4.5) >= 2.0 - 0.01
 
 
 def test_start_that_a_recorded_vehicle_would_run_into_is_rejected(scene_of: Callable[..., Scene]) -> None:
@@ -82,7 +82,7 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected(scene_of: Call
 @pytest.mark.parametrize(("gap", "leader_mps"), [(6.0, 0.0), (15.0, 8.0), (30.0, 4.0), (60.0, 12.0)])
 def test_start_speed_behind_a_leader_needs_no_braking(gap: float, leader_mps: float) -> None:
     """IDM at that speed and gap: a (1 - (s* / gap)^2) is -0.8 m/s2, a lifted foot; faster it would be less."""
-    v = InsertionSites._speed_behind(gap, leader_mps, DRIVER)
+    v = speed_behind(gap, leader_mps, DRIVER, Sites())
     star = DRIVER.min_gap_m + v * DRIVER.tau_s + v * max(0.0, v - leader_mps) / (2 * np.sqrt(1.6 * 2.0))
     accel = DRIVER.accel_mps2 * (1.0 - (star / gap) ** 2)
     if v < leader_mps:
@@ -93,7 +93,7 @@ def test_start_speed_behind_a_leader_needs_no_braking(gap: float, leader_mps: fl
 
 def test_nobody_begins_moving_right_behind_who_stands() -> None:
     """1.5 m of gap are less than the 2 m kept to a standing one, whatever the speed."""
-    assert InsertionSites._speed_behind(1.5, 0.0, DRIVER) == 0.0
+    assert speed_behind(1.5, 0.0, DRIVER, Sites()) == 0.0
 
 
 def test_starts_behind_slow_traffic_are_no_faster_than_it_allows(scene_of: Callable[..., Scene]) -> None:

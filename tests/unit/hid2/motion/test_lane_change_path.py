@@ -5,24 +5,25 @@ from hid2.motion.lane_change_path import blend_paths, lateral_share
 from netconvert.geometry import Polyline
 
 
-def test_lateral_share_has_jerk_plus_minus_minus_plus_of_32() -> None:
-    """d / D over tau, by hand at the knots: 1/12 at 1/4, 1/2 at 1/2, 11/12 at 3/4.
+def test_lateral_share_has_jerk_plus_minus_nothing_minus_plus_of_54() -> None:
+    """d / D over tau, by hand: 9 / 216 = 1/24 at 1/6, 1/4 at 1/3, 1/2 at 1/2, and mirrored.
 
-    jerk          +32 |-32     -32 |+32           first quarter: 32 / 6 tau^3 = 5.333 / 64 = 1/12
-    acceleration   0 -> 8 -> 0 -> -8 -> 0         8 at 1/4: 8 D / T^2
-    speed          0 -> 1 -> 2 ->  1 -> 0         2 at 1/2: 2 D / T
+    jerk          +54 |-54 |  0  |-54 |+54        first sixth: 54 / 6 tau^3 = 9 tau^3
+    acceleration   0 -> 9 -> 0   0 -> -9 -> 0     9 at 1/6: 9 D / T^2
+    speed          0 -> .75 -> 1.5  1.5 -> 0      1.5 from 1/3 to 2/3: 1.5 D / T
     """
-    assert lateral_share(np.array([0, 0.25, 0.5, 0.75, 1.0])) == pytest.approx([0, 1 / 12, 0.5, 11 / 12, 1])
+    knots = np.array([0, 1 / 6, 1 / 3, 0.5, 2 / 3, 5 / 6, 1.0])
+    assert lateral_share(knots) == pytest.approx([0, 1 / 24, 0.25, 0.5, 0.75, 23 / 24, 1])
     h = 1e-3
     tau = np.arange(0.0, 1.0 + h / 2, h)
     d = lateral_share(tau)
     jerk = np.diff(d, 3) / h**3
-    for quarter, sign in enumerate((1, -1, -1, 1)):
-        inside = jerk[250 * quarter + 3 : 250 * (quarter + 1) - 3]
-        assert inside == pytest.approx(np.full(inside.size, 32.0 * sign), abs=1e-3)
+    for sixth, sign in enumerate((1, -1, 0, 0, -1, 1)):
+        inside = jerk[round(1000 / 6 * sixth) + 4 : round(1000 / 6 * (sixth + 1)) - 5]
+        assert inside == pytest.approx(np.full(inside.size, 54.0 * sign), abs=1e-3)
     speed, acceleration = np.gradient(d, h), np.gradient(np.gradient(d, h), h)
-    assert speed.max() == pytest.approx(2.0, abs=1e-3)
-    assert np.abs(acceleration).max() == pytest.approx(8.0, abs=0.05)
+    assert speed.max() == pytest.approx(1.5, abs=1e-3)
+    assert np.abs(acceleration).max() == pytest.approx(9.0, abs=0.06)
 
 
 def test_lateral_share_rests_outside_its_window() -> None:

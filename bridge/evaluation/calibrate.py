@@ -1,0 +1,365 @@
+"""`hid2 calibrate`: recorded scenes to drivers.toml, with a table and a figure for each quantity, and manoeuvres."""
+
+import json
+import pickle
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from bridge.batch.engine import Settings, Task, execute_here
+from bridge.batch.isolation import Failure, describe_error
+from bridge.evaluation.evaluate import write_table
+from bridge.evaluation.report import Section, number, page, picture, table
+from bridge.files import write_text
+from bridge.pictures import figures
+from bridge.recordings.scenario import STEP_S, find_scenarios, read_scenario, source_id
+from hid2.agents import FloatArray, IntArray
+from hid2.drivers.calibration import Extra, Observed, Quantity, calibrate, drivers_of
+from hid2.evaluation.safety import Safety, prepare_map, safety
+from hid2.evaluation.windows import is_labelled, windows
+from hid2.measures.arrays import BoolArray, SceneArrays, stack
+from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
+from hid2.params import Drivers
+from netconvert.errors import ExportError, ScenarioError
+
+#: Speed below which a vehicle stands, m/s, and gap to a leader in a queue, m.
+_STANDS_MPS, _QUEUE_M = 0.3, 8.0
+#: A leader or follower farther away than this, m, did not matter for a manoeuvre.
+_MATTERS_M = 60.0
+_SHARES = (0.05, 0.5, 0.95)
+_CHUNK = 20
+
+#: Quantities of a recorded manoeuvre, with their units.
+MANOEUVRE_COLUMNS = {
+    "duration_s": "s", "lead_gap_m": "m", "lag_gap_m": "m", "lateral_peak_mps": "m/s", "speed_gain_mps": "m/s",
+    "ttc_s": "s", "pet_s": "s",
+}  # fmt: skip
+
+
+class SceneDriving(NamedTuple):
+    """What calibration keeps of a scene: drivers are numbered within it; manoeuvres are rows of MANOEUVRE_COLUMNS."""
+
+    name: str
+    city: str
+    labelled: bool | None
+    seen: Observed
+    extra: Extra
+    manoeuvres: list[dict[str, Any]]
+
+
+class Calibration(NamedTuple):
+    """Quantities by group ("all", "city ...", "lane ...", "recordings ..."), scenes read, and those that failed."""
+
+    groups: dict[str, list[Quantity]]
+    scenes: list[SceneDriving]
+    failures: list[tuple[Path, str]]
+
+
+def calibrate_folder(
+    root: Path, out: Path, *, without: Sequence[str] = (), jobs: int = 1, seed: int = 0,
+    on_scene: Callable[[int, int], None] | None = None,
+) -> Calibration:  # fmt: skip
+    """Measure how people drive in the recorded scenes below `root`, and write what was found.
+
+    Writes `out` (TOML, the section [drivers] of a configuration) and, beside it, STEM.csv (quantities), STEM.html (the
+    same with figures) and STEM_manoeuvres.csv. without: ids of scenes to leave out, such as those to be generated from.
+    Errors: ScenarioError where no scene is left; ExportError where something cannot be written.
+    """
+    folders = [folder for folder in find_scenarios(root) if source_id(folder) not in without]
+    unknown = set(without) - {source_id(folder) for folder in find_scenarios(root)}
+    if unknown:
+        raise ScenarioError(f"{root}: no scene {', '.join(sorted(unknown))} to leave out")
+    if not folders:
+        raise ScenarioError(f"{root}: no scene is left to calibrate with; expected at least one")
+    scenes: list[SceneDriving] = []
+    failures: list[tuple[Path, str]] = []
+    for done, (folder, found) in enumerate(_observed(folders, jobs=jobs), 1):
+        if isinstance(found, Failure):
+            failures.append((folder, found.message))
+        else:
+            scenes.append(found)
+        if on_scene is not None:
+            on_scene(done, len(folders))
+    if not scenes:
+        raise ScenarioError(f"{root}: no scene can be read; the first: {failures[0][0]}: {failures[0][1]}")
+    scenes.sort(key=lambda scene: scene.name)
+    prior = Drivers()
+    groups = {name: calibrate(*pooled(part), prior=prior, seed=seed) for name, part in _groups(scenes)}
+    result = Calibration(groups, scenes, failures)
+    try:
+        _write(result, out, prior)
+    except OSError as error:
+        raise ExportError(f"{out}: cannot be written ({error})") from error
+    return result
+
+
+def _observed(folders: Sequence[Path], *, jobs: int) -> Iterator[tuple[Path, SceneDriving | Failure]]:
+    size = max(1, min(_CHUNK, len(folders) // (4 * jobs)))
+    chunks = [tuple(folders[k : k + size]) for k in range(0, len(folders), size)]
+    work = "bridge.evaluation.calibrate:observe"
+    tasks = (Task(f"calibrate-{k}", work, None, chunk) for k, chunk in enumerate(chunks))
+    for result in execute_here(tasks, jobs=min(jobs, len(chunks)), settings=Settings(timeout_s=120)):
+        for outcome in result.outcomes:
+            yield outcome.item, outcome.failure or pickle.loads(outcome.value)  # noqa: S301  # our own child
+
+
+def observe(_shared: None, folders: Sequence[Path]) -> Iterator[bytes | Failure]:
+    """The work of a process: what each folder shows of driving."""
+    for folder in folders:
+        try:
+            yield pickle.dumps(observe_scene(folder))
+        except Exception as error:  # noqa: BLE001  # listed with its reason
+            yield describe_error(error)
+
+
+def observe_scene(folder: Path) -> SceneDriving:
+    """What one recorded scene shows of driving: clean tracks of moving vehicles. Errors: ScenarioError, MapError."""
+    scenario = read_scenario(folder)
+    arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=STEP_S)
+    safe = safety(arrays, prepare_map(scenario.graph))
+    clean = arrays.vehicle & arrays.moving & ~arrays.fragment & ~arrays.generated
+    found = windows(arrays, safe, clean)
+    seen = Observed(
+        driver=found.agent,
+        speed_mps=found.speed_mps,
+        accel_mps2=found.accel_mps2,
+        jerk_mps3=found.jerk_mps3,
+        offset_m=found.d_parabola[:, 0],
+        drift_mps=found.d_parabola[:, 1],
+        bend_mps2=found.d_parabola[:, 2],
+        lateral_mps2=np.abs(found.lateral_accel_mps2),
+        gap_m=found.gap_m,
+        closing_mps=found.closing_mps,
+        usual_mps=_usual_speed(found.agent, found.speed_mps, found.turning),
+        turning=found.turning,
+    )
+    changes = [m for m in detect(arrays, safe.lanes, safe.matches) if not m.track_id.startswith("gen_")]
+    durations = [m.duration_s for m in changes if m.kind is ManeuverKind.LANE_CHANGE and m.complete]
+    return SceneDriving(
+        name=scenario.scenario_id,
+        city=scenario.city,
+        labelled=is_labelled(arrays),
+        seen=seen,
+        extra=Extra(_standing_gaps(arrays, safe, clean), np.array(durations, dtype=np.float64)),
+        manoeuvres=[_manoeuvre_row(arrays, safe, m) for m in changes],
+    )
+
+
+def _usual_speed(driver: IntArray, speed: FloatArray, turning: BoolArray) -> FloatArray:
+    """(M,) median over the drivers of the scene, apart for turns, of the median speed of each: its traffic's."""
+    usual = np.ones(len(speed))
+    for kind in (False, True):
+        own = turning == kind
+        medians = [np.median(speed[own & (driver == one)]) for one in np.unique(driver[own])]
+        if medians:
+            usual[own] = max(float(np.median(medians)), 1.0)
+    return usual
+
+
+def _standing_gaps(arrays: SceneArrays, safe: Safety, clean: BoolArray) -> FloatArray:
+    """(D,) gap, m, that each clean vehicle kept while it and the vehicle ahead stood."""
+    speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
+    leader = safe.leaders.agent
+    rows = np.flatnonzero((leader >= 0) & clean[arrays.agent] & (speed < _STANDS_MPS))
+    ahead = arrays.row_of[leader[rows], arrays.step[rows]]
+    gap = safe.leaders.gap_m[rows]
+    rows = rows[(ahead >= 0) & (speed[ahead] < _STANDS_MPS) & (gap > 0.0) & (gap < _QUEUE_M)]
+    return np.array(
+        [np.median(safe.leaders.gap_m[rows[arrays.agent[rows] == one]]) for one in np.unique(arrays.agent[rows])]
+    )
+
+
+def _manoeuvre_row(arrays: SceneArrays, safe: Safety, seen: Maneuver) -> dict[str, Any]:
+    """One recorded manoeuvre; None for what it does not have or the track does not show."""
+    agent = arrays.track_ids.index(seen.track_id)
+    rows = np.arange(arrays.first[agent], arrays.first[agent + 1])
+    time = arrays.step[rows] * arrays.step_s
+    inside = rows[(time >= seen.start_s - 1e-9) & (time <= seen.end_s + 1e-9)]
+    after = rows[min(int(np.searchsorted(time, seen.crossing_s)) + 2, len(rows) - 1)]
+    speed = np.hypot(*arrays.velocity.T)
+    changes = seen.kind is ManeuverKind.LANE_CHANGE
+    lead = float(safe.leaders.gap_m[after]) if safe.leaders.agent[after] >= 0 else None
+    same_step = np.flatnonzero((safe.leaders.agent == agent) & (arrays.step == arrays.step[after]))
+    lag = min((float(safe.leaders.gap_m[row]) for row in same_step), default=None)
+    ttc = safe.leaders.ttc_s[inside]
+    pets = [one.pet_s for one in safe.encroachments if agent in (one.first, one.second)]
+    return {
+        "kind": str(seen.kind),
+        "duration_s": seen.duration_s if seen.complete else None,
+        "lead_gap_m": lead if changes and lead is not None and lead < _MATTERS_M else None,
+        "lag_gap_m": lag if changes and lag is not None and lag < _MATTERS_M else None,
+        "lateral_peak_mps": _lateral_peak(arrays, safe, inside) if changes else None,
+        "speed_gain_mps": float(speed[inside[-1]] - speed[inside[0]]) if seen.complete and len(inside) else None,
+        "ttc_s": float(ttc.min()) if len(ttc) and np.isfinite(ttc.min()) else None,
+        "pet_s": min(pets, default=None),
+    }
+
+
+def _lateral_peak(arrays: SceneArrays, safe: Safety, rows: IntArray) -> float | None:
+    """Largest speed across the lane, m/s: velocity across the direction at the begin, of lines fitted over 1 s."""
+    size = round(1.0 / arrays.step_s) + 1
+    if len(rows) < size:
+        return None
+    heading = np.unwrap(safe.matches.direction[rows])
+    chord = arrays.position[rows[-1]] - arrays.position[rows[0]]
+    middle = float(np.median(heading[[0, -1]])) if np.hypot(*chord) < 1.0 else float(heading[[0, -1]].mean())
+    across = arrays.position[rows] @ np.array([-np.sin(middle), np.cos(middle)])
+    time = arrays.step_s * (np.arange(size) - size // 2)
+    slopes = np.lib.stride_tricks.sliding_window_view(across, size) @ (time / (time @ time))
+    return float(np.abs(slopes).max())
+
+
+def _groups(scenes: Sequence[SceneDriving]) -> Iterator[tuple[str, list[SceneDriving]]]:
+    yield "all", list(scenes)
+    for city in sorted({scene.city for scene in scenes}):
+        yield f"city {city}", [scene for scene in scenes if scene.city == city]
+    for name, kind in (("tracker", False), ("labelled", True)):
+        part = [scene for scene in scenes if scene.labelled is kind]
+        if part:
+            yield f"recordings {name}", part
+    for name, turning in (("straight", False), ("turning", True)):
+        yield f"lane {name}", [_only(scene, turning=turning) for scene in scenes]
+
+
+def _only(scene: SceneDriving, *, turning: bool) -> SceneDriving:
+    return scene._replace(seen=scene.seen.rows(scene.seen.turning == turning))
+
+
+def pooled(scenes: Sequence[SceneDriving]) -> tuple[Observed, Extra]:
+    """Windows and extras of several scenes; drivers get numbers of their own."""
+    parts, before = [], 0
+    for scene in scenes:
+        parts.append(scene.seen._replace(driver=scene.seen.driver + before))
+        before += int(scene.seen.driver.max(initial=-1)) + 1
+    seen = Observed(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+    extra = Extra(*(np.concatenate(values) for values in zip(*(scene.extra for scene in scenes), strict=True)))
+    return seen, extra
+
+
+def manoeuvre_table(scenes: Iterable[SceneDriving]) -> list[dict[str, Any]]:
+    """5, 50 and 95 % of each quantity of recorded manoeuvres, by kind, with the number that shows it."""
+    values: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for scene in scenes:
+        for row in scene.manoeuvres:
+            for name in MANOEUVRE_COLUMNS:
+                if row[name] is not None:
+                    values[row["kind"], name].append(row[name])
+    rows = []
+    for (kind, name), known in sorted(values.items()):
+        low, middle, high = np.quantile(known, _SHARES)
+        rows.append({"kind": kind, "quantity": name, "unit": MANOEUVRE_COLUMNS[name], "number": len(known),
+                     "5 %": low, "50 %": middle, "95 %": high})  # fmt: skip
+    return rows
+
+
+def drivers_toml(found: Sequence[Quantity], prior: Drivers, scenes: Sequence[SceneDriving]) -> str:
+    """The section [drivers] of a configuration: what was measured, and as comments what keeps its prior."""
+    measured, by_name = drivers_of(found), {quantity.name: quantity for quantity in found}
+    lines = [
+        f"# Measured by hid2 calibrate in {len(scenes)} scenes: {', '.join(scene.name for scene in scenes[:20])}"
+        + (" and others" if len(scenes) > 20 else ""),
+        "",
+        "[drivers]",
+    ]
+    for name in Drivers.model_fields:
+        quantity = by_name.get(name)
+        if quantity is not None and name in measured:
+            lines.append(
+                f"{name} = {json.dumps(quantity.value)}  # {quantity.low:.3g} to {quantity.high:.3g}, "
+                f"{quantity.drivers} drivers"
+            )
+        else:
+            seen = f", {quantity.drivers} drivers are too few" if quantity is not None and quantity.drivers else ""
+            lines.append(f"# {name} keeps its prior {getattr(prior, name)}{seen}")
+    return "\n".join(lines) + "\n"
+
+
+def quantity_rows(groups: Mapping[str, Sequence[Quantity]]) -> list[dict[str, Any]]:
+    """A row for each parameter of each group."""
+    return [
+        {
+            "group": group, "parameter": quantity.name, "value": quantity.value, "low": quantity.low,
+            "high": quantity.high, "drivers": quantity.drivers,
+            "source": "measured" if quantity.measured else "prior", "ks": quantity.ks, "what": quantity.what,
+        }
+        for group, found in groups.items()
+        for quantity in found
+    ]  # fmt: skip
+
+
+def _write(result: Calibration, out: Path, prior: Drivers) -> None:
+    rows, manoeuvres = quantity_rows(result.groups), manoeuvre_table(result.scenes)
+    write_table(out.with_name(f"{out.stem}.csv"), rows)
+    if manoeuvres:
+        write_table(out.with_name(f"{out.stem}_manoeuvres.csv"), manoeuvres)
+    write_text(out.with_name(f"{out.stem}.html"), _page(result, rows, manoeuvres))
+    write_text(out, drivers_toml(result.groups["all"], prior, result.scenes))
+
+
+def _page(result: Calibration, rows: Sequence[Mapping[str, Any]], manoeuvres: Sequence[Mapping[str, Any]]) -> str:
+    figures.style()
+    head = ("group", "parameter", "value", "95 % interval", "drivers", "source", "KS")
+    cells = [
+        (
+            row["group"], row["parameter"], number(row["value"]),
+            f"{number(row['low'])} to {number(row['high'])}" if row["source"] == "measured" else "–",
+            str(row["drivers"]), row["source"], number(row["ks"], 2),
+        )
+        for row in rows
+    ]  # fmt: skip
+    shown: dict[str, Quantity] = {}
+    for quantity in result.groups["all"]:
+        if quantity.measured:
+            shown.setdefault(quantity.what, quantity)
+    drawn = [
+        picture(_distribution(quantity), f"{quantity.what}: {quantity.drivers} drivers.", _fit_in_words(quantity))
+        for quantity in shown.values()
+    ]
+    intro = (
+        f"<p>{len(result.scenes)} recorded scenes. One value a driver; 95 % intervals by drawing drivers again. KS: "
+        "the largest distance between recorded and fitted distribution function. A parameter whose source is prior "
+        "keeps its documented value: these recordings do not tell it.</p>"
+    )
+    kinds = table(
+        ("manoeuvre", "quantity", "number", "5 %", "50 %", "95 %"),
+        [
+            (r["kind"].replace("_", " "), f"{r['quantity']}", str(r["number"]), *(number(r[k], 2) for k in
+             ("5 %", "50 %", "95 %")))
+            for r in manoeuvres
+        ],
+    )  # fmt: skip
+    return page(
+        "How people drive in these recordings", [intro],
+        [
+            Section("quantities", "Quantities", str(table(head, cells, numbers=6))),
+            Section("figures", "Recorded and fitted distributions", "".join(drawn)),
+            Section("manoeuvres", "Recorded manoeuvres", str(kinds)),
+        ],
+    )  # fmt: skip
+
+
+def _distribution(quantity: Quantity) -> Figure:
+    figure, ax = plt.subplots(figsize=(5.2, 2.8), layout="constrained")
+    ordered = np.sort(quantity.values)
+    ax.step(ordered, (np.arange(len(ordered)) + 1) / len(ordered), where="post", color=figures.DARK_GREY,
+            label="recorded drivers")  # fmt: skip
+    if quantity.law is not None:
+        share = np.linspace(0.01, 0.99, 99)
+        ax.plot(quantity.law(share), share, color=figures.GENERATED, linestyle="--", label="fitted")
+    ax.set_xlabel(quantity.what)
+    ax.set_ylabel("share of drivers below")
+    ax.legend(fontsize=8)
+    return figure
+
+
+def _fit_in_words(quantity: Quantity) -> str:
+    # 1.36 / sqrt(n): the distance that chance exceeds in 5 of 100 samples (Smirnov 1948)
+    critical = 1.36 / np.sqrt(max(quantity.drivers, 1))
+    fits = quantity.ks is not None and quantity.ks < critical
+    verdict = "the fitted law is not told from the recorded drivers" if fits else "the fitted law misses some of them"
+    return f"{verdict} (KS {number(quantity.ks, 2)}, by chance up to {critical:.2f})."

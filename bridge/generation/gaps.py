@@ -1,0 +1,99 @@
+"""Every look at a gap as a row, and `gaps_<id>.csv.gz` beside a scene."""
+
+import csv
+import gzip
+import io
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from hid2.policy.lane_change import Gap
+from hid2.scene import DT_S
+from hid2.vehicle import DrivenVehicle, GapLook
+
+#: Column -> what it says. The order of the file; empty cells: does not apply, or nobody is there.
+GAP_COLUMNS: Mapping[str, str] = {
+    "vehicle": "id in the simulation",
+    "round": "round of the generation in which it was driven",
+    "track_id": "id in the exported scene; empty: not exported",
+    "policy": "what the vehicle is asked for: lane_change or overtake",
+    "trigger_s": "trigger time, s from the scene's first step",
+    "time_s": "time of the look, s",
+    "side": "left or right",
+    "lane_id": "lane that is looked at",
+    "cell": "cell j of that lane, beside the vehicle",
+    "cells_free": "true where sigma = 0 in cells j-1, j, j+1",
+    "speed_mps": "own speed",
+    "lead_id": "new leader",
+    "lead_gap_m": "bumper gap to the new leader",
+    "lead_speed_mps": "its speed",
+    "lead_time_gap_s": "lead gap over the own speed",
+    "lead_ttc_s": "time to collision with the new leader at constant speeds; empty: not closing in",
+    "lag_id": "new follower",
+    "lag_gap_m": "bumper gap to the new follower",
+    "lag_speed_mps": "its speed",
+    "lag_time_gap_s": "lag gap over the follower's speed",
+    "lag_ttc_s": "time to collision of the new follower at constant speeds; empty: not closing in",
+    "remaining_m": "length of the lane left, through its successors",
+    "rule": "answer of the lane-change rule: yes, or a reason",
+    "guard": "answer of conflict case 3 and of the path across: yes, a reason, or empty: not asked",
+    "sumo": "answer of SUMO: yes, no, or empty: not asked",
+}
+
+
+def gap_rows(driven: Sequence[tuple[int, DrivenVehicle]], names: Mapping[str, str]) -> Iterator[dict[str, Any]]:
+    """Rows of all looks, by `GAP_COLUMNS`. driven: round and vehicle; names: track ids of the exported ones by id."""
+    for number, vehicle in driven:
+        for look in vehicle.gaps:
+            yield {
+                "vehicle": vehicle.vehicle_id,
+                "round": number,
+                "track_id": names.get(vehicle.vehicle_id),
+                "policy": vehicle.policy.value,
+                "trigger_s": round(vehicle.start.request.trigger_s, 6),
+                "time_s": round(look.step * DT_S, 6),
+                **_look_row(look),
+            }
+
+
+def _look_row(look: GapLook) -> dict[str, Any]:
+    asked = look.rule is None
+    return {
+        "side": look.side,
+        "lane_id": look.target.lane_id,
+        "cell": look.target.index,
+        "cells_free": str(look.cells_free).lower(),
+        "speed_mps": _number(look.own_mps),
+        **_neighbour("lead", look.front, follower_mps=look.own_mps, leader_mps=look.front.speed_mps),
+        **_neighbour("lag", look.rear, follower_mps=look.rear.speed_mps, leader_mps=look.own_mps),
+        "remaining_m": _number(look.remaining_m),
+        "rule": str(look.rule or "yes"),
+        "guard": str(look.guard or "yes") if asked else None,
+        "sumo": None if look.sumo is None else "yes" if look.sumo else "no",
+    }
+
+
+def _neighbour(name: str, gap: Gap, *, follower_mps: float, leader_mps: float) -> dict[str, Any]:
+    """Columns of the new leader or the new follower."""
+    gap_m, closing = gap.distance_m, follower_mps - leader_mps
+    there = math.isfinite(gap_m)
+    return {
+        f"{name}_id": gap.track_id if there else None,
+        f"{name}_gap_m": _number(gap_m),
+        f"{name}_speed_mps": _number(gap.speed_mps) if there else None,
+        f"{name}_time_gap_s": _number(gap_m / follower_mps) if there and follower_mps > 0.0 else None,
+        f"{name}_ttc_s": _number(max(gap_m, 0.0) / closing) if there and closing > 0.0 else None,
+    }
+
+
+def gaps_bytes(driven: Sequence[tuple[int, DrivenVehicle]], names: Mapping[str, str]) -> bytes:
+    """`gaps_<id>.csv.gz`. Same looks, same bytes."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(GAP_COLUMNS), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(gap_rows(driven, names))
+    return gzip.compress(text.getvalue().encode(), mtime=0)
+
+
+def _number(value: float) -> float | None:
+    return round(float(value), 4) if math.isfinite(value) else None

@@ -1,0 +1,347 @@
+"""One run of a study: the same vehicles, drivers, sites and traffic for every value of what varies.
+
+Starts are drawn with the defaults of all that only decides (lane change, overtake, conflict, signals, car following),
+so that no value of these can choose other ones; they are driven with the configuration of the run. Nothing is replaced
+and nothing is left out: what did not come about is an outcome. All is measured as simulated; whether a vehicle could be
+exported is a column.
+"""
+
+import tempfile
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bridge.generation.generate import PreparedScene, model_parameters, sumo_seed
+from bridge.recordings.scenario import LAST_OBSERVED, STEP_S
+from bridge.sumo.flow_driving import FlowDriving
+from bridge.sumo.simulation import Simulation
+from hid2.agents import BoxSize, Policy, Track
+from hid2.drivers.driver import Driver
+from hid2.insertion.filling import Filling, Unmet
+from hid2.insertion.finalise import ExportedVehicle, finalise, traffic_of_exported
+from hid2.insertion.flow import Arrival, arrivals, trigger_after_s
+from hid2.insertion.outcome import outcome_of, shift_times
+from hid2.insertion.requests import draw_requests
+from hid2.measures.arrays import stack
+from hid2.measures.post_encroachment import encroachments
+from hid2.measures.time_to_collision import CAP_S, ttc_to_anything
+from hid2.motion.smoothing import Motion, trajectory
+from hid2.params import Config, LaneChange
+from hid2.reasons import Reason
+from hid2.scene import DT_S, Scene, build_scene
+from hid2.vehicle import DrivenVehicle, Start
+
+#: Others within this of a manoeuvre are looked at for its TTC and PET, m.
+_AROUND_M = 80.0
+#: Fundamental diagram: length of the intervals, s; of a shorter rest nothing is told.
+_INTERVAL_S = 30.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Drawn:
+    """Who takes part in a run, for every value of what varies: starts, arrivals, and requests without a site."""
+
+    scene: Scene
+    starts: tuple[Start, ...]
+    unmet: tuple[Unmet, ...]
+    arrivals: tuple[Arrival, ...]
+    seed: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PairedRun:
+    """What was measured in one run. requests, flow: rows of the tables; driven: vehicles with their looks."""
+
+    requests: list[dict[str, Any]]
+    flow: list[dict[str, Any]]
+    driven: tuple[DrivenVehicle, ...]
+    exported: int
+
+
+def drawing_config(config: Config) -> Config:
+    """The part of a configuration that decides who takes part; the rest has its defaults."""
+    request = config.request.model_copy(
+        update={"sites": "any", "trigger_min_s": 0.0, "trigger_max_s": 0.0, "trigger_list_s": ()}
+    )
+    flow = config.flow.model_copy(update={"warm_up_s": 0.0})
+    spawn = config.spawn.model_copy(update={"candidates": 1, "reseed_rounds": 1})  # one vehicle for each request
+    return Config(
+        request=request, grid=config.grid, spawn=spawn, drivers=config.drivers, limits=config.limits,
+        smoothing=config.smoothing, turn=config.turn, flow=flow, without=config.without,
+    )  # fmt: skip
+
+
+def draw(prepared: PreparedScene, config: Config) -> Drawn:
+    """Vehicles, drivers and sites for a `drawing_config`."""
+    scenario = prepared.scenario
+    scene = build_scene(
+        prepared.grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
+        last_observed_step=min(LAST_OBSERVED, scenario.num_steps - 1),
+    )  # fmt: skip
+    seed = config.request.seed, 0, zlib.crc32(scenario.scenario_id.encode())
+    filling = Filling(scene, seed)
+    count = config.request.agents
+    assert count != "max"  # refused by `read_study`
+    starts = filling.first_starts(count) if count else []
+    return Drawn(
+        scene=scene, starts=tuple(starts), unmet=tuple(filling.unmet),
+        arrivals=tuple(arrivals(scene, filling.routes, seed)), seed=seed,
+    )  # fmt: skip
+
+
+def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedRun:
+    """Drive those who take part with a configuration, and measure. Errors: SimulationError, ConfigError."""
+    scene = replace(drawn.scene, config=config, _known={}, _leaders={})
+    filling = Filling(scene, drawn.seed)  # for roads and stop lines with this configuration
+    trigger_s = _triggers(config, drawn)
+    starts = [
+        replace(
+            start, request=replace(start.request, trigger_s=trigger_s[start.request.number]),
+            driver=_with_duration(start.driver, config.lane_change),
+        )
+        for start in drawn.starts
+    ]  # fmt: skip
+    comers = [replace(one, driver=_with_duration(one.driver, config.lane_change)) for one in drawn.arrivals]
+    with tempfile.TemporaryDirectory(prefix="hid2-") as folder:
+        net = Path(folder) / "scene.net.xml"
+        net.write_bytes(prepared.net)
+        with Simulation(
+            net, seed=sumo_seed(drawn.seed), step_s=DT_S, model=config.car_following.model,
+            parameters=model_parameters(config),
+        ) as simulation:  # fmt: skip
+            driving = FlowDriving(
+                scene, simulation, starts, traffic_of_exported([], scene), filling.roads, filling.stop_lines,
+                checked=False, arrivals=comers,
+                trigger_after_s=lambda arrival: trigger_after_s(arrival, config.request, drawn.seed),
+            )  # fmt: skip
+            vehicles = driving.run()
+    return _measured(scene, drawn, driving, vehicles, trigger_s)
+
+
+def _with_duration(driver: Driver, change: LaneChange) -> Driver:
+    """The same driver, who lays a lane change no shorter and no longer than the run allows."""
+    return replace(driver, lane_change_s=min(max(driver.lane_change_s, change.min_duration_s), change.max_duration_s))
+
+
+def _triggers(config: Config, drawn: Drawn) -> dict[int, float]:
+    """Trigger times by the number of the request, drawn as those of a scene are."""
+    count = config.request.agents
+    assert count != "max"
+    requests = draw_requests(config, np.random.default_rng([*drawn.seed, 0]), count=count)
+    return {request.number: request.trigger_s for request in requests}
+
+
+def _measured(
+    scene: Scene, drawn: Drawn, driving: FlowDriving, vehicles: Sequence[DrivenVehicle], trigger_s: dict[int, float]
+) -> PairedRun:
+    moved = [vehicle for vehicle in vehicles if len(vehicle.s) > 1]
+    simulated = {vehicle.vehicle_id: _as_simulated(vehicle) for vehicle in moved}
+    exported = _exported(scene, [vehicle for vehicle in vehicles if vehicle.vehicle_id not in driving.entered])
+    tracks = [one.track(vehicle_id, 1) for vehicle_id, one in simulated.items()]
+    tracks = [_later(track, driving.entered.get(track.track_id, 0)) for track in tracks]
+    everybody = [*_recorded(scene), *tracks]
+    all_traffic = scene.traffic.joined(traffic_of_exported(list(simulated.values()), scene).first(scene.num_steps)) if (
+        simulated and not driving.entered
+    ) else scene.traffic  # fmt: skip
+    rows = []
+    for vehicle in vehicles:
+        if vehicle.policy is Policy.STRAIGHT:
+            continue
+        entered = driving.entered.get(vehicle.vehicle_id)
+        row = _request_row(scene, vehicle, first=entered or 0)
+        row["source"] = "start" if entered is None else "flow"
+        row["exported"] = exported.get(vehicle.vehicle_id)
+        if vehicle.vehicle_id in simulated:
+            row |= _outcome(scene, vehicle, simulated[vehicle.vehicle_id], all_traffic, first=entered or 0)
+        if row["start_s"] is not None:
+            first = round(row["start_s"] / STEP_S)
+            last = round((row["end_s"] or (entered or 0) * DT_S + (len(vehicle.s) - 1) * DT_S) / STEP_S)
+            row["min_ttc_s"], row["min_pet_s"] = _conflicts(everybody, vehicle.vehicle_id, first, last)
+        if row["start_s"] is not None and row["end_s"] is not None:
+            row["lateral_s"] = round(row["end_s"] - row["start_s"], 6)
+        rows.append(row)
+    rows += [
+        _EMPTY | {
+            "vehicle": f"v{missed.request.number}_0", "source": "start", "kind": missed.request.policy.value,
+            "status": "not_placed", "reason": missed.reason.value, "trigger_s": trigger_s[missed.request.number],
+        }
+        for missed in drawn.unmet if missed.request.policy is not Policy.STRAIGHT
+    ]  # fmt: skip
+    count = sum(verdict == "yes" for verdict in exported.values())
+    return PairedRun(rows, _fundamental(scene, driving, moved), tuple(vehicles), count)
+
+
+#: A row of the table of requests without anything in it: the order of its columns.
+_EMPTY: dict[str, Any] = dict.fromkeys(
+    (
+        "vehicle", "source", "kind", "status", "reason", "exported", "entered_s", "desired_mps", "trigger_s",
+        "counted", "observed_to_s", "accepted_s", "waited_s", "accepted", "looks", "refused_by_rule",
+        "refused_by_guard", "refused_by_sumo", "lead_gap_m", "lag_gap_m", "lead_time_gap_s", "lag_time_gap_s",
+        "speed_mps", "start_s", "crossing_s", "end_s", "lateral_s", "min_ttc_s", "min_pet_s",
+    )
+)  # fmt: skip
+
+
+def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[str, Any]:
+    """What the looks at gaps tell of one request. first: step at which the vehicle began."""
+    start, trigger_s = vehicle.start, vehicle.start.request.trigger_s
+    last_s = (first + max(len(vehicle.s) - 1, 0)) * DT_S
+    shift = vehicle.shifts[0] if vehicle.shifts else None
+    accepted_s = None if shift is None else shift.requested_step * DT_S
+    # until when it could have accepted: it gave up, or it left, or the scene ended
+    until_s = min(last_s, trigger_s + scene.config.lane_change.give_up_s) if accepted_s is None else accepted_s
+    row = _EMPTY | {
+        "vehicle": vehicle.vehicle_id, "kind": vehicle.policy.value, "entered_s": _rounded(first * DT_S),
+        "desired_mps": _rounded(start.driver.desired_mps), "trigger_s": _rounded(trigger_s),
+        "accepted": shift is not None, "accepted_s": _rounded(accepted_s), "observed_to_s": _rounded(until_s),
+        "waited_s": None if until_s < trigger_s else _rounded(until_s - trigger_s),
+        "looks": len(vehicle.gaps), "refused_by_rule": sum(look.rule is not None for look in vehicle.gaps),
+        "refused_by_guard": sum(look.guard is not None for look in vehicle.gaps),
+        "refused_by_sumo": sum(look.sumo is False for look in vehicle.gaps),
+    }  # fmt: skip
+    took = next((look for look in vehicle.gaps if look.sumo), None)
+    if took is not None:
+        lead, lag = took.front, took.rear
+        row |= {
+            "lead_gap_m": _rounded(lead.distance_m), "lag_gap_m": _rounded(lag.distance_m),
+            "lead_time_gap_s": _rounded(lead.distance_m / took.own_mps) if took.own_mps > 0 else None,
+            "lag_time_gap_s": _rounded(lag.distance_m / lag.speed_mps) if lag.speed_mps > 0 else None,
+            "speed_mps": _rounded(took.own_mps),
+        }  # fmt: skip
+    row["status"] = "not_triggered" if trigger_s > last_s else "not_feasible"
+    row["reason"] = str(vehicle.objection or vehicle.reason or Reason.SCENE_ENDED)
+    return row
+
+
+def _outcome(
+    scene: Scene, vehicle: DrivenVehicle, one: ExportedVehicle, everybody: Any, *, first: int  # noqa: ANN401
+) -> dict[str, Any]:  # fmt: skip
+    """Status and times of a manoeuvre by the simulated motion."""
+    if vehicle.policy is Policy.LANE_CHANGE:
+        if not vehicle.shifts:
+            return {}
+        start, crossing, end = shift_times(one, 0)
+        shifted = {"start_s": start, "crossing_s": crossing, "end_s": end}
+        times = {key: None if at is None else _rounded(at + first * DT_S) for key, at in shifted.items()}
+        done = end is not None
+        return {**times, "status": "done" if done else "aborted", "reason": None if done else str(Reason.SCENE_ENDED)}
+    outcome = outcome_of(scene, one, everybody)
+    assert outcome is not None
+    return {
+        "status": outcome.status, "reason": None if outcome.reason is None else str(outcome.reason.value),
+        "start_s": outcome.start_s, "crossing_s": outcome.crossing_s, "end_s": outcome.end_s,
+    }  # fmt: skip
+
+
+def _as_simulated(vehicle: DrivenVehicle) -> ExportedVehicle:
+    """A vehicle as SUMO moved it, on its path and at its driver's place in the lane, unsmoothed and unchecked."""
+    s, v = np.array(vehicle.s), np.array(vehicle.v)
+    motion = Motion(s=s, v=v, a=np.gradient(v, DT_S))
+    path = trajectory(vehicle.path.line, motion, vehicle.start.offset)
+    return ExportedVehicle(vehicle, motion, path, np.zeros(s.size), float("inf"))
+
+
+def _exported(scene: Scene, vehicles: Sequence[DrivenVehicle]) -> dict[str, str]:
+    """Whether each could be exported, one after the other: yes, or the reason."""
+    others = traffic_of_exported([], scene)
+    verdicts = {}
+    for vehicle in vehicles:
+        found = finalise(scene, vehicle, others)
+        if isinstance(found, ExportedVehicle):
+            verdicts[vehicle.vehicle_id] = "yes"
+            others = others.joined(traffic_of_exported([found], scene))
+        else:
+            verdicts[vehicle.vehicle_id] = str(found.value)
+    return verdicts
+
+
+def _recorded(scene: Scene) -> list[Track]:
+    traffic = scene.traffic
+    found = []
+    for row, track_id in enumerate(traffic.ids):
+        steps = np.flatnonzero(traffic.present[row])
+        found.append(
+            Track(
+                track_id, scene.object_types[row], 1, steps, traffic.position[row, steps], traffic.heading[row, steps],
+                traffic.velocity[row, steps],
+                BoxSize(float(traffic.length_m[row]), float(traffic.width_m[row])),
+            )
+        )  # fmt: skip
+    return found
+
+
+def _later(track: Track, first: int) -> Track:
+    return replace(track, timesteps=track.timesteps + first) if first else track
+
+
+def _conflicts(everybody: Sequence[Track], own: str, first: int, last: int) -> tuple[float | None, float | None]:
+    """Smallest TTC to anything, and smallest PET at a crossing of paths, from step first to last; None above 5 s."""
+    me = next(track for track in everybody if track.track_id == own)
+    centre = me.position[np.clip((first + last) // 2 - me.timesteps[0], 0, len(me.timesteps) - 1)]
+    near = []
+    for track in everybody:
+        inside = (track.timesteps >= first) & (track.timesteps <= last)
+        if inside.any() and np.abs(track.position[inside] - centre).max(axis=1).min() < _AROUND_M:
+            near.append(
+                replace(
+                    track, timesteps=track.timesteps[inside] - first, position=track.position[inside],
+                    heading=track.heading[inside], velocity=track.velocity[inside],
+                )
+            )  # fmt: skip
+    arrays = stack(near, num_steps=last - first + 1, step_s=STEP_S)
+    number = arrays.track_ids.index(own)
+    ttc = float(ttc_to_anything(arrays)[arrays.first[number] : arrays.first[number + 1]].min())
+    pet = min((one.pet_s for one in encroachments(arrays) if number in (one.first, one.second)), default=CAP_S)
+    return (None if ttc >= CAP_S else _rounded(ttc)), (None if pet >= CAP_S else _rounded(pet))
+
+
+def _fundamental(scene: Scene, driving: FlowDriving, vehicles: Sequence[DrivenVehicle]) -> list[dict[str, Any]]:
+    """Flow, density and speed on the entry lanes, all together, by interval (Edie 1963), where flows enter."""
+    if not driving.arrivals:
+        return []
+    warm_up_s = scene.config.flow.warm_up_s
+    lanes = sorted({arrival.lane_id for arrival in driving.arrivals})
+    length_m = sum(scene.grid.graph.lanes[lane].length_m for lane in lanes)
+    first_step = round(warm_up_s / DT_S)
+    steps = min(round(_INTERVAL_S / DT_S), scene.num_steps - first_step)
+    begins = range(first_step, scene.num_steps - steps + 1, steps) if steps > 0 else range(0)
+    distance = dict.fromkeys(begins, 0.0)
+    present = dict.fromkeys(begins, 0)
+    for vehicle in vehicles:
+        first = driving.entered.get(vehicle.vehicle_id, 0)
+        s, v = np.array(vehicle.s), np.array(vehicle.v)
+        there = np.zeros(s.size, dtype=np.bool_)
+        for segment in vehicle.path.segments:
+            if segment.lane_id in lanes:
+                there |= (s >= segment.start) & (s < segment.end)
+        for begin in begins:
+            span = slice(max(0, begin - first), max(0, begin + steps - first))
+            distance[begin] += float(v[span][there[span]].sum()) * DT_S
+            present[begin] += int(there[span].sum())
+    area = length_m / 1000.0 * steps * DT_S / 3600.0  # km h
+    rows = []
+    for begin in begins:
+        flow = distance[begin] / 1000.0 / area
+        density = present[begin] * DT_S / 3600.0 / area
+        rows.append(
+            {
+                "from_s": _rounded(begin * DT_S), "flow_veh_per_h_lane": _rounded(flow),
+                "density_veh_per_km_lane": _rounded(density),
+                "speed_kmph": _rounded(flow / density) if density > 0 else None,
+                "waiting_to_enter_s": _rounded(_mean_wait(driving, begin, steps)),
+            }
+        )  # fmt: skip
+    return rows
+
+
+def _mean_wait(driving: FlowDriving, begin: int, steps: int) -> float | None:
+    waits = [driving.waiting_s[name] for name, step in driving.entered.items() if begin <= step < begin + steps]
+    return float(np.mean(waits)) if waits else None
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(float(value), 4)

@@ -1,0 +1,428 @@
+"""What the tables of a study say: rates, waiting times, acceptance curves, critical gaps, effects, with intervals.
+
+Intervals are bootstrap intervals: runs (scene and seed) are drawn again, and scenes where there are at least three. The
+same draw serves all values of what varies, because the same vehicles took part: differences are paired.
+"""
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from hid2.agents import FloatArray, IntArray
+
+#: Resamples of the bootstrap, and its interval, percent.
+RESAMPLES, INTERVAL = 500, (2.5, 97.5)
+_SCENES_LEAST, _UNITS_LEAST = 3, 3  # fewer scenes, or units at all, are not drawn again
+_FEWEST = 8  # gaps of each answer, drivers: below, no curve and no critical gap is fitted
+#: Coefficients beyond this say that a threshold parts the gaps without exception: no curve has an interval then.
+_SEPARATED = 50.0
+#: Longer time gaps count as this, s: behind whoever hardly moves they grow without end.
+_LONG_GAP_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A value with its 95 % interval; None where there is nothing to tell it from."""
+
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+
+
+def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
+    """One row for each gap that a vehicle looked at: the same new leader and follower on the same side.
+
+    Its size is that at the acceptance, and of a gap that was not taken the largest while it was looked at.
+    """
+    if looks.empty:
+        return looks
+    same = ["scene", "city", "point", *keys, "seed", "vehicle", "side", "lead_id", "lag_id"]
+    frame = looks.assign(accepted=looks["sumo"] == "yes").sort_values("time_s", kind="stable")
+    frame[["lead_id", "lag_id"]] = frame[["lead_id", "lag_id"]].fillna("")
+    grouped = frame.groupby(same, sort=False, dropna=False)
+    largest = grouped[["lag_time_gap_s", "lead_time_gap_s", "lag_gap_m", "lead_gap_m"]].max()
+    last = grouped[["lag_time_gap_s", "lead_time_gap_s", "lag_gap_m", "lead_gap_m"]].last()
+    found = grouped.agg(
+        accepted=("accepted", "any"), from_s=("time_s", "min"), to_s=("time_s", "max"), looks=("time_s", "size"),
+        answer=("rule", "last"), trigger_s=("trigger_s", "first"),
+    )  # fmt: skip
+    sizes = last.where(found["accepted"], largest)
+    return found.join(sizes).reset_index()
+
+
+def resampled(
+    frame: pd.DataFrame, statistic: Callable[[FloatArray], FloatArray], *, unit: Sequence[str]
+) -> tuple[FloatArray, FloatArray]:
+    """A statistic (K,) of the weights of rows, and (RESAMPLES, K) of it with units drawn again, with a fixed seed."""
+    code = pd.factorize(pd.MultiIndex.from_frame(frame[list(unit)]))[0]
+    count = int(code.max()) + 1 if len(code) else 0
+    rng = np.random.default_rng(0)
+    whole = statistic(np.ones(len(frame)))
+    draws = [
+        statistic(np.bincount(rng.integers(count, size=count), minlength=count)[code].astype(np.float64))
+        for _ in range(RESAMPLES if count >= _UNITS_LEAST else 0)
+    ]
+    return whole, np.array(draws).reshape(-1, whole.size)
+
+
+def units(frame: pd.DataFrame) -> dict[str, list[str]]:
+    """What is drawn again: runs, and scenes where there are enough."""
+    found = {"runs": ["scene", "seed"]}
+    if frame["scene"].nunique() >= _SCENES_LEAST:
+        found["scenes"] = ["scene"]
+    return found
+
+
+def interval(draws: FloatArray, value: float) -> Estimate:
+    """Percentile interval of the draws that exist."""
+    if not math.isfinite(value):
+        return Estimate(None)
+    known = draws[np.isfinite(draws)]
+    if known.size < 0.5 * RESAMPLES:
+        return Estimate(value)
+    low, high = np.percentile(known, INTERVAL)
+    return Estimate(value, float(low), float(high))
+
+
+# Waiting --------------------------------------------------------------------------------------------------------------
+
+
+def kaplan_meier(waited_s: FloatArray, accepted: FloatArray, weights: FloatArray | None = None) -> Any:  # noqa: ANN401
+    """Survival of the waiting time (statsmodels); who gave up, left, or was cut off by the end is censored."""
+    from statsmodels.duration.survfunc import SurvfuncRight
+
+    # a change at the first look has waited for no time: a tenth of a step keeps it in
+    return SurvfuncRight(np.maximum(waited_s, 0.01), accepted.astype(int), freq_weights=weights)
+
+
+def mean_wait(waited_s: FloatArray, accepted: FloatArray, weights: FloatArray, *, within_s: float) -> float:
+    """Restricted mean waiting time, s: the area below the survival curve up to within_s."""
+    keep = weights > 0
+    if not keep.any():
+        return math.nan
+    # equal rows count together: looks are a tenth of a second apart
+    rows, place = np.unique(np.column_stack([waited_s[keep], accepted[keep]]), axis=0, return_inverse=True)
+    curve = kaplan_meier(rows[:, 0], rows[:, 1], np.bincount(place.ravel(), weights[keep]))
+    times = np.concatenate([[0.0], np.minimum(curve.surv_times, within_s), [within_s]])
+    level = np.concatenate([[1.0], curve.surv_prob])
+    return float((np.diff(times) * level).sum())
+
+
+# Per value ------------------------------------------------------------------------------------------------------------
+
+
+def _ratio(above: FloatArray, below: FloatArray, codes: IntArray, count: int) -> FloatArray:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.bincount(codes, above, count) / np.bincount(codes, below, count)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A figure of merit: its column in dose_response.csv, what it says, the table and columns that it is made of."""
+
+    name: str
+    says: str
+    table: str
+    above: str | None
+    below: str | None = None
+
+
+OUTCOMES = (
+    Outcome("share_accepted", "share of the requests counted that got a gap", "requests", "accepted"),
+    Outcome("share_accepted_of_looking", "the same of those that had a lane beside to look at", "requests", "accepted",
+            "looked"),
+    Outcome("mean_wait_s", "mean waiting time from the trigger, up to the longest allowed, s", "requests", None),
+    Outcome("gaps_accepted", "share of the gaps looked at that were taken", "gaps", "accepted"),
+    Outcome("looks_refused_by_sumo", "share of the looks that SUMO refused", "requests", "refused_by_sumo", "looks"),
+    Outcome("looks_refused_by_rule", "share that the rule refused", "requests", "refused_by_rule", "looks"),
+    Outcome("looks_refused_by_guard", "share that the guard refused", "requests", "refused_by_guard", "looks"),
+    Outcome("lateral_s", "mean duration of the lateral motion, s", "requests", "lateral_s"),
+    Outcome("lag_time_gap_s", "mean lag time gap taken (above 10 s: 10 s), s", "requests", "lag_time_gap_s"),
+    Outcome("share_ttc_below_critical", "share of the changes with a TTC below 1.5 s", "requests", "ttc_critical"),
+)  # fmt: skip
+
+
+def _by_value(
+    frame: pd.DataFrame,
+    outcome: Outcome,
+    code: IntArray,
+    count: int,
+    *,
+    give_up_s: float,
+) -> Callable[[FloatArray], FloatArray]:
+    """An outcome by value (count,), as a function of the weights of the rows; code: the value's place of each row."""
+    if outcome.above is None:
+        waited, accepted = frame["waited_s"].to_numpy(float), frame["accepted"].to_numpy(float)
+        mine = [code == place for place in range(count)]
+        return lambda weight: np.array(
+            [mean_wait(waited[own], accepted[own], weight[own], within_s=give_up_s) for own in mine]
+        )
+    above = frame[outcome.above].to_numpy(float)
+    below = np.ones(len(frame)) if outcome.below is None else frame[outcome.below].to_numpy(float)
+    known = np.isfinite(above)
+    return lambda weight: _ratio((above * weight)[known], (below * weight)[known], code[known], count)
+
+
+def dose_response(
+    requests: pd.DataFrame, gaps: pd.DataFrame, key: str, *, give_up_s: float, critical_ttc_s: float
+) -> pd.DataFrame:
+    """For each value of a parameter each outcome with its intervals, and its difference to the first value, paired."""
+    counted = requests[requests["counted"]].copy()
+    started = counted["start_s"].notna()
+    counted["ttc_critical"] = np.where(started, (counted["min_ttc_s"] < critical_ttc_s).astype(float), np.nan)
+    counted["lag_time_gap_s"] = counted["lag_time_gap_s"].clip(upper=_LONG_GAP_S)
+    counted["looked"] = (counted["looks"] > 0).astype(float)
+    frames = {"requests": counted, "gaps": gaps}
+    rows = []
+    for outcome in OUTCOMES:
+        frame = frames[outcome.table]
+        if frame.empty:
+            continue
+        values = sorted(frame[key].unique())
+        code = np.searchsorted(values, frame[key]) if not isinstance(values[0], str) else pd.Categorical(
+            frame[key], values
+        ).codes.astype(int)  # fmt: skip
+
+        statistic = _by_value(frame, outcome, code, len(values), give_up_s=give_up_s)
+        row_sets = []
+        for unit, columns in units(frame).items():
+            whole, draws = resampled(frame, statistic, unit=columns)
+            row_sets.append((unit, whole, draws))
+        for place, value in enumerate(values):
+            row: dict[str, Any] = {"parameter": key, "value": value, "outcome": outcome.name}
+            row["rows"] = int((code == place).sum())
+            for unit, whole, draws in row_sets:
+                estimate = interval(draws[:, place], whole[place])
+                row["estimate"] = estimate.value
+                row[f"low_{unit}"], row[f"high_{unit}"] = estimate.low, estimate.high
+                apart = interval(draws[:, place] - draws[:, 0], whole[place] - whole[0])
+                row["difference"] = apart.value
+                row[f"difference_low_{unit}"], row[f"difference_high_{unit}"] = apart.low, apart.high
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+# Acceptance and critical gaps -----------------------------------------------------------------------------------------
+
+
+def acceptance_curve(gaps: pd.DataFrame) -> dict[str, Any] | None:
+    """Logistic P(accepted | lag time gap, lead time gap) with standard errors clustered by run; None if not to be told.
+
+    A gap without a leader counts as one of the largest lead time gap seen; gaps without a follower are left out.
+    Returns intercept, lag, lead, covariance (3, 3), lead_s (median, at which curves are drawn).
+    """
+    import statsmodels.api as sm
+
+    frame = gaps[gaps["lag_time_gap_s"].notna()].copy()
+    accepted = frame["accepted"].to_numpy(float)
+    if accepted.sum() < _FEWEST or (1.0 - accepted).sum() < _FEWEST:
+        return None
+    frame["lead_time_gap_s"] = frame["lead_time_gap_s"].fillna(frame["lead_time_gap_s"].max())
+    if frame["lead_time_gap_s"].isna().any():
+        return None
+    design = np.column_stack(
+        [np.ones(len(frame)), frame["lag_time_gap_s"], frame["lead_time_gap_s"].clip(upper=_LONG_GAP_S)]
+    )
+    design[:, 1] = np.minimum(design[:, 1], _LONG_GAP_S)
+    runs = pd.factorize(pd.MultiIndex.from_frame(frame[["scene", "seed"]]))[0]
+    many = len(np.unique(runs)) > len(design[0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a separated sample is told by its coefficients below
+        model = sm.GLM(accepted, design, family=sm.families.Binomial())
+        try:
+            fit = model.fit(cov_type="cluster", cov_kwds={"groups": runs}) if many else model.fit()
+        except Exception as error:  # noqa: BLE001  # statsmodels has no class for a separated sample
+            return {"separated": str(error)}
+    if not np.isfinite(fit.params).all() or np.abs(fit.params).max() > _SEPARATED:
+        return {"separated": "a threshold parts the gaps"}
+    return {
+        "intercept": float(fit.params[0]), "lag": float(fit.params[1]), "lead": float(fit.params[2]),
+        "covariance": np.asarray(fit.cov_params()), "lead_s": float(np.median(design[:, 2])), "gaps": len(frame),
+        "accepted": int(accepted.sum()),
+    }  # fmt: skip
+
+
+def curve_at(curve: dict[str, Any], lag_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Probability (K,) of acceptance by lag time gap at the median lead time gap, with its 95 % band."""
+    x = np.column_stack([np.ones(lag_s.size), lag_s, np.full(lag_s.size, curve["lead_s"])])
+    level = x @ np.array([curve["intercept"], curve["lag"], curve["lead"]])
+    error = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", x, curve["covariance"], x), 0.0))
+
+    def share(eta: FloatArray) -> FloatArray:
+        return np.asarray(1.0 / (1.0 + np.exp(-np.clip(eta, -50, 50))))
+
+    return share(level), share(level - 1.96 * error), share(level + 1.96 * error)
+
+
+@dataclass(frozen=True, slots=True)
+class CriticalGap:
+    """Critical gap of a group of drivers, s. mean and sd: lognormal, by maximum likelihood; raff: Raff's."""
+
+    mean: Estimate
+    sd: Estimate
+    raff: float | None
+    drivers: int
+    inconsistent: int
+
+
+def largest_rejected(gaps: pd.DataFrame) -> tuple[FloatArray, FloatArray, int]:
+    """Largest rejected and accepted lag time gap, s, of each driver that accepted one; how many were left out.
+
+    A driver who refused a larger lag gap than the one taken refused it for another reason, and is left out. A gap that
+    the rule refused for anything but its lag gap is no refusal of its lag gap.
+    """
+    for_lag = gaps["accepted"] | gaps["answer"].isin(["yes", "rear_gap", "mobil_unsafe", "rule_refuses"])
+    frame = gaps[for_lag & gaps["lag_time_gap_s"].notna()]
+    who = ["scene", "point", "seed", "vehicle"]
+    accepted = frame[frame["accepted"]].groupby(who)["lag_time_gap_s"].first()
+    rejected = frame[~frame["accepted"]].groupby(who)["lag_time_gap_s"].max().reindex(accepted.index).fillna(0.0)
+    a, r = accepted.to_numpy(float), rejected.to_numpy(float)
+    consistent = (a > r) & (a > 0.0)
+    return r[consistent], a[consistent], int((~consistent).sum())
+
+
+def troutbeck(rejected_s: FloatArray, accepted_s: FloatArray) -> tuple[Estimate, Estimate]:
+    """Mean and SD of a lognormal critical gap, s, by maximum likelihood (Troutbeck 1992).
+
+    From each driver's largest rejected and accepted gap. Intervals: draws from the inverse information.
+    """
+    from scipy.optimize import minimize
+    from scipy.stats import norm
+
+    log_a = np.log(accepted_s)
+    log_r = np.where(rejected_s > 0.0, np.log(np.maximum(rejected_s, 1e-9)), -np.inf)
+
+    def loss(p: FloatArray) -> float:
+        sd = math.exp(p[1])
+        share = norm.cdf((log_a - p[0]) / sd) - norm.cdf((log_r - p[0]) / sd)
+        return -float(np.log(np.maximum(share, 1e-300)).sum())
+
+    middle = np.log(np.where(rejected_s > 0.0, np.sqrt(np.maximum(rejected_s, 1e-9) * accepted_s), 0.7 * accepted_s))
+    start = np.array([float(middle.mean()), math.log(max(float(middle.std()), 0.1))])
+    best = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-8, "maxiter": 4000}).x
+    step = 1e-3
+    hessian = np.empty((2, 2))
+    for i in range(2):
+        for j in range(2):
+            a, b = step * np.eye(2)[i], step * np.eye(2)[j]
+            second = loss(best + a + b) - loss(best + a - b) - loss(best - a + b) + loss(best - a - b)
+            hessian[i, j] = second / (4 * step * step)
+
+    def moments(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        variance = np.exp(2.0 * p[..., 1])
+        mean = np.exp(p[..., 0] + 0.5 * variance)
+        return mean, mean * np.sqrt(np.expm1(variance))
+
+    mean, sd = moments(best)
+    try:
+        covariance = np.linalg.inv(hessian)
+        np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:  # the likelihood is flat: no interval
+        return Estimate(float(mean)), Estimate(float(sd))
+    draws = np.random.default_rng(0).multivariate_normal(best, covariance, size=4000)
+    means, sds = moments(draws)
+    return (
+        Estimate(float(mean), *map(float, np.percentile(means, INTERVAL))),
+        Estimate(float(sd), *map(float, np.percentile(sds, INTERVAL))),
+    )
+
+
+def raff(rejected_s: FloatArray, accepted_s: FloatArray) -> float | None:
+    """Raff's critical gap, s: as many accepted gaps are shorter as rejected ones are longer."""
+    rejected = rejected_s[rejected_s > 0.0]
+    if rejected.size == 0 or accepted_s.size == 0:
+        return None
+    at = np.unique(np.concatenate([rejected, accepted_s]))
+    shorter = np.searchsorted(np.sort(accepted_s), at, side="right") / accepted_s.size
+    longer = 1.0 - np.searchsorted(np.sort(rejected), at, side="right") / rejected.size
+    crossed = np.flatnonzero(shorter >= longer)
+    return float(at[crossed[0]]) if crossed.size else None
+
+
+def critical_gap(gaps: pd.DataFrame) -> CriticalGap | None:
+    """Critical lag time gap of the drivers in a table of gaps; None where too few accepted one."""
+    rejected, accepted, inconsistent = largest_rejected(gaps)
+    if accepted.size < _FEWEST or (rejected > 0).sum() < _FEWEST // 2:
+        return None
+    mean, sd = troutbeck(rejected, accepted)
+    refused = gaps[~gaps["accepted"] & gaps["answer"].isin(["yes", "rear_gap", "mobil_unsafe", "rule_refuses"])]
+    return CriticalGap(
+        mean, sd, raff(refused["lag_time_gap_s"].dropna().to_numpy(float), accepted), accepted.size, inconsistent
+    )
+
+
+# Effects --------------------------------------------------------------------------------------------------------------
+
+
+def effects(requests: pd.DataFrame, keys: Sequence[str], *, give_up_s: float) -> pd.DataFrame:
+    """Effect of each numeric parameter on each outcome, over the whole design.
+
+    Standardised regression coefficient with its interval, and the first-order variance-based index (SALib, RBD-FAST)
+    with its own where there are enough points.
+    """
+    counted = requests[requests["counted"]].copy()
+    counted["lag_time_gap_s"] = counted["lag_time_gap_s"].clip(upper=_LONG_GAP_S)
+    counted["waited_or_end_s"] = np.minimum(counted["waited_s"], give_up_s)
+    numeric = [key for key in keys if pd.api.types.is_numeric_dtype(counted[key])]
+    rows: list[dict[str, Any]] = []
+    if not numeric:
+        return pd.DataFrame(rows)
+    for outcome in ("accepted", "waited_or_end_s", "lateral_s", "lag_time_gap_s", "min_ttc_s"):
+        frame = counted[counted[outcome].notna()]
+        if len(frame) < 10 * len(numeric):
+            continue
+
+        statistic = _standardised(frame[numeric].to_numpy(float), frame[outcome].to_numpy(float))
+        sensitivity = _first_order(frame, numeric, outcome)
+        for unit, columns in units(frame).items():
+            whole, draws = resampled(frame, statistic, unit=columns)
+            for number, key in enumerate(numeric):
+                found = interval(draws[:, number], whole[number])
+                rows.append(
+                    {
+                        "outcome": outcome, "parameter": key, "drawn_again": unit, "rows": len(frame),
+                        "standardised_coefficient": found.value, "low": found.low, "high": found.high,
+                        **(sensitivity.get(key, {"first_order": None, "first_order_interval": None})),
+                    }
+                )  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def _standardised(x: FloatArray, y: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Standardised coefficients (K,) of a linear regression of y (N,) on x (N, K), as a function of weights."""
+
+    def statistic(weight: FloatArray) -> FloatArray:
+        share = weight / weight.sum()
+        xc, yc = x - share @ x, y - share @ y
+        covariance = (xc * share[:, None]).T @ xc
+        spread = np.sqrt(np.diag(covariance)), math.sqrt(float(share @ (yc * yc)))
+        if spread[1] == 0.0 or not spread[0].all() or np.linalg.matrix_rank(covariance) < x.shape[1]:
+            return np.full(x.shape[1], np.nan)
+        return np.asarray(np.linalg.solve(covariance, (xc * share[:, None]).T @ yc) * spread[0] / spread[1])
+
+    return statistic
+
+
+def _first_order(frame: pd.DataFrame, keys: Sequence[str], outcome: str) -> dict[str, dict[str, float]]:
+    """First-order index of each parameter on the mean outcome of each point of the design; RBD-FAST asks for many."""
+    means = frame.groupby("point")[[*keys, outcome]].mean()
+    if len(keys) < 2 or len(means) < _POINTS_LEAST or means[outcome].std() == 0.0:
+        return {}
+    from SALib.analyze import rbd_fast
+
+    bounds = [[float(means[key].min()), float(means[key].max())] for key in keys]
+    problem = {"num_vars": len(keys), "names": list(keys), "bounds": bounds}
+    found = rbd_fast.analyze(problem, means[list(keys)].to_numpy(float), means[outcome].to_numpy(float), seed=0)
+    return {
+        key: {"first_order": float(found["S1"][row]), "first_order_interval": float(found["S1_conf"][row])}
+        for row, key in enumerate(keys)
+    }
+
+
+#: RBD-FAST with its ten harmonics needs more points than twice as many.
+_POINTS_LEAST = 40

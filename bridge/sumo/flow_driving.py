@@ -1,0 +1,121 @@
+"""Vehicles that enter at the map's edge while the scene runs, beside those that start in it: for studies."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bridge.sumo.driving import Driving, edges_along
+from hid2.agents import BoxSize, FloatArray
+from hid2.insertion.flow import Arrival
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.motion.route import DrivenPath
+from hid2.scene import DT_S
+from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
+
+#: Other vehicles farther away than this are looked at when they come near: nobody gets there within the horizon.
+_NEAR_M = 150.0
+
+
+@dataclass(eq=False, slots=True)
+class FlowDriving(Driving):
+    """`Driving`, and arrivals: each waits before the map until SUMO finds room for it, and is driven from then on.
+
+    trigger_after_s: s from its entry to the trigger of an arrival. entered: step at which a vehicle appeared, by its
+    id; waiting_s: how long it had waited before the map.
+    """
+
+    arrivals: Sequence[Arrival] = ()
+    trigger_after_s: Callable[[Arrival], float] = lambda arrival: 0.0
+    entered: dict[str, int] = field(default_factory=dict)
+    waiting_s: dict[str, float] = field(default_factory=dict)
+    _next: int = 0
+    _held: list[Arrival] = field(default_factory=list)
+    _queued: dict[str, Arrival] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Room in the fleet's state for everybody who may come."""
+        Driving.__post_init__(self)
+        more = len(self.arrivals)
+        self._state = np.concatenate([self._state, np.zeros((more, self._state.shape[1]))])
+        self._centre = np.concatenate([self._centre, np.full((more, 2), np.inf)])
+        self._own_lengths = np.concatenate([self._own_lengths, [one.box.length_m for one in self.arrivals]])
+
+    def _enter(self, step: int) -> None:
+        Driving._enter(self, step)
+        if not self.arrivals:
+            return
+        inside = self.simulation.driven()
+        for vehicle_id in [name for name in self._queued if name in inside]:
+            self._appear(self._queued.pop(vehicle_id), step)
+        while self._next < len(self.arrivals) and self.arrivals[self._next].due_s <= step * DT_S:
+            self._held.append(self.arrivals[self._next])
+            self._next += 1
+        held, blocked = [], set()
+        for arrival in self._held:
+            if arrival.lane_id in blocked or not self._is_clear(arrival, step):
+                blocked.add(arrival.lane_id)
+                held.append(arrival)
+            else:
+                self._queue(arrival)
+        self._held = held
+
+    def _is_clear(self, arrival: Arrival, step: int) -> bool:
+        """Whether no recorded agent is too near ahead; those driven are SUMO's business."""
+        found = self.scene.recorded_on(arrival.path, arrival.box)
+        low = found.low[:, step]
+        room_m = arrival.driver.min_gap_m + arrival.driver.tau_s * arrival.driver.desired_mps
+        return not bool(np.any(np.isfinite(low) & (low < room_m + 0.5 * arrival.box.length_m)))
+
+    def _queue(self, arrival: Arrival) -> None:
+        scene, driver = self.scene, arrival.driver
+        cell = scene.cell_at(arrival.path, 0.0)
+        edges = edges_along(scene, arrival.path, cell)
+        assert edges is not None  # the route begins on its own lane
+        self.simulation.queue(
+            arrival.vehicle_id, edges=edges, lane_index=scene.grid.lane_index(cell), length_m=arrival.size.length_m,
+            width_m=arrival.size.width_m, accel_mps2=driver.accel_mps2, decel_mps2=driver.decel_mps2,
+            tau_s=driver.tau_s, min_gap_m=driver.min_gap_m, max_speed_mps=float(driver.desired_mps),
+        )  # fmt: skip
+        self._queued[arrival.vehicle_id] = arrival
+
+    def _appear(self, arrival: Arrival, step: int) -> None:
+        """It is in the net: from now on one of those that are driven."""
+        simulation, scene = self.simulation, self.scene
+        lane, front_m = simulation.lane(arrival.vehicle_id)
+        cell = scene.grid.cell_of_sumo_lane[lane]
+        at = float(scene.grid.edges_s(cell.lane_id)[cell.index]) + front_m
+        segment = next(one for one in arrival.path.segments if one.lane_id == cell.lane_id)
+        share = (at - segment.lane_start) / max(segment.lane_end - segment.lane_start, 1e-9)
+        front_s = segment.start + share * (segment.end - segment.start)
+        start = Start(
+            vehicle_id=arrival.vehicle_id,
+            request=VehicleRequest(arrival.number, arrival.policy, step * DT_S + self.trigger_after_s(arrival)),
+            object_type=arrival.object_type, size=arrival.size, box=arrival.box, route=arrival.route,
+            path=arrival.path, start_s=front_s - 0.5 * arrival.size.length_m,
+            start_mps=simulation.speed(arrival.vehicle_id), driver=arrival.driver, desired=arrival.desired,
+            offset=arrival.offset, sides=arrival.sides,
+        )  # fmt: skip
+        self._own_lengths[len(self.vehicles)] = arrival.box.length_m
+        self.entered[arrival.vehicle_id] = step
+        self.waiting_s[arrival.vehicle_id] = step * DT_S - arrival.due_s
+        self.vehicles.append(DrivenVehicle(start=start, path=start.path))
+        self._road.append(self.roads.speeds(start.path, start.driver))
+        self._limit.append(None)
+        self._known.append(None)
+        self._obstacles = [None] * len(self.vehicles)  # everybody sees who is new
+
+    def _others(self, row: int) -> list[tuple[int, DrivenPath, BoxSize]]:
+        """Those near: at every entry everybody looks anew."""
+        own = self._xy(row)
+        return [
+            (other, one.path, one.start.box)
+            for other, one in enumerate(self.vehicles)
+            if other != row and one.running and bool(np.abs(self._xy(other) - own).max() < _NEAR_M)
+        ]
+
+    def _xy(self, row: int) -> FloatArray:
+        vehicle = self.vehicles[row]
+        s = vehicle.s[-1] if vehicle.s else vehicle.start.start_s
+        table = vehicle.path.line.table_xy
+        return np.asarray(table[min(max(int(s / TABLE_STEP_M), 0), len(table) - 1)])

@@ -1,0 +1,380 @@
+"""How people drive, measured: the parameters of `params.Drivers` from windows of recorded driving.
+
+Each parameter is estimated from one value a driver (track), so that nobody counts more for having been seen longer,
+with a bootstrap over drivers. The two wanderings are found by simulated moments: the law itself is run for many
+drivers, and the one whose windows vary as the recorded ones do is taken. What fewer than LEAST drivers tell keeps its
+documented prior and says so.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hid2.agents import FloatArray, IntArray
+from hid2.drivers.driver import Driver, desired_speeds, lane_offset
+from hid2.params import Config, Drivers
+
+#: Fewer drivers than this tell nothing: the prior stays.
+LEAST = 12
+_RESAMPLES = 400
+_INTERVAL = (2.5, 97.5)
+#: Steady following: closing slower, m/s, accelerating less, m/s2, faster than, m/s, nearer than, s and m.
+_STEADY_MPS, _STEADY_MPS2, _FOLLOWS_MPS, _FOLLOWS_S = 1.0, 0.5, 3.0, 3.0
+#: Who accelerates or brakes by more than this in some window shows how: m/s2.
+_SHOWS_MPS2 = 0.7
+#: Drivers simulated for a moment, and their steps.
+_SIMULATED, _STEPS, _STEP_S, _HALF_S = 250, 81, 0.1, 2.0
+#: Wandering at which the moments of the speed are simulated, m/s: so small that no bound matters.
+_UNIT_MPS = 0.3
+#: Who cruises drives this share of the usual speed at least and accelerates less, m/s2: no signal decides.
+_CRUISES, _CRUISES_MPS2 = 0.7, 1.0
+#: What is tried for the time constants, s, and for the spread of the lateral wandering.
+_TIMES_S = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
+_SPREADS = (0.0, 0.3, 0.6, 0.9, 1.2)
+
+
+class Observed(NamedTuple):
+    """Windows (M,) of recorded driving: driver number, middle speed, acceleration, jerk, fits of the offset, and more.
+
+    speed_mps, accel_mps2, jerk_mps3, offset_m, drift_mps, bend_mps2: at the middle; lateral_mps2: size of the lateral
+    acceleration; gap_m inf without a leader; closing_mps; usual_mps: what the traffic of its lane drives; turning.
+    """
+
+    driver: IntArray
+    speed_mps: FloatArray
+    accel_mps2: FloatArray
+    jerk_mps3: FloatArray
+    offset_m: FloatArray
+    drift_mps: FloatArray
+    bend_mps2: FloatArray
+    lateral_mps2: FloatArray
+    gap_m: FloatArray
+    closing_mps: FloatArray
+    usual_mps: FloatArray
+    turning: np.ndarray[tuple[int], np.dtype[np.bool_]]
+
+    def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.bool_]] | IntArray) -> "Observed":
+        """Some of the windows."""
+        some: list[Any] = [values[chosen] for values in self]
+        return Observed(*some)
+
+
+class Extra(NamedTuple):
+    """What windows do not show, one value a driver or manoeuvre: gaps to standing leaders, m; lane changes, s."""
+
+    standing_gap_m: FloatArray
+    lane_change_s: FloatArray
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Quantity:
+    """One parameter: its value with a 95 % interval (None: prior), from how many drivers, and the goodness of fit.
+
+    values (D,): one a driver, of which the distribution is shown; law: quantile function of the fitted one; ks:
+    largest distance of the two distribution functions (Kolmogorov-Smirnov).
+    """
+
+    name: str
+    what: str
+    value: float
+    low: float | None
+    high: float | None
+    drivers: int
+    measured: bool
+    values: FloatArray
+    law: Callable[[FloatArray], FloatArray] | None
+    ks: float | None
+
+
+def calibrate(seen: Observed, extra: Extra, *, prior: Drivers, seed: int = 0) -> list[Quantity]:
+    """Every parameter that recordings can tell, in the order of `params.Drivers`."""
+    rng = np.random.default_rng(seed)
+    straight = seen.rows(~seen.turning)
+    free = straight.rows(np.isinf(straight.gap_m) | (straight.gap_m > 4.0 * straight.speed_mps))
+    cruising = (free.speed_mps > _CRUISES * free.usual_mps) & (np.abs(free.accel_mps2) < _CRUISES_MPS2)
+    ratio = _by_driver(free.driver, np.log(free.speed_mps / free.usual_mps), np.median)
+    time_gap = (seen.gap_m - prior.min_gap_mean_m) / np.maximum(seen.speed_mps, 1.0)
+    steady = (
+        (np.abs(seen.closing_mps) < _STEADY_MPS) & (np.abs(seen.accel_mps2) < _STEADY_MPS2) & (time_gap > 0.0)
+        & (seen.speed_mps > _FOLLOWS_MPS) & (time_gap < _FOLLOWS_S)
+    )  # fmt: skip
+    gaps = _by_driver(seen.driver[steady], time_gap[steady], np.median)
+    strongest = _by_driver(seen.driver, seen.accel_mps2, np.max)
+    hardest = -_by_driver(seen.driver, seen.accel_mps2, np.min)
+    turning = _by_driver(seen.driver[seen.turning], seen.lateral_mps2[seen.turning], np.max)
+    offsets = _by_driver(straight.driver, straight.offset_m, np.median)
+    found = [
+        *_normal("desired", "desired speed over the traffic's, logarithm", ratio, prior, rng, sd_only=True),
+        *_speed_wander(free.rows(cruising), prior, rng),
+        *_normal("tau", "time gap in steady following, s", gaps, prior, rng, unit="s"),
+        *_normal("accel", "strongest acceleration of who accelerates, m/s2", strongest[strongest > _SHOWS_MPS2], prior,
+                 rng, unit="mps2"),
+        *_normal("decel", "hardest braking of who brakes, m/s2", hardest[hardest > _SHOWS_MPS2], prior, rng,
+                 unit="mps2"),
+        *_normal("min_gap", "gap to a standing leader, m", extra.standing_gap_m, prior, rng, unit="m"),
+        *_range_of_turns(turning, prior, rng),
+        *_normal("offset", "place in the lane, m, left positive", offsets, prior, rng, unit="m"),
+        *_lateral_wander(straight, prior, rng),
+        *_normal("lane_change", "duration of lane changes, s", extra.lane_change_s, prior, rng, unit="s"),
+    ]  # fmt: skip
+    return [*found, _kept("reaction_s", "reaction time: positions do not tell it", prior),
+            _kept("error", "perception error: positions do not tell it", prior)]  # fmt: skip
+
+
+def drivers_of(found: Sequence[Quantity]) -> dict[str, float]:
+    """Values of the parameters, by name, as `params.Drivers` has them; those that were measured."""
+    return {quantity.name: quantity.value for quantity in found if quantity.measured}
+
+
+def _kept(name: str, what: str, prior: Drivers, values: FloatArray | None = None) -> Quantity:
+    """A parameter that keeps its prior."""
+    known = values if values is not None else np.zeros(0)
+    return Quantity(name, what, float(getattr(prior, name)), None, None, len(known), False, known, None, None)
+
+
+def _by_driver(driver: IntArray, values: FloatArray, pool: Callable[[FloatArray], float]) -> FloatArray:
+    """(D,) one value a driver, in the order of their numbers."""
+    return np.array([pool(values[driver == one]) for one in np.unique(driver)], dtype=np.float64)
+
+
+def robust_sd(values: FloatArray) -> float:
+    """1.4826 times the median distance from the median: the SD of a normal distribution, whatever its outliers do."""
+    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+
+
+def _bootstrap(
+    values: FloatArray, statistic: Callable[[FloatArray], float], rng: np.random.Generator
+) -> tuple[float, float]:
+    drawn = rng.integers(0, len(values), size=(_RESAMPLES, len(values)))
+    low, high = np.percentile([statistic(values[rows]) for rows in drawn], _INTERVAL)
+    return float(low), float(high)
+
+
+def _bounded(name: str, value: float) -> float:
+    """A value inside what `params.Drivers` allows, to four digits."""
+    least = greatest = None
+    for entry in Drivers.model_fields[name].metadata:
+        least = getattr(entry, "ge", getattr(entry, "gt", least))
+        greatest = getattr(entry, "le", getattr(entry, "lt", greatest))
+    low = -np.inf if least is None else float(least)
+    high = np.inf if greatest is None else float(greatest)
+    return round(float(np.clip(value, low, high)), 4)
+
+
+def _normal(
+    name: str, what: str, values: FloatArray, prior: Drivers, rng: np.random.Generator, *, unit: str = "",
+    sd_only: bool = False,
+) -> list[Quantity]:  # fmt: skip
+    """Median and robust SD of one value a driver."""
+    mean_name, sd_name = f"{name}_mean_{unit}", f"{name}_sd_{unit}".rstrip("_")
+    if len(values) < LEAST:
+        names = (sd_name,) if sd_only else (mean_name, sd_name)
+        return [_kept(one, what, prior, values) for one in names]
+    centre, spread = float(np.median(values)), max(robust_sd(values), 1e-6)
+
+    def law(share: FloatArray) -> FloatArray:
+        return np.asarray(centre + spread * _normal_quantile(share))
+
+    ks = ks_distance(values, law)
+    out = []
+    if not sd_only:
+        low, high = _bootstrap(values, lambda v: float(np.median(v)), rng)
+        out.append(
+            Quantity(mean_name, what, _bounded(mean_name, centre), low, high, len(values), True, values, law, ks)
+        )
+    low, high = _bootstrap(values, robust_sd, rng)
+    out.append(Quantity(sd_name, what, _bounded(sd_name, spread), low, high, len(values), True, values, law, ks))
+    return out
+
+
+def _range_of_turns(values: FloatArray, prior: Drivers, rng: np.random.Generator) -> list[Quantity]:
+    """Lateral acceleration in turns: uniform between the 10th and 90th percentile, widened to the whole."""
+    what, names = "lateral acceleration in turns, m/s2", ("turn_lateral_min_mps2", "turn_lateral_max_mps2")
+    if len(values) < LEAST:
+        return [_kept(name, what, prior, values) for name in names]
+
+    def ends(v: FloatArray) -> tuple[float, float]:
+        low, high = np.percentile(v, [10, 90])
+        return float(low - (high - low) / 8.0), float(high + (high - low) / 8.0)
+
+    first, last = ends(values)
+
+    def law(share: FloatArray) -> FloatArray:
+        return np.asarray(first + (last - first) * share)
+
+    out = []
+    for k, name in enumerate(names):
+        low, high = _bootstrap(values, lambda v, k=k: ends(v)[k], rng)  # type: ignore[misc]
+        value = _bounded(name, max(0.1, ends(values)[k]))
+        out.append(Quantity(name, what, value, low, high, len(values), True, values, law, ks_distance(values, law)))
+    return out
+
+
+def _fits() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times of a window, and the pseudo-inverses that give a parabola and a cubic."""
+    time = np.asarray(_STEP_S * np.arange(_STEPS // 2 + 1) - _HALF_S, dtype=np.float64)
+    parabola, cubic = (np.linalg.pinv(np.vander(time, powers, increasing=True)) for powers in (3, 4))
+    return time, np.asarray(parabola, dtype=np.float64), np.asarray(cubic, dtype=np.float64)
+
+
+_DRIVER = Driver(
+    desired_mps=8.0, tau_s=1.2, accel_mps2=1.6, decel_mps2=2.0, min_gap_m=2.0, turn_lateral_mps2=2.0, offset_m=0.0,
+    lane_change_s=5.5, wander_m=1.0,
+)  # fmt: skip
+
+
+class _Moments(NamedTuple):
+    """Size of a rate and of its change, medians over drivers of the root mean square; spread of the logarithm."""
+
+    size: float
+    ratio: float
+    spread: float
+
+
+def _moments(driver: IntArray, rate: FloatArray, change: FloatArray) -> _Moments:
+    def rms(v: FloatArray) -> float:
+        return float(np.sqrt(np.mean(v * v)))
+
+    rates = np.maximum(_by_driver(driver, rate, rms), 1e-4)
+    changes = np.maximum(_by_driver(driver, change, rms), 1e-4)
+    return _Moments(float(np.median(rates)), float(np.median(changes) / np.median(rates)), robust_sd(np.log(rates)))
+
+
+@cache
+def speed_moments(time_s: float) -> _Moments:
+    """Moments of acceleration and jerk in windows of simulated drivers whose desired speed wanders by _UNIT_MPS."""
+    config, rng = Config(drivers=Drivers(wander_time_s=time_s, wander_sd_mps=_UNIT_MPS)), np.random.default_rng(1)
+    _, _, cubic = _fits()
+    driver, accel, jerk = [], [], []
+    for number in range(_SIMULATED):
+        v = desired_speeds(_DRIVER, config, rng, num_steps=_STEPS, step_s=_STEP_S, at_least_mps=0.0)
+        s = np.concatenate([[0.0], np.cumsum(0.5 * _STEP_S * (v[1:] + v[:-1]))])
+        for begin in (0, 20, 40):
+            fitted = cubic @ s[begin : begin + 41]
+            driver.append(number)
+            accel.append(2.0 * fitted[2])
+            jerk.append(6.0 * fitted[3])
+    return _moments(np.array(driver), np.array(accel), np.array(jerk))
+
+
+@cache
+def lateral_moments(time_s: float, spread: float) -> _Moments:
+    """Moments of drift and bend in windows of simulated drivers who wander by 1 m in the median, without a bound.
+
+    The speed does not matter: the place in the lane changes with the way driven in a correlation time.
+    """
+    config, rng = Config(drivers=Drivers(lateral_wander_time_s=time_s, offset_max_m=1.5)), np.random.default_rng(2)
+    speed_mps = _DRIVER.desired_mps
+    time, parabola, _ = _fits()
+    driver, drift, bend = [], [], []
+    for number in range(_SIMULATED):
+        # a hundredth, so that the bound on the offset does not matter
+        wander = 0.01 * float(np.exp(spread * np.clip(rng.standard_normal(), -2, 2)))
+        offset = lane_offset(replace(_DRIVER, wander_m=wander), config, rng, length_m=speed_mps * 0.1 * _STEPS + 10.0)
+        for begin in (0.0, 2.0, 4.0):
+            d, _, _ = offset.at(5.0 + speed_mps * (begin + _HALF_S + time))
+            fitted = parabola @ d
+            driver.append(number)
+            drift.append(100.0 * fitted[1])
+            bend.append(100.0 * fitted[2])
+    return _moments(np.array(driver), np.array(drift), np.array(bend))
+
+
+def _speed_wander(free: Observed, prior: Drivers, rng: np.random.Generator) -> list[Quantity]:
+    """SD and time of the wandering of the desired speed, from who drives freely."""
+    what = "wandering of the desired speed: acceleration in windows, m/s2"
+    names = ("wander_sd_mps", "wander_time_s")
+    values = _by_driver(free.driver, free.accel_mps2, lambda v: float(np.sqrt(np.mean(v * v))))
+    if len(values) < LEAST:
+        return [_kept(name, what, prior, values) for name in names]
+    table = [speed_moments(time_s) for time_s in _TIMES_S]
+    ratios = np.array([one.ratio for one in table])
+    sizes = np.array([one.size for one in table]) / _UNIT_MPS
+
+    def found(driver_rows: Sequence[IntArray]) -> tuple[float, float]:
+        seen = _resampled(free, driver_rows)
+        moments = _moments(seen.driver, seen.accel_mps2, seen.jerk_mps3)
+        time_s = _time_of(moments.ratio, ratios)
+        return moments.size / float(np.interp(time_s, _TIMES_S, sizes)), time_s
+
+    return _two(names, what, values, free.driver, found, rng)
+
+
+def _lateral_wander(straight: Observed, prior: Drivers, rng: np.random.Generator) -> list[Quantity]:
+    """SD, spread and time of the wandering about the place in the lane."""
+    what = "wandering about the place in the lane: drift in windows, m/s"
+    names = ("lateral_wander_sd_m", "lateral_wander_time_s", "lateral_wander_spread")
+    values = _by_driver(straight.driver, straight.drift_mps, lambda v: float(np.sqrt(np.mean(v * v))))
+    if len(values) < LEAST:
+        return [_kept(name, what, prior, values) for name in names]
+    table = {(t, w): lateral_moments(t, w) for t in _TIMES_S for w in _SPREADS}
+
+    def found(driver_rows: Sequence[IntArray]) -> tuple[float, float, float]:
+        seen = _resampled(straight, driver_rows)
+        moments = _moments(seen.driver, seen.drift_mps, seen.bend_mps2)
+        spread = 0.6
+        for _ in range(3):
+            near = min(_SPREADS, key=lambda w: abs(w - spread))
+            time_s = _time_of(moments.ratio, np.array([table[t, near].ratio for t in _TIMES_S]))
+            nearest = min(_TIMES_S, key=lambda t: abs(t - time_s))
+            spreads = np.maximum.accumulate([table[nearest, w].spread for w in _SPREADS])
+            spread = float(np.interp(moments.spread, spreads, _SPREADS))
+        near = min(_SPREADS, key=lambda w: abs(w - spread))
+        size = float(np.interp(time_s, _TIMES_S, [table[t, near].size for t in _TIMES_S]))
+        return moments.size / size, time_s, spread
+
+    return _two(names, what, values, straight.driver, found, rng)
+
+
+def _time_of(ratio: float, ratios: FloatArray) -> float:
+    """Time constant whose simulated ratio of change to rate is the one seen; ratios fall with time."""
+    falling = np.minimum.accumulate(ratios)
+    return float(np.interp(-ratio, -falling, _TIMES_S))
+
+
+def _resampled(seen: Observed, driver_rows: Sequence[IntArray]) -> Observed:
+    """Windows of drivers drawn with repetition, each under a number of its own."""
+    rows = np.concatenate(driver_rows)
+    number = np.repeat(np.arange(len(driver_rows)), [len(one) for one in driver_rows])
+    return seen.rows(rows)._replace(driver=number)
+
+
+def _two(
+    names: Sequence[str], what: str, values: FloatArray, driver: IntArray,
+    found: Callable[[Sequence[IntArray]], tuple[float, ...]], rng: np.random.Generator,
+) -> list[Quantity]:  # fmt: skip
+    """Quantities that are found together, with a bootstrap over drivers."""
+    rows = [np.flatnonzero(driver == one) for one in np.unique(driver)]
+    best = found(rows)
+    drawn = [found([rows[k] for k in rng.integers(0, len(rows), len(rows))]) for _ in range(_RESAMPLES // 4)]
+    low, high = np.percentile(drawn, _INTERVAL, axis=0)
+    logs = np.log(np.maximum(values, 1e-4))
+    centre, spread = float(np.median(logs)), max(robust_sd(logs), 1e-6)
+
+    def law(share: FloatArray) -> FloatArray:
+        return np.exp(centre + spread * _normal_quantile(share))
+
+    ks = ks_distance(values, law)
+    return [
+        Quantity(name, what, _bounded(name, best[k]), float(low[k]), float(high[k]), len(values), True, values, law, ks)
+        for k, name in enumerate(names)
+    ]
+
+
+def _normal_quantile(share: FloatArray) -> FloatArray:
+    from statistics import NormalDist
+
+    return np.array([NormalDist().inv_cdf(float(p)) for p in np.atleast_1d(share)])
+
+
+def ks_distance(values: FloatArray, law: Callable[[FloatArray], FloatArray]) -> float:
+    """Kolmogorov-Smirnov distance of values from a law given by its quantile function."""
+    share = (np.arange(1, 400) - 0.5) / 399
+    grid = law(share)
+    ordered = np.sort(values)
+    at = np.interp(ordered, grid, share, left=0.0, right=1.0)
+    steps = np.arange(len(ordered)) / len(ordered)
+    return float(max(np.abs(at - steps).max(), np.abs(at - steps - 1.0 / len(ordered)).max()))

@@ -1,0 +1,343 @@
+"""Critics: classifiers that must tell generated from recorded driving, and the controls that they are held against.
+
+Three of them: logistic regression; gradient-boosted trees; and a temporal one, random convolutions of (v, a, yaw rate,
+d) with a logistic regression on top (Dempster, Petitjean and Webb 2020). They see windows of 4 s as fits, so that
+tracker noise does not decide. Generated and recorded windows weigh the same in each stratum of scene, speed band,
+turning and presence of a leader. A critic judges scenes that it was not trained on.
+
+Controls say what a figure means. Negative: recorded against recorded, 0.5 within its interval. Positive: the generated
+windows at constant speed on the lane's middle, which a critic that is worth its name tells at 0.9 or more.
+"""
+
+from collections.abc import Callable, Sequence
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from hid2.agents import FloatArray, IntArray
+from hid2.evaluation.windows import WINDOW_S, Windows
+from hid2.measures.arrays import BoolArray
+
+#: Width of one packed window: see `pack`.
+WIDTH = 22
+#: Strata with fewer windows of either kind are left out.
+_LEAST = 2
+_FOLDS = 10
+_RESAMPLES = 1000
+_INTERVAL = (2.5, 97.5)
+#: Points of a window at which the temporal critic looks, its kernels of each length, and the lengths.
+_POINTS, _KERNELS, _LENGTHS = 13, 30, (3, 5, 7)
+_FAR_M = 60.0
+
+
+class Critic(StrEnum):
+    """Kinds of critics."""
+
+    LOGISTIC = "logistic"
+    TREES = "trees"
+    TEMPORAL = "temporal"
+
+
+class View(StrEnum):
+    """What of the driving a critic is shown."""
+
+    SPEED = "speed"
+    LATERAL = "lateral"
+    ALL = "all"
+
+
+class Verdict(NamedTuple):
+    """AUC of a critic, 95 % interval by drawing scenes again (None with one scene), windows of either kind, scenes."""
+
+    critic: Critic
+    view: View
+    auc: float
+    low: float | None
+    high: float | None
+    generated: int
+    recorded: int
+    scenes: int
+
+
+def pack(found: Windows, halves: IntArray, *, labelled: bool | None) -> FloatArray:
+    """Windows as rows (M, WIDTH) of numbers; halves (M,): in which halves of the recorded tracks each one's is."""
+    kind = np.full(len(found.agent), -1.0 if labelled is None else float(labelled))
+    return np.column_stack([
+        found.s_cubic, found.s_quartic, found.d_parabola, found.d_cubic, found.yaw,
+        np.minimum(found.gap_m, _FAR_M), found.closing_mps, found.turning, found.led, kind, halves,
+    ]).astype(np.float64).reshape(len(found.agent), WIDTH)  # fmt: skip
+
+
+class Packed(NamedTuple):
+    """Windows of any number of scenes: rows (M, WIDTH), generated (M,), and the number of their scene (M,)."""
+
+    rows: FloatArray
+    generated: BoolArray
+    scene: IntArray
+
+    def of(self, chosen: BoolArray) -> "Packed":
+        """Some of the windows."""
+        return Packed(self.rows[chosen], self.generated[chosen], self.scene[chosen])
+
+    @property
+    def labelled(self) -> FloatArray:
+        """(M,) 1 human-labelled, 0 tracker, -1 unknown."""
+        return self.rows[:, 20]
+
+    @property
+    def stratum(self) -> IntArray:
+        """(M,) stratum of the matching: scene, speed band, turning, led."""
+        band = np.searchsorted((2.0, 5.0, 8.0, 11.0), self.rows[:, 0])
+        return np.asarray(self.scene * 20 + band * 4 + self.rows[:, 18] * 2 + self.rows[:, 19], dtype=np.int64)
+
+    def in_half(self, split: int) -> BoolArray:
+        """(M,) whether the recorded track falls in the first half of a split."""
+        return (self.rows[:, 21].astype(np.int64) >> split & 1).astype(bool)
+
+
+#: Features by name, in the order of `features`: those of speed, of the place in the lane, and the rest.
+SPEED_FEATURES = (
+    "speed", "acceleration", "size of the acceleration", "jerk", "size of the jerk", "acceleration at the beginning",
+    "acceleration at the end", "change of speed",
+)  # fmt: skip
+LATERAL_FEATURES = (
+    "offset to the left", "distance from the lane's middle", "drift to the left", "drift across the lane",
+    "bend of the place in the lane to the left", "weaving about the place in the lane",
+)  # fmt: skip
+OTHER_FEATURES = (
+    "yaw rate", "change of the yaw rate", "gap to the leader", "closing speed", "time gap",
+    "acceleration times closing speed",
+)  # fmt: skip
+FEATURE_NAMES = SPEED_FEATURES + LATERAL_FEATURES + OTHER_FEATURES
+_COLUMNS = {
+    View.SPEED: slice(0, len(SPEED_FEATURES)),
+    View.LATERAL: slice(len(SPEED_FEATURES), len(SPEED_FEATURES) + len(LATERAL_FEATURES)),
+    View.ALL: slice(0, len(FEATURE_NAMES)),
+}
+
+
+def features(rows: FloatArray) -> FloatArray:
+    """(M, F) FEATURE_NAMES of packed windows."""
+    half = 0.5 * WINDOW_S
+    v, a, j = rows[:, 0], 2.0 * rows[:, 1], 6.0 * rows[:, 2]
+    d, drift, bend = rows[:, 7], rows[:, 8], rows[:, 9]
+    yaw, change, gap, closing = rows[:, 14], rows[:, 15], rows[:, 16], rows[:, 17]
+    return np.column_stack([
+        v, a, np.abs(a), j, np.abs(j), a - j * half, a + j * half, 2.0 * half * a + j * half**3 / 3.0,
+        d, np.abs(d), drift, np.abs(drift), bend, np.abs(bend),
+        np.abs(yaw), np.abs(change), gap, closing, gap / np.maximum(v, 1.0), a * closing,
+    ])  # fmt: skip
+
+
+def constant_on_the_middle(found: Packed) -> Packed:
+    """The positive control: generated windows as if driven at constant speed on the lane's middle."""
+    rows = found.rows.copy()
+    rows[found.generated, 1:3] = 0.0
+    rows[found.generated, 4:14] = 0.0
+    return found._replace(rows=rows)
+
+
+def halves_apart(found: Packed, split: int) -> Packed:
+    """The negative control: recorded windows, of which those of one half of the tracks pass as generated."""
+    recorded = found.of(~found.generated)
+    return recorded._replace(generated=recorded.in_half(split))
+
+
+def matched_weights(stratum: IntArray, generated: BoolArray) -> FloatArray:
+    """(M,) weights by which both kinds weigh the same in each stratum, and it what the smaller kind counts; else 0."""
+    _, place = np.unique(stratum, return_inverse=True)
+    ours = np.bincount(place, weights=generated, minlength=place.max(initial=-1) + 1)
+    theirs = np.bincount(place, weights=~generated, minlength=place.max(initial=-1) + 1)
+    both = np.where(np.minimum(ours, theirs) >= _LEAST, np.minimum(ours, theirs), 0.0)
+    share = np.where(generated, both[place] / np.maximum(ours, 1)[place], both[place] / np.maximum(theirs, 1)[place])
+    return np.asarray(share, dtype=np.float64)
+
+
+def weighted_auc(scores: FloatArray, labels: BoolArray, weights: FloatArray) -> float | None:
+    """AUC of weighted samples: the chance that a positive scores above a negative, ties half; None with one class."""
+    order = np.argsort(scores, kind="stable")
+    ordered, positive = scores[order], np.where(labels, weights, 0.0)[order]
+    negative = np.where(labels, 0.0, weights)[order]
+    if positive.sum() <= 0 or negative.sum() <= 0:
+        return None
+    _, first = np.unique(ordered, return_index=True)
+    up, down = np.add.reduceat(positive, first), np.add.reduceat(negative, first)
+    below = np.cumsum(down) - down
+    return float((up * (below + 0.5 * down)).sum() / (positive.sum() * negative.sum()))
+
+
+def judge(found: Packed, critic: Critic, view: View, *, seed: int = 0) -> Verdict | None:
+    """Verdict of a critic on matched windows; None where fewer than two scenes hold both kinds."""
+    weights = matched_weights(found.stratum, found.generated)
+    found, weights = found.of(weights > 0), weights[weights > 0]
+    scenes = np.unique(found.scene)
+    if len(scenes) < 2:
+        return None
+    x = temporal_features(found.rows) if critic is Critic.TEMPORAL else features(found.rows)[:, _COLUMNS[view]]
+    fit = _TRAINED[critic]
+    fold = np.searchsorted(scenes, found.scene) % min(_FOLDS, len(scenes))
+    scores = np.zeros(len(x))
+    for k in range(int(fold.max()) + 1):
+        test = fold == k
+        scores[test] = fit(x[~test], found.generated[~test], weights[~test])(x[test])
+    parts = [
+        (weights[own].sum(), weighted_auc(scores[own], found.generated[own], weights[own]))
+        for scene in scenes
+        for own in [found.scene == scene]
+    ]
+    size = np.array([weight for weight, auc in parts if auc is not None])
+    aucs = np.array([auc for _, auc in parts if auc is not None])
+    low, high = _interval(aucs, size, seed)
+    return Verdict(
+        critic, view, float((size * aucs).sum() / size.sum()), low, high, int(found.generated.sum()),
+        int((~found.generated).sum()), len(aucs),
+    )  # fmt: skip
+
+
+def _interval(aucs: FloatArray, size: FloatArray, seed: int) -> tuple[float | None, float | None]:
+    """Percentile bootstrap over scenes."""
+    if len(aucs) < 2:
+        return None, None
+    drawn = np.random.default_rng(seed).integers(0, len(aucs), size=(_RESAMPLES, len(aucs)))
+    means = (size[drawn] * aucs[drawn]).sum(axis=1) / size[drawn].sum(axis=1)
+    low, high = np.percentile(means, _INTERVAL)
+    return float(low), float(high)
+
+
+def betrayals(found: Packed) -> list[tuple[str, float]]:
+    """AUC of each single feature on matched windows, those that betray most first; above .5: larger when generated."""
+    weights = matched_weights(found.stratum, found.generated)
+    if not (weights > 0).any():
+        return []
+    x = features(found.rows)
+    alone = [(name, weighted_auc(x[:, k], found.generated, weights) or 0.5) for k, name in enumerate(FEATURE_NAMES)]
+    return sorted(alone, key=lambda item: -abs(item[1] - 0.5))
+
+
+# Training. Each returns a function from samples (M, F) to scores (M,).
+
+_Scorer = Callable[[FloatArray], FloatArray]
+
+
+def _standardised(x: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    mean = np.average(x, axis=0, weights=weights)
+    spread = np.sqrt(np.average((x - mean) ** 2, axis=0, weights=weights))
+    return mean, np.where(spread > 1e-9, spread, 1.0)
+
+
+def _logistic(x: FloatArray, generated: BoolArray, weights: FloatArray) -> _Scorer:
+    mean, spread = _standardised(x, weights)
+    found = logistic_regression((x - mean) / spread, generated, weights)
+    return lambda new: np.asarray((new - mean) / spread @ found[:-1] + found[-1])
+
+
+def logistic_regression(x: FloatArray, y: BoolArray, weights: FloatArray, *, ridge: float = 1.0) -> FloatArray:
+    """Coefficients (F + 1,), intercept last, of a ridge-penalised logistic regression by Newton's method.
+
+    x (M, F) standardised features; weights (M,).
+    """
+    design = np.column_stack([x, np.ones(len(x))])
+    target = y.astype(np.float64)
+    penalty = np.diag([ridge] * x.shape[1] + [1e-6])
+    found = np.zeros(design.shape[1])
+    for _ in range(25):
+        p = 1.0 / (1.0 + np.exp(-np.clip(design @ found, -500.0, 500.0)))
+        gradient = design.T @ (weights * (p - target)) + penalty @ found
+        hessian = (design * (weights * p * (1 - p))[:, None]).T @ design + penalty
+        step = np.linalg.solve(hessian, gradient)
+        found -= step
+        if np.abs(step).max() < 1e-6:
+            break
+    return found
+
+
+#: Boosted trees: rounds, depth, learning rate, bins of a feature, ridge on the leaves, least weight of a leaf.
+_ROUNDS, _DEPTH, _RATE, _BINS, _RIDGE, _LEAF = 60, 3, 0.1, 32, 1.0, 3.0
+
+
+def _trees(x: FloatArray, generated: BoolArray, weights: FloatArray) -> _Scorer:
+    """Gradient-boosted trees on binned features, Newton steps on the logistic loss (Chen and Guestrin 2016)."""
+    edges = [np.unique(np.quantile(column, np.linspace(0, 1, _BINS + 1)[1:-1])) for column in x.T]
+    binned = _binned(x, edges)
+    width = x.shape[1]
+    columns = binned + _BINS * np.arange(width)
+    score, target = np.zeros(len(x)), generated.astype(np.float64)
+    trees: list[tuple[IntArray, IntArray, FloatArray]] = []
+    for _ in range(_ROUNDS):
+        p = 1.0 / (1.0 + np.exp(-score))
+        gradient, curvature = weights * (p - target), weights * p * (1.0 - p)
+        node = np.zeros(len(x), dtype=np.int64)
+        split_on, split_at = np.zeros(2**_DEPTH, dtype=np.int64), np.full(2**_DEPTH, _BINS, dtype=np.int64)
+        for depth in range(_DEPTH):
+            count = 2**depth
+            place = ((node * width * _BINS)[:, None] + columns).ravel()
+            size = count * width * _BINS
+            g = np.bincount(place, np.repeat(gradient, width), size).reshape(count, width, _BINS).cumsum(axis=2)
+            h = np.bincount(place, np.repeat(curvature, width), size).reshape(count, width, _BINS).cumsum(axis=2)
+            all_g, all_h = g[:, :, -1:], h[:, :, -1:]
+            gain = g * g / (h + _RIDGE) + (all_g - g) ** 2 / (all_h - h + _RIDGE) - all_g**2 / (all_h + _RIDGE)
+            gain[(h < _LEAF * 0.25) | (all_h - h < _LEAF * 0.25)] = 0.0
+            best = gain.reshape(count, -1).argmax(axis=1)
+            useful = gain.reshape(count, -1).max(axis=1) > 1e-9
+            own = slice(count - 1, 2 * count - 1)
+            split_on[own] = best // _BINS
+            split_at[own] = np.where(useful, best % _BINS, _BINS)
+            node = 2 * node + (binned[np.arange(len(x)), split_on[own][node]] > split_at[own][node])
+        g, h = np.bincount(node, gradient, 2**_DEPTH), np.bincount(node, curvature, 2**_DEPTH)
+        leaf = -_RATE * g / (h + _RIDGE)
+        score = score + leaf[node]
+        trees.append((split_on, split_at, leaf))
+
+    def scores(new: FloatArray) -> FloatArray:
+        bins, out = _binned(new, edges), np.zeros(len(new))
+        rows = np.arange(len(new))
+        for split_on, split_at, leaf in trees:
+            node = np.zeros(len(new), dtype=np.int64)
+            for depth in range(_DEPTH):
+                at = 2**depth - 1 + node
+                node = 2 * node + (bins[rows, split_on[at]] > split_at[at])
+            out += leaf[node]
+        return out
+
+    return scores
+
+
+def _binned(x: FloatArray, edges: Sequence[FloatArray]) -> IntArray:
+    """(M, F) bin of each value, by edges of each feature."""
+    return np.column_stack([np.searchsorted(own, column, side="left") for own, column in zip(edges, x.T, strict=True)])
+
+
+def temporal_features(rows: FloatArray) -> FloatArray:
+    """(M, 6 K): largest value and share of positive values of K random convolutions over (v, a, yaw rate, d)."""
+    time = np.linspace(-0.5 * WINDOW_S, 0.5 * WINDOW_S, _POINTS)
+    power = np.vander(time, 4, increasing=True)
+    v = rows[:, 3:7] * np.array([1.0, 2.0, 3.0, 4.0]) @ power.T
+    a = rows[:, 4:7] * np.array([2.0, 6.0, 12.0]) @ power[:, :3].T
+    yaw = rows[:, 14:16] * np.array([1.0, 2.0]) @ power[:, :2].T
+    d = rows[:, 10:14] @ power.T
+    # usual sizes, so that every series counts: m/s, m/s2, rad/s, m
+    series = np.stack([(v - 7.0) / 4.0, a, yaw / 0.1, d / 0.4], axis=1)
+    rng = np.random.default_rng(20)
+    out = []
+    for length in _LENGTHS:
+        kernels = rng.standard_normal((_KERNELS, 4, length)) * (rng.random((_KERNELS, 4, 1)) < 0.6)
+        kernels -= kernels.mean(axis=(1, 2), keepdims=True) * (rng.random((_KERNELS, 1, 1)) < 0.5)
+        patches = np.lib.stride_tricks.sliding_window_view(series, length, axis=2).transpose(0, 2, 1, 3)
+        response = patches.reshape(-1, 4 * length) @ kernels.reshape(_KERNELS, -1).T + rng.standard_normal(_KERNELS)
+        response = response.reshape(len(rows), -1, _KERNELS)
+        out += [response.max(axis=1), (response > 0).mean(axis=1)]
+    return np.column_stack(out)
+
+
+_TRAINED: dict[Critic, Callable[[FloatArray, BoolArray, FloatArray], _Scorer]] = {
+    Critic.LOGISTIC: _logistic,
+    Critic.TREES: _trees,
+    Critic.TEMPORAL: _logistic,
+}
+
+#: What is judged, in the order of the report.
+JUDGED: Sequence[tuple[Critic, View]] = (
+    (Critic.LOGISTIC, View.ALL), (Critic.TREES, View.SPEED), (Critic.TREES, View.LATERAL), (Critic.TREES, View.ALL),
+    (Critic.TEMPORAL, View.ALL),
+)  # fmt: skip

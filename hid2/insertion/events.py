@@ -1,0 +1,357 @@
+"""Events with a recorded target, searched over sites, speeds and trigger times until they come about as asked.
+
+The same machinery as for any other vehicle: a site, a driver, a trigger; SUMO drives, Algorithm 1 decides, the last
+word is `finalise`. What is added is a plan (`event_plans.py`), and a look at the exported positions: does the event
+have the time, the gap, the speed difference and the criticality asked for? If not, the next try begins farther ahead or
+later by what was missing, or follows another plan.
+"""
+
+import logging
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
+from hid2.conflicts.stop_lines import StopLines
+from hid2.drivers.driver import draw_driver, lane_offset
+from hid2.insertion.event_plans import CHANGE_S, Plan, Planner, Target, target_of
+from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
+from hid2.insertion.meetings import moving_vehicles, named_rows
+from hid2.insertion.outcome import Outcome, outcome_of, shift_times
+from hid2.insertion.routes import Routes
+from hid2.insertion.sizes import draw_size
+from hid2.measures.arrays import SceneArrays, stack
+from hid2.measures.events import EventMeasures, crossing_steps, measure_event
+from hid2.measures.following import leaders
+from hid2.measures.lane_matching import FlatLanes, Matches, match_lanes
+from hid2.measures.manoeuvres import ManeuverKind, detect
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.motion.verify import first_overlap
+from hid2.occupancy.traffic import Traffic
+from hid2.params import Config, Event
+from hid2.policy.roads import Roads
+from hid2.reasons import Reason
+from hid2.scene import DT_S, Scene, clearance_box
+from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
+
+#: Drives one vehicle alone among the recorded and the kept ones: scene, stop lines, start, kept ones.
+DriveAlone = Callable[[Scene, StopLines, Start, Traffic], DrivenVehicle]
+#: Vehicles of events are numbered from here on, behind all others.
+FIRST_NUMBER = 10_000
+_POLICY = {"cut_in": Policy.LANE_CHANGE, "overtake": Policy.OVERTAKE}
+_MEETS_CROSSING = frozenset({"cross", "merge"})
+_PLANS_MOST = 600  # that are looked at closely
+_SAME_PLAN = 3  # times that a plan is tried, with a better start each time
+_ROAD_SPARE_MPS = 0.4
+_LAG_STEPS = 3  # SUMO's drivers answer to a wish for another speed so late
+_PLAN_MARGIN_M = 0.25
+_LOOKS_STEPS = 5  # between looks at stop lines
+_STOPS_MPS2 = -0.4
+#: The driver of an event holds to its plan: a short time gap, and whatever acceleration the plan has.
+_TAU_S, _ACCEL_MPS2, _DECEL_MPS2, _MIN_GAP_M = 0.6, 2.2, 2.6, 1.2
+_HEADWAY_S = 0.9
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class EventOutcome:
+    """What became of an event that was asked for; vehicle, at_s s and measures where it came about.
+
+    tries: vehicles that were driven for it; order: 1 where the vehicle is ahead of the target, or crosses first.
+    """
+
+    event: Event
+    reason: Reason | None = None
+    target_id: str | None = None
+    vehicle: ExportedVehicle | None = None
+    outcome: Outcome | None = None
+    at_s: float | None = None
+    measures: EventMeasures | None = None
+    order: int = 1
+    tries: int = 0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Seen:
+    """An event as it is seen in exported positions."""
+
+    at_step: int
+    measures: EventMeasures
+
+
+def scene_for(scene: Scene, event: Event) -> Scene:
+    """The scene with the rules that an event is made by: the gap asked for counts, not the one that drivers like.
+
+    Critical values are lowered only where a criticality below them is asked for. Recorded traffic that crosses makes an
+    entrance red (`conflicts/signals.py`); where meeting it is what is asked for, it is red only while it crosses.
+    """
+    config, conflict = scene.config, scene.config.conflict
+    critical: dict[str, float] = {}
+    if event.ttc_s is not None:
+        name = "ttc_min_s" if event.kind == "follow" else "follower_ttc_min_s"
+        critical[name] = min(getattr(conflict, name), event.ttc_s[0])
+    if event.pet_s is not None:
+        critical["pet_min_s"] = min(conflict.pet_min_s, event.pet_s[0])
+    update: dict[str, object] = {"conflict": conflict.model_copy(update=critical)}
+    if event.kind in _MEETS_CROSSING:
+        update["signals"] = config.signals.model_copy(update={"before_s": 0.0, "after_s": 0.0})
+    if event.kind == "cut_in":
+        change = {"time_gap_rear_s": 0.0, "min_gap_m": 1.0, "braking_mps2": 9.0, "give_up_s": 0.6}
+        update["lane_change"] = config.lane_change.model_copy(update=change)
+    changed: Config = config.model_copy(update=update)
+    return replace(scene, config=changed, _known={} if "pet_min_s" in critical else scene._known)
+
+
+@dataclass(slots=True)
+class EventSearch:
+    """Searches the events of one scene, one after the other. kept: vehicles of events that came about so far."""
+
+    scene: Scene
+    roads: Roads
+    routes: Routes
+    stop_lines: StopLines
+    seed: Sequence[int]
+    kept: list[ExportedVehicle] = field(default_factory=list)
+    tried: Counter[Reason] = field(default_factory=Counter)
+
+    def run(self, drive: DriveAlone) -> list[EventOutcome]:
+        """All events of the configuration, in order."""
+        found: list[EventOutcome] = []
+        for event in self.scene.config.event:
+            for _ in range(event.count):
+                outcome = self.search(event, len(found), drive)
+                if outcome.vehicle is not None:
+                    self.kept.append(outcome.vehicle)
+                found.append(outcome)
+        return found
+
+    def search(self, event: Event, number: int, drive: DriveAlone) -> EventOutcome:
+        """One event; its reason where none of the tries brought it about."""
+        rng = np.random.default_rng([*self.seed, 0xE7E27, number])
+        scene = scene_for(self.scene, event)
+        rows = self._targets(event, rng)
+        targets = [target for row in rows if (target := target_of(scene, row)) is not None]
+        if not targets:
+            return EventOutcome(event, Reason.EVENT_NO_TARGET)
+        object_type, size = draw_size(scene.config.request.model_copy(update={"bus_share": 0.0}), rng)
+        planner = Planner(scene, self.routes, self.roads, size, clearance_box(size, DEFAULT_SIZES[object_type]))
+        fixed = traffic_of_exported(self.kept, scene)
+        lines = StopLines(scene) if event.kind in _MEETS_CROSSING else self.stop_lines
+        tries = 0
+        for plan in self._plans(planner, event, targets, rng):
+            best: Plan | None = plan
+            for _ in range(_SAME_PLAN):
+                if best is None or tries >= scene.config.event_search.tries:
+                    break
+                start = self._start(planner, best, number, tries, rng)
+                objection = self._objection(planner, lines, best, start, fixed)
+                if objection is not None:
+                    self.tried[objection] += 1
+                    break
+                outcome, best = self._drive(scene, lines, best, start, fixed, drive)
+                tries += 1
+                if outcome is not None:
+                    return replace(outcome, tries=tries)
+            if tries >= scene.config.event_search.tries:
+                break
+        said = ", ".join(f"{reason} {count}" for reason, count in self.tried.most_common())
+        _LOG.debug("event %s: %d tries; %s", event.kind, tries, said or "no plan")
+        return EventOutcome(event, Reason.EVENT_NOT_AS_ASKED if tries else Reason.EVENT_NO_PLACE, tries=tries)
+
+    def _targets(self, event: Event, rng: np.random.Generator) -> list[int]:
+        """Rows of the targets that may be taken, in the order in which they are tried."""
+        moving = moving_vehicles(self.scene).tolist()
+        if event.target == "any":
+            return [moving[row] for row in rng.permutation(len(moving)).tolist()]
+        return [row for row in named_rows(self.scene, event.target).tolist() if row in set(moving)]
+
+    def _plans(
+        self, planner: Planner, event: Event, targets: Sequence[Target], rng: np.random.Generator
+    ) -> Iterator[Plan]:
+        """Plans of all targets in turns, those of a target the likeliest first, with a little chance among them."""
+        lists = []
+        for target in targets:
+            plans = planner.plans(event, target)
+            score = np.array([plan.score for plan in plans]) + 0.15 * rng.random(len(plans))
+            lists.append([plans[row] for row in np.argsort(score, kind="stable").tolist()])
+        for place in range(min(_PLANS_MOST, max((len(plans) for plans in lists), default=0))):
+            for plans in lists:
+                if place < len(plans):
+                    yield plans[place]
+
+    def _start(self, planner: Planner, plan: Plan, number: int, tries: int, rng: np.random.Generator) -> Start:
+        """A driver who holds to a plan, at its site."""
+        scene = self.scene
+        path = scene.path(plan.route)
+        fastest = float(plan.speeds.max())
+        driver = replace(
+            draw_driver(scene.config, rng, lane_speed_mps=fastest), desired_mps=fastest, tau_s=_TAU_S,
+            turn_lateral_mps2=scene.config.drivers.turn_lateral_max_mps2, accel_mps2=_ACCEL_MPS2,
+            decel_mps2=max(_DECEL_MPS2, plan.event.brakes_mps2), min_gap_m=_MIN_GAP_M,
+            lane_change_s=CHANGE_S,
+        )  # fmt: skip
+        desired = np.concatenate([plan.speeds[_LAG_STEPS:], np.repeat(plan.speeds[-1:], _LAG_STEPS)])
+        policy = _POLICY.get(plan.event.kind, Policy.STRAIGHT)
+        return Start(
+            vehicle_id=f"e{number}_{tries}",
+            request=VehicleRequest(FIRST_NUMBER + number, policy, plan.trigger_s), object_type="vehicle",
+            size=planner.size, box=planner.box, route=plan.route, path=path, start_s=plan.start_s,
+            start_mps=float(plan.speeds[0]), driver=driver, desired=np.maximum(desired, 0.2),
+            offset=lane_offset(driver, scene.config, rng, length_m=path.line.length_m),
+            sides=("left", "right") if plan.side is None else (plan.side,),
+        )  # fmt: skip
+
+    def _objection(self, planner: Planner, lines: StopLines, plan: Plan, start: Start, fixed: Traffic) -> Reason | None:
+        """What road, stop lines and everybody known have against a plan before SUMO is asked; None for nothing."""
+        scene, path = planner.scene, start.path
+        until = min(plan.at_step + 10, scene.num_steps)
+        way = plan.way
+        if way[0] < 0.5 * start.box.length_m:
+            return Reason.NO_SITE
+        table = self.roads.speeds(path, start.driver)
+        asked = table[np.minimum((way / TABLE_STEP_M).astype(np.int64), table.size - 1)]
+        if (plan.speeds[:until] > asked[:until] + _ROAD_SPARE_MPS).any():
+            return Reason.TOO_SLOW
+        for step in range(0, until, _LOOKS_STEPS):
+            stop = lines.braking(
+                path, start.box, start.driver, s=float(way[step]), speed_mps=float(plan.speeds[step]), step=step
+            )
+            if stop is not None and stop[0] < _STOPS_MPS2:
+                return Reason.CONFLICT_PREDICTED
+        if plan.event.kind == "overtake":  # the plan goes straight through its leader
+            return None
+        planned = planner.trajectory(plan)
+        everybody = (scene.traffic, fixed.first(scene.num_steps)) if fixed.ids else (scene.traffic,)
+        if any(first_overlap(planned, start.box, others, margin_m=_PLAN_MARGIN_M) is not None for others in everybody):
+            return Reason.MEETS_RECORDED
+        # until the event nobody may be so near ahead that the driver would fall behind the plan
+        head_m = _MIN_GAP_M + _HEADWAY_S * float(plan.speeds[:until].mean())
+        forward = np.stack([np.cos(planned.heading), np.sin(planned.heading)], axis=1)
+        ahead = replace(
+            planned, position=np.ascontiguousarray((planned.position + 0.5 * head_m * forward)[:until]),
+            heading=planned.heading[:until], velocity=planned.velocity[:until], s=planned.s[:until],
+        )  # fmt: skip
+        longer = BoxSize(start.box.length_m + head_m, start.box.width_m)
+        rows = [row for row in range(len(scene.traffic.ids)) if row != plan.target.row or plan.order > 0]
+        known = scene.traffic.rows(rows)
+        return None if first_overlap(ahead, longer, known, margin_m=0.0) is None else Reason.FRONT_GAP
+
+    def _drive(
+        self, scene: Scene, lines: StopLines, plan: Plan, start: Start, fixed: Traffic, drive: DriveAlone
+    ) -> tuple[EventOutcome | None, Plan | None]:
+        """Drive a plan: the event where it came about as asked, else a better plan, None where none is known."""
+        event, target = plan.event, plan.target
+        driven = drive(scene, lines, start, fixed)
+        vehicle = finalise(scene, driven, fixed)
+        if not isinstance(vehicle, ExportedVehicle):
+            self._tell(plan, start, vehicle, driven.reason)
+            return None, None
+        seen = self._seen(scene, plan, vehicle)
+        if seen is None:
+            self._tell(plan, start, Reason.EVENT_NOT_AS_ASKED, driven.reason or "not seen")
+            return None, None
+        if not _is_as_asked(scene, event, seen):
+            missing = seen.measures
+            low, high = event.gap_band_m
+            gap = min(max(missing.gap_m, low + 0.2 * (high - low)), high - 0.2 * (high - low)) - missing.gap_m
+            late_s = (plan.at_step - seen.at_step) * DT_S
+            self._tell(plan, start, Reason.EVENT_NOT_AS_ASKED, f"at {seen.at_step * DT_S:.1f} s {missing}")
+            better = plan.moved(forward_m=plan.order * gap, later_s=late_s if event.kind == "cut_in" else 0.0)
+            return None, better if event.kind != "overtake" else None
+        if any(row >= len(self.kept) for row, _ in conflicting(scene, [*self.kept, vehicle])):
+            self._tell(plan, start, Reason.TTC_LANE_LEADER, None)
+            return None, None
+        everybody = self.scene.traffic.joined(
+            traffic_of_exported([*self.kept, vehicle], self.scene).first(self.scene.num_steps)
+        )
+        found = EventOutcome(
+            event, None, target.track.track_id, vehicle, outcome_of(scene, vehicle, everybody), seen.at_step * DT_S,
+            seen.measures, plan.order,
+        )  # fmt: skip
+        return found, None
+
+    def _tell(self, plan: Plan, start: Start, reason: Reason, detail: str | None) -> None:
+        self.tried[reason] += 1
+        _LOG.debug(
+            "event %s: %s at %.1f m of lane %d, %.1f m/s, for %.1f s: %s%s", plan.event.kind, start.vehicle_id,
+            start.start_s, start.path.segment_at(start.start_s).lane_id, start.start_mps, plan.at_step * DT_S, reason,
+            "" if detail is None else f" ({detail})",
+        )  # fmt: skip
+
+    def _seen(self, scene: Scene, plan: Plan, vehicle: ExportedVehicle) -> _Seen | None:
+        """The event in the exported positions of the vehicle and its target; None where it did not come about."""
+        own, target, lanes = vehicle.track("own", 1), plan.target.track, scene.recorded.lanes
+        arrays = stack([own, target], num_steps=scene.num_steps)
+        matches, _ = match_lanes(arrays, lanes)
+        kind = plan.event.kind
+        since: int | None = None
+        at: int | None = None
+        if kind == "cut_in":
+            at = _cut_in_step(plan, arrays, lanes, matches)
+            since = None if at is None else max(0, at - round(0.5 * CHANGE_S / DT_S))
+        elif kind in ("lead", "follow"):
+            led = leaders(arrays, lanes, matches)
+            follower, leader = (1, 0) if kind == "lead" else (0, 1)
+            row = int(arrays.row_of[follower, plan.at_step])
+            at = plan.at_step if row >= 0 and led.agent[row] == leader else None
+        elif kind == "merge":
+            at = _merge_step(plan, arrays, lanes, matches)
+        elif kind == "cross":
+            steps = crossing_steps(own, target)
+            at = None if steps is None or (steps[0] < steps[1]) != (plan.order > 0) else steps[0]
+            since = 0
+        elif kind == "overtake":
+            everybody = scene.traffic.joined(traffic_of_exported([vehicle], scene).first(scene.num_steps))
+            outcome = outcome_of(scene, vehicle, everybody)
+            if outcome is not None and outcome.done and outcome.leader_id == target.track_id:
+                back_s = shift_times(vehicle, 1)[1]
+                at = None if back_s is None else round(back_s / DT_S)
+        if at is None or at >= vehicle.num_steps or at not in target.timesteps:
+            return None
+        found = measure_event(own, target, at_step=at, since_step=at if since is None else since, step_s=DT_S)
+        if kind == "cross" and steps is not None:  # from the target's bumper to the conflict point
+            way = abs(float(plan.target.way[steps[1]] - plan.target.way[steps[0]]))
+            found = replace(found, gap_m=way - 0.5 * target.size.length_m)
+        return _Seen(at, found)
+
+
+def _is_as_asked(scene: Scene, event: Event, seen: _Seen) -> bool:
+    """Whether an event has the time, gap, speed difference and criticality asked for."""
+    found, spare = seen.measures, scene.config.event_search.moment_s
+    within = [
+        (seen.at_step * DT_S, (event.at_s[0] - spare, event.at_s[1] + spare)),
+        (found.gap_m, event.gap_band_m),
+        (found.speed_difference_mps, event.speed_difference_mps),
+    ]
+    if event.ttc_s is not None:
+        within.append((np.inf if found.min_ttc_s is None else found.min_ttc_s, event.ttc_s))
+    if event.pet_s is not None:
+        within.append((np.inf if found.pet_s is None else found.pet_s, event.pet_s))
+    if event.drac_mps2 is not None:
+        within.append((found.drac_mps2, event.drac_mps2))
+    return all(low <= value <= high for value, (low, high) in within)
+
+
+def _cut_in_step(plan: Plan, arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> int | None:
+    """Step at which the vehicle crosses into a lane of the target, ahead of it."""
+    own_lanes = {lane for lane, _, _ in plan.target.runs}
+    changes = [
+        one
+        for one in detect(arrays, lanes, matches)
+        if one.track_id == "own" and one.kind is ManeuverKind.LANE_CHANGE and one.target_lane in own_lanes
+    ]
+    if not changes:
+        return None
+    nearest = min(changes, key=lambda one: abs(one.crossing_s - plan.at_step * DT_S))
+    return round(nearest.crossing_s / DT_S)
+
+
+def _merge_step(plan: Plan, arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> int | None:
+    """Step at which the vehicle comes onto the lane on which it merges with the target."""
+    common = [lane for lane, _, _ in plan.target.runs if lane in plan.route]
+    rows = np.flatnonzero(arrays.agent == 0)
+    on = np.isin(lanes.lane_ids[np.maximum(matches.lane[rows], 0)], common) & (matches.lane[rows] >= 0)
+    first = np.flatnonzero(on)
+    return int(arrays.step[rows[first[0]]]) if first.size and first[0] > 0 else None

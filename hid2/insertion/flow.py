@@ -1,0 +1,95 @@
+"""Flows: who enters at the map's edges, when, with which driver and request. Drawn before anything is driven.
+
+Each vehicle is drawn from a stream of its own, by its lane and number: the same vehicles whatever is varied.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
+from hid2.drivers.driver import Driver, LaneOffset, desired_speeds, draw_driver, lane_offset
+from hid2.insertion.requests import draw_trigger
+from hid2.insertion.routes import Routes
+from hid2.insertion.sizes import draw_size
+from hid2.motion.route import DrivenPath, Route
+from hid2.params import Request
+from hid2.policy.decision import Side
+from hid2.scene import DT_S, Scene, clearance_box
+
+_STREAM, _TRIGGERS = 77, 78  # apart from the streams of the rounds
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Arrival:
+    """A vehicle that enters lane_id at the map's edge at due_s, or as soon after as there is room. desired (T,) m/s."""
+
+    vehicle_id: str
+    number: int
+    lane_id: int
+    due_s: float
+    policy: Policy
+    object_type: str
+    size: BoxSize
+    box: BoxSize
+    route: Route
+    path: DrivenPath
+    driver: Driver
+    desired: FloatArray
+    offset: LaneOffset
+    sides: tuple[Side, ...]
+
+
+def entry_lanes(scene: Scene, routes: Routes) -> list[int]:
+    """Lanes for general motor traffic that no other lane leads to, in order of their ids."""
+    lanes = scene.grid.graph.lanes
+    led_to = {successor for lane in lanes.values() for successor in lane.successors}
+    return sorted(n for n in routes.lanes if n not in led_to and not lanes[n].is_intersection)
+
+
+def arrivals(scene: Scene, routes: Routes, seed: Sequence[int]) -> list[Arrival]:
+    """Everybody who enters in the time of the scene, by time: shifted exponential headways on each entry lane.
+
+    A vehicle is asked for a lane change with the share `request.lane_change` over those of lane change and straight.
+    """
+    config, flow = scene.config, scene.config.flow
+    if flow.veh_per_h_lane <= 0.0:
+        return []
+    mean_s = 3600.0 / flow.veh_per_h_lane
+    least_s = min(flow.min_headway_s, 0.9 * mean_s)
+    request = config.request
+    changing = request.lane_change / max(request.lane_change + request.straight, 1e-9)
+    found: list[Arrival] = []
+    for lane_id in entry_lanes(scene, routes):
+        offers = routes.offers(lane_id)
+        due_s, number = 0.0, 0
+        while offers:
+            rng = np.random.default_rng([*seed, _STREAM, lane_id, number])
+            due_s += least_s + (mean_s - least_s) * float(rng.exponential())
+            if due_s >= (scene.num_steps - 1) * DT_S:
+                break
+            offer = offers[int(rng.integers(len(offers)))]
+            policy = Policy.LANE_CHANGE if rng.random() < changing else Policy.STRAIGHT
+            sides: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
+            object_type, size = draw_size(request, rng)
+            driver = draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))
+            path = scene.path(offer.route)
+            found.append(
+                Arrival(
+                    vehicle_id=f"f{lane_id}_{number}", number=number, lane_id=lane_id, due_s=due_s, policy=policy,
+                    object_type=object_type, size=size,
+                    box=clearance_box(size, DEFAULT_SIZES[object_type]), route=offer.route, path=path, driver=driver,
+                    desired=desired_speeds(
+                        driver, config, rng, num_steps=scene.num_steps, step_s=DT_S, at_least_mps=driver.desired_mps
+                    ),
+                    offset=lane_offset(driver, config, rng, length_m=path.line.length_m), sides=sides,
+                )
+            )  # fmt: skip
+            number += 1
+    return sorted(found, key=lambda one: (one.due_s, one.lane_id))
+
+
+def trigger_after_s(arrival: Arrival, request: Request, seed: Sequence[int]) -> float:
+    """t_trigger of an arrival, s from its entry; from a stream of its own."""
+    return draw_trigger(request, np.random.default_rng([*seed, _TRIGGERS, arrival.lane_id, arrival.number]))

@@ -1,0 +1,237 @@
+"""What can be met from a start site: recorded traffic nearby, a leader to follow, a path to cross; weights of sites."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hid2.agents import FloatArray, IntArray
+from hid2.insertion.routes import RouteOffer, Routes
+from hid2.measures.arrays import is_moving
+from hid2.measures.encounters import CROSSING_RAD, FOLLOWS_S, WITHIN_S
+from hid2.occupancy.traffic import BoolArray
+from hid2.scene import DT_S, Scene
+from netconvert.cells import Cell
+from netconvert.errors import ScenarioError
+
+#: Recorded traffic is looked at every so many steps: an estimate of where somebody would be needs no more.
+_EVERY_STEPS = 5
+#: Centres this near to the middle of a cell are on it, m: half a lane and a little.
+_ON_CELL_M = 3.0
+#: Share of the distance asked for within which somebody is near for sure, though nobody drives as estimated.
+_SURELY = 0.7
+#: A vehicle that keeps its speed all the time is estimated to be somewhat behind, as it brakes now and then.
+_PACE = 0.9
+#: Weights of a lane's cells are averaged over so many of its routes.
+_ROUTES_MOST = 4
+#: A leader is estimated to lead from this gap between centres on, m, if it does for so many of the looks.
+_LEADS_FROM_M, _LEADS_LOOKS = 6.0, 3
+#: Tracks of these categories are scored by whoever evaluates forecasts: scored ones and the focal one (Argoverse 2).
+_SCORED = (2, 3)
+_AFTER_CROSSING_S = 1.0  # who would be nearer to who crosses is kept from it
+_LEAST = 1e-3  # weight of a route that is not worth trying
+#: Track id of the recording vehicle (Argoverse 2).
+_RECORDING_VEHICLE = "AV"
+
+
+def target_rows(scene: Scene, near: str) -> IntArray:
+    """Rows of `scene.traffic` that vehicles are to be near to: av, focal, scored, a track id, else moving traffic.
+
+    Errors: ScenarioError where a target that was named is not in the scene.
+    """
+    if near in ("traffic", "anywhere"):
+        return moving_vehicles(scene)
+    rows = named_rows(scene, near)
+    if not rows.size:
+        ids = scene.traffic.ids
+        raise ScenarioError(
+            f"near {near!r}: the scene has no such track; expected av, focal, scored, traffic, anywhere or one of its "
+            f"{len(ids)} track ids ({', '.join(ids[:5])}, ...)"
+        )
+    return rows
+
+
+def named_rows(scene: Scene, name: str) -> IntArray:
+    """Rows of `scene.traffic` by name: av, focal, scored, or a track id; none where there is none."""
+    if name in ("focal", "scored"):
+        category = np.array(scene.categories, dtype=np.int64)
+        return np.flatnonzero(category == _SCORED[-1] if name == "focal" else np.isin(category, _SCORED))
+    wanted = _RECORDING_VEHICLE if name == "av" else name
+    return np.array([row for row, track_id in enumerate(scene.traffic.ids) if track_id == wanted], dtype=np.int64)
+
+
+def moving_vehicles(scene: Scene) -> IntArray:
+    """Rows of the recorded vehicles that move, without tracker fragments."""
+    traffic = scene.traffic
+    return np.array(
+        [
+            row
+            for row in scene.vehicle_rows.tolist()
+            if scene.categories[row] > 0 and is_moving(traffic.position[row, traffic.present[row]])
+        ],
+        dtype=np.int64,
+    )
+
+
+@dataclass(slots=True)
+class Meetings:
+    """What vehicles that start on the cells of a scene would meet at usual speed, in the order of the grid.
+
+    weight (C,): of each cell, 0 where a vehicle would leave the map before the last observed step, and on lanes that
+    cars do not drive on; leader (C,): whom a vehicle from there would follow, a number of its own, -1 nobody; near
+    (C,): whether it would be near to a named target at the last observed step.
+    """
+
+    scene: Scene
+    routes: Routes
+    _targets: IntArray = field(init=False)
+    _xy: FloatArray = field(init=False)
+    _there: BoolArray = field(init=False)
+    _steps: IntArray = field(init=False)
+    _target_xy: FloatArray = field(init=False)
+    _target_there: BoolArray = field(init=False)
+    _lane_cell: IntArray = field(init=False)
+    _crossed: dict[int, FloatArray] = field(init=False)
+    _is_crossed: BoolArray = field(init=False)
+    weight: FloatArray = field(init=False)
+    leader: IntArray = field(init=False)
+    near: BoolArray = field(init=False)
+    _offer_weights: dict[int, list[float]] = field(default_factory=dict)
+    _usual: dict[int, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Where recorded moving vehicles are, on which cells, and which cells they cross."""
+        scene, traffic = self.scene, self.scene.traffic
+        moving = moving_vehicles(scene)
+        self._targets = target_rows(scene, scene.config.request.near)
+        self._steps = np.arange(0, scene.num_steps, _EVERY_STEPS)
+        self._xy, self._there = traffic.position[moving][:, self._steps], traffic.present[moving][:, self._steps]
+        self._target_xy = traffic.position[self._targets][:, self._steps]
+        self._target_there = traffic.present[self._targets][:, self._steps]
+        cell = scene.occupancy.cell[moving][:, self._steps]
+        self._lane_cell = np.where(scene.occupancy.mapped[moving][:, self._steps], cell, -1)
+        self._crossed = self._crossings(moving)
+        self._is_crossed = np.zeros(len(scene.grid.cells), dtype=np.bool_)
+        self._is_crossed[list(self._crossed)] = True
+        count = len(scene.grid.cells)
+        self.weight, self.near = np.zeros(count), np.zeros(count, dtype=np.bool_)
+        self.leader = np.full(count, -1, dtype=np.int64)
+        for lane_id in self.routes.lanes:
+            self._look(lane_id)
+
+    @property
+    def is_target_named(self) -> bool:
+        """Whether vehicles are to be near to somebody in particular."""
+        return self.scene.config.request.near not in ("traffic", "anywhere")
+
+    def _crossings(self, moving: IntArray) -> dict[int, FloatArray]:
+        """Times, s, at which moving recorded vehicles cross each cell, by cell."""
+        boxes, traffic = self.scene.boxes, self.scene.traffic
+        found: dict[int, list[float]] = {}
+        for row in moving.tolist():
+            steps = self._steps[traffic.present[row, self._steps]]
+            if not steps.size:
+                continue
+            offset = boxes.center[:, None] - traffic.position[row, steps]
+            turned = np.abs(np.sin(boxes.heading[:, None] - traffic.heading[row, steps]))
+            near = (np.hypot(offset[..., 0], offset[..., 1]) < _ON_CELL_M) & (turned > math.sin(CROSSING_RAD))
+            for cell, look in np.argwhere(near).tolist():
+                found.setdefault(cell, []).append(float(steps[look]) * DT_S)
+        return {cell: np.array(times) for cell, times in found.items()}
+
+    def usual_speed(self, lane_id: int) -> float:
+        """Median speed of a lane's traffic, m/s."""
+        if lane_id not in self._usual:
+            pool = self.scene.lane_speeds.get(lane_id) or self.scene.scene_speeds
+            self._usual[lane_id] = float(np.median(pool)) if pool else self.scene.config.spawn.prior_speed_mps
+        return self._usual[lane_id]
+
+    def offer_weights(self, lane_id: int) -> list[float]:
+        """Mean weight of each of the routes from a lane, in the order of `Routes.offers`."""
+        return self._offer_weights[lane_id]
+
+    def _look(self, lane_id: int) -> None:
+        """What can be met from the cells of a lane, in the mean over its routes."""
+        offers, first = self.routes.offers(lane_id), self.scene.grid.index_of[Cell(lane_id, 0)]
+        looked = [self._of_route(lane_id, offer, self.usual_speed(lane_id)) for offer in offers[:_ROUTES_MOST]]
+        if not looked:
+            self._offer_weights[lane_id] = []
+            return
+        cells = slice(first, first + self.scene.grid.count(lane_id))
+        weights = np.array([one[0] for one in looked])
+        self.weight[cells] = weights.mean(axis=0)
+        self.near[cells] = np.any([one[1] for one in looked], axis=0)
+        self.leader[cells] = np.max([one[2] for one in looked], axis=0)
+        every = weights.mean(axis=1)
+        rest = np.full(len(offers) - len(looked), every.mean())
+        self._offer_weights[lane_id] = np.maximum(np.concatenate([every, rest]), _LEAST).tolist()
+
+    def _of_route(self, lane_id: int, offer: RouteOffer, speed_mps: float) -> tuple[FloatArray, BoolArray, IntArray]:
+        """Of the cells of a lane on one route: weights, whether a named target would be near, and leaders."""
+        scene, request, spawn = self.scene, self.scene.config.request, self.scene.config.spawn
+        cells, middle = self._cells(lane_id, offer)
+        count, pace = scene.grid.count(lane_id), _PACE * speed_mps
+        start = middle[:count]
+        time_s = self._steps * DT_S
+        way = start[:, None] + pace * time_s  # (N, T)
+        there = way <= middle[-1]
+        xy = scene.grid.centers[cells[np.minimum(np.searchsorted(middle, way), len(cells) - 1)]]
+        near = _any_within(xy, there, self._target_xy, self._target_there, _SURELY * request.within_m)
+        leader = np.full(count, -1, dtype=np.int64)
+        weight = np.ones(count)
+        if request.near != "anywhere":
+            leader = self._leader(cells, middle, way, speed_mps)
+            weight[near.any(axis=1)] *= spawn.near_weight
+            weight[leader >= 0] *= spawn.leader_weight
+            weight[self._crosses(cells, middle, start, pace)] *= spawn.crossing_weight
+        leaves = middle[-1] - start < 0.8 * speed_mps * scene.first_exit_step * DT_S
+        if "topology" not in scene.config.without:
+            weight[leaves] = 0.0
+        last = int(np.searchsorted(self._steps, min(scene.first_exit_step, scene.num_steps) - 1, side="right")) - 1
+        return weight, near[:, last], leader
+
+    def _cells(self, lane_id: int, offer: RouteOffer) -> tuple[IntArray, FloatArray]:
+        """Cells of a route from a lane on, (K,) rows of the grid, and their middles along it, (K,) m."""
+        grid, lanes, begin = self.scene.grid, self.scene.grid.graph.lanes, 0.0
+        cells: list[IntArray] = []
+        middle: list[FloatArray] = []
+        for lane in offer.route[offer.route.index(lane_id) :]:
+            first, borders = grid.index_of[Cell(lane, 0)], grid.edges_s(lane)
+            cells.append(np.arange(first, first + grid.count(lane)))
+            middle.append(begin + 0.5 * (borders[1:] + borders[:-1]))
+            begin += lanes[lane].length_m
+        return np.concatenate(cells), np.concatenate(middle)
+
+    def _leader(self, cells: IntArray, middle: FloatArray, way: FloatArray, speed_mps: float) -> IntArray:
+        """(N,) who drives ahead on the route within the time gap that counts as following, the nearest; -1 nobody."""
+        if not len(self._lane_cell):
+            return np.full(len(way), -1, dtype=np.int64)
+        at = np.full(len(self.scene.grid.cells) + 1, np.nan)  # the last one: on no cell
+        at[cells] = middle
+        ahead = at[self._lane_cell][None] - way[:, None]  # (N, A, T)
+        with np.errstate(invalid="ignore"):
+            leads = (ahead > _LEADS_FROM_M) & (ahead < FOLLOWS_S * speed_mps + _LEADS_FROM_M)
+        enough = leads.sum(axis=2) >= _LEADS_LOOKS
+        nearest = np.where(leads, ahead, np.inf).min(axis=2, initial=np.inf)
+        nearest[~enough] = np.inf
+        return np.where(enough.any(axis=1), np.argmin(nearest, axis=1), -1)
+
+    def _crosses(self, cells: IntArray, middle: FloatArray, start: FloatArray, pace_mps: float) -> BoolArray:
+        """(N,) whether somebody recorded crosses the route near the time at which it would be driven there."""
+        out = np.zeros(start.size, dtype=np.bool_)
+        for place in np.flatnonzero(self._is_crossed[cells]).tolist():
+            arrives = (middle[place] - start) / pace_mps
+            apart = np.abs(arrives[:, None] - self._crossed[int(cells[place])]).min(axis=1)
+            out |= (arrives > 0.0) & (apart > _AFTER_CROSSING_S) & (apart < WITHIN_S)
+        return out
+
+
+def _any_within(
+    xy: FloatArray, there: BoolArray, others: FloatArray, others_there: BoolArray, within_m: float
+) -> BoolArray:
+    """(N, T) whether any of the others (A, T, 2) m is within a distance of points (N, T, 2) m at the same time."""
+    low, high = xy.reshape(-1, 2).min(axis=0) - within_m, xy.reshape(-1, 2).max(axis=0) + within_m
+    possible = (others_there & np.all((others >= low) & (others <= high), axis=2)).any(axis=1)
+    offset = xy[:, None] - others[possible]  # (N, A, T, 2)
+    near = np.square(offset).sum(axis=-1) < within_m * within_m
+    return np.asarray((near & others_there[possible]).any(axis=1) & there)

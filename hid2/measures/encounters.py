@@ -1,0 +1,202 @@
+"""Whom vehicles meet: recorded traffic nearby, leaders, braking for them, merging and crossing (evaluation.md)."""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+
+import numpy as np
+
+from hid2.agents import FloatArray, IntArray
+from hid2.kernels.box_pairs import post_encroachment
+from hid2.measures.arrays import BoolArray, SceneArrays
+from hid2.measures.driven_lanes import LaneView, Run, runs_of
+from hid2.measures.following import Leaders
+from hid2.measures.lane_matching import FlatLanes, Matches
+
+#: A vehicle whose centre never comes this near to that of a moving recorded one meets no traffic, m.
+NEAR_M = 30.0
+#: A leader nearer than this time gap is followed, once it is for so long, s.
+FOLLOWS_S, FOLLOWS_FOR_S = 3.0, 1.0
+#: Braking for a leader: below this, m/s2, for so long, s, behind one nearer than this, m and s.
+BRAKES_MPS2, BRAKES_FOR_S, BRAKES_NEAR_M, BRAKES_NEAR_S = -0.7, 0.5, 40.0, 4.0
+#: Crossing and merging within this time of each other are encounters, s; smaller angles than this are no crossings.
+WITHIN_S, CROSSING_RAD = 3.0, math.radians(40.0)
+#: Standing: below this, m/s, for so long, s.
+STANDS_MPS, STANDS_FOR_S = 0.3, 0.5
+
+
+class Partner(StrEnum):
+    """Kinds of road users that a vehicle meets."""
+
+    RECORDED = "recorded"
+    INSERTED = "inserted"
+    PEDESTRIAN = "pedestrian"
+    CYCLIST = "cyclist"
+
+
+#: Object types of pedestrians and of those who cycle; vehicles are told by who made them.
+_WALKS, _CYCLES = frozenset({"pedestrian"}), frozenset({"cyclist", "motorcyclist"})
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Encounters:
+    """What each agent of a scene meets; (A,) each, True or a value for vehicles only.
+
+    distance_m: least distance of centres to a moving recorded vehicle, at the same step, inf where there is none;
+    follows, brakes: has a leader of a kind for so long, brakes for one; merges, crosses: within WITHIN_S of one of a
+    kind; stands: at some time.
+    """
+
+    distance_m: FloatArray
+    follows: dict[Partner, BoolArray]
+    brakes: dict[Partner, BoolArray]
+    merges: dict[Partner, BoolArray]
+    crosses: dict[Partner, BoolArray]
+    stands: BoolArray
+
+
+def encounters(arrays: SceneArrays, lanes: FlatLanes, matches: Matches, led: Leaders) -> Encounters:
+    """Encounters of all vehicles of a scene. led: `measures.following.leaders` of the same rows."""
+    masks = partners(arrays)
+    speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
+    accel = _acceleration(arrays)
+    has = led.agent >= 0
+    follows_row = has & (led.time_gap_s < FOLLOWS_S)
+    brakes_row = has & (accel < BRAKES_MPS2) & (led.gap_m < BRAKES_NEAR_M) & (led.time_gap_s < BRAKES_NEAR_S)
+    leader = np.where(has, led.agent, 0)
+
+    def lasting(rows: BoolArray, for_s: float) -> BoolArray:
+        return _lasts(arrays, rows, round(for_s / arrays.step_s))
+
+    vehicles = (Partner.RECORDED, Partner.INSERTED)
+    return Encounters(
+        distance_m=_distance_to_moving(arrays, masks[Partner.RECORDED]),
+        follows={kind: lasting(follows_row & masks[kind][leader], FOLLOWS_FOR_S) for kind in vehicles},
+        brakes={kind: lasting(brakes_row & masks[kind][leader], BRAKES_FOR_S) for kind in vehicles},
+        merges=_merges(arrays, LaneView(arrays, lanes, matches), masks),
+        crosses=_crosses(arrays, masks),
+        stands=lasting(speed < STANDS_MPS, STANDS_FOR_S) & arrays.vehicle,
+    )
+
+
+def partners(arrays: SceneArrays) -> dict[Partner, BoolArray]:
+    """(A,) agents of each kind that can be met; recorded and inserted: vehicles, without tracker fragments."""
+    types = np.array(arrays.object_types, dtype=object)
+    vehicle = arrays.vehicle & ~arrays.fragment
+    return {
+        Partner.RECORDED: np.asarray(vehicle & ~arrays.generated),
+        Partner.INSERTED: np.asarray(vehicle & arrays.generated),
+        Partner.PEDESTRIAN: np.array([one in _WALKS for one in types], dtype=bool),
+        Partner.CYCLIST: np.array([one in _CYCLES for one in types], dtype=bool),
+    }
+
+
+def _acceleration(arrays: SceneArrays) -> FloatArray:
+    """(N,) m/s2 along the motion: slope of the way driven, over up to half a second each side of a row."""
+    half, out = max(1, round(0.5 / arrays.step_s)), np.zeros(len(arrays.step))
+    for agent in np.flatnonzero(arrays.vehicle).tolist():
+        rows = slice(int(arrays.first[agent]), int(arrays.first[agent + 1]))
+        steps, xy = arrays.step[rows], arrays.position[rows]
+        if len(steps) < 3:
+            continue
+        way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+        index = np.arange(len(steps))
+        before, after = np.maximum(index - half, 0), np.minimum(index + half, len(steps) - 1)
+        first_s = (steps[index] - steps[before]) * arrays.step_s
+        last_s = (steps[after] - steps[index]) * arrays.step_s
+        inside = (first_s > 0) & (last_s > 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            gained = (way[after] - way[index]) / last_s - (way[index] - way[before]) / first_s
+            found = 2.0 * gained / (first_s + last_s)
+        out[rows] = np.where(inside, found, 0.0)
+    return out
+
+
+def _lasts(arrays: SceneArrays, rows: BoolArray, steps: int) -> BoolArray:
+    """(A,) agents for whom some rows hold for so many steps in a row."""
+    out = np.zeros(arrays.num_agents, dtype=bool)
+    count = max(1, steps)
+    run = np.cumsum(rows)
+    for agent in np.flatnonzero(arrays.sum_per_agent(rows) >= count).tolist() if len(rows) else ():
+        first, stop = int(arrays.first[agent]), int(arrays.first[agent + 1])
+        inside = np.concatenate([[run[first] - rows[first]], run[first:stop]])
+        out[agent] = bool((inside[count:] - inside[:-count] == count).any())
+    return out
+
+
+def _distance_to_moving(arrays: SceneArrays, recorded: BoolArray) -> FloatArray:
+    """(A,) m, least distance of a vehicle's centre to that of another vehicle that was recorded and moves."""
+    out = np.full(arrays.num_agents, np.inf)
+    others = np.flatnonzero(recorded & arrays.moving)
+    for agent in np.flatnonzero(arrays.vehicle).tolist():
+        rows = slice(int(arrays.first[agent]), int(arrays.first[agent + 1]))
+        among = others[others != agent]
+        if not among.size:
+            continue
+        row = arrays.row_of[among][:, arrays.step[rows]]
+        offset = arrays.position[row] - arrays.position[rows]
+        apart = np.where(row >= 0, np.hypot(offset[..., 0], offset[..., 1]), np.inf)
+        out[agent] = float(apart.min(initial=np.inf))
+    return out
+
+
+def _crosses(arrays: SceneArrays, masks: dict[Partner, BoolArray]) -> dict[Partner, BoolArray]:
+    """(A,) vehicles whose swept path crosses that of a moving agent of a kind at a PET below WITHIN_S."""
+    anybody = np.logical_or.reduce(list(masks.values()))
+    agents = np.flatnonzero(arrays.moving & anybody)
+    steps = post_encroachment(
+        agents, arrays.position, arrays.heading, arrays.length, arrays.width, arrays.first, arrays.step,
+        math.ceil(WITHIN_S / arrays.step_s) - 1, CROSSING_RAD,
+    )  # fmt: skip
+    out = {kind: np.zeros(arrays.num_agents, dtype=bool) for kind in Partner}
+    for p, q in np.argwhere(steps >= 0):
+        for one, other in ((agents[p], agents[q]), (agents[q], agents[p])):
+            for kind in Partner:
+                out[kind][one] |= bool(masks[kind][other] and arrays.vehicle[one])
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """A vehicle that comes onto a lane from another one: its row then, and the lane it comes from."""
+
+    agent: int
+    lane: int
+    source: int
+    row: int
+
+
+def _merges(arrays: SceneArrays, view: LaneView, masks: dict[Partner, BoolArray]) -> dict[Partner, BoolArray]:
+    """(A,) vehicles that come onto a lane within WITHIN_S before or behind somebody who came onto it from elsewhere."""
+    out = {kind: np.zeros(arrays.num_agents, dtype=bool) for kind in Partner}
+    vehicles = np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.fragment).tolist()
+    runs = {agent: [run for run in runs_of(view, agent) if run.lane >= 0] for agent in vehicles}
+    entries = [
+        _Entry(agent, after.lane, before.lane, after.first)
+        for agent in vehicles
+        for before, after in pairwise(runs[agent])
+        if before.lane != after.lane
+    ]
+    on_lane: dict[int, list[tuple[int, int, Run]]] = {}
+    for agent in vehicles:
+        for before, run in pairwise(runs[agent]):
+            on_lane.setdefault(run.lane, []).append((agent, before.lane, run))
+    for entry in entries:
+        at_m, step = float(view.matches.s[entry.row]), int(arrays.step[entry.row])
+        for other, source, run in on_lane.get(entry.lane, ()):
+            if other == entry.agent or source == entry.source:
+                continue
+            passed = _passes(view, run, at_m)
+            if passed is not None and abs(passed - step) * arrays.step_s < WITHIN_S:
+                for kind in (Partner.RECORDED, Partner.INSERTED):
+                    out[kind][entry.agent] |= bool(masks[kind][other])
+                    out[kind][other] |= bool(masks[kind][entry.agent])
+    return out
+
+
+def _passes(view: LaneView, run: Run, at_m: float) -> int | None:
+    """Step at which a run on a lane first is beyond an arc length; its first one where it begins beyond, None never."""
+    rows: IntArray = np.arange(run.first, run.last + 1)
+    beyond = np.flatnonzero(view.matches.s[rows] >= at_m)
+    return int(view.arrays.step[rows[beyond[0]]]) if beyond.size else None

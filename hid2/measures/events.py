@@ -1,0 +1,121 @@
+"""One event between an inserted vehicle and its target, by their exported positions: gap, TTC, PET, DRAC."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hid2.agents import FloatArray, Track
+from hid2.kernels.box_pairs import post_encroachment, time_to_collision
+from hid2.measures.arrays import stack
+from hid2.measures.encounters import CROSSING_RAD
+
+#: TTC and PET above this are not told apart, s.
+CAP_S = 10.0
+#: Drivers brake before this TTC, s: 90 % of the followers of lane changes (see method.md).
+HUMAN_BRAKES_S = 4.7
+#: Slower than this a target has no closing speed, m/s.
+_CLOSES_MPS = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class EventMeasures:
+    """What an event was like for its target, which is recorded and does not react.
+
+    gap_m: bumper to bumper along the target's heading at the moment of the event, whoever is ahead;
+    speed_difference_mps: speed of the vehicle minus that of the target then; min_ttc_s: smallest two-dimensional TTC
+    from then on, None where it is never below CAP_S; pet_s: where the paths cross; drac_mps2: largest deceleration that
+    the target would have needed, 0 where it never closes in; human_brakes: whether a human would have braked.
+    """
+
+    gap_m: float
+    speed_difference_mps: float
+    min_ttc_s: float | None
+    pet_s: float | None
+    drac_mps2: float
+
+    @property
+    def human_brakes(self) -> bool:
+        """Whether TTC came below the one before which drivers brake."""
+        return self.min_ttc_s is not None and self.min_ttc_s < HUMAN_BRAKES_S
+
+
+def measure_event(own: Track, target: Track, *, at_step: int, since_step: int, step_s: float = 0.1) -> EventMeasures:
+    """Measures of an event at a step, TTC and DRAC from since_step on.
+
+    Errors: ValueError where one of the two is not there at that step.
+    """
+    pose, speed = _pose(own, at_step), _speed(own, at_step)
+    other, other_speed = _pose(target, at_step), _speed(target, at_step)
+    offset = pose[:2] - other[:2]
+    along = offset[0] * math.cos(other[2]) + offset[1] * math.sin(other[2])
+    gap = abs(along) - 0.5 * (own.size.length_m + target.size.length_m)
+    min_ttc_s, drac = _closing(own, target, since_step)
+    return EventMeasures(
+        gap_m=float(gap), speed_difference_mps=float(speed - other_speed), min_ttc_s=min_ttc_s,
+        pet_s=post_encroachment_of(own, target, step_s=step_s), drac_mps2=drac,
+    )  # fmt: skip
+
+
+def post_encroachment_of(own: Track, target: Track, *, step_s: float = 0.1) -> float | None:
+    """PET of two tracks, s; None where their paths do not cross within CAP_S."""
+    arrays = stack([own, target])
+    steps = post_encroachment(
+        np.arange(2), arrays.position, arrays.heading, arrays.length, arrays.width, arrays.first, arrays.step,
+        round(CAP_S / step_s), CROSSING_RAD,
+    )  # fmt: skip
+    return float(steps[0, 1] * step_s) if steps[0, 1] >= 0 else None
+
+
+def crossing_steps(own: Track, target: Track) -> tuple[int, int] | None:
+    """Steps at which the centres of two tracks are where their paths cross, own and target's; None where they do not.
+
+    Paths cross where they cut each other at CROSSING_RAD at least.
+    """
+    a, b = own.position[:-1], target.position[:-1]
+    u, w = np.diff(own.position, axis=0), np.diff(target.position, axis=0)
+    cross = u[:, None, 0] * w[None, :, 1] - u[:, None, 1] * w[None, :, 0]
+    lengths = np.hypot(u[:, 0], u[:, 1])[:, None] * np.hypot(w[:, 0], w[:, 1])
+    offset = b[None] - a[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (offset[..., 0] * w[None, :, 1] - offset[..., 1] * w[None, :, 0]) / cross
+        r = (offset[..., 0] * u[:, None, 1] - offset[..., 1] * u[:, None, 0]) / cross
+        steep = np.abs(cross) > math.sin(CROSSING_RAD) * lengths
+    hit = np.argwhere(steep & (t >= 0.0) & (t < 1.0) & (r >= 0.0) & (r < 1.0))
+    if not hit.size:
+        return None
+    return int(own.timesteps[hit[0, 0]]), int(target.timesteps[hit[0, 1]])
+
+
+def _closing(own: Track, target: Track, since_step: int) -> tuple[float | None, float]:
+    """Smallest TTC of the pair, s, and the target's largest DRAC, m/s2, from a step on."""
+    arrays = stack([own, target])
+    ttc_s, _ = time_to_collision(
+        arrays.position, arrays.heading, arrays.velocity, arrays.length, arrays.width, arrays.row_of, CAP_S
+    )
+    rows = np.flatnonzero((arrays.agent == 1) & (arrays.step >= since_step) & (arrays.row_of[0, arrays.step] >= 0))
+    if not rows.size or ttc_s[rows].min() >= CAP_S:
+        return None, 0.0
+    other = arrays.velocity[arrays.row_of[0, arrays.step[rows]]]
+    forward = np.stack([np.cos(arrays.heading[rows]), np.sin(arrays.heading[rows])], axis=1)
+    closing = np.sum((arrays.velocity[rows] - other) * forward, axis=1)
+    # at a closing speed w the gap is w TTC, and the deceleration that takes it away w^2 / (2 gap)
+    counts = (closing > _CLOSES_MPS) & (ttc_s[rows] < CAP_S)
+    drac = closing[counts] / (2.0 * np.maximum(ttc_s[rows][counts], 1e-3))
+    return float(ttc_s[rows].min()), float(drac.max(initial=0.0))
+
+
+def _pose(track: Track, step: int) -> FloatArray:
+    row = _row(track, step)
+    return np.array([*track.position[row], track.heading[row]])
+
+
+def _speed(track: Track, step: int) -> float:
+    return float(np.hypot(*track.velocity[_row(track, step)]))
+
+
+def _row(track: Track, step: int) -> int:
+    found = np.flatnonzero(track.timesteps == step)
+    if not found.size:
+        raise ValueError(f"track {track.track_id} has no state at step {step}")
+    return int(found[0])

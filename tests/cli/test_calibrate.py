@@ -1,0 +1,67 @@
+"""`hid2 calibrate`, and what `hid2 generate` makes of the drivers it wrote."""
+
+import csv
+import json
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hid2.params import Drivers
+
+Run = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def calibrated(hid2: Run, data_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("calibrated") / "mine.toml"
+    result = hid2("calibrate", data_root, "-o", out)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.splitlines() == [str(out), str(out.with_name("mine.html"))]
+    return out
+
+
+def test_every_parameter_is_measured_or_said_to_keep_its_prior(calibrated: Path) -> None:
+    text = calibrated.read_text()
+    measured = tomllib.loads(text)["drivers"]
+    for name in Drivers.model_fields:
+        assert (name in measured) != (f"# {name} keeps its prior" in text), name
+    Drivers.model_validate(measured)
+
+
+def test_table_has_size_interval_and_fit(calibrated: Path) -> None:
+    with calibrated.with_name("mine.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert {row["group"] for row in rows} >= {"all", "lane straight", "lane turning"}
+    for row in rows:
+        assert row["source"] in {"measured", "prior"}
+        if row["source"] == "measured":
+            assert float(row["low"]) <= float(row["high"])
+            assert 0.0 < float(row["ks"]) < 1.0
+            assert int(row["drivers"]) >= 12
+    page = calibrated.with_name("mine.html").read_text()
+    assert "Recorded and fitted distributions" in page
+
+
+def test_generate_draws_from_the_drivers_of_the_file(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    path = tmp_path / "drivers.toml"
+    path.write_text("[drivers]\noffset_mean_m = 0.5\noffset_sd_m = 0.0\n")
+    result = hid2("generate", data_scenes["arterial"], "-o", tmp_path / "out", "--agents", 3, "--drivers", path, "-q")
+    assert result.returncode == 0, result.stderr
+    sidecar = json.loads(next((tmp_path / "out").rglob("hid2_*.json")).read_text())
+    assert sidecar["config"]["drivers"]["offset_mean_m"] == 0.5
+    places = [agent["driver"]["parameters"]["offset_m"] for agent in sidecar["agents"]]
+    assert places == pytest.approx([0.5] * len(places))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [(("--without", "nobody"), "no scene nobody to leave out"), (("-o", "."), "is a folder, expected a file")],
+)
+def test_mistakes_are_said_in_a_line(hid2: Run, data_root: Path, tmp_path: Path, arguments: Any, said: str) -> None:
+    result = hid2("calibrate", data_root, *arguments, cwd=tmp_path)
+    assert result.returncode in {1, 2}
+    assert said in result.stderr
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,82 @@
+"""What the report says of realism in words, for figures that are known."""
+
+import numpy as np
+
+from bridge.evaluation.critique import critique
+from bridge.evaluation.report import plain_words
+from hid2.evaluation.critics import WIDTH, Packed
+
+
+def verdict(auc, *, critic="trees", view="all", recordings="all", low=0.5, high=0.7):
+    return {"critic": critic, "view": view, "recordings": recordings, "auc": auc, "low": low, "high": high,
+            "generated": 900, "recorded": 300, "scenes": 5}  # fmt: skip
+
+
+def critics(auc, **more):
+    return {
+        "verdicts": [verdict(0.55, critic="logistic"), verdict(auc)], "negative_control": [verdict(0.51)],
+        "constant_speed_control": [verdict(0.97)], "drivers_control": [],
+        "betrays": [{"feature": "drift across the lane", "auc": 0.36}],
+    } | more  # fmt: skip
+
+
+def tails(ours, theirs):
+    shares = [0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99]
+    return [{"feature": "time_gap", "unit": "s", "shares": shares, "generated": [0, ours, 2, 2, 3, 4, 5],
+             "recorded": [0, theirs, 2, 2, 3, 4, 5]}]  # fmt: skip
+
+
+def test_the_page_says_how_often_the_best_critic_is_right():
+    text = " ".join(plain_words(critics(0.63), tails(1.0, 0.9)))
+    assert "right 63 times of 100 (between 50 and 70, depending on which scenes are looked at)" in text
+    assert "By guessing it is right 50 times of 100" in text
+    assert "right 51 times of 100" in text
+    assert "97 times of 100: so it is able to see a difference" in text
+
+
+def test_the_page_names_what_betrays_most_and_in_which_direction():
+    text = " ".join(plain_words(critics(0.63), []))
+    assert "drift across the lane (inserted vehicles have less of it)" in text
+    unseen = critics(0.51, betrays=[{"feature": "speed", "auc": 0.53}])
+    assert "No single quantity gives inserted vehicles away." in plain_words(unseen, [])
+
+
+def test_too_cautious_is_as_wrong_as_too_bold():
+    """Twice the closest recorded gap is too cautious, half of it too bold, 10 % more neither."""
+    said = [plain_words(critics(0.6), tails(ours, 1.0))[-1] for ours in (2.0, 0.5, 1.1)]
+    assert [line.split(": ")[-1] for line in said] == ["too cautious.", "too bold.", "much the same."]
+    assert said[0].startswith("Those who follow closest (the lowest 5 of 100) keep 2.0 s behind the vehicle ahead")
+
+
+def test_a_critic_that_does_not_find_the_control_is_said_to_be_fooled():
+    fooled = critics(0.5, constant_speed_control=[verdict(0.6)], drivers_control=[verdict(0.7)])
+    text = " ".join(plain_words(fooled, []))
+    assert "so it is easily fooled" in text
+    assert "found out 70 times of 100, fewer than critics of worth would" in text
+
+
+def test_words_of_statistics_do_not_stand_in_the_sentences():
+    text = " ".join(plain_words(critics(0.63), tails(1.0, 0.9)))
+    assert not any(word in text for word in ("AUC", "Jensen", "bootstrap", "quantile", "stratum", "distribution"))
+
+
+def test_one_scene_says_that_it_is_too_few():
+    assert "too few scenes" in plain_words(critics(0.6, verdicts=[]), [])[0]
+
+
+def test_verdicts_are_given_by_kind_of_recording():
+    """Eight scenes, four of them of each kind; accelerations and places alike for both kinds of vehicles."""
+    rng = np.random.default_rng(0)
+    rows, scene = np.zeros((1600, WIDTH)), rng.integers(0, 8, 1600)
+    rows[:, 0] = rows[:, 3] = rng.uniform(3, 12, 1600)
+    rows[:, 1] = rows[:, 4] = rng.normal(0, 0.3, 1600)
+    rows[:, 7] = rows[:, 10] = rng.normal(0, 0.3, 1600)
+    rows[:, 20], rows[:, 21] = scene % 2, rng.integers(0, 2**16, 1600)
+    same = Packed(rows, rng.random(1600) < 0.5, scene)
+    found = critique(same, control=same)
+    kinds = {entry["recordings"] for entry in found["verdicts"]}
+    assert kinds == {"all", "tracker", "labelled"}
+    assert {entry["critic"] for entry in found["verdicts"]} == {"logistic", "trees", "temporal"}
+    assert min(entry["auc"] for entry in found["constant_speed_control"] if entry["view"] == "all") > 0.9
+    assert found["drivers_control"]
+    assert all(0.3 < entry["auc"] < 0.7 for entry in found["negative_control"])

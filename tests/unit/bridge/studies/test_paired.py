@@ -1,0 +1,227 @@
+"""Runs of a study: the same vehicles whatever varies, flows at the map's edge, everything an outcome."""
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bridge.generation.generate import generate, prepare, write
+from bridge.recordings.corridor import write_corridor
+from bridge.recordings.scenario import read_scenario
+from bridge.studies.paired import draw, drawing_config, paired_run
+from bridge.studies.study import Study, read_study
+from hid2.insertion.flow import arrivals, entry_lanes
+from hid2.insertion.routes import Routes
+from hid2.params import Config, Flow, LaneChange, Request, Spawn
+from hid2.scene import build_scene
+from netconvert.errors import ConfigError
+
+ROOT = Path(__file__).parents[4]
+CHANGES = Request(agents=6, straight=0.0, left_turn=0.0, right_turn=0.0, lane_change=1.0, overtake=0.0)
+
+
+def _corridor_config(**changes: object) -> Config:
+    request = CHANGES.model_copy(
+        update={"agents": 0, "straight": 0.5, "lane_change": 0.5, "trigger_min_s": 3.0, "trigger_max_s": 3.0}
+    )
+    return Config(
+        request=request, spawn=Spawn(prior_speed_mps=12.0), flow=Flow(veh_per_h_lane=1500.0, warm_up_s=5.0),
+        lane_change=LaneChange(**changes),  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def corridor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_corridor(tmp_path_factory.mktemp("roads"), length_m=250.0, lanes=2, seconds=40.0)
+
+
+def test_starts_are_the_same_for_every_value_and_triggers_are_those_asked_for(data_scenes: dict[str, Path]) -> None:
+    """What decides does not choose the vehicles; the trigger is 2 s in one run and 4 s in the other."""
+    scenario = read_scenario(data_scenes["arterial"])
+    runs = []
+    for trigger_s, gap_s in ((2.0, 0.4), (4.0, 2.0)):
+        request = CHANGES.model_copy(update={"trigger_min_s": trigger_s, "trigger_max_s": trigger_s})
+        config = Config(request=request, lane_change=LaneChange(time_gap_rear_s=gap_s))
+        prepared = prepare(scenario, config)
+        drawn = draw(prepared, drawing_config(config))
+        runs.append((drawn, paired_run(prepared, drawn, config), trigger_s))
+    (first, _, _), (second, _, _) = runs
+    assert [(one.vehicle_id, one.start_s, one.start_mps, one.driver) for one in first.starts] == [
+        (one.vehicle_id, one.start_s, one.start_mps, one.driver) for one in second.starts
+    ]
+    assert len(first.starts) > 0
+    for drawn, run, trigger_s in runs:
+        assert len(run.requests) == 6  # nobody is replaced and nobody left out
+        assert {row["trigger_s"] for row in run.requests} == {trigger_s}
+        assert len(run.driven) == len(drawn.starts)
+
+
+def test_run_is_the_same_again(data_scenes: dict[str, Path]) -> None:
+    config = Config(request=CHANGES)
+    prepared = prepare(read_scenario(data_scenes["arterial"]), config)
+    drawn = draw(prepared, drawing_config(config))
+    first, second = (paired_run(prepared, drawn, config) for _ in range(2))
+    assert first.requests == second.requests
+    assert [vehicle.s for vehicle in first.driven] == [vehicle.s for vehicle in second.driven]
+
+
+def test_corridor_can_be_read_and_is_what_was_asked_for(corridor: Path) -> None:
+    scenario = read_scenario(corridor)
+    assert scenario.scenario_id == "corridor-250m-2lanes-40s"
+    assert scenario.num_steps == 400
+    assert [lane.length_m for lane in scenario.graph.lanes.values()] == pytest.approx([250.0, 250.0])
+    assert scenario.graph.may_change(1, "left")
+    assert not scenario.graph.may_change(1, "right")
+    assert all(track.path_m == 0.0 for track in scenario.tracks)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"lanes": 1}, "--lanes 1: expected 2 to 8"),
+        ({"length_m": 20.0}, "--length 20"),
+        ({"seconds": 2.0}, "--seconds 2"),
+    ],
+)
+def test_corridor_out_of_range_is_named(tmp_path: Path, changes: dict[str, float], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        write_corridor(tmp_path, **{"length_m": 300.0, "lanes": 2, "seconds": 20.0, **changes})  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
+
+
+def test_arrivals_keep_their_headways_and_their_rate(corridor: Path) -> None:
+    """1,500 veh/h: 2.4 s in the mean, never below 1.2 s; over two lanes and 20 seeds of 40 s some 660 headways."""
+    scenario = read_scenario(corridor)
+    config = drawing_config(_corridor_config())
+    scene = build_scene(
+        prepare(scenario, config).grid, scenario.tracks, config=config, num_steps=400, last_observed_step=49
+    )
+    routes = Routes(scene)
+    assert entry_lanes(scene, routes) == [1, 2]
+    headways = []
+    for seed in range(20):
+        found = arrivals(scene, routes, (seed, 0, 0))
+        for lane in (1, 2):
+            headways += np.diff([0.0, *(one.due_s for one in found if one.lane_id == lane)]).tolist()
+    assert min(headways) >= 1.2
+    assert np.mean(headways) == pytest.approx(2.4, abs=0.2)
+
+
+def test_flow_enters_one_after_the_other_and_looks_at_gaps(corridor: Path) -> None:
+    """40 s at 1,500 veh/h on two lanes: some 30 vehicles; nobody overlaps, and lane changes come about."""
+    config = _corridor_config()
+    prepared = prepare(read_scenario(corridor), config)
+    drawn = draw(prepared, drawing_config(config))
+    run = paired_run(prepared, drawn, config)
+    assert len(run.driven) > 15
+    entered = {row["vehicle"]: row["entered_s"] for row in run.requests}
+    due = {one.vehicle_id: one.due_s for one in drawn.arrivals}
+    assert all(entered[name] >= due[name] - 0.11 for name in entered)
+    accepted = [row for row in run.requests if row["accepted"]]
+    assert accepted
+    for row in run.requests:
+        assert row["source"] == "flow"
+        assert row["trigger_s"] == pytest.approx(row["entered_s"] + 3.0)
+    for row in accepted:
+        assert row["waited_s"] == pytest.approx(row["accepted_s"] - row["trigger_s"])
+        assert row["min_ttc_s"] is None or row["min_ttc_s"] > 0.5
+    assert run.flow
+    for interval in run.flow:
+        product = interval["density_veh_per_km_lane"] * interval["speed_kmph"]
+        assert interval["flow_veh_per_h_lane"] == pytest.approx(product, rel=1e-3)
+
+
+def test_flow_enters_beside_recorded_traffic(data_scenes: dict[str, Path]) -> None:
+    """A recorded scene of 11 s: traffic at its edges, starts inside, and nothing recorded is moved or met."""
+    config = _corridor_config().model_copy(
+        update={"request": CHANGES, "flow": Flow(veh_per_h_lane=900.0, warm_up_s=0.0)}
+    )
+    prepared = prepare(read_scenario(data_scenes["arterial"]), config)
+    drawn = draw(prepared, drawing_config(config))
+    run = paired_run(prepared, drawn, config)
+    assert {row["source"] for row in run.requests} == {"start", "flow"}
+    assert len(run.driven) > len(drawn.starts)
+    assert len(run.flow) == 1
+    assert all(row["min_ttc_s"] is None or row["min_ttc_s"] > 0.0 for row in run.requests)
+
+
+def test_flow_is_refused_where_scenes_are_written(data_scenes: dict[str, Path]) -> None:
+    with pytest.raises(ConfigError, match=r"flow\.veh_per_h_lane = 1500: traffic enters in studies only"):
+        generate(read_scenario(data_scenes["arterial"]), _corridor_config())
+
+
+def test_what_comes_of_a_corridor_says_so(corridor: Path, tmp_path: Path) -> None:
+    """A generated scene of 400 steps: its id begins with corridor-, and it can be read again."""
+    scene = generate(read_scenario(corridor), Config(request=CHANGES.model_copy(update={"agents": 2})))
+    folder = write(scene, tmp_path)
+    assert folder.name.startswith("corridor-")
+    assert read_scenario(folder).num_steps == 400
+
+
+def test_larger_lag_gap_asked_for_is_no_easier(corridor: Path) -> None:
+    """0.4 s against 2.5 s, the same arrivals: fewer of the same requests are accepted."""
+    accepted = []
+    for gap_s in (0.4, 2.5):
+        config = _corridor_config(time_gap_rear_s=gap_s)
+        prepared = prepare(read_scenario(corridor), config)
+        run = paired_run(prepared, draw(prepared, drawing_config(config)), config)
+        accepted.append(sum(row["accepted"] for row in run.requests))
+    assert accepted[0] > accepted[1]
+
+
+def test_rule_of_the_page_decides(
+    corridor: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    """The rule in README.md, at most 15 lines, is used as a reader would use it: patience wears out while it waits."""
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "bridge/studies/README.md").read_text(), re.DOTALL)
+    assert len(code.strip().splitlines()) <= 15
+    (tmp_path / "impatient.py").write_text(code)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    request.addfinalizer(lambda: sys.modules.pop("impatient", None) and None)
+    config = _corridor_config(rule="impatient:accept")
+    prepared = prepare(read_scenario(corridor), config)
+    run = paired_run(prepared, draw(prepared, drawing_config(config)), config)
+    answers = {look.rule for vehicle in run.driven for look in vehicle.gaps}
+    assert answers == {None, "rule_refuses"}
+    assert any(row["accepted"] for row in run.requests)
+
+
+def _study(tmp_path: Path, scenes: Path) -> Study:
+    path = tmp_path / "small.toml"
+    path.write_text(
+        'scenes = ["x"]\nseeds = 3\nkind = "lane_change"\n[vary]\n"lane_change.time_gap_rear_s" = [0.4, 2.0]\n'
+        "[config.request]\nagents = 0\nstraight = 0.5\nleft_turn = 0.0\nright_turn = 0.0\nlane_change = 0.5\n"
+        "overtake = 0.0\ntrigger_min_s = 2.0\ntrigger_max_s = 2.0\n[config.flow]\nveh_per_h_lane = 1200.0\n"
+        "warm_up_s = 3.0\n[config.spawn]\nprior_speed_mps = 12.0\n"
+    )
+    return read_study(path, scenes=[scenes])
+
+
+def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) -> None:
+    """Six runs of 20 s: tables, figures and page; a second call drives nothing again and writes the same bytes."""
+    import pandas as pd
+
+    from bridge.batch.batch import Options
+    from bridge.studies.columns import DICTIONARY
+    from bridge.studies.run import run_study
+
+    road = write_corridor(tmp_path / "roads", length_m=200.0, lanes=2, seconds=20.0)
+    study = _study(tmp_path, road)
+    out = tmp_path / "out"
+    seen = []
+    report = run_study(study, out, Options(resume=True), on_row=lambda row, progress: seen.append(progress.skipped))
+    assert (report.runs, report.failed) == (6, 0)
+    first = {path.name: path.read_bytes() for path in report.files}
+    again = run_study(study, out, Options(resume=True), on_row=lambda row, progress: seen.append(progress.skipped))
+    assert seen[-1] == 6
+    assert {path.name: path.read_bytes() for path in again.files} == first
+    for table in ("runs", "requests", "looks", "gaps", "flow", "dose_response"):
+        frame = pd.read_csv(out / f"{table}.csv")
+        assert len(pd.read_parquet(out / f"{table}.parquet")) == len(frame)
+        said = {name.strip() for column in DICTIONARY[table] for name in column.split(",")}
+        assert set(frame.columns) - said <= {"lane_change.time_gap_rear_s", "waiting_to_enter_s"}
+    text = (out / "study.md").read_text()
+    assert "smallest time gap to the new follower" in text
+    assert "cut off [requests.counted]" in text

@@ -1,0 +1,200 @@
+"""What tables of looks and requests say: waiting, acceptance, critical gaps, effects."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bridge.studies.statistics import (
+    acceptance_curve,
+    critical_gap,
+    dose_response,
+    effects,
+    gaps_of,
+    kaplan_meier,
+    largest_rejected,
+    mean_wait,
+    raff,
+    troutbeck,
+)
+
+RUN = {"scene": "a", "city": "x", "point": 0, "seed": 0}
+
+
+def _drivers(count: int, mean_s: float, sd_s: float, seed: int) -> pd.DataFrame:
+    """Gaps looked at by drivers of lognormal critical gaps, one exponential gap after the other until one is taken."""
+    rng = np.random.default_rng(seed)
+    variance = np.log(1.0 + (sd_s / mean_s) ** 2)
+    rows = []
+    for driver in range(count):
+        critical = float(np.exp(rng.normal(np.log(mean_s) - variance / 2, np.sqrt(variance))))
+        taken = False
+        while not taken:
+            gap = float(rng.exponential(mean_s))
+            taken = gap > critical
+            rows.append(
+                {**RUN, "seed": driver % 10, "vehicle": f"v{driver}", "accepted": taken, "lag_time_gap_s": gap,
+                 "lead_time_gap_s": 5.0, "answer": "yes" if taken else "rear_gap"}
+            )  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+@pytest.mark.parametrize(("mean_s", "sd_s"), [(1.5, 0.4), (2.5, 0.5), (4.0, 1.0)])
+def test_critical_gaps_of_synthetic_drivers_are_found_again(mean_s: float, sd_s: float) -> None:
+    """300 drivers of known critical gap: mean and SD lie within their intervals; Raff's is near."""
+    found = critical_gap(_drivers(300, mean_s, sd_s, seed=1))
+    assert found is not None
+    assert found.drivers == 300
+    assert found.inconsistent == 0
+    for estimate, true in ((found.mean, mean_s), (found.sd, sd_s)):
+        assert estimate.value is not None
+        assert estimate.low is not None
+        assert estimate.high is not None
+        assert estimate.low < true < estimate.high
+    assert found.raff == pytest.approx(mean_s, rel=0.15)
+    assert found.mean.high - found.mean.low < 0.25 * mean_s  # type: ignore[operator]
+
+
+def test_intervals_of_critical_gaps_hold_what_they_say() -> None:
+    """95 % intervals of 40 samples of 100 drivers: at least 34 hold the mean (binomial, p < .01 below)."""
+    held = 0
+    for seed in range(40):
+        rejected, accepted, _ = largest_rejected(_drivers(100, 2.0, 0.5, seed=100 + seed))
+        mean, _ = troutbeck(rejected, accepted)
+        assert mean.low is not None
+        assert mean.high is not None
+        held += mean.low < 2.0 < mean.high
+    assert held >= 34
+
+
+def test_driver_who_refused_a_larger_gap_is_left_out_and_counted() -> None:
+    rows = [
+        {**RUN, "vehicle": "v0", "accepted": False, "lag_time_gap_s": 3.0, "answer": "rear_gap"},
+        {**RUN, "vehicle": "v0", "accepted": True, "lag_time_gap_s": 2.0, "answer": "yes"},
+        {**RUN, "vehicle": "v1", "accepted": False, "lag_time_gap_s": 9.0, "answer": "front_gap"},  # not for its lag
+        {**RUN, "vehicle": "v1", "accepted": True, "lag_time_gap_s": 2.0, "answer": "yes"},
+    ]
+    rejected, accepted, inconsistent = largest_rejected(pd.DataFrame(rows))
+    assert (rejected.tolist(), accepted.tolist(), inconsistent) == ([0.0], [2.0], 1)
+
+
+def test_raff_by_hand() -> None:
+    """Accepted 2, 3, 4, 5; rejected 1, 1.5, 2.5, 3: at 2.5 a quarter of the accepted is shorter, a quarter of
+    the rejected longer: they cross there.
+    """
+    assert raff(np.array([1.0, 1.5, 2.5, 3.0]), np.array([2.0, 3.0, 4.0, 5.0])) == 2.5
+    assert raff(np.zeros(3), np.array([2.0])) is None
+
+
+def test_kaplan_meier_by_hand() -> None:
+    """Accepted after 1 and 3 s, given up after 2 s, of three: 2/3 after 1 s, then 2/3 * (1 - 1/1) = 0 after 3 s."""
+    curve = kaplan_meier(np.array([1.0, 2.0, 3.0]), np.array([1, 0, 1]))
+    assert curve.surv_times.tolist() == [1.0, 3.0]
+    assert curve.surv_prob == pytest.approx([2 / 3, 0.0])
+
+
+def test_mean_wait_by_hand() -> None:
+    """The same, up to 2.5 s: 1 * 1 + 1.5 * 2/3 = 2 s; nobody waits when all are taken at once."""
+    waited, accepted = np.array([1.0, 2.0, 3.0]), np.array([1.0, 0.0, 1.0])
+    assert mean_wait(waited, accepted, np.ones(3), within_s=2.5) == pytest.approx(2.0)
+    assert mean_wait(np.zeros(4), np.ones(4), np.ones(4), within_s=10.0) == pytest.approx(0.01)
+
+
+def test_mean_wait_weighs_rows_like_copies_of_them() -> None:
+    waited, accepted = np.array([1.0, 2.0, 3.0, 5.0]), np.array([1.0, 0.0, 1.0, 1.0])
+    twice = np.repeat([0, 1, 1, 3], 1)
+    weighted = mean_wait(waited, accepted, np.array([1.0, 2.0, 0.0, 1.0]), within_s=6.0)
+    assert weighted == pytest.approx(mean_wait(waited[twice], accepted[twice], np.ones(4), within_s=6.0))
+
+
+def _look(vehicle: str, time_s: float, lag: str, gap_s: float, sumo: str | None, rule: str) -> dict[str, Any]:
+    return {
+        **RUN, "vehicle": vehicle, "side": "left", "time_s": time_s, "lead_id": None, "lag_id": lag,
+        "lag_time_gap_s": gap_s, "lead_time_gap_s": np.nan, "lag_gap_m": 10 * gap_s, "lead_gap_m": np.nan,
+        "rule": rule, "sumo": sumo, "trigger_s": 1.0,
+    }  # fmt: skip
+
+
+def test_gap_is_one_row_with_its_largest_size_or_that_at_the_acceptance() -> None:
+    looks = pd.DataFrame(
+        [
+            _look("v0", 1.0, "a", 0.5, None, "rear_gap"),
+            _look("v0", 1.1, "a", 0.9, None, "rear_gap"),
+            _look("v0", 1.2, "a", 0.7, None, "rear_gap"),
+            _look("v0", 1.3, "b", 3.0, "no", "yes"),
+            _look("v0", 1.4, "b", 2.0, "yes", "yes"),
+        ]
+    )
+    first, second = gaps_of(looks, []).to_dict("records")
+    assert (first["lag_id"], first["accepted"], first["lag_time_gap_s"], first["looks"]) == ("a", False, 0.9, 3)
+    assert (second["lag_id"], second["accepted"], second["lag_time_gap_s"], second["answer"]) == ("b", True, 2.0, "yes")
+
+
+def test_logistic_coefficients_are_found_again() -> None:
+    """2,000 gaps with logit = -3 + 1.5 lag + 0.2 lead."""
+    rng = np.random.default_rng(0)
+    lag, lead = rng.uniform(0, 5, 2000), rng.uniform(0, 5, 2000)
+    taken = rng.random(2000) < 1 / (1 + np.exp(3 - 1.5 * lag - 0.2 * lead))
+    frame = pd.DataFrame(
+        {"scene": "a", "seed": rng.integers(20, size=2000), "accepted": taken, "lag_time_gap_s": lag,
+         "lead_time_gap_s": lead}
+    )  # fmt: skip
+    curve = acceptance_curve(frame)
+    assert curve is not None
+    for name, row, true in (("intercept", 0, -3.0), ("lag", 1, 1.5), ("lead", 2, 0.2)):
+        assert abs(curve[name] - true) < 2.5 * curve["covariance"][row, row] ** 0.5
+    assert acceptance_curve(frame.head(5)) is None
+
+
+def _requests(slope: float, *, runs: int = 12, each: int = 20) -> pd.DataFrame:
+    """Requests of runs at three values of p; the share accepted goes with slope * p; the same vehicles at each."""
+    rng = np.random.default_rng(3)
+    rows = []
+    for seed in range(runs):
+        luck = rng.random(each)
+        for point, p in enumerate((0.0, 0.5, 1.0)):
+            rows += [
+                {**RUN, "point": point, "p": p, "seed": seed, "vehicle": f"v{k}", "counted": True,
+                 "accepted": luck[k] < 0.6 + slope * p, "waited_s": 5.0, "looks": 10, "refused_by_rule": 5,
+                 "refused_by_guard": 1, "refused_by_sumo": 2, "lateral_s": 4.0, "lag_time_gap_s": 2.0 + p,
+                 "start_s": 3.0, "min_ttc_s": np.nan}
+                for k in range(each)
+            ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def test_paired_difference_excludes_no_effect_where_there_is_one_and_not_elsewhere() -> None:
+    for slope, excluded in ((-0.3, True), (0.0, False)):
+        dose = dose_response(_requests(slope), pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
+        last = dose[(dose["outcome"] == "share_accepted") & (dose["value"] == 1.0)].iloc[0]
+        assert bool(last["difference_high_runs"] < 0.0) is excluded
+        assert last["rows"] == 240
+    assert last["difference"] == 0.0  # the same luck at every value: nothing differs at all
+
+
+def test_shares_of_looks_by_hand() -> None:
+    """2 of 10 looks refused by SUMO in every request."""
+    dose = dose_response(_requests(0.0), pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
+    by_sumo = dose[dose["outcome"] == "looks_refused_by_sumo"]
+    assert by_sumo["estimate"].tolist() == pytest.approx([0.2] * 3)
+
+
+def test_standardised_coefficient_of_a_straight_line_is_one() -> None:
+    found = effects(_requests(-0.3), ["p"], give_up_s=6.0).set_index("outcome")
+    assert found.loc["lag_time_gap_s", "standardised_coefficient"] == pytest.approx(1.0)
+    assert found.loc["accepted", "high"] < 0.0
+
+
+def test_variance_based_index_tells_the_strong_parameter_from_the_idle_one() -> None:
+    rng = np.random.default_rng(5)
+    strong, idle = rng.random(120), rng.random(120)
+    frame = pd.DataFrame(
+        {**{name: value for name, value in RUN.items() if name not in ("point", "seed")}, "point": range(120),
+         "seed": np.arange(120) % 8, "strong": strong, "idle": idle, "counted": True, "accepted": strong > 0.5,
+         "waited_s": 10 * strong, "lateral_s": np.nan, "lag_time_gap_s": np.nan, "min_ttc_s": np.nan}
+    )  # fmt: skip
+    found = effects(frame, ["strong", "idle"], give_up_s=20.0)
+    waited = found[found["outcome"] == "waited_or_end_s"].set_index("parameter")
+    assert waited.loc["strong", "first_order"] > 0.9
+    assert abs(waited.loc["idle", "first_order"]) < 0.2

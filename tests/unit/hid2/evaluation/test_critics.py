@@ -1,0 +1,174 @@
+"""Critics: matching, AUC, and that they tell what differs, do not tell what does not, and see no scene twice."""
+
+import numpy as np
+import pytest
+
+from hid2.agents import BoxSize, Track
+from hid2.evaluation.critics import (
+    FEATURE_NAMES,
+    WIDTH,
+    Critic,
+    Packed,
+    View,
+    betrayals,
+    constant_on_the_middle,
+    features,
+    halves_apart,
+    judge,
+    matched_weights,
+    pack,
+    weighted_auc,
+)
+from hid2.evaluation.safety import prepare_map, safety
+from hid2.evaluation.windows import is_labelled, windows
+from hid2.measures.arrays import stack
+
+CRITICS = [(critic, View.ALL) for critic in Critic]
+
+
+def packed(count=900, scenes=6, *, shift=0.0, seed=0):
+    """Windows of cars at 3 to 12 m/s with accelerations of SD 0.6; those of generated ones have `shift` more."""
+    rng = np.random.default_rng(seed)
+    rows = np.zeros((count, WIDTH))
+    generated = rng.random(count) < 0.5
+    speed, accel = rng.uniform(3, 12, count), rng.normal(0, 0.6, count) + shift * generated
+    rows[:, 0], rows[:, 1], rows[:, 3], rows[:, 4] = speed, accel / 2, speed, accel / 2
+    rows[:, 7], rows[:, 8] = rng.normal(0, 0.3, count), rng.normal(0, 0.1, count)
+    rows[:, 10], rows[:, 11] = rows[:, 7], rows[:, 8]
+    rows[:, 16], rows[:, 21] = 60.0, rng.integers(0, 2**16, count)
+    return Packed(rows, generated, rng.integers(0, scenes, count))
+
+
+def test_auc_by_hand():
+    """Positives 3 and 1 against negatives 2 and 1: 3 > 2, 3 > 1, 1 < 2, 1 = 1 (half): 2.5 of 4.
+
+    Of double weight, the positive 3 wins 4 and the other half of 1: 4.5 of 6.
+    """
+    scores, labels = np.array([3.0, 1.0, 2.0, 1.0]), np.array([True, True, False, False])
+    assert weighted_auc(scores, labels, np.ones(4)) == pytest.approx(2.5 / 4)
+    assert weighted_auc(scores, labels, np.array([2.0, 1.0, 1.0, 1.0])) == pytest.approx(4.5 / 6)
+    assert weighted_auc(scores, np.ones(4, dtype=bool), np.ones(4)) is None
+
+
+def test_both_kinds_weigh_the_same_in_each_stratum_and_strata_with_one_kind_count_for_nothing():
+    """Stratum 0: four generated and two recorded, each side counts 2. Stratum 1: nobody recorded."""
+    stratum = np.array([0, 0, 0, 0, 0, 0, 1, 1])
+    generated = np.array([1, 1, 1, 1, 0, 0, 1, 1], dtype=bool)
+    assert matched_weights(stratum, generated).tolist() == [0.5] * 4 + [1.0] * 2 + [0.0] * 2
+
+
+@pytest.mark.parametrize(("critic", "view"), CRITICS)
+def test_critics_cannot_tell_what_is_equal(critic, view):
+    verdict = judge(packed(), critic, view)
+    assert verdict.auc == pytest.approx(0.5, abs=0.06)
+    assert verdict.low < 0.53
+    assert verdict.high > 0.47
+    assert verdict.scenes == 6
+
+
+@pytest.mark.parametrize(("critic", "view"), CRITICS)
+def test_critics_tell_an_acceleration_that_is_two_deviations_higher(critic, view):
+    """Means two standard deviations apart: an AUC of Phi(2 / sqrt 2) = 0.92."""
+    assert judge(packed(shift=1.2), critic, view).auc == pytest.approx(0.92, abs=0.05)
+
+
+def test_trees_see_only_their_view():
+    found = packed(shift=1.2)
+    assert judge(found, Critic.TREES, View.LATERAL).auc == pytest.approx(0.5, abs=0.06)
+    assert judge(found, Critic.TREES, View.SPEED).auc > 0.85
+
+
+def test_trees_tell_what_no_straight_line_does():
+    """Generated ones hold their speed or change it hard, recorded ones are between: same mean, other spread."""
+    found = packed()
+    found.rows[:, 10] = found.rows[:, 7] = np.where(found.generated, 2.0, 0.8) * found.rows[:, 7]
+    assert judge(found, Critic.TREES, View.LATERAL).auc > 0.68
+
+
+@pytest.mark.parametrize(("critic", "view"), CRITICS)
+def test_constant_speed_on_the_middle_is_found_out(critic, view):
+    assert judge(constant_on_the_middle(packed()), critic, view).auc > 0.90
+
+
+def test_halves_of_the_recorded_tracks_are_not_told_apart():
+    found = packed(shift=3.0)
+    apart = halves_apart(found, 3)
+    assert len(apart.rows) == int((~found.generated).sum())
+    assert judge(apart, Critic.TREES, View.ALL).auc == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_scene_is_never_judged_by_a_critic_that_was_trained_on_it():
+    """Which side of the lane tells hangs on the scene: a critic that knew it would tell, one that does not cannot."""
+    found = packed(scenes=30)
+    side = np.where(np.random.default_rng(1).random(30) < 0.5, 1.0, -1.0)[found.scene]
+    found.rows[:, 7] = side * np.where(found.generated, 1.0, -1.0)
+    found.rows[:, 8] = found.scene  # by which a critic would know the scene again
+    assert judge(found, Critic.TREES, View.LATERAL).auc < 0.75
+
+
+def test_one_scene_cannot_be_judged():
+    assert judge(packed(scenes=1), Critic.TREES, View.ALL) is None
+
+
+def test_what_betrays_most_is_named_first():
+    name, auc = betrayals(packed(shift=1.2))[0]
+    assert "acceleration" in name or "speed" in name
+    assert auc > 0.85
+
+
+def drive(speed, accel, offset, *, steps=80, rng=None, track_id="r1"):
+    time = 0.1 * np.arange(steps)
+    x = 10.0 + speed * time + accel * time**2 / 2
+    noise = rng.normal(0, 0.05, (steps, 2)) if rng is not None else 0.0
+    velocity = np.column_stack([speed + accel * time, np.zeros(steps)])
+    position = np.column_stack([x, np.full(steps, offset)]) + noise
+    return Track(track_id, "vehicle", 1, np.arange(steps), position, np.zeros(steps), velocity, BoxSize(4, 2))
+
+
+def windows_of(tracks, road):
+    arrays = stack(tracks)
+    safe = safety(arrays, prepare_map(road(length_m=250)))
+    return arrays, windows(arrays, safe, arrays.vehicle)
+
+
+def test_windows_find_speed_acceleration_and_place_through_the_noise_of_a_tracker(road):
+    """6 m/s at 0 s, 0.8 m/s2, 0.4 m left of the middle, noise of 5 cm; the first window's middle is at 3 s: 8.4 m/s."""
+    _, found = windows_of([drive(6.0, 0.8, 0.4, rng=np.random.default_rng(0))], road)
+    assert found.time_s.tolist() == pytest.approx([3.0, 3.5, 4.0, 4.5])
+    assert found.speed_mps[0] == pytest.approx(8.4, abs=0.05)
+    assert found.accel_mps2 == pytest.approx(0.8, abs=0.05)
+    assert found.jerk_mps3 == pytest.approx(0.0, abs=0.15)
+    assert found.d_parabola[:, 0] == pytest.approx(0.4, abs=0.04)
+    assert not found.led.any()
+
+
+def test_windows_know_the_leader(road):
+    """A leader 20 m ahead, boxes of 4 m, that drives 1 m/s slower: at 3 s a gap of 16 - 3 = 13 m."""
+    ahead = drive(7.0, 0.0, 0.0, track_id="r2")
+    ahead = Track(
+        "r2",
+        "vehicle",
+        1,
+        ahead.timesteps,
+        ahead.position + np.array([20.0, 0.0]),
+        ahead.heading,
+        ahead.velocity,
+        ahead.size,
+    )
+    arrays, found = windows_of([drive(8.0, 0.0, 0.0), ahead], road)
+    own = found.rows(found.agent == 0)
+    assert own.led.all()
+    assert own.gap_m[0] == pytest.approx(13.0, abs=0.1)
+    assert own.closing_mps == pytest.approx(1.0, abs=0.02)
+    rows = pack(own, np.zeros(len(own.agent), dtype=np.int64), labelled=is_labelled(arrays))
+    assert rows.shape == (len(own.agent), WIDTH)
+    shown = dict(zip(FEATURE_NAMES, features(rows)[0], strict=True))
+    assert shown["time gap"] == pytest.approx(13.0 / 8.0, abs=0.02)
+
+
+def test_noise_tells_trackers_from_people(road):
+    """5 cm of noise from step to step change the velocity by decimetres per second; labels of people do not."""
+    rng = np.random.default_rng(0)
+    assert is_labelled(stack([drive(6.0, 0.3, 0.0)])) is True
+    assert is_labelled(stack([drive(6.0, 0.3, 0.0, rng=rng)])) is False
+    assert is_labelled(stack([])) is None

@@ -1,0 +1,66 @@
+"""Measures of an event between two tracks: gap, TTC, DRAC, PET."""
+
+import numpy as np
+import pytest
+
+from hid2.agents import BoxSize, Track
+from hid2.measures.events import crossing_steps, measure_event, post_encroachment_of
+
+CAR = BoxSize(4.0, 2.0)
+
+
+def _drive(x_m: float, y_m: float, speed_mps: float, *, heading: float = 0.0, steps: int = 60) -> Track:
+    """A car of 4 m by 2 m that drives straight on from a point."""
+    way = 0.1 * speed_mps * np.arange(steps)
+    forward = np.array([np.cos(heading), np.sin(heading)])
+    return Track(
+        "car", "vehicle", 1, np.arange(steps), np.array([x_m, y_m]) + way[:, None] * forward,
+        np.full(steps, heading), np.tile(speed_mps * forward, (steps, 1)), CAR,
+    )  # fmt: skip
+
+
+def test_target_that_closes_in_has_gap_ttc_and_drac() -> None:
+    """Target at 10 m/s, vehicle 20 m ahead (16 m bumper to bumper) at 8 m/s: 2 m/s closing, TTC 16 / 2 = 8 s at step 0.
+
+    A step later the gap is 0.2 m less. At step 30 it is 10 m: TTC 5 s, DRAC 2 * 2 / (2 * 10) = 0.2 m/s2. From step 30 to
+    59 the gap falls to 16 - 5.9 * 2 = 4.2 m: TTC 2.1 s, DRAC 4 / 8.4.
+    """
+    found = measure_event(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0), at_step=30, since_step=30)
+    assert found.gap_m == pytest.approx(10.0)
+    assert found.speed_difference_mps == pytest.approx(-2.0)
+    assert found.min_ttc_s == pytest.approx(2.1, abs=1e-6)
+    assert found.drac_mps2 == pytest.approx(4.0 / 8.4, rel=1e-6)
+    assert found.human_brakes
+    assert found.pet_s is None
+
+
+def test_target_that_falls_back_needs_no_braking() -> None:
+    """The vehicle ahead is faster: never closing in, no TTC, DRAC 0, and nobody brakes."""
+    found = measure_event(_drive(20.0, 0.0, 12.0), _drive(0.0, 0.0, 10.0), at_step=10, since_step=0)
+    assert (found.min_ttc_s, found.drac_mps2, found.human_brakes) == (None, 0.0, False)
+
+
+def test_crossing_has_a_moment_for_each_and_a_pet() -> None:
+    """From the south at 10 m/s, 20 m before the crossing: there at step 20. From the west, 40 m before: at step 40.
+
+    Between the rear bumper of the first, 2 m + 1 m (half the other's width) behind the point, and the front of the
+    second, 3 m before it: 20 - 0.3 - 0.3 ... 2.0 s less 0.6 s. Swept boxes are longer by a step: 0.1 s to each side.
+    """
+    first = _drive(0.0, -20.0, 10.0, heading=np.pi / 2)
+    second = _drive(-40.0, 0.0, 10.0)
+    found = crossing_steps(first, second)
+    assert found is not None
+    assert found == (pytest.approx(20, abs=1), pytest.approx(40, abs=1))
+    assert post_encroachment_of(first, second) == pytest.approx(1.4, abs=0.21)
+
+
+def test_paths_that_do_not_meet_have_no_crossing() -> None:
+    """Two cars side by side."""
+    assert crossing_steps(_drive(0.0, 0.0, 10.0), _drive(0.0, 4.0, 10.0)) is None
+    assert post_encroachment_of(_drive(0.0, 0.0, 10.0), _drive(0.0, 4.0, 10.0)) is None
+
+
+def test_moment_without_a_state_is_an_error() -> None:
+    """Step 70 of a track of 60 steps."""
+    with pytest.raises(ValueError, match="no state at step 70"):
+        measure_event(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0), at_step=70, since_step=0)

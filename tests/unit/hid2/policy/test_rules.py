@@ -1,0 +1,102 @@
+"""Lane-change rules that can be exchanged: values in, a decision out."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from hid2.params import LaneChange
+from hid2.policy.lane_change import Gap
+from hid2.policy.rules import GapView, Wish, idm_mps2, mobil_reason, rule_reason
+from hid2.reasons import Reason
+from netconvert.errors import ConfigError
+
+#: 10 m/s of 10 wished for; IDM with a = 1, b = 1, T = 1 s, s0 = 2 m.
+VIEW = GapView(
+    time_s=3.0, waited_s=1.0, side="left", speed_mps=10.0, desired_mps=10.0, length_m=4.0, tau_s=1.0, accel_mps2=1.0,
+    decel_mps2=1.0, min_gap_m=2.0, cells_free=True, front=Gap.none(), rear=Gap.none(), own_front=Gap.none(),
+    own_rear=Gap.none(), remaining_m=200.0,
+)  # fmt: skip
+MOBIL = LaneChange(rule="MOBIL", mobil_bias_mps2=0.0, mobil_threshold_mps2=0.1, mobil_safe_mps2=2.0)
+
+
+def test_idm_by_hand() -> None:
+    """At the desired speed 1 - 1 = 0; behind 12 m at the same speed s* = 2 + 10 = 12: another -1."""
+    assert idm_mps2(10.0, Gap.none(), VIEW) == pytest.approx(0.0)
+    assert idm_mps2(10.0, Gap(12.0, 10.0), VIEW) == pytest.approx(-1.0)
+    # closing in by 2 m/s: s* = 2 + 10 + 10 * 2 / 2 = 22, over 22 m
+    assert idm_mps2(10.0, Gap(22.0, 8.0), VIEW) == pytest.approx(-1.0)
+
+
+def test_paper_is_the_default_and_asks_for_free_cells() -> None:
+    assert rule_reason(VIEW, LaneChange()) is None
+    assert rule_reason(replace(VIEW, cells_free=False), LaneChange()) == Reason.CELLS_OCCUPIED
+
+
+def test_mobil_changes_for_an_advantage_only() -> None:
+    """Behind a leader at 12 m the lane beside is worth 0 - (-1) = 1 m/s2; on a free road it is worth nothing."""
+    assert mobil_reason(replace(VIEW, own_front=Gap(12.0, 10.0)), MOBIL) is None
+    assert mobil_reason(VIEW, MOBIL) == Reason.MOBIL_NO_ADVANTAGE
+
+
+def test_mobil_bias_takes_the_place_of_an_advantage() -> None:
+    assert mobil_reason(VIEW, MOBIL.model_copy(update={"mobil_bias_mps2": 0.2})) is None
+
+
+def test_mobil_keeps_the_new_follower_safe() -> None:
+    """6 m behind at 10 m/s: s* = 12, so 0 - 4 = -4 m/s2, beyond the 2 allowed."""
+    crowded = replace(VIEW, own_front=Gap(12.0, 10.0), rear=Gap(6.0, 10.0))
+    assert mobil_reason(crowded, MOBIL) == Reason.MOBIL_UNSAFE
+
+
+def test_mobil_politeness_weighs_the_followers_loss() -> None:
+    """Own advantage 1; the new follower, at 12 m now instead of nobody ahead, loses 1: worth it below p = 0.9."""
+    view = replace(VIEW, own_front=Gap(12.0, 10.0), rear=Gap(12.0, 10.0))
+    for politeness, reason in ((0.0, None), (0.85, None), (0.95, Reason.MOBIL_NO_ADVANTAGE)):
+        assert mobil_reason(view, MOBIL.model_copy(update={"mobil_politeness": politeness})) == reason
+
+
+def test_mobil_politeness_counts_what_the_old_follower_wins() -> None:
+    """Nothing to win for itself; the old follower at 12 m loses its leader and wins 1: at p = 0.2 more than 0.1."""
+    view = replace(VIEW, own_rear=Gap(12.0, 10.0))
+    assert mobil_reason(view, MOBIL.model_copy(update={"mobil_politeness": 0.0})) == Reason.MOBIL_NO_ADVANTAGE
+    assert mobil_reason(view, MOBIL.model_copy(update={"mobil_politeness": 0.2})) is None
+
+
+@pytest.mark.parametrize(
+    ("wish", "reason"),
+    [
+        (None, Reason.LC2013_NO_MOTIVE),
+        (Wish(frozenset(), False, False), Reason.LC2013_NO_MOTIVE),
+        (Wish(frozenset({"speedGain"}), False, False), None),
+        (Wish(frozenset({"speedGain"}), True, False), Reason.FRONT_GAP),
+        (Wish(frozenset({"cooperative"}), False, True), Reason.REAR_GAP),
+    ],
+)
+def test_lc2013_wants_and_can(wish: Wish | None, reason: Reason | None) -> None:
+    assert rule_reason(replace(VIEW, wish=wish), LaneChange(rule="LC2013")) == reason
+
+
+@pytest.mark.parametrize("rule", ["MOBIL", "LC2013", "tests_of_rules:anything"])
+def test_no_rule_is_asked_where_the_lane_cannot_be_changed_in(rule: str) -> None:
+    params = LaneChange(rule=rule)
+    assert rule_reason(replace(VIEW, remaining_m=10.0), params) == Reason.LANE_ENDS
+    assert rule_reason(replace(VIEW, speed_mps=1.0), params) == Reason.TOO_SLOW
+
+
+def test_users_function_is_asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "own_rule.py").write_text(
+        "def patient(view):\n    return view.waited_s >= 2.0\ndef unsure(view):\n    return 'yes'\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    params = LaneChange(rule="own_rule:patient")
+    assert rule_reason(VIEW, params) == Reason.RULE_REFUSES
+    assert rule_reason(replace(VIEW, waited_s=2.0), params) is None
+    with pytest.raises(ConfigError, match="own_rule:unsure': it answered 'yes', expected True or False"):
+        rule_reason(VIEW, LaneChange(rule="own_rule:unsure"))
+
+
+@pytest.mark.parametrize(("name", "words"), [("nowhere_to_find:f", "No module"), ("math:nothing", "nothing")])
+def test_rule_that_is_not_there_is_named(name: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        rule_reason(VIEW, LaneChange(rule=name))

@@ -1,0 +1,211 @@
+"""The statistical verification: by hand, and once before a release, with `pytest -m verification -s`.
+
+Each test compares what comes about in many vehicles with what it should be, and draws a plot whose title says in a
+sentence what it shows, into $HID2_VERIFICATION_DIR (by default the test's own folder, which is printed).
+"""
+
+import os
+from collections import Counter
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from synthetic_driving import KNOWN, synthetic_driving
+
+from bridge.generation.generate import generate, prepare
+from bridge.recordings.scenario import read_scenario
+from bridge.sumo.simulation import Simulation
+from hid2.drivers.calibration import calibrate
+from hid2.evaluation.realism import FEATURES, histogram, quantiles
+from hid2.params import Config, Drivers, Request
+from hid2.policies import Policy
+from netconvert.cells import build_cell_grid
+from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
+from netconvert.net_xml import net_bytes
+
+pytestmark = pytest.mark.verification
+SEEDS = 25
+
+
+@pytest.fixture
+def folder(tmp_path):
+    chosen = Path(os.environ.get("HID2_VERIFICATION_DIR", tmp_path))
+    chosen.mkdir(parents=True, exist_ok=True)
+    return chosen
+
+
+def draw(folder, name, sentence, plot, *, x, y):
+    figure, ax = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
+    plot(ax)
+    ax.set_title(sentence, fontsize=9, wrap=True)
+    ax.set_xlabel(x)
+    ax.set_ylabel(y)
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(fontsize=8)
+    figure.savefig(folder / f"{name}.png", dpi=110)
+    plt.close(figure)
+    print(f"{folder / name}.png: {sentence}")
+
+
+@pytest.fixture(scope="module")
+def generated(data_scenes):
+    """Scenes of the arterial, SEEDS of them, with 10 vehicles asked for at any site."""
+    prepared = prepare(read_scenario(data_scenes["arterial"]), Config())
+    config = [Config(request=Request(agents=10, seed=seed, sites="any")) for seed in range(SEEDS)]
+    return [generate(prepared, one) for one in config]
+
+
+def test_start_delay_after_the_trigger(generated, folder):
+    """A manoeuvre begins at the trigger or at the first step at which it is feasible, never before."""
+    records = [m for scene in generated for agent in scene.sidecar.agents for m in agent.maneuvers]
+    delays = np.array([m.requested_s - m.trigger_s for m in records if m.requested_s is not None])
+    assert len(delays) >= 10
+    assert delays.min() >= -1e-9
+    at_once = float((delays <= 0.1 + 1e-9).mean())
+    draw(
+        folder, "start_delay",
+        f"Of {len(delays)} manoeuvres that began, {at_once:.0%} began within a step of their trigger; none before it.",
+        lambda ax: ax.step(np.sort(delays), np.arange(1, len(delays) + 1) / len(delays), where="post"),
+        x="time from trigger to begin, s", y="share of manoeuvres",
+    )  # fmt: skip
+    assert delays.max() <= Config().lane_change.give_up_s + 11.0
+
+
+def test_trigger_times_are_uniform(generated, folder):
+    """Between 0.5 and 4 s: the Kolmogorov-Smirnov distance of n uniform draws is below 1.63 / sqrt(n) in 99 of 100."""
+    times = np.sort([m.trigger_s for s in generated for a in s.sidecar.agents for m in a.maneuvers if m.trigger_s])
+    share = (times - 0.5) / 3.5
+    ks = float(np.abs(share - (np.arange(len(share)) + 0.5) / len(share)).max())
+    draw(
+        folder, "trigger_times", f"Trigger times of {len(times)} manoeuvres are uniform: KS {ks:.3f}.",
+        lambda ax: (ax.step(times, np.arange(1, len(times) + 1) / len(times)), ax.plot([0.5, 4], [0, 1], "--")),
+        x="trigger, s", y="share",
+    )  # fmt: skip
+    assert ks < 1.63 / np.sqrt(len(times)) + 0.5 / len(times)
+
+
+def test_insertion_is_spread_over_the_lanes(generated, folder):
+    """sites = any: each lane's share of the vehicles is near its share of the length; none takes over half."""
+    graph = generated[0].scenario.graph
+    count = Counter(a.spawn.lane_segment_id for s in generated for a in s.sidecar.agents)
+    total, length = sum(count.values()), sum(graph.lanes[lane].length_m for lane in count)
+    expected = np.array([graph.lanes[lane].length_m / length for lane in count])
+    seen = np.array([count[lane] / total for lane in count])
+    distance = 0.5 * float(np.abs(seen - expected).sum())
+    draw(
+        folder, "insertion",
+        f"{total} vehicles began on {len(count)} lanes; {distance:.0%} would have to move for shares by length.",
+        lambda ax: (ax.scatter(expected, seen), ax.plot([0, expected.max()], [0, expected.max()], "--")),
+        x="share of the lanes' length", y="share of the vehicles",
+    )  # fmt: skip
+    assert distance < 0.5
+    assert seen.max() < 0.5
+
+
+def test_shares_of_policies_are_as_asked_for(generated, folder):
+    """The records name what each vehicle was asked for, feasible or not: the mix within rounding of each scene."""
+    request = Request()
+    count = Counter[Policy]()
+    for scene in generated:
+        count.update(agent.policy for agent in scene.sidecar.agents)
+    total = sum(count.values())
+    seen = [count[policy] / total for policy in Policy]
+    asked = [request.behaviours[policy] for policy in Policy]
+    draw(
+        folder, "policies", f"Shares of the policies asked for (orange) and placed (blue), {total} vehicles.",
+        lambda ax: (ax.bar([str(p) for p in Policy], seen), ax.plot([str(p) for p in Policy], asked, "o", color="C1")),
+        x="policy", y="share",
+    )  # fmt: skip
+    # two spawned leaders an overtake at most, which go straight
+    assert np.abs(np.array(seen) - asked).max() < 0.12
+
+
+def road(length_m):
+    lane = LaneSegment(
+        lane_id=1, centerline=np.array([[0.0, 0.0], [length_m, 0.0]]), left_boundary=None, right_boundary=None,
+        lane_type="VEHICLE", is_intersection=False, successors=(), left_neighbor_id=None, right_neighbor_id=None,
+        left_mark_type="NONE", right_mark_type="NONE", width_m=3.5, turn=TurnType.STRAIGHT,
+    )  # fmt: skip
+    return LaneGraph({1: lane})
+
+
+def drive_alone(tmp_path, model, *, start_mps, steps):
+    """Speeds (steps,) of one car of SUMO: a = 1.5 m/s2, b = 2 m/s2, desired 12 m/s, on an empty road."""
+    net = tmp_path / "road.net.xml"
+    net.write_bytes(net_bytes(build_cell_grid(road(600.0))))
+    speeds = []
+    with Simulation(net, seed=0, step_s=0.1, model=model) as sumo:
+        sumo.step()
+        assert sumo.insert(
+            "v", edges=[f"1#{k}" for k in range(2, 150)], lane_id="1#2_0", front_m=1.0, speed_mps=start_mps,
+            length_m=4.5, width_m=1.9, accel_mps2=1.5, decel_mps2=2.0, tau_s=1.2, min_gap_m=2.0, max_speed_mps=12.0,
+        ) is None  # fmt: skip
+        for _ in range(steps):
+            sumo.drive("v", desired_mps=12.0, limit_mps=None)
+            sumo.step()
+            speeds.append(sumo.speed("v"))
+    return np.array(speeds)
+
+
+def test_krauss_accelerates_as_its_closed_form(tmp_path, folder):
+    """Krauss without imperfection: v(t) = min(v0 + a t, 12): from 3 m/s after 4 s 9 m/s, after 6 s and later 12."""
+    seen = drive_alone(tmp_path, "Krauss", start_mps=3.0, steps=100)
+    time = 0.1 * (np.arange(100) + 1)
+    wanted = np.minimum(3.0 + 1.5 * time, 12.0)
+    draw(
+        folder, "krauss", f"SUMO's Krauss and its closed form: at most {np.abs(seen - wanted).max():.2f} m/s apart.",
+        lambda ax: (ax.plot(time, seen, label="SUMO"), ax.plot(time, wanted, "--", label="closed form")),
+        x="time, s", y="speed, m/s",
+    )  # fmt: skip
+    assert seen == pytest.approx(wanted, abs=0.2)
+
+
+def test_idm_accelerates_as_its_closed_form(tmp_path, folder):
+    """IDM on a free road: dv/dt = a (1 - (v / v0)^4), integrated in steps of a millisecond."""
+    seen = drive_alone(tmp_path, "IDM", start_mps=3.0, steps=120)
+    v, wanted = 3.0, []
+    for step in range(12000):
+        v += 0.001 * 1.5 * (1.0 - (v / 12.0) ** 4)
+        if step % 100 == 99:
+            wanted.append(v)
+    time = 0.1 * (np.arange(120) + 1)
+    draw(
+        folder, "idm", f"SUMO's IDM against its closed form: at most {np.abs(seen - wanted).max():.2f} m/s apart.",
+        lambda ax: (ax.plot(time, seen, label="SUMO"), ax.plot(time, wanted, "--", label="closed form")),
+        x="time, s", y="speed, m/s",
+    )  # fmt: skip
+    assert seen == pytest.approx(np.array(wanted), abs=0.35)
+
+
+def test_calibration_finds_synthetic_drivers_again(folder):
+    """Eight samples of 120 drivers: known parameters lie in their 95 % intervals, widened by the truncation, mostly."""
+    names = ("desired_sd", "tau_mean_s", "offset_mean_m", "offset_sd_m", "lateral_wander_sd_m", "wander_sd_mps",
+             "wander_time_s", "lane_change_mean_s")  # fmt: skip
+    hits, ratios = Counter[str](), {name: [] for name in names}
+    for seed in range(8):
+        seen, extra = synthetic_driving(KNOWN, drivers=120, seed=seed)
+        found = {one.name: one for one in calibrate(seen, extra, prior=Drivers())}
+        for name in names:
+            known, slack = getattr(KNOWN, name), 0.12 * getattr(KNOWN, name)
+            hits[name] += found[name].low - slack <= known <= found[name].high + slack
+            ratios[name].append(found[name].value / known)
+    draw(
+        folder, "calibration", "Parameters found over known ones, eight samples of 120 synthetic drivers: about 1.",
+        lambda ax: (ax.boxplot([ratios[name] for name in names]), ax.set_xticklabels(names, rotation=40, fontsize=7)),
+        x="", y="found over known",
+    )  # fmt: skip
+    assert all(count >= 7 for count in hits.values()), hits
+
+
+def test_quantiles_of_histograms_are_those_of_the_values(folder):
+    """The tails of the report come from histograms: on 20,000 draws they are right to a fine bin."""
+    feature = FEATURES[1]
+    values = np.random.default_rng(0).normal(0.0, 0.9, 20000)
+    shares = np.linspace(0.01, 0.99, 50)
+    found, wanted = quantiles(feature, histogram(feature, values), shares), np.quantile(values, shares)
+    draw(
+        folder, "quantiles", "Quantiles from histograms lie on those of the values themselves.",
+        lambda ax: (ax.plot(wanted, found, "."), ax.plot([-3, 3], [-3, 3], "--")), x="of values", y="of histogram",
+    )  # fmt: skip
+    assert found == pytest.approx(wanted, abs=2 * (feature.high - feature.low) / feature.bins / 40)
