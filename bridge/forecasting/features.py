@@ -91,9 +91,9 @@ def targets_of(scenario: Scenario, params: Forecasting) -> list[Target]:
             [track.position[seen], np.cos(heading), np.sin(heading), track.velocity[seen]]
         )
     lanes, lane_kinds = _lanes(scenario, params.lane_points)
-    seen = _Seen(history, present, lanes, lane_kinds)
+    around = _Seen(history, present, lanes, lane_kinds)
     return [
-        _target(scenario, row, seen, params)
+        _target(scenario, row, around, params)
         for row, track in enumerate(scenario.tracks)
         if track.category >= _SCORED_CATEGORY and present[row, LAST_OBSERVED]
     ]

@@ -172,8 +172,8 @@ class Filling:
         )  # fmt: skip
         sites.taken += self._again
         starts, self._again = list(self._again), []
-        if number >= config.spawn.reseed_rounds:  # the count matters more by now
-            self._give_up_manoeuvres()
+        if number >= max(1, config.spawn.reseed_rounds):  # the count matters more by now; each is tried once
+            self._give_up_manoeuvres({start.request.number for start in starts})
         waiting = sorted(self._open, key=lambda request: (_ORDER.index(request.policy), request.number))
         used: set[int] = {start.request.number for start in starts}
         failed: Counter[Policy] = Counter()
@@ -196,7 +196,8 @@ class Filling:
                 self._last_reason[request.number] = Reason.NO_SITE
             elif request.policy is not Policy.STRAIGHT:
                 waiting_rivals.append(request)
-        starts += self._rivals(sites, waiting_rivals, math.ceil(config.spawn.rivals_share * max(0, missing)))
+        if number < config.spawn.reseed_rounds:
+            starts += self._rivals(sites, waiting_rivals, math.ceil(config.spawn.rivals_share * max(0, missing)))
         if spare and starts and not failed[Policy.STRAIGHT]:
             extra = math.ceil(config.spawn.spare_share * len(starts))
             if number + 1 == config.spawn.reseed_rounds:  # in place of manoeuvres that fail once more
