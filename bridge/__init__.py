@@ -13,33 +13,44 @@ if TYPE_CHECKING:
     from bridge.batch.batch import plan as plan
     from bridge.batch.batch import run_batch as run_batch
     from bridge.config import load_config as load_config
+    from bridge.config import parse_behaviours as parse_behaviours
     from bridge.evaluation.evaluate import evaluate_folder as evaluate_folder
     from bridge.generation.generate import generate as generate
     from bridge.generation.generate import prepare as prepare
     from bridge.generation.generate import write as write
+    from bridge.pictures.conflicts import Conflict as Conflict
+    from bridge.pictures.conflicts import draw_conflicts as draw_conflicts
+    from bridge.pictures.conflicts import find_conflicts as find_conflicts
     from bridge.pictures.plot import plot_agent as plot_agent
     from bridge.pictures.render import draw_scene as draw_scene
     from bridge.pictures.render import render_scene as render_scene
     from bridge.recordings.folders import find_scenarios as find_scenarios
     from bridge.recordings.scenario import Scenario as Scenario
     from bridge.recordings.scenario import read_scenario as read_scenario
+    from bridge.recordings.sidecar import sidecar_in as sidecar_in
     from bridge.recordings.validate import validate_folder as validate_folder
     from bridge.studies.run import run_study as run_study
     from bridge.studies.study import read_study as read_study
     from hid2.params import Config as Config
+    from hid2.reasons import Reason as Reason
     from netconvert.errors import Hid2Error as Hid2Error
 
 #: Where each public name is.
 _HOMES = {
     "Config": "hid2.params",
+    "Conflict": "bridge.pictures.conflicts",
     "Hid2Error": "netconvert.errors",
     "Options": "bridge.batch.batch",
+    "Reason": "hid2.reasons",
     "Scenario": "bridge.recordings.scenario",
+    "draw_conflicts": "bridge.pictures.conflicts",
     "draw_scene": "bridge.pictures.render",
     "evaluate_folder": "bridge.evaluation.evaluate",
+    "find_conflicts": "bridge.pictures.conflicts",
     "find_scenarios": "bridge.recordings.folders",
     "generate": "bridge.generation.generate",
     "load_config": "bridge.config",
+    "parse_behaviours": "bridge.config",
     "plan": "bridge.batch.batch",
     "plot_agent": "bridge.pictures.plot",
     "prepare": "bridge.generation.generate",
@@ -48,6 +59,7 @@ _HOMES = {
     "render_scene": "bridge.pictures.render",
     "run_batch": "bridge.batch.batch",
     "run_study": "bridge.studies.run",
+    "sidecar_in": "bridge.recordings.sidecar",
     "validate_folder": "bridge.recordings.validate",
     "write": "bridge.generation.generate",
 }

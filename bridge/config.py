@@ -77,7 +77,9 @@ def parse_behaviours(text: str) -> dict[str, float]:
     for part in text.split(","):
         name, separator, value = (piece.strip() for piece in part.partition("="))
         if name not in names or not separator:
-            raise ConfigError(f"behaviours: {part.strip()!r}, expected name=share with a name of {', '.join(names)}")
+            alike = get_close_matches(name, names, 1)
+            hint = f"; did you mean {alike[0]}?" if alike and name not in names else ""
+            raise ConfigError(f"behaviours: {part.strip()!r}, expected name=share of {', '.join(names)}{hint}")
         if name in given:
             raise ConfigError(f"behaviours: {name!r} is given twice; give each once")
         given.add(name)

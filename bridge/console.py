@@ -34,6 +34,11 @@ def warn(message: str) -> None:
     say(f"hid2: warning: {message}")
 
 
+def counted(number: int, noun: str) -> str:
+    """A number with its noun: "no scene", "1 scene", "3 scenes"."""
+    return f"{number or 'no'} {noun}{'' if number < 2 else 's'}"
+
+
 def table_width() -> int | None:
     """Columns of the terminal that stdout is; None for a pipe or a file, which take lines of any length."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None

@@ -310,7 +310,7 @@ class Turn(_Section):
 class Conflict(_Section):
     """The three cases of conflict resolution, and what is exported at all."""
 
-    horizon_s: float = _param(8.0, "s", "H delta: how far ahead conflicts are looked for", gt=0, le=10)
+    horizon_s: float = _param(5.0, "s", "H delta: how far ahead conflicts are looked for", gt=0, le=10)
     act_mps2: float = _param(
         1.1, "m/s2", "deceleration that a conflict must ask for before the timing is changed", ge=0, le=4
     )

@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class Reason(StrEnum):
-    """A reason; its sentence is its `text`. The README's table of reasons is made from this list."""
+    """A reason; its sentence is its `text`. The table in REASONS.md is made from this list."""
 
     text: str
 

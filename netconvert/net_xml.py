@@ -41,7 +41,9 @@ def net_bytes(grid: CellGrid, *, speed_limit_mps: float = SPEED_LIMIT_MPS) -> by
         side: {lane_id for lane_id in grid.graph.lanes if not grid.graph.may_change(lane_id, side)} for side in SIDES
     }
     for edge, (edge_id, row) in enumerate(zip(edge_ids, rows, strict=True)):
-        text.append(f'  <edge id="{edge_id}" from="{names[2 * edge]}" to="{names[2 * edge + 1]}" priority="0">')
+        ends = f'from="{names[2 * edge]}" to="{names[2 * edge + 1]}"'
+        # the spread is for netedit, which else moves lanes aside; SUMO drives on the shapes
+        text.append(f'  <edge id="{edge_id}" {ends} priority="0" spreadType="center">')
         for index, (lane_id, cell_index) in enumerate(row):
             crossing = f' changeRight="{_MAY_ALWAYS_CROSS}"' if index > 0 and lane_id in closed["right"] else ""
             if index + 1 < len(row) and lane_id in closed["left"]:

@@ -2,17 +2,27 @@
 
 import re
 import runpy
+import shlex
+import subprocess
 from pathlib import Path
 
 import pytest
 
+import bridge
 from hid2.reasons import Reason
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("netconvert", "hid2", "bridge")
 #: `file.py`: `name`, `name`
 NAMED = re.compile(r"`([\w./]+\.py)`: ((?:`\w+`(?:, )?)+)")
-DOCUMENTS = ("README.md", "CONTRIBUTING.md", *(f"{package}/README.md" for package in PACKAGES))
+#: Every page but those that are made of the code or tell of the past.
+PAGES = sorted(
+    path.relative_to(ROOT).as_posix()
+    for path in (*ROOT.glob("*.md"), *(page for top in (*PACKAGES, "data") for page in (ROOT / top).rglob("*.md")))
+)
+DOCUMENTS = [page for page in PAGES if page not in {"CHANGELOG.md", "bridge/COMMANDS.md"}]
+#: A line of a page that is a command, or goes on from the line before.
+COMMAND = re.compile(r"^    (?:[.]venv/bin/)?(hid2 (?:.*\\\n)*.*)$", re.MULTILINE)
 
 
 def place(document: Path, name: str) -> Path | None:
@@ -58,10 +68,81 @@ def test_every_symbol_of_the_paper_tables_is_in_the_table() -> None:
 
 
 def test_table_of_reasons_is_made_of_the_reasons() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    page = (ROOT / "hid2" / "REASONS.md").read_text(encoding="utf-8")
     with_table = runpy.run_path(str(ROOT / ".ci" / "reasons_table.py"))["with_table"]
-    assert readme == with_table(readme), "write it anew: .venv/bin/python .ci/reasons_table.py"
-    assert f"| `{Reason.PET.value}` | {Reason.PET.text} |" in readme
+    assert page == with_table(page), "write it anew: .venv/bin/python .ci/reasons_table.py"
+    assert f"| `{Reason.PET.value}` | {Reason.PET.text} |" in page
+
+
+def test_page_of_public_names_is_made_of_their_docstrings() -> None:
+    made = runpy.run_path(str(ROOT / ".ci" / "public_names.py"))["page"]()
+    assert (ROOT / "bridge" / "PYTHON.md").read_text() == made, "write it anew: .venv/bin/python .ci/public_names.py"
+    assert set(re.findall(r"^\| `(\w+)", made, re.MULTILINE)) == set(bridge.__all__)
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors of a page's headings, as GitHub makes them."""
+    heads = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_links_of_a_page_lead_somewhere(name: str) -> None:
+    page = ROOT / name
+    wrong = []
+    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if "://" in link:
+            continue
+        path, _, anchor = link.partition("#")
+        target = page if not path else page.parent / path
+        if not target.exists() or (anchor and anchor not in anchors(target)):
+            wrong.append(link)
+    assert wrong == []
+
+
+def test_every_page_can_be_found_from_the_readme() -> None:
+    """Following links from README.md, as a reader does."""
+    found, waiting = set(), {"README.md"}
+    while waiting:
+        name = waiting.pop()
+        found.add(name)
+        page = ROOT / name
+        for link in re.findall(r"\]\(([^)#\s]+\.md)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            if "://" not in link:
+                target = (page.parent / link).resolve().relative_to(ROOT).as_posix()
+                waiting |= {target} - found
+    assert set(PAGES) - found == set()
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_every_command_line_of_a_page_is_understood(name: str) -> None:
+    """Commands, options and choices are there: each line is parsed, and not run."""
+    import typer
+    from typer.main import get_command
+
+    from bridge.cli import app
+
+    group = get_command(app)
+    text = (ROOT / name).read_text(encoding="utf-8").replace("`hid2 ...", "")
+    for line in COMMAND.findall(text):
+        words = shlex.split(line.replace("\\\n", " "), comments=True)[1:]
+        words = [part for word in words for part in ([word] if "..." not in word else [])]
+        command = group.commands[words[0]]  # type: ignore[attr-defined]
+        arguments = [re.sub(r"^(EXPERIMENT)$", "density", word) for word in words[1:]]
+        context = command.make_context(words[0], arguments, parent=typer.Context(group))
+        assert context.args == [], line
+
+
+def test_readme_is_short_and_its_pictures_are_small() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) < 170
+    pictures = list((ROOT / "data" / "pictures").iterdir())
+    assert pictures
+    assert max(path.stat().st_size for path in pictures) < 150_000
+    tracked = subprocess.run(
+        ["git", "ls-files", "data/pictures"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    shown = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert [name for name in tracked.stdout.split() if name not in shown] == []
 
 
 def test_every_reason_is_given_somewhere() -> None:

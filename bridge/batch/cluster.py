@@ -38,7 +38,7 @@ _NO_WORKERS = (
     "scheduler {where}: no workers for {seconds:g} s, expected some on each host: dask worker {where} --nthreads 1 "
     "(then go on with --resume)"
 )
-_TLS = "expected Dask's settings distributed.comm.tls.ca-file, .client.cert and .client.key (README, On several hosts)"
+_TLS = "expected Dask's settings distributed.comm.tls.ca-file, .client.cert and .client.key (bridge/batch/README.md)"
 
 #: Whose messages errors say instead.
 _LOGGERS = ("distributed", "tornado", "asyncio")

@@ -351,7 +351,7 @@ def describe_error(error: Exception) -> Failure:
     details = "".join(traceback.format_exception(error))
     full = disk_error(error)
     if full is not None:
-        return Failure("disk", f"{full.filename or 'a file'}: cannot be written ({full.strerror})", details)
+        return Failure("disk", f"{full.filename or 'the scene'}: cannot be written ({full.strerror})", details)
     if isinstance(error, MemoryError):
         bound = resource.getrlimit(resource.RLIMIT_DATA)[0]
         return Failure("memory", _too_much(bound // _MB if bound != resource.RLIM_INFINITY else None), details)

@@ -4,6 +4,7 @@ Exit codes: 0 all done, 1 some scene could not be done, 2 usage or configuration
 messages to stderr.
 """
 
+import re
 import sys
 
 from bridge.cli import configuration, forecasting, generation, measuring, pictures, scenes
@@ -36,6 +37,15 @@ def main() -> None:
     sys.exit(code or 0)
 
 
+#: What the parser of options says, and what is said instead.
+_PHRASES = {
+    "Value error, ": "",
+    "Input should be greater than or equal to": "expected at least",
+    "Input should be less than or equal to": "expected at most",
+    "Input should be a valid (\\w+)(, unable to parse .*)?": r"expected \1",
+}
+
+
 def _failed(message: str, code: int) -> int:
     say(f"hid2: error: {message}")
     return code
@@ -47,5 +57,7 @@ def _mistake(error: Exception) -> int:
         say(error.format_message())  # type: ignore[attr-defined]
         return USAGE
     command = context.command_path if context is not None else "hid2"
-    message = error.format_message().replace("Value error, ", "")  # type: ignore[attr-defined]
+    message = error.format_message()  # type: ignore[attr-defined]
+    for theirs, ours in _PHRASES.items():
+        message = re.sub(theirs, ours, message)
     return _failed(f"{message[:1].lower()}{message[1:].rstrip('.')} (see {command} --help)", USAGE)

@@ -52,13 +52,10 @@ def print_batch(rows: Sequence[ManifestRow]) -> None:
             [(row.scenario, row.variant, row.failure, row.reason) for row in bad[:_LISTED_RUNS]],
         )
     done = [row for row in rows if row.status == DONE]
-    asked = (
-        "as many as possible"
-        if any(row.requested == "max" for row in done)
-        else sum(int(row.requested) for row in done)
-    )
+    most = any(row.requested == "max" for row in done)
+    asked = "" if most else f" of {sum(int(row.requested) for row in done)}"
     print(
-        f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)} of {asked}; "
+        f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)}{asked}; "
         f"manoeuvres done: {sum(row.maneuvers_done for row in done)} of {sum(row.maneuvers_requested for row in done)}"
     )
 

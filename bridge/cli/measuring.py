@@ -23,7 +23,7 @@ from bridge.cli.options import (
 )
 from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import set_up, unread_text
-from bridge.console import Activity, print_json, print_table
+from bridge.console import Activity, counted, print_json, print_table, say
 from netconvert.errors import ConfigError
 
 
@@ -100,6 +100,12 @@ def evaluate(
         for folder, reason in evaluation.failures:
             activity.message(unread_text(folder, reason))
     if not quiet:
+        counts = evaluation.metrics["scenes"]
+        made, left_out = counts["generated_vehicles"], len(evaluation.failures)
+        say(
+            f"{out}: {counted(counts['scenes'], 'scene')} made from {counts['sources']} recorded, with "
+            f"{counted(made, 'generated vehicle')}" + (f"; {left_out} not readable, left out" if left_out else "")
+        )
         print(report / "report.html")
     raise typer.Exit(SOME_FAILED if evaluation.failures else ALL_DONE)
 

@@ -33,6 +33,8 @@ def check_one_scene(path: Path, *, map_file: bool = False) -> None:
         inside = next(_scenes_below(path), None)
         if inside is not None:
             raise ConfigError(f"{path}: holds several scenes, this command takes one; for example {inside}")
+        what = "scenario_<id>.parquet or log_map_archive_<id>.json" if map_file else "scenario_<id>.parquet"
+        raise ConfigError(f"{path}: no {what} in it, expected a scenario folder")
 
 
 def check_out(out: Path) -> None:

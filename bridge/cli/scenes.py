@@ -26,7 +26,7 @@ from bridge.cli.options import (
 )
 from bridge.cli.places import check_one_scene, check_out, check_out_file, check_scenes
 from bridge.cli.session import set_up, unread_text, with_cities_of
-from bridge.console import Activity, print_json, print_table, say
+from bridge.console import Activity, counted, print_json, print_table, say
 
 
 @command()
@@ -49,8 +49,10 @@ def validate(
     set_up(verbose=verbose, quiet=quiet)
     check_scenes([out, *([source] if source else [])])
     with Activity("checking scenes", quiet=quiet):
+        from bridge.recordings.folders import find_scenarios
         from bridge.recordings.validate import validate_folder
 
+        scenes = len(find_scenarios(out))
         findings = validate_folder(out, source=source)
     if as_json:
         print_json(("file", "rule", "message"), findings)
@@ -60,8 +62,8 @@ def validate(
     wrong = sum(not finding.is_note for finding in findings)
     if not quiet:
         noted = len(findings) - wrong
-        notes = f", {noted} note{'' if noted == 1 else 's'} on recorded tracks" if noted else ""
-        say(f"{out}: {wrong or 'no'} finding{'' if wrong == 1 else 's'}{notes}")
+        notes = f", {counted(noted, 'note')} on recorded tracks" if noted else ""
+        say(f"{out}: {counted(scenes, 'scene')}, {counted(wrong, 'finding')}{notes}")
     raise typer.Exit(SOME_FAILED if wrong else ALL_DONE)
 
 

@@ -81,8 +81,11 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[int, Estimate]]]]) -> Figure:
-    """The paper's figure of added agents: LO, LA, JE, SCR, ORR against the number added; series[metric][group]."""
+def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[int, Estimate]]]], *, of: str) -> Figure:
+    """The paper's figure of added agents: LO, LA, JE, SCR, ORR against the number added; series[metric][group].
+
+    of: how many scenes and vehicles it is of, in words.
+    """
     figure, axes = plt.subplots(1, len(series), figsize=(3.0 * len(series), 3.4), layout="constrained")
     labels = {"lo": "LO, m/s²", "la": "LA, m/s²", "je": "JE, m/s³", "scr": "SCR, share", "orr": "ORR, share"}
     looks = {"combined": (figures.COMBINED, "-", "o"), "generated": (figures.GENERATED, "--", "s")}
@@ -104,5 +107,6 @@ def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[int, Estimat
         ax.set_title(labels[metric])
         ax.set_ylim(bottom=0)
         ax.set_xticks(sorted({x for points in groups.values() for x, _ in points}))
+    figure.suptitle(of, fontsize=9)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure

@@ -18,12 +18,12 @@ from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import Labelled, Row, SceneMeasures, measure_folders
 from bridge.evaluation.totals import Evaluation, Totals
 from bridge.files import table_file, write_text
+from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import find_scenarios, read_sizes, source_id
 from bridge.recordings.sidecar import sidecar_in
 from hid2.agents import BoxSize
 from hid2.measures.arrays import is_generated_id
 from hid2.params import Limits
-from netconvert.av2_map import read_lane_graph
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ExportError, Hid2Error, ScenarioError
 from netconvert.fidelity import measure_fidelity
@@ -201,7 +201,7 @@ def _nets(folders: Mapping[str, str]) -> dict[str, Any]:
     nets: dict[str, Any] = {}
     for source, folder in folders.items():
         try:
-            grid = build_cell_grid(read_lane_graph(next(Path(folder).glob("log_map_archive_*.json"))))
+            grid = build_cell_grid(read_source_map(next(Path(folder).glob("log_map_archive_*.json"))))
             report = measure_fidelity(grid, net_bytes(grid))
         except Hid2Error as error:
             nets[source] = {"failed": str(error)}

@@ -274,8 +274,10 @@ def _write(
         _write_rows([_flat(line) for line in lines], out_dir / f"{name}.csv")
         if name == "density":
             series = {int(o.setting.name): (SourceSums.of(o.rows), o.setting.config is not None) for o in outcomes}
-            parts.append(report.picture(charts.density_figure(_density(series)), _DENSITY_CAPTION))
-            figures.save(charts.density_figure(_density(series)), out_dir / f"{name}.png")
+            counted = _of(outcomes, sources)
+            shown = charts.density_figure(_density(series), of=counted)
+            parts.append(report.picture(shown, f"{_DENSITY_CAPTION} Of {counted}."))
+            figures.save(charts.density_figure(_density(series), of=counted), out_dir / f"{name}.png")
     write_text(out_dir / f"{name}.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
     path = out_dir / f"{name}.html"
     write_text(path, report.page(_TITLES[name], parts))
@@ -315,7 +317,7 @@ def _about(name: Experiment, outcomes: Sequence[Outcome], *, seeds: int, sources
     asked = "0 to 40 vehicles" if name == "density" else f"{agents} vehicles"
     text = (
         f"<p>{sources} recorded scene{'s' if sources > 1 else ''}, each with seeds 0 to {seeds - 1}, {asked} asked for."
-        f" Placed in a scene, in the mean: {', '.join(placed)}.</p>"
+        f" Placed in a scene, in the mean: {', '.join(placed)}. Of {_of(outcomes, sources)}.</p>"
     )
     if name != "diversity":
         text += _COLUMNS_TEXT
@@ -330,6 +332,13 @@ def _about(name: Experiment, outcomes: Sequence[Outcome], *, seeds: int, sources
             + "</ul>"
         )
     return text
+
+
+def _of(outcomes: Sequence[Outcome], sources: int) -> str:
+    """How many scenes and vehicles an experiment is of."""
+    made = [row for outcome in outcomes if outcome.setting.config is not None for row in outcome.rows]
+    vehicles = sum(int(row["generated"]) for row in made)
+    return f"{len(made)} generated scenes made from {sources} recorded, with {vehicles} generated vehicles in all"
 
 
 _COLUMNS_TEXT = (

@@ -183,7 +183,8 @@ def read_forecasts(path: Path) -> Forecasts:
             f"{path}: no such file, expected a forecast file or one of {', '.join(BASELINES)}"
         ) from None
     except (ValueError, KeyError, OSError, IndexError) as error:
-        raise ScenarioError(f"{path}: not a forecast file of av2's submission format ({error})") from error
+        said = str(error).split("\n")[0].split(". ")[0]  # pyarrow goes on for lines
+        raise ScenarioError(f"{path}: not a forecast file of av2's submission format ({said})") from error
     for scenario_id, (probabilities, by_track) in forecasts.items():
         outside = ~((probabilities >= 0) & (probabilities <= 1))
         if outside.any():

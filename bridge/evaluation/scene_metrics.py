@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 
 from bridge.batch.isolation import Failure, describe_error
+from bridge.files import read_regular
+from bridge.recordings.limits import MAX_FILE_MB, check_ground
+from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import (
     LAST_OBSERVED,
     STEP_S,
@@ -33,7 +36,6 @@ from hid2.measures.encounters import encounters
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.scene_end import Contact, contacts_after_last_step
 from hid2.params import Limits
-from netconvert.av2_map import read_lane_graph
 from netconvert.errors import ScenarioError
 
 #: A manoeuvre seen belongs to a record of its kind whose crossing (or start) is at most this far away.
@@ -89,9 +91,12 @@ class Maps:
         self._known: dict[bytes, PreparedMap] = {}
 
     def read(self, path: Path) -> PreparedMap:
-        """The map in a file. Errors: MapError."""
-        content = path.read_bytes() if path.is_file() else b""
-        ground = self._known.pop(content, None) or prepare_map(read_lane_graph(path))
+        """The map in a file, which keeps the rules and limits of a source's. Errors: MapError."""
+        try:
+            content = read_regular(path, most_mb=MAX_FILE_MB)
+        except OSError:
+            content = b""  # what is wrong is said below
+        ground = self._known.pop(content, None) or prepare_map(read_source_map(path))
         self._known[content] = ground  # the last one used comes last
         while len(self._known) > _MOST_MAPS:
             self._known.pop(next(iter(self._known)))
@@ -126,7 +131,9 @@ def _read(folder: Path, maps: Maps) -> tuple[Rows, PreparedMap]:
         read_scenario(folder)  # says what is wrong
         raise ScenarioError(f"{folder}: {len(tables)} scenarios and {len(files)} maps, expected one of each")
     rows = split_rows(read_table(tables[0]), name=str(tables[0]), sizes=read_sizes(folder))
-    return rows, maps.read(files[0])
+    ground = maps.read(files[0])
+    check_ground(rows.tracks, ground.graph, str(folder))
+    return rows, ground
 
 
 def measure(

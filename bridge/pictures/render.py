@@ -145,14 +145,16 @@ def draw_scene(
     """Draw a scene, recorded or generated, into axes of your own: map, vehicles in the colours of their policies, ids.
 
     step: a timestep (default: the last observed one). agent: a track to highlight, whose surroundings are shown. Axes
-    are in metres from a round place nearby. Errors: ConfigError for an unknown step or track.
+    are in metres from a round place nearby, at the same scale both ways; more ground is shown where the axes are wider
+    or higher than the scene. Errors: ConfigError for an unknown step or track.
     """
     shown = figures.check_step(scenario, step)
     panel = _panels(scenario, None)[-1]
     low, high = _window(scenario, agent)
     figures.draw_map(axes, scenario.graph, cells=cells)
     _put(panel, axes, shown, agent=agent, whole_paths=True)
-    figures.frame(axes, low, high, origin=np.floor(low / 100) * 100)
+    room = axes.get_window_extent()
+    figures.frame(axes, low, high, origin=np.floor(low / 100) * 100, aspect=room.width / room.height)
 
 
 def _panels(scenario: Scenario, source: Path | None) -> list[_Panel]:

@@ -109,7 +109,8 @@ def _missing_sidecar(folder: Path, rows: Rows | None) -> list[Finding]:
     """A finding where there is no sidecar, unless none of the tracks is a generated one: the scene was recorded."""
     path = sidecar_path(folder, folder.name)
     generated = rows is None or any(track_id.startswith("gen_") for track_id in rows.ids)
-    return [Finding(path, "folder", "no such file")] if generated and not path.is_file() else []
+    message = "no such file, which every generated scene has (a recorded one has none)"
+    return [Finding(path, "folder", message)] if generated and not path.is_file() else []
 
 
 def _sizes(sidecar: Sidecar | None, sources: Mapping[str, Path] | None) -> dict[str, BoxSize]:

@@ -1,5 +1,6 @@
 """A scene in sumo-gui at its exact positions: recorded agents grey, generated vehicles coloured by policy."""
 
+import io
 import os
 import shutil
 import sys
@@ -48,11 +49,11 @@ def play_scene(
     Errors: ScenarioError, MapError; ConfigError for a step that there is none of; SimulationError without sumo-gui,
     traci or a display; ExportError where the picture cannot be written.
     """
-    scenario = read_scenario(folder)
-    pictured = check_step(scenario, step)
     if screenshot is not None:
         check_ending(screenshot, [".png"])
     traci, binary = _traci(), _binary()
+    scenario = read_scenario(folder)
+    pictured = check_step(scenario, step)
     with tempfile.TemporaryDirectory(prefix="hid2-gui-") as place:
         grid = build_cell_grid(scenario.graph)
         write_net(grid, Path(place) / "scene.net.xml")
@@ -66,7 +67,7 @@ def play_scene(
         command += ["--breakpoints", ",".join(f"{halt:.1f}" for halt in halts)]
         command += ["--delay", "0" if screenshot is not None else f"{REAL_TIME_MS / speed:.0f}"]
         try:
-            with redirect_stdout(sys.stderr):  # traci prints that it retries
+            with redirect_stdout(io.StringIO()):  # traci prints that it retries
                 traci.start(command, stdout=sys.stderr)
         except (traci.exceptions.TraCIException, traci.exceptions.FatalTraCIError, OSError) as error:
             raise SimulationError(f"sumo-gui does not start: {error}") from error

@@ -115,7 +115,7 @@ Cluster = tuple[str, list[subprocess.Popen[bytes]]]
 
 @contextlib.contextmanager
 def started_cluster(tmp_path: Path, *, protocol: str, settings: dict[str, str], workers: int) -> Iterator[Cluster]:
-    """A scheduler and workers as a user starts them by README, each by its own command line."""
+    """A scheduler and workers as a user starts them by bridge/batch/README.md, each by its own command line."""
     file = tmp_path / "scheduler.json"
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)} | settings
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
@@ -189,7 +189,7 @@ def test_scheduler_that_dies_is_one_line(make_data_set: MakeDataSet, tmp_path: P
 
 
 def certificates(folder: Path) -> dict[str, str]:
-    """Dask's settings for a CA and one certificate by it, made on the spot as README says."""
+    """Dask's settings for a CA and one certificate by it, made on the spot as bridge/batch/README.md says."""
     key = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2"]
     signed = ["-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "2"]
     for arguments in (

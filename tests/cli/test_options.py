@@ -83,7 +83,10 @@ def test_version_is_that_of_the_distribution(hid2: Run) -> None:
         (["generate", "data/av2"], "missing -o/--out"),
         (["evaluate"], "missing argument 'SCENES'"),
         (["plot", "data/av2", "-o", "a.png"], "missing option '--agent'"),
-        (["scan", "data/av2", "--jobs", "0"], "should be greater than or equal to 1"),
+        (["scan", "data/av2", "--jobs", "0"], "invalid value for '--jobs' / '-j': expected at least 1"),
+        (["gui", "data/av2", "--speed", "200"], "invalid value for '--speed': expected at most 100"),
+        (["scan", "data/av2", "--jobs", "two"], "invalid value for '--jobs' / '-j': expected integer (see"),
+        (["generate", "data/av2", "-o", "x", "--behaviours", "lanechange=1"], "did you mean lane_change?"),
         (["paper", "table9", "-o", "x"], "'table9' is not one of 'table1'"),
     ],
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.cli.places import check_out, check_out_file, check_scenes
+from bridge.cli.places import check_one_scene, check_out, check_out_file, check_scenes
 from netconvert.errors import ConfigError
 
 Run = Callable[..., object]
@@ -83,3 +83,9 @@ def test_data_set_for_a_command_of_one_scene_is_refused_with_an_example(
         in result.stderr
     )
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("map_file", [False, True])
+def test_folder_without_a_scene_is_refused_with_what_is_missing(tmp_path: Path, map_file: bool) -> None:
+    with pytest.raises(ConfigError, match=r"no scenario_<id>\.parquet.* in it, expected a scenario folder"):
+        check_one_scene(tmp_path, map_file=map_file)

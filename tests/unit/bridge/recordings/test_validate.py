@@ -205,6 +205,11 @@ def test_a_missing_file_is_found(written: Path, pattern: str) -> None:
     assert "folder" in rules(written)
 
 
+def test_a_recorded_scene_is_told_from_a_generated_one(data_scenes: dict[str, Path]) -> None:
+    (finding,) = validate_folder(data_scenes["curve"])
+    assert finding.message == "no such file, which every generated scene has (a recorded one has none)"
+
+
 def test_a_renamed_folder_is_found(written: Path) -> None:
     written.rename(written.with_name("renamed"))
     assert {"folder", "other-parquet"} <= rules(written)

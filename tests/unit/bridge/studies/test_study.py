@@ -4,8 +4,12 @@ from pathlib import Path
 
 import pytest
 
+from bridge.config import load_config
+from bridge.generation.generate import generate
 from bridge.recordings.corridor import write_corridor
+from bridge.recordings.scenario import read_scenario
 from bridge.studies.study import _counts, read_study
+from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 
 ROOT = Path(__file__).parents[4]
@@ -108,3 +112,25 @@ def test_warm_up_of_a_flow_is_cut_off(source: str, trigger_s: float, waited_s: f
 def test_study_may_ask_for_maps_with_room(tmp_path: Path, data_root: Path) -> None:
     study = read_study(study_file(tmp_path, 'can = ["left_turn"]\n[vary]\ntrigger_s = [1.0]\n', data_root))
     assert [folder.name for folder in study.folders] == ["bf8c5e9d-76de-5c6f-a44b-69cc2c9a318a"]
+
+
+def test_without_reseeding_each_request_is_tried_once(data_scenes: dict[str, Path]) -> None:
+    """As the studies in data/studies ask for: manoeuvres are begun, and what failed is not tried elsewhere."""
+    settings = ["spawn.reseed_rounds=0", "request.agents=6", "request.straight=0", "request.left_turn=0"]
+    settings += ["request.right_turn=0", "request.overtake=0", "request.lane_change=1"]
+    scene = generate(read_scenario(data_scenes["arterial"]), load_config(None, settings))
+    records = [record for agent in scene.sidecar.agents for record in agent.maneuvers]
+    assert len(records) == 6
+    assert sum(record.status == "done" for record in records) >= 3
+    assert not any(vehicle.reason == Reason.DID_NOT_DO_IT for vehicle in scene.sidecar.replaced)
+
+
+def test_a_request_has_one_record_though_its_vehicle_is_driven_again(data_scenes: dict[str, Path]) -> None:
+    """Four lane changes are asked for; one vehicle has braked for another that goes, and is driven once more."""
+    settings = ["spawn.reseed_rounds=1", "request.trigger_min_s=1", "request.trigger_max_s=1", "request.agents=8"]
+    settings += ["request.straight=0.5", "request.left_turn=0", "request.right_turn=0", "request.overtake=0"]
+    scene = generate(
+        read_scenario(data_scenes["arterial"]),
+        load_config(None, [*settings, "request.lane_change=0.5", "request.seed=1"]),
+    )
+    assert sum(len(agent.maneuvers) for agent in scene.sidecar.agents) == 4

@@ -1,0 +1,69 @@
+"""Makes the pictures of the README from the synthetic scenes: python data/make_pictures.py.
+
+They are of synthetic data only, and reduced to a palette: small files.
+"""
+
+import tempfile
+from pathlib import Path
+
+import imageio.v3 as iio
+from PIL import Image
+
+from bridge import (
+    evaluate_folder,
+    find_scenarios,
+    generate,
+    load_config,
+    plot_agent,
+    read_scenario,
+    render_scene,
+    write,
+)
+from bridge.evaluation.charts import distribution_figure
+from bridge.pictures import figures
+
+ROOT = Path(__file__).parent
+PICTURES = ROOT / "pictures"
+#: Widest picture, pixels, and colours of its palette.
+WIDTH, COLORS = 1200, 96
+
+
+def main() -> None:
+    """Write every picture."""
+    PICTURES.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        out = Path(scratch)
+        settings = ["request.agents=12", "request.straight=0.4", "request.lane_change=0.4", "request.overtake=0.2"]
+        folders = find_scenarios(ROOT / "av2")
+        scenes = [generate(read_scenario(folder), load_config(overrides=settings)) for folder in folders]
+        written = [write(scene, out / "scenes") for scene in scenes]
+        # the scene in which most is done, and in it a vehicle that changes lanes
+        best = max(range(len(scenes)), key=lambda k: len(_done(scenes[k].sidecar.agents)))
+        agent = _done(scenes[best].sidecar.agents)[0]
+        render_scene(written[best], out / "scene.png")
+        plot_agent(written[best], agent, out / "plot.png")
+        evaluation = evaluate_folder(out / "scenes", report_dir=out / "report", source=ROOT / "av2")
+        figures.save(distribution_figure(evaluation.totals.realism), out / "report.png")
+        for name in ("scene", "plot", "report"):
+            picture = Image.fromarray(iio.imread(out / f"{name}.png")[..., :3])
+            picture.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
+            reduced(picture, COLORS).save(PICTURES / f"{name}.png", optimize=True)
+
+
+def reduced(picture: Image.Image, colors: int) -> Image.Image:
+    """A picture with a palette that holds the colours of vehicles, though they cover little ground."""
+    kept = [*figures.POLICY_COLORS.values(), figures.SKY, figures.DARK_GREY, figures.GREY, figures.HIGHLIGHT]
+    own = [int(color[k : k + 2], 16) for color in kept for k in (1, 3, 5)]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette((picture.quantize(colors - len(kept)).getpalette() or []) + own)
+    return picture.quantize(palette=palette, dither=Image.Dither.NONE)
+
+
+def _done(agents):  # noqa: ANN001, ANN202
+    """Ids of the vehicles that did a lane change or an overtake."""
+    wanted = {"lane_change", "overtake"}
+    return [a.track_id for a in agents if any(m.kind in wanted and m.status == "done" for m in a.maneuvers)]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,269 @@
+"""Ten thousand scenes in one go, with kills, a full disk and resumes in between: memory, handles, files, rate.
+
+    python tests/benchmarks/ten_thousand.py --scenes 10000 --jobs 2
+    python tests/benchmarks/ten_thousand.py --scenes 200 --jobs 2 --root data/av2       # a try
+
+`hid2 generate` makes variants of the scenes, as a user calls it, into a folder, and is disturbed while it runs, by
+turns: SIGINT, a process of a scene killed, SIGKILL of all (what a power cut leaves), a full disk. Each time the same
+command goes on with --resume. For the full disk OUT is a file system of its own that is too small (a tmpfs, which needs
+root) and is made larger when it is full. In the end every scene is there once and valid, some are compared byte for
+byte with those of an undisturbed run, nothing else lies in OUT or among the temporary files, and no process is left.
+Prints what it finds, with an extrapolation to 55,000 scenes; exit code 1 where anything is not as it should be.
+"""
+
+import argparse
+import csv
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import psutil
+
+from bridge.batch.batch import Options, SceneJob, plan, run_batch
+from bridge.config import load_config
+from bridge.recordings.folders import find_scenarios
+from bridge.recordings.validate import validate_scene
+
+HID2 = Path(sys.executable).parent / "hid2"
+#: Scenes of a whole data set that the figures are extrapolated to.
+WHOLE = 55_000
+#: Seconds between two looks at the processes, and scenes that are compared with those of an undisturbed run.
+_EVERY_S, _COMPARED = 1.0, 40
+
+
+@dataclass(slots=True)
+class Seen:
+    """What was seen of the processes. main_mb, worker_mb, handles: (seconds of running, value), largest at a look."""
+
+    main_mb: list[tuple[float, float]] = field(default_factory=list)
+    worker_mb: list[tuple[float, float]] = field(default_factory=list)
+    handles: list[tuple[float, int]] = field(default_factory=list)
+    scratch: int = 0
+    listening: set[str] = field(default_factory=set)
+    running_s: float = 0.0
+    ends: list[str] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+
+
+def finished(out: Path) -> int:
+    """Rows of the manifest that are done, as far as it is written."""
+    try:
+        with (out / "manifest.csv").open(encoding="utf-8", newline="") as file:
+            return sum(row.get("status") == "done" for row in csv.DictReader(file))
+    except OSError:
+        return 0
+
+
+def look(process: psutil.Process, seen: Seen, scratch: Path) -> None:
+    """Take note of memory, handles, temporary files and open ports of a batch and its processes."""
+    try:
+        workers = process.children(recursive=True)
+        sizes = [worker.memory_info().rss / 1e6 for worker in workers]
+        seen.main_mb.append((seen.running_s, process.memory_info().rss / 1e6))
+        seen.worker_mb.append((seen.running_s, max(sizes, default=0.0)))
+        seen.handles.append((seen.running_s, process.num_fds()))
+        for one in (process, *workers):
+            for connection in one.net_connections(kind="inet"):
+                if connection.status == psutil.CONN_LISTEN and not str(connection.laddr.ip).startswith(("127.", "::1")):
+                    seen.listening.add(f"{connection.laddr.ip}:{connection.laddr.port}")
+    except psutil.Error:
+        return
+    seen.scratch = max(seen.scratch, len(list(scratch.iterdir())))
+
+
+def run(command: list[str], seen: Seen, scratch: Path, stop: Callable[[psutil.Process], str | None]) -> tuple[int, str]:
+    """Run the batch until it ends, or until `stop` has ended it; returns exit code and what was said last."""
+    before = seen.running_s
+    began = time.monotonic()
+    with tempfile.TemporaryFile("w+") as said:
+        batch = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=said, env=os.environ | {"TMPDIR": str(scratch)}
+        )
+        process = psutil.Process(batch.pid)
+        ended: str | None = None
+        while batch.poll() is None:
+            time.sleep(_EVERY_S)
+            seen.running_s = before + time.monotonic() - began
+            look(process, seen, scratch)
+            if ended is None and batch.poll() is None:
+                ended = stop(process)
+        said.seek(0)
+        lines = [line for line in said.read().splitlines() if line.startswith(("hid2: ", "interrupted"))]
+    seen.running_s = before + time.monotonic() - began
+    seen.ends.append(f"{ended or 'ended by itself'}: exit {batch.returncode}; {lines[-1] if lines else 'nothing said'}")
+    print(f"{seen.running_s:8.0f} s  {seen.ends[-1]}", flush=True)
+    return batch.returncode, lines[-1] if lines else ""
+
+
+def interrupt(process: psutil.Process) -> str:
+    """Ctrl-C."""
+    process.send_signal(signal.SIGINT)
+    return "SIGINT"
+
+
+def kill_worker(process: psutil.Process) -> str:
+    """One process of a scene dies; the batch goes on, so that this ends nothing."""
+    workers = process.children()
+    if workers:
+        workers[0].kill()
+    return "a scene's process killed"
+
+
+def kill_all(process: psutil.Process) -> str:
+    """What a power cut does: nobody can clean up."""
+    everybody = [*process.children(recursive=True), process]
+    for one in everybody:
+        one.kill()
+    return "SIGKILL of all"
+
+
+def mount(out: Path, megabytes: int) -> bool:
+    """A file system of that size at `out`; whether there is one now."""
+    out.mkdir(parents=True, exist_ok=True)
+    result = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "tmpfs", str(out)], capture_output=True
+    )
+    return result.returncode == 0
+
+
+def extrapolated(samples: list[tuple[float, float]], seconds: float) -> str:
+    """Largest value, and the value after so many seconds if it goes on growing as in the second half."""
+    half = [sample for sample in samples if sample[0] > samples[-1][0] / 2]
+    (begin_s, begin), (end_s, end) = half[0], half[-1]
+    slope = (end - begin) / max(end_s - begin_s, 1.0)
+    largest = max(value for _, value in samples)
+    return f"at most {largest:.0f}; {max(largest, end + slope * max(0.0, seconds - end_s)):.0f} at {WHOLE:,} scenes"
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    """Names and contents of the files of a scene."""
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def check(out: Path, scratch: Path, wanted: int, jobs: list[SceneJob], seen: Seen) -> None:
+    """What has to hold at the end; says what does not."""
+    with (out / "manifest.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    kinds = Counter(row["status"] for row in rows)
+    names = [(row["scenario"], row["variant"]) for row in rows]
+    print(f"manifest: {len(rows)} rows, {dict(kinds)}, {len(set(names))} different runs")
+    if kinds != Counter(done=wanted) or len(set(names)) != wanted:
+        seen.wrong.append(f"manifest: {dict(kinds)} and {len(set(names))} runs, expected {wanted} done")
+    made = find_scenarios(out)
+    if {str(folder.relative_to(out)) for folder in made} != {row["folder"] for row in rows if row["folder"]}:
+        seen.wrong.append("the folders in OUT are not those of the manifest")
+    extra = [p for p in out.rglob("*") if p.is_file() and p.parent not in set(made) and p != out / "manifest.csv"]
+    extra = [path for path in extra if path.parent != out or not path.name.startswith((".", "manifest"))]
+    if extra or list(scratch.iterdir()):
+        seen.wrong.append(f"left over: {[str(path) for path in extra[:5]]}, {[p.name for p in scratch.iterdir()][:5]}")
+    step = max(1, len(made) // 200)
+    findings = [str(one) for folder in made[::step] for one in validate_scene(folder) if not one.is_note]
+    print(f"validate: {len(made[::step])} scenes, {len(findings)} findings")
+    seen.wrong += findings[:5]
+    again = scratch.parent / "undisturbed"
+    few = max(1, _COMPARED // len(jobs))
+    run_batch([SceneJob(job.folder, job.runs[:few]) for job in jobs], again, Options())
+    known = {folder.name: folder for folder in made}
+    compared = find_scenarios(again)
+    unlike = [folder.name for folder in compared if files_of(folder) != files_of(known.get(folder.name, folder))]
+    absent = [folder.name for folder in compared if folder.name not in known]
+    print(f"bytes: {len(compared)} scenes compared with an undisturbed run, {len(unlike)} differ, {len(absent)} absent")
+    seen.wrong += [f"{name}: other bytes, or absent" for name in [*unlike, *absent]]
+
+
+def main() -> int:
+    """Run, disturb, resume, check, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data")) / "av2"
+    parser.add_argument("--root", type=Path, default=shared, help="recorded scenes (default: the real ones)")
+    parser.add_argument("--scenes", type=int, default=10_000)
+    parser.add_argument("--agents", type=int, default=10)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument(
+        "--small-mb", type=int, default=None, help="size of OUT until it is full (default: by the scenes)"
+    )
+    parser.add_argument("--work", type=Path, default=None, help="folder to work in (default: a temporary one)")
+    arguments = parser.parse_args()
+    folders = find_scenarios(arguments.root)
+    variants = arguments.scenes // len(folders)
+    wanted = variants * len(folders)
+    work = arguments.work or Path(tempfile.mkdtemp(prefix="ten-thousand-"))
+    out, scratch = work / "out", work / "scratch"
+    scratch.mkdir(parents=True)
+    largest_mb = max(sum(path.stat().st_size for path in folder.iterdir()) for folder in folders) / 1e6
+    whole_mb = int(wanted * (largest_mb + 0.1) * 1.5) + 200
+    small_mb = arguments.small_mb or max(2, int(wanted * largest_mb * 0.4))
+    mounted = mount(out, small_mb)
+    seen = Seen()
+    asked = {"request.agents": arguments.agents, "request.variants": variants}
+    jobs = plan(folders, load_config(flags=asked))
+    command = [str(HID2), "generate", str(arguments.root), "-o", str(out), "--agents", str(arguments.agents)]
+    command += ["--variants", str(variants), "--jobs", str(arguments.jobs), "--resume"]
+    print(f"{wanted} scenes: {variants} variants of {len(folders)}; OUT of {small_mb if mounted else 'no bounded'} MB")
+
+    def at(share: float, act: Callable[[psutil.Process], str]) -> Callable[[psutil.Process], str | None]:
+        return lambda process: act(process) if finished(out) >= share * wanted else None
+
+    full_disk = 0
+    try:
+        plans = [at(0.1, interrupt), at(0.2, kill_worker), at(0.25, kill_all)]
+        plans += [at(0.5, interrupt), at(0.7, kill_all), at(0.8, kill_worker)]
+        code = -1
+        while code != 0 and len(seen.ends) < 15:
+            stop = plans.pop(0) if plans else lambda process: None
+            code, said = run(command, seen, scratch, stop)
+            if seen.ends[-1].startswith("SIGKILL"):  # nobody could tidy up; a reboot empties the folder
+                print(f"          left in the folder of temporary files: {len(list(scratch.iterdir()))}, removed")
+                shutil.rmtree(scratch)
+                scratch.mkdir()
+            if "No space left" in said:
+                full_disk += 1
+                print(f"          OUT is full with {finished(out)} scenes done: made larger", flush=True)
+                subprocess.run(["mount", "-o", f"remount,size={whole_mb}m", str(out)], check=True)
+                plans.insert(0, stop)
+            elif code == 0 and plans:  # what was to happen later cannot
+                plans.clear()
+        if code:
+            seen.wrong.append(f"the batch does not end: {seen.ends[-1]}")
+        if mounted and not full_disk:
+            seen.wrong.append("the disk was never full: choose a smaller --small-mb")
+        usage = shutil.disk_usage(out)
+        check(out, scratch, wanted, jobs, seen)
+        left = [
+            p.info for p in psutil.process_iter(["pid", "cmdline"]) if str(out) in " ".join(p.info["cmdline"] or [])
+        ]
+        seen.wrong += [f"process left: {one}" for one in left if one["pid"] != os.getpid()]
+        if seen.listening:
+            seen.wrong.append(f"listens beyond this machine: {sorted(seen.listening)}")
+        rate = wanted / seen.running_s
+        whole_s = WHOLE / rate
+        print(f"ended {len(seen.ends) - 1} times, {full_disk} times by a full disk; every time continued with --resume")
+        print(f"running {seen.running_s / 60:.1f} min, {rate:.2f} scenes/s; {WHOLE:,} scenes: {whole_s / 3600:.1f} h")
+        print(f"main process, MB: {extrapolated(seen.main_mb, whole_s)}")
+        print(f"largest process of a scene, MB: {extrapolated(seen.worker_mb, whole_s)}")
+        print(f"open handles of the main process: {extrapolated(list(seen.handles), whole_s)}")
+        print(f"temporary files at once: at most {seen.scratch}; at the end {len(list(scratch.iterdir()))}")
+        if mounted:
+            print(f"OUT: {usage.used / 1e6:.0f} MB, {usage.used / 1e3 / wanted:.0f} kB a scene")
+        ended_mb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
+        print(f"most memory of any process that has ended, MB: {ended_mb:.0f}")
+    finally:
+        if mounted:
+            subprocess.run(["umount", "-l", str(out)], check=False)
+        if arguments.work is None:
+            shutil.rmtree(work, ignore_errors=True)
+    print("\n".join(["as it should be"] if not seen.wrong else seen.wrong))
+    return 1 if seen.wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

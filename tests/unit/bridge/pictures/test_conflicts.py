@@ -1,0 +1,112 @@
+"""Conflicts of scenes made by hand: two boxes that touch, two paths that cross, a leader that is closed in on."""
+
+from dataclasses import replace
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from bridge.pictures.conflicts import ConflictKind, draw_conflicts, find_conflicts
+from bridge.recordings.scenario import read_scenario
+from hid2.agents import Track
+from netconvert.errors import ConfigError
+
+STEPS = 110
+
+
+@pytest.fixture
+def scene(data_scenes):
+    """The arterial without its traffic, and a start on one of its lanes: (scenario, origin, direction, across)."""
+    scenario = read_scenario(data_scenes["arterial"])
+    lane = max(scenario.graph.lanes.values(), key=lambda lane: lane.length_m)
+    origin, direction = lane.centerline[0], lane.centerline[1] - lane.centerline[0]
+    direction = direction / np.linalg.norm(direction)
+    return replace(scenario, tracks=()), origin, direction, np.array([-direction[1], direction[0]])
+
+
+def track(name, like, start, velocity):
+    """A car at constant velocity for 11 s."""
+    times = np.arange(STEPS) * 0.1
+    return Track(
+        track_id=name,
+        object_type="vehicle",
+        category=like.category,
+        timesteps=np.arange(STEPS),
+        position=start + times[:, None] * velocity,
+        heading=np.full(STEPS, np.arctan2(velocity[1], velocity[0])),
+        velocity=np.tile(velocity, (STEPS, 1)),
+        size=like.size,
+    )
+
+
+def found(scenario, *tracks, **options):
+    return find_conflicts(replace(scenario, tracks=tracks), **options)
+
+
+def test_crossing_has_the_pet_and_the_place(scene, data_scenes):
+    r"""
+    Both at 10 m/s through one point, B one second after the boxes of A have left it.
+
+        A ------+------>      A's centre is there at 2.0 s, B's at 2.0 s + 0.9 s + the time of the two half boxes
+                |
+                B
+    """
+    scenario, origin, along, across = scene
+    like = read_scenario(data_scenes["arterial"]).tracks[0]
+    meeting = origin + 30 * along
+    length, width = like.size.length_m, like.size.width_m
+    behind_s = (length / 2 + width / 2) / 10 * 2  # A's rear leaves B's strip; B's front reaches A's strip
+    cars = (
+        track("7", like, meeting - 20 * along, 10 * along),
+        track("gen_0", like, meeting - (20 + 10 * (behind_s + 0.5)) * across, 10 * across),
+    )
+    (one,) = found(scenario, *cars, ttc_s=0.0)
+    assert (one.kind, one.first, one.second) == (ConflictKind.CROSSING, "gen_0", "7")
+    assert one.value == pytest.approx(0.5, abs=0.2)
+    assert np.linalg.norm(one.position - meeting) < 4.0
+    assert one.time_s == pytest.approx(2.0, abs=0.5)
+    assert found(scenario, *cars, ttc_s=0.0, pet_s=0.2) == []
+
+
+def test_follower_closing_in_and_contact_are_found_once_each(scene, data_scenes):
+    """At 10 m/s towards a leader at 5 m/s: the boxes touch, and shortly before TTC is below 1.5 s."""
+    scenario, origin, along, _ = scene
+    like = read_scenario(data_scenes["arterial"]).tracks[0]
+    cars = (
+        track("8", like, origin + 10 * along, 10 * along),
+        track("9", like, origin + 10 * along + (like.size.length_m + 20) * along, 5 * along),
+    )
+    kinds = [(one.kind, one.first, one.second) for one in found(scenario, *cars)]
+    assert (ConflictKind.CONTACT, "8", "9") in kinds
+    assert (ConflictKind.CLOSING_IN, "8", "9") in kinds
+    assert len(kinds) == 2
+    (contact,) = (one for one in found(scenario, *cars) if one.kind is ConflictKind.CONTACT)
+    assert contact.time_s == pytest.approx(4.0, abs=0.11)  # 20 m at 5 m/s
+    assert "at 4." in contact.text
+
+
+def test_only_those_of_one_track(scene, data_scenes):
+    scenario, origin, along, across = scene
+    like = read_scenario(data_scenes["arterial"]).tracks[0]
+    cars = [track(name, like, origin + (k // 2) * 40 * across, 5 * along) for k, name in enumerate("abcd")]
+    assert {(one.first, one.second) for one in found(scenario, *cars, ttc_s=0.0)} == {("a", "b"), ("c", "d")}
+    assert {(one.first, one.second) for one in found(scenario, *cars, ttc_s=0.0, agent="d")} == {("c", "d")}
+    with pytest.raises(ConfigError, match="no track 'e'"):
+        found(scenario, *cars, agent="e")
+
+
+def test_generated_vehicles_touch_nobody(made_scene):
+    """What the method promises, seen by the function that draws it."""
+    kinds = {one.kind for one in find_conflicts(read_scenario(made_scene)) if "gen_" in one.first + one.second}
+    assert kinds <= {ConflictKind.CLOSING_IN, ConflictKind.CROSSING}
+
+
+def test_each_conflict_is_a_mark_and_a_text(scene, data_scenes):
+    scenario, origin, along, _ = scene
+    like = read_scenario(data_scenes["arterial"]).tracks[0]
+    conflicts = found(scenario, *(track(name, like, origin, 5 * along) for name in "ab"), ttc_s=0.0)
+    figure, axes = plt.subplots()
+    draw_conflicts(axes, conflicts)
+    assert len(axes.lines) == len(conflicts) == 1
+    assert [text.get_text() for text in axes.texts] == ["a, b: IoU 1.00 at 0.0 s"]
+    plt.close(figure)

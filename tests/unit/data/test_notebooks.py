@@ -1,0 +1,41 @@
+"""The notebooks run on the synthetic scenes, and are kept with outputs of the same kinds."""
+
+import json
+import runpy
+from pathlib import Path
+
+import pytest
+
+DATA = Path(__file__).parents[3] / "data"
+NOTEBOOKS = sorted(path.name for path in (DATA / "examples").glob("*.ipynb"))
+TOOLS = runpy.run_path(str(DATA / "run_notebooks.py"))
+
+
+def kinds(document):
+    """For each cell of code what it puts out, without the values: those change with the driving."""
+    return [
+        [(output["output_type"], sorted(output.get("data", {}))) for output in cell["outputs"]]
+        for cell in document["cells"]
+        if cell["cell_type"] == "code"
+    ]
+
+
+def test_there_are_three() -> None:
+    assert NOTEBOOKS == ["evaluation.ipynb", "first_scene.ipynb", "study.ipynb"]
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_notebook_runs_and_is_kept_with_its_outputs(name, tmp_path):
+    notebook = DATA / "examples" / name
+    kept = json.loads(notebook.read_text(encoding="utf-8"))
+    made = TOOLS["run"](notebook, TOOLS["lay_out"](tmp_path))
+    assert kinds(kept) == kinds(made), "write them anew: .venv/bin/python data/run_notebooks.py"
+    assert TOOLS["text_of"](kept) == notebook.read_text(encoding="utf-8")
+    assert notebook.stat().st_size < 200_000
+
+
+def test_failing_cell_is_told(tmp_path):
+    cell = {"cell_type": "code", "execution_count": None, "metadata": {}, "outputs": [], "source": ["1 / 0"]}
+    (tmp_path / "bad.ipynb").write_text(json.dumps({"cells": [cell]}))
+    with pytest.raises(RuntimeError, match="ZeroDivisionError"):
+        TOOLS["run"](tmp_path / "bad.ipynb", tmp_path)
