@@ -94,7 +94,8 @@ def run_prediction(
     scenes: recorded scenes of Argoverse 2. Called again, it goes on from what `out` holds. composed: a root that
     `compose` made with the controls and validation sets `recorded` and `hid2`, instead of one made here. predictions: a
     folder of files SET/SEED/VALIDATION.parquet, instead of those of the small forecaster. Errors: ConfigError where
-    torch is missing and needed, or files are, or for recordings of another format; ScenarioError, ExportError; BatchError where no scene can be generated.
+    torch is missing and needed, or files are, or for recordings of another format; ScenarioError, ExportError;
+    BatchError where no scene can be generated.
     """
     tell = on_step or (lambda what, done, total: None)
     if predictions is not None and composed is None:

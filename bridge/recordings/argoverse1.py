@@ -40,7 +40,6 @@ from bridge.files import one_line, read_regular
 from bridge.recordings import limits
 from bridge.recordings.folders import Source
 from bridge.recordings.map_rules import graph_of, read_document
-from bridge.recordings.readers.argoverse1 import Argoverse1
 from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY, Recording
 from bridge.recordings.scenario import REQUIRED_COLUMNS, split_rows
 from hid2.agents import FloatArray, IntArray
@@ -121,7 +120,7 @@ def read(source: Source) -> Recording:
         split=source.split,
         observed_steps=OBSERVED_STEPS,
         step_s=STEP_S,
-        format=Argoverse1.name,
+        format=source.format,
         provenance="tracker",
         map_json=map_json,
         sequence=content,

@@ -2,6 +2,7 @@
 
 import fnmatch
 import logging
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias
@@ -18,6 +19,9 @@ PARQUET_PATTERN, MAP_PATTERN = "scenario_*.parquet", "log_map_archive_*.json"
 SIDECAR_PATTERN = "hid2_*.json"
 #: Sizes beside a scene whose boxes people have labelled.
 SIZES_FILE = "agent_sizes.csv"
+#: Files of a sensor log; log, city and number in the name of its map.
+ANNOTATIONS, POSES = "annotations*.feather", "city_SE3_egovehicle.feather"
+LOG_MAP_NAME = re.compile(r"log_map_archive_(.+)____([A-Z]{3})_city_(\d{1,18})")
 
 #: Names of the folders of a data-set root.
 SPLITS = ("train", "val", "test")
@@ -144,6 +148,11 @@ def split_of(folder: Address) -> str | None:
     parents = folder.absolute().parent, folder.resolve().parent
     names = (parent.parent.name if parent.name == RAW else parent.name for parent in parents)
     return next((name for name in names if name in SPLITS), None)
+
+
+def maps_of(log: Path) -> list[Path]:
+    """Map files of a log, in its folder map or in its own."""
+    return sorted(log.glob(f"map/{MAP_PATTERN}")) or sorted(log.glob(MAP_PATTERN))
 
 
 def sequence_path(out_dir: Path, split: str | None, new_id: str) -> Path:

@@ -33,9 +33,8 @@ from scipy.spatial.transform import Rotation
 
 from bridge.files import one_line, read_regular
 from bridge.recordings import limits
-from bridge.recordings.folders import Source
+from bridge.recordings.folders import ANNOTATIONS, LOG_MAP_NAME, POSES, Source, maps_of
 from bridge.recordings.map_rules import graph_of, read_document
-from bridge.recordings.readers.sensor_log import ANNOTATIONS, MAP_NAME, POSES, SensorLog, maps_of
 from bridge.recordings.recording import AV_ID, Recording
 from bridge.recordings.scenario import REQUIRED_COLUMNS, split_rows
 from hid2.agents import BoxSize, FloatArray
@@ -114,7 +113,7 @@ def read(source: Source) -> Recording:
         split=source.split,
         observed_steps=OBSERVED_STEPS,
         step_s=STEP_S,
-        format=SensorLog.name,
+        format=source.format,
         provenance="human",
         sizes=sizes,
         map_json=json.dumps(document).encode(),
@@ -139,7 +138,7 @@ def _map_of(log: Path) -> tuple[Path, int, str, str]:
     wanted = "log_map_archive_<log>____<CITY>_city_<n>.json"
     if len(found) != 1:
         raise MapError(f"{log}: {len(found) or 'no'} {wanted} in it or in its folder map, expected exactly one")
-    named = MAP_NAME.fullmatch(found[0].stem)
+    named = LOG_MAP_NAME.fullmatch(found[0].stem)
     if named is None or named[2] not in _CITIES:
         raise MapError(f"{found[0]}: expected a name {wanted}, CITY one of {', '.join(_CITIES)}")
     return found[0], int(named[3]), named[1], _CITIES[named[2]]

@@ -1,19 +1,24 @@
 """Argoverse 2 sensor logs: where their files are; `bridge.recordings.sensor_log` reads them."""
 
 import fnmatch
-import re
 import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Reader, Source, split_of
+from bridge.recordings.folders import (
+    ANNOTATIONS,
+    LOG_MAP_NAME,
+    POSES,
+    Address,
+    Choices,
+    Reader,
+    Source,
+    maps_of,
+    split_of,
+)
 
 if TYPE_CHECKING:
     from bridge.recordings.recording import Recording
-
-ANNOTATIONS, POSES = "annotations*.feather", "city_SE3_egovehicle.feather"
-#: Log, city and number in the name of a log's map.
-MAP_NAME = re.compile(r"log_map_archive_(.+)____([A-Z]{3})_city_(\d{1,18})")
 
 
 class SensorLog(Reader):
@@ -64,12 +69,7 @@ def window_id(log_id: str, start: int) -> str:
     return str(uuid.uuid5(space, str(start)))
 
 
-def maps_of(log: Path) -> list[Path]:
-    """Map files of a log, in its folder map or in its own."""
-    return sorted(log.glob(f"map/{MAP_PATTERN}")) or sorted(log.glob(MAP_PATTERN))
-
-
 def _log_id(log: Path) -> str:
     maps = maps_of(log)
-    named = MAP_NAME.fullmatch(maps[0].stem) if len(maps) == 1 else None
+    named = LOG_MAP_NAME.fullmatch(maps[0].stem) if len(maps) == 1 else None
     return named[1] if named is not None else log.absolute().name
