@@ -1,6 +1,7 @@
 """Facts of a data set, scene by scene, and the choice of scenes on these facts."""
 
 import csv
+import logging
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -20,6 +21,7 @@ from netconvert.cells import build_cell_grid
 from netconvert.errors import ConfigError
 from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment, Side, TurnType
 
+_LOG = logging.getLogger(__name__)
 #: Scenes per task: few enough that workers share the end of a scan.
 _CHUNK = 16
 #: Whom events are looked for with.
@@ -185,6 +187,8 @@ def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts
             fact.room(Policy(name)) > 0 if name in policies else name in fact.events.split() for name in selection.can
         )
     ]
+    if selection.sample is not None and selection.sample > len(chosen):
+        _LOG.warning("--sample %d: only %d scenes are there to draw from, all are taken", selection.sample, len(chosen))
     if selection.sample is not None and selection.sample < len(chosen):
         # drawn by scenario, so that the choice does not depend on where the data set lies
         drawn = random.Random(selection.seed).sample(range(len(chosen)), selection.sample)  # noqa: S311

@@ -11,6 +11,7 @@ ALL_DONE, SOME_FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 #: Groups of options in the help.
 REQUEST, EVENTS, SELECTION = "What to generate", "Events", "Which scenes"
 PARAMETERS, RUNNING, OUTPUT = "Parameters", "Running", "Output"
+PREDICTION = "With prediction"
 
 # Choices, written out because what they mirror is slow to import; tests/cli/test_options.py compares them.
 EventName = StrEnum("EventName", ["CUT_IN", "OVERTAKE", "LEAD", "FOLLOW", "MERGE", "CROSS"])
@@ -29,7 +30,8 @@ SplitName = StrEnum("SplitName", ["TRAIN", "VAL", "TEST"])
 FormatName = StrEnum("FormatName", ["ARGOVERSE1"])
 RecordName = StrEnum("RecordName", ["GAPS"])
 FocalName = Literal["recorded", "generated"]
-ExperimentName = Literal["table1", "ablation", "density", "diversity"]
+ExperimentName = Literal["table1", "ablation", "density", "diversity", "prediction"]
+ReadingName = Literal["recorded", "generated", "both"]
 
 MapChoice = Annotated[
     Path | None,

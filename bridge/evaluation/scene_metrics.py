@@ -135,7 +135,10 @@ def _read(folder: Address, maps: Maps) -> tuple[Rows, PreparedMap, RecordingReco
     """As read_recording, but the map of a folder that is known is not read again."""
     if isinstance(folder, Source):
         scenario = read_recording(folder)
-        rows = Rows(scenario.scenario_id, scenario.city, scenario.focal_track_id, scenario.num_steps, scenario.tracks)
+        rows = Rows(
+            scenario.scenario_id, scenario.city, scenario.focal_track_id, scenario.num_steps, scenario.tracks,
+            scenario.observed_steps, scenario.step_s,
+        )  # fmt: skip
         return rows, prepare_map(scenario.graph), recording_record_of(scenario)
     tables, files = list(folder.glob("scenario_*.parquet")), list(folder.glob("log_map_archive_*.json"))
     if len(tables) != 1 or len(files) != 1:

@@ -50,6 +50,14 @@ def test_sample_is_drawn_with_the_seed() -> None:
     assert [many.index(chosen) for chosen in first] == sorted(many.index(chosen) for chosen in first)
 
 
+def test_a_sample_of_more_than_there_are_takes_all_and_warns(caplog: pytest.LogCaptureFixture) -> None:
+    few = [fact(str(number)) for number in range(3)]
+    assert select(few, Selection(sample=3)) == few
+    assert caplog.text == ""
+    assert select(few, Selection(sample=5)) == few
+    assert "--sample 5: only 3 scenes are there" in caplog.text
+
+
 def test_unknown_manoeuvre_is_named() -> None:
     with pytest.raises(ConfigError, match="--can 'fly'"):
         select(FACTS, Selection(can=("fly",)))
