@@ -205,8 +205,10 @@ def test_a_missing_file_is_found(written: Path, pattern: str) -> None:
     assert "folder" in rules(written)
 
 
-def test_a_recorded_scene_is_told_from_a_generated_one(data_scenes: dict[str, Path]) -> None:
-    (finding,) = validate_folder(data_scenes["curve"])
+def test_a_recorded_scene_is_told_from_a_generated_one(data_scenes: dict[str, Path], written: Path) -> None:
+    assert validate_folder(data_scenes["curve"]) == []
+    next(written.glob("hid2_*.json")).unlink()
+    (finding,) = validate_folder(written)
     assert finding.message == "no such file, which every generated scene has (a recorded one has none)"
 
 
