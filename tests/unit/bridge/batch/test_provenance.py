@@ -5,8 +5,12 @@ import shutil
 from pathlib import Path
 
 import pytest
+from recordings import make_argoverse1
 
+from bridge.batch.batch import Options, plan, run_batch
 from bridge.batch.provenance import make_again
+from bridge.config import load_config
+from bridge.recordings.sources import find_sources
 from netconvert.errors import ConfigError, NoSceneError, ScenarioError
 
 
@@ -27,6 +31,15 @@ def test_a_scene_is_made_again_bit_for_bit(scene: Path, data_root: Path, tmp_pat
     assert (made.folder.name, made.differences, made.compared) == (scene.name, (), True)
     for path in scene.iterdir():
         assert (made.folder / path.name).read_bytes() == path.read_bytes()
+
+
+def test_a_scene_of_another_format_is_made_again(tmp_path: Path) -> None:
+    root = make_argoverse1(tmp_path / "recorded")
+    found = find_sources([root / "train" / "data" / "1.csv"])
+    (row,) = run_batch(plan(found, load_config(None, ["request.agents=1"])), tmp_path / "first", Options())
+    folder = tmp_path / "first" / row.folder
+    made = make_again(sidecar_of(folder), root / "train", tmp_path / "again")
+    assert (made.folder.name, made.differences, made.compared) == (folder.name, (), True)
 
 
 def test_a_file_that_differs_is_named(scene: Path, data_root: Path, tmp_path: Path) -> None:

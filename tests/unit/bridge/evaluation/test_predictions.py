@@ -10,6 +10,7 @@ import pytest
 from av2.datasets.motion_forecasting.eval import metrics
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 from baseline_file import write_baseline
+from recordings import make_argoverse1
 
 from bridge.evaluation import predictions
 from bridge.evaluation.predictions import (
@@ -19,7 +20,10 @@ from bridge.evaluation.predictions import (
     score_predictions,
     write_forecasts,
 )
+from bridge.generation.generate import generate, write
 from bridge.recordings.scenario import find_scenarios, read_scenario
+from bridge.recordings.sources import find_recordings, read_recording
+from hid2.params import Config
 from netconvert.errors import ScenarioError
 
 
@@ -206,3 +210,19 @@ def test_what_cannot_be_scored_is_listed_or_explained(data_scenes, data_root, tm
     pd.DataFrame({"scenario_id": ["a"]}).to_parquet(tmp_path / "wrong.parquet")
     with pytest.raises(ScenarioError, match="not a forecast file"):
         read_forecasts(tmp_path / "wrong.parquet")
+
+
+def test_a_baseline_forecasts_what_is_not_observed_of_a_scene_made_from_argoverse_1(tmp_path):
+    """20 of 50 steps are observed: the 30 others are forecast, in steps of 0.1 s, from step 19 on."""
+    root = make_argoverse1(tmp_path / "recorded")
+    (address,) = find_recordings([root / "train" / "data" / "1.csv"])
+    folder = write(generate(read_recording(address), Config()), tmp_path / "out")
+    scenario = read_scenario(folder)
+    _, modes = baseline(scenario, "constant-velocity")
+    track = scenario.track(scenario.focal_track_id)
+    future = track.position[track.timesteps > 19]
+    assert modes[track.track_id].shape == (6, 30, 2)
+    scored = {s.k: s for s in score_predictions(tmp_path / "out", predictions="constant-velocity").scores}
+    errors = np.hypot(*(modes[track.track_id][0] - future).T)
+    assert (scored[1].min_ade_m, scored[1].min_fde_m) == pytest.approx((errors.mean(), errors[-1]))
+    assert scored[1].agents_observed == sum(19 in track.timesteps for track in scenario.tracks)

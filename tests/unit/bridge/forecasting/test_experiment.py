@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import make_argoverse1
 
 from bridge.evaluation.predictions import baseline, read_forecasts, score_predictions, write_forecasts
+from bridge.forecasting import experiment
 from bridge.forecasting.compose import compose
 from bridge.forecasting.composition import composition_of
 from bridge.forecasting.experiment import PAPER_TABLE2, PAPER_TABLE3, SETS, Plan, run_prediction
@@ -19,8 +21,9 @@ from bridge.forecasting.features import targets_of
 from bridge.recordings.export import write_scene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_rows, read_scenario
+from bridge.recordings.sources import find_recordings, read_recording
 from hid2.params import Forecasting
-from netconvert.errors import ConfigError
+from netconvert.errors import ConfigError, ScenarioError
 
 ROOT = Path(__file__).parents[4]
 
@@ -164,6 +167,17 @@ def test_lanes_of_the_features_lie_beside_the_target(data_scenes):
     across = np.abs(points[:, 1]) < 0.2
     assert across.any()
     assert points[across, 2].max() > 0.9
+
+
+def test_recordings_of_other_formats_are_refused(tmp_path, monkeypatch):
+    """20 steps of Argoverse 1 are observed: nothing that has learned from 50 can forecast from them."""
+    root = make_argoverse1(tmp_path / "recorded")
+    (address,) = find_recordings([root / "train" / "data" / "1.csv"])
+    with pytest.raises(ScenarioError, match=r"1\.csv: 20 observed steps, expected 50, Argoverse 2's"):
+        targets_of(read_recording(address), Forecasting())
+    monkeypatch.setattr(experiment, "check_torch", lambda: None)
+    with pytest.raises(ConfigError, match=r"1\.csv: argoverse1, expected Argoverse 2 scenes alone"):
+        run_prediction([root / "train"], tmp_path / "out", Plan())
 
 
 # With torch
