@@ -1,6 +1,7 @@
 #!/bin/sh
 # Makes .venv/ with the command hid2 and all that it needs, at the versions that pyproject.toml pins.
-# "sh setup.sh tests" adds sumo-gui, a virtual screen for it, and the tools of the tests. Completed steps are skipped.
+# "sh setup.sh tests" adds sumo-gui, a virtual screen for it, and the tools of the tests; "sh setup.sh forecast" the small
+# forecaster's torch, without CUDA unless UV_TORCH_BACKEND says so. Completed steps are skipped.
 set -eu
 UV_VERSION=0.13.8
 cd "$(dirname "$0")"
@@ -13,7 +14,8 @@ fail() {
 case "${1:-}" in
 "") ;;
 tests) ;;
-*) fail "unknown argument '$1', expected none, or: tests" ;;
+forecast) ;;
+*) fail "unknown argument '$1', expected none, or: tests, forecast" ;;
 esac
 
 # A line every few seconds while something takes long.
@@ -111,7 +113,13 @@ if ! .venv/bin/python -c "$LOCATE" >/dev/null 2>&1 ||
     .uv/bin/uv venv -q --clear --python "$python" .venv || fail "uv could not make .venv"
 fi
 if ! grep -qxF "$made ${1:-}" .venv/.hid2 2>/dev/null; then
-    if [ "${1:-}" = tests ]; then wanted="-e .[gui] --group dev"; else wanted="-e ."; fi
+    wanted="-e ."
+    if [ "${1:-}" = tests ]; then wanted="-e .[gui] --group dev"; fi
+    if [ "${1:-}" = forecast ]; then
+        wanted="-e .[forecast]"
+        UV_TORCH_BACKEND="${UV_TORCH_BACKEND-cpu}" # PyTorch's own list of wheels; empty: that of all packages
+        if [ -n "$UV_TORCH_BACKEND" ]; then export UV_TORCH_BACKEND; else unset UV_TORCH_BACKEND; fi
+    fi
     echo "setup.sh: installing packages into .venv (1.8 GB, a minute or two)" >&2
     say_alive "installing packages"
     # shellcheck disable=SC2086  # several words

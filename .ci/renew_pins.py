@@ -9,8 +9,8 @@ from tempfile import TemporaryDirectory
 
 ROOT = Path(__file__).parents[1]
 BEGIN, END = "constraint-dependencies = [\n", "\n]\n"
-#: Dependencies that no system is to have, see override-dependencies in pyproject.toml.
-LEFT_OUT = "sys_platform == 'never'"
+#: What torch brings for CUDA: it names the versions itself, and the torch that setup.sh installs brings none of them.
+LEFT_OUT = ("cuda-", "nvidia-", "triton")
 
 
 def renewed(project: str) -> str:
@@ -22,7 +22,7 @@ def renewed(project: str) -> str:
         (Path(folder) / "pyproject.toml").write_text(before + BEGIN + "]\n" + after)
         command = [ROOT / ".uv/bin/uv", *compiling, "--all-extras", "--group", "dev", "pyproject.toml"]
         pins = subprocess.run(command, cwd=folder, check=True, stdout=subprocess.PIPE, text=True).stdout
-    listed = [f'    "{pin}",' for pin in pins.splitlines() if LEFT_OUT not in pin]
+    listed = [f'    "{pin}",' for pin in pins.splitlines() if not pin.startswith(LEFT_OUT)]
     return before + BEGIN + "\n".join(listed) + END + after
 
 

@@ -112,6 +112,12 @@ class Activity:
             count, speed = f"{done} of {total}", f"{rate:.1f}/s{left}"
             self._bar.update(self._task, description=self._what, completed=done, total=total, count=count, rate=speed)
 
+    def step(self, what: str, done: int, total: int) -> None:
+        """`show`, after `doing` where it is another piece of work than before."""
+        if what != self._what:
+            self.doing(what)
+        self.show(done, total)
+
     def message(self, text: str) -> None:
         """A message beside the progress."""
         if self._bar:

@@ -54,6 +54,10 @@ class Request(_Section):
         "observed one", gt=0, le=500,
     )  # fmt: skip
     focal: Literal["recorded", "generated"] = _param("recorded", "-", "which track carries category 3")
+    focal_radius_m: float = _param(
+        50.0, "m", "a generated focal track is the one with the most neighbours within this that does its manoeuvre",
+        gt=0, le=200,
+    )  # fmt: skip
     generated_category: Literal[1, 2] = _param(1, "-", "category of generated tracks: 1 context, 2 scored")
     seed: int = _param(0, "-", "seed of every random choice", ge=0, le=2**31 - 1)
     variants: int = _param(1, "scenes", "scenes written for each source scene", ge=1, le=10_000)
@@ -547,3 +551,37 @@ class Config(_Section):
         default=frozenset(),
         json_schema_extra={"unit": "-", "source": "paper, Table ablation: components switched off"},
     )
+
+
+class Forecasting(_Section):
+    """The forecasting experiment (`bridge/forecasting`). No part of `Config`: no scene depends on it."""
+
+    place_cell_m: float = _param(
+        50.0, "m", "scenes whose lanes pass the same square of this size overlap", gt=1, le=500
+    )
+    block_m: float = _param(
+        1000.0, "m", "scenes whose maps' centres are in one square of this size are split as one", gt=1
+    )
+    density_bounds: tuple[int, ...] = _param(
+        (30, 50, 70, 90), "tracks", "strata of density; paper's bands and one below"
+    )
+    resamples: int = _param(4000, "-", "draws of the bootstrap over scenes and seeds", ge=100, le=100_000)
+    variants: int = _param(
+        8, "scenes", "scenes generated of each recorded one in `hid2 paper prediction`", ge=1, le=1000
+    )
+    val_share: float = _param(0.3, "share", "scenes kept for validation in `hid2 paper prediction`", gt=0, lt=1)
+
+    agents: int = _param(48, "-", "neighbours that the forecaster sees, the nearest", ge=1, le=256)
+    history_every: int = _param(5, "steps", "from one point of a history to the one before", ge=1, le=49)
+    lanes: int = _param(48, "-", "lane segments that it sees, the nearest", ge=1, le=512)
+    lane_points: int = _param(6, "-", "points of a lane segment", ge=2, le=50)
+    radius_m: float = _param(100.0, "m", "neighbours and lanes farther away are not seen", gt=1, le=500)
+    hidden: int = _param(64, "-", "width of the network; VectorNet has 64", ge=8, le=512)
+    layers: int = _param(2, "-", "layers of attention between polylines", ge=1, le=8)
+    heads: int = _param(4, "-", "heads of attention", ge=1, le=16)
+    modes: int = _param(6, "-", "futures of a forecast; av2's challenge has 6", ge=1, le=6)
+    batch: int = _param(32, "targets", "targets of an update", ge=1, le=1024)
+    updates: int = _param(300, "-", "updates of a training, the same for every composition", ge=1)
+    learning_rate: float = _param(1e-3, "-", "AdamW, falling to 0 as a cosine", gt=0, le=1)
+    weight_decay: float = _param(1e-4, "-", "AdamW", ge=0, le=1)
+    checkpoint_every: int = _param(100, "updates", "updates from one checkpoint to the next", ge=1)

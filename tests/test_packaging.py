@@ -73,6 +73,13 @@ def declared() -> list[Requirement]:
     return [Requirement(line) for line in (*lines, *PROJECT["project"]["optional-dependencies"]["gui"])]
 
 
+def test_the_extra_forecast_is_pinned_and_nothing_else_brings_torch() -> None:
+    (torch,) = (Requirement(line) for line in PROJECT["project"]["optional-dependencies"]["forecast"])
+    assert torch.name == "torch"
+    assert torch.specifier.contains(pins()["torch"])
+    assert "torch" not in {requirement.name for requirement in declared()}
+
+
 def pins() -> dict[str, str]:
     """Version by canonical name, of the pins that apply here."""
     found = {}
@@ -87,8 +94,15 @@ def pins() -> dict[str, str]:
 
 
 def left_out() -> set[str]:
-    """What dependencies declare and no system is to have."""
-    return {Requirement(line).name for line in PROJECT["tool"]["uv"]["override-dependencies"]}
+    """What dependencies declare and dependency-metadata leaves out: only the extra `forecast` brings torch."""
+    found = set()
+    for metadata in PROJECT["tool"]["uv"]["dependency-metadata"]:
+        assert pins()[metadata["name"]] == metadata["version"], "dependency-metadata is of another version than the pin"
+        said = (Requirement(line) for line in distribution(metadata["name"]).requires or ())
+        names = {requirement.name for requirement in said if applies(requirement)}
+        assert set(metadata["requires-dist"]) <= names, f"{metadata['name']} no longer needs some of these"
+        found |= names - set(metadata["requires-dist"])
+    return found
 
 
 def test_pins_are_within_the_declared_ranges() -> None:
@@ -123,6 +137,8 @@ def test_all_that_is_needed_is_pinned_and_installed_at_that_version() -> None:
 def test_environment_has_neither_torch_nor_cuda() -> None:
     installed = {canonicalize_name(found.metadata["Name"]) for found in distributions()}
     assert left_out() == {"torch", "kornia"}
+    if " forecast\n" in (ROOT / ".venv" / ".hid2").read_text():
+        installed -= {"torch", "triton"}  # asked for
     assert {name for name in installed if name in left_out() or name.startswith(("nvidia-", "triton"))} == set()
 
 

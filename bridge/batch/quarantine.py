@@ -142,6 +142,12 @@ def read_bundle(path: Path, into: Path, *, function: str | None = None) -> Bundl
                 )
             json.dumps(request.config, allow_nan=False)
             config = config_from_dict(request.config, source="config")
+            rule = config.lane_change.rule
+            if ":" in rule and rule != function:
+                raise ValueError(
+                    f"its configuration asks for the lane-change rule {rule!r}, a function: "
+                    f"if you trust the bundle, add --function {rule}"
+                )
             details = printable(archive.read(members[_DETAILS]).decode())
             folder = into / (request.split or "scenes") / _plain(request.scenario)
             folder.mkdir(parents=True)

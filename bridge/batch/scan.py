@@ -1,23 +1,31 @@
 """Facts of a data set, scene by scene, and the choice of scenes on these facts."""
 
 import csv
+import logging
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 from bridge.batch.engine import Settings, Task, execute_here
 from bridge.batch.isolation import Failure, describe_error
 from bridge.files import explained, table_file
 from bridge.recordings.folders import Address
+from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
 from hid2.agents import VEHICLE_TYPES, Policy
-from hid2.params import Config
+from hid2.insertion.events import offered_events
+from hid2.params import Config, Event
+from hid2.scene import build_scene
+from netconvert.cells import build_cell_grid
 from netconvert.errors import ConfigError
 from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment, Side, TurnType
 
+_LOG = logging.getLogger(__name__)
 #: Scenes per task: few enough that workers share the end of a scan.
 _CHUNK = 16
+#: Whom events are looked for with.
+EVENT_TARGETS = ("av", "focal")
 #: A track seen on a path longer than this is moving, m; at more steps than the second number.
 _MOVING_M, _MOVING_STEPS = 5.0, 10
 
@@ -28,7 +36,8 @@ class SceneFacts(NamedTuple):
     tracks: in all; at_49: present at the last observed timestep; vehicles: tracks of type vehicle or bus; moving:
     vehicles with a path over 5 m, seen at more than 10 steps; same_direction: (lane, side) pairs of VEHICLE lanes.
     Room: lane_change_m and overtake_m are metres of VEHICLE lane from which a change, or an overtake, has the length it
-    needs beside it; left_turns and right_turns are turning lanes that can be entered within the map.
+    needs beside it; left_turns and right_turns are turning lanes that can be entered within the map. events: those that
+    there is room for with the recording vehicle and the focal track, as `cut_in:av lead:focal`.
     """
 
     folder: Address
@@ -48,6 +57,7 @@ class SceneFacts(NamedTuple):
     overtake_m: float
     left_turns: int
     right_turns: int
+    events: str
 
     @staticmethod
     def columns() -> tuple[str, ...]:
@@ -70,7 +80,10 @@ class SceneFacts(NamedTuple):
 
 
 class Selection(NamedTuple):
-    """Which scenes are wanted; empty fields ask for nothing. min_agents counts tracks; can names policies."""
+    """Which scenes are wanted; empty fields ask for nothing.
+
+    min_agents counts tracks; can names policies, and events as `cut_in:av`.
+    """
 
     min_agents: int = 0
     cities: tuple[str, ...] = ()
@@ -142,12 +155,25 @@ def describe_scene(folder: Address, config: Config) -> SceneFacts:
         overtake_m=_room_beside(graph, lanes, ahead, needed_m=config.overtake.d_overtake_m),
         left_turns=sum(lane.turn is TurnType.LEFT for lane in turns),
         right_turns=sum(lane.turn is TurnType.RIGHT for lane in turns),
+        events=" ".join(_events(scenario, config)),
     )
+
+
+def _events(scenario: Recording, config: Config) -> tuple[str, ...]:
+    """Events that there is room for."""
+    grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m, max_skew_m=config.grid.max_skew_m)
+    scene = build_scene(
+        grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
+        last_observed_step=scenario.last_observed,
+    )  # fmt: skip
+    return offered_events(scene, EVENT_TARGETS)
 
 
 def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts]:
     """The scenes that are wanted, in their order. Errors: ConfigError for a manoeuvre that does not exist."""
-    names = [policy.value for policy in Policy]
+    policies = [policy.value for policy in Policy]
+    kinds = get_args(Event.model_fields["kind"].annotation)
+    names = [*policies, *(f"{kind}:{target}" for kind in kinds for target in EVENT_TARGETS)]
     for name in selection.can:
         if name not in names:
             raise ConfigError(f"--can {name!r}: expected one of {', '.join(names)}")
@@ -157,8 +183,12 @@ def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts
         if fact.tracks >= selection.min_agents
         and (not selection.cities or fact.city in selection.cities)
         and (not selection.splits or fact.split in selection.splits)
-        and all(fact.room(Policy(name)) > 0 for name in selection.can)
+        and all(
+            fact.room(Policy(name)) > 0 if name in policies else name in fact.events.split() for name in selection.can
+        )
     ]
+    if selection.sample is not None and selection.sample > len(chosen):
+        _LOG.warning("--sample %d: only %d scenes are there to draw from, all are taken", selection.sample, len(chosen))
     if selection.sample is not None and selection.sample < len(chosen):
         # drawn by scenario, so that the choice does not depend on where the data set lies
         drawn = random.Random(selection.seed).sample(range(len(chosen)), selection.sample)  # noqa: S311

@@ -10,10 +10,8 @@ from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare, write
 from bridge.recordings.folders import sumo_folder
-from bridge.recordings.sequence import write_sequence
 from bridge.recordings.sidecar import Sidecar
 from bridge.recordings.sources import read_recording
-from bridge.sumo.exchange import write_sumo
 from hid2.agents import Policy
 from hid2.params import Grid
 
@@ -35,9 +33,13 @@ def generate_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | F
 
 def _write(scene: GeneratedScene, place: Place) -> Path:
     if place.argoverse1:
+        from bridge.recordings.sequence import write_sequence
+
         write_sequence(scene.scenario, scene.generated, place.out, new_id=scene.new_id)
     folder = write(scene, place.out)
     if place.sumo is not None:
+        from bridge.sumo.exchange import write_sumo  # with matplotlib, twice as slow as all else
+
         write_sumo(folder, sumo_folder(place.sumo, scene.scenario.split, scene.new_id))
     return folder
 

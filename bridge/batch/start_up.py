@@ -8,8 +8,9 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
-#: Optional library -> the module that loads it where it is installed, and does without where it is not.
-_DONE_WITHOUT = {"pyproj": "sumolib.net", "scipy": "numba", "yaml": "numba.core.config"}
+#: Optional library -> the module that asks for it, and does without where it is not installed. pyarrow asks for pandas
+#: with its first array, in compiled code, of which no frame tells.
+_DONE_WITHOUT = {"pandas": __name__, "pyproj": "sumolib.net", "scipy": "numba", "yaml": "numba.core.config"}
 
 
 def spare_imports() -> None:
@@ -17,9 +18,11 @@ def spare_imports() -> None:
 
     For a process that does nothing but its work: everybody else, such as a function of the user's, finds them all.
     """
-    _leave_pandas_out()
     finder: Any = _DoneWithout()
     sys.meta_path.insert(0, finder)
+    import pyarrow as pa
+
+    pa.array([0])  # it asks once, and remembers
 
 
 @cache  # once
@@ -53,37 +56,9 @@ class _DoneWithout:
     def find_spec(name: str, path: object = None, target: object = None) -> None:
         """Errors: ImportError for an optional library."""
         del path, target
-        if name in _DONE_WITHOUT and _asks() == _DONE_WITHOUT[name]:
-            raise ImportError(name)
-
-
-def _asks() -> str:
-    """Name of the module whose import statement is being carried out."""
-    frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__") in (__name__, "importlib._bootstrap"):
-        frame = frame.f_back
-    return str(frame.f_globals.get("__name__"))
-
-
-class _NoPandas:
-    """Finds that there is no pandas."""
-
-    @staticmethod
-    def find_spec(name: str, path: object = None, target: object = None) -> None:
-        """Errors: ImportError for pandas."""
-        del path, target
-        if name == "pandas":
-            raise ImportError(name)
-
-
-def _leave_pandas_out() -> None:
-    """Let pyarrow believe that there is no pandas, which it would import with its first array.
-
-    It asks once and remembers. It is compiled: no frame tells that it asks.
-    """
-    import pyarrow as pa
-
-    finder: Any = _NoPandas()
-    sys.meta_path.insert(0, finder)
-    pa.array([0])
-    sys.meta_path.remove(finder)
+        if name in _DONE_WITHOUT:
+            asks = sys._getframe(1)
+            while asks.f_back is not None and asks.f_globals.get("__name__") == "importlib._bootstrap":
+                asks = asks.f_back
+            if asks.f_globals.get("__name__") == _DONE_WITHOUT[name]:
+                raise ImportError(name)

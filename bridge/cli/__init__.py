@@ -7,7 +7,7 @@ messages to stderr.
 import re
 import sys
 
-from bridge.cli import configuration, generation, measuring, pictures, scenes
+from bridge.cli import configuration, forecasting, generation, measuring, pictures, scenes
 from bridge.cli.app import app
 from bridge.cli.options import INTERRUPTED, SOME_FAILED, USAGE
 from bridge.console import say
@@ -16,7 +16,7 @@ from netconvert.errors import ConfigError, Hid2Error
 __all__ = ["app", "main"]
 
 #: Modules whose commands are registered as they are imported.
-GROUPS = (generation, scenes, measuring, pictures, configuration)
+GROUPS = (generation, scenes, measuring, forecasting, pictures, configuration)
 
 
 def main() -> None:

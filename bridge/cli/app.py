@@ -15,6 +15,8 @@ ORDER = (
     "net",
     "evaluate",
     "calibrate",
+    "compose",
+    "forecast",
     "study",
     "make",
     "paper",

@@ -41,7 +41,7 @@ from bridge.cli.options import (
 )
 from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import select_scenes, set_up, tell_formats
-from bridge.console import Activity, print_json
+from bridge.console import Activity, print_json, say
 from netconvert.errors import ConfigError
 
 #: Batches up to this size list every folder that was written.
@@ -224,6 +224,19 @@ def generate(  # noqa: PLR0913  # one for each option
     scene_timeout: Timeout = 300.0,
     scene_memory: Memory = 4000,
     resume: Resume = False,
+    again: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="SIDECAR",
+            help="Make the scene of a hid2_<id>.json again, bit for bit; needs --source.",
+            rich_help_panel=RUNNING,
+        ),
+    ] = None,
+    source: Annotated[
+        Path | None,
+        typer.Option(metavar="ROOT", help="With --from: where its recorded scene lies.", rich_help_panel=RUNNING),
+    ] = None,
     record: Annotated[
         list[RecordName],
         typer.Option(
@@ -252,6 +265,8 @@ def generate(  # noqa: PLR0913  # one for each option
     set_up(verbose=verbose, quiet=quiet)
     if repro is not None:
         raise typer.Exit(_reproduce(repro, out, function, quiet=quiet))
+    if again is not None:
+        raise typer.Exit(_make_again(again, source, out, map_path, given=bool(scenes), quiet=quiet))
     missing = [name for name, value in (("SCENE", scenes), ("-o/--out", out)) if not value]
     if not scenes or out is None:
         raise ConfigError(f"missing {' and '.join(missing)} (see hid2 generate --help)")
@@ -312,8 +327,10 @@ def generate(  # noqa: PLR0913  # one for each option
         )  # fmt: skip
         notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")
+        jobs_wanted = plan(folders, resolved)
+        activity.show(0, sum(len(job.runs) for job in jobs_wanted))
         try:
-            rows = run_batch(plan(folders, resolved), out, options, on_row=notes.note)
+            rows = run_batch(jobs_wanted, out, options, on_row=notes.note)
         except KeyboardInterrupt:
             activity.message(f"interrupted; finished scenes are in {out / 'manifest.csv'}, continue with --resume")
             raise typer.Exit(INTERRUPTED) from None
@@ -335,6 +352,27 @@ def _agents(text: str) -> int | str:
         return int(text)
     except ValueError:
         raise ConfigError(f"--agents {text!r}: expected a number or max") from None
+
+
+def _make_again(
+    sidecar: Path, source: Path | None, out: Path | None, map_path: Path | None, *, given: bool, quiet: bool
+) -> int:
+    """Make the scene of a sidecar again, and compare it with what lies beside the sidecar. Returns the exit code."""
+    if out is None or source is None or given:
+        raise ConfigError("--from SIDECAR takes --source ROOT and -o OUT, and no SCENE (see hid2 generate --help)")
+    check_scenes([source])
+    check_out(out)
+    with Activity("making the scene again", quiet=quiet):
+        from bridge.batch.provenance import make_again
+
+        made = make_again(sidecar, source, out, map_path=map_path)
+    for line in made.differences:
+        say(f"hid2: warning: {line}")
+    if not quiet:
+        print(made.folder)
+        if made.compared and not made.differences:
+            say(f"the same, bit for bit, as {sidecar.parent}")
+    return SOME_FAILED if made.differences else ALL_DONE
 
 
 def _reproduce(bundle_path: Path, out: Path | None, function: str | None, *, quiet: bool) -> int:

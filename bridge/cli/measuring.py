@@ -10,12 +10,14 @@ from bridge.cli.options import (
     ALL_DONE,
     INTERRUPTED,
     OUTPUT,
+    PREDICTION,
     SOME_FAILED,
     ExperimentName,
     Jobs,
     MapChoice,
     Out,
     Quiet,
+    ReadingName,
     Scheduler,
     Stride,
     Timeout,
@@ -61,12 +63,14 @@ def evaluate(  # noqa: PLR0913  # one for each option
         ),
     ] = None,
     predictions: Annotated[
-        str | None,
+        list[str],
         typer.Option(
-            metavar="FILE|constant-velocity|constant-turn-rate",
-            help="Score forecasts instead: a file in av2's submission format, or a baseline.",
+            metavar="[NAME=]FILE|constant-velocity|constant-turn-rate",
+            help="Score forecasts instead: a file in av2's submission format, or a baseline; given again: compare the "
+            "files, further ones of a NAME being other seeds of it.",
+            show_default=False,
         ),
-    ] = None,
+    ] = [],  # noqa: B006  # typer copies it
     bands: Annotated[
         str, typer.Option(metavar="N,N,...", help="With --predictions: bands of scenes with more agents than each N.")
     ] = "50,70,90",
@@ -85,8 +89,9 @@ def evaluate(  # noqa: PLR0913  # one for each option
     set_up(verbose=verbose, quiet=quiet)
     check_scenes([out, *(folder for folder in (source, control) if folder)])
     check_out(report)
-    if predictions is not None:
-        raise typer.Exit(_score(out, predictions, bands, report, as_json=as_json, quiet=quiet))
+    if predictions:
+        score = _score if len(predictions) == 1 else _compare
+        raise typer.Exit(score(out, predictions, bands, report, jobs=jobs, as_json=as_json, quiet=quiet))
     with Activity(quiet=quiet) as activity:
         from bridge.evaluation.evaluate import evaluate_folder
         from bridge.recordings.folders import Choices
@@ -199,6 +204,7 @@ def study(
         found = read_study(file, scenes=scenes)
         notes = BatchNotes(activity, out, verbose=verbose > 0)
         activity.doing("generating")
+        activity.show(0, sum(len(job.runs) for job in found.jobs))
         try:
             report = run_study(found, out, options, on_row=notes.note)
         except KeyboardInterrupt:
@@ -229,47 +235,136 @@ def make(
 @command()
 def paper(  # noqa: PLR0913  # one for each option
     experiment: Annotated[
-        ExperimentName, typer.Argument(metavar="EXPERIMENT", help="One of table1, ablation, density, diversity.")
+        ExperimentName,
+        typer.Argument(metavar="EXPERIMENT", help="One of table1, ablation, density, diversity, prediction."),
     ],
     out: Out,
     *,
     scenes: Annotated[
-        Path,
+        list[Path],
         typer.Option(
-            metavar="DIR", help="Recordings; diversity needs real ones of over 40 agents for the paper's part."
+            metavar="DIR",
+            help="Recordings; diversity needs real ones of over 40 agents for the paper's part; repeatable.",
         ),
-    ] = Path("data/av2"),
+    ] = [Path("data/av2")],  # noqa: B006
     map_path: MapChoice = None,
     window: Window = 0,
     stride: Stride = None,
-    seeds: Annotated[int, typer.Option(min=1, metavar="N", help="Seeds per scene.")] = 10,
+    seeds: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Seeds per scene, or of the training.", show_default="10; prediction: 3"),
+    ] = None,
     agents: Annotated[int, typer.Option(min=0, metavar="N", help="Vehicles added, except in density.")] = 10,
+    variants: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="K", help="Scenes made of each recorded one.", show_default="8", rich_help_panel=PREDICTION
+        ),
+    ] = None,
+    val: Annotated[
+        float | None,
+        typer.Option(
+            min=0.01,
+            max=0.9,
+            metavar="SHARE",
+            help="Share of the scenes for validation.",
+            show_default="0.3",
+            rich_help_panel=PREDICTION,
+        ),
+    ] = None,
+    updates: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="N", help="Updates of each training.", show_default="300", rich_help_panel=PREDICTION
+        ),
+    ] = None,
+    focal: Annotated[
+        ReadingName,
+        typer.Option(help="What is forecast in generated scenes; both: by turns.", rich_help_panel=PREDICTION),
+    ] = "both",
+    composed: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="ROOT",
+            help="Data sets that compose made, with the controls, instead of new ones.",
+            rich_help_panel=PREDICTION,
+        ),
+    ] = None,
+    predictions: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Forecasts from elsewhere instead of the small forecaster's: SET/SEED/VALIDATION.parquet.",
+            rich_help_panel=PREDICTION,
+        ),
+    ] = None,
     jobs: Jobs = 1,
     verbose: Verbose = 0,
     quiet: Quiet = False,
 ) -> None:
-    """Run an experiment of the paper that needs no training, from generation to the table beside the paper's."""
+    """Run an experiment of the paper, from generation to the table beside the paper's; prediction needs `forecast`."""
     set_up(verbose=verbose, quiet=quiet)
-    check_scenes([scenes])
+    check_scenes([*scenes, *([composed] if composed else [])])
     check_out(out)
-    with Activity(quiet=quiet) as activity:
-        from bridge.evaluation.paper import run_experiment
-        from bridge.recordings.folders import Choices
+    if experiment == "prediction" and predictions is None:
+        from bridge.forecasting.torch_extra import check_torch
 
-        activity.doing("generating and measuring")
-        page = run_experiment(
-            experiment, scenes=scenes, out_dir=out, choices=Choices(map_path, window, stride), seeds=seeds,
-            agents=agents, jobs=jobs, on_scene=activity.show,
-        )  # fmt: skip
+        check_torch()
+    with Activity(quiet=quiet) as activity:
+        if experiment == "prediction":
+            from bridge.forecasting.experiment import Plan, run_prediction
+            from hid2.params import Forecasting
+
+            given = {"variants": variants, "val_share": val, "updates": updates}
+            params = Forecasting.model_validate({name: value for name, value in given.items() if value is not None})
+            page = run_prediction(
+                scenes, out, Plan(seeds=seeds or 3, agents=agents, reading=focal, params=params), jobs=jobs,
+                composed=composed, predictions=predictions, on_step=activity.step,
+            )  # fmt: skip
+        else:
+            from bridge.evaluation.paper import run_experiment
+            from bridge.recordings.folders import Choices
+
+            activity.doing("generating and measuring")
+            page = run_experiment(
+                experiment, scenes=scenes, out_dir=out, choices=Choices(map_path, window, stride), seeds=seeds or 10,
+                agents=agents, jobs=jobs, on_scene=activity.show,
+            )  # fmt: skip
     print(page)
 
 
-def _score(out: Path, predictions: str, bands: str, report: Path, *, as_json: bool, quiet: bool) -> int:
-    """Score forecasts; returns the exit code."""
+def _bounds(bands: str) -> list[int]:
+    """Errors: ConfigError."""
     try:
-        bounds = [int(band) for band in bands.split(",")]
+        return [int(band) for band in bands.split(",")]
     except ValueError:
         raise ConfigError(f"--bands {bands!r}: expected numbers of agents, joined by commas") from None
+
+
+def _compare(
+    out: Path, predictions: list[str], bands: str, report: Path, *, jobs: int, as_json: bool, quiet: bool
+) -> int:
+    """Compare files of predictions; returns the exit code."""
+    bounds = _bounds(bands)
+    with Activity(quiet=quiet) as activity:
+        from bridge.forecasting.comparison import HEAD, compare_predictions, parse_models, rows_of
+
+        models = parse_models(predictions)
+        activity.doing("scoring forecasts")
+        found, left_out = compare_predictions(out, models, report, bounds=bounds, jobs=jobs, on_scene=activity.show)
+        for reason in left_out:
+            activity.message(f"hid2: warning: not scored: {reason}")
+    if as_json:
+        print_json(HEAD, rows_of(found))
+    elif not quiet:
+        print_table(f"{len(models)} models", HEAD, rows_of(found))
+        print(report / "comparison.html")
+    return SOME_FAILED if left_out else ALL_DONE
+
+
+def _score(out: Path, files: list[str], bands: str, report: Path, *, jobs: int, as_json: bool, quiet: bool) -> int:
+    """Score forecasts; returns the exit code."""
+    bounds, (predictions,) = _bounds(bands), files
     with Activity(quiet=quiet) as activity:
         from bridge.evaluation.predictions import BASELINES, TABLE_HEAD, score_predictions
 
@@ -280,7 +375,12 @@ def _score(out: Path, predictions: str, bands: str, report: Path, *, as_json: bo
             )
         activity.doing("scoring forecasts")
         scored = score_predictions(
-            out, predictions=baseline or Path(predictions), report_dir=report, bounds=bounds, on_scene=activity.show
+            out,
+            predictions=baseline or Path(predictions),
+            report_dir=report,
+            bounds=bounds,
+            jobs=jobs,
+            on_scene=activity.show,
         )
         for reason in scored.left_out:
             activity.message(f"hid2: warning: not scored: {reason}")

@@ -11,16 +11,27 @@ ALL_DONE, SOME_FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 #: Groups of options in the help.
 REQUEST, EVENTS, SELECTION = "What to generate", "Events", "Which scenes"
 PARAMETERS, RUNNING, OUTPUT = "Parameters", "Running", "Output"
+PREDICTION = "With prediction"
 
 # Choices, written out because what they mirror is slow to import; tests/cli/test_options.py compares them.
-BehaviourName = StrEnum("BehaviourName", ["STRAIGHT", "LEFT_TURN", "RIGHT_TURN", "LANE_CHANGE", "OVERTAKE"])
 EventName = StrEnum("EventName", ["CUT_IN", "OVERTAKE", "LEAD", "FOLLOW", "MERGE", "CROSS"])
+CanName = StrEnum(
+    "CanName",
+    {
+        "STRAIGHT": "straight", "LEFT_TURN": "left_turn", "RIGHT_TURN": "right_turn", "LANE_CHANGE": "lane_change",
+        "OVERTAKE": "overtake", "CUT_IN_AV": "cut_in:av", "CUT_IN_FOCAL": "cut_in:focal", "OVERTAKE_AV": "overtake:av",
+        "OVERTAKE_FOCAL": "overtake:focal", "LEAD_AV": "lead:av", "LEAD_FOCAL": "lead:focal", "FOLLOW_AV": "follow:av",
+        "FOLLOW_FOCAL": "follow:focal", "MERGE_AV": "merge:av", "MERGE_FOCAL": "merge:focal", "CROSS_AV": "cross:av",
+        "CROSS_FOCAL": "cross:focal",
+    },
+)  # fmt: skip
 ComponentName = StrEnum("ComponentName", ["TOPOLOGY", "COLLISION", "SMOOTHING"])
 SplitName = StrEnum("SplitName", ["TRAIN", "VAL", "TEST"])
 FormatName = StrEnum("FormatName", ["ARGOVERSE1"])
 RecordName = StrEnum("RecordName", ["GAPS"])
 FocalName = Literal["recorded", "generated"]
-ExperimentName = Literal["table1", "ablation", "density", "diversity"]
+ExperimentName = Literal["table1", "ablation", "density", "diversity", "prediction"]
+ReadingName = Literal["recorded", "generated", "both"]
 
 MapChoice = Annotated[
     Path | None,
@@ -127,9 +138,11 @@ Split = Annotated[
     typer.Option(help="Only scenes of this split; repeatable.", rich_help_panel=SELECTION, show_default=False),
 ]
 Can = Annotated[
-    list[BehaviourName],
+    list[CanName],
     typer.Option(
-        help="Only maps with room for this manoeuvre; repeatable.", rich_help_panel=SELECTION, show_default=False
+        help="Only scenes with room for this manoeuvre or event; repeatable.",
+        rich_help_panel=SELECTION,
+        show_default=False,
     ),
 ]
 Sample = Annotated[

@@ -17,7 +17,7 @@ from hid2.evaluation.critics import (
 )
 
 #: Splits of the recorded tracks over which the negative control is averaged.
-_SPLITS = 6
+_SPLITS = 3
 #: Recordings by how they were made, as `Packed.labelled` has them.
 _KINDS = (("all", None), ("tracker", 0.0), ("labelled", 1.0))
 #: Features named in the report.

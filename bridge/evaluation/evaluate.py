@@ -33,7 +33,7 @@ from netconvert.net_xml import net_bytes
 
 _LOG = logging.getLogger(__name__)
 #: Tables that grow as scenes are done.
-_BY_SCENE = ("scenes", "tracks", "maneuvers")
+_BY_SCENE = ("scenes", "tracks", "maneuvers", "events")
 #: Most scenes that a process gets at a time.
 _CHUNK = 40
 
@@ -50,9 +50,10 @@ def evaluate_folder(
 ) -> Evaluation:
     """Measure every scene below `out`, recorded in any format or generated, and write the report into `report_dir`.
 
-    Writes metrics.json, scenes.csv, tracks.csv, maneuvers.csv, realism.csv and report.html. "Before" is the source
-    scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded vehicles beside them,
-    else the recorded tracks of the first scene made from each. A scene that cannot be read is listed and left out.
+    Writes metrics.json, scenes.csv, tracks.csv, maneuvers.csv, events.csv, realism.csv and report.html. "Before" is the
+    source scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded vehicles beside
+    them, else the recorded tracks of the first scene made from each. A scene that cannot be read is listed and left
+    out.
     choices: for recordings of formats that leave something open.
     control: scenes made from the same sources with drivers that the critics must tell, such as SUMO's default ones.
     on_scene(done, total) is called as scenes are done.
@@ -82,7 +83,7 @@ def evaluate_folder(
                 else:
                     totals.add(measures)
                     for table, rows in zip(
-                        tables, ([measures.scene], measures.tracks, measures.maneuvers), strict=True
+                        tables, ([measures.scene], measures.tracks, measures.maneuvers, measures.events), strict=True
                     ):
                         table.write(rows)
                 if on_scene is not None:

@@ -92,7 +92,7 @@ class Outcome:
 def run_experiment(
     name: Experiment,
     *,
-    scenes: Path,
+    scenes: Path | Sequence[Path],
     out_dir: Path,
     choices: Choices | None = None,
     seeds: int = 10,
@@ -111,7 +111,7 @@ def run_experiment(
         raise ConfigError(f"experiment {name!r}, expected one of {', '.join(EXPERIMENTS)}")
     if seeds < 1:
         raise ConfigError(f"seeds {seeds}, expected at least 1")
-    folders = find_sources([scenes], choices)
+    folders = find_sources([scenes] if isinstance(scenes, Path) else scenes, choices)
     make_folder(out_dir)
     outcomes = _run(folders, _settings(name, agents), seeds=seeds, jobs=jobs, on_scene=on_scene)
     try:

@@ -1,32 +1,41 @@
-"""Forecasts scored by minADE, minFDE and miss rate with av2's own metrics, in bands of agents per scene; two baselines.
+"""Forecasts scored with av2's own metrics, in bands of agents per scene; two baselines.
 
-A forecast file is av2's challenge submission: 60 steps from timestep 50 for each mode of a track.
+minADE, minFDE, miss rate and brier-minFDE, each of the mode that ends nearest, as on av2's leaderboard. A forecast file
+is av2's challenge submission: 60 steps from timestep 50 for each mode of a track.
 """
 
 import csv
 import html
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from av2.datasets.motion_forecasting.eval.metrics import compute_ade, compute_fde, compute_is_missed_prediction
+from av2.datasets.motion_forecasting.eval.metrics import (
+    compute_ade,
+    compute_brier_fde,
+    compute_fde,
+    compute_is_missed_prediction,
+)
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
+from bridge.batch.engine import Settings, Task, execute_here
+from bridge.batch.isolation import Failure, describe_error
 from bridge.evaluation import report
-from bridge.files import make_folder, table_file, write_text
+from bridge.files import beside, make_folder, table_file, write_text
 from bridge.recordings.scenario import (
     MAX_STEPS,
     OBSERVED_STEPS,
+    Rows,
     Scenario,
     find_scenarios,
-    read_scenario,
+    read_rows,
     source_id,
 )
 from hid2.agents import FloatArray, Track
-from netconvert.errors import ExportError, Hid2Error, ScenarioError
+from netconvert.errors import ExportError, ScenarioError
 
 Baseline = Literal["constant-velocity", "constant-turn-rate"]
 BASELINES: tuple[Baseline, ...] = ("constant-velocity", "constant-turn-rate")
@@ -42,20 +51,31 @@ _MODES = ((1.0, 0.4), (0.75, 0.15), (1.25, 0.15), (0.5, 0.1), (1.5, 0.1), (0.0, 
 #: A baseline's speed and turn rate are means over this many steps before the last observed one.
 _HISTORY = 5
 
-#: Modes (K, 60, 2) m and their probabilities (K,), by scenario and track.
-Forecasts = Mapping[str, tuple[FloatArray, Mapping[str, FloatArray]]]
+#: Scenes per task.
+_CHUNK = 128
+
+#: Probabilities (K,) of a scene's modes, and the modes (K, 60, 2) m by track.
+Forecast = tuple[FloatArray, Mapping[str, FloatArray]]
+#: By scenario.
+Forecasts = Mapping[str, Forecast]
 
 
 class Score(NamedTuple):
-    """One track at one k: displacement errors, m, of the mode whose end is nearest, and whether it misses."""
+    """One track at one k: displacement errors, m, of the mode whose end is nearest, and whether it misses.
+
+    agents: tracks of the scene in all; agents_observed: those present at the last observed step; brier_min_fde: m,
+    plus (1 - p)^2 with the probability p of that mode.
+    """
 
     scenario_id: str
     track_id: str
     agents: int
+    agents_observed: int
     k: int
     min_ade_m: float
     min_fde_m: float
     missed: bool
+    brier_min_fde: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +92,13 @@ class PredictionScores:
             (
                 band["band"], str(band["k"]), str(band["tracks"]), report.number(band["min_ade_m"]),
                 report.number(band["min_fde_m"]), report.number(band["miss_rate"]),
+                report.number(band["brier_min_fde"]),
             )
             for band in self.bands
         ]  # fmt: skip
 
 
-TABLE_HEAD = ("agents in the scene", "k", "tracks", "minADE, m", "minFDE, m", "MR at 2 m")
+TABLE_HEAD = ("agents in the scene", "k", "tracks", "minADE, m", "minFDE, m", "MR at 2 m", "brier-minFDE, m")
 
 
 def score_predictions(
@@ -86,51 +107,76 @@ def score_predictions(
     predictions: Path | Baseline,
     report_dir: Path | None = None,
     bounds: Sequence[int] = BOUNDS,
+    jobs: int = 1,
     on_scene: Callable[[int, int], None] | None = None,
 ) -> PredictionScores:
     """Score forecasts of the scenes below `out`; `predictions` is a submission file or the name of a baseline.
 
     A baseline forecasts the focal track of each scene. A scene that cannot be read is left out, with the reason. With
     `report_dir`, predictions.csv (one row per track and k), predictions.json and predictions.html are written. bounds:
-    bands of scenes with more agents than each. Errors: ScenarioError for an unreadable file or where nothing can be
-    scored, ExportError where the report cannot be written.
+    bands of scenes with more agents than each. The same result with any number of jobs. Errors: ScenarioError for an
+    unreadable file, for a forecast that is not finite, or where nothing can be scored; ExportError where the report
+    cannot be written.
     """
     folders = find_scenarios(out)
     if report_dir is not None:
         make_folder(report_dir)
     forecasts = None if predictions in BASELINES else read_forecasts(Path(predictions))
-    scores: list[Score] = []
-    left_out: list[str] = []
-    seen = set()
-    for done, folder in enumerate(folders, 1):
-        try:
-            scenario = read_scenario(folder)
-        except Hid2Error as error:
-            seen.add(source_id(folder))
-            left_out.append(str(error))
-        else:
-            seen.add(scenario.scenario_id)
-            own = baseline(scenario, predictions) if forecasts is None else forecasts.get(scenario.scenario_id)  # type: ignore[arg-type]
-            found, reasons = (
-                ([], [f"{scenario.scenario_id}: no forecast"]) if own is None else _score_scene(scenario, own)
-            )
-            scores += found
-            left_out += reasons
+    ids = {source_id(folder) for folder in folders}
+    chunks = [folders[start : start + _CHUNK] for start in range(0, len(folders), _CHUNK)]
+    found: dict[Path, tuple[list[Score], list[str]]] = {}
+
+    def note(folder: Path, value: tuple[list[Score], list[str]] | Failure) -> None:
+        found[folder] = ([], [value.message]) if isinstance(value, Failure) else value
         if on_scene is not None:
-            on_scene(done, len(folders))
-    left_out += [f"{name}: no such scene" for name in sorted(set(forecasts or ()) - seen)]
+            on_scene(len(found), len(folders))
+
+    if jobs == 1 or len(chunks) == 1:  # what a process needs to begin is what some hundred scenes take
+        for folder, value in zip(folders, score_folders(forecasts or predictions, folders), strict=True):  # type: ignore[arg-type]
+            note(folder, value)
+    else:
+        tasks = (
+            Task(
+                f"score-{number}",
+                "bridge.evaluation.predictions:score_folders",
+                predictions
+                if forecasts is None
+                else {name: forecasts[name] for folder in chunk if (name := source_id(folder)) in forecasts},
+                tuple(chunk),
+            )
+            for number, chunk in enumerate(chunks)
+        )
+        for result in execute_here(tasks, jobs=min(jobs, len(chunks)), settings=Settings(timeout_s=60)):
+            for outcome in result.outcomes:
+                note(outcome.item, outcome.failure or outcome.value)
+    scores = [score for folder in folders for score in found[folder][0]]
+    left_out = [reason for folder in folders for reason in found[folder][1]]
+    left_out += [f"{name}: no such scene" for name in sorted(set(forecasts or ()) - ids)]
     if not scores:
         raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {left_out[0]}")
-    result = PredictionScores(tuple(scores), tuple(_bands(scores, bounds)), tuple(left_out))
+    scored = PredictionScores(tuple(scores), tuple(_bands(scores, bounds)), tuple(left_out))
     if report_dir is not None:
-        _write(result, report_dir)
-    return result
+        _write(scored, report_dir)
+    return scored
+
+
+def score_folders(
+    forecasts: Forecasts | Baseline, folders: Sequence[Path]
+) -> Iterator[tuple[list[Score], list[str]] | Failure]:
+    """The work of a process: scores of each scene, and what of it cannot be scored."""
+    for folder in folders:
+        try:
+            rows = read_rows(folder)
+            own = baseline(rows, forecasts) if isinstance(forecasts, str) else forecasts.get(rows.scenario_id)
+            yield ([], [f"{rows.scenario_id}: no forecast"]) if own is None else _score_scene(rows, own)
+        except Exception as error:  # noqa: BLE001  # listed with its reason
+            yield describe_error(error)
 
 
 def read_forecasts(path: Path) -> Forecasts:
-    """Read a submission file. Errors: ScenarioError with what av2 says of it."""
+    """Read a submission file. Errors: ScenarioError with what av2 says of it, or with a value that is not finite."""
     try:
-        return ChallengeSubmission.from_parquet(path).predictions  # type: ignore[no-any-return]
+        forecasts: Forecasts = ChallengeSubmission.from_parquet(path).predictions
     except FileNotFoundError:
         raise ScenarioError(
             f"{path}: no such file, expected a forecast file or one of {', '.join(BASELINES)}"
@@ -138,25 +184,52 @@ def read_forecasts(path: Path) -> Forecasts:
     except (ValueError, KeyError, OSError, IndexError) as error:
         said = str(error).split("\n")[0].split(". ")[0]  # pyarrow goes on for lines
         raise ScenarioError(f"{path}: not a forecast file of av2's submission format ({said})") from error
+    for scenario_id, (probabilities, by_track) in forecasts.items():
+        outside = ~((probabilities >= 0) & (probabilities <= 1))
+        if outside.any():
+            where = f"{path}: scenario {scenario_id}, mode {int(np.argmax(outside))}"
+            raise ScenarioError(f"{where}: probability {probabilities[outside][0]}, expected 0 to 1")
+        for track_id, modes in by_track.items():
+            broken = np.argwhere(~np.isfinite(modes))
+            if len(broken):
+                mode, step, axis = (int(index) for index in broken[0])
+                where = f"{path}: scenario {scenario_id}, track {track_id}, mode {mode}, step {step}"
+                raise ScenarioError(
+                    f"{where}: {'xy'[axis]} is {modes[mode, step, axis]}, expected a finite number; "
+                    "leave the track out to score the others"
+                )
+    return forecasts
 
 
-def baseline(scenario: Scenario, kind: Baseline) -> tuple[FloatArray, Mapping[str, FloatArray]]:
+def write_forecasts(forecasts: Forecasts, path: Path) -> Path:
+    """Write a submission file. Errors: ExportError; ScenarioError for forecasts that av2 refuses."""
+    try:
+        with beside(path) as hidden:
+            ChallengeSubmission({name: (one[0], dict(one[1])) for name, one in forecasts.items()}).to_parquet(hidden)
+    except ValueError as error:
+        raise ScenarioError(f"{path}: forecasts that av2 refuses ({error})") from error
+    except OSError as error:
+        raise ExportError(f"{path}: cannot write the forecasts ({error})") from error
+    return path
+
+
+def baseline(scene: Scenario | Rows, kind: Baseline) -> Forecast:
     """Probabilities (6,) and modes (6, N, 2) m of the focal track, from what is observed of it.
 
     N: steps that are not observed, 60 in scenes of 110.
     """
-    track = scenario.track(scenario.focal_track_id)
-    modes = np.stack([_forecast(track, kind, share, scenario) for share, _ in _MODES])
+    track = next(track for track in scene.tracks if track.track_id == scene.focal_track_id)
+    modes = np.stack([_forecast(track, kind, share, scene) for share, _ in _MODES])
     return np.array([probability for _, probability in _MODES]), {track.track_id: modes}
 
 
-def _forecast(track: Track, kind: Baseline, share: float, scenario: Scenario) -> FloatArray:
+def _forecast(track: Track, kind: Baseline, share: float, scene: Scenario | Rows) -> FloatArray:
     """(N, 2) m: on at the observed velocity, or at the observed speed and turn rate; `share` scales what is varied."""
-    observed = np.flatnonzero(track.timesteps <= scenario.last_observed)[-_HISTORY - 1 :]
+    observed = np.flatnonzero(track.timesteps <= scene.last_observed)[-_HISTORY - 1 :]
     last = observed[-1]
-    seconds = (track.timesteps[last] - track.timesteps[observed[0]]) * scenario.step_s
+    seconds = (track.timesteps[last] - track.timesteps[observed[0]]) * scene.step_s
     velocity = (track.position[last] - track.position[observed[0]]) / seconds if seconds > 0 else track.velocity[last]
-    ahead = np.arange(1, _future_steps(scenario) + 1) * scenario.step_s
+    ahead = np.arange(1, _future_steps(scene) + 1) * scene.step_s
     if kind == "constant-velocity":
         return np.asarray(track.position[last] + share * ahead[:, None] * velocity, dtype=np.float64)
     heading = np.unwrap(track.heading[observed])
@@ -170,60 +243,70 @@ def _forecast(track: Track, kind: Baseline, share: float, scenario: Scenario) ->
     return np.asarray(track.position[last] + speed / rate * along, dtype=np.float64)
 
 
-def _future_steps(scenario: Scenario) -> int:
+def _future_steps(scene: Scenario | Rows) -> int:
     """Steps that are forecast: what is not observed; of a scene without them those of the format."""
-    return (
-        scenario.num_steps - scenario.observed_steps if scenario.num_steps > scenario.observed_steps else FUTURE_STEPS
-    )
+    return scene.num_steps - scene.observed_steps if scene.num_steps > scene.observed_steps else FUTURE_STEPS
 
 
-def _score_scene(
-    scenario: Scenario, forecast: tuple[FloatArray, Mapping[str, FloatArray]]
-) -> tuple[list[Score], list[str]]:
+def _score_scene(scene: Rows, forecast: Forecast) -> tuple[list[Score], list[str]]:
     probabilities, by_track = forecast
     order = np.argsort(-np.asarray(probabilities), kind="stable")
-    tracks = {track.track_id: track for track in scenario.tracks}
+    tracks = {track.track_id: track for track in scene.tracks}
+    observed = sum(scene.last_observed in track.timesteps for track in scene.tracks)
     scores, reasons = [], []
-    wanted = _future_steps(scenario)
+    wanted = _future_steps(scene)
     for track_id, modes in sorted(by_track.items()):
         track = tracks.get(str(track_id))
-        future = np.empty((0, 2)) if track is None else track.position[track.timesteps > scenario.last_observed]
+        future = np.empty((0, 2)) if track is None else track.position[track.timesteps > scene.last_observed]
         if track is None or len(future) != wanted:
             what = "no such track" if track is None else f"{len(future)} future steps, expected {wanted}"
-            reasons.append(f"{scenario.scenario_id}, track {track_id}: {what}")
+            reasons.append(f"{scene.scenario_id}, track {track_id}: {what}")
             continue
         for k in KS:
             chosen = np.asarray(modes)[order[:k]]
             fde = compute_fde(chosen, future)
             best = int(np.argmin(fde))
-            ade = compute_ade(chosen, future)
-            missed = bool(np.all(compute_is_missed_prediction(chosen, future, MISS_M)))
             scores.append(
                 Score(
-                    scenario.scenario_id,
-                    str(track_id),
-                    len(scenario.tracks),
-                    k,
-                    float(ade[best]),
-                    float(fde[best]),
-                    missed,
+                    scenario_id=scene.scenario_id,
+                    track_id=str(track_id),
+                    agents=len(scene.tracks),
+                    agents_observed=observed,
+                    k=k,
+                    min_ade_m=float(compute_ade(chosen, future)[best]),
+                    min_fde_m=float(fde[best]),
+                    missed=bool(np.all(compute_is_missed_prediction(chosen, future, MISS_M))),
+                    brier_min_fde=float(compute_brier_fde(chosen, future, probabilities[order[:k]])[best]),
                 )
             )
     return scores, reasons
 
 
+#: What bands count: tracks in all, and those present at the last observed step.
+_COUNTED: tuple[tuple[Literal["agents", "agents_observed"], str], ...] = (
+    ("agents", "more than {}"),
+    ("agents_observed", "more than {} at the observation's end"),
+)
+
+
 def _bands(scores: Sequence[Score], bounds: Sequence[int]) -> Iterable[dict[str, Any]]:
-    for bound in (None, *bounds):
+    wanted = [("all scenes", _COUNTED[0][0], -1)]
+    wanted += [(name.format(bound), counted, bound) for counted, name in _COUNTED for bound in bounds]
+    for name, counted, bound in wanted:
+        inside = [score for score in scores if getattr(score, counted) > bound]
         for k in KS:
-            inside = [score for score in scores if score.k == k and (bound is None or score.agents > bound)]
-            yield {
-                "band": "all scenes" if bound is None else f"more than {bound}",
-                "k": k,
-                "tracks": len(inside),
-                "min_ade_m": float(np.mean([s.min_ade_m for s in inside])) if inside else None,
-                "min_fde_m": float(np.mean([s.min_fde_m for s in inside])) if inside else None,
-                "miss_rate": float(np.mean([s.missed for s in inside])) if inside else None,
-            }
+            yield {"band": name, "k": k} | means([score for score in inside if score.k == k])
+
+
+def means(scores: Sequence[Score]) -> dict[str, Any]:
+    """Number of tracks and their mean of each metric, None where there is none."""
+    return {
+        "tracks": len(scores),
+        "min_ade_m": float(np.mean([s.min_ade_m for s in scores])) if scores else None,
+        "min_fde_m": float(np.mean([s.min_fde_m for s in scores])) if scores else None,
+        "miss_rate": float(np.mean([s.missed for s in scores])) if scores else None,
+        "brier_min_fde": float(np.mean([s.brier_min_fde for s in scores])) if scores else None,
+    }
 
 
 def _write(result: PredictionScores, report_dir: Path) -> None:
@@ -232,7 +315,8 @@ def _write(result: PredictionScores, report_dir: Path) -> None:
     about = (
         "<p>How far forecasts end up from where vehicles really went, 6 s after the last observed moment. minADE: mean "
         "distance of the best forecast over all steps; minFDE: its distance at the end; MR: share of vehicles whose "
-        "best forecast ends more than 2 m off. Best is the one of the k most probable forecasts that ends nearest.</p>"
+        "best forecast ends more than 2 m off; brier-minFDE: minFDE plus the square of what the best forecast's "
+        "probability lacks to 1. Best is the one of the k most probable forecasts that ends nearest.</p>"
     )
     parts = [
         about,

@@ -32,6 +32,10 @@ PAPER_ORIGINAL = {"lo": 1.648, "la": 0.476, "je": 8.106, "scr": 0.072, "orr": 0.
 PAPER_HID2 = {"lo": 1.465, "la": 0.486, "je": 7.801, "scr": 0.051, "orr": 0.114}
 
 
+#: Events with a picture in the table; each takes some 60 kB.
+_EVENT_PICTURES = 12
+
+
 class Section(NamedTuple):
     """One entry of a page's contents: its anchor, its heading and what is below, as HTML."""
 
@@ -132,6 +136,7 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
         Section("glance", "At a glance: are the generated vehicles safe?", _glance(metrics)),
         Section("safety", "Safety", _safety(metrics)),
         Section("encounters", "Encounters", _encounters(metrics)),
+        Section("events", "Events asked for", _events(evaluation)),
         Section("realism", "Realism", _realism(evaluation)),
         Section("example", "One of the scenes", _example(evaluation)),
         Section("motion", "Motion", _kinematics(metrics)),
@@ -290,6 +295,38 @@ def _encounters(metrics: Mapping[str, Any]) -> str:
     ]
     head = ("share of vehicles that …", _GROUP_NAMES["original"], _GROUP_NAMES["generated"])
     return _section("encounters", metrics["scenes"], table(head, rows))
+
+
+def _events(evaluation: Evaluation) -> str:
+    """Every event that was asked for, with a small picture of those that came about."""
+    events = evaluation.totals.events
+    if not events:
+        return ""
+    rows = [
+        (
+            html.escape(f"{row['scenario_id'][:8]}: {row['kind'].replace('_', ' ')}, {row['target']}"),
+            number(row["at_s"], 1), number(row["gap_m"], 1), number(row["speed_difference_mps"], 1),
+            number(row["min_ttc_s"], 1), number(row["pet_s"], 1), number(row["drac_mps2"], 2),
+            "–" if row["human_brakes"] is None else "yes" if row["human_brakes"] else "no",
+            html.escape(reason_words(row["reason"])) if row["reason"] else html.escape(f"{row['track_id']}, done"),
+            _event_picture(row, shown),
+        )
+        for shown, row in enumerate(events)
+    ]  # fmt: skip
+    head = (
+        "event, target", "at, s", "gap, m", "speed difference, m/s", linked("TTC, s"), linked("PET, s"), "DRAC, m/s²",
+        "a human would have braked", "what became of it", "",
+    )  # fmt: skip
+    return _section("events", evaluation.metrics["events"], table(head, rows, numbers=7))
+
+
+def _event_picture(row: Mapping[str, Any], shown: int) -> str:
+    """A small picture of an event at its last observed step, for the first of them."""
+    if row["track_id"] is None or shown >= _EVENT_PICTURES:
+        return ""
+    figure = scene_figure(Path(row["folder"]), agent=row["track_id"])
+    name = html.escape(f"{row['kind']} by {row['track_id']}")
+    return f'<img src="{figures.data_uri(figure)}" alt="{name}" style="width: 22em">'
 
 
 def _safety(metrics: Mapping[str, Any]) -> str:

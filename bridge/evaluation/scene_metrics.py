@@ -59,6 +59,7 @@ class SceneMeasures:
     scene: Row
     tracks: list[Row]
     maneuvers: list[Row]
+    events: list[Row]
     realism: RealismCounts
     samples: FloatArray
     sample_generated: BoolArray
@@ -134,7 +135,10 @@ def _read(folder: Address, maps: Maps) -> tuple[Rows, PreparedMap, RecordingReco
     """As read_recording, but the map of a folder that is known is not read again."""
     if isinstance(folder, Source):
         scenario = read_recording(folder)
-        rows = Rows(scenario.scenario_id, scenario.city, scenario.focal_track_id, scenario.num_steps, scenario.tracks)
+        rows = Rows(
+            scenario.scenario_id, scenario.city, scenario.focal_track_id, scenario.num_steps, scenario.tracks,
+            scenario.observed_steps, scenario.step_s,
+        )  # fmt: skip
         return rows, prepare_map(scenario.graph), recording_record_of(scenario)
     tables, files = list(folder.glob("scenario_*.parquet")), list(folder.glob("log_map_archive_*.json"))
     if len(tables) != 1 or len(files) != 1:
@@ -224,6 +228,7 @@ def measure(
         scene=scene,
         tracks=_track_rows(view, policy_of, sidecar),
         maneuvers=_maneuver_rows(view, sidecar),
+        events=[event.model_dump(mode="json") for event in sidecar.events] if sidecar else [],
         realism=count_scene(
             source, arrays, scene_values(arrays, safe, driving, durations), generated=generated, recorded=recorded
         ),
@@ -241,6 +246,7 @@ def _named(measures: SceneMeasures, scene: Rows, folder: Address, known: Recordi
         scene=name | place | measures.scene,
         tracks=[name | row for row in measures.tracks],
         maneuvers=[name | row for row in measures.maneuvers],
+        events=[name | {"folder": str(folder)} | row for row in measures.events],
         realism=measures.realism,
         samples=measures.samples,
         sample_generated=measures.sample_generated,

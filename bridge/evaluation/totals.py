@@ -21,6 +21,8 @@ from hid2.evaluation.realism import FEATURES, TAIL_SHARES, TAILS, RealismCounts,
 
 #: Nets of at most this many different maps are measured.
 MOST_NETS = 20
+#: Events are listed in the report up to this many; events.csv has all.
+MOST_EVENTS = 40
 PAIR_GROUPS = ("original_original", "generated_original", "generated_generated")
 PAIR_KINDS = ("pairs_vehicles", "pairs_all", "touching_all", "crossings", "pet_critical")
 #: Delays are counted to this part of a second.
@@ -115,6 +117,8 @@ class Totals:
         self.maneuvers = ManeuverCounts()
         self.samples = Samples()
         self.control: Samples | None = None
+        self.events: list[Row] = []
+        self.event_counts: Counter[tuple[str, str]] = Counter()
         self.example: Example | None = None
         self._sources = NameSet()
         self._nets: dict[str, str] = {}
@@ -130,6 +134,8 @@ class Totals:
         self.diversity.add(row)
         self.realism.add(measures.realism)
         self.maneuvers.add(measures.maneuvers)
+        self.event_counts.update((str(row["kind"]), str(row["status"])) for row in measures.events)
+        self.events += measures.events[: max(0, MOST_EVENTS - len(self.events))]
         # the recorded vehicles of a source scene are in every scene that was made from it: they count once
         is_first = self._sources.add(source)
         if is_first and source not in self._measured_sources:
@@ -183,6 +189,10 @@ class Totals:
             "safety": table(self.sums, metrics_in(Section.SAFETY))
             | {"pairs": {kind: {g: counts[f"{kind}_{g}"] for g in PAIR_GROUPS} for kind in PAIR_KINDS}},
             "encounters": table(self.sums, metrics_in(Section.ENCOUNTERS)),
+            "events": {
+                kind: {status: self.event_counts[kind, status] for status in ("done", "not_feasible")}
+                for kind in sorted({kind for kind, _ in self.event_counts})
+            },
             "diversity": self.diversity.content(),
             "realism": {
                 "distances": _distances(self.realism),

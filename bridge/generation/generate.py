@@ -214,9 +214,22 @@ def _with_category(track: Track, category: int) -> Track:
 
 
 def _focal(scenario: Recording, vehicles: Sequence[ExportedVehicle], tracks: Sequence[Track], filling: Filling) -> str:
-    """Generated focal track: lives through the scene; a manoeuvre done before none, a longer path before a shorter."""
+    """Generated focal track: lives through the scene; a manoeuvre done before none, then more neighbours before fewer.
+
+    Neighbours are the tracks within `request.focal_radius_m` at the last observed step, recorded and generated: what a
+    forecaster of this track sees of the scene.
+    """
+    last = scenario.last_observed
+    every = [track.position[track.timesteps == last] for track in (*scenario.tracks, *tracks)]
+    around = np.concatenate(every)
+    radius_m = filling.scene.config.request.focal_radius_m
     through = [
-        (_did_something(one, filling), track.path_m, track.track_id)
+        (
+            _did_something(one, filling),
+            int((np.hypot(*(around - track.position[last]).T) <= radius_m).sum()),
+            track.path_m,
+            track.track_id,
+        )
         for one, track in zip(vehicles, tracks, strict=True)
         if track.timesteps.size == scenario.num_steps
     ]
@@ -224,7 +237,7 @@ def _focal(scenario: Recording, vehicles: Sequence[ExportedVehicle], tracks: Seq
         raise ScenarioError(
             f"{scenario.folder}: no generated vehicle lives through the scene; expected one as focal track"
         )
-    return max(through)[2]
+    return max(through)[-1]
 
 
 def _did_something(vehicle: ExportedVehicle, filling: Filling) -> bool:

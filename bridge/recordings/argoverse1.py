@@ -34,7 +34,6 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import shapely
-from scipy.signal import savgol_filter
 
 from bridge.files import one_line, read_regular
 from bridge.recordings import limits
@@ -301,6 +300,8 @@ def _velocity(position: FloatArray) -> FloatArray:
         mean = (position[-1] - position[0]) / (STEP_S * max(count - 1, 1))
         return np.repeat(mean[None], count, axis=0)
     window = min(_SAMPLES, count - (count + 1) % 2)
+    from scipy.signal import savgol_filter  # a third of a scene process's start
+
     return np.asarray(savgol_filter(position, window, _DEGREE, deriv=1, delta=STEP_S, axis=0), dtype=np.float64)
 
 

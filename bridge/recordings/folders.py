@@ -19,12 +19,14 @@ PARQUET_PATTERN, MAP_PATTERN = "scenario_*.parquet", "log_map_archive_*.json"
 SIDECAR_PATTERN = "hid2_*.json"
 #: Sizes beside a scene whose boxes people have labelled.
 SIZES_FILE = "agent_sizes.csv"
+#: Files of a sensor log; log, city and number in the name of its map.
+ANNOTATIONS, POSES = "annotations*.feather", "city_SE3_egovehicle.feather"
+LOG_MAP_NAME = re.compile(r"log_map_archive_(.+)____([A-Z]{3})_city_(\d{1,18})")
 
 #: Names of the folders of a data-set root.
 SPLITS = ("train", "val", "test")
-#: Boxes and poses of a sensor log, and log, city and number in the name of its map.
-ANNOTATIONS, POSES = "annotations*.feather", "city_SE3_egovehicle.feather"
-LOG_MAP_NAME = re.compile(r"log_map_archive_(.+)____([A-Z]{3})_city_(\d{1,18})")
+#: Folder between a split and its scenes, as QCNet lays data sets out.
+RAW = "raw"
 #: Folder of generated Argoverse 1 sequences below an output folder.
 SEQUENCES = "argoverse1"
 
@@ -110,7 +112,7 @@ class Reader(Protocol):
 def find_scenarios(path: Path) -> list[Path]:
     """Scenario folders at path, sorted: a scenario folder itself, those of a split folder, or of a data-set root.
 
-    Errors: NoSceneError where there is none.
+    The scenes of a split may lie in <split>/raw/. Errors: NoSceneError where there is none.
     """
     if not path.is_dir():
         raise NoSceneError(f"{path}: no such folder, expected a scenario folder, a split folder or a data-set root")
@@ -118,8 +120,11 @@ def find_scenarios(path: Path) -> list[Path]:
         return [path]
     children = _subfolders(path)
     found = [child for child in children if _is_scenario_folder(child)]
-    splits = [child for child in children if not _is_scenario_folder(child)]
-    found += [folder for child in splits for folder in _subfolders(child) if _is_scenario_folder(folder)]
+    for split in (child for child in children if not _is_scenario_folder(child)):
+        below = _subfolders(split)
+        if RAW in (folder.name for folder in below):
+            below = [folder for folder in below if folder.name != RAW] + _subfolders(split / RAW)
+        found += [folder for folder in below if _is_scenario_folder(folder)]
     if not found:
         raise NoSceneError(f"{path}: no scenario; expected scenario_<id>.parquet in it or one or two folders below")
     return sorted(found)
@@ -134,11 +139,20 @@ def source_id(folder: Address) -> str:
 
 
 def split_of(folder: Address) -> str | None:
-    """Split that a scene is in: the name of the folder above, as it is named here or, behind links, as it really is."""
+    """Split that a scene is in: the name of the folder above, as it is named here or, behind links, as it really is.
+
+    Above <split>/raw/ it is that of the split.
+    """
     if isinstance(folder, Source):
         return folder.split
     parents = folder.absolute().parent, folder.resolve().parent
-    return next((parent.name for parent in parents if parent.name in SPLITS), None)
+    names = (parent.parent.name if parent.name == RAW else parent.name for parent in parents)
+    return next((name for name in names if name in SPLITS), None)
+
+
+def maps_of(log: Path) -> list[Path]:
+    """Map files of a log, in its folder map or in its own."""
+    return sorted(log.glob(f"map/{MAP_PATTERN}")) or sorted(log.glob(MAP_PATTERN))
 
 
 def sequence_path(out_dir: Path, split: str | None, new_id: str) -> Path:
@@ -173,7 +187,7 @@ def has_scenario(names: frozenset[str]) -> bool:
 
 
 def is_generated(folder: Path) -> bool:
-    """Whether hid2 wrote a scenario folder."""
+    """Whether hid2 wrote a scene: it has a sidecar."""
     return any(folder.glob(SIDECAR_PATTERN))
 
 

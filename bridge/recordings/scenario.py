@@ -59,13 +59,20 @@ _MOTION_COLUMNS = ("position_x", "position_y", "heading", "velocity_x", "velocit
 
 
 class Rows(NamedTuple):
-    """The rows of a scenario, checked, and the tracks in them."""
+    """The rows of a scenario, checked, and the tracks in them; observed_steps and step_s as in `Recording`."""
 
     scenario_id: str
     city: str
     focal_track_id: str
     num_steps: int
     tracks: tuple[Track, ...]
+    observed_steps: int = OBSERVED_STEPS
+    step_s: float = STEP_S
+
+    @property
+    def last_observed(self) -> int:
+        """The last observed timestep."""
+        return min(self.observed_steps, self.num_steps) - 1
 
 
 def read_scenario(folder: Path) -> Scenario:
@@ -122,6 +129,17 @@ def recording_record(folder: Path) -> RecordingRecord:
 
 def _sidecars(folder: Path) -> list[Sidecar]:
     return [read_sidecar(path) for path in sorted(folder.glob(sidecar_path(folder, "*").name))]
+
+
+def read_rows(folder: Path) -> Rows:
+    """The rows of a scenario folder, checked as `read_scenario` does, without its map. Errors: ScenarioError."""
+    if not folder.is_dir():
+        raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
+    path = _only_file(folder, PARQUET_PATTERN, ScenarioError)
+    known = recording_record(folder)
+    sizes = read_sizes(folder)
+    rows = split_rows(read_table(path), name=str(path), sizes=sizes, observed_steps=known.observed_steps)
+    return rows._replace(step_s=known.step_s)
 
 
 def read_table(path: Path) -> pa.Table:
@@ -223,6 +241,7 @@ def split_rows(
         focal_track_id=str(same["focal_track_id"]),
         num_steps=steps,
         tracks=tuple(tracks),
+        observed_steps=observed_steps,
     )
 
 

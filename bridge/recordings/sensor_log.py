@@ -28,7 +28,6 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 from pyarrow import feather
-from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
 from bridge.files import one_line, read_regular
@@ -288,6 +287,8 @@ def velocity_of(position: FloatArray, step_s: float = STEP_S) -> FloatArray:
         return np.repeat(np.diff(position, axis=0) / step_s, 2, axis=0) if count == 2 else np.zeros((1, 2))
     window = min(_VELOCITY_SAMPLES, count - (count + 1) % 2)
     degree = min(_VELOCITY_DEGREE, window - 1)
+    from scipy.signal import savgol_filter  # a third of a scene process's start
+
     return np.asarray(savgol_filter(position, window, degree, deriv=1, delta=step_s, axis=0), dtype=np.float64)
 
 

@@ -12,6 +12,7 @@ import pyarrow as pa
 from bridge.files import read_regular
 from bridge.recordings.export import map_bytes, recording_record_of
 from bridge.recordings.folders import (
+    RAW,
     SPLITS,
     Address,
     Choices,
@@ -50,7 +51,7 @@ class Finding(NamedTuple):
 
 
 def validate_folder(out: Path, *, source: Path | None = None, map_path: Path | None = None) -> list[Finding]:
-    """Check every scenario under a data set that was generated; source: where its recordings lie.
+    """Check every scenario under a data set that was generated, or mixed; source: where its recordings lie.
 
     out: a scenario folder, a split folder or a data-set root; source: recordings of any format; map_path: the map that
     was chosen for them. Returns what is wrong, and notes on what the source brings along; nothing if all is well.
@@ -69,15 +70,15 @@ def validate_scene(
 ) -> list[Finding]:
     """Check one scenario folder, and its sequence of Argoverse 1 below out where there is one.
 
-    sources: recordings by id, None for no comparison.
+    sources: recordings by id, None for no comparison. A scene without sidecar in which no track is a generated one was
+    recorded: it is held to the format alone.
     """
     findings: list[Finding] = []
     new_id = folder.name
     parquet_path = folder / f"scenario_{new_id}.parquet"
     map_path = folder / f"log_map_archive_{new_id}.json"
-    wanted = (parquet_path, map_path, sidecar_path(folder, new_id))
-    missing = {sidecar_path(folder, new_id): "no such file, which every generated scene has (a recorded one has none)"}
-    findings += [Finding(path, "folder", missing.get(path, "no such file")) for path in wanted if not path.is_file()]
+    wanted = (parquet_path, map_path)
+    findings += [Finding(path, "folder", "no such file") for path in wanted if not path.is_file()]
 
     sidecar = None
     if sidecar_path(folder, new_id).is_file():
@@ -96,6 +97,7 @@ def validate_scene(
         except ScenarioError as error:
             findings.append(Finding(parquet_path, "columns", str(error)))
 
+    findings += _missing_sidecar(folder, rows)
     generated_ids: set[str] = {agent.track_id for agent in sidecar.agents} if sidecar is not None else set()
     if rows is not None:
         generated_ids |= {track_id for track_id in rows.ids if track_id.startswith("gen_")}
@@ -173,6 +175,14 @@ def _compare(
     return findings
 
 
+def _missing_sidecar(folder: Path, rows: Rows | None) -> list[Finding]:
+    """A finding where there is no sidecar, unless none of the tracks is a generated one: the scene was recorded."""
+    path = sidecar_path(folder, folder.name)
+    generated = rows is None or any(track_id.startswith("gen_") for track_id in rows.ids)
+    message = "no such file, which every generated scene has (a recorded one has none)"
+    return [Finding(path, "folder", message)] if generated and not path.is_file() else []
+
+
 def _check_sequence(
     out: Path, folder: Path, rows: Rows, generated_ids: set[str], source: _Compared | None
 ) -> list[Finding]:
@@ -199,8 +209,9 @@ def _check_tree(out: Path, folders: Sequence[Path]) -> Iterator[Finding]:
             yield Finding(path, "other-parquet", RULES["other-parquet"])
     for folder in folders:
         depth = len(folder.relative_to(out).parts)
-        if depth == 2 and folder.parent.name not in SPLITS:
-            yield Finding(folder, "folder", f"split {folder.parent.name!r}, expected one of {', '.join(SPLITS)}")
+        split = folder.parent.parent.name if depth == 3 and folder.parent.name == RAW else folder.parent.name
+        if depth > 1 and split not in SPLITS:
+            yield Finding(folder, "folder", f"split {split!r}, expected one of {', '.join(SPLITS)}")
 
 
 def _index_sources(source: Path, map_path: Path | None) -> dict[str, Address]:

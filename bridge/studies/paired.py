@@ -70,8 +70,8 @@ def drawing_config(config: Config) -> Config:
     flow = config.flow.model_copy(update={"warm_up_s": 0.0})
     spawn = config.spawn.model_copy(update={"candidates": 1, "reseed_rounds": 1})  # one vehicle for each request
     return Config(
-        request=request, grid=config.grid, spawn=spawn, drivers=config.drivers, limits=config.limits,
-        smoothing=config.smoothing, turn=config.turn, flow=flow, without=config.without,
+        request=request, grid=config.grid, spawn=spawn, sites=config.sites, drivers=config.drivers, turn=config.turn,
+        limits=config.limits, smoothing=config.smoothing, flow=flow, without=config.without,
     )  # fmt: skip
 
 

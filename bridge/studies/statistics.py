@@ -107,7 +107,7 @@ def mean_wait(waited_s: FloatArray, accepted: FloatArray, weights: FloatArray, *
         return math.nan
     # equal rows count together: looks are a tenth of a second apart
     rows, place = np.unique(np.column_stack([waited_s[keep], accepted[keep]]), axis=0, return_inverse=True)
-    curve = kaplan_meier(rows[:, 0], rows[:, 1], np.bincount(place.ravel(), weights[keep]))
+    curve = kaplan_meier(rows[:, 0], rows[:, 1], np.bincount(place.ravel(), weights[keep]).astype(np.float64))
     times = np.concatenate([[0.0], np.minimum(curve.surv_times, within_s), [within_s]])
     level = np.concatenate([[1.0], curve.surv_prob])
     return float((np.diff(times) * level).sum())

@@ -23,7 +23,7 @@ from hid2.measures.arrays import BoolArray
 WIDTH = 22
 #: Strata with fewer windows of either kind are left out.
 _LEAST = 2
-_FOLDS = 10
+_FOLDS = 5
 _RESAMPLES = 1000
 _INTERVAL = (2.5, 97.5)
 #: Points of a window at which the temporal critic looks, its kernels of each length, and the lengths.

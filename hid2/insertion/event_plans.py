@@ -188,7 +188,17 @@ class Planner:
                 if ahead is None:
                     continue
                 for gap, difference, more in self._relations(event):
-                    yield from self._keeping(event, target, route, ahead, at, order, gap, difference, off + more)
+                    yield from self._keeping(
+                        event,
+                        target,
+                        route,
+                        ahead=ahead,
+                        at=at,
+                        order=order,
+                        gap=gap,
+                        difference=difference,
+                        score=off + more,
+                    )
 
     def _cut_ins(self, event: Event, target: Target) -> Iterator[Plan]:
         """From the lane beside to before the target."""
@@ -214,7 +224,17 @@ class Planner:
                     if ahead is None:
                         continue
                     for gap, difference, more in self._relations(event):
-                        for plan in self._keeping(event, target, route, ahead, at, 1, gap, difference, off + more):
+                        for plan in self._keeping(
+                            event,
+                            target,
+                            route,
+                            ahead=ahead,
+                            at=at,
+                            order=1,
+                            gap=gap,
+                            difference=difference,
+                            score=off + more,
+                        ):
                             trigger = at * DT_S - 0.5 * CHANGE_S
                             if trigger >= 0.0:
                                 yield replace(plan, trigger_s=trigger, side=side)
@@ -242,7 +262,15 @@ class Planner:
                             continue
                         for _, difference, more in self._relations(event):
                             yield from self._keeping(
-                                event, target, route, ahead, at, order, gap, difference, off + more
+                                event,
+                                target,
+                                route,
+                                ahead=ahead,
+                                at=at,
+                                order=order,
+                                gap=gap,
+                                difference=difference,
+                                score=off + more,
                             )
 
     def _crossings(self, event: Event, target: Target) -> Iterator[Plan]:
@@ -266,7 +294,9 @@ class Planner:
                         if not event.gap_band_m[0] <= gap <= event.gap_band_m[1]:
                             continue
                         for speed in self._speeds_of(lane):
-                            yield self._steady(event, target, route, point, at, order, speed, 0.1 * number)
+                            yield self._steady(
+                                event, target, route, point=point, at=at, order=order, speed=speed, score=0.1 * number
+                            )
 
     def _overtakes(self, event: Event, target: Target) -> Iterator[Plan]:
         """From behind the target and faster, where it is slow enough to be overtaken within the scene."""
@@ -294,7 +324,7 @@ class Planner:
     # how a plan is driven
 
     def _keeping(
-        self, event: Event, target: Target, route: Route, ahead: FloatArray, at: int, order: int, gap: float,
+        self, event: Event, target: Target, route: Route, *, ahead: FloatArray, at: int, order: int, gap: float,
         difference: float, score: float,
     ) -> Iterator[Plan]:  # fmt: skip
         """A vehicle that is at its gap, with its speed difference, at the moment, and keeps to the target from then on.
@@ -355,7 +385,8 @@ class Planner:
         return least > conflict.ttc_min_s + 0.3
 
     def _steady(
-        self, event: Event, target: Target, route: Route, point: float, at: int, order: int, speed: float, score: float
+        self, event: Event, target: Target, route: Route, *, point: float, at: int, order: int, speed: float,
+        score: float,
     ) -> Plan:  # fmt: skip
         """A vehicle that comes to a point at a moment at a constant speed."""
         speeds, start = self._up_to(route, point, at, speed)

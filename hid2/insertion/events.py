@@ -10,6 +10,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import get_args
 
 import numpy as np
 
@@ -102,6 +103,29 @@ def scene_for(scene: Scene, event: Event) -> Scene:
         update["lane_change"] = config.lane_change.model_copy(update=change)
     changed: Config = config.model_copy(update=update)
     return replace(scene, config=changed, _known={} if "pet_min_s" in critical else scene._known)
+
+
+def offered_events(scene: Scene, targets: Sequence[str]) -> tuple[str, ...]:
+    """Which events the map and the targets' ways have room for, as `kind:target`; who else is there is not asked.
+
+    From second 1 on to 4 s before the end, a vehicle of usual size.
+    """
+    routes, roads = Routes(scene), Roads(scene)
+    size = DEFAULT_SIZES["vehicle"]
+    planner = Planner(scene, routes, roads, size, clearance_box(size, size))
+    at_s = 1.0, max(1.0, (scene.num_steps - 1) * DT_S - 4.0)
+    found = []
+    for name in targets:
+        rows = named_rows(scene, name).tolist()
+        target = target_of(scene, rows[0]) if rows else None
+        if target is None or rows[0] not in moving_vehicles(scene):
+            continue
+        found += [
+            f"{kind}:{name}"
+            for kind in get_args(Event.model_fields["kind"].annotation)
+            if planner.plans(Event(kind=kind, target=name, at_s=at_s), target)
+        ]
+    return tuple(found)
 
 
 @dataclass(slots=True)

@@ -147,7 +147,7 @@ def _crosses(arrays: SceneArrays, masks: dict[Partner, BoolArray]) -> dict[Partn
     agents = np.flatnonzero(arrays.moving & anybody)
     steps = post_encroachment(
         agents, arrays.position, arrays.heading, arrays.length, arrays.width, arrays.first, arrays.step,
-        math.ceil(WITHIN_S / arrays.step_s) - 1, CROSSING_RAD,
+        math.ceil(WITHIN_S / arrays.step_s) - 1, CROSSING_RAD, 0,
     )  # fmt: skip
     out = {kind: np.zeros(arrays.num_agents, dtype=bool) for kind in Partner}
     for p, q in np.argwhere(steps >= 0):

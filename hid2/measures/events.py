@@ -62,7 +62,7 @@ def post_encroachment_of(own: Track, target: Track, *, step_s: float = 0.1) -> f
     arrays = stack([own, target])
     steps = post_encroachment(
         np.arange(2), arrays.position, arrays.heading, arrays.length, arrays.width, arrays.first, arrays.step,
-        round(CAP_S / step_s), CROSSING_RAD,
+        round(CAP_S / step_s), CROSSING_RAD, 0,
     )  # fmt: skip
     return float(steps[0, 1] * step_s) if steps[0, 1] >= 0 else None
 

@@ -3,6 +3,7 @@
 import contextlib
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -10,8 +11,9 @@ import pytest
 from processes import still_running
 
 from bridge.batch.batch import GENERATE
-from bridge.batch.engine import Settings, Task, execute_here
+from bridge.batch.engine import Settings, Task, execute_here, run_task
 from bridge.batch.execution import execute
+from bridge.batch.isolation import Failure, FailureKind, WorkFailedError
 from netconvert.errors import BatchError
 
 TASKS = [Task(f"t{k}", "faults:numbers", "", (10 * k, 10 * k + 1)) for k in range(6)]
@@ -101,3 +103,29 @@ def test_temporary_files_of_a_process_go_with_it(tmp_path: Path, monkeypatch: py
     assert result.outcomes[0].failure is not None
     assert result.outcomes[0].failure.kind == "timeout"
     assert list(tmp_path.rglob("*")) == []
+
+
+class _Failing:
+    """A process in which every call ends with one kind of failure."""
+
+    stopped = False
+
+    def __init__(self, kind: FailureKind) -> None:
+        self.kind, self.calls = kind, 0
+
+    def stream(self, _function: str, *_arguments: object) -> Iterator[object]:
+        self.calls += 1
+        raise WorkFailedError(Failure(self.kind, "said"))
+        yield
+
+
+@pytest.mark.parametrize(
+    ("kind", "calls"),
+    [("crashed", 3), ("killed", 3), ("timeout", 3), ("error", 1), ("exception", 1), ("memory", 1), ("disk", 1)],
+)
+def test_only_failures_that_may_pass_are_tried_again(kind: FailureKind, calls: int) -> None:
+    """With two retries: what a machine may do to a process gets them, what the work would do again does not."""
+    process = _Failing(kind)
+    result = run_task(Task("a", "faults:numbers", "", (1,)), process, Settings(retries=2))  # type: ignore[arg-type]
+    assert process.calls == calls
+    assert [(one.failure.kind, one.attempts) for one in result.outcomes if one.failure] == [(kind, calls)]

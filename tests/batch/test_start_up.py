@@ -43,7 +43,9 @@ def generated_with(folder: str, _items: Sequence[int]) -> Iterator[list[str]]:
     def work() -> Iterator[list[str]]:
         generate(scenario, Config(request=Request(agents=3)))
         yield [
-            name for name in ("pandas", "pyproj", "scipy.linalg", "yaml", "numba.np.arraymath") if name in sys.modules
+            name
+            for name in ("matplotlib", "pandas", "pyproj", "scipy.linalg", "yaml", "numba.np.arraymath")
+            if name in sys.modules
         ]
         import pyproj
         import scipy.linalg

@@ -25,6 +25,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import psutil
 
@@ -40,13 +41,23 @@ WHOLE = 55_000
 _EVERY_S, _COMPARED = 1.0, 40
 
 
+_WORKER_KILLED = "a scene's process killed"
+
+
+class Plan(NamedTuple):
+    """What is to happen to the batch when so many scenes are done."""
+
+    scenes: float
+    act: Callable[[psutil.Process], str]
+
+
 @dataclass(slots=True)
 class Seen:
-    """What was seen of the processes. main_mb, worker_mb, handles: (seconds of running, value), largest at a look."""
+    """What was seen of the processes. main_mb, worker_mb, handles: for each run (seconds, value) at each look."""
 
-    main_mb: list[tuple[float, float]] = field(default_factory=list)
-    worker_mb: list[tuple[float, float]] = field(default_factory=list)
-    handles: list[tuple[float, int]] = field(default_factory=list)
+    main_mb: list[list[tuple[float, float]]] = field(default_factory=list)
+    worker_mb: list[list[tuple[float, float]]] = field(default_factory=list)
+    handles: list[list[tuple[float, float]]] = field(default_factory=list)
     scratch: int = 0
     listening: set[str] = field(default_factory=set)
     running_s: float = 0.0
@@ -68,9 +79,9 @@ def look(process: psutil.Process, seen: Seen, scratch: Path) -> None:
     try:
         workers = process.children(recursive=True)
         sizes = [worker.memory_info().rss / 1e6 for worker in workers]
-        seen.main_mb.append((seen.running_s, process.memory_info().rss / 1e6))
-        seen.worker_mb.append((seen.running_s, max(sizes, default=0.0)))
-        seen.handles.append((seen.running_s, process.num_fds()))
+        seen.main_mb[-1].append((seen.running_s, process.memory_info().rss / 1e6))
+        seen.worker_mb[-1].append((seen.running_s, max(sizes, default=0.0)))
+        seen.handles[-1].append((seen.running_s, process.num_fds()))
         for one in (process, *workers):
             for connection in one.net_connections(kind="inet"):
                 if connection.status == psutil.CONN_LISTEN and not str(connection.laddr.ip).startswith(("127.", "::1")):
@@ -80,8 +91,13 @@ def look(process: psutil.Process, seen: Seen, scratch: Path) -> None:
     seen.scratch = max(seen.scratch, len(list(scratch.iterdir())))
 
 
-def run(command: list[str], seen: Seen, scratch: Path, stop: Callable[[psutil.Process], str | None]) -> tuple[int, str]:
-    """Run the batch until it ends, or until `stop` has ended it; returns exit code and what was said last."""
+def run(command: list[str], seen: Seen, scratch: Path, out: Path, plans: list[Plan]) -> tuple[int, str]:
+    """Run the batch until it ends, disturbed as planned; returns exit code and what was said last.
+
+    plans: those that are due are taken out; what follows one that ends the batch waits for the next run.
+    """
+    for samples in (seen.main_mb, seen.worker_mb, seen.handles):
+        samples.append([])
     before = seen.running_s
     began = time.monotonic()
     with tempfile.TemporaryFile("w+") as said:
@@ -89,17 +105,19 @@ def run(command: list[str], seen: Seen, scratch: Path, stop: Callable[[psutil.Pr
             command, stdout=subprocess.DEVNULL, stderr=said, env=os.environ | {"TMPDIR": str(scratch)}
         )
         process = psutil.Process(batch.pid)
-        ended: str | None = None
+        did: list[str] = []
         while batch.poll() is None:
             time.sleep(_EVERY_S)
             seen.running_s = before + time.monotonic() - began
             look(process, seen, scratch)
-            if ended is None and batch.poll() is None:
-                ended = stop(process)
+            ended = did and did[-1] != _WORKER_KILLED
+            if plans and not ended and batch.poll() is None and finished(out) >= plans[0].scenes:
+                did.append(plans.pop(0).act(process))
         said.seek(0)
         lines = [line for line in said.read().splitlines() if line.startswith(("hid2: ", "interrupted"))]
     seen.running_s = before + time.monotonic() - began
-    seen.ends.append(f"{ended or 'ended by itself'}: exit {batch.returncode}; {lines[-1] if lines else 'nothing said'}")
+    what = ", ".join(did) or "ended by itself"
+    seen.ends.append(f"{what}: exit {batch.returncode}; {lines[-1] if lines else 'nothing said'}")
     print(f"{seen.running_s:8.0f} s  {seen.ends[-1]}", flush=True)
     return batch.returncode, lines[-1] if lines else ""
 
@@ -115,7 +133,7 @@ def kill_worker(process: psutil.Process) -> str:
     workers = process.children()
     if workers:
         workers[0].kill()
-    return "a scene's process killed"
+    return _WORKER_KILLED
 
 
 def kill_all(process: psutil.Process) -> str:
@@ -135,13 +153,15 @@ def mount(out: Path, megabytes: int) -> bool:
     return result.returncode == 0
 
 
-def extrapolated(samples: list[tuple[float, float]], seconds: float) -> str:
-    """Largest value, and the value after so many seconds if it goes on growing as in the second half."""
-    half = [sample for sample in samples if sample[0] > samples[-1][0] / 2]
+def extrapolated(runs: list[list[tuple[float, float]]], seconds: float) -> str:
+    """Largest value, and the value after so many seconds if it grows as in the second half of the longest run."""
+    samples = max(runs, key=len)
+    half = samples[len(samples) // 2 :]
     (begin_s, begin), (end_s, end) = half[0], half[-1]
     slope = (end - begin) / max(end_s - begin_s, 1.0)
-    largest = max(value for _, value in samples)
-    return f"at most {largest:.0f}; {max(largest, end + slope * max(0.0, seconds - end_s)):.0f} at {WHOLE:,} scenes"
+    largest = max(value for each in runs for _, value in each)
+    whole = max(largest, end + slope * max(0.0, seconds - (end_s - samples[0][0])))
+    return f"at most {largest:.0f}; {whole:.0f} at {WHOLE:,} scenes"
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
@@ -210,18 +230,14 @@ def main() -> int:
     command += ["--variants", str(variants), "--jobs", str(arguments.jobs), "--resume"]
     print(f"{wanted} scenes: {variants} variants of {len(folders)}; OUT of {small_mb if mounted else 'no bounded'} MB")
 
-    def at(share: float, act: Callable[[psutil.Process], str]) -> Callable[[psutil.Process], str | None]:
-        return lambda process: act(process) if finished(out) >= share * wanted else None
-
     full_disk = 0
     try:
-        plans = [at(0.1, interrupt), at(0.2, kill_worker), at(0.25, kill_all)]
-        plans += [at(0.5, interrupt), at(0.7, kill_all), at(0.8, kill_worker)]
+        acts = [(0.1, interrupt), (0.2, kill_worker), (0.25, kill_all), (0.5, interrupt), (0.7, kill_all)]
+        plans = [Plan(share * wanted, act) for share, act in [*acts, (0.8, kill_worker)]]
         code = -1
         while code != 0 and len(seen.ends) < 15:
-            stop = plans.pop(0) if plans else lambda process: None
-            code, said = run(command, seen, scratch, stop)
-            if seen.ends[-1].startswith("SIGKILL"):  # nobody could tidy up; a reboot empties the folder
+            code, said = run(command, seen, scratch, out, plans)
+            if "SIGKILL" in seen.ends[-1]:  # nobody could tidy up; a reboot empties the folder
                 print(f"          left in the folder of temporary files: {len(list(scratch.iterdir()))}, removed")
                 shutil.rmtree(scratch)
                 scratch.mkdir()
@@ -229,9 +245,6 @@ def main() -> int:
                 full_disk += 1
                 print(f"          OUT is full with {finished(out)} scenes done: made larger", flush=True)
                 subprocess.run(["mount", "-o", f"remount,size={whole_mb}m", str(out)], check=True)
-                plans.insert(0, stop)
-            elif code == 0 and plans:  # what was to happen later cannot
-                plans.clear()
         if code:
             seen.wrong.append(f"the batch does not end: {seen.ends[-1]}")
         if mounted and not full_disk:
@@ -250,7 +263,7 @@ def main() -> int:
         print(f"running {seen.running_s / 60:.1f} min, {rate:.2f} scenes/s; {WHOLE:,} scenes: {whole_s / 3600:.1f} h")
         print(f"main process, MB: {extrapolated(seen.main_mb, whole_s)}")
         print(f"largest process of a scene, MB: {extrapolated(seen.worker_mb, whole_s)}")
-        print(f"open handles of the main process: {extrapolated(list(seen.handles), whole_s)}")
+        print(f"open handles of the main process: {extrapolated(seen.handles, whole_s)}")
         print(f"temporary files at once: at most {seen.scratch}; at the end {len(list(scratch.iterdir()))}")
         if mounted:
             print(f"OUT: {usage.used / 1e6:.0f} MB, {usage.used / 1e3 / wanted:.0f} kB a scene")

@@ -13,7 +13,7 @@ import pytest
 Run = Callable[..., Any]
 COMMANDS = (
     "generate", "net", "validate", "evaluate", "calibrate", "render", "plot", "config", "scan", "study", "make",
-    "paper", "gui",
+    "paper", "gui", "compose", "forecast",
 )  # fmt: skip
 
 

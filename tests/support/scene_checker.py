@@ -194,17 +194,13 @@ def check_motion(track: Track, verdict: Verdict) -> None:
 
 
 def check_direction(track: Track, lanes: list[tuple[Polyline, float]], verdict: Verdict) -> None:
-    """At every step some lane under the centre (half a width plus 0.5 m) runs within 60 degrees of the heading.
-
-    Or it does a metre before or behind: where a damaged map zigzags, a car does not.
-    """
+    """At every step some lane under the centre (half a width plus 0.5 m) runs within 60 degrees of the heading."""
     agrees = np.zeros(len(track.heading), dtype=bool)
     covered = np.zeros(len(track.heading), dtype=bool)
     for path, half_width in lanes:
         s, d = path.frenet(track.position)
         on = (np.abs(d) <= half_width + 0.5) & (s >= -0.5) & (s <= path.length_m + 0.5)  # joints may have a kink
-        headings = [path.heading(np.clip(s + off_m, 0.0, path.length_m)) for off_m in (-1.0, 0.0, 1.0)]
-        turn = np.min([np.abs(np.angle(np.exp(1j * (heading - track.heading)))) for heading in headings], axis=0)
+        turn = np.abs(np.angle(np.exp(1j * (path.heading(np.clip(s, 0.0, path.length_m)) - track.heading))))
         covered |= on
         agrees |= on & (turn < math.pi / 3)
     against = covered & ~agrees

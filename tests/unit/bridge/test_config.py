@@ -119,7 +119,7 @@ def test_behaviours_that_are_given_replace_all_shares() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("lane_chnge=1", "'lane_chnge=1', expected name=share with a name of straight"),
+        ("lane_chnge=1", "'lane_chnge=1', expected name=share of straight, left_turn"),
         ("lane_change", "expected name=share"),
         ("", "expected name=share"),
         ("straight=a", "straight: 'a', expected a share"),

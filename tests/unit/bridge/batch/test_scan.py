@@ -10,12 +10,13 @@ from netconvert.errors import ConfigError
 
 
 def fact(scenario: str, **values: object) -> SceneFacts:
-    zeros = {name: 0 for name in SceneFacts._fields if name not in ("folder", "scenario", "split", "city")}
-    return SceneFacts(Path(scenario), scenario, "val", "miami", **zeros)._replace(**values)
+    texts = ("folder", "scenario", "split", "city", "events")
+    zeros = {name: 0 for name in SceneFacts._fields if name not in texts}
+    return SceneFacts(Path(scenario), scenario, "val", "miami", **zeros, events="")._replace(**values)
 
 
 FACTS = [
-    fact("a", tracks=30, lane_change_m=100.0),
+    fact("a", tracks=30, lane_change_m=100.0, events="cut_in:av lead:focal"),
     fact("b", tracks=50, city="austin", left_turns=2),
     fact("c", tracks=70, lane_change_m=10.0, left_turns=1, split="train"),
 ]
@@ -31,6 +32,8 @@ FACTS = [
         (Selection(can=("lane_change",)), "ac"),
         (Selection(can=("lane_change", "left_turn")), "c"),
         (Selection(can=("right_turn",)), ""),
+        (Selection(can=("cut_in:av", "lane_change")), "a"),
+        (Selection(can=("cut_in:focal",)), ""),
         (Selection(sample=5), "abc"),
     ],
 )
@@ -45,6 +48,14 @@ def test_sample_is_drawn_with_the_seed() -> None:
     assert first == select(many, Selection(sample=10, seed=1))
     assert first != select(many, Selection(sample=10, seed=2))
     assert [many.index(chosen) for chosen in first] == sorted(many.index(chosen) for chosen in first)
+
+
+def test_a_sample_of_more_than_there_are_takes_all_and_warns(caplog: pytest.LogCaptureFixture) -> None:
+    few = [fact(str(number)) for number in range(3)]
+    assert select(few, Selection(sample=3)) == few
+    assert caplog.text == ""
+    assert select(few, Selection(sample=5)) == few
+    assert "--sample 5: only 3 scenes are there" in caplog.text
 
 
 def test_unknown_manoeuvre_is_named() -> None:

@@ -1,14 +1,24 @@
 """Forecasts scored with av2's metrics, and the two baselines, on tracks worked by hand."""
 
 import json
+import re
 import shutil
 
 import numpy as np
 import pandas as pd
 import pytest
+from av2.datasets.motion_forecasting.eval import metrics
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
+from baseline_file import write_baseline
 
-from bridge.evaluation.predictions import BASELINES, baseline, read_forecasts, score_predictions
+from bridge.evaluation import predictions
+from bridge.evaluation.predictions import (
+    BASELINES,
+    baseline,
+    read_forecasts,
+    score_predictions,
+    write_forecasts,
+)
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from netconvert.errors import ScenarioError
 
@@ -46,6 +56,66 @@ def test_probability_not_order_decides_what_counts_first(data_scenes, tmp_path):
     path = submission(scenario, [truth + np.array([9.0, 0.0]), truth], [0.1, 0.9], tmp_path / "f.parquet")
     scores = {s.k: s for s in score_predictions(data_scenes["arterial"], predictions=path).scores}
     assert scores[1].min_fde_m == pytest.approx(0.0)
+
+
+def test_brier_min_fde_adds_what_the_best_modes_probability_lacks(data_scenes, tmp_path):
+    """Mode 0 (p = .7) ends 3 m off: 3 + .3^2. Of both, mode 1 (p = .3) ends nearest, 1 m off: 1 + .7^2."""
+    scenario = read_scenario(data_scenes["arterial"])
+    truth = focal_future(scenario)
+    modes = [truth + np.array([3.0, 0.0]), truth + np.array([1.0, 0.0])]
+    path = submission(scenario, modes, [0.7, 0.3], tmp_path / "f.parquet")
+    scores = {s.k: s for s in score_predictions(data_scenes["arterial"], predictions=path).scores}
+    assert scores[1].brier_min_fde == pytest.approx(3.09)
+    assert scores[6].brier_min_fde == pytest.approx(1.49)
+
+
+def test_scores_of_a_challenge_submission_are_those_of_av2(data_root, tmp_path):
+    """Random forecasts of every scene through a file; each figure again with av2's own functions, to 1e-9."""
+    random = np.random.default_rng(5)
+    forecasts = {}
+    for folder in find_scenarios(data_root):
+        scenario = read_scenario(folder)
+        probabilities = random.dirichlet(np.ones(6))
+        modes = focal_future(scenario) + random.normal(0, 3, (6, 60, 2))
+        forecasts[scenario.scenario_id] = (probabilities, {scenario.focal_track_id: modes})
+    path = write_forecasts(forecasts, tmp_path / "f.parquet")
+    scores = {(s.scenario_id, s.k): s for s in score_predictions(data_root, predictions=path).scores}
+    for folder in find_scenarios(data_root):
+        scenario = read_scenario(folder)
+        probabilities, by_track = forecasts[scenario.scenario_id]
+        modes, truth = by_track[scenario.focal_track_id], focal_future(scenario)
+        fde = metrics.compute_fde(modes, truth)
+        best = int(fde.argmin())
+        found = scores[scenario.scenario_id, 6]
+        assert found.min_fde_m == pytest.approx(fde[best], abs=1e-9)
+        assert found.min_ade_m == pytest.approx(metrics.compute_ade(modes, truth)[best], abs=1e-9)
+        brier = metrics.compute_brier_fde(modes, truth, probabilities)[best]
+        assert found.brier_min_fde == pytest.approx(brier, abs=1e-9)
+        assert found.missed == bool(metrics.compute_is_missed_prediction(modes, truth).all())
+        assert (found.agents, found.agents_observed) == (
+            len(scenario.tracks), sum(49 in track.timesteps for track in scenario.tracks)
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_forecast_that_is_not_finite_is_named_and_refused(data_scenes, tmp_path, value):
+    scenario = read_scenario(data_scenes["arterial"])
+    truth = focal_future(scenario)
+    broken = truth.copy()
+    broken[12, 1] = value
+    path = submission(scenario, [truth, broken], [0.7, 0.3], tmp_path / "f.parquet")
+    where = f"scenario {scenario.scenario_id}, track {scenario.focal_track_id}, mode 1, step 12: y is {value}"
+    with pytest.raises(ScenarioError, match=re.escape(where)):
+        score_predictions(data_scenes["arterial"], predictions=path)
+
+
+def test_jobs_do_not_change_the_scores(data_root, tmp_path, monkeypatch):
+    monkeypatch.setattr(predictions, "_CHUNK", 2)
+    path = write_baseline(data_root, tmp_path / "f.parquet", kind="constant-velocity")
+    alone = score_predictions(data_root, predictions=path, report_dir=tmp_path / "one")
+    assert score_predictions(data_root, predictions=path, report_dir=tmp_path / "two", jobs=2) == alone
+    for name in ("predictions.csv", "predictions.json", "predictions.html"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
 def test_a_forecast_misses_beyond_two_metres(data_scenes, tmp_path):
@@ -97,7 +167,10 @@ def test_bands_hold_scenes_with_more_agents(data_root, tmp_path):
     assert bands["all scenes", 1]["tracks"] == len(find_scenarios(data_root))
     assert bands["more than 1000", 6] == {
         "band": "more than 1000", "k": 6, "tracks": 0, "min_ade_m": None, "min_fde_m": None, "miss_rate": None,
+        "brier_min_fde": None,
     }  # fmt: skip
+    observed = "more than 5 at the observation's end"
+    assert bands[observed, 6]["tracks"] == bands["more than 5", 6]["tracks"]
     assert json.loads((tmp_path / "predictions.json").read_text())["bands"] == list(result.bands)
     assert len(pd.read_csv(tmp_path / "predictions.csv")) == len(result.scores)
     assert "minADE" in (tmp_path / "predictions.html").read_text()

@@ -65,18 +65,18 @@ def test_one_scene_says_that_it_is_too_few():
 
 
 def test_verdicts_are_given_by_kind_of_recording():
-    """Eight scenes, four of them of each kind; accelerations and places alike for both kinds of vehicles."""
+    """Six scenes, three of them of each kind; accelerations and places alike for both kinds of vehicles."""
     rng = np.random.default_rng(0)
-    rows, scene = np.zeros((1600, WIDTH)), rng.integers(0, 8, 1600)
-    rows[:, 0] = rows[:, 3] = rng.uniform(3, 12, 1600)
-    rows[:, 1] = rows[:, 4] = rng.normal(0, 0.3, 1600)
-    rows[:, 7] = rows[:, 10] = rng.normal(0, 0.3, 1600)
-    rows[:, 20], rows[:, 21] = scene % 2, rng.integers(0, 2**16, 1600)
-    same = Packed(rows, rng.random(1600) < 0.5, scene)
+    rows, scene = np.zeros((480, WIDTH)), rng.integers(0, 6, 480)
+    rows[:, 0] = rows[:, 3] = rng.uniform(3, 12, 480)
+    rows[:, 1] = rows[:, 4] = rng.normal(0, 0.3, 480)
+    rows[:, 7] = rows[:, 10] = rng.normal(0, 0.3, 480)
+    rows[:, 20], rows[:, 21] = scene % 2, rng.integers(0, 2**16, 480)
+    same = Packed(rows, rng.random(480) < 0.5, scene)
     found = critique(same, control=same)
     kinds = {entry["recordings"] for entry in found["verdicts"]}
     assert kinds == {"all", "tracker", "labelled"}
     assert {entry["critic"] for entry in found["verdicts"]} == {"logistic", "trees", "temporal"}
     assert min(entry["auc"] for entry in found["constant_speed_control"] if entry["view"] == "all") > 0.9
     assert found["drivers_control"]
-    assert all(0.3 < entry["auc"] < 0.7 for entry in found["negative_control"])
+    assert all(0.2 < entry["auc"] < 0.8 for entry in found["negative_control"])

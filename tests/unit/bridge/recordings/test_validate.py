@@ -205,9 +205,12 @@ def test_a_missing_file_is_found(written: Path, pattern: str) -> None:
     assert "folder" in rules(written)
 
 
-def test_a_recorded_scene_is_told_from_a_generated_one(data_scenes: dict[str, Path]) -> None:
-    (finding,) = validate_folder(data_scenes["curve"])
-    assert finding.message == "no such file, which every generated scene has (a recorded one has none)"
+def test_a_recorded_scene_is_told_from_a_generated_one(data_scenes: dict[str, Path], written: Path) -> None:
+    """No generated track is in it, so that it needs no sidecar; a generated scene that has lost its own is named."""
+    assert validate_folder(data_scenes["curve"]) == []
+    next(written.glob("hid2_*.json")).unlink()
+    messages = [finding.message for finding in validate_folder(written) if finding.rule == "folder"]
+    assert messages == ["no such file, which every generated scene has (a recorded one has none)"]
 
 
 def test_a_renamed_folder_is_found(written: Path) -> None:

@@ -10,6 +10,8 @@ from inserted import changing, driven, scene_on
 
 from hid2.agents import Policy
 from hid2.insertion.filling import Filling
+from hid2.insertion.finalise import ExportedVehicle
+from hid2.insertion.outcome import Outcome
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Request, Spawn
 from hid2.reasons import Reason
@@ -44,10 +46,11 @@ def _as_driven(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
 def scene_for(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
     """scene_for(agents=4, **request) -> two empty lanes of 500 m; everybody goes straight unless told."""
 
-    def make(*, agents: int = 4, rounds: int = 6, spare: float = 0.5, **request: object) -> Scene:
+    def make(*, agents: int = 4, rounds: int = 6, spare: float = 0.5, rivals: int = 0, **request: object) -> Scene:
         mix = {**NOTHING, "straight": 1.0, **request}
         config = Config(
-            request=Request(agents=agents, **mix), spawn=Spawn(rounds=rounds, reseed_rounds=3, spare_share=spare)
+            request=Request(agents=agents, **mix),
+            spawn=Spawn(rounds=rounds, reseed_rounds=3, spare_share=spare, rivals=rivals),
         )
         return scene_on(road(length_m=500.0), config=config)
 
@@ -76,7 +79,7 @@ def test_failed_vehicle_is_replaced_elsewhere_and_counted_with_its_reason(scene_
             vehicle.objection = Reason.SUMO_REFUSES_INSERTION
         return vehicle
 
-    filling, drive = _fill(scene_for(spare=0.0), spoil)
+    filling, drive = _fill(scene_for(spare=0.0), spoil, seed=1)
     assert len(filling.kept) == 4
     assert [(one.vehicle_id, one.reason, one.round_number) for one in filling.rejected] == [
         ("v0_0", Reason.SUMO_REFUSES_INSERTION, 0), ("v1_0", Reason.SUMO_REFUSES_INSERTION, 0),
@@ -95,6 +98,26 @@ def test_rounds_come_to_an_end_with_fewer_than_asked_for(scene_for: Callable[...
     assert filling.kept == []
     assert len(drive.rounds) == filling.rounds == 3
     assert {one.reason for one in filling.rejected} == {Reason.SUMO_REFUSES_INSERTION}
+
+
+def test_of_rivals_for_one_manoeuvre_one_is_kept(
+    scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Everybody does it: of the vehicles driven for the one lane change, on lanes of their own, one is exported."""
+
+    def done(_scene: Scene, vehicle: ExportedVehicle, _traffic: Traffic) -> Outcome | None:
+        policy = vehicle.driven.policy
+        return None if policy is Policy.STRAIGHT else Outcome(policy, "done")
+
+    monkeypatch.setattr("hid2.insertion.filling.outcome_of", done)
+    scene = scene_for(agents=2, straight=0.5, lane_change=0.5, trigger_min_s=1.0, trigger_max_s=1.0, rivals=2, spare=0)
+    filling, drive = _fill(scene)
+    rivals = [start for start in drive.rounds[0] if start.request.policy is Policy.LANE_CHANGE]
+    assert len(rivals) == 2, "as many as there are lanes"
+    assert len({start.path.segments[0].lane_id for start in rivals}) == 2
+    kept = [one.driven.start for one in filling.kept if one.driven.policy is Policy.LANE_CHANGE]
+    assert len(kept) == 1
+    assert [one.reason for one in filling.rejected if one.policy is Policy.LANE_CHANGE] == [Reason.SPARE]
 
 
 def test_request_keeps_its_trigger_when_its_vehicle_is_replaced(scene_for: Callable[..., Scene]) -> None:
@@ -150,7 +173,7 @@ def test_who_braked_for_a_vehicle_that_is_gone_is_driven_again(scene_for: Callab
             vehicle.waited_for |= {"v1_0": {"v0_0"}, "v2_0": {"v1_0"}}.get(vehicle.vehicle_id, set())
         return vehicle
 
-    filling, drive = _fill(scene_for(spare=0.0), spoil)
+    filling, drive = _fill(scene_for(spare=0.0), spoil, seed=1)
     reasons = {one.vehicle_id: one.reason for one in filling.rejected}
     assert reasons == {
         "v0_0": Reason.SUMO_REFUSES_INSERTION, "v1_0": Reason.WAITED_FOR_GONE, "v2_0": Reason.WAITED_FOR_GONE,
@@ -174,7 +197,7 @@ def test_nobody_is_driven_again_twice(scene_for: Callable[..., Scene]) -> None:
                 vehicle.waited_for = {f"v0_{number}"}
         return vehicle
 
-    filling, drive = _fill(scene_for(spare=0.0), spoil)
+    filling, drive = _fill(scene_for(spare=0.0), spoil, seed=1)
     assert [one.round_number for one in filling.rejected if one.vehicle_id == "v1_0"] == [0, 1]
     assert "v1_0" not in {start.vehicle_id for start in drive.rounds[2]}
     assert "v1_2" in {start.vehicle_id for start in drive.rounds[2]}
@@ -250,3 +273,14 @@ def test_debug_log_tells_what_became_of_every_vehicle_that_was_tried(
         ) in told
     assert {one.reason for one in filling.rejected} == {Reason.SUMO_REFUSES_INSERTION, Reason.DID_NOT_DO_IT}
     assert sum(line.endswith(": kept") for line in told) == len(filling.kept) == 2
+
+
+def test_vehicle_that_conflicts_with_others_together_is_replaced_and_kept_ones_stay(
+    scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Row 0 is said to conflict in both rounds: in the first it is new, in the second it was kept before."""
+    monkeypatch.setattr("hid2.insertion.filling.conflicting", lambda _scene, _exported: [(0, Reason.PET)])
+    filling, drive = _fill(scene_for(spare=0.0))
+    assert [(one.reason, one.round_number) for one in filling.rejected] == [(Reason.PET, 0)]
+    assert drive.kept_before == [0, 3]
+    assert len(filling.kept) == 4

@@ -20,10 +20,10 @@ def _drive(x_m: float, y_m: float, speed_mps: float, *, heading: float = 0.0, st
 
 
 def test_target_that_closes_in_has_gap_ttc_and_drac() -> None:
-    """Target at 10 m/s, vehicle 20 m ahead (16 m bumper to bumper) at 8 m/s: 2 m/s closing, TTC 16 / 2 = 8 s at step 0.
+    """Target at 10 m/s, vehicle 20 m ahead (16 m bumper to bumper) at 8 m/s: 2 m/s closing, TTC 8 s at step 0.
 
-    A step later the gap is 0.2 m less. At step 30 it is 10 m: TTC 5 s, DRAC 2 * 2 / (2 * 10) = 0.2 m/s2. From step 30 to
-    59 the gap falls to 16 - 5.9 * 2 = 4.2 m: TTC 2.1 s, DRAC 4 / 8.4.
+    A step later the gap is 0.2 m less. At step 30 it is 10 m: TTC 5 s, DRAC 2 * 2 / (2 * 10) = 0.2 m/s2. Up to step 59
+    the gap falls to 16 - 5.9 * 2 = 4.2 m: TTC 2.1 s, DRAC 4 / 8.4.
     """
     found = measure_event(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0), at_step=30, since_step=30)
     assert found.gap_m == pytest.approx(10.0)

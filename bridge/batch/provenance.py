@@ -1,0 +1,70 @@
+"""A generated scene made again from its sidecar and its recorded scene, and compared bit for bit."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from bridge.batch.batch import Options, Run, SceneJob, run_batch
+from bridge.batch.manifest import DONE
+from bridge.config import config_from_dict, config_sha256
+from bridge.recordings.export import sha256_of
+from bridge.recordings.folders import (
+    PARQUET_PATTERN,
+    SIDECAR_PATTERN,
+    Choices,
+    Source,
+    is_generated,
+    source_id,
+    split_of,
+)
+from bridge.recordings.sidecar import read_sidecar
+from bridge.recordings.sources import find_recordings
+from netconvert.errors import BatchError, ConfigError, NoSceneError
+
+
+class MadeAgain(NamedTuple):
+    """Where the scene was written; a line for each file that differs; whether files lay beside the sidecar at all."""
+
+    folder: Path
+    differences: tuple[str, ...]
+    compared: bool
+
+
+def make_again(sidecar_path: Path, source: Path, out: Path, *, map_path: Path | None = None) -> MadeAgain:
+    """Make a scene again into `out`; `source`: where its recording lies, map_path: the map that was chosen for it.
+
+    Errors: ScenarioError for what is no sidecar; ConfigError where its configuration is not one of this version, or
+    OUT is where the scene lies; NoSceneError where the recorded scene is missing; BatchError where it cannot be made.
+    """
+    sidecar = read_sidecar(sidecar_path)
+    config = config_from_dict(sidecar.config, source=f"{sidecar_path}: config")
+    if config_sha256(config) != sidecar.config_sha256:
+        raise ConfigError(
+            f"{sidecar_path}: config_sha256 {sidecar.config_sha256[:12]}..., expected {config_sha256(config)[:12]}..., "
+            f"that of its configuration: edited, or of another version (made by hid2-sumo {sidecar.generator.version})"
+        )
+    wanted = sidecar.source_scenario_id
+    choices = Choices(map_path, sidecar.recording.first_step if sidecar.recording else 0)
+    there = [place for place in find_recordings([source], choices) if source_id(place) == wanted]
+    found = [place for place in there if isinstance(place, Source) or not is_generated(place)]
+    if len(found) != 1:
+        raise NoSceneError(
+            f"{source}: {len(found)} recorded scenes {wanted}, which {sidecar_path} was made of; want one"
+        )
+    beside = sidecar_path.parent.resolve()
+    if (out / (split_of(found[0]) or "") / beside.name).resolve() == beside:
+        raise ConfigError(f"{out}: holds the scene of {sidecar_path} itself; choose another output folder")
+    (row,) = run_batch([SceneJob(found[0], (Run(config, sidecar.variant),))], out, Options(timeout_s=600))
+    if row.status != DONE:
+        raise BatchError(f"{found[0]}: could not be made again: {row.reason}")
+    folder = out / row.folder
+    if not any(beside.glob(PARQUET_PATTERN)):
+        return MadeAgain(folder, (), compared=False)
+    differences = []
+    for pattern in (PARQUET_PATTERN, "log_map_archive_*.json", SIDECAR_PATTERN):
+        for path in sorted(folder.glob(pattern)):
+            old = beside / path.name
+            if not old.is_file():
+                differences.append(f"{old}: no such file, to compare {path} with")
+            elif sha256_of(old) != sha256_of(path):
+                differences.append(f"{path}: differs from {old}; made then by hid2-sumo {sidecar.generator.version}")
+    return MadeAgain(folder, tuple(differences), compared=True)

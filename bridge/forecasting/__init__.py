@@ -1,0 +1,1 @@
+"""The forecasting experiment: data sets composed, a small forecaster, its forecasts compared."""

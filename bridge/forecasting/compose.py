@@ -1,0 +1,398 @@
+"""`hid2 compose`: data-set roots of recorded and generated scenes, which readers of Argoverse 2 take unchanged.
+
+Folders are real, files are hard links, or copies where the file system has none: readers that look with rglob do not
+see linked folders. Same composition, same sources, same seed: the same root.
+"""
+
+import csv
+import logging
+import os
+import shutil
+import tempfile
+import uuid
+from collections import Counter, defaultdict
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from bridge.files import explained, table_file, write_text
+from bridge.forecasting.composition import Composition, Draw
+from bridge.forecasting.places import (
+    Leak,
+    SceneFacts,
+    facts_of_scenes,
+    leaks_between,
+    overlapping,
+    split_by_place,
+    stratum,
+)
+from bridge.recordings.export import parquet_bytes
+from bridge.recordings.folders import RAW, SPLITS, find_scenarios, split_of
+from bridge.recordings.scenario import MAX_STEPS
+from hid2.params import Forecasting
+from netconvert.errors import ConfigError, NoSceneError, ScenarioError
+
+_LOG = logging.getLogger(__name__)
+ORIGINS, COMPOSITION = "origins.csv", "composition.json"
+VALIDATION = "validation"
+_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo compose")
+
+Kind = Literal["recorded", "generated", "copy"]
+
+
+class Origin(NamedTuple):
+    """One scene of a composed root, a row of origins.csv.
+
+    scenario_id: its own; drawn: that of the scene it is; source_id: that of the recorded scene it comes from.
+    """
+
+    split: str
+    scenario_id: str
+    kind: Kind
+    source: str
+    drawn: str
+    source_id: str
+    city: str
+    tracks: int
+    observed: int
+    folder: str
+
+
+class Composed(NamedTuple):
+    """What was made: scenes by data set and split, and lines on what was left out."""
+
+    root: Path
+    counts: dict[str, dict[str, int]]
+    left_out: tuple[str, ...]
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """A table: data set, and scenes of each split."""
+        return [(name or ".", *(str(found.get(split, 0)) for split in SPLITS)) for name, found in self.counts.items()]
+
+
+class _Scene(NamedTuple):
+    """A scene that is drawn; copy: 0, or which further copy of it."""
+
+    source: str
+    facts: SceneFacts
+    copy: int = 0
+
+    @property
+    def scenario_id(self) -> str:
+        own = self.facts.scenario_id
+        return own if not self.copy else str(uuid.uuid5(_NAMESPACE, f"{own}\n{self.copy}"))
+
+
+def compose(
+    composition: Composition, root: Path, *, jobs: int = 1, on_scene: Callable[[str, int, int], None] | None = None
+) -> Composed:
+    """Make a data-set root. on_scene(what is done, done, total).
+
+    Errors: ConfigError where the root is there already, where a source has too few scenes, or where one scenario is in
+    two sources; ExportError.
+    """
+    tell = on_scene or (lambda what, done, total: None)
+    if root.exists() and (not root.is_dir() or any(root.iterdir())):
+        raise ConfigError(f"{root}: is there already; choose another root, or remove it")
+    pool = _Pool(composition, jobs=jobs, tell=lambda done, total: tell("reading scenes", done, total))
+    added = pool.added(composition)
+    sets = {name: pool.draw("train", draw, f"sets.{name}") for name, draw in composition.all_sets(added).items()}
+    validation = {name: pool.draw("val", draw, f"validation.{name}") for name, draw in composition.validation.items()}
+    test = pool.draw("test", composition.test, "test")
+    shared = next(iter(validation.values()), [])
+    roots = {
+        (name if composition.nested else ""): {"train": scenes, "val": shared, "test": test}
+        for name, scenes in sets.items()
+    }
+    if composition.nested or len(validation) > 1:
+        roots |= {
+            f"{VALIDATION}/{name}": {"train": [], "val": scenes, "test": []} for name, scenes in validation.items()
+        }
+    total = sum(len(scenes) for splits in roots.values() for scenes in splits.values())
+    done = 0
+    with explained(root):
+        root.parent.mkdir(parents=True, exist_ok=True)
+        hidden = Path(tempfile.mkdtemp(prefix=f".{root.name}-", dir=root.parent))
+    try:
+        with explained(root):
+            hidden.chmod(0o755)
+            write_text(hidden / COMPOSITION, composition.model_dump_json(indent=1) + "\n")
+            for name, splits in roots.items():
+                origins = []
+                for split, scenes in splits.items():
+                    place = hidden / name / split / (RAW if composition.layout == "qcnet" else "")
+                    place.mkdir(parents=True, exist_ok=True)
+                    for scene in scenes:
+                        _put(scene, place)
+                        origins.append(_origin(split, scene))
+                        done += 1
+                        tell("writing", done, total)
+                with table_file(hidden / name / ORIGINS) as stream:
+                    writer = csv.writer(stream, lineterminator="\n")
+                    writer.writerow(Origin._fields)
+                    writer.writerows(origins)
+            if root.exists():
+                root.rmdir()  # empty
+            hidden.rename(root)
+    finally:
+        shutil.rmtree(hidden, ignore_errors=True)
+    counts = {name: {split: len(scenes) for split, scenes in splits.items()} for name, splits in roots.items()}
+    return Composed(root, counts, tuple(pool.left_out))
+
+
+class _Pool:
+    """The scenes of all sources by split, and how they are drawn."""
+
+    def __init__(
+        self,
+        composition: Composition,
+        *,
+        jobs: int,
+        tell: Callable[[int, int], None],
+        params: Forecasting | None = None,
+    ) -> None:
+        self._params = params or Forecasting()
+        self._seed = composition.seed
+        self.left_out: list[str] = []
+        names, folders = [], []
+        for name, places in composition.sources.items():
+            found = [folder for place in places for folder in find_scenarios(Path(place))]
+            names += [name] * len(found)
+            folders += found
+        facts, unread = facts_of_scenes(folders, jobs=jobs, on_scene=tell)
+        self.left_out += unread
+        source_of = dict(zip(folders, names, strict=True))
+        usable = []
+        seen: dict[tuple[str, str], SceneFacts] = {}
+        for fact in facts:
+            name = source_of[fact.folder]
+            other = seen.setdefault((name, fact.scenario_id), fact)
+            if other is not fact:
+                raise ConfigError(
+                    f"{other.folder} and {fact.folder} are both scene {fact.scenario_id!r}; leave one out"
+                )
+            if fact.steps < MAX_STEPS and not (composition.split.by == "folder" and split_of(fact.folder) == "test"):
+                self.left_out.append(
+                    f"{fact.folder}: {fact.steps} of {MAX_STEPS} steps, no future to learn or to score"
+                )
+            else:
+                usable.append(fact)
+        if not usable:
+            raise NoSceneError(f"{', '.join(composition.sources)}: no scene that can be used")
+        splits = self._split(usable, composition)
+        self._scenes: dict[tuple[str, str], list[SceneFacts]] = defaultdict(list)
+        for split, rows in splits.items():
+            for row in rows:
+                self._scenes[split, source_of[usable[row].folder]].append(usable[row])
+
+    def _split(self, facts: Sequence[SceneFacts], composition: Composition) -> dict[str, list[int]]:
+        if composition.split.by == "folder":
+            splits: dict[str, list[int]] = {split: [] for split in SPLITS}
+            for row, fact in enumerate(facts):
+                split = split_of(fact.folder)
+                if split is None:
+                    raise ConfigError(
+                        f"{fact.folder}: in no folder train, val or test, which split.by = 'folder' goes by; "
+                        "split by place instead"
+                    )
+                splits[split].append(row)
+        else:
+            shares, bounds = composition.split.shares, self._params.density_bounds
+            splits = split_by_place(facts, shares, seed=composition.seed, bounds=bounds)
+            self._keep_apart(facts, splits)
+            return splits
+        leaks = leaks_between(facts, splits["train"], splits["val"] + splits["test"])
+        leaks += leaks_between(facts, splits["val"], splits["test"])
+        dropped = {leak.folder: leak for leak in leaks}
+        self.left_out += [f"{leak.text()}, which is held out" for leak in leaks]
+        return {split: [row for row in rows if facts[row].folder not in dropped] for split, rows in splits.items()}
+
+    def _keep_apart(self, facts: Sequence[SceneFacts], splits: dict[str, list[int]]) -> None:
+        """Scenes at the edge of a block that lie on ground of one held out are left out."""
+        for split, others in (("val", splits["test"]), ("train", splits["val"] + splits["test"])):
+            clash = overlapping(facts, splits[split], others)
+            self.left_out += [
+                f"{facts[row].folder}: lies where {facts[other].folder} does, which is held out"
+                for row, other in clash.items()
+            ]
+            splits[split] = [row for row in splits[split] if row not in clash]
+
+    def added(self, composition: Composition) -> int:
+        """How many scenes are added to each control. Errors: ConfigError where the sources have none."""
+        controls = composition.controls
+        if controls is None or controls.added != "all":
+            return 1 if controls is None else int(controls.added)
+        there = {name: len(self._scenes["train", name]) for name in (controls.generated, controls.without_interaction)}
+        if not min(there.values()):
+            raise ConfigError(f"controls: source {min(there, key=lambda name: there[name])!r} has no scene in train")
+        return min(there.values())
+
+    def draw(self, split: str, draw: Draw, where: str) -> list[_Scene]:
+        """The scenes of one split of one data set. Errors: ConfigError where there are too few."""
+        scenes: list[_Scene] = []
+        copies: Counter[str] = Counter()
+        for source in draw.sources:
+            there = [fact for fact in self._scenes[split, source] if _agents(fact, draw) >= draw.min_agents]
+            count = draw.take.get(source, 0)
+            wanted = len(there) if count == "all" else count
+            if wanted > len(there):
+                raise ConfigError(
+                    f"{where}: {wanted} scenes of {source!r} asked for in {split}, {len(there)} are there "
+                    f"({len(self.left_out)} scenes of all sources were left out); ask for fewer, or for all"
+                )
+            taken = self._stratified(there, wanted, f"{split} {source}")
+            own = [_Scene(source, fact) for fact in taken]
+            chosen = {fact.scenario_id for fact in taken}
+            left = self._densest([fact for fact in there if fact.scenario_id not in chosen], draw)
+            dense = left[: draw.densest.get(source, 0)]
+            lacking = draw.densest.get(source, 0) - len(dense)
+            own += [_Scene(source, fact) for fact in dense]
+            for number, among in (
+                (draw.again.get(source, 0), self._shuffled(taken, f"{split} {source} again")),
+                (lacking, self._densest(taken, draw)[: max(1, min(lacking, (len(taken) + 1) // 2))]),
+            ):
+                if number and not among:
+                    raise ConfigError(f"{where}: nothing of {source!r} to draw again in {split}; take some")
+                for index in range(number):
+                    fact = among[index % len(among)]
+                    copies[fact.scenario_id] += 1
+                    own.append(_Scene(source, fact, copies[fact.scenario_id]))
+            scenes += own
+        twice = [name for name, number in Counter(scene.scenario_id for scene in scenes).items() if number > 1]
+        if twice:
+            raise ConfigError(f"{where}: scene {twice[0]} is in two of the sources; leave it out of one")
+        return scenes
+
+    @staticmethod
+    def _densest(facts: Sequence[SceneFacts], draw: Draw) -> list[SceneFacts]:
+        """The densest first."""
+        return sorted(facts, key=lambda fact: (-_agents(fact, draw), fact.scenario_id))
+
+    def _shuffled(self, facts: Sequence[SceneFacts], what: str) -> list[SceneFacts]:
+        ranked = sorted(facts, key=lambda fact: fact.scenario_id)
+        return [ranked[index] for index in self._random(what).permutation(len(ranked))]
+
+    def _stratified(self, facts: Sequence[SceneFacts], number: int, what: str) -> list[SceneFacts]:
+        """So many, of each city and density in proportion (largest remainders), in the order of `facts`."""
+        if number == len(facts):
+            return list(facts)
+        strata: dict[tuple[str, int], list[SceneFacts]] = defaultdict(list)
+        for fact in self._shuffled(facts, what):
+            strata[stratum(fact, self._params.density_bounds)].append(fact)
+        names = sorted(strata)
+        exact = np.array([number * len(strata[name]) / len(facts) for name in names])
+        counts = np.floor(exact).astype(int)
+        for k in np.argsort(-(exact - counts), kind="stable")[: number - counts.sum()]:
+            counts[k] += 1
+        chosen = {fact.scenario_id for name, count in zip(names, counts, strict=True) for fact in strata[name][:count]}
+        return [fact for fact in facts if fact.scenario_id in chosen]
+
+    def _random(self, what: str) -> np.random.Generator:
+        """One for each purpose, so that a further data set changes no other."""
+        return np.random.default_rng([self._seed, *what.encode()])
+
+
+def _agents(fact: SceneFacts, draw: Draw) -> int:
+    return fact.tracks if draw.min_agents_in == "all" else fact.observed
+
+
+def _origin(split: str, scene: _Scene) -> Origin:
+    fact = scene.facts
+    kind: Kind = "copy" if scene.copy else "generated" if fact.generated else "recorded"
+    return Origin(
+        split, scene.scenario_id, kind, scene.source, fact.scenario_id, fact.source_id, fact.city, fact.tracks,
+        fact.observed, str(fact.folder),
+    )  # fmt: skip
+
+
+def _put(scene: _Scene, place: Path) -> None:
+    """Write one scene's folder. A copy has another id: its rows are written anew, its other files take the new name."""
+    folder, own, new = scene.facts.folder, scene.facts.scenario_id, scene.scenario_id
+    target = place / new
+    target.mkdir()
+    for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
+        if not entry.is_file() or entry.name.startswith("."):
+            continue
+        name = entry.name.replace(own, new) if scene.copy else entry.name
+        if scene.copy and entry.name == f"scenario_{own}.parquet":
+            (target / name).write_bytes(_renamed(Path(entry.path), new))
+        else:
+            _link(Path(entry.path), target / name)
+
+
+def _renamed(path: Path, scenario_id: str) -> bytes:
+    table = pq.read_table(path)
+    index = table.schema.get_field_index("scenario_id")
+    field = table.schema.field(index)
+    column = pa.repeat(pa.scalar(scenario_id).cast(field.type), table.num_rows)
+    return parquet_bytes(table.set_column(index, field, column))
+
+
+def _link(path: Path, target: Path) -> None:
+    try:
+        os.link(path.resolve(), target)
+    except OSError:  # another file system, or one without links, or too many of them
+        shutil.copyfile(path, target)
+
+
+def check_leaks(root: Path, *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None) -> list[Leak]:
+    """Training scenes of a root, or of the roots in it, that tell of a validation or test scene of the same.
+
+    root: a data-set root, or a composed one with several. What the files say counts, and origins.csv where a copy has
+    lost its source. Errors: NoSceneError where there is no scene; ScenarioError for one that cannot be read.
+    """
+    roots = [root] if any((root / split).is_dir() for split in SPLITS) else _roots_in(root)
+    held_out = _roots_in(root / VALIDATION) if (root / VALIDATION).is_dir() else []
+    folders = {place: find_scenarios(place) for place in [*roots, *held_out] if _has_scenes(place)}
+    everything = list(dict.fromkeys(folder for found in folders.values() for folder in found))
+    if not everything:
+        raise NoSceneError(f"{root}: no scene in folders train, val or test")
+    facts, unread = facts_of_scenes(everything, jobs=jobs, on_scene=on_scene)
+    if unread:
+        raise ScenarioError(f"{root}: {len(unread)} scenes cannot be read, the first: {unread[0]}")
+    origins = {name: origin for place in folders for name, origin in origins_of(place).items()}
+    facts = [
+        fact._replace(source_id=origins[fact.scenario_id].source_id) if fact.scenario_id in origins else fact
+        for fact in facts
+    ]
+    row_of = {fact.folder: row for row, fact in enumerate(facts)}
+    found: dict[Path, Leak] = {}
+    for place in roots:
+        mine = {split: [f for f in folders.get(place, ()) if split_of(f) == split] for split in SPLITS}
+        others = [folder for other in held_out for folder in folders.get(other, ())]
+        train, val, test = ([row_of[folder] for folder in mine[split]] for split in SPLITS)
+        outside = list(dict.fromkeys(val + [row_of[folder] for folder in others]))
+        for leak in (*leaks_between(facts, train, outside + test), *leaks_between(facts, val, test)):
+            found.setdefault(leak.folder, leak)
+    return list(found.values())
+
+
+def _roots_in(root: Path) -> list[Path]:
+    return sorted(
+        child
+        for child in (root.iterdir() if root.is_dir() else ())
+        if child.is_dir() and any((child / split).is_dir() for split in SPLITS)
+    )
+
+
+def _has_scenes(root: Path) -> bool:
+    try:
+        return bool(find_scenarios(root))
+    except NoSceneError:
+        return False
+
+
+def origins_of(root: Path) -> dict[str, Origin]:
+    """What origins.csv of a data-set root says, by scenario id; empty where there is none."""
+    path = root / ORIGINS
+    if not path.is_file():
+        return {}
+    with path.open(newline="", encoding="utf-8") as stream:
+        return {
+            row["scenario_id"]: Origin(**{**row, "tracks": int(row["tracks"]), "observed": int(row["observed"])})  # type: ignore[arg-type]
+            for row in csv.DictReader(stream)
+        }

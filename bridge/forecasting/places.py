@@ -1,0 +1,311 @@
+"""Where scenes lie and what they come from: what keeps training and validation apart.
+
+Two scenes are kept on one side where one was generated from the other, where they were cut from one log (the column
+slice_id, where a file has one), and where their maps share a square of ground: neighbouring windows of a drive do.
+"""
+
+import re
+import zlib
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from pydantic_core import from_json
+
+from bridge.batch.engine import Settings, Task, execute_here
+from bridge.batch.isolation import Failure, describe_error
+from bridge.files import read_regular
+from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIDECAR_PATTERN
+from bridge.recordings.limits import MAX_FILE_MB
+from bridge.recordings.scenario import OBSERVED_STEPS
+from bridge.recordings.sidecar import read_sidecar
+from hid2.params import Forecasting
+from netconvert.errors import MapError, ScenarioError
+
+#: Scenes per task.
+_CHUNK = 256
+_COLUMNS = ("scenario_id", "track_id", "timestep", "city")
+_SLICE = "slice_id"
+_SOURCE_ID = re.compile(rb'"source_scenario_id":\s*"([^"\\]*)"')
+#: The source's id is the second field of a sidecar.
+_HEAD_BYTES = 2000
+#: Cells in a city are numbered in a square of this many a side.
+_SIDE = 1 << 20
+
+
+class SceneFacts(NamedTuple):
+    """What a composition needs to know of a scene.
+
+    source_id: the recorded scenario that it was made from, its own where it was recorded; log: drive that it was cut
+    from, "" where no file tells; tracks, observed: tracks in all, and at the last observed step; cells: squares of
+    ground that its lanes pass, as numbers within the city, sorted, int64; block: square of its middle.
+    """
+
+    folder: Path
+    scenario_id: str
+    source_id: str
+    generated: bool
+    city: str
+    steps: int
+    tracks: int
+    observed: int
+    log: str
+    cells: bytes
+    block: tuple[int, int]
+
+    @property
+    def kind(self) -> str:
+        """Recorded or generated."""
+        return "generated" if self.generated else "recorded"
+
+
+class Leak(NamedTuple):
+    """A scene for training that tells of one for validation or test."""
+
+    folder: Path
+    other: Path
+    why: str
+
+    def text(self) -> str:
+        """One line."""
+        return f"{self.folder}: {self.why} {self.other}"
+
+
+def facts_of_scenes(
+    folders: Sequence[Path], *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
+) -> tuple[list[SceneFacts], list[str]]:
+    """Facts in the order of folders, and a line for each scene that cannot be read."""
+    facts: dict[Path, SceneFacts] = {}
+    unread: dict[Path, str] = {}
+    shared: dict[bytes, bytes] = {}  # variants of a scene lie where it lies
+
+    def note(folder: Path, value: SceneFacts | Failure) -> None:
+        if isinstance(value, Failure):
+            unread[folder] = value.message
+        else:
+            facts[folder] = value._replace(cells=shared.setdefault(value.cells, value.cells))
+        if on_scene is not None:
+            on_scene(len(facts) + len(unread), len(folders))
+
+    if jobs == 1:
+        for folder, value in zip(folders, describe_folders(Forecasting(), folders), strict=True):
+            note(folder, value)
+    else:
+        chunks = [tuple(folders[start : start + _CHUNK]) for start in range(0, len(folders), _CHUNK)]
+        tasks = (
+            Task(f"place-{number}", "bridge.forecasting.places:describe_folders", Forecasting(), chunk)
+            for number, chunk in enumerate(chunks)
+        )
+        for result in execute_here(tasks, jobs=min(jobs, max(1, len(chunks))), settings=Settings(timeout_s=60)):
+            for outcome in result.outcomes:
+                note(outcome.item, outcome.failure or outcome.value)
+    return [facts[folder] for folder in folders if folder in facts], [unread[f] for f in folders if f in unread]
+
+
+def describe_folders(params: Forecasting, folders: Sequence[Path]) -> Iterator[SceneFacts | Failure]:
+    """The work of a process: facts of each scene."""
+    maps: dict[tuple[int, int], tuple[bytes, tuple[int, int]]] = {}
+    for folder in folders:
+        try:
+            yield describe(folder, params, maps)
+        except Exception as error:  # noqa: BLE001  # listed with its reason
+            yield describe_error(error)
+
+
+def describe(
+    folder: Path, params: Forecasting, maps: dict[tuple[int, int], tuple[bytes, tuple[int, int]]]
+) -> SceneFacts:
+    """Read what is needed of one scene; `maps` remembers the last maps by size and check sum.
+
+    Errors: ScenarioError, MapError with file, value and what was expected.
+    """
+    parquet, map_path = _only(folder, PARQUET_PATTERN, ScenarioError), _only(folder, MAP_PATTERN, MapError)
+    try:
+        with pq.ParquetFile(parquet) as file:
+            names = file.schema_arrow.names
+            lacking = [name for name in _COLUMNS if name not in names]
+            if lacking:
+                raise ScenarioError(f"{parquet}: no column {lacking[0]!r}, expected the columns of Argoverse 2")
+            table = file.read(columns=[*_COLUMNS, *([_SLICE] if _SLICE in names else [])])
+    except (OSError, ValueError) as error:  # arrow's own errors are ValueErrors
+        raise ScenarioError(f"{parquet}: not a parquet file ({str(error).splitlines()[0]})") from error
+    if table.num_rows == 0:
+        raise ScenarioError(f"{parquet}: no rows, expected at least one track")
+    scenario_id = str(table.column("scenario_id")[0])
+    if scenario_id != parquet.stem.removeprefix("scenario_"):
+        raise ScenarioError(f"{parquet}: scenario_id {scenario_id!r}, expected the id in the file's name")
+    track = table.column("track_id")
+    at_end = table.filter(pc.equal(table.column("timestep"), OBSERVED_STEPS - 1)).column("track_id")
+    cells, block = _ground(map_path, params, maps)
+    source = recorded_source(folder)
+    return SceneFacts(
+        folder=folder,
+        scenario_id=scenario_id,
+        source_id=source or scenario_id,
+        generated=source is not None,
+        city=str(table.column("city")[0]),
+        steps=int(pc.max(table.column("timestep")).as_py()) + 1,
+        tracks=int(pc.count_distinct(track).as_py()),
+        observed=int(pc.count_distinct(at_end).as_py()),
+        log=str(table.column(_SLICE)[0].as_py() or "") if _SLICE in table.column_names else "",
+        cells=cells,
+        block=block,
+    )
+
+
+def _only(folder: Path, pattern: str, error: type[ScenarioError | MapError]) -> Path:
+    found = sorted(folder.glob(pattern))
+    if len(found) != 1:
+        raise error(f"{folder}: {len(found)} files {pattern.replace('*', '<id>')}, expected exactly one")
+    return found[0]
+
+
+def recorded_source(folder: Path) -> str | None:
+    """The source of a generated scene, by the head of its sidecar; None for a recorded one. Errors: ScenarioError."""
+    sidecars = sorted(folder.glob(SIDECAR_PATTERN))
+    if not sidecars:
+        return None
+    try:
+        with sidecars[0].open("rb") as file:
+            found = _SOURCE_ID.search(file.read(_HEAD_BYTES))
+    except OSError as error:
+        raise ScenarioError(f"{sidecars[0]}: cannot be read ({error.strerror})") from error
+    return found[1].decode() if found else read_sidecar(sidecars[0]).source_scenario_id
+
+
+def _ground(
+    path: Path, params: Forecasting, maps: dict[tuple[int, int], tuple[bytes, tuple[int, int]]]
+) -> tuple[bytes, tuple[int, int]]:
+    try:
+        content = read_regular(path, most_mb=MAX_FILE_MB)
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read ({error.strerror})") from error
+    key = len(content), zlib.crc32(content)
+    if key not in maps:
+        if len(maps) > _CHUNK:
+            maps.clear()
+        try:
+            points = np.array(list(_points(from_json(content))), dtype=np.float64)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise MapError(f"{path}: no map of Argoverse 2 ({type(error).__name__}: {error})") from error
+        if not len(points) or not np.isfinite(points).all():
+            raise MapError(f"{path}: no lane segment with finite points, expected at least one")
+        cell = np.floor(points / params.place_cell_m).astype(np.int64) + _SIDE // 2
+        middle = np.floor((points.min(axis=0) + points.max(axis=0)) / 2 / params.block_m).astype(int)
+        maps[key] = np.unique(cell[:, 0] * _SIDE + cell[:, 1]).tobytes(), (int(middle[0]), int(middle[1]))
+    return maps[key]
+
+
+def _points(document: Mapping[str, Any]) -> Iterator[tuple[float, float]]:
+    for lane in document["lane_segments"].values():
+        for line in ("centerline", "left_lane_boundary", "right_lane_boundary"):
+            for point in lane.get(line) or ():
+                yield point["x"], point["y"]
+
+
+# Groups and splits
+
+
+def groups_of(facts: Sequence[SceneFacts]) -> list[list[int]]:
+    """Rows of scenes that stay on one side: of one block of a city, one source, one log. In the order of first rows."""
+    parent = list(range(len(facts)))
+
+    def root(row: int) -> int:
+        while parent[row] != row:
+            parent[row] = parent[parent[row]]
+            row = parent[row]
+        return row
+
+    first: dict[tuple[object, ...], int] = {}
+    for row, fact in enumerate(facts):
+        keys: list[tuple[object, ...]] = [("block", fact.city, *fact.block), ("source", fact.source_id)]
+        keys += [("log", fact.log)] if fact.log else []
+        for key in keys:
+            parent[root(row)] = root(first.setdefault(key, row))
+    groups: dict[int, list[int]] = defaultdict(list)
+    for row in range(len(facts)):
+        groups[root(row)].append(row)
+    return list(groups.values())
+
+
+def stratum(fact: SceneFacts, bounds: Sequence[int]) -> tuple[str, int]:
+    """City and band of density."""
+    return fact.city, sum(fact.tracks > bound for bound in bounds)
+
+
+def split_by_place(
+    facts: Sequence[SceneFacts], shares: Mapping[str, float], *, seed: int, bounds: Sequence[int]
+) -> dict[str, list[int]]:
+    """Rows of each split: groups go where they bring every city and density nearest to its share.
+
+    shares: of the scenes, by split. A split whose share is above 0 gets at least one group while there are enough.
+    """
+    groups = groups_of(facts)
+    wanted = [split for split, share in shares.items() if share > 0]
+    strata = sorted({stratum(fact, bounds) for fact in facts})
+    column = {name: k for k, name in enumerate(strata)}
+    counts = np.zeros((len(groups), len(strata) + 1))  # the last column is the sum: small strata do not decide alone
+    counts[:, -1] = [len(rows) for rows in groups]
+    for number, rows in enumerate(groups):
+        for row in rows:
+            counts[number, column[stratum(facts[row], bounds)]] += 1
+    target = np.outer([shares[split] for split in wanted], counts.sum(axis=0))
+    have = np.zeros_like(target)
+    number_of = np.zeros(len(wanted), dtype=int)
+    chosen: dict[str, list[int]] = {split: [] for split in shares}
+    shuffled = np.random.default_rng(seed).permutation(len(groups))
+    order = sorted(shuffled.tolist(), key=lambda number: -len(groups[number]))
+    for done, number in enumerate(order):
+        worse = (np.square(have + counts[number] - target) - np.square(have - target)).sum(axis=1)
+        empty = np.flatnonzero(number_of == 0)
+        if len(empty) >= len(order) - done:  # one for each of those that have none
+            worse[number_of > 0] = np.inf
+        split = int(np.argmin(worse))
+        have[split] += counts[number]
+        number_of[split] += 1
+        chosen[wanted[split]] += groups[number]
+    return {split: sorted(rows) for split, rows in chosen.items()}
+
+
+def overlapping(facts: Sequence[SceneFacts], rows: Sequence[int], others: Sequence[int]) -> dict[int, int]:
+    """Of `rows`, those whose ground is also that of one of `others`, with that one."""
+    ground: dict[tuple[str, int], int] = {}
+    for row in others:
+        for cell in np.frombuffer(facts[row].cells, dtype=np.int64).tolist():
+            ground.setdefault((facts[row].city, cell), row)
+    found = {}
+    for row in rows:
+        for cell in np.frombuffer(facts[row].cells, dtype=np.int64).tolist():
+            other = ground.get((facts[row].city, cell))
+            if other is not None:
+                found[row] = other
+                break
+    return found
+
+
+def leaks_between(facts: Sequence[SceneFacts], training: Sequence[int], held_out: Sequence[int]) -> list[Leak]:
+    """Scenes for training that are, or come from, or lie where one of those held out does. Each is named once."""
+    ids = {facts[row].scenario_id: row for row in held_out}
+    sources = {facts[row].source_id: row for row in reversed(held_out)}
+    logs = {facts[row].log: row for row in reversed(held_out) if facts[row].log}
+    ground = overlapping(facts, training, held_out)
+    found = []
+    for row in training:
+        fact = facts[row]
+        for known, key, why in (
+            (ids, fact.scenario_id, "the same scene as"),
+            (sources, fact.source_id, f"made of the same recorded scene {fact.source_id} as"),
+            (logs, fact.log, f"cut from the same log {fact.log} as"),
+        ):
+            other = known.get(key)
+            if other is not None:
+                found.append(Leak(fact.folder, facts[other].folder, why))
+                break
+        else:
+            if row in ground:
+                found.append(Leak(fact.folder, facts[ground[row]].folder, "lies where there is"))
+    return found

@@ -1,0 +1,12 @@
+"""A baseline's forecasts as a file, as another forecaster's are."""
+
+from pathlib import Path
+
+from bridge.evaluation.predictions import Baseline, baseline, write_forecasts
+from bridge.recordings.scenario import find_scenarios, read_rows
+
+
+def write_baseline(out: Path, path: Path, *, kind: Baseline) -> Path:
+    """Forecasts of the focal tracks below `out`, in a submission file."""
+    scenes = (read_rows(folder) for folder in find_scenarios(out))
+    return write_forecasts({rows.scenario_id: baseline(rows, kind) for rows in scenes}, path)

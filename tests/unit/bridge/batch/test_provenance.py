@@ -1,0 +1,52 @@
+"""A generated scene made again from its sidecar, bit for bit."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from bridge.batch.provenance import make_again
+from netconvert.errors import ConfigError, NoSceneError, ScenarioError
+
+
+@pytest.fixture
+def scene(made_root: Path, tmp_path: Path) -> Path:
+    """A copy of a generated scene of the arterial, in a split folder."""
+    (folder,) = (made_root / "train").iterdir()
+    shutil.copytree(folder, tmp_path / "first" / "train" / folder.name)
+    return tmp_path / "first" / "train" / folder.name
+
+
+def sidecar_of(folder: Path) -> Path:
+    return folder / f"hid2_{folder.name}.json"
+
+
+def test_a_scene_is_made_again_bit_for_bit(scene: Path, data_root: Path, tmp_path: Path) -> None:
+    made = make_again(sidecar_of(scene), data_root, tmp_path / "again")
+    assert (made.folder.name, made.differences, made.compared) == (scene.name, (), True)
+    for path in scene.iterdir():
+        assert (made.folder / path.name).read_bytes() == path.read_bytes()
+
+
+def test_a_file_that_differs_is_named(scene: Path, data_root: Path, tmp_path: Path) -> None:
+    parquet = scene / f"scenario_{scene.name}.parquet"
+    parquet.write_bytes(b"other")
+    made = make_again(sidecar_of(scene), data_root, tmp_path / "again")
+    (line,) = made.differences
+    assert line.startswith(f"{made.folder / parquet.name}: differs from {parquet}")
+
+
+def test_what_cannot_be_made_again_is_explained(scene: Path, data_root: Path, data_scenes, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="holds the scene of"):
+        make_again(sidecar_of(scene), data_root, scene.parents[1])
+    with pytest.raises(NoSceneError, match="0 recorded scenes"):
+        make_again(sidecar_of(scene), data_scenes["curve"], tmp_path / "again")
+    with pytest.raises(ScenarioError, match="no such file, expected a sidecar"):
+        make_again(scene / "hid2_x.json", data_root, tmp_path / "again")
+    content = json.loads(sidecar_of(scene).read_text())
+    content["config"]["request"]["agents"] = 3
+    sidecar_of(scene).write_text(json.dumps(content))
+    with pytest.raises(ConfigError, match=r"config_sha256 .* edited, or of another version"):
+        make_again(sidecar_of(scene), data_root, tmp_path / "again")
+    assert not (tmp_path / "again").exists()

@@ -1,0 +1,308 @@
+"""Data-set roots composed of recorded and generated scenes, and what keeps training and validation apart."""
+
+import csv
+import errno
+import json
+import os
+import shutil
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from bridge.forecasting.compose import check_leaks, compose
+from bridge.forecasting.composition import (
+    CONTROLS,
+    HID2_ONLY,
+    Split,
+    composition_of,
+    composition_of_sources,
+    read_composition,
+)
+from bridge.forecasting.places import SceneFacts, groups_of, leaks_between, overlapping, split_by_place
+from bridge.recordings.export import write_scene
+from bridge.recordings.folders import find_scenarios
+from bridge.recordings.scenario import read_scenario
+from bridge.recordings.validate import validate_folder
+from netconvert.errors import ConfigError, NoSceneError
+
+
+@pytest.fixture
+def generated(tmp_path, data_root, fake_generated):
+    """A root with one scene made of each of the three recorded ones, with 2 vehicles more."""
+    for folder in find_scenarios(data_root):
+        scenario = read_scenario(folder)
+        tracks, sidecar, new_id = fake_generated(scenario)
+        write_scene(scenario, tracks, sidecar, tmp_path / "made", new_id=new_id, focal_track_id=scenario.focal_track_id)
+    return tmp_path / "made"
+
+
+def composed(values, root):
+    return compose(composition_of(values, "test"), root)
+
+
+def ids(place):
+    return {path.name for path in place.iterdir()}
+
+
+def origins(root):
+    with (root / "origins.csv").open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def mixed(data_root, generated, **more):
+    return {
+        "sources": {"recorded": (str(data_root),), "hid2": (str(generated),)},
+        "split": {"val": 0.34},
+        "sets": {"mix": {"take": {"recorded": "all", "hid2": "all"}}},
+        "validation": {"recorded": {"take": {"recorded": "all"}}},
+    } | more
+
+
+def tree(root):
+    return {path.relative_to(root).as_posix(): path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()}
+
+
+def test_a_mix_is_split_by_place_and_readers_find_it(data_root, generated, tmp_path):
+    """Three recorded scenes at three places, two vehicles added to each: two places for training, one held out."""
+    made = composed(mixed(data_root, generated), tmp_path / "root")
+    root = made.root
+    assert made.counts == {"": {"train": 4, "val": 1, "test": 0}}
+    assert len(find_scenarios(root)) == 5
+    assert (root / "test").is_dir()
+    sources = {
+        split: {row["source_id"] for row in origins(root) if row["split"] == split} for split in ("train", "val")
+    }
+    assert not sources["train"] & sources["val"]
+    assert [row["kind"] for row in origins(root) if row["split"] == "val"] == ["recorded"]
+    assert check_leaks(root) == []
+    assert [finding for finding in validate_folder(root, source=data_root) if not finding.is_note] == []
+
+
+def test_folders_are_real_and_files_are_links(data_root, generated, tmp_path):
+    root = composed(mixed(data_root, generated), tmp_path / "root").root
+    parquet = next(root.glob("val/*/scenario_*.parquet"))
+    assert not parquet.parent.is_symlink()
+    assert not parquet.is_symlink()
+    assert parquet.stat().st_nlink > 1
+    assert list(root.rglob("scenario_*.parquet"))
+
+
+def test_without_links_files_are_copied(data_root, generated, tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.EXDEV, "another file system")
+
+    linked = tree(composed(mixed(data_root, generated), tmp_path / "linked").root)
+    monkeypatch.setattr(os, "link", refuse)
+    copied = composed(mixed(data_root, generated), tmp_path / "copied").root
+    assert tree(copied) == linked
+    assert next(copied.rglob("scenario_*.parquet")).stat().st_nlink == 1
+
+
+def test_the_same_seed_makes_the_same_root_and_another_one_another(data_root, generated, tmp_path):
+    values = mixed(data_root, generated, sets={"few": {"take": {"hid2": 1}}})
+    first, again = (tree(composed(values, tmp_path / name).root) for name in ("first", "again"))
+    assert first == again
+    others = [tree(composed(values | {"seed": seed}, tmp_path / str(seed)).root) for seed in range(1, 5)]
+    assert any(other.keys() != first.keys() for other in others)
+
+
+def test_jobs_do_not_change_what_is_made(data_root, generated, tmp_path):
+    found = composition_of(mixed(data_root, generated), "test")
+    assert tree(compose(found, tmp_path / "one").root) == tree(compose(found, tmp_path / "two", jobs=2).root)
+
+
+def test_qcnet_finds_its_scenes_in_raw(data_root, generated, tmp_path):
+    root = composed(mixed(data_root, generated, layout="qcnet"), tmp_path / "root").root
+    assert {path.parent.name for path in find_scenarios(root)} == {"raw"}
+    assert len(find_scenarios(root / "train")) == 4
+    assert [finding for finding in validate_folder(root) if not finding.is_note] == []
+    assert {read_scenario(path).split for path in find_scenarios(root)} == {"train", "val"}
+
+
+def test_the_controls_have_as_many_scenes_and_one_validation_set(data_root, generated, tmp_path):
+    """2 recorded scenes for training and 2 made of them: each control has 4, of the kinds that its name says."""
+    values = {
+        "sources": {"recorded": (str(data_root),), "hid2": (str(generated),), "plain": (str(_renamed(generated)),)},
+        "split": {"val": 0.34},
+        "controls": {"recorded": "recorded", "generated": "hid2", "without_interaction": "plain"},
+        "validation": {"recorded": {"take": {"recorded": "all"}}, "hid2": {"take": {"hid2": "all"}}},
+    }
+    made = composed(values, tmp_path / "root")
+    assert {name: counts["train"] for name, counts in made.counts.items() if counts["train"]} == {
+        "recorded": 2, "recorded-twice": 4, "recorded-dense": 4, "no-interaction": 4, "hid2": 4, "hid2-only": 2,
+    }  # fmt: skip
+    kinds = {
+        name: sorted(row["source"] + " " + row["kind"] for row in origins(made.root / name) if row["split"] == "train")
+        for name in (*CONTROLS, HID2_ONLY)
+    }
+    recorded = ["recorded recorded"] * 2
+    assert kinds == {
+        "recorded": recorded,
+        "recorded-twice": ["recorded copy"] * 2 + recorded,
+        "recorded-dense": ["recorded copy"] * 2 + recorded,
+        "no-interaction": ["plain generated"] * 2 + recorded,
+        "hid2": ["hid2 generated"] * 2 + recorded,
+        "hid2-only": ["hid2 generated"] * 2,
+    }
+    held_out = {frozenset(ids(made.root / name / "val")) for name in (*CONTROLS, HID2_ONLY)}
+    assert held_out == {frozenset(ids(made.root / "validation" / "recorded" / "val"))}
+    copies = [row for row in origins(made.root / "recorded-twice") if row["kind"] == "copy"]
+    for row in copies:
+        folder = made.root / "recorded-twice" / "train" / row["scenario_id"]
+        copy, drawn = read_scenario(folder), read_scenario(Path(row["folder"]))
+        assert copy.scenario_id == row["scenario_id"] != drawn.scenario_id == row["drawn"]
+        kept = [name for name in drawn.table.column_names if name != "scenario_id"]
+        assert copy.table.select(kept).equals(drawn.table.select(kept))
+    assert check_leaks(made.root) == []
+
+
+def _renamed(root):
+    """The same scenes under ids of their own, as those of another generation are."""
+    other = root.with_name("plain")
+    shutil.copytree(root, other)
+    for number, folder in enumerate(find_scenarios(other)):
+        new = f"00000000-0000-5000-8000-{number:012d}"
+        table = read_scenario(folder).table.to_pandas()
+        table["scenario_id"] = new
+        for path in list(folder.iterdir()):
+            path.rename(path.with_name(path.name.replace(folder.name, new)))
+        table.to_parquet(folder / f"scenario_{new}.parquet")
+        folder.rename(folder.with_name(new))
+    return other
+
+
+def test_a_planted_variant_of_a_validation_scene_is_found_and_named(data_root, generated, tmp_path):
+    root = composed(mixed(data_root, generated), tmp_path / "root").root
+    (held_out,) = ids(root / "val")
+    (variant,) = (f for f in find_scenarios(generated) if f.name not in ids(root / "train"))
+    shutil.copytree(variant, root / "train" / variant.name)
+    (leak,) = check_leaks(root)
+    assert (leak.folder.name, leak.other.name) == (variant.name, held_out)
+    assert f"made of the same recorded scene {held_out}" in leak.text()
+
+
+def test_a_planted_copy_under_another_id_is_found_by_its_place(data_root, generated, tmp_path, copy_scene):
+    root = composed(mixed(data_root, generated), tmp_path / "root").root
+    (held_out,) = find_scenarios(root / "val")
+    target = root / "train" / "11111111-1111-5111-8111-111111111111"
+    target.mkdir()
+    table = read_scenario(held_out).table.to_pandas()
+    table["scenario_id"] = target.name
+    del table["slice_id"]  # which tells the log
+    table.to_parquet(target / f"scenario_{target.name}.parquet")
+    shutil.copy(next(held_out.glob("log_map*")), target / f"log_map_archive_{target.name}.json")
+    (leak,) = check_leaks(root)
+    assert (leak.folder, leak.other) == (target, held_out)
+    assert "lies where there is" in leak.why
+
+
+def test_min_agents_counts_in_all_or_at_the_observations_end(data_root, tmp_path):
+    """The arterial has 26 tracks, 25 of them at the observation's end; the others have 22 and 21, and 21 and 20."""
+    for counted, bound, expected in (("all", 26, 1), ("observed", 26, 0), ("observed", 25, 1), ("all", 22, 2)):
+        values = {
+            "sources": {"data": (str(data_root),)},
+            "split": {"val": 0.0},
+            "sets": {"dense": {"take": {"data": "all"}, "min_agents": bound, "min_agents_in": counted}},
+        }
+        made = composed(values, tmp_path / f"{counted}{bound}")
+        assert made.counts[""]["train"] == expected, (counted, bound)
+
+
+def test_splits_by_folder_keep_the_official_ones(data_root, tmp_path):
+    values = {
+        "sources": {"data": (str(data_root),)},
+        "split": {"by": "folder"},
+        "sets": {"all": {"take": {"data": "all"}}},
+        "validation": {"all": {"take": {"data": "all"}}},
+    }
+    root = composed(values, tmp_path / "root").root
+    assert ids(root / "train") == ids(data_root / "train")
+    assert ids(root / "val") == ids(data_root / "val")
+
+
+def fact(name, *, source=None, city="miami", tracks=20, cells=(1,), block=(0, 0), log=""):
+    import numpy as np
+
+    return SceneFacts(
+        Path(name), name, source or name, source is not None, city, 110, tracks, tracks, log,
+        np.array(cells, dtype=np.int64).tobytes(), block,
+    )  # fmt: skip
+
+
+def test_groups_join_blocks_sources_and_logs():
+    """a and b lie in one block; c was made of a; d shares a log with e; f lies alone."""
+    facts = [
+        fact("a"), fact("b"), fact("c", source="a", block=(7, 7)), fact("d", block=(1, 0), log="x"),
+        fact("e", block=(2, 0), log="x"), fact("f", city="austin"),
+    ]  # fmt: skip
+    assert groups_of(facts) == [[0, 1, 2], [3, 4], [5]]
+
+
+def test_ground_is_of_a_city():
+    facts = [fact("a", cells=(1, 2)), fact("b", cells=(2, 3)), fact("c", cells=(2,), city="austin")]
+    assert overlapping(facts, [0, 2], [1]) == {0: 1}
+    assert [leak.why for leak in leaks_between(facts, [0, 2], [1])] == ["lies where there is"]
+
+
+def test_cities_and_densities_are_on_both_sides_in_proportion():
+    """Of 20 places in each of two cities, half of them dense, a quarter is held out: 2.5 of each kind, 2 or 3."""
+    facts = [
+        fact(f"{city}{n}", city=city, tracks=100 if n % 2 else 10, block=(n, 0), cells=(n,))
+        for city in ("miami", "austin")
+        for n in range(20)
+    ]
+    splits = split_by_place(facts, {"train": 0.75, "val": 0.25, "test": 0.0}, seed=3, bounds=(50,))
+    held_out = [facts[row] for row in splits["val"]]
+    assert len(held_out) == 10
+    kinds = Counter((one.city, one.tracks > 50) for one in held_out)
+    assert set(kinds.values()) == {2, 3}
+    assert len(kinds) == 4
+    assert sorted(splits["train"] + splits["val"]) == list(range(40))
+
+
+def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
+    source = {"data": (str(data_root),)}
+    for values, message in (
+        ({"sources": source}, "neither sets nor controls"),
+        ({"sources": source, "sets": {"a": {"take": {"other": 1}}}}, "sets.a: source 'other', expected one of data"),
+        ({"sources": source, "sets": {"a": {"take": {"data": -1}}}}, "sets.a.take.data"),
+        ({"sources": source, "sets": {"a": {}}, "split": {"val": 0.6, "test": 0.5}}, "expected less than 1"),
+        ({"sources": source, "sets": {"a/b": {}}}, "sets.a/b"),
+        ({"sources": source, "sets": {"a": {}}, "colour": 1}, "colour"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            composition_of(values, "C.toml")
+    values = {"sources": source, "sets": {"a": {"take": {"data": 4}}}, "split": {"val": 0.0}}
+    with pytest.raises(ConfigError, match=r"sets\.a: 4 scenes of 'data' asked for in train, 3 are there"):
+        composed(values, tmp_path / "root")
+    assert not (tmp_path / "root").exists()
+    (tmp_path / "full" / "something").mkdir(parents=True)
+    with pytest.raises(ConfigError, match="is there already"):
+        composed(values, tmp_path / "full")
+    with pytest.raises(NoSceneError, match="no such folder"):
+        composed(values | {"sources": {"data": ("nowhere",)}}, tmp_path / "root")
+    with pytest.raises(ConfigError, match="no such file, expected a composition"):
+        read_composition(tmp_path / "none.toml")
+    twice = {"sources": source | {"same": source["data"]}, "sets": {"a": {"take": {"data": 1, "same": "all"}}}}
+    with pytest.raises(ConfigError, match="is in two of the sources"):
+        composed(
+            twice | {"split": {"val": 0.0}, "sets": {"a": {"take": {"data": "all", "same": "all"}}}}, tmp_path / "r"
+        )
+
+
+def test_a_file_and_the_command_line_say_the_same(data_root, tmp_path):
+    (tmp_path / "c.toml").write_text(
+        f'[sources]\nsource-0 = "{data_root}"\n[split]\nval = 0.5\n[sets.all.take]\nsource-0 = "all"\n'
+        '[validation.all.take]\nsource-0 = "all"\n'
+    )
+    line = composition_of_sources(
+        [str(data_root)], split=Split(val=0.5), seed=0, layout="av2", min_agents=0, min_agents_in="all"
+    )
+    written = read_composition(tmp_path / "c.toml")
+    assert compose(written, tmp_path / "a").counts == compose(line, tmp_path / "b").counts
+    numbered = composition_of_sources(
+        [f"{data_root}:3"], split=Split(val=0.34), seed=0, layout="av2", min_agents=0, min_agents_in="all"
+    )
+    assert compose(numbered, tmp_path / "c").counts == {"": {"train": 2, "val": 1, "test": 0}}
+    assert json.loads((tmp_path / "c" / "composition.json").read_text())["sources"] == {"source-0": [str(data_root)]}

@@ -1,0 +1,247 @@
+"""Tables 2 and 3 from forecasts that are brought along; with the small forecaster the whole way (slow, needs torch)."""
+
+import ast
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bridge.evaluation.predictions import baseline, read_forecasts, score_predictions, write_forecasts
+from bridge.forecasting.compose import compose
+from bridge.forecasting.composition import composition_of
+from bridge.forecasting.experiment import PAPER_TABLE2, PAPER_TABLE3, SETS, Plan, run_prediction
+from bridge.forecasting.features import targets_of
+from bridge.recordings.export import write_scene
+from bridge.recordings.folders import find_scenarios
+from bridge.recordings.scenario import read_rows, read_scenario
+from hid2.params import Forecasting
+from netconvert.errors import ConfigError
+
+ROOT = Path(__file__).parents[4]
+
+
+@pytest.fixture
+def composed(tmp_path, data_root, fake_generated):
+    """The controls of the three synthetic scenes and two scenes made of each, the second for no-interaction."""
+    for folder in find_scenarios(data_root):
+        scenario = read_scenario(folder)
+        for name, count in (("hid2", 2), ("plain", 3)):
+            tracks, sidecar, new_id = fake_generated(scenario, count=count)
+            write_scene(
+                scenario, tracks, sidecar, tmp_path / name, new_id=new_id, focal_track_id=scenario.focal_track_id
+            )
+    sources = {"recorded": data_root, "hid2": tmp_path / "hid2", "plain": tmp_path / "plain"}
+    values = {
+        "sources": {name: (str(place),) for name, place in sources.items()},
+        "split": {"val": 0.5},
+        "controls": {"recorded": "recorded", "generated": "hid2", "without_interaction": "plain"},
+        "validation": {"recorded": {"take": {"recorded": "all"}}, "hid2": {"take": {"hid2": "all"}}},
+    }
+    return compose(composition_of(values, "test"), tmp_path / "composed").root
+
+
+@pytest.fixture
+def brought(composed, tmp_path):
+    """Forecasts of every set with two seeds: constant velocity, its modes shifted by half a metre more a set."""
+    for shift, name in enumerate(SETS):
+        for seed in range(2):
+            for validation in ("recorded", "hid2"):
+                forecasts = {}
+                for folder in find_scenarios(composed / "validation" / validation / "val"):
+                    rows = read_rows(folder)
+                    probabilities, by_track = baseline(rows, "constant-velocity")
+                    moved = {track: modes + 0.5 * shift + 0.01 * seed for track, modes in by_track.items()}
+                    forecasts[rows.scenario_id] = (probabilities, moved)
+                write_forecasts(forecasts, tmp_path / "brought" / name / str(seed) / f"{validation}.parquet")
+    return tmp_path / "brought"
+
+
+def test_forecasts_from_elsewhere_make_both_tables(composed, brought, tmp_path):
+    page = run_prediction([], tmp_path / "out", Plan(), composed=composed, predictions=brought)
+    content = json.loads((tmp_path / "out" / "prediction.json").read_text())
+    for table, paper in (("table2", PAPER_TABLE2), ("table3", PAPER_TABLE3)):
+        for line, (label, values) in zip(content[table], paper.items(), strict=False):
+            assert (line.pop("row"), [cell["value"] for cell in line.values()]) == (label, list(values))
+    ours = {line["row"]: line for line in content["table2"][4:]}
+    assert list(ours) == ["ours: recorded", "ours: HiD2"]
+    with (tmp_path / "out" / "prediction_scores.csv").open(newline="") as stream:
+        rows = [row for row in csv.DictReader(stream) if (row["trained_on"], row["validation"]) == ("recorded", "hid2")]
+    mean = np.mean([float(row["min_fde_m"]) for row in rows if row["k"] == "6"])
+    assert ours["ours: recorded"]["hid2_min_fde_m"]["value"] == pytest.approx(mean)
+    assert [line["row"].split(", ")[0] for line in content["table3"][4:]] == ["ours: recorded scenes only"] + [
+        "ours: recorded"
+    ] * 4
+    assert content["seeds"] == dict.fromkeys(SETS, 2)
+    pairs = {(one["model"], one["other"]) for one in content["differences"]}
+    assert {("hid2", "recorded"), ("hid2", "recorded-dense"), ("hid2-only", "recorded")} <= pairs
+    text = page.read_text()
+    for words in ("nothing about the claim", "1.573", "1.219", "0.023", "one standard error"):
+        assert words in text
+
+
+def test_the_page_is_the_same_with_more_jobs(composed, brought, tmp_path):
+    for name, jobs in (("one", 1), ("two", 2)):
+        run_prediction([], tmp_path / name, Plan(), composed=composed, predictions=brought, jobs=jobs)
+    for file in ("prediction.html", "prediction.json", "prediction_scores.csv"):
+        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
+
+
+def test_what_is_missing_is_named(composed, brought, tmp_path):
+    with pytest.raises(ConfigError, match="needs --composed ROOT"):
+        run_prediction([], tmp_path / "out", Plan(), predictions=brought)
+    with pytest.raises(ConfigError, match="no validation/recorded/val"):
+        run_prediction([], tmp_path / "out", Plan(), predictions=brought, composed=tmp_path)
+    (brought / "hid2" / "1" / "hid2.parquet").unlink()
+    with pytest.raises(ConfigError, match=r"hid2/1/hid2\.parquet: no such file; expected DIR/SET/SEED"):
+        run_prediction([], tmp_path / "out", Plan(), predictions=brought, composed=composed)
+    shutil.rmtree(brought / "recorded")
+    with pytest.raises(ConfigError, match=r"recorded/0/recorded\.parquet: no such file"):
+        run_prediction([], tmp_path / "out", Plan(), predictions=brought, composed=composed)
+
+
+@pytest.mark.parametrize("command", ["forecast", "paper prediction"])
+def test_without_the_extra_one_line_says_what_to_install(data_root, tmp_path, command):
+    code = (
+        "import importlib.util as util\n"
+        "found = util.find_spec\n"
+        "util.find_spec = lambda name, *rest: None if name == 'torch' else found(name, *rest)\n"
+        "from bridge.cli import main\n"
+        "main()\n"
+    )
+    given = ["--scenes", str(data_root)] if command != "forecast" else [str(data_root)]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *command.split(), "-o", "out", *given],
+        cwd=tmp_path, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    said = [line for line in done.stderr.splitlines() if "so far" not in line]
+    assert done.returncode == 2
+    assert len(said) == 1
+    assert "sh setup.sh forecast" in said[0]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_only_what_needs_the_extra_imports_torch():
+    """Two modules import it, and those are imported where they are used and nowhere at the top of a module."""
+    importing = {}
+    wanted = {"torch", "bridge.forecasting.network", "bridge.forecasting.training"}
+    for path in (ROOT / "bridge").rglob("*.py"):
+        top = ast.parse(path.read_text(encoding="utf-8")).body
+        names = [alias.name for node in top if isinstance(node, ast.Import) for alias in node.names]
+        names += [str(node.module) for node in top if isinstance(node, ast.ImportFrom)]
+        if wanted & set(names):
+            importing[path.relative_to(ROOT).as_posix()] = wanted & set(names)
+    assert importing == {
+        "bridge/forecasting/network.py": {"torch"},
+        "bridge/forecasting/training.py": {"torch", "bridge.forecasting.network"},
+    }
+
+
+def test_features_are_in_the_targets_own_frame(data_scenes):
+    """The target is at the origin at the last observed step and looks along x; its future comes back to the city."""
+    scenario = read_scenario(data_scenes["arterial"])
+    targets = targets_of(scenario, Forecasting())
+    assert [target.track_id for target in targets if target.focal] == [scenario.focal_track_id]
+    for target in targets:
+        track = scenario.track(target.track_id)
+        np.testing.assert_allclose(target.agents[0, -1, :4], [0, 0, 1, 0], atol=1e-6)
+        assert target.agent_kinds[0, 4] == 1
+        assert target.agent_kinds[1:, 4].sum() == 0
+        assert target.future is not None
+        np.testing.assert_allclose(target.to_city(target.future), track.position[track.timesteps > 49], atol=1e-3)
+        apart = np.hypot(*target.agents[:, -1, :2].T)[target.agent_kinds.sum(axis=1) > 0]
+        assert (np.diff(apart) >= -1e-6).all()
+
+
+def test_lanes_of_the_features_lie_beside_the_target(data_scenes):
+    """On the arterial the target drives on a lane: a lane point within 2 m, directed as it is."""
+    target = next(t for t in targets_of(read_scenario(data_scenes["arterial"]), Forecasting()) if t.focal)
+    points = target.lanes[target.lane_kinds.sum(axis=1) > 0].reshape(-1, 4)
+    across = np.abs(points[:, 1]) < 0.2
+    assert across.any()
+    assert points[across, 2].max() > 0.9
+
+
+# With torch
+
+
+@pytest.mark.slow
+def test_the_small_forecaster_is_deterministic_and_resumes(data_root, tmp_path):
+    torch = pytest.importorskip("torch", reason="the extra `forecast`: sh setup.sh forecast")
+    from bridge.forecasting.features import features_of
+    from bridge.forecasting.training import be_deterministic, forecast, parameters_of, train
+
+    be_deterministic(1)
+    params = Forecasting(updates=20, checkpoint_every=10)
+    targets, left_out = features_of(find_scenarios(data_root), params)
+    assert left_out == []
+
+    class Stopped(Exception):  # noqa: N818
+        pass
+
+    def stop(done, total):
+        if done == 12:
+            raise Stopped
+
+    straight = train(targets, tmp_path / "a.pt", params, seed=1)
+    with pytest.raises(Stopped):
+        train(targets, tmp_path / "b.pt", params, seed=1, on_update=stop)
+    resumed = train(targets, tmp_path / "b.pt", params, seed=1, resume=True)
+    other = train(targets, tmp_path / "c.pt", params, seed=2)
+    assert parameters_of(straight) < 1_000_000
+    for one, two in zip(straight.state_dict().values(), resumed.state_dict().values(), strict=True):
+        assert torch.equal(one, two)
+    first, again, another = (forecast(model, targets, params) for model in (straight, resumed, other))
+    for name, (shares, by_track) in first.items():
+        np.testing.assert_array_equal(shares, again[name][0])
+        for track, modes in by_track.items():
+            np.testing.assert_array_equal(modes, again[name][1][track])
+            assert np.abs(modes - another[name][1][track]).max() > 0
+    with pytest.raises(ConfigError, match="of another training"):
+        train(targets, tmp_path / "b.pt", params, seed=5, resume=True)
+
+
+@pytest.mark.slow
+def test_the_small_forecaster_learns(data_root, tmp_path):
+    """On the scenes it is trained on it ends nearer than constant velocity; scores are those of av2, to 1e-9."""
+    pytest.importorskip("torch", reason="the extra `forecast`: sh setup.sh forecast")
+    from av2.datasets.motion_forecasting.eval import metrics
+
+    from bridge.forecasting.features import features_of
+    from bridge.forecasting.training import be_deterministic, forecast, train
+
+    be_deterministic(1)
+    params = Forecasting(updates=150)
+    targets, _ = features_of(find_scenarios(data_root), params)
+    model = train(targets, tmp_path / "a.pt", params, seed=0)
+    path = write_forecasts(forecast(model, targets, params), tmp_path / "f.parquet")
+    scores = [score for score in score_predictions(data_root, predictions=path).scores if score.k == 6]
+    steady = [s for s in score_predictions(data_root, predictions="constant-velocity").scores if s.k == 6]
+    assert np.mean([s.min_fde_m for s in scores]) < np.mean([s.min_fde_m for s in steady])
+    forecasts = read_forecasts(path)
+    for folder in find_scenarios(data_root):
+        scenario = read_scenario(folder)
+        (found,) = (score for score in scores if score.scenario_id == scenario.scenario_id)
+        shares, by_track = forecasts[scenario.scenario_id]
+        track = scenario.track(scenario.focal_track_id)
+        modes, truth = by_track[track.track_id], track.position[track.timesteps > 49]
+        best = int(metrics.compute_fde(modes, truth).argmin())
+        assert found.min_fde_m == pytest.approx(metrics.compute_fde(modes, truth)[best], abs=1e-9)
+        assert found.min_ade_m == pytest.approx(metrics.compute_ade(modes, truth)[best], abs=1e-9)
+        assert found.brier_min_fde == pytest.approx(metrics.compute_brier_fde(modes, truth, shares)[best], abs=1e-9)
+
+
+@pytest.mark.slow
+def test_one_command_goes_from_sources_to_both_tables(data_root, tmp_path):
+    pytest.importorskip("torch", reason="the extra `forecast`: sh setup.sh forecast")
+    params = Forecasting(variants=2, updates=10, val_share=0.4)
+    page = run_prediction([data_root], tmp_path / "out", Plan(seeds=2, agents=3, params=params), jobs=2)
+    assert "nothing about the claim" in page.read_text()
+    first = {path: path.read_bytes() for path in (tmp_path / "out" / "models").rglob("*.parquet")}
+    assert len(first) == len(SETS) * 2 * 2
+    run_prediction([data_root], tmp_path / "out", Plan(seeds=2, agents=3, params=params), jobs=1)
+    assert {path: path.read_bytes() for path in first} == first

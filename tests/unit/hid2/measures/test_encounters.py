@@ -1,0 +1,82 @@
+"""Whom vehicles meet, worked by hand on a straight road of two lanes, 3.5 m apart."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hid2.agents import BoxSize, Track
+from hid2.measures.arrays import stack
+from hid2.measures.encounters import Encounters, Partner, encounters
+from hid2.measures.following import leaders
+from hid2.measures.lane_matching import flatten_lanes, match_lanes
+from netconvert.lane_graph import LaneGraph
+
+STEPS = 60
+
+
+def _track(name: str, x: np.ndarray, y: np.ndarray | float, *, kind: str = "vehicle") -> Track:
+    """A road user of 4 m by 2 m (pedestrians: 0.6 m) at positions (T,) m, steps of 0.1 s, heading along its motion."""
+    position = np.column_stack([x, np.broadcast_to(y, x.shape)])
+    velocity = np.gradient(position, 0.1, axis=0)
+    heading = np.arctan2(velocity[:, 1], velocity[:, 0])
+    size = BoxSize(4.0, 2.0) if kind == "vehicle" else BoxSize(0.6, 0.6)
+    return Track(name, kind, 1, np.arange(len(x)), position, heading, velocity, size)
+
+
+def _steady(name: str, x_m: float, y_m: float, mps: float) -> Track:
+    return _track(name, x_m + 0.1 * mps * np.arange(STEPS), y_m)
+
+
+@pytest.fixture
+def met(road: Callable[..., LaneGraph]) -> Callable[..., Encounters]:
+    """met(*tracks) -> encounters on a road of two lanes, 300 m; tracks named gen_... are inserted."""
+
+    def measure(*tracks: Track) -> Encounters:
+        lanes = flatten_lanes(road(lanes=2, length_m=300.0))
+        arrays = stack(tracks, num_steps=STEPS)
+        matches, _ = match_lanes(arrays, lanes)
+        return encounters(arrays, lanes, matches, leaders(arrays, lanes, matches))
+
+    return measure
+
+
+def test_distance_is_to_the_nearest_moving_recorded_vehicle(met: Callable[..., Encounters]) -> None:
+    """40 m behind one that moves as fast; a parked one at 10 m and an inserted one at 5 m do not count."""
+    found = met(
+        _steady("gen_0", 20.0, 0.0, 10.0), _steady("ahead", 60.0, 0.0, 10.0), _steady("parked", 30.0, 3.5, 0.0),
+        _steady("gen_1", 25.0, 3.5, 10.0),
+    )  # fmt: skip
+    assert found.distance_m[0] == pytest.approx(40.0)
+    assert np.isinf(found.distance_m[1])  # itself is no other
+
+
+def test_leader_within_three_seconds_for_one_second_is_followed(met: Callable[..., Encounters]) -> None:
+    """Gap 20 m at 10 m/s, 2 s; the recorded leader is led by nobody. 40 m behind (3.6 s) nobody is followed."""
+    found = met(_steady("gen_0", 20.0, 0.0, 10.0), _steady("ahead", 44.0, 0.0, 10.0))
+    assert found.follows[Partner.RECORDED].tolist() == [True, False]
+    assert found.follows[Partner.INSERTED].tolist() == [False, False]
+    assert not met(_steady("gen_0", 20.0, 0.0, 10.0), _steady("ahead", 60.0, 0.0, 10.0)).follows[Partner.RECORDED].any()
+
+
+def test_braking_counts_behind_a_near_leader_only(met: Callable[..., Encounters]) -> None:
+    """From 10 m/s with 1 m/s2, 20 m behind somebody who does the same: braking for it. Alone: not."""
+    t = 0.1 * np.arange(STEPS)
+    way = 10.0 * t - 0.5 * t * t
+    behind, ahead = _track("gen_0", 20.0 + way, 0.0), _track("ahead", 44.0 + way, 0.0)
+    assert met(behind, ahead).brakes[Partner.RECORDED].tolist() == [True, False]
+    assert not met(behind).brakes[Partner.RECORDED].any()
+
+
+def test_crossing_counts_by_the_kind_of_the_other_one(met: Callable[..., Encounters]) -> None:
+    """East at 10 m/s, at x = 50 m after 3 s; a pedestrian walks north over x = 50 m and is at y = 0 after 1.5 s."""
+    walks = _track("walker", np.full(STEPS, 50.0), -2.25 + 0.15 * np.arange(STEPS), kind="pedestrian")
+    found = met(_steady("gen_0", 20.0, 0.0, 10.0), walks)
+    assert found.crosses[Partner.PEDESTRIAN].tolist() == [True, False]  # of vehicles only
+    assert not found.crosses[Partner.RECORDED].any()
+
+
+def test_standing_needs_half_a_second(met: Callable[..., Encounters]) -> None:
+    """One that stands all the time, one that never does."""
+    found = met(_steady("gen_0", 20.0, 0.0, 0.0), _steady("gen_1", 60.0, 3.5, 8.0))
+    assert found.stands.tolist() == [True, False]
