@@ -8,7 +8,7 @@ from bridge.cli.options import SplitName
 from bridge.console import warn
 from netconvert.errors import ConfigError
 
-_SCENE_FILES = ("scenario_*.parquet", "log_map_archive_*.json")
+_SCENE_FILES = ("scenario_*.parquet", "log_map_archive_*.json", "annotations*.feather", "city_SE3_egovehicle.feather")
 _SIDECAR = "hid2_*.json"
 _ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".zst")
 #: Folders of a split or root that are looked at to tell which of them it is: they are all alike.

@@ -55,8 +55,8 @@ PAPER_ABLATION: Mapping[str, Mapping[str, float]] = {
 #: The lower half of the paper's Table 1: Argoverse 1, recorded and with HiD2's vehicles.
 PAPER_ARGOVERSE1 = {"lo": 1.414, "la": 0.838, "je": 11.192, "scr": 0.030, "orr": 0.009}
 PAPER_HID2_ARGOVERSE1 = {"lo": 1.378, "la": 0.976, "je": 11.031, "scr": 0.020, "orr": 0.007}
-#: The paper does not say how its Argoverse 1 tracks were smoothed; a filter over so many samples comes near to its LO,
-#: LA and JE. It is for comparison alone: nothing that is generated depends on it.
+#: The paper does not say how its Argoverse 1 tracks were smoothed. With this filter (samples, degree) tracks seen at
+#: every step come to its LO, LA and JE. It is for comparison alone: nothing that is generated depends on it.
 _SMOOTHED_FORMAT, _FILTER_SAMPLES, _FILTER_DEGREE = "argoverse1", 13, 3
 #: Measures that rise with the number of vehicles added in the paper's figure.
 PAPER_RISES = ("scr", "orr")
@@ -501,10 +501,11 @@ _TABLE1_TEXT = (
 _ARGOVERSE1_TEXT = (
     "<p><b>Argoverse 1</b> has positions alone, without headings, sizes and types: every track is held to be a vehicle "
     "of 4.5 x 1.9 m, so that SCR and footprint ORR are upper bounds. Positions jump by decimetres, and their third "
-    "derivative is mostly that: the paper's figures must be of smoothed tracks, and a filter over 1.3 s (13 samples, "
-    "cubic; tracks of as many steps without a gap) comes near to them. Timesteps are 0.1 s, as every reader of the "
-    "data set takes them; its own time stamps are up to twice as far apart, which makes accelerations by timesteps "
-    "larger than they were.</p>"
+    "derivative is mostly that: the paper's figures cannot be of raw positions. A filter over 1.3 s (13 samples, "
+    "cubic; tracks of as many steps without a gap) takes most of it away. A map of Argoverse 2 ends where its scene "
+    "does: what drives beyond it is off the road in ORR. Timesteps are 0.1 s, as every reader of the data set takes "
+    "them; its own time stamps are up to twice as far apart, which makes accelerations by timesteps larger than they "
+    "were.</p>"
 )
 _TEMPLATES_TEXT = "<h2>The paper's templates</h2><p>{} scenes of more than 40 agents alone:</p>"
 _ABLATION_TEXT = (
