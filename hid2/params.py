@@ -118,7 +118,16 @@ class Spawn(_Section):
     rivals: int = _param(
         2, "vehicles", "driven beside the first for one manoeuvre, of which one that does it is kept", ge=0, le=10
     )
-    rivals_share: float = _param(0.6, "share", "of the vehicles still missing: most rivals in one round", ge=0, le=5)
+    rivals_share: float = _param(
+        0.8,
+        "share",
+        "of the vehicles still missing: most that try manoeuvres in one round, rivals among them",
+        ge=0,
+        le=5,
+    )
+    stand_by_share: float = _param(
+        0.3, "share", "of the manoeuvres tried for the last time: spare vehicles that stand by for them", ge=0, le=1
+    )
     spare_share: float = _param(
         0.2, "share", "vehicles driven beyond the count, in case some cannot be made safe", ge=0, le=2
     )

@@ -134,10 +134,10 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
     metrics = evaluation.metrics
     sections = [
         Section("glance", "At a glance: are the generated vehicles safe?", _glance(metrics)),
-        Section("safety", "Safety", _safety(metrics)),
         Section("encounters", "Encounters", _encounters(metrics)),
-        Section("events", "Events asked for", _events(evaluation)),
         Section("realism", "Realism", _realism(evaluation)),
+        Section("events", "Events asked for", _events(evaluation)),
+        Section("safety", "Safety", _safety(metrics)),
         Section("example", "One of the scenes", _example(evaluation)),
         Section("motion", "Motion", _kinematics(metrics)),
         Section("diversity", "Diversity", Markup("\n").join(diversity_parts(metrics["diversity"]))),

@@ -68,7 +68,7 @@ def drawing_config(config: Config) -> Config:
         update={"sites": "any", "trigger_min_s": 0.0, "trigger_max_s": 0.0, "trigger_list_s": ()}
     )
     flow = config.flow.model_copy(update={"warm_up_s": 0.0})
-    spawn = config.spawn.model_copy(update={"candidates": 1, "reseed_rounds": 1})  # one vehicle for each request
+    spawn = config.spawn.model_copy(update={"rivals": 0, "reseed_rounds": 1})  # one vehicle for each request
     return Config(
         request=request, grid=config.grid, spawn=spawn, sites=config.sites, drivers=config.drivers, turn=config.turn,
         limits=config.limits, smoothing=config.smoothing, flow=flow, without=config.without,

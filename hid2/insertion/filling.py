@@ -197,11 +197,13 @@ class Filling:
             elif request.policy is not Policy.STRAIGHT:
                 waiting_rivals.append(request)
         if number < config.spawn.reseed_rounds:
-            starts += self._rivals(sites, waiting_rivals, math.ceil(config.spawn.rivals_share * max(0, missing)))
+            room = config.spawn.rivals_share * max(0, missing) - len(waiting_rivals)  # those that are there are enough
+            starts += self._rivals(sites, waiting_rivals, math.ceil(room))
         if spare and starts and not failed[Policy.STRAIGHT]:
             extra = math.ceil(config.spawn.spare_share * len(starts))
             if number + 1 == config.spawn.reseed_rounds:  # in place of manoeuvres that fail once more
-                extra = max(extra, sum(request.policy is not Policy.STRAIGHT for request in waiting))
+                manoeuvres = sum(request.policy is not Policy.STRAIGHT for request in waiting)
+                extra = max(extra, math.ceil(config.spawn.stand_by_share * manoeuvres))
             for _ in range(min(extra, max(0, missing))):
                 request = VehicleRequest(self._next_spare, Policy.STRAIGHT, 0.0)
                 self._next_spare += 1

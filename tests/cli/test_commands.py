@@ -104,15 +104,6 @@ def test_paper_makes_a_table(hid2: Run, data_scenes: dict[str, Path], tmp_path: 
     assert hid2("paper", "table9", "-o", tmp_path).returncode == 2
 
 
-def test_diversity_without_templates_is_a_mistake_of_usage(
-    hid2: Run, data_scenes: dict[str, Path], tmp_path: Path
-) -> None:
-    result = hid2("paper", "diversity", "--scenes", data_scenes["curve"], "-o", tmp_path / "out")
-    assert result.returncode == 2
-    assert "no scene of more than 40 agents, which diversity needs as templates" in result.stderr
-    assert not (tmp_path / "out").exists()
-
-
 def test_render_and_plot_write_pictures(hid2: Run, generated: Path, tmp_path: Path) -> None:
     assert hid2("render", generated, "-o", tmp_path / "scene.png", "--cells").returncode == 0
     assert hid2("plot", generated, "--agent", "gen_0", "-o", tmp_path / "agent.png").returncode == 0

@@ -39,7 +39,15 @@ def read_csv(path):
 def test_report_has_every_file_and_json_reads_back(report):
     evaluation, folder = report
     names = {path.name for path in folder.iterdir()}
-    assert names == {"metrics.json", "scenes.csv", "tracks.csv", "maneuvers.csv", "realism.csv", "report.html"}
+    assert names == {
+        "metrics.json",
+        "scenes.csv",
+        "tracks.csv",
+        "maneuvers.csv",
+        "events.csv",
+        "realism.csv",
+        "report.html",
+    }
     assert json.loads((folder / "metrics.json").read_text()) == evaluation.metrics
 
 

@@ -88,11 +88,11 @@ def test_failed_manoeuvres_are_given_to_other_vehicles(arterial):
         spawn = Spawn(reseed_rounds=reseed_rounds)
         scenes = [
             generate(arterial, Config(request=Request(agents=30, seed=seed, **CHANGES), spawn=spawn))
-            for seed in range(3)
+            for seed in range(2)
         ]
         assert all(scene.sidecar.placed.agents == 30 for scene in scenes)
         records = _records(scenes, "lane_change")
-        assert len(records) == 90
+        assert len(records) == 60
         assert all(record.reason for _, _, record in records if record.status != "done")
         return sum(record.status != "done" for _, _, record in records)
 

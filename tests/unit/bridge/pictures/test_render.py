@@ -109,6 +109,7 @@ def test_an_agent_is_shown_close_up(made_scene, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio leaves ffmpeg's pipes open
 def test_animation_has_a_frame_for_every_step_and_moves(made_scene, tmp_path, suffix):
     path = render_scene(made_scene, tmp_path / f"scene{suffix}")
     frames = iio.imread(path)
