@@ -293,7 +293,7 @@ class Overtake(_Section):
     safe_rear_m: float = _param(8.0, "m", "delta d_safe^rear", ge=0, le=100)
     return_gap_m: float = _param(5.0, "m", "bumper gap ahead of the passed vehicle before the return", ge=1, le=50)
     parked_mps: float = _param(0.5, "m/s", "a slower leader is an obstacle, not an overtaken vehicle", ge=0, le=5)
-    shift_ratio: float = _param(0.7, "ratio", "duration of its lane changes over the driver's usual one", gt=0, le=2)
+    shift_ratio: float = _param(0.5, "ratio", "duration of its lane changes over the driver's usual one", gt=0, le=2)
 
 
 class Turn(_Section):
