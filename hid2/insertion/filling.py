@@ -298,7 +298,7 @@ class Filling:
         self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]
     ) -> None:
         """Of several vehicles for one request one is kept: one that somebody waited for before others."""
-        waited_for = set().union(*(one.driven.waited_for for one in new)) if new else set()
+        waited_for = set().union(*(_needs(one.driven) for one in new)) if new else set()
         left = [one.driven for one in new if one.driven.vehicle_id not in gone]
         met: set[int] = set()
         for driven in sorted(left, key=lambda driven: driven.vehicle_id not in waited_for):
@@ -310,7 +310,7 @@ class Filling:
         self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]
     ) -> None:
         """Spare vehicles beyond the open requests to go straight go, those that nobody waited for first."""
-        waited_for = set().union(*(one.driven.waited_for for one in new)) if new else set()
+        waited_for = set().union(*(_needs(one.driven) for one in new)) if new else set()
         holding = {one.driven.start.request.number: one.driven for one in new if one.driven.vehicle_id not in gone}
         open_numbers = {request.number for request in self._open}
         places = sum(request.policy is Policy.STRAIGHT and request.number not in holding for request in self._open)
@@ -328,7 +328,7 @@ class Filling:
             changed = False
             for one in new:
                 driven = one.driven
-                if driven.vehicle_id in gone or not driven.waited_for & gone.keys():
+                if driven.vehicle_id in gone or not _needs(driven) & gone.keys():
                     continue
                 gone[driven.vehicle_id] = driven, Reason.WAITED_FOR_GONE, None
                 changed = True
@@ -367,6 +367,11 @@ class Filling:
                 return
             self._open.remove(straight[-1])
             spare -= 1
+
+
+def _needs(vehicle: DrivenVehicle) -> set[str]:
+    """Vehicles without which a vehicle would have driven otherwise: those it braked for, and whom it overtook."""
+    return vehicle.waited_for | ({vehicle.leader_id} if vehicle.leader_id is not None else set())
 
 
 def _site(scene: Scene, vehicle: DrivenVehicle) -> Cell:

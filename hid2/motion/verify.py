@@ -1,5 +1,6 @@
 """The last word on a smoothed trajectory: limits of motion, the drivable area, and boxes against boxes."""
 
+import math
 from typing import Protocol
 
 import numpy as np
@@ -12,6 +13,8 @@ from hid2.measures.motion_limits import MotionProfile, exceeded
 from hid2.motion.smoothing import Trajectory
 from hid2.params import Limits
 from netconvert.geometry import box_corners, differences
+
+_OUTLINE_STEP_M = 0.6  # no tunable: between two points a side leaves the road by less than what the tolerance spares
 
 
 class OtherBoxes(Protocol):
@@ -57,16 +60,26 @@ def limit_exceeded(trajectory: Trajectory, limits: Limits, *, step_s: float) -> 
 def off_road_steps(
     position: FloatArray, heading: FloatArray, size: BoxSize, drivable: shapely.Geometry, *, tolerance_m: float
 ) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """(T,) some corner of the box is farther than tolerance_m outside the drivable area (prepared geometry).
+    """(T,) some point of the box's outline is farther than tolerance_m outside the drivable area (prepared geometry).
 
+    Corners, and points along the sides: where the road's edge has a corner, a side reaches farther out than its ends.
     position (T, 2) m; heading (T,) rad.
     """
-    corners = box_corners(position, heading, length_m=size.length_m, width_m=size.width_m).reshape(-1, 2)
-    outside = ~shapely.contains_xy(drivable, corners[:, 0], corners[:, 1])
+    corners = box_corners(position, heading, length_m=size.length_m, width_m=size.width_m)
+    sides = np.linalg.norm(corners[0] - np.roll(corners[0], -1, axis=0), axis=1)
+    outline = np.concatenate(
+        [
+            corners[:, [row]] + share * (corners[:, [(row + 1) % 4]] - corners[:, [row]])
+            for row, side_m in enumerate(sides.tolist())
+            for share in np.arange(math.ceil(side_m / _OUTLINE_STEP_M)) / math.ceil(side_m / _OUTLINE_STEP_M)
+        ],
+        axis=1,
+    )
+    points = outline.reshape(-1, 2)
+    outside = ~shapely.contains_xy(drivable, points[:, 0], points[:, 1])
     if outside.any():
-        points = shapely.points(corners[outside])
-        outside[outside] = shapely.distance(drivable, points) > tolerance_m
-    return np.asarray(outside.reshape(-1, 4).any(axis=1))
+        outside[outside] = shapely.distance(drivable, shapely.points(points[outside])) > tolerance_m
+    return np.asarray(outside.reshape(outline.shape[:2]).any(axis=1))
 
 
 def first_overlap(

@@ -448,7 +448,7 @@ def test_interrupted_batch_is_resumed_to_the_same_bytes(
     run_batch(plan(folders, Config()), whole, Options(function=COPIES))
     script = tmp_path / "run.py"
     script.write_text(RUN)
-    environment = os.environ | {"FAULTS_SLEEP_S": "0.4", "PYTHONPATH": str(Path(__file__).parent)}
+    environment = os.environ | {"FAULTS_SLEEP_S": "0.8", "PYTHONPATH": str(Path(__file__).parent)}
     command = [sys.executable, str(script), str(folders[0].parent), str(out), str(jobs)]
     process = subprocess.Popen(command, env=environment, start_new_session=True, stderr=subprocess.PIPE, text=True)
     manifest = out / "manifest.csv"
