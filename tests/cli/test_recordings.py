@@ -31,6 +31,7 @@ def rows(out: Path) -> dict[str, dict[str, str]]:
         return {row["scenario"]: row for row in csv.DictReader(file)}
 
 
+@pytest.mark.slow
 def test_a_folder_that_mixes_three_formats_is_done_whole(hid2: Run, mixed: Path, tmp_path: Path) -> None:
     out, sumo = tmp_path / "out", tmp_path / "sumo"
     arguments = ["generate", mixed, "-o", out, "--agents", 2, "--sumo", sumo]

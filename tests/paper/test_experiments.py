@@ -58,6 +58,7 @@ def test_ablation_switches_one_component_off_at_a_time(data_scenes, tmp_path):
     assert found["ours: without smoothing, generated alone"]["je"]["value"] > smooth
 
 
+@pytest.mark.slow
 def test_density_begins_with_nothing_added(data_scenes, tmp_path):
     run_experiment("density", scenes=data_scenes["curve"], out_dir=tmp_path, seeds=1)
     found = lines(tmp_path / "density.json")

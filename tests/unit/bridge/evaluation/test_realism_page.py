@@ -64,6 +64,7 @@ def test_one_scene_says_that_it_is_too_few():
     assert "too few scenes" in plain_words(critics(0.6, verdicts=[]), [])[0]
 
 
+@pytest.mark.slow
 def test_verdicts_are_given_by_kind_of_recording():
     """Six scenes, three of them of each kind; accelerations and places alike for both kinds of vehicles."""
     rng = np.random.default_rng(0)

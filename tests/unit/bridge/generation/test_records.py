@@ -81,6 +81,7 @@ def test_manoeuvre_that_found_no_place_is_noted_on_a_vehicle_that_goes_straight_
             assert record.reason
 
 
+@pytest.mark.slow
 def test_failed_manoeuvres_are_given_to_other_vehicles(arterial):
     """Without rounds for that the vehicles stay as they drove, with the reason; with them fewer fail."""
 
