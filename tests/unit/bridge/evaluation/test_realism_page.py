@@ -1,6 +1,7 @@
 """What the report says of realism in words, for figures that are known."""
 
 import numpy as np
+import pytest
 
 from bridge.evaluation.critique import critique
 from bridge.evaluation.report import plain_words
