@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple, get_args
 
 from bridge.batch.engine import Settings, Task, execute_here
-from bridge.batch.isolation import Failure, describe_error
+from bridge.batch.isolation import Failure, attempt_each
 from bridge.files import explained, table_file
 from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
@@ -122,11 +122,7 @@ def facts_of(
 
 def scan_folders(config: Config, folders: Sequence[Address]) -> Iterator[SceneFacts | Failure]:
     """The work of a process: read and describe each scene."""
-    for folder in folders:
-        try:
-            yield describe_scene(folder, config)
-        except Exception as error:  # noqa: BLE001  # listed with its reason
-            yield describe_error(error)
+    return attempt_each(lambda folder: describe_scene(folder, config), folders)
 
 
 def describe_scene(folder: Address, config: Config) -> SceneFacts:

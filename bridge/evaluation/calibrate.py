@@ -1,7 +1,6 @@
 """`hid2 calibrate`: recorded scenes to drivers.toml, with a table and a figure for each quantity, and manoeuvres."""
 
 import json
-import pickle
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bridge.batch.engine import Settings, Task, execute_here
-from bridge.batch.isolation import Failure, describe_error
+from bridge.batch.isolation import Failure, attempt_each
 from bridge.evaluation.evaluate import write_table
 from bridge.evaluation.report import Section, number, page, picture, table
 from bridge.files import write_text
@@ -105,16 +104,12 @@ def _observed(folders: Sequence[Path], *, jobs: int) -> Iterator[tuple[Path, Sce
     tasks = (Task(f"calibrate-{k}", work, None, chunk) for k, chunk in enumerate(chunks))
     for result in execute_here(tasks, jobs=min(jobs, len(chunks)), settings=Settings(timeout_s=120)):
         for outcome in result.outcomes:
-            yield outcome.item, outcome.failure or pickle.loads(outcome.value)  # noqa: S301  # our own child
+            yield outcome.item, outcome.failure or outcome.value
 
 
-def observe(_shared: None, folders: Sequence[Path]) -> Iterator[bytes | Failure]:
+def observe(_shared: None, folders: Sequence[Path]) -> Iterator[SceneDriving | Failure]:
     """The work of a process: what each folder shows of driving."""
-    for folder in folders:
-        try:
-            yield pickle.dumps(observe_scene(folder))
-        except Exception as error:  # noqa: BLE001  # listed with its reason
-            yield describe_error(error)
+    return attempt_each(observe_scene, folders)
 
 
 def observe_scene(folder: Path) -> SceneDriving:

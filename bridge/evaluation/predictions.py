@@ -22,7 +22,7 @@ from av2.datasets.motion_forecasting.eval.metrics import (
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
 from bridge.batch.engine import Settings, Task, execute_here
-from bridge.batch.isolation import Failure, describe_error
+from bridge.batch.isolation import Failure, attempt_each
 from bridge.evaluation import report
 from bridge.files import beside, make_folder, table_file, write_text
 from bridge.recordings.scenario import (
@@ -164,13 +164,13 @@ def score_folders(
     forecasts: Forecasts | Baseline, folders: Sequence[Path]
 ) -> Iterator[tuple[list[Score], list[str]] | Failure]:
     """The work of a process: scores of each scene, and what of it cannot be scored."""
-    for folder in folders:
-        try:
-            rows = read_rows(folder)
-            own = baseline(rows, forecasts) if isinstance(forecasts, str) else forecasts.get(rows.scenario_id)
-            yield ([], [f"{rows.scenario_id}: no forecast"]) if own is None else _score_scene(rows, own)
-        except Exception as error:  # noqa: BLE001  # listed with its reason
-            yield describe_error(error)
+
+    def score(folder: Path) -> tuple[list[Score], list[str]]:
+        rows = read_rows(folder)
+        own = baseline(rows, forecasts) if isinstance(forecasts, str) else forecasts.get(rows.scenario_id)
+        return ([], [f"{rows.scenario_id}: no forecast"]) if own is None else _score_scene(rows, own)
+
+    return attempt_each(score, folders)
 
 
 def read_forecasts(path: Path) -> Forecasts:

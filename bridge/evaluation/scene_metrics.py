@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bridge.batch.isolation import Failure, describe_error
+from bridge.batch.isolation import Failure, attempt_each
 from bridge.files import read_regular
 from bridge.recordings.export import recording_record_of
 from bridge.recordings.folders import Address, Source
@@ -82,11 +82,7 @@ def measure_folders(
 ) -> Iterator[SceneMeasures | Failure]:
     """The work of a process: measure each folder; a folder that cannot be read gives its failure."""
     maps = Maps()
-    for folder in folders:
-        try:
-            yield measure_folder(folder, limits, maps, labelled)
-        except Exception as error:  # noqa: BLE001  # listed with its reason
-            yield describe_error(error)
+    return attempt_each(lambda folder: measure_folder(folder, limits, maps, labelled), folders)
 
 
 class Maps:

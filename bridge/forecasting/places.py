@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from pydantic_core import from_json
 
 from bridge.batch.engine import Settings, Task, execute_here
-from bridge.batch.isolation import Failure, describe_error
+from bridge.batch.isolation import Failure, attempt_each
 from bridge.files import read_regular
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIDECAR_PATTERN
 from bridge.recordings.limits import MAX_FILE_MB
@@ -109,11 +109,7 @@ def facts_of_scenes(
 def describe_folders(params: Forecasting, folders: Sequence[Path]) -> Iterator[SceneFacts | Failure]:
     """The work of a process: facts of each scene."""
     maps: dict[tuple[int, int], tuple[bytes, tuple[int, int]]] = {}
-    for folder in folders:
-        try:
-            yield describe(folder, params, maps)
-        except Exception as error:  # noqa: BLE001  # listed with its reason
-            yield describe_error(error)
+    return attempt_each(lambda folder: describe(folder, params, maps), folders)
 
 
 def describe(

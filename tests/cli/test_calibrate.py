@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -65,3 +66,17 @@ def test_mistakes_are_said_in_a_line(hid2: Run, data_root: Path, tmp_path: Path,
     assert result.returncode in {1, 2}
     assert said in result.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_a_scene_that_cannot_be_read_is_listed_and_the_rest_measured(
+    hid2: Run, data_root: Path, tmp_path: Path
+) -> None:
+    root = tmp_path / "av2"
+    shutil.copytree(data_root, root)
+    broken = next(root.rglob("scenario_*.parquet"))
+    broken.write_bytes(b"no parquet")
+    result = hid2("calibrate", root, "-o", tmp_path / "mine.toml")
+    assert result.returncode in (0, 1)
+    assert "Traceback" not in result.stderr
+    assert broken.name in result.stderr
+    assert (tmp_path / "mine.toml").exists()
