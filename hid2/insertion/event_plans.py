@@ -187,18 +187,7 @@ class Planner:
                 ahead = self._on_path(path, target, at)
                 if ahead is None:
                     continue
-                for gap, difference, more in self._relations(event):
-                    yield from self._keeping(
-                        event,
-                        target,
-                        route,
-                        ahead=ahead,
-                        at=at,
-                        order=order,
-                        gap=gap,
-                        difference=difference,
-                        score=off + more,
-                    )
+                yield from self._at_any_relation(event, target, route, ahead=ahead, at=at, order=order, score=off)
 
     def _cut_ins(self, event: Event, target: Target) -> Iterator[Plan]:
         """From the lane beside to before the target."""
@@ -223,21 +212,10 @@ class Planner:
                     ahead = self._on_path(path, target, at)
                     if ahead is None:
                         continue
-                    for gap, difference, more in self._relations(event):
-                        for plan in self._keeping(
-                            event,
-                            target,
-                            route,
-                            ahead=ahead,
-                            at=at,
-                            order=1,
-                            gap=gap,
-                            difference=difference,
-                            score=off + more,
-                        ):
-                            trigger = at * DT_S - 0.5 * CHANGE_S
-                            if trigger >= 0.0:
-                                yield replace(plan, trigger_s=trigger, side=side)
+                    for plan in self._at_any_relation(event, target, route, ahead=ahead, at=at, order=1, score=off):
+                        trigger = at * DT_S - 0.5 * CHANGE_S
+                        if trigger >= 0.0:
+                            yield replace(plan, trigger_s=trigger, side=side)
 
     def _merges(self, event: Event, target: Target) -> Iterator[Plan]:
         """Onto a lane that the target comes onto from another one, before or behind it."""
@@ -260,18 +238,9 @@ class Planner:
                         order = 1 if begin > ahead[at] else -1
                         if not event.gap_band_m[0] <= gap <= event.gap_band_m[1]:
                             continue
-                        for _, difference, more in self._relations(event):
-                            yield from self._keeping(
-                                event,
-                                target,
-                                route,
-                                ahead=ahead,
-                                at=at,
-                                order=order,
-                                gap=gap,
-                                difference=difference,
-                                score=off + more,
-                            )
+                        yield from self._at_any_relation(
+                            event, target, route, ahead=ahead, at=at, order=order, score=off, gap=gap
+                        )
 
     def _crossings(self, event: Event, target: Target) -> Iterator[Plan]:
         """Across the target's path, before or behind it."""
@@ -322,6 +291,17 @@ class Planner:
                 yield plan
 
     # how a plan is driven
+
+    def _at_any_relation(
+        self, event: Event, target: Target, route: Route, *, ahead: FloatArray, at: int, order: int, score: float,
+        gap: float | None = None,
+    ) -> Iterator[Plan]:  # fmt: skip
+        """Plans that keep to the target at each gap and speed difference asked for. gap: that of the place."""
+        for asked, difference, more in self._relations(event):
+            yield from self._keeping(
+                event, target, route, ahead=ahead, at=at, order=order, gap=asked if gap is None else gap,
+                difference=difference, score=score + more,
+            )  # fmt: skip
 
     def _keeping(
         self, event: Event, target: Target, route: Route, *, ahead: FloatArray, at: int, order: int, gap: float,

@@ -28,6 +28,8 @@ from netconvert.cells import Cell
 
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
+#: Vehicles of a round that are not exported, by id: reason and detail.
+_Gone = dict[str, tuple[DrivenVehicle, Reason, str | None]]
 _NO_MAP: dict[Policy, Reason] = {
     Policy.STRAIGHT: Reason.MAP_OFFERS_NO_LANE,
     Policy.LEFT_TURN: Reason.MAP_OFFERS_NO_LEFT_TURN,
@@ -106,7 +108,7 @@ class Filling:
         asked = config.request.agents
         target = self._most() if asked == "max" else asked
         count = max(0, target - len(self.kept))
-        self._open = self._possible(draw_requests(config, np.random.default_rng([*self.seed, 0]), count=count))
+        self._open = self._requests(count)
         self._next_spare = target
         for number in range(config.spawn.rounds):
             missing = target - len(self.kept)
@@ -122,15 +124,11 @@ class Filling:
             self._keep(drive(starts, self._fixed(), number), number)
             if asked == "max" and number > 0 and len(self.kept) - before <= config.spawn.full_share * len(self.kept):
                 break
-        for request in self._open:
-            if request.policy is not Policy.STRAIGHT:
-                self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
+        self._give_up_manoeuvres()
 
     def first_starts(self, count: int) -> list[Start]:
         """Starts of one round for `count` requests, spare ones left out; who finds none is in `unmet`."""
-        self._open = self._possible(
-            draw_requests(self.scene.config, np.random.default_rng([*self.seed, 0]), count=count)
-        )
+        self._open = self._requests(count)
         starts = self._starts(0, count, spare=False)
         met = {start.request.number for start in starts}
         self.unmet += [Unmet(request, Reason.NO_SITE) for request in self._open if request.number not in met]
@@ -145,11 +143,11 @@ class Filling:
     def _fixed(self) -> Traffic:
         return traffic_of_exported(self.kept, self.scene)
 
-    def _possible(self, requests: list[VehicleRequest]) -> list[VehicleRequest]:
-        """Requests that the map and the scene's length allow; the others are noted, and a vehicle goes straight."""
+    def _requests(self, count: int) -> list[VehicleRequest]:
+        """What is asked for; what map or scene's length do not allow is noted, and a vehicle goes straight."""
         last_s = (self.scene.num_steps - 1) * DT_S
         found = []
-        for request in requests:
+        for request in draw_requests(self.scene.config, np.random.default_rng([*self.seed, 0]), count=count):
             reason: Reason | None = None
             if not self.routes.map_offers(request.policy):
                 reason = _NO_MAP[request.policy]
@@ -205,9 +203,7 @@ class Filling:
                 manoeuvres = sum(request.policy is not Policy.STRAIGHT for request in waiting)
                 extra = max(extra, math.ceil(config.spawn.stand_by_share * manoeuvres))
             for _ in range(min(extra, max(0, missing))):
-                request = VehicleRequest(self._next_spare, Policy.STRAIGHT, 0.0)
-                self._next_spare += 1
-                starts += sites.propose(request)
+                starts += sites.propose(self._spare_request())
         self.no_site.update(sites.rejected)
         refused = ", ".join(f"{reason} {count}" for reason, count in sites.rejected.most_common())
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
@@ -223,15 +219,16 @@ class Filling:
             for request in list(requests):
                 if len(starts) >= most:
                     return starts
-                slow: VehicleRequest | None = None
-                if request.policy is Policy.OVERTAKE:
-                    slow = VehicleRequest(self._next_spare, Policy.STRAIGHT, 0.0)
-                    self._next_spare += 1
+                slow = self._spare_request() if request.policy is Policy.OVERTAKE else None
                 found = sites.propose(request, slow)
                 starts += found
                 if not found:
                     requests.remove(request)
         return starts
+
+    def _spare_request(self) -> VehicleRequest:
+        self._next_spare += 1
+        return VehicleRequest(self._next_spare - 1, Policy.STRAIGHT, 0.0)
 
     def _give_up_manoeuvres(self, met: Set[int] = frozenset()) -> bool:
         """Requests that no round met become vehicles that go straight; whether there was any. met: numbers."""
@@ -249,7 +246,7 @@ class Filling:
         """Keep what holds; what does not goes with its reason, and its request stays open."""
         reseeds = number < self.scene.config.spawn.reseed_rounds
         new: list[ExportedVehicle] = []
-        gone: dict[str, tuple[DrivenVehicle, Reason, str | None]] = {}
+        gone: _Gone = {}
         others = self._fixed()
         for vehicle in vehicles:
             found = finalise(self.scene, vehicle, others)
@@ -277,12 +274,13 @@ class Filling:
         for vehicle, reason, _ in gone.values():
             if reason is not Reason.DID_NOT_DO_IT:
                 self._last_reason[vehicle.start.request.number] = reason
-        self._drop_rivals(new, gone)
+        needed = set().union(*(_needs(one.driven) for one in new))
+        self._drop_rivals(new, gone, needed)
         if number + 1 >= self.scene.config.spawn.reseed_rounds:
             self._give_up_manoeuvres(
                 {one.driven.start.request.number for one in new if one.driven.vehicle_id not in gone}
             )
-        self._drop_surplus(new, gone)
+        self._drop_surplus(new, gone, needed)
         self._drive_again(new, gone)
         for vehicle, reason, detail in gone.values():
             self._note(vehicle, reason, detail, number)
@@ -294,35 +292,27 @@ class Filling:
         self.kept += kept_now
         self._close(kept_now)
 
-    def _drop_rivals(
-        self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]
-    ) -> None:
-        """Of several vehicles for one request one is kept: one that somebody waited for before others."""
-        waited_for = set().union(*(_needs(one.driven) for one in new)) if new else set()
+    def _drop_rivals(self, new: list[ExportedVehicle], gone: _Gone, needed: Set[str]) -> None:
+        """Of several vehicles for one request one is kept: one that others need before one that nobody does."""
         left = [one.driven for one in new if one.driven.vehicle_id not in gone]
         met: set[int] = set()
-        for driven in sorted(left, key=lambda driven: driven.vehicle_id not in waited_for):
+        for driven in sorted(left, key=lambda driven: driven.vehicle_id not in needed):
             if driven.start.request.number in met:
                 gone[driven.vehicle_id] = driven, Reason.SPARE, None
             met.add(driven.start.request.number)
 
-    def _drop_surplus(
-        self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]
-    ) -> None:
-        """Spare vehicles beyond the open requests to go straight go, those that nobody waited for first."""
-        waited_for = set().union(*(_needs(one.driven) for one in new)) if new else set()
+    def _drop_surplus(self, new: list[ExportedVehicle], gone: _Gone, needed: Set[str]) -> None:
+        """Spare vehicles beyond the open requests to go straight go, those that nobody needs first."""
         holding = {one.driven.start.request.number: one.driven for one in new if one.driven.vehicle_id not in gone}
         open_numbers = {request.number for request in self._open}
         places = sum(request.policy is Policy.STRAIGHT and request.number not in holding for request in self._open)
         spare = [holding[number] for number in sorted(holding.keys() - open_numbers)]
-        spare.sort(key=lambda driven: driven.vehicle_id not in waited_for)
+        spare.sort(key=lambda driven: driven.vehicle_id not in needed)
         for driven in spare[places:]:
             gone[driven.vehicle_id] = driven, Reason.SPARE, None
 
-    def _drive_again(
-        self, new: list[ExportedVehicle], gone: dict[str, tuple[DrivenVehicle, Reason, str | None]]
-    ) -> None:
-        """Who had braked for a vehicle that is gone is driven again without it, or goes too."""
+    def _drive_again(self, new: list[ExportedVehicle], gone: _Gone) -> None:
+        """Who had braked for a vehicle that is gone, or overtook it, is driven again without it, or goes too."""
         changed = True
         while changed:
             changed = False
