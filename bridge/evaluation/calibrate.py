@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure, attempt_each
 from bridge.evaluation.evaluate import write_table
-from bridge.evaluation.report import Section, number, page, picture, table
+from bridge.evaluation.pages import Section, number, page, picture, table
 from bridge.files import write_text
 from bridge.pictures import figures
 from bridge.recordings.scenario import STEP_S, find_scenarios, read_scenario, source_id

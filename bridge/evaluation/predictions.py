@@ -23,7 +23,7 @@ from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure, attempt_each
-from bridge.evaluation import report
+from bridge.evaluation import pages
 from bridge.files import beside, make_folder, table_file, write_text
 from bridge.recordings.scenario import (
     MAX_STEPS,
@@ -51,7 +51,7 @@ _MODES = ((1.0, 0.4), (0.75, 0.15), (1.25, 0.15), (0.5, 0.1), (1.5, 0.1), (0.0, 
 #: A baseline's speed and turn rate are means over this many steps before the last observed one.
 _HISTORY = 5
 
-#: Scenes per task.
+#: Scenes per task: about as many as take the time that a process needs to begin.
 _CHUNK = 128
 
 #: Probabilities (K,) of a scene's modes, and the modes (K, 60, 2) m by track.
@@ -90,9 +90,9 @@ class PredictionScores:
         """A table of the bands."""
         return [
             (
-                band["band"], str(band["k"]), str(band["tracks"]), report.number(band["min_ade_m"]),
-                report.number(band["min_fde_m"]), report.number(band["miss_rate"]),
-                report.number(band["brier_min_fde"]),
+                band["band"], str(band["k"]), str(band["tracks"]), pages.number(band["min_ade_m"]),
+                pages.number(band["min_fde_m"]), pages.number(band["miss_rate"]),
+                pages.number(band["brier_min_fde"]),
             )
             for band in self.bands
         ]  # fmt: skip
@@ -124,9 +124,7 @@ def score_predictions(
     named = next((kind for kind in BASELINES if kind == predictions), None)
     forecasts = read_forecasts(Path(predictions)) if named is None else {}
     items = [(folder, named or forecasts.get(source_id(folder))) for folder in folders]
-    each = work_on_each(
-        score_folders, items, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False
-    )  # what a process needs to begin is what some hundred scenes take
+    each = work_on_each(score_folders, items, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False)
     scores: list[Score] = []
     left_out: list[str] = []
     for done, (_, found) in enumerate(each, 1):
@@ -307,7 +305,7 @@ def _write(result: PredictionScores, report_dir: Path) -> None:
     )
     parts = [
         about,
-        report.table(TABLE_HEAD, result.rows()),
+        pages.table(TABLE_HEAD, result.rows()),
         f"<p>Not scored ({len(result.left_out)}):</p><ul>{left_out}</ul>" if result.left_out else "",
     ]
     try:
@@ -317,6 +315,6 @@ def _write(result: PredictionScores, report_dir: Path) -> None:
             writer.writerows(result.scores)
         text = json.dumps(content, indent=1, allow_nan=False)
         write_text(report_dir / "predictions.json", text + "\n")
-        write_text(report_dir / "predictions.html", report.page("Forecasts, scored", parts))
+        write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))
     except OSError as error:
         raise ExportError(f"{report_dir}: cannot write the scores ({error})") from error
