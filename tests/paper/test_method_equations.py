@@ -10,9 +10,11 @@ from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.guard import Braking, Guard, transition_rejected
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver, LaneOffset
+from hid2.insertion.meetings import Meetings
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.routes import Routes
 from hid2.insertion.sites import InsertionSites
+from hid2.insertion.spread import Spread
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M, build_reference_line
 from hid2.motion.route import DrivenPath
@@ -135,6 +137,8 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
         Guard(scene, NOBODY, StopLines(scene)),
         np.random.default_rng(0),
         0,
+        Meetings(scene, Routes(scene)),
+        Spread.of((0, 0)),
     )
     config = Config(request=Request(left_turn=0, right_turn=0, lane_change=0, overtake=0))
     placed = [start for one in draw_requests(config, np.random.default_rng(0), count=6) for start in sites.propose(one)]
