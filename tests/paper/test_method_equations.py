@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 
 from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.guard import Braking, Guard, transition_rejected
@@ -20,7 +21,7 @@ from hid2.motion.reference_line import TABLE_STEP_M, build_reference_line
 from hid2.motion.route import DrivenPath
 from hid2.motion.smoothing import Motion, smooth_motion, trajectory
 from hid2.motion.verify import motion_profile
-from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL, cell_boxes, cells_under, dwell_steps, original_occupancy
+from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL, cell_boxes, dwell_steps, original_occupancy
 from hid2.occupancy.traffic import Traffic, traffic_of
 from hid2.params import Config, LaneChange, Limits, Overtake, Request, Turn
 from hid2.policy.decision import LaneOption, Observation, decide
@@ -146,7 +147,9 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
     taken: set[int] = set()
     for start in placed:
         x, y = start.path.line.position(np.array([start.start_s]))[0].tolist()
-        under = cells_under(scene.boxes, x, y, 0.0, length_m=start.size.length_m, width_m=0.8 * start.size.width_m)
+        half_l, half_w = start.size.length_m / 2, 0.4 * start.size.width_m
+        box = shapely.box(x - half_l, y - half_w, x + half_l, y + half_w)
+        under = np.flatnonzero(shapely.intersects(scene.grid.polygons, box))
         assert np.all(sigma[under] == FREE)
         assert not taken & set(under.tolist())
         taken |= set(under.tolist())
