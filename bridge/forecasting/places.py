@@ -79,20 +79,20 @@ def facts_of_scenes(
     folders: Sequence[Path], *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
 ) -> tuple[list[SceneFacts], list[str]]:
     """Facts in the order of folders, and a line for each scene that cannot be read."""
-    facts: list[SceneFacts] = []
+    facts: dict[Path, SceneFacts] = {}
     unread: list[str] = []
     shared: dict[bytes, bytes] = {}  # variants of a scene lie where it lies
     each = work_on_each(
         describe_folders, folders, shared=Forecasting(), jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False
     )
-    for done, (_, value) in enumerate(each, 1):
+    for done, (folder, value) in enumerate(each, 1):
         if isinstance(value, Failure):
             unread.append(value.message)
         else:
-            facts.append(value._replace(cells=shared.setdefault(value.cells, value.cells)))
+            facts[folder] = value._replace(cells=shared.setdefault(value.cells, value.cells))
         if on_scene is not None:
             on_scene(done, len(folders))
-    return facts, unread
+    return [facts[folder] for folder in folders if folder in facts], unread
 
 
 def describe_folders(params: Forecasting, folders: Sequence[Path]) -> Iterator[SceneFacts | Failure]:

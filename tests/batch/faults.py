@@ -1,7 +1,7 @@
 """Work for scene processes in tests; imported there by name, see the fixture `faults`.
 
-A file FAULT in a source folder says what its scene does: segfault, hang, wait, killed, exit, raise. "... once" does it
-at the first attempt only (a file beside the output remembers it).
+A file FAULT in a source folder says what its scene does: segfault, hang, wait, slow, killed, exit, raise. "... once"
+does it at the first attempt only (a file beside the output remembers it).
 """
 
 import errno
@@ -160,6 +160,8 @@ def fail(fault: str, scratch: Path) -> None:
             pass
     elif fault == "wait":  # a hang that takes no processor from the other tests
         time.sleep(600)
+    elif fault == "slow":
+        time.sleep(1)
     raise RuntimeError(f"fault {fault}")
 
 

@@ -1,6 +1,7 @@
 """Work on this machine: every task once, faults cost their item, and no process is left behind."""
 
 import contextlib
+import os
 import sys
 import time
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ import pytest
 from processes import still_running
 
 from bridge.batch.batch import GENERATE
-from bridge.batch.engine import Settings, Task, execute_here, run_task
+from bridge.batch.engine import Settings, Task, execute_here, run_task, work_on_each
 from bridge.batch.execution import execute
 from bridge.batch.isolation import Failure, FailureKind, WorkFailedError
 from netconvert.errors import BatchError
@@ -35,6 +36,27 @@ def test_two_processes_do_every_task_once_as_one_does() -> None:
 def test_a_crash_costs_its_item_only() -> None:
     tasks = [*TASKS, Task("bad", "faults:numbers", "", (1, "segfault", 2))]
     assert values(execute_here(tasks, jobs=2))["bad"] == [1, "crashed", 2]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_each_item_comes_with_its_value_or_failure_in_its_place_whatever_is_done_first(jobs: int) -> None:
+    """Fourteen items, chunks of three for one worker and of one for two: the slow one is done after those behind it."""
+    from faults import numbers
+
+    items = [0, "slow", *range(2, 9), "segfault", *range(10, 14)]
+    each = list(work_on_each(numbers, items, shared="s", jobs=jobs, chunk=3, timeout_s=30))
+    assert [item for item, _ in each] == items
+    kinds = [found.kind if isinstance(found, Failure) else found[:2] for _, found in each]
+    assert kinds == [{"slow": "exception", "segfault": "crashed"}.get(item, ("s", item)) for item in items]  # type: ignore[call-overload]
+
+
+@pytest.mark.parametrize(("jobs", "count", "is_here"), [(1, 9, True), (2, 4, True), (2, 9, False)])
+def test_work_that_needs_no_process_is_done_here_unless_several_share_it(jobs: int, count: int, is_here: bool) -> None:
+    from faults import numbers
+
+    each = work_on_each(numbers, range(count), shared="s", jobs=jobs, chunk=4, timeout_s=30, isolated=False)
+    assert {found[2] == os.getpid() for _, found in each if not isinstance(found, Failure)} == {is_here}
+    assert list(work_on_each(numbers, [], shared="s", jobs=jobs, chunk=4, timeout_s=30)) == []
 
 
 def test_processes_end_when_the_results_are_not_wanted_any_more() -> None:
