@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from bridge.files import one_line
 from bridge.tables import table_lines
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 #: Seconds between two plain progress lines: in the first minutes, and later.
 _PLAIN_EVERY_S, _LATER_EVERY_S = 5.0, 30.0
 _LATER_S = 180.0
+#: Of a message.
+_MOST_CHARACTERS = 2000
 
 
 def say(message: str) -> None:
@@ -30,8 +33,13 @@ def say(message: str) -> None:
 
 
 def warn(message: str) -> None:
-    """What went wrong, or may have, while the command goes on."""
-    say(f"hid2: warning: {message}")
+    """What went wrong, or may have, while the command goes on: a line."""
+    say(one_line(f"hid2: warning: {message}", most=_MOST_CHARACTERS))
+
+
+def fail(message: str) -> None:
+    """What ended the command: a line, whatever came with it from a file or the command line."""
+    say(one_line(f"hid2: error: {message}", most=_MOST_CHARACTERS))
 
 
 def counted(number: int, noun: str) -> str:

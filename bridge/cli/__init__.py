@@ -10,7 +10,7 @@ import sys
 from bridge.cli import configuration, forecasting, generation, measuring, pictures, scenes
 from bridge.cli.app import app
 from bridge.cli.options import INTERRUPTED, SOME_FAILED, USAGE
-from bridge.console import say
+from bridge.console import fail, say
 from netconvert.errors import ConfigError, Hid2Error
 
 __all__ = ["app", "main"]
@@ -34,6 +34,8 @@ def main() -> None:
     except BrokenPipeError:  # the reader of stdout, as `head`, has had enough
         sys.stderr.close()
         code = SOME_FAILED
+    except OSError as error:  # a name that the system refuses, or a folder that may not be read
+        code = _failed(f"{error.strerror}: {error.filename or 'the system'}", SOME_FAILED)
     sys.exit(code or 0)
 
 
@@ -47,7 +49,7 @@ _PHRASES = {
 
 
 def _failed(message: str, code: int) -> int:
-    say(f"hid2: error: {message}")
+    fail(message)
     return code
 
 

@@ -41,7 +41,7 @@ from bridge.cli.options import (
 )
 from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import select_scenes, set_up, tell_formats
-from bridge.console import Activity, print_json, say
+from bridge.console import Activity, print_json, say, warn
 from netconvert.errors import ConfigError
 
 #: Batches up to this size list every folder that was written.
@@ -367,7 +367,7 @@ def _make_again(
 
         made = make_again(sidecar, source, out, map_path=map_path)
     for line in made.differences:
-        say(f"hid2: warning: {line}")
+        warn(line)
     if not quiet:
         print(made.folder)
         if made.compared and not made.differences:

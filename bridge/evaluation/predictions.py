@@ -161,12 +161,13 @@ def score_folders(
 def read_forecasts(path: Path) -> Forecasts:
     """Read a submission file. Errors: ScenarioError with what av2 says of it, or with a value that is not finite."""
     try:
-        forecasts: Forecasts = ChallengeSubmission.from_parquet(path).predictions
+        with np.errstate(over="ignore", invalid="ignore"):  # values may be anything until they have been looked at
+            forecasts: Forecasts = ChallengeSubmission.from_parquet(path).predictions
     except FileNotFoundError:
         raise ScenarioError(
             f"{path}: no such file, expected a forecast file or one of {', '.join(BASELINES)}"
         ) from None
-    except (ValueError, KeyError, OSError, IndexError) as error:
+    except (ValueError, KeyError, OSError, IndexError, TypeError, AttributeError) as error:  # as av2 comes to them
         said = str(error).split("\n")[0].split(". ")[0]  # pyarrow goes on for lines
         raise ScenarioError(f"{path}: not a forecast file of av2's submission format ({said})") from error
     for scenario_id, (probabilities, by_track) in forecasts.items():

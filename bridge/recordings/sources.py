@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bridge.files import one_line
 from bridge.recordings.folders import (
     MAP_PATTERN,
     PARQUET_PATTERN,
@@ -95,7 +96,10 @@ def described(found: Sequence[Address]) -> list[str]:
 def _find(paths: Sequence[Path], choices: Choices, is_wanted: Callable[[Address], bool]) -> list[Address]:
     found: dict[tuple[Path, str, int], Address] = {}  # by where it really is
     for path in paths:
-        there = list(_walk(path, choices, _DEPTH))
+        try:
+            there = list(_walk(path, choices, _DEPTH))
+        except OSError as error:  # a name that the system refuses, or a folder that may not be read
+            raise NoSceneError(f"{one_line(str(path), most=200)}: cannot be looked into ({error.strerror})") from error
         if not there:
             if not path.exists():
                 raise NoSceneError(

@@ -47,12 +47,12 @@ class _File(BaseModel):
 
     scenes: list[str] = Field(min_length=1)
     can: list[str] = []
-    seeds: Annotated[int, Field(ge=1, le=100_000)] | list[int] = 1
+    seeds: Annotated[int, Field(ge=1, le=100_000)] | Annotated[list[int], Field(min_length=1)] = 1
     design: Literal["grid", "latin_hypercube"] = "grid"
     samples: int = Field(default=0, ge=0, le=1_000_000)
     sample_seed: int = Field(default=0, ge=0)
     kind: Literal["lane_change", "overtake", "left_turn", "right_turn"] = "lane_change"
-    vary: dict[str, list[Value]] = Field(min_length=1)
+    vary: dict[str, Annotated[list[Value], Field(min_length=1)]] = Field(min_length=1)
     config: dict[str, Any] = {}
 
 

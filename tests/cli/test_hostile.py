@@ -160,6 +160,14 @@ def test_sigterm_leaves_no_process_and_no_temporary_file(data_root: Path, tmp_pa
     assert list(scratch.iterdir()) == []
 
 
+def test_name_that_the_system_refuses_is_one_line(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    """Longer than a file name may be, as the only scene, below one, and as the folder to write to."""
+    long, scene = "9" * 5000, data_scenes["curve"]
+    for command in (["scan", long], ["generate", scene / long, "-o", "out"], ["generate", scene, "-o", long]):
+        assert "File name too long" in one_line(hid2(*command, cwd=tmp_path), code=1)
+    assert tree(tmp_path) == []
+
+
 def test_time_that_never_comes_is_a_mistake_of_usage(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
     result = hid2("generate", data_scenes["curve"], "-o", tmp_path / "out", "--scene-timeout", "inf")
     assert "scene-timeout inf: expected 1 to 86400 s" in one_line(result, code=2)

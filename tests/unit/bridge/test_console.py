@@ -5,7 +5,7 @@ import time
 import pytest
 
 from bridge import console
-from bridge.console import Activity, duration, print_json
+from bridge.console import Activity, duration, fail, print_json, warn
 
 
 @pytest.fixture
@@ -40,6 +40,16 @@ def test_quiet_says_messages_only(impatient: None, capsys: pytest.CaptureFixture
         activity.message("needed")
         time.sleep(0.7)
     assert capsys.readouterr().err == "needed\n"
+
+
+@pytest.mark.parametrize("tell", [fail, warn])
+def test_message_is_one_bounded_line_whatever_a_file_says(tell, capsys: pytest.CaptureFixture[str]) -> None:
+    """No terminal obeys it, and no log is filled by it."""
+    tell("x.toml: unknown key 'a\nb\x1b[2J\u202e" + "9" * 5000)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.isprintable()
+    assert "x.toml: unknown key 'a b\\x1b[2J\\u202e999" in line
+    assert len(line) <= 2000
 
 
 def test_short_work_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
