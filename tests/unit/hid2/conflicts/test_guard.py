@@ -55,6 +55,16 @@ def test_case_1_cell_held_by_an_original_agent_rejects_the_transition() -> None:
     assert not transition_rejected(GENERATED)
 
 
+@pytest.mark.parametrize(("margin_m", "is_met"), [(1.5, False), (1.7, True)])
+def test_margin_widens_a_box_on_each_side_against_those_driven_with_it(
+    road: Callable[..., LaneGraph], margin_m: float, is_met: bool
+) -> None:
+    """Lanes 3.5 m apart, boxes of 1.9 m: 1.6 m between them."""
+    scene = scene_on(road(), config=Config(conflict=Conflict(margin_lateral_m=margin_m)))
+    guard = Guard(scene, nobody(), StopLines(scene))
+    assert (guard.obstacles(scene.path((1,)), CAR, [(1, scene.path((2,)), CAR)]).rows.size > 0) is is_met
+
+
 def test_nobody_brakes_on_a_free_road(look: Callable[..., Braking]) -> None:
     for v in (0.0, 5.0, 12.0):
         found = look(v=v)

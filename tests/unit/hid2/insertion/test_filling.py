@@ -46,11 +46,13 @@ def _as_driven(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
 def scene_for(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
     """scene_for(agents=4, **request) -> two empty lanes of 500 m; everybody goes straight unless told."""
 
-    def make(*, agents: int = 4, rounds: int = 6, spare: float = 0.5, rivals: int = 0, **request: object) -> Scene:
+    def make(
+        *, agents: int = 4, rounds: int = 6, spare: float = 0.5, rivals: int = 0, reseeds: int = 3, **request: object
+    ) -> Scene:
         mix = {**NOTHING, "straight": 1.0, **request}
         config = Config(
             request=Request(agents=agents, **mix),
-            spawn=Spawn(rounds=rounds, reseed_rounds=3, spare_share=spare, rivals=rivals),
+            spawn=Spawn(rounds=rounds, reseed_rounds=reseeds, spare_share=spare, rivals=rivals),
         )
         return scene_on(road(length_m=500.0), config=config)
 
@@ -118,6 +120,16 @@ def test_of_rivals_for_one_manoeuvre_one_is_kept(
     kept = [one.driven.start for one in filling.kept if one.driven.policy is Policy.LANE_CHANGE]
     assert len(kept) == 1
     assert [one.reason for one in filling.rejected if one.policy is Policy.LANE_CHANGE] == [Reason.SPARE]
+
+
+def test_vehicle_whose_manoeuvre_nobody_else_may_try_is_kept_with_its_record(scene_for: Callable[..., Scene]) -> None:
+    """No lane change comes about, and spawn.reseed_rounds is 0: those who were to do one stay."""
+    scene = scene_for(agents=3, straight=0.0, lane_change=1.0, trigger_min_s=1.0, trigger_max_s=1.0, spare=0, reseeds=0)
+    filling, drive = _fill(scene)
+    assert len(drive.rounds) == 1
+    assert filling.rejected == []
+    assert [one.driven.policy for one in filling.kept] == [Policy.LANE_CHANGE] * 3
+    assert [outcome.done for outcome in filling.outcomes.values()] == [False] * 3
 
 
 def test_request_keeps_its_trigger_when_its_vehicle_is_replaced(scene_for: Callable[..., Scene]) -> None:

@@ -166,6 +166,23 @@ def test_starts_of_a_round_keep_clear_of_each_other(scene_of: Callable[..., Scen
                 assert gap > 2.5 - 0.01
 
 
+def test_leader_who_is_followed_already_speaks_for_no_other_site(scene_of: Callable[..., Scene]) -> None:
+    """One leader on each of two lanes, of one speed: with a weight of 100 for such sites the second follows the other.
+
+    Where the first begins behind a leader, the sites behind that one count as little as those with nobody ahead.
+    """
+    scene = scene_of(recorded(150.0, 0.0, 9.0, name="a"), recorded(150.0, 3.5, 9.0, name="b"), leader_weight=100.0)
+    same = other = 0
+    for seed in range(60):
+        sites = _sites(scene, seed)
+        found = [start for number in (0, 1) for start in sites.propose(_request(number))]
+        lanes = [start.path.segments[0].lane_id for start in found if start.start_s < 150.0]
+        if len(lanes) == 2:
+            same, other = same + (lanes[0] == lanes[1]), other + (lanes[0] != lanes[1])
+    assert other > 30
+    assert same <= 3
+
+
 def test_overtaker_without_a_slower_leader_gets_one(scene_of: Callable[..., Scene]) -> None:
     """The leader is a straight request's, ahead on the same lane, and wants 30 to 50 % of the overtaker's speed."""
     sites = _sites(scene_of(length_m=500.0))

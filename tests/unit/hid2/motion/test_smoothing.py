@@ -77,6 +77,20 @@ def test_first_and_last_second_keep_their_slope() -> None:
     assert motion.v[[0, -1]] == pytest.approx(v[[0, -1]], abs=0.02)
 
 
+def test_eased_ends_leave_the_middle_as_it_is() -> None:
+    """A driver who speeds up at 2 m/s2 throughout: eased, it begins at less, and drives as before from then to the end.
+
+    It had gained less speed by then: so it was faster at the first step.
+    """
+    v = 5.0 + 0.2 * np.arange(110)
+    plain = smooth_motion(4.0 * np.arange(110), v, filter_s=0.3, step_s=DT)
+    eased = smooth_motion(4.0 * np.arange(110), v, filter_s=0.3, step_s=DT, end_jerk_mps3=3.0)
+    assert eased.v[40:70] == pytest.approx(plain.v[40:70], abs=1e-9)
+    assert eased.v[0] > plain.v[0] + 0.1
+    assert eased.v[-1] < plain.v[-1] - 0.1
+    assert abs(eased.a[0]) < 0.5 * abs(plain.a[0])
+
+
 def test_s_is_the_integral_of_v() -> None:
     """Cubic between two steps: the increment is dt (v0 + v1) / 2 - dt^2 (a1 - a0) / 12."""
     motion = _smooth(8.0 + 2.0 * np.sin(0.1 * np.arange(110)))
