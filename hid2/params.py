@@ -35,7 +35,13 @@ class Request(_Section):
     lane_change: float = _param(0.15, "share", "policy mix", ge=0, le=1)
     overtake: float = _param(0.05, "share", "policy mix", ge=0, le=1)
     trigger_min_s: float = _param(0.5, "s", "t_trigger, uniform from here", ge=0, le=60)
-    trigger_max_s: float = _param(4.0, "s", "t_trigger, uniform to here (equal to trigger_min_s: fixed)", ge=0, le=60)
+    trigger_max_s: Annotated[float, Field(ge=0, le=60)] | None = _param(
+        None, "s", "t_trigger, uniform to here (equal to trigger_min_s: fixed); where none: what is usual"
+    )
+    trigger_usual_s: float = _param(4.0, "s", "t_trigger where no trigger_max_s is asked for: to here", ge=0, le=60)
+    trigger_usual_share: float = _param(
+        0.36, "share", "of the scene's duration, and no later: what comes about takes seconds", ge=0, le=1
+    )
     trigger_list_s: tuple[Annotated[float, Field(ge=0, le=60)], ...] = _param(
         (), "s", "t_trigger, one of these; used instead of the range where there are any"
     )
@@ -67,7 +73,7 @@ class Request(_Section):
 
     @model_validator(mode="after")
     def _check(self) -> "Request":
-        if self.trigger_max_s < self.trigger_min_s:
+        if self.trigger_max_s is not None and self.trigger_max_s < self.trigger_min_s:
             raise ValueError(f"trigger_max_s {self.trigger_max_s} is below trigger_min_s {self.trigger_min_s}")
         if sum(self.behaviours.values()) <= 0:
             raise ValueError("the behaviour shares sum to 0, expected at least one above 0")

@@ -97,7 +97,7 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
     """Drive those who take part with a configuration, and measure. Errors: SimulationError, ConfigError."""
     scene = replace(drawn.scene, config=config, _known={}, _leaders={})
     filling = Filling(scene, drawn.seed)  # for roads and stop lines with this configuration
-    trigger_s = _triggers(config, drawn)
+    trigger_s, last_s = _triggers(config, drawn), (scene.num_steps - 1) * DT_S
     starts = [
         replace(
             start, request=replace(start.request, trigger_s=trigger_s[start.request.number]),
@@ -116,7 +116,7 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
             driving = FlowDriving(
                 scene, simulation, starts, traffic_of_exported([], scene), filling.roads, filling.stop_lines,
                 checked=False, arrivals=comers,
-                trigger_after_s=lambda arrival: trigger_after_s(arrival, config.request, drawn.seed),
+                trigger_after_s=lambda arrival: trigger_after_s(arrival, config.request, drawn.seed, last_s),
             )  # fmt: skip
             vehicles = driving.run()
     return _measured(scene, drawn, driving, vehicles, trigger_s)
@@ -131,7 +131,8 @@ def _triggers(config: Config, drawn: Drawn) -> dict[int, float]:
     """Trigger times by the number of the request, drawn as those of a scene are."""
     count = config.request.agents
     assert count != "max"
-    requests = draw_requests(config, np.random.default_rng([*drawn.seed, 0]), count=count)
+    last_s = (drawn.scene.num_steps - 1) * DT_S
+    requests = draw_requests(config, np.random.default_rng([*drawn.seed, 0]), count=count, duration_s=last_s)
     return {request.number: request.trigger_s for request in requests}
 
 

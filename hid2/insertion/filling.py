@@ -147,7 +147,8 @@ class Filling:
         """What is asked for; what map or scene's length do not allow is noted, and a vehicle goes straight."""
         last_s = (self.scene.num_steps - 1) * DT_S
         found = []
-        for request in draw_requests(self.scene.config, np.random.default_rng([*self.seed, 0]), count=count):
+        rng = np.random.default_rng([*self.seed, 0])
+        for request in draw_requests(self.scene.config, rng, count=count, duration_s=last_s):
             reason: Reason | None = None
             if not self.routes.map_offers(request.policy):
                 reason = _NO_MAP[request.policy]

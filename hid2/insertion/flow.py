@@ -90,6 +90,7 @@ def arrivals(scene: Scene, routes: Routes, seed: Sequence[int]) -> list[Arrival]
     return sorted(found, key=lambda one: (one.due_s, one.lane_id))
 
 
-def trigger_after_s(arrival: Arrival, request: Request, seed: Sequence[int]) -> float:
-    """t_trigger of an arrival, s from its entry; from a stream of its own."""
-    return draw_trigger(request, np.random.default_rng([*seed, _TRIGGERS, arrival.lane_id, arrival.number]))
+def trigger_after_s(arrival: Arrival, request: Request, seed: Sequence[int], duration_s: float) -> float:
+    """t_trigger of an arrival, s from its entry, in a scene of some duration, s; from a stream of its own."""
+    rng = np.random.default_rng([*seed, _TRIGGERS, arrival.lane_id, arrival.number])
+    return draw_trigger(request, rng, duration_s)

@@ -137,7 +137,8 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
         0,
     )
     config = Config(request=Request(left_turn=0, right_turn=0, lane_change=0, overtake=0))
-    placed = [start for one in draw_requests(config, np.random.default_rng(0), count=6) for start in sites.propose(one)]
+    requests = draw_requests(config, np.random.default_rng(0), count=6, duration_s=10.9)
+    placed = [start for one in requests for start in sites.propose(one)]
     assert len(placed) >= 3
     taken: set[int] = set()
     for start in placed:
