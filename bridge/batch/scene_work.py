@@ -9,6 +9,7 @@ from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare, write
+from bridge.recordings.export import check_step
 from bridge.recordings.folders import sumo_folder
 from bridge.recordings.sidecar import Sidecar
 from bridge.recordings.sources import read_recording
@@ -56,7 +57,9 @@ def run_each(
     scenario, unreadable = None, None
     prepared: dict[Grid, PreparedScene] = {}
     try:
-        scenario = read_recording(place.folder)
+        found = read_recording(place.folder)
+        check_step(found)
+        scenario = found
     except Exception as error:  # noqa: BLE001  # every run of the scene is quarantined with it
         unreadable = describe_error(error)
     for run in runs:

@@ -16,7 +16,7 @@ from bridge.evaluation.evaluate import write_table
 from bridge.evaluation.report import Section, number, page, picture, table
 from bridge.files import write_text
 from bridge.pictures import figures
-from bridge.recordings.scenario import STEP_S, find_scenarios, read_scenario, source_id
+from bridge.recordings.scenario import find_scenarios, read_scenario, source_id
 from hid2.agents import FloatArray, IntArray
 from hid2.drivers.calibration import Extra, Observed, Quantity, calibrate, drivers_of
 from hid2.evaluation.safety import Safety, prepare_map, safety
@@ -115,7 +115,7 @@ def observe(_shared: None, folders: Sequence[Path]) -> Iterator[SceneDriving | F
 def observe_scene(folder: Path) -> SceneDriving:
     """What one recorded scene shows of driving: clean tracks of moving vehicles. Errors: ScenarioError, MapError."""
     scenario = read_scenario(folder)
-    arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=STEP_S)
+    arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)
     safe = safety(arrays, prepare_map(scenario.graph))
     clean = arrays.vehicle & arrays.moving & ~arrays.fragment & ~arrays.generated
     found = windows(arrays, safe, clean)

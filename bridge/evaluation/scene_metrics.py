@@ -15,8 +15,6 @@ from bridge.recordings.folders import Address, Source
 from bridge.recordings.limits import MAX_FILE_MB, check_ground
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import (
-    OBSERVED_STEPS,
-    STEP_S,
     Rows,
     read_scenario,
     read_sizes,
@@ -157,8 +155,8 @@ def measure(
     limits: Limits,
     num_steps: int,
     source: str,
-    observed_steps: int = OBSERVED_STEPS,
-    step_s: float = STEP_S,
+    observed_steps: int,
+    step_s: float,
 ) -> SceneMeasures:
     """Measure tracks on a map. `source`: id of the recorded scene; observed_steps, step_s: of its data set."""
     arrays = stack(tracks, num_steps=num_steps, step_s=step_s)

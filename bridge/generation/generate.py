@@ -34,7 +34,7 @@ from hid2.insertion.finalise import ExportedVehicle
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
-from hid2.scene import DT_S, Scene, build_scene
+from hid2.scene import Scene, build_scene
 from hid2.vehicle import DrivenVehicle, Start
 from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ScenarioError
@@ -88,7 +88,7 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
     seed = [config.request.seed, variant, zlib.crc32(scenario.scenario_id.encode())]
     scene = build_scene(
         prepared.grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
-        last_observed_step=scenario.last_observed,
+        step_s=scenario.step_s, last_observed_step=scenario.last_observed,
     )  # fmt: skip
     filling = Filling(scene, seed)
     _LOG.debug("%s variant %d: %s vehicles asked for", scenario.scenario_id, variant, config.request.agents)
@@ -96,7 +96,7 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
         net = Path(folder) / "scene.net.xml"
         net.write_bytes(prepared.net)
         with Simulation(
-            net, seed=sumo_seed(seed), step_s=DT_S, model=config.car_following.model,
+            net, seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
             parameters=model_parameters(config),
         ) as simulation:  # fmt: skip
             rounds = _Rounds(scene, simulation, filling)
@@ -137,7 +137,7 @@ def model_parameters(config: Config) -> dict[str, float]:
 
 
 #: Recorded agents farther than this from a way all the time need no replay in later rounds; how finely that is told.
-_NEAR_M, _EVERY_M, _EVERY_STEPS = 12.0, 6.0, 5
+_NEAR_M, _EVERY_M, _EVERY_S = 12.0, 6.0, 0.5
 
 
 class _Rounds:
@@ -151,7 +151,7 @@ class _Rounds:
     def _near(self, starts: Sequence[Start]) -> IntArray:
         """Rows of the recorded agents that ever come near to a way, on its lanes or those beside."""
         traffic = self._scene.traffic
-        some = slice(None, None, _EVERY_STEPS)
+        some = slice(None, None, self._scene.steps_in(_EVERY_S))
         position, present = traffic.position[:, some], traffic.present[:, some]
         near = np.zeros(len(traffic.ids), dtype=np.bool_)
         for line in {start.path.line for start in starts}:
@@ -188,7 +188,7 @@ def write(scene: GeneratedScene, out_dir: Path, *, record: Collection[str] = ())
     extra: dict[str, bytes] = {}
     if "gaps" in record:
         names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(scene.vehicles)}
-        extra[f"gaps_{scene.new_id}.csv.gz"] = gaps_bytes(scene.driven, names)
+        extra[f"gaps_{scene.new_id}.csv.gz"] = gaps_bytes(scene.driven, names, step_s=scene.scenario.step_s)
     return write_scene(
         scene.scenario,
         scene.generated,

@@ -35,7 +35,6 @@ PICTURES = tuple(figures.PICTURES)
 ANIMATIONS = (".gif", ".mp4")
 #: Length of the trail behind each vehicle.
 TRAIL_S = 2.0
-FRAMES_PER_SECOND = 10
 #: Longest side of a GIF, pixels.
 GIF_WIDTH = 1100
 _GIF_COLORS = 128
@@ -115,7 +114,7 @@ def render_scene(
             with beside(out_file) as hidden:
                 hidden.touch()  # what speaks against it is said before the film is drawn
                 frames = drawing.frames(range(scenario.num_steps))
-                _write_animation(_counted(frames, scenario.num_steps, on_frame), hidden)
+                _write_animation(_counted(frames, scenario.num_steps, on_frame), hidden, step_s=scenario.step_s)
             plt.close(drawing.figure)
     return out_file
 
@@ -404,17 +403,18 @@ class _Drawing:
             yield picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2].copy()
 
 
-def _write_animation(frames: Iterator[npt.NDArray[np.uint8]], path: Path) -> None:
+def _write_animation(frames: Iterator[npt.NDArray[np.uint8]], path: Path, *, step_s: float) -> None:
+    """A frame for each step, in real time."""
     if path.suffix.lower() == ".gif":
-        _write_gif(frames, path)
+        _write_gif(frames, path, step_s=step_s)
         return
-    writer: Any = imageio.v2.get_writer(path, fps=FRAMES_PER_SECOND, codec="libx264", quality=7, macro_block_size=2)
+    writer: Any = imageio.v2.get_writer(path, fps=1.0 / step_s, codec="libx264", quality=7, macro_block_size=2)
     with contextlib.closing(writer):  # as a context, it would leave ffmpeg running after an error
         for picture in frames:
             writer.append_data(picture)
 
 
-def _write_gif(frames: Iterator[npt.NDArray[np.uint8]], path: Path) -> None:
+def _write_gif(frames: Iterator[npt.NDArray[np.uint8]], path: Path, *, step_s: float) -> None:
     """All frames share one palette, at a reduced size: a tenth of the bytes of one palette a frame.
 
     It is that of the first frame, with the colours that tell vehicles apart, which cover too little ground to be kept.
@@ -431,6 +431,4 @@ def _write_gif(frames: Iterator[npt.NDArray[np.uint8]], path: Path) -> None:
             shared = Image.new("P", (1, 1))
             shared.putpalette(first + own)
         pictures.append(image.quantize(palette=shared, dither=Image.Dither.NONE))
-    pictures[0].save(
-        path, save_all=True, append_images=pictures[1:], duration=1000 // FRAMES_PER_SECOND, loop=0, disposal=1
-    )
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=round(1000 * step_s), loop=0, disposal=1)

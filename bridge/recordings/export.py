@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from bridge.config import new_scenario_id as new_scenario_id
 from bridge.files import explained
 from bridge.recordings.recording import FOCAL_CATEGORY, SCORED_CATEGORY, Recording
-from bridge.recordings.scenario import SCENARIO_COLUMNS
+from bridge.recordings.scenario import SCENARIO_COLUMNS, STEP_S
 from bridge.recordings.sidecar import RecordingRecord, Sidecar, sidecar_bytes, sidecar_path
 from hid2.agents import Track
 from netconvert.errors import ExportError
@@ -44,6 +44,7 @@ def write_scene(
     Everything is written to a hidden folder beside and then renamed; a folder that is there already is replaced.
     Errors: ExportError.
     """
+    check_step(scenario)
     files = {
         f"scenario_{new_id}.parquet": parquet_bytes(
             scene_table(scenario, generated, new_id=new_id, focal_track_id=focal_track_id)
@@ -56,6 +57,15 @@ def write_scene(
     with explained(folder):
         write_folder(folder, files)
     return folder
+
+
+def check_step(scenario: Recording) -> None:
+    """Refuse a recording whose steps are not the format's, before anything is made of it. Errors: ExportError."""
+    if scenario.step_s != STEP_S:
+        raise ExportError(
+            f"{scenario.folder}: steps of {scenario.step_s:g} s, but readers of Argoverse 2 scenes take them for "
+            f"{STEP_S:g} s: its reader has to give states every {STEP_S:g} s (CONTRIBUTING.md, a new format)"
+        )
 
 
 def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str, focal_track_id: str) -> pa.Table:

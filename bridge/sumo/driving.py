@@ -22,7 +22,7 @@ from hid2.policy.overtake import Leader, Stage
 from hid2.policy.roads import Roads
 from hid2.policy.rules import Wish
 from hid2.reasons import Reason
-from hid2.scene import DT_S, Scene
+from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, GapLook, Shift, Start
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
@@ -104,11 +104,11 @@ class Driving:
 
     def run(self) -> list[DrivenVehicle]:
         """All steps of the scene; a vehicle's step 0 is its start."""
-        scene, simulation = self.scene, self.simulation
+        scene, simulation, step_s = self.scene, self.simulation, self.scene.step_s
         simulation.rewind()
         everybody = np.arange(len(scene.traffic.ids)) if self.rows is None else self.rows
-        recorded = Replay(simulation, scene.traffic.rows(everybody.tolist()), "r", step_s=DT_S, checked=self.checked)
-        kept = Replay(simulation, self.fixed, "k", step_s=DT_S, checked=False)
+        recorded = Replay(simulation, scene.traffic.rows(everybody.tolist()), "r", step_s=step_s, checked=self.checked)
+        kept = Replay(simulation, self.fixed, "k", step_s=step_s, checked=False)
         place_of = {int(row): place for place, row in enumerate(everybody)}
         for back in (2, 1):
             recorded.warm_up(back)
@@ -143,7 +143,7 @@ class Driving:
 
     def _read(self, step: int) -> None:
         """Take down what SUMO did, and which limit decided it."""
-        inside = self.simulation.driven()
+        inside, step_s = self.simulation.driven(), self.scene.step_s
         for row, vehicle in enumerate(self.vehicles):
             if not vehicle.running:
                 continue
@@ -158,7 +158,7 @@ class Driving:
                 speed, s = vehicle.start.start_mps, vehicle.start.start_s
             else:
                 speed = self.simulation.speed(vehicle.vehicle_id)
-                s = vehicle.s[-1] + speed * DT_S  # SUMO moves by the new speed (Euler)
+                s = vehicle.s[-1] + speed * step_s  # SUMO moves by the new speed (Euler)
                 limit = self._limit[row]
                 if limit is not None and speed > limit[0] - _BINDS_MPS:
                     vehicle.limited[limit[1]] += 1
@@ -167,7 +167,7 @@ class Driving:
             vehicle.v.append(speed)
             table = vehicle.path.line.table_xy
             self._centre[row] = table[min(int(s / TABLE_STEP_M), len(table) - 1)]
-            self._state[row] = s, speed, (speed - before) / DT_S, self._is_executing(vehicle), 1.0
+            self._state[row] = s, speed, (speed - before) / step_s, self._is_executing(vehicle), 1.0
 
     def _is_executing(self, vehicle: DrivenVehicle) -> bool:
         """Whether it is changing lanes or in a turn: case 2, executing goes before pending."""
@@ -249,7 +249,7 @@ class Driving:
 
     def _steer(self, row: int, vehicle: DrivenVehicle, now: int, fleet: "_Lazy") -> list[_Attempt]:
         """Decide at step `now`, limit the speed where SUMO is blind, and pass both on for the coming step."""
-        s, v, driving = vehicle.s[-1], vehicle.v[-1], self.scene.config.driving
+        s, v, driving, step_s = vehicle.s[-1], vehicle.v[-1], self.scene.config.driving, self.scene.step_s
         if vehicle.path.shifts and vehicle.stage in (Stage.ENTER, Stage.RETURN) and s >= vehicle.path.shifts[-1][1]:
             passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
             vehicle.stage = Stage.PASS if passing else Stage.DONE
@@ -259,12 +259,12 @@ class Driving:
         if "collision" not in self.scene.config.without:
             limits += self._guarded(row, vehicle, now, desired)
         if vehicle.stage is Stage.WAITING and vehicle.reason in _LETS_PASS:
-            limits.append((max(driving.let_pass_share * desired, v - driving.let_pass_mps2 * DT_S), "gap"))
+            limits.append((max(driving.let_pass_share * desired, v - driving.let_pass_mps2 * step_s), "gap"))
         limit = min(limits)
         held = self._limit[row]
         if held is not None and held[1] in _HELD_BY_GUARD:  # a foot neither falls on the brake nor leaves it at once
             a = float(self._state[row, A])
-            eased = v + (a + driving.brake_jerk_mps3 * DT_S) * DT_S
+            eased = v + (a + driving.brake_jerk_mps3 * step_s) * step_s
             if a < driving.released_mps2 and eased < limit[0]:
                 limit = eased, held[1]
         self._limit[row] = limit if limit[0] < desired - 1e-3 else None
@@ -276,7 +276,7 @@ class Driving:
 
     def _road_speed(self, row: int, s: float, v: float) -> float:
         road = self._road[row]
-        return float(road[min(int((s + v * DT_S) / TABLE_STEP_M), road.size - 1)])
+        return float(road[min(int((s + v * self.scene.step_s) / TABLE_STEP_M), road.size - 1)])
 
     def _turns(self, vehicle: DrivenVehicle, s: float) -> bool:
         """Whether it is in a turn lane or slows down for one."""
@@ -302,7 +302,7 @@ class Driving:
     def _guarded(self, row: int, vehicle: DrivenVehicle, now: int, desired: float) -> list[tuple[float, str]]:
         """Limits of the guard for the coming step: predicted conflicts (case 3, timing)."""
         state = (float(self._state[row, S]), float(self._state[row, V]), float(self._state[row, A]))
-        driving = self.scene.config.driving
+        driving, step_s = self.scene.config.driving, self.scene.step_s
         found = self._guard.braking(
             self._obstacles_of(row), own=row, step=now, fleet=self._state, state=state, desired_mps=desired,
             road=self._road[row], driver=vehicle.start.driver,
@@ -319,9 +319,9 @@ class Driving:
         stop = self.stop_lines.braking(vehicle.path, start.box, start.driver, s=state[0], speed_mps=state[1], step=now)
         if stop is not None:
             limits.append(stop)
-        eased = min(state[2], 0.0) - driving.brake_jerk_mps3 * DT_S
+        eased = min(state[2], 0.0) - driving.brake_jerk_mps3 * step_s
         gentle = -max(driving.last_brake_mps2, driving.last_brake_per_s * state[1])  # nobody stops with a jerk
-        return [(state[1] + max(accel, eased, gentle) * DT_S, cause) for accel, cause in limits]
+        return [(state[1] + max(accel, eased, gentle) * step_s, cause) for accel, cause in limits]
 
     def _slows_for(self, state: tuple[float, float, float], found: Braking, start: Start) -> bool:
         driving, driver = self.scene.config.driving, start.driver
@@ -331,7 +331,7 @@ class Driving:
     def _decide(self, row: int, vehicle: DrivenVehicle, now: int, fleet: "_Lazy") -> list[_Attempt]:
         """Algorithm 1 for one vehicle at one step: what it observes, the decision, and what is asked of SUMO."""
         config, request = self.scene.config, vehicle.start.request
-        time_s, change = now * DT_S, config.lane_change
+        time_s, change = now * self.scene.step_s, config.lane_change
         asks = vehicle.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE)
         due = asks and time_s >= request.trigger_s and vehicle.stage in (Stage.WAITING, Stage.PASS)
         if due and vehicle.stage is Stage.WAITING and time_s > request.trigger_s + change.give_up_s:
@@ -407,7 +407,7 @@ class Driving:
     ) -> Observation:
         cell = self.scene.cell_at(vehicle.path, vehicle.s[-1])
         return Observation(
-            time_s=now * DT_S,
+            time_s=now * self.scene.step_s,
             cell=cell,
             next_cell=self.scene.grid.longitudinal(cell),
             lane_turn=self.scene.grid.graph.lanes[cell.lane_id].turn,
@@ -442,7 +442,7 @@ class Driving:
             return path
         if vehicle.stage is Stage.PASS and not returns_to(start.path, path):
             return Reason.LANES_PART
-        if s + v * (scene.num_steps - 2 - now) * DT_S < path.shifts[-1][1]:
+        if s + v * (scene.num_steps - 2 - now) * scene.step_s < path.shifts[-1][1]:
             return Reason.SCENE_ENDS
         if "collision" not in scene.config.without and self._meets_on(row, vehicle, now, path):
             return Reason.CONFLICT_PREDICTED

@@ -146,7 +146,7 @@ def scene_view_files(scenario: Scenario, grid: CellGrid, name: str) -> dict[str,
     sumo-gui then shows the first step and waits: vehicles are boxes of their size, with their ids.
     """
     low, high = moving_ground(scenario)
-    files = gui_files(grid, name, shown=(low, high))
+    files = gui_files(grid, name, step_s=scenario.step_s, shown=(low, high))
     del files[f"{name}.cells.csv"]
     view = etree.fromstring(files[f"{name}.view.xml"])
     scheme = view.find("scheme")
@@ -348,12 +348,12 @@ def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
             kind["guiShape"] = GUI_SHAPES[trace.track.object_type]
         kind |= {"vClass": _UNSEEN, "minGap": "0", "sigma": "0"}
         kind |= {"accel": _ANY_ACCELERATION, "decel": _ANY_ACCELERATION, "emergencyDecel": _ANY_ACCELERATION}
-        kind |= {"maxSpeed": "80", "speedFactor": "1", "speedDev": "0", "tau": "0.1"}
+        kind |= {"maxSpeed": "80", "speedFactor": "1", "speedDev": "0", "tau": f"{scenario.step_s}"}
         etree.SubElement(root, "vType", kind)
     for trace in ordered:
         name = trace.track.track_id
         vehicle = {"id": name, "type": f"type_{name}", "color": colors[name].xml, "insertionChecks": "none"}
-        vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.1f}", "departPos": f"{trace.depart_m:.2f}"}
+        vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.2f}", "departPos": f"{trace.depart_m:.2f}"}
         vehicle |= {"departSpeed": f"{trace.limits[0]:.4f}", "arrivalPos": "max"}
         element = etree.SubElement(root, "vehicle", vehicle)
         if shows_id(trace.track):
@@ -369,7 +369,7 @@ def _with_routes(configuration: bytes, name: str, *, end_s: float) -> bytes:
     assert inputs is not None
     assert time is not None
     etree.SubElement(inputs, "route-files", {"value": f"{name}.rou.xml"})
-    etree.SubElement(time, "end", {"value": f"{end_s:.1f}"})
+    etree.SubElement(time, "end", {"value": f"{end_s:.2f}"})
     processing = etree.SubElement(root, "processing")
     etree.SubElement(processing, "collision.action", {"value": "none"})
     etree.SubElement(processing, "time-to-teleport", {"value": "-1"})

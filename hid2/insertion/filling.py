@@ -22,7 +22,7 @@ from hid2.insertion.spread import Spread
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
-from hid2.scene import DT_S, Scene
+from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 from netconvert.cells import Cell
 
@@ -145,7 +145,7 @@ class Filling:
 
     def _requests(self, count: int) -> list[VehicleRequest]:
         """What is asked for; what map or scene's length do not allow is noted, and a vehicle goes straight."""
-        last_s = (self.scene.num_steps - 1) * DT_S
+        last_s = self.scene.last_s
         found = []
         rng = np.random.default_rng([*self.seed, 0])
         for request in draw_requests(self.scene.config, rng, count=count, duration_s=last_s):

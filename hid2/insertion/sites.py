@@ -28,7 +28,7 @@ from hid2.policy.observation import lane_options, lay_across
 from hid2.policy.roads import Roads
 from hid2.policy.turns import TURN_OF_POLICY
 from hid2.reasons import Reason
-from hid2.scene import DT_S, Scene, clearance_box
+from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
 #: Verdicts that another driver may change.
@@ -84,7 +84,7 @@ class InsertionSites:
         overtake = self.scene.config.overtake
         for wait_s in self.scene.config.sites.gap_waits_s:
             at_s = start.request.trigger_s + wait_s
-            step, at = round(at_s / DT_S), start.start_s + 0.8 * start.start_mps * at_s
+            step, at = round(at_s / self.scene.step_s), start.start_s + 0.8 * start.start_mps * at_s
             if step >= self.scene.num_steps or at > start.path.exit_s:
                 break
             options = lane_options(
@@ -231,7 +231,7 @@ class InsertionSites:
     ) -> bool:
         """Whether the map offers what is asked for from arc length s on, in the time that the scene has."""
         scene, sites = self.scene, self.scene.config.sites
-        duration = (scene.num_steps - 1) * DT_S
+        duration = scene.last_s
         reach = s + speed_mps * duration
         ahead = [turn for turn in offer.turns if turn[2] > s]
         if request.policy in TURN_OF_POLICY:
@@ -315,7 +315,7 @@ class InsertionSites:
                 return Reason.TURN_NOT_SEEN
             reach_s = turn.end + 1.0 if likely else None
         elif likely and request.policy is not Policy.STRAIGHT:  # whoever changes lanes has to be under way
-            reach_s = start_s + config.sites.under_way_share * self._usual_speed(lane_id) * (scene.num_steps - 1) * DT_S
+            reach_s = start_s + config.sites.under_way_share * self._usual_speed(lane_id) * scene.last_s
         verdict: Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else config.sites.drivers):
             who = driver or draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))
@@ -340,7 +340,7 @@ class InsertionSites:
             vehicle_id=self._name(request), request=request, object_type=object_type, size=size,
             box=box, route=offer.route, path=path, start_s=start_s, start_mps=speed, driver=who,
             desired=desired_speeds(
-                who, config, rng, num_steps=scene.num_steps, step_s=DT_S, at_least_mps=speed
+                who, config, rng, num_steps=scene.num_steps, step_s=scene.step_s, at_least_mps=speed
             ),
             offset=lane_offset(who, config, rng, length_m=path.line.length_m), sides=sides,
         )  # fmt: skip
@@ -356,7 +356,7 @@ class InsertionSites:
         scene, change = self.scene, self.scene.config.lane_change
         for wait_s in self.scene.config.sites.gap_waits_s:
             at_s = request.trigger_s + wait_s
-            step = round(at_s / DT_S)
+            step = round(at_s / scene.step_s)
             if step >= scene.num_steps:
                 break
             at, v = self._place_after(path, box, s, speed_mps, driver, at_s)
@@ -377,9 +377,7 @@ class InsertionSites:
                     scene, path, target, s=at, step=step, pace_mps=v, remaining_m=option.remaining_m,
                     lasting_s=driver.lane_change_s,
                 )  # fmt: skip
-                if isinstance(across, DrivenPath) and (across.shifts[-1][1] - at) < v * (
-                    (scene.num_steps - 1) * DT_S - at_s
-                ):
+                if isinstance(across, DrivenPath) and (across.shifts[-1][1] - at) < v * (scene.last_s - at_s):
                     return True
         return False
 
@@ -387,7 +385,7 @@ class InsertionSites:
         self, path: DrivenPath, box: BoxSize, s: float, speed_mps: float, driver: Driver, time_s: float
     ) -> tuple[float, float]:
         """Where a vehicle is after some time, m on its path, and how fast, m/s: as before, or behind who is ahead."""
-        known, step = self._known_on(path, box), round(time_s / DT_S)
+        known, step = self._known_on(path, box), round(time_s / self.scene.step_s)
         at, low, along = s + speed_mps * time_s, known.low[:, step], known.along[:, step]
         leads = known.aligned[:, step] & np.isfinite(low) & (known.low[:, 0] >= s) & np.isfinite(known.low[:, 0])
         behind = np.where(leads, low - driver.min_gap_m - driver.tau_s * np.maximum(along, 0.0), np.inf)
@@ -438,7 +436,7 @@ class InsertionSites:
         """Whether the map ends before the last observed step at a speed."""
         if "topology" in self.scene.config.without:
             return False
-        return offer.length_m - s < speed_mps * self.scene.first_exit_step * DT_S
+        return offer.length_m - s < speed_mps * self.scene.first_exit_step * self.scene.step_s
 
     def _is_taken(self, path: DrivenPath, box: BoxSize, s: float) -> bool:
         """Whether somebody recorded or kept is at a place at the start, or too near to it."""
@@ -485,7 +483,7 @@ class InsertionSites:
         fleet = np.array([[s, speed, 0.0, 0.0, 1.0]])
         found = self.guard.braking(
             obstacles, own=0, step=0, fleet=fleet, state=(s, speed, 0.0), desired_mps=driver.desired_mps,
-            road=self.roads.speeds(path, driver), driver=driver, horizon_s=(self.scene.num_steps - 1) * DT_S,
+            road=self.roads.speeds(path, driver), driver=driver, horizon_s=self.scene.last_s,
         )  # fmt: skip
         if found.run_into:
             return Reason.TTC_RECORDED_FOLLOWER

@@ -10,6 +10,8 @@ import numpy.typing as npt
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
 
 BoolArray = npt.NDArray[np.bool_]
+#: Velocity is the difference of positions over this long either side, s.
+_HALF_S = 0.2
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -141,9 +143,9 @@ def _covering(track: Track) -> BoxSize:
 
 
 def _velocity(xy: FloatArray, step_s: float) -> FloatArray:
-    """Difference over up to half a second around each step: trackers jitter, leaders' speeds must not."""
-    count = len(xy)
+    """Difference over about half a second around each step: trackers jitter, leaders' speeds must not."""
+    count, half = len(xy), max(1, round(_HALF_S / step_s))
     index = np.arange(count)
-    before, after = np.maximum(index - 2, 0), np.minimum(index + 2, count - 1)
+    before, after = np.maximum(index - half, 0), np.minimum(index + half, count - 1)
     span = np.maximum(after - before, 1) * step_s
     return np.asarray((xy[after] - xy[before]) / span[:, None], dtype=np.float64)

@@ -96,7 +96,7 @@ def test_arrivals_keep_their_headways_and_their_rate(corridor: Path) -> None:
     scenario = read_scenario(corridor)
     config = drawing_config(_corridor_config())
     scene = build_scene(
-        prepare(scenario, config).grid, scenario.tracks, config=config, num_steps=400, last_observed_step=49
+        prepare(scenario, config).grid, scenario.tracks, config=config, num_steps=400, last_observed_step=49, step_s=0.1
     )
     routes = Routes(scene)
     assert entry_lanes(scene, routes) == [1, 2]
