@@ -3,11 +3,9 @@
 import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic_core import from_json
 
 from netconvert.errors import MapError
 from netconvert.geometry import FloatArray, arc_length
@@ -40,24 +38,6 @@ _FIELDS = (
     "right_neighbor_id",
     "successors",
 )
-
-
-def read_lane_graph(path: Path | str) -> LaneGraph:
-    """Read the map file of a scene.
-
-    MapError names the file, and the lane, value and expectation where there is one, if the file is missing, is not JSON
-    or breaks the format.
-    """
-    path = Path(path)
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise MapError(f"{path}: cannot read the map: {error.strerror}") from error
-    try:
-        data = from_json(content)
-    except ValueError as error:
-        raise MapError(f"{path}: not JSON: {error}") from error
-    return lane_graph_from_json(data, name=str(path))
 
 
 def lane_graph_from_json(data: Any, *, name: str) -> LaneGraph:  # noqa: ANN401

@@ -12,9 +12,9 @@ import pickle
 import queue
 import threading
 import time
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from bridge.batch.isolation import (
     MEMORY_MB,
@@ -27,6 +27,10 @@ from bridge.batch.isolation import (
 )
 from bridge.files import one_line
 from netconvert.errors import BatchError
+
+_Shared = TypeVar("_Shared")
+_Item = TypeVar("_Item")
+_Value = TypeVar("_Value")
 
 #: Kinds of failure after which an item is tried again: the others would only repeat themselves.
 _RETRIED = frozenset({"crashed", "killed", "timeout"})
@@ -124,6 +128,40 @@ def execute_here(
             if thread.ident is not None:
                 thread.join()
             process.close()
+
+
+def work_on_each(
+    work: Callable[[_Shared, Sequence[_Item]], Iterator[_Value | Failure]],
+    items: Sequence[_Item],
+    *,
+    shared: _Shared,
+    jobs: int,
+    chunk: int,
+    timeout_s: float,
+    isolated: bool = True,
+) -> Generator[tuple[_Item, _Value | Failure], None, None]:
+    """Yield every item with what a piece of work makes of it, or its failure, in the order of the items.
+
+    work: a generator function of a module, which gets (shared, items) and yields one value an item; chunk: most items
+    that a process gets at a time, fewer where processes share few items; timeout_s: for each item. isolated: False for
+    work that needs no process of its own, where starting one takes as long as a whole chunk: one worker works here.
+    """
+    size = max(1, min(chunk, len(items) // (4 * jobs))) if isolated else chunk
+    chunks = [tuple(items[start : start + size]) for start in range(0, len(items), size)]
+    jobs = min(jobs, len(chunks))
+    if jobs <= 1 and not isolated:
+        yield from zip(items, work(shared, items), strict=True)
+        return
+    name = f"{work.__module__}:{work.__qualname__}"
+    tasks = (Task(str(number), name, shared, part) for number, part in enumerate(chunks))
+    waiting: dict[int, tuple[Outcome, ...]] = {}
+    following = 0
+    for result in execute_here(tasks, jobs=jobs, settings=Settings(timeout_s=timeout_s)):
+        waiting[int(result.task.key)] = result.outcomes
+        while following in waiting:
+            for outcome in waiting.pop(following):
+                yield outcome.item, outcome.failure or outcome.value
+            following += 1
 
 
 def new_process(settings: Settings) -> IsolatedProcess:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, get_args
 
-from bridge.batch.engine import Settings, Task, execute_here
+from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure, attempt_each
 from bridge.files import explained, table_file
 from bridge.recordings.folders import Address
@@ -22,7 +22,7 @@ from netconvert.errors import ConfigError
 from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment, Side, TurnType
 
 _LOG = logging.getLogger(__name__)
-#: Scenes per task: few enough that workers share the end of a scan.
+#: Most scenes that a process gets at a time.
 _CHUNK = 16
 #: Whom events are looked for with.
 EVENT_TARGETS = ("av", "focal")
@@ -100,24 +100,17 @@ def facts_of(
 
     on_scene(done, total) is called as scenes are done.
     """
-    chunks = [tuple(folders[start : start + _CHUNK]) for start in range(0, len(folders), _CHUNK)]
-    tasks = (
-        Task(f"scan-{number}", "bridge.batch.scan:scan_folders", Config(), chunk) for number, chunk in enumerate(chunks)
-    )
-    found: dict[Address, SceneFacts] = {}
-    failures: dict[Address, str] = {}
-    for result in execute_here(tasks, jobs=min(jobs, max(1, len(chunks))), settings=Settings(timeout_s=60)):
-        for outcome in result.outcomes:
-            failure = outcome.failure or (outcome.value if isinstance(outcome.value, Failure) else None)
-            if failure:
-                failures[outcome.item] = failure.message
-            else:
-                found[outcome.item] = outcome.value
-            if on_scene is not None:
-                on_scene(len(found) + len(failures), len(folders))
-    return [found[path] for path in folders if path in found], [
-        (path, failures[path]) for path in folders if path in failures
-    ]
+    found: list[SceneFacts] = []
+    failures: list[tuple[Address, str]] = []
+    each = work_on_each(scan_folders, folders, shared=Config(), jobs=jobs, chunk=_CHUNK, timeout_s=60)
+    for done, (folder, facts) in enumerate(each, 1):
+        if isinstance(facts, Failure):
+            failures.append((folder, facts.message))
+        else:
+            found.append(facts)
+        if on_scene is not None:
+            on_scene(done, len(folders))
+    return found, failures
 
 
 def scan_folders(config: Config, folders: Sequence[Address]) -> Iterator[SceneFacts | Failure]:

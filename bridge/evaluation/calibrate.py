@@ -10,10 +10,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from bridge.batch.engine import Settings, Task, execute_here
+from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure, attempt_each
 from bridge.evaluation.evaluate import write_table
-from bridge.evaluation.report import Section, number, page, picture, table
+from bridge.evaluation.pages import Section, number, page, picture, table
 from bridge.files import write_text
 from bridge.pictures import figures
 from bridge.recordings.scenario import find_scenarios, read_scenario, source_id
@@ -77,7 +77,8 @@ def calibrate_folder(
         raise ScenarioError(f"{root}: no scene is left to calibrate with; expected at least one")
     scenes: list[SceneDriving] = []
     failures: list[tuple[Path, str]] = []
-    for done, (folder, found) in enumerate(_observed(folders, jobs=jobs), 1):
+    each = work_on_each(observe, folders, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=120)
+    for done, (folder, found) in enumerate(each, 1):
         if isinstance(found, Failure):
             failures.append((folder, found.message))
         else:
@@ -95,16 +96,6 @@ def calibrate_folder(
     except OSError as error:
         raise ExportError(f"{out}: cannot be written ({error})") from error
     return result
-
-
-def _observed(folders: Sequence[Path], *, jobs: int) -> Iterator[tuple[Path, SceneDriving | Failure]]:
-    size = max(1, min(_CHUNK, len(folders) // (4 * jobs)))
-    chunks = [tuple(folders[k : k + size]) for k in range(0, len(folders), size)]
-    work = "bridge.evaluation.calibrate:observe"
-    tasks = (Task(f"calibrate-{k}", work, None, chunk) for k, chunk in enumerate(chunks))
-    for result in execute_here(tasks, jobs=min(jobs, len(chunks)), settings=Settings(timeout_s=120)):
-        for outcome in result.outcomes:
-            yield outcome.item, outcome.failure or outcome.value
 
 
 def observe(_shared: None, folders: Sequence[Path]) -> Iterator[SceneDriving | Failure]:

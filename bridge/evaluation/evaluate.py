@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from bridge.batch.engine import Settings, Task, execute_here
+from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import Labelled, Row, SceneMeasures, measure_folders
 from bridge.evaluation.totals import Evaluation, Totals
@@ -132,21 +132,9 @@ def _measured(
     folders: Sequence[Address], labelled: Labelled, *, jobs: int
 ) -> Iterator[tuple[Address, SceneMeasures | Failure]]:
     """Measures of each folder, in the order of the folders whatever the order in which they are done."""
-    size = max(1, min(_CHUNK, len(folders) // (4 * jobs)))
-    chunks = [tuple(folders[start : start + size]) for start in range(0, len(folders), size)]
-    tasks = (
-        Task(f"evaluate-{number}", "bridge.evaluation.evaluate:measure", (Limits(), labelled), chunk)
-        for number, chunk in enumerate(chunks)
-    )
-    waiting: dict[int, list[tuple[Address, bytes | Failure]]] = {}
-    following = 0
-    for result in execute_here(tasks, jobs=min(jobs, max(1, len(chunks))), settings=Settings(timeout_s=120)):
-        number = int(result.task.key.removeprefix("evaluate-"))
-        waiting[number] = [(outcome.item, outcome.failure or outcome.value) for outcome in result.outcomes]
-        while following in waiting:
-            for folder, packed in waiting.pop(following):
-                yield folder, packed if isinstance(packed, Failure) else pickle.loads(zlib.decompress(packed))  # noqa: S301  # our own child
-            following += 1
+    shared = Limits(), labelled
+    for folder, packed in work_on_each(measure, folders, shared=shared, jobs=jobs, chunk=_CHUNK, timeout_s=120):
+        yield folder, packed if isinstance(packed, Failure) else pickle.loads(zlib.decompress(packed))  # noqa: S301  # our own child
 
 
 def measure(shared: tuple[Limits, Labelled], folders: Sequence[Address]) -> Iterator[bytes | Failure]:

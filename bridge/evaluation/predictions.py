@@ -21,9 +21,9 @@ from av2.datasets.motion_forecasting.eval.metrics import (
 )
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
-from bridge.batch.engine import Settings, Task, execute_here
+from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure, attempt_each
-from bridge.evaluation import report
+from bridge.evaluation import pages
 from bridge.files import beside, make_folder, table_file, write_text
 from bridge.recordings.scenario import (
     MAX_STEPS,
@@ -51,7 +51,7 @@ _MODES = ((1.0, 0.4), (0.75, 0.15), (1.25, 0.15), (0.5, 0.1), (1.5, 0.1), (0.0, 
 #: A baseline's speed and turn rate are means over this many steps before the last observed one.
 _HISTORY = 5
 
-#: Scenes per task.
+#: Scenes per task: about as many as take the time that a process needs to begin.
 _CHUNK = 128
 
 #: Probabilities (K,) of a scene's modes, and the modes (K, 60, 2) m by track.
@@ -90,9 +90,9 @@ class PredictionScores:
         """A table of the bands."""
         return [
             (
-                band["band"], str(band["k"]), str(band["tracks"]), report.number(band["min_ade_m"]),
-                report.number(band["min_fde_m"]), report.number(band["miss_rate"]),
-                report.number(band["brier_min_fde"]),
+                band["band"], str(band["k"]), str(band["tracks"]), pages.number(band["min_ade_m"]),
+                pages.number(band["min_fde_m"]), pages.number(band["miss_rate"]),
+                pages.number(band["brier_min_fde"]),
             )
             for band in self.bands
         ]  # fmt: skip
@@ -121,37 +121,21 @@ def score_predictions(
     folders = find_scenarios(out)
     if report_dir is not None:
         make_folder(report_dir)
-    forecasts = None if predictions in BASELINES else read_forecasts(Path(predictions))
-    ids = {source_id(folder) for folder in folders}
-    chunks = [folders[start : start + _CHUNK] for start in range(0, len(folders), _CHUNK)]
-    found: dict[Path, tuple[list[Score], list[str]]] = {}
-
-    def note(folder: Path, value: tuple[list[Score], list[str]] | Failure) -> None:
-        found[folder] = ([], [value.message]) if isinstance(value, Failure) else value
+    named = next((kind for kind in BASELINES if kind == predictions), None)
+    forecasts = read_forecasts(Path(predictions)) if named is None else {}
+    items = [(folder, named or forecasts.get(source_id(folder))) for folder in folders]
+    each = work_on_each(score_folders, items, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False)
+    scores: list[Score] = []
+    left_out: list[str] = []
+    for done, (_, found) in enumerate(each, 1):
+        if isinstance(found, Failure):
+            left_out.append(found.message)
+        else:
+            scores += found[0]
+            left_out += found[1]
         if on_scene is not None:
-            on_scene(len(found), len(folders))
-
-    if jobs == 1 or len(chunks) == 1:  # what a process needs to begin is what some hundred scenes take
-        for folder, value in zip(folders, score_folders(forecasts or predictions, folders), strict=True):  # type: ignore[arg-type]
-            note(folder, value)
-    else:
-        tasks = (
-            Task(
-                f"score-{number}",
-                "bridge.evaluation.predictions:score_folders",
-                predictions
-                if forecasts is None
-                else {name: forecasts[name] for folder in chunk if (name := source_id(folder)) in forecasts},
-                tuple(chunk),
-            )
-            for number, chunk in enumerate(chunks)
-        )
-        for result in execute_here(tasks, jobs=min(jobs, len(chunks)), settings=Settings(timeout_s=60)):
-            for outcome in result.outcomes:
-                note(outcome.item, outcome.failure or outcome.value)
-    scores = [score for folder in folders for score in found[folder][0]]
-    left_out = [reason for folder in folders for reason in found[folder][1]]
-    left_out += [f"{name}: no such scene" for name in sorted(set(forecasts or ()) - ids)]
+            on_scene(done, len(folders))
+    left_out += [f"{name}: no such scene" for name in sorted(set(forecasts) - set(map(source_id, folders)))]
     if not scores:
         raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {left_out[0]}")
     scored = PredictionScores(tuple(scores), tuple(_bands(scores, bounds)), tuple(left_out))
@@ -161,16 +145,17 @@ def score_predictions(
 
 
 def score_folders(
-    forecasts: Forecasts | Baseline, folders: Sequence[Path]
+    _shared: None, items: Sequence[tuple[Path, Forecast | Baseline | None]]
 ) -> Iterator[tuple[list[Score], list[str]] | Failure]:
-    """The work of a process: scores of each scene, and what of it cannot be scored."""
+    """The work of a process: scores of each scene by its forecast, and what of it cannot be scored."""
 
-    def score(folder: Path) -> tuple[list[Score], list[str]]:
+    def score(item: tuple[Path, Forecast | Baseline | None]) -> tuple[list[Score], list[str]]:
+        folder, forecast = item
         rows = read_rows(folder)
-        own = baseline(rows, forecasts) if isinstance(forecasts, str) else forecasts.get(rows.scenario_id)
+        own = baseline(rows, forecast) if isinstance(forecast, str) else forecast
         return ([], [f"{rows.scenario_id}: no forecast"]) if own is None else _score_scene(rows, own)
 
-    return attempt_each(score, folders)
+    return attempt_each(score, items)
 
 
 def read_forecasts(path: Path) -> Forecasts:
@@ -320,7 +305,7 @@ def _write(result: PredictionScores, report_dir: Path) -> None:
     )
     parts = [
         about,
-        report.table(TABLE_HEAD, result.rows()),
+        pages.table(TABLE_HEAD, result.rows()),
         f"<p>Not scored ({len(result.left_out)}):</p><ul>{left_out}</ul>" if result.left_out else "",
     ]
     try:
@@ -330,6 +315,6 @@ def _write(result: PredictionScores, report_dir: Path) -> None:
             writer.writerows(result.scores)
         text = json.dumps(content, indent=1, allow_nan=False)
         write_text(report_dir / "predictions.json", text + "\n")
-        write_text(report_dir / "predictions.html", report.page("Forecasts, scored", parts))
+        write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))
     except OSError as error:
         raise ExportError(f"{report_dir}: cannot write the scores ({error})") from error

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bridge.evaluation import report
+from bridge.evaluation import pages
 from bridge.evaluation.predictions import BOUNDS, PredictionScores, Score, score_predictions
 from bridge.files import explained, make_folder, table_file, write_text
 from bridge.recordings.scenario import find_scenarios, source_id
@@ -308,6 +308,4 @@ def _write(differences: Sequence[Difference], report_dir: Path) -> None:
                                  one.detectable))  # fmt: skip
         write_text(report_dir / "comparison.json", json.dumps(as_dicts(differences), indent=1, allow_nan=False) + "\n")
         rows = [tuple(html.escape(cell) for cell in row) for row in rows_of(differences)]
-        write_text(
-            report_dir / "comparison.html", report.page("Forecasts, compared", [ABOUT, report.table(head, rows)])
-        )
+        write_text(report_dir / "comparison.html", pages.page("Forecasts, compared", [ABOUT, pages.table(head, rows)]))

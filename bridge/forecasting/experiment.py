@@ -19,7 +19,7 @@ from bridge.batch.batch import Progress as BatchProgress
 from bridge.batch.engine import Settings, Task, execute_here
 from bridge.batch.isolation import Failure
 from bridge.batch.manifest import DONE, ManifestRow
-from bridge.evaluation import report
+from bridge.evaluation import pages
 from bridge.evaluation.predictions import BOUNDS, Score, score_predictions, write_forecasts
 from bridge.files import explained, make_folder, table_file, write_text
 from bridge.forecasting.comparison import (
@@ -385,14 +385,14 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
         f"<p>{who} Seeds: {', '.join(f'{html.escape(k)} {v}' for k, v in seeds.items())}.{focal}</p>",
         power_text(differences),
         "<h2>What the forecasters were trained on, and scored on</h2>",
-        report.table(_SETS_HEAD, _sets(composed)),
+        pages.table(_SETS_HEAD, _sets(composed)),
         "<h2>Table 2: trained on recorded scenes or on generated ones</h2>",
-        report.table(head2, [_cells(line) for line in table2]),
+        pages.table(head2, [_cells(line) for line in table2]),
         "<h2>Table 3: recorded validation scenes of more than 50, 70 and 90 agents</h2>",
-        report.table(head3, [_cells(line) for line in table3]),
+        pages.table(head3, [_cells(line) for line in table3]),
         "<h2>Differences, in pairs</h2>",
         ABOUT,
-        report.table(HEAD, [tuple(html.escape(cell) for cell in row) for row in rows_of(differences)]),
+        pages.table(HEAD, [tuple(html.escape(cell) for cell in row) for row in rows_of(differences)]),
         _ABOUT,
     ]
     with explained(out):
@@ -405,7 +405,7 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
                         writer.writerows((on, name, number, *score) for score in scores)
         write_text(out / "prediction.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
         page = out / "prediction.html"
-        write_text(page, report.page("Tables 2 and 3: forecasters trained with generated scenes", parts))
+        write_text(page, pages.page("Tables 2 and 3: forecasters trained with generated scenes", parts))
     return page
 
 
@@ -429,7 +429,7 @@ def _sets(composed: Path) -> list[tuple[str, ...]]:
 
 
 def _cells(line: _Line) -> tuple[str, ...]:
-    return html.escape(line.label), *(report.with_interval(cell.as_dict()) for cell in line.cells)
+    return html.escape(line.label), *(pages.with_interval(cell.as_dict()) for cell in line.cells)
 
 
 def _as_dict(line: _Line, names: Sequence[str]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic_core import from_json
 
-from bridge.batch.engine import Settings, Task, execute_here
+from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure, attempt_each
 from bridge.files import read_regular
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIDECAR_PATTERN
@@ -79,31 +79,20 @@ def facts_of_scenes(
     folders: Sequence[Path], *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
 ) -> tuple[list[SceneFacts], list[str]]:
     """Facts in the order of folders, and a line for each scene that cannot be read."""
-    facts: dict[Path, SceneFacts] = {}
-    unread: dict[Path, str] = {}
+    facts: list[SceneFacts] = []
+    unread: list[str] = []
     shared: dict[bytes, bytes] = {}  # variants of a scene lie where it lies
-
-    def note(folder: Path, value: SceneFacts | Failure) -> None:
+    each = work_on_each(
+        describe_folders, folders, shared=Forecasting(), jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False
+    )
+    for done, (_, value) in enumerate(each, 1):
         if isinstance(value, Failure):
-            unread[folder] = value.message
+            unread.append(value.message)
         else:
-            facts[folder] = value._replace(cells=shared.setdefault(value.cells, value.cells))
+            facts.append(value._replace(cells=shared.setdefault(value.cells, value.cells)))
         if on_scene is not None:
-            on_scene(len(facts) + len(unread), len(folders))
-
-    if jobs == 1:
-        for folder, value in zip(folders, describe_folders(Forecasting(), folders), strict=True):
-            note(folder, value)
-    else:
-        chunks = [tuple(folders[start : start + _CHUNK]) for start in range(0, len(folders), _CHUNK)]
-        tasks = (
-            Task(f"place-{number}", "bridge.forecasting.places:describe_folders", Forecasting(), chunk)
-            for number, chunk in enumerate(chunks)
-        )
-        for result in execute_here(tasks, jobs=min(jobs, max(1, len(chunks))), settings=Settings(timeout_s=60)):
-            for outcome in result.outcomes:
-                note(outcome.item, outcome.failure or outcome.value)
-    return [facts[folder] for folder in folders if folder in facts], [unread[f] for f in folders if f in unread]
+            on_scene(done, len(folders))
+    return facts, unread
 
 
 def describe_folders(params: Forecasting, folders: Sequence[Path]) -> Iterator[SceneFacts | Failure]:

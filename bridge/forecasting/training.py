@@ -94,11 +94,6 @@ def forecast(model: VectorNet, targets: Sequence[Target], params: Forecasting) -
     return dict(found)
 
 
-def parameters_of(model: VectorNet) -> int:
-    """Number of parameters."""
-    return sum(values.numel() for values in model.parameters())
-
-
 def be_deterministic(threads: int) -> None:
     """What a process does before it trains: so many threads, and only operations that give the same bits again."""
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")

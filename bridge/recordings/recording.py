@@ -55,11 +55,6 @@ class Recording:
         """The last observed timestep: a track that is forecast is present here."""
         return min(self.observed_steps, self.num_steps) - 1
 
-    @property
-    def scored_track_ids(self) -> tuple[str, ...]:
-        """Tracks that forecasts are scored on, the focal one among them."""
-        return tuple(track.track_id for track in self.tracks if track.category >= SCORED_CATEGORY)
-
     def track(self, track_id: str) -> Track:
         """One track by id; ScenarioError where there is none."""
         for track in self.tracks:

@@ -166,8 +166,8 @@ class Filling:
         rng = np.random.default_rng([*self.seed, 1 + number])
         guard = Guard(self.scene, self._fixed(), self.stop_lines)
         sites = InsertionSites(
-            self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number, self._avoided,
-            meetings=self.meetings, spread=Spread.of(self.seed), asked=Counter(r.policy for r in self._open),
+            self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number, self.meetings,
+            Spread.of(self.seed), self._avoided, asked=Counter(r.policy for r in self._open),
         )  # fmt: skip
         sites.taken += self._again
         starts, self._again = list(self._again), []

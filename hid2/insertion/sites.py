@@ -54,9 +54,9 @@ class InsertionSites:
     guard: Guard
     rng: np.random.Generator
     round_number: int
+    meetings: Meetings
+    spread: Spread
     avoided: Sequence[tuple[int, float]] = ()
-    meetings: Meetings | None = None
-    spread: Spread | None = None
     asked: Counter[Policy] = field(default_factory=Counter)
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
@@ -139,7 +139,7 @@ class InsertionSites:
                 continue
             for offer in self._order(request, lane_id):
                 s = offer.start_m + lane_s
-                usual_mps = self._usual_speed(lane_id)
+                usual_mps = self.meetings.usual_speed(lane_id)
                 if self._leaves_early(offer, s, 0.8 * usual_mps) or not promises(offer, s, usual_mps):
                     continue
                 start = self._start(request, offer, lane_id, s, likely=likely)
@@ -157,25 +157,16 @@ class InsertionSites:
         offers = self.routes.offers(lane_id)
         key = self.rng.exponential(size=len(offers))
         if self.scene.config.request.sites == "promising":
-            key /= np.array(self._meetings.offer_weights(lane_id))
+            key /= np.array(self.meetings.offer_weights(lane_id))
         order = [offers[row] for row in np.argsort(key, kind="stable").tolist()]
         if request.policy in TURN_OF_POLICY:
             return order
         return sorted(order, key=lambda offer: bool(offer.turns))
 
-    @property
-    def _meetings(self) -> Meetings:
-        if self.meetings is None:
-            self.meetings = Meetings(self.scene, self.routes)
-        return self.meetings
-
-    def _usual_speed(self, lane_id: int) -> float:
-        return self._meetings.usual_speed(lane_id)
-
     def _places(self, request: VehicleRequest) -> Iterator[tuple[int, float]]:
         """Lane and arc length, m, of free cells at step 0; first from where more is met, intersections last.
 
-        The order is that of `Spread`, by the number of this vehicle among those of its policy; else by weight alone.
+        The order is that of `Spread`, by the number of this vehicle among those of its policy.
         """
         scene = self.scene
         grid, lanes = scene.grid, scene.grid.graph.lanes
@@ -196,7 +187,7 @@ class InsertionSites:
         inside = np.array([lanes[grid.cells[row].lane_id].is_intersection for row in rows])
         share = self.rng.random(len(rows))
         policy = request.policy
-        if self.spread is None or not promising:
+        if not promising:
             order = by_weight(weight, self.rng)
         else:
             order = self.spread.order(
@@ -218,7 +209,7 @@ class InsertionSites:
 
         A leader whom a vehicle of this round follows already speaks for no other site.
         """
-        meetings, scene = self._meetings, self.scene
+        meetings, scene = self.meetings, self.scene
         begun = [scene.grid.index_of[scene.cell_at(start.path, start.start_s)] for start in self.taken]
         leader, weight = meetings.leader[rows], meetings.weight[rows].copy()
         led = np.isin(leader, meetings.leader[begun]) & (leader >= 0)
@@ -315,7 +306,8 @@ class InsertionSites:
                 return Reason.TURN_NOT_SEEN
             reach_s = turn.end + 1.0 if likely else None
         elif likely and request.policy is not Policy.STRAIGHT:  # whoever changes lanes has to be under way
-            reach_s = start_s + config.sites.under_way_share * self._usual_speed(lane_id) * scene.last_s
+            pace_mps = config.sites.under_way_share * self.meetings.usual_speed(lane_id)
+            reach_s = start_s + pace_mps * scene.last_s
         verdict: Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else config.sites.drivers):
             who = driver or draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))

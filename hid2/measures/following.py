@@ -19,13 +19,12 @@ MIN_SPEED_MPS = 1.0
 class Leaders:
     """The next vehicle ahead on each row's lane path (N,); rows without one have agent -1 and infinite values.
 
-    gap_m bumper to bumper; time_gap_s = gap / follower's speed; headway_s = front to front; ttc_s, inf if not closing.
+    gap_m bumper to bumper; time_gap_s = gap / follower's speed; ttc_s, inf if not closing.
     """
 
     agent: IntArray
     gap_m: FloatArray
     time_gap_s: FloatArray
-    headway_s: FloatArray
     ttc_s: FloatArray
 
 
@@ -57,13 +56,11 @@ def leaders(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> Leaders:
     closing = np.where(led, speed - speed[leader_row], 0.0) if len(agent) else gap
     moving = led & (speed > MIN_SPEED_MPS)
     divisor = np.where(moving, speed, 1.0)
-    leader_length = arrays.length[np.where(led, agent, 0)] if len(agent) else gap
     positive = led & (closing > 1e-9)
     return Leaders(
         agent=agent,
         gap_m=gap,
         time_gap_s=np.where(moving, gap / divisor, np.inf),
-        headway_s=np.where(moving, (gap + leader_length) / divisor, np.inf),
         ttc_s=np.where(positive, np.maximum(gap, 0.0) / np.where(positive, closing, 1.0), np.inf),
     )
 

@@ -29,14 +29,12 @@ class Blend:
     """A path that leaves one lane path for another.
 
     points (N, 2) m, evenly spaced before smoothing; start_m, end_m: arc length of the lateral motion on it;
-    shift_m: signed lateral distance between the lane middles at its end, left positive; target_offset_m: arc length on
-    the target minus arc length on the blend, behind its end.
+    target_offset_m: arc length on the target minus arc length on the blend, behind its end.
     """
 
     points: FloatArray
     start_m: float
     end_m: float
-    shift_m: float
     target_offset_m: float
 
 
@@ -71,6 +69,5 @@ def blend_paths(
         points=points,
         start_m=float(driven[max(0, int((s <= start_m).sum()) - 1)]),
         end_m=float(driven[at_end]),
-        shift_m=-float(lateral[-1]),
         target_offset_m=float(along[-1] - driven[at_end]),
     )

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hid2.agents import FloatArray
-from hid2.kernels.cells import anybody_on, cells_below, original_cells
+from hid2.kernels.cells import anybody_on, original_cells
 from hid2.occupancy.traffic import Traffic
 from netconvert.cells import CellGrid
 
@@ -73,15 +73,6 @@ def original_occupancy(boxes: CellBoxes, traffic: Traffic) -> OriginalOccupancy:
         traffic.position, traffic.heading, traffic.present, traffic.length_m, traffic.width_m, AGREES_RAD,
     )  # fmt: skip
     return OriginalOccupancy(sigma=sigma, cell=cell, mapped=cell >= 0)
-
-
-def cells_under(
-    boxes: CellBoxes, x: float, y: float, heading: float, *, length_m: float, width_m: float
-) -> npt.NDArray[np.int64]:
-    """Indices of the cells that a box covers."""
-    return cells_below(
-        boxes.center, boxes.heading, boxes.length_m, boxes.width_m, x, y, heading, length_m / 2, width_m / 2
-    )
 
 
 def is_anybody_on(boxes: CellBoxes, cells: Sequence[int], traffic: Traffic, step: int, *, width_share: float) -> bool:

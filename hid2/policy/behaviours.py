@@ -54,14 +54,8 @@ BEHAVIOURS: Mapping[Policy, Behaviour] = {
     )
 }
 _SEEN = {kind: behaviour for behaviour in BEHAVIOURS.values() for kind in behaviour.seen_as}
-_TURNING = {behaviour.turn: behaviour for behaviour in BEHAVIOURS.values() if behaviour.turn is not None}
 
 
 def behaviour_seen(kind: ManeuverKind) -> Behaviour:
     """The behaviour that a manoeuvre seen belongs to. Errors: KeyError for a kind that no behaviour names."""
     return _SEEN[kind]
-
-
-def behaviour_turning(turn: TurnType) -> Behaviour:
-    """The behaviour of a vehicle that follows a lane that turns so. Errors: KeyError for straight lanes."""
-    return _TURNING[turn]

@@ -1,7 +1,7 @@
 """Work for scene processes in tests; imported there by name, see the fixture `faults`.
 
-A file FAULT in a source folder says what its scene does: segfault, hang, killed, exit, raise. "... once" does it at the
-first attempt only (a file beside the output remembers it).
+A file FAULT in a source folder says what its scene does: segfault, hang, wait, killed, exit, raise. "... once" does it
+at the first attempt only (a file beside the output remembers it).
 """
 
 import errno
@@ -74,7 +74,8 @@ def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]
             new_id = new_scenario_id(scenario.scenario_id, run.config, request.seed, run.variant)
             focal = scenario.focal_track_id
             folder = write_scene(scenario, [], sidecar, place.out, new_id=new_id, focal_track_id=focal)
-            time.sleep(float(os.environ.get("FAULTS_SLEEP_S", "0")))
+            if place.folder.name >= os.environ.get("FAULTS_SLEEP_FROM", ""):
+                time.sleep(float(os.environ.get("FAULTS_SLEEP_S", "0")))
             yield base_row(place, run)._replace(
                 folder=folder.relative_to(place.out).as_posix(), output_sha256=files_sha256(output_files(folder))
             )
@@ -157,6 +158,8 @@ def fail(fault: str, scratch: Path) -> None:
     elif fault == "hang":
         while True:
             pass
+    elif fault == "wait":  # a hang that takes no processor from the other tests
+        time.sleep(600)
     raise RuntimeError(f"fault {fault}")
 
 

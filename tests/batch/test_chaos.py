@@ -89,13 +89,13 @@ def test_chaos(make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.M
     started = tmp_path / "started"
     started.mkdir()
     monkeypatch.setenv("FAULTS_STARTED", str(started))
-    bad = {1: ("sumo", "crashed"), 4: ("hang", "timeout"), 7: ("corrupt", "error"), 10: ("raise", "exception")}
+    bad = {1: ("sumo", "crashed"), 4: ("wait", "timeout"), 7: ("corrupt", "error"), 10: ("raise", "exception")}
     folders = make_data_set(15, {number: fault for number, (fault, _) in bad.items()})
     quiet, out = tmp_path / "quiet", tmp_path / "out"
     good = [folder for number, folder in enumerate(folders) if number not in bad]
-    assert {row.status for row in run_batch(plan(good, CONFIG), quiet, Options(function="faults:generated"))} == {DONE}
+    options = Options(jobs=2, timeout_s=12, function="faults:generated")
+    assert {row.status for row in run_batch(plan(good, CONFIG), quiet, options)} == {DONE}
 
-    options = Options(jobs=2, timeout_s=15, function="faults:generated")
     with Killer(started, kills=6, seed=int(os.environ.get("CHAOS_SEED", "0"))) as killer:
         rows = run_batch(plan(folders, CONFIG), out, options)
     assert len(killer.hit) >= 3, f"the killer hit only {killer.hit}"
@@ -149,8 +149,8 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
 def test_cluster_that_others_started(make_data_set: MakeDataSet, tmp_path: Path, cluster: Cluster) -> None:
     """`hid2 generate --scheduler` uses its workers, also when one is killed on the way; the bytes are the same."""
     address, processes = cluster
-    folders = make_data_set(9)
-    run_batch(plan(folders, CONFIG), tmp_path / "here", Options())
+    folders = make_data_set(6)
+    run_batch(plan(folders, CONFIG), tmp_path / "here", Options(jobs=2))
     command = [str(BIN / "hid2"), "generate", str(folders[0].parent), "-o", str(tmp_path / "there"), "--agents", "5"]
     generating = subprocess.Popen([*command, "--scheduler", address], stdout=subprocess.PIPE, text=True)
     while not (tmp_path / "there" / "val").exists():
@@ -161,7 +161,7 @@ def test_cluster_that_others_started(make_data_set: MakeDataSet, tmp_path: Path,
     killed.wait()
     output, _ = generating.communicate(timeout=300)
     assert generating.returncode == 0
-    assert "9 of 9 scenes done" in output
+    assert "6 of 6 scenes done" in output
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
 
 

@@ -20,7 +20,7 @@ from bridge.batch.scan import EVENT_TARGETS
 from bridge.cli import app, options
 from bridge.cli.forecasting import CountIn, Layout, SplitBy
 from bridge.config import config_to_dict, describe_config, load_config, parse_behaviours, parse_trigger_time
-from bridge.evaluation.paper import EXPERIMENTS
+from bridge.evaluation.experiments import EXPERIMENTS
 from bridge.forecasting.composition import Composition, Draw, Split
 from bridge.forecasting.experiment import Reading
 from bridge.recordings.scenario import SPLITS

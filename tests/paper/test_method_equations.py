@@ -5,20 +5,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 
 from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.guard import Braking, Guard, transition_rejected
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver, LaneOffset
+from hid2.insertion.meetings import Meetings
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.routes import Routes
 from hid2.insertion.sites import InsertionSites
+from hid2.insertion.spread import Spread
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M, build_reference_line
 from hid2.motion.route import DrivenPath
 from hid2.motion.smoothing import Motion, smooth_motion, trajectory
 from hid2.motion.verify import motion_profile
-from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL, cell_boxes, cells_under, dwell_steps, original_occupancy
+from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL, cell_boxes, dwell_steps, original_occupancy
 from hid2.occupancy.traffic import Traffic, traffic_of
 from hid2.params import Config, LaneChange, Limits, Overtake, Request, Turn
 from hid2.policy.decision import LaneOption, Observation, decide
@@ -137,6 +140,8 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
         Guard(scene, NOBODY, StopLines(scene)),
         np.random.default_rng(0),
         0,
+        Meetings(scene, Routes(scene)),
+        Spread.of((0, 0)),
     )
     config = Config(request=Request(left_turn=0, right_turn=0, lane_change=0, overtake=0))
     requests = draw_requests(config, np.random.default_rng(0), count=6, duration_s=10.9)
@@ -145,7 +150,9 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
     taken: set[int] = set()
     for start in placed:
         x, y = start.path.line.position(np.array([start.start_s]))[0].tolist()
-        under = cells_under(scene.boxes, x, y, 0.0, length_m=start.size.length_m, width_m=0.8 * start.size.width_m)
+        half_l, half_w = start.size.length_m / 2, 0.4 * start.size.width_m
+        box = shapely.box(x - half_l, y - half_w, x + half_l, y + half_w)
+        under = np.flatnonzero(shapely.intersects(scene.grid.polygons, box))
         assert np.all(sigma[under] == FREE)
         assert not taken & set(under.tolist())
         taken |= set(under.tolist())

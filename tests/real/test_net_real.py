@@ -9,8 +9,9 @@ import pytest
 import shapely
 from av2.map.map_api import ArgoverseStaticMap
 
+from bridge.recordings.map_rules import read_source_map
 from bridge.sumo.net import convert
-from netconvert.av2_map import lane_graph_from_json, read_lane_graph
+from netconvert.av2_map import lane_graph_from_json
 from netconvert.cells import build_cell_grid
 from netconvert.fidelity import UNEXPLAINED
 from netconvert.lane_graph import SIDES, LaneGraph
@@ -44,7 +45,7 @@ def _check_against_av2(graph: LaneGraph, theirs: ArgoverseStaticMap) -> None:
 
 def test_the_lane_graph_holds_what_av2_reads(real_scene: Path) -> None:
     path = _map_path(real_scene)
-    _check_against_av2(read_lane_graph(path), ArgoverseStaticMap.from_json(path))
+    _check_against_av2(read_source_map(path), ArgoverseStaticMap.from_json(path))
 
 
 def test_centrelines_are_those_of_the_file(real_scene: Path) -> None:
@@ -54,7 +55,7 @@ def test_centrelines_are_those_of_the_file(real_scene: Path) -> None:
         segment["id"]: [(point["x"], point["y"]) for point in segment["centerline"]]
         for segment in json.loads(path.read_text())["lane_segments"].values()
     }
-    for lane_id, lane in read_lane_graph(path).lanes.items():
+    for lane_id, lane in read_source_map(path).lanes.items():
         assert lane.centerline.tolist() == [list(point) for point in source[lane_id]]
 
 
@@ -71,7 +72,7 @@ def test_without_centrelines_the_mid_lines_are_those_that_av2_derives(real_scene
 
 def test_followed_links_are_the_file_s_links_within_the_map(real_scene: Path) -> None:
     """Every successor in the map and every neighbour whose chord points the same way; the rest is accounted for."""
-    graph = read_lane_graph(_map_path(real_scene))
+    graph = read_source_map(_map_path(real_scene))
     chord = {lane_id: lane.centerline[-1] - lane.centerline[0] for lane_id, lane in graph.lanes.items()}
     dropped = {(link.kind, link.source, link.target) for link in graph.dropped}
     for lane_id, lane in graph.lanes.items():
@@ -89,13 +90,13 @@ def test_followed_links_are_the_file_s_links_within_the_map(real_scene: Path) ->
 
 
 def test_no_cell_is_longer_than_asked_and_its_middle_lies_on_its_ground(real_scene: Path) -> None:
-    grid = build_cell_grid(read_lane_graph(_map_path(real_scene)))
+    grid = build_cell_grid(read_source_map(_map_path(real_scene)))
     assert max(grid.length_m(cell) for cell in grid.cells) <= 4.0 + 1e-9
     assert shapely.contains_xy(grid.polygons, grid.centers[:, 0], grid.centers[:, 1]).all()
 
 
 def test_neighbours_have_equally_many_cells_that_face_each_other(real_scene: Path) -> None:
-    grid = build_cell_grid(read_lane_graph(_map_path(real_scene)))
+    grid = build_cell_grid(read_source_map(_map_path(real_scene)))
     for cell in grid.cells:
         for side, other in (("left", "right"), ("right", "left")):
             link = grid.lateral(cell, side)
@@ -110,7 +111,7 @@ def test_neighbours_have_equally_many_cells_that_face_each_other(real_scene: Pat
 
 def test_overlaps_are_mutual_and_found_between_lanes_only(real_scene: Path) -> None:
     """370 to 1,320 pairs a map were counted when the design was made, with another measure of touching."""
-    grid = build_cell_grid(read_lane_graph(_map_path(real_scene)))
+    grid = build_cell_grid(read_source_map(_map_path(real_scene)))
     pairs = 0
     for cell in grid.cells:
         for other in grid.overlaps(cell):

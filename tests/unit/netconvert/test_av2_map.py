@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from av2.map.map_api import ArgoverseStaticMap
 
-from netconvert.av2_map import lane_graph_from_json, read_lane_graph
+from netconvert.av2_map import lane_graph_from_json
 from netconvert.errors import MapError
 from netconvert.lane_graph import TurnType
 
@@ -45,8 +45,9 @@ def test_a_missing_centerline_is_the_mid_line_that_av2_derives(tmp_path: Path, l
         segments.append(lane_json(lane_id, STRAIGHT, **boundaries, centerline=None))
         del segments[-1]["centerline"]
     path = tmp_path / "log_map_archive_x.json"
-    path.write_text(json.dumps(map_json(*segments)))
-    graph, theirs = read_lane_graph(path), ArgoverseStaticMap.from_json(path)
+    document = map_json(*segments)
+    path.write_text(json.dumps(document))
+    graph, theirs = lane_graph_from_json(document, name="map"), ArgoverseStaticMap.from_json(path)
     for lane_id, lane in graph.lanes.items():
         expected = theirs.get_lane_segment_centerline(lane_id)[:, :2]
         assert np.abs(lane.centerline - expected).max() < 1e-9
@@ -182,17 +183,3 @@ def test_a_drivable_area_without_boundary_is_refused(lane_json: Json, map_json: 
     data["drivable_areas"]["7"] = {"id": 7}
     with pytest.raises(MapError, match="map: drivable area 7: no area_boundary"):
         lane_graph_from_json(data, name="map")
-
-
-def test_a_missing_file_is_refused_by_name(tmp_path: Path) -> None:
-    path = tmp_path / "log_map_archive_x.json"
-    with pytest.raises(MapError, match=r"log_map_archive_x\.json: cannot read the map"):
-        read_lane_graph(path)
-
-
-@pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe\x00", b"PAR1"])
-def test_a_file_that_is_not_json_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "log_map_archive_x.json"
-    path.write_bytes(content)
-    with pytest.raises(MapError, match=r"log_map_archive_x\.json: not JSON"):
-        read_lane_graph(path)

@@ -12,7 +12,8 @@ import pytest
 
 from bridge.evaluation.aggregate import SourceSums, estimate, ratio_estimate
 from bridge.evaluation.evaluate import evaluate_folder
-from bridge.evaluation.report import number, write_report
+from bridge.evaluation.pages import number
+from bridge.evaluation.report import write_report
 from bridge.evaluation.scene_metrics import Maps, measure, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
 from bridge.recordings.scenario import find_scenarios, read_scenario

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bridge.evaluation.critique import critique
-from bridge.evaluation.report import plain_words
+from bridge.evaluation.realism_page import plain_words
 from hid2.evaluation.critics import WIDTH, Packed
 
 

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from bridge.recordings import limits
+from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import read_scenario
 from netconvert.errors import Hid2Error, MapError, ScenarioError
 
@@ -195,3 +196,17 @@ def test_real_scenes_are_far_below_every_limit(real_scene: Path) -> None:
     assert 5 * sum(lane.length_m for lane in lanes) < limits.MAX_LANES_M
     assert 10 * scenario.table.num_rows < limits.MAX_ROWS
     assert max(path.stat().st_size for path in real_scene.iterdir()) * 5 < limits.MAX_FILE_MB * 1e6
+
+
+def test_a_missing_file_is_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "log_map_archive_x.json"
+    with pytest.raises(MapError, match=r"log_map_archive_x\.json: cannot read the map"):
+        read_source_map(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe\x00", b"PAR1"])
+def test_a_file_that_is_not_json_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "log_map_archive_x.json"
+    path.write_bytes(content)
+    with pytest.raises(MapError, match=r"log_map_archive_x\.json: not JSON"):
+        read_source_map(path)

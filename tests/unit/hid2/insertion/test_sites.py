@@ -11,8 +11,10 @@ from scipy.stats import chisquare
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import Routes
 from hid2.insertion.sites import InsertionSites, speed_behind
+from hid2.insertion.spread import Spread
 from hid2.occupancy.sigma import FREE
 from hid2.params import Config, Request, Sites, Spawn
 from hid2.policy.roads import Roads
@@ -27,7 +29,8 @@ ROAD_M = 300.0
 def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
     lines = StopLines(scene)
     guard = Guard(scene, nobody(scene.future.num_steps), lines)
-    return InsertionSites(scene, Roads(scene), Routes(scene), lines, guard, np.random.default_rng(seed), 0)
+    routes, rng, spread = Routes(scene), np.random.default_rng(seed), Spread.of((seed, 0))
+    return InsertionSites(scene, Roads(scene), routes, lines, guard, rng, 0, Meetings(scene, routes), spread)
 
 
 def _request(number: int = 0, policy: Policy = Policy.STRAIGHT, trigger_s: float = 0.0) -> VehicleRequest:

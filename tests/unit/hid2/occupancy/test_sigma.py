@@ -8,7 +8,6 @@ from hid2.occupancy.sigma import (
     ORIGINAL,
     CellBoxes,
     cell_boxes,
-    cells_under,
     dwell_steps,
     is_anybody_on,
     original_occupancy,
@@ -122,12 +121,6 @@ def test_absent_agent_occupies_nothing(boxes: CellBoxes, box: Callable[..., Traf
     found = original_occupancy(boxes, box(14.0, 0.0, steps=4, first=2))
     assert not found.sigma[:2].any()
     assert found.mapped[0].tolist() == [False, False, True, True]
-
-
-def test_cells_under_a_box(grid: CellGrid, boxes: CellBoxes) -> None:
-    rows = cells_under(boxes, 14.0, 0.0, 0.0, length_m=4.5, width_m=1.9)
-    assert {grid.cells[row] for row in rows} == {Cell(1, 2), Cell(1, 3), Cell(1, 4)}
-    assert cells_under(boxes, 14.0, -20.0, 0.0, length_m=4.5, width_m=1.9).size == 0
 
 
 def test_dwell_time_is_rounded_up_to_whole_steps() -> None:
