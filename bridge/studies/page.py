@@ -170,10 +170,11 @@ def page_text(
     counted = requests[requests["counted"]]
     config = study.configs[0][0]
     failed = int((runs["status"] != "done").sum())
+    scenes = requests["scene"].nunique()
     begun = (
         f"{len(runs)} runs ({failed} without a result) of {len(study.points)} points with {len(study.seeds)} seeds on "
-        f"{requests['scene'].nunique()} scenes [runs]. {len(requests)} requests for a {study.kind.replace('_', ' ')}, "
-        f"{len(counted)} of them counted [requests.counted]."
+        f"{scenes} scene{'s' if scenes > 1 else ''} [runs]. {len(requests)} requests for a "
+        f"{study.kind.replace('_', ' ')}, {len(counted)} of them counted [requests.counted]."
     )
     paired = (
         "Paired: vehicles, drivers, sites, traffic and SUMO's seed are the same at every point, and only what is "
@@ -323,7 +324,13 @@ def _limits(study: Study, requests: pd.DataFrame) -> list[str]:
     found = [f"{decide} (`hid2 config`)."]
     if study.configs[0][0].flow.veh_per_h_lane > 0.0:
         found.append("Real traffic: the flow is simulated, its headways are a shifted exponential distribution.")
-    else:
+    modes = set(requests["replay"])
+    if "reactive" in modes:
+        found.append(
+            "Traffic as it was recorded: with driving.replay = reactive recorded vehicles keep their path and yield in "
+            "time by SUMO's car following (Krauss); nobody drove so [requests.replay]."
+        )
+    if "fixed" in modes and study.configs[0][0].flow.veh_per_h_lane == 0.0:
         found.append("Followers that react: recorded vehicles drive as recorded, whoever changes lanes before them.")
     counted = requests[requests["counted"]]
     cut = (~counted["accepted"].astype(bool)) & (counted["waited_s"] < study.configs[0][0].lane_change.give_up_s - 0.05)
