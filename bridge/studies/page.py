@@ -74,8 +74,9 @@ def write_results(study: Study, tables: Tables, out_dir: Path) -> list[Path]:
                 if found is not None:
                     critical.append(_critical_row(key, value, found))
             path = out_dir / f"{study.name}_{key.replace('.', '_')}.png"
+            title = f"{_title(study, tables)}; bars: 95 % intervals, runs drawn again"
             draw_parameter(
-                path, _title(study, tables), key, dose=dose[dose["parameter"] == key], requests=tables.requests,
+                path, title, key, dose=dose[dose["parameter"] == key], requests=tables.requests,
                 curves=curves, give_up_s=give_up_s,
             )  # fmt: skip
             files.append(path)
@@ -134,8 +135,8 @@ def _title(study: Study, tables: Tables) -> str:
     scenes = tables.requests["scene"].nunique()
     return (
         f"{study.name.replace('_', ' ')}: {counted} requests counted in {len(tables.runs)} runs on {scenes} "
-        f"scene{'s' if scenes > 1 else ''}; bars: 95 % intervals, runs drawn again"
-    )
+        f"scene{'s' if scenes > 1 else ''}"
+    ) + ("; recorded vehicles react" if set(tables.requests["replay"]) == {"reactive"} else "")
 
 
 def _curve_row(key: str, value: Any, curve: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ANN401

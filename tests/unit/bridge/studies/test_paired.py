@@ -225,3 +225,37 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
     text = (out / "study.md").read_text()
     assert "smallest time gap to the new follower" in text
     assert "cut off [requests.counted]" in text
+
+
+def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(
+    tmp_path: Path, data_scenes: dict[str, Path]
+) -> None:
+    """Fixed and reactive, the same vehicles: a column in every table, folders called reactive-, a line on the page."""
+    import pandas as pd
+
+    from bridge.batch.batch import Options
+    from bridge.studies.run import run_study
+
+    path = tmp_path / "replay.toml"
+    path.write_text(
+        'scenes = ["x"]\nseeds = 1\n[vary]\n"driving.replay" = ["fixed", "reactive"]\n[config.request]\nagents = 8\n'
+        "straight = 0.0\nleft_turn = 0.0\nright_turn = 0.0\nlane_change = 1.0\novertake = 0.0\n"
+        "trigger_min_s = 1.0\ntrigger_max_s = 1.0\n[config.lane_change]\ntime_gap_rear_s = 0.4\n"
+    )
+    study = read_study(path, scenes=[data_scenes["arterial"]])
+    assert study.paired
+    out = tmp_path / "out"
+    report = run_study(study, out, Options(resume=True))
+    assert (report.runs, report.failed) == (2, 0)
+    assert sum(folder.name.startswith("reactive-") for folder in (out / "runs").iterdir()) == 1
+    for table in ("runs", "requests", "looks", "gaps"):
+        frame = pd.read_parquet(out / f"{table}.parquet")
+        assert (frame["replay"] == frame["driving.replay"]).all()
+        assert set(frame["replay"]) == {"fixed", "reactive"}
+    requests = pd.read_parquet(out / "requests.parquet")
+    by_mode = requests.groupby("replay")
+    first, second = (by_mode.get_group(mode).reset_index(drop=True) for mode in ("fixed", "reactive"))
+    assert first["vehicle"].tolist() == second["vehicle"].tolist()
+    text = (out / "study.md").read_text()
+    assert "recorded vehicles drive as recorded" in text
+    assert "nobody drove so [requests.replay]" in text
