@@ -174,7 +174,7 @@ def page_text(
     scenes = requests["scene"].nunique()
     begun = (
         f"{len(runs)} runs ({failed} without a result) of {len(study.points)} points with {len(study.seeds)} seeds on "
-        f"{scenes} scene{'s' if scenes > 1 else ''} [runs]. {len(requests)} requests for a "
+        f"{scenes} scene{'s' if scenes > 1 else ''} [runs.status, requests.scene]. {len(requests)} requests for a "
         f"{study.kind.replace('_', ' ')}, {len(counted)} of them counted [requests.counted]."
     )
     paired = (
@@ -250,7 +250,7 @@ def _told(dose: pd.DataFrame) -> list[str]:
         if pd.notna(low):
             sure = "which excludes no effect" if low > 0 or high < 0 else "which includes no effect"
             text += f"; difference {last['difference']:+.3g}, 95 % interval {low:+.3g} to {high:+.3g} ({unit}), {sure}"
-        found.append(f"{text} [dose_response.estimate, {outcome}].")
+        found.append(f"{text} [dose_response.estimate of {outcome}].")
     return found
 
 
@@ -272,7 +272,7 @@ def _critical_lines(critical: pd.DataFrame, key: str) -> list[str]:
         f"- critical lag time gap at {row['value']}: {row['mean_s']:.2f} s"
         + (f" ({row['mean_low_s']:.2f} to {row['mean_high_s']:.2f})" if pd.notna(row["mean_low_s"]) else "")
         + (f", Raff's {row['raff_s']:.2f} s" if pd.notna(row["raff_s"]) else "")
-        + f", {row['drivers']} drivers [critical_gaps.mean_s]."
+        + f", {row['drivers']} drivers [critical_gaps.mean_s, critical_gaps.raff_s, critical_gaps.drivers]."
         for _, row in mine.iterrows()
     ]
 
@@ -301,7 +301,7 @@ def _effect_lines(found: pd.DataFrame, keys: Sequence[str]) -> list[str]:
             f"- {row['outcome']} by {label_of(row['parameter'])}: standardised coefficient "
             f"{row['standardised_coefficient']:+.2f} ({row['low']:+.2f} to {row['high']:+.2f})"
             + (f", first-order index {index:.2f}" if pd.notna(index) else "")
-            + " [effects]."
+            + " [effects.standardised_coefficient, effects.first_order]."
         )
     return lines
 
@@ -315,7 +315,8 @@ def _flow_lines(flow: pd.DataFrame) -> list[str]:
     )
     text = (
         f"Flow {flow_mean:.0f} veh/h per lane, density {density:.0f} veh/km per lane, speed {speed:.0f} km/h, "
-        f"mean over intervals of 30 s after the warm-up; wait before the map {wait:.1f} s [flow]."
+        f"mean over intervals of 30 s after the warm-up; wait before the map {wait:.1f} s "
+        "[flow.flow_veh_per_h_lane, flow.density_veh_per_km_lane, flow.speed_kmph, flow.waiting_to_enter_s]."
     )
     return ["", "## Traffic", "", text]
 
@@ -344,8 +345,9 @@ def _limits(study: Study, requests: pd.DataFrame) -> list[str]:
     scenes = requests["scene"].nunique()
     if scenes < 3:
         found.append(
-            f"Other roads: {scenes} scene{'s were' if scenes > 1 else ' was'} studied; intervals are over runs."
+            f"Other roads: {scenes} scene{'s were' if scenes > 1 else ' was'} studied; intervals are over runs "
+            "[requests.scene]."
         )
     elif scenes < 10:
-        found.append(f"Other roads, with much confidence: {scenes} scenes were drawn again.")
+        found.append(f"Other roads, with much confidence: {scenes} scenes were drawn again [requests.scene].")
     return found

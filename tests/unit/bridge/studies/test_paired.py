@@ -199,6 +199,26 @@ def _study(tmp_path: Path, scenes: Path) -> Study:
     return read_study(path, scenes=[scenes])
 
 
+def _check_references(text: str, out: Path) -> None:
+    """Every claim is followed by where it is read from: columns of the dictionary, in tables that were written."""
+    import pandas as pd
+
+    from bridge.studies.columns import DICTIONARY
+    from bridge.studies.statistics import OUTCOMES
+
+    references = [one for brackets in re.findall(r"\[([^\]]+)\]", text) for one in brackets.split(", ")]
+    assert len(references) > 10
+    for reference in references:
+        column, _, outcome = reference.partition(" of ")
+        table, _, name = column.partition(".")
+        assert name in {one.strip() for known in DICTIONARY[table] for one in known.split(",")}, reference
+        assert name in pd.read_csv(out / f"{table}.csv").columns, reference
+        assert not outcome or outcome in {known.name for known in OUTCOMES}, reference
+    for line in text.splitlines():
+        if re.search(r"\b[0-9]", line) and not line.startswith("#"):
+            assert "[" in line, line
+
+
 def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) -> None:
     """Six runs of 20 s: tables, figures and page; a second call drives nothing again and writes the same bytes."""
     import pandas as pd
@@ -224,6 +244,7 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
         assert set(frame.columns) - said <= {"lane_change.time_gap_rear_s", "waiting_to_enter_s"}
     text = (out / "study.md").read_text()
     assert "smallest time gap to the new follower" in text
+    _check_references(text, out)
     assert "cut off [requests.counted]" in text
 
 
