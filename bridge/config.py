@@ -18,6 +18,8 @@ from netconvert.errors import ConfigError
 
 #: Ids of synthetic corridors, which are no scenes of Argoverse and may be longer.
 CORRIDOR_PREFIX = "corridor-"
+#: Ids of scenes in which recorded vehicles react: these are no scenes of Argoverse either, for nobody drove so.
+REACTIVE_PREFIX = "reactive-"
 
 
 class ParameterRow(NamedTuple):
@@ -154,10 +156,24 @@ def config_sha256(config: Config) -> str:
 
 
 def new_scenario_id(source_id: str, config: Config, seed: int, variant: int) -> str:
-    """UUID (version 5) of a request: the same request names the same scenario. What comes of a corridor says so."""
+    """UUID (version 5) of a request: the same request names the same scenario.
+
+    What comes of a corridor says so, and so does a scene in which recorded vehicles react.
+    """
     space = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo")
     new_id = uuid.uuid5(space, "\n".join([source_id, config_sha256(config), str(seed), str(variant)]))
-    return f"{CORRIDOR_PREFIX if source_id.startswith(CORRIDOR_PREFIX) else ''}{new_id}"
+    says = REACTIVE_PREFIX if config.driving.replay == "reactive" else ""
+    return f"{says}{CORRIDOR_PREFIX if is_corridor(source_id) else ''}{new_id}"
+
+
+def is_corridor(scenario_id: str) -> bool:
+    """Whether a scene is a synthetic corridor, or was made of one."""
+    return scenario_id.removeprefix(REACTIVE_PREFIX).startswith(CORRIDOR_PREFIX)
+
+
+def word_for_recorded(scenario_id: str) -> str:
+    """What the tracks of a scene are called that are no generated ones: recorded, unless they react."""
+    return "reacting" if scenario_id.startswith(REACTIVE_PREFIX) else "recorded"
 
 
 def check_no_flow(config: Config) -> None:
@@ -166,6 +182,15 @@ def check_no_flow(config: Config) -> None:
         raise ConfigError(
             f"flow.veh_per_h_lane = {config.flow.veh_per_h_lane:g}: traffic enters in studies only (hid2 study), "
             "expected 0 here"
+        )
+
+
+def check_reactive(config: Config) -> None:
+    """Raise ConfigError where recorded vehicles are to react and an event is asked for with them as recorded."""
+    if config.driving.replay == "reactive" and config.event:
+        raise ConfigError(
+            f"event {config.event[0].kind}: with recorded vehicles as recorded, expected none with "
+            "driving.replay = 'reactive'"
         )
 
 

@@ -395,6 +395,13 @@ class Crossings(_Section):
 class Driving(_Section):
     """What is added to SUMO's car following, which is blind to who crosses. Chosen on the scenes of tests/real."""
 
+    replay: Literal["fixed", "reactive"] = _param(
+        "fixed", "-", "reactive: recorded vehicles yield in time on their recorded path; for studies and planner tests"
+    )
+    yields_mps2: float = _param(
+        4.5, "m/s2", "reactive: whoever would have to brake harder from behind is not expected to; SUMO's decel",
+        ge=0, le=9,
+    )  # fmt: skip
     standing_mps: float = _param(0.5, "m/s", "slower agents stand: SUMO is shown them in any direction", ge=0, le=3)
     leads_from_m: float = _param(0.3, "m", "gap from which on somebody ahead leads and is not beside", ge=0, le=5)
     shown_m: float = _param(120.0, "m", "SUMO is shown agents up to here ahead of a vehicle", ge=20, le=500)

@@ -308,6 +308,10 @@ def generate(  # noqa: PLR0913  # one for each option
             raise ConfigError(
                 "--format argoverse1 with --focal generated: its AGENT is recorded, expected one of the two"
             )
+        if formats and resolved.driving.replay == "reactive":
+            raise ConfigError(
+                "--format argoverse1 with driving.replay = 'reactive': no scene of Argoverse, expected one"
+            )
         if min_agents or city or split or can or sample:  # else nothing need be imported that reads scenes
             from bridge.batch.scan import Selection
 

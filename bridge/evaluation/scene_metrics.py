@@ -23,7 +23,7 @@ from bridge.recordings.scenario import (
     split_of,
     split_rows,
 )
-from bridge.recordings.sidecar import ManeuverRecord, RecordingRecord, Sidecar, sidecar_in
+from bridge.recordings.sidecar import REACTIVE, ManeuverRecord, RecordingRecord, Sidecar, sidecar_in
 from bridge.recordings.sources import read_recording
 from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
@@ -109,6 +109,8 @@ def measure_folder(folder: Address, limits: Limits, maps: Maps, labelled: Labell
     """
     rows, ground, known = _read(folder, maps)
     sidecar = sidecar_in(folder, rows.scenario_id) if isinstance(folder, Path) else None
+    if sidecar is not None and sidecar.replay.mode == "reactive":
+        raise ScenarioError(f"{folder}: {REACTIVE}")
     sizes = (labelled or {}).get(sidecar.source_scenario_id, {}) if sidecar else {}
     measures = measure(
         [replace(t, size=sizes[t.track_id]) if t.track_id in sizes else t for t in rows.tracks]

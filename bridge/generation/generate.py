@@ -4,17 +4,17 @@ import logging
 import tempfile
 import zlib
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
-from bridge.config import check_no_flow, config_sha256
+from bridge.config import check_no_flow, check_reactive, config_sha256
 from bridge.generation.gaps import gaps_bytes
 from bridge.generation.records import agent_record, event_record, rejected_records, replaced_record, with_unmet
-from bridge.recordings.export import new_scenario_id, recording_record_of, write_scene
+from bridge.recordings.export import new_scenario_id, recording_record_of, with_motion, write_scene
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import (
     GeneratorRecord,
@@ -82,6 +82,7 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
     ScenarioError where a generated focal track was asked for and no vehicle lives through the scene.
     """
     check_no_flow(config)
+    check_reactive(config)
     prepared = source if isinstance(source, PreparedScene) else prepare(source, config)
     scenario = prepared.scenario
     new_id = new_scenario_id(scenario.scenario_id, config, config.request.seed, variant)
@@ -99,11 +100,17 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
             net, seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
             parameters=model_parameters(config),
         ) as simulation:  # fmt: skip
-            rounds = _Rounds(scene, simulation, filling)
-            search = EventSearch(scene, filling.roads, filling.routes, filling.stop_lines, seed)
-            events = search.run(rounds.drive_alone)
-            filling.take_events(events)
-            filling.fill(rounds.drive)
+            rounds: _Rounds
+            if config.driving.replay == "reactive":
+                reactive = _ReactiveRounds(scene, simulation, filling, scenario)
+                filling.fill_together(reactive.drive)
+                scenario, rounds = with_motion(scenario, reactive.late), reactive
+            else:
+                rounds = _Rounds(scene, simulation, filling)
+                search = EventSearch(scene, filling.roads, filling.routes, filling.stop_lines, seed)
+                events = search.run(rounds.drive_alone)
+                filling.take_events(events)
+                filling.fill(rounds.drive)
             sumo_version = simulation.version()
     vehicles = sorted(filling.kept, key=lambda one: one.driven.start.request.number)
     tracks = [one.track(f"gen_{row}", config.request.generated_category) for row, one in enumerate(vehicles)]
@@ -111,7 +118,7 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
     if config.request.focal == "generated":
         focal = _focal(scenario, vehicles, tracks, filling)
         tracks = [_with_category(t, 3) if t.track_id == focal else t for t in tracks]
-    sidecar = _sidecar(prepared, scene, filling, vehicles, rounds.errors, variant=variant, sumo_version=sumo_version)
+    sidecar = _sidecar(prepared, scene, filling, vehicles, rounds, variant=variant, sumo_version=sumo_version)
     return GeneratedScene(
         scenario=scenario, generated=tuple(tracks), sidecar=sidecar, focal_track_id=focal, new_id=new_id,
         vehicles=tuple(vehicles), driven=tuple(rounds.driven),
@@ -147,6 +154,7 @@ class _Rounds:
         self._scene, self._simulation, self._filling = scene, simulation, filling
         self.errors = ReplayErrors()
         self.driven: list[tuple[int, DrivenVehicle]] = []
+        self.late_s: Mapping[str, float] = {}
 
     def _near(self, starts: Sequence[Start]) -> IntArray:
         """Rows of the recorded agents that ever come near to a way, on its lanes or those beside."""
@@ -181,6 +189,35 @@ class _Rounds:
         if number == 0:
             self.errors = driving.replay_errors
         return vehicles
+
+
+class _ReactiveRounds(_Rounds):
+    """Drives all starts together among recorded vehicles that react. late: tracks of those who yielded at last."""
+
+    def __init__(self, scene: Scene, simulation: Simulation, filling: Filling, scenario: Recording) -> None:
+        super().__init__(scene, simulation, filling)
+        self._scenario = scenario
+        self.late: list[Track] = []
+
+    def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
+        """One simulation, from the scene as it was recorded; the filling gets it as it has become."""
+        driving = Driving(self._scene, self._simulation, starts, fixed, self._filling.roads, self._filling.stop_lines)
+        vehicles = driving.run()
+        assert driving.reactions is not None
+        self.driven += [(number, vehicle) for vehicle in vehicles]
+        self.errors, self.late_s = driving.replay_errors, driving.reactions.late_s
+        tracks = driving.reactions.tracks(self._scenario.tracks)
+        self.late = [track for track in tracks if track.track_id in self.late_s]
+        self._filling.scene = as_driven(self._scene, self._scenario, tracks)
+        return vehicles
+
+
+def as_driven(scene: Scene, scenario: Recording, tracks: Sequence[Track]) -> Scene:
+    """The scene of a recording whose tracks were driven otherwise."""
+    return build_scene(
+        scene.grid, tracks, config=scene.config, num_steps=scenario.num_steps,
+        last_observed_step=scenario.last_observed, step_s=scenario.step_s,
+    )  # fmt: skip
 
 
 def write(scene: GeneratedScene, out_dir: Path, *, record: Collection[str] = ()) -> Path:
@@ -247,7 +284,7 @@ def _did_something(vehicle: ExportedVehicle, filling: Filling) -> bool:
 
 def _sidecar(
     prepared: PreparedScene, scene: Scene, filling: Filling, vehicles: Sequence[ExportedVehicle],
-    errors: ReplayErrors, *, variant: int, sumo_version: str,
+    rounds: "_Rounds", *, variant: int, sumo_version: str,
 ) -> Sidecar:  # fmt: skip
     config = scene.config
     names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(vehicles)}
@@ -264,9 +301,11 @@ def _sidecar(
         config=config.model_dump(mode="json"),
         config_sha256=config_sha256(config),
         replay=ReplayRecord(
-            states=errors.states,
-            max_position_error_m=round(errors.max_position_error_m, 9),
-            max_heading_error_rad=round(errors.max_heading_error_rad, 9),
+            mode=config.driving.replay,
+            late_s=rounds.late_s,
+            states=rounds.errors.states,
+            max_position_error_m=round(rounds.errors.max_position_error_m, 9),
+            max_heading_error_rad=round(rounds.errors.max_heading_error_rad, 9),
         ),
         requested=RequestedRecord(agents=config.request.agents, behaviours=config.request.behaviours),
         placed=PlacedRecord(agents=len(agents), behaviours={p: placed[p] for p in Policy if placed[p]}),

@@ -20,6 +20,7 @@ from matplotlib.patches import Circle, Patch
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
+from bridge.config import word_for_recorded
 from bridge.files import beside, explained
 from bridge.pictures import figures
 from bridge.recordings.folders import Address
@@ -179,18 +180,21 @@ def _panels(scenario: Scenario, source: Address | None) -> list[_Panel]:
     before_tracks = recorded if source is None else before.tracks
     known = {track.track_id: track.size for track in before_tracks}  # labelled sizes lie beside the source only
     before_looks = {track.track_id: _look(track, None) for track in before_tracks}
+    word = word_for_recorded(scenario.scenario_id)
+    after = _Panel(
+        f"after: {len(recorded)} {word} agents + {len(generated)} generated vehicles\n(scene {name})",
+        scenario,
+        tuple(
+            t if t.track_id in generated else replace(t, size=known.get(t.track_id, t.size)) for t in scenario.tracks
+        ),
+        looks,
+        maneuvers,
+    )
+    if source is None and word != "recorded":  # what was recorded is not in it
+        return [after]
     return [
         _Panel(f"before: {len(before_tracks)} recorded agents\n({origin})", before, before_tracks, before_looks, ()),
-        _Panel(
-            f"after: {len(recorded)} recorded agents + {len(generated)} generated vehicles\n(scene {name})",
-            scenario,
-            tuple(
-                t if t.track_id in generated else replace(t, size=known.get(t.track_id, t.size))
-                for t in scenario.tracks
-            ),
-            looks,
-            maneuvers,
-        ),
+        after,
     ]
 
 
@@ -336,7 +340,8 @@ class _Drawing:
         """What the colours and marks mean, for those that appear."""
         panel = self.panels[-1][0]
         faces = {look.face for look in panel.looks.values()}
-        names = [("recorded vehicle", _RECORDED), ("recorded focal vehicle", figures.DARK_GREY)]
+        word = word_for_recorded(panel.scenario.scenario_id)
+        names = [(f"{word} vehicle", _RECORDED), (f"{word} focal vehicle", figures.DARK_GREY)]
         names += [("recording vehicle (AV)", figures.SKY), ("other recorded agent", _OTHER)]
         names += [
             (f"generated: {name}", figures.POLICY_COLORS[policy]) for policy, name in figures.POLICY_NAMES.items()

@@ -7,6 +7,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -78,22 +79,46 @@ def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str,
     _check_generated(scenario, generated, focal_track_id)
     source = scenario.table
     focal_changes = focal_track_id != scenario.focal_track_id
-    constants = {
-        name: source.column(name)[0]
-        for name in source.column_names
-        if name in (*SCENARIO_COLUMNS, "map_id", "slice_id")
-    }
+    constants = _constants(source)
     constants |= {"scenario_id": pa.scalar(new_id), "focal_track_id": pa.scalar(focal_track_id)}
-    lengths = [len(track.timesteps) for track in generated]
-    added = _generated_columns(generated, lengths, focal_track_id, scenario.observed_steps)
+    for name in ("scenario_id", "focal_track_id", *(["object_category"] if focal_changes else [])):
+        row, field = source.column_names.index(name), source.schema.field(name)
+        if name == "object_category":
+            former = pc.equal(source.column(name), FOCAL_CATEGORY)
+            changed = pc.if_else(former, pa.scalar(_FORMER_FOCAL_CATEGORY, field.type), source.column(name))
+        else:
+            changed = pa.repeat(constants[name].cast(field.type), source.num_rows)
+        source = source.set_column(row, field, changed)
+    return _with_rows(source, generated, constants, focal_track_id, scenario.observed_steps)
+
+
+def with_motion(scenario: Recording, driven: Sequence[Track]) -> Recording:
+    """A recording of which some tracks were driven otherwise: their rows, behind all others, are new ones."""
+    by_id = {track.track_id: track for track in driven}
+    apart = pc.is_in(scenario.table.column("track_id"), pa.array(list(by_id), pa.string()))
+    table = _with_rows(
+        scenario.table.filter(pc.invert(apart)), driven, _constants(scenario.table), scenario.focal_track_id,
+        scenario.observed_steps,
+    )  # fmt: skip
+    return replace(scenario, tracks=tuple(by_id.get(t.track_id, t) for t in scenario.tracks), table=table)
+
+
+def _constants(table: pa.Table) -> dict[str, pa.Scalar]:
+    """What every row of a scene says."""
+    names = (*SCENARIO_COLUMNS, "map_id", "slice_id")
+    return {name: table.column(name)[0] for name in table.column_names if name in names}
+
+
+def _with_rows(
+    table: pa.Table, tracks: Sequence[Track], constants: Mapping[str, pa.Scalar], focal_track_id: str,
+    observed_steps: int,
+) -> pa.Table:  # fmt: skip
+    """A table and behind it the rows of tracks, in its columns and types."""
+    lengths = [len(track.timesteps) for track in tracks]
+    added = _generated_columns(tracks, lengths, focal_track_id, observed_steps)
     columns = []
-    for field in source.schema:
-        name, recorded = field.name, source.column(field.name)
-        if name in ("scenario_id", "focal_track_id"):
-            recorded = pa.repeat(constants[name].cast(field.type), source.num_rows)
-        elif name == "object_category" and focal_changes:
-            former = pc.equal(recorded, FOCAL_CATEGORY)
-            recorded = pc.if_else(former, pa.scalar(_FORMER_FOCAL_CATEGORY, field.type), recorded)
+    for field in table.schema:
+        name, recorded = field.name, table.column(field.name)
         if name in constants:
             new = pa.repeat(constants[name].cast(field.type), sum(lengths))
         elif name in added:
@@ -102,7 +127,7 @@ def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str,
             new = pa.nulls(sum(lengths), field.type)
         chunks = recorded.chunks if isinstance(recorded, pa.ChunkedArray) else [recorded]
         columns.append(pa.concat_arrays([*chunks, new]))
-    schema = pa.schema([pa.field(field.name, field.type) for field in source.schema])
+    schema = pa.schema([pa.field(field.name, field.type) for field in table.schema])
     return pa.Table.from_arrays(columns, schema=schema)
 
 

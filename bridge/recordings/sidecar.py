@@ -48,11 +48,23 @@ class RecordingRecord(_Record):
 
 
 class ReplayRecord(_Record):
-    """How exactly the recorded agents were replayed."""
+    """How the recorded agents were replayed, and how exactly. late_s: those who yielded, and how late that made them.
 
+    reactive: recorded vehicles keep their recorded path but yield in time; they do not drive as recorded.
+    """
+
+    mode: Literal["fixed", "reactive"] = "fixed"
+    late_s: Mapping[str, Seconds] = Field(default_factory=dict)
     states: int = Field(ge=0)
     max_position_error_m: float = Field(ge=0)
     max_heading_error_rad: float = Field(ge=0)
+
+
+#: What a scene is not in which recorded vehicles react.
+REACTIVE = (
+    "made with driving.replay = reactive: recorded vehicles yield and do not drive as recorded; for studies and "
+    "planner tests, expected a scene with driving.replay = fixed"
+)
 
 
 class RequestedRecord(_Record):

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from bridge.generation.generate import PreparedScene, model_parameters, sumo_seed
+from bridge.generation.generate import PreparedScene, as_driven, model_parameters, sumo_seed
 from bridge.sumo.flow_driving import FlowDriving
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, Policy, Track
@@ -118,6 +118,8 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
                 trigger_after_s=lambda arrival: trigger_after_s(arrival, config.request, drawn.seed, last_s),
             )  # fmt: skip
             vehicles = driving.run()
+    if driving.reactions is not None:
+        scene = as_driven(scene, prepared.scenario, driving.reactions.tracks(prepared.scenario.tracks))
     return _measured(scene, drawn, driving, vehicles, trigger_s)
 
 

@@ -41,7 +41,7 @@ def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     """
     if looks.empty:
         return looks
-    same = ["scene", "city", "point", *keys, "seed", "vehicle", "side", "lead_id", "lag_id"]
+    same = ["scene", "city", "point", *keys, "seed", "replay", "vehicle", "side", "lead_id", "lag_id"]
     frame = looks.assign(accepted=looks["sumo"] == "yes").sort_values("time_s", kind="stable")
     frame[["lead_id", "lag_id"]] = frame[["lead_id", "lag_id"]].fillna("")
     grouped = frame.groupby(same, sort=False, dropna=False)

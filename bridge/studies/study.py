@@ -160,6 +160,7 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
         # the design's own trigger_s is a column of its own: that of a request in a flow is later by its entry
         own = {("trigger_after_s" if key == TRIGGER else key): value for key, value in point.items()}
         name = {"scene": row.scenario, "city": row.city, "point": number, **own, "seed": row.seed}
+        name |= {"replay": study.configs[number][0].driving.replay}
         found: dict[str, list[dict[str, Any]]] = {"requests": [], "flow": []}
         if row.status == DONE:
             folder = out_dir / row.folder

@@ -10,6 +10,7 @@ from bridge.sumo.replay import Replay, ReplayErrors
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S, V
+from hid2.conflicts.reaction import Reactions, yielding
 from hid2.conflicts.stop_lines import StopLines
 from hid2.kernels.leaders import next_two_ahead
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -66,7 +67,8 @@ class _Lazy:
 class Driving:
     """One simulation of vehicles that start together, among the recorded ones and those kept in rounds before.
 
-    rows: recorded agents that are replayed, all where None; checked: whether their poses in SUMO are compared.
+    rows: recorded agents that are replayed, all where None; checked: whether their poses in SUMO are compared. Where
+    recorded vehicles react, `scene` becomes another one with each that yields, and `reactions` says how late they are.
     """
 
     scene: Scene
@@ -79,6 +81,7 @@ class Driving:
     checked: bool = True
     vehicles: list[DrivenVehicle] = field(init=False)
     replay_errors: ReplayErrors = field(init=False)
+    reactions: Reactions | None = field(init=False, default=None)
     _guard: Guard = field(init=False)
     _state: FloatArray = field(init=False)
     _obstacles: list[Obstacles | None] = field(init=False)
@@ -115,10 +118,14 @@ class Driving:
             if self.fixed.ids:
                 kept.warm_up(back)
             simulation.step()
+        reactions = self._reactions(recorded, place_of)
         for step in range(scene.num_steps):
             attempts: list[_Attempt] = []
             if step > 0:
                 fleet = _Lazy(self._fleet)
+                if reactions is not None and reactions.advance(step, self._generated(step - 1, fleet)):
+                    self._look_anew(reactions.scene)
+                    recorded.take(self.scene.traffic.rows(everybody.tolist()))
                 for row, vehicle in enumerate(self.vehicles):
                     if vehicle.running:
                         attempts += self._steer(row, vehicle, step - 1, fleet)
@@ -132,8 +139,29 @@ class Driving:
             self._read(step)
             for attempt in attempts:
                 self._conclude(attempt, step)
-        self.replay_errors = recorded.errors
+        self.replay_errors, self.reactions = recorded.errors, reactions
         return self.vehicles
+
+    def _reactions(self, recorded: Replay, place_of: dict[int, int]) -> Reactions | None:
+        """The recorded vehicles as those who react, each by SUMO's car following of its replayed vehicle."""
+        if self.scene.config.driving.replay == "fixed":
+            return None
+
+        def follow_mps(row: int, speed_mps: float, gap_m: float, leader_mps: float) -> float:
+            name = recorded.name(place_of[row])
+            return self.simulation.follow_speed(name, speed_mps, gap_m=gap_m, leader_mps=leader_mps)
+
+        return Reactions(self.scene, follow_mps)
+
+    def _generated(self, step: int, fleet: _Lazy) -> Traffic:
+        """All generated vehicles at a step (one step): those kept in rounds before, and those driven now."""
+        return self.fixed.at(step).joined(fleet.value) if self.fixed.ids else fleet.value
+
+    def _look_anew(self, scene: Scene) -> None:
+        """Recorded vehicles will be elsewhere than was known: nothing that was worked out of it holds any more."""
+        self.scene = self._guard.scene = scene
+        self._known = [None] * len(self.vehicles)
+        self._obstacles = [None] * len(self.vehicles)
 
     def _enter(self, step: int) -> None:
         """Insert whoever begins; after the first step, so that the state of step 0 is the start."""
@@ -293,6 +321,22 @@ class Driving:
             self._obstacles[row] = known
         return known
 
+    def _who_does_not_yield(self, obstacles: Obstacles, row: int, path: DrivenPath, now: int) -> Obstacles:
+        """Where recorded vehicles react: without those behind a vehicle who can yield to it."""
+        if self.scene.config.driving.replay == "fixed":
+            return obstacles
+        vehicle = self.vehicles[row]
+        rows = self.scene.rows_on(path, vehicle.start.box)
+        xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))
+        yields = yielding(
+            self.scene, rows, now, xy=xy[0], forward=tangent[0], half_m=0.5 * vehicle.start.box.length_m,
+            speed_mps=vehicle.v[-1],
+        )  # fmt: skip
+        known = obstacles.known
+        low = known.low.copy()
+        low[: rows.size][yields] = np.inf
+        return replace(obstacles, known=replace(known, low=low))
+
     def _others(self, row: int) -> list[tuple[int, DrivenPath, BoxSize]]:
         """Rows of the other vehicles that SUMO has, with their paths and boxes."""
         return [
@@ -304,8 +348,8 @@ class Driving:
         state = (float(self._state[row, S]), float(self._state[row, V]), float(self._state[row, A]))
         driving, step_s = self.scene.config.driving, self.scene.step_s
         found = self._guard.braking(
-            self._obstacles_of(row), own=row, step=now, fleet=self._state, state=state, desired_mps=desired,
-            road=self._road[row], driver=vehicle.start.driver,
+            self._who_does_not_yield(self._obstacles_of(row), row, vehicle.path, now), own=row, step=now,
+            fleet=self._state, state=state, desired_mps=desired, road=self._road[row], driver=vehicle.start.driver,
         )  # fmt: skip
         if found.leader >= 0 and self._slows_for(state, found, vehicle.start):
             vehicle.waited_for.add(self.vehicles[found.leader].vehicle_id)
@@ -468,8 +512,9 @@ class Driving:
 
     def _meets_on(self, row: int, vehicle: DrivenVehicle, now: int, path: DrivenPath) -> bool:
         """Whether a path across has a predicted conflict that ordinary braking does not solve."""
+        obstacles = self._guard.obstacles(path, vehicle.start.box, self._others(row))
         found = self._guard.braking(
-            self._guard.obstacles(path, vehicle.start.box, self._others(row)), own=row, step=now, fleet=self._state,
+            self._who_does_not_yield(obstacles, row, path, now), own=row, step=now, fleet=self._state,
             state=(vehicle.s[-1], vehicle.v[-1], 0.0), desired_mps=float(vehicle.start.desired[now]),
             road=self.roads.speeds(path, vehicle.start.driver), driver=vehicle.start.driver,
             horizon_s=self.scene.config.driving.across_s,

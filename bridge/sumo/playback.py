@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from lxml import etree
 
+from bridge.config import word_for_recorded
 from bridge.files import beside
 from bridge.pictures.figures import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from bridge.recordings.folders import Address
@@ -84,7 +85,7 @@ class Paint(NamedTuple):
         return ",".join(str(part) for part in self.rgba[:3])
 
 
-RECORDED = Paint("#9C9CA4", "recorded")
+RECORDED, REACTING = Paint("#9C9CA4", "recorded"), Paint("#9C9CA4", "reacting")
 AV = Paint(SKY, "recording vehicle")
 FOCAL = Paint("#FFFFFF", "focal")
 POLICIES: Mapping[Policy, Paint] = {
@@ -107,7 +108,8 @@ def paints(scenario: Scenario) -> dict[str, Paint]:
         elif track.category == FOCAL_CATEGORY:
             out[track.track_id] = FOCAL
         else:
-            out[track.track_id] = AV if track.track_id == AV_ID else RECORDED
+            others = RECORDED if word_for_recorded(scenario.scenario_id) == "recorded" else REACTING
+            out[track.track_id] = AV if track.track_id == AV_ID else others
     return out
 
 
@@ -198,7 +200,7 @@ def _words(what: str, size: int) -> dict[str, str]:
 def _legend(scenario: Scenario, low: FloatArray, high: FloatArray) -> list[etree._Element]:
     """What the colours mean: bars with names, in that corner of the ground shown where the fewest vehicles pass."""
     there = set(paints(scenario).values())
-    shown = [paint for paint in (RECORDED, AV, FOCAL, *POLICIES.values()) if paint in there]
+    shown = [paint for paint in (RECORDED, REACTING, AV, FOCAL, *POLICIES.values()) if paint in there]
     high_m = max(float(high[1] - low[1]), float(high[0] - low[0]) / WINDOW_ASPECT)
     size = np.array([_LEGEND_WIDTH, _LEGEND_ROW * len(shown)]) * high_m
     points = np.concatenate([track.position for track in scenario.tracks])

@@ -126,10 +126,40 @@ class Filling:
                 break
         self._give_up_manoeuvres()
 
+    def fill_together(self, drive: Drive) -> None:
+        """All in one round, again without those that are not kept until all are: where recorded vehicles react.
+
+        Nobody has reacted then to a vehicle that is not there, and nobody is replaced. After each round the scene is
+        the one that it has become.
+        """
+        asked = self.scene.config.request.agents
+        count = self._most() if asked == "max" else asked
+        first: dict[int, Start] = {}
+        for start in self._starts_of(count):
+            first.setdefault(start.request.number, start)  # one vehicle for each request
+        starts = [start for number, start in sorted(first.items()) if number < count]
+        nobody = self._fixed()
+        while True:
+            vehicles = drive(starts, nobody, self.rounds)
+            self.rounds += 1
+            self.kept, gone = self._judged(vehicles)
+            if not gone:
+                break
+            self.kept = []
+            for vehicle, reason, detail in gone.values():
+                self._note(vehicle, reason, detail, self.rounds - 1)
+                self._last_reason[vehicle.start.request.number] = reason
+            starts = [vehicle.start for vehicle in vehicles if vehicle.vehicle_id not in gone]
+        self._give_up_manoeuvres({one.driven.start.request.number for one in self.kept})
+
+    def _starts_of(self, count: int) -> list[Start]:
+        self._open = self._requests(count)
+        self._next_spare = count
+        return self._starts(0, count, spare=False)
+
     def first_starts(self, count: int) -> list[Start]:
         """Starts of one round for `count` requests, spare ones left out; who finds none is in `unmet`."""
-        self._open = self._requests(count)
-        starts = self._starts(0, count, spare=False)
+        starts = self._starts_of(count)
         met = {start.request.number for start in starts}
         self.unmet += [Unmet(request, Reason.NO_SITE) for request in self._open if request.number not in met]
         return starts
@@ -245,7 +275,36 @@ class Filling:
 
     def _keep(self, vehicles: list[DrivenVehicle], number: int) -> None:
         """Keep what holds; what does not goes with its reason, and its request stays open."""
-        reseeds = number < self.scene.config.spawn.reseed_rounds
+        new, gone = self._judged(vehicles)
+        for one in new:
+            outcome = self.outcomes.get(one.driven.vehicle_id)
+            if outcome is not None and not outcome.done and number < self.scene.config.spawn.reseed_rounds:
+                said = outcome.reason or Reason.SCENE_ENDED
+                gone[one.driven.vehicle_id] = one.driven, Reason.DID_NOT_DO_IT, said
+                self._last_reason[one.driven.start.request.number] = said
+        for vehicle, reason, _ in gone.values():
+            if reason is not Reason.DID_NOT_DO_IT:
+                self._last_reason[vehicle.start.request.number] = reason
+        needed = set().union(*(_needs(one.driven) for one in new))
+        self._drop_rivals(new, gone, needed)
+        if number + 1 >= self.scene.config.spawn.reseed_rounds:
+            self._give_up_manoeuvres(
+                {one.driven.start.request.number for one in new if one.driven.vehicle_id not in gone}
+            )
+        self._drop_surplus(new, gone, needed)
+        self._drive_again(new, gone)
+        for vehicle, reason, detail in gone.values():
+            self._note(vehicle, reason, detail, number)
+        kept_now = [one for one in new if one.driven.vehicle_id not in gone]
+        for one in kept_now:
+            outcome = self.outcomes.get(one.driven.vehicle_id)
+            became = None if outcome is None else " ".join(filter(None, (outcome.status, outcome.reason)))
+            _tell(one.driven, _site(self.scene, one.driven), number, "kept", became)
+        self.kept += kept_now
+        self._close(kept_now)
+
+    def _judged(self, vehicles: list[DrivenVehicle]) -> tuple[list[ExportedVehicle], _Gone]:
+        """Those driven that pass the last check beside those that are kept, with their outcomes; and all others."""
         new: list[ExportedVehicle] = []
         gone: _Gone = {}
         others = self._fixed()
@@ -268,30 +327,7 @@ class Filling:
             outcome = outcome_of(self.scene, one, everybody)
             if outcome is not None:
                 self.outcomes[one.driven.vehicle_id] = outcome
-                if not outcome.done and reseeds:
-                    said = outcome.reason or Reason.SCENE_ENDED
-                    gone[one.driven.vehicle_id] = one.driven, Reason.DID_NOT_DO_IT, said
-                    self._last_reason[one.driven.start.request.number] = said
-        for vehicle, reason, _ in gone.values():
-            if reason is not Reason.DID_NOT_DO_IT:
-                self._last_reason[vehicle.start.request.number] = reason
-        needed = set().union(*(_needs(one.driven) for one in new))
-        self._drop_rivals(new, gone, needed)
-        if number + 1 >= self.scene.config.spawn.reseed_rounds:
-            self._give_up_manoeuvres(
-                {one.driven.start.request.number for one in new if one.driven.vehicle_id not in gone}
-            )
-        self._drop_surplus(new, gone, needed)
-        self._drive_again(new, gone)
-        for vehicle, reason, detail in gone.values():
-            self._note(vehicle, reason, detail, number)
-        kept_now = [one for one in new if one.driven.vehicle_id not in gone]
-        for one in kept_now:
-            outcome = self.outcomes.get(one.driven.vehicle_id)
-            became = None if outcome is None else " ".join(filter(None, (outcome.status, outcome.reason)))
-            _tell(one.driven, _site(self.scene, one.driven), number, "kept", became)
-        self.kept += kept_now
-        self._close(kept_now)
+        return new, gone
 
     def _drop_rivals(self, new: list[ExportedVehicle], gone: _Gone, needed: Set[str]) -> None:
         """Of several vehicles for one request one is kept: one that others need before one that nobody does."""

@@ -124,7 +124,7 @@ def traffic_of(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> Tra
         position[row, first : last + 1] = xy
         heading[row, first : last + 1] = angle
         present[row, first : last + 1] = True
-        velocity[row, first : last + 1] = _velocity(xy, step_s)
+        velocity[row, first : last + 1] = velocity_of(xy, step_s)
     return Traffic(
         ids=tuple(track.track_id for track in tracks),
         position=position,
@@ -142,8 +142,11 @@ def _covering(track: Track) -> BoxSize:
     return BoxSize(max(track.size.length_m, assumed.length_m), max(track.size.width_m, assumed.width_m))
 
 
-def _velocity(xy: FloatArray, step_s: float) -> FloatArray:
-    """Difference over about half a second around each step: trackers jitter, leaders' speeds must not."""
+def velocity_of(xy: FloatArray, step_s: float) -> FloatArray:
+    """Velocities (N, 2) m/s of positions (N, 2) m.
+
+    Difference over up to half a second around each step: trackers jitter, leaders' speeds must not.
+    """
     count, half = len(xy), max(1, round(_HALF_S / step_s))
     index = np.arange(count)
     before, after = np.maximum(index - half, 0), np.minimum(index + half, count - 1)
