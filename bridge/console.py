@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
     from rich.progress import TaskID
 
-#: Seconds between two plain progress lines: in the first minutes, and later.
-_PLAIN_EVERY_S, _LATER_EVERY_S = 5.0, 30.0
+#: Seconds to the first plain progress line, between two in the first minutes, and later.
+_FIRST_S, _PLAIN_EVERY_S, _LATER_EVERY_S = 2.0, 4.0, 30.0
 _LATER_S = 180.0
 
 
@@ -67,7 +67,8 @@ class Activity:
         self._what, self._quiet = what, quiet
         self._bar: Bar | None = None
         self._task: TaskID | None = None
-        self._began = self._named = self._said = time.monotonic()
+        self._began = self._named = time.monotonic()
+        self._next_line = self._began + _FIRST_S
         self._counted = ""
         self._over = threading.Event()
         self._ticker: threading.Thread | None = None
@@ -135,9 +136,8 @@ class Activity:
     def _tick(self) -> None:
         while not self._over.wait(0.2):
             now = time.monotonic()
-            every_s = _PLAIN_EVERY_S if now - self._began < _LATER_S else _LATER_EVERY_S
-            if now - self._said > every_s:
-                self._said = now
+            if now > self._next_line:
+                self._next_line = now + (_PLAIN_EVERY_S if now - self._began < _LATER_S else _LATER_EVERY_S)
                 since = self._counted or f", {duration(now - self._named)} so far"
                 say(f"{self._what}{since}")
 

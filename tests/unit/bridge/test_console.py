@@ -10,6 +10,7 @@ from bridge.console import Activity, duration, print_json
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(console, "_FIRST_S", 0.3)
     monkeypatch.setattr(console, "_PLAIN_EVERY_S", 0.3)
 
 
@@ -22,6 +23,12 @@ def test_long_work_says_what_it_does_before_anything_is_counted(
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) >= 2
     assert all(line.startswith("reading scenes, ") and line.endswith(" s so far") for line in lines)
+
+
+def test_whoever_waits_hears_something_within_five_seconds() -> None:
+    """Two lines lie 0.2 s further apart than asked for at most, and starting the command takes up to 2 s before them."""
+    assert console._FIRST_S + 2.0 + 0.2 < 5.0
+    assert console._PLAIN_EVERY_S + 0.2 < 5.0
 
 
 def test_counted_work_says_how_much_is_done_and_left(impatient: None, capsys: pytest.CaptureFixture[str]) -> None:
