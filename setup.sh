@@ -100,16 +100,22 @@ if ! .venv/bin/python -c "$LOCATE" >/dev/null 2>&1 ||
 fi
 if ! grep -qxF "$made ${1:-}" .venv/.hid2 2>/dev/null; then
     wanted="-e ."
+    hint="is there a network?"
     if [ "${1:-}" = tests ]; then wanted="-e .[gui] --group dev"; fi
     if [ "${1:-}" = forecast ]; then
         wanted="-e .[forecast]"
         UV_TORCH_BACKEND="${UV_TORCH_BACKEND-cpu}" # PyTorch's own list of wheels; empty: that of all packages
-        if [ -n "$UV_TORCH_BACKEND" ]; then export UV_TORCH_BACKEND; else unset UV_TORCH_BACKEND; fi
+        if [ -n "$UV_TORCH_BACKEND" ]; then
+            export UV_TORCH_BACKEND
+            hint="can PyTorch's list of wheels be reached? bridge/forecasting/README.md says what to do without"
+        else
+            unset UV_TORCH_BACKEND
+        fi
     fi
     echo "setup.sh: installing packages into .venv (1.8 GB, a minute or two)" >&2
     # shellcheck disable=SC2086  # several words
     .uv/bin/uv pip install -q --python .venv/bin/python $wanted ||
-        fail "uv could not install the packages into .venv; is there a network?"
+        fail "uv could not install the packages into .venv; $hint"
     printf '%s\n' "$place" "$made " "$made ${1:-}" >.venv/.hid2
 fi
 .venv/bin/python -c 'import libsumo' >/dev/null || fail "SUMO's library cannot be loaded (see above)"

@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Sequence
@@ -26,7 +27,20 @@ _LATER_S = 180.0
 
 def say(message: str) -> None:
     """A message for the person, on stderr."""
-    print(message, file=sys.stderr, flush=True)
+    print(fitted(message), file=sys.stderr, flush=True)
+
+
+def fitted(message: str) -> str:
+    """A message whose errors and warnings wrap between words on a terminal; one line each elsewhere, as for `grep`.
+
+    Other lines may be commands to copy: they stay whole.
+    """
+    if not sys.stderr.isatty():
+        return message
+    wrap = textwrap.TextWrapper(
+        shutil.get_terminal_size().columns, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )
+    return "\n".join(wrap.fill(line) if line.startswith("hid2: ") else line for line in message.split("\n"))
 
 
 def warn(message: str) -> None:
@@ -108,9 +122,10 @@ class Activity:
         """Take note of what is done so far; rate: items a second, by the count if not given."""
         rate = done / max(time.monotonic() - self._named, 1e-9) if rate is None else rate
         left = f", {duration((total - done) / rate)} left" if rate > 0 and done < total else ""
-        self._counted = f": {done} of {total}{details}, {rate:.1f}/s{left}"
+        speed = f"{_rate(rate)}{left}" if rate > 0 else ""
+        self._counted = f": {done} of {total}{details}{speed and ', '}{speed}"
         if self._bar and self._task is not None:
-            count, speed = f"{done} of {total}", f"{rate:.1f}/s{left}"
+            count = f"{done} of {total}"
             self._bar.update(self._task, description=self._what, completed=done, total=total, count=count, rate=speed)
 
     def step(self, what: str, done: int, total: int) -> None:
@@ -124,7 +139,7 @@ class Activity:
         if self._bar:
             from rich.text import Text
 
-            self._bar.console.print(Text(text), soft_wrap=True)
+            self._bar.console.print(Text(fitted(text)), soft_wrap=True)
         else:
             say(text)
 
@@ -156,6 +171,14 @@ def _new_bar() -> "Bar":
         console=Console(stderr=True),
         transient=True,
     )
+
+
+def _rate(per_s: float) -> str:
+    """Items a second; a minute or an hour where they take long."""
+    for unit, seconds in (("s", 1.0), ("min", 60.0)):
+        if per_s * seconds >= 0.95:
+            return f"{per_s * seconds:.1f}/{unit}"
+    return f"{per_s * 3600.0:.1f}/h"
 
 
 def duration(seconds: float) -> str:

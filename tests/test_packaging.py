@@ -214,6 +214,14 @@ def test_setup_tells_that_it_is_still_at_work(set_up: Setup) -> None:
     assert result.stderr.splitlines()[0] == "setup.sh: still at work"
 
 
+def test_packages_to_install_by_hand_are_all_that_is_declared() -> None:
+    """INSTALL.md has the line for pip; numpy comes with others."""
+    (line,) = re.findall(r"^    pip install --no-deps av2 .*?(?<!\\)$", (ROOT / "INSTALL.md").read_text(), re.M | re.S)
+    named = {canonicalize_name(word.split("==")[0]) for word in line.replace('"', " ").split()}
+    wanted = {canonicalize_name(Requirement(text).name) for text in PROJECT["project"]["dependencies"]}
+    assert wanted - named == {"numpy"}
+
+
 # --- the README's two commands ----------------------------------------------------------------------------------------
 
 
