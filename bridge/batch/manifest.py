@@ -46,8 +46,9 @@ class ManifestRow(NamedTuple):
 
     scenario: name of the source folder; requested: number, or "max"; maneuvers_*, events_*: records of the sidecar;
     rejected, not_done: "reason (count)" joined by "; "; failure: error, exception, crashed, killed, timeout or memory;
-    bundle: file that reproduces the failure, below the output folder; *_sha256: contents of the source's and of the written
-    files; version: of the program, by its contents too (`code_version`). Texts are printable, on one line and bounded.
+    bundle: file that reproduces the failure, below the output folder; *_sha256: contents of the source's and of the
+    written files; version: of the program, by its contents too (`code_version`). Texts are printable, on one line and
+    bounded.
     """
 
     scenario: str
