@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 #: Seconds to the first plain progress line, between two in the first minutes, and later.
 _FIRST_S, _PLAIN_EVERY_S, _LATER_EVERY_S = 2.0, 4.0, 30.0
 _LATER_S = 180.0
+#: Nothing is said of a rate before.
+_RATED_S = 1.0
 
 
 def say(message: str) -> None:
@@ -31,16 +33,16 @@ def say(message: str) -> None:
 
 
 def fitted(message: str) -> str:
-    """A message whose errors and warnings wrap between words on a terminal; one line each elsewhere, as for `grep`.
+    """A message whose lines wrap between words on a terminal; one line each elsewhere, as for `grep`.
 
-    Other lines may be commands to copy: they stay whole.
+    Lines that are indented stay whole: they may be commands to copy.
     """
     if not sys.stderr.isatty():
         return message
     wrap = textwrap.TextWrapper(
         shutil.get_terminal_size().columns, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
     )
-    return "\n".join(wrap.fill(line) if line.startswith("hid2: ") else line for line in message.split("\n"))
+    return "\n".join(line if line.startswith(" ") else wrap.fill(line) for line in message.split("\n"))
 
 
 def warn(message: str) -> None:
@@ -120,7 +122,8 @@ class Activity:
 
     def show(self, done: int, total: int, rate: float | None = None, details: str = "") -> None:
         """Take note of what is done so far; rate: items a second, by the count if not given."""
-        rate = done / max(time.monotonic() - self._named, 1e-9) if rate is None else rate
+        elapsed_s = time.monotonic() - self._named
+        rate = (done / elapsed_s if elapsed_s > _RATED_S else 0.0) if rate is None else rate
         left = f", {duration((total - done) / rate)} left" if rate > 0 and done < total else ""
         speed = f"{_rate(rate)}{left}" if rate > 0 else ""
         self._counted = f": {done} of {total}{details}{speed and ', '}{speed}"
