@@ -1,5 +1,6 @@
 """`hid2 generate`."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -267,9 +268,7 @@ def generate(  # noqa: PLR0913  # one for each option
         raise typer.Exit(_reproduce(repro, out, function, quiet=quiet))
     if again is not None:
         raise typer.Exit(_make_again(again, source, out, map_path, given=bool(scenes), quiet=quiet))
-    missing = [name for name, value in (("SCENE", scenes), ("-o/--out", out)) if not value]
-    if not scenes or out is None:
-        raise ConfigError(f"missing {' and '.join(missing)} (see hid2 generate --help)")
+    scenes, out = _given(scenes, out, {"--source without --from": source, "--function without --repro": function})
     check_scenes(scenes)
     check_out(out)
     if sumo is not None:
@@ -349,6 +348,17 @@ def generate(  # noqa: PLR0913  # one for each option
     raise typer.Exit(ALL_DONE if all(row.status == DONE for row in rows) else SOME_FAILED)
 
 
+def _given(scenes: list[Path] | None, out: Path | None, alone: Mapping[str, object]) -> tuple[list[Path], Path]:
+    """Errors: ConfigError for what is missing, and for options that go with another one, `alone` by what to say."""
+    for said, value in alone.items():
+        if value is not None:
+            raise ConfigError(f"{said}, expected the two together (see hid2 generate --help)")
+    missing = [name for name, value in (("SCENE", scenes), ("-o/--out", out)) if not value]
+    if not scenes or out is None:
+        raise ConfigError(f"missing {' and '.join(missing)} (see hid2 generate --help)")
+    return scenes, out
+
+
 def _agents(text: str) -> int | str:
     if text == "max":
         return text
@@ -362,6 +372,8 @@ def _make_again(
     sidecar: Path, source: Path | None, out: Path | None, map_path: Path | None, *, given: bool, quiet: bool
 ) -> int:
     """Make the scene of a sidecar again, and compare it with what lies beside the sidecar. Returns the exit code."""
+    if not sidecar.is_file():
+        raise ConfigError(f"--from {sidecar}: no such file, expected the sidecar of a generated scene, hid2_<id>.json")
     if out is None or source is None or given:
         raise ConfigError("--from SIDECAR takes --source ROOT and -o OUT, and no SCENE (see hid2 generate --help)")
     check_scenes([source])
@@ -382,9 +394,11 @@ def _make_again(
 def _reproduce(bundle_path: Path, out: Path | None, function: str | None, *, quiet: bool) -> int:
     """Run a bundle; without an output folder nothing is kept. Returns the exit code."""
     import tempfile
+    from zipfile import is_zipfile
 
-    if not bundle_path.is_file():
-        raise ConfigError(f"{bundle_path}: no such file, expected a bundle, OUT/quarantine/.../NAME.zip")
+    if not bundle_path.is_file() or not is_zipfile(bundle_path):
+        wrong = "is no ZIP file" if bundle_path.is_file() else "no such file"
+        raise ConfigError(f"{bundle_path}: {wrong}, expected a bundle, OUT/quarantine/.../NAME.zip")
     if out is not None:
         check_out(out)
     with (

@@ -245,6 +245,8 @@ def read_sidecar(path: Path) -> Sidecar:
         raise ScenarioError(f"{path}: cannot be read ({error.strerror})") from error
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
+        if first["type"] == "json_invalid":
+            raise ScenarioError(f"{path}: not JSON, expected a sidecar, hid2_<id>.json of a generated scene") from error
         field = ".".join(str(part) for part in first["loc"]) or "the file"
         raise ScenarioError(f"{path}: {field}: {first['msg']} (got {str(first['input'])[:60]!r})") from error
 
