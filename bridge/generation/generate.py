@@ -31,6 +31,7 @@ from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.events import EventSearch
 from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle
+from hid2.insertion.surroundings import Surroundings
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
@@ -60,13 +61,32 @@ class GeneratedScene:
     driven: tuple[tuple[int, DrivenVehicle], ...]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+#: No tunable, bounds memory: what vehicles find is kept for so many variants, 20 MB more from each with 20 vehicles.
+_VARIANTS_KEPT = 8
+
+
+@dataclass(eq=False, slots=True)
 class PreparedScene:
-    """What the variants of one scene share: grid and net."""
+    """What the variants of one scene share: grid, net, and what vehicles find there."""
 
     scenario: Recording
     grid: CellGrid
     net: bytes
+    _surroundings: Surroundings | None = None
+    _asked: int = 0
+
+    def surroundings(self, config: Config) -> Surroundings:
+        """What vehicles find in the scene; kept for the next ones with the same configuration."""
+        self._asked += 1
+        worn = self._asked % _VARIANTS_KEPT == 0
+        if self._surroundings is None or worn or self._surroundings.scene.config != config:
+            scenario = self.scenario
+            scene = build_scene(
+                self.grid, scenario.tracks, config=config, num_steps=scenario.num_steps, step_s=scenario.step_s,
+                last_observed_step=scenario.last_observed,
+            )  # fmt: skip
+            self._surroundings = Surroundings(scene)
+        return self._surroundings
 
 
 def prepare(scenario: Recording, config: Config) -> PreparedScene:
@@ -87,11 +107,9 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
     scenario = prepared.scenario
     new_id = new_scenario_id(scenario.scenario_id, config, config.request.seed, variant)
     seed = [config.request.seed, variant, zlib.crc32(scenario.scenario_id.encode())]
-    scene = build_scene(
-        prepared.grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
-        step_s=scenario.step_s, last_observed_step=scenario.last_observed,
-    )  # fmt: skip
-    filling = Filling(scene, seed)
+    surroundings = prepared.surroundings(config)
+    scene = surroundings.scene
+    filling = Filling(surroundings, seed)
     _LOG.debug("%s variant %d: %s vehicles asked for", scenario.scenario_id, variant, config.request.agents)
     with tempfile.TemporaryDirectory(prefix="hid2-") as folder:
         net = Path(folder) / "scene.net.xml"
@@ -107,7 +125,7 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
                 scenario, rounds = with_motion(scenario, reactive.late), reactive
             else:
                 rounds = _Rounds(scene, simulation, filling)
-                search = EventSearch(scene, filling.roads, filling.routes, filling.stop_lines, seed)
+                search = EventSearch(scene, surroundings.roads, surroundings.routes, surroundings.stop_lines, seed)
                 events = search.run(rounds.drive_alone)
                 filling.take_events(events)
                 filling.fill(rounds.drive)
@@ -173,15 +191,15 @@ class _Rounds:
     def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, fixed: Traffic) -> DrivenVehicle:
         """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
         return Driving(
-            scene, self._simulation, [start], fixed, self._filling.roads, stop_lines, rows=self._near([start]),
-            checked=False,
+            scene, self._simulation, [start], fixed, self._filling.surroundings.roads, stop_lines,
+            rows=self._near([start]), checked=False,
         ).run()[0]  # fmt: skip
 
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
         """One simulation. The first one replays every recorded agent and compares; later ones those on the grid."""
-        rows = None if number == 0 else self._near(starts)
+        rows, here = None if number == 0 else self._near(starts), self._filling.surroundings
         driving = Driving(
-            self._scene, self._simulation, starts, fixed, self._filling.roads, self._filling.stop_lines,
+            self._scene, self._simulation, starts, fixed, here.roads, here.stop_lines,
             rows=rows, checked=number == 0,
         )  # fmt: skip
         vehicles = driving.run()
@@ -201,7 +219,14 @@ class _ReactiveRounds(_Rounds):
 
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
         """One simulation, from the scene as it was recorded; the filling gets it as it has become."""
-        driving = Driving(self._scene, self._simulation, starts, fixed, self._filling.roads, self._filling.stop_lines)
+        driving = Driving(
+            self._scene,
+            self._simulation,
+            starts,
+            fixed,
+            self._filling.surroundings.roads,
+            self._filling.surroundings.stop_lines,
+        )
         vehicles = driving.run()
         assert driving.reactions is not None
         self.driven += [(number, vehicle) for vehicle in vehicles]

@@ -19,17 +19,20 @@ from bridge.generation.generate import PreparedScene, as_driven, model_parameter
 from bridge.sumo.flow_driving import FlowDriving
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, Policy, Track
+from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver
 from hid2.insertion.filling import Filling, Unmet
 from hid2.insertion.finalise import ExportedVehicle, finalise, traffic_of_exported
 from hid2.insertion.flow import Arrival, arrivals, trigger_after_s
 from hid2.insertion.outcome import outcome_of, shift_times
 from hid2.insertion.requests import draw_requests
+from hid2.insertion.surroundings import Surroundings
 from hid2.measures.arrays import stack
 from hid2.measures.post_encroachment import encroachments
 from hid2.measures.time_to_collision import CAP_S, ttc_to_anything
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.params import Config, LaneChange
+from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene, build_scene
 from hid2.vehicle import DrivenVehicle, Start
@@ -82,20 +85,20 @@ def draw(prepared: PreparedScene, config: Config) -> Drawn:
         step_s=scenario.step_s, last_observed_step=scenario.last_observed,
     )  # fmt: skip
     seed = config.request.seed, 0, zlib.crc32(scenario.scenario_id.encode())
-    filling = Filling(scene, seed)
+    surroundings = Surroundings(scene)
+    filling = Filling(surroundings, seed)
     count = config.request.agents
     assert count != "max"  # refused by `read_study`
     starts = filling.first_starts(count) if count else []
     return Drawn(
         scene=scene, starts=tuple(starts), unmet=tuple(filling.unmet),
-        arrivals=tuple(arrivals(scene, filling.routes, seed)), seed=seed,
+        arrivals=tuple(arrivals(scene, surroundings.routes, seed)), seed=seed,
     )  # fmt: skip
 
 
 def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedRun:
     """Drive those who take part with a configuration, and measure. Errors: SimulationError, ConfigError."""
     scene = replace(drawn.scene, config=config, _known={}, _leaders={})
-    filling = Filling(scene, drawn.seed)  # for roads and stop lines with this configuration
     trigger_s, last_s = _triggers(config, drawn), scene.last_s
     starts = [
         replace(
@@ -113,7 +116,7 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
             parameters=model_parameters(config),
         ) as simulation:  # fmt: skip
             driving = FlowDriving(
-                scene, simulation, starts, traffic_of_exported([], scene), filling.roads, filling.stop_lines,
+                scene, simulation, starts, traffic_of_exported([], scene), Roads(scene), StopLines(scene),
                 checked=False, arrivals=comers,
                 trigger_after_s=lambda arrival: trigger_after_s(arrival, config.request, drawn.seed, last_s),
             )  # fmt: skip

@@ -10,17 +10,14 @@ import numpy as np
 
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
-from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.events import EventOutcome
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
-from hid2.insertion.meetings import Meetings
 from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.requests import draw_requests
-from hid2.insertion.routes import Routes
 from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
+from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.traffic import Traffic
-from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
@@ -68,12 +65,9 @@ class Rejection:
 class Filling:
     """One scene being filled. kept: exported vehicles; outcomes: of those that were to do a manoeuvre, by id."""
 
-    scene: Scene
+    surroundings: Surroundings
     seed: Sequence[int]
-    roads: Roads = field(init=False)
-    routes: Routes = field(init=False)
-    stop_lines: StopLines = field(init=False)
-    meetings: Meetings = field(init=False)
+    scene: Scene = field(init=False)
     kept: list[ExportedVehicle] = field(default_factory=list)
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     unmet: list[Unmet] = field(default_factory=list)
@@ -89,9 +83,8 @@ class Filling:
     _avoided: list[tuple[int, float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        """What is found out about the map is kept over the rounds."""
-        self.roads, self.routes, self.stop_lines = Roads(self.scene), Routes(self.scene), StopLines(self.scene)
-        self.meetings = Meetings(self.scene, self.routes)
+        """Recorded vehicles are where they were; those that react may be elsewhere later."""
+        self.scene = self.surroundings.scene
 
     def take_events(self, found: Sequence[EventOutcome]) -> None:
         """Vehicles of events are kept before all others, which have to do with them; they count among the vehicles."""
@@ -167,7 +160,7 @@ class Filling:
     def _most(self) -> int:
         """How many the road takes at usual gaps, about: what `max` asks for."""
         lanes, spawn = self.scene.grid.graph.lanes, self.scene.config.spawn
-        length_m = sum(lanes[lane_id].length_m for lane_id in self.routes.lanes)
+        length_m = sum(lanes[lane_id].length_m for lane_id in self.surroundings.routes.lanes)
         return min(spawn.most_agents, math.ceil(length_m / spawn.spacing_m))
 
     def _fixed(self) -> Traffic:
@@ -180,7 +173,7 @@ class Filling:
         rng = np.random.default_rng([*self.seed, 0])
         for request in draw_requests(self.scene.config, rng, count=count, duration_s=last_s):
             reason: Reason | None = None
-            if not self.routes.map_offers(request.policy):
+            if not self.surroundings.routes.map_offers(request.policy):
                 reason = _NO_MAP[request.policy]
             elif request.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE) and request.trigger_s > last_s:
                 reason = Reason.TRIGGER_AFTER_SCENE
@@ -194,9 +187,10 @@ class Filling:
         """Starts of a round: those driven again, then requests, then some spare ones that go straight."""
         config = self.scene.config
         rng = np.random.default_rng([*self.seed, 1 + number])
-        guard = Guard(self.scene, self._fixed(), self.stop_lines)
+        here = self.surroundings
+        guard = Guard(self.scene, self._fixed(), here.stop_lines)
         sites = InsertionSites(
-            self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number, self.meetings,
+            self.scene, here.roads, here.routes, here.stop_lines, guard, rng, number, here.meetings,
             Spread.of(self.seed), self._avoided, asked=Counter(r.policy for r in self._open),
         )  # fmt: skip
         sites.taken += self._again
