@@ -1,8 +1,8 @@
 """`hid2 generate`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -43,7 +43,11 @@ from bridge.cli.options import (
 from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import select_scenes, set_up, tell_formats
 from bridge.console import Activity, print_json, say
-from netconvert.errors import ConfigError
+from netconvert.errors import ConfigError, Hid2Error
+
+if TYPE_CHECKING:
+    from bridge.recordings.folders import Address
+    from hid2.params import Config
 
 #: Batches up to this size list every folder that was written.
 _SHOWN_PATHS = 24
@@ -307,6 +311,8 @@ def generate(  # noqa: PLR0913  # one for each option
             raise ConfigError(
                 "--format argoverse1 with --focal generated: its AGENT is recorded, expected one of the two"
             )
+        activity.doing("looking at the first scenes")
+        _check_trigger(folders, resolved)
         if formats and resolved.driving.replay == "reactive":
             raise ConfigError(
                 "--format argoverse1 with driving.replay = 'reactive': no scene of Argoverse, expected one"
@@ -357,6 +363,34 @@ def _given(scenes: list[Path] | None, out: Path | None, alone: Mapping[str, obje
     if not scenes or out is None:
         raise ConfigError(f"missing {' and '.join(missing)} (see hid2 generate --help)")
     return scenes, out
+
+
+#: Scenes that are looked at for one that lasts until the first trigger, and how long the shortest usually lasts, s.
+_LOOKED_AT, _SHORTEST_S = 20, 4.9
+
+
+def _check_trigger(folders: Sequence["Address"], config: "Config") -> None:
+    """Errors: ConfigError where of the first scenes, which are mostly of one length, none lasts until any trigger."""
+    request = config.request
+    first_s = min(request.trigger_list_s) if request.trigger_list_s else request.trigger_min_s
+    if first_s <= _SHORTEST_S or request.lane_change + request.overtake == 0:
+        return
+    from bridge.recordings.sources import read_recording
+
+    longest_s = 0.0
+    for folder in folders[:_LOOKED_AT]:
+        try:
+            recording = read_recording(folder)
+        except Hid2Error:  # its own row of the manifest says why
+            return
+        longest_s = max(longest_s, (recording.num_steps - 1) * recording.step_s)
+        if longest_s >= first_s:
+            return
+    looked_at = min(len(folders), _LOOKED_AT)
+    raise ConfigError(
+        f"--trigger-time: lane changes and overtakes are asked for at {first_s:g} s or later, but the longest of the "
+        f"{looked_at} scene{'s' if looked_at > 1 else ''} looked at ends at {longest_s:g} s; expected an earlier time"
+    )
 
 
 def _agents(text: str) -> int | str:
