@@ -18,18 +18,10 @@ forecast) ;;
 *) fail "unknown argument '$1', expected none, or: tests, forecast" ;;
 esac
 
-# A line every few seconds while something takes long.
-alive=
-say_alive() {
-    (while sleep 4 >/dev/null 2>&1; do echo "setup.sh: still $1" >&2; done) &
-    alive=$!
-}
-say_done() {
-    [ -z "$alive" ] || kill "$alive" 2>/dev/null || true
-    alive=
-}
-trap say_done EXIT
-say_alive "looking at what is there"
+# A line every few seconds: one clock for all steps, so that none starts it anew. It goes when this script is gone.
+(while sleep 3 >/dev/null 2>&1 && kill -0 $$ 2>/dev/null; do echo "setup.sh: still at work" >&2; done) &
+clock=$!
+trap 'kill "$clock" 2>/dev/null || true' EXIT
 
 # A Python for .venv, and to bring uv into .uv: that of the machine, also where some environment is active.
 LOCATE='import sys; fits = (3, 11) <= sys.version_info < (3, 13)
@@ -69,14 +61,11 @@ packages=$(missing_packages "$@" | tr '\n' ' ')
 if [ -n "$packages" ]; then
     if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
         echo "setup.sh: installing $packages" >&2
-        say_done
-        say_alive "installing them"
         # shellcheck disable=SC2086  # one word a package
         { # a list that cannot be renewed may still do
             apt-get -qq update || true
             DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install --no-install-recommends $packages
         } >/dev/null || fail "apt-get could not install $packages"
-        say_done
     elif [ -n "$(missing_packages)" ]; then
         fail "please install, then call this again (Debian's names): apt-get install --no-install-recommends $packages"
     else
@@ -85,15 +74,12 @@ if [ -n "$packages" ]; then
     fi
 fi
 
-say_done
 case "$(.uv/bin/uv --version 2>/dev/null)" in
 "uv $UV_VERSION"*) ;;
 *)
     echo "setup.sh: fetching uv $UV_VERSION into .uv" >&2
-    say_alive "fetching uv"
     "$python" -m pip install -qq --disable-pip-version-check --upgrade --target .uv "uv==$UV_VERSION" ||
         fail "pip could not install uv $UV_VERSION into .uv; is there a network?"
-    say_done
     ;;
 esac
 
@@ -114,22 +100,26 @@ if ! .venv/bin/python -c "$LOCATE" >/dev/null 2>&1 ||
 fi
 if ! grep -qxF "$made ${1:-}" .venv/.hid2 2>/dev/null; then
     wanted="-e ."
+    hint="is there a network?"
     if [ "${1:-}" = tests ]; then wanted="-e .[gui] --group dev"; fi
     if [ "${1:-}" = forecast ]; then
         wanted="-e .[forecast]"
         UV_TORCH_BACKEND="${UV_TORCH_BACKEND-cpu}" # PyTorch's own list of wheels; empty: that of all packages
-        if [ -n "$UV_TORCH_BACKEND" ]; then export UV_TORCH_BACKEND; else unset UV_TORCH_BACKEND; fi
+        if [ -n "$UV_TORCH_BACKEND" ]; then
+            export UV_TORCH_BACKEND
+            hint="can PyTorch's list of wheels be reached? bridge/forecasting/README.md says what to do without"
+        else
+            unset UV_TORCH_BACKEND
+        fi
     fi
     echo "setup.sh: installing packages into .venv (1.8 GB, a minute or two)" >&2
-    say_alive "installing packages"
     # shellcheck disable=SC2086  # several words
     .uv/bin/uv pip install -q --python .venv/bin/python $wanted ||
-        fail "uv could not install the packages into .venv; is there a network?"
-    say_done
+        fail "uv could not install the packages into .venv; $hint"
     printf '%s\n' "$place" "$made " "$made ${1:-}" >.venv/.hid2
 fi
 .venv/bin/python -c 'import libsumo' >/dev/null || fail "SUMO's library cannot be loaded (see above)"
 # Compiled once, so that no scene waits for it; says so where there is something to compile.
-say_alive "at compiled code"
 .venv/bin/python -m compileall -q netconvert hid2 bridge >/dev/null || true
 .venv/bin/python -m hid2.kernels.compile || fail "the loops of hid2/kernels cannot be compiled (see above)"
+echo "setup.sh: ready" >&2

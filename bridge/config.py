@@ -18,6 +18,8 @@ from netconvert.errors import ConfigError
 
 #: Ids of synthetic corridors, which are no scenes of Argoverse and may be longer.
 CORRIDOR_PREFIX = "corridor-"
+#: Ids of scenes in which recorded vehicles react: these are no scenes of Argoverse either, for nobody drove so.
+REACTIVE_PREFIX = "reactive-"
 
 
 class ParameterRow(NamedTuple):
@@ -95,6 +97,8 @@ def parse_trigger_time(text: str) -> dict[str, Any]:
     first, separator, second = text.partition(":")
     low = _number(first.strip(), "trigger-time", wanted)
     high = _number(second.strip(), "trigger-time", wanted) if separator else low
+    if high < low:
+        raise ConfigError(f"trigger-time: {text!r}, expected the earlier time first")
     return {"request.trigger_min_s": low, "request.trigger_max_s": high, "request.trigger_list_s": []}
 
 
@@ -116,10 +120,12 @@ def parse_events(
     for text in criticality:
         measure, separator, band = text.partition("=")
         if measure not in _CRITICALITY or not separator:
-            raise ConfigError(f"criticality: {text!r}, expected ttc=A:B, pet=A:B (s) or drac=A:B (m/s2)")
-        given[_CRITICALITY[measure]] = _band(band, f"criticality: {measure}")
+            raise ConfigError(f"--criticality {text!r}: expected ttc=A:B, pet=A:B (s) or drac=A:B (m/s2)")
+        given[_CRITICALITY[measure]] = _band(band, f"criticality {measure}")
     if given and not kinds:
-        raise ConfigError(f"{', '.join(given)}: without --event; say which event is meant, such as --event cut_in")
+        names = [f"--{name}" for name, value in values.items() if value is not None]
+        names += ["--criticality"] if criticality else []
+        raise ConfigError(f"{', '.join(names)} without --event; say which event is meant, such as --event cut_in")
     return {"event": [{"kind": kind, **given} for kind in kinds]} if kinds else {}
 
 
@@ -132,8 +138,8 @@ def _band(text: str, name: str) -> list[float]:
     """Least and largest value of "A:B"; twice the same of "A"."""
     wanted = "A or A:B"
     first, separator, second = text.partition(":")
-    low = _number(first.strip(), name, wanted)
-    return [low, _number(second.strip(), name, wanted) if separator else low]
+    low = _number(first.strip(), f"--{name}", wanted)
+    return [low, _number(second.strip(), f"--{name}", wanted) if separator else low]
 
 
 def config_to_dict(config: Config) -> dict[str, Any]:
@@ -154,10 +160,24 @@ def config_sha256(config: Config) -> str:
 
 
 def new_scenario_id(source_id: str, config: Config, seed: int, variant: int) -> str:
-    """UUID (version 5) of a request: the same request names the same scenario. What comes of a corridor says so."""
+    """UUID (version 5) of a request: the same request names the same scenario.
+
+    What comes of a corridor says so, and so does a scene in which recorded vehicles react.
+    """
     space = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo")
     new_id = uuid.uuid5(space, "\n".join([source_id, config_sha256(config), str(seed), str(variant)]))
-    return f"{CORRIDOR_PREFIX if source_id.startswith(CORRIDOR_PREFIX) else ''}{new_id}"
+    says = REACTIVE_PREFIX if config.driving.replay == "reactive" else ""
+    return f"{says}{CORRIDOR_PREFIX if is_corridor(source_id) else ''}{new_id}"
+
+
+def is_corridor(scenario_id: str) -> bool:
+    """Whether a scene is a synthetic corridor, or was made of one."""
+    return scenario_id.removeprefix(REACTIVE_PREFIX).startswith(CORRIDOR_PREFIX)
+
+
+def word_for_recorded(scenario_id: str) -> str:
+    """What the tracks of a scene are called that are no generated ones: recorded, unless they react."""
+    return "reacting" if scenario_id.startswith(REACTIVE_PREFIX) else "recorded"
 
 
 def check_no_flow(config: Config) -> None:
@@ -166,6 +186,15 @@ def check_no_flow(config: Config) -> None:
         raise ConfigError(
             f"flow.veh_per_h_lane = {config.flow.veh_per_h_lane:g}: traffic enters in studies only (hid2 study), "
             "expected 0 here"
+        )
+
+
+def check_reactive(config: Config) -> None:
+    """Raise ConfigError where recorded vehicles are to react and an event is asked for with them as recorded."""
+    if config.driving.replay == "reactive" and config.event:
+        raise ConfigError(
+            f"event {config.event[0].kind}: with recorded vehicles as recorded, expected none with "
+            "driving.replay = 'reactive'"
         )
 
 
@@ -258,6 +287,8 @@ def _read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file, expected a configuration in TOML") from None
+    except IsADirectoryError:
+        raise ConfigError(f"{path}: is a folder, expected a configuration in TOML") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"{path}: not TOML ({error})") from error
 
@@ -330,9 +361,8 @@ def _explain_event(location: tuple[int | str, ...], message: str, value: object)
     key = str(location[2])
     if key not in Event.model_fields:
         return f"{which}: unknown key {key!r} (= {value!r}), expected one of {names}"
-    kinds = ", ".join(get_args(Event.model_fields["kind"].annotation))
-    wanted = f"one of {kinds}" if key == "kind" else message[0].lower() + message[1:]
-    return f"{which}: {key} = {value!r}, expected {wanted}"
+    wanted = "[least, largest]" if key in _EVENT_BANDS.values() or key in _CRITICALITY.values() else ""
+    return f"{which}: {key} = {value!r}, expected {wanted or _range(Event.model_fields[key])}"
 
 
 def _unknown(key: str, value: object) -> str:

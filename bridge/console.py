@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Sequence
@@ -20,16 +21,31 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
     from rich.progress import TaskID
 
-#: Seconds between two plain progress lines: in the first minutes, and later.
-_PLAIN_EVERY_S, _LATER_EVERY_S = 5.0, 30.0
+#: Seconds to the first plain progress line, between two in the first minutes, and later.
+_FIRST_S, _PLAIN_EVERY_S, _LATER_EVERY_S = 2.0, 4.0, 30.0
 _LATER_S = 180.0
 #: Of a message.
 _MOST_CHARACTERS = 2000
+#: Nothing is said of a rate before.
+_RATED_S = 1.0
 
 
 def say(message: str) -> None:
     """A message for the person, on stderr."""
-    print(message, file=sys.stderr, flush=True)
+    print(fitted(message), file=sys.stderr, flush=True)
+
+
+def fitted(message: str) -> str:
+    """A message whose lines wrap between words on a terminal; one line each elsewhere, as for `grep`.
+
+    Lines that are indented stay whole: they may be commands to copy.
+    """
+    if not sys.stderr.isatty():
+        return message
+    wrap = textwrap.TextWrapper(
+        shutil.get_terminal_size().columns, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )
+    return "\n".join(line if line.startswith(" ") else wrap.fill(line) for line in message.split("\n"))
 
 
 def warn(message: str) -> None:
@@ -75,7 +91,8 @@ class Activity:
         self._what, self._quiet = what, quiet
         self._bar: Bar | None = None
         self._task: TaskID | None = None
-        self._began = self._named = self._said = time.monotonic()
+        self._began = self._named = time.monotonic()
+        self._next_line = self._began + _FIRST_S
         self._counted = ""
         self._over = threading.Event()
         self._ticker: threading.Thread | None = None
@@ -113,11 +130,13 @@ class Activity:
 
     def show(self, done: int, total: int, rate: float | None = None, details: str = "") -> None:
         """Take note of what is done so far; rate: items a second, by the count if not given."""
-        rate = done / max(time.monotonic() - self._named, 1e-9) if rate is None else rate
+        elapsed_s = time.monotonic() - self._named
+        rate = (done / elapsed_s if elapsed_s > _RATED_S else 0.0) if rate is None else rate
         left = f", {duration((total - done) / rate)} left" if rate > 0 and done < total else ""
-        self._counted = f": {done} of {total}{details}, {rate:.1f}/s{left}"
+        speed = f"{_rate(rate)}{left}" if rate > 0 else ""
+        self._counted = f": {done} of {total}{details}{speed and ', '}{speed}"
         if self._bar and self._task is not None:
-            count, speed = f"{done} of {total}", f"{rate:.1f}/s{left}"
+            count = f"{done} of {total}"
             self._bar.update(self._task, description=self._what, completed=done, total=total, count=count, rate=speed)
 
     def step(self, what: str, done: int, total: int) -> None:
@@ -131,7 +150,7 @@ class Activity:
         if self._bar:
             from rich.text import Text
 
-            self._bar.console.print(Text(text), soft_wrap=True)
+            self._bar.console.print(Text(fitted(text)), soft_wrap=True)
         else:
             say(text)
 
@@ -143,9 +162,8 @@ class Activity:
     def _tick(self) -> None:
         while not self._over.wait(0.2):
             now = time.monotonic()
-            every_s = _PLAIN_EVERY_S if now - self._began < _LATER_S else _LATER_EVERY_S
-            if now - self._said > every_s:
-                self._said = now
+            if now > self._next_line:
+                self._next_line = now + (_PLAIN_EVERY_S if now - self._began < _LATER_S else _LATER_EVERY_S)
                 since = self._counted or f", {duration(now - self._named)} so far"
                 say(f"{self._what}{since}")
 
@@ -164,6 +182,14 @@ def _new_bar() -> "Bar":
         console=Console(stderr=True),
         transient=True,
     )
+
+
+def _rate(per_s: float) -> str:
+    """Items a second; a minute or an hour where they take long."""
+    for unit, seconds in (("s", 1.0), ("min", 60.0)):
+        if per_s * seconds >= 0.95:
+            return f"{per_s * seconds:.1f}/{unit}"
+    return f"{per_s * 3600.0:.1f}/h"
 
 
 def duration(seconds: float) -> str:

@@ -35,7 +35,13 @@ class Request(_Section):
     lane_change: float = _param(0.15, "share", "policy mix", ge=0, le=1)
     overtake: float = _param(0.05, "share", "policy mix", ge=0, le=1)
     trigger_min_s: float = _param(0.5, "s", "t_trigger, uniform from here", ge=0, le=60)
-    trigger_max_s: float = _param(4.0, "s", "t_trigger, uniform to here (equal to trigger_min_s: fixed)", ge=0, le=60)
+    trigger_max_s: Annotated[float, Field(ge=0, le=60)] | None = _param(
+        None, "s", "t_trigger, uniform to here (equal to trigger_min_s: fixed); where none: what is usual"
+    )
+    trigger_usual_s: float = _param(4.0, "s", "t_trigger where no trigger_max_s is asked for: to here", ge=0, le=60)
+    trigger_usual_share: float = _param(
+        0.36, "share", "of the scene's duration, and no later: what comes about takes seconds", ge=0, le=1
+    )
     trigger_list_s: tuple[Annotated[float, Field(ge=0, le=60)], ...] = _param(
         (), "s", "t_trigger, one of these; used instead of the range where there are any"
     )
@@ -67,7 +73,7 @@ class Request(_Section):
 
     @model_validator(mode="after")
     def _check(self) -> "Request":
-        if self.trigger_max_s < self.trigger_min_s:
+        if self.trigger_max_s is not None and self.trigger_max_s < self.trigger_min_s:
             raise ValueError(f"trigger_max_s {self.trigger_max_s} is below trigger_min_s {self.trigger_min_s}")
         if sum(self.behaviours.values()) <= 0:
             raise ValueError("the behaviour shares sum to 0, expected at least one above 0")
@@ -389,6 +395,13 @@ class Crossings(_Section):
 class Driving(_Section):
     """What is added to SUMO's car following, which is blind to who crosses. Chosen on the scenes of tests/real."""
 
+    replay: Literal["fixed", "reactive"] = _param(
+        "fixed", "-", "reactive: recorded vehicles yield in time on their recorded path; for studies and planner tests"
+    )
+    yields_mps2: float = _param(
+        4.5, "m/s2", "reactive: whoever would have to brake harder from behind is not expected to; SUMO's decel",
+        ge=0, le=9,
+    )  # fmt: skip
     standing_mps: float = _param(0.5, "m/s", "slower agents stand: SUMO is shown them in any direction", ge=0, le=3)
     leads_from_m: float = _param(0.3, "m", "gap from which on somebody ahead leads and is not beside", ge=0, le=5)
     shown_m: float = _param(120.0, "m", "SUMO is shown agents up to here ahead of a vehicle", ge=20, le=500)

@@ -18,10 +18,8 @@ from netconvert.cells import Cell, CellGrid
 
 #: Lane types open to general motor traffic.
 DRIVABLE_TYPES = frozenset({"VEHICLE"})
-#: Simulation step delta, s.
-DT_S = 0.1
 _RUN_ON_M = 250.0
-_MOVING_M, _MOVING_MPS = 5.0, 1.0
+_MOVING_M, _MOVING_MPS, _MOVING_S = 5.0, 1.0, 1.0
 #: Clearance boxes are rounded up to these, m, so that vehicles of about one size share what is found out on a path.
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
 
@@ -40,9 +38,10 @@ class Scene:
     """Everything about a scene that does not change while vehicles are inserted, and caches of what follows from it.
 
     traffic: recorded agents over the scene's T steps; future: the same, and beyond the last step at constant velocity,
-    T + E steps. first_exit_step: a generated vehicle may leave the map only from this step on. vehicle_rows: rows of
-    the recorded cars and buses, which an overtaker may pass. stated_velocity (A, T, 2) m/s: as the tracks state it,
-    which is what readers of the file take for it; that of the positions where a track has no state.
+    T + E steps. step_s: from one step of the recording to the next, and of the simulation: the only one that there is.
+    first_exit_step: a generated vehicle may leave the map only from this step on. vehicle_rows: rows of the recorded
+    cars and buses, which an overtaker may pass. stated_velocity (A, T, 2) m/s: as the tracks state it, which is what
+    readers of the file take for it; that of the positions where a track has no state.
     """
 
     grid: CellGrid
@@ -57,6 +56,7 @@ class Scene:
     occupancy: OriginalOccupancy
     boxes: CellBoxes
     num_steps: int
+    step_s: float
     first_exit_step: int
     lane_speeds: dict[int, list[float]]
     scene_speeds: list[float]
@@ -114,9 +114,18 @@ class Scene:
         return self._known[key]
 
     @property
+    def last_s(self) -> float:
+        """Time of the last step, s from the first."""
+        return (self.num_steps - 1) * self.step_s
+
+    def steps_in(self, seconds: float) -> int:
+        """The number of steps nearest to a duration, at least one."""
+        return max(1, round(seconds / self.step_s))
+
+    @property
     def pet_steps(self) -> int:
         """Steps for which the place of who crosses is kept clear before and after."""
-        return math.ceil(self.config.conflict.pet_min_s / DT_S) + 1
+        return math.ceil(self.config.conflict.pet_min_s / self.step_s) + 1
 
     @property
     def pet_margin_m(self) -> float:
@@ -135,32 +144,33 @@ class Scene:
 
 
 def build_scene(
-    grid: CellGrid, tracks: Sequence[Track], *, config: Config, num_steps: int, last_observed_step: int
+    grid: CellGrid, tracks: Sequence[Track], *, config: Config, num_steps: int, step_s: float, last_observed_step: int
 ) -> Scene:
-    """Scene of recorded tracks. last_observed_step: every generated vehicle is there at least until then."""
-    traffic = traffic_of(tracks, num_steps, step_s=DT_S)
+    """Scene of recorded tracks, step_s apart. last_observed_step: generated vehicles are there at least until then."""
+    traffic = traffic_of(tracks, num_steps, step_s=step_s)
     boxes = cell_boxes(grid)
     occupancy = original_occupancy(boxes, traffic)
     stated = traffic.velocity.copy()
     for row, track in enumerate(tracks):
         stated[row, track.timesteps] = track.velocity
     through = config.request.focal == "generated" or config.request.generated_category >= 2
-    lane_speeds, scene_speeds = _speeds(grid, tracks, traffic, occupancy)
+    lane_speeds, scene_speeds = _speeds(grid, tracks, traffic, occupancy, step_s=step_s)
     rows = [row for row, track in enumerate(tracks) if track.object_type in VEHICLE_TYPES]
-    beyond = math.ceil((config.conflict.end_horizon_s + config.conflict.horizon_s) / DT_S)
+    beyond = math.ceil((config.conflict.end_horizon_s + config.conflict.horizon_s) / step_s)
     return Scene(
         grid=grid,
         config=config,
         traffic=traffic,
-        future=traffic.extended(beyond, step_s=DT_S),
+        future=traffic.extended(beyond, step_s=step_s),
         stated_velocity=stated,
         object_types=tuple(track.object_type for track in tracks),
         categories=tuple(track.category for track in tracks),
         vehicle_rows=np.array(rows, dtype=np.int64),
-        recorded=RecordedVehicles([tracks[row] for row in rows], flatten_lanes(grid.graph), num_steps),
+        recorded=RecordedVehicles([tracks[row] for row in rows], flatten_lanes(grid.graph), num_steps, step_s),
         occupancy=occupancy,
         boxes=boxes,
         num_steps=num_steps,
+        step_s=step_s,
         first_exit_step=num_steps if through else min(last_observed_step + 1, num_steps),
         lane_speeds=lane_speeds,
         scene_speeds=scene_speeds,
@@ -168,7 +178,7 @@ def build_scene(
 
 
 def _speeds(
-    grid: CellGrid, tracks: Sequence[Track], traffic: Traffic, occupancy: OriginalOccupancy
+    grid: CellGrid, tracks: Sequence[Track], traffic: Traffic, occupancy: OriginalOccupancy, *, step_s: float
 ) -> tuple[dict[int, list[float]], list[float]]:
     """Cruising speed (90th percentile while moving) of each moving vehicle: over the scene, and by lane driven on."""
     lane_of = np.array([cell.lane_id for cell in grid.cells])
@@ -179,7 +189,7 @@ def _speeds(
             continue
         speed = np.hypot(*traffic.velocity[row].T)
         moving = traffic.present[row] & (speed > _MOVING_MPS)
-        if moving.sum() < 10:
+        if moving.sum() < round(_MOVING_S / step_s):
             continue
         cruise = float(np.percentile(speed[moving], 90))
         scene.append(cruise)

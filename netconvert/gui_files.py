@@ -33,16 +33,19 @@ _ABOVE_LANES = 150
 REAL_TIME_MS = 1000
 
 
-def gui_files(grid: CellGrid, name: str, *, shown: tuple[FloatArray, FloatArray] | None = None) -> dict[str, bytes]:
+def gui_files(
+    grid: CellGrid, name: str, *, step_s: float, shown: tuple[FloatArray, FloatArray] | None = None
+) -> dict[str, bytes]:
     """Contents by file name of everything beside <name>.net.xml.
 
-    shown: low and high corner of the ground to look at first, (2,) m; all lanes by default.
+    step_s: of the simulation that sumo-gui runs. shown: low and high corner of the ground to look at first, (2,) m; all
+    lanes by default.
 
     <name>.sumocfg refers to the net, the drivable area (<name>.poly.xml) and the view (<name>.view.xml) by file names,
     so that the folder can be moved; <name>.cells.csv has one row a cell.
     """
     return {
-        f"{name}.sumocfg": _configuration(name),
+        f"{name}.sumocfg": _configuration(name, step_s),
         f"{name}.poly.xml": _polygons(grid),
         f"{name}.view.xml": _view(grid, shown),
         f"{name}.cells.csv": cells_csv(grid),
@@ -69,13 +72,13 @@ def cells_csv(grid: CellGrid) -> bytes:
     return text.getvalue().encode()
 
 
-def _configuration(name: str) -> bytes:
+def _configuration(name: str, step_s: float) -> bytes:
     root = etree.Element("sumoConfiguration")
     inputs = etree.SubElement(root, "input")
     etree.SubElement(inputs, "net-file", {"value": f"{name}.net.xml"})
     etree.SubElement(inputs, "additional-files", {"value": f"{name}.poly.xml"})
     time = etree.SubElement(root, "time")
-    etree.SubElement(time, "step-length", {"value": "0.1"})
+    etree.SubElement(time, "step-length", {"value": f"{step_s}"})
     gui = etree.SubElement(root, "gui_only")
     etree.SubElement(gui, "gui-settings-file", {"value": f"{name}.view.xml"})
     etree.SubElement(gui, "delay", {"value": str(REAL_TIME_MS)})

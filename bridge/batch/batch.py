@@ -48,7 +48,7 @@ GENERATE_WITH_GAPS = "bridge.batch.scene_work:generate_and_record_gaps"
 _EXTRA_FILES = {GENERATE_WITH_GAPS: "gaps_*.csv.gz"}
 
 _LOG = logging.getLogger(__name__)
-_HALF_WRITTEN = re.compile(r"\.(?:corridor-)?[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}-.*")
+_HALF_WRITTEN = re.compile(r"\.(?:reactive-)?(?:corridor-)?[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}-.*")
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,10 +44,11 @@ QUARANTINED = "quarantined"
 class ManifestRow(NamedTuple):
     """What became of one variant of one source scene.
 
-    scenario: name of the source folder; requested: number, or "max"; maneuvers_*: records of the sidecar; rejected,
-    not_done: "reason (count)" joined by "; "; failure: error, exception, crashed, killed, timeout or memory; bundle:
-    file that reproduces the failure, below the output folder; *_sha256: contents of the source's and of the written
-    files; version: of the program, by its contents too (`code_version`). Texts are printable, on one line and bounded.
+    scenario: name of the source folder; requested: number, or "max"; maneuvers_*, events_*: records of the sidecar;
+    rejected, not_done: "reason (count)" joined by "; "; failure: error, exception, crashed, killed, timeout or memory;
+    bundle: file that reproduces the failure, below the output folder; *_sha256: contents of the source's and of the
+    written files; version: of the program, by its contents too (`code_version`). Texts are printable, on one line and
+    bounded.
     """
 
     scenario: str
@@ -66,6 +67,8 @@ class ManifestRow(NamedTuple):
     overtake: int = 0
     maneuvers_requested: int = 0
     maneuvers_done: int = 0
+    events_requested: int = 0
+    events_done: int = 0
     rejected: str = ""
     not_done: str = ""
     seconds: float = 0.0

@@ -47,9 +47,8 @@ def make_again(sidecar_path: Path, source: Path, out: Path, *, map_path: Path | 
     there = [place for place in find_recordings([source], choices) if source_id(place) == wanted]
     found = [place for place in there if isinstance(place, Source) or not is_generated(place)]
     if len(found) != 1:
-        raise NoSceneError(
-            f"{source}: {len(found)} recorded scenes {wanted}, which {sidecar_path} was made of; want one"
-        )
+        have = f"{len(found)} scenes {wanted}, expected one" if found else f"no recorded scene {wanted}"
+        raise NoSceneError(f"{source}: {have}, of which {sidecar_path} was made; give the ROOT that it lies in")
     beside = sidecar_path.parent.resolve()
     if (out / (split_of(found[0]) or "") / beside.name).resolve() == beside:
         raise ConfigError(f"{out}: holds the scene of {sidecar_path} itself; choose another output folder")

@@ -26,15 +26,15 @@ _LOG = logging.getLogger(__name__)
 _CHUNK = 16
 #: Whom events are looked for with.
 EVENT_TARGETS = ("av", "focal")
-#: A track seen on a path longer than this is moving, m; at more steps than the second number.
-_MOVING_M, _MOVING_STEPS = 5.0, 10
+#: A track seen on a path longer than this is moving, m; for longer than this, s.
+_MOVING_M, _MOVING_S = 5.0, 1.0
 
 
 class SceneFacts(NamedTuple):
     """One row of `hid2 scan`.
 
     tracks: in all; at_49: present at the last observed timestep; vehicles: tracks of type vehicle or bus; moving:
-    vehicles with a path over 5 m, seen at more than 10 steps; same_direction: (lane, side) pairs of VEHICLE lanes.
+    vehicles with a path over 5 m, seen for more than 1 s; same_direction: (lane, side) pairs of VEHICLE lanes.
     Room: lane_change_m and overtake_m are metres of VEHICLE lane from which a change, or an overtake, has the length it
     needs beside it; left_turns and right_turns are turning lanes that can be entered within the map. events: those that
     there is room for with the recording vehicle and the focal track, as `cut_in:av lead:focal`.
@@ -126,6 +126,7 @@ def describe_scene(folder: Address, config: Config) -> SceneFacts:
     lanes = [lane for lane in graph.lanes.values() if lane.lane_type == "VEHICLE"]
     ahead = _lengths_ahead(graph)
     turns = [lane for lane in lanes if lane.turn is not TurnType.STRAIGHT and graph.predecessors(lane.lane_id)]
+    short = round(_MOVING_S / scenario.step_s)
     return SceneFacts(
         folder=folder,
         scenario=scenario.scenario_id,
@@ -135,7 +136,7 @@ def describe_scene(folder: Address, config: Config) -> SceneFacts:
         tracks=len(scenario.tracks),
         at_49=sum(scenario.last_observed in track.timesteps for track in scenario.tracks),
         vehicles=len(vehicles),
-        moving=sum(track.path_m > _MOVING_M and len(track.timesteps) > _MOVING_STEPS for track in vehicles),
+        moving=sum(track.path_m > _MOVING_M and len(track.timesteps) > short for track in vehicles),
         lanes=len(graph.lanes),
         vehicle_lanes=len(lanes),
         same_direction=sum(_beside(graph, lane.lane_id, side) is not None for lane in lanes for side in SIDES),
@@ -153,7 +154,7 @@ def _events(scenario: Recording, config: Config) -> tuple[str, ...]:
     grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m, max_skew_m=config.grid.max_skew_m)
     scene = build_scene(
         grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
-        last_observed_step=scenario.last_observed,
+        step_s=scenario.step_s, last_observed_step=scenario.last_observed,
     )  # fmt: skip
     return offered_events(scene, EVENT_TARGETS)
 

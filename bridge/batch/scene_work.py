@@ -9,6 +9,7 @@ from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare, write
+from bridge.recordings.export import check_step
 from bridge.recordings.folders import sumo_folder
 from bridge.recordings.sidecar import Sidecar
 from bridge.recordings.sources import read_recording
@@ -56,7 +57,9 @@ def run_each(
     scenario, unreadable = None, None
     prepared: dict[Grid, PreparedScene] = {}
     try:
-        scenario = read_recording(place.folder)
+        found = read_recording(place.folder)
+        check_step(found)
+        scenario = found
     except Exception as error:  # noqa: BLE001  # every run of the scene is quarantined with it
         unreadable = describe_error(error)
     for run in runs:
@@ -81,7 +84,7 @@ def run_each(
 
 
 def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
-    """Add what a sidecar says about vehicles and manoeuvres."""
+    """Add what a sidecar says about vehicles, manoeuvres and events."""
     maneuvers = [maneuver for agent in sidecar.agents for maneuver in agent.maneuvers]
     # passing a standing vehicle is finished, but it is no overtake: it has a reason too
     done = Counter(maneuver.kind for maneuver in maneuvers if maneuver.status == "done" and maneuver.reason is None)
@@ -89,6 +92,11 @@ def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
         f"{maneuver.kind}: {maneuver.reason or maneuver.status}"
         for maneuver in maneuvers
         if maneuver.status != "done" or maneuver.reason is not None
+    )
+    not_done.update(
+        f"{event.kind} with {event.target}: {event.reason or event.status}"
+        for event in sidecar.events
+        if event.status != "done"
     )
     return row._replace(
         placed=sidecar.placed.agents,
@@ -99,6 +107,8 @@ def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
         overtake=done["overtake"],
         maneuvers_requested=len(maneuvers),
         maneuvers_done=sum(done.values()),
+        events_requested=len(sidecar.events),
+        events_done=sum(event.status == "done" for event in sidecar.events),
         rejected=join_counts({entry.reason: entry.count for entry in sidecar.rejected}),
         not_done=join_counts(not_done),
     )

@@ -42,8 +42,10 @@ def print_batch(rows: Sequence[ManifestRow]) -> None:
     """Print what happened, run by run when there are few, and the sums."""
     bad = [row for row in rows if row.status != DONE]
     if len(rows) <= _LISTED_RUNS:
-        listed = ("scene", "variant", "placed", "left", "right", "changes", "overtakes", "manoeuvres", "s", "remarks")
-        print_table("Generated scenes", listed, [_line(row) for row in rows])
+        with_events = any(row.events_requested for row in rows)
+        head = ("scene", "variant", "placed", "left", "right", "changes", "overtakes", "manoeuvres")
+        listed = (*head, *(("events",) if with_events else ()), "s", "remarks")
+        print_table("Generated scenes", listed, [_line(row, with_events=with_events) for row in rows])
     elif bad:
         summed = ("scene", "variant", "failure", "reason")
         print_table(
@@ -54,15 +56,18 @@ def print_batch(rows: Sequence[ManifestRow]) -> None:
     done = [row for row in rows if row.status == DONE]
     most = any(row.requested == "max" for row in done)
     asked = "" if most else f" of {sum(int(row.requested) for row in done)}"
+    events = sum(row.events_requested for row in done)
     print(
         f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)}{asked}; "
         f"manoeuvres done: {sum(row.maneuvers_done for row in done)} of {sum(row.maneuvers_requested for row in done)}"
+        + (f"; events done: {sum(row.events_done for row in done)} of {events}" if events else "")
     )
 
 
-def _line(row: ManifestRow) -> tuple[object, ...]:
+def _line(row: ManifestRow, *, with_events: bool) -> tuple[object, ...]:
     if row.status != DONE:
-        return (row.scenario, row.variant, "-", "-", "-", "-", "-", "-", row.seconds, f"{row.failure}: {row.reason}")
+        blank = ("-",) * (7 if with_events else 6)
+        return (row.scenario, row.variant, *blank, row.seconds, f"{row.failure}: {row.reason}")
     remarks = "; ".join(
         f"{what}: {_first(reasons)}"
         for what, reasons, told in (
@@ -80,6 +85,7 @@ def _line(row: ManifestRow) -> tuple[object, ...]:
         row.lane_change,
         row.overtake,
         f"{row.maneuvers_done} of {row.maneuvers_requested}",
+        *((f"{row.events_done} of {row.events_requested}",) if with_events else ()),
         round(row.seconds, 2),
         remarks or "-",
     )

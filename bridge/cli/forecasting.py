@@ -26,7 +26,7 @@ def compose(  # noqa: PLR0913  # one for each option
         list[str],
         typer.Argument(
             metavar="COMPOSITION.toml|SOURCE[:N]",
-            help="A composition, or sources of scenes and how many of each.",
+            help="A composition, or sources of scenes and how many of each: a number, a share (0.5) or all.",
             show_default=False,
         ),
     ],
@@ -113,9 +113,9 @@ def compose(  # noqa: PLR0913  # one for each option
 
         made = make(found, out, jobs=jobs, on_scene=activity.step)
         for line in made.left_out[: None if verbose else _SHOWN]:
-            activity.message(f"left out: {line}")
+            activity.message(f"hid2: warning: left out: {line}")
         if len(made.left_out) > _SHOWN and not verbose:
-            activity.message(f"left out: {len(made.left_out) - _SHOWN} more (-v lists them)")
+            activity.message(f"hid2: warning: left out: {len(made.left_out) - _SHOWN} more (-v lists them)")
     head = ("data set", "train", "val", "test")
     if as_json:
         print_json(head, made.rows())

@@ -1,7 +1,8 @@
 """`hid2 generate`."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -42,7 +43,11 @@ from bridge.cli.options import (
 from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import select_scenes, set_up, tell_formats
 from bridge.console import Activity, print_json, say, warn
-from netconvert.errors import ConfigError
+from netconvert.errors import ConfigError, Hid2Error
+
+if TYPE_CHECKING:
+    from bridge.recordings.folders import Address
+    from hid2.params import Config
 
 #: Batches up to this size list every folder that was written.
 _SHOWN_PATHS = 24
@@ -267,9 +272,7 @@ def generate(  # noqa: PLR0913  # one for each option
         raise typer.Exit(_reproduce(repro, out, function, quiet=quiet))
     if again is not None:
         raise typer.Exit(_make_again(again, source, out, map_path, given=bool(scenes), quiet=quiet))
-    missing = [name for name, value in (("SCENE", scenes), ("-o/--out", out)) if not value]
-    if not scenes or out is None:
-        raise ConfigError(f"missing {' and '.join(missing)} (see hid2 generate --help)")
+    scenes, out = _given(scenes, out, {"--source without --from": source, "--function without --repro": function})
     check_scenes(scenes)
     check_out(out)
     if sumo is not None:
@@ -308,6 +311,12 @@ def generate(  # noqa: PLR0913  # one for each option
             raise ConfigError(
                 "--format argoverse1 with --focal generated: its AGENT is recorded, expected one of the two"
             )
+        activity.doing("looking at the first scenes")
+        _check_trigger(folders, resolved)
+        if formats and resolved.driving.replay == "reactive":
+            raise ConfigError(
+                "--format argoverse1 with driving.replay = 'reactive': no scene of Argoverse, expected one"
+            )
         if min_agents or city or split or can or sample:  # else nothing need be imported that reads scenes
             from bridge.batch.scan import Selection
 
@@ -345,6 +354,45 @@ def generate(  # noqa: PLR0913  # one for each option
     raise typer.Exit(ALL_DONE if all(row.status == DONE for row in rows) else SOME_FAILED)
 
 
+def _given(scenes: list[Path] | None, out: Path | None, alone: Mapping[str, object]) -> tuple[list[Path], Path]:
+    """Errors: ConfigError for what is missing, and for options that go with another one, `alone` by what to say."""
+    for said, value in alone.items():
+        if value is not None:
+            raise ConfigError(f"{said}, expected the two together (see hid2 generate --help)")
+    missing = [name for name, value in (("SCENE", scenes), ("-o/--out", out)) if not value]
+    if not scenes or out is None:
+        raise ConfigError(f"missing {' and '.join(missing)} (see hid2 generate --help)")
+    return scenes, out
+
+
+#: Scenes that are looked at for one that lasts until the first trigger, and how long the shortest usually lasts, s.
+_LOOKED_AT, _SHORTEST_S = 20, 4.9
+
+
+def _check_trigger(folders: Sequence["Address"], config: "Config") -> None:
+    """Errors: ConfigError where of the first scenes, which are mostly of one length, none lasts until any trigger."""
+    request = config.request
+    first_s = min(request.trigger_list_s) if request.trigger_list_s else request.trigger_min_s
+    if first_s <= _SHORTEST_S or request.lane_change + request.overtake == 0:
+        return
+    from bridge.recordings.sources import read_recording
+
+    longest_s = 0.0
+    for folder in folders[:_LOOKED_AT]:
+        try:
+            recording = read_recording(folder)
+        except Hid2Error:  # its own row of the manifest says why
+            return
+        longest_s = max(longest_s, (recording.num_steps - 1) * recording.step_s)
+        if longest_s >= first_s:
+            return
+    looked_at = min(len(folders), _LOOKED_AT)
+    raise ConfigError(
+        f"--trigger-time: lane changes and overtakes are asked for at {first_s:g} s or later, but the longest of the "
+        f"{looked_at} scene{'s' if looked_at > 1 else ''} looked at ends at {longest_s:g} s; expected an earlier time"
+    )
+
+
 def _agents(text: str) -> int | str:
     if text == "max":
         return text
@@ -358,6 +406,8 @@ def _make_again(
     sidecar: Path, source: Path | None, out: Path | None, map_path: Path | None, *, given: bool, quiet: bool
 ) -> int:
     """Make the scene of a sidecar again, and compare it with what lies beside the sidecar. Returns the exit code."""
+    if not sidecar.is_file():
+        raise ConfigError(f"--from {sidecar}: no such file, expected the sidecar of a generated scene, hid2_<id>.json")
     if out is None or source is None or given:
         raise ConfigError("--from SIDECAR takes --source ROOT and -o OUT, and no SCENE (see hid2 generate --help)")
     check_scenes([source])
@@ -378,9 +428,11 @@ def _make_again(
 def _reproduce(bundle_path: Path, out: Path | None, function: str | None, *, quiet: bool) -> int:
     """Run a bundle; without an output folder nothing is kept. Returns the exit code."""
     import tempfile
+    from zipfile import is_zipfile
 
-    if not bundle_path.is_file():
-        raise ConfigError(f"{bundle_path}: no such file, expected a bundle, OUT/quarantine/.../NAME.zip")
+    if not bundle_path.is_file() or not is_zipfile(bundle_path):
+        wrong = "is no ZIP file" if bundle_path.is_file() else "no such file"
+        raise ConfigError(f"{bundle_path}: {wrong}, expected a bundle, OUT/quarantine/.../NAME.zip")
     if out is not None:
         check_out(out)
     with (

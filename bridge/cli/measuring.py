@@ -1,5 +1,6 @@
 """`hid2 evaluate`, `study` and `paper`: from scenes to figures and tables."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -89,6 +90,8 @@ def evaluate(  # noqa: PLR0913  # one for each option
     set_up(verbose=verbose, quiet=quiet)
     check_scenes([out, *(folder for folder in (source, control) if folder)])
     check_out(report)
+    if as_json and not predictions:
+        raise ConfigError("--json without --predictions: the tables of scenes are files; expected the two together")
     if predictions:
         score = _score if len(predictions) == 1 else _compare
         raise typer.Exit(score(out, predictions, bands, report, jobs=jobs, as_json=as_json, quiet=quiet))
@@ -304,6 +307,8 @@ def paper(  # noqa: PLR0913  # one for each option
 ) -> None:
     """Run an experiment of the paper, from generation to the table beside the paper's; prediction needs `forecast`."""
     set_up(verbose=verbose, quiet=quiet)
+    theirs = {"--variants": variants, "--val": val, "--updates": updates, "--composed": composed}
+    _check_fits(experiment, {**theirs, "--predictions": predictions}, {"--map": map_path, "--stride": stride})
     check_scenes([*scenes, *([composed] if composed else [])])
     check_out(out)
     if experiment == "prediction" and predictions is None:
@@ -331,6 +336,15 @@ def paper(  # noqa: PLR0913  # one for each option
                 agents=agents, jobs=jobs, on_scene=activity.show,
             )  # fmt: skip
     print(page)
+
+
+def _check_fits(experiment: str, prediction: Mapping[str, object], others: Mapping[str, object]) -> None:
+    """Errors: ConfigError for an option of another experiment."""
+    wrong = others if experiment == "prediction" else prediction
+    given = [name for name, value in wrong.items() if value is not None]
+    if given:
+        which = "the others" if experiment == "prediction" else "prediction"
+        raise ConfigError(f"{given[0]} does nothing in {experiment}, expected it with {which} only")
 
 
 def _bounds(bands: str) -> list[int]:

@@ -116,7 +116,7 @@ Verbose = Annotated[
         "--verbose",
         count=True,
         metavar="",
-        help="Say more; -vv: debug messages, such as the story of every vehicle that was tried.",
+        help="Say more; -vv: everything, in generate the story of every vehicle that was tried.",
         show_default=False,
         rich_help_panel=OUTPUT,
     ),

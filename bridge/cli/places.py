@@ -13,11 +13,15 @@ _SIDECAR = "hid2_*.json"
 _ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".zst")
 #: Folders of a split or root that are looked at to tell which of them it is: they are all alike.
 _LOOKED_AT = 20
+#: Folders whose recorded scenes make a split of them; any other folder becomes one by the second scene.
+_SPLITS = (*SplitName, "raw")
 
 
 def check_scenes(paths: Sequence[Path]) -> None:
-    """Errors: ConfigError for a path that is a file and no recording, with what to give instead."""
+    """Errors: ConfigError for a path that is not there, or a file and no recording, with what to give instead."""
     for path in paths:
+        if not path.exists():
+            raise ConfigError(f"{path}: no such folder, expected a scenario folder, a split folder or a data-set root")
         if path.is_file() and path.suffix != ".csv":
             raise ConfigError(f"{path}: is a file, expected a folder; {_instead_of_file(path)}")
 
@@ -26,50 +30,64 @@ def check_one_scene(path: Path, *, map_file: bool = False) -> None:
     """Errors: ConfigError where a path is not a single scene. map_file: a map alone will do."""
     if map_file and path.is_file() and path.suffix == ".json":
         return
+    if not path.exists():
+        raise ConfigError(f"{path}: no such folder, expected a scenario folder")
     check_scenes([path])
     if path.is_file():
         return
-    if not path.is_dir():
-        raise ConfigError(f"{path}: no such folder, expected a scenario folder")
     if not _is_scene(path):
         inside = next(_scenes_below(path), None)
         if inside is not None:
             raise ConfigError(f"{path}: holds several scenes, this command takes one; for example {inside}")
         what = "scenario_<id>.parquet or log_map_archive_<id>.json" if map_file else "scenario_<id>.parquet"
-        raise ConfigError(f"{path}: no {what} in it, expected a scenario folder")
+        raise ConfigError(f"{path}: no {what} in it, expected a scenario folder, a sensor log or a sequence's CSV file")
 
 
 def check_out(out: Path) -> None:
     """What is written must not get among the sources. `out`: a folder to write to, or a file.
 
     Errors: ConfigError where it lies inside a scenario folder or a split folder of recorded scenes, or where a file is
-    in the way. Below the root of a data set it is taken with a warning.
+    in the way. Below the root of a data set, or beside a single scene, it is taken with a warning.
     """
-    for place in (out, *out.parents):
+    _check_can_be_made(out, out)
+    check_among_sources(out)
+
+
+def _check_can_be_made(folder: Path, out: Path) -> None:
+    for place in (folder, *folder.parents):
         if place.is_file():
             what = "is a file" if place == out else f"cannot be made, {place} is a file"
             raise ConfigError(f"{out}: {what}; choose another output folder")
         if place.exists():
-            break
-    check_among_sources(out)
+            return
+
+
+def _check_in_no_scene(out: Path) -> None:
+    for place in _real_parents(out):
+        if _is_scene(place):
+            raise ConfigError(f"{out}: lies inside the scene {place}; choose a place outside it")
 
 
 def check_out_file(file: Path) -> None:
-    """`check_out` for a file that is written. Errors: ConfigError."""
+    """As `check_out` for a file, which is no scene and may lie in a split folder. Errors: ConfigError."""
     if file.is_dir():
         raise ConfigError(f"{file}: is a folder, expected a file to write")
-    check_out(file.parent)
+    _check_can_be_made(file.parent, file)
+    _check_in_no_scene(file)
 
 
 def check_among_sources(out: Path) -> None:
     """The half of `check_out` about scenes. Errors: ConfigError."""
-    for place in _real_parents(out):
-        if _is_scene(place):
-            raise ConfigError(f"{out}: lies inside the scene {place}; choose an output folder outside it")
-        if _has_recorded(place):
-            raise ConfigError(f"{out}: lies inside the split folder {place}; choose an output folder outside it")
-    for place in _real_parents(out):
-        if any(_has_recorded(place / split) for split in SplitName):
+    _check_in_no_scene(out)
+    beside = {place: list(islice(_recorded(place), 2)) for place in _real_parents(out)}
+    for place, scenes in beside.items():
+        if len(scenes) == 2 or (scenes and place.name in _SPLITS):
+            raise ConfigError(
+                f"{out}: lies inside the split folder {place}, beside the scene {scenes[0].name}; "
+                "choose an output folder outside it"
+            )
+    for place, scenes in beside.items():
+        if scenes or any(any(_recorded(place / split)) for split in SplitName):
             warn(f"{out} lies inside the data set {place}; an output folder outside it keeps them apart")
             return
 
@@ -90,9 +108,10 @@ def _is_scene(folder: Path) -> bool:
     return any(any(folder.glob(pattern)) for pattern in _SCENE_FILES)
 
 
-def _has_recorded(folder: Path) -> bool:
-    """Whether scenes that hid2 did not write lie directly in a folder."""
-    return any(_is_scene(child) and not any(child.glob(_SIDECAR)) for child in islice(_folders(folder), _LOOKED_AT))
+def _recorded(folder: Path) -> Iterator[Path]:
+    """Scenes that hid2 did not write and that lie directly in a folder, of the first that are there."""
+    looked_at = islice(_folders(folder), _LOOKED_AT)
+    return (child for child in looked_at if _is_scene(child) and not any(child.glob(_SIDECAR)))
 
 
 def _folders(folder: Path) -> Iterator[Path]:
@@ -103,8 +122,15 @@ def _folders(folder: Path) -> Iterator[Path]:
 
 
 def _scenes_below(path: Path) -> Iterator[Path]:
+    yield from islice(_sequences(path), 1)
     for child in _folders(path):
         if _is_scene(child):
             yield child
         else:
+            yield from islice(_sequences(child), 1)
             yield from (folder for folder in islice(_folders(child), _LOOKED_AT) if _is_scene(folder))
+
+
+def _sequences(folder: Path) -> Iterator[Path]:
+    """Sequences of Argoverse 1 in a folder, in any order."""
+    return (path for path in folder.glob("*.csv") if path.stem.isdigit())

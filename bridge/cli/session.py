@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from bridge.console import Activity
+from bridge.console import Activity, say
 from netconvert.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from bridge.recordings.folders import Address
 
 
-class _Formatter(logging.Formatter):
-    """Messages of the packages look as those of the command."""
+class _Handler(logging.Handler):
+    """Messages of the packages look as those of the command, and appear beside a bar, not in it."""
 
-    def format(self, record: logging.LogRecord) -> str:
-        return f"hid2: {record.levelname.lower()}: {record.getMessage()}"
+    def emit(self, record: logging.LogRecord) -> None:
+        say(f"hid2: {record.levelname.lower()}: {record.getMessage()}")
 
 
 def set_up(*, verbose: int = 0, quiet: bool = False) -> None:
@@ -30,9 +30,7 @@ def set_up(*, verbose: int = 0, quiet: bool = False) -> None:
     """
     wanted = logging.ERROR if quiet else logging.WARNING
     level = (wanted, logging.INFO, logging.DEBUG)[min(verbose, 2)]
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(_Formatter())
-    logging.basicConfig(level=logging.WARNING, handlers=[handler])
+    logging.basicConfig(level=logging.WARNING, handlers=[_Handler()])
     for package in ("bridge", "hid2", "netconvert"):
         logging.getLogger(package).setLevel(level)
     signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -16,7 +16,8 @@ from bridge.evaluation.evaluate import write_table
 from bridge.evaluation.pages import Section, number, page, picture, table
 from bridge.files import write_text
 from bridge.pictures import figures
-from bridge.recordings.scenario import STEP_S, find_scenarios, read_scenario, source_id
+from bridge.recordings.scenario import read_scenario, source_id
+from bridge.recordings.sources import find_sources
 from hid2.agents import FloatArray, IntArray
 from hid2.drivers.calibration import Extra, Observed, Quantity, calibrate, drivers_of
 from hid2.evaluation.safety import Safety, prepare_map, safety
@@ -24,7 +25,7 @@ from hid2.evaluation.windows import is_labelled, windows
 from hid2.measures.arrays import BoolArray, SceneArrays, stack
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.params import Drivers
-from netconvert.errors import ExportError, ScenarioError
+from netconvert.errors import ConfigError, ExportError, ScenarioError
 
 #: Speed below which a vehicle stands, m/s, and gap to a leader in a queue, m.
 _STANDS_MPS, _QUEUE_M = 0.3, 8.0
@@ -67,22 +68,27 @@ def calibrate_folder(
 
     Writes `out` (TOML, the section [drivers] of a configuration) and, beside it, STEM.csv (quantities), STEM.html (the
     same with figures) and STEM_manoeuvres.csv. without: ids of scenes to leave out, such as those to be generated from.
-    Errors: ScenarioError where no scene is left; ExportError where something cannot be written.
+    Scenes that hid2 wrote are passed over. Errors: ConfigError where no scene is left, ScenarioError where none can be
+    read; ExportError where something cannot be written.
     """
-    folders = [folder for folder in find_scenarios(root) if source_id(folder) not in without]
-    unknown = set(without) - {source_id(folder) for folder in find_scenarios(root)}
+    found = [address for address in find_sources([root]) if isinstance(address, Path)]
+    there = {source_id(folder): folder for folder in found}
+    if not there:
+        raise ConfigError(f"{root}: no Argoverse 2 scene, which calibration reads; expected scenario_<id>.parquet")
+    unknown = sorted(set(without) - there.keys())
     if unknown:
-        raise ScenarioError(f"{root}: no scene {', '.join(sorted(unknown))} to leave out")
+        raise ConfigError(f"--without {unknown[0]}: no such scene in {root}, expected the id of one, as {min(there)}")
+    folders = [folder for name, folder in there.items() if name not in without]
     if not folders:
-        raise ScenarioError(f"{root}: no scene is left to calibrate with; expected at least one")
+        raise ConfigError(f"{root}: --without leaves no scene to calibrate with, expected at least one")
     scenes: list[SceneDriving] = []
     failures: list[tuple[Path, str]] = []
     each = work_on_each(observe, folders, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=120)
-    for done, (folder, found) in enumerate(each, 1):
-        if isinstance(found, Failure):
-            failures.append((folder, found.message))
+    for done, (folder, outcome) in enumerate(each, 1):
+        if isinstance(outcome, Failure):
+            failures.append((folder, outcome.message))
         else:
-            scenes.append(found)
+            scenes.append(outcome)
         if on_scene is not None:
             on_scene(done, len(folders))
     if not scenes:
@@ -106,7 +112,7 @@ def observe(_shared: None, folders: Sequence[Path]) -> Iterator[SceneDriving | F
 def observe_scene(folder: Path) -> SceneDriving:
     """What one recorded scene shows of driving: clean tracks of moving vehicles. Errors: ScenarioError, MapError."""
     scenario = read_scenario(folder)
-    arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=STEP_S)
+    arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)
     safe = safety(arrays, prepare_map(scenario.graph))
     clean = arrays.vehicle & arrays.moving & ~arrays.fragment & ~arrays.generated
     found = windows(arrays, safe, clean)

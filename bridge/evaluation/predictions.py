@@ -35,7 +35,7 @@ from bridge.recordings.scenario import (
     source_id,
 )
 from hid2.agents import FloatArray, Track
-from netconvert.errors import ExportError, ScenarioError
+from netconvert.errors import ConfigError, ExportError, ScenarioError
 
 Baseline = Literal["constant-velocity", "constant-turn-rate"]
 BASELINES: tuple[Baseline, ...] = ("constant-velocity", "constant-turn-rate")
@@ -159,17 +159,15 @@ def score_folders(
 
 
 def read_forecasts(path: Path) -> Forecasts:
-    """Read a submission file. Errors: ScenarioError with what av2 says of it, or with a value that is not finite."""
+    """Read a submission file. Errors: ConfigError for another file; ScenarioError for a value that is not finite."""
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # values may be anything until they have been looked at
             forecasts: Forecasts = ChallengeSubmission.from_parquet(path).predictions
     except FileNotFoundError:
-        raise ScenarioError(
-            f"{path}: no such file, expected a forecast file or one of {', '.join(BASELINES)}"
-        ) from None
+        raise ConfigError(f"{path}: no such file, expected a forecast file or one of {', '.join(BASELINES)}") from None
     except (ValueError, KeyError, OSError, IndexError, TypeError, AttributeError) as error:  # as av2 comes to them
         said = str(error).split("\n")[0].split(". ")[0]  # pyarrow goes on for lines
-        raise ScenarioError(f"{path}: not a forecast file of av2's submission format ({said})") from error
+        raise ConfigError(f"{path}: not a forecast file of av2's submission format ({said})") from error
     for scenario_id, (probabilities, by_track) in forecasts.items():
         outside = ~((probabilities >= 0) & (probabilities <= 1))
         if outside.any():

@@ -15,8 +15,6 @@ from bridge.recordings.folders import Address, Source
 from bridge.recordings.limits import MAX_FILE_MB, check_ground
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import (
-    OBSERVED_STEPS,
-    STEP_S,
     Rows,
     read_scenario,
     read_sizes,
@@ -25,7 +23,7 @@ from bridge.recordings.scenario import (
     split_of,
     split_rows,
 )
-from bridge.recordings.sidecar import ManeuverRecord, RecordingRecord, Sidecar, sidecar_in
+from bridge.recordings.sidecar import REACTIVE, ManeuverRecord, RecordingRecord, Sidecar, sidecar_in
 from bridge.recordings.sources import read_recording
 from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
@@ -111,6 +109,8 @@ def measure_folder(folder: Address, limits: Limits, maps: Maps, labelled: Labell
     """
     rows, ground, known = _read(folder, maps)
     sidecar = sidecar_in(folder, rows.scenario_id) if isinstance(folder, Path) else None
+    if sidecar is not None and sidecar.replay.mode == "reactive":
+        raise ScenarioError(f"{folder}: {REACTIVE}")
     sizes = (labelled or {}).get(sidecar.source_scenario_id, {}) if sidecar else {}
     measures = measure(
         [replace(t, size=sizes[t.track_id]) if t.track_id in sizes else t for t in rows.tracks]
@@ -157,8 +157,8 @@ def measure(
     limits: Limits,
     num_steps: int,
     source: str,
-    observed_steps: int = OBSERVED_STEPS,
-    step_s: float = STEP_S,
+    observed_steps: int,
+    step_s: float,
 ) -> SceneMeasures:
     """Measure tracks on a map. `source`: id of the recorded scene; observed_steps, step_s: of its data set."""
     arrays = stack(tracks, num_steps=num_steps, step_s=step_s)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.evaluation import pages
-from bridge.evaluation.predictions import BOUNDS, PredictionScores, Score, score_predictions
+from bridge.evaluation.predictions import BASELINES, BOUNDS, PredictionScores, Score, score_predictions
 from bridge.files import explained, make_folder, table_file, write_text
 from bridge.recordings.scenario import find_scenarios, source_id
 from hid2.agents import FloatArray
@@ -179,7 +179,8 @@ def parse_models(texts: Sequence[str]) -> dict[str, list[Path]]:
             name, place = (Path(text).stem if texts.count(text) == 1 else text), text
         path = Path(place)
         if not path.is_file():
-            raise ConfigError(f"--predictions {text}: no such file; expected FILE or NAME=FILE to compare")
+            wrong = "a baseline is scored alone" if text in BASELINES else "no such file"
+            raise ConfigError(f"--predictions {text}: {wrong}; expected FILE or NAME=FILE to compare")
         if path in models.get(name, []):
             raise ConfigError(f"--predictions {text}: given twice; give each file once")
         models.setdefault(name, []).append(path)

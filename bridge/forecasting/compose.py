@@ -156,7 +156,7 @@ class _Pool:
         params: Forecasting | None = None,
     ) -> None:
         self._params = params or Forecasting()
-        self._seed = composition.seed
+        self._seed, self._sources = composition.seed, composition.sources
         self.left_out: list[str] = []
         names, folders = [], []
         for name, places in composition.sources.items():
@@ -238,10 +238,11 @@ class _Pool:
         for source in draw.sources:
             there = [fact for fact in self._scenes[split, source] if _agents(fact, draw) >= draw.min_agents]
             count = draw.take.get(source, 0)
-            wanted = len(there) if count == "all" else count
+            wanted = len(there) if count == "all" else round(count * len(there)) if isinstance(count, float) else count
             if wanted > len(there):
+                places = ", ".join(self._sources[source])
                 raise ConfigError(
-                    f"{where}: {wanted} scenes of {source!r} asked for in {split}, {len(there)} are there "
+                    f"{where}: {wanted} scenes of {source!r} ({places}) asked for in {split}, {len(there)} are there "
                     f"({len(self.left_out)} scenes of all sources were left out); ask for fewer, or for all"
                 )
             taken = self._stratified(there, wanted, f"{split} {source}")

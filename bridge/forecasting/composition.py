@@ -1,5 +1,6 @@
 """COMPOSITION.toml: which scenes of which sources make which data sets. `bridge/forecasting/README.md` has examples."""
 
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,8 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from bridge.recordings.folders import SPLITS
 from netconvert.errors import ConfigError
 
-#: Number of scenes, or all that there are.
-Count = Annotated[int, Field(ge=0)] | Literal["all"]
+#: Number of scenes, a share of those that there are, or all of them.
+Count = Annotated[int, Field(ge=0)] | Annotated[float, Field(gt=0, lt=1)] | Literal["all"]
+_COUNT = "a number of scenes, a share of them between 0 and 1, or all"
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9_.+-]{0,63}$"
 Name = Annotated[str, Field(pattern=_NAME)]
 #: The control compositions by name, in the order of the tables, with what each is for.
@@ -164,10 +166,29 @@ def composition_of(values: Mapping[str, Any], where: str) -> Composition:
         return Composition.model_validate(values, strict=True)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"] if part not in ("constrained-int", "int")) or "the file"
-        message = first["msg"].removeprefix("Value error, ")
-        value = "" if first["type"] == "value_error" else f" (got {str(first['input'])[:60]!r})"
-        raise ConfigError(f"{where}: {key}: {message}{value}") from error
+        names = [str(part) for part in first["loc"]]
+        kept = [name for name in names if not name.startswith(("constrained-", "int", "float", "literal["))]
+        key, message = ".".join(kept), first["msg"].removeprefix("Value error, ")
+        if first["type"] == "missing":
+            raise ConfigError(f"{where}: no {key}, expected it in a composition") from error
+        if first["type"] == "extra_forbidden":
+            raise ConfigError(f"{where}: unknown key {key!r}; expected {_known(names[:-1])}") from error
+        if first["type"] == "value_error":
+            raise ConfigError(f"{where}: {key and f'{key}: '}{message}") from error
+        wanted = message[:1].lower() + message[1:]
+        for theirs, ours in (("input should be", "expected"), ("greater than or equal to", "at least")):
+            wanted = wanted.replace(theirs, ours)
+        if len(kept) < len(names):  # one of several types
+            wanted = f"expected {_COUNT}"
+        raise ConfigError(f"{where}: {key} = {str(first['input'])[:60]!r}, {wanted}") from error
+
+
+def _known(location: Sequence[str]) -> str:
+    """The keys of the table at a place of the file."""
+    parts: Mapping[str, type[_Part]] = {
+        "split": Split, "controls": Controls, "sets": Draw, "validation": Draw, "test": Draw,
+    }  # fmt: skip
+    return ", ".join((parts[location[0]] if location else Composition).model_fields)
 
 
 def composition_of_sources(
@@ -181,18 +202,29 @@ def composition_of_sources(
         place, separator, count = text.rpartition(":")
         if not separator or Path(text).exists():
             place, count = text, "all"
-        if count != "all" and not count.isdigit():
-            raise ConfigError(f"{text!r}: expected SOURCE or SOURCE:N with a number of scenes")
         name = f"source-{number}"
-        sources[name], counts[name] = (place,), "all" if count == "all" else int(count)
+        sources[name], counts[name] = (place,), _count(count, text)
     draws: dict[str, Draw] = {}
     left = dict(counts)
     for name, share in (("val", split.val), ("test", split.test)):
-        part: dict[str, Count] = {s: n if n == "all" else round(n * share) for s, n in counts.items()}
+        part: dict[str, Count] = {s: round(n * share) if isinstance(n, int) else n for s, n in counts.items()}
         draws[name] = Draw(take=part if share else {}, min_agents=min_agents, min_agents_in=min_agents_in)
-        left = {s: n if n == "all" else n - int(part[s]) for s, n in left.items()}
+        left = {s: n - int(part[s]) if isinstance(n, int) else n for s, n in left.items()}
     train = Draw(take=left, min_agents=min_agents, min_agents_in=min_agents_in)
     return Composition(
         seed=seed, layout=layout, split=split, sources=sources, sets={"all": train}, validation={"all": draws["val"]},
         test=draws["test"],
     )  # fmt: skip
+
+
+def _count(text: str, where: str) -> Count:
+    """Errors: ConfigError."""
+    if text == "all" or text.isdigit():
+        return "all" if text == "all" else int(text)
+    try:
+        share = float(text)
+    except ValueError:
+        share = math.nan
+    if not 0 < share < 1:
+        raise ConfigError(f"{where!r}: expected SOURCE or SOURCE:N, N being {_COUNT}")
+    return share

@@ -133,6 +133,7 @@ def _composed(scenes: Sequence[Path], out: Path, plan: Plan, *, jobs: int, tell:
     for name, without in (("hid2", frozenset[str]()), ("no-interaction", frozenset({"collision"}))):
         places[name] = out / "generated" / name
         work = [SceneJob(folder, _runs(plan, without)) for folder in folders]
+        tell(f"generating {name}", 0, sum(len(job.runs) for job in work))
         rows = run_batch(work, places[name], Options(jobs=jobs, resume=True, timeout_s=600), on_row=count)
         if not any(row.status == DONE for row in rows):
             raise BatchError(f"{places[name]}: no scene could be generated; {rows[0].reason}")

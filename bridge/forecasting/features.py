@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.evaluation.predictions import FUTURE_STEPS
-from bridge.recordings.scenario import FOCAL_CATEGORY, MAX_STEPS, OBSERVED_STEPS, Scenario, read_scenario
+from bridge.recordings.scenario import FOCAL_CATEGORY, MAX_STEPS, OBSERVED_STEPS, STEP_S, Scenario, read_scenario
 from hid2.agents import FloatArray, Track
 from hid2.params import Forecasting
 from netconvert.errors import Hid2Error, ScenarioError
@@ -81,12 +81,14 @@ def features_of(
 def targets_of(scenario: Scenario, params: Forecasting) -> list[Target]:
     """The targets of a scene, in the order of its tracks.
 
-    Errors: ScenarioError for a recording of another data set with other observed steps than Argoverse 2's.
+    Errors: ScenarioError for a recording of another data set with other steps than Argoverse 2's.
     """
     if scenario.observed_steps != OBSERVED_STEPS:
         raise ScenarioError(
             f"{scenario.folder}: {scenario.observed_steps} observed steps, expected {OBSERVED_STEPS}, Argoverse 2's"
         )
+    if scenario.step_s != STEP_S:
+        raise ScenarioError(f"{scenario.folder}: steps of {scenario.step_s:g} s, expected {STEP_S:g} s, Argoverse 2's")
     history = np.zeros((len(scenario.tracks), OBSERVED_STEPS, 6))
     present = np.zeros((len(scenario.tracks), OBSERVED_STEPS), dtype=np.bool_)
     for row, track in enumerate(scenario.tracks):

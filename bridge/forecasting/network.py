@@ -14,6 +14,7 @@ from torch import nn
 
 from bridge.evaluation.predictions import FUTURE_STEPS
 from bridge.forecasting.features import AGENT_FEATURES, AGENT_KINDS, LANE_FEATURES, LANE_KINDS
+from bridge.recordings.scenario import STEP_S
 from hid2.params import Forecasting
 
 
@@ -72,7 +73,7 @@ class VectorNet(nn.Module):
         told = self.head(torch.cat([polylines[:, 0], around], dim=-1))
         # each mode is told as what it differs from going on at the observed velocity: the last step of the target
         velocity = batch.agents[:, 0, -1, 4:6]
-        ahead = torch.arange(1, FUTURE_STEPS + 1, device=velocity.device).view(1, 1, -1, 1) * 0.1
+        ahead = torch.arange(1, FUTURE_STEPS + 1, device=velocity.device).view(1, 1, -1, 1) * STEP_S
         straight = velocity.view(count, 1, 1, 2) * ahead
         return straight + self.futures(told).view(count, self.modes, FUTURE_STEPS, 2), self.scores(told)
 

@@ -18,11 +18,12 @@ from pydantic_core import from_json
 
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure, attempt_each
+from bridge.config import word_for_recorded
 from bridge.files import read_regular
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIDECAR_PATTERN
 from bridge.recordings.limits import MAX_FILE_MB
 from bridge.recordings.scenario import OBSERVED_STEPS
-from bridge.recordings.sidecar import read_sidecar
+from bridge.recordings.sidecar import REACTIVE, read_sidecar
 from hid2.params import Forecasting
 from netconvert.errors import MapError, ScenarioError
 
@@ -151,6 +152,8 @@ def _only(folder: Path, pattern: str, error: type[ScenarioError | MapError]) -> 
 
 def recorded_source(folder: Path) -> str | None:
     """The source of a generated scene, by the head of its sidecar; None for a recorded one. Errors: ScenarioError."""
+    if word_for_recorded(folder.name) != "recorded":
+        raise ScenarioError(f"{folder}: {REACTIVE}")
     sidecars = sorted(folder.glob(SIDECAR_PATTERN))
     if not sidecars:
         return None

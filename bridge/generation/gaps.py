@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from hid2.policy.lane_change import Gap
-from hid2.scene import DT_S
 from hid2.vehicle import DrivenVehicle, GapLook
 
 #: Column -> what it says. The order of the file; empty cells: does not apply, or nobody is there.
@@ -41,8 +40,13 @@ GAP_COLUMNS: Mapping[str, str] = {
 }
 
 
-def gap_rows(driven: Sequence[tuple[int, DrivenVehicle]], names: Mapping[str, str]) -> Iterator[dict[str, Any]]:
-    """Rows of all looks, by `GAP_COLUMNS`. driven: round and vehicle; names: track ids of the exported ones by id."""
+def gap_rows(
+    driven: Sequence[tuple[int, DrivenVehicle]], names: Mapping[str, str], *, step_s: float
+) -> Iterator[dict[str, Any]]:
+    """Rows of all looks, by `GAP_COLUMNS`.
+
+    driven: round and vehicle; names: track ids of the exported ones by id; step_s: of the scene.
+    """
     for number, vehicle in driven:
         for look in vehicle.gaps:
             yield {
@@ -51,7 +55,7 @@ def gap_rows(driven: Sequence[tuple[int, DrivenVehicle]], names: Mapping[str, st
                 "track_id": names.get(vehicle.vehicle_id),
                 "policy": vehicle.policy.value,
                 "trigger_s": round(vehicle.start.request.trigger_s, 6),
-                "time_s": round(look.step * DT_S, 6),
+                "time_s": round(look.step * step_s, 6),
                 **_look_row(look),
             }
 
@@ -86,12 +90,12 @@ def _neighbour(name: str, gap: Gap, *, follower_mps: float, leader_mps: float) -
     }
 
 
-def gaps_bytes(driven: Sequence[tuple[int, DrivenVehicle]], names: Mapping[str, str]) -> bytes:
+def gaps_bytes(driven: Sequence[tuple[int, DrivenVehicle]], names: Mapping[str, str], *, step_s: float) -> bytes:
     """`gaps_<id>.csv.gz`. Same looks, same bytes."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(GAP_COLUMNS), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(gap_rows(driven, names))
+    writer.writerows(gap_rows(driven, names, step_s=step_s))
     return gzip.compress(text.getvalue().encode(), mtime=0)
 
 

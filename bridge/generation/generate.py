@@ -4,17 +4,17 @@ import logging
 import tempfile
 import zlib
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
-from bridge.config import check_no_flow, config_sha256
+from bridge.config import check_no_flow, check_reactive, config_sha256
 from bridge.generation.gaps import gaps_bytes
 from bridge.generation.records import agent_record, event_record, rejected_records, replaced_record, with_unmet
-from bridge.recordings.export import new_scenario_id, recording_record_of, write_scene
+from bridge.recordings.export import new_scenario_id, recording_record_of, with_motion, write_scene
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import (
     GeneratorRecord,
@@ -31,10 +31,11 @@ from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.events import EventSearch
 from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle
+from hid2.insertion.surroundings import Surroundings
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
-from hid2.scene import DT_S, Scene, build_scene
+from hid2.scene import Scene, build_scene
 from hid2.vehicle import DrivenVehicle, Start
 from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ScenarioError
@@ -60,13 +61,32 @@ class GeneratedScene:
     driven: tuple[tuple[int, DrivenVehicle], ...]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+#: No tunable, bounds memory: what vehicles find is kept for so many variants, 20 MB more from each with 20 vehicles.
+_VARIANTS_KEPT = 8
+
+
+@dataclass(eq=False, slots=True)
 class PreparedScene:
-    """What the variants of one scene share: grid and net."""
+    """What the variants of one scene share: grid, net, and what vehicles find there."""
 
     scenario: Recording
     grid: CellGrid
     net: bytes
+    _surroundings: Surroundings | None = None
+    _asked: int = 0
+
+    def surroundings(self, config: Config) -> Surroundings:
+        """What vehicles find in the scene; kept for the next ones with the same configuration."""
+        self._asked += 1
+        worn = self._asked % _VARIANTS_KEPT == 0
+        if self._surroundings is None or worn or self._surroundings.scene.config != config:
+            scenario = self.scenario
+            scene = build_scene(
+                self.grid, scenario.tracks, config=config, num_steps=scenario.num_steps, step_s=scenario.step_s,
+                last_observed_step=scenario.last_observed,
+            )  # fmt: skip
+            self._surroundings = Surroundings(scene)
+        return self._surroundings
 
 
 def prepare(scenario: Recording, config: Config) -> PreparedScene:
@@ -82,28 +102,33 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
     ScenarioError where a generated focal track was asked for and no vehicle lives through the scene.
     """
     check_no_flow(config)
+    check_reactive(config)
     prepared = source if isinstance(source, PreparedScene) else prepare(source, config)
     scenario = prepared.scenario
     new_id = new_scenario_id(scenario.scenario_id, config, config.request.seed, variant)
     seed = [config.request.seed, variant, zlib.crc32(scenario.scenario_id.encode())]
-    scene = build_scene(
-        prepared.grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
-        last_observed_step=scenario.last_observed,
-    )  # fmt: skip
-    filling = Filling(scene, seed)
+    surroundings = prepared.surroundings(config)
+    scene = surroundings.scene
+    filling = Filling(surroundings, seed)
     _LOG.debug("%s variant %d: %s vehicles asked for", scenario.scenario_id, variant, config.request.agents)
     with tempfile.TemporaryDirectory(prefix="hid2-") as folder:
         net = Path(folder) / "scene.net.xml"
         net.write_bytes(prepared.net)
         with Simulation(
-            net, seed=sumo_seed(seed), step_s=DT_S, model=config.car_following.model,
+            net, seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
             parameters=model_parameters(config),
         ) as simulation:  # fmt: skip
-            rounds = _Rounds(scene, simulation, filling)
-            search = EventSearch(scene, filling.roads, filling.routes, filling.stop_lines, seed)
-            events = search.run(rounds.drive_alone)
-            filling.take_events(events)
-            filling.fill(rounds.drive)
+            rounds: _Rounds
+            if config.driving.replay == "reactive":
+                reactive = _ReactiveRounds(scene, simulation, filling, scenario)
+                filling.fill_together(reactive.drive)
+                scenario, rounds = with_motion(scenario, reactive.late), reactive
+            else:
+                rounds = _Rounds(scene, simulation, filling)
+                search = EventSearch(scene, surroundings.roads, surroundings.routes, surroundings.stop_lines, seed)
+                events = search.run(rounds.drive_alone)
+                filling.take_events(events)
+                filling.fill(rounds.drive)
             sumo_version = simulation.version()
     vehicles = sorted(filling.kept, key=lambda one: one.driven.start.request.number)
     tracks = [one.track(f"gen_{row}", config.request.generated_category) for row, one in enumerate(vehicles)]
@@ -111,7 +136,7 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
     if config.request.focal == "generated":
         focal = _focal(scenario, vehicles, tracks, filling)
         tracks = [_with_category(t, 3) if t.track_id == focal else t for t in tracks]
-    sidecar = _sidecar(prepared, scene, filling, vehicles, rounds.errors, variant=variant, sumo_version=sumo_version)
+    sidecar = _sidecar(prepared, scene, filling, vehicles, rounds, variant=variant, sumo_version=sumo_version)
     return GeneratedScene(
         scenario=scenario, generated=tuple(tracks), sidecar=sidecar, focal_track_id=focal, new_id=new_id,
         vehicles=tuple(vehicles), driven=tuple(rounds.driven),
@@ -137,7 +162,7 @@ def model_parameters(config: Config) -> dict[str, float]:
 
 
 #: Recorded agents farther than this from a way all the time need no replay in later rounds; how finely that is told.
-_NEAR_M, _EVERY_M, _EVERY_STEPS = 12.0, 6.0, 5
+_NEAR_M, _EVERY_M, _EVERY_S = 12.0, 6.0, 0.5
 
 
 class _Rounds:
@@ -147,11 +172,12 @@ class _Rounds:
         self._scene, self._simulation, self._filling = scene, simulation, filling
         self.errors = ReplayErrors()
         self.driven: list[tuple[int, DrivenVehicle]] = []
+        self.late_s: Mapping[str, float] = {}
 
     def _near(self, starts: Sequence[Start]) -> IntArray:
         """Rows of the recorded agents that ever come near to a way, on its lanes or those beside."""
         traffic = self._scene.traffic
-        some = slice(None, None, _EVERY_STEPS)
+        some = slice(None, None, self._scene.steps_in(_EVERY_S))
         position, present = traffic.position[:, some], traffic.present[:, some]
         near = np.zeros(len(traffic.ids), dtype=np.bool_)
         for line in {start.path.line for start in starts}:
@@ -165,15 +191,15 @@ class _Rounds:
     def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, fixed: Traffic) -> DrivenVehicle:
         """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
         return Driving(
-            scene, self._simulation, [start], fixed, self._filling.roads, stop_lines, rows=self._near([start]),
-            checked=False,
+            scene, self._simulation, [start], fixed, self._filling.surroundings.roads, stop_lines,
+            rows=self._near([start]), checked=False,
         ).run()[0]  # fmt: skip
 
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
         """One simulation. The first one replays every recorded agent and compares; later ones those on the grid."""
-        rows = None if number == 0 else self._near(starts)
+        rows, here = None if number == 0 else self._near(starts), self._filling.surroundings
         driving = Driving(
-            self._scene, self._simulation, starts, fixed, self._filling.roads, self._filling.stop_lines,
+            self._scene, self._simulation, starts, fixed, here.roads, here.stop_lines,
             rows=rows, checked=number == 0,
         )  # fmt: skip
         vehicles = driving.run()
@@ -183,12 +209,48 @@ class _Rounds:
         return vehicles
 
 
+class _ReactiveRounds(_Rounds):
+    """Drives all starts together among recorded vehicles that react. late: tracks of those who yielded at last."""
+
+    def __init__(self, scene: Scene, simulation: Simulation, filling: Filling, scenario: Recording) -> None:
+        super().__init__(scene, simulation, filling)
+        self._scenario = scenario
+        self.late: list[Track] = []
+
+    def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
+        """One simulation, from the scene as it was recorded; the filling gets it as it has become."""
+        driving = Driving(
+            self._scene,
+            self._simulation,
+            starts,
+            fixed,
+            self._filling.surroundings.roads,
+            self._filling.surroundings.stop_lines,
+        )
+        vehicles = driving.run()
+        assert driving.reactions is not None
+        self.driven += [(number, vehicle) for vehicle in vehicles]
+        self.errors, self.late_s = driving.replay_errors, driving.reactions.late_s
+        tracks = driving.reactions.tracks(self._scenario.tracks)
+        self.late = [track for track in tracks if track.track_id in self.late_s]
+        self._filling.scene = as_driven(self._scene, self._scenario, tracks)
+        return vehicles
+
+
+def as_driven(scene: Scene, scenario: Recording, tracks: Sequence[Track]) -> Scene:
+    """The scene of a recording whose tracks were driven otherwise."""
+    return build_scene(
+        scene.grid, tracks, config=scene.config, num_steps=scenario.num_steps,
+        last_observed_step=scenario.last_observed, step_s=scenario.step_s,
+    )  # fmt: skip
+
+
 def write(scene: GeneratedScene, out_dir: Path, *, record: Collection[str] = ()) -> Path:
     """Write a generated scene; returns its folder. record: `gaps`, beside it. Errors: ExportError."""
     extra: dict[str, bytes] = {}
     if "gaps" in record:
         names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(scene.vehicles)}
-        extra[f"gaps_{scene.new_id}.csv.gz"] = gaps_bytes(scene.driven, names)
+        extra[f"gaps_{scene.new_id}.csv.gz"] = gaps_bytes(scene.driven, names, step_s=scene.scenario.step_s)
     return write_scene(
         scene.scenario,
         scene.generated,
@@ -247,7 +309,7 @@ def _did_something(vehicle: ExportedVehicle, filling: Filling) -> bool:
 
 def _sidecar(
     prepared: PreparedScene, scene: Scene, filling: Filling, vehicles: Sequence[ExportedVehicle],
-    errors: ReplayErrors, *, variant: int, sumo_version: str,
+    rounds: "_Rounds", *, variant: int, sumo_version: str,
 ) -> Sidecar:  # fmt: skip
     config = scene.config
     names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(vehicles)}
@@ -264,9 +326,11 @@ def _sidecar(
         config=config.model_dump(mode="json"),
         config_sha256=config_sha256(config),
         replay=ReplayRecord(
-            states=errors.states,
-            max_position_error_m=round(errors.max_position_error_m, 9),
-            max_heading_error_rad=round(errors.max_heading_error_rad, 9),
+            mode=config.driving.replay,
+            late_s=rounds.late_s,
+            states=rounds.errors.states,
+            max_position_error_m=round(rounds.errors.max_position_error_m, 9),
+            max_heading_error_rad=round(rounds.errors.max_heading_error_rad, 9),
         ),
         requested=RequestedRecord(agents=config.request.agents, behaviours=config.request.behaviours),
         placed=PlacedRecord(agents=len(agents), behaviours={p: placed[p] for p in Policy if placed[p]}),

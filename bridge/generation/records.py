@@ -22,7 +22,7 @@ from hid2.insertion.filling import Filling, Rejection, Unmet
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.outcome import Outcome
 from hid2.policy.turns import TURN_OF_POLICY
-from hid2.scene import DT_S, Scene
+from hid2.scene import Scene
 
 _KIND: Mapping[Policy, ManeuverKind] = {
     Policy.LEFT_TURN: "left_turn",
@@ -81,6 +81,7 @@ def maneuver_record(vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[s
     driven = vehicle.driven
     is_turn = outcome.policy in TURN_OF_POLICY
     shift = driven.shifts[0] if driven.shifts else None
+    requested_s = None if shift is None else round(shift.requested_step * vehicle.motion.step_s, 6)
     reason = None if outcome.reason is None else str(outcome.reason.value)
     if reason is not None and outcome.detail is not None:
         reason = f"{reason}:{outcome.detail}"
@@ -90,7 +91,7 @@ def maneuver_record(vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[s
         status=outcome.status,
         reason=reason,
         trigger_s=0.0 if is_turn else round(driven.start.request.trigger_s, 6),
-        requested_s=0.0 if is_turn else None if shift is None else round(shift.requested_step * DT_S, 6),
+        requested_s=0.0 if is_turn else requested_s,
         start_s=outcome.start_s,
         crossing_s=outcome.crossing_s,
         end_s=outcome.end_s,

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.patheffects import withStroke
 
 from bridge.pictures import figures
-from bridge.recordings.scenario import STEP_S, Scenario
+from bridge.recordings.scenario import Scenario
 from hid2.agents import FloatArray
 from hid2.evaluation.safety import overlaps
 from hid2.measures.arrays import SceneArrays, is_generated_id, stack
@@ -70,7 +70,7 @@ def find_conflicts(
     """
     if agent is not None:
         figures.find_track(scenario, agent)
-    arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=STEP_S)
+    arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)
     found = [*_contacts(arrays), *_crossings(arrays, pet_s), *_closing_in(arrays, scenario, ttc_s)]
     wanted = [conflict for conflict in found if agent is None or agent in (conflict.first, conflict.second)]
     return sorted(wanted, key=lambda one: (one.time_s, one.kind, one.first, one.second))

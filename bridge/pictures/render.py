@@ -20,6 +20,7 @@ from matplotlib.patches import Circle, Patch
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
+from bridge.config import word_for_recorded
 from bridge.files import beside, explained
 from bridge.pictures import figures
 from bridge.recordings.folders import Address
@@ -35,7 +36,6 @@ PICTURES = tuple(figures.PICTURES)
 ANIMATIONS = (".gif", ".mp4")
 #: Length of the trail behind each vehicle.
 TRAIL_S = 2.0
-FRAMES_PER_SECOND = 10
 #: Longest side of a GIF, pixels.
 GIF_WIDTH = 1100
 _GIF_COLORS = 128
@@ -115,7 +115,7 @@ def render_scene(
             with beside(out_file) as hidden:
                 hidden.touch()  # what speaks against it is said before the film is drawn
                 frames = drawing.frames(range(scenario.num_steps))
-                _write_animation(_counted(frames, scenario.num_steps, on_frame), hidden)
+                _write_animation(_counted(frames, scenario.num_steps, on_frame), hidden, step_s=scenario.step_s)
             plt.close(drawing.figure)
     return out_file
 
@@ -180,18 +180,21 @@ def _panels(scenario: Scenario, source: Address | None) -> list[_Panel]:
     before_tracks = recorded if source is None else before.tracks
     known = {track.track_id: track.size for track in before_tracks}  # labelled sizes lie beside the source only
     before_looks = {track.track_id: _look(track, None) for track in before_tracks}
+    word = word_for_recorded(scenario.scenario_id)
+    after = _Panel(
+        f"after: {len(recorded)} {word} agents + {len(generated)} generated vehicles\n(scene {name})",
+        scenario,
+        tuple(
+            t if t.track_id in generated else replace(t, size=known.get(t.track_id, t.size)) for t in scenario.tracks
+        ),
+        looks,
+        maneuvers,
+    )
+    if source is None and word != "recorded":  # what was recorded is not in it
+        return [after]
     return [
         _Panel(f"before: {len(before_tracks)} recorded agents\n({origin})", before, before_tracks, before_looks, ()),
-        _Panel(
-            f"after: {len(recorded)} recorded agents + {len(generated)} generated vehicles\n(scene {name})",
-            scenario,
-            tuple(
-                t if t.track_id in generated else replace(t, size=known.get(t.track_id, t.size))
-                for t in scenario.tracks
-            ),
-            looks,
-            maneuvers,
-        ),
+        after,
     ]
 
 
@@ -337,7 +340,8 @@ class _Drawing:
         """What the colours and marks mean, for those that appear."""
         panel = self.panels[-1][0]
         faces = {look.face for look in panel.looks.values()}
-        names = [("recorded vehicle", _RECORDED), ("recorded focal vehicle", figures.DARK_GREY)]
+        word = word_for_recorded(panel.scenario.scenario_id)
+        names = [(f"{word} vehicle", _RECORDED), (f"{word} focal vehicle", figures.DARK_GREY)]
         names += [("recording vehicle (AV)", figures.SKY), ("other recorded agent", _OTHER)]
         names += [
             (f"generated: {name}", figures.POLICY_COLORS[policy]) for policy, name in figures.POLICY_NAMES.items()
@@ -404,17 +408,18 @@ class _Drawing:
             yield picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2].copy()
 
 
-def _write_animation(frames: Iterator[npt.NDArray[np.uint8]], path: Path) -> None:
+def _write_animation(frames: Iterator[npt.NDArray[np.uint8]], path: Path, *, step_s: float) -> None:
+    """A frame for each step, in real time."""
     if path.suffix.lower() == ".gif":
-        _write_gif(frames, path)
+        _write_gif(frames, path, step_s=step_s)
         return
-    writer: Any = imageio.v2.get_writer(path, fps=FRAMES_PER_SECOND, codec="libx264", quality=7, macro_block_size=2)
+    writer: Any = imageio.v2.get_writer(path, fps=1.0 / step_s, codec="libx264", quality=7, macro_block_size=2)
     with contextlib.closing(writer):  # as a context, it would leave ffmpeg running after an error
         for picture in frames:
             writer.append_data(picture)
 
 
-def _write_gif(frames: Iterator[npt.NDArray[np.uint8]], path: Path) -> None:
+def _write_gif(frames: Iterator[npt.NDArray[np.uint8]], path: Path, *, step_s: float) -> None:
     """All frames share one palette, at a reduced size: a tenth of the bytes of one palette a frame.
 
     It is that of the first frame, with the colours that tell vehicles apart, which cover too little ground to be kept.
@@ -431,6 +436,4 @@ def _write_gif(frames: Iterator[npt.NDArray[np.uint8]], path: Path) -> None:
             shared = Image.new("P", (1, 1))
             shared.putpalette(first + own)
         pictures.append(image.quantize(palette=shared, dither=Image.Dither.NONE))
-    pictures[0].save(
-        path, save_all=True, append_images=pictures[1:], duration=1000 // FRAMES_PER_SECOND, loop=0, disposal=1
-    )
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=round(1000 * step_s), loop=0, disposal=1)

@@ -7,6 +7,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import pyarrow.parquet as pq
 from bridge.config import new_scenario_id as new_scenario_id
 from bridge.files import explained
 from bridge.recordings.recording import FOCAL_CATEGORY, SCORED_CATEGORY, Recording
-from bridge.recordings.scenario import SCENARIO_COLUMNS
+from bridge.recordings.scenario import SCENARIO_COLUMNS, STEP_S
 from bridge.recordings.sidecar import RecordingRecord, Sidecar, sidecar_bytes, sidecar_path
 from hid2.agents import Track
 from netconvert.errors import ExportError
@@ -44,6 +45,7 @@ def write_scene(
     Everything is written to a hidden folder beside and then renamed; a folder that is there already is replaced.
     Errors: ExportError.
     """
+    check_step(scenario)
     files = {
         f"scenario_{new_id}.parquet": parquet_bytes(
             scene_table(scenario, generated, new_id=new_id, focal_track_id=focal_track_id)
@@ -58,6 +60,15 @@ def write_scene(
     return folder
 
 
+def check_step(scenario: Recording) -> None:
+    """Refuse a recording whose steps are not the format's, before anything is made of it. Errors: ExportError."""
+    if scenario.step_s != STEP_S:
+        raise ExportError(
+            f"{scenario.folder}: steps of {scenario.step_s:g} s, but readers of Argoverse 2 scenes take them for "
+            f"{STEP_S:g} s: its reader has to give states every {STEP_S:g} s (CONTRIBUTING.md, a new format)"
+        )
+
+
 def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str, focal_track_id: str) -> pa.Table:
     """The source's rows, bit for bit, and behind them those of the generated tracks.
 
@@ -68,22 +79,46 @@ def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str,
     _check_generated(scenario, generated, focal_track_id)
     source = scenario.table
     focal_changes = focal_track_id != scenario.focal_track_id
-    constants = {
-        name: source.column(name)[0]
-        for name in source.column_names
-        if name in (*SCENARIO_COLUMNS, "map_id", "slice_id")
-    }
+    constants = _constants(source)
     constants |= {"scenario_id": pa.scalar(new_id), "focal_track_id": pa.scalar(focal_track_id)}
-    lengths = [len(track.timesteps) for track in generated]
-    added = _generated_columns(generated, lengths, focal_track_id, scenario.observed_steps)
+    for name in ("scenario_id", "focal_track_id", *(["object_category"] if focal_changes else [])):
+        row, field = source.column_names.index(name), source.schema.field(name)
+        if name == "object_category":
+            former = pc.equal(source.column(name), FOCAL_CATEGORY)
+            changed = pc.if_else(former, pa.scalar(_FORMER_FOCAL_CATEGORY, field.type), source.column(name))
+        else:
+            changed = pa.repeat(constants[name].cast(field.type), source.num_rows)
+        source = source.set_column(row, field, changed)
+    return _with_rows(source, generated, constants, focal_track_id, scenario.observed_steps)
+
+
+def with_motion(scenario: Recording, driven: Sequence[Track]) -> Recording:
+    """A recording of which some tracks were driven otherwise: their rows, behind all others, are new ones."""
+    by_id = {track.track_id: track for track in driven}
+    apart = pc.is_in(scenario.table.column("track_id"), pa.array(list(by_id), pa.string()))
+    table = _with_rows(
+        scenario.table.filter(pc.invert(apart)), driven, _constants(scenario.table), scenario.focal_track_id,
+        scenario.observed_steps,
+    )  # fmt: skip
+    return replace(scenario, tracks=tuple(by_id.get(t.track_id, t) for t in scenario.tracks), table=table)
+
+
+def _constants(table: pa.Table) -> dict[str, pa.Scalar]:
+    """What every row of a scene says."""
+    names = (*SCENARIO_COLUMNS, "map_id", "slice_id")
+    return {name: table.column(name)[0] for name in table.column_names if name in names}
+
+
+def _with_rows(
+    table: pa.Table, tracks: Sequence[Track], constants: Mapping[str, pa.Scalar], focal_track_id: str,
+    observed_steps: int,
+) -> pa.Table:  # fmt: skip
+    """A table and behind it the rows of tracks, in its columns and types."""
+    lengths = [len(track.timesteps) for track in tracks]
+    added = _generated_columns(tracks, lengths, focal_track_id, observed_steps)
     columns = []
-    for field in source.schema:
-        name, recorded = field.name, source.column(field.name)
-        if name in ("scenario_id", "focal_track_id"):
-            recorded = pa.repeat(constants[name].cast(field.type), source.num_rows)
-        elif name == "object_category" and focal_changes:
-            former = pc.equal(recorded, FOCAL_CATEGORY)
-            recorded = pc.if_else(former, pa.scalar(_FORMER_FOCAL_CATEGORY, field.type), recorded)
+    for field in table.schema:
+        name, recorded = field.name, table.column(field.name)
         if name in constants:
             new = pa.repeat(constants[name].cast(field.type), sum(lengths))
         elif name in added:
@@ -92,7 +127,7 @@ def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str,
             new = pa.nulls(sum(lengths), field.type)
         chunks = recorded.chunks if isinstance(recorded, pa.ChunkedArray) else [recorded]
         columns.append(pa.concat_arrays([*chunks, new]))
-    schema = pa.schema([pa.field(field.name, field.type) for field in source.schema])
+    schema = pa.schema([pa.field(field.name, field.type) for field in table.schema])
     return pa.Table.from_arrays(columns, schema=schema)
 
 

@@ -41,8 +41,8 @@ class Recording:
     folder: Path
     map_path: Path
     split: str | None
-    observed_steps: int = 50
-    step_s: float = 0.1
+    observed_steps: int
+    step_s: float
     format: str = "argoverse2"
     provenance: Provenance = "tracker"
     sizes: Mapping[str, BoxSize] = field(default_factory=dict)

@@ -39,5 +39,6 @@ RULES: Mapping[str, str] = {
     "heading": "a generated track's heading follows its motion",
     "scene-end": "TTC of 1 s or more after a generated track's last step, everybody at constant velocity",
     "sequence": "an Argoverse 1 sequence keeps that format, its inserted tracks are the scene's",
+    "replay": "recorded vehicles drive as recorded: driving.replay is fixed",
     "source": "recorded rows are the source's bit for bit, but for a former focal's category; the map is the source's",
 }

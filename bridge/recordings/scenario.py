@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from bridge.config import CORRIDOR_PREFIX
+from bridge.config import is_corridor
 from bridge.files import one_line, read_regular
 from bridge.recordings import limits
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIZES_FILE
@@ -376,7 +376,7 @@ def _check_motion(motion: FloatArray, where: _Where) -> None:
 
 def longest(scenario_id: str) -> int:
     """Timesteps that a scene may have at most."""
-    return limits.MAX_CORRIDOR_STEPS if scenario_id.startswith(CORRIDOR_PREFIX) else MAX_STEPS
+    return limits.MAX_CORRIDOR_STEPS if is_corridor(scenario_id) else MAX_STEPS
 
 
 def _check_timesteps(

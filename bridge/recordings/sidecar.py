@@ -48,11 +48,23 @@ class RecordingRecord(_Record):
 
 
 class ReplayRecord(_Record):
-    """How exactly the recorded agents were replayed."""
+    """How the recorded agents were replayed, and how exactly. late_s: those who yielded, and how late that made them.
 
+    reactive: recorded vehicles keep their recorded path but yield in time; they do not drive as recorded.
+    """
+
+    mode: Literal["fixed", "reactive"] = "fixed"
+    late_s: Mapping[str, Seconds] = Field(default_factory=dict)
     states: int = Field(ge=0)
     max_position_error_m: float = Field(ge=0)
     max_heading_error_rad: float = Field(ge=0)
+
+
+#: What a scene is not in which recorded vehicles react.
+REACTIVE = (
+    "made with driving.replay = reactive: recorded vehicles yield and do not drive as recorded; for studies and "
+    "planner tests, expected a scene with driving.replay = fixed"
+)
 
 
 class RequestedRecord(_Record):
@@ -233,6 +245,8 @@ def read_sidecar(path: Path) -> Sidecar:
         raise ScenarioError(f"{path}: cannot be read ({error.strerror})") from error
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
+        if first["type"] == "json_invalid":
+            raise ScenarioError(f"{path}: not JSON, expected a sidecar, hid2_<id>.json of a generated scene") from error
         field = ".".join(str(part) for part in first["loc"]) or "the file"
         raise ScenarioError(f"{path}: {field}: {first['msg']} (got {str(first['input'])[:60]!r})") from error
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
+from bridge.config import REACTIVE_PREFIX
 from bridge.files import read_regular
 from bridge.recordings.export import map_bytes, recording_record_of
 from bridge.recordings.folders import (
@@ -30,7 +31,7 @@ from bridge.recordings.rules import RECORDED, RULES
 from bridge.recordings.scenario import read_sizes, read_table
 from bridge.recordings.scene_end_rule import check_scene_end
 from bridge.recordings.sequence_rules import check_written_sequence
-from bridge.recordings.sidecar import Sidecar, read_sidecar, sidecar_path
+from bridge.recordings.sidecar import REACTIVE, Sidecar, read_sidecar, sidecar_path
 from bridge.recordings.sidecar_rules import check_sidecar
 from bridge.recordings.sources import find_recordings, read_recording
 from hid2.agents import BoxSize
@@ -97,6 +98,8 @@ def validate_scene(
         except ScenarioError as error:
             findings.append(Finding(parquet_path, "columns", str(error)))
 
+    if new_id.startswith(REACTIVE_PREFIX) or (sidecar is not None and sidecar.replay.mode == "reactive"):
+        return [Finding(folder, "replay", REACTIVE)]  # whatever else it is, it is no scene of Argoverse
     findings += _missing_sidecar(folder, rows)
     generated_ids: set[str] = {agent.track_id for agent in sidecar.agents} if sidecar is not None else set()
     if rows is not None:

@@ -10,6 +10,7 @@ _RUN: Mapping[str, str] = {
     "city": "its city",
     "point": "number of the point of the design",
     "seed": "seed: the same vehicles, drivers, sites and traffic for every point",
+    "replay": "fixed: recorded vehicles drive as recorded; reactive: they yield, and nobody drove so",
 }
 
 #: Table -> column -> what it says. Columns that vary in the study have the names of their parameters.

@@ -74,8 +74,9 @@ def write_results(study: Study, tables: Tables, out_dir: Path) -> list[Path]:
                 if found is not None:
                     critical.append(_critical_row(key, value, found))
             path = out_dir / f"{study.name}_{key.replace('.', '_')}.png"
+            title = f"{_title(study, tables)}; bars: 95 % intervals, runs drawn again"
             draw_parameter(
-                path, _title(study, tables), key, dose=dose[dose["parameter"] == key], requests=tables.requests,
+                path, title, key, dose=dose[dose["parameter"] == key], requests=tables.requests,
                 curves=curves, give_up_s=give_up_s,
             )  # fmt: skip
             files.append(path)
@@ -134,8 +135,8 @@ def _title(study: Study, tables: Tables) -> str:
     scenes = tables.requests["scene"].nunique()
     return (
         f"{study.name.replace('_', ' ')}: {counted} requests counted in {len(tables.runs)} runs on {scenes} "
-        f"scene{'s' if scenes > 1 else ''}; bars: 95 % intervals, runs drawn again"
-    )
+        f"scene{'s' if scenes > 1 else ''}"
+    ) + ("; recorded vehicles react" if set(tables.requests["replay"]) == {"reactive"} else "")
 
 
 def _curve_row(key: str, value: Any, curve: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ANN401
@@ -170,10 +171,11 @@ def page_text(
     counted = requests[requests["counted"]]
     config = study.configs[0][0]
     failed = int((runs["status"] != "done").sum())
+    scenes = requests["scene"].nunique()
     begun = (
         f"{len(runs)} runs ({failed} without a result) of {len(study.points)} points with {len(study.seeds)} seeds on "
-        f"{requests['scene'].nunique()} scenes [runs]. {len(requests)} requests for a {study.kind.replace('_', ' ')}, "
-        f"{len(counted)} of them counted [requests.counted]."
+        f"{scenes} scene{'s' if scenes > 1 else ''} [runs.status, requests.scene]. {len(requests)} requests for a "
+        f"{study.kind.replace('_', ' ')}, {len(counted)} of them counted [requests.counted]."
     )
     paired = (
         "Paired: vehicles, drivers, sites, traffic and SUMO's seed are the same at every point, and only what is "
@@ -248,7 +250,7 @@ def _told(dose: pd.DataFrame) -> list[str]:
         if pd.notna(low):
             sure = "which excludes no effect" if low > 0 or high < 0 else "which includes no effect"
             text += f"; difference {last['difference']:+.3g}, 95 % interval {low:+.3g} to {high:+.3g} ({unit}), {sure}"
-        found.append(f"{text} [dose_response.estimate, {outcome}].")
+        found.append(f"{text} [dose_response.estimate of {outcome}].")
     return found
 
 
@@ -270,7 +272,7 @@ def _critical_lines(critical: pd.DataFrame, key: str) -> list[str]:
         f"- critical lag time gap at {row['value']}: {row['mean_s']:.2f} s"
         + (f" ({row['mean_low_s']:.2f} to {row['mean_high_s']:.2f})" if pd.notna(row["mean_low_s"]) else "")
         + (f", Raff's {row['raff_s']:.2f} s" if pd.notna(row["raff_s"]) else "")
-        + f", {row['drivers']} drivers [critical_gaps.mean_s]."
+        + f", {row['drivers']} drivers [critical_gaps.mean_s, critical_gaps.raff_s, critical_gaps.drivers]."
         for _, row in mine.iterrows()
     ]
 
@@ -299,7 +301,7 @@ def _effect_lines(found: pd.DataFrame, keys: Sequence[str]) -> list[str]:
             f"- {row['outcome']} by {label_of(row['parameter'])}: standardised coefficient "
             f"{row['standardised_coefficient']:+.2f} ({row['low']:+.2f} to {row['high']:+.2f})"
             + (f", first-order index {index:.2f}" if pd.notna(index) else "")
-            + " [effects]."
+            + " [effects.standardised_coefficient, effects.first_order]."
         )
     return lines
 
@@ -313,7 +315,8 @@ def _flow_lines(flow: pd.DataFrame) -> list[str]:
     )
     text = (
         f"Flow {flow_mean:.0f} veh/h per lane, density {density:.0f} veh/km per lane, speed {speed:.0f} km/h, "
-        f"mean over intervals of 30 s after the warm-up; wait before the map {wait:.1f} s [flow]."
+        f"mean over intervals of 30 s after the warm-up; wait before the map {wait:.1f} s "
+        "[flow.flow_veh_per_h_lane, flow.density_veh_per_km_lane, flow.speed_kmph, flow.waiting_to_enter_s]."
     )
     return ["", "## Traffic", "", text]
 
@@ -323,7 +326,13 @@ def _limits(study: Study, requests: pd.DataFrame) -> list[str]:
     found = [f"{decide} (`hid2 config`)."]
     if study.configs[0][0].flow.veh_per_h_lane > 0.0:
         found.append("Real traffic: the flow is simulated, its headways are a shifted exponential distribution.")
-    else:
+    modes = set(requests["replay"])
+    if "reactive" in modes:
+        found.append(
+            "Traffic as it was recorded: with driving.replay = reactive recorded vehicles keep their path and yield in "
+            "time by SUMO's car following (Krauss); nobody drove so [requests.replay]."
+        )
+    if "fixed" in modes and study.configs[0][0].flow.veh_per_h_lane == 0.0:
         found.append("Followers that react: recorded vehicles drive as recorded, whoever changes lanes before them.")
     counted = requests[requests["counted"]]
     cut = (~counted["accepted"].astype(bool)) & (counted["waited_s"] < study.configs[0][0].lane_change.give_up_s - 0.05)
@@ -336,8 +345,9 @@ def _limits(study: Study, requests: pd.DataFrame) -> list[str]:
     scenes = requests["scene"].nunique()
     if scenes < 3:
         found.append(
-            f"Other roads: {scenes} scene{'s were' if scenes > 1 else ' was'} studied; intervals are over runs."
+            f"Other roads: {scenes} scene{'s were' if scenes > 1 else ' was'} studied; intervals are over runs "
+            "[requests.scene]."
         )
     elif scenes < 10:
-        found.append(f"Other roads, with much confidence: {scenes} scenes were drawn again.")
+        found.append(f"Other roads, with much confidence: {scenes} scenes were drawn again [requests.scene].")
     return found

@@ -15,24 +15,26 @@ from typing import Any
 
 import numpy as np
 
-from bridge.generation.generate import PreparedScene, model_parameters, sumo_seed
-from bridge.recordings.scenario import STEP_S
+from bridge.generation.generate import PreparedScene, as_driven, model_parameters, sumo_seed
 from bridge.sumo.flow_driving import FlowDriving
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, Policy, Track
+from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver
 from hid2.insertion.filling import Filling, Unmet
 from hid2.insertion.finalise import ExportedVehicle, finalise, traffic_of_exported
 from hid2.insertion.flow import Arrival, arrivals, trigger_after_s
 from hid2.insertion.outcome import outcome_of, shift_times
 from hid2.insertion.requests import draw_requests
+from hid2.insertion.surroundings import Surroundings
 from hid2.measures.arrays import stack
 from hid2.measures.post_encroachment import encroachments
 from hid2.measures.time_to_collision import CAP_S, ttc_to_anything
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.params import Config, LaneChange
+from hid2.policy.roads import Roads
 from hid2.reasons import Reason
-from hid2.scene import DT_S, Scene, build_scene
+from hid2.scene import Scene, build_scene
 from hid2.vehicle import DrivenVehicle, Start
 
 #: Others within this of a manoeuvre are looked at for its TTC and PET, m.
@@ -80,24 +82,24 @@ def draw(prepared: PreparedScene, config: Config) -> Drawn:
     scenario = prepared.scenario
     scene = build_scene(
         prepared.grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
-        last_observed_step=scenario.last_observed,
+        step_s=scenario.step_s, last_observed_step=scenario.last_observed,
     )  # fmt: skip
     seed = config.request.seed, 0, zlib.crc32(scenario.scenario_id.encode())
-    filling = Filling(scene, seed)
+    surroundings = Surroundings(scene)
+    filling = Filling(surroundings, seed)
     count = config.request.agents
     assert count != "max"  # refused by `read_study`
     starts = filling.first_starts(count) if count else []
     return Drawn(
         scene=scene, starts=tuple(starts), unmet=tuple(filling.unmet),
-        arrivals=tuple(arrivals(scene, filling.routes, seed)), seed=seed,
+        arrivals=tuple(arrivals(scene, surroundings.routes, seed)), seed=seed,
     )  # fmt: skip
 
 
 def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedRun:
     """Drive those who take part with a configuration, and measure. Errors: SimulationError, ConfigError."""
     scene = replace(drawn.scene, config=config, _known={}, _leaders={})
-    filling = Filling(scene, drawn.seed)  # for roads and stop lines with this configuration
-    trigger_s = _triggers(config, drawn)
+    trigger_s, last_s = _triggers(config, drawn), scene.last_s
     starts = [
         replace(
             start, request=replace(start.request, trigger_s=trigger_s[start.request.number]),
@@ -110,15 +112,17 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
         net = Path(folder) / "scene.net.xml"
         net.write_bytes(prepared.net)
         with Simulation(
-            net, seed=sumo_seed(drawn.seed), step_s=DT_S, model=config.car_following.model,
+            net, seed=sumo_seed(drawn.seed), step_s=scene.step_s, model=config.car_following.model,
             parameters=model_parameters(config),
         ) as simulation:  # fmt: skip
             driving = FlowDriving(
-                scene, simulation, starts, traffic_of_exported([], scene), filling.roads, filling.stop_lines,
+                scene, simulation, starts, traffic_of_exported([], scene), Roads(scene), StopLines(scene),
                 checked=False, arrivals=comers,
-                trigger_after_s=lambda arrival: trigger_after_s(arrival, config.request, drawn.seed),
+                trigger_after_s=lambda arrival: trigger_after_s(arrival, config.request, drawn.seed, last_s),
             )  # fmt: skip
             vehicles = driving.run()
+    if driving.reactions is not None:
+        scene = as_driven(scene, prepared.scenario, driving.reactions.tracks(prepared.scenario.tracks))
     return _measured(scene, drawn, driving, vehicles, trigger_s)
 
 
@@ -131,7 +135,8 @@ def _triggers(config: Config, drawn: Drawn) -> dict[int, float]:
     """Trigger times by the number of the request, drawn as those of a scene are."""
     count = config.request.agents
     assert count != "max"
-    requests = draw_requests(config, np.random.default_rng([*drawn.seed, 0]), count=count)
+    last_s = drawn.scene.last_s
+    requests = draw_requests(config, np.random.default_rng([*drawn.seed, 0]), count=count, duration_s=last_s)
     return {request.number: request.trigger_s for request in requests}
 
 
@@ -139,7 +144,7 @@ def _measured(
     scene: Scene, drawn: Drawn, driving: FlowDriving, vehicles: Sequence[DrivenVehicle], trigger_s: dict[int, float]
 ) -> PairedRun:
     moved = [vehicle for vehicle in vehicles if len(vehicle.s) > 1]
-    simulated = {vehicle.vehicle_id: _as_simulated(vehicle) for vehicle in moved}
+    simulated = {vehicle.vehicle_id: _as_simulated(vehicle, scene.step_s) for vehicle in moved}
     exported = _exported(scene, [vehicle for vehicle in vehicles if vehicle.vehicle_id not in driving.entered])
     tracks = [one.track(vehicle_id, 1) for vehicle_id, one in simulated.items()]
     tracks = [_later(track, driving.entered.get(track.track_id, 0)) for track in tracks]
@@ -158,9 +163,11 @@ def _measured(
         if vehicle.vehicle_id in simulated:
             row |= _outcome(scene, vehicle, simulated[vehicle.vehicle_id], all_traffic, first=entered or 0)
         if row["start_s"] is not None:
-            first = round(row["start_s"] / STEP_S)
-            last = round((row["end_s"] or (entered or 0) * DT_S + (len(vehicle.s) - 1) * DT_S) / STEP_S)
-            row["min_ttc_s"], row["min_pet_s"] = _conflicts(everybody, vehicle.vehicle_id, first, last)
+            first = round(row["start_s"] / scene.step_s)
+            last = round((row["end_s"] or ((entered or 0) + len(vehicle.s) - 1) * scene.step_s) / scene.step_s)
+            row["min_ttc_s"], row["min_pet_s"] = _conflicts(
+                everybody, vehicle.vehicle_id, first, last, step_s=scene.step_s
+            )
         if row["start_s"] is not None and row["end_s"] is not None:
             row["lateral_s"] = round(row["end_s"] - row["start_s"], 6)
         rows.append(row)
@@ -189,13 +196,13 @@ _EMPTY: dict[str, Any] = dict.fromkeys(
 def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[str, Any]:
     """What the looks at gaps tell of one request. first: step at which the vehicle began."""
     start, trigger_s = vehicle.start, vehicle.start.request.trigger_s
-    last_s = (first + max(len(vehicle.s) - 1, 0)) * DT_S
+    last_s = (first + max(len(vehicle.s) - 1, 0)) * scene.step_s
     shift = vehicle.shifts[0] if vehicle.shifts else None
-    accepted_s = None if shift is None else shift.requested_step * DT_S
+    accepted_s = None if shift is None else shift.requested_step * scene.step_s
     # until when it could have accepted: it gave up, or it left, or the scene ended
     until_s = min(last_s, trigger_s + scene.config.lane_change.give_up_s) if accepted_s is None else accepted_s
     row = _EMPTY | {
-        "vehicle": vehicle.vehicle_id, "kind": vehicle.policy.value, "entered_s": _rounded(first * DT_S),
+        "vehicle": vehicle.vehicle_id, "kind": vehicle.policy.value, "entered_s": _rounded(first * scene.step_s),
         "desired_mps": _rounded(start.driver.desired_mps), "trigger_s": _rounded(trigger_s),
         "accepted": shift is not None, "accepted_s": _rounded(accepted_s), "observed_to_s": _rounded(until_s),
         "waited_s": None if until_s < trigger_s else _rounded(until_s - trigger_s),
@@ -226,7 +233,7 @@ def _outcome(
             return {}
         start, crossing, end = shift_times(one, 0)
         shifted = {"start_s": start, "crossing_s": crossing, "end_s": end}
-        times = {key: None if at is None else _rounded(at + first * DT_S) for key, at in shifted.items()}
+        times = {key: None if at is None else _rounded(at + first * scene.step_s) for key, at in shifted.items()}
         done = end is not None
         return {**times, "status": "done" if done else "aborted", "reason": None if done else str(Reason.SCENE_ENDED)}
     outcome = outcome_of(scene, one, everybody)
@@ -237,10 +244,10 @@ def _outcome(
     }  # fmt: skip
 
 
-def _as_simulated(vehicle: DrivenVehicle) -> ExportedVehicle:
+def _as_simulated(vehicle: DrivenVehicle, step_s: float) -> ExportedVehicle:
     """A vehicle as SUMO moved it, on its path and at its driver's place in the lane, unsmoothed and unchecked."""
     s, v = np.array(vehicle.s), np.array(vehicle.v)
-    motion = Motion(s=s, v=v, a=np.gradient(v, DT_S))
+    motion = Motion(s=s, v=v, a=np.gradient(v, step_s), step_s=step_s)
     path = trajectory(vehicle.path.line, motion, vehicle.start.offset)
     return ExportedVehicle(vehicle, motion, path, np.zeros(s.size), float("inf"))
 
@@ -278,7 +285,9 @@ def _later(track: Track, first: int) -> Track:
     return replace(track, timesteps=track.timesteps + first) if first else track
 
 
-def _conflicts(everybody: Sequence[Track], own: str, first: int, last: int) -> tuple[float | None, float | None]:
+def _conflicts(
+    everybody: Sequence[Track], own: str, first: int, last: int, *, step_s: float
+) -> tuple[float | None, float | None]:
     """Smallest TTC to anything, and smallest PET at a crossing of paths, from step first to last; None above 5 s."""
     me = next(track for track in everybody if track.track_id == own)
     centre = me.position[np.clip((first + last) // 2 - me.timesteps[0], 0, len(me.timesteps) - 1)]
@@ -292,7 +301,7 @@ def _conflicts(everybody: Sequence[Track], own: str, first: int, last: int) -> t
                     heading=track.heading[inside], velocity=track.velocity[inside],
                 )
             )  # fmt: skip
-    arrays = stack(near, num_steps=last - first + 1, step_s=STEP_S)
+    arrays = stack(near, num_steps=last - first + 1, step_s=step_s)
     number = arrays.track_ids.index(own)
     ttc = float(ttc_to_anything(arrays)[arrays.first[number] : arrays.first[number + 1]].min())
     pet = min((one.pet_s for one in encroachments(arrays) if number in (one.first, one.second)), default=CAP_S)
@@ -306,8 +315,8 @@ def _fundamental(scene: Scene, driving: FlowDriving, vehicles: Sequence[DrivenVe
     warm_up_s = scene.config.flow.warm_up_s
     lanes = sorted({arrival.lane_id for arrival in driving.arrivals})
     length_m = sum(scene.grid.graph.lanes[lane].length_m for lane in lanes)
-    first_step = round(warm_up_s / DT_S)
-    steps = min(round(_INTERVAL_S / DT_S), scene.num_steps - first_step)
+    step_s, first_step = scene.step_s, round(warm_up_s / scene.step_s)
+    steps = min(round(_INTERVAL_S / step_s), scene.num_steps - first_step)
     begins = range(first_step, scene.num_steps - steps + 1, steps) if steps > 0 else range(0)
     distance = dict.fromkeys(begins, 0.0)
     present = dict.fromkeys(begins, 0)
@@ -320,16 +329,16 @@ def _fundamental(scene: Scene, driving: FlowDriving, vehicles: Sequence[DrivenVe
                 there |= (s >= segment.start) & (s < segment.end)
         for begin in begins:
             span = slice(max(0, begin - first), max(0, begin + steps - first))
-            distance[begin] += float(v[span][there[span]].sum()) * DT_S
+            distance[begin] += float(v[span][there[span]].sum()) * step_s
             present[begin] += int(there[span].sum())
-    area = length_m / 1000.0 * steps * DT_S / 3600.0  # km h
+    area = length_m / 1000.0 * steps * step_s / 3600.0  # km h
     rows = []
     for begin in begins:
         flow = distance[begin] / 1000.0 / area
-        density = present[begin] * DT_S / 3600.0 / area
+        density = present[begin] * step_s / 3600.0 / area
         rows.append(
             {
-                "from_s": _rounded(begin * DT_S), "flow_veh_per_h_lane": _rounded(flow),
+                "from_s": _rounded(begin * step_s), "flow_veh_per_h_lane": _rounded(flow),
                 "density_veh_per_km_lane": _rounded(density),
                 "speed_kmph": _rounded(flow / density) if density > 0 else None,
                 "waiting_to_enter_s": _rounded(_mean_wait(driving, begin, steps)),

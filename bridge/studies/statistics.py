@@ -41,7 +41,7 @@ def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     """
     if looks.empty:
         return looks
-    same = ["scene", "city", "point", *keys, "seed", "vehicle", "side", "lead_id", "lag_id"]
+    same = ["scene", "city", "point", *keys, "seed", "replay", "vehicle", "side", "lead_id", "lag_id"]
     frame = looks.assign(accepted=looks["sumo"] == "yes").sort_values("time_s", kind="stable")
     frame[["lead_id", "lag_id"]] = frame[["lead_id", "lag_id"]].fillna("")
     grouped = frame.groupby(same, sort=False, dropna=False)
@@ -305,13 +305,13 @@ def troutbeck(rejected_s: FloatArray, accepted_s: FloatArray) -> tuple[Estimate,
     middle = np.log(np.where(rejected_s > 0.0, np.sqrt(np.maximum(rejected_s, 1e-9) * accepted_s), 0.7 * accepted_s))
     start = np.array([float(middle.mean()), math.log(max(float(middle.std()), 0.1))])
     best = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-8, "maxiter": 4000}).x
-    step = 1e-3
+    shift = 1e-3
     hessian = np.empty((2, 2))
     for i in range(2):
         for j in range(2):
-            a, b = step * np.eye(2)[i], step * np.eye(2)[j]
+            a, b = shift * np.eye(2)[i], shift * np.eye(2)[j]
             second = loss(best + a + b) - loss(best + a - b) - loss(best - a + b) + loss(best - a - b)
-            hessian[i, j] = second / (4 * step * step)
+            hessian[i, j] = second / (4 * shift * shift)
 
     def moments(p: FloatArray) -> tuple[FloatArray, FloatArray]:
         variance = np.exp(2.0 * p[..., 1])

@@ -100,14 +100,20 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
         raise ConfigError(f"{path}: not TOML ({error})") from error
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"])
-        value = "is missing" if first["type"] == "missing" else f"= {first['input']!r}: {first['msg']}"
-        raise ConfigError(f"{path}: {key} {value}") from error
+        kinds = ("constrained-", "int", "float", "str", "bool", "list[")  # of which type of several
+        key = ".".join(part for part in map(str, first["loc"]) if not part.startswith(kinds))
+        known = f"expected a study of {', '.join(_File.model_fields)}"
+        if first["type"] in ("missing", "extra_forbidden"):
+            what = "no key" if first["type"] == "missing" else "unknown key"
+            raise ConfigError(f"{path}: {what} {key!r}; {known}") from error
+        message = first["msg"].removeprefix("Input should be ").replace("greater than or equal to", "at least")
+        raise ConfigError(f"{path}: {key} = {first['input']!r}, expected {message}") from error
     places = scenes or [path.parent / scene for scene in content.scenes]
     try:
         folders = tuple(find_sources(places))
     except ScenarioError as error:
-        raise ConfigError(f"{path}: scenes: {error}") from error
+        hint = "" if scenes else "; --scenes gives others than the file"
+        raise ConfigError(f"{path}: scenes: {error}{hint}") from error
     if content.can:
         try:
             folders = tuple(wanted(folders, *facts_of(folders), Selection(can=tuple(content.can))))
@@ -160,6 +166,7 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
         # the design's own trigger_s is a column of its own: that of a request in a flow is later by its entry
         own = {("trigger_after_s" if key == TRIGGER else key): value for key, value in point.items()}
         name = {"scene": row.scenario, "city": row.city, "point": number, **own, "seed": row.seed}
+        name |= {"replay": study.configs[number][0].driving.replay}
         found: dict[str, list[dict[str, Any]]] = {"requests": [], "flow": []}
         if row.status == DONE:
             folder = out_dir / row.folder

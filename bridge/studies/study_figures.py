@@ -76,9 +76,9 @@ def draw_parameter(
         mine = counted[counted[key] == value]
         if len(mine):
             survival = kaplan_meier(mine["waited_s"].to_numpy(float), mine["accepted"].to_numpy(float))
+            level = np.concatenate([[1.0], survival.surv_prob])
             times = np.concatenate([[0.0], survival.surv_times, [give_up_s]])
-            level = np.concatenate([[1.0], survival.surv_prob, survival.surv_prob[-1:]])
-            axes[1, 0].step(times, level[: times.size], where="post", color=color, label=str(value))
+            axes[1, 0].step(times, [*level, level[-1]], where="post", color=color, label=str(value))
     axes[1, 0].set_title("still waiting (Kaplan-Meier)")
     axes[1, 0].set_xlabel("time from the trigger, s")
     axes[1, 0].set_ylim(0, 1.03)

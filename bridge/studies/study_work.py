@@ -13,6 +13,7 @@ from bridge.files import explained
 from bridge.generation.gaps import gaps_bytes
 from bridge.generation.generate import PreparedScene, prepare
 from bridge.recordings.export import new_scenario_id, write_folder
+from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
 from bridge.studies.paired import Drawn, PairedRun, draw, drawing_config, paired_run
 from bridge.studies.study import LOOKS_FILE, RUN_FILE
@@ -32,7 +33,7 @@ def measure_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Fa
             if key not in drawn:
                 drawn = {key: draw(prepared, who)}  # the last one is enough: runs come seed by seed
             found = paired_run(prepared, drawn[key], run.config)
-            folder = _write(place.out, prepared.scenario.scenario_id, run.config, found)
+            folder = _write(place.out, prepared.scenario, run.config, found)
             requests = [row for row in found.requests if row["status"] != "not_placed"]
             yield base_row(place, run)._replace(
                 city=prepared.scenario.city,
@@ -47,10 +48,10 @@ def measure_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Fa
             yield describe_error(error)
 
 
-def _write(out_dir: Path, source_id: str, config: Config, found: PairedRun) -> Path:
-    folder = out_dir / RUNS / new_scenario_id(source_id, config, config.request.seed, 0)
+def _write(out_dir: Path, source: Recording, config: Config, found: PairedRun) -> Path:
+    folder = out_dir / RUNS / new_scenario_id(source.scenario_id, config, config.request.seed, 0)
     text = json.dumps({"requests": found.requests, "flow": found.flow}, indent=1, allow_nan=False) + "\n"
-    looks = gaps_bytes([(0, vehicle) for vehicle in found.driven], {})
+    looks = gaps_bytes([(0, vehicle) for vehicle in found.driven], {}, step_s=source.step_s)
     with explained(folder):
         write_folder(folder, {RUN_FILE: gzip.compress(text.encode(), mtime=0), LOOKS_FILE: looks})
     return folder

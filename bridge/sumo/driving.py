@@ -10,6 +10,7 @@ from bridge.sumo.replay import Replay, ReplayErrors
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S, V
+from hid2.conflicts.reaction import Reactions, yielding
 from hid2.conflicts.stop_lines import StopLines
 from hid2.kernels.leaders import next_two_ahead
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -22,7 +23,7 @@ from hid2.policy.overtake import Leader, Stage
 from hid2.policy.roads import Roads
 from hid2.policy.rules import Wish
 from hid2.reasons import Reason
-from hid2.scene import DT_S, Scene
+from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, GapLook, Shift, Start
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
@@ -66,7 +67,8 @@ class _Lazy:
 class Driving:
     """One simulation of vehicles that start together, among the recorded ones and those kept in rounds before.
 
-    rows: recorded agents that are replayed, all where None; checked: whether their poses in SUMO are compared.
+    rows: recorded agents that are replayed, all where None; checked: whether their poses in SUMO are compared. Where
+    recorded vehicles react, `scene` becomes another one with each that yields, and `reactions` says how late they are.
     """
 
     scene: Scene
@@ -79,6 +81,7 @@ class Driving:
     checked: bool = True
     vehicles: list[DrivenVehicle] = field(init=False)
     replay_errors: ReplayErrors = field(init=False)
+    reactions: Reactions | None = field(init=False, default=None)
     _guard: Guard = field(init=False)
     _state: FloatArray = field(init=False)
     _obstacles: list[Obstacles | None] = field(init=False)
@@ -104,21 +107,25 @@ class Driving:
 
     def run(self) -> list[DrivenVehicle]:
         """All steps of the scene; a vehicle's step 0 is its start."""
-        scene, simulation = self.scene, self.simulation
+        scene, simulation, step_s = self.scene, self.simulation, self.scene.step_s
         simulation.rewind()
         everybody = np.arange(len(scene.traffic.ids)) if self.rows is None else self.rows
-        recorded = Replay(simulation, scene.traffic.rows(everybody.tolist()), "r", step_s=DT_S, checked=self.checked)
-        kept = Replay(simulation, self.fixed, "k", step_s=DT_S, checked=False)
+        recorded = Replay(simulation, scene.traffic.rows(everybody.tolist()), "r", step_s=step_s, checked=self.checked)
+        kept = Replay(simulation, self.fixed, "k", step_s=step_s, checked=False)
         place_of = {int(row): place for place, row in enumerate(everybody)}
         for back in (2, 1):
             recorded.warm_up(back)
             if self.fixed.ids:
                 kept.warm_up(back)
             simulation.step()
+        reactions = self._reactions(recorded, place_of)
         for step in range(scene.num_steps):
             attempts: list[_Attempt] = []
             if step > 0:
                 fleet = _Lazy(self._fleet)
+                if reactions is not None and reactions.advance(step, self._generated(step - 1, fleet)):
+                    self._look_anew(reactions.scene)
+                    recorded.take(self.scene.traffic.rows(everybody.tolist()))
                 for row, vehicle in enumerate(self.vehicles):
                     if vehicle.running:
                         attempts += self._steer(row, vehicle, step - 1, fleet)
@@ -132,8 +139,29 @@ class Driving:
             self._read(step)
             for attempt in attempts:
                 self._conclude(attempt, step)
-        self.replay_errors = recorded.errors
+        self.replay_errors, self.reactions = recorded.errors, reactions
         return self.vehicles
+
+    def _reactions(self, recorded: Replay, place_of: dict[int, int]) -> Reactions | None:
+        """The recorded vehicles as those who react, each by SUMO's car following of its replayed vehicle."""
+        if self.scene.config.driving.replay == "fixed":
+            return None
+
+        def follow_mps(row: int, speed_mps: float, gap_m: float, leader_mps: float) -> float:
+            name = recorded.name(place_of[row])
+            return self.simulation.follow_speed(name, speed_mps, gap_m=gap_m, leader_mps=leader_mps)
+
+        return Reactions(self.scene, follow_mps)
+
+    def _generated(self, step: int, fleet: _Lazy) -> Traffic:
+        """All generated vehicles at a step (one step): those kept in rounds before, and those driven now."""
+        return self.fixed.at(step).joined(fleet.value) if self.fixed.ids else fleet.value
+
+    def _look_anew(self, scene: Scene) -> None:
+        """Recorded vehicles will be elsewhere than was known: nothing that was worked out of it holds any more."""
+        self.scene = self._guard.scene = scene
+        self._known = [None] * len(self.vehicles)
+        self._obstacles = [None] * len(self.vehicles)
 
     def _enter(self, step: int) -> None:
         """Insert whoever begins; after the first step, so that the state of step 0 is the start."""
@@ -143,7 +171,7 @@ class Driving:
 
     def _read(self, step: int) -> None:
         """Take down what SUMO did, and which limit decided it."""
-        inside = self.simulation.driven()
+        inside, step_s = self.simulation.driven(), self.scene.step_s
         for row, vehicle in enumerate(self.vehicles):
             if not vehicle.running:
                 continue
@@ -158,7 +186,7 @@ class Driving:
                 speed, s = vehicle.start.start_mps, vehicle.start.start_s
             else:
                 speed = self.simulation.speed(vehicle.vehicle_id)
-                s = vehicle.s[-1] + speed * DT_S  # SUMO moves by the new speed (Euler)
+                s = vehicle.s[-1] + speed * step_s  # SUMO moves by the new speed (Euler)
                 limit = self._limit[row]
                 if limit is not None and speed > limit[0] - _BINDS_MPS:
                     vehicle.limited[limit[1]] += 1
@@ -167,7 +195,7 @@ class Driving:
             vehicle.v.append(speed)
             table = vehicle.path.line.table_xy
             self._centre[row] = table[min(int(s / TABLE_STEP_M), len(table) - 1)]
-            self._state[row] = s, speed, (speed - before) / DT_S, self._is_executing(vehicle), 1.0
+            self._state[row] = s, speed, (speed - before) / step_s, self._is_executing(vehicle), 1.0
 
     def _is_executing(self, vehicle: DrivenVehicle) -> bool:
         """Whether it is changing lanes or in a turn: case 2, executing goes before pending."""
@@ -249,7 +277,7 @@ class Driving:
 
     def _steer(self, row: int, vehicle: DrivenVehicle, now: int, fleet: "_Lazy") -> list[_Attempt]:
         """Decide at step `now`, limit the speed where SUMO is blind, and pass both on for the coming step."""
-        s, v, driving = vehicle.s[-1], vehicle.v[-1], self.scene.config.driving
+        s, v, driving, step_s = vehicle.s[-1], vehicle.v[-1], self.scene.config.driving, self.scene.step_s
         if vehicle.path.shifts and vehicle.stage in (Stage.ENTER, Stage.RETURN) and s >= vehicle.path.shifts[-1][1]:
             passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
             vehicle.stage = Stage.PASS if passing else Stage.DONE
@@ -259,12 +287,12 @@ class Driving:
         if "collision" not in self.scene.config.without:
             limits += self._guarded(row, vehicle, now, desired)
         if vehicle.stage is Stage.WAITING and vehicle.reason in _LETS_PASS:
-            limits.append((max(driving.let_pass_share * desired, v - driving.let_pass_mps2 * DT_S), "gap"))
+            limits.append((max(driving.let_pass_share * desired, v - driving.let_pass_mps2 * step_s), "gap"))
         limit = min(limits)
         held = self._limit[row]
         if held is not None and held[1] in _HELD_BY_GUARD:  # a foot neither falls on the brake nor leaves it at once
             a = float(self._state[row, A])
-            eased = v + (a + driving.brake_jerk_mps3 * DT_S) * DT_S
+            eased = v + (a + driving.brake_jerk_mps3 * step_s) * step_s
             if a < driving.released_mps2 and eased < limit[0]:
                 limit = eased, held[1]
         self._limit[row] = limit if limit[0] < desired - 1e-3 else None
@@ -276,7 +304,7 @@ class Driving:
 
     def _road_speed(self, row: int, s: float, v: float) -> float:
         road = self._road[row]
-        return float(road[min(int((s + v * DT_S) / TABLE_STEP_M), road.size - 1)])
+        return float(road[min(int((s + v * self.scene.step_s) / TABLE_STEP_M), road.size - 1)])
 
     def _turns(self, vehicle: DrivenVehicle, s: float) -> bool:
         """Whether it is in a turn lane or slows down for one."""
@@ -293,6 +321,22 @@ class Driving:
             self._obstacles[row] = known
         return known
 
+    def _who_does_not_yield(self, obstacles: Obstacles, row: int, path: DrivenPath, now: int) -> Obstacles:
+        """Where recorded vehicles react: without those behind a vehicle who can yield to it."""
+        if self.scene.config.driving.replay == "fixed":
+            return obstacles
+        vehicle = self.vehicles[row]
+        rows = self.scene.rows_on(path, vehicle.start.box)
+        xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))
+        yields = yielding(
+            self.scene, rows, now, xy=xy[0], forward=tangent[0], half_m=0.5 * vehicle.start.box.length_m,
+            speed_mps=vehicle.v[-1],
+        )  # fmt: skip
+        known = obstacles.known
+        low = known.low.copy()
+        low[: rows.size][yields] = np.inf
+        return replace(obstacles, known=replace(known, low=low))
+
     def _others(self, row: int) -> list[tuple[int, DrivenPath, BoxSize]]:
         """Rows of the other vehicles that SUMO has, with their paths and boxes."""
         return [
@@ -302,10 +346,10 @@ class Driving:
     def _guarded(self, row: int, vehicle: DrivenVehicle, now: int, desired: float) -> list[tuple[float, str]]:
         """Limits of the guard for the coming step: predicted conflicts (case 3, timing)."""
         state = (float(self._state[row, S]), float(self._state[row, V]), float(self._state[row, A]))
-        driving = self.scene.config.driving
+        driving, step_s = self.scene.config.driving, self.scene.step_s
         found = self._guard.braking(
-            self._obstacles_of(row), own=row, step=now, fleet=self._state, state=state, desired_mps=desired,
-            road=self._road[row], driver=vehicle.start.driver,
+            self._who_does_not_yield(self._obstacles_of(row), row, vehicle.path, now), own=row, step=now,
+            fleet=self._state, state=state, desired_mps=desired, road=self._road[row], driver=vehicle.start.driver,
         )  # fmt: skip
         if found.leader >= 0 and self._slows_for(state, found, vehicle.start):
             vehicle.waited_for.add(self.vehicles[found.leader].vehicle_id)
@@ -319,9 +363,9 @@ class Driving:
         stop = self.stop_lines.braking(vehicle.path, start.box, start.driver, s=state[0], speed_mps=state[1], step=now)
         if stop is not None:
             limits.append(stop)
-        eased = min(state[2], 0.0) - driving.brake_jerk_mps3 * DT_S
+        eased = min(state[2], 0.0) - driving.brake_jerk_mps3 * step_s
         gentle = -max(driving.last_brake_mps2, driving.last_brake_per_s * state[1])  # nobody stops with a jerk
-        return [(state[1] + max(accel, eased, gentle) * DT_S, cause) for accel, cause in limits]
+        return [(state[1] + max(accel, eased, gentle) * step_s, cause) for accel, cause in limits]
 
     def _slows_for(self, state: tuple[float, float, float], found: Braking, start: Start) -> bool:
         driving, driver = self.scene.config.driving, start.driver
@@ -331,7 +375,7 @@ class Driving:
     def _decide(self, row: int, vehicle: DrivenVehicle, now: int, fleet: "_Lazy") -> list[_Attempt]:
         """Algorithm 1 for one vehicle at one step: what it observes, the decision, and what is asked of SUMO."""
         config, request = self.scene.config, vehicle.start.request
-        time_s, change = now * DT_S, config.lane_change
+        time_s, change = now * self.scene.step_s, config.lane_change
         asks = vehicle.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE)
         due = asks and time_s >= request.trigger_s and vehicle.stage in (Stage.WAITING, Stage.PASS)
         if due and vehicle.stage is Stage.WAITING and time_s > request.trigger_s + change.give_up_s:
@@ -407,7 +451,7 @@ class Driving:
     ) -> Observation:
         cell = self.scene.cell_at(vehicle.path, vehicle.s[-1])
         return Observation(
-            time_s=now * DT_S,
+            time_s=now * self.scene.step_s,
             cell=cell,
             next_cell=self.scene.grid.longitudinal(cell),
             lane_turn=self.scene.grid.graph.lanes[cell.lane_id].turn,
@@ -442,7 +486,7 @@ class Driving:
             return path
         if vehicle.stage is Stage.PASS and not returns_to(start.path, path):
             return Reason.LANES_PART
-        if s + v * (scene.num_steps - 2 - now) * DT_S < path.shifts[-1][1]:
+        if s + v * (scene.num_steps - 2 - now) * scene.step_s < path.shifts[-1][1]:
             return Reason.SCENE_ENDS
         if "collision" not in scene.config.without and self._meets_on(row, vehicle, now, path):
             return Reason.CONFLICT_PREDICTED
@@ -468,8 +512,9 @@ class Driving:
 
     def _meets_on(self, row: int, vehicle: DrivenVehicle, now: int, path: DrivenPath) -> bool:
         """Whether a path across has a predicted conflict that ordinary braking does not solve."""
+        obstacles = self._guard.obstacles(path, vehicle.start.box, self._others(row))
         found = self._guard.braking(
-            self._guard.obstacles(path, vehicle.start.box, self._others(row)), own=row, step=now, fleet=self._state,
+            self._who_does_not_yield(obstacles, row, path, now), own=row, step=now, fleet=self._state,
             state=(vehicle.s[-1], vehicle.v[-1], 0.0), desired_mps=float(vehicle.start.desired[now]),
             road=self.roads.speeds(path, vehicle.start.driver), driver=vehicle.start.driver,
             horizon_s=self.scene.config.driving.across_s,

@@ -67,7 +67,7 @@ def sumo_files(scenario: Recording, sidecar: Sidecar | None, grid: CellGrid) -> 
     """Contents by file name, but for <id>_scene.*. sidecar: of a generated scene; its vehicles get routes."""
     name = scenario.scenario_id
     placed = _places(scenario, grid)
-    files = gui_files(grid, name)
+    files = gui_files(grid, name, step_s=scenario.step_s)
     files[f"{name}.net.xml"] = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city))
     files[f"{name}.fcd.xml"] = fcd_bytes(scenario, grid, placed)
     if sidecar is not None:
@@ -210,7 +210,7 @@ def _configuration(base: bytes, scenario: Recording, routes: str) -> bytes:
     assert given is not None
     assert time is not None
     etree.SubElement(given, "route-files", {"value": routes})
-    etree.SubElement(time, "end", {"value": f"{scenario.num_steps * scenario.step_s:.1f}"})
+    etree.SubElement(time, "end", {"value": f"{scenario.num_steps * scenario.step_s:.2f}"})
     return _content(root)
 
 

@@ -10,7 +10,6 @@ from hid2.agents import BoxSize, FloatArray
 from hid2.insertion.flow import Arrival
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
-from hid2.scene import DT_S
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
 #: Other vehicles farther away than this are looked at when they come near: nobody gets there within the horizon.
@@ -48,7 +47,7 @@ class FlowDriving(Driving):
         inside = self.simulation.driven()
         for vehicle_id in [name for name in self._queued if name in inside]:
             self._appear(self._queued.pop(vehicle_id), step)
-        while self._next < len(self.arrivals) and self.arrivals[self._next].due_s <= step * DT_S:
+        while self._next < len(self.arrivals) and self.arrivals[self._next].due_s <= step * self.scene.step_s:
             self._held.append(self.arrivals[self._next])
             self._next += 1
         held, blocked = [], set()
@@ -88,9 +87,9 @@ class FlowDriving(Driving):
         segment = next(one for one in arrival.path.segments if one.lane_id == cell.lane_id)
         share = (at - segment.lane_start) / max(segment.lane_end - segment.lane_start, 1e-9)
         front_s = segment.start + share * (segment.end - segment.start)
+        trigger_s = step * scene.step_s + self.trigger_after_s(arrival)
         start = Start(
-            vehicle_id=arrival.vehicle_id,
-            request=VehicleRequest(arrival.number, arrival.policy, step * DT_S + self.trigger_after_s(arrival)),
+            vehicle_id=arrival.vehicle_id, request=VehicleRequest(arrival.number, arrival.policy, trigger_s),
             object_type=arrival.object_type, size=arrival.size, box=arrival.box, route=arrival.route,
             path=arrival.path, start_s=front_s - 0.5 * arrival.size.length_m,
             start_mps=simulation.speed(arrival.vehicle_id), driver=arrival.driver, desired=arrival.desired,
@@ -98,7 +97,7 @@ class FlowDriving(Driving):
         )  # fmt: skip
         self._own_lengths[len(self.vehicles)] = arrival.box.length_m
         self.entered[arrival.vehicle_id] = step
-        self.waiting_s[arrival.vehicle_id] = step * DT_S - arrival.due_s
+        self.waiting_s[arrival.vehicle_id] = step * self.scene.step_s - arrival.due_s
         self.vehicles.append(DrivenVehicle(start=start, path=start.path))
         self._road.append(self.roads.speeds(start.path, start.driver))
         self._limit.append(None)

@@ -66,7 +66,7 @@ def play_scene(
         command += ["--collision.action", "none", "--time-to-teleport", "-1"]
         # where a list is expected an empty one is refused, so a time that never comes
         halts = [_NEVER] if screenshot is not None else _halts(scenario.num_steps * scenario.step_s, scenario.step_s)
-        command += ["--breakpoints", ",".join(f"{halt:.1f}" for halt in halts)]
+        command += ["--breakpoints", ",".join(f"{halt:.2f}" for halt in halts)]
         command += ["--delay", "0" if screenshot is not None else f"{REAL_TIME_MS / speed:.0f}"]
         try:
             with redirect_stdout(io.StringIO()):  # traci prints that it retries

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from bridge.recordings.map_rules import read_source_map
+from bridge.recordings.scenario import STEP_S
 from netconvert.cells import build_cell_grid
 from netconvert.errors import MapError, NetError, NoSceneError
 from netconvert.fidelity import FidelityReport, measure_fidelity
@@ -25,7 +26,7 @@ def convert(scene: Path, out_dir: Path, *, cell_m: float = 4.0, max_skew_m: floa
     grid = build_cell_grid(read_source_map(path), cell_m=cell_m, max_skew_m=max_skew_m)
     net = net_bytes(grid)
     report = measure_fidelity(grid, net)
-    write_all(out_dir, {f"{name}.net.xml": net, **gui_files(grid, name)})
+    write_all(out_dir, {f"{name}.net.xml": net, **gui_files(grid, name, step_s=STEP_S)})
     return report
 
 

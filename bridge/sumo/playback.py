@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from lxml import etree
 
+from bridge.config import word_for_recorded
 from bridge.files import beside
 from bridge.pictures.figures import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from bridge.recordings.folders import Address
@@ -84,7 +85,7 @@ class Paint(NamedTuple):
         return ",".join(str(part) for part in self.rgba[:3])
 
 
-RECORDED = Paint("#9C9CA4", "recorded")
+RECORDED, REACTING = Paint("#9C9CA4", "recorded"), Paint("#9C9CA4", "reacting")
 AV = Paint(SKY, "recording vehicle")
 FOCAL = Paint("#FFFFFF", "focal")
 POLICIES: Mapping[Policy, Paint] = {
@@ -107,7 +108,8 @@ def paints(scenario: Scenario) -> dict[str, Paint]:
         elif track.category == FOCAL_CATEGORY:
             out[track.track_id] = FOCAL
         else:
-            out[track.track_id] = AV if track.track_id == AV_ID else RECORDED
+            others = RECORDED if word_for_recorded(scenario.scenario_id) == "recorded" else REACTING
+            out[track.track_id] = AV if track.track_id == AV_ID else others
     return out
 
 
@@ -146,7 +148,7 @@ def scene_view_files(scenario: Scenario, grid: CellGrid, name: str) -> dict[str,
     sumo-gui then shows the first step and waits: vehicles are boxes of their size, with their ids.
     """
     low, high = moving_ground(scenario)
-    files = gui_files(grid, name, shown=(low, high))
+    files = gui_files(grid, name, step_s=scenario.step_s, shown=(low, high))
     del files[f"{name}.cells.csv"]
     view = etree.fromstring(files[f"{name}.view.xml"])
     scheme = view.find("scheme")
@@ -198,7 +200,7 @@ def _words(what: str, size: int) -> dict[str, str]:
 def _legend(scenario: Scenario, low: FloatArray, high: FloatArray) -> list[etree._Element]:
     """What the colours mean: bars with names, in that corner of the ground shown where the fewest vehicles pass."""
     there = set(paints(scenario).values())
-    shown = [paint for paint in (RECORDED, AV, FOCAL, *POLICIES.values()) if paint in there]
+    shown = [paint for paint in (RECORDED, REACTING, AV, FOCAL, *POLICIES.values()) if paint in there]
     high_m = max(float(high[1] - low[1]), float(high[0] - low[0]) / WINDOW_ASPECT)
     size = np.array([_LEGEND_WIDTH, _LEGEND_ROW * len(shown)]) * high_m
     points = np.concatenate([track.position for track in scenario.tracks])
@@ -348,12 +350,12 @@ def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
             kind["guiShape"] = GUI_SHAPES[trace.track.object_type]
         kind |= {"vClass": _UNSEEN, "minGap": "0", "sigma": "0"}
         kind |= {"accel": _ANY_ACCELERATION, "decel": _ANY_ACCELERATION, "emergencyDecel": _ANY_ACCELERATION}
-        kind |= {"maxSpeed": "80", "speedFactor": "1", "speedDev": "0", "tau": "0.1"}
+        kind |= {"maxSpeed": "80", "speedFactor": "1", "speedDev": "0", "tau": f"{scenario.step_s}"}
         etree.SubElement(root, "vType", kind)
     for trace in ordered:
         name = trace.track.track_id
         vehicle = {"id": name, "type": f"type_{name}", "color": colors[name].xml, "insertionChecks": "none"}
-        vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.1f}", "departPos": f"{trace.depart_m:.2f}"}
+        vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.2f}", "departPos": f"{trace.depart_m:.2f}"}
         vehicle |= {"departSpeed": f"{trace.limits[0]:.4f}", "arrivalPos": "max"}
         element = etree.SubElement(root, "vehicle", vehicle)
         if shows_id(trace.track):
@@ -369,7 +371,7 @@ def _with_routes(configuration: bytes, name: str, *, end_s: float) -> bytes:
     assert inputs is not None
     assert time is not None
     etree.SubElement(inputs, "route-files", {"value": f"{name}.rou.xml"})
-    etree.SubElement(time, "end", {"value": f"{end_s:.1f}"})
+    etree.SubElement(time, "end", {"value": f"{end_s:.2f}"})
     processing = etree.SubElement(root, "processing")
     etree.SubElement(processing, "collision.action", {"value": "none"})
     etree.SubElement(processing, "time-to-teleport", {"value": "-1"})

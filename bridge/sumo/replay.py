@@ -46,12 +46,17 @@ class Replay:
     _age: list[int] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Turn all poses at once."""
-        front, angle = sumo_poses(self.traffic.position, self.traffic.heading, self.traffic.length_m[:, None])
+        """Nobody is in the simulation yet."""
         self._names = [f"{self.prefix}{row}" for row in range(len(self.traffic.ids))]
+        self._age = [0] * len(self._names)
+        self.take(self.traffic)
+
+    def take(self, traffic: Traffic) -> None:
+        """The same agents with other states from the coming step on; all poses are turned at once."""
+        self.traffic = traffic
+        front, angle = sumo_poses(self.traffic.position, self.traffic.heading, self.traffic.length_m[:, None])
         by_step = zip(front[..., 0].T.tolist(), front[..., 1].T.tolist(), angle.T.tolist(), strict=True)
         self._poses = list(by_step)
-        self._age = [0] * len(self._names)
         self._here = [np.flatnonzero(column).tolist() for column in self.traffic.present.T]
 
     def warm_up(self, back: int) -> None:
@@ -113,6 +118,10 @@ class Replay:
         self._seen.append(
             (step, [rows[number] for number in kept], np.array([found[number] for number in kept]).reshape(-1, 3))
         )
+
+    def name(self, row: int) -> str:
+        """Id in the simulation."""
+        return self._names[row]
 
     @property
     def errors(self) -> ReplayErrors:

@@ -137,6 +137,16 @@ class Simulation:
             found.append(None if x == nowhere else (x, y, angle(vehicle_id)))
         return found
 
+    @staticmethod
+    def follow_speed(vehicle_id: str, speed_mps: float, *, gap_m: float, leader_mps: float) -> float:
+        """Speed for the coming step by a replayed vehicle's own car following (SUMO's default, Krauss), m/s.
+
+        gap_m: bumper to bumper; its jam gap is taken off. Never above what it can accelerate to.
+        """
+        decel = libsumo.vehicle.getApparentDecel(vehicle_id)  # a leader brakes no harder than it would itself
+        gap = gap_m - libsumo.vehicle.getMinGap(vehicle_id)
+        return float(libsumo.vehicle.getFollowSpeed(vehicle_id, speed_mps, gap, leader_mps, decel, ""))
+
     def remove(self, vehicle_id: str) -> None:
         """Take a vehicle out."""
         libsumo.vehicle.remove(vehicle_id)

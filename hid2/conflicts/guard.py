@@ -20,7 +20,7 @@ from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along, path_occupancy
 from hid2.occupancy.sigma import ORIGINAL
 from hid2.occupancy.traffic import BoolArray, Traffic
-from hid2.scene import DT_S, Scene
+from hid2.scene import Scene
 
 #: Columns of the fleet's state.
 S, V, A, EXECUTING, PRESENT = range(5)
@@ -135,18 +135,18 @@ class Guard:
 
         horizon_s: another one than `conflict.horizon_s`.
         """
-        conflict, known = self.scene.config.conflict, obstacles.known
+        conflict, known, step_s = self.scene.config.conflict, obstacles.known, self.scene.step_s
         row, hit, free, leader, gap, run_into, free_s = needed_braking(
             known.low, known.high, known.along, known.aligned, obstacles.stop_s, obstacles.closed, obstacles.swept,
             obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
-            round((conflict.horizon_s if horizon_s is None else horizon_s) / DT_S), conflict.stride, DT_S,
+            round((conflict.horizon_s if horizon_s is None else horizon_s) / step_s), conflict.stride, step_s,
             (driver.tau_s, driver.accel_mps2, driver.decel_mps2, driver.min_gap_m), self._brakes,
             conflict.predicted_jerk_mps3, 0.5 * conflict.margin_front_m,
         )  # fmt: skip
         return Braking(
             decel_mps2=float(self._brakes[row]),
-            conflict_s=None if hit < 0 else hit * DT_S,
-            free_conflict_s=None if free < 0 else free * DT_S,
+            conflict_s=None if hit < 0 else hit * step_s,
+            free_conflict_s=None if free < 0 else free * step_s,
             leader=int(leader),
             leader_gap_m=float(gap),
             run_into=bool(run_into),

@@ -11,7 +11,7 @@ from hid2.drivers.driver import Driver
 from hid2.kernels.guard import stop_ahead
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import BoolArray
-from hid2.scene import DT_S, Scene
+from hid2.scene import Scene
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -35,11 +35,11 @@ class StopLines:
 
     def __post_init__(self) -> None:
         """Signals and crossings of the recorded traffic."""
-        scene, config = self.scene, self.scene.config
+        scene, config, step_s = self.scene, self.scene.config, self.scene.step_s
         signalled = scene.traffic.rows(signalled_rows(scene.object_types).tolist())
         walking = scene.traffic.rows(crossing_rows(scene.object_types).tolist())
-        self._signals = InferredSignals(scene.grid, signalled, config.signals, DT_S)
-        self._crossings = PedestrianCrossings(scene.grid.graph.pedestrian_crossings, walking, config.crossings, DT_S)
+        self._signals = InferredSignals(scene.grid, signalled, config.signals, step_s)
+        self._crossings = PedestrianCrossings(scene.grid.graph.pedestrian_crossings, walking, config.crossings, step_s)
 
     def on(self, path: DrivenPath, box: BoxSize) -> list[StopLine]:
         """Lines along a path that are closed at some step, in the order in which a vehicle comes to them."""

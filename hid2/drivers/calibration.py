@@ -25,8 +25,9 @@ _INTERVAL = (2.5, 97.5)
 _STEADY_MPS, _STEADY_MPS2, _FOLLOWS_MPS, _FOLLOWS_S = 1.0, 0.5, 3.0, 3.0
 #: Who accelerates or brakes by more than this in some window shows how: m/s2.
 _SHOWS_MPS2 = 0.7
-#: Drivers simulated for a moment, and their steps.
-_SIMULATED, _STEPS, _STEP_S, _HALF_S = 250, 81, 0.1, 2.0
+#: Drivers simulated for a moment, half of a window, s, and intervals in it: finer ones change no fit.
+_SIMULATED, _HALF_S, _HALF = 250, 2.0, 20
+_EVERY_S = _HALF_S / _HALF
 #: Wandering at which the moments of the speed are simulated, m/s: so small that no bound matters.
 _UNIT_MPS = 0.3
 #: Who cruises drives this share of the usual speed at least and accelerates less, m/s2: no signal decides.
@@ -215,7 +216,7 @@ def _range_of_turns(values: FloatArray, prior: Drivers, rng: np.random.Generator
 
 def _fits() -> tuple[FloatArray, FloatArray, FloatArray]:
     """Times of a window, and the pseudo-inverses that give a parabola and a cubic."""
-    time = np.asarray(_STEP_S * np.arange(_STEPS // 2 + 1) - _HALF_S, dtype=np.float64)
+    time = np.asarray(_EVERY_S * np.arange(2 * _HALF + 1) - _HALF_S, dtype=np.float64)
     parabola, cubic = (np.linalg.pinv(np.vander(time, powers, increasing=True)) for powers in (3, 4))
     return time, np.asarray(parabola, dtype=np.float64), np.asarray(cubic, dtype=np.float64)
 
@@ -250,10 +251,10 @@ def speed_moments(time_s: float) -> _Moments:
     _, _, cubic = _fits()
     driver, accel, jerk = [], [], []
     for number in range(_SIMULATED):
-        v = desired_speeds(_DRIVER, config, rng, num_steps=_STEPS, step_s=_STEP_S, at_least_mps=0.0)
-        s = np.concatenate([[0.0], np.cumsum(0.5 * _STEP_S * (v[1:] + v[:-1]))])
-        for begin in (0, 20, 40):
-            fitted = cubic @ s[begin : begin + 41]
+        v = desired_speeds(_DRIVER, config, rng, num_steps=4 * _HALF + 1, step_s=_EVERY_S, at_least_mps=0.0)
+        s = np.concatenate([[0.0], np.cumsum(0.5 * _EVERY_S * (v[1:] + v[:-1]))])
+        for begin in (0, _HALF, 2 * _HALF):
+            fitted = cubic @ s[begin : begin + 2 * _HALF + 1]
             driver.append(number)
             accel.append(2.0 * fitted[2])
             jerk.append(6.0 * fitted[3])
@@ -269,12 +270,13 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
     config, rng = Config(drivers=Drivers(lateral_wander_time_s=time_s, offset_max_m=1.5)), np.random.default_rng(2)
     speed_mps = _DRIVER.desired_mps
     time, parabola, _ = _fits()
+    length_m = speed_mps * _EVERY_S * (4 * _HALF + 1) + 10.0
     driver, drift, bend = [], [], []
     for number in range(_SIMULATED):
         # a hundredth, so that the bound on the offset does not matter
         wander = 0.01 * float(np.exp(spread * np.clip(rng.standard_normal(), -2, 2)))
-        offset = lane_offset(replace(_DRIVER, wander_m=wander), config, rng, length_m=speed_mps * 0.1 * _STEPS + 10.0)
-        for begin in (0.0, 2.0, 4.0):
+        offset = lane_offset(replace(_DRIVER, wander_m=wander), config, rng, length_m=length_m)
+        for begin in (0.0, _HALF_S, 2.0 * _HALF_S):
             d, _, _ = offset.at(5.0 + speed_mps * (begin + _HALF_S + time))
             fitted = parabola @ d
             driver.append(number)

@@ -34,7 +34,7 @@ from hid2.params import Event
 from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.roads import Roads
-from hid2.scene import DT_S, Scene
+from hid2.scene import Scene
 from netconvert.lane_graph import TurnType
 
 #: Duration of the change of lanes of a cut-in, s.
@@ -47,6 +47,8 @@ _AHEAD_GAP_M, _AHEAD_TIME_S = 5.0, 0.3
 _BRAKES_FOR_S = 1.5
 #: Passing a conflict point this long before or after the target: what is tried, s.
 _CROSS_APART_S = (2.4, 3.2, 2.0, 4.0, 1.6, 5.0)
+#: No crossing is planned sooner, s; and for so long after an event its vehicle stays on its path, s.
+_SOONEST_S, _ON_PATH_S = 1.0, 2.0
 _BACK_MOST = 4  # ways that lead to a lane
 #: Shares of a band that are tried: the middle first.
 _SHARES = (0.5, 0.3, 0.7, 0.12, 0.88)
@@ -57,7 +59,8 @@ _SLOWEST_MPS, _FASTEST_MPS = 2.5, 20.0
 class Target:
     """A recorded vehicle that an event is about: its track, lanes in the order driven, and way driven (T,) m.
 
-    present (T,); position (T, 2) m and speed (T,) m/s as dense arrays; runs: lane ids with first and last step.
+    present (T,); position (T, 2) m and speed (T,) m/s as dense arrays, steps step_s apart; runs: lane ids with first
+    and last step.
     """
 
     track: Track
@@ -67,6 +70,7 @@ class Target:
     speed: FloatArray
     way: FloatArray
     runs: tuple[tuple[int, int, int], ...]
+    step_s: float
 
     def lane_at(self, step: int) -> int | None:
         """Lane id at a step, None off every lane."""
@@ -99,7 +103,7 @@ class Plan:
     @property
     def way(self) -> FloatArray:
         """(T,) m, arc length on the path by plan."""
-        return self.start_s + np.concatenate([[0.0], np.cumsum(self.speeds[1:]) * DT_S])
+        return self.start_s + np.concatenate([[0.0], np.cumsum(self.speeds[1:]) * self.target.step_s])
 
     def moved(self, *, forward_m: float, later_s: float) -> "Plan":
         """The same from farther ahead, with a later change of lanes."""
@@ -114,7 +118,7 @@ def target_of(scene: Scene, row: int) -> Target | None:
         return None
     track = scene.recorded.tracks[at.index(row)]
     lanes = scene.recorded.lanes
-    arrays = stack([track], num_steps=scene.num_steps)
+    arrays = stack([track], num_steps=scene.num_steps, step_s=scene.step_s)
     matches, _ = match_lanes(arrays, lanes)
     runs: list[Run] = [run for run in runs_of(LaneView(arrays, lanes, matches), 0) if run.lane >= 0]
     if not runs:
@@ -127,6 +131,7 @@ def target_of(scene: Scene, row: int) -> Target | None:
         runs=tuple(
             (int(lanes.lane_ids[run.lane]), int(arrays.step[run.first]), int(arrays.step[run.last])) for run in runs
         ),
+        step_s=scene.step_s,
     )  # fmt: skip
 
 
@@ -155,10 +160,10 @@ class Planner:
         low, high = event.at_s
         for share in _SHARES:
             at_s = low + share * (high - low)
-            step = round(at_s / DT_S)
+            step = round(at_s / self.scene.step_s)
             if 0 < step < self.scene.num_steps and target.present[step]:
                 yield step, abs(share - 0.5)
-            if high - low < DT_S:
+            if high - low < self.scene.step_s:
                 return
 
     def _relations(self, event: Event) -> Iterator[tuple[float, float, float]]:
@@ -213,7 +218,7 @@ class Planner:
                     if ahead is None:
                         continue
                     for plan in self._at_any_relation(event, target, route, ahead=ahead, at=at, order=1, score=off):
-                        trigger = at * DT_S - 0.5 * CHANGE_S
+                        trigger = at * self.scene.step_s - 0.5 * CHANGE_S
                         if trigger >= 0.0:
                             yield replace(plan, trigger_s=trigger, side=side)
 
@@ -252,10 +257,10 @@ class Planner:
                 point = segment.start + share * (segment.end - segment.start)
                 for number, apart in enumerate(_CROSS_APART_S):
                     for order in (1, -1):
-                        at = crossed - order * round(apart / DT_S)
-                        at_s = at * DT_S
+                        at = crossed - order * round(apart / self.scene.step_s)
+                        at_s = at * self.scene.step_s
                         spare = self.scene.config.event_search.moment_s
-                        if not (event.at_s[0] - spare <= at_s <= event.at_s[1] + spare) or at < 10:
+                        if not (event.at_s[0] - spare <= at_s <= event.at_s[1] + spare) or at_s < _SOONEST_S:
                             continue
                         if at >= self.scene.num_steps or not target.present[at]:
                             continue
@@ -286,7 +291,7 @@ class Planner:
                 start = float(ahead[0]) - gap - self._lengths(target)
                 plan = Plan(
                     event, target, route, start, np.full(self.scene.num_steps, speed),
-                    round(event.at_s[0] / DT_S), -1, 0.05 * number, trigger_s=trigger,
+                    round(event.at_s[0] / self.scene.step_s), -1, 0.05 * number, trigger_s=trigger,
                 )  # fmt: skip
                 yield plan
 
@@ -311,7 +316,7 @@ class Planner:
 
         ahead (T,): where the target is on the vehicle's path, m.
         """
-        steps, lengths = self.scene.num_steps, self._lengths(target)
+        steps, step_s, lengths = self.scene.num_steps, self.scene.step_s, self._lengths(target)
         speed = float(target.speed[at]) + difference
         if not _SLOWEST_MPS <= speed <= _FASTEST_MPS:
             return
@@ -319,15 +324,15 @@ class Planner:
         place = float(ahead[at]) + order * (gap + lengths)
         speeds = np.empty(steps)
         if starts_beside:  # steady up to the change of lanes, then towards the target's speed
-            change = max(0, at - round(0.5 * CHANGE_S / DT_S)) if event.kind == "cut_in" else at
+            change = max(0, at - round(0.5 * CHANGE_S / step_s)) if event.kind == "cut_in" else at
             speeds, _ = self._up_to(route, place, at, speed)
             if event.kind == "cut_in" and event.ttc_s is None and difference < 0.0:
                 speeds[change : at + 1] = np.minimum(
-                    speed + _SPEEDS_UP_MPS2 * DT_S * np.arange(at + 1 - change), target.speed[at]
+                    speed + _SPEEDS_UP_MPS2 * step_s * np.arange(at + 1 - change), target.speed[at]
                 )
         else:
             speeds[: at + 1] = np.maximum(target.speed[: at + 1] + difference * np.linspace(0.0, 1.0, at + 1), 0.0)
-        start = place - float(speeds[1 : at + 1].sum()) * DT_S
+        start = place - float(speeds[1 : at + 1].sum()) * step_s
         s, v, cap = place, float(speeds[at]), self._cap(route, _FASTEST_MPS)
         brakes = event.brakes_mps2 if event.kind == "lead" else 0.0
         for step in range(at + 1, steps):
@@ -336,10 +341,10 @@ class Planner:
             wanted = max(min(gap, 12.0), _AHEAD_GAP_M + _AHEAD_TIME_S * v)
             accel = _SPEED_PULL * (t_speed - v) + order * _GAP_PULL * (wanted - apart)
             accel = min(max(accel, _SLOWS_MPS2), _SPEEDS_UP_MPS2)
-            if brakes and (step - at) * DT_S <= _BRAKES_FOR_S:
+            if brakes and (step - at) * step_s <= _BRAKES_FOR_S:
                 accel = -brakes
-            v = max(0.0, min(v + accel * DT_S, float(cap[min(max(int(s / TABLE_STEP_M), 0), cap.size - 1)])))
-            s += v * DT_S
+            v = max(0.0, min(v + accel * step_s, float(cap[min(max(int(s / TABLE_STEP_M), 0), cap.size - 1)])))
+            s += v * step_s
             speeds[step] = v
         plan = Plan(event, target, route, start, speeds, at, order, score)
         if self._fits(plan, ahead):
@@ -373,7 +378,7 @@ class Planner:
         cap, s = self._cap(route, speed), point
         for step in range(at + 1, self.scene.num_steps):
             speeds[step] = min(speed, float(cap[min(int(s / TABLE_STEP_M), cap.size - 1)]))
-            s += float(speeds[step]) * DT_S
+            s += float(speeds[step]) * self.scene.step_s
         return Plan(event, target, route, start, speeds, at, order, score)
 
     def _up_to(self, route: Route, place: float, at: int, speed: float) -> tuple[FloatArray, float]:
@@ -386,7 +391,7 @@ class Planner:
         for step in range(at, -1, -1):
             speeds[step] = min(speed, float(cap[min(max(int(s / TABLE_STEP_M), 0), cap.size - 1)]))
             if step:
-                s -= float(speeds[step]) * DT_S
+                s -= float(speeds[step]) * self.scene.step_s
         return speeds, s
 
     def _cap(self, route: Route, speed: float) -> FloatArray:
@@ -486,7 +491,7 @@ class Planner:
         if plan.start_s < 0.5 * self.box.length_m + 0.5:
             return False
         inside = way < path.exit_s - 0.5 * self.box.length_m - 1.0
-        needed = max(scene.first_exit_step, min(plan.at_step + 20, scene.num_steps))
+        needed = max(scene.first_exit_step, min(plan.at_step + scene.steps_in(_ON_PATH_S), scene.num_steps))
         return bool(inside[:needed].all())
 
     def trajectory(self, plan: Plan) -> Trajectory:
@@ -499,7 +504,7 @@ class Planner:
             target = plan.target.position[plan.at_step]
             normal = np.array([-tangent[plan.at_step, 1], tangent[plan.at_step, 0]])
             wide = float((target - xy[plan.at_step]) @ normal)
-            tau: FloatArray = (np.arange(len(xy), dtype=np.float64) * DT_S - plan.trigger_s) / CHANGE_S
+            tau: FloatArray = (np.arange(len(xy), dtype=np.float64) * self.scene.step_s - plan.trigger_s) / CHANGE_S
             shift = wide * lateral_share(tau)
         normals = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
         return Trajectory(

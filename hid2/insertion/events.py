@@ -34,7 +34,7 @@ from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Event
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
-from hid2.scene import DT_S, Scene, clearance_box
+from hid2.scene import Scene, clearance_box
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
 #: Drives one vehicle alone among the recorded and the kept ones: scene, stop lines, start, kept ones.
@@ -46,9 +46,10 @@ _MEETS_CROSSING = frozenset({"cross", "merge"})
 _PLANS_MOST = 600  # that are looked at closely
 _SAME_PLAN = 3  # times that a plan is tried, with a better start each time
 _ROAD_SPARE_MPS = 0.4
-_LAG_STEPS = 3  # SUMO's drivers answer to a wish for another speed so late
+_LAG_S = 0.3  # SUMO's drivers answer to a wish for another speed so late
 _PLAN_MARGIN_M = 0.25
-_LOOKS_STEPS = 5  # between looks at stop lines
+_LOOKS_S = 0.5  # between looks at stop lines
+_AFTER_S = 1.0  # for so long after an event the road has to be free by plan
 _STOPS_MPS2 = -0.4
 #: The driver of an event holds to its plan: a short time gap, and whatever acceleration the plan has.
 _TAU_S, _ACCEL_MPS2, _DECEL_MPS2, _MIN_GAP_M = 0.6, 2.2, 2.6, 1.2
@@ -113,7 +114,7 @@ def offered_events(scene: Scene, targets: Sequence[str]) -> tuple[str, ...]:
     routes, roads = Routes(scene), Roads(scene)
     size = DEFAULT_SIZES["vehicle"]
     planner = Planner(scene, routes, roads, size, clearance_box(size, size))
-    at_s = 1.0, max(1.0, (scene.num_steps - 1) * DT_S - 4.0)
+    at_s = 1.0, max(1.0, scene.last_s - 4.0)
     found = []
     for name in targets:
         rows = named_rows(scene, name).tolist()
@@ -216,7 +217,8 @@ class EventSearch:
             decel_mps2=max(_DECEL_MPS2, plan.event.brakes_mps2), min_gap_m=_MIN_GAP_M,
             lane_change_s=CHANGE_S,
         )  # fmt: skip
-        desired = np.concatenate([plan.speeds[_LAG_STEPS:], np.repeat(plan.speeds[-1:], _LAG_STEPS)])
+        lag = scene.steps_in(_LAG_S)
+        desired = np.concatenate([plan.speeds[lag:], np.repeat(plan.speeds[-1:], lag)])
         policy = _POLICY.get(plan.event.kind, Policy.STRAIGHT)
         return Start(
             vehicle_id=f"e{number}_{tries}",
@@ -230,7 +232,7 @@ class EventSearch:
     def _objection(self, planner: Planner, lines: StopLines, plan: Plan, start: Start, fixed: Traffic) -> Reason | None:
         """What road, stop lines and everybody known have against a plan before SUMO is asked; None for nothing."""
         scene, path = planner.scene, start.path
-        until = min(plan.at_step + 10, scene.num_steps)
+        until = min(plan.at_step + scene.steps_in(_AFTER_S), scene.num_steps)
         way = plan.way
         if way[0] < 0.5 * start.box.length_m:
             return Reason.NO_SITE
@@ -238,7 +240,7 @@ class EventSearch:
         asked = table[np.minimum((way / TABLE_STEP_M).astype(np.int64), table.size - 1)]
         if (plan.speeds[:until] > asked[:until] + _ROAD_SPARE_MPS).any():
             return Reason.TOO_SLOW
-        for step in range(0, until, _LOOKS_STEPS):
+        for step in range(0, until, scene.steps_in(_LOOKS_S)):
             stop = lines.braking(
                 path, start.box, start.driver, s=float(way[step]), speed_mps=float(plan.speeds[step]), step=step
             )
@@ -280,8 +282,8 @@ class EventSearch:
             missing = seen.measures
             low, high = event.gap_band_m
             gap = min(max(missing.gap_m, low + 0.2 * (high - low)), high - 0.2 * (high - low)) - missing.gap_m
-            late_s = (plan.at_step - seen.at_step) * DT_S
-            self._tell(plan, start, Reason.EVENT_NOT_AS_ASKED, f"at {seen.at_step * DT_S:.1f} s {missing}")
+            late_s = (plan.at_step - seen.at_step) * scene.step_s
+            self._tell(plan, start, Reason.EVENT_NOT_AS_ASKED, f"at {seen.at_step * scene.step_s:.1f} s {missing}")
             better = plan.moved(forward_m=plan.order * gap, later_s=late_s if event.kind == "cut_in" else 0.0)
             return None, better if event.kind != "overtake" else None
         if any(row >= len(self.kept) for row, _ in conflicting(scene, [*self.kept, vehicle])):
@@ -291,8 +293,8 @@ class EventSearch:
             traffic_of_exported([*self.kept, vehicle], self.scene).first(self.scene.num_steps)
         )
         found = EventOutcome(
-            event, None, target.track.track_id, vehicle, outcome_of(scene, vehicle, everybody), seen.at_step * DT_S,
-            seen.measures, plan.order,
+            event, None, target.track.track_id, vehicle, outcome_of(scene, vehicle, everybody),
+            seen.at_step * scene.step_s, seen.measures, plan.order,
         )  # fmt: skip
         return found, None
 
@@ -300,21 +302,21 @@ class EventSearch:
         self.tried[reason] += 1
         _LOG.debug(
             "event %s: %s at %.1f m of lane %d, %.1f m/s, for %.1f s: %s%s", plan.event.kind, start.vehicle_id,
-            start.start_s, start.path.segment_at(start.start_s).lane_id, start.start_mps, plan.at_step * DT_S, reason,
-            "" if detail is None else f" ({detail})",
+            start.start_s, start.path.segment_at(start.start_s).lane_id, start.start_mps,
+            plan.at_step * self.scene.step_s, reason, "" if detail is None else f" ({detail})",
         )  # fmt: skip
 
     def _seen(self, scene: Scene, plan: Plan, vehicle: ExportedVehicle) -> _Seen | None:
         """The event in the exported positions of the vehicle and its target; None where it did not come about."""
         own, target, lanes = vehicle.track("own", 1), plan.target.track, scene.recorded.lanes
-        arrays = stack([own, target], num_steps=scene.num_steps)
+        arrays = stack([own, target], num_steps=scene.num_steps, step_s=scene.step_s)
         matches, _ = match_lanes(arrays, lanes)
         kind = plan.event.kind
         since: int | None = None
         at: int | None = None
         if kind == "cut_in":
             at = _cut_in_step(plan, arrays, lanes, matches)
-            since = None if at is None else max(0, at - round(0.5 * CHANGE_S / DT_S))
+            since = None if at is None else max(0, at - round(0.5 * CHANGE_S / scene.step_s))
         elif kind in ("lead", "follow"):
             led = leaders(arrays, lanes, matches)
             follower, leader = (1, 0) if kind == "lead" else (0, 1)
@@ -331,10 +333,10 @@ class EventSearch:
             outcome = outcome_of(scene, vehicle, everybody)
             if outcome is not None and outcome.done and outcome.leader_id == target.track_id:
                 back_s = shift_times(vehicle, 1)[1]
-                at = None if back_s is None else round(back_s / DT_S)
+                at = None if back_s is None else round(back_s / scene.step_s)
         if at is None or at >= vehicle.num_steps or at not in target.timesteps:
             return None
-        found = measure_event(own, target, at_step=at, since_step=at if since is None else since, step_s=DT_S)
+        found = measure_event(own, target, at_step=at, since_step=at if since is None else since, step_s=scene.step_s)
         if kind == "cross" and steps is not None:  # from the target's bumper to the conflict point
             way = abs(float(plan.target.way[steps[1]] - plan.target.way[steps[0]]))
             found = replace(found, gap_m=way - 0.5 * target.size.length_m)
@@ -345,7 +347,7 @@ def _is_as_asked(scene: Scene, event: Event, seen: _Seen) -> bool:
     """Whether an event has the time, gap, speed difference and criticality asked for."""
     found, spare = seen.measures, scene.config.event_search.moment_s
     within = [
-        (seen.at_step * DT_S, (event.at_s[0] - spare, event.at_s[1] + spare)),
+        (seen.at_step * scene.step_s, (event.at_s[0] - spare, event.at_s[1] + spare)),
         (found.gap_m, event.gap_band_m),
         (found.speed_difference_mps, event.speed_difference_mps),
     ]
@@ -368,8 +370,8 @@ def _cut_in_step(plan: Plan, arrays: SceneArrays, lanes: FlatLanes, matches: Mat
     ]
     if not changes:
         return None
-    nearest = min(changes, key=lambda one: abs(one.crossing_s - plan.at_step * DT_S))
-    return round(nearest.crossing_s / DT_S)
+    nearest = min(changes, key=lambda one: abs(one.crossing_s - plan.at_step * arrays.step_s))
+    return round(nearest.crossing_s / arrays.step_s)
 
 
 def _merge_step(plan: Plan, arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> int | None:

@@ -10,19 +10,16 @@ import numpy as np
 
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
-from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.events import EventOutcome
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
-from hid2.insertion.meetings import Meetings
 from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.requests import draw_requests
-from hid2.insertion.routes import Routes
 from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
+from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.traffic import Traffic
-from hid2.policy.roads import Roads
 from hid2.reasons import Reason
-from hid2.scene import DT_S, Scene
+from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 from netconvert.cells import Cell
 
@@ -68,12 +65,9 @@ class Rejection:
 class Filling:
     """One scene being filled. kept: exported vehicles; outcomes: of those that were to do a manoeuvre, by id."""
 
-    scene: Scene
+    surroundings: Surroundings
     seed: Sequence[int]
-    roads: Roads = field(init=False)
-    routes: Routes = field(init=False)
-    stop_lines: StopLines = field(init=False)
-    meetings: Meetings = field(init=False)
+    scene: Scene = field(init=False)
     kept: list[ExportedVehicle] = field(default_factory=list)
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     unmet: list[Unmet] = field(default_factory=list)
@@ -89,9 +83,8 @@ class Filling:
     _avoided: list[tuple[int, float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        """What is found out about the map is kept over the rounds."""
-        self.roads, self.routes, self.stop_lines = Roads(self.scene), Routes(self.scene), StopLines(self.scene)
-        self.meetings = Meetings(self.scene, self.routes)
+        """Recorded vehicles are where they were; those that react may be elsewhere later."""
+        self.scene = self.surroundings.scene
 
     def take_events(self, found: Sequence[EventOutcome]) -> None:
         """Vehicles of events are kept before all others, which have to do with them; they count among the vehicles."""
@@ -126,10 +119,40 @@ class Filling:
                 break
         self._give_up_manoeuvres()
 
+    def fill_together(self, drive: Drive) -> None:
+        """All in one round, again without those that are not kept until all are: where recorded vehicles react.
+
+        Nobody has reacted then to a vehicle that is not there, and nobody is replaced. After each round the scene is
+        the one that it has become.
+        """
+        asked = self.scene.config.request.agents
+        count = self._most() if asked == "max" else asked
+        first: dict[int, Start] = {}
+        for start in self._starts_of(count):
+            first.setdefault(start.request.number, start)  # one vehicle for each request
+        starts = [start for number, start in sorted(first.items()) if number < count]
+        nobody = self._fixed()
+        while True:
+            vehicles = drive(starts, nobody, self.rounds)
+            self.rounds += 1
+            self.kept, gone = self._judged(vehicles)
+            if not gone:
+                break
+            self.kept = []
+            for vehicle, reason, detail in gone.values():
+                self._note(vehicle, reason, detail, self.rounds - 1)
+                self._last_reason[vehicle.start.request.number] = reason
+            starts = [vehicle.start for vehicle in vehicles if vehicle.vehicle_id not in gone]
+        self._give_up_manoeuvres({one.driven.start.request.number for one in self.kept})
+
+    def _starts_of(self, count: int) -> list[Start]:
+        self._open = self._requests(count)
+        self._next_spare = count
+        return self._starts(0, count, spare=False)
+
     def first_starts(self, count: int) -> list[Start]:
         """Starts of one round for `count` requests, spare ones left out; who finds none is in `unmet`."""
-        self._open = self._requests(count)
-        starts = self._starts(0, count, spare=False)
+        starts = self._starts_of(count)
         met = {start.request.number for start in starts}
         self.unmet += [Unmet(request, Reason.NO_SITE) for request in self._open if request.number not in met]
         return starts
@@ -137,7 +160,7 @@ class Filling:
     def _most(self) -> int:
         """How many the road takes at usual gaps, about: what `max` asks for."""
         lanes, spawn = self.scene.grid.graph.lanes, self.scene.config.spawn
-        length_m = sum(lanes[lane_id].length_m for lane_id in self.routes.lanes)
+        length_m = sum(lanes[lane_id].length_m for lane_id in self.surroundings.routes.lanes)
         return min(spawn.most_agents, math.ceil(length_m / spawn.spacing_m))
 
     def _fixed(self) -> Traffic:
@@ -145,11 +168,12 @@ class Filling:
 
     def _requests(self, count: int) -> list[VehicleRequest]:
         """What is asked for; what map or scene's length do not allow is noted, and a vehicle goes straight."""
-        last_s = (self.scene.num_steps - 1) * DT_S
+        last_s = self.scene.last_s
         found = []
-        for request in draw_requests(self.scene.config, np.random.default_rng([*self.seed, 0]), count=count):
+        rng = np.random.default_rng([*self.seed, 0])
+        for request in draw_requests(self.scene.config, rng, count=count, duration_s=last_s):
             reason: Reason | None = None
-            if not self.routes.map_offers(request.policy):
+            if not self.surroundings.routes.map_offers(request.policy):
                 reason = _NO_MAP[request.policy]
             elif request.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE) and request.trigger_s > last_s:
                 reason = Reason.TRIGGER_AFTER_SCENE
@@ -163,9 +187,10 @@ class Filling:
         """Starts of a round: those driven again, then requests, then some spare ones that go straight."""
         config = self.scene.config
         rng = np.random.default_rng([*self.seed, 1 + number])
-        guard = Guard(self.scene, self._fixed(), self.stop_lines)
+        here = self.surroundings
+        guard = Guard(self.scene, self._fixed(), here.stop_lines)
         sites = InsertionSites(
-            self.scene, self.roads, self.routes, self.stop_lines, guard, rng, number, self.meetings,
+            self.scene, here.roads, here.routes, here.stop_lines, guard, rng, number, here.meetings,
             Spread.of(self.seed), self._avoided, asked=Counter(r.policy for r in self._open),
         )  # fmt: skip
         sites.taken += self._again
@@ -244,7 +269,36 @@ class Filling:
 
     def _keep(self, vehicles: list[DrivenVehicle], number: int) -> None:
         """Keep what holds; what does not goes with its reason, and its request stays open."""
-        reseeds = number < self.scene.config.spawn.reseed_rounds
+        new, gone = self._judged(vehicles)
+        for one in new:
+            outcome = self.outcomes.get(one.driven.vehicle_id)
+            if outcome is not None and not outcome.done and number < self.scene.config.spawn.reseed_rounds:
+                said = outcome.reason or Reason.SCENE_ENDED
+                gone[one.driven.vehicle_id] = one.driven, Reason.DID_NOT_DO_IT, said
+                self._last_reason[one.driven.start.request.number] = said
+        for vehicle, reason, _ in gone.values():
+            if reason is not Reason.DID_NOT_DO_IT:
+                self._last_reason[vehicle.start.request.number] = reason
+        needed = set().union(*(_needs(one.driven) for one in new))
+        self._drop_rivals(new, gone, needed)
+        if number + 1 >= self.scene.config.spawn.reseed_rounds:
+            self._give_up_manoeuvres(
+                {one.driven.start.request.number for one in new if one.driven.vehicle_id not in gone}
+            )
+        self._drop_surplus(new, gone, needed)
+        self._drive_again(new, gone)
+        for vehicle, reason, detail in gone.values():
+            self._note(vehicle, reason, detail, number)
+        kept_now = [one for one in new if one.driven.vehicle_id not in gone]
+        for one in kept_now:
+            outcome = self.outcomes.get(one.driven.vehicle_id)
+            became = None if outcome is None else " ".join(filter(None, (outcome.status, outcome.reason)))
+            _tell(one.driven, _site(self.scene, one.driven), number, "kept", became)
+        self.kept += kept_now
+        self._close(kept_now)
+
+    def _judged(self, vehicles: list[DrivenVehicle]) -> tuple[list[ExportedVehicle], _Gone]:
+        """Those driven that pass the last check beside those that are kept, with their outcomes; and all others."""
         new: list[ExportedVehicle] = []
         gone: _Gone = {}
         others = self._fixed()
@@ -267,30 +321,7 @@ class Filling:
             outcome = outcome_of(self.scene, one, everybody)
             if outcome is not None:
                 self.outcomes[one.driven.vehicle_id] = outcome
-                if not outcome.done and reseeds:
-                    said = outcome.reason or Reason.SCENE_ENDED
-                    gone[one.driven.vehicle_id] = one.driven, Reason.DID_NOT_DO_IT, said
-                    self._last_reason[one.driven.start.request.number] = said
-        for vehicle, reason, _ in gone.values():
-            if reason is not Reason.DID_NOT_DO_IT:
-                self._last_reason[vehicle.start.request.number] = reason
-        needed = set().union(*(_needs(one.driven) for one in new))
-        self._drop_rivals(new, gone, needed)
-        if number + 1 >= self.scene.config.spawn.reseed_rounds:
-            self._give_up_manoeuvres(
-                {one.driven.start.request.number for one in new if one.driven.vehicle_id not in gone}
-            )
-        self._drop_surplus(new, gone, needed)
-        self._drive_again(new, gone)
-        for vehicle, reason, detail in gone.values():
-            self._note(vehicle, reason, detail, number)
-        kept_now = [one for one in new if one.driven.vehicle_id not in gone]
-        for one in kept_now:
-            outcome = self.outcomes.get(one.driven.vehicle_id)
-            became = None if outcome is None else " ".join(filter(None, (outcome.status, outcome.reason)))
-            _tell(one.driven, _site(self.scene, one.driven), number, "kept", became)
-        self.kept += kept_now
-        self._close(kept_now)
+        return new, gone
 
     def _drop_rivals(self, new: list[ExportedVehicle], gone: _Gone, needed: Set[str]) -> None:
         """Of several vehicles for one request one is kept: one that others need before one that nobody does."""

@@ -13,7 +13,7 @@ from hid2.motion.verify import first_overlap, limit_exceeded, off_road_steps
 from hid2.occupancy.along_path import path_occupancy
 from hid2.occupancy.traffic import Traffic
 from hid2.reasons import Reason, limit_reason
-from hid2.scene import DT_S, Scene
+from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle
 
 _AFTER_END_M = 120.0  # no tunable, spares time: nobody closes in from farther away within `conflict.end_horizon_s`
@@ -58,7 +58,7 @@ def traffic_of_exported(vehicles: Sequence[ExportedVehicle], scene: Scene) -> Tr
         length_m=np.array([vehicle.driven.start.box.length_m for vehicle in vehicles]),
         width_m=np.array([vehicle.driven.start.box.width_m for vehicle in vehicles]),
     )  # fmt: skip
-    return inside.extended(scene.future.num_steps - steps, step_s=DT_S)
+    return inside.extended(scene.future.num_steps - steps, step_s=scene.step_s)
 
 
 def finalise(scene: Scene, vehicle: DrivenVehicle, others: Traffic) -> ExportedVehicle | Reason:
@@ -69,7 +69,7 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, others: Traffic) -> ExportedV
     s, v = np.array(vehicle.s), np.array(vehicle.v)
     if "topology" in config.without and s.size < scene.num_steps:  # off the grid it goes on as it was
         missing = scene.num_steps - s.size
-        s = np.concatenate([s, s[-1] + v[-1] * DT_S * np.arange(1, missing + 1)])
+        s = np.concatenate([s, s[-1] + v[-1] * scene.step_s * np.arange(1, missing + 1)])
         v = np.concatenate([v, np.full(missing, v[-1])])
     end = vehicle.path.exit_s - start.size.length_m / 2
     steps = int((s <= end).sum())
@@ -83,7 +83,7 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, others: Traffic) -> ExportedV
     ratios = config.export.filter_ratios
     for ratio, eased in [(ratios[0], False), *((ratio, True) for ratio in ratios)]:  # ends are eased where they must be
         motion = smooth_motion(
-            s[:steps], v[:steps], filter_s=ratio * config.smoothing.filter_s, step_s=DT_S,
+            s[:steps], v[:steps], filter_s=ratio * config.smoothing.filter_s, step_s=scene.step_s,
             end_jerk_mps3=config.limits.longitudinal_jerk_mps3 if eased else None,
         )  # fmt: skip
         for share in config.export.offset_shares:
@@ -114,7 +114,7 @@ def _checked(
     cells = slice(int(motion.s[0] / TABLE_STEP_M), int(motion.s[-1] / TABLE_STEP_M) + 2)
     if np.abs(vehicle.path.line.table_curvature[cells]).max() > export.limit_share / config.limits.min_radius_m:
         return Reason.LIMIT_CURVATURE
-    exceeded = limit_exceeded(path, config.limits, step_s=DT_S)
+    exceeded = limit_exceeded(path, config.limits, step_s=scene.step_s)
     if exceeded is not None:
         return limit_reason(exceeded)
     ttc_s = np.inf
@@ -215,7 +215,7 @@ def _grid_path(
         for traffic, reason in ((scene.traffic, Reason.MEETS_RECORDED), (others, Reason.MEETS_GENERATED)):
             if traffic.ids and first_overlap(path, vehicle.start.box, traffic, margin_m=0.0) is not None:
                 return reason
-    motion = Motion(s=s, v=v, a=np.gradient(v, DT_S))
+    motion = Motion(s=s, v=v, a=np.gradient(v, scene.step_s), step_s=scene.step_s)
     return ExportedVehicle(vehicle, motion, path, np.zeros(s.size), float("inf"))
 
 

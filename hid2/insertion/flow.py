@@ -16,7 +16,7 @@ from hid2.insertion.sizes import draw_size
 from hid2.motion.route import DrivenPath, Route
 from hid2.params import Request
 from hid2.policy.decision import Side
-from hid2.scene import DT_S, Scene, clearance_box
+from hid2.scene import Scene, clearance_box
 
 _STREAM, _TRIGGERS = 77, 78  # apart from the streams of the rounds
 
@@ -67,7 +67,7 @@ def arrivals(scene: Scene, routes: Routes, seed: Sequence[int]) -> list[Arrival]
         while offers:
             rng = np.random.default_rng([*seed, _STREAM, lane_id, number])
             due_s += least_s + (mean_s - least_s) * float(rng.exponential())
-            if due_s >= (scene.num_steps - 1) * DT_S:
+            if due_s >= scene.last_s:
                 break
             offer = offers[int(rng.integers(len(offers)))]
             policy = Policy.LANE_CHANGE if rng.random() < changing else Policy.STRAIGHT
@@ -81,7 +81,8 @@ def arrivals(scene: Scene, routes: Routes, seed: Sequence[int]) -> list[Arrival]
                     object_type=object_type, size=size,
                     box=clearance_box(size, DEFAULT_SIZES[object_type]), route=offer.route, path=path, driver=driver,
                     desired=desired_speeds(
-                        driver, config, rng, num_steps=scene.num_steps, step_s=DT_S, at_least_mps=driver.desired_mps
+                        driver, config, rng, num_steps=scene.num_steps, step_s=scene.step_s,
+                        at_least_mps=driver.desired_mps,
                     ),
                     offset=lane_offset(driver, config, rng, length_m=path.line.length_m), sides=sides,
                 )
@@ -90,6 +91,7 @@ def arrivals(scene: Scene, routes: Routes, seed: Sequence[int]) -> list[Arrival]
     return sorted(found, key=lambda one: (one.due_s, one.lane_id))
 
 
-def trigger_after_s(arrival: Arrival, request: Request, seed: Sequence[int]) -> float:
-    """t_trigger of an arrival, s from its entry; from a stream of its own."""
-    return draw_trigger(request, np.random.default_rng([*seed, _TRIGGERS, arrival.lane_id, arrival.number]))
+def trigger_after_s(arrival: Arrival, request: Request, seed: Sequence[int], duration_s: float) -> float:
+    """t_trigger of an arrival, s from its entry, in a scene of some duration, s; from a stream of its own."""
+    rng = np.random.default_rng([*seed, _TRIGGERS, arrival.lane_id, arrival.number])
+    return draw_trigger(request, rng, duration_s)

@@ -10,12 +10,12 @@ from hid2.insertion.routes import RouteOffer, Routes
 from hid2.measures.arrays import is_moving
 from hid2.measures.encounters import CROSSING_RAD, FOLLOWS_S, WITHIN_S
 from hid2.occupancy.traffic import BoolArray
-from hid2.scene import DT_S, Scene
+from hid2.scene import Scene
 from netconvert.cells import Cell
 from netconvert.errors import ScenarioError
 
-#: Recorded traffic is looked at every so many steps: an estimate of where somebody would be needs no more.
-_EVERY_STEPS = 5
+#: Recorded traffic is looked at so often, s: an estimate of where somebody would be needs no more.
+_EVERY_S = 0.5
 #: Centres this near to the middle of a cell are on it, m: half a lane and a little.
 _ON_CELL_M = 3.0
 #: Share of the distance asked for within which somebody is near for sure, though nobody drives as estimated.
@@ -67,7 +67,7 @@ def moving_vehicles(scene: Scene) -> IntArray:
         [
             row
             for row in scene.vehicle_rows.tolist()
-            if scene.categories[row] > 0 and is_moving(traffic.position[row, traffic.present[row]])
+            if scene.categories[row] > 0 and is_moving(traffic.position[row, traffic.present[row]], step_s=scene.step_s)
         ],
         dtype=np.int64,
     )
@@ -104,7 +104,7 @@ class Meetings:
         scene, traffic = self.scene, self.scene.traffic
         moving = moving_vehicles(scene)
         self._targets = target_rows(scene, scene.config.request.near)
-        self._steps = np.arange(0, scene.num_steps, _EVERY_STEPS)
+        self._steps = np.arange(0, scene.num_steps, scene.steps_in(_EVERY_S))
         self._xy, self._there = traffic.position[moving][:, self._steps], traffic.present[moving][:, self._steps]
         self._target_xy = traffic.position[self._targets][:, self._steps]
         self._target_there = traffic.present[self._targets][:, self._steps]
@@ -136,7 +136,7 @@ class Meetings:
             turned = np.abs(np.sin(boxes.heading[:, None] - traffic.heading[row, steps]))
             near = (np.hypot(offset[..., 0], offset[..., 1]) < _ON_CELL_M) & (turned > math.sin(CROSSING_RAD))
             for cell, look in np.argwhere(near).tolist():
-                found.setdefault(cell, []).append(float(steps[look]) * DT_S)
+                found.setdefault(cell, []).append(float(steps[look]) * self.scene.step_s)
         return {cell: np.array(times) for cell, times in found.items()}
 
     def usual_speed(self, lane_id: int) -> float:
@@ -172,7 +172,7 @@ class Meetings:
         cells, middle = self._cells(lane_id, offer)
         count, pace = scene.grid.count(lane_id), _PACE * speed_mps
         start = middle[:count]
-        time_s = self._steps * DT_S
+        time_s = self._steps * scene.step_s
         way = start[:, None] + pace * time_s  # (N, T)
         there = way <= middle[-1]
         xy = scene.grid.centers[cells[np.minimum(np.searchsorted(middle, way), len(cells) - 1)]]
@@ -184,7 +184,7 @@ class Meetings:
             weight[near.any(axis=1)] *= spawn.near_weight
             weight[leader >= 0] *= spawn.leader_weight
             weight[self._crosses(cells, middle, start, pace)] *= spawn.crossing_weight
-        leaves = middle[-1] - start < 0.8 * speed_mps * scene.first_exit_step * DT_S
+        leaves = middle[-1] - start < 0.8 * speed_mps * scene.first_exit_step * scene.step_s
         if "topology" not in scene.config.without:
             weight[leaves] = 0.0
         last = int(np.searchsorted(self._steps, min(scene.first_exit_step, scene.num_steps) - 1, side="right")) - 1

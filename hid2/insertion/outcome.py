@@ -15,12 +15,12 @@ from hid2.policy.observation import is_on_lane, returns_to
 from hid2.policy.overtake import Stage
 from hid2.policy.turns import TURN_OF_POLICY
 from hid2.reasons import Reason
-from hid2.scene import DT_S, Scene
+from hid2.scene import Scene
 
 Status = Literal["done", "aborted", "not_feasible", "not_triggered"]
 _VISIBLE_MPS = 0.1
 _TURN_RAD = math.radians(30.0)
-_AROUND_TURN_STEPS = 10
+_AROUND_TURN_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,28 +59,28 @@ def outcome_of(scene: Scene, vehicle: ExportedVehicle, traffic: Traffic) -> Outc
 def _turn(scene: Scene, vehicle: ExportedVehicle) -> Outcome:
     """Done where the lane is driven to its end and the heading turns by 30 degrees, as a detector sees it."""
     driven, s = vehicle.driven, vehicle.motion.s
-    kind = TURN_OF_POLICY[driven.policy]
+    kind, step_s = TURN_OF_POLICY[driven.policy], scene.step_s
     turn = first_turn(scene.grid.graph, driven.path, kind, after=driven.start.start_s)
     if turn is None:
         return Outcome(driven.policy, "not_feasible", Reason.TURN_NOT_SEEN)
     row = driven.path.segments.index(turn)
     source = driven.path.segments[row - 1].lane_id if row else None
     start, end = _step(s, turn.start), _step(s, turn.end)
-    common = {"start_s": _time(start), "source_lane": source, "target_lane": turn.lane_id}
+    common = {"start_s": _time(start, step_s), "source_lane": source, "target_lane": turn.lane_id}
     if start is None:
         return Outcome(driven.policy, "not_feasible", Reason.SCENE_ENDED, **common)  # type: ignore[arg-type]
     if end is None:
         return Outcome(driven.policy, "aborted", Reason.SCENE_ENDED, **common)  # type: ignore[arg-type]
-    heading = np.unwrap(vehicle.trajectory.heading)
-    turned = heading[min(end + _AROUND_TURN_STEPS, s.size - 1)] - heading[max(start - _AROUND_TURN_STEPS, 0)]
+    heading, around = np.unwrap(vehicle.trajectory.heading), scene.steps_in(_AROUND_TURN_S)
+    turned = heading[min(end + around, s.size - 1)] - heading[max(start - around, 0)]
     if (turned if driven.policy is Policy.LEFT_TURN else -turned) < _TURN_RAD:
         return Outcome(driven.policy, "not_feasible", Reason.TURN_NOT_SEEN, **common)  # type: ignore[arg-type]
-    return Outcome(driven.policy, "done", end_s=_time(end), **common)  # type: ignore[arg-type]
+    return Outcome(driven.policy, "done", end_s=_time(end, step_s), **common)  # type: ignore[arg-type]
 
 
 def _missed(vehicle: ExportedVehicle) -> Outcome:
     driven = vehicle.driven
-    late = driven.start.request.trigger_s > (vehicle.num_steps - 1) * DT_S
+    late = driven.start.request.trigger_s > (vehicle.num_steps - 1) * vehicle.motion.step_s
     reason = driven.reason or Reason.SCENE_ENDED
     return Outcome(driven.policy, "not_triggered" if late else "not_feasible", reason)
 
@@ -121,7 +121,7 @@ def _overtake(scene: Scene, vehicle: ExportedVehicle, traffic: Traffic) -> Outco
         reason = Reason.SCENE_ENDED_RETURNING
     elif not returns_to(driven.start.path, driven.path):
         reason = Reason.RETURNED_ELSEWHERE
-    elif not _is_ahead(vehicle, round(back_s / DT_S), leader_id, traffic):
+    elif not _is_ahead(vehicle, round(back_s / scene.step_s), leader_id, traffic):
         reason = Reason.RETURNED_BEHIND
     done = reason is None
     if done and leader_id is not None and _stands(leader_id, traffic, scene.config.overtake.parked_mps):
@@ -159,14 +159,14 @@ def _stands(track_id: str, traffic: Traffic, parked_mps: float) -> bool:
 def shift_times(vehicle: ExportedVehicle, index: int) -> tuple[float | None, float | None, float | None]:
     """Start, crossing and end of a lateral motion, s: where |d'| passes 0.1 m/s, and half way between the lanes."""
     start_m, end_m = vehicle.driven.path.shifts[index]
-    s = vehicle.motion.s
+    s, step_s = vehicle.motion.s, vehicle.motion.step_s
     share = lateral_share((s - start_m) / max(end_m - start_m, 1e-9))
-    lateral_mps = np.abs(np.gradient(share * 3.5, DT_S))
+    lateral_mps = np.abs(np.gradient(share * 3.5, step_s))
     moving = np.flatnonzero(lateral_mps > _VISIBLE_MPS)
-    start = _time(int(moving[0])) if moving.size else None
+    start = _time(int(moving[0]), step_s) if moving.size else None
     finished = float(share[-1]) > 0.98
-    end = _time(min(int(moving[-1]) + 1, s.size - 1)) if finished and moving.size else None
-    return start, _time(_step(s, 0.5 * (start_m + end_m))), end
+    end = _time(min(int(moving[-1]) + 1, s.size - 1), step_s) if finished and moving.size else None
+    return start, _time(_step(s, 0.5 * (start_m + end_m)), step_s), end
 
 
 def _step(s: FloatArray, place: float) -> int | None:
@@ -175,5 +175,5 @@ def _step(s: FloatArray, place: float) -> int | None:
     return int(passed[0]) if passed.size else None
 
 
-def _time(step: int | None) -> float | None:
-    return None if step is None else round(step * DT_S, 6)
+def _time(step: int | None, step_s: float) -> float | None:
+    return None if step is None else round(step * step_s, 6)

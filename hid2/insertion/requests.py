@@ -9,12 +9,15 @@ from hid2.params import Config, Request
 from hid2.vehicle import VehicleRequest
 
 
-def draw_requests(config: Config, rng: np.random.Generator, *, count: int) -> list[VehicleRequest]:
-    """`count` requests: the mix by drawn rounding, so that a share of 5 % of 10 is one vehicle in every other scene."""
+def draw_requests(config: Config, rng: np.random.Generator, *, count: int, duration_s: float) -> list[VehicleRequest]:
+    """`count` requests for a scene of some duration, s.
+
+    The mix by drawn rounding, so that a share of 5 % of 10 is one vehicle in every other scene.
+    """
     request = config.request
     policies = draw_mix(dict(request.behaviours), rng, count=count)
     return [
-        VehicleRequest(number=number, policy=policy, trigger_s=draw_trigger(request, rng))
+        VehicleRequest(number=number, policy=policy, trigger_s=draw_trigger(request, rng, duration_s))
         for number, policy in enumerate(policies)
     ]
 
@@ -33,9 +36,14 @@ def draw_mix(shares: dict[Policy, float], rng: np.random.Generator, *, count: in
     return found + [last] * (count - len(found))
 
 
-def draw_trigger(request: Request, rng: np.random.Generator) -> float:
-    """t_trigger, s: exactly as asked for, one of a list, or uniform in a range; never cut to suit a place."""
+def draw_trigger(request: Request, rng: np.random.Generator, duration_s: float) -> float:
+    """t_trigger, s: exactly as asked for, one of a list, or uniform in a range; never cut to suit a place.
+
+    Where nothing is asked for the range ends at what is usual in scenes of this duration, s.
+    """
     if request.trigger_list_s:
         return float(request.trigger_list_s[int(rng.integers(len(request.trigger_list_s)))])
     low, high = request.trigger_min_s, request.trigger_max_s
+    if high is None:
+        high = min(request.trigger_usual_s, request.trigger_usual_share * duration_s)
     return low if high <= low else float(rng.uniform(low, high))

@@ -20,14 +20,15 @@ from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.sigma import FREE
+from hid2.occupancy.traffic import Traffic
 from hid2.params import Sites
 from hid2.policy.decision import Side
-from hid2.policy.lane_change import lane_change_reason
-from hid2.policy.observation import lane_options
+from hid2.policy.lane_change import lane_change_reason, safe_gap_m
+from hid2.policy.observation import lane_options, lay_across
 from hid2.policy.roads import Roads
 from hid2.policy.turns import TURN_OF_POLICY
 from hid2.reasons import Reason
-from hid2.scene import DT_S, Scene, clearance_box
+from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
 #: Verdicts that another driver may change.
@@ -62,6 +63,7 @@ class InsertionSites:
     _looked: Counter[Policy] = field(default_factory=Counter)
     _poses: dict[str, _Pose] = field(default_factory=dict)
     _obstacles: dict[tuple[DrivenPath, BoxSize], Obstacles] = field(default_factory=dict)
+    _foreseen: tuple[tuple[float, int], Traffic] | None = None
 
     def propose(self, request: VehicleRequest, slow_leader: VehicleRequest | None = None) -> list[Start]:
         """A start for a request, and where it is to overtake and finds no leader, one for that; empty where none fits.
@@ -79,15 +81,15 @@ class InsertionSites:
 
     def _may_pass(self, start: Start) -> bool:
         """Whether the recorded traffic leaves a lane beside free for an overtake soon after the trigger."""
-        overtake, nobody = self.scene.config.overtake, self.scene.traffic.rows([])
+        overtake = self.scene.config.overtake
         for wait_s in self.scene.config.sites.gap_waits_s:
             at_s = start.request.trigger_s + wait_s
-            step, at = round(at_s / DT_S), start.start_s + 0.8 * start.start_mps * at_s
+            step, at = round(at_s / self.scene.step_s), start.start_s + 0.8 * start.start_mps * at_s
             if step >= self.scene.num_steps or at > start.path.exit_s:
                 break
             options = lane_options(
                 self.scene, start.path, start.box, s=at, step=step, sides=("left", "right"), fixed=self.guard.fixed,
-                fleet=nobody, speed_mps=start.start_mps, desired_mps=start.driver.desired_mps,
+                fleet=self._taken_at(at_s), speed_mps=start.start_mps, desired_mps=start.driver.desired_mps,
             )  # fmt: skip
             if any(
                 option.cells_free and option.corridor_m >= overtake.d_overtake_m
@@ -113,17 +115,18 @@ class InsertionSites:
     def _starts(self, request: VehicleRequest) -> Iterator[Start]:
         """Starts at sites in weighted random order; first where more speaks for them.
 
-        Strict: the lane beside is not in an intersection, and a gap in it is likely; nobody known is in the way of a
-        turn; whoever is to go straight meets no turn in the time of the scene.
+        Strict: the lane beside is not in an intersection; whoever is to go straight meets no turn in the time of the
+        scene. Likely: a gap beside is foreseen at the trigger; nobody known is in the way of a turn.
         """
         if self.scene.config.request.sites == "any":
-            yield from self._starts_where(request, _any_site)
+            yield from self._starts_where(request, _any_site, likely=False)
             return
-        for strict in (True, False):
-            yield from self._starts_where(request, partial(self._promises, request, strict=strict), strict=strict)
+        tiers = ((True, True), (False, True), (False, False))
+        for strict, likely in tiers if request.policy is Policy.LANE_CHANGE else tiers[::2]:
+            yield from self._starts_where(request, partial(self._promises, request, strict=strict), likely=likely)
 
     def _starts_where(
-        self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool], *, strict: bool = False
+        self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool], *, likely: bool
     ) -> Iterator[Start]:
         tried = 0
         rivals_on = {
@@ -139,7 +142,7 @@ class InsertionSites:
                 usual_mps = self.meetings.usual_speed(lane_id)
                 if self._leaves_early(offer, s, 0.8 * usual_mps) or not promises(offer, s, usual_mps):
                     continue
-                start = self._start(request, offer, lane_id, s, strict=strict)
+                start = self._start(request, offer, lane_id, s, likely=likely)
                 tried += start is not Reason.NO_SITE
                 if isinstance(start, Start):
                     yield start
@@ -177,11 +180,12 @@ class InsertionSites:
         weight, tier = np.ones(len(rows)), np.zeros(len(rows), dtype=np.int64)
         if promising:
             weight, tier = self._weights(np.array(rows))
-        inside = np.array([lanes[grid.cells[row].lane_id].is_intersection for row in rows])
-        share = self.rng.random(len(rows))
         failed: dict[int, list[float]] = {}
         for lane_id, at in self.avoided:
             failed.setdefault(lane_id, []).append(at)
+        weight /= [1.0 + len(failed.get(grid.cells[row].lane_id, ())) for row in rows]
+        inside = np.array([lanes[grid.cells[row].lane_id].is_intersection for row in rows])
+        share = self.rng.random(len(rows))
         policy = request.policy
         if not promising:
             order = by_weight(weight, self.rng)
@@ -217,8 +221,8 @@ class InsertionSites:
         self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, strict: bool
     ) -> bool:
         """Whether the map offers what is asked for from arc length s on, in the time that the scene has."""
-        scene, change, sites = self.scene, self.scene.config.lane_change, self.scene.config.sites
-        duration = (scene.num_steps - 1) * DT_S
+        scene, sites = self.scene, self.scene.config.sites
+        duration = scene.last_s
         reach = s + speed_mps * duration
         ahead = [turn for turn in offer.turns if turn[2] > s]
         if request.policy in TURN_OF_POLICY:
@@ -226,21 +230,13 @@ class InsertionSites:
                 return False
             _, begin, end = ahead[0]
             to_turn_s = (begin - s) / (sites.turn_approach_share * speed_mps)
-            needs_s = to_turn_s + (end - begin) / sites.turn_pace_mps + sites.turn_spare_s
+            needs_s = to_turn_s + (end - begin) / sites.turn_pace_mps + sites.turn_spare_s * (1.0 if strict else 0.5)
             return begin - s > sites.before_turn_m and needs_s < duration
-        if any(begin < reach for _, begin, _ in ahead) and (strict or request.policy is not Policy.STRAIGHT):
-            return False
         at = s + 0.9 * speed_mps * request.trigger_s
         if request.policy is Policy.LANE_CHANGE:
-            needed = max(change.min_remaining_m, 1.3 * change.min_duration_s * speed_mps) + 0.5 * speed_mps
-            if strict and self._meets_junction(offer, at, at + scene.config.drivers.lane_change_mean_s * speed_mps):
-                return False  # lane changes outside intersections first
-            return any(
-                beside.start <= at + 1.0 and beside.end > at + 1.0
-                and not (strict and beside.in_intersection)
-                and beside.remaining_m - (at + 0.3 * speed_mps * request.trigger_s - beside.start) > needed
-                for beside in offer.beside
-            )  # fmt: skip
+            return self._offers_change(request, offer, at, speed_mps, strict=strict)
+        if any(begin < reach for _, begin, _ in ahead) and (strict or request.policy is not Policy.STRAIGHT):
+            return False
         if request.policy is Policy.OVERTAKE:
             for side in ("left", "right"):
                 stretches = sorted((b.start, b.end) for b in offer.beside if b.side == side and b.end > at)
@@ -254,6 +250,28 @@ class InsertionSites:
             return False
         return True
 
+    def _offers_change(
+        self, request: VehicleRequest, offer: RouteOffer, at: float, speed_mps: float, *, strict: bool
+    ) -> bool:
+        """Whether a route has a lane beside, long enough, about where a vehicle is at its trigger, before any turn."""
+        change, sites, drivers = self.scene.config.lane_change, self.scene.config.sites, self.scene.config.drivers
+        waits_m = max(sites.gap_waits_s) * speed_mps
+        needed = change.min_remaining_m + 0.3 * speed_mps
+        if strict:  # it may be faster than usual
+            slack_m = 0.3 * speed_mps * request.trigger_s
+            needed = max(change.min_remaining_m, 1.3 * change.min_duration_s * speed_mps) + 0.5 * speed_mps + slack_m
+            if self._meets_junction(offer, at, at + drivers.lane_change_mean_s * speed_mps):
+                return False  # lane changes outside intersections first
+        over = at + change.min_duration_s * speed_mps
+        if any(at < end and begin < over for _, begin, end in offer.turns):
+            return False
+        return any(
+            beside.start <= at + waits_m + 1.0 and beside.end > at + 1.0
+            and not (strict and beside.in_intersection)
+            and beside.remaining_m - max(0.0, at - beside.start) > needed
+            for beside in offer.beside
+        )  # fmt: skip
+
     def _meets_junction(self, offer: RouteOffer, begin: float, end: float) -> bool:
         """Whether a stretch of a route, m along its lanes, touches an intersection."""
         lanes, at = self.scene.grid.graph.lanes, 0.0
@@ -266,7 +284,7 @@ class InsertionSites:
 
     def _start(
         self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float, *, driver: Driver | None = None,
-        strict: bool = False,
+        likely: bool = False,
     ) -> Start | Reason:  # fmt: skip
         """A vehicle with a driver at a site, or why it cannot begin there."""
         scene, config, rng = self.scene, self.scene.config, self.rng
@@ -286,12 +304,10 @@ class InsertionSites:
             turn = first_turn(scene.grid.graph, path, TURN_OF_POLICY[request.policy], after=start_s)
             if turn is None:
                 return Reason.TURN_NOT_SEEN
-            reach_s = turn.end + 1.0 if strict else None
-        elif strict and request.policy is not Policy.STRAIGHT:  # whoever changes lanes has to be under way
-            reach_s = (
-                start_s
-                + config.sites.under_way_share * self.meetings.usual_speed(lane_id) * (scene.num_steps - 1) * DT_S
-            )
+            reach_s = turn.end + 1.0 if likely else None
+        elif likely and request.policy is not Policy.STRAIGHT:  # whoever changes lanes has to be under way
+            pace_mps = config.sites.under_way_share * self.meetings.usual_speed(lane_id)
+            reach_s = start_s + pace_mps * scene.last_s
         verdict: Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else config.sites.drivers):
             who = driver or draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))
@@ -306,13 +322,17 @@ class InsertionSites:
             return verdict
         speed = found
         sides: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
-        if strict and request.policy is Policy.LANE_CHANGE and not self._gap_likely(path, box, start_s, speed, request):
+        if (
+            likely
+            and request.policy is Policy.LANE_CHANGE
+            and not self._gap_likely(path, box, start_s, speed, request, who)
+        ):
             return Reason.CELLS_OCCUPIED
         return Start(
             vehicle_id=self._name(request), request=request, object_type=object_type, size=size,
             box=box, route=offer.route, path=path, start_s=start_s, start_mps=speed, driver=who,
             desired=desired_speeds(
-                who, config, rng, num_steps=scene.num_steps, step_s=DT_S, at_least_mps=speed
+                who, config, rng, num_steps=scene.num_steps, step_s=scene.step_s, at_least_mps=speed
             ),
             offset=lane_offset(who, config, rng, length_m=path.line.length_m), sides=sides,
         )  # fmt: skip
@@ -321,27 +341,68 @@ class InsertionSites:
         rivals = sum(start.request.number == request.number for start in self.taken)
         return f"v{request.number}_{self.round_number}" + (f"_{rivals}" if rivals else "")
 
-    def _gap_likely(self, path: DrivenPath, box: BoxSize, s: float, speed_mps: float, request: VehicleRequest) -> bool:
-        """Whether a vehicle that drives on finds a gap among the recorded ones beside it soon after its trigger."""
+    def _gap_likely(
+        self, path: DrivenPath, box: BoxSize, s: float, speed_mps: float, request: VehicleRequest, driver: Driver
+    ) -> bool:
+        """Whether a vehicle that drives on finds a gap beside it soon after its trigger, and a way into it in time."""
         scene, change = self.scene, self.scene.config.lane_change
-        nobody = scene.traffic.rows([])
         for wait_s in self.scene.config.sites.gap_waits_s:
             at_s = request.trigger_s + wait_s
-            step, at = round(at_s / DT_S), s + 0.95 * speed_mps * at_s
-            if step >= scene.num_steps or at > path.exit_s:
+            step = round(at_s / scene.step_s)
+            if step >= scene.num_steps:
+                break
+            at, v = self._place_after(path, box, s, speed_mps, driver, at_s)
+            if at > path.exit_s:
                 break
             options = lane_options(
-                scene, path, box, s=at, step=step, sides=("left", "right"), fixed=self.guard.fixed, fleet=nobody,
-                speed_mps=speed_mps, desired_mps=speed_mps,
+                scene, path, box, s=at, step=step, sides=("left", "right"), fixed=self.guard.fixed,
+                fleet=self._taken_at(at_s), speed_mps=v, desired_mps=driver.desired_mps,
             )  # fmt: skip
-            for option, _ in options:
+            for option, target in options:
                 reason = lane_change_reason(
-                    speed_mps=speed_mps, cells_free=option.cells_free, front=option.front, rear=option.rear,
+                    speed_mps=v, cells_free=option.cells_free, front=option.front, rear=option.rear,
                     remaining_m=option.remaining_m, params=change,
                 )  # fmt: skip
-                if reason is None:
+                if reason is not None:
+                    continue
+                across = lay_across(
+                    scene, path, target, s=at, step=step, pace_mps=v, remaining_m=option.remaining_m,
+                    lasting_s=driver.lane_change_s,
+                )  # fmt: skip
+                if isinstance(across, DrivenPath) and (across.shifts[-1][1] - at) < v * (scene.last_s - at_s):
                     return True
         return False
+
+    def _place_after(
+        self, path: DrivenPath, box: BoxSize, s: float, speed_mps: float, driver: Driver, time_s: float
+    ) -> tuple[float, float]:
+        """Where a vehicle is after some time, m on its path, and how fast, m/s: as before, or behind who is ahead."""
+        known, step = self._known_on(path, box), round(time_s / self.scene.step_s)
+        at, low, along = s + speed_mps * time_s, known.low[:, step], known.along[:, step]
+        leads = known.aligned[:, step] & np.isfinite(low) & (known.low[:, 0] >= s) & np.isfinite(known.low[:, 0])
+        behind = np.where(leads, low - driver.min_gap_m - driver.tau_s * np.maximum(along, 0.0), np.inf)
+        if behind.size == 0 or behind.min() >= at:
+            return at, speed_mps
+        first = int(np.argmin(behind))
+        return max(s, float(behind[first])), max(0.0, float(along[first]))
+
+    def _taken_at(self, time_s: float) -> Traffic:
+        """The other starts of this round after some time, each at its start speed (one step)."""
+        if self._foreseen is None or self._foreseen[0] != (time_s, len(self.taken)):
+            count = len(self.taken)
+            places = [np.array([start.start_s + start.start_mps * time_s]) for start in self.taken]
+            poses = [start.path.line.motion(at) for start, at in zip(self.taken, places, strict=True)]
+            tangent = np.array([tangent[0] for _, tangent, _ in poses]).reshape(count, 1, 2)
+            self._foreseen = (time_s, count), Traffic(
+                ids=tuple(start.vehicle_id for start in self.taken),
+                position=np.array([xy[0] for xy, _, _ in poses]).reshape(count, 1, 2),
+                heading=np.arctan2(tangent[..., 1], tangent[..., 0]),
+                velocity=tangent * np.array([start.start_mps for start in self.taken])[:, None, None],
+                present=np.ones((count, 1), dtype=np.bool_),
+                length_m=np.array([start.box.length_m for start in self.taken]),
+                width_m=np.array([start.box.width_m for start in self.taken]),
+            )  # fmt: skip
+        return self._foreseen[1]
 
     def _start_speed(
         self, offer: RouteOffer, path: DrivenPath, box: BoxSize, s: float, start_s: float, speed: float,
@@ -367,7 +428,7 @@ class InsertionSites:
         """Whether the map ends before the last observed step at a speed."""
         if "topology" in self.scene.config.without:
             return False
-        return offer.length_m - s < speed_mps * self.scene.first_exit_step * DT_S
+        return offer.length_m - s < speed_mps * self.scene.first_exit_step * self.scene.step_s
 
     def _is_taken(self, path: DrivenPath, box: BoxSize, s: float) -> bool:
         """Whether somebody recorded or kept is at a place at the start, or too near to it."""
@@ -414,7 +475,7 @@ class InsertionSites:
         fleet = np.array([[s, speed, 0.0, 0.0, 1.0]])
         found = self.guard.braking(
             obstacles, own=0, step=0, fleet=fleet, state=(s, speed, 0.0), desired_mps=driver.desired_mps,
-            road=self.roads.speeds(path, driver), driver=driver, horizon_s=(self.scene.num_steps - 1) * DT_S,
+            road=self.roads.speeds(path, driver), driver=driver, horizon_s=self.scene.last_s,
         )  # fmt: skip
         if found.run_into:
             return Reason.TTC_RECORDED_FOLLOWER
@@ -449,15 +510,27 @@ class InsertionSites:
         beside = across > (box.width_m + other.box.width_m) / 2 + 0.5
         if beside:
             ahead_of_other = -(dx * tx + dy * ty)
-            passing = other.request.policy is Policy.OVERTAKE and same_way > 0.7
-            near = across < sites.pass_beside_m and -sites.pass_behind_m < ahead_of_other < sites.pass_ahead_m
-            return None if passing and near else speed
+            if same_way < 0.7 or across > sites.pass_beside_m:
+                return speed
+            passing = other.request.policy is Policy.OVERTAKE
+            near = -sites.pass_behind_m < ahead_of_other < sites.pass_ahead_m
+            return None if (passing and near) or self._in_the_gap(other, ahead_of_other, speed, box) else speed
         if same_way < 0.7:
             return speed if gap > sites.crossing_gap_m else None
         if along > 0:
             fits = speed_behind(gap, other.start_mps, driver, sites)
             return min(speed, fits) if gap > self.scene.config.spawn.clear_gap_m else None
         return speed if speed_behind(gap, speed, other.driver, sites) >= other.start_mps else None
+
+    def _in_the_gap(self, changes: Start, ahead_m: float, speed_mps: float, box: BoxSize) -> bool:
+        """Whether a vehicle ahead_m ahead on a lane beside is where another one is to change lanes, at its trigger."""
+        if changes.request.policy is not Policy.LANE_CHANGE:
+            return False
+        params, apart = self.scene.config.lane_change, 0.5 * (changes.box.length_m + box.length_m)
+        at_m = ahead_m + (speed_mps - changes.start_mps) * changes.request.trigger_s
+        front_m = safe_gap_m(changes.start_mps, speed_mps, time_gap_s=params.time_gap_front_s, params=params)
+        rear_m = safe_gap_m(speed_mps, changes.start_mps, time_gap_s=params.time_gap_rear_s, params=params)
+        return -rear_m < at_m + apart and at_m - apart < front_m
 
     def _meets_taken_roughly(self, lane_id: int, lane_s: float, box: BoxSize) -> bool:
         point = self.scene.grid.graph.lanes[lane_id].path.point(np.array([lane_s]))[0]

@@ -11,9 +11,8 @@ from hid2.agents import VEHICLE_TYPES, FloatArray, IntArray, Track
 
 BoolArray = npt.NDArray[np.bool_]
 
-#: A vehicle counts as moving above this extent of its path, seen at more than MOVING_STEPS steps.
-MOVING_EXTENT_M = 5.0
-MOVING_STEPS = 10
+#: A vehicle counts as moving above this extent of its path, m, seen for longer than this, s.
+MOVING_EXTENT_M, MOVING_S = 5.0, 1.0
 #: Tracker fragments (AV2's TRACK_FRAGMENT).
 FRAGMENT = 0
 
@@ -23,14 +22,14 @@ def is_generated_id(track_id: str) -> bool:
     return track_id.startswith("gen_")
 
 
-def is_moving(position: FloatArray) -> bool:
+def is_moving(position: FloatArray, *, step_s: float) -> bool:
     """Whether a track (N, 2), m, counts as that of a moving agent."""
     extent = position.max(axis=0) - position.min(axis=0)
-    return bool(_counts_as_moving(np.hypot(*extent), len(position)))
+    return bool(_counts_as_moving(np.hypot(*extent), len(position), step_s))
 
 
-def _counts_as_moving(extent_m: Any, steps: Any) -> Any:  # noqa: ANN401  # numbers or arrays of them
-    return (extent_m > MOVING_EXTENT_M) & (steps > MOVING_STEPS)
+def _counts_as_moving(extent_m: Any, steps: Any, step_s: float) -> Any:  # noqa: ANN401  # numbers or arrays of them
+    return (extent_m > MOVING_EXTENT_M) & (steps > round(MOVING_S / step_s))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -111,7 +110,7 @@ def stack(
     tracks: Sequence[Track],
     *,
     num_steps: int | None = None,
-    step_s: float = 0.1,
+    step_s: float,
     is_generated: Callable[[str], bool] = is_generated_id,
 ) -> SceneArrays:
     """Put the tracks of a scene into flat arrays; a scene without tracks gives empty ones.
@@ -149,7 +148,7 @@ def stack(
         generated=np.array([is_generated(track.track_id) for track in tracks], dtype=bool),
         vehicle=vehicle,
         fragment=category == FRAGMENT,
-        moving=_counts_as_moving(extent, counts),
+        moving=_counts_as_moving(extent, counts, step_s),
         length=np.array([track.size.length_m for track in tracks], dtype=np.float64),
         width=np.array([track.size.width_m for track in tracks], dtype=np.float64),
         first=first,

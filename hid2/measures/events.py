@@ -40,7 +40,7 @@ class EventMeasures:
         return self.min_ttc_s is not None and self.min_ttc_s < HUMAN_BRAKES_S
 
 
-def measure_event(own: Track, target: Track, *, at_step: int, since_step: int, step_s: float = 0.1) -> EventMeasures:
+def measure_event(own: Track, target: Track, *, at_step: int, since_step: int, step_s: float) -> EventMeasures:
     """Measures of an event at a step, TTC and DRAC from since_step on.
 
     Errors: ValueError where one of the two is not there at that step.
@@ -50,16 +50,16 @@ def measure_event(own: Track, target: Track, *, at_step: int, since_step: int, s
     offset = pose[:2] - other[:2]
     along = offset[0] * math.cos(other[2]) + offset[1] * math.sin(other[2])
     gap = abs(along) - 0.5 * (own.size.length_m + target.size.length_m)
-    min_ttc_s, drac = _closing(own, target, since_step)
+    min_ttc_s, drac = _closing(own, target, since_step, step_s)
     return EventMeasures(
         gap_m=float(gap), speed_difference_mps=float(speed - other_speed), min_ttc_s=min_ttc_s,
         pet_s=post_encroachment_of(own, target, step_s=step_s), drac_mps2=drac,
     )  # fmt: skip
 
 
-def post_encroachment_of(own: Track, target: Track, *, step_s: float = 0.1) -> float | None:
+def post_encroachment_of(own: Track, target: Track, *, step_s: float) -> float | None:
     """PET of two tracks, s; None where their paths do not cross within CAP_S."""
-    arrays = stack([own, target])
+    arrays = stack([own, target], step_s=step_s)
     steps = post_encroachment(
         np.arange(2), arrays.position, arrays.heading, arrays.length, arrays.width, arrays.first, arrays.step,
         round(CAP_S / step_s), CROSSING_RAD, 0,
@@ -87,9 +87,9 @@ def crossing_steps(own: Track, target: Track) -> tuple[int, int] | None:
     return int(own.timesteps[hit[0, 0]]), int(target.timesteps[hit[0, 1]])
 
 
-def _closing(own: Track, target: Track, since_step: int) -> tuple[float | None, float]:
+def _closing(own: Track, target: Track, since_step: int, step_s: float) -> tuple[float | None, float]:
     """Smallest TTC of the pair, s, and the target's largest DRAC, m/s2, from a step on."""
-    arrays = stack([own, target])
+    arrays = stack([own, target], step_s=step_s)
     ttc_s, _ = time_to_collision(
         arrays.position, arrays.heading, arrays.velocity, arrays.length, arrays.width, arrays.row_of, CAP_S
     )

@@ -18,8 +18,8 @@ from netconvert.lane_graph import MOTOR_TYPES, LaneGraph, TurnType
 BEYOND_EDGE_M = 1.0
 #: A lane agrees with the direction of motion below this angle.
 AGREE_RAD = math.radians(60)
-#: Direction of motion: displacement over this many steps either side, where it is at least MIN_CHORD_M.
-HALF_WINDOW = 5
+#: Direction of motion: displacement over this long either side, s, where it is at least MIN_CHORD_M.
+HALF_WINDOW_S = 0.5
 MIN_CHORD_M = 1.0
 _CANDIDATES = 10
 #: Lanes shorter than this may be passed between two steps.
@@ -155,7 +155,8 @@ def match_lanes(arrays: SceneArrays, lanes: FlatLanes) -> tuple[Matches, BoolArr
     Rows of other agents have lane -1. Going against: the centre is on a lane that points more than 90 degrees away from
     the motion, and not on, nor within SLIVER_M of, one that points less than 60 degrees away.
     """
-    direction, known = motion_directions(arrays.position, arrays.heading, arrays.first, HALF_WINDOW, MIN_CHORD_M)
+    half = max(1, round(HALF_WINDOW_S / arrays.step_s))
+    direction, known = motion_directions(arrays.position, arrays.heading, arrays.first, half, MIN_CHORD_M)
     wanted = arrays.vehicle[arrays.agent] if arrays.num_agents else np.zeros(0, dtype=bool)
     lane, s, d, cost, count, against = lane_candidates(
         arrays.position,

@@ -26,11 +26,12 @@ class RecordedVehicles:
     tracks: Sequence[Track]
     lanes: FlatLanes
     num_steps: int
+    step_s: float
     arrays: SceneArrays = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Put the tracks into arrays, once."""
-        object.__setattr__(self, "arrays", stack(self.tracks, num_steps=self.num_steps))
+        object.__setattr__(self, "arrays", stack(self.tracks, num_steps=self.num_steps, step_s=self.step_s))
 
     def conflict_with(self, track: Track, *, ttc_s: float, pet_s: float) -> str | None:
         """What would come of a generated track: one that comes up behind it at a TTC below ttc_s, a PET below pet_s."""
@@ -43,7 +44,7 @@ class RecordedVehicles:
 
     def _is_crossed_by(self, track: Track, critical_s: float) -> bool:
         """Whether a track crosses the path of any moving vehicle at a PET below critical_s."""
-        if not is_moving(track.position):
+        if not is_moving(track.position, step_s=self.step_s):
             return False
         seen = self.arrays
         return bool(
@@ -67,7 +68,7 @@ class RecordedVehicles:
 
     def with_generated(self, generated: Sequence[Track]) -> "ExportedPositions":
         """As they are exported together."""
-        arrays = self.arrays.joined(stack(generated, num_steps=self.num_steps))
+        arrays = self.arrays.joined(stack(generated, num_steps=self.num_steps, step_s=self.step_s))
         return ExportedPositions(self.tracks, generated, self.lanes, self.num_steps, arrays)
 
 
@@ -136,7 +137,7 @@ class ExportedPositions:
         if not closes_in:
             return None
         rows = [row, *np.flatnonzero(near).tolist()]  # itself first
-        scene = stack([self.tracks[k] for k in rows], num_steps=self.num_steps)
+        scene = stack([self.tracks[k] for k in rows], num_steps=self.num_steps, step_s=seen.step_s)
         matches, _ = match_lanes(scene, self.lanes)
         led = leaders(scene, self.lanes, matches)
         own = slice(*scene.first[:2].tolist())

@@ -15,19 +15,20 @@ from hid2.drivers.driver import LaneOffset
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 
 _TRUNCATED_AT = 3.0  # standard deviations of the filter
-#: Acceleration at the first and last step over the jerk limit, and how fast it may grow from there: derived, not tuned.
-#: Who differentiates positions three times, one-sided at the ends, finds there a jerk of 2.5 /s times the acceleration
-#: plus .8 times the jerk.
-_EDGE_S, _EDGE_GROWTH = 0.14, 0.7
+#: Acceleration at the first and last step over the jerk limit, fifths of a step, and how fast it may grow from there:
+#: derived, not tuned. Who differentiates positions three times, one-sided at the ends, finds there a jerk of a quarter
+#: of the acceleration for each step, plus .8 times the jerk.
+_EDGE_FIFTHS, _EDGE_GROWTH = 7.0, 0.7
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Motion:
-    """s (T,) m, v (T,) m/s, a (T,) m/s2 at every step: knots of cubics."""
+    """s (T,) m, v (T,) m/s, a (T,) m/s2 at every step, step_s apart: knots of cubics."""
 
     s: FloatArray
     v: FloatArray
     a: FloatArray
+    step_s: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -62,7 +63,7 @@ def smooth_motion(
     moved = 0.5 * step_s * (v[1:] + v[:-1]) - step_s * step_s / 12.0 * np.diff(a)
     s = np.concatenate([[0.0], np.cumsum(np.maximum(moved, 0.0))])
     drift = float(np.mean(s_driven - s_driven[0] - s))
-    return Motion(s=s_driven[0] + s + np.clip(drift, -0.2, 0.2), v=v, a=a)
+    return Motion(s=s_driven[0] + s + np.clip(drift, -0.2, 0.2), v=v, a=a, step_s=step_s)
 
 
 def _with_eased_ends(v: FloatArray, jerk_mps3: float, step_s: float) -> FloatArray:
@@ -71,7 +72,7 @@ def _with_eased_ends(v: FloatArray, jerk_mps3: float, step_s: float) -> FloatArr
     Otherwise a vehicle that brakes as its track ends shows, by one-sided differences, a jerk that it never had.
     """
     a, step = np.gradient(v, step_s), np.arange(v.size)
-    bound = jerk_mps3 * (_EDGE_S + _EDGE_GROWTH * step_s * np.minimum(step, step[::-1]))
+    bound = jerk_mps3 * (_EDGE_FIFTHS * step_s / 5.0 + _EDGE_GROWTH * step_s * np.minimum(step, step[::-1]))
     change = np.clip(a, -bound, bound) - a
     gained = np.concatenate([[0.0], np.cumsum(0.5 * step_s * (change[1:] + change[:-1]))])
     return np.asarray(np.maximum(v + gained - gained[v.size // 2], 0.0), dtype=np.float64)

@@ -10,6 +10,8 @@ import numpy.typing as npt
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
 
 BoolArray = npt.NDArray[np.bool_]
+#: Velocity is the difference of positions over this long either side, s.
+_HALF_S = 0.2
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -122,7 +124,7 @@ def traffic_of(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> Tra
         position[row, first : last + 1] = xy
         heading[row, first : last + 1] = angle
         present[row, first : last + 1] = True
-        velocity[row, first : last + 1] = _velocity(xy, step_s)
+        velocity[row, first : last + 1] = velocity_of(xy, step_s)
     return Traffic(
         ids=tuple(track.track_id for track in tracks),
         position=position,
@@ -140,10 +142,13 @@ def _covering(track: Track) -> BoxSize:
     return BoxSize(max(track.size.length_m, assumed.length_m), max(track.size.width_m, assumed.width_m))
 
 
-def _velocity(xy: FloatArray, step_s: float) -> FloatArray:
-    """Difference over up to half a second around each step: trackers jitter, leaders' speeds must not."""
-    count = len(xy)
+def velocity_of(xy: FloatArray, step_s: float) -> FloatArray:
+    """Velocities (N, 2) m/s of positions (N, 2) m.
+
+    Difference over up to half a second around each step: trackers jitter, leaders' speeds must not.
+    """
+    count, half = len(xy), max(1, round(_HALF_S / step_s))
     index = np.arange(count)
-    before, after = np.maximum(index - 2, 0), np.minimum(index + 2, count - 1)
+    before, after = np.maximum(index - half, 0), np.minimum(index + half, count - 1)
     span = np.maximum(after - before, 1) * step_s
     return np.asarray((xy[after] - xy[before]) / span[:, None], dtype=np.float64)

@@ -16,7 +16,7 @@ from hid2.policy.decision import LaneOption, Side
 from hid2.policy.lane_change import Gap
 from hid2.policy.overtake import Leader
 from hid2.reasons import Reason
-from hid2.scene import DRIVABLE_TYPES, DT_S, Scene
+from hid2.scene import DRIVABLE_TYPES, Scene
 from netconvert.cells import Cell
 
 _HALF_LANE_M = 1.5  # half of the narrowest lane: what "on a lane path" means, the same for all
@@ -179,7 +179,7 @@ def lay_across(
     """
     change, smoothing = scene.config.lane_change, scene.config.smoothing
     pace = max(pace_mps, change.min_speed_mps)
-    time_left_s = change.time_share * (scene.num_steps - 1 - step) * DT_S - change.spare_s
+    time_left_s = change.time_share * (scene.num_steps - 1 - step) * scene.step_s - change.spare_s
     lasting_s = max(change.min_duration_s, min(lasting_s, time_left_s, change.length_share * remaining_m / pace))
     blend = blend_paths(
         path.raw, target.raw, start_m=path.to_raw(s), length_m=pace * lasting_s, step_m=smoothing.path_step_m,
@@ -204,7 +204,7 @@ def _next_sigma(scene: Scene, cell: Cell, *, step: int, speed_mps: float) -> int
         return FREE
     borders = grid.edges_s(cell.lane_id)
     cell_m = float(borders[cell.index + 1] - borders[cell.index])
-    steps = dwell_steps(cell_m=cell_m, speed_mps=speed_mps, step_s=DT_S)
+    steps = dwell_steps(cell_m=cell_m, speed_mps=speed_mps, step_s=scene.step_s)
     if steps is None or step + steps >= scene.num_steps:
         return FREE
     return int(scene.occupancy.sigma[step + steps, grid.index_of[following]])

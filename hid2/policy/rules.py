@@ -89,7 +89,7 @@ def user_rule(name: str) -> UserRule:
     except (ImportError, AttributeError) as error:
         raise ConfigError(f"lane_change.rule = {name!r}: {error}; expected a module that Python finds here") from error
     if not callable(found):
-        raise ConfigError(f"lane_change.rule = {name!r}: is no function")
+        raise ConfigError(f"lane_change.rule = {name!r}: no function, expected module:function")
     return found  # type: ignore[no-any-return]
 
 

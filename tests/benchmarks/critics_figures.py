@@ -40,7 +40,7 @@ class Figures:
         self.durations: list[float] = []
 
     def add(self, number: int, name: str, tracks, graph, *, num_steps: int, first: bool) -> None:
-        arrays = stack(tracks, num_steps=num_steps)
+        arrays = stack(tracks, num_steps=num_steps, step_s=0.1)
         ground = prepare_map(graph)
         safe = safety(arrays, ground)
         members = arrays.vehicle & arrays.moving & ~(arrays.fragment & ~arrays.generated)

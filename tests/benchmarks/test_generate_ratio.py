@@ -36,7 +36,7 @@ from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Request
-from hid2.scene import DT_S, Scene, build_scene
+from hid2.scene import Scene, build_scene
 
 import libsumo  # after bridge.sumo.simulation, which silences a remark of its import on stdout  # isort: skip
 
@@ -88,7 +88,7 @@ def starts_of(made: GeneratedScene, scene: Scene) -> list[Start]:
 def run_floor(net: Path, traffic: Traffic, front: FloatArray, angle: FloatArray, starts: Sequence[Start]) -> None:
     """The bare floor: nothing but what SUMO itself needs. front (A, T, 2) m, angle (A, T) degrees."""
     libsumo.start([
-        "sumo", "--net-file", str(net), "--step-length", f"{DT_S}", "--seed", "0", "--collision.action", "none",
+        "sumo", "--net-file", str(net), "--step-length", "0.1", "--seed", "0", "--collision.action", "none",
         "--time-to-teleport", "-1", "--no-step-log", "true", "--no-warnings", "true", "--duration-log.disable", "true",
     ])  # fmt: skip
     vehicle = libsumo.vehicle
@@ -137,7 +137,12 @@ def measure(folder: Path, agents: int, *, rounds: int) -> Timing:
     scenario = read_scenario(folder)
     prepared: PreparedScene = prepare(scenario, config)
     recorded = build_scene(
-        prepared.grid, scenario.tracks, config=config, num_steps=scenario.num_steps, last_observed_step=49
+        prepared.grid,
+        scenario.tracks,
+        config=config,
+        num_steps=scenario.num_steps,
+        last_observed_step=49,
+        step_s=0.1,
     )
     traffic = recorded.traffic
     front, angle = sumo_poses(traffic.position, traffic.heading, traffic.length_m[:, None])

@@ -201,4 +201,22 @@ def test_study_without_scenes_says_so(hid2: Run, tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text("[vary]\ntrigger_s = [1.0]\n")
     result = hid2("study", tmp_path / "study.toml", "-o", tmp_path / "out")
     assert result.returncode == 2
-    assert last_message(result) == f"hid2: error: {tmp_path / 'study.toml'}: scenes is missing"
+    assert last_message(result).startswith(f"hid2: error: {tmp_path / 'study.toml'}: no key 'scenes'; expected a study")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("evaluate", ".", "-o", "r", "--json"), "--json without --predictions"),
+        (("paper", "table1", "-o", "p", "--val", "0.5"), "--val does nothing in table1, expected it with prediction"),
+        (("paper", "prediction", "-o", "p", "--map", "m"), "--map does nothing in prediction, expected it with the"),
+    ],
+    ids=["evaluate", "paper", "prediction"],
+)
+def test_options_that_would_do_nothing_are_refused(
+    hid2: Run, tmp_path: Path, arguments: tuple[str, ...], said: str
+) -> None:
+    result = hid2(*arguments, cwd=tmp_path)
+    assert result.returncode == 2
+    assert said in last_message(result)
+    assert not list(tmp_path.iterdir())

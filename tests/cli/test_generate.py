@@ -56,6 +56,20 @@ def test_request_ends_up_in_the_sidecar(hid2: Run, data_scenes: dict[str, Path],
         assert config["without"] == ["smoothing"]
 
 
+def test_event_that_does_not_come_about_is_in_the_table_with_its_reason(
+    hid2: Run, data_scenes: dict[str, Path], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    result = hid2("generate", data_scenes["curve"], "-o", out, "--agents", 0, "--event", "cut_in", "--target", "nobody")
+    assert result.returncode == 0, result.stderr
+    (row,) = rows_of(out)
+    assert (row["events_requested"], row["events_done"]) == ("1", "0")
+    assert row["not_done"] == "cut_in with nobody: event_no_target (1)"
+    assert "cut_in with nobody: event_no_target (1)" in result.stdout
+    assert result.stdout.splitlines()[1].split()[-3:] == ["events", "s", "remarks"]
+    assert "; events done: 0 of 1\n" in result.stdout
+
+
 def test_same_request_gives_the_same_bytes(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
     for name in ("a", "b"):
         assert hid2("generate", data_scenes["curve"], "-o", tmp_path / name, "--agents", 5, "-q").returncode == 0
@@ -103,6 +117,7 @@ def test_zero_agents_is_a_scene_like_any_other(hid2: Run, data_scenes: dict[str,
         (["--set", "limits.min_radius_m=0"], "limits.min_radius_m = 0, expected"),
         (["--behaviours", "fly=1"], "behaviours: 'fly=1'"),
         (["--trigger-time", "soon"], "trigger-time: 'soon'"),
+        (["--trigger-time", "12"], "the 3 scenes looked at ends at 10.9 s; expected an earlier time"),
         (["--focal", "nobody"], "'nobody' is not one of 'recorded', 'generated'"),
         (["--without", "brakes"], "'brakes' is not one of 'topology'"),
         (["--config", "missing.toml"], "missing.toml: no such file"),
@@ -111,6 +126,10 @@ def test_zero_agents_is_a_scene_like_any_other(hid2: Run, data_scenes: dict[str,
         (["--agnts", "3"], "--agents"),
         (["--min-agents", "10000"], "none of 3 scenes is left"),
         (["--no-such-option"], "no such option"),
+        (["--source", "here"], "--source without --from"),
+        (["--function", "a:b"], "--function without --repro"),
+        (["--repro", "README.md"], "README.md: is no ZIP file, expected a bundle"),
+        (["--from", "none.json"], "--from none.json: no such file, expected the sidecar of a generated scene"),
     ],
 )
 def test_wrong_request_is_exit_code_2_and_named(

@@ -37,6 +37,30 @@ def test_out_below_a_data_set_is_taken_with_a_warning(data_set: Path, capsys: py
     assert line.startswith(f"hid2: warning: {data_set / 'out'} lies inside the data set {data_set}")
 
 
+def test_a_folder_with_a_single_scene_may_be_that_of_the_user(
+    data_scenes: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One scene was put into a folder, and the command is called there; a second one makes it a split folder."""
+    shutil.copytree(data_scenes["curve"], tmp_path / "mine")
+    check_out(tmp_path / "out")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"hid2: warning: {tmp_path / 'out'} lies inside the data set {tmp_path}")
+    shutil.copytree(data_scenes["curve"], tmp_path / "second")
+    with pytest.raises(ConfigError, match=r"inside the split folder .*, beside the scene (mine|second); choose"):
+        check_out(tmp_path / "out")
+
+
+def test_a_picture_may_lie_among_scenes_but_not_in_one(data_set: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = next((data_set / "train").iterdir())
+    check_out_file(data_set / "train" / "picture.png")
+    assert capsys.readouterr().err == ""
+    with pytest.raises(ConfigError, match="inside the scene"):
+        check_out_file(scene / "pictures" / "picture.png")
+    (data_set / "file").touch()
+    with pytest.raises(ConfigError, match="cannot be made"):
+        check_out_file(data_set / "file" / "picture.png")
+
+
 def test_out_elsewhere_or_of_an_earlier_run_is_taken_silently(
     data_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -83,6 +107,18 @@ def test_data_set_for_a_command_of_one_scene_is_refused_with_an_example(
         in result.stderr
     )
     assert list(tmp_path.iterdir()) == []
+
+
+def test_folder_of_sequences_for_a_command_of_one_scene_is_refused_with_an_example(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "7.csv").touch()
+    with pytest.raises(ConfigError, match=r"holds several scenes, this command takes one; for example .*data/7\.csv"):
+        check_one_scene(tmp_path)
+
+
+def test_what_is_not_there_is_said_before_anything_slow_is_loaded(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="nowhere: no such folder, expected a scenario folder, a split folder or"):
+        check_scenes([tmp_path / "nowhere"])
 
 
 @pytest.mark.parametrize("map_file", [False, True])

@@ -70,7 +70,7 @@ def test_single_scene_commands_take_a_sequence_and_a_window(hid2: Run, mixed: Pa
     ("arguments", "said"),
     [
         (["--format", "argoverse1"], "is no Argoverse 1 sequence, expected these alone"),
-        (["--map", "nowhere"], "--map nowhere: no log_map_archive_<id>.json"),
+        (["--map", "nowhere"], "--map nowhere: no such file or folder, expected one Argoverse 2 map"),
         (["--stride", "0"], "invalid value for '--stride'"),
     ],
     ids=["format", "map", "stride"],

@@ -65,7 +65,9 @@ def _track(x: float, y: float, speed: float = 0.0, *, heading: float = 0.0, leng
 
 
 def _scene(*tracks: Track) -> Scene:
-    return build_scene(build_cell_grid(_road()), tracks, config=Config(), num_steps=110, last_observed_step=49)
+    return build_scene(
+        build_cell_grid(_road()), tracks, config=Config(), num_steps=110, last_observed_step=49, step_s=0.1
+    )
 
 
 NOBODY = Traffic(
@@ -142,7 +144,8 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
         Spread.of((0, 0)),
     )
     config = Config(request=Request(left_turn=0, right_turn=0, lane_change=0, overtake=0))
-    placed = [start for one in draw_requests(config, np.random.default_rng(0), count=6) for start in sites.propose(one)]
+    requests = draw_requests(config, np.random.default_rng(0), count=6, duration_s=10.9)
+    placed = [start for one in requests for start in sites.propose(one)]
     assert len(placed) >= 3
     taken: set[int] = set()
     for start in placed:
@@ -351,7 +354,7 @@ def test_conflict_2_executing_before_pending_closer_before_farther(
     ring = np.array([(-20.0, -90.0), (220.0, -90.0), (220.0, 130.0), (-20.0, 130.0), (-20.0, -90.0)])
     lanes = {1: _lane(1, [(0, 0), (200, 0)]), 2: _lane(2, [(80, -80), (80, 120)])}
     grid = build_cell_grid(LaneGraph(lanes, drivable_areas=(ring,)))
-    scene = build_scene(grid, (), config=Config(), num_steps=110, last_observed_step=49)
+    scene = build_scene(grid, (), config=Config(), num_steps=110, last_observed_step=49, step_s=0.1)
     fleet = [[40.0, 10.0, 0.0, own_executing, 1.0], [other_s, (80.0 - other_s) / 4.0, 0.0, other_executing, 1.0]]
     found = _braking(scene, scene.path((1,)), [(1, scene.path((2,)), CAR)], fleet)
     assert (found.decel_mps2 > 0.0) is brakes
@@ -409,7 +412,7 @@ def test_curvature_of_a_trajectory_is_the_cross_product_over_speed_cubed() -> No
     line = build_reference_line(
         20.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]), step_m=1.0, min_radius_m=5.0, max_offset_m=0.6
     )
-    motion = Motion(s=5.0 + 0.8 * np.arange(60), v=np.full(60, 8.0), a=np.zeros(60))
+    motion = Motion(s=5.0 + 0.8 * np.arange(60), v=np.full(60, 8.0), a=np.zeros(60), step_s=0.1)
     middle = LaneOffset(np.array([0.0, 100.0]), np.zeros(2), np.zeros(2))
     position = trajectory(line, motion, middle).position
     first = np.gradient(position, DELTA, axis=0)

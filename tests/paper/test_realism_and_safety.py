@@ -18,14 +18,14 @@ def make_track(x, y=0.0, heading=0.0, *, name="t", kind="vehicle", first=0, size
 
 
 def measured(track):
-    arrays = stack([track])
+    arrays = stack([track], step_s=0.1)
     return kinematics(arrays, motion(arrays))
 
 
 def test_constant_acceleration_along_the_heading_is_all_longitudinal():
     """x = t^2 / 2 * 3: a = 3. Central differences are exact for a parabola two steps from either end."""
     time = 0.1 * np.arange(60)
-    arrays = stack([make_track(1.5 * time**2)])
+    arrays = stack([make_track(1.5 * time**2)], step_s=0.1)
     moved = motion(arrays)
     np.testing.assert_allclose(moved.longitudinal_accel[2:-2], 3.0, atol=1e-9)
     np.testing.assert_allclose(moved.lateral_accel, 0.0, atol=1e-12)
@@ -35,7 +35,7 @@ def test_constant_acceleration_along_the_heading_is_all_longitudinal():
 def test_the_same_acceleration_seen_from_a_turned_heading():
     """a = (3, 0) and theta = 30 degrees: LO = 3 cos 30 = 2.598, LA = |-3 sin 30| = 1.5."""
     time = 0.1 * np.arange(60)
-    arrays = stack([make_track(1.5 * time**2, heading=np.pi / 6)])
+    arrays = stack([make_track(1.5 * time**2, heading=np.pi / 6)], step_s=0.1)
     moved = motion(arrays)
     np.testing.assert_allclose(moved.longitudinal_accel[2:-2], 3 * np.cos(np.pi / 6), atol=1e-9)
     np.testing.assert_allclose(moved.lateral_accel[2:-2], -1.5, atol=1e-9)
@@ -45,7 +45,7 @@ def test_circle_has_lateral_acceleration_v_squared_over_r():
     """R = 20 m at 10 m/s: 5 m/s2 inwards, and a turns at 0.5 rad/s: JE = 2.5 m/s3."""
     angle = 0.5 * 0.1 * np.arange(80)
     track = make_track(20 * np.sin(angle), 20 * (1 - np.cos(angle)), angle)
-    moved = motion(stack([track]))
+    moved = motion(stack([track], step_s=0.1))
     np.testing.assert_allclose(moved.lateral_accel[2:-2], 5.0, rtol=2e-3)
     np.testing.assert_allclose(moved.longitudinal_accel[2:-2], 0.0, atol=1e-9)
     np.testing.assert_allclose(moved.jerk_norm[3:-3], 2.5, rtol=3e-3)
@@ -55,17 +55,17 @@ def test_circle_has_lateral_acceleration_v_squared_over_r():
 def test_cubic_has_constant_jerk():
     """x = 2 t^3 / 6: jerk 2."""
     time = 0.1 * np.arange(60)
-    moved = motion(stack([make_track(2 * time**3 / 6)]))
+    moved = motion(stack([make_track(2 * time**3 / 6)], step_s=0.1))
     np.testing.assert_allclose(moved.jerk_norm[4:-4], 2.0, atol=1e-7)
 
 
 def test_headings_across_pi_are_no_turn():
-    moved = motion(stack([make_track(np.arange(6.0), heading=[3.1, 3.14, -3.13, -3.1, -3.08, -3.05])]))
+    moved = motion(stack([make_track(np.arange(6.0), heading=[3.1, 3.14, -3.13, -3.1, -3.08, -3.05])], step_s=0.1))
     assert np.abs(moved.yaw_rate).max() < 1.0
 
 
 def test_tracks_of_less_than_five_steps_are_not_counted():
-    arrays = stack([make_track(np.arange(4.0), name="a"), make_track(np.arange(5.0), name="b")])
+    arrays = stack([make_track(np.arange(4.0), name="a"), make_track(np.arange(5.0), name="b")], step_s=0.1)
     assert kinematics(arrays, motion(arrays)).counted.tolist() == [False, True]
 
 
@@ -88,7 +88,7 @@ def test_missing_steps_keep_their_time():
     track = Track("t", "vehicle", 1, steps, position, np.zeros(8), np.zeros((8, 2)), BoxSize(4, 2))
     found = measured(track)
     assert found.lo[0] == pytest.approx(0.0, abs=1e-9)
-    np.testing.assert_allclose(motion(stack([track])).speed, 10.0)
+    np.testing.assert_allclose(motion(stack([track], step_s=0.1)).speed, 10.0)
 
 
 def test_scr_is_the_share_of_vehicles_that_collide_at_any_step():
@@ -104,7 +104,7 @@ def test_scr_is_the_share_of_vehicles_that_collide_at_any_step():
         make_track(13.9 * still, name="c"),
         make_track(100 * still, name="d"),
     ]
-    arrays = stack(tracks)
+    arrays = stack(tracks, step_s=0.1)
     pairs = overlaps(arrays)
     assert [(p.first, p.second, p.first_step) for p in pairs] == [(0, 1, 7), (1, 2, 0)]
     assert pairs[1].iou == pytest.approx(0.2 / 15.8)

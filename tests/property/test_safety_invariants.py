@@ -159,6 +159,7 @@ def scenes(draw: st.DrawFn) -> Scenario:
     return Scenario(
         scenario_id="0" * 8, city="synthetic", focal_track_id="0", num_steps=steps, tracks=draw(traffic(graph, steps)),
         graph=graph, table=pa.table({}), folder=Path("nowhere"), map_path=Path("nowhere"), split=None,
+        observed_steps=50, step_s=0.1,
     )  # fmt: skip
 
 

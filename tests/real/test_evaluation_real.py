@@ -63,7 +63,7 @@ def test_lo_la_je_equal_numpy_gradient_track_by_track(real_scene):
         la.append(total[1] / len(track))
         je.append(total[2] / len(track))
     scenario = read_scenario(real_scene)
-    arrays = stack(scenario.tracks)
+    arrays = stack(scenario.tracks, step_s=0.1)
     found = kinematics(arrays, motion(arrays))
     assert int(found.counted.sum()) == len(lo)
     assert found.lo[found.counted].mean() == pytest.approx(np.mean(lo), abs=1e-9)
@@ -92,7 +92,7 @@ def test_scr_equals_shapely_polygons_step_by_step(real_scene):
             if iou > 0.02:
                 hit |= {a, b}
     scenario = read_scenario(real_scene)
-    arrays = stack(scenario.tracks)
+    arrays = stack(scenario.tracks, step_s=0.1)
     pairs = overlaps(arrays)
     rate = colliding(arrays, pairs, arrays.vehicle).sum() / arrays.vehicle.sum()
     assert rate == pytest.approx(len(hit) / vehicles.track_id.nunique(), abs=1e-9)
@@ -117,7 +117,7 @@ def test_orr_and_footprint_equal_shapely_point_by_point(real_scene):
         box = corners(row.position_x, row.position_y, row.heading, *sizes[row.track_id])
         footprint += any(not area.contains(p) and area.distance(p) > 0.3 for p in map(shapely.Point, box))
     scenario = read_scenario(real_scene)
-    arrays = stack(scenario.tracks)
+    arrays = stack(scenario.tracks, step_s=0.1)
     members = arrays.vehicle[arrays.agent]
     rate = off_road(arrays.position, scenario.graph)[members].mean()
     assert rate == pytest.approx(outside / len(vehicles), abs=1e-9)
@@ -133,7 +133,7 @@ def test_recorded_means_are_near_the_papers(real_scenes):
     for folder in real_scenes:
         if (folder / "agent_sizes.csv").is_file():
             continue  # labelled by people: smooth
-        arrays = stack(read_scenario(folder).tracks)
+        arrays = stack(read_scenario(folder).tracks, step_s=0.1)
         found = kinematics(arrays, motion(arrays))
         lo += found.lo[found.counted].tolist()
         la += found.la[found.counted].tolist()
@@ -211,7 +211,7 @@ def seen_by_scene(real_scenes):
     found = {}
     for folder in real_scenes:
         scenario = read_scenario(folder)
-        arrays = stack(scenario.tracks, num_steps=scenario.num_steps)
+        arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=0.1)
         lanes = flatten_lanes(scenario.graph)
         matches, _ = match_lanes(arrays, lanes)
         found[folder.name[:8]] = detect(arrays, lanes, matches)

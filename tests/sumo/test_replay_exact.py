@@ -8,16 +8,15 @@ from bridge.sumo.replay import Replay, ReplayErrors
 from bridge.sumo.simulation import Simulation
 from hid2.occupancy.traffic import traffic_of
 from hid2.params import Config
-from hid2.scene import DT_S
 
 
 def _replay(folder: Path, tmp_path: Path) -> tuple[ReplayErrors, int]:
     scenario = read_scenario(folder)
     net = tmp_path / "scene.net.xml"
     net.write_bytes(prepare(scenario, Config()).net)
-    traffic = traffic_of(scenario.tracks, scenario.num_steps, step_s=DT_S)
-    with Simulation(net, seed=0, step_s=DT_S) as simulation:
-        replay = Replay(simulation, traffic, "r", step_s=DT_S)
+    traffic = traffic_of(scenario.tracks, scenario.num_steps, step_s=scenario.step_s)
+    with Simulation(net, seed=0, step_s=scenario.step_s) as simulation:
+        replay = Replay(simulation, traffic, "r", step_s=scenario.step_s)
         for step in range(scenario.num_steps):
             replay.place(step, {})
             simulation.step()

@@ -88,14 +88,16 @@ def _city_maps(folder: Path) -> Path:
 
 def _chosen_map(path: Path) -> Path:
     """The Argoverse 2 map file that a user chose, by itself or by the folder that it is in. Errors: NoSceneError."""
-    if path.is_file():
+    if path.is_file() and path.suffix == ".json":
         return path
     if any(path.glob(_VECTOR_MAPS)):
         return path
     found = sorted(path.glob(MAP_PATTERN)) if path.is_dir() else []
     if len(found) != 1:
-        have = f"{len(found)} files log_map_archive_<id>.json" if found else "no log_map_archive_<id>.json"
-        raise NoSceneError(f"--map {path}: {have}, expected one Argoverse 2 map, or the folder of one")
+        missing = "is no map" if path.is_file() else "no map in it" if path.is_dir() else "no such file or folder"
+        have = f"holds {len(found)} maps" if found else missing
+        wanted = "one Argoverse 2 map, log_map_archive_<id>.json, or the folder of one"
+        raise NoSceneError(f"--map {path}: {have}, expected {wanted}")
     return found[0]
 
 

@@ -14,6 +14,7 @@ from bridge.config import (
     describe_config,
     load_config,
     parse_behaviours,
+    parse_events,
     parse_trigger_time,
     read_drivers,
 )
@@ -88,6 +89,9 @@ def test_an_override_that_is_wrong_is_named_with_value_and_range(override: str, 
         ("request = 3\n", "request = 3, expected a table"),
         ("[request.agents]\na = 1\n", "request.agents = {'a': 1}"),
         ("[request\n", "not TOML"),
+        ('[[event]]\nkind = "cutin"\n', "event 1: kind = 'cutin', expected cut_in, overtake, lead,"),
+        ('[[event]]\nkind = "cut_in"\nat_s = [1, 2, 3]\n', r"event 1: at_s = .*, expected \[least, largest\]"),
+        ('[[event]]\nkind = "lead"\nbrakes_mps2 = -3\n', "brakes_mps2 = -3, expected number >= 0, <= 4.05"),
         ("without = 'all'\n", "without = 'all'"),
         ("[turn]\nleft_trough = 0.9\n", "must be above left_trough 0.9"),
     ],
@@ -106,7 +110,7 @@ def test_a_file_that_is_missing_or_binary_is_named(tmp_path: Path) -> None:
     (tmp_path / "b.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(ConfigError, match="not TOML"):
         load_config(tmp_path / "b.toml")
-    with pytest.raises(ConfigError, match="not TOML"):
+    with pytest.raises(ConfigError, match="is a folder, expected a configuration"):
         load_config(tmp_path)
 
 
@@ -226,3 +230,19 @@ def test_a_file_of_drivers_that_is_wrong_is_refused(tmp_path: Path, text: str, s
         read_drivers(path)
     assert said in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "values", "criticality", "said"),
+    [
+        ([], {"target": "av", "gap": "2:3"}, ["ttc=1:2"], "--target, --gap, --criticality without --event; say which"),
+        (["cut_in"], {"gap": "wide"}, [], "--gap: 'wide', expected A or A:B"),
+        (["cut_in"], {}, ["thw=1:2"], "--criticality 'thw=1:2': expected ttc=A:B"),
+        (["cut_in"], {}, ["ttc=low"], "--criticality ttc: 'low', expected A or A:B"),
+    ],
+)
+def test_options_of_events_that_are_wrong_are_named(
+    kinds: list[str], values: dict[str, str | int | float | None], criticality: list[str], said: str
+) -> None:
+    with pytest.raises(ConfigError, match=said):
+        parse_events(kinds, values, criticality)

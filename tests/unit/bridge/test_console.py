@@ -10,6 +10,7 @@ from bridge.console import Activity, duration, fail, print_json, warn
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(console, "_FIRST_S", 0.3)
     monkeypatch.setattr(console, "_PLAIN_EVERY_S", 0.3)
 
 
@@ -24,13 +25,40 @@ def test_long_work_says_what_it_does_before_anything_is_counted(
     assert all(line.startswith("reading scenes, ") and line.endswith(" s so far") for line in lines)
 
 
+def test_whoever_waits_hears_something_within_five_seconds() -> None:
+    """Two lines lie 0.2 s further apart than asked for at most; starting the command takes up to 2 s before them."""
+    assert console._FIRST_S + 2.0 + 0.2 < 5.0
+    assert console._PLAIN_EVERY_S + 0.2 < 5.0
+
+
 def test_counted_work_says_how_much_is_done_and_left(impatient: None, capsys: pytest.CaptureFixture[str]) -> None:
     """3 of 12 at half a scene a second: 18 s left."""
     with Activity(quiet=False) as activity:
         activity.doing("generating")
         activity.show(3, 12, 0.5, " (1 quarantined)")
         time.sleep(0.7)
-    assert capsys.readouterr().err.splitlines()[0] == "generating: 3 of 12 (1 quarantined), 0.5/s, 18 s left"
+    assert capsys.readouterr().err.splitlines()[0] == "generating: 3 of 12 (1 quarantined), 30.0/min, 18 s left"
+
+
+def test_nothing_done_yet_has_no_rate(impatient: None, capsys: pytest.CaptureFixture[str]) -> None:
+    with Activity("generating", quiet=False) as activity:
+        activity.show(0, 3)
+        time.sleep(0.7)
+    assert capsys.readouterr().err.splitlines()[0] == "generating: 0 of 3"
+
+
+def test_warnings_wrap_between_words_on_a_terminal_and_commands_to_copy_stay_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    text = f"hid2: warning: {'word ' * 12}--no-break\n  to see it again: {'x ' * 20}"
+    assert console.fitted(text) == text  # no terminal here
+    monkeypatch.setattr(console.sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "40")
+    first, second, third, command = console.fitted(text).split("\n")
+    assert [len(line) <= 40 for line in (first, second, third)] == [True] * 3
+    assert [line[:2] for line in (second, third)] == ["  ", "  "]
+    assert "--no-break" in third
+    assert command == f"  to see it again: {'x ' * 20}"
 
 
 def test_quiet_says_messages_only(impatient: None, capsys: pytest.CaptureFixture[str]) -> None:

@@ -87,7 +87,7 @@ def test_profile_is_speed_over_speed_at_the_entrance(script: ModuleType) -> None
     assert profile[0] == 1.0
     assert profile[18] == pytest.approx(5.0 / entry)
     jump = replace(car, position=np.column_stack([np.where(s > 8, s + 3.0, s), np.zeros(len(s))]))
-    unclean = script._profile(script.stack([jump]), 0, inside[0], inside[-1], s[inside] / 20, sign=1)
+    unclean = script._profile(script.stack([jump], step_s=0.1), 0, inside[0], inside[-1], s[inside] / 20, sign=1)
     assert unclean == "not clean: speed jumps"
     assert script._profile(arrays, 0, inside[0], inside[-1], s[inside] / 20, sign=-1) == "hardly turns"
     assert (

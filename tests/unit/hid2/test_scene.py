@@ -23,6 +23,7 @@ def scene_of(road: Callable[..., LaneGraph], track: Callable[..., Track]) -> Cal
             config=config,
             num_steps=num_steps,
             last_observed_step=min(49, num_steps - 1),
+            step_s=0.1,
         )
 
     return make
@@ -106,6 +107,6 @@ def test_recorded_occupancy_is_known_beforehand(scene_of: Callable[..., Scene], 
 
 def test_cell_of_a_place_on_a_path(road: Callable[..., LaneGraph]) -> None:
     """200 m of lane in 50 cells of 4 m."""
-    scene = build_scene(build_cell_grid(road()), (), config=Config(), num_steps=110, last_observed_step=49)
+    scene = build_scene(build_cell_grid(road()), (), config=Config(), num_steps=110, last_observed_step=49, step_s=0.1)
     path = scene.path((1,))
     assert [scene.cell_at(path, s).index for s in (0.0, 3.9, 4.1, 198.0)] == [0, 0, 1, 49]

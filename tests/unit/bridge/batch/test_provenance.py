@@ -53,10 +53,13 @@ def test_a_file_that_differs_is_named(scene: Path, data_root: Path, tmp_path: Pa
 def test_what_cannot_be_made_again_is_explained(scene: Path, data_root: Path, data_scenes, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="holds the scene of"):
         make_again(sidecar_of(scene), data_root, scene.parents[1])
-    with pytest.raises(NoSceneError, match="0 recorded scenes"):
+    with pytest.raises(NoSceneError, match=r"no recorded scene .*, of which .* was made; give the ROOT"):
         make_again(sidecar_of(scene), data_scenes["curve"], tmp_path / "again")
     with pytest.raises(ScenarioError, match="no such file, expected a sidecar"):
         make_again(scene / "hid2_x.json", data_root, tmp_path / "again")
+    (tmp_path / "text.json").write_text("no JSON")
+    with pytest.raises(ScenarioError, match=r"text\.json: not JSON, expected a sidecar"):
+        make_again(tmp_path / "text.json", data_root, tmp_path / "again")
     content = json.loads(sidecar_of(scene).read_text())
     content["config"]["request"]["agents"] = 3
     sidecar_of(scene).write_text(json.dumps(content))

@@ -244,7 +244,16 @@ def test_a_scene_in_which_nothing_moves_is_measured(made_scene):
         replace(track, position=np.repeat(track.position[:1], len(track.timesteps), axis=0))
         for track in scenario.tracks[:3]
     ]
-    measures = measure(parked, prepare_map(scenario.graph), None, limits=Limits(), num_steps=110, source="parked")
+    measures = measure(
+        parked,
+        prepare_map(scenario.graph),
+        None,
+        limits=Limits(),
+        num_steps=110,
+        source="parked",
+        observed_steps=50,
+        step_s=0.1,
+    )
     assert measures.samples.shape == (0, WIDTH)
     assert measures.scene["combined_moving"] == 0
 

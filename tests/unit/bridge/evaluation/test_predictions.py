@@ -24,7 +24,7 @@ from bridge.generation.generate import generate, write
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from bridge.recordings.sources import find_recordings, read_recording
 from hid2.params import Config
-from netconvert.errors import ScenarioError
+from netconvert.errors import ConfigError, ScenarioError
 
 
 def focal_future(scenario):
@@ -201,14 +201,14 @@ def test_what_cannot_be_scored_is_listed_or_explained(data_scenes, data_root, tm
     result = score_predictions(tmp_path / "some", predictions="constant-velocity", report_dir=tmp_path / "report")
     assert result.left_out[0].startswith(f"{broken}: not a parquet file (")
     assert len({score.scenario_id for score in result.scores}) == 2
-    with pytest.raises(ScenarioError, match="no such file, expected a forecast file or one of constant-velocity"):
+    with pytest.raises(ConfigError, match="no such file, expected a forecast file or one of constant-velocity"):
         read_forecasts(tmp_path / "none.parquet")
     (tmp_path / "bad.parquet").write_bytes(b"no")
-    with pytest.raises(ScenarioError, match="not a forecast file") as said:
+    with pytest.raises(ConfigError, match="not a forecast file") as said:
         read_forecasts(tmp_path / "bad.parquet")
     assert len(str(said.value)) < len(str(tmp_path)) + 150  # pyarrow's own reason goes on for three times as much
     pd.DataFrame({"scenario_id": ["a"]}).to_parquet(tmp_path / "wrong.parquet")
-    with pytest.raises(ScenarioError, match="not a forecast file"):
+    with pytest.raises(ConfigError, match="not a forecast file"):
         read_forecasts(tmp_path / "wrong.parquet")
 
 

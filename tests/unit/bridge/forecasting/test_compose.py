@@ -261,6 +261,21 @@ def test_cities_and_densities_are_on_both_sides_in_proportion():
     assert sorted(splits["train"] + splits["val"]) == list(range(40))
 
 
+def test_a_share_of_a_source_is_drawn(data_root, tmp_path):
+    """Two of three scenes: 0.5 of three is 1.5, which is 2; the same on the command line."""
+    values = {
+        "sources": {"data": (str(data_root),)},
+        "sets": {"a": {"take": {"data": 0.5}}},
+        "split": {"val": 0.0},
+    }
+    assert composed(values, tmp_path / "root").counts == {"": {"train": 2, "val": 0, "test": 0}}
+    of = {"split": Split(), "seed": 0, "layout": "av2", "min_agents": 0, "min_agents_in": "all"}
+    made = composition_of_sources(["here:0.5", "there:7", "all"], **of)
+    assert list(made.sets["all"].take.values()) == [0.5, 6, "all"]
+    with pytest.raises(ConfigError, match=r"'here:1\.5': expected SOURCE or SOURCE:N"):
+        composition_of_sources(["here:1.5"], **of)
+
+
 def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
     source = {"data": (str(data_root),)}
     for values, message in (
@@ -269,12 +284,16 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
         ({"sources": source, "sets": {"a": {"take": {"data": -1}}}}, "sets.a.take.data"),
         ({"sources": source, "sets": {"a": {}}, "split": {"val": 0.6, "test": 0.5}}, "expected less than 1"),
         ({"sources": source, "sets": {"a/b": {}}}, "sets.a/b"),
-        ({"sources": source, "sets": {"a": {}}, "colour": 1}, "colour"),
+        ({"sources": source, "sets": {"a": {}}, "colour": 1}, "unknown key 'colour'; expected seed, layout, split"),
+        ({"sources": source, "sets": {"a": {"tke": {}}}}, r"unknown key 'sets\.a\.tke'; expected take, again"),
+        ({"sets": {"a": {}}}, "C.toml: no sources, expected it in a composition"),
+        ({"sources": source, "sets": {"a": {"take": {"data": 1.5}}}}, "= '1.5', expected a number of scenes, a share"),
+        ({"sources": source, "sets": {"a": {}}, "split": {"by": "log"}}, "split.by = 'log', expected 'place' or"),
     ):
         with pytest.raises(ConfigError, match=message):
             composition_of(values, "C.toml")
     values = {"sources": source, "sets": {"a": {"take": {"data": 4}}}, "split": {"val": 0.0}}
-    with pytest.raises(ConfigError, match=r"sets\.a: 4 scenes of 'data' asked for in train, 3 are there"):
+    with pytest.raises(ConfigError, match=r"sets\.a: 4 scenes of 'data' \(.*\) asked for in train, 3 are there"):
         composed(values, tmp_path / "root")
     assert not (tmp_path / "root").exists()
     (tmp_path / "full" / "something").mkdir(parents=True)

@@ -32,7 +32,7 @@ def test_row_by_hand() -> None:
         step=20, side="left", target=Cell(7, 3), front=Gap(12.0, 8.0, "a"), rear=Gap(9.0, 15.0, "b"), own_mps=10.0,
         remaining_m=80.0, cells_free=True, rule=None, guard=None, sumo=False,
     )  # fmt: skip
-    (row,) = gap_rows([(2, _vehicle(look))], {"v0_0": "gen_4"})
+    (row,) = gap_rows([(2, _vehicle(look))], {"v0_0": "gen_4"}, step_s=0.1)
     assert list(row) == list(GAP_COLUMNS)
     assert (row["vehicle"], row["round"], row["track_id"], row["policy"]) == ("v0_0", 2, "gen_4", "lane_change")
     assert (row["trigger_s"], row["time_s"], row["lane_id"], row["cell"]) == (1.5, 2.0, 7, 3)
@@ -50,7 +50,7 @@ def test_row_by_hand() -> None:
 )
 def test_who_is_not_asked_has_no_answer(rule: str | None, guard: str | None, answers: tuple[str | None, ...]) -> None:
     look = GapLook(20, "right", Cell(7, 3), Gap.none(), Gap.none(), 10.0, 80.0, True, rule, guard)
-    (row,) = gap_rows([(0, _vehicle(look))], {})
+    (row,) = gap_rows([(0, _vehicle(look))], {}, step_s=0.1)
     assert (row["rule"], row["guard"], row["sumo"]) == answers
     assert row["lead_gap_m"] is row["lead_id"] is row["lag_ttc_s"] is row["track_id"] is None
 
@@ -70,5 +70,5 @@ def test_file_is_beside_the_scene_and_agrees_with_the_sidecar(data_scenes: dict[
         assert len(mine) == agent.gaps.looked_at
         assert sum(row["sumo"] == "no" for row in mine) == agent.gaps.refused_by_sumo
     assert any(row["sumo"] == "yes" for row in rows)
-    assert gaps_bytes(scene.driven, {}) == gaps_bytes(scene.driven, {})
+    assert gaps_bytes(scene.driven, {}, step_s=0.1) == gaps_bytes(scene.driven, {}, step_s=0.1)
     assert not list(write(scene, tmp_path).glob("gaps_*"))

@@ -392,5 +392,9 @@ def test_a_chosen_map_of_another_place_is_refused(root: Path, data_scenes: dict[
     (address,) = find_sources([root / "val/data/7.csv"], Choices(map_path=data_scenes["curve"]))
     with pytest.raises(MapError, match=r"0% of the AGENT of 7\.csv"):
         read_recording(address)
-    with pytest.raises(NoSceneError, match=r"--map .*: no log_map_archive_<id>\.json"):
+    with pytest.raises(NoSceneError, match=r"--map .*: no map in it, expected one Argoverse 2 map"):
         find_sources([root / "val/data/7.csv"], Choices(map_path=root))
+    with pytest.raises(
+        NoSceneError, match=r"--map .*7\.csv: is no map, expected one Argoverse 2 map, log_map_archive_"
+    ):
+        find_sources([root / "val/data/7.csv"], Choices(map_path=root / "val/data/7.csv"))

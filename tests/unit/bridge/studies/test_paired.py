@@ -96,7 +96,7 @@ def test_arrivals_keep_their_headways_and_their_rate(corridor: Path) -> None:
     scenario = read_scenario(corridor)
     config = drawing_config(_corridor_config())
     scene = build_scene(
-        prepare(scenario, config).grid, scenario.tracks, config=config, num_steps=400, last_observed_step=49
+        prepare(scenario, config).grid, scenario.tracks, config=config, num_steps=400, last_observed_step=49, step_s=0.1
     )
     routes = Routes(scene)
     assert entry_lanes(scene, routes) == [1, 2]
@@ -199,6 +199,26 @@ def _study(tmp_path: Path, scenes: Path) -> Study:
     return read_study(path, scenes=[scenes])
 
 
+def _check_references(text: str, out: Path) -> None:
+    """Every claim is followed by where it is read from: columns of the dictionary, in tables that were written."""
+    import pandas as pd
+
+    from bridge.studies.columns import DICTIONARY
+    from bridge.studies.statistics import OUTCOMES
+
+    references = [one for brackets in re.findall(r"\[([^\]]+)\]", text) for one in brackets.split(", ")]
+    assert len(references) > 10
+    for reference in references:
+        column, _, outcome = reference.partition(" of ")
+        table, _, name = column.partition(".")
+        assert name in {one.strip() for known in DICTIONARY[table] for one in known.split(",")}, reference
+        assert name in pd.read_csv(out / f"{table}.csv").columns, reference
+        assert not outcome or outcome in {known.name for known in OUTCOMES}, reference
+    for line in text.splitlines():
+        if re.search(r"\b[0-9]", line) and not line.startswith("#"):
+            assert "[" in line, line
+
+
 def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) -> None:
     """Six runs of 20 s: tables, figures and page; a second call drives nothing again and writes the same bytes."""
     import pandas as pd
@@ -224,4 +244,39 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
         assert set(frame.columns) - said <= {"lane_change.time_gap_rear_s", "waiting_to_enter_s"}
     text = (out / "study.md").read_text()
     assert "smallest time gap to the new follower" in text
+    _check_references(text, out)
     assert "cut off [requests.counted]" in text
+
+
+def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(
+    tmp_path: Path, data_scenes: dict[str, Path]
+) -> None:
+    """Fixed and reactive, the same vehicles: a column in every table, folders called reactive-, a line on the page."""
+    import pandas as pd
+
+    from bridge.batch.batch import Options
+    from bridge.studies.run import run_study
+
+    path = tmp_path / "replay.toml"
+    path.write_text(
+        'scenes = ["x"]\nseeds = 1\n[vary]\n"driving.replay" = ["fixed", "reactive"]\n[config.request]\nagents = 8\n'
+        "straight = 0.0\nleft_turn = 0.0\nright_turn = 0.0\nlane_change = 1.0\novertake = 0.0\n"
+        "trigger_min_s = 1.0\ntrigger_max_s = 1.0\n[config.lane_change]\ntime_gap_rear_s = 0.4\n"
+    )
+    study = read_study(path, scenes=[data_scenes["arterial"]])
+    assert study.paired
+    out = tmp_path / "out"
+    report = run_study(study, out, Options(resume=True))
+    assert (report.runs, report.failed) == (2, 0)
+    assert sum(folder.name.startswith("reactive-") for folder in (out / "runs").iterdir()) == 1
+    for table in ("runs", "requests", "looks", "gaps"):
+        frame = pd.read_parquet(out / f"{table}.parquet")
+        assert (frame["replay"] == frame["driving.replay"]).all()
+        assert set(frame["replay"]) == {"fixed", "reactive"}
+    requests = pd.read_parquet(out / "requests.parquet")
+    by_mode = requests.groupby("replay")
+    first, second = (by_mode.get_group(mode).reset_index(drop=True) for mode in ("fixed", "reactive"))
+    assert first["vehicle"].tolist() == second["vehicle"].tolist()
+    text = (out / "study.md").read_text()
+    assert "recorded vehicles drive as recorded" in text
+    assert "nobody drove so [requests.replay]" in text

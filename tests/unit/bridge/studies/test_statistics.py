@@ -1,5 +1,6 @@
 """What tables of looks and requests say: waiting, acceptance, critical gaps, effects."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,9 @@ from bridge.studies.statistics import (
     raff,
     troutbeck,
 )
+from bridge.studies.study_figures import draw_parameter
 
-RUN = {"scene": "a", "city": "x", "point": 0, "seed": 0}
+RUN = {"scene": "a", "city": "x", "point": 0, "seed": 0, "replay": "fixed"}
 
 
 def _drivers(count: int, mean_s: float, sd_s: float, seed: int) -> pd.DataFrame:
@@ -171,6 +173,18 @@ def test_paired_difference_excludes_no_effect_where_there_is_one_and_not_elsewhe
         assert bool(last["difference_high_runs"] < 0.0) is excluded
         assert last["rows"] == 240
     assert last["difference"] == 0.0  # the same luck at every value: nothing differs at all
+
+
+def test_parameter_with_which_nobody_gets_a_gap_is_drawn_too(tmp_path: Path) -> None:
+    """Nobody accepts at any value: all still wait at the end, there is no curve, and all the rest is empty."""
+    requests = _requests(0.0).assign(accepted=False, lateral_s=np.nan, lag_time_gap_s=np.nan, start_s=np.nan)
+    requests["min_pet_s"] = np.nan
+    dose = dose_response(requests, pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
+    path = tmp_path / "p.png"
+    draw_parameter(path, "p", "p", dose=dose, requests=requests, curves=dict.fromkeys((0.0, 0.5, 1.0)), give_up_s=6.0)
+    assert path.stat().st_size > 10_000
+    share = dose[dose["outcome"] == "share_accepted"]
+    assert share["estimate"].tolist() == [0.0] * 3
 
 
 def test_shares_of_looks_by_hand() -> None:

@@ -55,9 +55,9 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
         ('[vary]\n"request.agents" = [5, 10]\n', "vary.request.agents: would choose other vehicles or sites"),
         ('[vary]\n"spawn.speed_sd" = [0.1]\n', "vary.spawn.speed_sd: would choose other vehicles or sites"),
         ('[vary]\ntrigger_s = [1.0]\n[config.request]\nagents = "max"\n', "expected a number of vehicles"),
-        ("seeds = 0\n[vary]\ntrigger_s = [1.0]\n", "seeds"),
+        ("seeds = 0\n[vary]\ntrigger_s = [1.0]\n", "seeds = 0, expected "),
         ("[vary]\n", "vary"),
-        ("colour = 1\n[vary]\ntrigger_s = [1.0]\n", "colour"),
+        ("colour = 1\n[vary]\ntrigger_s = [1.0]\n", "unknown key 'colour'; expected a study of "),
         ('design = "latin_hypercube"\n[vary]\ntrigger_s = [1.0, 2.0]\n', "samples = 0"),
         ('design = "latin_hypercube"\nsamples = 3\n[vary]\ntrigger_s = [2.0, 1.0]\n', "low < high"),
         ("[vary\n", "not TOML"),
@@ -71,7 +71,7 @@ def test_wrong_study_is_named(tmp_path: Path, data_root: Path, text: str, words:
 
 
 def test_missing_scenes_are_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"s\.toml: scenes: .*nowhere: no such folder"):
+    with pytest.raises(ConfigError, match=r"s\.toml: scenes: .*nowhere: no such folder.*; --scenes gives"):
         read_study(study_file(tmp_path, "[vary]\ntrigger_s = [1.0]\n", tmp_path / "nowhere"))
 
 

@@ -126,7 +126,7 @@ def drive(speed, accel, offset, *, steps=80, rng=None, track_id="r1"):
 
 
 def windows_of(tracks, road):
-    arrays = stack(tracks)
+    arrays = stack(tracks, step_s=0.1)
     safe = safety(arrays, prepare_map(road(length_m=250)))
     return arrays, windows(arrays, safe, arrays.vehicle)
 
@@ -169,6 +169,6 @@ def test_windows_know_the_leader(road):
 def test_noise_tells_trackers_from_people(road):
     """5 cm of noise from step to step change the velocity by decimetres per second; labels of people do not."""
     rng = np.random.default_rng(0)
-    assert is_labelled(stack([drive(6.0, 0.3, 0.0)])) is True
-    assert is_labelled(stack([drive(6.0, 0.3, 0.0, rng=rng)])) is False
-    assert is_labelled(stack([])) is None
+    assert is_labelled(stack([drive(6.0, 0.3, 0.0)], step_s=0.1)) is True
+    assert is_labelled(stack([drive(6.0, 0.3, 0.0, rng=rng)], step_s=0.1)) is False
+    assert is_labelled(stack([], step_s=0.1)) is None

@@ -99,7 +99,7 @@ def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_n
         for scene in range(30):
             recorded = _lanes_full(rng, "r", rng.uniform(5, 12, 8))
             generated = _lanes_full(rng, "gen_", rng.uniform(low, low + 7, 8))
-            arrays = stack([*recorded, *generated])
+            arrays = stack([*recorded, *generated], step_s=0.1)
             safe = safety(arrays, prepare_map(road(length_m=200)))
             found_windows = windows(arrays, safe, arrays.vehicle)
             values = scene_values(arrays, safe, found_windows, {"gen_0": [4.0], "r0": [3.0]})
@@ -116,6 +116,6 @@ def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_n
 
 
 def test_scene_without_tracks_has_derivatives_without_rows():
-    moved = motion(stack([]))
+    moved = motion(stack([], step_s=0.1))
     assert moved.velocity.shape == moved.jerk.shape == (0, 2)
     assert moved.speed.shape == moved.yaw_accel.shape == (0,)

@@ -77,7 +77,8 @@ def test_contact_time_equals_moving_the_boxes_by_small_steps(x, y, vx, vy, first
 def test_ttc_of_a_car_that_closes_on_a_standing_one(road):
     """Gap 20 - 4 = 16 m at 8 m/s: 2 s at the first step, then 0.1 s less a step; capped at 5 s to a far one."""
     arrays = stack(
-        [drive(0, speed=8.0, steps=10, name="a"), drive(20, steps=10, name="b"), drive(100, 3.5, steps=10, name="c")]
+        [drive(0, speed=8.0, steps=10, name="a"), drive(20, steps=10, name="b"), drive(100, 3.5, steps=10, name="c")],
+        step_s=0.1,
     )
     safe = safety(arrays, prepare_map(road()))
     np.testing.assert_allclose(safe.ttc_s[:10], 2.0 - 0.1 * np.arange(10), atol=1e-9)
@@ -92,13 +93,14 @@ def test_ttc_sees_a_crossing_vehicle_that_no_lane_leads_to(road):
     y = -28 + 27 = -1 then, and a's lower side is at y = -1: they touch at 2.7 s.
     """
     arrays = stack(
-        [drive(0, speed=10.0, steps=2, name="a"), drive(30, -30, math.pi / 2, speed=10.0, steps=2, name="b")]
+        [drive(0, speed=10.0, steps=2, name="a"), drive(30, -30, math.pi / 2, speed=10.0, steps=2, name="b")],
+        step_s=0.1,
     )
     assert safety(arrays, prepare_map(road())).ttc_s[0] == pytest.approx(2.7)
 
 
 def test_overlapping_boxes_have_ttc_zero(road):
-    arrays = stack([drive(0, speed=5.0, steps=2, name="a"), drive(1, steps=2, name="b")])
+    arrays = stack([drive(0, speed=5.0, steps=2, name="a"), drive(1, steps=2, name="b")], step_s=0.1)
     assert safety(arrays, prepare_map(road())).ttc_s.max() == 0.0
 
 
@@ -111,19 +113,19 @@ def test_pet_is_the_time_between_leaving_and_reaching_the_shared_ground():
     """
     a = drive(0, -20, math.pi / 2, speed=10.0, name="a")
     b = drive(-50, 0, 0.0, speed=10.0, name="b")
-    (found,) = encroachments(stack([a, b]))
+    (found,) = encroachments(stack([a, b], step_s=0.1))
     assert found.pet_s == pytest.approx(2.4)
 
 
 def test_following_and_meeting_are_no_crossings():
     follower, leader = drive(0, speed=10.0, name="a"), drive(12, speed=10.0, name="b")
     oncoming = drive(60, 0.5, math.pi, speed=10.0, name="c")
-    assert encroachments(stack([follower, leader, oncoming])) == ()
+    assert encroachments(stack([follower, leader, oncoming], step_s=0.1)) == ()
 
 
 def test_footprint_allows_thirty_centimetres(road):
     """Right edge of the area at y = -1.75. A box of 2 m width at y = -1.0 reaches -2.0 (0.25 m out), at -1.1 0.35 m."""
-    arrays = stack([drive(50, -1.0, steps=1, name="a"), drive(80, -1.1, steps=1, name="b")])
+    arrays = stack([drive(50, -1.0, steps=1, name="a"), drive(80, -1.1, steps=1, name="b")], step_s=0.1)
     assert off_footprint(arrays, prepare_map(road())).tolist() == [False, True]
 
 
@@ -137,7 +139,9 @@ def test_footprint_round_a_convex_corner_is_measured_by_distance(road, beyond_m)
     corner = np.array(graph.drivable.bounds[2:0:-1])  # right, lower
     angle = np.linspace(-math.pi / 2, 0.0, 61)
     places = corner + (FOOTPRINT_TOLERANCE_M + beyond_m) * np.column_stack([np.cos(angle), np.sin(angle)])
-    arrays = stack([drive(x, y, steps=1, name=f"{k}", size=(1e-9, 1e-9)) for k, (x, y) in enumerate(places)])
+    arrays = stack(
+        [drive(x, y, steps=1, name=f"{k}", size=(1e-9, 1e-9)) for k, (x, y) in enumerate(places)], step_s=0.1
+    )
     assert (off_footprint(arrays, prepare_map(graph)) == (beyond_m > 0)).all()
 
 
@@ -151,7 +155,7 @@ def test_leader_gap_time_gap_headway_and_ttc(road):
         drive(24, speed=6.0, steps=20, name="b"),
         drive(10, 3.5, speed=8.0, steps=20, name="c"),
     ]
-    arrays = stack(tracks)
+    arrays = stack(tracks, step_s=0.1)
     lanes = flatten_lanes(road())
     matches, _ = match_lanes(arrays, lanes)
     found = leaders(arrays, lanes, matches)
@@ -185,7 +189,7 @@ def test_leader_is_found_through_successors_and_on_the_way_driven(lane):
     a = Track("a", "vehicle", 1, steps, np.column_stack([x, y]), heading, np.full((80, 2), 7.0), BoxSize(4, 2))
     end = along[-2]
     tracks = [a, drive(*end, 0.6, steps=80, name="b"), drive(62, 0, steps=80, name="c")]
-    arrays = stack(tracks)
+    arrays = stack(tracks, step_s=0.1)
     lanes = flatten_lanes(graph)
     matches, _ = match_lanes(arrays, lanes)
     assert leaders(arrays, lanes, matches).agent[20] == 1
@@ -196,7 +200,7 @@ def test_driving_against_the_lane_is_seen_and_parking_across_it_is_not(road):
     wrong = drive(150, 0, math.pi, speed=8.0, name="wrong")
     right = drive(50, 3.5, 0.0, speed=8.0, name="right")
     parked = drive(180, 0, math.pi, name="parked")
-    arrays = stack([wrong, right, parked])
+    arrays = stack([wrong, right, parked], step_s=0.1)
     share = arrays.mean_per_agent(safety(arrays, prepare_map(graph)).against_lane.astype(float))
     assert share.tolist() == [1.0, 0.0, 0.0]
 
@@ -214,7 +218,7 @@ def test_a_sliver_between_two_lanes_is_not_driving_against_one_that_crosses_them
         }
     )
     for y, expected in ((0.0, False), (1.95, False), (-2.2, True)):
-        arrays = stack([drive(60, y, 0.0, speed=8.0, name="x")])
+        arrays = stack([drive(60, y, 0.0, speed=8.0, name="x")], step_s=0.1)
         assert safety(arrays, prepare_map(graph)).against_lane.any() == expected, y
 
 
@@ -227,12 +231,12 @@ def test_lane_of_a_vehicle_near_the_marking_does_not_flicker(road):
         "a", "vehicle", 1, np.arange(60), np.column_stack([x, y]), np.zeros(60), np.zeros((60, 2)), BoxSize(4, 2)
     )
     lanes = flatten_lanes(road())
-    matches, _ = match_lanes(stack([track]), lanes)
+    matches, _ = match_lanes(stack([track], step_s=0.1), lanes)
     assert set(matches.lane.tolist()) == {0}
 
 
 def test_a_scene_without_agents_has_nothing_to_report(road):
-    arrays = stack([], num_steps=110)
+    arrays = stack([], num_steps=110, step_s=0.1)
     safe = safety(arrays, prepare_map(road()))
     assert safe.overlaps == ()
     assert len(safe.ttc_s) == 0
@@ -242,7 +246,7 @@ def test_crossings_of_the_last_agents_alone():
     """As above, and a third car that crosses b's path 1 s later; asked for those of the last one, only it is named."""
     a, later = drive(0, -20, math.pi / 2, speed=10.0, name="a"), drive(8, -30, math.pi / 2, speed=10.0, name="c")
     b = drive(-50, 0, 0.0, speed=10.0, name="b")
-    scene = stack([a, b, later])
+    scene = stack([a, b, later], step_s=0.1)
     assert {(c.first, c.second) for c in encroachments(scene)} == {(0, 1), (1, 2)}
     assert {(c.first, c.second) for c in encroachments(scene, since=2)} == {(1, 2)}
     assert encroachments(scene, since=2, cap_s=0.5) == ()
@@ -251,8 +255,10 @@ def test_crossings_of_the_last_agents_alone():
 def test_scene_with_one_more_track_is_the_scene_of_all_tracks():
     tracks = [drive(0, -20, math.pi / 2, speed=10.0, name="a"), drive(9, steps=3, name="b")]
     more = drive(-50, 0, 0.0, speed=10.0, name="gen_0")
-    whole = stack([*tracks, more])
-    one = stack(tracks, num_steps=whole.num_steps).joined(stack([more], num_steps=whole.num_steps))
+    whole = stack([*tracks, more], step_s=0.1)
+    one = stack(tracks, num_steps=whole.num_steps, step_s=0.1).joined(
+        stack([more], num_steps=whole.num_steps, step_s=0.1)
+    )
     for name in SceneArrays.__dataclass_fields__:
         got, wanted = getattr(one, name), getattr(whole, name)
         assert np.array_equal(got, wanted), name

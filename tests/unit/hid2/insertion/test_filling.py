@@ -12,6 +12,7 @@ from hid2.agents import Policy
 from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.outcome import Outcome
+from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Request, Spawn
 from hid2.reasons import Reason
@@ -60,7 +61,7 @@ def scene_for(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
 
 
 def _fill(scene: Scene, spoil: Spoil = _as_driven, *, seed: int = 0) -> tuple[Filling, Road]:
-    filling, drive = Filling(scene, [seed, 0, 1]), Road(spoil)
+    filling, drive = Filling(Surroundings(scene), [seed, 0, 1]), Road(spoil)
     filling.fill(drive)
     return filling, drive
 

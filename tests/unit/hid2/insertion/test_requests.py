@@ -16,9 +16,9 @@ SHARES = {
 }  # fmt: skip
 
 
-def _triggers(count: int, **request: float | tuple[float, ...]) -> list[float]:
-    config = Config(request=Request(**request))
-    return [one.trigger_s for one in draw_requests(config, np.random.default_rng(5), count=count)]
+def _triggers(count: int, *, duration_s: float = 10.9, **request: float | tuple[float, ...]) -> list[float]:
+    config, rng = Config(request=Request(**request)), np.random.default_rng(5)
+    return [one.trigger_s for one in draw_requests(config, rng, count=count, duration_s=duration_s)]
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 10, 40])
@@ -57,6 +57,17 @@ def test_range_of_triggers_is_uniform_to_its_end(low: float, high: float) -> Non
     assert max(drawn) > high - 0.1 * (high - low)
 
 
+@pytest.mark.parametrize(("duration_s", "latest_s"), [(10.9, 0.36 * 10.9), (4.9, 0.36 * 4.9), (300.0, 4.0)])
+def test_range_that_nobody_asked_for_ends_early_in_a_short_scene(duration_s: float, latest_s: float) -> None:
+    drawn = _triggers(200, duration_s=duration_s)
+    assert kstest(drawn, "uniform", (0.5, latest_s - 0.5)).pvalue > 0.05
+
+
+def test_range_that_was_asked_for_is_kept_in_a_short_scene() -> None:
+    drawn = _triggers(200, duration_s=4.9, trigger_max_s=8.0)
+    assert kstest(drawn, "uniform", (0.5, 7.5)).pvalue > 0.05
+
+
 def test_list_of_triggers_is_drawn_from_alike() -> None:
     """2, 4, 6 s: none but these, each for a third of 600 within 4 SD (4 sqrt(600 * 2 / 9) = 46)."""
     drawn = Counter(_triggers(600, trigger_list_s=(2.0, 4.0, 6.0)))
@@ -66,6 +77,6 @@ def test_list_of_triggers_is_drawn_from_alike() -> None:
 
 def test_requests_are_numbered_and_drawn_once_for_all() -> None:
     config = Config()
-    one, other = (draw_requests(config, np.random.default_rng(3), count=10) for _ in range(2))
+    one, other = (draw_requests(config, np.random.default_rng(3), count=10, duration_s=10.9) for _ in range(2))
     assert one == other
     assert [request.number for request in one] == list(range(10))

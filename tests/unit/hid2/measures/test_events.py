@@ -25,7 +25,7 @@ def test_target_that_closes_in_has_gap_ttc_and_drac() -> None:
     A step later the gap is 0.2 m less. At step 30 it is 10 m: TTC 5 s, DRAC 2 * 2 / (2 * 10) = 0.2 m/s2. Up to step 59
     the gap falls to 16 - 5.9 * 2 = 4.2 m: TTC 2.1 s, DRAC 4 / 8.4.
     """
-    found = measure_event(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0), at_step=30, since_step=30)
+    found = measure_event(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0), at_step=30, since_step=30, step_s=0.1)
     assert found.gap_m == pytest.approx(10.0)
     assert found.speed_difference_mps == pytest.approx(-2.0)
     assert found.min_ttc_s == pytest.approx(2.1, abs=1e-6)
@@ -36,7 +36,7 @@ def test_target_that_closes_in_has_gap_ttc_and_drac() -> None:
 
 def test_target_that_falls_back_needs_no_braking() -> None:
     """The vehicle ahead is faster: never closing in, no TTC, DRAC 0, and nobody brakes."""
-    found = measure_event(_drive(20.0, 0.0, 12.0), _drive(0.0, 0.0, 10.0), at_step=10, since_step=0)
+    found = measure_event(_drive(20.0, 0.0, 12.0), _drive(0.0, 0.0, 10.0), at_step=10, since_step=0, step_s=0.1)
     assert (found.min_ttc_s, found.drac_mps2, found.human_brakes) == (None, 0.0, False)
 
 
@@ -51,16 +51,16 @@ def test_crossing_has_a_moment_for_each_and_a_pet() -> None:
     found = crossing_steps(first, second)
     assert found is not None
     assert found == (pytest.approx(20, abs=1), pytest.approx(40, abs=1))
-    assert post_encroachment_of(first, second) == pytest.approx(1.4, abs=0.21)
+    assert post_encroachment_of(first, second, step_s=0.1) == pytest.approx(1.4, abs=0.21)
 
 
 def test_paths_that_do_not_meet_have_no_crossing() -> None:
     """Two cars side by side."""
     assert crossing_steps(_drive(0.0, 0.0, 10.0), _drive(0.0, 4.0, 10.0)) is None
-    assert post_encroachment_of(_drive(0.0, 0.0, 10.0), _drive(0.0, 4.0, 10.0)) is None
+    assert post_encroachment_of(_drive(0.0, 0.0, 10.0), _drive(0.0, 4.0, 10.0), step_s=0.1) is None
 
 
 def test_moment_without_a_state_is_an_error() -> None:
     """Step 70 of a track of 60 steps."""
     with pytest.raises(ValueError, match="no state at step 70"):
-        measure_event(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0), at_step=70, since_step=0)
+        measure_event(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0), at_step=70, since_step=0, step_s=0.1)

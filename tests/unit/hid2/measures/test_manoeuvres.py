@@ -34,7 +34,7 @@ def shift(start, duration, *, width=3.5, time=TIME):
 
 
 def seen(graph, *tracks):
-    arrays = stack(tracks)
+    arrays = stack(tracks, step_s=0.1)
     lanes = flatten_lanes(graph)
     matches, _ = match_lanes(arrays, lanes)
     return detect(arrays, lanes, matches)
@@ -178,7 +178,7 @@ def test_overtake_is_out_past_and_back(road):
     assert overtake.crossing_s == pytest.approx(2.5, abs=0.11)
     changes = [m for m in found if m.kind is ManeuverKind.LANE_CHANGE]
     assert [m.part_of for m in changes] == [ManeuverKind.OVERTAKE] * 2
-    assert policies(stack([a, b]), found) == {"a": Policy.OVERTAKE, "b": Policy.STRAIGHT}
+    assert policies(stack([a, b], step_s=0.1), found) == {"a": Policy.OVERTAKE, "b": Policy.STRAIGHT}
 
 
 def test_without_the_return_it_is_a_pass(road):

@@ -81,7 +81,8 @@ def rear_end() -> SceneArrays:
             drive("gen_0", range(21), 0.0, 10.0),
             drive("wall", range(110), 34.0, 0.0),
             drive("late", range(21, 110), 29.0, 0.0),
-        ]
+        ],
+        step_s=0.1,
     )
 
 

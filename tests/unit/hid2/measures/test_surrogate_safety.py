@@ -31,7 +31,9 @@ def lanes(road: Callable[..., LaneGraph]) -> FlatLanes:
 
 def _pressing(recorded: list[Track], generated: list[Track], leaving: list[bool], lanes: FlatLanes):
     return (
-        RecordedVehicles(recorded, lanes, STEPS).with_generated(generated).following_conflicts(leaving, critical_s=1.5)
+        RecordedVehicles(recorded, lanes, STEPS, step_s=0.1)
+        .with_generated(generated)
+        .following_conflicts(leaving, critical_s=1.5)
     )
 
 
@@ -76,7 +78,11 @@ def _cross(name: str, y: float) -> Track:
 
 
 def _crossing(recorded: list[Track], generated: list[Track], lanes: FlatLanes):
-    return RecordedVehicles(recorded, lanes, STEPS).with_generated(generated).crossing_conflicts(critical_s=1.0)
+    return (
+        RecordedVehicles(recorded, lanes, STEPS, step_s=0.1)
+        .with_generated(generated)
+        .crossing_conflicts(critical_s=1.0)
+    )
 
 
 def test_crossing_too_soon_behind_somebody_is_a_conflict(lanes: FlatLanes) -> None:
@@ -105,7 +111,11 @@ def test_generated_leader_of_a_recorded_follower_that_will_not_brake_is_found(la
 
     def followed(recorded: list[Track], *starts: float) -> list[int]:
         generated = [_drive(f"gen_{row}", x, 0.0, 2.0) for row, x in enumerate(starts)]
-        return RecordedVehicles(recorded, lanes, STEPS).with_generated(generated).followed_conflicts(critical_s=1.5)
+        return (
+            RecordedVehicles(recorded, lanes, STEPS, step_s=0.1)
+            .with_generated(generated)
+            .followed_conflicts(critical_s=1.5)
+        )
 
     assert followed([comes], 45.7) == [0]
     assert followed([comes], 60.0) == []
@@ -117,7 +127,7 @@ def test_conflicts_with_recorded_vehicles_are_foreseen_for_one_track(lanes: Flat
     """The cases above, each for a single planned track: what runs up on it, what it crosses too soon, and neither."""
 
     def conflict(recorded: list[Track], planned: Track, *, ttc_s: float = 1.5, pet_s: float = 1.0) -> str | None:
-        return RecordedVehicles(recorded, lanes, STEPS).conflict_with(planned, ttc_s=ttc_s, pet_s=pet_s)
+        return RecordedVehicles(recorded, lanes, STEPS, step_s=0.1).conflict_with(planned, ttc_s=ttc_s, pet_s=pet_s)
 
     comes = _drive("a", 0.0, 0.0, 10.0)
     assert conflict([comes], _drive("gen_0", 45.7, 0.0, 2.0)) == "ttc_of_recorded"
@@ -148,7 +158,7 @@ def test_one_track_is_told_what_all_together_are(lanes: FlatLanes) -> None:
     told = []
     for _ in range(150):
         recorded, planned = [crosses(f"r{k}") for k in range(3)], crosses("gen_0")
-        found = RecordedVehicles(recorded, lanes, STEPS).conflict_with(planned, ttc_s=0.0, pet_s=1.0)
+        found = RecordedVehicles(recorded, lanes, STEPS, step_s=0.1).conflict_with(planned, ttc_s=0.0, pet_s=1.0)
         assert (found == "pet") == bool(_crossing(recorded, [planned], lanes))
         told.append(found)
     assert 20 < told.count("pet") < 130

@@ -107,7 +107,7 @@ def circle() -> ReferenceLine:
     )
 
 
-MOTION = Motion(s=5.0 + 1.0 * np.arange(50), v=np.full(50, 10.0), a=np.zeros(50))
+MOTION = Motion(s=5.0 + 1.0 * np.arange(50), v=np.full(50, 10.0), a=np.zeros(50), step_s=0.1)
 
 
 def test_poses_lie_on_the_line_and_move_along_it(circle: ReferenceLine) -> None:
@@ -132,7 +132,7 @@ def test_place_in_the_lane_is_added_along_the_normal(circle: ReferenceLine) -> N
 def test_heading_follows_who_drifts_aside(straight_line: ReferenceLine) -> None:
     """0.4 m over 20 m, flat at both ends: half way the course is atan(0.03) to the left, and so is the heading."""
     drift = LaneOffset(np.array([20.0, 40.0]), np.array([0.0, 0.4]), np.zeros(2))
-    found = trajectory(straight_line, Motion(s=np.array([30.0]), v=np.array([10.0]), a=np.zeros(1)), drift)
+    found = trajectory(straight_line, Motion(s=np.array([30.0]), v=np.array([10.0]), a=np.zeros(1), step_s=0.1), drift)
     assert found.position[0] == pytest.approx([30.0, 0.2], abs=1e-6)
     assert found.heading[0] == pytest.approx(np.arctan(0.03), abs=1e-6)
     assert found.velocity[0] == pytest.approx([10.0, 0.3], abs=1e-6)

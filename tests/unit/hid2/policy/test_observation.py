@@ -36,7 +36,7 @@ def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
 
     def make(*tracks: Track, graph: LaneGraph | None = None, config: Config | None = None, **shape: Any) -> Scene:
         grid = build_cell_grid(graph or road(**shape))
-        return build_scene(grid, tracks, config=config or Config(), num_steps=110, last_observed_step=49)
+        return build_scene(grid, tracks, config=config or Config(), num_steps=110, last_observed_step=49, step_s=0.1)
 
     return make
 

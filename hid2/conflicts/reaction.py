@@ -1,0 +1,222 @@
+"""Recorded vehicles that yield in time (`driving.replay = "reactive"`), each on the path that was recorded.
+
+At every step a vehicle gets on as it did at that place of its recording, or less far where its car following has to
+brake for somebody ahead on that path. It never leaves the path, never exceeds the recorded speed, and never catches up:
+it is late. Pedestrians, cyclists and whatever else is no car and no bus stay as recorded, and so do the signals that
+are inferred from the recording.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hid2.agents import FloatArray, IntArray, Track
+from hid2.kernels.path_intervals import boxes_met
+from hid2.occupancy.sigma import original_occupancy
+from hid2.occupancy.traffic import BoolArray, Traffic, velocity_of
+from hid2.scene import Scene
+from netconvert.geometry import wrap_angle
+
+#: Car following: row of the recorded agent, its speed m/s, bumper gap m and speed of its leader m/s -> speed, m/s.
+FollowSpeed = Callable[[int, float, float, float], float]
+#: How far ahead a leader is looked for, and how finely, m: no tunable, nobody brakes for one farther away.
+_AHEAD_M, _FINE_M = 80.0, 0.25
+_SAME_WAY = 0.7  # cosine, as of everybody who moves with a path
+
+
+def yielding(
+    scene: Scene, rows: IntArray, step: int, *, xy: FloatArray, forward: FloatArray, half_m: float, speed_mps: float
+) -> BoolArray:  # fmt: skip
+    """Which of some recorded agents (K,) come from behind a vehicle at a step and can yield to it.
+
+    Those who drive as it does and would have to brake with `driving.yields_mps2` at most. xy (2,) m, forward (2,):
+    centre and direction of the vehicle; half_m: half its length.
+    """
+    traffic = scene.traffic
+    offset, heading = traffic.position[rows, step] - xy, traffic.heading[rows, step]
+    gap_m = -(offset @ forward) - half_m - 0.5 * traffic.length_m[rows]
+    same_way = np.cos(heading) * forward[0] + np.sin(heading) * forward[1] > _SAME_WAY
+    closing = np.maximum(traffic.velocity[rows, step] @ forward - speed_mps, 0.0)
+    brakes = np.square(closing) / (2.0 * np.maximum(gap_m, 1e-6))
+    able = (gap_m > 0.0) & (brakes <= scene.config.driving.yields_mps2)
+    return np.asarray(able & same_way & traffic.present[rows, step] & np.isin(rows, scene.vehicle_rows))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _OwnPath:
+    """Path of one recorded agent. s (K,) m driven at its steps first, first + 1, ...; boxes every _FINE_M of it.
+
+    xy (N, 2) m and heading (N,) rad go straight on beyond the end of the recording.
+    """
+
+    first: int
+    s: FloatArray
+    xy: FloatArray
+    heading: FloatArray
+
+    @property
+    def last(self) -> int:
+        """Its last recorded step."""
+        return self.first + self.s.size - 1
+
+    def s_at(self, place: float) -> float:
+        """Driven at a recorded time, steps."""
+        return float(np.interp(place - self.first, np.arange(self.s.size), self.s))
+
+    def place_at(self, s: float, *, since: float) -> float:
+        """Recorded time, steps, at which s was reached, not before `since` and not more than a step after it."""
+        low = int(since - self.first)
+        steps = np.arange(low, min(low + 3, self.s.size))
+        found = float(np.interp(s, self.s[steps], steps)) + self.first
+        return min(max(found, since), since + 1.0)
+
+
+@dataclass(eq=False, slots=True)
+class Reactions:
+    """The recorded vehicles of one simulation. scene: as it has become; follow_mps: their car following.
+
+    late (A,): how many steps each recorded agent is behind its recording by now.
+    """
+
+    scene: Scene
+    follow_mps: FollowSpeed
+    late: FloatArray = field(init=False)
+    _recorded: Traffic = field(init=False)
+    _speed: FloatArray = field(init=False)
+    _paths: dict[int, _OwnPath] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Nobody is late yet."""
+        self._recorded = self.scene.future
+        self.late = np.zeros(len(self._recorded.ids))
+        self._speed = np.zeros(len(self._recorded.ids))
+
+    def advance(self, step: int, others: Traffic) -> bool:
+        """Let everybody get on to `step`; whether anybody is later than before, and so the scene another one.
+
+        others: generated vehicles where they are at the step before (one step).
+        """
+        here = self.scene.traffic.at(step - 1).joined(others) if others.ids else self.scene.traffic.at(step - 1)
+        yields = [row for row in self.scene.vehicle_rows.tolist() if here.present[row, 0]]
+        later = {row: late for row in yields if (late := self._late_after(row, step, here)) > self.late[row]}
+        if not later:
+            return False
+        for row, late in later.items():
+            self.late[row] = late
+        self._move(sorted(later), step)
+        return True
+
+    def _late_after(self, row: int, step: int, here: Traffic) -> float:
+        """How late an agent is at a step, by who is ahead of it at the step before."""
+        late, path = float(self.late[row]), self._path(row)
+        place = step - 1 - late
+        if place >= path.last:
+            return late
+        at = path.s_at(place)
+        free_m = path.s_at(min(place + 1.0, path.last)) - at
+        leader = self._leader(row, at, here) if free_m > 0.0 else None
+        if late == 0.0 and leader is None:
+            return late
+        wanted = free_m / self.scene.step_s
+        # trackers jitter: who drives as recorded need not be able to accelerate as its track does
+        speed = float(self._speed[row]) if late > 0.0 else max(wanted, float(np.hypot(*here.velocity[row, 0])))
+        gap_m, leader_mps = leader or (_AHEAD_M, wanted)
+        driven_m = min(free_m, max(0.0, self.follow_mps(row, speed, gap_m, leader_mps)) * self.scene.step_s)
+        self._speed[row] = driven_m / self.scene.step_s
+        if driven_m >= free_m:
+            return late
+        return step - path.place_at(at + driven_m, since=place)
+
+    def _leader(self, row: int, at: float, here: Traffic) -> tuple[float, float] | None:
+        """Bumper gap m and speed along the path m/s of the next one on an agent's path; None within _AHEAD_M.
+
+        For an agent that drives as recorded: of generated ones and of those who are late; all others keep out of its
+        way as they did. Who is beside or behind is not ahead.
+        """
+        count, path = len(self._recorded.ids), self._path(row)
+        ahead = here.present[:, 0].copy()
+        ahead[row] = False
+        if self.late[row] == 0.0:
+            ahead[:count] &= self.late > 0.0
+        offset = here.position[:, 0] - here.position[row, 0]
+        angle = here.heading[row, 0]
+        forward = offset[:, 0] * np.cos(angle) + offset[:, 1] * np.sin(angle)
+        ahead &= (forward > 0.0) & (np.hypot(offset[:, 0], offset[:, 1]) < _AHEAD_M)
+        first = int(at / _FINE_M)
+        span = slice(first, min(first + int(_AHEAD_M / _FINE_M), path.heading.size))
+        xy, heading = path.xy[span], path.heading[span]
+        length = np.full(heading.size, self._recorded.length_m[row])
+        found: tuple[float, float] | None = None
+        for other in np.flatnonzero(ahead).tolist():
+            one = slice(other, other + 1)
+            met = boxes_met(
+                xy, heading, length, float(self._recorded.width_m[row]), 0, here.position[one], here.heading[one],
+                here.present[one], here.length_m[one], here.width_m[one],
+            )  # fmt: skip
+            if not met.any():
+                continue
+            place = int(np.argmax(met))
+            gap_m = max(0.0, (place - 1) * _FINE_M)
+            if found is None or gap_m < found[0]:
+                along = here.velocity[other, 0] @ np.array([np.cos(heading[place]), np.sin(heading[place])])
+                found = gap_m, max(0.0, float(along))
+        return found
+
+    def _path(self, row: int) -> _OwnPath:
+        if row not in self._paths:
+            there = np.flatnonzero(self._recorded.present[row])
+            xy, heading = self._recorded.position[row, there], np.unwrap(self._recorded.heading[row, there])
+            s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+            fine = np.arange(0.0, s[-1] + _AHEAD_M, _FINE_M)
+            beyond = np.maximum(fine - s[-1], 0.0)
+            along = np.stack([np.interp(fine, s, xy[:, axis]) for axis in (0, 1)], axis=1)
+            along += beyond[:, None] * np.array([np.cos(heading[-1]), np.sin(heading[-1])])
+            self._paths[row] = _OwnPath(int(there[0]), s, np.ascontiguousarray(along), np.interp(fine, s, heading))
+        return self._paths[row]
+
+    def _move(self, rows: Sequence[int], step: int) -> None:
+        """The scene with some agents later from a step on: they are expected to go on as recorded, so much later."""
+        scene, recorded = self.scene, self._recorded
+        position, heading = scene.future.position.copy(), scene.future.heading.copy()
+        velocity, present = scene.future.velocity.copy(), scene.future.present.copy()
+        stated = scene.stated_velocity.copy()
+        for row in rows:
+            path = self._path(row)
+            steps = np.arange(path.first, path.last + 1)
+            ahead = np.arange(max(step, path.first), recorded.num_steps)
+            ahead = ahead[ahead - self.late[row] <= path.last]
+            at = ahead - self.late[row]
+            for axis in (0, 1):
+                position[row, ahead, axis] = np.interp(at, steps, recorded.position[row, steps, axis])
+            heading[row, ahead] = wrap_angle(np.interp(at, steps, np.unwrap(recorded.heading[row, steps])))
+            present[row, ahead] = True
+            velocity[row, present[row]] = velocity_of(position[row, present[row]], scene.step_s)
+            stated[row] = velocity[row, : scene.num_steps]
+        future = replace(scene.future, position=position, heading=heading, velocity=velocity, present=present)
+        inside = future.first(scene.num_steps)
+        traffic = replace(
+            inside, position=np.ascontiguousarray(inside.position), heading=np.ascontiguousarray(inside.heading),
+            velocity=np.ascontiguousarray(inside.velocity), present=np.ascontiguousarray(inside.present),
+        )  # fmt: skip
+        self.scene = replace(
+            scene, traffic=traffic, future=future, stated_velocity=stated,
+            occupancy=original_occupancy(scene.boxes, traffic), _known={}, _leaders={},
+        )  # fmt: skip
+
+    @property
+    def late_s(self) -> dict[str, float]:
+        """Seconds behind the recording, by track id, of those who are late."""
+        rows = np.flatnonzero(self.late > 0.0).tolist()
+        return {self._recorded.ids[row]: round(float(self.late[row]) * self.scene.step_s, 6) for row in rows}
+
+    def tracks(self, recorded: Sequence[Track]) -> list[Track]:
+        """The tracks that the scene was made of, those of agents that are late as they were driven."""
+        found, traffic = list(recorded), self.scene.traffic
+        for row in np.flatnonzero(self.late > 0.0).tolist():
+            steps = np.flatnonzero(traffic.present[row])
+            found[row] = replace(
+                found[row], timesteps=steps, position=traffic.position[row, steps], heading=traffic.heading[row, steps],
+                velocity=traffic.velocity[row, steps],
+            )  # fmt: skip
+        return found
