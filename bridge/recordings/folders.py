@@ -150,11 +150,6 @@ def split_of(folder: Address) -> str | None:
     return next((name for name in names if name in SPLITS), None)
 
 
-def maps_of(log: Path) -> list[Path]:
-    """Map files of a log, in its folder map or in its own."""
-    return sorted(log.glob(f"map/{MAP_PATTERN}")) or sorted(log.glob(MAP_PATTERN))
-
-
 def sequence_path(out_dir: Path, split: str | None, new_id: str) -> Path:
     """Where the Argoverse 1 sequence of a generated scene lies below an output folder."""
     root = out_dir / SEQUENCES
