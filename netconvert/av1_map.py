@@ -84,18 +84,22 @@ def read_city_lanes(content: bytes, *, name: str) -> dict[int, CityLane]:
     return lanes
 
 
-def drivable_raster(pixels: npt.NDArray[Any], se2: npt.NDArray[Any], *, name: str) -> DrivableRaster:
-    """Check the two arrays of a drivable area. Errors: MapError."""
+def drivable_raster(pixels: npt.NDArray[Any], se2: npt.NDArray[Any], *, name: str, se2_name: str) -> DrivableRaster:
+    """Check the two arrays of a drivable area. name, se2_name: what messages call their files. Errors: MapError."""
     if pixels.ndim != 2 or not 0 < pixels.size <= MAX_PIXELS or pixels.dtype.kind not in "biuf":
         raise MapError(
             f"{name}: pixels of shape {pixels.shape} and type {pixels.dtype}, expected numbers (H, W), at most "
             f"{MAX_PIXELS}"
         )
-    if se2.shape != (3, 3) or se2.dtype.kind not in "iuf" or not np.isfinite(se2).all():
-        raise MapError(f"{name}: transformation of shape {se2.shape}, expected (3, 3) finite numbers")
+    if se2.shape != (3, 3) or se2.dtype.kind not in "iuf":
+        raise MapError(f"{se2_name}: shape {se2.shape} and type {se2.dtype}, expected numbers (3, 3)")
+    if not np.isfinite(se2).all():
+        raise MapError(f"{se2_name}: {se2.tolist()}, expected finite numbers")
     rotation = np.asarray(se2[:2, :2], dtype=np.float64)
     if np.abs(se2).max() > _MOST_M or not np.allclose(rotation @ rotation.T, np.eye(2), atol=1e-6):
-        raise MapError(f"{name}: transformation {rotation.tolist()}, expected a rotation and a translation in metres")
+        raise MapError(
+            f"{se2_name}: transformation {rotation.tolist()}, expected a rotation and a translation in metres"
+        )
     with np.errstate(invalid="ignore"):
         drivable = np.asarray(pixels > 0)
     return DrivableRaster(drivable, np.asarray(se2, dtype=np.float64))

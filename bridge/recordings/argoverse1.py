@@ -95,7 +95,7 @@ def read(source: Source) -> Recording:
         raise ScenarioError(f"{path}: cannot be read ({error.strerror}), expected an Argoverse 1 sequence") from error
     rows = _rows(content, name)
     assert source.map_path is not None
-    graph, map_json = _map(source.map_path, rows)
+    graph, map_json = _map(source.map_path, rows, name)
     agent = rows.position[rows.code == rows.kinds.index(AGENT)]
     on_map = float(np.mean(shapely.contains_xy(graph.drivable, agent)))
     if on_map < _ON_MAP:
@@ -167,10 +167,13 @@ def _rows(content: bytes, name: str) -> _Rows:
     for kind in (AV, AGENT):
         have = [k for k, found in enumerate(kinds) if found == kind]
         if len(have) != 1:
-            raise ScenarioError(f"{name}: {len(have) or 'no'} track of OBJECT_TYPE {kind}, expected exactly one")
+            count = f"{len(have)} tracks" if have else "no track"
+            raise ScenarioError(f"{name}: {count} of OBJECT_TYPE {kind}, expected exactly one")
         seen = int((code == have[0]).sum())
         if seen != len(stamps):
-            raise ScenarioError(f"{name}: track {kind} at {seen} of {len(stamps)} time stamps, expected it at all")
+            raise ScenarioError(
+                f"{name}: track {kind} at {seen} of {len(stamps)} time stamps, expected it at every one"
+            )
     ids = [AV_ID if kind == AV else track_id for track_id, kind in zip(ids, kinds, strict=True)]
     if ids.count(AV_ID) > 1:
         raise ScenarioError(f"{name}: TRACK_ID {AV_ID!r} of a track of another OBJECT_TYPE, expected it of none")
@@ -308,7 +311,7 @@ def _velocity(position: FloatArray) -> FloatArray:
 # Maps
 
 
-def _map(path: Path, rows: _Rows) -> tuple[LaneGraph, bytes | None]:
+def _map(path: Path, rows: _Rows, name: str) -> tuple[LaneGraph, bytes | None]:
     """Lane graph, and the document that is written for it; None for a map of Argoverse 2, which is copied."""
     if path.is_file():
         return graph_of(read_document(path), name=str(path)), None
@@ -317,7 +320,7 @@ def _map(path: Path, rows: _Rows) -> tuple[LaneGraph, bytes | None]:
     low, high = rows.position.min(axis=0) - _MARGIN_M, rows.position.max(axis=0) + _MARGIN_M
     if not (high - low).max() <= limits.MAX_EXTENT_M:
         spread = (high - low).max() - 2 * _MARGIN_M
-        raise ScenarioError(f"tracks spread over {spread:.6g} m, expected at most {limits.MAX_EXTENT_M:.0f} m")
+        raise ScenarioError(f"{name}: tracks spread over {spread:.6g} m, expected at most {limits.MAX_EXTENT_M:.0f} m")
     document = cut_city(city.lanes, city.raster, low=low, high=high, name=str(vector))
     return graph_of(document, name=str(vector)), json.dumps(document).encode()
 
@@ -355,7 +358,7 @@ def _city(vector: Path, pixels: Path, se2: Path, stamps: tuple[tuple[int, int], 
         content = read_regular(vector, most_mb=limits.MAX_CITY_MB)
     except OSError as error:
         raise MapError(f"{vector}: cannot be read ({error.strerror})") from error
-    raster = drivable_raster(_array(pixels), _array(se2), name=str(pixels))
+    raster = drivable_raster(_array(pixels), _array(se2), name=str(pixels), se2_name=str(se2))
     return CityMap(read_city_lanes(content, name=str(vector)), raster)
 
 

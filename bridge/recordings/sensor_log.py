@@ -199,7 +199,7 @@ def _states(log: Path, start: int) -> tuple[pd.DataFrame, list[int]]:
     sweeps = _window(np.sort(annotations.timestamp_ns.unique()), start, path)
     lacking = np.setdiff1d(sweeps, poses.index.to_numpy())
     if len(lacking):
-        said = f"no pose at timestamp {lacking[0]}, nor at {len(lacking) - 1} more of {NUM_STEPS} sweeps"
+        said = f"no pose at {len(lacking)} of {NUM_STEPS} sweeps, the first at timestamp {lacking[0]}"
         raise ScenarioError(f"{pose_path}: {said}, expected one for each annotated sweep")
     ego = annotations[annotations.category == _EGO]
     boxes = annotations[annotations.timestamp_ns.isin(sweeps) & (annotations.category != _EGO)].copy()

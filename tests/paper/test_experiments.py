@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 
 import pytest
@@ -89,6 +90,12 @@ def test_table1_has_the_rows_of_argoverse_1_beside_the_papers(tmp_path):
     assert "paper: Argoverse 2" not in found
     raw, filtered = (found[f"ours: Argoverse 1, recorded, positions {how}"] for how in ("as they are", "smoothed"))
     assert 0 < filtered["je"]["value"] <= raw["je"]["value"]
+    whole = found["ours: Argoverse 1, recorded, smoothed, tracks seen at every step"]
+    assert whole["je"]["value"] > 0
+    page = (tmp_path / "out" / "table1.html").read_text()
+    counted = re.search(r"Of (\d+) generated scenes made from (\d+) recorded", page)
+    assert counted
+    assert counted[1] == counted[2]  # one seed: a scene that is measured three times is one scene
     assert "Positions jump by decimetres" in (tmp_path / "out" / "table1.html").read_text().replace("\n", " ")
 
 

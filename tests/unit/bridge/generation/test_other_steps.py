@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lxml import etree
+from separating_axes import boxes_overlap
 
 from bridge.batch.batch import Place, plan
 from bridge.batch.isolation import Failure
@@ -19,7 +20,6 @@ from hid2.params import Config, Limits
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ExportError
 from netconvert.geometry import box_corners
-from tests.support.separating_axes import boxes_overlap
 
 LIMITS = Limits()
 AGENTS = 8
@@ -58,6 +58,11 @@ def recording(data_scenes) -> Recording:
 def made_at(recording: Recording, step_s: float) -> GeneratedScene:
     config = Config.model_validate({"request": {"agents": AGENTS, "seed": 3}})
     return generate(resampled(recording, step_s), config)
+
+
+@pytest.fixture(scope="module")
+def usual(recording) -> GeneratedScene:
+    return made_at(recording, 0.1)
 
 
 @pytest.fixture(scope="module", params=[0.2, 0.05])
@@ -121,10 +126,10 @@ def test_times_in_the_sidecar_are_seconds_of_the_recording(made):
     assert made.sidecar.recording.step_s == made.scenario.step_s
 
 
-def test_speeds_do_not_depend_on_the_step(recording, made):
+def test_speeds_do_not_depend_on_the_step(usual, made):
     """Drivers, sites and roads are the same: the median speed differs by less than a quarter from that at 0.1 s."""
-    usual, own = (np.median([np.median(t.speed) for t in scene.generated]) for scene in (made_at(recording, 0.1), made))
-    assert own == pytest.approx(usual, rel=0.25)
+    expected, own = (np.median([np.median(t.speed) for t in scene.generated]) for scene in (usual, made))
+    assert own == pytest.approx(expected, rel=0.25)
 
 
 def test_files_for_sumo_have_the_step(made):

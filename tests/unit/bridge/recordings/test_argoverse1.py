@@ -172,7 +172,7 @@ def test_holes_of_the_drivable_area_stay_holes() -> None:
     """
     pixels = np.array([[1, 1, 1, 1, 1], [1, 0, 0, 0, 1], [1, 1, 1, 1, 1]])
     turned = np.array([[0.0, -1.0, 10.0], [1.0, 0.0, 20.0], [0.0, 0.0, 1.0]])
-    raster = drivable_raster(pixels, turned, name="r")
+    raster = drivable_raster(pixels, turned, name="r", se2_name="s")
     xml = (
         '<A><node id="0" x="-21" y="9"/><node id="1" x="-16" y="9"/><way lane_id="7">'
         '<tag k="has_traffic_control" v="False"/><tag k="turn_direction" v="NONE"/>'
@@ -281,7 +281,7 @@ WRONG_SEQUENCES: dict[str, tuple[Change, str]] = {
     "forty-nine-steps": (_last_stamp_gone, "49 time stamps, expected 50"),
     "no-agent": (_without(lambda row: row[2] == "AGENT"), "no track of OBJECT_TYPE AGENT"),
     "no-av": (_without(lambda row: row[2] == "AV"), "no track of OBJECT_TYPE AV"),
-    "two-agents": (_second_agent, "2 track of OBJECT_TYPE AGENT"),
+    "two-agents": (_second_agent, "2 tracks of OBJECT_TYPE AGENT"),
     "agent-with-a-gap": (_one_of_agent_gone, "AGENT at 49 of 50"),
     "duplicate-stamp": (lambda rows: rows.append(list(rows[1])), "more than one row"),
     "slow-clock": (_stretched, "apart in the mean"),
@@ -361,8 +361,8 @@ WRONG_MAPS: dict[str, tuple[Callable[[Path], object], str]] = {
     "raster-is-text": (lambda maps: (maps / RASTER).write_text("1"), "not an npy file"),
     "raster-is-flat": (_save(RASTER, np.ones(9)), "pixels of shape"),
     "raster-is-empty": (_save(RASTER, np.zeros((50, 50))), "no drivable area within"),
-    "transformation-is-small": (_save(SE2, np.eye(2)), "expected \\(3, 3\\)"),
-    "transformation-scales": (_save(SE2, np.diag([2.0, 2.0, 1.0])), "expected a rotation"),
+    "transformation-is-small": (_save(SE2, np.eye(2)), "se2.*expected numbers \\(3, 3\\)"),
+    "transformation-scales": (_save(SE2, np.diag([2.0, 2.0, 1.0])), "se2.*expected a rotation"),
     "transformation-is-nan": (_save(SE2, np.full((3, 3), np.nan)), "finite numbers"),
 }  # fmt: skip
 
