@@ -233,8 +233,18 @@ def _not_counted(requests: pd.DataFrame, warm_up_s: float | None) -> str:
 
 
 def _told(dose: pd.DataFrame) -> list[str]:
-    """One sentence for each outcome: from the first value to the last, with the interval of the difference."""
+    """One sentence for each outcome: from the first value to the last, with the interval of the difference.
+
+    Before them how many requests there were, where these are not as many at each value.
+    """
     found = []
+    counts = dose[dose["outcome"] == _TOLD[0]]
+    if counts["rows"].nunique() > 1:
+        found.append(
+            "requests counted: "
+            + ", ".join(f"{row['rows']} at {row['value']}" for _, row in counts.iterrows())
+            + "; the others were not due any more when their vehicle left or the scene ended [dose_response.rows]."
+        )
     for outcome in _TOLD:
         mine = dose[(dose["outcome"] == outcome) & dose["estimate"].notna()]
         if len(mine) < 2:
