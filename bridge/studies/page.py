@@ -86,7 +86,7 @@ def write_results(study: Study, tables: Tables, out_dir: Path) -> list[Path]:
     }  # fmt: skip
     if not tables.flow.empty:
         path = out_dir / f"{study.name}_fundamental.png"
-        varied = next((key for key in keys if tables.flow[key].nunique() > 1), None)
+        varied = next((key for key in keys if 1 < tables.flow[key].nunique() <= _MOST_VALUES), None)
         draw_fundamental(path, _title(study, tables), tables.flow, varied)
         files.append(path)
     written = []
@@ -305,13 +305,20 @@ def _effect_lines(found: pd.DataFrame, keys: Sequence[str]) -> list[str]:
     if found.empty or len(keys) < 2:
         return []
     lines = ["", "## Effects over the whole design", ""]
-    for _, row in found[found["drawn_again"] == "runs"].iterrows():
+    told = found[(found["drawn_again"] == "runs") & found["standardised_coefficient"].notna()]
+    for _, row in told.iterrows():
         index = row.get("first_order")
         lines.append(
             f"- {row['outcome']} by {label_of(row['parameter'])}: standardised coefficient "
-            f"{row['standardised_coefficient']:+.2f} ({row['low']:+.2f} to {row['high']:+.2f})"
-            + (f", first-order index {index:.2f}" if pd.notna(index) else "")
-            + " [effects.standardised_coefficient, effects.first_order]."
+            f"{row['standardised_coefficient']:+.2f}"
+            + (f" ({row['low']:+.2f} to {row['high']:+.2f})" if pd.notna(row["low"]) else "")
+            + " [effects.standardised_coefficient]"
+            + (
+                f"; first-order index {index:.2f} +- {row['first_order_interval']:.2f} [effects.first_order]"
+                if pd.notna(index)
+                else ""
+            )
+            + "."
         )
     return lines
 
