@@ -258,6 +258,7 @@ def _told(dose: pd.DataFrame) -> list[str]:
             f"{last['value']}; {course}"
         )
         if pd.notna(low):
+            low, high = (0.0 if abs(bound) <= _SAME else bound for bound in (low, high))
             sure = "which excludes no effect" if low > 0 or high < 0 else "which includes no effect"
             text += f"; difference {last['difference']:+.3g}, 95 % interval {low:+.3g} to {high:+.3g} ({unit}), {sure}"
         found.append(f"{text} [dose_response.estimate of {outcome}].")
