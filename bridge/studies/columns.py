@@ -40,7 +40,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "observed_to_s": "time of the acceptance, else until when it could have accepted: given up, left, or the end",
         "accepted_s": "time at which SUMO was asked for the change that it carried out",
         "waited_s": "observed_to_s - trigger_s; censored where not accepted",
-        "accepted": "whether SUMO carried out the change",
+        "accepted": "whether SUMO carried out the change; false, too, where no site was found",
         "looks": "looks at gaps",
         "refused_by_rule": "looks that the lane-change rule refused",
         "refused_by_guard": "looks that the rule accepted, and the guard or the path across refused",

@@ -86,7 +86,7 @@ def write_results(study: Study, tables: Tables, out_dir: Path) -> list[Path]:
     }  # fmt: skip
     if not tables.flow.empty:
         path = out_dir / f"{study.name}_fundamental.png"
-        varied = next((key for key in keys if tables.flow[key].nunique() > 1), None)
+        varied = next((key for key in keys if 1 < tables.flow[key].nunique() <= _MOST_VALUES), None)
         draw_fundamental(path, _title(study, tables), tables.flow, varied)
         files.append(path)
     written = []
@@ -233,8 +233,18 @@ def _not_counted(requests: pd.DataFrame, warm_up_s: float | None) -> str:
 
 
 def _told(dose: pd.DataFrame) -> list[str]:
-    """One sentence for each outcome: from the first value to the last, with the interval of the difference."""
+    """One sentence for each outcome: from the first value to the last, with the interval of the difference.
+
+    Before them how many requests there were, where these are not as many at each value.
+    """
     found = []
+    counts = dose[dose["outcome"] == _TOLD[0]]
+    if counts["rows"].nunique() > 1:
+        found.append(
+            "requests counted: "
+            + ", ".join(f"{row['rows']} at {row['value']}" for _, row in counts.iterrows())
+            + "; the others were not due any more when their vehicle left or the scene ended [dose_response.rows]."
+        )
     for outcome in _TOLD:
         mine = dose[(dose["outcome"] == outcome) & dose["estimate"].notna()]
         if len(mine) < 2:
@@ -248,6 +258,7 @@ def _told(dose: pd.DataFrame) -> list[str]:
             f"{last['value']}; {course}"
         )
         if pd.notna(low):
+            low, high = (0.0 if abs(bound) <= _SAME else bound for bound in (low, high))
             sure = "which excludes no effect" if low > 0 or high < 0 else "which includes no effect"
             text += f"; difference {last['difference']:+.3g}, 95 % interval {low:+.3g} to {high:+.3g} ({unit}), {sure}"
         found.append(f"{text} [dose_response.estimate of {outcome}].")
@@ -295,13 +306,20 @@ def _effect_lines(found: pd.DataFrame, keys: Sequence[str]) -> list[str]:
     if found.empty or len(keys) < 2:
         return []
     lines = ["", "## Effects over the whole design", ""]
-    for _, row in found[found["drawn_again"] == "runs"].iterrows():
+    told = found[(found["drawn_again"] == "runs") & found["standardised_coefficient"].notna()]
+    for _, row in told.iterrows():
         index = row.get("first_order")
         lines.append(
             f"- {row['outcome']} by {label_of(row['parameter'])}: standardised coefficient "
-            f"{row['standardised_coefficient']:+.2f} ({row['low']:+.2f} to {row['high']:+.2f})"
-            + (f", first-order index {index:.2f}" if pd.notna(index) else "")
-            + " [effects.standardised_coefficient, effects.first_order]."
+            f"{row['standardised_coefficient']:+.2f}"
+            + (f" ({row['low']:+.2f} to {row['high']:+.2f})" if pd.notna(row["low"]) else "")
+            + " [effects.standardised_coefficient]"
+            + (
+                f"; first-order index {index:.2f} +- {row['first_order_interval']:.2f} [effects.first_order]"
+                if pd.notna(index)
+                else ""
+            )
+            + "."
         )
     return lines
 

@@ -393,6 +393,9 @@ def effects(requests: pd.DataFrame, keys: Sequence[str], *, give_up_s: float) ->
     return pd.DataFrame(rows)
 
 
+_SAME = 1e-9  # values that differ by less of themselves differ by rounding
+
+
 def _standardised(x: FloatArray, y: FloatArray) -> Callable[[FloatArray], FloatArray]:
     """Standardised coefficients (K,) of a linear regression of y (N,) on x (N, K), as a function of weights."""
 
@@ -401,7 +404,11 @@ def _standardised(x: FloatArray, y: FloatArray) -> Callable[[FloatArray], FloatA
         xc, yc = x - share @ x, y - share @ y
         covariance = (xc * share[:, None]).T @ xc
         spread = np.sqrt(np.diag(covariance)), math.sqrt(float(share @ (yc * yc)))
-        if spread[1] == 0.0 or not spread[0].all() or np.linalg.matrix_rank(covariance) < x.shape[1]:
+        if (
+            spread[1] <= _SAME * np.abs(y).max()
+            or not spread[0].all()
+            or np.linalg.matrix_rank(covariance) < x.shape[1]
+        ):
             return np.full(x.shape[1], np.nan)
         return np.asarray(np.linalg.solve(covariance, (xc * share[:, None]).T @ yc) * spread[0] / spread[1])
 

@@ -175,7 +175,10 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
             named = pd.DataFrame(name, index=own_looks.index)
             looks.append(named.join(own_looks.drop(columns=["round", "track_id"])))
         mine = [request for request in found["requests"] if request["kind"] == study.kind]
-        requests += [{**name, **request, "counted": _counts(request, warm_up_s)} for request in mine]
+        requests += [
+            {**name, **request, "accepted": bool(request["accepted"]), "counted": _counts(request, warm_up_s)}
+            for request in mine
+        ]
         flow += [{**name, **interval} for interval in found["flow"]]
         runs.append(
             {

@@ -20,9 +20,12 @@ LABELS = {
     "lane_change.time_gap_front_s": "smallest time gap to the new leader, s",
     "lane_change.time_gap_rear_s": "smallest time gap to the new follower, s",
     "lane_change.mobil_politeness": "MOBIL politeness p",
+    "lane_change.lc_strategic": "LC2013 lcStrategic",
+    "lane_change.lc_cooperative": "LC2013 lcCooperative",
     "lane_change.lc_speed_gain": "LC2013 lcSpeedGain",
     "lane_change.rule": "lane-change rule",
     "car_following.model": "car-following model",
+    "driving.replay": "recorded vehicles",
     "flow.veh_per_h_lane": "flow asked for, veh/h per lane",
 }
 _REFUSALS = (

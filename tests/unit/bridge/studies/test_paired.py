@@ -242,6 +242,9 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
         assert len(pd.read_parquet(out / f"{table}.parquet")) == len(frame)
         said = {name.strip() for column in DICTIONARY[table] for name in column.split(",")}
         assert set(frame.columns) - said <= {"lane_change.time_gap_rear_s", "waiting_to_enter_s"}
+    columns = pd.read_parquet(out / "requests.parquet").dtypes
+    assert {columns[name] for name in ("accepted", "counted")} == {np.dtype(bool)}
+    assert all(columns[name] == np.float64 for name in columns.index if name.endswith(("_s", "_m", "_mps")))
     text = (out / "study.md").read_text()
     assert "smallest time gap to the new follower" in text
     _check_references(text, out)

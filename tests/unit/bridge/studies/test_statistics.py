@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bridge.studies.page import _effect_lines, _told
 from bridge.studies.statistics import (
     acceptance_curve,
     critical_gap,
@@ -198,6 +199,26 @@ def test_standardised_coefficient_of_a_straight_line_is_one() -> None:
     found = effects(_requests(-0.3), ["p"], give_up_s=6.0).set_index("outcome")
     assert found.loc["lag_time_gap_s", "standardised_coefficient"] == pytest.approx(1.0)
     assert found.loc["accepted", "high"] < 0.0
+
+
+def test_interval_that_begins_at_a_rounding_error_includes_no_effect() -> None:
+    rows = [
+        {"outcome": "lateral_s", "value": value, "rows": 9, "estimate": value, "difference": value,
+         "difference_low_runs": 1.3e-15 * value, "difference_high_runs": 0.04 * value}
+        for value in (0.0, 1.0)
+    ]  # fmt: skip
+    (line,) = _told(pd.DataFrame(rows))
+    assert "95 % interval +0 to +0.04 (runs), which includes no effect" in line
+
+
+@pytest.mark.parametrize(("runs", "interval"), [(12, True), (2, False)])
+def test_page_tells_effects_with_and_without_an_interval(runs: int, interval: bool) -> None:
+    """Two runs are too few to be drawn again: the coefficient stands alone. One that cannot be told is not told."""
+    requests = _requests(-0.3, runs=runs, each=30).assign(q=lambda frame: frame["seed"] % 2, min_ttc_s=3.0)
+    lines = _effect_lines(effects(requests, ["p", "q"], give_up_s=6.0), ["p", "q"])
+    accepted = next(line for line in lines if line.startswith("- accepted by p: standardised coefficient -"))
+    assert (" to " in accepted) is interval
+    assert not any("min_ttc_s" in line for line in lines)  # the same for everybody
 
 
 def test_variance_based_index_tells_the_strong_parameter_from_the_idle_one() -> None:
