@@ -67,7 +67,7 @@ def test_event_that_does_not_come_about_is_in_the_table_with_its_reason(
     assert row["not_done"] == "cut_in with nobody: event_no_target (1)"
     assert "cut_in with nobody: event_no_target (1)" in result.stdout
     assert result.stdout.splitlines()[1].split()[-3:] == ["events", "s", "remarks"]
-    assert "; events done: 0 of 1\n" in result.stdout
+    assert "\nevents done: 0 of 1\n" in result.stdout
 
 
 def test_same_request_gives_the_same_bytes(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
