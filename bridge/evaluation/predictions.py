@@ -119,9 +119,9 @@ def score_predictions(
     cannot be written.
     """
     folders = find_scenarios(out)
+    forecasts = None if predictions in BASELINES else read_forecasts(Path(predictions))
     if report_dir is not None:
         make_folder(report_dir)
-    forecasts = None if predictions in BASELINES else read_forecasts(Path(predictions))
     ids = {source_id(folder) for folder in folders}
     chunks = [folders[start : start + _CHUNK] for start in range(0, len(folders), _CHUNK)]
     found: dict[Path, tuple[list[Score], list[str]]] = {}

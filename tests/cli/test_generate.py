@@ -126,9 +126,10 @@ def test_zero_agents_is_a_scene_like_any_other(hid2: Run, data_scenes: dict[str,
         (["--min-agents", "10000"], "none of 3 scenes is left"),
         (["--no-such-option"], "no such option"),
         (["--source", "here"], "--source without --from"),
+        (["--from", "README.md"], "--from README.md: is no sidecar, expected that of a generated scene"),
         (["--function", "a:b"], "--function without --repro"),
         (["--repro", "README.md"], "README.md: is no ZIP file, expected a bundle"),
-        (["--from", "none.json"], "--from none.json: no such file, expected the sidecar of a generated scene"),
+        (["--from", "none.json"], "--from none.json: no such file, expected that of a generated scene"),
     ],
 )
 def test_wrong_request_is_exit_code_2_and_named(
