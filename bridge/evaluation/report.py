@@ -165,7 +165,7 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
         Section("diversity", "Diversity", Markup("\n").join(diversity_parts(metrics["diversity"]))),
         Section("requests", "Asked for and delivered", _requests(metrics)),
         Section("fidelity", "Fidelity of replay and road network", _fidelity(metrics)),
-        Section("words", "Words", _section("words", _TERMS, _described(metrics), _reasons_of(metrics))),
+        Section("words", "Words", _section("words", _TERMS, _described(metrics), _reasons_of(evaluation))),
     ]
     intro = _section("intro", metrics["scenes"])
     write_text(path, page("Generated traffic scenes: evaluation", [intro], [s for s in sections if s.body]))
@@ -243,10 +243,11 @@ def _reason_in(text: str) -> Reason | None:
     return next((reason for reason in Reason if reason.value in text.split(": ")), None)
 
 
-def _reasons_of(metrics: Mapping[str, Any]) -> list[Reason]:
+def _reasons_of(evaluation: Evaluation) -> list[Reason]:
     """The reasons that the page names."""
-    requests = metrics["requests"]
+    requests = evaluation.metrics["requests"]
     named = [*requests["rejected"], *(text for entry in requests["maneuvers"].values() for text in entry["reasons"])]
+    named += [row["reason"] for row in evaluation.totals.events if row["reason"]]
     found = {_reason_in(text) for text in named}
     return [reason for reason in Reason if reason in found]
 
@@ -359,7 +360,7 @@ def _events(evaluation: Evaluation) -> str:
             number(row["at_s"], 1), number(row["gap_m"], 1), number(row["speed_difference_mps"], 1),
             number(row["min_ttc_s"], 1), number(row["pet_s"], 1), number(row["drac_mps2"], 2),
             "–" if row["human_brakes"] is None else "yes" if row["human_brakes"] else "no",
-            html.escape(reason_words(row["reason"])) if row["reason"] else html.escape(f"{row['track_id']}, done"),
+            _reason(row["reason"]) if row["reason"] else html.escape(f"{row['track_id']}, done"),
             _event_picture(row, shown),
         )
         for shown, row in enumerate(events)
