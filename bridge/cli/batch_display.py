@@ -60,8 +60,9 @@ def print_batch(rows: Sequence[ManifestRow]) -> None:
     print(
         f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)}{asked}; "
         f"manoeuvres done: {sum(row.maneuvers_done for row in done)} of {sum(row.maneuvers_requested for row in done)}"
-        + (f"; events done: {sum(row.events_done for row in done)} of {events}" if events else "")
     )
+    if events:
+        print(f"events done: {sum(row.events_done for row in done)} of {events}")
 
 
 def _line(row: ManifestRow, *, with_events: bool) -> tuple[object, ...]:

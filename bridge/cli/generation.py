@@ -406,8 +406,9 @@ def _make_again(
     sidecar: Path, source: Path | None, out: Path | None, map_path: Path | None, *, given: bool, quiet: bool
 ) -> int:
     """Make the scene of a sidecar again, and compare it with what lies beside the sidecar. Returns the exit code."""
-    if not sidecar.is_file():
-        raise ConfigError(f"--from {sidecar}: no such file, expected the sidecar of a generated scene, hid2_<id>.json")
+    if not (sidecar.is_file() and sidecar.match("hid2_*.json")):
+        wrong = "is no sidecar" if sidecar.exists() else "no such file"
+        raise ConfigError(f"--from {sidecar}: {wrong}, expected that of a generated scene, hid2_<id>.json")
     if out is None or source is None or given:
         raise ConfigError("--from SIDECAR takes --source ROOT and -o OUT, and no SCENE (see hid2 generate --help)")
     check_scenes([source])

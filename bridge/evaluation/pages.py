@@ -1,6 +1,7 @@
 """What pages are made of: HTML without outside references, its tables, figures and numbers."""
 
 import functools
+import html
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -65,3 +66,22 @@ def with_interval(entry: Mapping[str, float | None], digits: int = 3) -> str:
     if entry["low"] is None or entry["high"] is None:
         return text
     return f"{text}<br><small>{number(entry['low'], digits)} to {number(entry['high'], digits)}</small>"
+
+
+#: Words in the names of metrics, and the definitions that they lead to; longer ones first.
+_LINKED = {
+    "footprint ORR": "footprint", "time gap": "gap", "TTC": "ttc", "PET": "pet", "SCR": "scr", "ORR": "orr",
+    "IoU": "iou", "LO": "motion", "LA": "motion", "JE": "motion", "time to collision": "ttc",
+    "post-encroachment time": "pet", "lane-change duration": "duration", "acceleration": "smooth", "jerk": "smooth",
+    "yaw rate": "smooth", "offset": "smooth", "speed": "smooth", "touch": "contact", "contact": "contact",
+    "lane change": "manoeuvre", "left turn": "manoeuvre", "right turn": "manoeuvre", "overtake": "overtake",
+    "obstacle avoidance": "overtake", "pass": "overtake", "AUC": "auc", "Jensen-Shannon": "js",
+    "Wasserstein": "wasserstein",
+}  # fmt: skip
+
+
+def linked(label: str) -> str:
+    """The name of a metric as HTML, its first known word linked to the definition."""
+    text = html.escape(label)
+    word = next((word for word in _LINKED if word in text), None)
+    return text if word is None else text.replace(word, f'<a href="#word-{_LINKED[word]}">{word}</a>', 1)

@@ -119,10 +119,10 @@ def score_predictions(
     cannot be written.
     """
     folders = find_scenarios(out)
-    if report_dir is not None:
-        make_folder(report_dir)
     named = next((kind for kind in BASELINES if kind == predictions), None)
     forecasts = read_forecasts(Path(predictions)) if named is None else {}
+    if report_dir is not None:
+        make_folder(report_dir)
     items = [(folder, named or forecasts.get(source_id(folder))) for folder in folders]
     each = work_on_each(score_folders, items, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False)
     scores: list[Score] = []

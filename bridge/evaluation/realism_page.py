@@ -7,7 +7,7 @@ from typing import Any
 from markupsafe import Markup
 
 from bridge.evaluation.charts import distribution_figure
-from bridge.evaluation.pages import macro, number, picture, table, with_interval
+from bridge.evaluation.pages import linked, macro, number, picture, table, with_interval
 from bridge.evaluation.totals import Evaluation
 from hid2.evaluation.realism import FEATURES
 
@@ -31,7 +31,7 @@ def realism_section(evaluation: Evaluation) -> str:
     names = {feature.name: feature for feature in FEATURES}
     rows = [
         (
-            f"{names[item['feature']].label}, {item['unit']}",
+            linked(f"{names[item['feature']].label}, {item['unit']}"),
             number(item["jensen_shannon"]),
             number(item["jensen_shannon_floor"]),
             number(item["jensen_shannon_ratio"], 1),
@@ -43,7 +43,7 @@ def realism_section(evaluation: Evaluation) -> str:
         for item in realism["distances"]
     ]
     head = (
-        "feature", "Jensen-Shannon", "floor", "times the floor", "Wasserstein", "floor of Wasserstein",
+        "feature", linked("Jensen-Shannon"), "floor", "times the floor", linked("Wasserstein"), "floor of Wasserstein",
         "generated samples", "recorded samples",
     )  # fmt: skip
     caption = "Distributions behind the table; end bins hold what lies beyond."
@@ -140,13 +140,13 @@ def _critics_table(critics: Mapping[str, Any]) -> Markup:
     rows += [row("recorded against recorded: ", v) for v in critics["negative_control"]]
     rows += [row("constant speed on the lane’s middle: ", v) for v in critics["constant_speed_control"]]
     rows += [row("drivers of the control: ", v) for v in critics["drivers_control"]]
-    return table(("told apart", "AUC", "generated windows", "recorded windows", "scenes"), rows)
+    return table(("told apart", linked("AUC"), "generated windows", "recorded windows", "scenes"), rows)
 
 
 def _tails_table(tails: Sequence[Mapping[str, Any]], names: Mapping[str, Any]) -> Markup:
     shares = tails[0]["shares"] if tails else []
     rows = [
-        (f"{names[item['feature']].label}, {item['unit']}, {who}", *(number(value, 2) for value in item[key]))
+        (linked(f"{names[item['feature']].label}, {item['unit']}, {who}"), *(number(value, 2) for value in item[key]))
         for item in tails
         for key, who in (("recorded", "recorded"), ("generated", "generated"))
         if item[key] is not None

@@ -11,13 +11,14 @@ from typing import Any, NamedTuple
 from markupsafe import Markup
 
 from bridge.evaluation.charts import diversity_figure, reason_words
-from bridge.evaluation.pages import Section, macro, number, page, picture, table, with_interval
+from bridge.evaluation.pages import Section, linked, macro, number, page, picture, table, with_interval
 from bridge.evaluation.realism_page import realism_section
 from bridge.evaluation.totals import Evaluation
 from bridge.files import write_text
 from bridge.pictures import figures
 from bridge.pictures.render import scene_figure
 from bridge.recordings.sidecar import AgentRecord, sidecar_in
+from hid2.reasons import Reason
 
 _GROUP_NAMES = {"original": "original (recorded)", "generated": "generated", "combined": "combined"}
 _PAIR_NAMES = {
@@ -93,15 +94,26 @@ _TERMS = (
         "driving past a slower vehicle by the lane beside it and back; the same without coming back; past one that "
         "stands.",
     ),
+    Term(
+        "manoeuvre",
+        "lane change, turn",
+        "the centre crosses to a lane beside that runs the same way, and stays at least 0.5 s on each side; a turning "
+        "lane of an intersection is driven and the direction changes by as much as makes a turn.",
+    ),
+    Term("contact", "touching, any contact", "two boxes share ground at some step, by however little."),
+    Term(
+        "smooth",
+        "speed, acceleration, jerk, yaw rate, offset",
+        "of the smooth curve through four seconds of positions of a moving vehicle, along and across its lane; the "
+        "offset is the distance from the lane’s middle, left positive.",
+    ),
+    Term(
+        "duration", "lane-change duration", "from where the lateral speed passes 0.1 m/s to where it falls below again."
+    ),
     Term("iou", "IoU", "area shared by two boxes over the area covered by either."),
     Term("moving", "moving", "a vehicle whose path extends over more than 5 m, seen at more than 10 steps."),
     Term("fragment", "fragment", "a short, poor track; the data set marks it so."),
 )
-#: Words in the names of metrics, and the definitions that they lead to; longer ones first.
-_LINKED = {
-    "footprint ORR": "footprint", "time gap": "gap", "TTC": "ttc", "PET": "pet", "SCR": "scr", "ORR": "orr",
-    "IoU": "iou", "LO": "motion", "LA": "motion", "JE": "motion",
-}  # fmt: skip
 
 
 def _section(name: str, *arguments: object) -> Markup:
@@ -123,17 +135,10 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
         Section("diversity", "Diversity", Markup("\n").join(diversity_parts(metrics["diversity"]))),
         Section("requests", "Asked for and delivered", _requests(metrics)),
         Section("fidelity", "Fidelity of replay and road network", _fidelity(metrics)),
-        Section("words", "Words", _section("words", _TERMS, _described(metrics))),
+        Section("words", "Words", _section("words", _TERMS, _described(metrics), _reasons_of(evaluation))),
     ]
     intro = _section("intro", metrics["scenes"])
     write_text(path, page("Generated traffic scenes: evaluation", [intro], [s for s in sections if s.body]))
-
-
-def linked(label: str) -> str:
-    """The name of a metric as HTML, its first known word linked to the definition."""
-    text = html.escape(label)
-    word = next((word for word in _LINKED if word in text), None)
-    return text if word is None else text.replace(word, f'<a href="#word-{_LINKED[word]}">{word}</a>', 1)
 
 
 def _name(key: str, entry: Mapping[str, Any]) -> str:
@@ -154,6 +159,26 @@ def _described(metrics: Mapping[str, Any]) -> list[dict[str, str]]:
     ]
 
 
+def _reason(text: str) -> str:
+    """A reason of a sidecar in words, as HTML that leads to its sentence."""
+    words = html.escape(reason_words(text))
+    name = _reason_in(text)
+    return words if name is None else f'<a href="#reason-{name}">{words}</a>'
+
+
+def _reason_in(text: str) -> Reason | None:
+    return next((reason for reason in Reason if reason.value in text.split(": ")), None)
+
+
+def _reasons_of(evaluation: Evaluation) -> list[Reason]:
+    """The reasons that the page names."""
+    requests = evaluation.metrics["requests"]
+    named = [*requests["rejected"], *(text for entry in requests["maneuvers"].values() for text in entry["reasons"])]
+    named += [row["reason"] for row in evaluation.totals.events if row["reason"]]
+    found = {_reason_in(text) for text in named}
+    return [reason for reason in Reason if reason in found]
+
+
 def _glance(metrics: Mapping[str, Any]) -> str:
     safety, pairs = metrics["safety"], metrics["safety"]["pairs"]
     if not metrics["scenes"]["generated_vehicles"]:
@@ -162,32 +187,42 @@ def _glance(metrics: Mapping[str, Any]) -> str:
     limits = metrics["kinematics"]["limits"].values()
     beyond = [entry for entry in limits if entry["generated"]["value"]]
     named = "".join(f"<br>{entry['label']}: {entry['generated']['value']:.1e} of driving" for entry in beyond)
+
+    def defined(key: str, name: str) -> str:
+        return f'<a href="#metric-{key}">{name}</a>'
+
     rows = [
-        ("generated vehicles that touch anything, pairs", hits == 0, str(hits)),
+        (linked("generated vehicles that touch anything, pairs"), hits == 0, str(hits)),
         (
-            "share of boxes with a corner over 0.3 m off the road",
+            defined("footprint_orr", "share of boxes with a corner over 0.3 m off the road"),
             not safety["footprint_orr"]["generated"]["value"],
             number(safety["footprint_orr"]["generated"]["value"], 4),
         ),
         (
-            "share of driving against the lane",
+            defined("wrong_way", "share of driving against the lane"),
             not safety["wrong_way"]["generated"]["value"],
             number(safety["wrong_way"]["generated"]["value"], 4),
         ),
-        ("limits of motion that some step exceeds", not beyond, f"{len(beyond)} of {len(limits)}{named}"),
         (
-            "time to collision (TTC) with the leader below 1.5 s, share of driving",
+            '<a href="#motion">limits of motion</a> that some step exceeds',
+            not beyond,
+            f"{len(beyond)} of {len(limits)}{named}",
+        ),
+        (
+            defined("leader_ttc_critical", "time to collision (TTC) with the leader below 1.5 s, share of driving"),
             not safety["leader_ttc_critical"]["generated"]["value"],
             number(safety["leader_ttc_critical"]["generated"]["value"], 4),
         ),
         (
-            "contact within 1 s after the last step at constant velocity, share of vehicles",
+            defined(
+                "end_ttc_critical", "contact within 1 s after the last step at constant velocity, share of vehicles"
+            ),
             not safety["end_ttc_critical"]["generated"]["value"],
             number(safety["end_ttc_critical"]["generated"]["value"], 4),
         ),
     ]
     cells = [
-        (linked(name), value, '<span class="good">none</span>' if good else '<span class="bad">some</span>')
+        (name, value, '<span class="good">none</span>' if good else '<span class="bad">some</span>')
         for name, good, value in rows
     ]
     return _section("of", metrics["scenes"]) + table(("", "value", ""), cells)
@@ -217,8 +252,8 @@ def _example(evaluation: Evaluation) -> str:
 def _deeds(agent: AgentRecord) -> str:
     """What a vehicle does, in a sentence."""
     done = [maneuver.kind.replace("_", " ") for maneuver in agent.maneuvers if maneuver.status == "done"]
-    what = f"its manoeuvres: {', '.join(done)}" if done else "it does no manoeuvre"
-    return html.escape(f"{agent.track_id}, in the ring, keeps to its lane path; {what}.")
+    what = f"does what it was asked for: {', '.join(done)}" if done else "keeps to its lane path"
+    return html.escape(f"{agent.track_id}, in the ring, {what}.")
 
 
 def _busiest(agents: Sequence[AgentRecord]) -> AgentRecord | None:
@@ -252,7 +287,7 @@ def _events(evaluation: Evaluation) -> str:
             number(row["at_s"], 1), number(row["gap_m"], 1), number(row["speed_difference_mps"], 1),
             number(row["min_ttc_s"], 1), number(row["pet_s"], 1), number(row["drac_mps2"], 2),
             "–" if row["human_brakes"] is None else "yes" if row["human_brakes"] else "no",
-            html.escape(reason_words(row["reason"])) if row["reason"] else html.escape(f"{row['track_id']}, done"),
+            _reason(row["reason"]) if row["reason"] else html.escape(f"{row['track_id']}, done"),
             _event_picture(row, shown),
         )
         for shown, row in enumerate(events)
@@ -292,7 +327,7 @@ def _safety(metrics: Mapping[str, Any]) -> str:
         for key, name in _PAIR_NAMES.items()
     ]
     head = ("share of …", *_GROUP_NAMES.values(), "paper: recorded", "paper: combined")
-    kinds = ("vehicles, IoU &gt; 0.02", "any type, IoU &gt; 0.02", "any contact", "crossing paths", "PET &lt; 1 s")
+    kinds = map(linked, ("vehicles, IoU > 0.02", "any type, IoU > 0.02", "any contact", "crossing paths", "PET < 1 s"))
     return _section("safety", metrics["scenes"], table(head, rows), table(("pairs", *kinds), pair_rows))
 
 
@@ -326,13 +361,13 @@ def diversity_parts(diversity: Mapping[str, Any]) -> list[str]:
     """Figure and tables of scenes by density and behaviour, before and after."""
     bands = [
         (
-            f"more than {bound}",
+            f"share of scenes with more than {bound}",
             *(number(part[bound][when], 2) for part in _shares(diversity) for when in ("before", "after")),
         )
         for bound in diversity["density"]["tracks"]["share_above"]
     ]
     means = (
-        "mean number of agents",
+        "mean",
         *(
             number(diversity["density"][name][f"mean_{when}"], 1)
             for name in ("tracks", "tracks_at_49")
@@ -342,7 +377,7 @@ def diversity_parts(diversity: Mapping[str, Any]) -> list[str]:
     behaviours = diversity["behaviours"]
     kinds = [
         (
-            kind.replace("_", " "),
+            linked(kind.replace("_", " ")),
             *(
                 number(behaviours[when]["maneuvers"][kind] / max(1, behaviours[when]["scenes"]), 2)
                 for when in ("before", "generated", "after")
@@ -362,9 +397,7 @@ def diversity_parts(diversity: Mapping[str, Any]) -> list[str]:
         Markup("<p class=of>Before: {} source scenes. After: {} scenes.</p>").format(
             *(diversity["scenes"][when] for when in ("before", "after"))
         ),
-        table(
-            ("share of scenes with agents …", "tracks, before", "after", "at 4.9 s, before", "after"), [means, *bands]
-        ),
+        table(("agents in a scene", "tracks, before", "after", "at 4.9 s, before", "after"), [means, *bands]),
         Markup("<p>Manoeuvres per scene, as a detector sees them in the positions (before: recorded; after: all):</p>"),
         table(("manoeuvre", "before", "generated", "after"), kinds),
     ]
@@ -397,15 +430,14 @@ def _requests(metrics: Mapping[str, Any]) -> str:
         return ""
     maneuvers = [
         (
-            kind.replace("_", " "),
+            linked(kind.replace("_", " ")),
             *(str(entry[status]) for status in ("done", "done_and_seen", "aborted", "not_feasible", "not_triggered")),
             number(entry["median_trigger_to_start_s"], 1),
-            "<br>".join(html.escape(f"{reason_words(reason)} ({count})") for reason, count in entry["reasons"].items())
-            or "–",
+            "<br>".join(f"{_reason(reason)} ({count})" for reason, count in entry["reasons"].items()) or "–",
         )
         for kind, entry in requests["maneuvers"].items()
     ]
-    rejected = [(html.escape(reason_words(reason)), f"{count:,}") for reason, count in requests["rejected"].items()]
+    rejected = [(_reason(reason), f"{count:,}") for reason, count in requests["rejected"].items()]
     head = (
         "manoeuvre", "done", "of these seen", "aborted", "not feasible", "not triggered", "trigger to start, s",
         "reasons",

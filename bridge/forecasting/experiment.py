@@ -70,6 +70,8 @@ PAPER_TABLE3: Mapping[str, Sequence[float]] = {
 PAPER_GAIN_M = 0.023
 #: With fewer recorded scenes behind a comparison the page says that it shows nothing about the claim.
 _FEW_SCENES = 1000
+#: With fewer recorded scenes an interval by bootstrap is too narrow to be taken at its word.
+_TRUSTED_SCENES = 20
 #: Memory that a training may take: torch reserves more than it uses.
 _TRAINING_MB = 32_000
 
@@ -337,6 +339,11 @@ def power_text(differences: Sequence[Difference]) -> str:
 
 def _verdict(one: Difference) -> str:
     low, high = one.estimate.low, one.estimate.high
+    if low is not None and high is not None and one.sources < _TRUSTED_SCENES:
+        return (
+            f"The interval of the difference, {low:+.2f} to {high:+.2f} m, is drawn from so few scenes that it is too "
+            f"narrow: whether it holds 0 says nothing.{_few(one)}"
+        )
     if low is None or high is None or low <= 0 <= high:
         return f"The interval of the difference holds 0: no difference is shown.{_few(one)}"
     return f"The interval of the difference does not hold 0.{_few(one)}"

@@ -3,10 +3,11 @@
 import io
 import os
 import shutil
+import struct
 import sys
 import tempfile
 from collections.abc import Callable
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -89,7 +90,9 @@ def play_scene(
             if screenshot is not None:
                 raise SimulationError(f"sumo-gui ended before the picture was taken: {error}") from error
         finally:
-            traci.close(wait=False)
+            # nobody may be there any more, or half an answer unread where Ctrl-C cut the talk
+            with suppress(traci.exceptions.FatalTraCIError, OSError, struct.error):
+                traci.close(wait=False)
     return screenshot
 
 
@@ -113,8 +116,11 @@ def _traci() -> ModuleType:
 def _binary() -> str:
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise SimulationError("no display for sumo-gui: set DISPLAY, or run it under xvfb-run")
-    beside = Path(sys.executable).with_name("sumo-gui")
-    binary = str(beside) if beside.is_file() else shutil.which("sumo-gui")
+    try:  # the wheel's program itself: the script that starts it prints a traceback when interrupted
+        inside = Path(import_module("sumo").SUMO_HOME) / "bin" / "sumo-gui"  # sets what SUMO needs of the environment
+    except ModuleNotFoundError:
+        inside = Path("sumo-gui")
+    binary = str(inside) if inside.is_file() else shutil.which("sumo-gui")
     if binary is None:
         raise SimulationError(f"sumo-gui is not installed; {_HOW}")
     return binary

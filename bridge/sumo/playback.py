@@ -87,7 +87,7 @@ class Paint(NamedTuple):
 
 RECORDED, REACTING = Paint("#9C9CA4", "recorded"), Paint("#9C9CA4", "reacting")
 AV = Paint(SKY, "recording vehicle")
-FOCAL = Paint("#FFFFFF", "focal")
+FOCAL = Paint("#F0E442", "focal")  # neither ground nor road nor background has it
 POLICIES: Mapping[Policy, Paint] = {
     Policy.STRAIGHT: Paint(VERMILION, "straight"),
     Policy.LEFT_TURN: Paint(GREEN, "left turn"),
@@ -98,7 +98,7 @@ POLICIES: Mapping[Policy, Paint] = {
 
 
 def paints(scenario: Scenario) -> dict[str, Paint]:
-    """Colour of every track: recorded grey, the recorded focal one white, generated ones by policy."""
+    """Colour of every track: recorded grey, the recorded focal one yellow, generated ones by policy."""
     sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
     policy_of = {agent.track_id: agent.policy for agent in sidecar.agents} if sidecar else {}
     out = {}

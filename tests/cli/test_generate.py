@@ -67,7 +67,7 @@ def test_event_that_does_not_come_about_is_in_the_table_with_its_reason(
     assert row["not_done"] == "cut_in with nobody: event_no_target (1)"
     assert "cut_in with nobody: event_no_target (1)" in result.stdout
     assert result.stdout.splitlines()[1].split()[-3:] == ["events", "s", "remarks"]
-    assert "; events done: 0 of 1\n" in result.stdout
+    assert "\nevents done: 0 of 1\n" in result.stdout
 
 
 def test_same_request_gives_the_same_bytes(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
@@ -127,9 +127,10 @@ def test_zero_agents_is_a_scene_like_any_other(hid2: Run, data_scenes: dict[str,
         (["--min-agents", "10000"], "none of 3 scenes is left"),
         (["--no-such-option"], "no such option"),
         (["--source", "here"], "--source without --from"),
+        (["--from", "README.md"], "--from README.md: is no sidecar, expected that of a generated scene"),
         (["--function", "a:b"], "--function without --repro"),
         (["--repro", "README.md"], "README.md: is no ZIP file, expected a bundle"),
-        (["--from", "none.json"], "--from none.json: no such file, expected the sidecar of a generated scene"),
+        (["--from", "none.json"], "--from none.json: no such file, expected that of a generated scene"),
     ],
 )
 def test_wrong_request_is_exit_code_2_and_named(

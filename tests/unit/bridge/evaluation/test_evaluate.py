@@ -164,6 +164,18 @@ def test_every_link_of_the_report_leads_somewhere_and_every_section_is_in_the_co
     assert "Of 2 scenes made from 2 recorded ones" in text
 
 
+def test_every_row_of_numbers_leads_to_a_definition(report):
+    """The name of the row or the head of its column does; left out: shares of scenes by density, and the net."""
+    _, folder = report
+    text = (folder / "report.html").read_text()
+    for key in ("glance", "encounters", "realism", "safety", "motion", "requests"):
+        section = text.split(f'<section id="{key}">')[1].split("</section>")[0]
+        for table in re.findall(r"<table>.*?</table>", section, re.S):
+            head, *rows = re.findall(r"<tr.*?</tr>", table, re.S)
+            lacking = [row for row in rows if "href" not in row and "href" not in head]
+            assert not lacking, (key, lacking[0])
+
+
 def test_what_comes_from_files_is_escaped(made_root, tmp_path):
     evaluation = evaluate_folder(made_root, report_dir=tmp_path / "report")
     evaluation.metrics["scenes"]["failed"] = [{"folder": "a<b>", "reason": "<script>"}]

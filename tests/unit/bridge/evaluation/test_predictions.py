@@ -210,6 +210,9 @@ def test_what_cannot_be_scored_is_listed_or_explained(data_scenes, data_root, tm
     pd.DataFrame({"scenario_id": ["a"]}).to_parquet(tmp_path / "wrong.parquet")
     with pytest.raises(ConfigError, match="not a forecast file"):
         read_forecasts(tmp_path / "wrong.parquet")
+    with pytest.raises(ConfigError, match="not a forecast file"):
+        score_predictions(data_root, predictions=tmp_path / "wrong.parquet", report_dir=tmp_path / "new")
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_baseline_forecasts_what_is_not_observed_of_a_scene_made_from_argoverse_1(tmp_path):

@@ -14,9 +14,10 @@ from recordings import make_argoverse1
 
 from bridge.evaluation.predictions import baseline, read_forecasts, score_predictions, write_forecasts
 from bridge.forecasting import experiment
+from bridge.forecasting.comparison import Difference, Estimate
 from bridge.forecasting.compose import compose
 from bridge.forecasting.composition import composition_of
-from bridge.forecasting.experiment import PAPER_TABLE2, PAPER_TABLE3, SETS, Plan, run_prediction
+from bridge.forecasting.experiment import PAPER_TABLE2, PAPER_TABLE3, SETS, Plan, power_text, run_prediction
 from bridge.forecasting.features import targets_of
 from bridge.recordings.export import write_scene
 from bridge.recordings.folders import find_scenarios
@@ -178,6 +179,25 @@ def test_recordings_of_other_formats_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(experiment, "check_torch", lambda: None)
     with pytest.raises(ConfigError, match=r"1\.csv: argoverse1, expected Argoverse 2 scenes alone"):
         run_prediction([root / "train"], tmp_path / "out", Plan())
+
+
+@pytest.mark.parametrize(
+    ("sources", "says", "not_says"),
+    [
+        (3, "-0.90 to -0.10 m, is drawn from so few scenes that it is too narrow", "does not hold 0"),
+        (40, "does not hold 0. So few scenes show that the way works from end to end", "too narrow"),
+        (5000, "does not hold 0. The paper", "So few scenes"),
+    ],
+)
+def test_an_interval_is_taken_at_its_word_from_many_scenes_only(sources, says, not_says):
+    """A difference of -0.5 m, -0.9 to -0.1 m."""
+    one = Difference(
+        "hid2", "recorded", "all scenes", "min_fde_m", Estimate(-0.5, -0.9, -0.1, 0.2), sources, sources, (3, 3), 0.57
+    )
+    text = power_text([one])
+    assert says in text
+    assert not_says not in text
+    assert f"{sources} tracks of {sources} recorded scenes" in text
 
 
 # With torch

@@ -4,10 +4,12 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
+import psutil
 import pytest
 import sumolib
 from lxml import etree
@@ -227,3 +229,25 @@ def test_step_that_the_scene_does_not_have_is_named(made_scene, monkeypatch):
     monkeypatch.setenv("DISPLAY", ":0")  # nothing is shown yet
     with pytest.raises(ConfigError, match=r"timestep 500 is out of range \(0-109\)"):
         play_scene(made_scene, step=500)
+
+
+@pytest.mark.parametrize("closes", ["the window", "the command"])
+def test_gui_ends_without_a_word_when_its_window_is_closed_or_when_it_is_interrupted(made_scene, screen, closes):
+    """Ctrl-C ends the command with the code that its help names; sumo-gui, in its group, may be gone before it."""
+    command = [BIN / "hid2", "gui", made_scene]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=screen, start_new_session=True) as it:
+        try:
+            waits = next(line for line in it.stderr if line.startswith("sumo-gui waits"))
+            if closes == "the command":
+                os.killpg(it.pid, signal.SIGINT)
+            else:
+                (window,) = psutil.Process(it.pid).children()
+                window.terminate()
+            code = it.wait(60)
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(it.pid, signal.SIGKILL)
+        rest = it.stderr.read()
+    assert "play with Ctrl+A" in waits
+    assert "Traceback" not in rest, rest
+    assert code == (130 if closes == "the command" else 0)
