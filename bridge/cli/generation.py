@@ -87,7 +87,7 @@ def generate(  # noqa: PLR0913  # one for each option
         typer.Option(
             metavar="S|A:B|S,S,...",
             help="When manoeuvres are triggered, in seconds: a time, a range to draw from, or a list to draw from.",
-            show_default="0.5:4",
+            show_default="0.5 to 36 % of the scene, 4 s at most",
             rich_help_panel=REQUEST,
         ),
     ] = None,

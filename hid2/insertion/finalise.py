@@ -10,7 +10,7 @@ from hid2.measures.scene_end import BoxesAtStep, first_contact
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.smoothing import Motion, Trajectory, smooth_motion, trajectory
 from hid2.motion.verify import first_overlap, limit_exceeded, off_road_steps
-from hid2.occupancy.along_path import path_occupancy
+from hid2.occupancy.along_path import PathOccupancy, look_along, path_occupancy
 from hid2.occupancy.traffic import Traffic
 from hid2.reasons import Reason, limit_reason
 from hid2.scene import Scene
@@ -147,7 +147,7 @@ def _checked(
 
 def _min_leader_ttc_s(scene: Scene, vehicle: DrivenVehicle, motion: Motion, others: Traffic) -> float:
     """Smallest TTC to who moves with the path ahead of the vehicle on it; inf when never closing in."""
-    start, steps, export = vehicle.start, motion.s.size, scene.config.export
+    start = vehicle.start
     seen = scene.recorded_on(vehicle.path, start.box)
     if others.ids:
         margin = scene.config.conflict.margin_lateral_m
@@ -157,13 +157,19 @@ def _min_leader_ttc_s(scene: Scene, vehicle: DrivenVehicle, motion: Motion, othe
                 margin_lateral_m=margin,
             )
         )  # fmt: skip
+    return float(_leader_ttcs(scene, vehicle, motion, seen).min(initial=np.inf))
+
+
+def _leader_ttcs(scene: Scene, vehicle: DrivenVehicle, motion: Motion, seen: PathOccupancy) -> FloatArray:
+    """(A,) smallest TTC, s, to each of those seen on the vehicle's path while they move ahead with it; else inf."""
+    steps, export = motion.s.size, scene.config.export
     gap = seen.low[:, :steps] - motion.s
     closing = motion.v - seen.along[:, :steps]
     ahead = np.isfinite(gap) & (gap > -export.touching_m) & (seen.along[:, :steps] >= -export.rolls_back_mps)
     leads = ahead & seen.aligned[:, :steps] & (closing > 1e-3)
-    if not leads.any():
-        return float("inf")
-    return float((gap[leads] / closing[leads]).min())
+    ttc_s = np.full(gap.shape, np.inf)
+    ttc_s[leads] = gap[leads] / closing[leads]
+    return np.asarray(ttc_s.min(axis=1, initial=np.inf))
 
 
 def _meets_after_end(scene: Scene, vehicle: DrivenVehicle, path: Trajectory, others: Traffic) -> bool:
@@ -233,6 +239,26 @@ def conflicting(scene: Scene, exported: Sequence[ExportedVehicle]) -> list[tuple
     found: dict[int, Reason] = {}
     for row, leader in positions.following_conflicts(leaving, critical_s=config.conflict.ttc_min_s):
         found[max(row, -1 if leader is None else leader)] = Reason.TTC_LANE_LEADER
+    for row, leader in _closing_in(scene, exported):
+        found.setdefault(max(row, leader), Reason.TTC_LANE_LEADER)
     for row, _ in positions.crossing_conflicts(critical_s=config.conflict.pet_min_s):
         found.setdefault(row, Reason.PET)
     return sorted(found.items())
+
+
+def _closing_in(scene: Scene, exported: Sequence[ExportedVehicle]) -> list[tuple[int, int]]:
+    """(follower, leader) rows of exported vehicles with a critical TTC on the path that the follower really drives.
+
+    One that was kept before another one was driven ahead of it does not react to that one.
+    """
+    everybody = traffic_of_exported(exported, scene)
+    found = []
+    for row, vehicle in enumerate(exported):
+        start, margin = vehicle.driven.start, scene.config.conflict.margin_lateral_m
+        others = [other for other in range(len(exported)) if other != row]
+        rows, seen = look_along(
+            vehicle.driven.path.line, everybody.rows(others), start.box.length_m, start.box.width_m + 2 * margin
+        )
+        near = _leader_ttcs(scene, vehicle.driven, vehicle.motion, seen) < scene.config.conflict.ttc_min_s
+        found += [(row, others[leader]) for leader in rows[near].tolist()]
+    return found

@@ -19,7 +19,7 @@ from bridge.batch.batch import GENERATE_WITH_GAPS
 from bridge.batch.scan import EVENT_TARGETS
 from bridge.cli import app, options
 from bridge.cli.forecasting import CountIn, Layout, SplitBy
-from bridge.config import config_to_dict, describe_config, load_config, parse_behaviours, parse_trigger_time
+from bridge.config import config_to_dict, describe_config, load_config, parse_behaviours
 from bridge.evaluation.experiments import EXPERIMENTS
 from bridge.forecasting.composition import Composition, Draw, Split
 from bridge.forecasting.experiment import Reading
@@ -70,7 +70,8 @@ def test_defaults_in_the_help_are_those_of_the_configuration() -> None:
     request = config_to_dict(Config())["request"]
     assert shown == {name: str(request[name]) for name in shown}
     assert load_config(None, [], parse_behaviours(option("--behaviours").show_default)) == Config()
-    assert load_config(None, [], parse_trigger_time(option("--trigger-time").show_default)) == Config()
+    assert option("--trigger-time").show_default == f"{request['trigger_min_s']:g} to 36 % of the scene, 4 s at most"
+    assert (Request().trigger_max_s, Request().trigger_usual_share, Request().trigger_usual_s) == (None, 0.36, 4.0)
     assert Request().spawn_leaders is True
 
 

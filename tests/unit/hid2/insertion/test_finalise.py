@@ -11,7 +11,9 @@ from inserted import CAR, driven, nobody, recorded, scene_on, start_on
 from hid2.agents import Track
 from hid2.drivers.driver import LaneOffset
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
+from hid2.motion.route import DrivenPath
 from hid2.params import Config, Request
+from hid2.policy.observation import lay_across
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle
@@ -238,3 +240,20 @@ def test_without_smoothing_the_grid_path_is_exported(lane: Callable[..., Any]) -
     turn = np.abs(np.diff(np.unwrap(found.trajectory.heading)))
     assert set(np.round(turn, 2)) <= {0.0, 0.13}  # 4 / 30 rad from chord to chord, 0 on it
     assert np.any(turn > 0.1)
+
+
+def test_who_is_started_ahead_of_a_kept_vehicle_that_comes_into_its_lane_is_no_leader_too_slow_for_it(
+    scene_of: Callable[..., Scene],
+) -> None:
+    """From lane 1 to lane 2 at 10 m/s, 149 m after 10.9 s; ahead there 6 m/s from 93 m on: 4.9 m apart, 1.2 s."""
+    scene = scene_of()
+    start = start_on(scene, (1,), 40.0, 10.0)
+    across = lay_across(
+        scene, scene.path((1,)), scene.path((2,)), s=60.0, step=20, pace_mps=10.0, remaining_m=200.0, lasting_s=5.0
+    )
+    assert isinstance(across, DrivenPath)
+    changer = finalise(scene, replace(driven(start, np.full(110, 10.0)), path=across), nobody(scene.future.num_steps))
+    assert isinstance(changer, ExportedVehicle)
+    near, far = (_kept(scene, np.full(110, 6.0), s, lane=2, number=1) for s in (93.0, 100.0))
+    assert conflicting(scene, [changer, near]) == [(1, Reason.TTC_LANE_LEADER)]
+    assert conflicting(scene, [changer, far]) == []
