@@ -157,13 +157,17 @@ def _stands(track_id: str, traffic: Traffic, parked_mps: float) -> bool:
 
 
 def shift_times(vehicle: ExportedVehicle, index: int) -> tuple[float | None, float | None, float | None]:
-    """Start, crossing and end of a lateral motion, s: where |d'| passes 0.1 m/s, and half way between the lanes."""
+    """Start, crossing and end of a lateral motion, s: where |d'| passes 0.1 m/s, and half way between the lanes.
+
+    It starts with its decision at the earliest: differences of positions and the smoothing show it a step before.
+    """
     start_m, end_m = vehicle.driven.path.shifts[index]
     s, step_s = vehicle.motion.s, vehicle.motion.step_s
     share = lateral_share((s - start_m) / max(end_m - start_m, 1e-9))
     lateral_mps = np.abs(np.gradient(share * 3.5, step_s))
     moving = np.flatnonzero(lateral_mps > _VISIBLE_MPS)
-    start = _time(int(moving[0]), step_s) if moving.size else None
+    decided = vehicle.driven.shifts[index].requested_step
+    start = _time(max(int(moving[0]), decided), step_s) if moving.size else None
     finished = float(share[-1]) > 0.98
     end = _time(min(int(moving[-1]) + 1, s.size - 1), step_s) if finished and moving.size else None
     return start, _time(_step(s, 0.5 * (start_m + end_m)), step_s), end

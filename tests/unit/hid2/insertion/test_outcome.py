@@ -1,6 +1,7 @@
 """What became of a manoeuvre, by the exported motion."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,6 +51,14 @@ def test_lane_change_is_done_with_its_times(scene: Scene) -> None:
         pytest.approx(2.3, abs=0.21), pytest.approx(4.0, abs=0.21), pytest.approx(5.7, abs=0.31),
     )  # fmt: skip
     assert (found.source_lane, found.target_lane) == (1, 2)
+
+
+def test_lane_change_starts_with_its_decision_at_the_earliest(scene: Scene) -> None:
+    """Decided at 2 s; a track that is 5 m ahead of the simulated one shows the lateral motion before."""
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)
+    one = _exported(scene, changing(scene, start, np.full(110, 10.0), to=2, at_step=20, lasting_s=4.0))
+    ahead = replace(one, motion=replace(one.motion, s=one.motion.s + 5.0))
+    assert shift_times(ahead, 0)[0] == 2.0
 
 
 def test_lane_change_that_the_scene_cuts_off_is_aborted(scene: Scene) -> None:
