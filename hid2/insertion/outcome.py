@@ -89,7 +89,7 @@ def _lane_change(vehicle: ExportedVehicle) -> Outcome:
     driven = vehicle.driven
     if not driven.shifts:
         return _missed(vehicle)
-    start, crossing, end = shift_times(vehicle, 0)
+    start, crossing, end = _times_since_decision(vehicle)
     done = end is not None
     return Outcome(
         driven.policy, "done" if done else "aborted", None if done else Reason.SCENE_ENDED, start_s=start,
@@ -104,7 +104,7 @@ def _overtake(scene: Scene, vehicle: ExportedVehicle, traffic: Traffic) -> Outco
     if not driven.shifts:
         return _missed(vehicle)
     enter = driven.shifts[0]
-    start, crossing, entered = shift_times(vehicle, 0)
+    start, crossing, entered = _times_since_decision(vehicle)
     _, back_s, end = shift_times(vehicle, 1) if len(driven.shifts) > 1 else (None, None, None)
     leader_id = driven.leader_id if driven.leader_id in traffic.ids else None
     reason: Reason | None = None
@@ -156,18 +156,24 @@ def _stands(track_id: str, traffic: Traffic, parked_mps: float) -> bool:
     return bool(np.all(speed < parked_mps))
 
 
-def shift_times(vehicle: ExportedVehicle, index: int) -> tuple[float | None, float | None, float | None]:
-    """Start, crossing and end of a lateral motion, s: where |d'| passes 0.1 m/s, and half way between the lanes.
+def _times_since_decision(vehicle: ExportedVehicle) -> tuple[float | None, float | None, float | None]:
+    """Times of the first lateral motion of a vehicle that is there from step 0 on.
 
     It starts with its decision at the earliest: differences of positions and the smoothing show it a step before.
     """
+    start, crossing, end = shift_times(vehicle, 0)
+    decided_s = _time(vehicle.driven.shifts[0].requested_step, vehicle.motion.step_s)
+    return None if start is None or decided_s is None else max(start, decided_s), crossing, end
+
+
+def shift_times(vehicle: ExportedVehicle, index: int) -> tuple[float | None, float | None, float | None]:
+    """Start, crossing and end of a lateral motion, s: where |d'| passes 0.1 m/s, and half way between the lanes."""
     start_m, end_m = vehicle.driven.path.shifts[index]
     s, step_s = vehicle.motion.s, vehicle.motion.step_s
     share = lateral_share((s - start_m) / max(end_m - start_m, 1e-9))
     lateral_mps = np.abs(np.gradient(share * 3.5, step_s))
     moving = np.flatnonzero(lateral_mps > _VISIBLE_MPS)
-    decided = vehicle.driven.shifts[index].requested_step
-    start = _time(max(int(moving[0]), decided), step_s) if moving.size else None
+    start = _time(int(moving[0]), step_s) if moving.size else None
     finished = float(share[-1]) > 0.98
     end = _time(min(int(moving[-1]) + 1, s.size - 1), step_s) if finished and moving.size else None
     return start, _time(_step(s, 0.5 * (start_m + end_m)), step_s), end

@@ -58,7 +58,9 @@ def test_lane_change_starts_with_its_decision_at_the_earliest(scene: Scene) -> N
     start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)
     one = _exported(scene, changing(scene, start, np.full(110, 10.0), to=2, at_step=20, lasting_s=4.0))
     ahead = replace(one, motion=replace(one.motion, s=one.motion.s + 5.0))
-    assert shift_times(ahead, 0)[0] == 2.0
+    found = outcome_of(scene, ahead, traffic_of_exported([one], scene))
+    assert found is not None
+    assert found.start_s == 2.0
 
 
 def test_lane_change_that_the_scene_cuts_off_is_aborted(scene: Scene) -> None:
