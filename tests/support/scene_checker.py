@@ -209,19 +209,23 @@ def check_direction(track: Track, lanes: list[tuple[Polyline, float]], verdict: 
 
 
 def way_on(graph: LaneGraph, track: Track) -> Floats:
-    """Points beyond the end of a track, 60 m or so: along its lane and the straightest successors, then straight on."""
+    """Points beyond the end of a track, 60 m or so: along its lane and the straightest successors, then straight on.
+
+    At the place in the lane where the track ends: a step back to the middle would be a bend that nobody drives.
+    """
     end, heading = track.position[-1], float(track.heading[-1])
-    best, lane_id, at = 1.5, None, 0.0
+    best, lane_id, at, aside = 1.5, None, 0.0, 0.0
     for lane in graph.lanes.values():
         s, d = lane.path.frenet(end)
         turn = math.remainder(float(lane.path.heading(np.clip(s, 0.0, lane.length_m))[0]) - heading, 2 * math.pi)
         if 0.0 <= s[0] <= lane.length_m and abs(d[0]) + 2.0 * abs(turn) < best:
             best, lane_id, at = float(abs(d[0]) + 2.0 * abs(turn)), lane.lane_id, float(s[0])
+            aside = float(d[0])
     points: list[Floats] = []
     left_m = 60.0
     while lane_id is not None and left_m > 0.0:
         path = graph.lanes[lane_id].path
-        points.append(path.point(np.arange(at + 1.0, path.length_m, 1.0)))
+        points.append(path.xy(np.arange(at + 1.0, path.length_m, 1.0), aside))
         left_m -= path.length_m - at
         heading, at = float(path.heading(np.array([path.length_m]))[0]), 0.0
         onward = [(abs(math.remainder(float(graph.lanes[n].path.heading(np.zeros(1))[0] - heading), math.tau)), n)
