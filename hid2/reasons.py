@@ -96,7 +96,7 @@ class Reason(StrEnum):
     PET = "pet", "It crosses somebody's path below the critical post-encroachment time."
     TTC_AT_END = (
         "ttc_at_end",
-        "At its last step TTC to somebody, all at constant velocity, is below the critical value.",
+        "Beyond its last step, others at constant velocity, it has a critical TTC or contact that no braking avoids.",
     )
     DID_NOT_DO_IT = "did_not_do_it", "It did not perform its manoeuvre, and was replaced by another vehicle."
     WAITED_FOR_GONE = "waited_for_gone", "It had braked for a vehicle that is not exported, and was driven again."

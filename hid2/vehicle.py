@@ -27,7 +27,7 @@ class Start:
     """A request with a site and a driver: everything that decides how a vehicle begins.
 
     start_s m, of the box centre on the path; start_mps m/s; box: what is kept clear, size: what is exported; desired
-    (T,) m/s; sides: where it looks for a lane, in this order.
+    (T,) m/s; sides: where it looks for a lane, in this order; keeps_route: no conflict makes it take another way.
     """
 
     vehicle_id: str
@@ -43,6 +43,7 @@ class Start:
     desired: FloatArray
     offset: LaneOffset
     sides: tuple[Side, ...]
+    keeps_route: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +85,8 @@ class DrivenVehicle:
     """A vehicle that SUMO drives: s (T,) m, v (T,) m/s on its path so far, and what became of its request.
 
     limited: steps in which hid2 held it below SUMO's own choice of speed, by cause; policies: steps by the policy that
-    Algorithm 1 returned; waited_for: vehicles of the same run that it followed or yielded to while it slowed down.
+    Algorithm 1 returned; rerouted_at: step at which it took another way at the next split; waited_for: vehicles of the
+    same run that it followed or yielded to while it slowed down.
     """
 
     start: Start
@@ -95,6 +97,7 @@ class DrivenVehicle:
     reason: Reason | None = None
     objection: Reason | None = None
     left_at: int | None = None
+    rerouted_at: int | None = None
     shifts: list[Shift] = field(default_factory=list)
     gaps: list[GapLook] = field(default_factory=list)
     leader_id: str | None = None

@@ -71,6 +71,7 @@ def agent_record(
             refused_by_rule=sum((look.rule or look.guard) is not None for look in driven.gaps),
             refused_by_sumo=sum(look.sumo is False for look in driven.gaps),
         ),
+        rerouted_s=None if driven.rerouted_at is None else round(driven.rerouted_at * scene.step_s, 6),
         simulated=SimulatedRecord(max_off_m=round(float(abs(vehicle.simulated_off_m).max()), 6)),
         end_reason="map_edge" if vehicle.num_steps < scene.num_steps else None,
     )

@@ -133,7 +133,7 @@ class AgentRecord(_Record):
     """One generated vehicle; route: lane segment ids in the order driven.
 
     limited: share of steps in which hid2 held it below SUMO's own choice of speed, by cause; policies: share of steps
-    by the policy that Algorithm 1 returned.
+    by the policy that Algorithm 1 returned; rerouted_s: when it took another way at the next split.
     """
 
     track_id: str
@@ -148,6 +148,7 @@ class AgentRecord(_Record):
     limited: Mapping[str, float] = Field(default_factory=dict)
     policies: Mapping[str, float] = Field(default_factory=dict)
     gaps: GapsRecord = GapsRecord()
+    rerouted_s: Seconds | None = None
     simulated: SimulatedRecord | None = None
     end_reason: str | None = None
 

@@ -20,6 +20,7 @@ from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Observation, Side, decide
 from hid2.policy.observation import gap_ahead_of, gaps_on, lane_options, lay_across, leader_on, returns_to
 from hid2.policy.overtake import Leader, Stage
+from hid2.policy.reroute import places_on, ways_at_next_split
 from hid2.policy.roads import Roads
 from hid2.policy.rules import Wish
 from hid2.reasons import Reason
@@ -91,6 +92,7 @@ class Driving:
     _road: list[FloatArray] = field(init=False)
     _lengths: FloatArray = field(init=False)
     _limit: list[tuple[float, str] | None] = field(init=False)
+    _reroutes_tried: list[DrivenPath | None] = field(init=False)
 
     def __post_init__(self) -> None:
         """Nobody has moved yet."""
@@ -104,6 +106,7 @@ class Driving:
         self._own_lengths = np.array([start.box.length_m for start in self.starts])
         self._road = [self.roads.speeds(start.path, start.driver) for start in self.starts]
         self._limit = [None] * len(self.starts)
+        self._reroutes_tried = [None] * len(self.starts)
 
     def run(self) -> list[DrivenVehicle]:
         """All steps of the scene; a vehicle's step 0 is its start."""
@@ -347,10 +350,10 @@ class Driving:
         """Limits of the guard for the coming step: predicted conflicts (case 3, timing)."""
         state = (float(self._state[row, S]), float(self._state[row, V]), float(self._state[row, A]))
         driving, step_s = self.scene.config.driving, self.scene.step_s
-        found = self._guard.braking(
-            self._who_does_not_yield(self._obstacles_of(row), row, vehicle.path, now), own=row, step=now,
-            fleet=self._state, state=state, desired_mps=desired, road=self._road[row], driver=vehicle.start.driver,
-        )  # fmt: skip
+        found = self._predicted(row, vehicle.path, now, state, desired)
+        if found.conflict_s is not None or found.decel_mps2 > vehicle.start.driver.decel_mps2:
+            found = self._rerouted(row, vehicle, now, desired) or found
+            state = (float(self._state[row, S]), state[1], state[2])
         if found.leader >= 0 and self._slows_for(state, found, vehicle.start):
             vehicle.waited_for.add(self.vehicles[found.leader].vehicle_id)
         act = driving.keep_yielding_mps2 if vehicle.yielding else self.scene.config.conflict.act_mps2
@@ -366,6 +369,57 @@ class Driving:
         eased = min(state[2], 0.0) - driving.brake_jerk_mps3 * step_s
         gentle = -max(driving.last_brake_mps2, driving.last_brake_per_s * state[1])  # nobody stops with a jerk
         return [(state[1] + max(accel, eased, gentle) * step_s, cause) for accel, cause in limits]
+
+    def _predicted(
+        self, row: int, path: DrivenPath, now: int, state: tuple[float, float, float], desired: float
+    ) -> Braking:
+        """What the guard predicts for a vehicle on a path, its own or another one."""
+        vehicle = self.vehicles[row]
+        own, driver = path is vehicle.path, vehicle.start.driver
+        obstacles = (
+            self._obstacles_of(row) if own else self._guard.obstacles(path, vehicle.start.box, self._others(row))
+        )
+        return self._guard.braking(
+            self._who_does_not_yield(obstacles, row, path, now), own=row, step=now, fleet=self._state, state=state,
+            desired_mps=desired, road=self._road[row] if own else self.roads.speeds(path, driver), driver=driver,
+        )  # fmt: skip
+
+    def _rerouted(self, row: int, vehicle: DrivenVehicle, now: int, desired: float) -> Braking | None:
+        """Take another way at the next split if nobody is met there (conflict case 3); None where there is none.
+
+        Only who is to go straight: another way is no longer the turn or the change of lanes that was asked for. And
+        only where SUMO has everybody who can be ahead.
+        """
+        stays = vehicle.start.keeps_route or vehicle.policy is not Policy.STRAIGHT
+        if stays or self._reroutes_tried[row] is vehicle.path:
+            return None
+        self._reroutes_tried[row] = vehicle.path
+        (s, v), driver, box = self._state[row, [S, V]].tolist(), vehicle.start.driver, vehicle.start.box
+        cell = self.scene.grid.cell_of_sumo_lane.get(self.simulation.lane(vehicle.vehicle_id)[0])
+        if cell is None:
+            return None
+        for path in ways_at_next_split(self.scene, vehicle.path, s=s, from_m=s + box.length_m):
+            at = places_on(path, vehicle.path, np.array(vehicle.s))
+            road = self.roads.speeds(path, driver)
+            if v > road[min(int(at[-1] / TABLE_STEP_M), road.size - 1)] + _BINDS_MPS:
+                continue
+            if self.rows is not None and not np.isin(self.scene.in_driving_width(path, box)[0], self.rows).all():
+                continue
+            found = self._predicted(row, path, now, (float(at[-1]), v, float(self._state[row, A])), desired)
+            edges = edges_along(self.scene, path, cell)
+            if found.conflict_s is None and found.decel_mps2 < self.scene.config.conflict.act_mps2 and edges:
+                self.simulation.set_route(vehicle.vehicle_id, edges)
+                self._take_path(row, vehicle, path)
+                vehicle.s[:] = at.tolist()
+                vehicle.rerouted_at, self._state[row, S] = now, at[-1]
+                return found
+        return None
+
+    def _take_path(self, row: int, vehicle: DrivenVehicle, path: DrivenPath) -> None:
+        vehicle.path = path
+        self._known[row] = None
+        self._road[row] = self.roads.speeds(path, vehicle.start.driver)
+        self._obstacles = [None] * len(self.vehicles)  # everybody sees the new intention
 
     def _slows_for(self, state: tuple[float, float, float], found: Braking, start: Start) -> bool:
         driving, driver = self.scene.config.driving, start.driver
@@ -540,13 +594,10 @@ class Driving:
                 self.simulation.set_route(vehicle.vehicle_id, edges)
             return
         row = self.vehicles.index(vehicle)
-        vehicle.path = attempt.path
         vehicle.shifts.append(attempt.shift)
         vehicle.stage = attempt.stage
         vehicle.reason = None
-        self._known[row] = None
-        self._road[row] = self.roads.speeds(attempt.path, vehicle.start.driver)
-        self._obstacles = [None] * len(self.vehicles)  # everybody sees the new intention
+        self._take_path(row, vehicle, attempt.path)
 
 
 def _look(vehicle: DrivenVehicle, step: int, option: LaneOption, rule: Reason | None) -> GapLook:

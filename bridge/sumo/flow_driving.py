@@ -101,6 +101,7 @@ class FlowDriving(Driving):
         self.vehicles.append(DrivenVehicle(start=start, path=start.path))
         self._road.append(self.roads.speeds(start.path, start.driver))
         self._limit.append(None)
+        self._reroutes_tried.append(None)
         self._known.append(None)
         self._obstacles = [None] * len(self.vehicles)  # everybody sees who is new
 

@@ -226,7 +226,7 @@ class EventSearch:
             size=planner.size, box=planner.box, route=plan.route, path=path, start_s=plan.start_s,
             start_mps=float(plan.speeds[0]), driver=driver, desired=np.maximum(desired, 0.2),
             offset=lane_offset(driver, scene.config, rng, length_m=path.line.length_m),
-            sides=("left", "right") if plan.side is None else (plan.side,),
+            sides=("left", "right") if plan.side is None else (plan.side,), keeps_route=True,
         )  # fmt: skip
 
     def _objection(self, planner: Planner, lines: StopLines, plan: Plan, start: Start, fixed: Traffic) -> Reason | None:

@@ -112,7 +112,9 @@ class Filling:
             if not starts and number > 0 and missing > 0 and self._give_up_manoeuvres():
                 starts = self._starts(number, missing, spare=asked != "max")
             if not starts and number > 0:
-                break
+                if asked == "max":
+                    break
+                continue  # a road that is full for one draw of drivers and places may not be for the next
             self.rounds = number + 1
             self._keep(drive(starts, self._fixed(), number), number)
             if asked == "max" and number > 0 and len(self.kept) - before <= config.spawn.full_share * len(self.kept):

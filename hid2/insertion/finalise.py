@@ -19,6 +19,9 @@ from hid2.vehicle import DrivenVehicle
 _AFTER_END_M = 120.0  # no tunable, spares time: nobody closes in from farther away within `conflict.end_horizon_s`
 
 
+_BRAKING_SHARES = (0.0, 0.5, 1.0)  # of its driver's deceleration: some answer to what follows the last step
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class ExportedVehicle:
     """A vehicle as it is exported: steps 0 .. T_i - 1. simulated_off_m (T_i,): exported s(t) minus that of SUMO."""
@@ -130,10 +133,11 @@ def _checked(
             return Reason.MEETS_RECORDED
         if others.ids and first_overlap(path, vehicle.start.box, others, margin_m=export.box_margin_m) is not None:
             return Reason.MEETS_GENERATED
-        ttc_s = _min_leader_ttc_s(scene, vehicle, motion, others)
+        seen = _on_its_path(scene, vehicle, others)
+        ttc_s = float(_leader_ttcs(scene, vehicle, motion, seen).min(initial=np.inf))  # inf: never closing in
         if ttc_s < config.conflict.ttc_min_s:
             return Reason.TTC_LANE_LEADER
-        if _meets_after_end(scene, vehicle, path, others):
+        if _meets_after_end(scene, vehicle, path, others) or not _avoids_after_end(scene, vehicle, motion, seen):
             return Reason.TTC_AT_END
         found = ExportedVehicle(vehicle, motion, path, off_m, ttc_s)
         if "topology" not in config.without:
@@ -145,19 +149,16 @@ def _checked(
     return ExportedVehicle(vehicle, motion, path, off_m, ttc_s)
 
 
-def _min_leader_ttc_s(scene: Scene, vehicle: DrivenVehicle, motion: Motion, others: Traffic) -> float:
-    """Smallest TTC to who moves with the path ahead of the vehicle on it; inf when never closing in."""
-    start = vehicle.start
-    seen = scene.recorded_on(vehicle.path, start.box)
+def _on_its_path(scene: Scene, vehicle: DrivenVehicle, others: Traffic) -> PathOccupancy:
+    """Everybody on the path that a vehicle drives, with the lateral margin, (A, T + E)."""
+    box, margin = vehicle.start.box, scene.config.conflict.margin_lateral_m
+    seen = scene.recorded_on(vehicle.path, box)
     if others.ids:
-        margin = scene.config.conflict.margin_lateral_m
-        seen = seen.joined(
-            path_occupancy(
-                vehicle.path.line, others, length_m=start.box.length_m, width_m=start.box.width_m,
-                margin_lateral_m=margin,
-            )
+        more = path_occupancy(
+            vehicle.path.line, others, length_m=box.length_m, width_m=box.width_m, margin_lateral_m=margin
         )  # fmt: skip
-    return float(_leader_ttcs(scene, vehicle, motion, seen).min(initial=np.inf))
+        seen = seen.joined(more)
+    return seen
 
 
 def _leader_ttcs(scene: Scene, vehicle: DrivenVehicle, motion: Motion, seen: PathOccupancy) -> FloatArray:
@@ -188,6 +189,27 @@ def _meets_after_end(scene: Scene, vehicle: DrivenVehicle, path: Trajectory, oth
     )
     contact = first_contact(0, boxes, horizon_s=conflict.end_horizon_s)
     return contact is not None and contact.ttc_s < conflict.end_ttc_min_s + scene.config.export.end_spare_s
+
+
+def _avoids_after_end(scene: Scene, vehicle: DrivenVehicle, motion: Motion, seen: PathOccupancy) -> bool:
+    """Whether a vehicle that is there at the last step can go on along its path without contact.
+
+    Everybody else at constant velocity, itself at its speed or braking, at most as its driver does (evaluation.md).
+    Who comes from behind brakes too: TTC says whether there is time for it.
+    """
+    last, steps = scene.num_steps, scene.steps_in(scene.config.conflict.end_horizon_s)
+    if motion.s.size < last:  # its last step is the map's edge
+        return True
+    time_s = scene.step_s * np.arange(1, steps + 1)
+    follows = seen.aligned[:, last - 1] & (seen.low[:, last - 1] < motion.s[-1])
+    low, high = seen.low[~follows, last : last + steps], seen.high[~follows, last : last + steps]
+    for share in _BRAKING_SHARES:
+        decel = share * vehicle.start.driver.decel_mps2
+        moving_s = np.minimum(time_s, motion.v[-1] / max(decel, 1e-9))
+        s = motion.s[-1] + motion.v[-1] * moving_s - 0.5 * decel * moving_s**2
+        if not np.any((low < s) & (s < high)):
+            return True
+    return False
 
 
 def _grid_path(

@@ -119,6 +119,53 @@ def test_vehicle_that_reaches_the_end_of_the_map_has_left(drive: Callable[..., D
     assert 50 < one.left_at < 70
 
 
+def _forks(length_m: float = 300.0) -> LaneGraph:
+    """Lane 1 along the x axis; at x = 100 lane 2 goes straight on and lane 3 bears left."""
+    ring = np.array([(-20.0, -60.0), (length_m + 20.0, -60.0), (length_m + 20.0, 60.0), (-20.0, 60.0), (-20.0, -60.0)])
+    bends = [(100.0 + x, x**2 / 100.0) for x in np.linspace(0.0, 60.0, 40)]
+    lanes = {
+        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2, 3)),
+        2: draw_lane(2, [(100.0, 0.0), (length_m, 0.0)]),
+        3: draw_lane(3, bends),
+    }
+    return LaneGraph(lanes, drivable_areas=(ring,))
+
+
+def _oncoming() -> Track:
+    """From step 30 on at 10 m/s against the traffic of lane 2, where who drives at 9 m/s meets it at x = 123."""
+    return recorded(220.0, 0.0, 10.0, heading=np.pi, first=30)
+
+
+def test_conflict_that_no_timing_solves_is_answered_by_another_way_at_the_next_split(
+    drive: Callable[..., Driving],
+) -> None:
+    """Case 3: its own lane is taken by an oncoming one, whom braking does not avoid."""
+    scene = scene_on(_forks(), _oncoming())
+    (one,) = drive(scene, start_on(scene, (1, 2), 40.0, 9.0)).vehicles
+    assert one.rerouted_at is not None
+    assert [segment.lane_id for segment in one.path.segments] == [1, 3]
+    assert one.left_at is None
+    assert np.diff(one.s) == pytest.approx(0.1 * np.array(one.v[1:]), abs=0.02)
+    assert isinstance(finalise(scene, one, nobody(scene.future.num_steps)), ExportedVehicle)
+
+
+@pytest.mark.parametrize("stays", [{"keeps_route": True}, {"policy": Policy.LANE_CHANGE}])
+def test_who_was_asked_for_more_than_to_go_straight_keeps_the_way(
+    stays: dict[str, Any], drive: Callable[..., Driving]
+) -> None:
+    scene = scene_on(_forks(), _oncoming())
+    (one,) = drive(scene, start_on(scene, (1, 2), 40.0, 9.0, **stays)).vehicles
+    assert one.rerouted_at is None
+
+
+def test_nobody_takes_another_way_that_is_no_better(drive: Callable[..., Driving]) -> None:
+    """One stands across both ways behind the split: braking solves it, and nothing else does."""
+    across = recorded(112.0, 0.0, heading=UP, size=BoxSize(6.0, 2.0))
+    scene = scene_on(_forks(), across, _oncoming())
+    (one,) = drive(scene, start_on(scene, (1, 2), 40.0, 9.0)).vehicles
+    assert one.rerouted_at is None
+
+
 # Whom SUMO sees -------------------------------------------------------------------------------------------------------
 
 

@@ -188,6 +188,21 @@ def test_oncoming_pair_at_the_end_is_looked_at(scene_of: Callable[..., Scene]) -
     assert _alone(scene_of(oncoming), np.full(110, 10.0)) is Reason.TTC_AT_END
 
 
+@pytest.mark.parametrize(("gap_m", "avoids"), [(20.0, False), (30.0, True)])
+def test_contact_after_the_end_can_be_avoided_by_its_driver(
+    gap_m: float, avoids: bool, scene_of: Callable[..., Scene]
+) -> None:
+    """Somebody stands across the lane at the end, 2 or 3 s ahead at 10 m/s. Its driver brakes with 2 m/s2: 25 m."""
+    x = 149.0 + 0.5 * CAR.length_m + gap_m + 0.5 * CAR.width_m
+    late = Track(
+        "late", "vehicle", 2, np.array([108, 109]), np.tile([x, 0.0], (2, 1)), np.full(2, np.pi / 2),
+        np.zeros((2, 2)), CAR,
+    )  # fmt: skip
+    verdict = _alone(scene_of(late), np.full(110, 10.0))
+    assert isinstance(verdict, ExportedVehicle) is avoids
+    assert avoids or verdict is Reason.TTC_AT_END
+
+
 def test_velocity_at_the_end_is_the_one_that_the_file_states(scene_of: Callable[..., Scene]) -> None:
     """A leader ends 30 m of gap ahead, at 10 m/s by its positions. Stated are -25 m/s: 30 m close at 35 m/s, 0.86 s.
 

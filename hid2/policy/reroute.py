@@ -1,0 +1,55 @@
+"""Another way at the next split: the paper's answer to a predicted conflict (case 3) that timing does not solve."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hid2.agents import FloatArray
+from hid2.motion.route import ROUTE_LONGEST_M, DrivenPath, Route, routes_from
+from hid2.scene import DRIVABLE_TYPES, Scene
+from netconvert.lane_graph import TurnType
+
+_SAME_M, _EVERY_M = 0.02, 2.0  # book-keeping: how far two paths with the same first lanes may differ, and where we look
+
+
+def ways_at_next_split(scene: Scene, path: DrivenPath, *, s: float, from_m: float) -> Iterator[DrivenPath]:
+    """Paths that leave the present one at the next split, those that go straight on first.
+
+    s: arc length driven so far, m, up to which they lie on the present path; from_m: nobody turns off sooner. A path
+    with a change of lanes has none: it is not the middle of its lanes.
+    """
+    if path.shifts:
+        return
+    lanes, graph = scene.grid.graph.lanes, scene.grid.graph
+    route = tuple(segment.lane_id for segment in path.segments)
+
+    def usable(lane_id: int) -> bool:
+        return lanes[lane_id].lane_type in DRIVABLE_TYPES
+
+    def straight_first(onward: Route) -> Route:
+        return tuple(sorted(onward, key=lambda n: (lanes[n].turn is not TurnType.STRAIGHT, n)))
+
+    for row, segment in enumerate(path.segments[:-1]):
+        others = tuple(n for n in graph.successors(segment.lane_id) if n not in route and usable(n))
+        if segment.end < from_m or not others:
+            continue
+        for lane_id in straight_first(others):
+            ahead = routes_from(
+                graph, lane_id, choose=straight_first, usable=usable, most=1, longest_m=ROUTE_LONGEST_M
+            )  # fmt: skip
+            for rest in ahead:
+                other = scene.path((*route[: row + 1], *rest))
+                if not set(rest) & set(route[: row + 1]) and _is_the_same_until(path, other, s):
+                    yield other
+        return
+
+
+def places_on(other: DrivenPath, path: DrivenPath, s: FloatArray) -> FloatArray:
+    """Arc lengths (N,) m on another path of those (N,) on the present one, where both have the same first lanes."""
+    return other.all_to_line(np.interp(s, path.line.points_s, path.raw_s))
+
+
+def _is_the_same_until(path: DrivenPath, other: DrivenPath, s: float) -> bool:
+    own = np.arange(0.0, s + _EVERY_M, _EVERY_M)
+    apart = path.line.position(own) - other.line.position(places_on(other, path, own))
+    return bool(np.hypot(apart[:, 0], apart[:, 1]).max() < _SAME_M)
