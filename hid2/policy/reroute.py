@@ -16,9 +16,9 @@ def ways_at_next_split(scene: Scene, path: DrivenPath, *, s: float, from_m: floa
     """Paths that leave the present one at the next split, those that go straight on first.
 
     s: arc length driven so far, m, up to which they lie on the present path; from_m: nobody turns off sooner. A path
-    with a change of lanes has none: it is not the middle of its lanes.
+    with a change of lanes has none: it is not the middle of its lanes. Nor where nothing links lanes (ablation).
     """
-    if path.shifts:
+    if path.shifts or "topology" in scene.config.without:
         return
     lanes, graph = scene.grid.graph.lanes, scene.grid.graph
     route = tuple(segment.lane_id for segment in path.segments)
