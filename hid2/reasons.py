@@ -88,6 +88,7 @@ class Reason(StrEnum):
     LIMIT_JERK = "limit_jerk", "It exceeds the jerk allowed."
     LIMIT_YAW_RATE = "limit_yaw_rate", "It exceeds the yaw rate allowed."
     LIMIT_YAW_ACCEL = "limit_yaw_accel", "It exceeds the yaw acceleration allowed."
+    AGAINST_LANE = "against_lane", "Its lanes turn back on themselves, so that its path runs against them."
     TTC_LANE_LEADER = "ttc_lane_leader", "TTC to its leader on the lane path falls below the critical value."
     TTC_RECORDED_FOLLOWER = (
         "ttc_recorded_follower",

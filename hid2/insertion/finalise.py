@@ -15,10 +15,12 @@ from hid2.occupancy.traffic import Traffic
 from hid2.reasons import Reason, limit_reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle
+from netconvert.geometry import arc_length
 
 _AFTER_END_M = 120.0  # no tunable, spares time: nobody closes in from farther away within `conflict.end_horizon_s`
 
 
+_WITH_LANE = 0.5  # cosine of the largest angle between a lane and who drives along it, 60 degrees
 _BRAKING_SHARES = (0.0, 0.5, 1.0)  # of its driver's deceleration: some answer to what follows the last step
 
 
@@ -117,6 +119,8 @@ def _checked(
     cells = slice(int(motion.s[0] / TABLE_STEP_M), int(motion.s[-1] / TABLE_STEP_M) + 2)
     if np.abs(vehicle.path.line.table_curvature[cells]).max() > export.limit_share / config.limits.min_radius_m:
         return Reason.LIMIT_CURVATURE
+    if _against_its_lanes(vehicle, motion.s):
+        return Reason.AGAINST_LANE
     exceeded = limit_exceeded(path, config.limits, step_s=scene.step_s)
     if exceeded is not None:
         return limit_reason(exceeded)
@@ -147,6 +151,17 @@ def _checked(
             if verdict is not None:
                 return Reason.PET if verdict == "pet" else Reason.TTC_RECORDED_FOLLOWER
     return ExportedVehicle(vehicle, motion, path, off_m, ttc_s)
+
+
+def _against_its_lanes(vehicle: DrivenVehicle, s: FloatArray) -> bool:
+    """Whether the smoothed line runs against the lanes below it: those of a damaged map turn back on themselves."""
+    path = vehicle.path
+    raw_s = arc_length(path.raw)
+    along = np.interp(s, path.line.points_s, path.raw_s)
+    piece = np.clip(np.searchsorted(raw_s, along, side="right") - 1, 0, len(path.raw) - 2)
+    forward = path.raw[piece + 1] - path.raw[piece]
+    share = (forward * path.line.tangent(s)).sum(axis=1)
+    return bool(np.any(share < _WITH_LANE * np.hypot(forward[:, 0], forward[:, 1])))
 
 
 def _on_its_path(scene: Scene, vehicle: DrivenVehicle, others: Traffic) -> PathOccupancy:

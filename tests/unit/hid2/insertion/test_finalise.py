@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hand_drawn import draw_lane
 from inserted import CAR, driven, nobody, recorded, scene_on, start_on
 
 from hid2.agents import Track
@@ -186,6 +187,13 @@ def test_oncoming_pair_at_the_end_is_looked_at(scene_of: Callable[..., Scene]) -
         np.tile([-10.0, 0.0], (10, 1)), CAR,
     )  # fmt: skip
     assert _alone(scene_of(oncoming), np.full(110, 10.0)) is Reason.TTC_AT_END
+
+
+def test_lane_of_a_damaged_map_that_turns_back_on_itself_is_not_driven() -> None:
+    """The middle goes 1.2 m back at x = 90; the smoothed line goes on and runs against it there."""
+    ring = np.array([(-20.0, -9.0), (320.0, -9.0), (320.0, 9.0), (-20.0, 9.0), (-20.0, -9.0)])
+    lanes = {1: draw_lane(1, [(0.0, 0.0), (90.0, 0.0), (88.8, 0.1), (300.0, 0.0)])}
+    assert _alone(scene_on(LaneGraph(lanes, drivable_areas=(ring,))), np.full(110, 10.0)) is Reason.AGAINST_LANE
 
 
 @pytest.mark.parametrize(("gap_m", "avoids"), [(20.0, False), (30.0, True)])
