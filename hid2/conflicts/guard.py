@@ -23,6 +23,7 @@ from hid2.occupancy.sigma import ORIGINAL
 from hid2.occupancy.traffic import Traffic
 from hid2.scene import Scene
 
+_MARGINS_M = 10.0  # no tunable, spares time: more than any lateral margin
 #: Columns of the fleet's state.
 S, V, A, EXECUTING, PRESENT = range(5)
 
@@ -62,6 +63,11 @@ class Obstacles:
     swept: FloatArray
     rows: IntArray
     lines: ClosedLines
+
+
+def _boxes_reach_m(one: BoxSize, other: BoxSize) -> float:
+    """Centres farther apart than this belong to boxes that cannot touch, with their margins."""
+    return 0.5 * (one.length_m + one.width_m + other.length_m + other.width_m) + _MARGINS_M
 
 
 @dataclass(eq=False, slots=True)
@@ -126,6 +132,8 @@ class Guard:
     ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Interval on a path, and cosine between the two, for each place of another vehicle along its own path."""
         key = path, box, other, other_box
+        if key not in self._swept and path.line.is_beyond(other.line, _boxes_reach_m(box, other_box)):
+            self._swept[key] = None
         if key not in self._swept:
             every = slice(None, None, round(1.0 / TABLE_STEP_M))
             xy = np.ascontiguousarray(other.line.table_xy[every])

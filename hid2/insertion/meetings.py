@@ -97,6 +97,7 @@ class Meetings:
     near: BoolArray = field(init=False)
     _offer_weights: dict[int, list[float]] = field(default_factory=dict)
     _usual: dict[int, float] = field(default_factory=dict)
+    _middles: dict[int, tuple[IntArray, FloatArray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Where recorded moving vehicles are, on which cells, and which cells they cross."""
@@ -128,11 +129,14 @@ class Meetings:
             steps = self._steps[traffic.present[row, self._steps]]
             if not steps.size:
                 continue
-            offset = boxes.center[:, None] - traffic.position[row, steps]
-            turned = np.abs(np.sin(boxes.heading[:, None] - traffic.heading[row, steps]))
+            way = traffic.position[row, steps]
+            low, high = way.min(axis=0) - _ON_CELL_M, way.max(axis=0) + _ON_CELL_M
+            some = np.flatnonzero(((boxes.center >= low) & (boxes.center <= high)).all(axis=1))
+            offset = boxes.center[some, None] - way
+            turned = np.abs(np.sin(boxes.heading[some, None] - traffic.heading[row, steps]))
             near = (np.hypot(offset[..., 0], offset[..., 1]) < _ON_CELL_M) & (turned > math.sin(CROSSING_RAD))
             cell, look = np.nonzero(near)
-            found.append((cell, steps[look] * self.scene.step_s))
+            found.append((some[cell], steps[look] * self.scene.step_s))
         cells = np.concatenate([cell for cell, _ in found])
         count = np.bincount(cells, minlength=boxes.heading.size)
         times = np.concatenate([time_s for _, time_s in found])[np.argsort(cells, kind="stable")]
@@ -196,8 +200,11 @@ class Meetings:
         cells: list[IntArray] = []
         middle: list[FloatArray] = []
         for lane in offer.route[offer.route.index(lane_id) :]:
-            first, borders = grid.index_of[Cell(lane, 0)], grid.edges_s(lane)
-            cells.append(np.arange(first, first + grid.count(lane)))
-            middle.append(begin + 0.5 * (borders[1:] + borders[:-1]))
+            if lane not in self._middles:
+                first, borders = grid.index_of[Cell(lane, 0)], grid.edges_s(lane)
+                self._middles[lane] = np.arange(first, first + grid.count(lane)), 0.5 * (borders[1:] + borders[:-1])
+            of_lane, middles = self._middles[lane]
+            cells.append(of_lane)
+            middle.append(begin + middles)
             begin += lanes[lane].length_m
         return np.concatenate(cells), np.concatenate(middle)

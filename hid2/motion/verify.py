@@ -66,6 +66,16 @@ def off_road_steps(
     position (T, 2) m; heading (T,) rad.
     """
     corners = box_corners(position, heading, length_m=size.length_m, width_m=size.width_m)
+    off = ~shapely.contains(drivable, shapely.polygons(corners))
+    if off.any():
+        off[off] = _is_outline_off(corners[off], drivable, tolerance_m)
+    return np.asarray(off)
+
+
+def _is_outline_off(
+    corners: FloatArray, drivable: shapely.Geometry, tolerance_m: float
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """(M,) of boxes with corners (M, 4, 2) m: whether a point along their sides is too far outside."""
     sides = np.linalg.norm(corners[0] - np.roll(corners[0], -1, axis=0), axis=1)
     outline = np.concatenate(
         [
