@@ -38,16 +38,18 @@ class Scene:
     """Everything about a scene that does not change while vehicles are inserted, and caches of what follows from it.
 
     traffic: recorded agents over the scene's T steps; future: the same, and beyond the last step at constant velocity,
-    T + E steps. step_s: from one step of the recording to the next, and of the simulation: the only one that there is.
-    first_exit_step: a generated vehicle may leave the map only from this step on. vehicle_rows: rows of the recorded
-    cars and buses, which an overtaker may pass. stated_velocity (A, T, 2) m/s: as the tracks state it, which is what
-    readers of the file take for it; that of the positions where a track has no state.
+    T + E steps; begin: the first ones, on which it depends who holds what at the start. step_s: from one step of the
+    recording to the next, and of the simulation: the only one that there is. first_exit_step: a generated vehicle may
+    leave the map only from this step on. vehicle_rows: rows of the recorded cars and buses, which an overtaker may
+    pass. stated_velocity (A, T, 2) m/s: as the tracks state it, which is what readers of the file take for it; that of
+    the positions where a track has no state.
     """
 
     grid: CellGrid
     config: Config
     traffic: Traffic
     future: Traffic
+    begin: Traffic
     stated_velocity: FloatArray
     object_types: tuple[str, ...]
     categories: tuple[int, ...]
@@ -65,6 +67,7 @@ class Scene:
     _known: dict[tuple[DrivenPath, BoxSize], tuple[IntArray, PathOccupancy, PathOccupancy]] = field(
         default_factory=dict
     )
+    _begins: dict[tuple[DrivenPath, BoxSize], PathOccupancy] = field(default_factory=dict)
     _leaders: dict[tuple[DrivenPath, BoxSize], tuple[IntArray, PathOccupancy]] = field(default_factory=dict)
 
     def path(self, route: Route) -> DrivenPath:
@@ -93,6 +96,19 @@ class Scene:
     def kept_clear_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         """The same, with the place of who crosses taken for the critical PET before and after."""
         return self._recorded_on(path, box)[2]
+
+    def kept_clear_at_start(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
+        """`kept_clear_on` at the first step, (A, 1), which costs a fraction of it."""
+        key = path, box
+        if key not in self._begins:
+            if key not in self._known:
+                width_m = box.width_m + 2 * self.config.conflict.margin_lateral_m
+                _, found = look_along(path.line, self.begin, box.length_m, width_m)
+                found = found.kept_clear(self.pet_steps, margin_m=self.pet_margin_m)
+            else:
+                found = self._known[key][2]
+            self._begins[key] = found.at(0)
+        return self._begins[key]
 
     def in_driving_width(self, path: DrivenPath, box: BoxSize) -> tuple[IntArray, PathOccupancy]:
         """Recorded agents whose boxes reach into the width driven, without margins: rows of `traffic`, intervals."""
@@ -125,7 +141,7 @@ class Scene:
     @property
     def pet_steps(self) -> int:
         """Steps for which the place of who crosses is kept clear before and after."""
-        return math.ceil(self.config.conflict.pet_min_s / self.step_s) + 1
+        return pet_steps(self.config, self.step_s)
 
     @property
     def pet_margin_m(self) -> float:
@@ -143,6 +159,11 @@ class Scene:
         return pool[int(rng.integers(len(pool)))]
 
 
+def pet_steps(config: Config, step_s: float) -> int:
+    """Steps for which the place of who crosses is kept clear before and after."""
+    return math.ceil(config.conflict.pet_min_s / step_s) + 1
+
+
 def build_scene(
     grid: CellGrid, tracks: Sequence[Track], *, config: Config, num_steps: int, step_s: float, last_observed_step: int
 ) -> Scene:
@@ -157,11 +178,13 @@ def build_scene(
     lane_speeds, scene_speeds = _speeds(grid, tracks, traffic, occupancy, step_s=step_s)
     rows = [row for row, track in enumerate(tracks) if track.object_type in VEHICLE_TYPES]
     beyond = math.ceil((config.conflict.end_horizon_s + config.conflict.horizon_s) / step_s)
+    future = traffic.extended(beyond, step_s=step_s)
     return Scene(
         grid=grid,
         config=config,
         traffic=traffic,
-        future=traffic.extended(beyond, step_s=step_s),
+        future=future,
+        begin=future.first(pet_steps(config, step_s) + 1),
         stated_velocity=stated,
         object_types=tuple(track.object_type for track in tracks),
         categories=tuple(track.category for track in tracks),

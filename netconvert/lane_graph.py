@@ -75,6 +75,8 @@ class LaneSegment:
     turn: TurnType
     path: Polyline = field(init=False, repr=False)
     """The centreline with its Frenet frame."""
+    length_m: float = field(init=False, repr=False)
+    """Length of the centreline."""
 
     def __post_init__(self) -> None:
         shape = self.centerline.shape
@@ -87,11 +89,7 @@ class LaneSegment:
         except ValueError as error:
             raise MapError(f"lane {self.lane_id}: centerline: {error}") from error
         object.__setattr__(self, "path", path)
-
-    @property
-    def length_m(self) -> float:
-        """Length of the centreline."""
-        return self.path.length_m
+        object.__setattr__(self, "length_m", path.length_m)
 
     def neighbor_id(self, side: Side) -> int | None:
         """The neighbour on a side as the source map names it, in whatever direction it runs."""

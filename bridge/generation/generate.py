@@ -26,13 +26,12 @@ from bridge.recordings.sidecar import (
 from bridge.sumo.driving import Driving
 from bridge.sumo.replay import ReplayErrors
 from bridge.sumo.simulation import Simulation
-from hid2.agents import IntArray, Policy, Track
+from hid2.agents import Policy, Track
 from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.events import EventSearch
 from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.surroundings import Surroundings
-from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.scene import Scene, build_scene
@@ -161,10 +160,6 @@ def model_parameters(config: Config) -> dict[str, float]:
     return found
 
 
-#: Recorded agents farther than this from a way all the time need no replay in later rounds; how finely that is told.
-_NEAR_M, _EVERY_M, _EVERY_S = 12.0, 6.0, 0.5
-
-
 class _Rounds:
     """Drives the starts of each round in the one simulation of a scene."""
 
@@ -174,34 +169,17 @@ class _Rounds:
         self.driven: list[tuple[int, DrivenVehicle]] = []
         self.late_s: Mapping[str, float] = {}
 
-    def _near(self, starts: Sequence[Start]) -> IntArray:
-        """Rows of the recorded agents that ever come near to a way, on its lanes or those beside."""
-        traffic = self._scene.traffic
-        some = slice(None, None, self._scene.steps_in(_EVERY_S))
-        position, present = traffic.position[:, some], traffic.present[:, some]
-        near = np.zeros(len(traffic.ids), dtype=np.bool_)
-        for line in {start.path.line for start in starts}:
-            points = line.table_xy[:: round(_EVERY_M / TABLE_STEP_M)]
-            left = np.flatnonzero(~near)
-            offset = position[left][:, :, None] - points
-            apart = np.square(offset).sum(axis=-1).min(axis=-1)
-            near[left] = np.any(present[left] & (apart < _NEAR_M * _NEAR_M), axis=1)
-        return np.flatnonzero(near)
-
     def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, fixed: Traffic) -> DrivenVehicle:
         """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
-        return Driving(
-            scene, self._simulation, [start], fixed, self._filling.surroundings.roads, stop_lines,
-            rows=self._near([start]), checked=False,
-        ).run()[0]  # fmt: skip
+        roads = self._filling.surroundings.roads
+        return Driving(scene, self._simulation, [start], fixed, roads, stop_lines, checked=False).run()[0]
 
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
-        """One simulation. The first one replays every recorded agent and compares; later ones those on the grid."""
-        rows, here = None if number == 0 else self._near(starts), self._filling.surroundings
+        """One simulation. The first one replays every recorded agent and compares; later ones those who matter."""
+        here = self._filling.surroundings
         driving = Driving(
-            self._scene, self._simulation, starts, fixed, here.roads, here.stop_lines,
-            rows=rows, checked=number == 0,
-        )  # fmt: skip
+            self._scene, self._simulation, starts, fixed, here.roads, here.stop_lines, checked=number == 0
+        )
         vehicles = driving.run()
         self.driven += [(number, vehicle) for vehicle in vehicles]
         if number == 0:

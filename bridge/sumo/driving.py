@@ -1,5 +1,6 @@
 """Observe, decide, act, step: vehicles driven by SUMO's car following and steered by Algorithm 1 through libsumo."""
 
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -7,17 +8,18 @@ import numpy as np
 
 from bridge.sumo.poses import front_arc_m
 from bridge.sumo.replay import Replay, ReplayErrors
+from bridge.sumo.shown import shown_when
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S, V
 from hid2.conflicts.reaction import Reactions, yielding
 from hid2.conflicts.stop_lines import StopLines
-from hid2.kernels.leaders import next_two_ahead
+from hid2.kernels.leaders import shown_ahead
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along
-from hid2.occupancy.traffic import Traffic
-from hid2.policy.decision import LaneOption, Observation, Side, decide
+from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.policy.decision import LaneOption, Observation, Side, decide, policy_on
 from hid2.policy.observation import gap_ahead_of, gaps_on, lane_options, lay_across, leader_on, returns_to
 from hid2.policy.overtake import Leader, Stage
 from hid2.policy.reroute import places_on, ways_at_next_split
@@ -27,7 +29,6 @@ from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, GapLook, Shift, Start
 from netconvert.cells import Cell
-from netconvert.lane_graph import TurnType
 
 _BINDS_MPS = 0.05  # book-keeping: a limit this close to the speed driven is what decided it
 _TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
@@ -49,6 +50,35 @@ class _Attempt:
     stage: Stage
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Lanes:
+    """The lanes along a path: where each ends, m, and what Algorithm 1 comes to on it without a manoeuvre."""
+
+    ends: list[float]
+    policies: list[Policy]
+
+    def policy_at(self, s: float) -> Policy:
+        """Of the lane at an arc length, m."""
+        return self.policies[min(bisect_right(self.ends, s), len(self.ends) - 1)]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Ahead:
+    """Everybody whose future is known on the ways of all vehicles, those of one after those of another.
+
+    low .. crosses (R, T): as in `PathOccupancy`; agents (R,): recorded, then kept ones; first (N + 1,): rows by
+    vehicle.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    along: FloatArray
+    aligned: BoolArray
+    crosses: BoolArray
+    agents: IntArray
+    first: IntArray
+
+
 @dataclass(eq=False, slots=True)
 class _Lazy:
     """The fleet as it is now, put together when somebody first asks."""
@@ -68,8 +98,9 @@ class _Lazy:
 class Driving:
     """One simulation of vehicles that start together, among the recorded ones and those kept in rounds before.
 
-    rows: recorded agents that are replayed, all where None; checked: whether their poses in SUMO are compared. Where
-    recorded vehicles react, `scene` becomes another one with each that yields, and `reactions` says how late they are.
+    checked: all recorded agents are replayed at all steps, and their poses in SUMO compared; else those who have to be
+    shown to a vehicle, when they have to. Where recorded vehicles react, `scene` becomes another one with each that
+    yields, and `reactions` says how late they are.
     """
 
     scene: Scene
@@ -78,7 +109,6 @@ class Driving:
     fixed: Traffic
     roads: Roads
     stop_lines: StopLines
-    rows: IntArray | None = None
     checked: bool = True
     vehicles: list[DrivenVehicle] = field(init=False)
     replay_errors: ReplayErrors = field(init=False)
@@ -86,13 +116,19 @@ class Driving:
     _guard: Guard = field(init=False)
     _state: FloatArray = field(init=False)
     _obstacles: list[Obstacles | None] = field(init=False)
-    _known: list[tuple[PathOccupancy, IntArray, FloatArray] | None] = field(init=False)
+    _known: list[tuple[PathOccupancy, IntArray] | None] = field(init=False)
+    _ahead: _Ahead | None = field(init=False, default=None)
+    _place: FloatArray = field(init=False)
     _centre: FloatArray = field(init=False)
     _own_lengths: FloatArray = field(init=False)
     _road: list[FloatArray] = field(init=False)
+    _lanes: list[_Lanes] = field(init=False)
+    _edge: dict[Cell, tuple[str, int]] = field(init=False, default_factory=dict)
     _lengths: FloatArray = field(init=False)
     _limit: list[tuple[float, str] | None] = field(init=False)
     _reroutes_tried: list[DrivenPath | None] = field(init=False)
+    _recorded: Replay = field(init=False)
+    _kept: Replay = field(init=False)
 
     def __post_init__(self) -> None:
         """Nobody has moved yet."""
@@ -102,38 +138,46 @@ class Driving:
         self._obstacles = [None] * len(self.starts)
         self._lengths = np.concatenate([self.scene.traffic.length_m, self.fixed.length_m])
         self._known = [None] * len(self.starts)
+        self._place = np.array([start.start_s for start in self.starts], dtype=np.float64)
         self._centre = np.full((len(self.starts), 2), np.inf)
         self._own_lengths = np.array([start.box.length_m for start in self.starts])
         self._road = [self.roads.speeds(start.path, start.driver) for start in self.starts]
+        self._lanes = [self._lanes_of(start.path) for start in self.starts]
         self._limit = [None] * len(self.starts)
         self._reroutes_tried = [None] * len(self.starts)
+
+    def _lanes_of(self, path: DrivenPath) -> _Lanes:
+        lanes = self.scene.grid.graph.lanes
+        return _Lanes(
+            [segment.end for segment in path.segments],
+            [policy_on(lanes[segment.lane_id].turn) for segment in path.segments],
+        )
 
     def run(self) -> list[DrivenVehicle]:
         """All steps of the scene; a vehicle's step 0 is its start."""
         scene, simulation, step_s = self.scene, self.simulation, self.scene.step_s
         simulation.rewind()
-        everybody = np.arange(len(scene.traffic.ids)) if self.rows is None else self.rows
-        recorded = Replay(simulation, scene.traffic.rows(everybody.tolist()), "r", step_s=step_s, checked=self.checked)
-        kept = Replay(simulation, self.fixed, "k", step_s=step_s, checked=False)
-        place_of = {int(row): place for place, row in enumerate(everybody)}
+        there, there_kept = (scene.traffic, self.fixed) if self.checked else self._shown()
+        recorded = self._recorded = Replay(simulation, there, "r", step_s=step_s, checked=self.checked)
+        kept = self._kept = Replay(simulation, there_kept, "k", step_s=step_s, checked=False)
         for back in (2, 1):
             recorded.warm_up(back)
             if self.fixed.ids:
                 kept.warm_up(back)
             simulation.step()
-        reactions = self._reactions(recorded, place_of)
+        reactions = self._reactions(recorded)
         for step in range(scene.num_steps):
             attempts: list[_Attempt] = []
             if step > 0:
                 fleet = _Lazy(self._fleet)
                 if reactions is not None and reactions.advance(step, self._generated(step - 1, fleet)):
                     self._look_anew(reactions.scene)
-                    recorded.take(self.scene.traffic.rows(everybody.tolist()))
+                    recorded.take(self.scene.traffic)
                 for row, vehicle in enumerate(self.vehicles):
                     if vehicle.running:
                         attempts += self._steer(row, vehicle, step - 1, fleet)
             seen, seen_kept = self._seen(step)
-            recorded.place(step, {place_of[row]: lane for row, lane in seen.items() if row in place_of})
+            recorded.place(step, seen)
             if self.fixed.ids:
                 kept.place(step, seen_kept)
             simulation.step()
@@ -145,13 +189,30 @@ class Driving:
         self.replay_errors, self.reactions = recorded.errors, reactions
         return self.vehicles
 
-    def _reactions(self, recorded: Replay, place_of: dict[int, int]) -> Reactions | None:
+    def _shown(self) -> tuple[Traffic, Traffic]:
+        """Recorded agents and those kept, present only while SUMO may have to be shown them."""
+        scene, count = self.scene, len(self.scene.traffic.ids)
+        everybody = [self._known_of(row) for row in range(len(self.starts))]
+        shown = []
+        for traffic, first in ((scene.traffic, 0), (self.fixed, count)):
+            last, known = first + len(traffic.ids), []
+            for found, rows in everybody:
+                here = (rows >= first) & (rows < last)
+                known.append((rows[here] - first, found.rows(here)))
+            present = shown_when(
+                traffic, self.starts, known, num_steps=scene.num_steps, step_s=scene.step_s,
+                driving=scene.config.driving,
+            )  # fmt: skip
+            shown.append(replace(traffic.first(scene.num_steps), present=present))
+        return shown[0], shown[1]
+
+    def _reactions(self, recorded: Replay) -> Reactions | None:
         """The recorded vehicles as those who react, each by SUMO's car following of its replayed vehicle."""
         if self.scene.config.driving.replay == "fixed":
             return None
 
         def follow_mps(row: int, speed_mps: float, gap_m: float, leader_mps: float) -> float:
-            name = recorded.name(place_of[row])
+            name = recorded.name(row)
             return self.simulation.follow_speed(name, speed_mps, gap_m=gap_m, leader_mps=leader_mps)
 
         return Reactions(self.scene, follow_mps)
@@ -163,14 +224,16 @@ class Driving:
     def _look_anew(self, scene: Scene) -> None:
         """Recorded vehicles will be elsewhere than was known: nothing that was worked out of it holds any more."""
         self.scene = self._guard.scene = scene
-        self._known = [None] * len(self.vehicles)
+        self._known, self._ahead = [None] * len(self.vehicles), None
         self._obstacles = [None] * len(self.vehicles)
 
     def _enter(self, step: int) -> None:
         """Insert whoever begins; after the first step, so that the state of step 0 is the start."""
         if step == 0:
-            for vehicle in self.vehicles:
+            for row, vehicle in enumerate(self.vehicles):
                 vehicle.objection = insert(self.simulation, self.scene, vehicle.start)
+                if vehicle.objection is not None:
+                    self._place[row] = np.nan
 
     def _read(self, step: int) -> None:
         """Take down what SUMO did, and which limit decided it."""
@@ -183,7 +246,7 @@ class Driving:
                     vehicle.objection = Reason.SUMO_REFUSES_INSERTION
                 else:
                     vehicle.left_at = step
-                self._state[row, PRESENT], self._centre[row] = 0.0, np.inf
+                self._state[row, PRESENT], self._centre[row], self._place[row] = 0.0, np.inf, np.nan
                 continue
             if not vehicle.s:
                 speed, s = vehicle.start.start_mps, vehicle.start.start_s
@@ -197,15 +260,14 @@ class Driving:
             vehicle.s.append(s)
             vehicle.v.append(speed)
             table = vehicle.path.line.table_xy
-            self._centre[row] = table[min(int(s / TABLE_STEP_M), len(table) - 1)]
-            self._state[row] = s, speed, (speed - before) / step_s, self._is_executing(vehicle), 1.0
+            self._place[row], self._centre[row] = s, table[min(int(s / TABLE_STEP_M), len(table) - 1)]
+            self._state[row] = s, speed, (speed - before) / step_s, self._is_executing(row, vehicle.path, s), 1.0
 
-    def _is_executing(self, vehicle: DrivenVehicle) -> bool:
-        """Whether it is changing lanes or in a turn: case 2, executing goes before pending."""
-        if vehicle.path.shifts and vehicle.path.shifts[-1][0] < vehicle.s[-1] < vehicle.path.shifts[-1][1]:
+    def _is_executing(self, row: int, path: DrivenPath, s: float) -> bool:
+        """Whether a vehicle is changing lanes or in a turn: case 2, executing goes before pending."""
+        if path.shifts and path.shifts[-1][0] < s < path.shifts[-1][1]:
             return True
-        lane = self.scene.grid.graph.lanes[vehicle.path.segment_at(vehicle.s[-1]).lane_id]
-        return lane.turn is not TurnType.STRAIGHT
+        return self._lanes[row].policy_at(s) is not Policy.STRAIGHT
 
     def _seen(self, step: int) -> tuple[dict[int, tuple[str, int]], dict[int, tuple[str, int]]]:
         """Whom SUMO's car following is shown, recorded and kept: row -> edge and lane index of its place on the way.
@@ -213,43 +275,41 @@ class Driving:
         Those whose boxes reach into the driving width on the present way of some vehicle and who move along it or
         stand. Who crosses is the guard's business: to SUMO it would appear out of nowhere.
         """
-        driving, shown = self.scene.config.driving, dict[int, tuple[float, str, int]]()
-        if "collision" in self.scene.config.without:
-            return {}, {}
-        for row, vehicle in enumerate(self.vehicles):
-            if not vehicle.running:
-                continue
-            s = vehicle.s[-1] if vehicle.s else vehicle.start.start_s
-            found, rows, lengths = self._known_of(row)
-            if rows.size == 0:
-                continue
-            ahead = next_two_ahead(
-                found.low, found.high, found.along, found.aligned, found.crosses, lengths, step, s,
-                vehicle.start.box.length_m, driving.standing_mps, driving.leads_from_m, driving.shown_m,
-            )  # fmt: skip
-            for place, at, middle in (ahead[:3], ahead[3:]):  # its car following asks for no more
-                agent = int(rows[place]) if place >= 0 else -1
-                if agent >= 0 and (agent not in shown or at < shown[agent][0]):  # on the lane of who is nearest behind
-                    cell = self.scene.cell_at(vehicle.path, middle)
-                    shown[agent] = at, self.scene.grid.edge_id(cell), self.scene.grid.lane_index(cell)
-        count = len(self.scene.traffic.ids)
         recorded: dict[int, tuple[str, int]] = {}
         kept: dict[int, tuple[str, int]] = {}
-        for agent, (_, edge, lane) in shown.items():
-            if not self._is_beside_somebody(agent, step):
-                (recorded if agent < count else kept)[agent if agent < count else agent - count] = edge, lane
+        if "collision" in self.scene.config.without:
+            return recorded, kept
+        if self._ahead is None:
+            self._ahead = self._look_ahead()
+        driving, here, count = self.scene.config.driving, self._ahead, len(self.scene.traffic.ids)
+        found = shown_ahead(
+            here.low, here.high, here.along, here.aligned, here.crosses, here.agents, here.first, self._lengths,
+            self.scene.traffic.position, self.fixed.position, step, self._place[: len(self.vehicles)],
+            self._centre, self._own_lengths,
+            (driving.standing_mps, driving.leads_from_m, driving.shown_m),
+        )  # fmt: skip
+        for agent, row, middle in zip(*(column.tolist() for column in found), strict=True):
+            where = self._edge_of(self.scene.cell_at(self.vehicles[row].path, middle))
+            (recorded if agent < count else kept)[agent if agent < count else agent - count] = where
         return recorded, kept
 
-    def _is_beside_somebody(self, agent: int, step: int) -> bool:
-        """Whether an agent is beside some vehicle, which SUMO, to whom vehicles on a lane have no width, would stop."""
-        count = len(self.scene.traffic.ids)
-        traffic, row = (self.scene.traffic, agent) if agent < count else (self.fixed, agent - count)
-        offset = self._centre - traffic.position[row, step]
-        reach = 0.5 * (self._own_lengths + self._lengths[agent])
-        return bool(np.any(np.square(offset).sum(axis=1) < reach * reach))
+    def _edge_of(self, cell: Cell) -> tuple[str, int]:
+        """SUMO edge and lane index of a cell."""
+        if cell not in self._edge:
+            self._edge[cell] = self.scene.grid.edge_id(cell), self.scene.grid.lane_index(cell)
+        return self._edge[cell]
 
-    def _known_of(self, row: int) -> tuple[PathOccupancy, IntArray, FloatArray]:
-        """Intervals of everybody whose future is known on a vehicle's path, rows (recorded, then kept), lengths m."""
+    def _look_ahead(self) -> _Ahead:
+        """Everybody known on the present ways of all."""
+        known = [self._known_of(row) for row in range(len(self.vehicles))]
+        nobody = PathOccupancy.nobody(self.scene.future.num_steps)
+        every = nobody.joined(*(found for found, _ in known))
+        first = np.concatenate([[0], np.cumsum([rows.size for _, rows in known])]).astype(np.int64)
+        agents = np.concatenate([np.zeros(0, dtype=np.int64), *(rows for _, rows in known)])
+        return _Ahead(every.low, every.high, every.along, every.aligned, every.crosses, agents, first)
+
+    def _known_of(self, row: int) -> tuple[PathOccupancy, IntArray]:
+        """Intervals of everybody whose future is known on a vehicle's path, and rows (recorded, then kept)."""
         known = self._known[row]
         if known is None:
             vehicle = self.vehicles[row]
@@ -259,7 +319,7 @@ class Driving:
                 kept_rows, more = look_along(path.line, self.fixed, box.length_m, box.width_m)
                 found = found.joined(more)
                 rows = np.concatenate([rows, kept_rows + len(self.scene.traffic.ids)])
-            known = self._known[row] = found, rows, self._lengths[rows]
+            known = self._known[row] = found, rows
         return known
 
     def _fleet(self) -> Traffic:
@@ -286,7 +346,7 @@ class Driving:
             vehicle.stage = Stage.PASS if passing else Stage.DONE
         attempts = self._decide(row, vehicle, now, fleet)
         desired = float(vehicle.start.desired[now])
-        limits = [(self._road_speed(row, s, v), "turn" if self._turns(vehicle, s) else "curve")]
+        limits = [(self._road_speed(row, s, v), "turn" if self._turns(row, s, v) else "curve")]
         if "collision" not in self.scene.config.without:
             limits += self._guarded(row, vehicle, now, desired)
         if vehicle.stage is Stage.WAITING and vehicle.reason in _LETS_PASS:
@@ -309,12 +369,12 @@ class Driving:
         road = self._road[row]
         return float(road[min(int((s + v * self.scene.step_s) / TABLE_STEP_M), road.size - 1)])
 
-    def _turns(self, vehicle: DrivenVehicle, s: float) -> bool:
+    def _turns(self, row: int, s: float, v: float) -> bool:
         """Whether it is in a turn lane or slows down for one."""
-        lanes = self.scene.grid.graph.lanes
-        ahead = vehicle.path.segment_at(s + _TURN_AHEAD_S * vehicle.v[-1])
-        here = vehicle.path.segment_at(s)
-        return lanes[here.lane_id].turn is not TurnType.STRAIGHT or lanes[ahead.lane_id].turn is not TurnType.STRAIGHT
+        lanes = self._lanes[row]
+        return (
+            lanes.policy_at(s) is not Policy.STRAIGHT or lanes.policy_at(s + _TURN_AHEAD_S * v) is not Policy.STRAIGHT
+        )
 
     def _obstacles_of(self, row: int) -> Obstacles:
         known = self._obstacles[row]
@@ -363,7 +423,7 @@ class Driving:
         start, limits = vehicle.start, []
         if vehicle.yielding:
             limits.append((-found.decel_mps2, "conflict"))
-        stop = self.stop_lines.braking(vehicle.path, start.box, start.driver, s=state[0], speed_mps=state[1], step=now)
+        stop = self._obstacles_of(row).lines.braking(start.driver, s=state[0], speed_mps=state[1], step=now)
         if stop is not None:
             limits.append(stop)
         eased = min(state[2], 0.0) - driving.brake_jerk_mps3 * step_s
@@ -387,23 +447,20 @@ class Driving:
     def _rerouted(self, row: int, vehicle: DrivenVehicle, now: int, desired: float) -> Braking | None:
         """Take another way at the next split if nobody is met there (conflict case 3); None where there is none.
 
-        Only who is to go straight: another way is no longer the turn or the change of lanes that was asked for. And
-        only where SUMO has everybody who can be ahead.
+        Only who is to go straight: another way is no longer the turn or the change of lanes that was asked for.
         """
         stays = vehicle.start.keeps_route or vehicle.policy is not Policy.STRAIGHT
         if stays or self._reroutes_tried[row] is vehicle.path:
             return None
         self._reroutes_tried[row] = vehicle.path
-        (s, v), driver, box = self._state[row, [S, V]].tolist(), vehicle.start.driver, vehicle.start.box
+        (s, v), driver = self._state[row, [S, V]].tolist(), vehicle.start.driver
         cell = self.scene.grid.cell_of_sumo_lane.get(self.simulation.lane(vehicle.vehicle_id)[0])
         if cell is None:
             return None
-        for path in ways_at_next_split(self.scene, vehicle.path, s=s, from_m=s + box.length_m):
+        for path in ways_at_next_split(self.scene, vehicle.path, s=s, from_m=s + vehicle.start.box.length_m):
             at = places_on(path, vehicle.path, np.array(vehicle.s))
             road = self.roads.speeds(path, driver)
             if v > road[min(int(at[-1] / TABLE_STEP_M), road.size - 1)] + _BINDS_MPS:
-                continue
-            if self.rows is not None and not np.isin(self.scene.in_driving_width(path, box)[0], self.rows).all():
                 continue
             found = self._predicted(row, path, now, (float(at[-1]), v, float(self._state[row, A])), desired)
             edges = edges_along(self.scene, path, cell)
@@ -411,14 +468,16 @@ class Driving:
                 self.simulation.set_route(vehicle.vehicle_id, edges)
                 self._take_path(row, vehicle, path)
                 vehicle.s[:] = at.tolist()
-                vehicle.rerouted_at, self._state[row, S] = now, at[-1]
+                vehicle.rerouted_at, self._state[row, S], self._place[row] = now, at[-1], at[-1]
+                self._recorded.take(self.scene.traffic)  # others may have to be shown on this way
+                self._kept.take(self.fixed)
                 return found
         return None
 
     def _take_path(self, row: int, vehicle: DrivenVehicle, path: DrivenPath) -> None:
         vehicle.path = path
-        self._known[row] = None
-        self._road[row] = self.roads.speeds(path, vehicle.start.driver)
+        self._known[row], self._ahead = None, None
+        self._road[row], self._lanes[row] = self.roads.speeds(path, vehicle.start.driver), self._lanes_of(path)
         self._obstacles = [None] * len(self.vehicles)  # everybody sees the new intention
 
     def _slows_for(self, state: tuple[float, float, float], found: Braking, start: Start) -> bool:
@@ -434,25 +493,22 @@ class Driving:
         due = asks and time_s >= request.trigger_s and vehicle.stage in (Stage.WAITING, Stage.PASS)
         if due and vehicle.stage is Stage.WAITING and time_s > request.trigger_s + change.give_up_s:
             vehicle.stage, due = Stage.ABORTED, False
-        options: dict[Side, tuple[LaneOption, DrivenPath]] = {}
-        leader: Leader | None = None
-        passed_m = -1.0
-        if due:
-            others = _without(fleet.value, vehicle.vehicle_id)
-            options, leader = self._look_around(vehicle, now, others)
-            if change.rule == "LC2013":
-                options = {side: (self._with_wish(vehicle, found), path) for side, (found, path) in options.items()}
-            passed_m = self._passed_gap_m(vehicle, now, others)
+        if not due:  # nothing to be asked: it keeps to its lane, as `decide` says
+            vehicle.policies[self._lanes[row].policy_at(vehicle.s[-1])] += 1
+            return []
+        others = _without(fleet.value, vehicle.vehicle_id)
+        options, leader = self._look_around(vehicle, now, others)
+        if change.rule == "LC2013":
+            options = {side: (self._with_wish(vehicle, found), path) for side, (found, path) in options.items()}
+        passed_m = self._passed_gap_m(vehicle, now, others)
         seen = self._observation(vehicle, now, tuple(option for option, _ in options.values()), leader, passed_m)
-        if due and change.rule not in ("paper", "LC2013"):
+        if change.rule not in ("paper", "LC2013"):
             ahead, behind = gaps_on(
                 self.scene, vehicle.path, vehicle.start.box, at=vehicle.s[-1], step=now, fixed=self.fixed, fleet=others
             )  # fmt: skip
             seen = replace(seen, own_front=ahead, own_rear=behind)
         decision = decide(seen, lane_change=change, overtake=config.overtake)
         vehicle.policies[decision.policy] += 1
-        if not due:
-            return []
         side = decision.side
         for (option, _), answer in zip(options.values(), decision.answers, strict=False):  # those not looked at: none
             vehicle.gaps.append(_look(vehicle, now, option, answer))

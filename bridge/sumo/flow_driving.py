@@ -38,6 +38,7 @@ class FlowDriving(Driving):
         more = len(self.arrivals)
         self._state = np.concatenate([self._state, np.zeros((more, self._state.shape[1]))])
         self._centre = np.concatenate([self._centre, np.full((more, 2), np.inf)])
+        self._place = np.concatenate([self._place, np.full(more, np.nan)])
         self._own_lengths = np.concatenate([self._own_lengths, [one.box.length_m for one in self.arrivals]])
 
     def _enter(self, step: int) -> None:
@@ -95,14 +96,16 @@ class FlowDriving(Driving):
             start_mps=simulation.speed(arrival.vehicle_id), driver=arrival.driver, desired=arrival.desired,
             offset=arrival.offset, sides=arrival.sides,
         )  # fmt: skip
-        self._own_lengths[len(self.vehicles)] = arrival.box.length_m
+        self._own_lengths[len(self.vehicles)], self._place[len(self.vehicles)] = arrival.box.length_m, start.start_s
         self.entered[arrival.vehicle_id] = step
         self.waiting_s[arrival.vehicle_id] = step * self.scene.step_s - arrival.due_s
         self.vehicles.append(DrivenVehicle(start=start, path=start.path))
         self._road.append(self.roads.speeds(start.path, start.driver))
+        self._lanes.append(self._lanes_of(start.path))
         self._limit.append(None)
         self._reroutes_tried.append(None)
         self._known.append(None)
+        self._ahead = None
         self._obstacles = [None] * len(self.vehicles)  # everybody sees who is new
 
     def _others(self, row: int) -> list[tuple[int, DrivenPath, BoxSize]]:

@@ -12,7 +12,7 @@ from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import wrap_angle
 
 #: Steps for which a new vehicle is seen by nobody: until then SUMO takes it for one that stands.
-_UNSEEN_STEPS = 2
+UNSEEN_STEPS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class Replay:
     def warm_up(self, back: int) -> None:
         """Place those of step 0 where they were `back` steps before, seen by nobody.
 
-        SUMO knows the speed of a vehicle that it is shown only after it has moved it for _UNSEEN_STEPS.
+        SUMO knows the speed of a vehicle that it is shown only after it has moved it for UNSEEN_STEPS.
         """
         rows = self._here[0]
         xy, angle = sumo_poses(
@@ -100,7 +100,7 @@ class Replay:
         x, y, angle = self._poses[step]
         self.simulation.place_all(
             [
-                (names[row], x[row], y[row], angle[row], seen.get(row) if self._age[row] >= _UNSEEN_STEPS else None)
+                (names[row], x[row], y[row], angle[row], seen.get(row) if self._age[row] >= UNSEEN_STEPS else None)
                 for row in rows
             ]
         )

@@ -280,6 +280,7 @@ class Simulation:
             libsumo.vehicletype.setLength(type_id, length_m)
             libsumo.vehicletype.setWidth(type_id, width_m)
             libsumo.vehicletype.setApparentDecel(type_id, self._expected_decel_mps2)
+            libsumo.vehicletype.setSpeedDeviation(type_id, 0.0)  # who is replayed draws no random numbers from others
             libsumo.vehicletype.setVehicleClass(type_id, "ignoring")  # recorded agents are where they are, on any lane
             libsumo.vehicletype.setActionStepLength(type_id, _NEVER_S)  # SUMO need not think about where they would go
             self._types.add(type_id)

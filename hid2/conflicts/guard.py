@@ -8,20 +8,22 @@
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, IntArray
-from hid2.conflicts.stop_lines import StopLines
+from hid2.conflicts.stop_lines import ClosedLines, StopLines
 from hid2.drivers.driver import Driver
 from hid2.kernels.guard import needed_braking
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along, path_occupancy
 from hid2.occupancy.sigma import ORIGINAL
-from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.occupancy.traffic import Traffic
 from hid2.scene import Scene
 
+_MARGINS_M = 10.0  # no tunable, spares time: more than any lateral margin
 #: Columns of the fleet's state.
 S, V, A, EXECUTING, PRESENT = range(5)
 
@@ -31,8 +33,7 @@ def transition_rejected(sigma: int) -> bool:
     return sigma == ORIGINAL
 
 
-@dataclass(frozen=True, slots=True)
-class Braking:
+class Braking(NamedTuple):
     """What a vehicle has to do about predicted conflicts.
 
     decel_mps2: least constant braking without a conflict, 0 for none; conflict_s: seconds to a conflict that remains
@@ -54,15 +55,19 @@ class Braking:
 class Obstacles:
     """Everybody on one path: known (A, T + E) for those whose future is known, swept for the fleet's others.
 
-    swept (3, G, K): low and high m, cosine, by the other vehicle's own arc length; rows (G,) of the fleet. stop_s (L,)
-    m, closed (L, T): the stop lines on the path.
+    swept (3, G, K): low and high m, cosine, by the other vehicle's own arc length; rows (G,) of the fleet; lines: the
+    stop lines on the path.
     """
 
     known: PathOccupancy
     swept: FloatArray
     rows: IntArray
-    stop_s: FloatArray
-    closed: BoolArray
+    lines: ClosedLines
+
+
+def _boxes_reach_m(one: BoxSize, other: BoxSize) -> float:
+    """Centres farther apart than this belong to boxes that cannot touch, with their margins."""
+    return 0.5 * (one.length_m + one.width_m + other.length_m + other.width_m) + _MARGINS_M
 
 
 @dataclass(eq=False, slots=True)
@@ -76,6 +81,7 @@ class Guard:
         field(default_factory=dict)
     )
     _brakes: FloatArray = field(init=False)
+    _fixed_begin: Traffic | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         """The decelerations that are tried."""
@@ -104,14 +110,30 @@ class Guard:
         for place, (_, swept) in enumerate(found):
             every[:, place, : swept[0].size] = swept
         rows = np.array([row for row, _ in found], dtype=np.int64)
-        stop_s, closed = self.stop_lines.arrays(path, box)
-        return Obstacles(known=known, swept=every, rows=rows, stop_s=stop_s, closed=closed)
+        return Obstacles(known=known, swept=every, rows=rows, lines=self.stop_lines.arrays(path, box))
+
+    def at_start(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
+        """Everybody known on a path for a box at the first step, (A, 1), as in `obstacles`."""
+        known = self.scene.kept_clear_at_start(path, box)
+        if self.fixed.ids:
+            if self._fixed_begin is None:
+                self._fixed_begin = self.fixed.first(self.scene.pet_steps + 1)
+            known = known.joined(
+                path_occupancy(
+                    path.line, self._fixed_begin, length_m=box.length_m, width_m=box.width_m,
+                    margin_lateral_m=self.scene.config.conflict.margin_lateral_m, clear_steps=self.scene.pet_steps,
+                    clear_margin_m=self.scene.pet_margin_m,
+                ).at(0)
+            )  # fmt: skip
+        return known
 
     def _swept_on(
         self, path: DrivenPath, box: BoxSize, other: DrivenPath, other_box: BoxSize
     ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Interval on a path, and cosine between the two, for each place of another vehicle along its own path."""
         key = path, box, other, other_box
+        if key not in self._swept and path.line.is_beyond(other.line, _boxes_reach_m(box, other_box)):
+            self._swept[key] = None
         if key not in self._swept:
             every = slice(None, None, round(1.0 / TABLE_STEP_M))
             xy = np.ascontiguousarray(other.line.table_xy[every])
@@ -137,8 +159,8 @@ class Guard:
         """
         conflict, known, step_s = self.scene.config.conflict, obstacles.known, self.scene.step_s
         row, hit, free, leader, gap, run_into, free_s = needed_braking(
-            known.low, known.high, known.along, known.aligned, obstacles.stop_s, obstacles.closed, obstacles.swept,
-            obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
+            known.low, known.high, known.along, known.aligned, obstacles.lines.stop_s, obstacles.lines.closed,
+            obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
             round((conflict.horizon_s if horizon_s is None else horizon_s) / step_s), conflict.stride, step_s,
             (driver.tau_s, driver.accel_mps2, driver.decel_mps2, driver.min_gap_m), self._brakes,
             conflict.predicted_jerk_mps3, 0.5 * conflict.margin_front_m,

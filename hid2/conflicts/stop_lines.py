@@ -23,6 +23,22 @@ class StopLine:
     cause: str
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class ClosedLines:
+    """The stop lines of one path, in their order: where (L,) m, whether they are closed (L, T), and why."""
+
+    stop_s: FloatArray
+    closed: BoolArray
+    causes: tuple[str, ...]
+
+    def braking(self, driver: Driver, *, s: float, speed_mps: float, step: int) -> tuple[float, str] | None:
+        """Acceleration, m/s2, that stops a driver at the next closed line, and its cause; None for none."""
+        if not self.causes:
+            return None
+        row, accel = stop_ahead(self.stop_s, self.closed, s, speed_mps, step, driver.accel_mps2, driver.decel_mps2)
+        return None if row < 0 else (float(accel), self.causes[row])
+
+
 @dataclass(eq=False, slots=True)
 class StopLines:
     """The stop lines of a scene's paths, each path worked out once."""
@@ -31,7 +47,7 @@ class StopLines:
     _signals: InferredSignals = field(init=False)
     _crossings: PedestrianCrossings = field(init=False)
     _known: dict[tuple[DrivenPath, BoxSize], list[StopLine]] = field(default_factory=dict)
-    _arrays: dict[tuple[DrivenPath, BoxSize], tuple[FloatArray, BoolArray]] = field(default_factory=dict)
+    _arrays: dict[tuple[DrivenPath, BoxSize], ClosedLines] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Signals and crossings of the recorded traffic."""
@@ -59,24 +75,14 @@ class StopLines:
             self._known[key] = sorted(found, key=lambda line: line.stop_s)
         return self._known[key]
 
-    def arrays(self, path: DrivenPath, box: BoxSize) -> tuple[FloatArray, BoolArray]:
-        """The same as arrays: where they are (L,) m, and whether they are closed (L, T)."""
+    def arrays(self, path: DrivenPath, box: BoxSize) -> ClosedLines:
+        """The same as arrays."""
         key = path, box
         if key not in self._arrays:
             lines = self.on(path, box)
             closed = np.zeros((len(lines), self.scene.num_steps), dtype=np.bool_)
             for row, line in enumerate(lines):
                 closed[row] = line.closed
-            self._arrays[key] = np.array([line.stop_s for line in lines], dtype=np.float64), closed
+            stop_s = np.array([line.stop_s for line in lines], dtype=np.float64)
+            self._arrays[key] = ClosedLines(stop_s, closed, tuple(line.cause for line in lines))
         return self._arrays[key]
-
-    def braking(
-        self, path: DrivenPath, box: BoxSize, driver: Driver, *, s: float, speed_mps: float, step: int
-    ) -> tuple[float, str] | None:
-        """Acceleration, m/s2, that stops a driver at the next closed line, and its cause; None for none."""
-        lines = self.on(path, box)
-        if not lines:
-            return None
-        stop_s, closed = self.arrays(path, box)
-        row, accel = stop_ahead(stop_s, closed, s, speed_mps, step, driver.accel_mps2, driver.decel_mps2)
-        return None if row < 0 else (float(accel), lines[row].cause)

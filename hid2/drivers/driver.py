@@ -1,5 +1,6 @@
 """A driver: the parameters of one inserted vehicle, drawn from the distributions of `params.Drivers`."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,24 +47,28 @@ def usual_driver(desired_mps: float) -> Driver:
     )  # fmt: skip
 
 
+def _clipped(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)
+
+
 def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: float) -> Driver:
     """A driver on a lane whose traffic drives at lane_speed_mps, m/s."""
     law, spawn, change = config.drivers, config.spawn, config.lane_change
 
     def normal(mean: float, sd: float) -> float:
-        return mean + sd * float(np.clip(rng.standard_normal(), -_TRUNCATED_AT, _TRUNCATED_AT))
+        return mean + sd * _clipped(rng.standard_normal(), -_TRUNCATED_AT, _TRUNCATED_AT)
 
     desired = lane_speed_mps * normal(1.0, law.desired_sd)
     return Driver(
-        desired_mps=float(np.clip(desired, spawn.min_speed_mps, spawn.max_speed_mps)),
+        desired_mps=_clipped(desired, spawn.min_speed_mps, spawn.max_speed_mps),
         tau_s=max(0.6, normal(law.tau_mean_s, law.tau_sd_s)),
-        accel_mps2=float(np.clip(normal(law.accel_mean_mps2, law.accel_sd_mps2), 0.6, config.limits.accel_max_mps2)),
-        decel_mps2=float(np.clip(normal(law.decel_mean_mps2, law.decel_sd_mps2), 0.8, -config.limits.accel_min_mps2)),
+        accel_mps2=_clipped(normal(law.accel_mean_mps2, law.accel_sd_mps2), 0.6, config.limits.accel_max_mps2),
+        decel_mps2=_clipped(normal(law.decel_mean_mps2, law.decel_sd_mps2), 0.8, -config.limits.accel_min_mps2),
         min_gap_m=max(1.0, normal(law.min_gap_mean_m, law.min_gap_sd_m)),
         turn_lateral_mps2=float(rng.uniform(law.turn_lateral_min_mps2, law.turn_lateral_max_mps2)),
         offset_m=normal(law.offset_mean_m, law.offset_sd_m),
-        lane_change_s=float(
-            np.clip(normal(law.lane_change_mean_s, law.lane_change_sd_s), change.min_duration_s, change.max_duration_s)
+        lane_change_s=_clipped(
+            normal(law.lane_change_mean_s, law.lane_change_sd_s), change.min_duration_s, change.max_duration_s
         ),
         wander_m=law.lateral_wander_sd_m * float(np.exp(normal(0.0, law.lateral_wander_spread))),
     )
@@ -78,14 +83,13 @@ def desired_speeds(
     """
     law = config.drivers
     kept, eased = float(np.exp(-step_s / law.wander_time_s)), float(np.exp(-step_s / _EASED_S))
-    kick = law.wander_sd_mps * np.sqrt(1.0 - kept * kept) * rng.standard_normal(num_steps)
-    wander = np.empty(num_steps)
-    wander[0] = max(law.wander_sd_mps * float(rng.standard_normal()), at_least_mps - driver.desired_mps)
-    level = wander[0] + law.wander_sd_mps * rng.standard_normal()  # nobody begins at a constant speed
+    kick = (law.wander_sd_mps * np.sqrt(1.0 - kept * kept) * rng.standard_normal(num_steps)).tolist()
+    wander = [max(law.wander_sd_mps * float(rng.standard_normal()), at_least_mps - driver.desired_mps)]
+    level = wander[0] + law.wander_sd_mps * float(rng.standard_normal())  # nobody begins at a constant speed
     for step in range(1, num_steps):
         level = kept * level + kick[step]
-        wander[step] = eased * wander[step - 1] + (1.0 - eased) * level
-    return np.maximum(driver.desired_mps + wander, 0.5 * driver.desired_mps)
+        wander.append(eased * wander[step - 1] + (1.0 - eased) * level)
+    return np.maximum(driver.desired_mps + np.array(wander), 0.5 * driver.desired_mps)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -127,10 +131,9 @@ def lane_offset(driver: Driver, config: Config, rng: np.random.Generator, *, len
     count = max(4, int(length_m / spacing) + 3)
     knots = spacing * (np.arange(count) - rng.uniform())
     kept = float(np.exp(-1.0))
-    value = np.empty(count)
-    value[0] = rng.standard_normal()
+    value, rest = rng.standard_normal(count).tolist(), math.sqrt(1.0 - kept * kept)
     for row in range(1, count):
-        value[row] = kept * value[row - 1] + np.sqrt(1.0 - kept * kept) * rng.standard_normal()
+        value[row] = kept * value[row - 1] + rest * value[row]
     offset = driver.offset_m + driver.wander_m * np.clip(value, -_TRUNCATED_AT, _TRUNCATED_AT)
     offset = np.clip(offset, -law.offset_max_m, law.offset_max_m)
     return LaneOffset(

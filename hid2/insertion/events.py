@@ -240,10 +240,9 @@ class EventSearch:
         asked = table[np.minimum((way / TABLE_STEP_M).astype(np.int64), table.size - 1)]
         if (plan.speeds[:until] > asked[:until] + _ROAD_SPARE_MPS).any():
             return Reason.TOO_SLOW
+        closed = lines.arrays(path, start.box)
         for step in range(0, until, scene.steps_in(_LOOKS_S)):
-            stop = lines.braking(
-                path, start.box, start.driver, s=float(way[step]), speed_mps=float(plan.speeds[step]), step=step
-            )
+            stop = closed.braking(start.driver, s=float(way[step]), speed_mps=float(plan.speeds[step]), step=step)
             if stop is not None and stop[0] < _STOPS_MPS2:
                 return Reason.CONFLICT_PREDICTED
         if plan.event.kind == "overtake":  # the plan goes straight through its leader

@@ -7,6 +7,7 @@ import numpy as np
 
 from hid2.agents import FloatArray, IntArray
 from hid2.insertion.routes import RouteOffer, Routes
+from hid2.kernels.meetings import met_on_route
 from hid2.measures.arrays import is_moving
 from hid2.measures.encounters import CROSSING_RAD, FOLLOWS_S, WITHIN_S
 from hid2.occupancy.traffic import BoolArray
@@ -85,19 +86,18 @@ class Meetings:
     scene: Scene
     routes: Routes
     _targets: IntArray = field(init=False)
-    _xy: FloatArray = field(init=False)
-    _there: BoolArray = field(init=False)
     _steps: IntArray = field(init=False)
     _target_xy: FloatArray = field(init=False)
     _target_there: BoolArray = field(init=False)
     _lane_cell: IntArray = field(init=False)
-    _crossed: dict[int, FloatArray] = field(init=False)
-    _is_crossed: BoolArray = field(init=False)
+    _crossed_from: IntArray = field(init=False)
+    _crossed_s: FloatArray = field(init=False)
     weight: FloatArray = field(init=False)
     leader: IntArray = field(init=False)
     near: BoolArray = field(init=False)
     _offer_weights: dict[int, list[float]] = field(default_factory=dict)
     _usual: dict[int, float] = field(default_factory=dict)
+    _middles: dict[int, tuple[IntArray, FloatArray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Where recorded moving vehicles are, on which cells, and which cells they cross."""
@@ -105,14 +105,11 @@ class Meetings:
         moving = moving_vehicles(scene)
         self._targets = target_rows(scene, scene.config.request.near)
         self._steps = np.arange(0, scene.num_steps, scene.steps_in(_EVERY_S))
-        self._xy, self._there = traffic.position[moving][:, self._steps], traffic.present[moving][:, self._steps]
-        self._target_xy = traffic.position[self._targets][:, self._steps]
-        self._target_there = traffic.present[self._targets][:, self._steps]
+        self._target_xy = np.ascontiguousarray(traffic.position[self._targets][:, self._steps])
+        self._target_there = np.ascontiguousarray(traffic.present[self._targets][:, self._steps])
         cell = scene.occupancy.cell[moving][:, self._steps]
-        self._lane_cell = np.where(scene.occupancy.mapped[moving][:, self._steps], cell, -1)
-        self._crossed = self._crossings(moving)
-        self._is_crossed = np.zeros(len(scene.grid.cells), dtype=np.bool_)
-        self._is_crossed[list(self._crossed)] = True
+        self._lane_cell = np.ascontiguousarray(np.where(scene.occupancy.mapped[moving][:, self._steps], cell, -1))
+        self._crossed_from, self._crossed_s = self._crossings(moving)
         count = len(scene.grid.cells)
         self.weight, self.near = np.zeros(count), np.zeros(count, dtype=np.bool_)
         self.leader = np.full(count, -1, dtype=np.int64)
@@ -124,20 +121,26 @@ class Meetings:
         """Whether vehicles are to be near to somebody in particular."""
         return self.scene.config.request.near not in ("traffic", "anywhere")
 
-    def _crossings(self, moving: IntArray) -> dict[int, FloatArray]:
-        """Times, s, at which moving recorded vehicles cross each cell, by cell."""
+    def _crossings(self, moving: IntArray) -> tuple[IntArray, FloatArray]:
+        """Times, s, at which moving recorded vehicles cross cells: those of cell c from first[c] to first[c + 1]."""
         boxes, traffic = self.scene.boxes, self.scene.traffic
-        found: dict[int, list[float]] = {}
+        found: list[tuple[IntArray, FloatArray]] = [(np.zeros(0, dtype=np.int64), np.zeros(0))]
         for row in moving.tolist():
             steps = self._steps[traffic.present[row, self._steps]]
             if not steps.size:
                 continue
-            offset = boxes.center[:, None] - traffic.position[row, steps]
-            turned = np.abs(np.sin(boxes.heading[:, None] - traffic.heading[row, steps]))
+            way = traffic.position[row, steps]
+            low, high = way.min(axis=0) - _ON_CELL_M, way.max(axis=0) + _ON_CELL_M
+            some = np.flatnonzero(((boxes.center >= low) & (boxes.center <= high)).all(axis=1))
+            offset = boxes.center[some, None] - way
+            turned = np.abs(np.sin(boxes.heading[some, None] - traffic.heading[row, steps]))
             near = (np.hypot(offset[..., 0], offset[..., 1]) < _ON_CELL_M) & (turned > math.sin(CROSSING_RAD))
-            for cell, look in np.argwhere(near).tolist():
-                found.setdefault(cell, []).append(float(steps[look]) * self.scene.step_s)
-        return {cell: np.array(times) for cell, times in found.items()}
+            cell, look = np.nonzero(near)
+            found.append((some[cell], steps[look] * self.scene.step_s))
+        cells = np.concatenate([cell for cell, _ in found])
+        count = np.bincount(cells, minlength=boxes.heading.size)
+        times = np.concatenate([time_s for _, time_s in found])[np.argsort(cells, kind="stable")]
+        return np.concatenate([[0], np.cumsum(count)]), times
 
     def usual_speed(self, lane_id: int) -> float:
         """Median speed of a lane's traffic, m/s."""
@@ -172,23 +175,24 @@ class Meetings:
         cells, middle = self._cells(lane_id, offer)
         count, pace = scene.grid.count(lane_id), _PACE * speed_mps
         start = middle[:count]
-        time_s = self._steps * scene.step_s
-        way = start[:, None] + pace * time_s  # (N, T)
-        there = way <= middle[-1]
-        xy = scene.grid.centers[cells[np.minimum(np.searchsorted(middle, way), len(cells) - 1)]]
-        near = _any_within(xy, there, self._target_xy, self._target_there, _SURELY * request.within_m)
-        leader = np.full(count, -1, dtype=np.int64)
+        time_s = np.asarray(self._steps * scene.step_s, dtype=np.float64)
+        last = int(np.searchsorted(self._steps, min(scene.first_exit_step, scene.num_steps) - 1, side="right")) - 1
+        near, near_last, leader, crosses = met_on_route(
+            scene.grid.centers, cells, middle, count, time_s, pace, self._target_xy, self._target_there,
+            _SURELY * request.within_m, self._lane_cell, _LEADS_FROM_M, FOLLOWS_S * speed_mps + _LEADS_FROM_M,
+            _LEADS_LOOKS, self._crossed_from, self._crossed_s, _AFTER_CROSSING_S, WITHIN_S, last,
+        )  # fmt: skip
         weight = np.ones(count)
-        if request.near != "anywhere":
-            leader = self._leader(cells, middle, way, speed_mps)
-            weight[near.any(axis=1)] *= spawn.near_weight
+        if request.near == "anywhere":
+            leader = np.full(count, -1, dtype=np.int64)
+        else:
+            weight[near] *= spawn.near_weight
             weight[leader >= 0] *= spawn.leader_weight
-            weight[self._crosses(cells, middle, start, pace)] *= spawn.crossing_weight
+            weight[crosses] *= spawn.crossing_weight
         leaves = middle[-1] - start < 0.8 * speed_mps * scene.first_exit_step * scene.step_s
         if "topology" not in scene.config.without:
             weight[leaves] = 0.0
-        last = int(np.searchsorted(self._steps, min(scene.first_exit_step, scene.num_steps) - 1, side="right")) - 1
-        return weight, near[:, last], leader
+        return weight, near_last, leader
 
     def _cells(self, lane_id: int, offer: RouteOffer) -> tuple[IntArray, FloatArray]:
         """Cells of a route from a lane on, (K,) rows of the grid, and their middles along it, (K,) m."""
@@ -196,42 +200,11 @@ class Meetings:
         cells: list[IntArray] = []
         middle: list[FloatArray] = []
         for lane in offer.route[offer.route.index(lane_id) :]:
-            first, borders = grid.index_of[Cell(lane, 0)], grid.edges_s(lane)
-            cells.append(np.arange(first, first + grid.count(lane)))
-            middle.append(begin + 0.5 * (borders[1:] + borders[:-1]))
+            if lane not in self._middles:
+                first, borders = grid.index_of[Cell(lane, 0)], grid.edges_s(lane)
+                self._middles[lane] = np.arange(first, first + grid.count(lane)), 0.5 * (borders[1:] + borders[:-1])
+            of_lane, middles = self._middles[lane]
+            cells.append(of_lane)
+            middle.append(begin + middles)
             begin += lanes[lane].length_m
         return np.concatenate(cells), np.concatenate(middle)
-
-    def _leader(self, cells: IntArray, middle: FloatArray, way: FloatArray, speed_mps: float) -> IntArray:
-        """(N,) who drives ahead on the route within the time gap that counts as following, the nearest; -1 nobody."""
-        if not len(self._lane_cell):
-            return np.full(len(way), -1, dtype=np.int64)
-        at = np.full(len(self.scene.grid.cells) + 1, np.nan)  # the last one: on no cell
-        at[cells] = middle
-        ahead = at[self._lane_cell][None] - way[:, None]  # (N, A, T)
-        with np.errstate(invalid="ignore"):
-            leads = (ahead > _LEADS_FROM_M) & (ahead < FOLLOWS_S * speed_mps + _LEADS_FROM_M)
-        enough = leads.sum(axis=2) >= _LEADS_LOOKS
-        nearest = np.where(leads, ahead, np.inf).min(axis=2, initial=np.inf)
-        nearest[~enough] = np.inf
-        return np.where(enough.any(axis=1), np.argmin(nearest, axis=1), -1)
-
-    def _crosses(self, cells: IntArray, middle: FloatArray, start: FloatArray, pace_mps: float) -> BoolArray:
-        """(N,) whether somebody recorded crosses the route near the time at which it would be driven there."""
-        out = np.zeros(start.size, dtype=np.bool_)
-        for place in np.flatnonzero(self._is_crossed[cells]).tolist():
-            arrives = (middle[place] - start) / pace_mps
-            apart = np.abs(arrives[:, None] - self._crossed[int(cells[place])]).min(axis=1)
-            out |= (arrives > 0.0) & (apart > _AFTER_CROSSING_S) & (apart < WITHIN_S)
-        return out
-
-
-def _any_within(
-    xy: FloatArray, there: BoolArray, others: FloatArray, others_there: BoolArray, within_m: float
-) -> BoolArray:
-    """(N, T) whether any of the others (A, T, 2) m is within a distance of points (N, T, 2) m at the same time."""
-    low, high = xy.reshape(-1, 2).min(axis=0) - within_m, xy.reshape(-1, 2).max(axis=0) + within_m
-    possible = (others_there & np.all((others >= low) & (others <= high), axis=2)).any(axis=1)
-    offset = xy[:, None] - others[possible]  # (N, A, T, 2)
-    near = np.square(offset).sum(axis=-1) < within_m * within_m
-    return np.asarray((near & others_there[possible]).any(axis=1) & there)

@@ -19,7 +19,6 @@ from hid2.insertion.spread import Spread, by_weight
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.along_path import PathOccupancy
-from hid2.occupancy.sigma import FREE
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Sites
 from hid2.policy.decision import Side
@@ -156,6 +155,8 @@ class InsertionSites:
         """Routes from a lane in weighted random order; those that go straight on first unless a turn is asked for."""
         offers = self.routes.offers(lane_id)
         key = self.rng.exponential(size=len(offers))
+        if len(offers) == 1:
+            return list(offers)
         if self.scene.config.request.sites == "promising":
             key /= np.array(self.meetings.offer_weights(lane_id))
         order = [offers[row] for row in np.argsort(key, kind="stable").tolist()]
@@ -168,25 +169,20 @@ class InsertionSites:
 
         The order is that of `Spread`, by the number of this vehicle among those of its policy.
         """
-        scene = self.scene
-        grid, lanes = scene.grid, scene.grid.graph.lanes
-        promising = scene.config.request.sites == "promising"
-        usable = {n for n in self.routes.lanes if not promising or self.routes.lane_offers(n, request.policy)}
-        rows = [row for row, cell in enumerate(grid.cells) if cell.lane_id in usable]
-        free = scene.occupancy.sigma[0, rows] == FREE
-        rows = [row for row, is_free in zip(rows, free, strict=True) if is_free]
-        if not rows:
+        scene, policy = self.scene, request.policy
+        grid, promising = scene.grid, scene.config.request.sites == "promising"
+        rows, inside = self.routes.free_cells(policy if promising else Policy.STRAIGHT)
+        if not rows.size:
             return
-        weight, tier = np.ones(len(rows)), np.zeros(len(rows), dtype=np.int64)
+        weight, tier = np.ones(rows.size), np.zeros(rows.size, dtype=np.int64)
         if promising:
-            weight, tier = self._weights(np.array(rows))
+            weight, tier = self._weights(rows)
         failed: dict[int, list[float]] = {}
         for lane_id, at in self.avoided:
             failed.setdefault(lane_id, []).append(at)
-        weight /= [1.0 + len(failed.get(grid.cells[row].lane_id, ())) for row in rows]
-        inside = np.array([lanes[grid.cells[row].lane_id].is_intersection for row in rows])
-        share = self.rng.random(len(rows))
-        policy = request.policy
+        if failed:
+            weight /= [1.0 + len(failed.get(grid.cells[row].lane_id, ())) for row in rows.tolist()]
+        share = self.rng.random(rows.size)
         if not promising:
             order = by_weight(weight, self.rng)
         else:
@@ -195,10 +191,11 @@ class InsertionSites:
                 kind=list(Policy).index(policy), round_number=self.round_number,
             )  # fmt: skip
         self._looked[policy] += 1
+        all_inside = bool(inside.all())
         for place in order[np.lexsort((tier[order], inside[order]))].tolist():
-            cell = grid.cells[rows[place]]
-            if inside[place] and not inside.all() and promising:
+            if inside[place] and promising and not all_inside:
                 return
+            cell = grid.cells[rows[place]]
             begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
             lane_s = float(begin + share[place] * (end - begin))
             if not any(abs(lane_s - at) < scene.config.sites.avoided_m for at in failed.get(cell.lane_id, ())):
@@ -433,7 +430,7 @@ class InsertionSites:
     def _is_taken(self, path: DrivenPath, box: BoxSize, s: float) -> bool:
         """Whether somebody recorded or kept is at a place at the start, or too near to it."""
         clear = self.scene.config.spawn.clear_gap_m
-        known = self._known_on(path, box)
+        known = self.guard.at_start(path, box)
         return bool(np.any((known.low[:, 0] - clear < s) & (s < known.high[:, 0] + clear)))
 
     def _known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
@@ -450,13 +447,12 @@ class InsertionSites:
     ) -> float | Reason:
         """Speed that who is ahead allows, m/s, at most the one wished for; or why nobody can begin there."""
         conflict, spawn, sites = self.scene.config.conflict, self.scene.config.spawn, self.scene.config.sites
-        obstacles, wished = self._obstacles_on(path, box), speed
-        known = obstacles.known
+        known, wished = self.guard.at_start(path, box), speed
         low, along = known.low[:, 0], known.along[:, 0]
         ahead = np.isfinite(low) & (low >= s)
         for gap, leader_mps in zip((low - s)[ahead].tolist(), along[ahead].tolist(), strict=True):
             speed = min(speed, speed_behind(gap, max(0.0, leader_mps), driver, sites))
-        stop = self.stop_lines.braking(path, box, driver, s=s, speed_mps=speed, step=0)
+        stop = self.stop_lines.arrays(path, box).braking(driver, s=s, speed_mps=speed, step=0)
         if stop is not None and stop[0] < -driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
         own_xy, own_t, _ = path.line.motion(np.array([s]))
@@ -474,8 +470,9 @@ class InsertionSites:
             return Reason.NO_SITE  # nobody drives so slowly with so much room ahead
         fleet = np.array([[s, speed, 0.0, 0.0, 1.0]])
         found = self.guard.braking(
-            obstacles, own=0, step=0, fleet=fleet, state=(s, speed, 0.0), desired_mps=driver.desired_mps,
-            road=self.roads.speeds(path, driver), driver=driver, horizon_s=self.scene.last_s,
+            self._obstacles_on(path, box), own=0, step=0, fleet=fleet, state=(s, speed, 0.0),
+            desired_mps=driver.desired_mps, road=self.roads.speeds(path, driver), driver=driver,
+            horizon_s=self.scene.last_s,
         )  # fmt: skip
         if found.run_into:
             return Reason.TTC_RECORDED_FOLLOWER

@@ -67,6 +67,16 @@ def stop_ahead(
 
 
 @inner
+def _goes_first(
+    known: IntArray, g: int, low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: float, step_m: float
+) -> bool:
+    """`_has_priority` of vehicle j, row g of those seen; known (G,): what was found before, -1 for not yet."""
+    if known[g] < 0:
+        known[g] = _has_priority(low, fleet, j, own, own_s, step_m)
+    return bool(known[g] > 0)
+
+
+@inner
 def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: float, step_m: float) -> bool:
     """Whether generated vehicle j goes first (case 2), metres to the cell that both want; low (K,) on its way."""
     s = fleet[j, 0]
@@ -116,6 +126,7 @@ def needed_braking(
     best, best_step, free_step = 0, 0, -1
     leader, leader_gap, run_into, free_s = -1, np.inf, False, s0
     last = horizon // stride
+    first = np.full(rows.size, -1, dtype=np.int64)  # who goes first is the same for every braking
     for row in range(brakes.size):
         s, v, a_cmd, hit, behind_leader, struck = s0, v0, a0, -1, False, False
         for k in range(last + 1):
@@ -148,14 +159,14 @@ def needed_braking(
                     if g_cos[g, at] > 0.7:
                         if s > 0.5 * (lo + hi):
                             continue  # it follows: its driver's business
-                        if lo - s < gap_least and _has_priority(g_low[g], fleet, j, own, s0, table_step):
+                        if lo - s < gap_least and _goes_first(first, g, g_low[g], fleet, j, own, s0, table_step):
                             gap_least, closing = lo - s, v - fleet[j, 1] * g_cos[g, at]
                             if k == 0 and row == 0:
                                 leader, leader_gap = j, lo - s
                     elif (
                         lo - margin < s < hi + margin
                         and k > 0
-                        and _has_priority(g_low[g], fleet, j, own, s0, table_step)
+                        and _goes_first(first, g, g_low[g], fleet, j, own, s0, table_step)
                     ):
                         met = True
                         break

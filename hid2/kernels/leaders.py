@@ -1,10 +1,10 @@
-"""The next vehicles ahead: on the lane path of every vehicle at every step, and on one path at one step."""
+"""The next vehicles ahead: on the lane path of every vehicle at every step, and on the paths of some at one step."""
 
 import math
 
 import numpy as np
 
-from hid2.kernels.compiled import kernel
+from hid2.kernels.compiled import inner, kernel
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 
@@ -80,30 +80,89 @@ def lane_leaders(
     return leader, gap
 
 
-@kernel("(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], b1[:,::1], f8[::1], i8, f8, f8, f8, f8, f8)")
-def next_two_ahead(
-    low: FloatArray, high: FloatArray, along: FloatArray, aligned: BoolArray, crosses: BoolArray, lengths: FloatArray,
-    step: int, s: float, length: float, standing: float, nearest: float, farthest: float,
+@inner
+def _next_two_ahead(
+    low: FloatArray, high: FloatArray, along: FloatArray, aligned: BoolArray, crosses: BoolArray, agents: IntArray,
+    lengths: FloatArray, rows: tuple[int, int], step: int, s: float, length: float,
+    bounds: tuple[float, float, float],
 ) -> tuple[int, float, float, int, float, float]:  # fmt: skip
-    """Of who moves along a path or stands on it at a step, the next two ahead of arc length s: row, gap m, middle m.
+    """Of who moves along a path or stands on it at a step, the next two ahead of arc length s: agent, gap m, middle m.
 
-    low .. crosses (A, T): as in `PathOccupancy`; lengths (A,) m; length: of the box at s; standing m/s: slower agents
-    stand; nearest, farthest m: bounds of the gap. A row of -1 for none.
+    An agent of -1 for none.
     """
+    standing, nearest, farthest = bounds
     first, second = -1, -1
     first_gap, second_gap, first_at, second_at = np.inf, np.inf, 0.0, 0.0
-    for a in range(low.shape[0]):
-        if low[a, step] == np.inf:
+    for row in range(rows[0], rows[1]):
+        if low[row, step] == np.inf:
             continue
-        if not aligned[a, step] and (crosses[a, step] or abs(along[a, step]) >= standing):
+        if not aligned[row, step] and (crosses[row, step] or abs(along[row, step]) >= standing):
             continue
-        middle = 0.5 * (low[a, step] + high[a, step])
-        gap = middle - s - 0.5 * (length + lengths[a])
+        middle = 0.5 * (low[row, step] + high[row, step])
+        gap = middle - s - 0.5 * (length + lengths[agents[row]])
         if gap <= nearest or gap >= farthest or gap >= second_gap:
             continue
         if gap < first_gap:
             second, second_gap, second_at = first, first_gap, first_at
-            first, first_gap, first_at = a, gap, middle
+            first, first_gap, first_at = agents[row], gap, middle
         else:
-            second, second_gap, second_at = a, gap, middle
+            second, second_gap, second_at = agents[row], gap, middle
     return first, first_gap, first_at, second, second_gap, second_at
+
+
+@inner
+def _is_beside(x: float, y: float, length: float, centre: FloatArray, own_lengths: FloatArray) -> bool:
+    """Whether a place is so near to some centre that boxes of these lengths are beside each other."""
+    for vehicle in range(own_lengths.size):
+        dx, dy = centre[vehicle, 0] - x, centre[vehicle, 1] - y
+        reach = 0.5 * (own_lengths[vehicle] + length)
+        if dx * dx + dy * dy < reach * reach:
+            return True
+    return False
+
+
+@kernel(
+    "(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], b1[:,::1], i8[::1], i8[::1], f8[::1], f8[:,:,::1], f8[:,:,::1], i8,"
+    " f8[::1], f8[:,::1], f8[::1], UniTuple(f8, 3))"
+)
+def shown_ahead(
+    low: FloatArray, high: FloatArray, along: FloatArray, aligned: BoolArray, crosses: BoolArray, agents: IntArray,
+    first: IntArray, lengths: FloatArray, recorded: FloatArray, kept: FloatArray, step: int, s: FloatArray,
+    centre: FloatArray, own_lengths: FloatArray, bounds: tuple[float, float, float],
+) -> tuple[IntArray, IntArray, FloatArray]:  # fmt: skip
+    """Whom vehicles (N,) have ahead of them at a step, two each at most, and nobody who is beside any of them.
+
+    Returns agents (M,), the vehicle nearest behind each, and where the agent's middle is on its path, m.
+    low .. crosses (R, T): as in `PathOccupancy`, of agents (R,) on the paths; those of vehicle i are the rows from
+    first[i] to first[i + 1]. lengths (A,) m, of recorded (., T, 2) m, then kept ones. s (N,) m, NaN for who is not
+    there; centre (N, 2) m; own_lengths (N,) m; bounds: speed below which an agent stands, m/s, and of the gap, m.
+    """
+    count = recorded.shape[0]
+    nearest = np.full(lengths.size, np.inf)
+    behind = np.full(lengths.size, -1, dtype=np.int64)
+    middle = np.empty(lengths.size)
+    for vehicle in range(s.size):
+        if np.isnan(s[vehicle]) or first[vehicle] == first[vehicle + 1]:
+            continue
+        one, gap, at, other, other_gap, other_at = _next_two_ahead(
+            low, high, along, aligned, crosses, agents, lengths, (first[vehicle], first[vehicle + 1]), step,
+            s[vehicle], own_lengths[vehicle], bounds,
+        )  # fmt: skip
+        if one >= 0 and gap < nearest[one]:
+            nearest[one], behind[one], middle[one] = gap, vehicle, at
+        if other >= 0 and other_gap < nearest[other]:
+            nearest[other], behind[other], middle[other] = other_gap, vehicle, other_at
+    found = np.empty(lengths.size, dtype=np.int64)
+    size = 0
+    for agent in range(lengths.size):
+        if behind[agent] < 0:
+            continue
+        if agent < count:
+            x, y = recorded[agent, step, 0], recorded[agent, step, 1]
+        else:
+            x, y = kept[agent - count, step, 0], kept[agent - count, step, 1]
+        if not _is_beside(x, y, lengths[agent], centre, own_lengths):
+            found[size] = agent
+            size += 1
+    shown = found[:size].copy()
+    return shown, behind[shown], middle[shown]

@@ -33,6 +33,7 @@ class ReferenceLine:
     points: FloatArray
     points_s: FloatArray
     _near: dict[float, tuple[Raster, FloatArray]] = field(default_factory=dict, repr=False)
+    _extent: list[list[float]] = field(default_factory=list, repr=False)
 
     def near(self, reach_m: float) -> tuple[Raster, FloatArray]:
         """Raster of the table's points, and their x, y m, cosine and sine (4, K); made once for each reach."""
@@ -40,6 +41,19 @@ class ReferenceLine:
             columns = np.stack([*self.table_xy.T, np.cos(self.table_heading), np.sin(self.table_heading)])
             self._near[reach_m] = raster(self.table_xy, step_m=TABLE_STEP_M, reach_m=reach_m), columns
         return self._near[reach_m]
+
+    def is_beyond(self, other: "ReferenceLine", reach_m: float) -> bool:
+        """Whether no point of two lines' tables can be within a distance."""
+        (low, high), (other_low, other_high) = self._corners(), other._corners()
+        return bool(
+            low[0] > other_high[0] + reach_m or low[1] > other_high[1] + reach_m
+            or other_low[0] > high[0] + reach_m or other_low[1] > high[1] + reach_m
+        )  # fmt: skip
+
+    def _corners(self) -> tuple[list[float], list[float]]:
+        if not self._extent:
+            self._extent.extend([self.table_xy.min(axis=0).tolist(), self.table_xy.max(axis=0).tolist()])
+        return self._extent[0], self._extent[1]
 
     def position(self, s: FloatArray) -> FloatArray:
         """(M, 2) m at arc lengths s (M,); straight on beyond both ends."""

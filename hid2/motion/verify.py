@@ -66,12 +66,21 @@ def off_road_steps(
     position (T, 2) m; heading (T,) rad.
     """
     corners = box_corners(position, heading, length_m=size.length_m, width_m=size.width_m)
+    off = ~shapely.contains(drivable, shapely.polygons(corners))
+    if off.any():
+        off[off] = _is_outline_off(corners[off], drivable, tolerance_m)
+    return np.asarray(off)
+
+
+def _is_outline_off(
+    corners: FloatArray, drivable: shapely.Geometry, tolerance_m: float
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """(M,) of boxes with corners (M, 4, 2) m: whether a point along their sides is too far outside."""
     sides = np.linalg.norm(corners[0] - np.roll(corners[0], -1, axis=0), axis=1)
     outline = np.concatenate(
         [
-            corners[:, [row]] + share * (corners[:, [(row + 1) % 4]] - corners[:, [row]])
+            corners[:, [row]] + _shares(side_m) * (corners[:, [(row + 1) % 4]] - corners[:, [row]])
             for row, side_m in enumerate(sides.tolist())
-            for share in np.arange(math.ceil(side_m / _OUTLINE_STEP_M)) / math.ceil(side_m / _OUTLINE_STEP_M)
         ],
         axis=1,
     )
@@ -80,6 +89,12 @@ def off_road_steps(
     if outside.any():
         outside[outside] = shapely.distance(drivable, shapely.points(points[outside])) > tolerance_m
     return np.asarray(outside.reshape(outline.shape[:2]).any(axis=1))
+
+
+def _shares(side_m: float) -> FloatArray:
+    """(P, 1) of a side: from its corner to before the next."""
+    points = math.ceil(side_m / _OUTLINE_STEP_M)
+    return np.asarray((np.arange(points) / points)[:, None])
 
 
 def first_overlap(

@@ -34,6 +34,25 @@ class PathOccupancy:
     aligned: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
     crosses: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
 
+    @classmethod
+    def nobody(cls, steps: int) -> "PathOccupancy":
+        """Of no agents at so many steps."""
+        nowhere, never = np.zeros((0, steps)), np.zeros((0, steps), dtype=np.bool_)
+        return cls(nowhere, nowhere, nowhere, never, never)
+
+    def rows(self, which: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> "PathOccupancy":
+        """Some of the agents."""
+        return PathOccupancy(
+            self.low[which], self.high[which], self.along[which], self.aligned[which], self.crosses[which]
+        )
+
+    def at(self, step: int) -> "PathOccupancy":
+        """The same agents at one step, T = 1."""
+        span = slice(step, step + 1)
+        return PathOccupancy(
+            self.low[:, span], self.high[:, span], self.along[:, span], self.aligned[:, span], self.crosses[:, span]
+        )
+
     def kept_clear(self, steps: int, *, margin_m: float) -> "PathOccupancy":
         """The same, with the place of who crosses taken so many steps before and after: PET is kept at crossings.
 
@@ -75,7 +94,7 @@ def path_occupancy(
     what is joined to it, too: many vehicles look along the same few paths.
     """
     if not traffic.ids:
-        return _nobody(traffic.num_steps)
+        return PathOccupancy.nobody(traffic.num_steps)
     key = line, length_m, width_m, margin_lateral_m, clear_steps, clear_margin_m
     if key not in traffic.known:
         before = traffic.joined_to
@@ -88,12 +107,6 @@ def path_occupancy(
         traffic.known[key] = new if before is None else before.known[key].joined(new)
     found: PathOccupancy = traffic.known[key]
     return found
-
-
-def _nobody(steps: int) -> PathOccupancy:
-    nowhere = np.zeros((0, steps))
-    never = np.zeros((0, steps), dtype=np.bool_)
-    return PathOccupancy(nowhere, nowhere, nowhere, never, never)
 
 
 def look_along(

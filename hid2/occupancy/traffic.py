@@ -42,7 +42,9 @@ class Traffic:
 
     def at(self, step: int) -> "Traffic":
         """The same agents at one step, T = 1."""
-        span = slice(step, step + 1)
+        return self._span(slice(step, step + 1))
+
+    def _span(self, span: slice) -> "Traffic":
         return Traffic(
             ids=self.ids,
             position=np.ascontiguousarray(self.position[:, span]),
@@ -68,11 +70,7 @@ class Traffic:
 
     def first(self, steps: int) -> "Traffic":
         """The same agents up to a step, T = steps."""
-        return Traffic(
-            ids=self.ids, position=self.position[:, :steps], heading=self.heading[:, :steps],
-            velocity=self.velocity[:, :steps], present=self.present[:, :steps], length_m=self.length_m,
-            width_m=self.width_m,
-        )  # fmt: skip
+        return self._span(slice(0, steps))
 
     def extended(self, steps: int, *, step_s: float) -> "Traffic":
         """The same, and beyond the last step so many more at constant velocity, of those who are there then."""

@@ -14,6 +14,11 @@ from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
 Side = Literal["left", "right"]
+_POLICY_ON = {
+    TurnType.STRAIGHT: Policy.STRAIGHT,
+    TurnType.LEFT: Policy.LEFT_TURN,
+    TurnType.RIGHT: Policy.RIGHT_TURN,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,12 +113,12 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
             answers.append(reason)
             if reason is None:
                 return Decision(Policy.OVERTAKE, option.target, option.side, answers=tuple(answers))
-    policy = {
-        TurnType.STRAIGHT: Policy.STRAIGHT,
-        TurnType.LEFT: Policy.LEFT_TURN,
-        TurnType.RIGHT: Policy.RIGHT_TURN,
-    }[seen.lane_turn]
-    return Decision(policy, seen.next_cell, reason=reason, answers=tuple(answers))
+    return Decision(policy_on(seen.lane_turn), seen.next_cell, reason=reason, answers=tuple(answers))
+
+
+def policy_on(lane_turn: TurnType) -> Policy:
+    """What Algorithm 1 comes to on a lane of a type where no manoeuvre is due or possible."""
+    return _POLICY_ON[lane_turn]
 
 
 def _view(seen: Observation, option: LaneOption) -> GapView:

@@ -51,7 +51,7 @@ def brake(junction: Callable[..., Scene]) -> Callable[..., tuple[float, str] | N
 
     def at(*tracks: Track, s: float, v: float, step: int) -> tuple[float, str] | None:
         scene = junction(*tracks)
-        return StopLines(scene).braking(scene.path((1, 2, 3)), CAR, DRIVER, s=s, speed_mps=v, step=step)
+        return StopLines(scene).arrays(scene.path((1, 2, 3)), CAR).braking(DRIVER, s=s, speed_mps=v, step=step)
 
     return at
 
@@ -114,10 +114,10 @@ def test_who_stands_at_the_line_stays_until_it_opens(brake: Callable[..., tuple[
 def test_braking_as_asked_for_ends_at_the_line(junction: Callable[..., Scene]) -> None:
     """Step by step from 11.75 m before it at 6 m/s, 1.5 m/s2 for 4 s: it stands within 0.5 m of the line."""
     scene = junction(CROSSING)
-    lines, path = StopLines(scene), scene.path((1, 2, 3))
+    lines = StopLines(scene).arrays(scene.path((1, 2, 3)), CAR)
     s, v = 45.0, 6.0
     for step in range(32, 80):
-        found = lines.braking(path, CAR, DRIVER, s=s, speed_mps=v, step=step)
+        found = lines.braking(DRIVER, s=s, speed_mps=v, step=step)
         assert found is not None
         v = max(0.0, v + 0.1 * found[0])
         s += 0.1 * v

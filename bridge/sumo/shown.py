@@ -1,0 +1,58 @@
+"""When SUMO may have to be shown whom: the others who are ahead of vehicles in time and place, and nobody else."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bridge.sumo.replay import UNSEEN_STEPS
+from hid2.agents import IntArray, Policy
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.occupancy.along_path import PathOccupancy
+from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.params import Driving
+from hid2.vehicle import Start
+
+#: Who is farther than this from the way of a vehicle that may change lanes need not be shown; how finely that is told.
+_NEAR_M, _EVERY_M, _EVERY_STEPS = 12.0, 6.0, 5
+#: No vehicle is faster than its desired speed by more than this ratio.
+_PACE_MOST = 1.1
+
+
+def shown_when(
+    traffic: Traffic, starts: Sequence[Start], known: Sequence[tuple[IntArray, PathOccupancy]], *, num_steps: int,
+    step_s: float, driving: Driving,
+) -> BoolArray:  # fmt: skip
+    """(A, T) when agents have to be in SUMO, each from once to once, so that whoever starts is shown who is ahead.
+
+    known: of each start rows of those in its driving width, and their intervals on its path. Who may change lanes may
+    leave that path: shown are those near to it, on its lanes or those beside.
+    """
+    needed = np.zeros((len(traffic.ids), num_steps), dtype=np.bool_)
+    for start, (rows, found) in zip(starts, known, strict=True):
+        if start.request.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE):
+            needed |= _near(traffic, start, num_steps)
+            continue
+        fastest_mps = _PACE_MOST * max(float(start.desired.max()), start.start_mps)
+        reach_m = start.start_s + start.box.length_m + driving.shown_m + fastest_mps * step_s * np.arange(num_steps)
+        low, high = found.low[:, :num_steps], found.high[:, :num_steps]
+        needed[rows] |= np.isfinite(low) & (high > start.start_s) & (low < reach_m)
+    needed &= traffic.present[:, :num_steps]
+    steps = np.arange(num_steps)
+    first = needed.argmax(axis=1) - UNSEEN_STEPS - 1
+    last = num_steps - needed[:, ::-1].argmax(axis=1)
+    ever = np.asarray(needed.any(axis=1)).reshape(-1, 1)
+    once = ever & (steps >= first[:, None]) & (steps <= last[:, None])
+    return np.asarray(once & traffic.present[:, :num_steps])
+
+
+def _near(traffic: Traffic, start: Start, num_steps: int) -> BoolArray:
+    """(A, T) agents near to what of a start's path is ahead of it."""
+    looks = slice(0, num_steps, _EVERY_STEPS)
+    begin = max(0, int((start.start_s - _NEAR_M) / TABLE_STEP_M))
+    points = start.path.line.table_xy[begin :: round(_EVERY_M / TABLE_STEP_M)]
+    apart = np.square(traffic.position[:, looks, None] - points).sum(axis=-1)
+    near = traffic.present[:, looks] & (apart < _NEAR_M * _NEAR_M).any(axis=-1)
+    spread = np.zeros((len(traffic.ids), num_steps), dtype=np.bool_)
+    for look in range(near.shape[1]):
+        spread[near[:, look], max(0, (look - 1) * _EVERY_STEPS) : (look + 1) * _EVERY_STEPS + 1] = True
+    return spread

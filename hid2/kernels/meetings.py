@@ -1,0 +1,87 @@
+"""Compiled loops over the cells of a lane: what is met on one route at a constant speed."""
+
+import numpy as np
+
+from hid2.kernels.compiled import inner, kernel
+from netconvert.geometry import BoolArray, FloatArray, IntArray
+
+
+@inner
+def _is_near(x: float, y: float, others: FloatArray, there: BoolArray, look: int, within: float) -> bool:
+    for a in range(there.shape[0]):
+        if there[a, look]:
+            dx, dy = x - others[a, look, 0], y - others[a, look, 1]
+            if dx * dx + dy * dy < within * within:
+                return True
+    return False
+
+
+@inner
+def _leader(
+    at: FloatArray, start: float, pace: float, time_s: FloatArray, lane_cell: IntArray, leads_from: float,
+    leads_to: float, looks: int,
+) -> int:  # fmt: skip
+    """Who is ahead of a vehicle for so many looks, the nearest; -1 for nobody."""
+    leader, nearest = -1, np.inf
+    for a in range(lane_cell.shape[0]):
+        leads, least = 0, np.inf
+        for look in range(time_s.size):
+            if lane_cell[a, look] >= 0:
+                ahead = at[lane_cell[a, look]] - (start + pace * time_s[look])
+                if leads_from < ahead < leads_to:
+                    leads, least = leads + 1, min(least, ahead)
+        if leads >= looks and least < nearest:
+            leader, nearest = a, least
+    return leader
+
+
+@inner
+def _least_apart(time_s: float, others_s: FloatArray) -> float:
+    least = np.inf
+    for other_s in others_s:
+        least = min(least, abs(time_s - other_s))
+    return least
+
+
+@kernel(
+    "(f8[:,::1], i8[::1], f8[::1], i8, f8[::1], f8, f8[:,:,::1], b1[:,::1], f8, i8[:,::1], f8, f8, i8, i8[::1],"
+    " f8[::1], f8, f8, i8)"
+)
+def met_on_route(
+    centers: FloatArray, cells: IntArray, middle: FloatArray, count: int, time_s: FloatArray, pace: float,
+    targets: FloatArray, there: BoolArray, within: float, lane_cell: IntArray, leads_from: float, leads_to: float,
+    looks: int, crossed_from: IntArray, crossed_s: FloatArray, crossed_after: float, crossed_within: float, last: int,
+) -> tuple[BoolArray, BoolArray, IntArray, BoolArray]:  # fmt: skip
+    """What vehicles from the first `count` cells of a route meet: targets, a leader, who is crossed.
+
+    Returns whether a target is near at some look, and at look `last`; leader, -1 for none; whether anybody is crossed.
+    cells, middle (K,): of the route, rows of centers (C, 2) m, and m along it; time_s (T,) of the looks; pace m/s.
+    targets (A, T, 2) m, there (A, T): near within a distance, m. lane_cell (M, T): cells of those who may lead, -1 for
+    none, at leads_from to leads_to m ahead for so many looks. crossed_s: times at which cells are crossed, s, those of
+    cell c from crossed_from[c] to crossed_from[c + 1]; a crossing counts between crossed_after and crossed_within s.
+    """
+    near, near_last = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
+    leader, crosses = np.full(count, -1, dtype=np.int64), np.zeros(count, dtype=np.bool_)
+    at = np.full(centers.shape[0], np.nan)
+    at[cells] = middle
+    end = middle[middle.size - 1]
+    for n in range(count):
+        place = 0
+        for look in range(time_s.size):
+            way = middle[n] + pace * time_s[look]
+            if way > end:
+                break
+            while place < middle.size - 1 and middle[place] < way:
+                place += 1
+            x, y = centers[cells[place], 0], centers[cells[place], 1]
+            if (not near[n] or look == last) and _is_near(x, y, targets, there, look, within):
+                near[n] = True
+                near_last[n] = near_last[n] or look == last
+        leader[n] = _leader(at, middle[n], pace, time_s, lane_cell, leads_from, leads_to, looks)
+        for place in range(cells.size):
+            arrives = (middle[place] - middle[n]) / pace
+            if arrives > 0.0:
+                begin, stop = crossed_from[cells[place]], crossed_from[cells[place] + 1]
+                apart = _least_apart(arrives, crossed_s[begin:stop])
+                crosses[n] = crosses[n] or crossed_after < apart < crossed_within
+    return near, near_last, leader, crosses
