@@ -8,7 +8,7 @@ import numpy as np
 
 from bridge.sumo.poses import front_arc_m
 from bridge.sumo.replay import Replay, ReplayErrors
-from bridge.sumo.shown import shown_when
+from bridge.sumo.shown import may_change, shown_when
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S, V
@@ -194,16 +194,16 @@ class Driving:
         scene, count = self.scene, len(self.scene.traffic.ids)
         everybody = [self._known_of(row) for row in range(len(self.starts))]
         shown = []
-        for traffic, first in ((scene.traffic, 0), (self.fixed, count)):
+        for traffic, first in ((scene.traffic.first(scene.num_steps), 0), (self.fixed.first(scene.num_steps), count)):
+            if first == count and any(may_change(start) for start in self.starts):  # few, and any may come to lead
+                shown.append(traffic)
+                continue
             last, known = first + len(traffic.ids), []
             for found, rows in everybody:
                 here = (rows >= first) & (rows < last)
                 known.append((rows[here] - first, found.rows(here)))
-            present = shown_when(
-                traffic, self.starts, known, num_steps=scene.num_steps, step_s=scene.step_s,
-                driving=scene.config.driving,
-            )  # fmt: skip
-            shown.append(replace(traffic.first(scene.num_steps), present=present))
+            present = shown_when(traffic, self.starts, known, step_s=scene.step_s, driving=scene.config.driving)
+            shown.append(replace(traffic, present=present))
         return shown[0], shown[1]
 
     def _reactions(self, recorded: Replay) -> Reactions | None:

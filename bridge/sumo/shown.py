@@ -18,31 +18,37 @@ _NEAR_M, _EVERY_M, _EVERY_STEPS = 12.0, 6.0, 5
 _PACE_MOST = 1.1
 
 
+def may_change(start: Start) -> bool:
+    """Whether a vehicle may leave its path for that of a lane beside, wherever that goes."""
+    return start.request.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE)
+
+
 def shown_when(
-    traffic: Traffic, starts: Sequence[Start], known: Sequence[tuple[IntArray, PathOccupancy]], *, num_steps: int,
-    step_s: float, driving: Driving,
+    traffic: Traffic, starts: Sequence[Start], known: Sequence[tuple[IntArray, PathOccupancy]], *, step_s: float,
+    driving: Driving,
 ) -> BoolArray:  # fmt: skip
     """(A, T) when agents have to be in SUMO, each from once to once, so that whoever starts is shown who is ahead.
 
     known: of each start rows of those in its driving width, and their intervals on its path. Who may change lanes may
     leave that path: shown are those near to it, on its lanes or those beside.
     """
+    num_steps = traffic.num_steps
     needed = np.zeros((len(traffic.ids), num_steps), dtype=np.bool_)
     for start, (rows, found) in zip(starts, known, strict=True):
-        if start.request.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE):
+        if may_change(start):
             needed |= _near(traffic, start, num_steps)
             continue
         fastest_mps = _PACE_MOST * max(float(start.desired.max()), start.start_mps)
         reach_m = start.start_s + start.box.length_m + driving.shown_m + fastest_mps * step_s * np.arange(num_steps)
         low, high = found.low[:, :num_steps], found.high[:, :num_steps]
         needed[rows] |= np.isfinite(low) & (high > start.start_s) & (low < reach_m)
-    needed &= traffic.present[:, :num_steps]
+    needed &= traffic.present
     steps = np.arange(num_steps)
     first = needed.argmax(axis=1) - UNSEEN_STEPS - 1
     last = num_steps - needed[:, ::-1].argmax(axis=1)
     ever = np.asarray(needed.any(axis=1)).reshape(-1, 1)
     once = ever & (steps >= first[:, None]) & (steps <= last[:, None])
-    return np.asarray(once & traffic.present[:, :num_steps])
+    return np.asarray(once & traffic.present)
 
 
 def _near(traffic: Traffic, start: Start, num_steps: int) -> BoolArray:

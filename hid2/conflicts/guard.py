@@ -80,6 +80,7 @@ class Guard:
     _swept: dict[tuple[DrivenPath, BoxSize, DrivenPath, BoxSize], tuple[FloatArray, FloatArray, FloatArray] | None] = (
         field(default_factory=dict)
     )
+    _on_its_own: dict[tuple[DrivenPath, BoxSize], Traffic] = field(default_factory=dict)
     _brakes: FloatArray = field(init=False)
     _fixed_begin: Traffic | None = field(init=False, default=None)
 
@@ -135,19 +136,26 @@ class Guard:
         if key not in self._swept and path.line.is_beyond(other.line, _boxes_reach_m(box, other_box)):
             self._swept[key] = None
         if key not in self._swept:
-            every = slice(None, None, round(1.0 / TABLE_STEP_M))
-            xy = np.ascontiguousarray(other.line.table_xy[every])
-            heading = np.ascontiguousarray(other.line.table_heading[every])
-            forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-            alone = Traffic(
-                ids=("other",), position=xy[None], heading=heading[None], velocity=forward[None],
-                present=np.ones((1, heading.size), dtype=np.bool_), length_m=np.array([other_box.length_m]),
-                width_m=np.array([other_box.width_m]),
-            )  # fmt: skip
+            alone = self._alone(other, other_box)
             width = box.width_m + 2 * self.scene.config.conflict.margin_lateral_m
             rows, found = look_along(path.line, alone, box.length_m, width)
             self._swept[key] = (found.low[0], found.high[0], found.along[0]) if rows.size else None
         return self._swept[key]
+
+    def _alone(self, path: DrivenPath, box: BoxSize) -> Traffic:
+        """A vehicle at each place along its own path, as steps."""
+        key = path, box
+        if key not in self._on_its_own:
+            every = slice(None, None, round(1.0 / TABLE_STEP_M))
+            xy = np.ascontiguousarray(path.line.table_xy[every])
+            heading = np.ascontiguousarray(path.line.table_heading[every])
+            forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+            self._on_its_own[key] = Traffic(
+                ids=("other",), position=xy[None], heading=heading[None], velocity=forward[None],
+                present=np.ones((1, heading.size), dtype=np.bool_), length_m=np.array([box.length_m]),
+                width_m=np.array([box.width_m]),
+            )  # fmt: skip
+        return self._on_its_own[key]
 
     def braking(
         self, obstacles: Obstacles, *, own: int, step: int, fleet: FloatArray, state: tuple[float, float, float],

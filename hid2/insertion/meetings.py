@@ -95,7 +95,7 @@ class Meetings:
     weight: FloatArray = field(init=False)
     leader: IntArray = field(init=False)
     near: BoolArray = field(init=False)
-    _offer_weights: dict[int, list[float]] = field(default_factory=dict)
+    _offer_weights: dict[int, FloatArray] = field(default_factory=dict)
     _usual: dict[int, float] = field(default_factory=dict)
     _middles: dict[int, tuple[IntArray, FloatArray]] = field(default_factory=dict)
 
@@ -149,7 +149,7 @@ class Meetings:
             self._usual[lane_id] = float(np.median(pool)) if pool else self.scene.config.spawn.prior_speed_mps
         return self._usual[lane_id]
 
-    def offer_weights(self, lane_id: int) -> list[float]:
+    def offer_weights(self, lane_id: int) -> FloatArray:
         """Mean weight of each of the routes from a lane, in the order of `Routes.offers`."""
         return self._offer_weights[lane_id]
 
@@ -158,7 +158,7 @@ class Meetings:
         offers, first = self.routes.offers(lane_id), self.scene.grid.index_of[Cell(lane_id, 0)]
         looked = [self._of_route(lane_id, offer, self.usual_speed(lane_id)) for offer in offers[:_ROUTES_MOST]]
         if not looked:
-            self._offer_weights[lane_id] = []
+            self._offer_weights[lane_id] = np.zeros(0)
             return
         cells = slice(first, first + self.scene.grid.count(lane_id))
         weights = np.array([one[0] for one in looked])
@@ -167,7 +167,7 @@ class Meetings:
         self.leader[cells] = np.max([one[2] for one in looked], axis=0)
         every = weights.mean(axis=1)
         rest = np.full(len(offers) - len(looked), every.mean())
-        self._offer_weights[lane_id] = np.maximum(np.concatenate([every, rest]), _LEAST).tolist()
+        self._offer_weights[lane_id] = np.maximum(np.concatenate([every, rest]), _LEAST)
 
     def _of_route(self, lane_id: int, offer: RouteOffer, speed_mps: float) -> tuple[FloatArray, BoolArray, IntArray]:
         """Of the cells of a lane on one route: weights, whether a named target would be near, and leaders."""

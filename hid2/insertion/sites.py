@@ -62,7 +62,7 @@ class InsertionSites:
     _looked: Counter[Policy] = field(default_factory=Counter)
     _poses: dict[str, _Pose] = field(default_factory=dict)
     _obstacles: dict[tuple[DrivenPath, BoxSize], Obstacles] = field(default_factory=dict)
-    _foreseen: tuple[tuple[float, int], Traffic] | None = None
+    _foreseen: dict[tuple[float, int], Traffic] = field(default_factory=dict)
 
     def propose(self, request: VehicleRequest, slow_leader: VehicleRequest | None = None) -> list[Start]:
         """A start for a request, and where it is to overtake and finds no leader, one for that; empty where none fits.
@@ -155,10 +155,10 @@ class InsertionSites:
         """Routes from a lane in weighted random order; those that go straight on first unless a turn is asked for."""
         offers = self.routes.offers(lane_id)
         key = self.rng.exponential(size=len(offers))
-        if len(offers) == 1:
+        if len(offers) == 1:  # drawn all the same
             return list(offers)
         if self.scene.config.request.sites == "promising":
-            key /= np.array(self.meetings.offer_weights(lane_id))
+            key /= self.meetings.offer_weights(lane_id)
         order = [offers[row] for row in np.argsort(key, kind="stable").tolist()]
         if request.policy in TURN_OF_POLICY:
             return order
@@ -385,12 +385,12 @@ class InsertionSites:
 
     def _taken_at(self, time_s: float) -> Traffic:
         """The other starts of this round after some time, each at its start speed (one step)."""
-        if self._foreseen is None or self._foreseen[0] != (time_s, len(self.taken)):
-            count = len(self.taken)
+        count = len(self.taken)
+        if (time_s, count) not in self._foreseen:
             places = [np.array([start.start_s + start.start_mps * time_s]) for start in self.taken]
             poses = [start.path.line.motion(at) for start, at in zip(self.taken, places, strict=True)]
             tangent = np.array([tangent[0] for _, tangent, _ in poses]).reshape(count, 1, 2)
-            self._foreseen = (time_s, count), Traffic(
+            self._foreseen[time_s, count] = Traffic(
                 ids=tuple(start.vehicle_id for start in self.taken),
                 position=np.array([xy[0] for xy, _, _ in poses]).reshape(count, 1, 2),
                 heading=np.arctan2(tangent[..., 1], tangent[..., 0]),
@@ -399,7 +399,7 @@ class InsertionSites:
                 length_m=np.array([start.box.length_m for start in self.taken]),
                 width_m=np.array([start.box.width_m for start in self.taken]),
             )  # fmt: skip
-        return self._foreseen[1]
+        return self._foreseen[time_s, count]
 
     def _start_speed(
         self, offer: RouteOffer, path: DrivenPath, box: BoxSize, s: float, start_s: float, speed: float,

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from hid2.agents import BoxSize
+from hid2.agents import BoxSize, FloatArray
 from hid2.params import Request
 
 #: (share, length m, width m) of cars, box trucks and buses.
-_CAR = ((0.0, 3.8, 1.72), (0.1, 4.0, 1.76), (0.5, 4.2, 1.87), (0.9, 5.2, 2.05), (1.0, 5.6, 2.12))
-_TRUCK = ((0.0, 7.0, 2.3), (0.5, 9.6, 2.6), (1.0, 10.5, 2.7))
-_BUS = ((0.0, 10.5, 2.7), (0.5, 11.6, 2.9), (1.0, 12.3, 2.95))
+_CAR = np.array(((0.0, 3.8, 1.72), (0.1, 4.0, 1.76), (0.5, 4.2, 1.87), (0.9, 5.2, 2.05), (1.0, 5.6, 2.12))).T
+_TRUCK = np.array(((0.0, 7.0, 2.3), (0.5, 9.6, 2.6), (1.0, 10.5, 2.7))).T
+_BUS = np.array(((0.0, 10.5, 2.7), (0.5, 11.6, 2.9), (1.0, 12.3, 2.95))).T
 
 
 def draw_size(request: Request, rng: np.random.Generator) -> tuple[str, BoxSize]:
@@ -19,8 +19,8 @@ def draw_size(request: Request, rng: np.random.Generator) -> tuple[str, BoxSize]
     return "vehicle", _quantile(_TRUCK if kind < request.bus_share + request.truck_share else _CAR, share)
 
 
-def _quantile(table: tuple[tuple[float, float, float], ...], share: float) -> BoxSize:
-    shares, lengths, widths = np.array(table).T
+def _quantile(table: FloatArray, share: float) -> BoxSize:
+    shares, lengths, widths = table
     return BoxSize(
         round(float(np.interp(share, shares, lengths)), 3), round(float(np.interp(share, shares, widths)), 3)
     )

@@ -2,7 +2,9 @@
 
 import math
 
-from hid2.kernels.compiled import inner
+import numpy as np
+
+from hid2.kernels.compiled import inner, kernel
 from netconvert.geometry import FloatArray
 
 
@@ -43,3 +45,22 @@ def project_on_polyline(
     if (nearest == first and share <= 0.0) or (nearest == last - 2 and share >= 1.0):
         d = cross / length
     return s[nearest] + share * length, d, math.atan2(ey, ex), distance
+
+
+@kernel("(f8[:,::1], f8[:,::1], f8[::1])")
+def frenet(xy: FloatArray, points: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """`Polyline.frenet` of places (M, 2) m on a polyline's points (N, 2) m with arc lengths (N,) m: s, d (M,) m."""
+    along, aside = np.empty(xy.shape[0]), np.empty(xy.shape[0])
+    for row in range(xy.shape[0]):
+        x, y = xy[row, 0], xy[row, 1]
+        nearest, share, square = nearest_on(x, y, points, 0, points.shape[0])
+        ex, ey = points[nearest + 1, 0] - points[nearest, 0], points[nearest + 1, 1] - points[nearest, 1]
+        fx, fy = x - points[nearest, 0], y - points[nearest, 1]
+        length_square = ex * ex + ey * ey
+        length, free = math.sqrt(length_square), (fx * ex + fy * ey) / length_square
+        cross, apart = ex * fy - ey * fx, math.sqrt(square)
+        if (nearest == 0 and free < 0.0) or (nearest == points.shape[0] - 2 and free > 1.0):
+            along[row], aside[row] = s[nearest] + free * length, cross / length
+        else:
+            along[row], aside[row] = s[nearest] + share * length, apart if cross >= 0.0 else -apart
+    return along, aside

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hid2.agents import FloatArray
+from hid2.kernels.polyline import frenet
 from netconvert.geometry import Polyline, arc_length, resample
 
 
@@ -46,14 +47,29 @@ def blend_paths(
     current, target (N, 2) m. None where the two are not side by side all along (farther than max_shift_m apart), or
     the target ends before. The shift is `lateral_share` over the length driven.
     """
-    source = resample(current, step_m=step_m)
-    s = arc_length(source)
-    aim = Polyline(target)
+    return blend_lines(
+        even_line(current, step_m=step_m), Polyline(target), start_m=start_m, length_m=length_m, step_m=step_m,
+        max_shift_m=max_shift_m,
+    )  # fmt: skip
+
+
+def even_line(points: FloatArray, *, step_m: float) -> tuple[FloatArray, FloatArray]:
+    """Points (N, 2) m at equal distances, and their arc lengths (N,) m."""
+    source = resample(points, step_m=step_m)
+    return source, arc_length(source)
+
+
+def blend_lines(
+    current: tuple[FloatArray, FloatArray], aim: Polyline, *, start_m: float, length_m: float, step_m: float,
+    max_shift_m: float,
+) -> Blend | None:  # fmt: skip
+    """`blend_paths` of an even line, and a target that is known already."""
+    source, s = current
     end_m = start_m + length_m
     if end_m > s[-1]:
         return None
     moving = (s > start_m) & (s < end_m)
-    along, lateral = aim.frenet(source[moving])
+    along, lateral = frenet(source[moving], aim.points, aim.s)
     if along.size < 2 or np.abs(lateral).max() > max_shift_m or along[-1] >= aim.length_m - 0.5:
         return None
     if np.any(np.diff(along) <= 0) or along[0] <= 0.0:

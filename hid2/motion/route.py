@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hid2.agents import FloatArray
-from hid2.motion.lane_change_path import Blend
+from hid2.motion.lane_change_path import Blend, even_line
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
 from hid2.params import Limits, Smoothing
-from netconvert.geometry import arc_length
+from netconvert.geometry import Polyline, arc_length
 from netconvert.lane_graph import TURN_RAD, LaneGraph, TurnType
 
 #: A route that is no shorter than this stops growing.
@@ -49,10 +49,25 @@ class DrivenPath:
     shifts: tuple[tuple[float, float], ...] = ()
     raw_s: FloatArray = field(init=False, repr=False)
     """Arc length on raw of each of the line's points, m."""
+    _even: dict[float, tuple[FloatArray, FloatArray]] = field(init=False, repr=False, default_factory=dict)
+    _raw_line: list[Polyline] = field(init=False, repr=False, default_factory=list)
 
     def __post_init__(self) -> None:
         total = float(arc_length(self.raw)[-1])
         object.__setattr__(self, "raw_s", np.linspace(0.0, total, self.line.points_s.size))
+
+    @property
+    def raw_line(self) -> Polyline:
+        """Raw with its Frenet frame; made once."""
+        if not self._raw_line:
+            self._raw_line.append(Polyline(self.raw))
+        return self._raw_line[0]
+
+    def even(self, step_m: float) -> tuple[FloatArray, FloatArray]:
+        """Raw at equal distances, and its arc lengths; made once."""
+        if step_m not in self._even:
+            self._even[step_m] = even_line(self.raw, step_m=step_m)
+        return self._even[step_m]
 
     @property
     def exit_s(self) -> float:

@@ -7,7 +7,8 @@ import numpy as np
 
 from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import transition_rejected
-from hid2.motion.lane_change_path import blend_paths
+from hid2.kernels.polyline import frenet
+from hid2.motion.lane_change_path import blend_lines
 from hid2.motion.route import DrivenPath, shifted_path
 from hid2.occupancy.along_path import look_along, path_occupancy
 from hid2.occupancy.sigma import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
@@ -60,7 +61,8 @@ def lane_options(
         lane_id = admissible_neighbor(scene, segment.lane_id, side)
         if lane_id is None:
             continue
-        lane_s = float(graph.lanes[lane_id].path.frenet(xy)[0][0])
+        lane = graph.lanes[lane_id].path
+        lane_s = float(frenet(xy, lane.points, lane.s)[0][0])
         lane_s = min(max(lane_s, 0.0), graph.lanes[lane_id].length_m)
         target = target_path(scene, path, lane_id, s=s)
         at = _place_on(target, lane_id, lane_s)
@@ -181,9 +183,9 @@ def lay_across(
     pace = max(pace_mps, change.min_speed_mps)
     time_left_s = change.time_share * (scene.num_steps - 1 - step) * scene.step_s - change.spare_s
     lasting_s = max(change.min_duration_s, min(lasting_s, time_left_s, change.length_share * remaining_m / pace))
-    blend = blend_paths(
-        path.raw, target.raw, start_m=path.to_raw(s), length_m=pace * lasting_s, step_m=smoothing.path_step_m,
-        max_shift_m=change.max_shift_m,
+    blend = blend_lines(
+        path.even(smoothing.path_step_m), target.raw_line, start_m=path.to_raw(s), length_m=pace * lasting_s,
+        step_m=smoothing.path_step_m, max_shift_m=change.max_shift_m,
     )  # fmt: skip
     if blend is None:
         return Reason.LANES_NOT_SIDE_BY_SIDE

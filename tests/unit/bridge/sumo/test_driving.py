@@ -45,7 +45,7 @@ def drive(tmp_path: Path) -> Callable[..., Driving]:
 
     def run(
         scene: Scene, *starts: Start, fixed: Traffic | None = None, model: str = "EIDM", seed: int = 0,
-        patch: Callable[[Simulation], None] | None = None,
+        patch: Callable[[Simulation], None] | None = None, checked: bool = True,
     ) -> Driving:  # fmt: skip
         net = tmp_path / "road.net.xml"
         net.write_bytes(net_bytes(scene.grid))
@@ -54,7 +54,7 @@ def drive(tmp_path: Path) -> Callable[..., Driving]:
             if patch is not None:
                 patch(simulation)
             others = fixed or nobody(scene.future.num_steps)
-            driving = Driving(scene, simulation, starts, others, Roads(scene), StopLines(scene))
+            driving = Driving(scene, simulation, starts, others, Roads(scene), StopLines(scene), checked=checked)
             driving.run()
         return driving
 
@@ -187,6 +187,22 @@ def test_slower_leaders_of_all_kinds_are_followed(kind: str, drive: Callable[...
     (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).vehicles
     assert _gaps(one, leader).min() > 1.0
     assert np.mean(one.v[-10:]) < 5.5
+
+
+def test_who_is_not_shown_need_not_be_there(drive: Callable[..., Driving]) -> None:
+    """All recorded agents in SUMO, or only those who have to be shown: the same motion, to the last bit.
+
+    Somebody behind, somebody who parks beside, and somebody who crosses before anybody is near draw no random numbers.
+    """
+    leader, behind, parked = recorded(85.0, 0.0, 6.0), recorded(5.0, 0.0, name="b"), recorded(140.0, 3.5, name="p")
+    scene = scene_on(_two_lanes(), leader, behind, parked, recorded(250.0, -20.0, 10.0, heading=UP, name="c"))
+    ways = [
+        drive(scene, start_on(scene, (1,), 40.0, 10.0), start_on(scene, (2,), 60.0, 8.0, number=1), checked=checked)
+        for checked in (True, False)
+    ]
+    first, second = ([vehicle.s for vehicle in way.vehicles] for way in ways)
+    assert first == second
+    assert (ways[0].replay_errors.states, ways[1].replay_errors.states) == (440, 0)
 
 
 @pytest.mark.parametrize(("y", "is_seen"), [(2.3, False), (1.5, True), (-1.5, True)])

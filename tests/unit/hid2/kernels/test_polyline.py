@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hid2.kernels.polyline import project_on_polyline
+from hid2.kernels.polyline import frenet, project_on_polyline
 from netconvert.geometry import Polyline
 
 
@@ -18,6 +18,9 @@ def test_compiled_projection_agrees_with_polyline_frenet_on_random_polylines(see
     np.testing.assert_allclose(found[:, 0], np.clip(s, 0.0, line.length_m), rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(found[:, 1], d, rtol=0.0, atol=1e-9)
     assert ((s < 0.0) | (s > line.length_m)).any()
+    compiled = frenet(points, line.points, line.s)
+    assert np.array_equal(compiled[0], s)
+    assert np.array_equal(compiled[1], d)
     assert np.isin(found[:, 0], line.s[1:-1]).any()
 
 
