@@ -32,6 +32,8 @@ _BINDS_MPS = 0.05  # book-keeping: a limit this close to the speed driven is wha
 _TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
 #: Refusals of a gap in which waiting for those beside to go ahead helps.
 _LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
+#: Who is held to a speed would like to drive so much faster, m/s: a leader at a usual gap does not slow it then.
+_HELD_MPS = 5.0
 _HELD_BY_GUARD = frozenset({"conflict", "signal", "crossing"})
 
 
@@ -297,9 +299,10 @@ class Driving:
                 limit = eased, held[1]
         self._limit[row] = limit if limit[0] < desired - 1e-3 else None
         held = self._limit[row]
-        self.simulation.drive(
-            vehicle.vehicle_id, desired_mps=desired, limit_mps=None if held is None else max(0.0, held[0])
-        )
+        limit_mps = None if held is None else max(0.0, held[0])
+        if vehicle.start.is_held:
+            limit_mps, desired = desired if limit_mps is None else min(limit_mps, desired), desired + _HELD_MPS
+        self.simulation.drive(vehicle.vehicle_id, desired_mps=desired, limit_mps=limit_mps)
         return attempts
 
     def _road_speed(self, row: int, s: float, v: float) -> float:

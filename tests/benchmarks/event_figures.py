@@ -43,8 +43,8 @@ MOMENTS_S = (2.0, 4.0, 6.0)
 BEFORE_END_S, BESIDE_S = 4.0, 4.0
 #: A conflict point or merge this long before or after the moment can be met then, s.
 REACH_S = 5.0
-#: Middle of its own lane, m off the target's path at most; a lane beside, at least; half way between the two.
-ON_M, BESIDE_M, HALF_WAY_M = 1.3, 2.2, (1.2, 2.4)
+#: Off the target's path, m: in its lane at most, in the lane beside at least; how far over at the moment, share.
+ON_M, BESIDE_M, HALF_WAY = 1.3, 2.2, (0.2, 0.8)
 MOMENT_S, SPARE_M = 0.7, 1.5
 
 
@@ -195,7 +195,8 @@ def seen(kind: str, own: Track, target: Track, record: EventRecord, gap_m: tuple
     if not gap_m[0] - SPARE_M <= abs(gap) - lengths <= gap_m[1] + SPARE_M:
         return f"gap {abs(gap) - lengths:.1f} m"
     if kind == "cut_in":
-        done = before.max() > BESIDE_M and after.min() < ON_M and HALF_WAY_M[0] < aside[row] < HALF_WAY_M[1]
+        over = (aside[row] - after.min()) / max(before.max() - after.min(), 1e-9)
+        done = before.max() > BESIDE_M and after.min() < ON_M and HALF_WAY[0] < over < HALF_WAY[1]
         return "" if done else f"aside {before.max():.1f}, {aside[row]:.1f}, {after.min():.1f} m"
     if kind == "merge":
         done = after.min() < ON_M and before.max() > after.min() + 0.5
