@@ -2,8 +2,8 @@
 
 All motions of a fan are worked out backwards and forwards from the moment of the event: there a vehicle is at a place
 with a speed; before, its acceleration is constant, or it moves as the target does; afterwards it keeps to the target,
-or to its own speed, and to whoever is ahead. What is recorded is known for the whole scene, so that motions that would
-meet somebody go before anything is driven.
+or goes to a speed, and keeps off whoever is ahead and behind. What is recorded is known for the whole scene, so that
+motions that would meet somebody go before anything is driven.
 """
 
 from dataclasses import dataclass
@@ -34,12 +34,13 @@ class Along:
     """A path with everybody on it, and what the road allows.
 
     cap (S,) m/s at the table of its line; taken: recorded vehicles and those kept, (A, T); own: rows of the target
-    there; from_m: a place on it minus that place on the path that motions are given on.
+    there; exit_m: where it ends; from_m: a place on it minus that place on the path that motions are given on.
     """
 
     cap: FloatArray
     taken: PathOccupancy
     own: BoolArray
+    exit_m: float
     from_m: float
 
     def at(self, s: FloatArray) -> FloatArray:
@@ -51,8 +52,8 @@ class Along:
 class Wanted:
     """Motions that are wanted (N,): at step at, at place m on the path, with speed_mps.
 
-    before_mps2: acceleration before, nan where it moves as the target does; keeps: whether it keeps to the target
-    afterwards, with gap_m, rather than to its speed.
+    before_mps2: acceleration before, nan where it moves as the target does; later_mps: speed that it goes to
+    afterwards, nan where it keeps to the target, with gap_m.
     """
 
     at: IntArray
@@ -60,13 +61,13 @@ class Wanted:
     gap_m: FloatArray
     speed_mps: FloatArray
     before_mps2: FloatArray
-    keeps: BoolArray
+    later_mps: FloatArray
 
     def rows(self, rows: BoolArray) -> "Wanted":
         """Some of them."""
         return Wanted(
             self.at[rows], self.place[rows], self.gap_m[rows], self.speed_mps[rows], self.before_mps2[rows],
-            self.keeps[rows],
+            self.later_mps[rows],
         )  # fmt: skip
 
 
@@ -108,18 +109,23 @@ def motions(wanted: Wanted, rules: Rules, before: Along, after: Along) -> tuple[
         )
         v = np.where(here, np.minimum(np.maximum(free, 0.0), before.at(s)), v)
         speeds[here, step], way[here, step] = v[here], s[here]
+    keeps = np.isnan(wanted.later_mps)
+    later = np.where(keeps, wanted.speed_mps, wanted.later_mps)
     v, s = wanted.speed_mps.copy(), wanted.place.copy()
     for step in range(int(wanted.at.min(initial=steps)) + 1, steps):
         here = wanted.at < step
-        accel = np.clip(_SPEED_PULL * (wanted.speed_mps - v), SLOWS_MPS2, SPEEDS_UP_MPS2)
+        accel = np.clip(_SPEED_PULL * (later - v), SLOWS_MPS2, SPEEDS_UP_MPS2)
         if rules.ahead is not None:
             apart = rules.order * (s - rules.ahead[step - 1]) - rules.lengths
             gap = np.maximum(np.minimum(wanted.gap_m, _KEEPS_M), _AHEAD_GAP_M + _AHEAD_TIME_S * v)
             kept = _SPEED_PULL * (rules.target_mps[step - 1] - v) + rules.order * _GAP_PULL * (gap - apart)
-            accel = np.where(wanted.keeps, np.clip(kept, SLOWS_MPS2, SPEEDS_UP_MPS2), accel)
+            accel = np.where(keeps, np.clip(kept, SLOWS_MPS2, SPEEDS_UP_MPS2), accel)
             if rules.brakes_mps2:
                 braking = (step - wanted.at) * dt <= _BRAKES_FOR_S
                 accel = np.where(braking, -rules.brakes_mps2, accel)
+        room, follows = _behind_of(after, s + after.from_m, step - 1)
+        pushed = _LEADER_PULL * (follows - v) - _LEADER_GAP_PULL * (room - _LEADER_GAP_M - _LEADER_TIME_S * follows)
+        accel = np.maximum(accel, np.minimum(pushed, SPEEDS_UP_MPS2))
         room, lead = _ahead_of(after, s + after.from_m, step - 1)
         led = _LEADER_PULL * (lead - v) + _LEADER_GAP_PULL * (room - _LEADER_GAP_M - _LEADER_TIME_S * v)
         accel = np.minimum(accel, np.maximum(led, _LEADER_MPS2))
@@ -176,6 +182,18 @@ def _ahead_of(along: Along, s: FloatArray, step: int) -> tuple[FloatArray, Float
     low, speed = np.append(low[order], np.inf), np.append(speed[order], 0.0)
     place = np.searchsorted(low, s)
     return low[place] - s, np.where(np.isfinite(low[place]), np.maximum(speed[place], 0.0), 0.0)
+
+
+def _behind_of(along: Along, s: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
+    """Room (N,) m to who comes next from behind with the path, and its speed; the target is left out."""
+    rows = along.taken.aligned[:, step] & ~along.own & np.isfinite(along.taken.low[:, step])
+    if not rows.any():
+        return np.full(s.size, np.inf), np.zeros(s.size)
+    high, speed = along.taken.high[rows, step], along.taken.along[rows, step]
+    order = np.argsort(high)
+    high, speed = np.append(-np.inf, high[order]), np.append(0.0, speed[order])
+    place = np.searchsorted(high, s) - 1
+    return s - high[place], np.maximum(speed[place], 0.0)
 
 
 def _is_met(

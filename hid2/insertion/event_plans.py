@@ -13,6 +13,7 @@ What comes of it when SUMO drives is another matter (`insertion/events.py`).
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -43,6 +44,7 @@ from hid2.params import Event
 from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.roads import Roads
+from hid2.reasons import Reason
 from hid2.scene import Scene
 from netconvert.lane_graph import SIDES, TurnType
 
@@ -61,6 +63,8 @@ _DIFFERENCES_MPS = (-1.0, 0.0, 1.0, -2.0, 2.0, -3.5, 3.5)
 _CRITICAL_SHARES = tuple(number / 16 for number in range(17))
 #: Accelerations before the moment, m/s2; nan: as the target moves.
 _BEFORE_MPS2 = (0.0, math.nan, 0.5, -0.5, 1.1, -1.1)
+#: Speeds to which a vehicle goes afterwards, over that at the moment, m/s; nan: it keeps to the target.
+_LATER_MPS = (math.nan, 0.0, 3.0, -2.0)
 _TTC_SPARE_S = 0.3  # that plans keep above the critical TTC
 _MOST_OF_A_WAY = 150  # plans that are kept of those along one way
 
@@ -165,7 +169,10 @@ class _Course:
 
 @dataclass(slots=True)
 class Planner:
-    """Plans of one scene for a vehicle of a size; box: what is kept clear for it; fixed: vehicles that are kept."""
+    """Plans of one scene for a vehicle of a size; box: what is kept clear for it; fixed: vehicles that are kept.
+
+    turned_down: motions that were no plans, by reason.
+    """
 
     scene: Scene
     routes: Routes
@@ -173,6 +180,7 @@ class Planner:
     size: BoxSize
     box: BoxSize
     fixed: Traffic
+    turned_down: Counter[Reason] = field(default_factory=Counter)
     _ways: dict[tuple[int, tuple[int, ...]], list[Route]] = field(default_factory=dict)
     _caps: dict[tuple[Route, float], FloatArray] = field(default_factory=dict)
     _taken: dict[Route, tuple[PathOccupancy, IntArray]] = field(default_factory=dict)
@@ -248,14 +256,19 @@ class Planner:
                 ahead_lanes = tuple(n for n in wanted_lanes if n is not None)
                 before = [graph.neighbor(n, where) for n in self._before(target, at)]
                 for route in self._ways_over(beside, ahead_lanes, before=tuple(n for n in before if n is not None)):
+                    # the way that it will go on: beside its own route, as Algorithm 1 has it
+                    over = graph.neighbor(beside, side)
+                    if over is None or not self.routes.usable(over):
+                        continue
+                    joined = self.scene.route_beside(route[route.index(beside) :], over)
                     ahead = self._on_path(self.scene.path(route), target, at)
-                    there = self._on_path(self.scene.path(own[0]), target, at)
+                    there = self._on_path(self.scene.path(joined), target, at)
                     if ahead is None or there is None:
                         continue
                     wanted, off = self._grid(event, target, moments, ahead, 1)
                     cruise = min(_FASTEST_MPS, float(wanted.speed_mps.max(initial=_SLOWEST_MPS)) + 1.0)
                     first = self._looked_along(route, target, cruise)
-                    second = self._looked_along(own[0], target, cruise, from_m=float(there[at] - ahead[at]))
+                    second = self._looked_along(joined, target, cruise, from_m=float(there[at] - ahead[at]))
                     rules = self._rules(event, target, ahead, 1, changes=True)
                     yield _Course(route, wanted, off, rules, first, second, cruise, side)
 
@@ -291,12 +304,12 @@ class Planner:
                 continue
             _, differences = self._relations(event)
             rows = [
-                (at, place, abs(place - float(ahead[at])) - self._lengths(target), target.speed[at] + d, a, keeps,
+                (at, place, abs(place - float(ahead[at])) - self._lengths(target), target.speed[at] + d, a, later,
                  0.02 * abs(d) + self._pull(a))
                 for at in moments[:: max(1, len(moments) // 6)]
                 for d in differences
                 for a in _BEFORE_MPS2
-                for keeps in (True, False)
+                for later in _LATER_MPS
             ]  # fmt: skip
             wanted, off = self._wanted(rows)
             rules = self._rules(event, target, ahead, order)
@@ -321,7 +334,7 @@ class Planner:
                             continue
                         if event.gap_band_m[0] <= gap <= event.gap_band_m[1]:
                             rows += [
-                                (at, point, gap, speed, a, False, 0.1 * abs(apart - _CROSS_USUAL_S) + self._pull(a))
+                                (at, point, gap, speed, a, 0.0, 0.1 * abs(apart - _CROSS_USUAL_S) + self._pull(a))
                                 for speed in self._speeds_of(lane)
                                 for a in _BEFORE_MPS2
                                 if not math.isnan(a)
@@ -383,13 +396,14 @@ class Planner:
         middle = 0.5 * (gaps[0] + gaps[-1])
         wide = max(float(np.ptp(gaps)), 1.0)
         rows = [
-            (at, float(ahead[at]) + order * (gap + self._lengths(target)), gap, float(target.speed[at]) + d, a, keeps,
-             0.2 * off + 0.3 * abs(gap - middle) / wide + 0.03 * abs(d) + self._pull(a) + (0.0 if keeps else 0.05))
+            (at, float(ahead[at]) + order * (gap + self._lengths(target)), gap, float(target.speed[at]) + d, a, later,
+             0.2 * off + 0.3 * abs(gap - middle) / wide + 0.03 * abs(d) + self._pull(a)
+             + (0.0 if math.isnan(later) else 0.05))
             for at, off in moments
             for gap in gaps.tolist()
             for d in differences.tolist()
             for a in _BEFORE_MPS2
-            for keeps in (True, False)
+            for later in _LATER_MPS
         ]  # fmt: skip
         return self._wanted(rows)
 
@@ -398,12 +412,12 @@ class Planner:
         return 0.02 if math.isnan(before_mps2) else 0.1 * abs(before_mps2)
 
     @staticmethod
-    def _wanted(rows: Sequence[tuple[int, float, float, float, float, bool, float]]) -> tuple[Wanted, FloatArray]:
-        """Rows of step, place, gap, speed, acceleration before, whether it keeps, and score."""
+    def _wanted(rows: Sequence[tuple[int, float, float, float, float, float, float]]) -> tuple[Wanted, FloatArray]:
+        """Rows of step, place, gap, speed, acceleration before, speed later over that, and score."""
         table = np.array(rows, dtype=np.float64).reshape(-1, 7)
         table = table[(table[:, 3] >= _SLOWEST_MPS) & (table[:, 3] <= _FASTEST_MPS)]
-        at, place, gap, speed, before, keeps, off = table.T
-        return Wanted(at.astype(np.int64), place, gap, speed, before, keeps > 0), off
+        at, place, gap, speed, before, later, off = table.T
+        return Wanted(at.astype(np.int64), place, gap, speed, before, np.maximum(speed + later, 0.5)), off
 
     def _rules(
         self, event: Event, target: Target, ahead: FloatArray | None, order: int, *, changes: bool = False
@@ -429,34 +443,29 @@ class Planner:
             self._taken[route] = taken, rows
         taken, rows = self._taken[route]
         own = np.zeros(rows.size, dtype=np.bool_) if target is None else rows == target.row
-        return Along(self._cap(route, cruise_mps), taken, own, from_m)
+        return Along(self._cap(route, cruise_mps), taken, own, self.scene.path(route).exit_s, from_m)
 
     def _free(self, event: Event, target: Target, course: _Course) -> list[Plan]:
         """Plans of a course that the road has room for, that meet nobody, and that are as critical as is asked for."""
         wanted, off = course.wanted, course.off
         if not wanted.at.size:
             return []
-        scene, step_s, rules = self.scene, self.scene.step_s, course.rules
-        path = scene.path(course.route)
+        step_s, rules = self.scene.step_s, course.rules
         speeds, way = motions(wanted, rules, course.before, course.after)
         reached = np.abs(speeds[np.arange(wanted.at.size), wanted.at] - wanted.speed_mps) < 1e-9
-        allowed = course.after.at(wanted.place + course.after.from_m) >= wanted.speed_mps - 1e-9
-        keep = reached & allowed & (way[:, 0] >= 0.5 * self.box.length_m + 0.5)
-        needed = np.minimum(
-            np.maximum(scene.first_exit_step, wanted.at + scene.steps_in(_ON_PATH_S)), scene.num_steps - 1
-        )
-        end = path.exit_s - 0.5 * self.box.length_m - 1.0
-        keep &= way[np.arange(wanted.at.size), needed] < end
-        keep &= self._may_change(path, course.side, wanted, way)
-        if rules.ahead is not None and event.kind != "cross":
+        reached &= course.after.at(wanted.place + course.after.from_m) >= wanted.speed_mps - 1e-9
+        keep = self._still(reached, np.ones(reached.size, dtype=np.bool_), Reason.TOO_SLOW)
+        keep = self._still(self._has_room(course, way), keep, Reason.NO_SITE)
+        keep = self._still(self._may_change(course, way), keep, Reason.NO_ADJACENT_LANE)
+        if rules.ahead is not None:
             least, drac = kept_to(wanted, rules, speeds, way, target.present)
-            keep &= self._is_critical(event, least, drac)
+            keep = self._still(self._is_critical(event, least, drac), keep, Reason.EVENT_NOT_AS_ASKED)
         if not keep.any():
             return []
         wanted, off, speeds, way = wanted.rows(keep), off[keep], speeds[keep], way[keep]
         until = free(wanted, rules, course.before, course.after, speeds, way)
         late = until - wanted.at * step_s
-        rows = np.flatnonzero(late > _FREE_S)
+        rows = np.flatnonzero(self._still(late > _FREE_S, np.ones(late.size, dtype=np.bool_), Reason.MEETS_RECORDED))
         # somebody is met in the end: a driver may see to it
         score = off[rows] + np.where(np.isinf(until[rows]), 0.0, 0.5)
         found = []
@@ -467,7 +476,7 @@ class Planner:
             traits = (
                 float(sum(course.route) % 9973), float(wanted.at[row]), float(wanted.gap_m[row]),
                 float(wanted.speed_mps[row]), float(np.nan_to_num(wanted.before_mps2[row], nan=9.0)),
-                float(wanted.keeps[row]),
+                float(np.nan_to_num(wanted.later_mps[row], nan=-1.0)),
             )  # fmt: skip
             plan = Plan(
                 event, target, course.route, float(way[row, 0]), speeds[row], int(wanted.at[row]), rules.order,
@@ -478,19 +487,45 @@ class Planner:
             found.append(plan)
         return found
 
-    def _may_change(self, path: DrivenPath, side: Side | None, wanted: Wanted, way: FloatArray) -> BoolArray:
+    def _still(self, holds: BoolArray, before: BoolArray, reason: Reason) -> BoolArray:
+        """Those for whom something holds, of those before; the others are counted."""
+        self.turned_down[reason] += int((before & ~holds).sum())
+        return before & holds
+
+    def _has_room(self, course: _Course, way: FloatArray) -> BoolArray:
+        """(N,) whether motions begin and go on, after the moment, on the map."""
+        scene, at, half_m = self.scene, course.wanted.at, 0.5 * self.box.length_m
+        rows = np.arange(at.size)
+        needed = np.minimum(np.maximum(scene.first_exit_step, at + scene.steps_in(_ON_PATH_S)), scene.num_steps - 1)
+        end = course.after.exit_m - course.after.from_m - half_m - 1.0
+        found = (way[:, 0] >= half_m + 0.5) & (way[rows, needed] < end)
+        if course.side is not None:
+            begins, change = self._begins(course.wanted), self.scene.config.lane_change
+            left = course.after.exit_m - course.after.from_m - way[rows, begins]
+            pace = 0.5 * (course.wanted.speed_mps + course.cruise_mps)
+            found &= left > np.maximum(change.min_remaining_m, change.min_duration_s * pace / change.length_share) + 1.0
+            found &= way[rows, course.wanted.at] < course.before.exit_m - half_m - 1.0
+        return found
+
+    def _begins(self, wanted: Wanted) -> IntArray:
+        """(N,) steps at which changes of lanes begin."""
+        step_s = self.scene.step_s
+        change_s = np.minimum(CHANGE_S, 2.0 * wanted.at * step_s)
+        return np.asarray(np.maximum(wanted.at - np.round(0.5 * change_s / step_s).astype(np.int64), 0))
+
+    def _may_change(self, course: _Course, way: FloatArray) -> BoolArray:
         """(N,) whether the marking lets a vehicle over when it begins to change lanes and when it crosses."""
+        wanted, side, path = course.wanted, course.side, self.scene.path(course.route)
+        found = np.ones(wanted.at.size, dtype=np.bool_)
         if side is None:
-            return np.ones(wanted.at.size, dtype=np.bool_)
+            return found
         ends = np.array([segment.end for segment in path.segments])
         may = np.array([admissible_neighbor(self.scene, one.lane_id, side) is not None for one in path.segments])
-        step_s, rows = self.scene.step_s, np.arange(wanted.at.size)
-        change_s = np.minimum(CHANGE_S, 2.0 * wanted.at * step_s)
-        begins = np.maximum(wanted.at - np.round(0.5 * change_s / step_s).astype(np.int64), 0)
-        found = change_s >= _CHANGE_LEAST_S
-        for step in (begins, wanted.at):
-            found &= may[np.minimum(np.searchsorted(ends, way[rows, step], side="right"), ends.size - 1)]
-        return np.asarray(found)
+        found &= 2.0 * wanted.at * self.scene.step_s >= _CHANGE_LEAST_S
+        for step in (self._begins(wanted), wanted.at):
+            s = way[np.arange(wanted.at.size), step]
+            found &= may[np.minimum(np.searchsorted(ends, s, side="right"), ends.size - 1)]
+        return found
 
     def _is_critical(self, event: Event, least_s: FloatArray, drac: FloatArray) -> BoolArray:
         """(N,) whether the criticality is what is asked for, and not below the critical values else."""

@@ -181,6 +181,8 @@ class EventSearch:
                     return replace(outcome, tries=tries)
             if tries >= scene.config.event_search.tries:
                 break
+        if not self.tried:
+            self.tried = planner.turned_down
         said = ", ".join(f"{reason} {count}" for reason, count in self.tried.most_common())
         _LOG.debug("event %s: %d tries; %s", event.kind, tries, said or "no plan")
         return EventOutcome(event, Reason.EVENT_NOT_AS_ASKED if tries else Reason.EVENT_NO_PLACE, tries=tries)
@@ -219,11 +221,14 @@ class EventSearch:
         """A driver who holds to a plan, at its site."""
         scene = self.scene
         path = scene.path(plan.route)
+        # a path across is laid out at a pace between its speed and the one that it likes
+        v = max(float(plan.speeds[scene.steps_in(plan.trigger_s)]), scene.config.lane_change.min_speed_mps)
+        change_s = plan.change_s * v / (0.5 * (v + max(v, plan.cruise_mps)))
         driver = replace(
             draw_driver(scene.config, rng, lane_speed_mps=plan.cruise_mps), desired_mps=plan.cruise_mps, tau_s=_TAU_S,
             turn_lateral_mps2=scene.config.drivers.turn_lateral_max_mps2, accel_mps2=_ACCEL_MPS2,
             decel_mps2=max(_DECEL_MPS2, plan.event.brakes_mps2), min_gap_m=_MIN_GAP_M,
-            lane_change_s=plan.change_s,
+            lane_change_s=change_s if plan.side is not None else CHANGE_S,
         )  # fmt: skip
         desired = np.append(plan.speeds[1:], plan.speeds[-1:])  # the wish at a step is for the next one
         policy = _POLICY.get(plan.event.kind, Policy.STRAIGHT)
@@ -240,6 +245,8 @@ class EventSearch:
         """What road and stop lines have against a plan before SUMO is asked; None for nothing."""
         scene, path = planner.scene, start.path
         until = min(plan.at_step + scene.steps_in(_AFTER_S), scene.num_steps)
+        if plan.side is not None:  # then it is on another path
+            until = scene.steps_in(plan.trigger_s) + 1
         way = plan.way
         if way[0] < 0.5 * start.box.length_m:
             return Reason.NO_SITE

@@ -72,7 +72,7 @@ def offers(scene: Scene, target: Target, kind: str, at_s: float, gap_m: tuple[fl
     if kind in ("lead", "follow"):
         return True
     if kind == "cut_in":
-        return lies_beside(scene, target, at, round(BESIDE_S / step_s)) and may_come_over(scene, target, at)
+        return lies_beside(scene, target, at, round(BESIDE_S / step_s)) and may_come_over(scene, target, at, gap_m)
     if kind == "overtake":  # out, past, and back at the moment asked for
         mean = float(target.speed[target.present].mean())
         return mean < 12.0 and lies_beside(scene, target, at // 2, at)
@@ -112,10 +112,12 @@ def lies_beside(scene: Scene, target: Target, at: int, lasting: int) -> bool:
     return False
 
 
-def may_come_over(scene: Scene, target: Target, at: int) -> bool:
-    """Whether the marking lets somebody come over from a lane beside, at a step or as soon as still counts."""
-    graph, spare = scene.grid.graph, round(scene.config.event_search.moment_s / scene.step_s)
-    for step in range(at - spare, at + spare + 1):
+def may_come_over(scene: Scene, target: Target, at: int, gap_m: tuple[float, float]) -> bool:
+    """Whether the marking lets somebody come over from a lane beside, where a vehicle at a gap asked for would be."""
+    graph, lengths = scene.grid.graph, 0.5 * (4.5 + target.track.size.length_m)
+    for step in range(at, scene.num_steps):
+        if not gap_m[0] + lengths <= target.way[step] - target.way[at] <= gap_m[1] + lengths:
+            continue
         lane = target.lane_at(step)
         for side, back in (("left", "right"), ("right", "left")):
             beside = None if lane is None else graph.neighbor(lane, side)
