@@ -143,14 +143,12 @@ def free(wanted: Wanted, rules: Rules, before: Along, after: Along, speeds: Floa
     for step in range(steps):
         s, v = way[:, step], speeds[:, step]
         bad = np.zeros(wanted.at.size, dtype=np.bool_)
+        looks = [(before, np.ones(wanted.at.size, dtype=np.bool_))]
         if rules.changes:
-            on_first, on_second = step <= wanted.at + still, step >= wanted.at - already
-        else:
-            on_first = on_second = np.ones(wanted.at.size, dtype=np.bool_)
-        for along, on in ((before, on_first), (after, on_second)):
-            if not on.any() or (along is after and not rules.changes):
-                continue
-            bad |= on & _is_met(along, s + along.from_m, v, step, rules, up_to_event=step <= wanted.at)
+            looks = [(before, step <= wanted.at + still), (after, step >= wanted.at - already)]
+        for along, on in looks:
+            if on.any():
+                bad |= on & _is_met(along, s + along.from_m, v, step, rules, up_to_event=step <= wanted.at)
         until = np.where(bad & (until > step), step, until)
     return until * dt
 

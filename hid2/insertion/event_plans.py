@@ -212,7 +212,7 @@ class Planner:
         """Gaps, m, and speed differences, m/s, within what is asked for."""
         least, most = event.gap_band_m[0], min(event.gap_band_m[1], max(30.0, event.gap_band_m[0]))
         gaps = np.array([least + share * (most - least) for share in _SHARES])
-        low, high = event.speed_difference_mps
+        low, high = event.difference_band_mps
         if event.ttc_s is None and event.drac_mps2 is None:
             usual = [difference for difference in _DIFFERENCES_MPS if low <= difference <= high]
             differences = usual or [low + share * (high - low) for share in _SHARES]
@@ -451,10 +451,13 @@ class Planner:
         if not wanted.at.size:
             return []
         step_s, rules = self.scene.step_s, course.rules
+        most = np.minimum(course.before.at(wanted.place), course.after.at(wanted.place + course.after.from_m))
+        wanted = replace(wanted, speed_mps=np.minimum(wanted.speed_mps, most))  # as fast as the road lets it
+        low, high = event.difference_band_mps
+        difference = wanted.speed_mps - target.speed[wanted.at]
+        fast = (wanted.speed_mps >= _SLOWEST_MPS) & (difference >= low) & (difference <= high)
+        keep = self._still(fast, np.ones(fast.size, dtype=np.bool_), Reason.TOO_SLOW)
         speeds, way = motions(wanted, rules, course.before, course.after)
-        reached = np.abs(speeds[np.arange(wanted.at.size), wanted.at] - wanted.speed_mps) < 1e-9
-        reached &= course.after.at(wanted.place + course.after.from_m) >= wanted.speed_mps - 1e-9
-        keep = self._still(reached, np.ones(reached.size, dtype=np.bool_), Reason.TOO_SLOW)
         keep = self._still(self._has_room(course, way), keep, Reason.NO_SITE)
         keep = self._still(self._may_change(course, way), keep, Reason.NO_ADJACENT_LANE)
         if rules.ahead is not None:
@@ -557,7 +560,7 @@ class Planner:
     def _speeds_of(self, lane_id: int) -> tuple[float, ...]:
         pool = self.scene.lane_speeds.get(lane_id) or self.scene.scene_speeds
         usual = float(np.median(pool)) if pool else self.scene.config.spawn.prior_speed_mps
-        shares = (1.0, 0.8, 0.6, 1.2, 0.45)
+        shares = (1.0, 0.8, 0.6, 1.2, 0.45, 0.3, 1.4)
         return tuple(min(max(share * usual, _SLOWEST_MPS), _FASTEST_MPS) for share in shares)
 
     @staticmethod

@@ -347,7 +347,7 @@ def _is_as_asked(scene: Scene, event: Event, seen: _Seen) -> bool:
     within = [
         (seen.at_step * scene.step_s, (event.at_s[0] - spare, event.at_s[1] + spare)),
         (found.gap_m, event.gap_band_m),
-        (found.speed_difference_mps, event.speed_difference_mps),
+        (found.speed_difference_mps, event.difference_band_mps),
     ]
     if event.ttc_s is not None:
         within.append((np.inf if found.min_ttc_s is None else found.min_ttc_s, event.ttc_s))

@@ -33,6 +33,7 @@ from hid2.agents import FloatArray, Track
 from hid2.insertion.event_plans import Target, target_of
 from hid2.insertion.meetings import moving_vehicles, named_rows
 from hid2.measures.encounters import CROSSING_RAD
+from hid2.occupancy.traffic import BoolArray
 from hid2.params import Config, Event, Request
 from hid2.scene import DRIVABLE_TYPES, Scene
 from netconvert.geometry import Polyline
@@ -45,6 +46,7 @@ BEFORE_END_S, BESIDE_S = 4.0, 4.0
 REACH_S = 5.0
 #: Off the target's path, m: in its lane at most, in the lane beside at least; how far over at the moment, share.
 ON_M, BESIDE_M, HALF_WAY = 1.3, 2.2, (0.2, 0.8)
+OVERLAP_M = 2.0  # boxes overlap across, nearly
 MOMENT_S, SPARE_M = 0.7, 1.5
 
 
@@ -149,11 +151,15 @@ def crossing(a: FloatArray, b: FloatArray) -> tuple[int, int] | None:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Own place relative to the way of the target, where both are there: s ahead, m, and d to the left, m, by step."""
+    """Own place relative to the way of the target, where both are there: s ahead, m, and d to the left, m, by step.
+
+    beyond: where the way of the target has ended, so that nothing is known of what is aside.
+    """
 
     steps: FloatArray
     ahead: FloatArray
     aside: FloatArray
+    beyond: BoolArray
 
     @staticmethod
     def of(own: Track, target: Track) -> "Pair":
@@ -169,7 +175,8 @@ class Pair:
         own_xy = own.position[np.searchsorted(own.timesteps, steps)]
         target_xy = target.position[np.searchsorted(target.timesteps, steps)]
         (s, d), (target_s, _) = line.frenet(own_xy), line.frenet(target_xy)
-        return Pair(steps, s - target_s, d)
+        ended = line.length_m - 100.0
+        return Pair(steps, s - target_s, d, s > ended + 0.5)
 
 
 def seen(kind: str, own: Track, target: Track, record: EventRecord, gap_m: tuple[float, float], step_s: float) -> str:
@@ -203,7 +210,7 @@ def seen(kind: str, own: Track, target: Track, record: EventRecord, gap_m: tuple
     if kind == "merge":
         done = after.min() < ON_M and before.max() > after.min() + 0.5
         return "" if done else f"aside {before.max():.1f}, then {after.min():.1f} m"
-    return "" if aside[row] < ON_M + 0.5 else f"{aside[row]:.1f} m aside"
+    return "" if aside[row] < OVERLAP_M or pair.beyond[row] else f"{aside[row]:.1f} m aside"
 
 
 # the table
