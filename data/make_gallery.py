@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import get_args
 
 import imageio.v3 as iio
+import numpy as np
 from make_pictures import COLORS, WIDTH, reduced  # beside this file
 from matplotlib.figure import Figure
 from PIL import Image
@@ -26,7 +27,10 @@ DATA = Path(__file__).parent
 PAGE, PICTURES = DATA / "EVENTS.md", DATA / "events"
 KINDS: tuple[str, ...] = get_args(Event.model_fields["kind"].annotation)
 SEEDS = 4
-AT_S = (1.5, 6.0)
+#: When: an overtake takes longer than all others.
+AT_S = dict.fromkeys(KINDS, (1.5, 6.0)) | {"overtake": (6.0, 10.0)}
+#: Half of the ground shown, m, at least, and beyond the target.
+GROUND_M, BEYOND_M = 22.0, 8.0
 #: Shown so long before the moment of an event, at it, and so long after it, s.
 AROUND_S = 2.0
 #: What is to be seen in each picture.
@@ -50,7 +54,7 @@ This page and its pictures are made by `python data/make_gallery.py`.
 
 def config_of(kind: str, seed: int) -> Config:
     """The request for one event of a kind and nothing else."""
-    asked = Event.model_validate({"kind": kind, "target": "any", "at_s": AT_S})
+    asked = Event.model_validate({"kind": kind, "target": "any", "at_s": AT_S[kind]})
     return Config(request=Request(agents=0, seed=seed), event=(asked,))
 
 
@@ -80,11 +84,16 @@ def picture(folder: Path, event: EventRecord) -> Figure:
     for axes, at_s in zip(figure.subplots(1, 3), moments, strict=True):
         step = min(round(at_s / scenario.step_s), scenario.num_steps - 1)
         draw_scene(axes, scenario, step=step, agent=own.track_id)
-        row = _row(target, step)
+        row, here = _row(target, step), _row(own, step)
+        if here is not None:
+            x, y = own.position[here].tolist()
+            apart = 0.0 if row is None else float(np.abs(target.position[row] - own.position[here]).max())
+            half = min(max(GROUND_M, apart + BEYOND_M), 2 * GROUND_M)
+            axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
         if row is not None:
             axes.annotate(
                 "target", target.position[row], xytext=(0, -26), textcoords="offset points", ha="center",
-                arrowprops={"arrowstyle": "-", "lw": 0.8}, zorder=20,
+                arrowprops={"arrowstyle": "-", "lw": 0.8}, zorder=20, annotation_clip=True,
             )  # fmt: skip
         axes.set_title(f"{step * scenario.step_s:.1f} s")
     return figure
@@ -110,7 +119,7 @@ def told(event: EventRecord) -> str:
 
 def command_of(source: Path, kind: str, seed: int) -> str:
     """The command that writes the scene of a picture."""
-    low, high = AT_S
+    low, high = AT_S[kind]
     where = source.relative_to(DATA.parent)
     return f"hid2 generate {where} -o out --agents 0 --seed {seed} --event {kind} --target any --at {low:g}:{high:g}"
 

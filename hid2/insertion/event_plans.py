@@ -60,7 +60,7 @@ _SHARES = (0.5, 0.3, 0.7, 0.12, 0.88, 0.02)
 _SLOWEST_MPS, _FASTEST_MPS = 2.5, 20.0
 #: Speed differences that are tried, m/s, and their share of the band where a criticality is asked for.
 _DIFFERENCES_MPS = (-1.0, 0.0, 1.0, -2.0, 2.0, -3.5, 3.5)
-_CRITICAL_SHARES = tuple(number / 16 for number in range(17))
+_CRITICAL_SHARES = tuple(number / 20 for number in range(21))
 #: Accelerations before the moment, m/s2; nan: as the target moves.
 _BEFORE_MPS2 = (0.0, math.nan, 0.5, -0.5, 1.1, -1.1)
 #: Speeds to which a vehicle goes afterwards, over that at the moment, m/s; nan: it keeps to the target.
@@ -393,6 +393,8 @@ class Planner:
     ) -> tuple[Wanted, FloatArray]:
         """Every gap, speed difference and way to come there that is tried, at each moment."""
         gaps, differences = self._relations(event)
+        if event.ttc_s is not None:  # whoever is behind is faster, or nobody closes in
+            differences = differences[order * differences < 0.0]
         middle = 0.5 * (gaps[0] + gaps[-1])
         wide = max(float(np.ptp(gaps)), 1.0)
         rows = [
