@@ -1,7 +1,7 @@
 """Plans for an event with a recorded target: on which route, from where, how fast, and when to change lanes.
 
-A plan is worked out from the target's recorded future, as if nobody else were there and the vehicle kept to its plan.
-What comes of it when SUMO drives is another matter (`insertion/events.py`).
+A plan is worked out from the recorded future: of the target, and of everybody else who would be met
+(`insertion/event_motions.py`). What comes of it when SUMO drives is another matter (`insertion/events.py`).
 
     t_c  moment of the event    s_c  where the vehicle is then, on its own path    gap  bumper to bumper
 
@@ -634,7 +634,7 @@ class Planner:
         return found
 
     def _is_possible(self, plan: Plan) -> bool:
-        """Whether the route is long enough for the plan, and no box, everybody recorded, is met by it."""
+        """Whether the route is long enough for the plan of an overtake."""
         scene, path = self.scene, self.scene.path(plan.route)
         way = plan.way
         if plan.start_s < 0.5 * self.box.length_m + 0.5:

@@ -106,7 +106,7 @@ def scene_for(scene: Scene, event: Event) -> Scene:
 
 
 def offered_events(scene: Scene, targets: Sequence[str]) -> tuple[str, ...]:
-    """Which events the map and the targets' ways have room for, as `kind:target`; who else is there is not asked.
+    """Which events the map, the targets' ways and recorded traffic have room for by plan, as `kind:target`.
 
     From second 1 on to 4 s before the end, a vehicle of usual size.
     """
