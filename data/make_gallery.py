@@ -1,78 +1,152 @@
-"""Write the gallery of events, EVENTS.md, from the synthetic scenes: python data/make_gallery.py.
+"""Write the gallery of events, EVENTS.md and the pictures in events/, from the synthetic scenes: data/make_gallery.py.
 
-Each kind of event is asked for in the scenes of data/av2, with any moving recorded vehicle as target; the first scene
-in which it comes about is shown.
+Each kind of event is asked for in the scenes of data/av2, of any moving recorded vehicle; of the first seed that has
+it in some scene, the event whose vehicle is nearest to its target is shown. Pictures are reduced to a palette.
 """
 
+import io
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
 
-from bridge.generation.generate import generate, prepare, write
+import imageio.v3 as iio
+import numpy as np
+from make_pictures import COLORS, WIDTH, reduced  # beside this file
+from matplotlib.figure import Figure
+from PIL import Image
+
+from bridge import draw_scene, find_scenarios, generate, prepare, read_scenario, write
 from bridge.pictures import figures
-from bridge.pictures.render import scene_figure
-from bridge.recordings.folders import find_scenarios
-from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import EventRecord
+from hid2.agents import Track
 from hid2.params import Config, Event, Request
 
 DATA = Path(__file__).parent
 PAGE, PICTURES = DATA / "EVENTS.md", DATA / "events"
-SEEDS = 1
+KINDS: tuple[str, ...] = get_args(Event.model_fields["kind"].annotation)
+SEEDS = 4
+#: When: an overtake takes longer than all others.
+AT_S = dict.fromkeys(KINDS, (1.5, 6.0)) | {"overtake": (6.0, 10.0)}
+#: Half of the ground shown, m, at least, and beyond the target.
+GROUND_M, BEYOND_M = 22.0, 8.0
+#: Shown so long before the moment of an event, at it, and so long after it, s.
+AROUND_S = 2.0
 #: What is to be seen in each picture.
 SEEN = {
     "cut_in": "changes from the lane beside to before the target",
-    "overtake": "passes the target by the lane beside and comes back before it",
+    "overtake": "passes the target on the lane beside and comes back before it",
     "lead": "drives ahead of the target",
     "follow": "drives behind the target",
     "merge": "comes onto the target's lane from another one",
-    "cross": "passes the target's path",
+    "cross": "drives across the target's path",
 }
+_HEAD = """# Events
+
+A picture of each kind of event that `hid2 generate --event` makes, in the synthetic scenes of this folder: {around:g} s
+before the moment of the event, at it, and {around:g} s after it. Coloured and ringed is the inserted vehicle;
+the target is labelled: it is recorded and does not react. Each is what the command below its picture writes.
+
+This page and its pictures are made by `python data/make_gallery.py`.
+"""
 
 
-def first_of(kind: str, folders: list[Path], out: Path) -> tuple[Path, Path, EventRecord, int] | None:
-    """Source, generated folder, record and seed of the first event of a kind that comes about; None where none does."""
+def config_of(kind: str, seed: int) -> Config:
+    """The request for one event of a kind and nothing else."""
+    asked = Event.model_validate({"kind": kind, "target": "any", "at_s": AT_S[kind]})
+    return Config(request=Request(agents=0, seed=seed), event=(asked,))
+
+
+def found(kind: str, out: Path) -> Iterator[tuple[Path, Path, EventRecord, int]]:
+    """Source, generated folder, record and seed of events of a kind, of the first seed with which any comes about."""
     for seed in range(SEEDS):
-        for folder in folders:
-            config = Config(
-                request=Request(agents=0, seed=seed),
-                event=(Event.model_validate({"kind": kind, "target": "any", "at_s": (1.5, 6.0)}),),
-            )
+        some = False
+        for folder in find_scenarios(DATA / "av2"):
+            config = config_of(kind, seed)
             scene = generate(prepare(read_scenario(folder), config), config)
             (event,) = scene.sidecar.events
             if event.status == "done":
-                return folder, write(scene, out), event, seed
-    return None
+                some = True
+                yield folder, write(scene, out), event, seed
+        if some:
+            return
+
+
+def picture(folder: Path, event: EventRecord) -> Figure:
+    """Three moments of an event."""
+    scenario = read_scenario(folder)
+    tracks = {track.track_id: track for track in scenario.tracks}
+    own, target = tracks[str(event.track_id)], tracks[str(event.target_track_id)]
+    figure = Figure(figsize=(15.0, 5.2), layout="constrained")
+    assert event.at_s is not None
+    moments = [max(0.0, event.at_s - AROUND_S), event.at_s, event.at_s + AROUND_S]
+    for axes, at_s in zip(figure.subplots(1, 3), moments, strict=True):
+        step = min(round(at_s / scenario.step_s), scenario.num_steps - 1)
+        draw_scene(axes, scenario, step=step, agent=own.track_id)
+        row, here = _row(target, step), _row(own, step)
+        if here is not None:
+            x, y = own.position[here].tolist()
+            apart = 0.0 if row is None else float(np.abs(target.position[row] - own.position[here]).max())
+            half = min(max(GROUND_M, apart + BEYOND_M), 2 * GROUND_M)
+            axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
+        if row is not None:
+            axes.annotate(
+                "target", target.position[row], xytext=(0, -26), textcoords="offset points", ha="center",
+                arrowprops={"arrowstyle": "-", "lw": 0.8}, zorder=20, annotation_clip=True,
+            )  # fmt: skip
+        axes.set_title(f"{step * scenario.step_s:.1f} s")
+    return figure
+
+
+def _row(track: Track, step: int) -> int | None:
+    rows = [row for row, at in enumerate(track.timesteps.tolist()) if at == step]
+    return rows[0] if rows else None
+
+
+def told(event: EventRecord) -> str:
+    """What was measured of an event, in words."""
+    way = (
+        f"{event.gap_m:.1f} m from its bumper to the conflict point"
+        if event.kind == "cross"
+        else f"gap {event.gap_m:.1f} m"
+    )
+    difference = f"{event.speed_difference_mps:+.1f} m/s against the target"
+    pet = "" if event.pet_s is None else f", PET {event.pet_s:.1f} s"
+    ttc = "" if event.min_ttc_s is None else f", smallest TTC {event.min_ttc_s:.1f} s"
+    return f"at {event.at_s:.1f} s, {way}, {difference}{pet}{ttc}"
+
+
+def command_of(source: Path, kind: str, seed: int) -> str:
+    """The command that writes the scene of a picture."""
+    low, high = AT_S[kind]
+    where = source.relative_to(DATA.parent)
+    return f"hid2 generate {where} -o out --agents 0 --seed {seed} --event {kind} --target any --at {low:g}:{high:g}"
 
 
 def main() -> None:
     """Make the page and its pictures."""
     figures.style()
     PICTURES.mkdir(exist_ok=True)
-    lines = [
-        "# Events", "", "A picture of each kind of event, in the synthetic scenes of this folder. `python",
-        "data/make_gallery.py` writes this page; the same event comes of the command below its picture. The ring marks",
-        "the inserted vehicle at the last observed step; the target is recorded and does not react.", "",
-    ]  # fmt: skip
+    lines = [_HEAD.format(around=AROUND_S)]
     with tempfile.TemporaryDirectory() as scratch:
-        for kind in get_args(Event.model_fields["kind"].annotation):
-            found = first_of(kind, find_scenarios(DATA / "av2"), Path(scratch))
-            lines += [f"## {kind}", ""]
-            if found is None:
-                lines += [f"The vehicle {SEEN[kind]}. None of these scenes has room for it.", ""]
-                continue
-            source, folder, event, seed = found
-            figure = scene_figure(folder, agent=event.track_id)
-            figure.savefig(PICTURES / f"{kind}.png", dpi=70, metadata={"Software": None})
-            asked = f"--agents 0 --seed {seed} --event {kind} --target any --at 1.5:6"
-            measured = f"{event.gap_m:.1f} m from the target at {event.at_s:.1f} s"
+        for kind in KINDS:
+            ways = list(found(kind, Path(scratch) / kind))
+            if not ways:
+                raise SystemExit(f"{kind}: none of the scenes has one with seeds 0 to {SEEDS - 1}")
+            source, folder, event, seed = min(ways, key=lambda one: one[2].gap_m or 0.0)
+            buffer = io.BytesIO()
+            picture(folder, event).savefig(buffer, dpi=100, metadata={"Software": None})
+            image = Image.fromarray(iio.imread(buffer.getvalue())[..., :3])
+            image.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
+            reduced(image, COLORS).save(PICTURES / f"{kind}.png", optimize=True)
             lines += [
-                f"![{kind}](events/{kind}.png)", "",
-                f"The vehicle {SEEN[kind]}, track {event.target_track_id}: {measured}, {event.tries} tried.", "",
-                f"    hid2 generate data/av2/{source.parent.name}/{source.name} -o out {asked}", "",
-            ]  # fmt: skip
-            print(kind, source.name, measured, file=sys.stderr)
+                f"## {kind}\n",
+                f"The vehicle {SEEN[kind]}, track {event.target_track_id}: {told(event)}.\n",
+                f"![{kind}: the vehicle {SEEN[kind]}](events/{kind}.png)\n",
+                f"    {command_of(source, kind, seed)}\n",
+            ]
+            print(kind, source.name, told(event), file=sys.stderr)
     PAGE.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
 
 

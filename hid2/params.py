@@ -473,15 +473,15 @@ class Event(_Section):
     """One kind of event that is asked for in a scene: `[[event]]` in TOML, `--event` on the command line.
 
     Bands are (least, largest). gap_m: bumper to bumper at the moment of the event (cross: from the target's bumper to
-    the conflict point), None: `gap_band_m`; speed_difference_mps: vehicle minus target; ttc_s, pet_s, drac_mps2:
-    criticality, None: what the critical values of `conflict` allow.
+    the conflict point), None: `gap_band_m`; speed_difference_mps: vehicle minus target, None: `difference_band_mps`;
+    ttc_s, pet_s, drac_mps2: criticality, None: what the critical values of `conflict` allow.
     """
 
     kind: Literal["cut_in", "overtake", "lead", "follow", "merge", "cross"]
     target: str = Field(default="av", min_length=1, max_length=100)
     at_s: Band = (2.0, 7.0)
     gap_m: Band | None = None
-    speed_difference_mps: Band = (-6.0, 6.0)
+    speed_difference_mps: Band | None = None
     brakes_mps2: float = Field(default=0.0, ge=0, le=4.05)
     ttc_s: Band | None = None
     pet_s: Band | None = None
@@ -492,6 +492,11 @@ class Event(_Section):
     def gap_band_m(self) -> Band:
         """Gap asked for; where none is, what is usual for the kind."""
         return self.gap_m or ((0.0, 100.0) if self.kind == "cross" else (4.0, 30.0))
+
+    @property
+    def difference_band_mps(self) -> Band:
+        """Speed difference asked for; where none is, what is usual for the kind: ways that cross are apart in speed."""
+        return self.speed_difference_mps or ((-40.0, 40.0) if self.kind == "cross" else (-6.0, 6.0))
 
     @field_validator("at_s", "gap_m", "speed_difference_mps", "ttc_s", "pet_s", "drac_mps2", mode="before")
     @classmethod

@@ -80,14 +80,18 @@ class Scene:
         return self._paths[route]
 
     def path_beside(self, own: Route, lane_id: int) -> DrivenPath:
-        """Path of l', beside the lanes that are left of an own route; its route is looked for once."""
+        """Path of l', beside the lanes that are left of an own route."""
+        return self.path(self.route_beside(own, lane_id))
+
+    def route_beside(self, own: Route, lane_id: int) -> Route:
+        """Route of that path; looked for once."""
         key = own, lane_id
         if key not in self._routes_beside:
             lanes = self.grid.graph.lanes
             self._routes_beside[key] = route_beside(
                 self.grid.graph, own, lane_id, usable=lambda n: lanes[n].lane_type in DRIVABLE_TYPES
             )
-        return self.path(self._routes_beside[key])
+        return self._routes_beside[key]
 
     def recorded_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         """Intervals of the recorded agents on a path by their true future, (A, T + E)."""

@@ -27,7 +27,9 @@ class Start:
     """A request with a site and a driver: everything that decides how a vehicle begins.
 
     start_s m, of the box centre on the path; start_mps m/s; box: what is kept clear, size: what is exported; desired
-    (T,) m/s; sides: where it looks for a lane, in this order; keeps_route: no conflict makes it take another way.
+    (T,) m/s; sides: where it looks for a lane, in this order; is_held: whether its speed is the desired one, unless
+    somebody or the road is in the way, rather than what car following makes of it, and no conflict makes it take
+    another way.
     """
 
     vehicle_id: str
@@ -43,7 +45,7 @@ class Start:
     desired: FloatArray
     offset: LaneOffset
     sides: tuple[Side, ...]
-    keeps_route: bool = False
+    is_held: bool = False
 
 
 @dataclass(frozen=True, slots=True)

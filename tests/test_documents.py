@@ -5,10 +5,12 @@ import runpy
 import shlex
 import subprocess
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 import bridge
+from hid2.params import Event
 from hid2.reasons import Reason
 
 ROOT = Path(__file__).parents[1]
@@ -134,6 +136,22 @@ def test_every_command_line_of_a_page_is_understood(name: str) -> None:
         arguments = [re.sub(r"^(EXPERIMENT)$", "density", word) for word in words[1:]]
         context = command.make_context(words[0], arguments, parent=typer.Context(group))
         assert context.args == [], line
+
+
+def test_gallery_shows_every_kind_of_event_with_its_picture_and_its_command() -> None:
+    """A heading, a picture that is there and a command that asks for it, for each kind that can be asked for."""
+    page = (ROOT / "data" / "EVENTS.md").read_text(encoding="utf-8")
+    _, *parts = re.split(r"^## ", page, flags=re.MULTILINE)
+    kinds = get_args(Event.model_fields["kind"].annotation)
+    assert [part.split("\n")[0] for part in parts] == list(kinds)
+    for kind, part in zip(kinds, parts, strict=True):
+        (picture,) = re.findall(r"!\[.*\]\((.*)\)", part)
+        (command,) = COMMAND.findall(part)
+        assert picture == f"events/{kind}.png"
+        assert (ROOT / "data" / picture).stat().st_size < 120_000
+        assert f"--event {kind} " in command
+        assert (ROOT / command.split()[2]).is_dir(), "the source of a picture is in the repository"
+    assert {path.stem for path in (ROOT / "data" / "events").glob("*.png")} == set(kinds)
 
 
 def test_readme_is_short_and_its_pictures_are_small() -> None:

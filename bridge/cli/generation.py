@@ -140,7 +140,7 @@ def generate(  # noqa: PLR0913  # one for each option
         typer.Option(
             metavar="A:B",
             help="Own speed minus the target's at that moment, in m/s.",
-            show_default="-6:6",
+            show_default="-6:6, cross any",
             rich_help_panel=EVENTS,
         ),
     ] = None,

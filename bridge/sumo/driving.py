@@ -34,6 +34,9 @@ _BINDS_MPS = 0.05  # book-keeping: a limit this close to the speed driven is wha
 _TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
 #: Refusals of a gap in which waiting for those beside to go ahead helps.
 _LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
+#: Who is held to a speed would like to drive so much faster, m/s: a leader at a usual gap does not slow it then.
+_HELD_MPS = 5.0
+_ACROSS_MORE_S = 0.5  # it is looked at for so long beyond its change of lanes
 _HELD_BY_GUARD = frozenset({"conflict", "signal", "crossing"})
 
 
@@ -360,9 +363,10 @@ class Driving:
                 limit = eased, held[1]
         self._limit[row] = limit if limit[0] < desired - 1e-3 else None
         held = self._limit[row]
-        self.simulation.drive(
-            vehicle.vehicle_id, desired_mps=desired, limit_mps=None if held is None else max(0.0, held[0])
-        )
+        limit_mps = None if held is None else max(0.0, held[0])
+        if vehicle.start.is_held:
+            limit_mps, desired = desired if limit_mps is None else min(limit_mps, desired), desired + _HELD_MPS
+        self.simulation.drive(vehicle.vehicle_id, desired_mps=desired, limit_mps=limit_mps)
         return attempts
 
     def _road_speed(self, row: int, s: float, v: float) -> float:
@@ -449,7 +453,7 @@ class Driving:
 
         Only who is to go straight: another way is no longer the turn or the change of lanes that was asked for.
         """
-        stays = vehicle.start.keeps_route or vehicle.policy is not Policy.STRAIGHT
+        stays = vehicle.start.is_held or vehicle.policy is not Policy.STRAIGHT
         if stays or self._reroutes_tried[row] is vehicle.path:
             return None
         self._reroutes_tried[row] = vehicle.path
@@ -622,12 +626,15 @@ class Driving:
 
     def _meets_on(self, row: int, vehicle: DrivenVehicle, now: int, path: DrivenPath) -> bool:
         """Whether a path across has a predicted conflict that ordinary braking does not solve."""
-        obstacles = self._guard.obstacles(path, vehicle.start.box, self._others(row))
+        obstacles, start = self._guard.obstacles(path, vehicle.start.box, self._others(row)), vehicle.start
+        across_s, wished = self.scene.config.driving.across_s, now
+        if start.is_held:  # planned among everybody known: it will go as fast as it wishes
+            across_s = min(across_s, start.driver.lane_change_s + _ACROSS_MORE_S)
+            wished = min(now + self.scene.steps_in(across_s), start.desired.size - 1)
         found = self._guard.braking(
             self._who_does_not_yield(obstacles, row, path, now), own=row, step=now, fleet=self._state,
-            state=(vehicle.s[-1], vehicle.v[-1], 0.0), desired_mps=float(vehicle.start.desired[now]),
-            road=self.roads.speeds(path, vehicle.start.driver), driver=vehicle.start.driver,
-            horizon_s=self.scene.config.driving.across_s,
+            state=(vehicle.s[-1], vehicle.v[-1], 0.0), desired_mps=float(start.desired[wished]),
+            road=self.roads.speeds(path, start.driver), driver=start.driver, horizon_s=across_s,
         )  # fmt: skip
         return found.conflict_s is not None or found.run_into or found.decel_mps2 > vehicle.start.driver.decel_mps2
 

@@ -14,7 +14,7 @@ from typing import get_args
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
+from hid2.agents import DEFAULT_SIZES, Policy
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import draw_driver, lane_offset
 from hid2.insertion.event_plans import CHANGE_S, Plan, Planner, Target, target_of
@@ -29,7 +29,6 @@ from hid2.measures.following import leaders
 from hid2.measures.lane_matching import FlatLanes, Matches, match_lanes
 from hid2.measures.manoeuvres import ManeuverKind, detect
 from hid2.motion.reference_line import TABLE_STEP_M
-from hid2.motion.verify import first_overlap
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Event
 from hid2.policy.roads import Roads
@@ -45,15 +44,13 @@ _POLICY = {"cut_in": Policy.LANE_CHANGE, "overtake": Policy.OVERTAKE}
 _MEETS_CROSSING = frozenset({"cross", "merge"})
 _PLANS_MOST = 600  # that are looked at closely
 _SAME_PLAN = 3  # times that a plan is tried, with a better start each time
+_ALIKE = 0.12  # score of a trait that a plan shares with one that has failed
 _ROAD_SPARE_MPS = 0.4
-_LAG_S = 0.3  # SUMO's drivers answer to a wish for another speed so late
-_PLAN_MARGIN_M = 0.25
 _LOOKS_S = 0.5  # between looks at stop lines
-_AFTER_S = 1.0  # for so long after an event the road has to be free by plan
+_AFTER_S = 1.0  # for so long after an event no stop line may hold a vehicle by plan
 _STOPS_MPS2 = -0.4
 #: The driver of an event holds to its plan: a short time gap, and whatever acceleration the plan has.
 _TAU_S, _ACCEL_MPS2, _DECEL_MPS2, _MIN_GAP_M = 0.6, 2.2, 2.6, 1.2
-_HEADWAY_S = 0.9
 _LOG = logging.getLogger(__name__)
 
 
@@ -100,20 +97,22 @@ def scene_for(scene: Scene, event: Event) -> Scene:
     if event.kind in _MEETS_CROSSING:
         update["signals"] = config.signals.model_copy(update={"before_s": 0.0, "after_s": 0.0})
     if event.kind == "cut_in":
-        change = {"time_gap_rear_s": 0.0, "min_gap_m": 1.0, "braking_mps2": 9.0, "give_up_s": 0.6}
+        change = {
+            "time_gap_front_s": 0.3, "time_gap_rear_s": 0.0, "min_gap_m": 1.0, "braking_mps2": 9.0, "give_up_s": 0.6,
+        }  # fmt: skip
         update["lane_change"] = config.lane_change.model_copy(update=change)
     changed: Config = config.model_copy(update=update)
     return replace(scene, config=changed, _known={} if "pet_min_s" in critical else scene._known)
 
 
 def offered_events(scene: Scene, targets: Sequence[str]) -> tuple[str, ...]:
-    """Which events the map and the targets' ways have room for, as `kind:target`; who else is there is not asked.
+    """Which events the map, the targets' ways and recorded traffic have room for by plan, as `kind:target`.
 
     From second 1 on to 4 s before the end, a vehicle of usual size.
     """
     routes, roads = Routes(scene), Roads(scene)
     size = DEFAULT_SIZES["vehicle"]
-    planner = Planner(scene, routes, roads, size, clearance_box(size, size))
+    planner = Planner(scene, routes, roads, size, clearance_box(size, size), traffic_of_exported([], scene))
     at_s = 1.0, max(1.0, scene.last_s - 4.0)
     found = []
     for name in targets:
@@ -161,8 +160,9 @@ class EventSearch:
         if not targets:
             return EventOutcome(event, Reason.EVENT_NO_TARGET)
         object_type, size = draw_size(scene.config.request.model_copy(update={"bus_share": 0.0}), rng)
-        planner = Planner(scene, self.routes, self.roads, size, clearance_box(size, DEFAULT_SIZES[object_type]))
         fixed = traffic_of_exported(self.kept, scene)
+        box = clearance_box(size, DEFAULT_SIZES[object_type])
+        planner = Planner(scene, self.routes, self.roads, size, box, fixed)
         lines = StopLines(scene) if event.kind in _MEETS_CROSSING else self.stop_lines
         tries = 0
         for plan in self._plans(planner, event, targets, rng):
@@ -171,7 +171,7 @@ class EventSearch:
                 if best is None or tries >= scene.config.event_search.tries:
                     break
                 start = self._start(planner, best, number, tries, rng)
-                objection = self._objection(planner, lines, best, start, fixed)
+                objection = self._objection(planner, lines, best, start)
                 if objection is not None:
                     self.tried[objection] += 1
                     break
@@ -181,6 +181,8 @@ class EventSearch:
                     return replace(outcome, tries=tries)
             if tries >= scene.config.event_search.tries:
                 break
+        if not self.tried:
+            self.tried = planner.turned_down
         said = ", ".join(f"{reason} {count}" for reason, count in self.tried.most_common())
         _LOG.debug("event %s: %d tries; %s", event.kind, tries, said or "no plan")
         return EventOutcome(event, Reason.EVENT_NOT_AS_ASKED if tries else Reason.EVENT_NO_PLACE, tries=tries)
@@ -195,30 +197,40 @@ class EventSearch:
     def _plans(
         self, planner: Planner, event: Event, targets: Sequence[Target], rng: np.random.Generator
     ) -> Iterator[Plan]:
-        """Plans of all targets in turns, those of a target the likeliest first, with a little chance among them."""
-        lists = []
+        """Plans of all targets in turns, those of a target the likeliest first, with a little chance among them.
+
+        Those that are like one that was given out before come later.
+        """
+        lists, scores, traits = [], [], []
         for target in targets:
             plans = planner.plans(event, target)
-            score = np.array([plan.score for plan in plans]) + 0.15 * rng.random(len(plans))
-            lists.append([plans[row] for row in np.argsort(score, kind="stable").tolist()])
-        for place in range(min(_PLANS_MOST, max((len(plans) for plans in lists), default=0))):
-            for plans in lists:
-                if place < len(plans):
-                    yield plans[place]
+            lists.append(plans)
+            scores.append(np.array([plan.score for plan in plans]) + 0.02 * rng.random(len(plans)))
+            traits.append(np.array([plan.traits for plan in plans]))
+        for _ in range(_PLANS_MOST):
+            if not any(score.size and np.isfinite(score.min()) for score in scores):
+                return
+            for plans, score, trait in zip(lists, scores, traits, strict=True):
+                if score.size and np.isfinite(score.min()):
+                    row = int(np.argmin(score))
+                    yield plans[row]
+                    score += _ALIKE * np.mean(trait == trait[row], axis=1)
+                    score[row] = np.inf
 
     def _start(self, planner: Planner, plan: Plan, number: int, tries: int, rng: np.random.Generator) -> Start:
         """A driver who holds to a plan, at its site."""
         scene = self.scene
         path = scene.path(plan.route)
-        fastest = float(plan.speeds.max())
+        # a path across is laid out at a pace between its speed and the one that it likes
+        v = max(float(plan.speeds[scene.steps_in(plan.trigger_s)]), scene.config.lane_change.min_speed_mps)
+        change_s = plan.change_s * v / (0.5 * (v + max(v, plan.cruise_mps)))
         driver = replace(
-            draw_driver(scene.config, rng, lane_speed_mps=fastest), desired_mps=fastest, tau_s=_TAU_S,
+            draw_driver(scene.config, rng, lane_speed_mps=plan.cruise_mps), desired_mps=plan.cruise_mps, tau_s=_TAU_S,
             turn_lateral_mps2=scene.config.drivers.turn_lateral_max_mps2, accel_mps2=_ACCEL_MPS2,
             decel_mps2=max(_DECEL_MPS2, plan.event.brakes_mps2), min_gap_m=_MIN_GAP_M,
-            lane_change_s=CHANGE_S,
+            lane_change_s=change_s if plan.side is not None else CHANGE_S,
         )  # fmt: skip
-        lag = scene.steps_in(_LAG_S)
-        desired = np.concatenate([plan.speeds[lag:], np.repeat(plan.speeds[-1:], lag)])
+        desired = np.append(plan.speeds[1:], plan.speeds[-1:])  # the wish at a step is for the next one
         policy = _POLICY.get(plan.event.kind, Policy.STRAIGHT)
         return Start(
             vehicle_id=f"e{number}_{tries}",
@@ -226,13 +238,15 @@ class EventSearch:
             size=planner.size, box=planner.box, route=plan.route, path=path, start_s=plan.start_s,
             start_mps=float(plan.speeds[0]), driver=driver, desired=np.maximum(desired, 0.2),
             offset=lane_offset(driver, scene.config, rng, length_m=path.line.length_m),
-            sides=("left", "right") if plan.side is None else (plan.side,), keeps_route=True,
+            sides=("left", "right") if plan.side is None else (plan.side,), is_held=True,
         )  # fmt: skip
 
-    def _objection(self, planner: Planner, lines: StopLines, plan: Plan, start: Start, fixed: Traffic) -> Reason | None:
-        """What road, stop lines and everybody known have against a plan before SUMO is asked; None for nothing."""
+    def _objection(self, planner: Planner, lines: StopLines, plan: Plan, start: Start) -> Reason | None:
+        """What road and stop lines have against a plan before SUMO is asked; None for nothing."""
         scene, path = planner.scene, start.path
         until = min(plan.at_step + scene.steps_in(_AFTER_S), scene.num_steps)
+        if plan.side is not None:  # then it is on another path
+            until = scene.steps_in(plan.trigger_s) + 1
         way = plan.way
         if way[0] < 0.5 * start.box.length_m:
             return Reason.NO_SITE
@@ -245,23 +259,7 @@ class EventSearch:
             stop = closed.braking(start.driver, s=float(way[step]), speed_mps=float(plan.speeds[step]), step=step)
             if stop is not None and stop[0] < _STOPS_MPS2:
                 return Reason.CONFLICT_PREDICTED
-        if plan.event.kind == "overtake":  # the plan goes straight through its leader
-            return None
-        planned = planner.trajectory(plan)
-        everybody = (scene.traffic, fixed.first(scene.num_steps)) if fixed.ids else (scene.traffic,)
-        if any(first_overlap(planned, start.box, others, margin_m=_PLAN_MARGIN_M) is not None for others in everybody):
-            return Reason.MEETS_RECORDED
-        # until the event nobody may be so near ahead that the driver would fall behind the plan
-        head_m = _MIN_GAP_M + _HEADWAY_S * float(plan.speeds[:until].mean())
-        forward = np.stack([np.cos(planned.heading), np.sin(planned.heading)], axis=1)
-        ahead = replace(
-            planned, position=np.ascontiguousarray((planned.position + 0.5 * head_m * forward)[:until]),
-            heading=planned.heading[:until], velocity=planned.velocity[:until], s=planned.s[:until],
-        )  # fmt: skip
-        longer = BoxSize(start.box.length_m + head_m, start.box.width_m)
-        rows = [row for row in range(len(scene.traffic.ids)) if row != plan.target.row or plan.order > 0]
-        known = scene.traffic.rows(rows)
-        return None if first_overlap(ahead, longer, known, margin_m=0.0) is None else Reason.FRONT_GAP
+        return None
 
     def _drive(
         self, scene: Scene, lines: StopLines, plan: Plan, start: Start, fixed: Traffic, drive: DriveAlone
@@ -348,7 +346,7 @@ def _is_as_asked(scene: Scene, event: Event, seen: _Seen) -> bool:
     within = [
         (seen.at_step * scene.step_s, (event.at_s[0] - spare, event.at_s[1] + spare)),
         (found.gap_m, event.gap_band_m),
-        (found.speed_difference_mps, event.speed_difference_mps),
+        (found.speed_difference_mps, event.difference_band_mps),
     ]
     if event.ttc_s is not None:
         within.append((np.inf if found.min_ttc_s is None else found.min_ttc_s, event.ttc_s))

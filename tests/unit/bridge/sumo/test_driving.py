@@ -149,7 +149,7 @@ def test_conflict_that_no_timing_solves_is_answered_by_another_way_at_the_next_s
     assert isinstance(finalise(scene, one, nobody(scene.future.num_steps)), ExportedVehicle)
 
 
-@pytest.mark.parametrize("stays", [{"keeps_route": True}, {"policy": Policy.LANE_CHANGE}])
+@pytest.mark.parametrize("stays", [{"is_held": True}, {"policy": Policy.LANE_CHANGE}])
 def test_who_was_asked_for_more_than_to_go_straight_keeps_the_way(
     stays: dict[str, Any], drive: Callable[..., Driving]
 ) -> None:

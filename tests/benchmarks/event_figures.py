@@ -1,0 +1,356 @@
+"""Which events come about on real scenes: kind by target by moment, with what it costs. A script, no test:
+
+    python tests/benchmarks/event_figures.py --kinds cut_in cross --targets av focal --ttc 1.5:3 [ROOT ...]
+
+Targets: av, focal, track ids, or `moving` for every recorded vehicle that moves.
+
+offered  the map has room for it, whoever is there (`offers`); beside: for a cut_in, the same whatever the marking
+came     it came about, and is seen again in the exported positions by the rules below, which share nothing with the
+         search
+floors   processor time of the event alone, over that of the bare libsumo floor (test_generate_ratio.py)
+"""
+
+import argparse
+import logging
+import os
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+from test_generate_ratio import run_floor
+
+from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare
+from bridge.recordings.folders import find_scenarios
+from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sidecar import EventRecord
+from bridge.sumo.poses import sumo_poses
+from hid2.agents import FloatArray, Track
+from hid2.insertion.event_plans import Target, target_of
+from hid2.insertion.meetings import moving_vehicles, named_rows
+from hid2.measures.encounters import CROSSING_RAD
+from hid2.occupancy.traffic import BoolArray
+from hid2.params import Config, Event, Request
+from hid2.scene import DRIVABLE_TYPES, Scene
+from netconvert.geometry import Polyline
+
+KINDS = get_args(Event.model_fields["kind"].annotation)
+MOMENTS_S = (2.0, 4.0, 6.0)
+#: Nothing is asked for later than this before the end, s; so long a lane has to lie beside the target's path.
+BEFORE_END_S, BESIDE_S = 4.0, 4.0
+#: A conflict point or merge this long before or after the moment can be met then, s.
+REACH_S = 5.0
+#: Off the target's path, m: in its lane at most, in the lane beside at least; how far over at the moment, share.
+ON_M, BESIDE_M, HALF_WAY = 1.3, 2.2, (0.2, 0.8)
+OVERLAP_M = 2.0  # boxes overlap across, nearly
+MOMENT_S, SPARE_M = 0.7, 1.5
+
+
+class Said(logging.Handler):
+    """What the search says of what it tried."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.DEBUG)
+        self.last = ""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if isinstance(record.args, tuple) and len(record.args) == 3:
+            self.last = str(record.args[2])
+
+
+# what the map offers
+
+
+def offers(scene: Scene, target: Target, kind: str, at_s: float, gap_m: tuple[float, float]) -> bool:
+    """Whether map and target's way have room for an event at a moment, whoever else is there."""
+    step_s, at = scene.step_s, round(at_s / scene.step_s)
+    if not target.present[at] or target.lane_at(at) is None:
+        return False
+    lengths = 0.5 * (4.5 + target.track.size.length_m)
+    if kind in ("lead", "follow"):
+        return True
+    if kind == "cut_in":
+        return lies_beside(scene, target, at, round(BESIDE_S / step_s)) and may_come_over(scene, target, at, gap_m)
+    if kind == "overtake":  # out, past, and back at the moment asked for
+        mean = float(target.speed[target.present].mean())
+        return mean < 12.0 and lies_beside(scene, target, at // 2, at)
+    graph = scene.grid.graph
+    lanes = graph.lanes
+    reach = round(REACH_S / step_s)
+    if kind == "merge":
+        for (source, _, _), (lane, entered, _) in zip(target.runs, target.runs[1:], strict=False):
+            others = [n for n in graph.predecessors(lane) if n != source and lanes[n].lane_type in DRIVABLE_TYPES]
+            apart = abs(float(target.way[entered] - target.way[at])) - lengths
+            if source in graph.predecessors(lane) and others and gap_m[0] <= apart <= gap_m[1]:
+                return True
+        return False
+    steps = np.flatnonzero(target.present)
+    steps = steps[np.abs(steps - at) <= reach]
+    own = {lane for lane, _, _ in target.runs}
+    for number, lane in lanes.items():
+        if number in own or lane.lane_type not in DRIVABLE_TYPES or len(steps) < 2:
+            continue
+        if crossing(target.position[steps], lane.path.xy(np.arange(0.0, lane.length_m, 1.0), 0.0)) is not None:
+            return True
+    return False
+
+
+def lies_beside(scene: Scene, target: Target, at: int, lasting: int) -> bool:
+    """Whether lanes of the same direction lie beside those of the target, on one side, around a step."""
+    first, last = max(0, at - lasting // 2), min(scene.num_steps - 1, at + lasting // 2)
+    graph = scene.grid.graph
+    for side in ("left", "right"):
+        found = True
+        for step in range(first, last + 1):
+            lane = target.lane_at(step)
+            beside = None if lane is None else graph.neighbor(lane, side)
+            found = found and beside is not None and graph.lanes[beside].lane_type in DRIVABLE_TYPES
+        if found:
+            return True
+    return False
+
+
+def may_come_over(scene: Scene, target: Target, at: int, gap_m: tuple[float, float]) -> bool:
+    """Whether the marking lets somebody come over from a lane beside, where a vehicle at a gap asked for would be."""
+    graph, lengths = scene.grid.graph, 0.5 * (4.5 + target.track.size.length_m)
+    for step in range(at, scene.num_steps):
+        if not gap_m[0] + lengths <= target.way[step] - target.way[at] <= gap_m[1] + lengths:
+            continue
+        lane = target.lane_at(step)
+        for side, back in (("left", "right"), ("right", "left")):
+            beside = None if lane is None else graph.neighbor(lane, side)
+            if (
+                beside is not None
+                and graph.lanes[beside].lane_type in DRIVABLE_TYPES
+                and graph.may_change(beside, back)
+            ):
+                return True
+    return False
+
+
+# what is seen in exported positions
+
+
+def crossing(a: FloatArray, b: FloatArray) -> tuple[int, int] | None:
+    """Rows of two ways (N, 2) m at which they first cut each other steeply."""
+    u, w = np.diff(a, axis=0), np.diff(b, axis=0)
+    det = u[:, None, 0] * w[None, :, 1] - u[:, None, 1] * w[None, :, 0]
+    off = b[None, :-1] - a[:-1, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (off[..., 0] * w[None, :, 1] - off[..., 1] * w[None, :, 0]) / det
+        r = (off[..., 0] * u[:, None, 1] - off[..., 1] * u[:, None, 0]) / det
+    lengths = np.hypot(*u.T)[:, None] * np.hypot(*w.T)[None]
+    steep = np.abs(det) > np.sin(CROSSING_RAD) * lengths
+    hits = np.argwhere((t >= 0) & (t <= 1) & (r >= 0) & (r <= 1) & steep)
+    return (int(hits[0, 0]), int(hits[0, 1])) if len(hits) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Own place relative to the way of the target, where both are there: s ahead, m, and d to the left, m, by step.
+
+    beyond: where the way of the target has ended, so that nothing is known of what is aside.
+    """
+
+    steps: FloatArray
+    ahead: FloatArray
+    aside: FloatArray
+    beyond: BoolArray
+
+    @staticmethod
+    def of(own: Track, target: Track) -> "Pair":
+        """The way of the target goes on straight beyond its ends."""
+        moved = np.concatenate([[True], np.hypot(*np.diff(target.position, axis=0).T) > 0.05])
+        way = target.position[moved]
+        ends = [
+            way[row] + sign * 100.0 * np.array([np.cos(target.heading[row_h]), np.sin(target.heading[row_h])])
+            for row, row_h, sign in ((0, 0, -1.0), (-1, -1, 1.0))
+        ]
+        line = Polyline(np.concatenate([ends[:1], way, ends[1:]]))
+        steps = np.intersect1d(own.timesteps, target.timesteps)
+        own_xy = own.position[np.searchsorted(own.timesteps, steps)]
+        target_xy = target.position[np.searchsorted(target.timesteps, steps)]
+        (s, d), (target_s, _) = line.frenet(own_xy), line.frenet(target_xy)
+        ended = line.length_m - 100.0
+        return Pair(steps, s - target_s, d, s > ended + 0.5)
+
+
+def seen(kind: str, own: Track, target: Track, record: EventRecord, gap_m: tuple[float, float], step_s: float) -> str:
+    """What is missing of an event in the exported positions; empty where nothing is."""
+    assert record.at_s is not None
+    at, lengths = round(record.at_s / step_s), 0.5 * (own.size.length_m + target.size.length_m)
+    if kind == "cross":
+        rows = crossing(own.position, target.position)
+        if rows is None:
+            return "paths do not cross"
+        here = abs(int(own.timesteps[rows[0]]) - at) * step_s <= MOMENT_S
+        first = own.timesteps[rows[0]] < target.timesteps[rows[1]]
+        return "" if here and first == record.ahead else f"crosses at {own.timesteps[rows[0]] * step_s:.1f} s"
+    pair = Pair.of(target, own) if kind == "follow" else Pair.of(own, target)
+    row = int(np.searchsorted(pair.steps, at))
+    if row >= len(pair.steps) or pair.steps[row] != at:
+        return "not both there"
+    gap, aside = float(pair.ahead[row]), np.abs(pair.aside)
+    before, after = aside[: row + 1], aside[row:]
+    if kind == "overtake":
+        passed = pair.ahead[0] < 0 < gap and before.max() > BESIDE_M and aside[0] < ON_M
+        return "" if passed else f"from {pair.ahead[0]:.1f} to {gap:.1f} m, {before.max():.1f} m aside"
+    if kind in ("cut_in", "lead", "follow") and gap < 0.0:
+        return f"{gap:.1f} m behind"
+    if not gap_m[0] - SPARE_M <= abs(gap) - lengths <= gap_m[1] + SPARE_M:
+        return f"gap {abs(gap) - lengths:.1f} m"
+    if kind == "cut_in":
+        over = (aside[row] - after.min()) / max(before.max() - after.min(), 1e-9)
+        done = before.max() > BESIDE_M and after.min() < ON_M and HALF_WAY[0] < over < HALF_WAY[1]
+        return "" if done else f"aside {before.max():.1f}, {aside[row]:.1f}, {after.min():.1f} m"
+    if kind == "merge":
+        done = after.min() < ON_M and before.max() > after.min() + 0.5
+        return "" if done else f"aside {before.max():.1f}, then {after.min():.1f} m"
+    return "" if aside[row] < OVERLAP_M or pair.beyond[row] else f"{aside[row]:.1f} m aside"
+
+
+# the table
+
+
+@dataclass(frozen=True)
+class Row:
+    """One event that was asked for."""
+
+    scene: str
+    kind: str
+    target: str
+    at_s: float
+    offered: bool
+    beside: bool
+    came: bool
+    missing: str
+    tries: int
+    floors: float
+    said: str
+    measures: str
+
+    def __str__(self) -> str:
+        came = "came" if self.came else "-"
+        return (
+            f"{self.scene} {self.kind:8} {self.target:5} {self.at_s:.0f} s {'offered' if self.offered else '-':7} "
+            f"{came:4} {self.tries:3} tries {self.floors:5.1f} floors  {self.measures or self.said}{self.missing}"
+        )
+
+
+def floor_s(prepared: PreparedScene, scene: Scene) -> float:
+    """Processor time of the bare floor of a scene, s."""
+    front, angle = sumo_poses(scene.traffic.position, scene.traffic.heading, scene.traffic.length_m[:, None])
+    with tempfile.TemporaryDirectory() as beside:
+        net = Path(beside) / "scene.net.xml"
+        net.write_bytes(prepared.net)
+        taken = []
+        for _ in range(3):
+            begun = time.process_time()
+            run_floor(net, scene.traffic, front, angle, [])
+            taken.append(time.process_time() - begun)
+    return min(taken)
+
+
+def measure(folder: Path, kinds: Sequence[str], targets: Sequence[str], ttc_s: object, said: Said) -> list[Row]:
+    """All events of one scene, each asked for alone."""
+    prepared = prepare(read_scenario(folder), Config())
+    plain = Config(request=Request(agents=0, seed=0))
+    scene = prepared.surroundings(plain).scene
+    generate(prepared, plain)
+    begun = time.process_time()
+    generate(prepared, plain.model_copy(update={"request": Request(agents=0, seed=1)}))
+    base_s, floor = time.process_time() - begun, floor_s(prepared, scene)
+    tracks = {track.track_id: track for track in prepared.scenario.tracks}
+    rows, moving = [], set(moving_vehicles(scene).tolist())
+    named = [
+        n for name in targets for n in ([scene.traffic.ids[r] for r in sorted(moving)] if name == "moving" else [name])
+    ]
+    for event in (
+        Event(kind=kind, target=target, at_s=(at_s, at_s), ttc_s=ttc_s)
+        for kind in kinds
+        for target in named
+        for at_s in MOMENTS_S
+    ):
+        row = next((r for r in named_rows(scene, event.target).tolist() if r in moving), None)
+        target = None if row is None else target_of(scene, row)
+        at = round(event.at_s[0] / scene.step_s)
+        if target is None or event.at_s[0] > scene.last_s - BEFORE_END_S or not target.present[at]:
+            continue
+        said.last, begun = "", time.process_time()
+        made: GeneratedScene = generate(prepared, plain.model_copy(update={"event": (event,)}))
+        taken = time.process_time() - begun - base_s
+        (record,) = made.sidecar.events
+        missing, measures = "", ""
+        if record.status == "done":
+            own = next(track for track in made.generated if track.track_id == record.track_id)
+            missing = seen(event.kind, own, tracks[str(record.target_track_id)], record, event.gap_band_m, scene.step_s)
+            missing = f" NOT SEEN AGAIN: {missing}" if missing else ""
+            measures = (
+                f"at {record.at_s} s, gap {record.gap_m} m, {record.speed_difference_mps} m/s, TTC {record.min_ttc_s}"
+            )
+        rows.append(
+            Row(
+                folder.name[:8], event.kind, event.target, event.at_s[0],
+                offers(scene, target, event.kind, event.at_s[0], event.gap_band_m),
+                lies_beside(scene, target, at, round(BESIDE_S / scene.step_s)),
+                record.status == "done" and not missing, missing, record.tries, max(0.0, taken) / floor, said.last,
+                measures,
+            )
+        )  # fmt: skip
+        print(rows[-1], flush=True)
+    return rows
+
+
+def summary(rows: Sequence[Row]) -> str:
+    """By kind and target: how many of those offered came about, and what they cost."""
+    lines = []
+    targets = list(dict.fromkeys(row.target for row in rows))
+    for kind in dict.fromkeys(row.kind for row in rows):
+        for target in (*(targets if len(targets) < 4 else ()), "all"):
+            some = [row for row in rows if row.kind == kind and target in (row.target, "all")]
+            offered = [row for row in some if row.offered]
+            came, floors = sum(row.came for row in offered), [row.floors for row in some] or [0.0]
+            lines.append(
+                f"{kind:8} {target:5} offered {len(offered):3} of {len(some):3} ({sum(r.beside for r in some)} with a "
+                f"lane beside), came about {came:3} = {came / max(1, len(offered)):.2f}; not offered but came "
+                f"{sum(r.came for r in some) - came}; not seen again {sum(bool(r.missing) for r in some)}; floors "
+                f"median {np.median(floors):.1f}, largest {max(floors):.1f}"
+            )
+        reasons: Counter[str] = Counter()
+        for row in rows:
+            if row.kind == kind and row.offered and not row.came:
+                for part in row.said.split(", "):
+                    name, _, count = part.rpartition(" ")
+                    reasons[name or part] += int(count) if count.isdigit() else 1
+        lines.append(f"{kind:8} what the others met: {', '.join(f'{n} {c}' for n, c in reasons.most_common(8))}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
+    parser.add_argument("--targets", nargs="+", default=["av", "focal"])
+    parser.add_argument("--ttc", help="band of TTC asked for, A:B in s")
+    parser.add_argument("--only", nargs="+", default=[""], help="scenes whose ids begin with one of these")
+    parser.add_argument("roots", type=Path, nargs="*", help="data-set roots, by default the shared real scenes")
+    options = parser.parse_args()
+    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
+    ttc = None if options.ttc is None else tuple(float(one) for one in options.ttc.split(":"))
+    said, log = Said(), logging.getLogger("hid2.insertion.events")
+    log.addHandler(said)
+    log.setLevel(logging.DEBUG)
+    log.propagate = False
+    rows = []
+    for folder in (one for root in options.roots or [shared / "av2"] for one in find_scenarios(root)):
+        if folder.name.startswith(tuple(options.only)):
+            rows += measure(folder, options.kinds, options.targets, ttc, said)
+    print(summary(rows))
+
+
+if __name__ == "__main__":
+    main()

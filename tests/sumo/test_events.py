@@ -1,0 +1,53 @@
+"""Events in a synthetic scene, seen in the exported positions."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bridge import find_scenarios, generate, prepare, read_scenario
+from bridge.generation.generate import GeneratedScene
+from hid2.params import Config, Event, Request
+from netconvert.geometry import Polyline
+
+#: A wide road: three lanes one way.
+ARTERIAL = "c58d7c2e"
+
+
+def made(data_root: Path, **asked: object) -> GeneratedScene:
+    """The scene of the wide road with one event before the recording vehicle, and nothing else."""
+    folder = next(one for one in find_scenarios(data_root) if one.name.startswith(ARTERIAL))
+    config = Config(request=Request(agents=0), event=(Event.model_validate({"kind": "cut_in", **asked}),))
+    return generate(prepare(read_scenario(folder), config), config)
+
+
+def test_cut_in_comes_over_before_the_target_at_the_time_asked_for(data_root: Path) -> None:
+    """At 4 s +- 0.5 s: a lane beside the target's way 1.7 s before, on it 1.7 s after, ahead by 4 to 30 m."""
+    scene = made(data_root, at_s=(4.0, 4.0))
+    (event,) = scene.sidecar.events
+    assert event.status == "done", event.reason
+    assert event.at_s == pytest.approx(4.0, abs=0.5)
+    own = scene.generated[0]
+    target = next(track for track in scene.scenario.tracks if track.track_id == event.target_track_id)
+    way = Polyline(target.position)
+    at = round(event.at_s * 10)
+    rows = [at - 17, at, at + 17]
+    (own_s, own_d), (target_s, _) = way.frenet(own.position[rows]), way.frenet(target.position[rows])
+    assert abs(own_d[0]) > 2.2
+    assert abs(own_d[2]) < 1.3
+    gap = own_s - target_s - 0.5 * (own.size.length_m + target.size.length_m)
+    assert np.all((gap > 3.5) & (gap < 30.5))
+
+
+def test_cut_in_has_the_criticality_asked_for(data_root: Path) -> None:
+    """The smallest TTC of the target is within 1.5 to 3 s."""
+    (event,) = made(data_root, at_s=(2.0, 7.0), ttc_s=(1.5, 3.0)).sidecar.events
+    assert event.status == "done", event.reason
+    assert event.min_ttc_s is not None
+    assert 1.5 <= event.min_ttc_s <= 3.0
+
+
+def test_event_that_the_road_has_no_room_for_is_not_driven(data_root: Path) -> None:
+    """Nobody is 90 m/s faster than a target: no plan, no try."""
+    (event,) = made(data_root, at_s=(4.0, 4.0), speed_difference_mps=(90.0, 91.0)).sidecar.events
+    assert (event.status, event.reason, event.tries) == ("not_feasible", "event_no_place", 0)
