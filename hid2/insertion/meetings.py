@@ -2,17 +2,22 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
-from hid2.agents import FloatArray, IntArray
+from hid2.agents import FloatArray, IntArray, Policy
+from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.measures.arrays import is_moving
-from hid2.measures.encounters import CROSSING_RAD, FOLLOWS_S, WITHIN_S
-from hid2.occupancy.traffic import BoolArray
-from hid2.scene import Scene
+from hid2.measures.encounters import CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S, NEAR_M, WITHIN_S
+from hid2.motion.route import Route
+from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.policy.turns import TURN_OF_POLICY
+from hid2.scene import MOVES_MPS, Scene
 from netconvert.cells import Cell
 from netconvert.errors import ScenarioError
+from netconvert.lane_graph import TurnType
 
 #: Recorded traffic is looked at so often, s: an estimate of where somebody would be needs no more.
 _EVERY_S = 0.5
@@ -22,10 +27,12 @@ _ON_CELL_M = 3.0
 _SURELY = 0.7
 #: A vehicle that keeps its speed all the time is estimated to be somewhat behind, as it brakes now and then.
 _PACE = 0.9
-#: Weights of a lane's cells are averaged over so many of its routes.
+#: Weights of a lane's cells are averaged over so many of its routes that turn alike.
 _ROUTES_MOST = 4
 #: A leader is estimated to lead from this gap between centres on, m, if it does for so many of the looks.
 _LEADS_FROM_M, _LEADS_LOOKS = 6.0, 3
+#: Weight of a site whose vehicle would be run into from behind by a recorded one, which does not brake: most fail.
+_RUN_INTO = 0.2
 #: Tracks of these categories are scored by whoever evaluates forecasts: scored ones and the focal one (Argoverse 2).
 _SCORED = (2, 3)
 _AFTER_CROSSING_S = 1.0  # who would be nearer to who crosses is kept from it
@@ -73,14 +80,22 @@ def moving_vehicles(scene: Scene) -> IntArray:
     )
 
 
-@dataclass(slots=True)
-class Meetings:
-    """What vehicles that start on the cells of a scene would meet at usual speed, in the order of the grid.
+class Outlook(NamedTuple):
+    """What vehicles that start on cells would meet at usual speed, in the order of the grid, or of a lane.
 
     weight (C,): of each cell, 0 where a vehicle would leave the map before the last observed step, and on lanes that
     cars do not drive on; leader (C,): whom a vehicle from there would follow, a number of its own, -1 nobody; near
     (C,): whether it would be near to a named target at the last observed step.
     """
+
+    weight: FloatArray
+    near: BoolArray
+    leader: IntArray
+
+
+@dataclass(slots=True)
+class Meetings:
+    """What vehicles that start on the cells of a scene would meet at usual speed; what is found out is kept."""
 
     scene: Scene
     routes: Routes
@@ -91,12 +106,12 @@ class Meetings:
     _target_xy: FloatArray = field(init=False)
     _target_there: BoolArray = field(init=False)
     _lane_cell: IntArray = field(init=False)
+    _number: IntArray = field(init=False)
     _crossed: dict[int, FloatArray] = field(init=False)
     _is_crossed: BoolArray = field(init=False)
-    weight: FloatArray = field(init=False)
-    leader: IntArray = field(init=False)
-    near: BoolArray = field(init=False)
-    _offer_weights: dict[int, list[float]] = field(default_factory=dict)
+    _pace_mps: FloatArray = field(init=False)
+    _outlooks: dict[TurnType, Outlook] = field(default_factory=dict)
+    _on_route: dict[tuple[int, int], Outlook] = field(default_factory=dict)
     _usual: dict[int, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -108,16 +123,16 @@ class Meetings:
         self._xy, self._there = traffic.position[moving][:, self._steps], traffic.present[moving][:, self._steps]
         self._target_xy = traffic.position[self._targets][:, self._steps]
         self._target_there = traffic.present[self._targets][:, self._steps]
-        cell = scene.occupancy.cell[moving][:, self._steps]
-        self._lane_cell = np.where(scene.occupancy.mapped[moving][:, self._steps], cell, -1)
+        rows = scene.vehicle_rows
+        cell = scene.occupancy.cell[rows][:, self._steps]
+        self._lane_cell = np.where(scene.occupancy.mapped[rows][:, self._steps], cell, -1)
+        self._number = np.full(len(traffic.ids), -1, dtype=np.int64)
+        self._number[moving] = np.arange(moving.size)
+        self._number = self._number[rows]
         self._crossed = self._crossings(moving)
         self._is_crossed = np.zeros(len(scene.grid.cells), dtype=np.bool_)
         self._is_crossed[list(self._crossed)] = True
-        count = len(scene.grid.cells)
-        self.weight, self.near = np.zeros(count), np.zeros(count, dtype=np.bool_)
-        self.leader = np.full(count, -1, dtype=np.int64)
-        for lane_id in self.routes.lanes:
-            self._look(lane_id)
+        self._pace_mps = np.array([_pace(traffic, row) for row in moving.tolist()], dtype=np.float64)
 
     @property
     def is_target_named(self) -> bool:
@@ -146,28 +161,77 @@ class Meetings:
             self._usual[lane_id] = float(np.median(pool)) if pool else self.scene.config.spawn.prior_speed_mps
         return self._usual[lane_id]
 
-    def offer_weights(self, lane_id: int) -> list[float]:
-        """Mean weight of each of the routes from a lane, in the order of `Routes.offers`."""
-        return self._offer_weights[lane_id]
+    def outlook(self, policy: Policy) -> Outlook:
+        """Of all cells, for vehicles of a policy: in the mean over the routes that it would take."""
+        turn = TURN_OF_POLICY.get(policy, TurnType.STRAIGHT)
+        if turn not in self._outlooks:
+            count = len(self.scene.grid.cells)
+            found = Outlook(np.zeros(count), np.zeros(count, dtype=np.bool_), np.full(count, -1, dtype=np.int64))
+            for lane_id in self.routes.lanes:
+                first = self.scene.grid.index_of[Cell(lane_id, 0)]
+                self._look(lane_id, turn, found, slice(first, first + self.scene.grid.count(lane_id)))
+            self._outlooks[turn] = found
+        return self._outlooks[turn]
 
-    def _look(self, lane_id: int) -> None:
-        """What can be met from the cells of a lane, in the mean over its routes."""
-        offers, first = self.routes.offers(lane_id), self.scene.grid.index_of[Cell(lane_id, 0)]
-        looked = [self._of_route(lane_id, offer, self.usual_speed(lane_id)) for offer in offers[:_ROUTES_MOST]]
+    def offer_weights(self, cell: Cell, policy: Policy) -> list[float]:
+        """Weight of each of the routes from a cell, in the order of `Routes.offers`; the mean where none is known."""
+        rows = self._rows(cell.lane_id, TURN_OF_POLICY.get(policy, TurnType.STRAIGHT))
+        known = {row: float(self._of_offer(cell.lane_id, row).weight[cell.index]) for row in rows}
+        mean = sum(known.values()) / max(1, len(known))
+        return [max(_LEAST, known.get(row, mean)) for row in range(len(self.routes.offers(cell.lane_id)))]
+
+    def leader_of(self, cell: Cell, route: Route) -> int:
+        """Whom a vehicle from a cell would follow on a route, a number of its own; -1 nobody, or not known."""
+        for row, offer in enumerate(self.routes.offers(cell.lane_id)):
+            if offer.route == route and (cell.lane_id, row) in self._on_route:
+                return int(self._on_route[cell.lane_id, row].leader[cell.index])
+        return -1
+
+    def met_by(self, vehicle: ExportedVehicle) -> int:
+        """What recorded moving traffic is to a vehicle that was driven: 2 a leader, 1 nearby, 0 far away."""
+        scene, path, box = self.scene, vehicle.driven.path, vehicle.driven.start.box
+        motion, steps = vehicle.motion, vehicle.num_steps
+        seen = scene.in_driving_width(path, box)[1]
+        gap = seen.low[:, :steps] - motion.s
+        follows = seen.aligned[:, :steps] & (gap > 0.0) & (gap < FOLLOWS_S * motion.v) & (motion.v > MOVES_MPS)
+        if follows.any(axis=0).sum() >= scene.steps_in(FOLLOWS_FOR_S):
+            return 2
+        looks = self._steps[self._steps < steps]
+        xy, shown = vehicle.trajectory.position[looks][None], slice(0, looks.size)
+        there = np.ones((1, looks.size), dtype=np.bool_)
+        return int(_any_within(xy, there, self._xy[:, shown], self._there[:, shown], NEAR_M).any())
+
+    def pace_of(self, leader: int) -> float:
+        """How fast a leader drives while it moves, m/s, as `Scene.lane_speed` has it; 0 for nobody."""
+        return float(self._pace_mps[leader]) if leader >= 0 else 0.0
+
+    def _rows(self, lane_id: int, turn: TurnType) -> list[int]:
+        """Rows of the routes from a lane that first turn so, a few; straight ones where the map has them, else any."""
+        offers = self.routes.offers(lane_id)
+        rows = [row for row, one in enumerate(offers) if (one.turns[0][0] if one.turns else TurnType.STRAIGHT) is turn]
+        if turn is TurnType.STRAIGHT and not rows:
+            rows = list(range(len(offers)))
+        return rows[:_ROUTES_MOST]
+
+    def _of_offer(self, lane_id: int, row: int) -> Outlook:
+        if (lane_id, row) not in self._on_route:
+            offer = self.routes.offers(lane_id)[row]
+            self._on_route[lane_id, row] = self._of_route(lane_id, offer, self.usual_speed(lane_id))
+        return self._on_route[lane_id, row]
+
+    def _look(self, lane_id: int, turn: TurnType, found: Outlook, cells: slice) -> None:
+        """What can be met from the cells of a lane, in the mean over its routes; the leader on the best of them."""
+        looked = [self._of_offer(lane_id, row) for row in self._rows(lane_id, turn)]
         if not looked:
-            self._offer_weights[lane_id] = []
             return
-        cells = slice(first, first + self.scene.grid.count(lane_id))
-        weights = np.array([one[0] for one in looked])
-        self.weight[cells] = weights.mean(axis=0)
-        self.near[cells] = np.any([one[1] for one in looked], axis=0)
-        self.leader[cells] = np.max([one[2] for one in looked], axis=0)
-        every = weights.mean(axis=1)
-        rest = np.full(len(offers) - len(looked), every.mean())
-        self._offer_weights[lane_id] = np.maximum(np.concatenate([every, rest]), _LEAST).tolist()
+        weights = np.array([one.weight for one in looked])
+        found.weight[cells] = weights.mean(axis=0)
+        found.near[cells] = np.any([one.near for one in looked], axis=0)
+        best = weights.argmax(axis=0)
+        found.leader[cells] = np.array([one.leader for one in looked])[best, np.arange(best.size)]
 
-    def _of_route(self, lane_id: int, offer: RouteOffer, speed_mps: float) -> tuple[FloatArray, BoolArray, IntArray]:
-        """Of the cells of a lane on one route: weights, whether a named target would be near, and leaders."""
+    def _of_route(self, lane_id: int, offer: RouteOffer, speed_mps: float) -> Outlook:
+        """Of the cells of a lane on one route."""
         scene, request, spawn = self.scene, self.scene.config.request, self.scene.config.spawn
         cells, middle = self._cells(lane_id, offer)
         count, pace = scene.grid.count(lane_id), _PACE * speed_mps
@@ -180,7 +244,8 @@ class Meetings:
         leader = np.full(count, -1, dtype=np.int64)
         weight = np.ones(count)
         if request.near != "anywhere":
-            leader = self._leader(cells, middle, way, speed_mps)
+            leader, is_run_into = self._on_the_way(cells, middle, way, speed_mps)
+            weight[is_run_into] *= _RUN_INTO
             weight[near.any(axis=1)] *= spawn.near_weight
             weight[leader >= 0] *= spawn.leader_weight
             weight[self._crosses(cells, middle, start, pace)] *= spawn.crossing_weight
@@ -188,7 +253,7 @@ class Meetings:
         if "topology" not in scene.config.without:
             weight[leaves] = 0.0
         last = int(np.searchsorted(self._steps, min(scene.first_exit_step, scene.num_steps) - 1, side="right")) - 1
-        return weight, near[:, last], leader
+        return Outlook(weight, near[:, last], leader)
 
     def _cells(self, lane_id: int, offer: RouteOffer) -> tuple[IntArray, FloatArray]:
         """Cells of a route from a lane on, (K,) rows of the grid, and their middles along it, (K,) m."""
@@ -202,19 +267,37 @@ class Meetings:
             begin += lanes[lane].length_m
         return np.concatenate(cells), np.concatenate(middle)
 
-    def _leader(self, cells: IntArray, middle: FloatArray, way: FloatArray, speed_mps: float) -> IntArray:
-        """(N,) who drives ahead on the route within the time gap that counts as following, the nearest; -1 nobody."""
-        if not len(self._lane_cell):
-            return np.full(len(way), -1, dtype=np.int64)
+    def _on_the_way(
+        self, cells: IntArray, middle: FloatArray, way: FloatArray, speed_mps: float
+    ) -> tuple[IntArray, BoolArray]:
+        """Of vehicles on a route, way (N, T) m: (N,) the leader and whether somebody recorded runs into them.
+
+        The leader is the moving one that is next ahead, nobody between, within the time gap that counts as following;
+        -1 nobody. Whoever has a leader stays behind it.
+        """
+        count = len(way)
+        nobody = np.full(count, -1, dtype=np.int64), np.zeros(count, dtype=np.bool_)
         at = np.full(len(self.scene.grid.cells) + 1, np.nan)  # the last one: on no cell
         at[cells] = middle
-        ahead = at[self._lane_cell][None] - way[:, None]  # (N, A, T)
-        with np.errstate(invalid="ignore"):
-            leads = (ahead > _LEADS_FROM_M) & (ahead < FOLLOWS_S * speed_mps + _LEADS_FROM_M)
-        enough = leads.sum(axis=2) >= _LEADS_LOOKS
-        nearest = np.where(leads, ahead, np.inf).min(axis=2, initial=np.inf)
-        nearest[~enough] = np.inf
-        return np.where(enough.any(axis=1), np.argmin(nearest, axis=1), -1)
+        place = at[self._lane_cell]
+        rows = np.flatnonzero(np.isfinite(place).any(axis=1))
+        if not rows.size or not len(self._xy):
+            return nobody
+        place, number = place[rows], self._number[rows]
+        ahead = place[None] - way[:, None]  # (N, A, T)
+        front = np.where(ahead > 0.0, ahead, np.inf)
+        next_m, following = front.min(axis=1), number[front.argmin(axis=1)]
+        leads = (next_m > _LEADS_FROM_M) & (next_m < FOLLOWS_S * speed_mps + _LEADS_FROM_M) & (following >= 0)
+        looks = np.zeros((count, len(self._xy)), dtype=np.int64)
+        np.add.at(looks, (np.nonzero(leads)[0], following[leads]), 1)
+        leader = np.where(looks.max(axis=1) >= _LEADS_LOOKS, looks.argmax(axis=1), -1)
+        behind = way.copy()
+        for row in np.flatnonzero(leader >= 0).tolist():
+            theirs = place[int(np.flatnonzero(number == leader[row])[0])]
+            behind[row] = np.fmax(np.fmin(behind[row], theirs - _LEADS_FROM_M), behind[row, 0])
+        apart = place[None] - behind[:, None]
+        was_behind = np.logical_or.accumulate(apart < 0.0, axis=2)
+        return leader, np.asarray((was_behind & (apart > 0.0)).any(axis=(1, 2)))
 
     def _crosses(self, cells: IntArray, middle: FloatArray, start: FloatArray, pace_mps: float) -> BoolArray:
         """(N,) whether somebody recorded crosses the route near the time at which it would be driven there."""
@@ -224,6 +307,13 @@ class Meetings:
             apart = np.abs(arrives[:, None] - self._crossed[int(cells[place])]).min(axis=1)
             out |= (arrives > 0.0) & (apart > _AFTER_CROSSING_S) & (apart < WITHIN_S)
         return out
+
+
+def _pace(traffic: Traffic, row: int) -> float:
+    """Speed of a recorded vehicle while it moves, 90th percentile, m/s; 0 where it never does."""
+    speed = np.hypot(*traffic.velocity[row, traffic.present[row]].T)
+    moves = speed > MOVES_MPS
+    return float(np.percentile(speed[moves], 90)) if moves.any() else 0.0
 
 
 def _any_within(
