@@ -273,7 +273,7 @@ class Meetings:
         """Of vehicles on a route, way (N, T) m: (N,) the leader and whether somebody recorded runs into them.
 
         The leader is the moving one that is next ahead, nobody between, within the time gap that counts as following;
-        -1 nobody. Whoever has a leader stays behind it.
+        -1 nobody. Whoever has a leader stays behind it; nobody is followed who has come from behind.
         """
         count = len(way)
         nobody = np.full(count, -1, dtype=np.int64), np.zeros(count, dtype=np.bool_)
@@ -297,7 +297,8 @@ class Meetings:
             behind[row] = np.fmax(np.fmin(behind[row], theirs - _LEADS_FROM_M), behind[row, 0])
         apart = place[None] - behind[:, None]
         was_behind = np.logical_or.accumulate(apart < 0.0, axis=2)
-        return leader, np.asarray((was_behind & (apart > 0.0)).any(axis=(1, 2)))
+        is_run_into = (was_behind & (apart > 0.0)).any(axis=(1, 2))
+        return np.where(is_run_into, -1, leader), np.asarray(is_run_into)
 
     def _crosses(self, cells: IntArray, middle: FloatArray, start: FloatArray, pace_mps: float) -> BoolArray:
         """(N,) whether somebody recorded crosses the route near the time at which it would be driven there."""

@@ -97,7 +97,8 @@ class Figures:
             out.append(
                 f"{name} twins {np.mean(pairs) if pairs else float('nan'):.3f}, lane changes at "
                 f"{len(self.places[name])} stretches of {STRETCH_M:g} m, on offer {self.offered[name]}; "
-                f"{self.cells[name]} cells" + (f"; near {np.median(near):g} (median), {min(near)} .. {max(near)}" if near else "")
+                f"{self.cells[name]} cells"
+                + (f"; near {np.median(near):g} (median), {min(near)} .. {max(near)}" if near else "")
             )
         return out
 
