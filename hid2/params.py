@@ -237,16 +237,18 @@ class Drivers(_Section):
     )
     offset_max_m: float = _param(0.9, "m", "no driver is farther from the lane's middle", ge=0, le=1.5)
     lateral_wander_sd_m: float = _param(
-        0.2,
+        0.33,
         "m",
-        "SD of the wandering about that place, of the median driver; measured: drift of 0.065 m/s",
+        "SD of the wandering about that place, of the median driver; measured (hid2 calibrate): 0.24 to 0.46",
         ge=0,
         le=0.5,
     )
     lateral_wander_spread: float = _param(
         0.8, "-", "SD between drivers of its logarithm: some hold the lane, some weave; measured", ge=0, le=1.5
     )
-    lateral_wander_time_s: float = _param(2.0, "s", "its correlation time at the desired speed", gt=0, le=30)
+    lateral_wander_time_s: float = _param(
+        2.2, "s", "its correlation time at the desired speed; measured (hid2 calibrate): 1.5 to 3.4", gt=0, le=30
+    )
     lane_change_mean_s: float = _param(
         5.5, "s", "duration of a lane change (highD: 5.5 cars, 6.1 heavy)", ge=1.5, le=15
     )

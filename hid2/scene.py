@@ -19,7 +19,9 @@ from netconvert.cells import Cell, CellGrid
 #: Lane types open to general motor traffic.
 DRIVABLE_TYPES = frozenset({"VEHICLE"})
 _RUN_ON_M = 250.0
-_MOVING_M, _MOVING_MPS, _MOVING_S = 5.0, 1.0, 1.0
+#: Recorded vehicles that drive slower than this do not move, m/s.
+MOVES_MPS = 1.0
+_MOVING_M, _MOVING_S = 5.0, 1.0
 #: Clearance boxes are rounded up to these, m, so that vehicles of about one size share what is found out on a path.
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
 
@@ -215,7 +217,7 @@ def _speeds(
         if track.object_type not in VEHICLE_TYPES or track.category < 1 or track.path_m < _MOVING_M:
             continue
         speed = np.hypot(*traffic.velocity[row].T)
-        moving = traffic.present[row] & (speed > _MOVING_MPS)
+        moving = traffic.present[row] & (speed > MOVES_MPS)
         if moving.sum() < round(_MOVING_S / step_s):
             continue
         cruise = float(np.percentile(speed[moving], 90))

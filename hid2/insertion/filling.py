@@ -193,7 +193,8 @@ class Filling:
         guard = Guard(self.scene, self._fixed(), here.stop_lines)
         sites = InsertionSites(
             self.scene, here.roads, here.routes, here.stop_lines, guard, rng, number, here.meetings,
-            Spread.of(self.seed), self._avoided, asked=Counter(r.policy for r in self._open),
+            Spread.of(self.seed), self._avoided, [one.driven.start for one in self.kept],
+            asked=Counter(r.policy for r in self._open),
         )  # fmt: skip
         sites.taken += self._again
         starts, self._again = list(self._again), []
@@ -335,14 +336,22 @@ class Filling:
             met.add(driven.start.request.number)
 
     def _drop_surplus(self, new: list[ExportedVehicle], gone: _Gone, needed: Set[str]) -> None:
-        """Spare vehicles beyond the open requests to go straight go, those that nobody needs first."""
-        holding = {one.driven.start.request.number: one.driven for one in new if one.driven.vehicle_id not in gone}
+        """Vehicles to go straight beyond the open requests go: nobody needs them, and they meet the least traffic."""
+        left = [one for one in new if one.driven.vehicle_id not in gone]
         open_numbers = {request.number for request in self._open}
-        places = sum(request.policy is Policy.STRAIGHT and request.number not in holding for request in self._open)
-        spare = [holding[number] for number in sorted(holding.keys() - open_numbers)]
-        spare.sort(key=lambda driven: driven.vehicle_id not in needed)
-        for driven in spare[places:]:
-            gone[driven.vehicle_id] = driven, Reason.SPARE, None
+        straight = [one for one in left if one.driven.policy is Policy.STRAIGHT]
+        asked = [request.number for request in self._open if request.policy is Policy.STRAIGHT]
+        if len(straight) <= len(asked):
+            return
+        met = {one.driven.vehicle_id: self.surroundings.meetings.met_by(one) for one in straight}
+        straight.sort(
+            key=lambda one: (
+                one.driven.vehicle_id not in needed, -met[one.driven.vehicle_id],
+                one.driven.start.request.number not in open_numbers,
+            )
+        )  # fmt: skip
+        for one in straight[len(asked) :]:
+            gone[one.driven.vehicle_id] = one.driven, Reason.SPARE, None
 
     def _drive_again(self, new: list[ExportedVehicle], gone: _Gone) -> None:
         """Who had braked for a vehicle that is gone, or overtook it, is driven again without it, or goes too."""

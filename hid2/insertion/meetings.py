@@ -2,18 +2,23 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
-from hid2.agents import FloatArray, IntArray
+from hid2.agents import FloatArray, IntArray, Policy
+from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.kernels.meetings import met_on_route
 from hid2.measures.arrays import is_moving
-from hid2.measures.encounters import CROSSING_RAD, FOLLOWS_S, WITHIN_S
-from hid2.occupancy.traffic import BoolArray
-from hid2.scene import Scene
+from hid2.measures.encounters import CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S, NEAR_M, WITHIN_S
+from hid2.motion.route import Route
+from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.policy.turns import TURN_OF_POLICY
+from hid2.scene import MOVES_MPS, Scene
 from netconvert.cells import Cell
 from netconvert.errors import ScenarioError
+from netconvert.lane_graph import TurnType
 
 #: Recorded traffic is looked at so often, s: an estimate of where somebody would be needs no more.
 _EVERY_S = 0.5
@@ -23,10 +28,12 @@ _ON_CELL_M = 3.0
 _SURELY = 0.7
 #: A vehicle that keeps its speed all the time is estimated to be somewhat behind, as it brakes now and then.
 _PACE = 0.9
-#: Weights of a lane's cells are averaged over so many of its routes.
+#: Weights of a lane's cells are averaged over so many of its routes that turn alike.
 _ROUTES_MOST = 4
 #: A leader is estimated to lead from this gap between centres on, m, if it does for so many of the looks.
 _LEADS_FROM_M, _LEADS_LOOKS = 6.0, 3
+#: Weight of a site whose vehicle would be run into from behind by a recorded one, which does not brake: most fail.
+_RUN_INTO = 0.2
 #: Tracks of these categories are scored by whoever evaluates forecasts: scored ones and the focal one (Argoverse 2).
 _SCORED = (2, 3)
 _AFTER_CROSSING_S = 1.0  # who would be nearer to who crosses is kept from it
@@ -74,28 +81,38 @@ def moving_vehicles(scene: Scene) -> IntArray:
     )
 
 
-@dataclass(slots=True)
-class Meetings:
-    """What vehicles that start on the cells of a scene would meet at usual speed, in the order of the grid.
+class Outlook(NamedTuple):
+    """What vehicles that start on cells would meet at usual speed, in the order of the grid, or of a lane.
 
     weight (C,): of each cell, 0 where a vehicle would leave the map before the last observed step, and on lanes that
     cars do not drive on; leader (C,): whom a vehicle from there would follow, a number of its own, -1 nobody; near
     (C,): whether it would be near to a named target at the last observed step.
     """
 
+    weight: FloatArray
+    near: BoolArray
+    leader: IntArray
+
+
+@dataclass(slots=True)
+class Meetings:
+    """What vehicles that start on the cells of a scene would meet at usual speed; what is found out is kept."""
+
     scene: Scene
     routes: Routes
     _targets: IntArray = field(init=False)
+    _xy: FloatArray = field(init=False)
+    _there: BoolArray = field(init=False)
     _steps: IntArray = field(init=False)
     _target_xy: FloatArray = field(init=False)
     _target_there: BoolArray = field(init=False)
     _lane_cell: IntArray = field(init=False)
+    _number: IntArray = field(init=False)
     _crossed_from: IntArray = field(init=False)
     _crossed_s: FloatArray = field(init=False)
-    weight: FloatArray = field(init=False)
-    leader: IntArray = field(init=False)
-    near: BoolArray = field(init=False)
-    _offer_weights: dict[int, FloatArray] = field(default_factory=dict)
+    _pace_mps: FloatArray = field(init=False)
+    _outlooks: dict[TurnType, Outlook] = field(default_factory=dict)
+    _on_route: dict[tuple[int, int], Outlook] = field(default_factory=dict)
     _usual: dict[int, float] = field(default_factory=dict)
     _middles: dict[int, tuple[IntArray, FloatArray]] = field(default_factory=dict)
 
@@ -105,16 +122,17 @@ class Meetings:
         moving = moving_vehicles(scene)
         self._targets = target_rows(scene, scene.config.request.near)
         self._steps = np.arange(0, scene.num_steps, scene.steps_in(_EVERY_S))
+        self._xy, self._there = traffic.position[moving][:, self._steps], traffic.present[moving][:, self._steps]
         self._target_xy = np.ascontiguousarray(traffic.position[self._targets][:, self._steps])
         self._target_there = np.ascontiguousarray(traffic.present[self._targets][:, self._steps])
-        cell = scene.occupancy.cell[moving][:, self._steps]
-        self._lane_cell = np.ascontiguousarray(np.where(scene.occupancy.mapped[moving][:, self._steps], cell, -1))
+        rows = scene.vehicle_rows
+        cell = scene.occupancy.cell[rows][:, self._steps]
+        self._lane_cell = np.ascontiguousarray(np.where(scene.occupancy.mapped[rows][:, self._steps], cell, -1))
+        self._number = np.full(len(traffic.ids), -1, dtype=np.int64)
+        self._number[moving] = np.arange(moving.size)
+        self._number = self._number[rows]
         self._crossed_from, self._crossed_s = self._crossings(moving)
-        count = len(scene.grid.cells)
-        self.weight, self.near = np.zeros(count), np.zeros(count, dtype=np.bool_)
-        self.leader = np.full(count, -1, dtype=np.int64)
-        for lane_id in self.routes.lanes:
-            self._look(lane_id)
+        self._pace_mps = np.array([_pace(traffic, row) for row in moving.tolist()], dtype=np.float64)
 
     @property
     def is_target_named(self) -> bool:
@@ -149,50 +167,101 @@ class Meetings:
             self._usual[lane_id] = float(np.median(pool)) if pool else self.scene.config.spawn.prior_speed_mps
         return self._usual[lane_id]
 
-    def offer_weights(self, lane_id: int) -> FloatArray:
-        """Mean weight of each of the routes from a lane, in the order of `Routes.offers`."""
-        return self._offer_weights[lane_id]
+    def outlook(self, policy: Policy) -> Outlook:
+        """Of all cells, for vehicles of a policy: in the mean over the routes that it would take."""
+        turn = TURN_OF_POLICY.get(policy, TurnType.STRAIGHT)
+        if turn not in self._outlooks:
+            count = len(self.scene.grid.cells)
+            found = Outlook(np.zeros(count), np.zeros(count, dtype=np.bool_), np.full(count, -1, dtype=np.int64))
+            for lane_id in self.routes.lanes:
+                first = self.scene.grid.index_of[Cell(lane_id, 0)]
+                self._look(lane_id, turn, found, slice(first, first + self.scene.grid.count(lane_id)))
+            self._outlooks[turn] = found
+        return self._outlooks[turn]
 
-    def _look(self, lane_id: int) -> None:
-        """What can be met from the cells of a lane, in the mean over its routes."""
-        offers, first = self.routes.offers(lane_id), self.scene.grid.index_of[Cell(lane_id, 0)]
-        looked = [self._of_route(lane_id, offer, self.usual_speed(lane_id)) for offer in offers[:_ROUTES_MOST]]
+    def offer_weights(self, cell: Cell, policy: Policy) -> list[float]:
+        """Weight of each of the routes from a cell, in the order of `Routes.offers`; the mean where none is known."""
+        rows = self._rows(cell.lane_id, TURN_OF_POLICY.get(policy, TurnType.STRAIGHT))
+        known = {row: float(self._of_offer(cell.lane_id, row).weight[cell.index]) for row in rows}
+        mean = sum(known.values()) / max(1, len(known))
+        return [max(_LEAST, known.get(row, mean)) for row in range(len(self.routes.offers(cell.lane_id)))]
+
+    def leader_of(self, cell: Cell, route: Route) -> int:
+        """Whom a vehicle from a cell would follow on a route, a number of its own; -1 nobody."""
+        for row, offer in enumerate(self.routes.offers(cell.lane_id)):
+            if offer.route == route:
+                return int(self._of_offer(cell.lane_id, row).leader[cell.index])
+        return -1
+
+    def met_by(self, vehicle: ExportedVehicle) -> int:
+        """What recorded moving traffic is to a vehicle that was driven: 2 a leader, 1 nearby, 0 far away."""
+        scene, path, box = self.scene, vehicle.driven.path, vehicle.driven.start.box
+        motion, steps = vehicle.motion, vehicle.num_steps
+        seen = scene.in_driving_width(path, box)[1]
+        gap = seen.low[:, :steps] - motion.s
+        follows = seen.aligned[:, :steps] & (gap > 0.0) & (gap < FOLLOWS_S * motion.v) & (motion.v > MOVES_MPS)
+        if follows.any(axis=0).sum() >= scene.steps_in(FOLLOWS_FOR_S):
+            return 2
+        looks = self._steps[self._steps < steps]
+        xy, shown = vehicle.trajectory.position[looks][None], slice(0, looks.size)
+        there = np.ones((1, looks.size), dtype=np.bool_)
+        return int(_any_within(xy, there, self._xy[:, shown], self._there[:, shown], NEAR_M).any())
+
+    def pace_of(self, leader: int) -> float:
+        """How fast a leader drives while it moves, m/s, as `Scene.lane_speed` has it; 0 for nobody."""
+        return float(self._pace_mps[leader]) if leader >= 0 else 0.0
+
+    def _rows(self, lane_id: int, turn: TurnType) -> list[int]:
+        """Rows of the routes from a lane that first turn so, a few; straight ones where the map has them, else any."""
+        offers = self.routes.offers(lane_id)
+        rows = [row for row, one in enumerate(offers) if (one.turns[0][0] if one.turns else TurnType.STRAIGHT) is turn]
+        if turn is TurnType.STRAIGHT and not rows:
+            rows = list(range(len(offers)))
+        return rows[:_ROUTES_MOST]
+
+    def _of_offer(self, lane_id: int, row: int) -> Outlook:
+        if (lane_id, row) not in self._on_route:
+            offer = self.routes.offers(lane_id)[row]
+            self._on_route[lane_id, row] = self._of_route(lane_id, offer, self.usual_speed(lane_id))
+        return self._on_route[lane_id, row]
+
+    def _look(self, lane_id: int, turn: TurnType, found: Outlook, cells: slice) -> None:
+        """What can be met from the cells of a lane, in the mean over its routes; the leader on the best of them."""
+        looked = [self._of_offer(lane_id, row) for row in self._rows(lane_id, turn)]
         if not looked:
-            self._offer_weights[lane_id] = np.zeros(0)
             return
-        cells = slice(first, first + self.scene.grid.count(lane_id))
-        weights = np.array([one[0] for one in looked])
-        self.weight[cells] = weights.mean(axis=0)
-        self.near[cells] = np.any([one[1] for one in looked], axis=0)
-        self.leader[cells] = np.max([one[2] for one in looked], axis=0)
-        every = weights.mean(axis=1)
-        rest = np.full(len(offers) - len(looked), every.mean())
-        self._offer_weights[lane_id] = np.maximum(np.concatenate([every, rest]), _LEAST)
+        weights = np.array([one.weight for one in looked])
+        found.weight[cells] = weights.mean(axis=0)
+        found.near[cells] = np.any([one.near for one in looked], axis=0)
+        best = weights.argmax(axis=0)
+        found.leader[cells] = np.array([one.leader for one in looked])[best, np.arange(best.size)]
 
-    def _of_route(self, lane_id: int, offer: RouteOffer, speed_mps: float) -> tuple[FloatArray, BoolArray, IntArray]:
-        """Of the cells of a lane on one route: weights, whether a named target would be near, and leaders."""
+    def _of_route(self, lane_id: int, offer: RouteOffer, speed_mps: float) -> Outlook:
+        """Of the cells of a lane on one route."""
         scene, request, spawn = self.scene, self.scene.config.request, self.scene.config.spawn
         cells, middle = self._cells(lane_id, offer)
         count, pace = scene.grid.count(lane_id), _PACE * speed_mps
         start = middle[:count]
         time_s = np.asarray(self._steps * scene.step_s, dtype=np.float64)
         last = int(np.searchsorted(self._steps, min(scene.first_exit_step, scene.num_steps) - 1, side="right")) - 1
-        near, near_last, leader, crosses = met_on_route(
+        near, near_last, leader, is_run_into, crosses = met_on_route(
             scene.grid.centers, cells, middle, count, time_s, pace, self._target_xy, self._target_there,
-            _SURELY * request.within_m, self._lane_cell, _LEADS_FROM_M, FOLLOWS_S * speed_mps + _LEADS_FROM_M,
-            _LEADS_LOOKS, self._crossed_from, self._crossed_s, _AFTER_CROSSING_S, WITHIN_S, last,
+            _SURELY * request.within_m, self._lane_cell, self._number, _LEADS_FROM_M,
+            FOLLOWS_S * speed_mps + _LEADS_FROM_M, _LEADS_LOOKS, self._crossed_from, self._crossed_s,
+            _AFTER_CROSSING_S, WITHIN_S, last,
         )  # fmt: skip
         weight = np.ones(count)
         if request.near == "anywhere":
             leader = np.full(count, -1, dtype=np.int64)
         else:
+            weight[is_run_into] *= _RUN_INTO
             weight[near] *= spawn.near_weight
             weight[leader >= 0] *= spawn.leader_weight
             weight[crosses] *= spawn.crossing_weight
         leaves = middle[-1] - start < 0.8 * speed_mps * scene.first_exit_step * scene.step_s
         if "topology" not in scene.config.without:
             weight[leaves] = 0.0
-        return weight, near_last, leader
+        return Outlook(weight, near_last, leader)
 
     def _cells(self, lane_id: int, offer: RouteOffer) -> tuple[IntArray, FloatArray]:
         """Cells of a route from a lane on, (K,) rows of the grid, and their middles along it, (K,) m."""
@@ -208,3 +277,21 @@ class Meetings:
             middle.append(begin + middles)
             begin += lanes[lane].length_m
         return np.concatenate(cells), np.concatenate(middle)
+
+
+def _pace(traffic: Traffic, row: int) -> float:
+    """Speed of a recorded vehicle while it moves, 90th percentile, m/s; 0 where it never does."""
+    speed = np.hypot(*traffic.velocity[row, traffic.present[row]].T)
+    moves = speed > MOVES_MPS
+    return float(np.percentile(speed[moves], 90)) if moves.any() else 0.0
+
+
+def _any_within(
+    xy: FloatArray, there: BoolArray, others: FloatArray, others_there: BoolArray, within_m: float
+) -> BoolArray:
+    """(N, T) whether any of the others (A, T, 2) m is within a distance of points (N, T, 2) m at the same time."""
+    low, high = xy.reshape(-1, 2).min(axis=0) - within_m, xy.reshape(-1, 2).max(axis=0) + within_m
+    possible = (others_there & np.all((others >= low) & (others <= high), axis=2)).any(axis=1)
+    offset = xy[:, None] - others[possible]  # (N, A, T, 2)
+    near = np.square(offset).sum(axis=-1) < within_m * within_m
+    return np.asarray((near & others_there[possible]).any(axis=1) & there)

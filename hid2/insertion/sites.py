@@ -29,6 +29,7 @@ from hid2.policy.turns import TURN_OF_POLICY
 from hid2.reasons import Reason
 from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
+from netconvert.cells import Cell
 
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.LEAVES_TOO_EARLY})
@@ -43,7 +44,7 @@ class InsertionSites:
     """Sites of one scene for requests; what was proposed in this round is kept clear of.
 
     avoided: lanes and arc lengths, m, at which vehicles of rounds before began that could not be kept; asked: how many
-    vehicles of each policy the scene is asked for, which share its sites.
+    vehicles of each policy the scene is asked for, which share its sites; kept: starts of vehicles of rounds before.
     """
 
     scene: Scene
@@ -56,6 +57,7 @@ class InsertionSites:
     meetings: Meetings
     spread: Spread
     avoided: Sequence[tuple[int, float]] = ()
+    kept: Sequence[Start] = ()
     asked: Counter[Policy] = field(default_factory=Counter)
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
@@ -136,7 +138,7 @@ class InsertionSites:
         for lane_id, lane_s in self._places(request):
             if lane_id in rivals_on:  # of two on one lane the one behind would wait for the other
                 continue
-            for offer in self._order(request, lane_id):
+            for offer in self._order(request, self.scene.grid.cell_at(lane_id, lane_s)):
                 s = offer.start_m + lane_s
                 usual_mps = self.meetings.usual_speed(lane_id)
                 if self._leaves_early(offer, s, 0.8 * usual_mps) or not promises(offer, s, usual_mps):
@@ -151,21 +153,21 @@ class InsertionSites:
             if tried >= self.scene.config.sites.tries:
                 return
 
-    def _order(self, request: VehicleRequest, lane_id: int) -> list[RouteOffer]:
-        """Routes from a lane in weighted random order; those that go straight on first unless a turn is asked for."""
-        offers = self.routes.offers(lane_id)
+    def _order(self, request: VehicleRequest, cell: Cell) -> list[RouteOffer]:
+        """Routes from a cell in weighted random order; those that go straight on first unless a turn is asked for."""
+        offers = self.routes.offers(cell.lane_id)
         key = self.rng.exponential(size=len(offers))
         if len(offers) == 1:  # drawn all the same
             return list(offers)
         if self.scene.config.request.sites == "promising":
-            key /= self.meetings.offer_weights(lane_id)
+            key /= np.array(self.meetings.offer_weights(cell, request.policy))
         order = [offers[row] for row in np.argsort(key, kind="stable").tolist()]
         if request.policy in TURN_OF_POLICY:
             return order
         return sorted(order, key=lambda offer: bool(offer.turns))
 
     def _places(self, request: VehicleRequest) -> Iterator[tuple[int, float]]:
-        """Lane and arc length, m, of free cells at step 0; first from where more is met, intersections last.
+        """Lane and arc length, m, of free cells at step 0; first from where more is met, intersections last or never.
 
         The order is that of `Spread`, by the number of this vehicle among those of its policy.
         """
@@ -176,12 +178,14 @@ class InsertionSites:
             return
         weight, tier = np.ones(rows.size), np.zeros(rows.size, dtype=np.int64)
         if promising:
-            weight, tier = self._weights(rows)
+            weight, tier = self._weights(policy, rows)
         failed: dict[int, list[float]] = {}
         for lane_id, at in self.avoided:
             failed.setdefault(lane_id, []).append(at)
         if failed:
             weight /= [1.0 + len(failed.get(grid.cells[row].lane_id, ())) for row in rows.tolist()]
+        if promising and policy is Policy.STRAIGHT:  # who follows a recorded vehicle goes through with it
+            inside = inside & (self.meetings.outlook(policy).leader[rows] < 0)
         share = self.rng.random(rows.size)
         if not promising:
             order = by_weight(weight, self.rng)
@@ -201,18 +205,21 @@ class InsertionSites:
             if not any(abs(lane_s - at) < scene.config.sites.avoided_m for at in failed.get(cell.lane_id, ())):
                 yield cell.lane_id, lane_s
 
-    def _weights(self, rows: IntArray) -> tuple[FloatArray, IntArray]:
+    def _weights(self, policy: Policy, rows: IntArray) -> tuple[FloatArray, IntArray]:
         """Weights of cells, rows (N,) of the grid; and 1 for those from which a named target is not met, else 0.
 
-        A leader whom a vehicle of this round follows already speaks for no other site.
+        A leader whom a vehicle follows already, of this round or of one before, speaks for no other site.
         """
-        meetings, scene = self.meetings, self.scene
-        begun = [scene.grid.index_of[scene.cell_at(start.path, start.start_s)] for start in self.taken]
-        leader, weight = meetings.leader[rows], meetings.weight[rows].copy()
-        led = np.isin(leader, meetings.leader[begun]) & (leader >= 0)
-        weight[led] /= scene.config.spawn.leader_weight
-        tier = ~meetings.near[rows] if meetings.is_target_named else np.zeros(len(rows), dtype=np.bool_)
+        meetings, seen = self.meetings, self.meetings.outlook(policy)
+        leader, weight = seen.leader[rows], seen.weight[rows].copy()
+        followed = [self._leader_of(start) for start in (*self.kept, *self.taken)]
+        weight[np.isin(leader, followed) & (leader >= 0)] /= self.scene.config.spawn.leader_weight
+        tier = ~seen.near[rows] if meetings.is_target_named else np.zeros(len(rows), dtype=np.bool_)
         return weight, tier.astype(np.int64)
+
+    def _leader_of(self, start: Start) -> int:
+        """The recorded vehicle that a start follows, as `Meetings` numbers them; -1 none."""
+        return self.meetings.leader_of(self.scene.cell_at(start.path, start.start_s), start.route)
 
     def _promises(
         self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, strict: bool
@@ -305,9 +312,14 @@ class InsertionSites:
         elif likely and request.policy is not Policy.STRAIGHT:  # whoever changes lanes has to be under way
             pace_mps = config.sites.under_way_share * self.meetings.usual_speed(lane_id)
             reach_s = start_s + pace_mps * scene.last_s
+        led_mps = 0.0
+        if config.request.sites == "promising":
+            led_mps = self.meetings.pace_of(self.meetings.leader_of(scene.cell_at(path, start_s), offer.route))
         verdict: Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else config.sites.drivers):
-            who = driver or draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))
+            # who follows at a usual gap drives as fast as the leader at least, or would not be there
+            pace_mps = max(scene.lane_speed(lane_id, rng), led_mps)
+            who = driver or draw_driver(config, rng, lane_speed_mps=pace_mps)
             speed = who.desired_mps * (1.0 + config.spawn.speed_sd * float(np.clip(rng.standard_normal(), -2, 2)))
             found = self._start_speed(offer, path, box, s, start_s, speed, who, reach_s)
             if not isinstance(found, Reason):

@@ -18,21 +18,41 @@ def _is_near(x: float, y: float, others: FloatArray, there: BoolArray, look: int
 
 @inner
 def _leader(
-    at: FloatArray, start: float, pace: float, time_s: FloatArray, lane_cell: IntArray, leads_from: float,
-    leads_to: float, looks: int,
-) -> int:  # fmt: skip
-    """Who is ahead of a vehicle for so many looks, the nearest; -1 for nobody."""
-    leader, nearest = -1, np.inf
-    for a in range(lane_cell.shape[0]):
-        leads, least = 0, np.inf
-        for look in range(time_s.size):
+    at: FloatArray, start: float, pace: float, time_s: FloatArray, lane_cell: IntArray, number: IntArray,
+    leads_from: float, leads_to: float, looks: int,
+) -> tuple[int, bool]:  # fmt: skip
+    """Row of who is next ahead of a vehicle for so many looks, -1 for nobody; and whether somebody runs into it.
+
+    Whoever has a leader stays behind it. Nobody is followed by a vehicle that is run into.
+    """
+    count = lane_cell.shape[0]
+    led = np.zeros(count, dtype=np.int64)
+    for look in range(time_s.size):
+        way, nearest, who = start + pace * time_s[look], np.inf, -1
+        for a in range(count):
             if lane_cell[a, look] >= 0:
-                ahead = at[lane_cell[a, look]] - (start + pace * time_s[look])
-                if leads_from < ahead < leads_to:
-                    leads, least = leads + 1, min(least, ahead)
-        if leads >= looks and least < nearest:
-            leader, nearest = a, least
-    return leader
+                ahead = at[lane_cell[a, look]] - way
+                if 0.0 < ahead < nearest:
+                    nearest, who = ahead, a
+        if who >= 0 and number[who] >= 0 and leads_from < nearest < leads_to:
+            led[who] += 1
+    leader = -1
+    for a in range(count):
+        if led[a] >= looks and (leader < 0 or led[a] > led[leader]):
+            leader = a
+    for a in range(count):
+        was_behind = False
+        for look in range(time_s.size):
+            if lane_cell[a, look] < 0:
+                continue
+            own = start + pace * time_s[look]
+            if leader >= 0 and lane_cell[leader, look] >= 0 and at[lane_cell[leader, look]] - leads_from < own:
+                own = max(start, at[lane_cell[leader, look]] - leads_from)
+            apart = at[lane_cell[a, look]] - own
+            if apart > 0.0 and was_behind:
+                return -1, True
+            was_behind = was_behind or apart < 0.0
+    return leader, False
 
 
 @inner
@@ -44,24 +64,28 @@ def _least_apart(time_s: float, others_s: FloatArray) -> float:
 
 
 @kernel(
-    "(f8[:,::1], i8[::1], f8[::1], i8, f8[::1], f8, f8[:,:,::1], b1[:,::1], f8, i8[:,::1], f8, f8, i8, i8[::1],"
-    " f8[::1], f8, f8, i8)"
+    "(f8[:,::1], i8[::1], f8[::1], i8, f8[::1], f8, f8[:,:,::1], b1[:,::1], f8, i8[:,::1], i8[::1], f8, f8, i8,"
+    " i8[::1], f8[::1], f8, f8, i8)"
 )
 def met_on_route(
     centers: FloatArray, cells: IntArray, middle: FloatArray, count: int, time_s: FloatArray, pace: float,
-    targets: FloatArray, there: BoolArray, within: float, lane_cell: IntArray, leads_from: float, leads_to: float,
-    looks: int, crossed_from: IntArray, crossed_s: FloatArray, crossed_after: float, crossed_within: float, last: int,
-) -> tuple[BoolArray, BoolArray, IntArray, BoolArray]:  # fmt: skip
-    """What vehicles from the first `count` cells of a route meet: targets, a leader, who is crossed.
+    targets: FloatArray, there: BoolArray, within: float, lane_cell: IntArray, number: IntArray, leads_from: float,
+    leads_to: float, looks: int, crossed_from: IntArray, crossed_s: FloatArray, crossed_after: float,
+    crossed_within: float, last: int,
+) -> tuple[BoolArray, BoolArray, IntArray, BoolArray, BoolArray]:  # fmt: skip
+    """What vehicles from the first `count` cells of a route meet: targets, a leader, who is crossed, who runs into it.
 
-    Returns whether a target is near at some look, and at look `last`; leader, -1 for none; whether anybody is crossed.
+    Returns whether a target is near at some look, and at look `last`; number of the leader, -1 for none; whether
+    anybody runs into it from behind; whether anybody is crossed.
     cells, middle (K,): of the route, rows of centers (C, 2) m, and m along it; time_s (T,) of the looks; pace m/s.
-    targets (A, T, 2) m, there (A, T): near within a distance, m. lane_cell (M, T): cells of those who may lead, -1 for
-    none, at leads_from to leads_to m ahead for so many looks. crossed_s: times at which cells are crossed, s, those of
-    cell c from crossed_from[c] to crossed_from[c + 1]; a crossing counts between crossed_after and crossed_within s.
+    targets (A, T, 2) m, there (A, T): near within a distance, m. lane_cell (M, T): cells of the others, -1 for none,
+    who lead at leads_from to leads_to m ahead for so many looks if number (M,) is not -1. crossed_s: times at which
+    cells are crossed, s, those of cell c from crossed_from[c] to crossed_from[c + 1]; a crossing counts between
+    crossed_after and crossed_within s.
     """
     near, near_last = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
     leader, crosses = np.full(count, -1, dtype=np.int64), np.zeros(count, dtype=np.bool_)
+    is_run_into = np.zeros(count, dtype=np.bool_)
     at = np.full(centers.shape[0], np.nan)
     at[cells] = middle
     end = middle[middle.size - 1]
@@ -77,11 +101,12 @@ def met_on_route(
             if (not near[n] or look == last) and _is_near(x, y, targets, there, look, within):
                 near[n] = True
                 near_last[n] = near_last[n] or look == last
-        leader[n] = _leader(at, middle[n], pace, time_s, lane_cell, leads_from, leads_to, looks)
+        who, is_run_into[n] = _leader(at, middle[n], pace, time_s, lane_cell, number, leads_from, leads_to, looks)
+        leader[n] = number[who] if who >= 0 else -1
         for place in range(cells.size):
             arrives = (middle[place] - middle[n]) / pace
             if arrives > 0.0:
                 begin, stop = crossed_from[cells[place]], crossed_from[cells[place] + 1]
                 apart = _least_apart(arrives, crossed_s[begin:stop])
                 crosses[n] = crosses[n] or crossed_after < apart < crossed_within
-    return near, near_last, leader, crosses
+    return near, near_last, leader, is_run_into, crosses

@@ -1,6 +1,8 @@
 """What critics make of inserted vehicles on real scenes, generated here and not written. A script, no test:
 
 python tests/benchmarks/critics_figures.py --variants 20 --seed 0 [--set drivers.desired_sd=0.2] [ROOT]
+python tests/benchmarks/critics_figures.py --config data/configs/sumo_default_drivers.toml    # positive control
+python tests/benchmarks/critics_figures.py --leave-one-out    # each scene's drivers are calibrated on the others
 """
 
 import argparse
@@ -10,9 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from bridge.config import load_config
+from bridge.evaluation.calibrate import observe_scene, pooled
 from bridge.generation.generate import generate, prepare
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
+from hid2.drivers.calibration import calibrate, drivers_of
 from hid2.evaluation.critics import (
     JUDGED,
     WIDTH,
@@ -28,6 +32,7 @@ from hid2.evaluation.safety import prepare_map, safety
 from hid2.evaluation.windows import is_labelled, windows
 from hid2.measures.arrays import stack
 from hid2.measures.manoeuvres import ManeuverKind, detect
+from hid2.params import Drivers
 
 
 class Figures:
@@ -107,14 +112,22 @@ def main() -> None:
     parser.add_argument("--variants", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--set", dest="settings", action="append", default=[])
+    parser.add_argument("--config", type=Path)
+    parser.add_argument("--leave-one-out", action="store_true")
     parser.add_argument("--controls", action="store_true")
     parser.add_argument("root", type=Path, nargs="?", help="data-set root, by default the shared real scenes")
     options = parser.parse_args()
     shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
     figures = Figures()
     placed = []
-    for number, folder in enumerate(find_scenarios(options.root or shared / "av2")):
-        config = load_config(None, options.settings, {"request.seed": options.seed})
+    folders = find_scenarios(options.root or shared / "av2")
+    seen = [observe_scene(folder) for folder in folders] if options.leave_one_out else []
+    for number, folder in enumerate(folders):
+        flags: dict[str, object] = {"request.seed": options.seed}
+        if seen:
+            found = calibrate(*pooled([*seen[:number], *seen[number + 1 :]]), prior=Drivers())
+            flags |= {f"drivers.{name}": value for name, value in drivers_of(found).items()}
+        config = load_config(options.config, options.settings, flags)
         prepared = prepare(read_scenario(folder), config)
         for variant in range(options.variants):
             scene = generate(prepared, config, variant=variant)

@@ -76,6 +76,23 @@ def test_count_is_reached_in_one_round_and_spare_ones_go(scene_for: Callable[...
     assert filling.unmet == []
 
 
+def test_spare_vehicle_that_meets_traffic_takes_the_place_of_one_that_meets_nobody(
+    scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four asked for, six driven; those who begin on lane 2 are said to follow somebody recorded, the others nobody."""
+
+    def met_by(_meetings: object, one: ExportedVehicle) -> int:
+        return 2 if one.driven.start.route[0] == 2 else 0
+
+    monkeypatch.setattr("hid2.insertion.meetings.Meetings.met_by", met_by)
+    filling, drive = _fill(scene_for())
+    driven_there = sum(start.route[0] == 2 for start in drive.rounds[0])
+    kept_there = sum(one.driven.start.route[0] == 2 for one in filling.kept)
+    assert 0 < driven_there < 6
+    assert kept_there == min(4, driven_there)
+    assert len(filling.kept) == 4
+
+
 def test_failed_vehicle_is_replaced_elsewhere_and_counted_with_its_reason(scene_for: Callable[..., Scene]) -> None:
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if number == 0 and vehicle.vehicle_id in ("v0_0", "v1_0"):

@@ -1,0 +1,138 @@
+"""Whom vehicles meet from a start site: leaders on their route, who would run into them, and what came of it."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from inserted import driven, nobody, recorded, scene_on, start_on
+
+from hid2.agents import Policy
+from hid2.conflicts.guard import Guard
+from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.finalise import ExportedVehicle, finalise
+from hid2.insertion.meetings import Meetings
+from hid2.insertion.routes import Routes
+from hid2.insertion.sites import InsertionSites
+from hid2.insertion.spread import Spread
+from hid2.params import Config, Drivers, Spawn
+from hid2.policy.roads import Roads
+from hid2.scene import Scene
+from hid2.vehicle import VehicleRequest
+from netconvert.lane_graph import LaneGraph
+
+ROAD_M = 400.0
+
+
+@pytest.fixture
+def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
+    """scene_of(*recorded) -> two lanes of 400 m in cells of 4 m: lane 1 at y = 0, lane 2 at y = 3.5 m."""
+
+    def make(*tracks: object, **spawn: float) -> Scene:
+        config = Config(spawn=Spawn(prior_speed_mps=9.0, **spawn), drivers=Drivers(desired_sd=0.0))
+        return scene_on(road(lanes=2, length_m=ROAD_M), *tracks, config=config)
+
+    return make
+
+
+def _leader(meetings: Meetings, scene: Scene, lane_id: int, at_m: float) -> int:
+    """The leader from a site on the lane's only route; 0 is the moving vehicle that was recorded first, -1 nobody."""
+    meetings.outlook(Policy.STRAIGHT)
+    cell = scene.grid.cell_at(lane_id, at_m)
+    return meetings.leader_of(cell, meetings.routes.offers(lane_id)[0].route)
+
+
+def _weight(meetings: Meetings, scene: Scene, lane_id: int, at_m: float) -> float:
+    cell = scene.grid.cell_at(lane_id, at_m)
+    return float(meetings.outlook(Policy.STRAIGHT).weight[scene.grid.index_of[cell]])
+
+
+def test_leader_is_next_ahead_on_the_same_lane_within_three_seconds(scene_of: Callable[..., Scene]) -> None:
+    """One at 9 m/s from 100 m on: within 3 s, 27 m, of it a vehicle that starts at 82 m follows it, on its lane only.
+
+    At 0.9 of its speed the one from 82 m falls behind by 0.9 m/s and is within 3 s for more than three looks.
+    """
+    scene = scene_of(recorded(100.0, 0.0, 9.0))
+    meetings = Meetings(scene, Routes(scene))
+    assert _leader(meetings, scene, 1, 82.0) == 0
+    assert _leader(meetings, scene, 1, 40.0) == -1
+    assert _leader(meetings, scene, 1, 120.0) == -1
+    assert _leader(meetings, scene, 2, 82.0) == -1
+    assert _weight(meetings, scene, 1, 82.0) == pytest.approx(6.0 * _weight(meetings, scene, 2, 82.0))
+
+
+def test_nobody_leads_past_somebody_between(scene_of: Callable[..., Scene]) -> None:
+    """The same with another one at 9 m/s at 91 m, between them: that one leads."""
+    scene = scene_of(recorded(100.0, 0.0, 9.0, name="far"), recorded(91.0, 0.0, 9.0, name="next"))
+    meetings = Meetings(scene, Routes(scene))
+    assert _leader(meetings, scene, 1, 80.0) == 1
+
+
+def test_site_at_which_somebody_recorded_would_run_into_a_vehicle_weighs_a_fifth(
+    scene_of: Callable[..., Scene],
+) -> None:
+    """On lane 1 one at 20 m/s from 20 m on drives 218 m: past who starts at 60 m, not past who starts behind it."""
+    scene = scene_of(recorded(20.0, 0.0, 20.0), recorded(20.0, 3.5, 9.0, name="other"), max_speed_mps=12.0)
+    meetings = Meetings(scene, Routes(scene))
+    meetings._usual.update({1: 9.0, 2: 9.0})
+    behind, ahead = _weight(meetings, scene, 2, 60.0), _weight(meetings, scene, 1, 60.0)
+    assert ahead == pytest.approx(0.2 * behind)
+
+
+def test_who_follows_drives_as_fast_as_the_leader_at_least(scene_of: Callable[..., Scene]) -> None:
+    """Half the traffic of the lane crawls at 4 m/s, far ahead; who starts behind the one at 12 m/s wants 12, not 4."""
+    crawling = recorded(300.0, 0.0, 4.0, name="c")
+    scene = scene_of(recorded(60.0, 0.0, 12.0), crawling)
+    meetings = Meetings(scene, Routes(scene))
+    starts = [start for seed in range(60) for start in _sites(scene, meetings, seed).propose(_request())]
+    led = [one for one in starts if _leader(meetings, scene, one.route[0], one.start_s) == 0]
+    assert len(led) >= 5
+    assert all(one.driver.desired_mps == pytest.approx(12.0) for one in led)
+
+
+def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site(scene_of: Callable[..., Scene]) -> None:
+    scene = scene_of(recorded(100.0, 0.0, 9.0))
+    meetings = Meetings(scene, Routes(scene))
+    sites = _sites(scene, meetings, 0)
+    rows = np.array([scene.grid.index_of[scene.grid.cell_at(1, 82.0)]])
+    free, _ = sites._weights(Policy.STRAIGHT, rows)
+    sites.kept = [start_on(scene, meetings.routes.offers(1)[0].route, 80.0, 9.0)]
+    taken, _ = sites._weights(Policy.STRAIGHT, rows)
+    assert free[0] == pytest.approx(6.0 * taken[0])
+
+
+@pytest.mark.parametrize(("start_m", "lane_id", "expected"), [(80.0, 1, 2), (88.0, 2, 1), (20.0, 2, 0)])
+def test_what_a_driven_vehicle_met(scene_of: Callable[..., Scene], start_m: float, lane_id: int, expected: int) -> None:
+    """Behind one at 9 m/s from 100 m on: 2 m/s slower from 20 m behind, within 3 s for a second and more; on the lane
+    beside, near; 80 m behind it, far away.
+    """
+    scene = scene_of(recorded(100.0, 0.0, 9.0))
+    meetings = Meetings(scene, Routes(scene))
+    start = start_on(scene, (lane_id,), start_m, 8.0)
+    exported = finalise(scene, driven(start, np.full(110, 8.0)), nobody(scene.future.num_steps))
+    assert isinstance(exported, ExportedVehicle), exported
+    assert meetings.met_by(exported) == expected
+
+
+def test_pace_of_a_leader_is_what_it_drives_while_it_moves(scene_of: Callable[..., Scene]) -> None:
+    scene = scene_of(recorded(100.0, 0.0, 9.0))
+    meetings = Meetings(scene, Routes(scene))
+    assert meetings.pace_of(0) == pytest.approx(9.0)
+    assert meetings.pace_of(-1) == 0.0
+
+
+def test_weight_of_a_route_is_that_of_its_cell(scene_of: Callable[..., Scene]) -> None:
+    scene = scene_of(recorded(100.0, 0.0, 9.0))
+    meetings = Meetings(scene, Routes(scene))
+    cell = scene.grid.cell_at(1, 82.0)
+    assert meetings.offer_weights(cell, Policy.STRAIGHT) == pytest.approx([_weight(meetings, scene, 1, 82.0)])
+
+
+def _request() -> VehicleRequest:
+    return VehicleRequest(0, Policy.STRAIGHT, 0.0)
+
+
+def _sites(scene: Scene, meetings: Meetings, seed: int) -> InsertionSites:
+    lines = StopLines(scene)
+    guard = Guard(scene, nobody(scene.future.num_steps), lines)
+    rng, spread = np.random.default_rng(seed), Spread.of((seed, 0))
+    return InsertionSites(scene, Roads(scene), meetings.routes, lines, guard, rng, 0, meetings, spread)
