@@ -181,10 +181,10 @@ class Meetings:
         return [max(_LEAST, known.get(row, mean)) for row in range(len(self.routes.offers(cell.lane_id)))]
 
     def leader_of(self, cell: Cell, route: Route) -> int:
-        """Whom a vehicle from a cell would follow on a route, a number of its own; -1 nobody, or not known."""
+        """Whom a vehicle from a cell would follow on a route, a number of its own; -1 nobody."""
         for row, offer in enumerate(self.routes.offers(cell.lane_id)):
-            if offer.route == route and (cell.lane_id, row) in self._on_route:
-                return int(self._on_route[cell.lane_id, row].leader[cell.index])
+            if offer.route == route:
+                return int(self._of_offer(cell.lane_id, row).leader[cell.index])
         return -1
 
     def met_by(self, vehicle: ExportedVehicle) -> int:
