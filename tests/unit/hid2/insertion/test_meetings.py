@@ -136,3 +136,14 @@ def _sites(scene: Scene, meetings: Meetings, seed: int) -> InsertionSites:
     guard = Guard(scene, nobody(scene.future.num_steps), lines)
     rng, spread = np.random.default_rng(seed), Spread.of((seed, 0))
     return InsertionSites(scene, Roads(scene), meetings.routes, lines, guard, rng, 0, meetings, spread)
+
+
+def test_leader_does_not_depend_on_what_was_looked_at_before(scene_of: Callable[..., Scene]) -> None:
+    """Variants share what they find: a site asked for first is answered as one asked for after all others."""
+    scene = scene_of(recorded(100.0, 0.0, 9.0))
+    fresh, used = Meetings(scene, Routes(scene)), Meetings(scene, Routes(scene))
+    for policy in Policy:
+        used.outlook(policy)
+    route = used.routes.offers(1)[0].route
+    answers = [[one.leader_of(scene.grid.cell_at(1, at_m), route) for at_m in (40.0, 82.0)] for one in (fresh, used)]
+    assert answers[0] == answers[1] == [-1, 0]
