@@ -160,7 +160,8 @@ class Driving:
         """All steps of the scene; a vehicle's step 0 is its start."""
         scene, simulation, step_s = self.scene, self.simulation, self.scene.step_s
         simulation.rewind()
-        there, there_kept = (scene.traffic, self.fixed) if self.checked else self._shown()
+        everybody = self.checked or scene.config.driving.replay != "fixed"  # who reacts is anywhere
+        there, there_kept = (scene.traffic, self.fixed) if everybody else self._shown()
         recorded = self._recorded = Replay(simulation, there, "r", step_s=step_s, checked=self.checked)
         kept = self._kept = Replay(simulation, there_kept, "k", step_s=step_s, checked=False)
         for back in (2, 1):
@@ -288,8 +289,7 @@ class Driving:
         found = shown_ahead(
             here.low, here.high, here.along, here.aligned, here.crosses, here.agents, here.first, self._lengths,
             self.scene.traffic.position, self.fixed.position, step, self._place[: len(self.vehicles)],
-            self._centre, self._own_lengths,
-            (driving.standing_mps, driving.leads_from_m, driving.shown_m),
+            self._centre, self._own_lengths, (driving.standing_mps, driving.leads_from_m, driving.shown_m),
         )  # fmt: skip
         for agent, row, middle in zip(*(column.tolist() for column in found), strict=True):
             where = self._edge_of(self.scene.cell_at(self.vehicles[row].path, middle))

@@ -10,6 +10,7 @@ from hid2.agents import BoxSize, FloatArray
 from hid2.insertion.flow import Arrival
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
+from hid2.occupancy.traffic import Traffic
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
 #: Other vehicles farther away than this are looked at when they come near: nobody gets there within the horizon.
@@ -40,6 +41,10 @@ class FlowDriving(Driving):
         self._centre = np.concatenate([self._centre, np.full((more, 2), np.inf)])
         self._place = np.concatenate([self._place, np.full(more, np.nan)])
         self._own_lengths = np.concatenate([self._own_lengths, [one.box.length_m for one in self.arrivals]])
+
+    def _shown(self) -> tuple[Traffic, Traffic]:
+        """All of them at all steps: anybody may be ahead of somebody who comes."""
+        return self.scene.traffic, self.fixed
 
     def _enter(self, step: int) -> None:
         Driving._enter(self, step)
