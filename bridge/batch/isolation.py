@@ -15,6 +15,7 @@ import itertools
 import logging
 import os
 import pickle
+import re
 import resource
 import shutil
 import signal
@@ -56,6 +57,8 @@ _MB = 1_000_000
 #: Packages whose messages an isolated process passes on to its caller.
 _PACKAGES = ("netconvert", "hid2", "bridge")
 _LOG = logging.getLogger(__name__)
+#: What faulthandler writes before it ends a process that ran out of time.
+_RAN_OUT = re.compile(r"^Timeout \(\d+:\d\d:\d\d[.\d]*\)!$", re.MULTILINE)
 
 _SERVE = "from bridge.batch.isolation import serve; serve()"
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
@@ -244,6 +247,8 @@ class IsolatedProcess:
         code = process.wait()
         details = self._log_tail()
         self.close()
+        if code == 1 and _RAN_OUT.search(details):  # its clock began before that of a caller who was held up
+            ran_out_of_s = self._timeout_s
         if ran_out_of_s is not None:
             return Failure("timeout", f"no result after {ran_out_of_s:g} s: the process was ended", details)
         if code == -signal.SIGKILL:

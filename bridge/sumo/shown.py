@@ -13,7 +13,7 @@ from hid2.params import Driving
 from hid2.vehicle import Start
 
 #: Who is farther than this from the way of a vehicle that may change lanes need not be shown; how finely that is told.
-_NEAR_M, _EVERY_M, _EVERY_STEPS = 12.0, 6.0, 5
+_NEAR_M, _EVERY_M, _EVERY_S = 12.0, 6.0, 0.5
 #: No vehicle is faster than its desired speed by more than this ratio.
 _PACE_MOST = 1.1
 
@@ -36,7 +36,7 @@ def shown_when(
     needed = np.zeros((len(traffic.ids), num_steps), dtype=np.bool_)
     for start, (rows, found) in zip(starts, known, strict=True):
         if may_change(start):
-            needed |= _near(traffic, start, num_steps)
+            needed |= _near(traffic, start, num_steps, max(1, round(_EVERY_S / step_s)))
             continue
         fastest_mps = _PACE_MOST * max(float(start.desired.max()), start.start_mps)
         reach_m = start.start_s + start.box.length_m + driving.shown_m + fastest_mps * step_s * np.arange(num_steps)
@@ -51,14 +51,14 @@ def shown_when(
     return np.asarray(once & traffic.present)
 
 
-def _near(traffic: Traffic, start: Start, num_steps: int) -> BoolArray:
-    """(A, T) agents near to what of a start's path is ahead of it."""
-    looks = slice(0, num_steps, _EVERY_STEPS)
+def _near(traffic: Traffic, start: Start, num_steps: int, every: int) -> BoolArray:
+    """(A, T) agents near to what of a start's path is ahead of it, looked at every so many steps."""
+    looks = slice(0, num_steps, every)
     begin = max(0, int((start.start_s - _NEAR_M) / TABLE_STEP_M))
     points = start.path.line.table_xy[begin :: round(_EVERY_M / TABLE_STEP_M)]
     apart = np.square(traffic.position[:, looks, None] - points).sum(axis=-1)
     near = traffic.present[:, looks] & (apart < _NEAR_M * _NEAR_M).any(axis=-1)
     spread = np.zeros((len(traffic.ids), num_steps), dtype=np.bool_)
     for look in range(near.shape[1]):
-        spread[near[:, look], max(0, (look - 1) * _EVERY_STEPS) : (look + 1) * _EVERY_STEPS + 1] = True
+        spread[near[:, look], max(0, (look - 1) * every) : (look + 1) * every + 1] = True
     return spread

@@ -65,6 +65,17 @@ def test_hang_is_ended_in_time(process: IsolatedProcess) -> None:
     assert time.monotonic() - began < 20.0
 
 
+def test_process_that_ended_itself_in_time_ran_out_of_it_whatever_the_callers_clock_says(
+    process: IsolatedProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a busy machine the caller begins to wait after the process has begun to work: it is no crash all the same."""
+    list(process.stream("faults:numbers", "", (1,)))
+    monkeypatch.setattr("bridge.batch.isolation.time.monotonic", lambda: 0.0)
+    with pytest.raises(WorkFailedError) as caught:
+        list(process.stream("faults:numbers", "", ("hang",)))
+    assert caught.value.failure.kind == "timeout"
+
+
 def test_stopped_process_is_killed_after_its_time(process: IsolatedProcess) -> None:
     """SIGSTOP freezes the child's own watchdog too: the caller's ends it."""
     list(process.stream("faults:numbers", "", (1,)))
