@@ -100,9 +100,12 @@ def test_chaos(make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.M
         rows = run_batch(plan(folders, CONFIG), out, options)
     assert len(killer.hit) >= 3, f"the killer hit only {killer.hit}"
 
-    assert {row.scenario: row.failure for row in rows if row.status != DONE} == {
-        folders[number].name: kind for number, (_, kind) in bad.items()
-    }, f"killed: {killer.hit}"
+    wanted = {folders[number].name: kind for number, (_, kind) in bad.items()}
+    found = {row.scenario: row.failure for row in rows if row.status != DONE}
+    for name in wanted.keys() & set(killer.hit):
+        if found.get(name) == "killed":  # hit at its second and last attempt: what it would have done is not known
+            found[name] = wanted[name]
+    assert found == wanted, f"killed: {killer.hit}"
     assert contents(out) == contents(quiet)
     assert validate_folder(out / "val", source=folders[0].parent) == []
     assert all((out / row.bundle).is_file() for row in rows if row.status != DONE)
