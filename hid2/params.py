@@ -215,8 +215,14 @@ class Drivers(_Section):
     wander_time_s: float = _param(3.0, "s", "correlation time of that wandering", gt=0, le=30)
     tau_mean_s: float = _param(1.15, "s", "time gap; usual 0.9 to 1.5", ge=0.5, le=4)
     tau_sd_s: float = _param(0.25, "s", "its SD between drivers", ge=0, le=2)
-    accel_mean_mps2: float = _param(1.6, "m/s2", "acceleration from standstill", gt=0, le=2.4)
-    accel_sd_mps2: float = _param(0.25, "m/s2", "its SD between drivers", ge=0, le=1)
+    accel_mean_mps2: float = _param(
+        1.85,
+        "m/s2",
+        "acceleration from standstill; 95 % of recorded accelerations are below 1.45, of inserted vehicles' below 1.20",
+        gt=0,
+        le=2.4,
+    )
+    accel_sd_mps2: float = _param(0.35, "m/s2", "its SD between drivers", ge=0, le=1)
     decel_mean_mps2: float = _param(2.2, "m/s2", "comfortable deceleration", gt=0, le=4.05)
     decel_sd_mps2: float = _param(0.35, "m/s2", "its SD between drivers", ge=0, le=1)
     min_gap_mean_m: float = _param(2.2, "m", "gap kept to a standing leader (SUMO minGap)", ge=0.5, le=10)

@@ -10,6 +10,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from bridge.config import load_config
 from bridge.evaluation.calibrate import observe_scene, pooled
@@ -35,6 +36,19 @@ from hid2.measures.manoeuvres import ManeuverKind, detect
 from hid2.params import Drivers
 
 
+def accelerations(position: np.ndarray, *, over: int = 11) -> np.ndarray:
+    """Accelerations (K,) along the way at the steps of a track in which it moves, without its first and last second.
+
+    position (T, 2); parabolas over so many steps: noise of a tracker does not decide, nor does a fit of seconds.
+    """
+    if len(position) < 40:
+        return np.zeros(0)
+    smooth = savgol_filter(position, over, 2, axis=0)
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=0).T))])
+    speed, found = (savgol_filter(s, over, 2, deriv=k, delta=0.1)[10:-10] for k in (1, 2))
+    return found[speed > 0.5]
+
+
 class Figures:
     """Windows, histograms and vehicles of all scenes."""
 
@@ -43,6 +57,7 @@ class Figures:
         self.realism = RealismCounts()
         self.offsets: list[tuple[bool, float]] = []
         self.durations: list[float] = []
+        self.accelerations: dict[bool, list[np.ndarray]] = {False: [], True: []}
 
     def add(self, number: int, name: str, tracks, graph, *, num_steps: int, first: bool) -> None:
         arrays = stack(tracks, num_steps=num_steps, step_s=0.1)
@@ -63,6 +78,10 @@ class Figures:
         values = scene_values(arrays, safe, found, durations)
         kinds = {"generated": arrays.generated & members, "recorded": ~arrays.generated & members}
         self.realism.add(count_scene(name, arrays, values, **kinds))
+        for agent in np.flatnonzero(members & (arrays.generated | first)):
+            self.accelerations[bool(arrays.generated[agent])].append(
+                accelerations(arrays.position[arrays.agent == agent])
+            )
         for agent in np.unique(found.agent):
             own = found.rows(found.agent == agent)
             if arrays.generated[agent] or first:
@@ -86,8 +105,9 @@ class Figures:
             for critic, view in JUDGED:
                 constant = judge(constant_on_the_middle(found), critic, view)
                 apart = [judge(halves_apart(found, k), critic, view) for k in range(4)]
+                known = np.mean([(a.auc, a.low, a.high) for a in apart if a], axis=0)
                 print(f"controls     {critic:9s} {view:8s} constant {constant.auc:.3f}, recorded against recorded "
-                      f"{np.mean([a.auc for a in apart if a]):.3f}")  # fmt: skip
+                      f"{known[0]:.3f} [{known[1]:.2f}, {known[2]:.2f}]")  # fmt: skip
         print("betrays:", ", ".join(f"{name} {auc:.2f}" for name, auc in betrayals(found)[:9]))
         for name, mask in (("generated", found.generated), ("recorded", ~found.generated)):
             rows = found.rows[mask]
@@ -100,6 +120,9 @@ class Figures:
                   f"sd a {a.std():.2f} sd j {j.std():.2f} median |d| {np.median(np.abs(rows[:, 7])):.2f} "
                   f"sd between {np.std(offsets):.2f} drift sd {rows[:, 8].std():.3f} bend sd {rows[:, 9].std():.3f} "
                   f"corr a, closing {np.corrcoef(a[led], -rows[led, 17])[0, 1]:.2f} led {led.mean():.2f}")  # fmt: skip
+        for name, own in (("generated", self.accelerations[True]), ("recorded", self.accelerations[False])):
+            low, high = np.percentile(np.concatenate(own), [5, 95])
+            print(f"{name:10s} accelerations at every step 5/95 {low:.2f} {high:.2f}")
         for d in self.realism.distances():
             if d.jensen_shannon is not None and d.jensen_shannon_floor:
                 ratio = d.jensen_shannon / d.jensen_shannon_floor
