@@ -79,7 +79,7 @@ def evaluate_folder(
                 elif done > known:
                     totals.add_control(measures)
                 elif done > len(folders):
-                    totals.add_source(measures.scene)
+                    totals.add_source(measures)
                 else:
                     totals.add(measures)
                     for table, rows in zip(

@@ -1,4 +1,4 @@
-"""The report's section on realism: how closely inserted vehicles drive like recorded ones, in words and figures."""
+"""The report's section on realism: how closely generated vehicles drive like recorded ones, in words and figures."""
 
 import html
 from collections.abc import Mapping, Sequence
@@ -9,16 +9,17 @@ from markupsafe import Markup
 from bridge.evaluation.charts import distribution_figure
 from bridge.evaluation.pages import linked, macro, number, picture, table, with_interval
 from bridge.evaluation.totals import Evaluation
+from hid2.evaluation.critics import FEATURE_NAMES
 from hid2.evaluation.realism import FEATURES
 
 #: How the critics and what they are shown are named in the report.
 _CRITIC_NAMES = {
-    "logistic": "a straight-line rule (logistic regression)",
-    "trees": "gradient-boosted trees",
+    "logistic": "a weighted sum (logistic regression)",
+    "trees": "a series of yes-no questions (gradient-boosted trees)",
     "temporal": "one that sees the course of the four seconds (random convolutions)",
 }
-_VIEW_NAMES = {"speed": "speed alone", "lateral": "place in the lane alone", "all": "everything"}
-_RECORDINGS = {"all": "all scenes", "tracker": "recorded by a tracker", "labelled": "labelled by people"}
+_VIEW_NAMES = {"speed": "shown speed alone", "lateral": "shown the place in the lane alone", "all": "shown everything"}
+_RECORDINGS = {"all": "all scenes", "tracker": "scenes recorded by a tracker", "labelled": "scenes labelled by people"}
 #: A constant-speed vehicle has to be found out so often, SUMO's default drivers so often, for the critics to count.
 _CONSTANT_FOUND, _DEFAULTS_FOUND = 0.90, 0.75
 
@@ -43,8 +44,8 @@ def realism_section(evaluation: Evaluation) -> str:
         for item in realism["distances"]
     ]
     head = (
-        "feature", linked("Jensen-Shannon"), "floor", "times the floor", linked("Wasserstein"), "floor of Wasserstein",
-        "generated samples", "recorded samples",
+        "feature", linked("Jensen-Shannon"), "floor of Jensen-Shannon", "Jensen-Shannon / floor", linked("Wasserstein"),
+        "floor of Wasserstein", "generated samples", "recorded samples",
     )  # fmt: skip
     caption = "Distributions behind the table; end bins hold what lies beyond."
     shown = picture(distribution_figure(evaluation.totals.realism), caption, _furthest(realism["distances"], names))
@@ -72,10 +73,15 @@ def plain_words(critics: Mapping[str, Any], tails: Sequence[Mapping[str, Any]]) 
         else ""
     )
     task = (
-        "Take one recorded and one inserted vehicle in the same kind of traffic, each for four seconds. A program is "
-        "trained to say which of the two is the inserted one. By guessing it is right 50 times of 100. The best of "
+        "Take one recorded and one generated vehicle in the same kind of traffic, each for four seconds. A program is "
+        "trained to say which of the two is the generated one; by guessing it is right 50 times of 100. "
     )
-    words = [f"{task}ours is right {_of_100(best['auc'])} times of 100{spread}."]
+    programs = f"The most successful of {len(verdicts)} programs" if len(verdicts) > 1 else "Our program"
+    words = [
+        f"{task}{programs} is right {_of_100(best['auc'])} times of 100{spread}: the nearer to 50, the more alike.",
+        f"{best['scenes']} recorded scenes hold enough of both kinds to judge by.",
+    ]
+    words += _by_recordings(critics["verdicts"], best["critic"])
     recorded = [v for v in critics["negative_control"] if v["critic"] == best["critic"] and v["view"] == "all"]
     constant = [v for v in critics["constant_speed_control"] if v["view"] == "all"]
     if recorded:
@@ -93,15 +99,21 @@ def plain_words(critics: Mapping[str, Any], tails: Sequence[Mapping[str, Any]]) 
     if critics["drivers_control"]:
         found = max(v["auc"] for v in critics["drivers_control"] if v["view"] == "all")
         verdict = "" if found >= _DEFAULTS_FOUND else ", fewer than critics of worth would"
-        words.append(f"The drivers given as a control are found out {_of_100(found)} times of 100{verdict}.")
+        words.append(
+            f"Vehicles with the other drivers of the control's scenes are found out {_of_100(found)} times of "
+            f"100{verdict}."
+        )
     told = [b for b in critics["betrays"] if abs(b["auc"] - 0.5) >= _TELLING][:3]
     if told:
         listed = "; ".join(
-            f"{b['feature']} (inserted vehicles have {'more' if b['auc'] > 0.5 else 'less'} of it)" for b in told
+            f"{b['feature']} (generated vehicles have {'more' if b['auc'] > 0.5 else 'less'} of it)" for b in told
         )
-        words.append(f"What gives inserted vehicles away most: {listed}.")
+        words.append(f"What gives generated vehicles away most: {listed}.")
     else:
-        words.append("No single quantity gives inserted vehicles away.")
+        words.append(
+            f"None of the {len(FEATURE_NAMES)} quantities that the programs see gives generated vehicles away by "
+            f"itself: by its size alone one is right at most {_of_100(0.5 + _TELLING)} times of 100, over all scenes."
+        )
     return words + _tails_in_words(tails)
 
 
@@ -115,18 +127,33 @@ _CAUTIOUS = {
 }
 
 
+def _by_recordings(verdicts: Sequence[Mapping[str, Any]], critic: str) -> list[str]:
+    """How often that critic is right on the scenes of either kind of recording, where there are both."""
+    own = [v for v in verdicts if v["recordings"] != "all" and (v["critic"], v["view"]) == (critic, "all")]
+    if len(own) < len(_RECORDINGS) - 1:
+        return []
+    told = [f"{_of_100(v['auc'])} times of 100 on the {v['scenes']} {_RECORDINGS[v['recordings']]}" for v in own]
+    words = [f"Trained and tried on either kind apart, it is right {' and '.join(told)}."]
+    if any(v["auc"] < 0.5 for v in own):
+        words.append(
+            "Less than 50 is no sign of realism: what it learned on the other scenes of the kind does not hold there."
+        )
+    return words
+
+
 def _tails_in_words(tails: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Whether inserted vehicles are too cautious or too bold, in sentences."""
+    """Whether generated vehicles are too cautious or too bold, and what is usual, in sentences."""
     words = []
     for item in tails:
         if item["feature"] not in _CAUTIOUS or item["generated"] is None or item["recorded"] is None:
             continue
-        row = item["shares"].index(0.05)
+        row, middle = item["shares"].index(0.05), item["shares"].index(0.5)
         ours, theirs = item["generated"][row], item["recorded"][row]
         begin, unit = _CAUTIOUS[item["feature"]]
         ratio = ours / max(theirs, 1e-6)
         verdict = "much the same" if 1 / _APART < ratio < _APART else "too cautious" if ratio > 1 else "too bold"
-        words.append(f"{begin} {ours:.1f} {unit} when inserted and {theirs:.1f} when recorded: {verdict}.")
+        usual = f"{item['generated'][middle]:.1f} and {item['recorded'][middle]:.1f} s in the middle of all"
+        words.append(f"{begin} {ours:.1f} {unit} when generated and {theirs:.1f} when recorded ({usual}): {verdict}.")
     return words
 
 

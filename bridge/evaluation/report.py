@@ -85,8 +85,8 @@ _TERMS = (
     Term(
         "auc",
         "AUC",
-        "how often a critic ranks an inserted window above a recorded one: 0.5 by guessing, 1 always; below 0.5 it "
-        "learned on the other scenes what does not hold on these.",
+        "how often a critic finds the generated one of a generated and a recorded window: 0.5 by guessing, 1 always; "
+        "below 0.5 what it learned on the other scenes does not hold on these.",
     ),
     Term(
         "overtake",

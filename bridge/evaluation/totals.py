@@ -18,6 +18,7 @@ from bridge.evaluation.scene_metrics import SceneMeasures
 from bridge.recordings.folders import Address
 from hid2.evaluation.metrics import Section, metrics_in
 from hid2.evaluation.realism import FEATURES, TAIL_SHARES, TAILS, RealismCounts, quantiles
+from hid2.measures.arrays import BoolArray
 
 #: Nets of at most this many different maps are measured.
 MOST_NETS = 20
@@ -132,18 +133,14 @@ class Totals:
         source = str(row["source"])
         self.sums.add(row)
         self.diversity.add(row)
-        self.realism.add(measures.realism)
         self.maneuvers.add(measures.maneuvers)
         self.event_counts.update((str(row["kind"]), str(row["status"])) for row in measures.events)
         self.events += measures.events[: max(0, MOST_EVENTS - len(self.events))]
         # the recorded vehicles of a source scene are in every scene that was made from it: they count once
-        is_first = self._sources.add(source)
-        if is_first and source not in self._measured_sources:
+        as_recorded = self._sources.add(source) and source not in self._measured_sources
+        if as_recorded:
             self.diversity.add_source(row)
-        kept = measures.sample_generated | is_first
-        self.samples.add(
-            measures.samples[kept], measures.sample_generated[kept], scene=row["scenario_id"], source=source
-        )
+        self._add_driving(measures, generated=True, recorded=as_recorded)
         self._add_counts(row)
         shown = row["generated_seen_overtake"] + row["generated_seen_lane_change"]
         example = Example(row["generated"] > 0, shown, row["scenario_id"], row["folder"])
@@ -152,19 +149,25 @@ class Totals:
         if len(self._nets) > MOST_NETS:
             del self._nets[max(self._nets)]
 
-    def add_source(self, row: Row) -> None:
-        """Take the row of a source scene in: what there was before."""
-        self.diversity.add_source(row)
+    def add_source(self, measures: SceneMeasures) -> None:
+        """Take a source scene in: what there was before, and how recorded vehicles drive among themselves."""
+        self.diversity.add_source(measures.scene)
+        self._add_driving(measures, generated=False, recorded=True)
 
     def add_control(self, measures: SceneMeasures) -> None:
         """Take a scene of the control's drivers in: of it only what the critics look at counts."""
         self.control = self.control or Samples()
-        mine = measures.sample_generated
-        self.control.add(
-            measures.samples[mine],
-            mine[mine],
-            scene=measures.scene["scenario_id"],
-            source=str(measures.scene["source"]),
+        self._add_windows(measures, self.control, measures.sample_generated)
+
+    def _add_driving(self, measures: SceneMeasures, *, generated: bool, recorded: bool) -> None:
+        self.realism.add(measures.realism, generated=generated, recorded=recorded)
+        self._add_windows(measures, self.samples, np.where(measures.sample_generated, generated, recorded))
+
+    @staticmethod
+    def _add_windows(measures: SceneMeasures, samples: Samples, kept: BoolArray) -> None:
+        row = measures.scene
+        samples.add(
+            measures.samples[kept], measures.sample_generated[kept], scene=row["scenario_id"], source=str(row["source"])
         )
 
     def net_folders(self) -> dict[str, str]:

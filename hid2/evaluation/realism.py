@@ -123,11 +123,12 @@ class RealismCounts:
     recorded: Histograms = field(default_factory=empty_histograms)
     halves: list[Histograms] = field(default_factory=lambda: [empty_histograms() for _ in range(SPLITS)])
 
-    def add(self, other: "RealismCounts") -> None:
-        """Take the samples of another batch in."""
-        for mine, theirs in zip(
-            [self.generated, self.recorded, *self.halves], [other.generated, other.recorded, *other.halves], strict=True
-        ):
+    def add(self, other: "RealismCounts", *, generated: bool = True, recorded: bool = True) -> None:
+        """Take the samples of another batch in, or those of one kind of vehicle."""
+        pairs = [(self.generated, other.generated)] if generated else []
+        if recorded:
+            pairs += zip([self.recorded, *self.halves], [other.recorded, *other.halves], strict=True)
+        for mine, theirs in pairs:
             for name, counts in theirs.items():
                 mine[name] += counts
 

@@ -59,7 +59,8 @@ class Figures:
         self.durations: list[float] = []
         self.accelerations: dict[bool, list[np.ndarray]] = {False: [], True: []}
 
-    def add(self, number: int, name: str, tracks, graph, *, num_steps: int, first: bool) -> None:
+    def add(self, number: int, name: str, tracks, *, graph, num_steps: int, first: bool) -> None:
+        """Take the recorded tracks of a source in (first), or the generated ones of a scene made from it."""
         arrays = stack(tracks, num_steps=num_steps, step_s=0.1)
         ground = prepare_map(graph)
         safe = safety(arrays, ground)
@@ -77,7 +78,7 @@ class Figures:
         self.durations += [m.duration_s for m in seen if m.complete and m.track_id.startswith("gen_")]
         values = scene_values(arrays, safe, found, durations)
         kinds = {"generated": arrays.generated & members, "recorded": ~arrays.generated & members}
-        self.realism.add(count_scene(name, arrays, values, **kinds))
+        self.realism.add(count_scene(name, arrays, values, **kinds), generated=not first, recorded=first)
         for agent in np.flatnonzero(members & (arrays.generated | first)):
             self.accelerations[bool(arrays.generated[agent])].append(
                 accelerations(arrays.position[arrays.agent == agent])
@@ -152,13 +153,13 @@ def main() -> None:
             flags |= {f"drivers.{name}": value for name, value in drivers_of(found).items()}
         config = load_config(options.config, options.settings, flags)
         prepared = prepare(read_scenario(folder), config)
+        recorded = prepared.scenario
+        common = {"graph": recorded.graph, "num_steps": recorded.num_steps}
+        figures.add(number, recorded.scenario_id, recorded.tracks, first=True, **common)
         for variant in range(options.variants):
             scene = generate(prepared, config, variant=variant)
             placed.append(len(scene.generated))
-            figures.add(
-                number, scene.scenario.scenario_id, [*scene.scenario.tracks, *scene.generated], scene.scenario.graph,
-                num_steps=scene.scenario.num_steps, first=variant == 0,
-            )  # fmt: skip
+            figures.add(number, recorded.scenario_id, [*recorded.tracks, *scene.generated], first=False, **common)
     print(f"placed {sum(placed)} in {len(placed)} scenes")
     figures.report(controls=options.controls)
 

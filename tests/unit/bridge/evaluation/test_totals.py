@@ -52,7 +52,7 @@ def test_size_does_not_grow_with_scenes(measured, sources):
     totals.sums, totals.samples = SourceSums(most=20), Samples(most=50)
     for number in range(1000):
         totals.add(named(measured, number, sources=sources))
-        totals.add_source(measured.scene)
+        totals.add_source(measured)
         if number in {99, 999}:
             assert totals.content()["scenes"]["scenes"] == number + 1
             sizes.append(len(pickle.dumps(totals)))
@@ -154,7 +154,11 @@ def test_before_holds_each_source_once_whether_it_is_measured_itself_or_not(meas
     for number in range(5):
         totals.add(named(measured, number, sources=2))
     for _ in measured_sources:
-        totals.add_source(measured.scene)
+        totals.add_source(measured)
+    # how recorded vehicles drive counts once for each source as well, how generated ones drive for each scene
+    for kind, times in (("recorded", 2), ("generated", 5)):
+        once, pooled = (int(getattr(each, kind)["speed"].sum()) for each in (measured.realism, totals.realism))
+        assert pooled == times * once > 0
     found = totals.content()["diversity"]
     assert found["scenes"] == {"before": 2, "after": 5}
     recorded = measured.scene["tracks"] - measured.scene["generated"]
