@@ -61,7 +61,7 @@ class Calibration(NamedTuple):
 
 
 def calibrate_folder(
-    root: Path, out: Path, *, without: Sequence[str] = (), jobs: int = 1, seed: int = 0,
+    root: Path, out: Path, *, without: Sequence[str] = (), jobs: int = 1,
     on_scene: Callable[[int, int], None] | None = None,
 ) -> Calibration:  # fmt: skip
     """Measure how people drive in the recorded scenes below `root`, and write what was found.
@@ -95,7 +95,7 @@ def calibrate_folder(
         raise ScenarioError(f"{root}: no scene can be read; the first: {failures[0][0]}: {failures[0][1]}")
     scenes.sort(key=lambda scene: scene.name)
     prior = Drivers()
-    groups = {name: calibrate(*pooled(part), prior=prior, seed=seed) for name, part in _groups(scenes)}
+    groups = {name: calibrate(*pooled(part), prior=prior) for name, part in _groups(scenes)}
     result = Calibration(groups, scenes, failures)
     try:
         _write(result, out, prior)

@@ -147,15 +147,8 @@ def compose(
 class _Pool:
     """The scenes of all sources by split, and how they are drawn."""
 
-    def __init__(
-        self,
-        composition: Composition,
-        *,
-        jobs: int,
-        tell: Callable[[int, int], None],
-        params: Forecasting | None = None,
-    ) -> None:
-        self._params = params or Forecasting()
+    def __init__(self, composition: Composition, *, jobs: int, tell: Callable[[int, int], None]) -> None:
+        self._params = Forecasting()
         self._seed, self._sources = composition.seed, composition.sources
         self.left_out: list[str] = []
         names, folders = [], []

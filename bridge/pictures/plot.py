@@ -211,7 +211,7 @@ def _limits(ax: Axes, *series: FloatArray, limits: tuple[float, float]) -> None:
 
 
 def _offset(ax: Axes, time: FloatArray, arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> None:
-    path = first_lane_path(arrays, lanes, matches, 0)
+    path = first_lane_path(arrays, lanes, matches)
     ax.set_ylabel("lateral offset, m\n(left is positive)")
     if path is None:
         ax.text(0.5, 0.5, "never on a lane", transform=ax.transAxes, ha="center")
