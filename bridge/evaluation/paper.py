@@ -2,7 +2,6 @@
 
 import csv
 import html
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,12 +11,12 @@ from bridge.evaluation.aggregate import Estimate, SourceSums, estimate
 from bridge.evaluation.diversity import Diversity
 from bridge.evaluation.experiments import ADDED, EXPERIMENTS, Experiment, Outcome, run_settings, settings_of
 from bridge.evaluation.scene_metrics import Row
-from bridge.files import make_folder, table_file, write_text
+from bridge.files import explained, make_folder, table_file, write_json, write_text
 from bridge.recordings.folders import Choices
 from bridge.recordings.sources import find_sources
 from hid2.evaluation.metrics import METRICS, Metric
 from hid2.measures.manoeuvres import ManeuverKind
-from netconvert.errors import ConfigError, ExportError
+from netconvert.errors import ConfigError
 
 #: LO, LA, JE, SCR, ORR: what the paper reports.
 COLUMNS: tuple[Metric, ...] = tuple(metric for metric in METRICS if metric.key in report.PAPER_ORIGINAL)
@@ -67,10 +66,8 @@ def run_experiment(
     folders = find_sources([scenes] if isinstance(scenes, Path) else scenes, choices)
     make_folder(out_dir)
     outcomes = run_settings(folders, settings_of(name, agents), seeds=seeds, jobs=jobs, on_scene=on_scene)
-    try:
+    with explained(out_dir):
         return _write(name, outcomes, out_dir, seeds=seeds, sources=len(folders), agents=agents)
-    except OSError as error:
-        raise ExportError(f"{out_dir}: cannot write the experiment ({error})") from error
 
 
 class _Line(NamedTuple):
@@ -204,7 +201,7 @@ def _write(
             parts.append(pages.picture(shown, f"{_DENSITY_CAPTION} Of {counted}."))
             parts.append(f"<p>{html.escape(_directions(_density(series)))}</p>")
             figures.save(charts.density_figure(_density(series), of=counted), out_dir / f"{name}.png")
-    write_text(out_dir / f"{name}.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
+    write_json(out_dir / f"{name}.json", content)
     path = out_dir / f"{name}.html"
     write_text(path, pages.page(_TITLES[name], parts))
     return path
