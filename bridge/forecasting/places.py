@@ -20,7 +20,7 @@ from bridge.batch.engine import sorted_out, work_on_each
 from bridge.batch.isolation import Failure, attempt_each
 from bridge.config import word_for_recorded
 from bridge.files import read_regular
-from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIDECAR_PATTERN
+from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIDECAR_PATTERN, only_file
 from bridge.recordings.limits import MAX_FILE_MB
 from bridge.recordings.scenario import OBSERVED_STEPS
 from bridge.recordings.sidecar import REACTIVE, read_sidecar
@@ -108,7 +108,7 @@ def describe(
 
     Errors: ScenarioError, MapError with file, value and what was expected.
     """
-    parquet, map_path = _only(folder, PARQUET_PATTERN, ScenarioError), _only(folder, MAP_PATTERN, MapError)
+    parquet, map_path = only_file(folder, PARQUET_PATTERN, ScenarioError), only_file(folder, MAP_PATTERN, MapError)
     try:
         with pq.ParquetFile(parquet) as file:
             names = file.schema_arrow.names
@@ -140,13 +140,6 @@ def describe(
         cells=cells,
         block=block,
     )
-
-
-def _only(folder: Path, pattern: str, error: type[ScenarioError | MapError]) -> Path:
-    found = sorted(folder.glob(pattern))
-    if len(found) != 1:
-        raise error(f"{folder}: {len(found)} files {pattern.replace('*', '<id>')}, expected exactly one")
-    return found[0]
 
 
 def recorded_source(folder: Path) -> str | None:

@@ -15,12 +15,13 @@ import numpy as np
 from lxml import etree
 
 from bridge.config import word_for_recorded
-from bridge.pictures.figures import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from bridge.pictures.figures import POLICY_COLORS, SKY
 from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario
 from bridge.recordings.sidecar import sidecar_in
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
+from hid2.policy.behaviours import BEHAVIOURS
 from netconvert.cells import CellGrid
 from netconvert.geo import CITY_ORIGINS
 from netconvert.geometry import arc_length
@@ -84,11 +85,7 @@ RECORDED, REACTING = Paint("#9C9CA4", "recorded"), Paint("#9C9CA4", "reacting")
 AV = Paint(SKY, "recording vehicle")
 FOCAL = Paint("#F0E442", "focal")  # neither ground nor road nor background has it
 POLICIES: Mapping[Policy, Paint] = {
-    Policy.STRAIGHT: Paint(VERMILION, "straight"),
-    Policy.LEFT_TURN: Paint(GREEN, "left turn"),
-    Policy.RIGHT_TURN: Paint(PURPLE, "right turn"),
-    Policy.LANE_CHANGE: Paint(BLUE, "lane change"),
-    Policy.OVERTAKE: Paint(ORANGE, "overtake"),
+    policy: Paint(color, BEHAVIOURS[policy].label) for policy, color in POLICY_COLORS.items()
 }
 
 

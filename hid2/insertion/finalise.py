@@ -149,7 +149,7 @@ def _checked(
                 found.track("own", 1), ttc_s=config.conflict.follower_ttc_min_s, pet_s=config.conflict.pet_min_s
             )
             if verdict is not None:
-                return Reason.PET if verdict == "pet" else Reason.TTC_RECORDED_FOLLOWER
+                return verdict
     return ExportedVehicle(vehicle, motion, path, off_m, ttc_s)
 
 
