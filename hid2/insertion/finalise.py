@@ -182,7 +182,7 @@ def _leader_ttcs(scene: Scene, vehicle: DrivenVehicle, motion: Motion, seen: Pat
     gap = seen.low[:, :steps] - motion.s
     closing = motion.v - seen.along[:, :steps]
     ahead = np.isfinite(gap) & (gap > -export.touching_m) & (seen.along[:, :steps] >= -export.rolls_back_mps)
-    leads = ahead & seen.aligned[:, :steps] & (closing > 1e-3)
+    leads = ahead & seen.same_direction[:, :steps] & (closing > 1e-3)
     ttc_s = np.full(gap.shape, np.inf)
     ttc_s[leads] = gap[leads] / closing[leads]
     return np.asarray(ttc_s.min(axis=1, initial=np.inf))
@@ -216,7 +216,7 @@ def _avoids_after_end(scene: Scene, vehicle: DrivenVehicle, motion: Motion, seen
     if motion.s.size < last:  # its last step is the map's edge
         return True
     time_s = scene.step_s * np.arange(1, steps + 1)
-    follows = seen.aligned[:, last - 1] & (seen.low[:, last - 1] < motion.s[-1])
+    follows = seen.same_direction[:, last - 1] & (seen.low[:, last - 1] < motion.s[-1])
     low, high = seen.low[~follows, last : last + steps], seen.high[~follows, last : last + steps]
     for share in _BRAKING_SHARES:
         decel = share * vehicle.start.driver.decel_mps2

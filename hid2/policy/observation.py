@@ -131,7 +131,7 @@ def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here
     near = here.present[:, 0] & (np.abs(here.position[:, 0] - own).max(axis=1) < d_obs_m + 15.0)
     here = here.rows(np.flatnonzero(near).tolist())
     rows, found = look_along(path.line, here, size.length_m, size.width_m)
-    gap = np.where(found.aligned[:, 0], found.low[:, 0] - s, np.inf)
+    gap = np.where(found.same_direction[:, 0], found.low[:, 0] - s, np.inf)
     gap[gap <= -1.0] = np.inf
     if not np.any(gap < d_obs_m):
         return None
