@@ -12,7 +12,7 @@ from hid2.motion.smoothing import Motion, Trajectory, smooth_motion, trajectory
 from hid2.motion.verify import first_overlap, limit_exceeded, off_road_steps
 from hid2.occupancy.along_path import PathOccupancy, look_along, path_occupancy
 from hid2.occupancy.traffic import Traffic
-from hid2.reasons import Reason, limit_reason
+from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle
 from netconvert.geometry import arc_length
@@ -123,7 +123,7 @@ def _checked(
         return Reason.AGAINST_LANE
     exceeded = limit_exceeded(path, config.limits, step_s=scene.step_s)
     if exceeded is not None:
-        return limit_reason(exceeded)
+        return exceeded
     ttc_s = np.inf
     if "collision" not in config.without:
         tolerance = export.drivable_share * config.limits.drivable_tolerance_m
