@@ -92,7 +92,8 @@ def facts_of_scenes(
         )
         for folder, value in each
     )
-    return facts, [reason for _, reason in unread]
+    by_folder = {fact.folder: fact for fact in facts}  # a folder that comes twice is one scene
+    return [by_folder[folder] for folder in folders if folder in by_folder], [reason for _, reason in unread]
 
 
 def describe_folders(params: Forecasting, folders: Sequence[Path]) -> Iterator[SceneFacts | Failure]:
