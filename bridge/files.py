@@ -1,10 +1,12 @@
 """Files that are there whole or not at all, and files of others, which may be anything."""
 
 import contextlib
+import csv
 import errno
+import json
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -60,6 +62,19 @@ def write_text(path: Path, text: str) -> None:
     """Write UTF-8. Errors: OSError."""
     with beside(path) as hidden:
         hidden.write_text(text, encoding="utf-8")
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write what a reader may also look at: a line for each value. Errors: OSError."""
+    write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def write_rows(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a CSV table. Errors: OSError."""
+    with table_file(path) as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(head)
+        writer.writerows(rows)
 
 
 def disk_error(error: BaseException) -> OSError | None:

@@ -103,8 +103,3 @@ class Reason(StrEnum):
     WAITED_FOR_GONE = "waited_for_gone", "It had braked for a vehicle that is not exported, and was driven again."
     STANDS_THROUGHOUT = "stands_throughout", "It stands from the first step to the last."
     SPARE = "spare", "The count was reached without it."
-
-
-def limit_reason(name: str) -> Reason:
-    """Reason of a limit of motion by its name, as `limit_exceeded` gives it."""
-    return Reason(f"limit_{name}")

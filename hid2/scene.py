@@ -220,8 +220,8 @@ def _speeds(
         moving = traffic.present[row] & (speed > MOVES_MPS)
         if moving.sum() < round(_MOVING_S / step_s):
             continue
-        cruise = float(np.percentile(speed[moving], 90))
-        scene.append(cruise)
+        usual_mps = float(np.percentile(speed[moving], 90))
+        scene.append(usual_mps)
         for lane_id in np.unique(lane_of[occupancy.cell[row, moving & occupancy.mapped[row]]]):
-            by_lane.setdefault(int(lane_id), []).append(cruise)
+            by_lane.setdefault(int(lane_id), []).append(usual_mps)
     return by_lane, scene

@@ -71,20 +71,7 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
         root = etree.fromstring(net)
     except etree.XMLSyntaxError as error:
         raise NetError(f"the net is not XML: {error}") from error
-    lane_of: dict[str, int] = {}
-    shapes: dict[str, list[list[float]]] = {}
-    beside: set[tuple[int, int]] = set()
-    for edge in root.iterfind("edge"):
-        members = []
-        for element in sorted(edge.iterfind("lane"), key=lambda lane: int(lane.get("index", ""))):
-            sumo_id = element.get("id", "")
-            param = element.find("param[@key='av2.lane_segment_id']")
-            if param is None:
-                raise NetError(f"net lane {sumo_id} has no parameter av2.lane_segment_id")
-            lane_of[sumo_id] = int(param.get("value", ""))
-            shapes[sumo_id] = [[float(x) for x in point.split(",")] for point in element.get("shape", "").split()]
-            members.append(lane_of[sumo_id])
-        beside.update(pairwise(members))
+    lane_of, shapes, beside = _lanes(root)
     next_of: dict[str, set[str]] = {}
     for link in root.iterfind("connection"):
         source = f"{link.get('from')}_{link.get('fromLane')}"
@@ -135,6 +122,27 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
         oncoming=counts["oncoming"],
         lost=tuple(lost),
     )
+
+
+def _lanes(
+    root: etree._Element,
+) -> tuple[dict[str, int], dict[str, list[list[float]]], set[tuple[int, int]]]:
+    """Of a net's lanes by id: the lane segment and the shape; and the pairs of segments that lie side by side."""
+    lane_of: dict[str, int] = {}
+    shapes: dict[str, list[list[float]]] = {}
+    beside: set[tuple[int, int]] = set()
+    for edge in root.iterfind("edge"):
+        members = []
+        for element in sorted(edge.iterfind("lane"), key=lambda lane: int(lane.get("index", ""))):
+            sumo_id = element.get("id", "")
+            param = element.find("param[@key='av2.lane_segment_id']")
+            if param is None:
+                raise NetError(f"net lane {sumo_id} has no parameter av2.lane_segment_id")
+            lane_of[sumo_id] = int(param.get("value", ""))
+            shapes[sumo_id] = [[float(x) for x in point.split(",")] for point in element.get("shape", "").split()]
+            members.append(lane_of[sumo_id])
+        beside.update(pairwise(members))
+    return lane_of, shapes, beside
 
 
 def _chains(lane_of: dict[str, int], next_of: dict[str, set[str]]) -> dict[int, list[str]]:

@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 
 from bridge.batch.engine import Outcome, Settings, Task
 from bridge.batch.execution import execute
-from bridge.batch.isolation import MEMORY_MB, Failure
+from bridge.batch.isolation import MEMORY_MB
 from bridge.batch.manifest import (
     DONE,
     MAX_TEXT,
@@ -357,7 +357,7 @@ def _has_formats(row: ManifestRow, place: Place) -> bool:
 def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options) -> ManifestRow:
     """The manifest's row about an outcome; a failure leaves its bundle."""
     run: Run = outcome.item
-    failure = outcome.failure or (outcome.value if isinstance(outcome.value, Failure) else None)
+    failure = outcome.wrong
     if failure is not None and failure.kind == "disk":  # nobody can write: the next scene would fail no less
         raise DiskFullError(failure.message)
     row = base_row(place, run) if failure else outcome.value

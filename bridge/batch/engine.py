@@ -61,6 +61,11 @@ class Outcome:
     attempts: int
     seconds: float
 
+    @property
+    def wrong(self) -> Failure | None:
+        """Why there is no value: the process failed, or the work yielded a failure."""
+        return self.failure or (self.value if isinstance(self.value, Failure) else None)
+
 
 @dataclass(frozen=True, slots=True)
 class Result:
@@ -139,29 +144,54 @@ def work_on_each(
     chunk: int,
     timeout_s: float,
     isolated: bool = True,
+    on_item: Callable[[int, int], None] | None = None,
 ) -> Generator[tuple[_Item, _Value | Failure], None, None]:
     """Yield every item with what a piece of work makes of it, or its failure, in the order of the items.
 
     work: a generator function of a module, which gets (shared, items) and yields one value an item; chunk: most items
     that a process gets at a time, fewer where processes share few items; timeout_s: for each item. isolated: False for
     work that needs no process of its own, where starting one takes as long as a whole chunk: one worker works here.
+    on_item(done, total) is called when the caller is done with an item.
     """
     size = max(1, min(chunk, len(items) // (4 * jobs))) if isolated else chunk
     chunks = [tuple(items[start : start + size]) for start in range(0, len(items), size)]
     jobs = min(jobs, len(chunks))
     if jobs <= 1 and not isolated:
-        yield from zip(items, work(shared, items), strict=True)
-        return
-    name = f"{work.__module__}:{work.__qualname__}"
-    tasks = (Task(str(number), name, shared, part) for number, part in enumerate(chunks))
+        found: Iterable[tuple[_Item, _Value | Failure]] = zip(items, work(shared, items), strict=True)
+    else:
+        name = f"{work.__module__}:{work.__qualname__}"
+        tasks = (Task(str(number), name, shared, part) for number, part in enumerate(chunks))
+        found = _in_order(execute_here(tasks, jobs=jobs, settings=Settings(timeout_s=timeout_s)))
+    for done, (item, value) in enumerate(found, 1):
+        yield item, value
+        if on_item is not None:
+            on_item(done, len(items))
+
+
+def _in_order(results: Iterable[Result]) -> Iterator[tuple[Any, Any]]:
+    """Items and values or failures of tasks whose keys count from 0."""
     waiting: dict[int, tuple[Outcome, ...]] = {}
     following = 0
-    for result in execute_here(tasks, jobs=jobs, settings=Settings(timeout_s=timeout_s)):
+    for result in results:
         waiting[int(result.task.key)] = result.outcomes
         while following in waiting:
             for outcome in waiting.pop(following):
                 yield outcome.item, outcome.failure or outcome.value
             following += 1
+
+
+def sorted_out(
+    each: Iterable[tuple[_Item, _Value | Failure]],
+) -> tuple[list[_Value], list[tuple[_Item, str]]]:
+    """The values of `work_on_each`, and the items that failed with the reason, each in order."""
+    values: list[_Value] = []
+    failures: list[tuple[_Item, str]] = []
+    for item, value in each:
+        if isinstance(value, Failure):
+            failures.append((item, value.message))
+        else:
+            values.append(value)
+    return values, failures
 
 
 def new_process(settings: Settings) -> IsolatedProcess:

@@ -53,6 +53,8 @@ MEMORY_MB = 4000
 _COLLECT = (5_000, 20, 20)
 
 _MB = 1_000_000
+#: Of what a process wrote last, to tell why it ended.
+_TAIL_BYTES = 8000
 
 #: Packages whose messages an isolated process passes on to its caller.
 _PACKAGES = ("netconvert", "hid2", "bridge")
@@ -259,10 +261,10 @@ class IsolatedProcess:
             return Failure("crashed", f"the process crashed ({signal.Signals(-code).name})", details)
         return Failure("crashed", f"the process exited with status {code}", details)
 
-    def _log_tail(self, size: int = 8000) -> str:
+    def _log_tail(self) -> str:
         assert self._stderr is not None
         length = os.fstat(self._stderr.fileno()).st_size
-        return os.pread(self._stderr.fileno(), size, max(0, length - size)).decode(errors="replace")
+        return os.pread(self._stderr.fileno(), _TAIL_BYTES, max(0, length - _TAIL_BYTES)).decode(errors="replace")
 
 
 def resolve(function: str) -> Callable[..., Iterator[Any]]:

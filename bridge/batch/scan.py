@@ -1,15 +1,14 @@
 """Facts of a data set, scene by scene, and the choice of scenes on these facts."""
 
-import csv
 import logging
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, get_args
 
-from bridge.batch.engine import work_on_each
+from bridge.batch.engine import sorted_out, work_on_each
 from bridge.batch.isolation import Failure, attempt_each
-from bridge.files import explained, table_file
+from bridge.files import explained, write_rows
 from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
@@ -100,17 +99,9 @@ def facts_of(
 
     on_scene(done, total) is called as scenes are done.
     """
-    found: list[SceneFacts] = []
-    failures: list[tuple[Address, str]] = []
-    each = work_on_each(scan_folders, folders, shared=Config(), jobs=jobs, chunk=_CHUNK, timeout_s=60)
-    for done, (folder, facts) in enumerate(each, 1):
-        if isinstance(facts, Failure):
-            failures.append((folder, facts.message))
-        else:
-            found.append(facts)
-        if on_scene is not None:
-            on_scene(done, len(folders))
-    return found, failures
+    return sorted_out(
+        work_on_each(scan_folders, folders, shared=Config(), jobs=jobs, chunk=_CHUNK, timeout_s=60, on_item=on_scene)
+    )
 
 
 def scan_folders(config: Config, folders: Sequence[Address]) -> Iterator[SceneFacts | Failure]:
@@ -204,10 +195,8 @@ def wanted(
 
 def write_facts(path: Path, facts: Sequence[SceneFacts]) -> None:
     """Write a CSV table, one row per scene. Errors: ExportError."""
-    with explained(path), table_file(path) as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("folder", *SceneFacts.columns()))
-        writer.writerows(facts)
+    with explained(path):
+        write_rows(path, ("folder", *SceneFacts.columns()), facts)
 
 
 def _beside(graph: LaneGraph, lane_id: int, side: Side) -> int | None:

@@ -2,10 +2,8 @@
 
 from typing import Annotated
 
-import typer
-
 from bridge.cli.app import command
-from bridge.cli.options import OUTPUT, AsJson, ConfigFile, Settings
+from bridge.cli.options import AsJson, ConfigFile, Settings, output_option
 from bridge.cli.session import set_up
 from bridge.console import print_json, print_table
 
@@ -17,11 +15,8 @@ def show_config(
     settings: Settings = [],  # noqa: B006
     toml: Annotated[
         bool,
-        typer.Option(
-            "--toml",
-            metavar="",
-            help="Print the resolved configuration as a TOML file; so do --config and --set.",
-            rich_help_panel=OUTPUT,
+        output_option(
+            "--toml", metavar="", help="Print the resolved configuration as a TOML file; so do --config and --set."
         ),
     ] = False,
     as_json: AsJson = False,

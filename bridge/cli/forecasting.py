@@ -7,7 +7,17 @@ from typing import Annotated
 import typer
 
 from bridge.cli.app import command
-from bridge.cli.options import ALL_DONE, OUTPUT, RUNNING, SELECTION, SOME_FAILED, AsJson, Jobs, Quiet, Verbose
+from bridge.cli.options import (
+    ALL_DONE,
+    SOME_FAILED,
+    AsJson,
+    Jobs,
+    Quiet,
+    Verbose,
+    output_option,
+    running_option,
+    selection_option,
+)
 from bridge.cli.places import check_among_sources, check_out, check_scenes
 from bridge.cli.session import set_up
 from bridge.console import Activity, print_json, print_table, say
@@ -33,46 +43,30 @@ def compose(  # noqa: PLR0913  # one for each option
     *,
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="ROOT", help="Data-set root to make (required).", rich_help_panel=OUTPUT),
+        output_option("-o", "--out", metavar="ROOT", help="Data-set root to make (required)."),
     ] = None,
     check: Annotated[
         bool,
-        typer.Option(
-            "--check", metavar="", help="Make nothing: check composed roots for leaks.", rich_help_panel=OUTPUT
-        ),
+        output_option("--check", metavar="", help="Make nothing: check composed roots for leaks."),
     ] = False,
     layout: Annotated[
         Layout | None,
-        typer.Option(
-            help="<split>/<id> or <split>/raw/<id>.", show_default="av2, or that of the file", rich_help_panel=OUTPUT
-        ),
+        output_option(help="<split>/<id> or <split>/raw/<id>.", show_default="av2, or that of the file"),
     ] = None,
     split_by: Annotated[
         SplitBy,
-        typer.Option(help="Split SOURCEs by place, or by the folders they lie in.", rich_help_panel=SELECTION),
+        selection_option(help="Split SOURCEs by place, or by the folders they lie in."),
     ] = SplitBy.PLACE,
-    val: Annotated[
-        float, typer.Option(min=0, max=0.9, metavar="SHARE", help="Share for validation.", rich_help_panel=SELECTION)
-    ] = 0.1,
-    test: Annotated[
-        float, typer.Option(min=0, max=0.9, metavar="SHARE", help="Share for test.", rich_help_panel=SELECTION)
-    ] = 0.0,
-    min_agents: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Only scenes with at least N tracks.", rich_help_panel=SELECTION)
-    ] = 0,
+    val: Annotated[float, selection_option(min=0, max=0.9, metavar="SHARE", help="Share for validation.")] = 0.1,
+    test: Annotated[float, selection_option(min=0, max=0.9, metavar="SHARE", help="Share for test.")] = 0.0,
+    min_agents: Annotated[int, selection_option(min=0, metavar="N", help="Only scenes with at least N tracks.")] = 0,
     min_agents_in: Annotated[
         CountIn,
-        typer.Option(help="Tracks in all, or those at the observation's end.", rich_help_panel=SELECTION),
+        selection_option(help="Tracks in all, or those at the observation's end."),
     ] = CountIn.ALL,
     seed: Annotated[
         int | None,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="Seed of the draw.",
-            show_default="0, or that of the file",
-            rich_help_panel=SELECTION,
-        ),
+        selection_option(min=0, metavar="N", help="Seed of the draw.", show_default="0, or that of the file"),
     ] = None,
     jobs: Jobs = 1,
     as_json: AsJson = False,
@@ -153,13 +147,7 @@ def forecast(
     ],
     out: Annotated[
         Path,
-        typer.Option(
-            "-o",
-            "--out",
-            metavar="MODEL",
-            help="Folder for checkpoint.pt and predictions.parquet.",
-            rich_help_panel=OUTPUT,
-        ),
+        output_option("-o", "--out", metavar="MODEL", help="Folder for checkpoint.pt and predictions.parquet."),
     ],
     *,
     scenes: Annotated[
@@ -172,7 +160,7 @@ def forecast(
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of weights and batches.")] = 0,
     resume: Annotated[
         bool,
-        typer.Option("--resume", metavar="", help="Go on from MODEL/checkpoint.pt.", rich_help_panel=RUNNING),
+        running_option("--resume", metavar="", help="Go on from MODEL/checkpoint.pt."),
     ] = False,
     verbose: Verbose = 0,
     quiet: Quiet = False,

@@ -9,12 +9,7 @@ import typer
 from bridge.cli.app import command
 from bridge.cli.options import (
     ALL_DONE,
-    EVENTS,
     INTERRUPTED,
-    OUTPUT,
-    PARAMETERS,
-    REQUEST,
-    RUNNING,
     SOME_FAILED,
     AsJson,
     Can,
@@ -39,6 +34,11 @@ from bridge.cli.options import (
     Timeout,
     Verbose,
     Window,
+    event_option,
+    output_option,
+    parameter_option,
+    request_option,
+    running_option,
 )
 from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import select_scenes, set_up, tell_formats
@@ -62,142 +62,117 @@ def generate(  # noqa: PLR0913  # one for each option
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="OUT", help="Folder to write to (required).", rich_help_panel=OUTPUT),
+        output_option("-o", "--out", metavar="OUT", help="Folder to write to (required)."),
     ] = None,
     agents: Annotated[
         str | None,
-        typer.Option(
-            metavar="N|max",
-            help="Vehicles to insert into each scene; max: as many as it holds.",
-            show_default="10",
-            rich_help_panel=REQUEST,
+        request_option(
+            metavar="N|max", help="Vehicles to insert into each scene; max: as many as it holds.", show_default="10"
         ),
     ] = None,
     behaviours: Annotated[
         str | None,
-        typer.Option(
+        request_option(
             metavar="NAME=SHARE,...",
             help="Shares of straight, left_turn, right_turn, lane_change, overtake; those not named get none.",
             show_default="straight=0.6,left_turn=0.1,right_turn=0.1,lane_change=0.15,overtake=0.05",
-            rich_help_panel=REQUEST,
         ),
     ] = None,
     trigger_time: Annotated[
         str | None,
-        typer.Option(
+        request_option(
             metavar="S|A:B|S,S,...",
             help="When manoeuvres are triggered, in seconds: a time, a range to draw from, or a list to draw from.",
             show_default="0.5 to 36 % of the scene, 4 s at most",
-            rich_help_panel=REQUEST,
         ),
     ] = None,
     near: Annotated[
         str | None,
-        typer.Option(
+        request_option(
             metavar="av|focal|scored|traffic|anywhere|TRACK_ID",
             help="Where vehicles are inserted: near moving traffic, the recording vehicle, the focal track, scored "
             "tracks, or a track.",
             show_default="traffic",
-            rich_help_panel=REQUEST,
         ),
     ] = None,
     within: Annotated[
         float | None,
-        typer.Option(metavar="M", help="How near that is, in metres.", show_default="30", rich_help_panel=REQUEST),
+        request_option(metavar="M", help="How near that is, in metres.", show_default="30"),
     ] = None,
     event: Annotated[
         list[EventName],
-        typer.Option(
-            help="An event with a recorded vehicle, searched until it comes about; repeatable.",
-            rich_help_panel=EVENTS,
-            show_default=False,
+        event_option(
+            help="An event with a recorded vehicle, searched until it comes about; repeatable.", show_default=False
         ),
     ] = [],  # noqa: B006
     target: Annotated[
         str | None,
-        typer.Option(metavar="av|focal|any|TRACK_ID", help="Whom with.", show_default="av", rich_help_panel=EVENTS),
+        event_option(metavar="av|focal|any|TRACK_ID", help="Whom with.", show_default="av"),
     ] = None,
     at: Annotated[
         str | None,
-        typer.Option(
+        event_option(
             metavar="S|S:S",
             help="When, in seconds: the moment of crossing into the target's lane, or of passing the conflict point.",
             show_default="2:7",
-            rich_help_panel=EVENTS,
         ),
     ] = None,
     gap: Annotated[
         str | None,
-        typer.Option(
-            metavar="A:B",
-            help="Bumper to bumper at that moment, in metres.",
-            show_default="4:30, cross 0:100",
-            rich_help_panel=EVENTS,
+        event_option(
+            metavar="A:B", help="Bumper to bumper at that moment, in metres.", show_default="4:30, cross 0:100"
         ),
     ] = None,
     speed_difference: Annotated[
         str | None,
-        typer.Option(
-            metavar="A:B",
-            help="Own speed minus the target's at that moment, in m/s.",
-            show_default="-6:6, cross any",
-            rich_help_panel=EVENTS,
+        event_option(
+            metavar="A:B", help="Own speed minus the target's at that moment, in m/s.", show_default="-6:6, cross any"
         ),
     ] = None,
     brakes: Annotated[
         float | None,
-        typer.Option(metavar="MPS2", help="A leader brakes so hard at that moment, in m/s2.", rich_help_panel=EVENTS),
+        event_option(metavar="MPS2", help="A leader brakes so hard at that moment, in m/s2."),
     ] = None,
     criticality: Annotated[
         list[str],
-        typer.Option(
+        event_option(
             metavar="ttc=A:B|pet=A:B|drac=A:B",
             help="Only events within this band of TTC or PET in seconds, or DRAC in m/s2; repeatable.",
-            rich_help_panel=EVENTS,
             show_default=False,
         ),
     ] = [],  # noqa: B006
     count: Annotated[
         int | None,
-        typer.Option(
-            min=1, metavar="N", help="Events of each kind in a scene.", show_default="1", rich_help_panel=EVENTS
-        ),
+        event_option(min=1, metavar="N", help="Events of each kind in a scene.", show_default="1"),
     ] = None,
     variants: Annotated[
         int | None,
-        typer.Option(
-            min=1, metavar="K", help="Scenes to write for each source scene.", show_default="1", rich_help_panel=REQUEST
-        ),
+        request_option(min=1, metavar="K", help="Scenes to write for each source scene.", show_default="1"),
     ] = None,
     focal: Annotated[
         FocalName | None,
-        typer.Option(help="Which track is the focal one.", show_default="recorded", rich_help_panel=REQUEST),
+        request_option(help="Which track is the focal one.", show_default="recorded"),
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(
-            min=0, metavar="N", help="Seed of every random choice.", show_default="0", rich_help_panel=REQUEST
-        ),
+        request_option(min=0, metavar="N", help="Seed of every random choice.", show_default="0"),
     ] = None,
     spawn_leaders: Annotated[
         bool | None,
-        typer.Option(
+        request_option(
             "--spawn-leaders/--no-spawn-leaders",
             metavar="",
             help="Add a slow lead vehicle when an overtake has none.",
             show_default="spawn-leaders",
-            rich_help_panel=REQUEST,
         ),
     ] = None,
     without: Annotated[
         list[ComponentName],
-        typer.Option(help="Ablation: leave a component out; repeatable.", rich_help_panel=REQUEST, show_default=False),
+        request_option(help="Ablation: leave a component out; repeatable.", show_default=False),
     ] = [],  # noqa: B006  # typer copies it
     drivers: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DRIVERS.toml", help="Drivers as `hid2 calibrate` measured them.", rich_help_panel=PARAMETERS
-        ),
+        parameter_option(metavar="DRIVERS.toml", help="Drivers as `hid2 calibrate` measured them."),
     ] = None,
     config: ConfigFile = None,
     settings: Settings = [],  # noqa: B006
@@ -211,18 +186,15 @@ def generate(  # noqa: PLR0913  # one for each option
     stride: Stride = None,
     formats: Annotated[
         list[FormatName],
-        typer.Option(
+        output_option(
             "--format",
             help="A format to write beside Argoverse 2's: sequences in OUT/argoverse1. Repeatable.",
-            rich_help_panel=OUTPUT,
             show_default=False,
         ),
     ] = [],  # noqa: B006
     sumo: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR", help="Write files for SUMO as well: net, routes, FCD output.", rich_help_panel=OUTPUT
-        ),
+        output_option(metavar="DIR", help="Write files for SUMO as well: net, routes, FCD output."),
     ] = None,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
@@ -231,36 +203,27 @@ def generate(  # noqa: PLR0913  # one for each option
     resume: Resume = False,
     again: Annotated[
         Path | None,
-        typer.Option(
-            "--from",
-            metavar="SIDECAR",
-            help="Make the scene of a hid2_<id>.json again, bit for bit; needs --source.",
-            rich_help_panel=RUNNING,
+        running_option(
+            "--from", metavar="SIDECAR", help="Make the scene of a hid2_<id>.json again, bit for bit; needs --source."
         ),
     ] = None,
     source: Annotated[
         Path | None,
-        typer.Option(metavar="ROOT", help="With --from: where its recorded scene lies.", rich_help_panel=RUNNING),
+        running_option(metavar="ROOT", help="With --from: where its recorded scene lies."),
     ] = None,
     record: Annotated[
         list[RecordName],
-        typer.Option(
-            help="Write more beside each scene; gaps: every look at a gap, gaps_<id>.csv.gz.",
-            rich_help_panel=OUTPUT,
-            show_default=False,
+        output_option(
+            help="Write more beside each scene; gaps: every look at a gap, gaps_<id>.csv.gz.", show_default=False
         ),
     ] = [],  # noqa: B006
     repro: Annotated[
         Path | None,
-        typer.Option(metavar="BUNDLE", help="Run a quarantined scene again, from its bundle.", rich_help_panel=RUNNING),
+        running_option(metavar="BUNDLE", help="Run a quarantined scene again, from its bundle."),
     ] = None,
     function: Annotated[
         str | None,
-        typer.Option(
-            metavar="MODULE:NAME",
-            help="With --repro: a function of yours that the bundle may ask for.",
-            rich_help_panel=RUNNING,
-        ),
+        running_option(metavar="MODULE:NAME", help="With --repro: a function of yours that the bundle may ask for."),
     ] = None,
     as_json: AsJson = False,
     verbose: Verbose = 0,

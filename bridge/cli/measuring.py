@@ -10,8 +10,6 @@ from bridge.cli.app import command
 from bridge.cli.options import (
     ALL_DONE,
     INTERRUPTED,
-    OUTPUT,
-    PREDICTION,
     SOME_FAILED,
     ExperimentName,
     Jobs,
@@ -24,6 +22,8 @@ from bridge.cli.options import (
     Timeout,
     Verbose,
     Window,
+    output_option,
+    prediction_option,
 )
 from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import set_up, unread_text
@@ -43,13 +43,7 @@ def evaluate(  # noqa: PLR0913  # one for each option
     ],
     report: Annotated[
         Path,
-        typer.Option(
-            "-o",
-            "--out",
-            metavar="REPORT",
-            help="Folder for metrics.json, the tables and report.html.",
-            rich_help_panel=OUTPUT,
-        ),
+        output_option("-o", "--out", metavar="REPORT", help="Folder for metrics.json, the tables and report.html."),
     ],
     *,
     source: Annotated[
@@ -81,7 +75,7 @@ def evaluate(  # noqa: PLR0913  # one for each option
     jobs: Jobs = 1,
     as_json: Annotated[
         bool,
-        typer.Option("--json", metavar="", help="With --predictions: print the table as JSON.", rich_help_panel=OUTPUT),
+        output_option("--json", metavar="", help="With --predictions: print the table as JSON."),
     ] = False,
     verbose: Verbose = 0,
     quiet: Quiet = False,
@@ -138,10 +132,8 @@ def calibrate(
     ],
     out: Annotated[
         Path,
-        typer.Option(
-            "-o", "--out", metavar="DRIVERS.toml", help="File to write; tables and a page go beside it.",
-            rich_help_panel=OUTPUT,
-        ),
+        output_option(
+            "-o", "--out", metavar="DRIVERS.toml", help="File to write; tables and a page go beside it."),
     ] = Path("drivers.toml"),
     *,
     without: Annotated[
@@ -260,45 +252,31 @@ def paper(  # noqa: PLR0913  # one for each option
     agents: Annotated[int, typer.Option(min=0, metavar="N", help="Vehicles added, except in density.")] = 10,
     variants: Annotated[
         int | None,
-        typer.Option(
-            min=1, metavar="K", help="Scenes made of each recorded one.", show_default="8", rich_help_panel=PREDICTION
-        ),
+        prediction_option(min=1, metavar="K", help="Scenes made of each recorded one.", show_default="8"),
     ] = None,
     val: Annotated[
         float | None,
-        typer.Option(
-            min=0.01,
-            max=0.9,
-            metavar="SHARE",
-            help="Share of the scenes for validation.",
-            show_default="0.3",
-            rich_help_panel=PREDICTION,
+        prediction_option(
+            min=0.01, max=0.9, metavar="SHARE", help="Share of the scenes for validation.", show_default="0.3"
         ),
     ] = None,
     updates: Annotated[
         int | None,
-        typer.Option(
-            min=1, metavar="N", help="Updates of each training.", show_default="300", rich_help_panel=PREDICTION
-        ),
+        prediction_option(min=1, metavar="N", help="Updates of each training.", show_default="300"),
     ] = None,
     focal: Annotated[
         ReadingName,
-        typer.Option(help="What is forecast in generated scenes; both: by turns.", rich_help_panel=PREDICTION),
+        prediction_option(help="What is forecast in generated scenes; both: by turns."),
     ] = "both",
     composed: Annotated[
         Path | None,
-        typer.Option(
-            metavar="ROOT",
-            help="Data sets that compose made, with the controls, instead of new ones.",
-            rich_help_panel=PREDICTION,
-        ),
+        prediction_option(metavar="ROOT", help="Data sets that compose made, with the controls, instead of new ones."),
     ] = None,
     predictions: Annotated[
         Path | None,
-        typer.Option(
+        prediction_option(
             metavar="DIR",
             help="Forecasts from elsewhere instead of the small forecaster's: SET/SEED/VALIDATION.parquet.",
-            rich_help_panel=PREDICTION,
         ),
     ] = None,
     jobs: Jobs = 1,

@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from bridge.cli.app import command
-from bridge.cli.options import OUTPUT, MapChoice, Quiet, Scene, Verbose, Window
+from bridge.cli.options import MapChoice, Quiet, Scene, Verbose, Window, output_option
 from bridge.cli.places import check_one_scene, check_out_file
-from bridge.cli.session import set_up
+from bridge.cli.session import one_scene, set_up
 from bridge.console import Activity, say
 
 Step = Annotated[
@@ -22,12 +22,8 @@ def render(
     scene: Scene,
     out: Annotated[
         Path,
-        typer.Option(
-            "-o",
-            "--out",
-            metavar="FILE",
-            help="Picture (.png, .jpg, .pdf, .svg) or film (.gif, .mp4) to write.",
-            rich_help_panel=OUTPUT,
+        output_option(
+            "-o", "--out", metavar="FILE", help="Picture (.png, .jpg, .pdf, .svg) or film (.gif, .mp4) to write."
         ),
     ],
     *,
@@ -55,12 +51,10 @@ def render(
     check_out_file(out)
     with Activity(quiet=quiet) as activity:
         from bridge.pictures.render import render_scene
-        from bridge.recordings.folders import Choices
-        from bridge.recordings.sources import find_one
 
         activity.doing("drawing")
-        choices = Choices(map_path, window)
-        found, before = find_one(scene, choices), None if source is None else find_one(source, choices)
+        found = one_scene(scene, map_path, window)
+        before = None if source is None else one_scene(source, map_path, window)
         written = render_scene(found, out, source=before, agent=agent, cells=cells, step=step, on_frame=activity.show)
     if not quiet:
         print(written)
@@ -71,9 +65,7 @@ def plot(
     scene: Scene,
     out: Annotated[
         Path,
-        typer.Option(
-            "-o", "--out", metavar="FILE", help="Picture to write: .png, .jpg, .pdf or .svg.", rich_help_panel=OUTPUT
-        ),
+        output_option("-o", "--out", metavar="FILE", help="Picture to write: .png, .jpg, .pdf or .svg."),
     ],
     agent: Annotated[str, typer.Option(metavar="ID", help="The track, for example gen_0.")],
     *,
@@ -88,10 +80,8 @@ def plot(
     check_out_file(out)
     with Activity("drawing", quiet=quiet):
         from bridge.pictures.plot import plot_agent
-        from bridge.recordings.folders import Choices
-        from bridge.recordings.sources import find_one
 
-        written = plot_agent(find_one(scene, Choices(map_path, window)), agent, out)
+        written = plot_agent(one_scene(scene, map_path, window), agent, out)
     if not quiet:
         print(written)
 
@@ -105,7 +95,7 @@ def gui(
     ] = 1.0,
     screenshot: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.png", help="Take a picture, then close the window.", rich_help_panel=OUTPUT),
+        output_option(metavar="FILE.png", help="Take a picture, then close the window."),
     ] = None,
     step: Step = None,
     map_path: MapChoice = None,
@@ -119,11 +109,9 @@ def gui(
     if screenshot is not None:
         check_out_file(screenshot)
     with Activity("starting sumo-gui", quiet=quiet) as activity:
-        from bridge.recordings.folders import Choices
-        from bridge.recordings.sources import find_one
         from bridge.sumo.gui import play_scene
 
-        found = find_one(scene, Choices(map_path, window))
+        found = one_scene(scene, map_path, window)
 
         def shown() -> None:
             activity.end()

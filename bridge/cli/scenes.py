@@ -8,8 +8,6 @@ import typer
 from bridge.cli.app import command
 from bridge.cli.options import (
     ALL_DONE,
-    OUTPUT,
-    SELECTION,
     SOME_FAILED,
     AsJson,
     Can,
@@ -26,9 +24,11 @@ from bridge.cli.options import (
     Stride,
     Verbose,
     Window,
+    output_option,
+    selection_option,
 )
 from bridge.cli.places import check_one_scene, check_out, check_out_file, check_scenes
-from bridge.cli.session import set_up, tell_formats, unread_text, with_cities_of
+from bridge.cli.session import one_scene, set_up, tell_formats, unread_text, with_cities_of
 from bridge.console import Activity, counted, print_json, print_table, say
 
 
@@ -77,16 +77,14 @@ def scan(  # noqa: PLR0913  # one for each option
     *,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--out", metavar="FILE.csv", help="Write a CSV file instead of a table.", rich_help_panel=OUTPUT
-        ),
+        output_option("-o", "--out", metavar="FILE.csv", help="Write a CSV file instead of a table."),
     ] = None,
     min_agents: MinAgents = 0,
     city: City = [],  # noqa: B006
     split: Split = [],  # noqa: B006
     can: Can = [],  # noqa: B006
     sample: Sample = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of --sample.", rich_help_panel=SELECTION)] = 0,
+    seed: Annotated[int, selection_option(min=0, metavar="N", help="Seed of --sample.")] = 0,
     map_path: MapChoice = None,
     window: Window = 0,
     stride: Stride = None,
@@ -145,10 +143,7 @@ def net(
     check_one_scene(scene, map_file=True)
     check_out(out)
     with Activity("converting the map", quiet=quiet):
-        from bridge.recordings.folders import Choices
-        from bridge.recordings.sources import find_one
-
-        found, playable = find_one(scene, Choices(map_path, window)), None
+        found, playable = one_scene(scene, map_path, window), None
         if isinstance(found, Path) and not any(found.glob("scenario_*.parquet")):
             from bridge.sumo.net import convert
 

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bridge.console import Activity, say
@@ -50,6 +51,14 @@ def tell_formats(found: Sequence["Address"], activity: Activity) -> None:
 
     for line in described(found):
         activity.note(line)
+
+
+def one_scene(place: Path, map_path: Path | None, window: int) -> "Address":
+    """The one recording at a place. Errors: ScenarioError."""
+    from bridge.recordings.folders import Choices
+    from bridge.recordings.sources import find_one
+
+    return find_one(place, Choices(map_path, window))
 
 
 def select_scenes(

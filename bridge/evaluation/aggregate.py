@@ -86,20 +86,20 @@ class SourceSums:
         return f"{int.from_bytes(digest) % self._most:09d}"
 
 
-def estimate(sums: SourceSums, metric: Metric, group: str, *, seed: int = 0) -> Estimate:
+def estimate(sums: SourceSums, metric: Metric, group: str) -> Estimate:
     """Pool a metric over scenes. The bootstrap draws source scenes: the variants of one scene are not independent."""
     numerator, denominator = sums.of_columns(f"{group}_{metric.numerator.name}", f"{group}_{metric.denominator.name}")
-    return ratio_estimate(numerator, denominator, seed=seed)
+    return ratio_estimate(numerator, denominator)
 
 
-def ratio_estimate(numerator: FloatArray, denominator: FloatArray, *, seed: int = 0) -> Estimate:
+def ratio_estimate(numerator: FloatArray, denominator: FloatArray) -> Estimate:
     """Ratio of sums with a percentile bootstrap over its parts."""
     if denominator.sum() <= 0:
         return Estimate(None, None, None)
     value = float(numerator.sum() / denominator.sum())
     if len(numerator) < 2:
         return Estimate(value, None, None)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     ratios: list[FloatArray] = []
     block = max(1, _BLOCK // len(numerator))
     for start in range(0, RESAMPLES, block):

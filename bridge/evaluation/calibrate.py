@@ -10,11 +10,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from bridge.batch.engine import work_on_each
+from bridge.batch.engine import sorted_out, work_on_each
 from bridge.batch.isolation import Failure, attempt_each
 from bridge.evaluation.evaluate import write_table
 from bridge.evaluation.pages import Section, number, page, picture, table
-from bridge.files import write_text
+from bridge.files import explained, write_text
 from bridge.pictures import figures
 from bridge.recordings.scenario import read_scenario, source_id
 from bridge.recordings.sources import find_sources
@@ -25,7 +25,7 @@ from hid2.evaluation.windows import is_labelled, windows
 from hid2.measures.arrays import BoolArray, SceneArrays, stack
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.params import Drivers
-from netconvert.errors import ConfigError, ExportError, ScenarioError
+from netconvert.errors import ConfigError, ScenarioError
 
 #: Speed below which a vehicle stands, m/s, and gap to a leader in a queue, m.
 _STANDS_MPS, _QUEUE_M = 0.3, 8.0
@@ -61,7 +61,7 @@ class Calibration(NamedTuple):
 
 
 def calibrate_folder(
-    root: Path, out: Path, *, without: Sequence[str] = (), jobs: int = 1, seed: int = 0,
+    root: Path, out: Path, *, without: Sequence[str] = (), jobs: int = 1,
     on_scene: Callable[[int, int], None] | None = None,
 ) -> Calibration:  # fmt: skip
     """Measure how people drive in the recorded scenes below `root`, and write what was found.
@@ -81,26 +81,17 @@ def calibrate_folder(
     folders = [folder for name, folder in there.items() if name not in without]
     if not folders:
         raise ConfigError(f"{root}: --without leaves no scene to calibrate with, expected at least one")
-    scenes: list[SceneDriving] = []
-    failures: list[tuple[Path, str]] = []
-    each = work_on_each(observe, folders, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=120)
-    for done, (folder, outcome) in enumerate(each, 1):
-        if isinstance(outcome, Failure):
-            failures.append((folder, outcome.message))
-        else:
-            scenes.append(outcome)
-        if on_scene is not None:
-            on_scene(done, len(folders))
+    scenes, failures = sorted_out(
+        work_on_each(observe, folders, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene)
+    )
     if not scenes:
         raise ScenarioError(f"{root}: no scene can be read; the first: {failures[0][0]}: {failures[0][1]}")
     scenes.sort(key=lambda scene: scene.name)
     prior = Drivers()
-    groups = {name: calibrate(*pooled(part), prior=prior, seed=seed) for name, part in _groups(scenes)}
+    groups = {name: calibrate(*pooled(part), prior=prior) for name, part in _groups(scenes)}
     result = Calibration(groups, scenes, failures)
-    try:
+    with explained(out):
         _write(result, out, prior)
-    except OSError as error:
-        raise ExportError(f"{out}: cannot be written ({error})") from error
     return result
 
 

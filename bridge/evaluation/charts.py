@@ -14,11 +14,6 @@ from hid2.evaluation.realism import FEATURES, FINE, RealismCounts
 from hid2.policy.behaviours import BEHAVIOURS
 
 
-def reason_words(reason: str) -> str:
-    """A reason of the sidecar as a reader would say it."""
-    return reason.replace("no_place:", "no place found: ").replace("_", " ")
-
-
 def distribution_figure(counts: RealismCounts) -> Figure:
     """Generated and recorded distribution of every feature as steps over the same bins."""
     figure, axes = plt.subplots(3, 4, figsize=(13, 8.4), layout="constrained")

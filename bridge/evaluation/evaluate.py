@@ -5,7 +5,6 @@ Memory does not grow with the scenes but by their names: tables are written as s
 
 import contextlib
 import csv
-import json
 import logging
 import pickle
 import zlib
@@ -17,7 +16,7 @@ from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import Labelled, Row, SceneMeasures, measure_folders
 from bridge.evaluation.totals import Evaluation, Totals
-from bridge.files import table_file, write_text
+from bridge.files import explained, table_file, write_json
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Source, find_scenarios, source_id
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import read_sizes
@@ -27,7 +26,7 @@ from hid2.agents import BoxSize
 from hid2.measures.arrays import is_generated_id
 from hid2.params import Limits
 from netconvert.cells import build_cell_grid
-from netconvert.errors import ExportError, Hid2Error, ScenarioError
+from netconvert.errors import Hid2Error, ScenarioError
 from netconvert.fidelity import measure_fidelity
 from netconvert.net_xml import net_bytes
 
@@ -68,12 +67,12 @@ def evaluate_folder(
     known = len(folders) + len(sources)
     evaluation = Evaluation(Totals(sources))
     totals = evaluation.totals
-    try:
+    with explained(report_dir):
         with contextlib.ExitStack() as stack:
             tables = [stack.enter_context(_table(report_dir / f"{name}.csv")) for name in _BY_SCENE]
-            for done, (folder, measures) in enumerate(
-                _measured([*folders, *sources.values(), *controls], _labelled(sources), jobs=jobs), 1
-            ):
+            every = [*folders, *sources.values(), *controls]
+            measured = _measured(every, _labelled(sources), jobs=jobs, on_scene=on_scene)
+            for done, (folder, measures) in enumerate(measured, 1):
                 if isinstance(measures, Failure):
                     evaluation.failures.append((folder, measures.message))
                 elif done > known:
@@ -86,13 +85,10 @@ def evaluate_folder(
                         tables, ([measures.scene], measures.tracks, measures.maneuvers, measures.events), strict=True
                     ):
                         table.write(rows)
-                if on_scene is not None:
-                    on_scene(done, known + len(controls))
         evaluation.metrics = _metrics(evaluation, {str(folder): folder for folder in folders})
-        _write_tables(evaluation.metrics, report_dir)
+        write_json(report_dir / "metrics.json", evaluation.metrics)
+        write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
         write_report(evaluation, report_dir / "report.html")
-    except OSError as error:
-        raise ExportError(f"{report_dir}: cannot write the report ({error})") from error
     return evaluation
 
 
@@ -129,11 +125,12 @@ def _labelled(sources: Mapping[str, Address]) -> Labelled:
 
 
 def _measured(
-    folders: Sequence[Address], labelled: Labelled, *, jobs: int
+    folders: Sequence[Address], labelled: Labelled, *, jobs: int, on_scene: Callable[[int, int], None] | None
 ) -> Iterator[tuple[Address, SceneMeasures | Failure]]:
     """Measures of each folder, in the order of the folders whatever the order in which they are done."""
     shared = Limits(), labelled
-    for folder, packed in work_on_each(measure, folders, shared=shared, jobs=jobs, chunk=_CHUNK, timeout_s=120):
+    each = work_on_each(measure, folders, shared=shared, jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene)
+    for folder, packed in each:
         yield folder, packed if isinstance(packed, Failure) else pickle.loads(zlib.decompress(packed))  # noqa: S301  # our own child
 
 
@@ -177,12 +174,6 @@ def _cell(value: object) -> object:
     if isinstance(value, dict):
         return "; ".join(f"{key} ({count})" for key, count in value.items())
     return "" if value is None else value
-
-
-def _write_tables(metrics: Mapping[str, Any], report_dir: Path) -> None:
-    text = json.dumps(metrics, indent=1, allow_nan=False)
-    write_text(report_dir / "metrics.json", text + "\n")
-    write_table(report_dir / "realism.csv", metrics["realism"]["distances"])
 
 
 def _metrics(evaluation: Evaluation, by_name: Mapping[str, Address]) -> dict[str, Any]:

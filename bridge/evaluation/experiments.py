@@ -102,9 +102,9 @@ def run_settings(
         for outcome in result.outcomes:
             done += 1
             setting, seed = outcome.item
-            failure = outcome.failure or (outcome.value if isinstance(outcome.value, Failure) else None)
-            if failure is not None:
-                failures.setdefault(setting, []).append(f"{folders[scene].name[:8]}, seed {seed}: {failure.message}")
+            if outcome.wrong is not None:
+                where = f"{folders[scene].name[:8]}, seed {seed}"
+                failures.setdefault(setting, []).append(f"{where}: {outcome.wrong.message}")
             else:
                 rows[setting, scene, seed] = outcome.value
         if on_scene is not None:

@@ -2,37 +2,22 @@
 
 import csv
 import html
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from bridge.evaluation import pages, report
 from bridge.evaluation.aggregate import Estimate, SourceSums, estimate
 from bridge.evaluation.diversity import Diversity
 from bridge.evaluation.experiments import ADDED, EXPERIMENTS, Experiment, Outcome, run_settings, settings_of
+from bridge.evaluation.paper_tables import COLUMNS, flat, html_table, lines_of
 from bridge.evaluation.scene_metrics import Row
-from bridge.files import make_folder, table_file, write_text
+from bridge.files import explained, make_folder, table_file, write_json, write_text
 from bridge.recordings.folders import Choices
 from bridge.recordings.sources import find_sources
-from hid2.evaluation.metrics import METRICS, Metric
 from hid2.measures.manoeuvres import ManeuverKind
-from netconvert.errors import ConfigError, ExportError
+from netconvert.errors import ConfigError
 
-#: LO, LA, JE, SCR, ORR: what the paper reports.
-COLUMNS: tuple[Metric, ...] = tuple(metric for metric in METRICS if metric.key in report.PAPER_ORIGINAL)
-#: Further columns that the paper does not have.
-MORE_COLUMNS: tuple[Metric, ...] = tuple(metric for metric in METRICS if metric.key == "footprint_orr")
-#: The paper's ablation table: component switched off, LO, LA, JE, SCR, ORR.
-PAPER_ABLATION: Mapping[str, Mapping[str, float]] = {
-    "full": report.PAPER_HID2,
-    "topology": {"lo": 1.491, "la": 0.483, "je": 7.842, "scr": 0.101, "orr": 0.225},
-    "collision": {"lo": 1.449, "la": 0.433, "je": 7.087, "scr": 0.282, "orr": 0.125},
-    "smoothing": {"lo": 2.379, "la": 1.188, "je": 9.156, "scr": 0.072, "orr": 0.141},
-}
-#: The lower half of the paper's Table 1: Argoverse 1, recorded and with HiD2's vehicles.
-PAPER_ARGOVERSE1 = {"lo": 1.414, "la": 0.838, "je": 11.192, "scr": 0.030, "orr": 0.009}
-PAPER_HID2_ARGOVERSE1 = {"lo": 1.378, "la": 0.976, "je": 11.031, "scr": 0.020, "orr": 0.007}
 #: Measures that rise with the number of vehicles added in the paper's figure.
 PAPER_RISES = ("scr", "orr")
 _NAMES = {"full": "with everything on", "dense": "with the default mix", "rare": "with a mix of rare behaviours"}
@@ -67,96 +52,8 @@ def run_experiment(
     folders = find_sources([scenes] if isinstance(scenes, Path) else scenes, choices)
     make_folder(out_dir)
     outcomes = run_settings(folders, settings_of(name, agents), seeds=seeds, jobs=jobs, on_scene=on_scene)
-    try:
+    with explained(out_dir):
         return _write(name, outcomes, out_dir, seeds=seeds, sources=len(folders), agents=agents)
-    except OSError as error:
-        raise ExportError(f"{out_dir}: cannot write the experiment ({error})") from error
-
-
-class _Line(NamedTuple):
-    """A line of a table: who, then value and interval (or the paper's figure) by metric key."""
-
-    label: str
-    values: Mapping[str, Mapping[str, float | None]]
-
-
-def _ours(label: str, rows: Sequence[Row], group: str) -> _Line:
-    sums = SourceSums.of(rows)
-    return _Line(label, {m.key: estimate(sums, m, group).as_dict() for m in (*COLUMNS, *MORE_COLUMNS)})
-
-
-def _papers(label: str, figures: Mapping[str, float]) -> _Line:
-    return _Line(label, {key: {"value": value, "low": None, "high": None} for key, value in figures.items()})
-
-
-def _lines(name: Experiment, outcomes: Sequence[Outcome]) -> list[_Line]:
-    if name == "table1":
-        rows = outcomes[0].rows
-        first = [row for row in rows if row["format"] == "argoverse1"]
-        second = [row for row in rows if row["format"] != "argoverse1"]
-        return [*_table1_lines(second), *_table1_argoverse1_lines(first, outcomes[1].rows, outcomes[2].rows)]
-    if name == "ablation":
-        lines = []
-        for outcome in outcomes:
-            what = "everything on" if outcome.setting.name == "full" else f"without {outcome.setting.name}"
-            lines += [
-                _papers(f"paper: {what}", PAPER_ABLATION[outcome.setting.name]),
-                _ours(f"ours: {what}, recorded and generated", outcome.rows, "combined"),
-                _ours(f"ours: {what}, generated alone", outcome.rows, "generated"),
-            ]
-        return lines
-    return [
-        line
-        for outcome in outcomes
-        for line in (
-            _ours(f"{outcome.setting.name} asked for: recorded and generated", outcome.rows, "combined"),
-            _ours(f"{outcome.setting.name} asked for: generated alone", outcome.rows, "generated"),
-        )
-        if outcome.setting.config is not None or "alone" not in line.label
-    ]
-
-
-def _table1_lines(rows: Sequence[Row]) -> list[_Line]:
-    """The upper half: scenes of Argoverse 2; where some are tracked and some labelled by people, each apart as well."""
-    if not rows:
-        return []
-    made = {
-        what: [row for row in rows if row["provenance"] == provenance]
-        for what, provenance in (("tracked on board", "tracker"), ("labelled by people", "human"))
-    }
-    parts = made if all(made.values()) else {}
-
-    def ours(label: str, group: str) -> list[_Line]:
-        lines = [_ours(label, rows, group)]
-        for what, own in parts.items():
-            count = len({row["source"] for row in own})
-            lines.append(_ours(f"{label}, {what} ({count} scene{'' if count == 1 else 's'})", own, group))
-        return lines
-
-    return [
-        _papers("paper: Argoverse 2", report.PAPER_ORIGINAL),
-        *ours("ours: recorded scenes", "original"),
-        _papers("paper: HiD2", report.PAPER_HID2),
-        *ours("ours: recorded and generated", "combined"),
-        _ours("ours: generated vehicles alone", rows, "generated"),
-    ]
-
-
-def _table1_argoverse1_lines(rows: Sequence[Row], filtered: Sequence[Row], whole: Sequence[Row]) -> list[_Line]:
-    """The lower half: sequences of Argoverse 1, with positions as they are, smoothed, and of whole tracks smoothed."""
-    if not rows:
-        return []
-    return [
-        _papers("paper: Argoverse 1", PAPER_ARGOVERSE1),
-        _ours("ours: Argoverse 1, recorded, positions as they are", rows, "original"),
-        _ours("ours: Argoverse 1, recorded, positions smoothed", filtered, "original"),
-        _ours("ours: Argoverse 1, recorded, smoothed, tracks seen at every step", whole, "original"),
-        _papers("paper: HiD2 on Argoverse 1", PAPER_HID2_ARGOVERSE1),
-        _ours("ours: Argoverse 1, recorded and generated, positions as they are", rows, "combined"),
-        _ours("ours: Argoverse 1, recorded and generated, recorded positions smoothed", filtered, "combined"),
-        _ours("ours: Argoverse 1, recorded and generated, smoothed, tracks seen at every step", whole, "combined"),
-        _ours("ours: Argoverse 1, generated vehicles alone", rows, "generated"),
-    ]
 
 
 _TITLES: Mapping[str, str] = {
@@ -191,12 +88,12 @@ def _write(
         _write_rows(_diversity_rows(content), out_dir / f"{name}.csv")
         figures.save(charts.diversity_figure(content), out_dir / f"{name}.png")
     else:
-        lines = _lines(name, outcomes)
+        lines = lines_of(name, outcomes)
         content["lines"] = [
             {"row": line.label, **{key: dict(value) for key, value in line.values.items()}} for line in lines
         ]
-        parts.append(_html_table(lines))
-        _write_rows([_flat(line) for line in lines], out_dir / f"{name}.csv")
+        parts.append(html_table(lines))
+        _write_rows([flat(line) for line in lines], out_dir / f"{name}.csv")
         if name == "density":
             series = {_placed(o): (SourceSums.of(o.rows), o.setting.config is not None) for o in outcomes}
             counted = _of(outcomes, sources)
@@ -204,7 +101,7 @@ def _write(
             parts.append(pages.picture(shown, f"{_DENSITY_CAPTION} Of {counted}."))
             parts.append(f"<p>{html.escape(_directions(_density(series)))}</p>")
             figures.save(charts.density_figure(_density(series), of=counted), out_dir / f"{name}.png")
-    write_text(out_dir / f"{name}.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
+    write_json(out_dir / f"{name}.json", content)
     path = out_dir / f"{name}.html"
     write_text(path, pages.page(_TITLES[name], parts))
     return path
@@ -356,22 +253,6 @@ _DIVERSITY_TEXT = (
     "turns, lane changes and overtakes for behaviours. The paper gives its comparison as a figure without numbers: "
     "more scenes in every higher band, and more of every behaviour but straight driving.</p>"
 )
-
-
-def _html_table(lines: Sequence[_Line]) -> str:
-    columns = (*COLUMNS, *MORE_COLUMNS)
-    empty = {"value": None, "low": None, "high": None}
-    rows = [(line.label, *(pages.with_interval(line.values.get(m.key, empty)) for m in columns)) for line in lines]
-    head = ("", *(m.label.split(":")[0] + (f", {m.unit}" if m.unit != "share" else "") for m in columns))
-    return pages.table(head, rows)
-
-
-def _flat(line: _Line) -> Row:
-    row: Row = {"row": line.label}
-    for metric in (*COLUMNS, *MORE_COLUMNS):
-        value = line.values.get(metric.key, {"value": None, "low": None, "high": None})
-        row |= {metric.key: value["value"], f"{metric.key}_low": value["low"], f"{metric.key}_high": value["high"]}
-    return row
 
 
 def _diversity_rows(content: Mapping[str, Any]) -> list[Row]:

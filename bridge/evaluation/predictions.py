@@ -6,7 +6,6 @@ is av2's challenge submission: 60 steps from timestep 50 for each mode of a trac
 
 import csv
 import html
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,7 @@ from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure, attempt_each
 from bridge.evaluation import pages
-from bridge.files import beside, make_folder, table_file, write_text
+from bridge.files import beside, explained, make_folder, table_file, write_json, write_text
 from bridge.recordings.scenario import (
     MAX_STEPS,
     OBSERVED_STEPS,
@@ -35,7 +34,7 @@ from bridge.recordings.scenario import (
     source_id,
 )
 from hid2.agents import FloatArray, Track
-from netconvert.errors import ConfigError, ExportError, ScenarioError
+from netconvert.errors import ConfigError, ScenarioError
 
 Baseline = Literal["constant-velocity", "constant-turn-rate"]
 BASELINES: tuple[Baseline, ...] = ("constant-velocity", "constant-turn-rate")
@@ -124,17 +123,17 @@ def score_predictions(
     if report_dir is not None:
         make_folder(report_dir)
     items = [(folder, named or forecasts.get(source_id(folder))) for folder in folders]
-    each = work_on_each(score_folders, items, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False)
+    each = work_on_each(
+        score_folders, items, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False, on_item=on_scene
+    )
     scores: list[Score] = []
     left_out: list[str] = []
-    for done, (_, found) in enumerate(each, 1):
+    for _, found in each:
         if isinstance(found, Failure):
             left_out.append(found.message)
         else:
             scores += found[0]
             left_out += found[1]
-        if on_scene is not None:
-            on_scene(done, len(folders))
     left_out += [f"{name}: no such scene" for name in sorted(set(forecasts) - set(map(source_id, folders)))]
     if not scores:
         raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {left_out[0]}")
@@ -188,12 +187,10 @@ def read_forecasts(path: Path) -> Forecasts:
 def write_forecasts(forecasts: Forecasts, path: Path) -> Path:
     """Write a submission file. Errors: ExportError; ScenarioError for forecasts that av2 refuses."""
     try:
-        with beside(path) as hidden:
+        with explained(path), beside(path) as hidden:
             ChallengeSubmission({name: (one[0], dict(one[1])) for name, one in forecasts.items()}).to_parquet(hidden)
     except ValueError as error:
         raise ScenarioError(f"{path}: forecasts that av2 refuses ({error})") from error
-    except OSError as error:
-        raise ExportError(f"{path}: cannot write the forecasts ({error})") from error
     return path
 
 
@@ -307,13 +304,10 @@ def _write(result: PredictionScores, report_dir: Path) -> None:
         pages.table(TABLE_HEAD, result.rows()),
         f"<p>Not scored ({len(result.left_out)}):</p><ul>{left_out}</ul>" if result.left_out else "",
     ]
-    try:
+    with explained(report_dir):
         with table_file(report_dir / "predictions.csv") as stream:
             writer = csv.writer(stream)
             writer.writerow(Score._fields)
             writer.writerows(result.scores)
-        text = json.dumps(content, indent=1, allow_nan=False)
-        write_text(report_dir / "predictions.json", text + "\n")
+        write_json(report_dir / "predictions.json", content)
         write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))
-    except OSError as error:
-        raise ExportError(f"{report_dir}: cannot write the scores ({error})") from error

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
-from bridge.evaluation.charts import diversity_figure, reason_words
+from bridge.evaluation.charts import diversity_figure
 from bridge.evaluation.pages import Section, linked, macro, number, page, picture, table, with_interval
 from bridge.evaluation.realism_page import realism_section
 from bridge.evaluation.totals import Evaluation
@@ -161,7 +161,7 @@ def _described(metrics: Mapping[str, Any]) -> list[dict[str, str]]:
 
 def _reason(text: str) -> str:
     """A reason of a sidecar in words, as HTML that leads to its sentence."""
-    words = html.escape(reason_words(text))
+    words = html.escape(text.replace("_", " "))
     name = _reason_in(text)
     return words if name is None else f'<a href="#reason-{name}">{words}</a>'
 

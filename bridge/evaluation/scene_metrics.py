@@ -167,30 +167,9 @@ def measure(
     safe = safety(arrays, ground)
     maneuvers = detect(arrays, safe.lanes, safe.matches)
     policy_of = policies(arrays, maneuvers)
-    vehicles = arrays.vehicle & arrays.moving
-    everybody = np.ones(arrays.num_agents, dtype=bool)
     kinematic = kinematics(arrays, moved)
     beyond = beyond_limits(arrays, moved, limits)
-    met = encounters(arrays, safe.lanes, safe.matches, safe.leaders)
-    groups = {}
-    # whom a group's vehicles may touch: what was added any road user, what was recorded what was recorded
-    for name, members, others in (
-        ("original", ~arrays.generated, ~arrays.generated),
-        ("generated", arrays.generated, everybody),
-        ("combined", everybody, everybody),
-    ):
-        groups[name] = Group(
-            arrays=arrays,
-            kinematic=kinematic,
-            safe=safe,
-            beyond=beyond,
-            members=members,
-            partners=others if name == "generated" else others & arrays.vehicle,  # as in the paper's SCR
-            end_contacts=contacts_after_last_step(
-                arrays, members & last_step_counts(arrays), horizon_s=CRITICAL.end_horizon_s, among=others
-            ),
-            met=met,
-        )
+    groups = _groups(arrays, kinematic, safe, beyond)
     view = _View(
         arrays,
         moved,
@@ -217,6 +196,7 @@ def measure(
     for maneuver in maneuvers:
         if maneuver.kind is ManeuverKind.LANE_CHANGE and maneuver.complete:
             durations.setdefault(maneuver.track_id, []).append(maneuver.duration_s)
+    vehicles = arrays.vehicle & arrays.moving
     generated, recorded = vehicles & arrays.generated, vehicles & ~arrays.generated & ~arrays.fragment
     driving = windows(arrays, safe, generated | recorded)
     halves = np.array([half_number(source, arrays.track_ids[a]) for a in driving.agent], dtype=np.int64)
@@ -231,6 +211,34 @@ def measure(
         samples=pack(driving, halves, labelled=is_labelled(arrays)),
         sample_generated=arrays.generated[driving.agent],
     )
+
+
+def _groups(
+    arrays: SceneArrays, kinematic: Kinematics, safe: Safety, beyond: Mapping[str, BoolArray]
+) -> dict[str, Group]:
+    """Recorded agents, generated ones, and both."""
+    everybody = np.ones(arrays.num_agents, dtype=bool)
+    met = encounters(arrays, safe.lanes, safe.matches, safe.leaders)
+    groups = {}
+    # whom a group's vehicles may touch: what was added any road user, what was recorded what was recorded
+    for name, members, others in (
+        ("original", ~arrays.generated, ~arrays.generated),
+        ("generated", arrays.generated, everybody),
+        ("combined", everybody, everybody),
+    ):
+        groups[name] = Group(
+            arrays=arrays,
+            kinematic=kinematic,
+            safe=safe,
+            beyond=beyond,
+            members=members,
+            partners=others if name == "generated" else others & arrays.vehicle,  # as in the paper's SCR
+            end_contacts=contacts_after_last_step(
+                arrays, members & last_step_counts(arrays), horizon_s=CRITICAL.end_horizon_s, among=others
+            ),
+            met=met,
+        )
+    return groups
 
 
 def _named(measures: SceneMeasures, scene: Rows, folder: Address, known: RecordingRecord) -> SceneMeasures:

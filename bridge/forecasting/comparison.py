@@ -4,9 +4,7 @@ A model is one file of predictions for each seed it was trained with. Scenes are
 was made of one, and seeds of each model on its own: what is left is what other scenes and another seed would give.
 """
 
-import csv
 import html
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -16,7 +14,7 @@ import numpy.typing as npt
 
 from bridge.evaluation import pages
 from bridge.evaluation.predictions import BASELINES, BOUNDS, PredictionScores, Score, score_predictions
-from bridge.files import explained, make_folder, table_file, write_text
+from bridge.files import explained, make_folder, write_json, write_rows, write_text
 from bridge.recordings.scenario import find_scenarios, source_id
 from hid2.agents import FloatArray
 from hid2.params import Forecasting
@@ -230,13 +228,14 @@ def bands(bounds: Sequence[int]) -> dict[str, Callable[[Score], bool]]:
     """All scenes, and those of more tracks than each bound, in all and at the observation's end."""
     found: dict[str, Callable[[Score], bool]] = {"all scenes": lambda _: True}
     for bound in bounds:
-        found[f"more than {bound}"] = _above("agents", bound)
+        found[f"more than {bound}"] = above("agents", bound)
     for bound in bounds:
-        found[f"more than {bound} at the observation's end"] = _above("agents_observed", bound)
+        found[f"more than {bound} at the observation's end"] = above("agents_observed", bound)
     return found
 
 
-def _above(field: str, bound: int) -> Callable[[Score], bool]:
+def above(field: Literal["agents", "agents_observed"], bound: int) -> Callable[[Score], bool]:
+    """Whether a scene has more tracks than a bound, in all or at the observation's end."""
     return lambda score: bool(getattr(score, field) > bound)
 
 
@@ -300,13 +299,12 @@ ABOUT = (
 def _write(differences: Sequence[Difference], report_dir: Path) -> None:
     head = tuple(html.escape(name) for name in HEAD)
     with explained(report_dir):
-        with table_file(report_dir / "comparison.csv") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(("model", "minus", "band", "metric", "difference", "low", "high", "se", "tracks", "sources",
-                             "detectable"))  # fmt: skip
-            for one in differences:
-                writer.writerow((one.model, one.other, one.band, one.metric, *one.estimate, one.tracks, one.sources,
-                                 one.detectable))  # fmt: skip
-        write_text(report_dir / "comparison.json", json.dumps(as_dicts(differences), indent=1, allow_nan=False) + "\n")
+        write_rows(
+            report_dir / "comparison.csv",
+            ("model", "minus", "band", "metric", "difference", "low", "high", "se", "tracks", "sources", "detectable"),
+            ((one.model, one.other, one.band, one.metric, *one.estimate, one.tracks, one.sources, one.detectable)
+             for one in differences),
+        )  # fmt: skip
+        write_json(report_dir / "comparison.json", as_dicts(differences))
         rows = [tuple(html.escape(cell) for cell in row) for row in rows_of(differences)]
         write_text(report_dir / "comparison.html", pages.page("Forecasts, compared", [ABOUT, pages.table(head, rows)]))

@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from bridge.files import explained, table_file, write_text
+from bridge.files import explained, write_rows, write_text
 from bridge.forecasting.composition import Composition, Draw
 from bridge.forecasting.places import (
     Leak,
@@ -131,10 +131,7 @@ def compose(
                         origins.append(_origin(split, scene))
                         done += 1
                         tell("writing", done, total)
-                with table_file(hidden / name / ORIGINS) as stream:
-                    writer = csv.writer(stream, lineterminator="\n")
-                    writer.writerow(Origin._fields)
-                    writer.writerows(origins)
+                write_rows(hidden / name / ORIGINS, Origin._fields, origins)
             if root.exists():
                 root.rmdir()  # empty
             hidden.rename(root)
@@ -147,15 +144,8 @@ def compose(
 class _Pool:
     """The scenes of all sources by split, and how they are drawn."""
 
-    def __init__(
-        self,
-        composition: Composition,
-        *,
-        jobs: int,
-        tell: Callable[[int, int], None],
-        params: Forecasting | None = None,
-    ) -> None:
-        self._params = params or Forecasting()
+    def __init__(self, composition: Composition, *, jobs: int, tell: Callable[[int, int], None]) -> None:
+        self._params = Forecasting()
         self._seed, self._sources = composition.seed, composition.sources
         self.left_out: list[str] = []
         names, folders = [], []

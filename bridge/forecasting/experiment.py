@@ -5,9 +5,7 @@ forecaster is trained on each with every seed, the same number of updates each; 
 are scored and compared in pairs. Forecasts from elsewhere on a composed root take the place of the first three steps.
 """
 
-import csv
 import html
-import json
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,11 +15,10 @@ from typing import Any, Literal, NamedTuple
 from bridge.batch.batch import Options, Run, SceneJob, run_batch
 from bridge.batch.batch import Progress as BatchProgress
 from bridge.batch.engine import Settings, Task, execute_here
-from bridge.batch.isolation import Failure
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.evaluation import pages
 from bridge.evaluation.predictions import BOUNDS, Score, score_predictions, write_forecasts
-from bridge.files import explained, make_folder, table_file, write_text
+from bridge.files import explained, make_folder, write_json, write_rows, write_text
 from bridge.forecasting.comparison import (
     ABOUT,
     HEAD,
@@ -30,6 +27,7 @@ from bridge.forecasting.comparison import (
     Estimate,
     MetricKey,
     Runs,
+    above,
     as_dicts,
     difference_of,
     in_band,
@@ -185,9 +183,8 @@ def _train(composed: Path, models: Path, plan: Plan, *, jobs: int, tell: Progres
     settings = Settings(timeout_s=86_400, memory_mb=_TRAINING_MB)
     for result in execute_here(tasks, jobs=min(jobs, len(SETS)), settings=settings):
         for outcome in result.outcomes:
-            failure = outcome.failure or (outcome.value if isinstance(outcome.value, Failure) else None)
-            if failure is not None:
-                raise BatchError(f"training on {result.task.key}, seed {outcome.item}: {failure.message}")
+            if outcome.wrong is not None:
+                raise BatchError(f"training on {result.task.key}, seed {outcome.item}: {outcome.wrong.message}")
             done += 1
         tell("training", done, total)
 
@@ -269,7 +266,7 @@ def _table3(runs: Mapping[str, Mapping[str, Runs]], source_of: Mapping[str, str]
     lines = [_Line(label, [Estimate(value, None, None) for value in values]) for label, values in PAPER_TABLE3.items()]
     for name, label in CONTROLS.items():
         cells = [
-            mean_of(in_band(runs[RECORDED][name], _more_than(bound)), source_of, metric, params)
+            mean_of(in_band(runs[RECORDED][name], above("agents", bound)), source_of, metric, params)
             for bound in BOUNDS
             for metric in _COLUMNS
         ]
@@ -277,16 +274,12 @@ def _table3(runs: Mapping[str, Mapping[str, Runs]], source_of: Mapping[str, str]
     return lines
 
 
-def _more_than(bound: int) -> Callable[[Score], bool]:
-    return lambda score: score.agents > bound
-
-
 def _differences(
     runs: Mapping[str, Mapping[str, Runs]], source_of: Mapping[str, str], params: Forecasting
 ) -> list[Difference]:
     """The controls minus recorded scenes alone, and HiD2 minus its rivals, on recorded scenes; Table 2 on both."""
     bands: dict[str, Callable[[Score], bool]] = {"all scenes": lambda _: True}
-    bands |= {f"more than {bound}": _more_than(bound) for bound in BOUNDS}
+    bands |= {f"more than {bound}": above("agents", bound) for bound in BOUNDS}
     found = []
     pairs = [(name, RECORDED) for name in CONTROLS if name != RECORDED]
     pairs += [("hid2", "recorded-dense"), ("hid2", "no-interaction")]
@@ -404,14 +397,15 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
         _ABOUT,
     ]
     with explained(out):
-        with table_file(out / "prediction_scores.csv") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(("validation", "trained_on", "run", *Score._fields))
-            for on, models in runs.items():
-                for name, found in models.items():
-                    for number, scores in enumerate(found):
-                        writer.writerows((on, name, number, *score) for score in scores)
-        write_text(out / "prediction.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
+        every = (
+            (on, name, number, *score)
+            for on, models in runs.items()
+            for name, found in models.items()
+            for number, scores in enumerate(found)
+            for score in scores
+        )
+        write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *Score._fields), every)
+        write_json(out / "prediction.json", content)
         page = out / "prediction.html"
         write_text(page, pages.page("Tables 2 and 3: forecasters trained with generated scenes", parts))
     return page

@@ -16,11 +16,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic_core import from_json
 
-from bridge.batch.engine import work_on_each
+from bridge.batch.engine import sorted_out, work_on_each
 from bridge.batch.isolation import Failure, attempt_each
 from bridge.config import word_for_recorded
 from bridge.files import read_regular
-from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIDECAR_PATTERN
+from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIDECAR_PATTERN, only_file
 from bridge.recordings.limits import MAX_FILE_MB
 from bridge.recordings.scenario import OBSERVED_STEPS
 from bridge.recordings.sidecar import REACTIVE, read_sidecar
@@ -80,20 +80,20 @@ def facts_of_scenes(
     folders: Sequence[Path], *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
 ) -> tuple[list[SceneFacts], list[str]]:
     """Facts in the order of folders, and a line for each scene that cannot be read."""
-    facts: dict[Path, SceneFacts] = {}
-    unread: list[str] = []
-    shared: dict[bytes, bytes] = {}  # variants of a scene lie where it lies
+    known: dict[bytes, bytes] = {}  # variants of a scene lie where it lies
     each = work_on_each(
-        describe_folders, folders, shared=Forecasting(), jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False
+        describe_folders, folders, shared=Forecasting(), jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False,
+        on_item=on_scene,
+    )  # fmt: skip
+    facts, unread = sorted_out(
+        (
+            folder,
+            value if isinstance(value, Failure) else value._replace(cells=known.setdefault(value.cells, value.cells)),
+        )
+        for folder, value in each
     )
-    for done, (folder, value) in enumerate(each, 1):
-        if isinstance(value, Failure):
-            unread.append(value.message)
-        else:
-            facts[folder] = value._replace(cells=shared.setdefault(value.cells, value.cells))
-        if on_scene is not None:
-            on_scene(done, len(folders))
-    return [facts[folder] for folder in folders if folder in facts], unread
+    by_folder = {fact.folder: fact for fact in facts}  # a folder that comes twice is one scene
+    return [by_folder[folder] for folder in folders if folder in by_folder], [reason for _, reason in unread]
 
 
 def describe_folders(params: Forecasting, folders: Sequence[Path]) -> Iterator[SceneFacts | Failure]:
@@ -109,7 +109,7 @@ def describe(
 
     Errors: ScenarioError, MapError with file, value and what was expected.
     """
-    parquet, map_path = _only(folder, PARQUET_PATTERN, ScenarioError), _only(folder, MAP_PATTERN, MapError)
+    parquet, map_path = only_file(folder, PARQUET_PATTERN, ScenarioError), only_file(folder, MAP_PATTERN, MapError)
     try:
         with pq.ParquetFile(parquet) as file:
             names = file.schema_arrow.names
@@ -141,13 +141,6 @@ def describe(
         cells=cells,
         block=block,
     )
-
-
-def _only(folder: Path, pattern: str, error: type[ScenarioError | MapError]) -> Path:
-    found = sorted(folder.glob(pattern))
-    if len(found) != 1:
-        raise error(f"{folder}: {len(found)} files {pattern.replace('*', '<id>')}, expected exactly one")
-    return found[0]
 
 
 def recorded_source(folder: Path) -> str | None:

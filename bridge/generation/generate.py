@@ -5,7 +5,7 @@ import tempfile
 import zlib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -134,7 +134,7 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
     focal = scenario.focal_track_id
     if config.request.focal == "generated":
         focal = _focal(scenario, vehicles, tracks, filling)
-        tracks = [_with_category(t, 3) if t.track_id == focal else t for t in tracks]
+        tracks = [replace(t, category=3) if t.track_id == focal else t for t in tracks]
     sidecar = _sidecar(prepared, scene, filling, vehicles, rounds, variant=variant, sumo_version=sumo_version)
     return GeneratedScene(
         scenario=scenario, generated=tuple(tracks), sidecar=sidecar, focal_track_id=focal, new_id=new_id,
@@ -237,19 +237,6 @@ def write(scene: GeneratedScene, out_dir: Path, *, record: Collection[str] = ())
         new_id=scene.new_id,
         focal_track_id=scene.focal_track_id,
         extra=extra,
-    )
-
-
-def _with_category(track: Track, category: int) -> Track:
-    return Track(
-        track.track_id,
-        track.object_type,
-        category,
-        track.timesteps,
-        track.position,
-        track.heading,
-        track.velocity,
-        track.size,
     )
 
 

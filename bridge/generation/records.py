@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import cast
 
 from bridge.recordings.sidecar import (
     AgentRecord,
@@ -21,15 +22,13 @@ from hid2.insertion.events import EventOutcome
 from hid2.insertion.filling import Filling, Rejection, Unmet
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.outcome import Outcome
+from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.turns import TURN_OF_POLICY
 from hid2.scene import Scene
 
-_KIND: Mapping[Policy, ManeuverKind] = {
-    Policy.LEFT_TURN: "left_turn",
-    Policy.RIGHT_TURN: "right_turn",
-    Policy.LANE_CHANGE: "lane_change",
-    Policy.OVERTAKE: "overtake",
-}
+
+def _kind(policy: Policy) -> ManeuverKind:
+    return cast(ManeuverKind, BEHAVIOURS[policy].seen_as[0].value)
 
 
 def agent_record(
@@ -88,7 +87,7 @@ def maneuver_record(vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[s
         reason = f"{reason}:{outcome.detail}"
     leader = outcome.leader_id
     return ManeuverRecord(
-        kind=_KIND[outcome.policy],
+        kind=_kind(outcome.policy),
         status=outcome.status,
         reason=reason,
         trigger_s=0.0 if is_turn else round(driven.start.request.trigger_s, 6),
@@ -130,7 +129,7 @@ def with_unmet(agents: Sequence[AgentRecord], unmet: Sequence[Unmet]) -> list[Ag
         if left and record.policy is Policy.STRAIGHT and not record.maneuvers:
             missed = left.pop(0)
             row = ManeuverRecord(
-                kind=_KIND[missed.request.policy], status="not_feasible", reason=missed.reason.value,
+                kind=_kind(missed.request.policy), status="not_feasible", reason=missed.reason.value,
                 trigger_s=round(missed.request.trigger_s, 6),
             )  # fmt: skip
             record = record.model_copy(update={"maneuvers": (row,)})

@@ -49,13 +49,6 @@ POLICY_COLORS = {
     Policy.LANE_CHANGE: BLUE,
     Policy.OVERTAKE: ORANGE,
 }
-POLICY_NAMES = {
-    Policy.STRAIGHT: "straight (ST)",
-    Policy.LEFT_TURN: "left turn (LT)",
-    Policy.RIGHT_TURN: "right turn (RT)",
-    Policy.LANE_CHANGE: "lane change (LC)",
-    Policy.OVERTAKE: "overtake (OT)",
-}
 
 
 def style() -> None:

@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bridge.pictures import figures
-from bridge.pictures.render import MARK_NAMES
 from bridge.recordings.folders import Address
 from bridge.recordings.scenario import Scenario
 from bridge.recordings.sidecar import sidecar_in
@@ -22,8 +21,9 @@ from hid2.evaluation.kinematics import Motion, motion
 from hid2.measures.arrays import SceneArrays, stack
 from hid2.measures.driven_lanes import first_lane_path
 from hid2.measures.lane_matching import FlatLanes, Matches, flatten_lanes, match_lanes
-from hid2.measures.manoeuvres import Maneuver, detect
+from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.params import Limits
+from hid2.policy.behaviours import behaviour_seen
 from netconvert.cells import build_cell_grid
 
 #: Length of a lane's label as a share of the time shown; distance of times on the plan, of the path.
@@ -129,7 +129,8 @@ def _moments(scenario: Scenario, agent_id: str, seen: list[Maneuver]) -> tuple[l
             if value is not None:
                 moments.append(_Moment(value, what, maneuver.kind))
     named = ", ".join(
-        f"{MARK_NAMES[m.kind]} {m.status.replace('_', ' ')}" + (f" ({m.reason})" if m.reason else "")
+        f"{behaviour_seen(ManeuverKind(m.kind)).label} {m.status.replace('_', ' ')}"
+        + (f" ({m.reason})" if m.reason else "")
         for m in record.maneuvers
     )
     return moments, f"\npolicy {record.policy.value.replace('_', ' ')}" + (f": {named}" if named else "")
@@ -211,7 +212,7 @@ def _limits(ax: Axes, *series: FloatArray, limits: tuple[float, float]) -> None:
 
 
 def _offset(ax: Axes, time: FloatArray, arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> None:
-    path = first_lane_path(arrays, lanes, matches, 0)
+    path = first_lane_path(arrays, lanes, matches)
     ax.set_ylabel("lateral offset, m\n(left is positive)")
     if path is None:
         ax.text(0.5, 0.5, "never on a lane", transform=ax.transAxes, ha="center")

@@ -29,6 +29,8 @@ from bridge.recordings.sidecar import ManeuverRecord, sidecar_in
 from bridge.recordings.sources import read_recording
 from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
+from hid2.measures.manoeuvres import ManeuverKind
+from hid2.policy.behaviours import BEHAVIOURS, behaviour_seen
 from netconvert.errors import ConfigError
 from netconvert.geometry import box_corners
 
@@ -47,18 +49,6 @@ _OTHER = "#B9A7C4"
 _RECORDED = "#B4B4B4"
 
 MARKS = {"lane_change": "D", "overtake": "*", "left_turn": "<", "right_turn": ">"}
-MARK_NAMES = {
-    "lane_change": "lane change",
-    "overtake": "overtake",
-    "left_turn": "left turn",
-    "right_turn": "right turn",
-}
-_POLICY_OF_KIND = {
-    "lane_change": Policy.LANE_CHANGE,
-    "overtake": Policy.OVERTAKE,
-    "left_turn": Policy.LEFT_TURN,
-    "right_turn": Policy.RIGHT_TURN,
-}
 
 
 class _Look(NamedTuple):
@@ -290,7 +280,7 @@ def _marks(panel: _Panel, ax: Axes, until_s: float | None) -> list[Artist]:
         track = tracks[track_id]
         x, y = track.position[int(np.argmin(np.abs(track.timesteps * panel.scenario.step_s - place)))]
         done = maneuver.status == "done"
-        color = figures.POLICY_COLORS[_POLICY_OF_KIND[maneuver.kind]] if done else "black"
+        color = figures.POLICY_COLORS[behaviour_seen(ManeuverKind(maneuver.kind)).policy] if done else "black"
         size = 110 if maneuver.kind == "overtake" else 45
         artist = ax.scatter(
             [x], [y], marker=MARKS[maneuver.kind] if done else "x", s=size, c=color,
@@ -344,7 +334,8 @@ class _Drawing:
         names = [(f"{word} vehicle", _RECORDED), (f"{word} focal vehicle", figures.DARK_GREY)]
         names += [("recording vehicle (AV)", figures.SKY), ("other recorded agent", _OTHER)]
         names += [
-            (f"generated: {name}", figures.POLICY_COLORS[policy]) for policy, name in figures.POLICY_NAMES.items()
+            (f"generated: {BEHAVIOURS[policy].label} ({BEHAVIOURS[policy].short})", color)
+            for policy, color in figures.POLICY_COLORS.items()
         ]
         handles: list[Patch | Line2D] = [
             Patch(facecolor=color, edgecolor="#333333", linewidth=0.4, label=name)
@@ -358,10 +349,11 @@ class _Drawing:
                        markeredgewidth=1.8, label=f"track {self.agent}")
             )  # fmt: skip
         for kind in dict.fromkeys(maneuver.kind for _, maneuver in panel.maneuvers if maneuver.status == "done"):
-            color = figures.POLICY_COLORS[_POLICY_OF_KIND[kind]]
+            behaviour = behaviour_seen(ManeuverKind(kind))
+            color = figures.POLICY_COLORS[behaviour.policy]
             handles.append(
                 Line2D([], [], marker=MARKS[kind], color="none", markerfacecolor=color, markeredgecolor="black",
-                       label=f"{MARK_NAMES[kind]} here")
+                       label=f"{behaviour.label} here")
             )  # fmt: skip
         if any(maneuver.status == "aborted" for _, maneuver in panel.maneuvers):
             handles.append(Line2D([], [], marker="x", color="none", markeredgecolor="black", label="aborted here"))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
-from netconvert.errors import NoSceneError
+from netconvert.errors import MapError, NoSceneError, ScenarioError
 
 if TYPE_CHECKING:
     from bridge.recordings.recording import Recording
@@ -165,6 +165,15 @@ def sumo_folder(root: Path, split: str | None, scenario_id: str) -> Path:
 def log_maps(log: Path) -> list[Path]:
     """Map files of a sensor log, in its folder map or in its own."""
     return sorted(log.glob(f"map/{MAP_PATTERN}")) or sorted(log.glob(MAP_PATTERN))
+
+
+def only_file(folder: Path, pattern: str, error: type[ScenarioError | MapError]) -> Path:
+    """The one file of a pattern in a folder. Errors: of that type, where there is none or more than one."""
+    found = sorted(folder.glob(pattern))
+    if len(found) != 1:
+        have = f"{len(found)} files" if found else "no"
+        raise error(f"{have} {pattern.replace('*', '<id>')} in {folder}; expected exactly one")
+    return found[0]
 
 
 def names_in(folder: Path) -> list[str]:

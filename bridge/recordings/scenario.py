@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from bridge.config import is_corridor
 from bridge.files import one_line, read_regular
 from bridge.recordings import limits
-from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIZES_FILE
+from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIZES_FILE, only_file
 from bridge.recordings.folders import SPLITS as SPLITS
 from bridge.recordings.folders import find_scenarios as find_scenarios
 from bridge.recordings.folders import source_id as source_id
@@ -85,8 +85,8 @@ def read_scenario(folder: Path) -> Scenario:
     """
     if not folder.is_dir():
         raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
-    parquet_path = _only_file(folder, PARQUET_PATTERN, ScenarioError)
-    map_path = _only_file(folder, MAP_PATTERN, MapError)
+    parquet_path = only_file(folder, PARQUET_PATTERN, ScenarioError)
+    map_path = only_file(folder, MAP_PATTERN, MapError)
     table = read_table(parquet_path)
     known = recording_record(folder)
     sizes = read_sizes(folder)
@@ -135,7 +135,7 @@ def read_rows(folder: Path) -> Rows:
     """The rows of a scenario folder, checked as `read_scenario` does, without its map. Errors: ScenarioError."""
     if not folder.is_dir():
         raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
-    path = _only_file(folder, PARQUET_PATTERN, ScenarioError)
+    path = only_file(folder, PARQUET_PATTERN, ScenarioError)
     known = recording_record(folder)
     sizes = read_sizes(folder)
     rows = split_rows(read_table(path), name=str(path), sizes=sizes, observed_steps=known.observed_steps)
@@ -276,14 +276,6 @@ class _Where:
 
     def __call__(self, row: int) -> str:
         return f"{self._name}: track {self._ids[self._code[row]]!r}, timestep {self._timestep[row]}"
-
-
-def _only_file(folder: Path, pattern: str, error: type[ScenarioError | MapError]) -> Path:
-    found = sorted(folder.glob(pattern))
-    if len(found) != 1:
-        have = f"{len(found)} files {pattern.replace('*', '<id>')}" if found else f"no {pattern.replace('*', '<id>')}"
-        raise error(f"{have} in {folder}; expected exactly one")
-    return found[0]
 
 
 def _size(row: Mapping[str, str], where: str) -> BoxSize:

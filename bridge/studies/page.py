@@ -1,6 +1,5 @@
 """The results of a study: tables as CSV and parquet with a data dictionary, figures, and a page of text."""
 
-import csv
 import gzip
 import io
 import math
@@ -14,7 +13,7 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from bridge.files import beside, explained, table_file, write_text
+from bridge.files import beside, explained, write_rows, write_text
 from bridge.studies.columns import dictionary_rows
 from bridge.studies.statistics import (
     OUTCOMES,
@@ -94,10 +93,8 @@ def write_results(study: Study, tables: Tables, out_dir: Path) -> list[Path]:
         if not table.empty:
             written += _write_table(out_dir, name, table)
     dictionary = out_dir / "columns.csv"
-    with explained(dictionary), table_file(dictionary) as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["table", "column", "says"])
-        writer.writerows(dictionary_rows())
+    with explained(dictionary):
+        write_rows(dictionary, ("table", "column", "says"), dictionary_rows())
     page = out_dir / "study.md"
     with explained(page):
         write_text(page, page_text(study, tables, named, keys))

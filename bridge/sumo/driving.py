@@ -24,7 +24,7 @@ from hid2.policy.observation import gap_ahead_of, gaps_on, lane_options, lay_acr
 from hid2.policy.overtake import Leader, Stage
 from hid2.policy.reroute import places_on, ways_at_next_split
 from hid2.policy.roads import Roads
-from hid2.policy.rules import Wish
+from hid2.policy.rules import SumoAnswer
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, GapLook, Shift, Start
@@ -69,15 +69,15 @@ class _Lanes:
 class _Ahead:
     """Everybody whose future is known on the ways of all vehicles, those of one after those of another.
 
-    low .. crosses (R, T): as in `PathOccupancy`; agents (R,): recorded, then kept ones; first (N + 1,): rows by
+    low .. crossing (R, T): as in `PathOccupancy`; agents (R,): recorded, then kept ones; first (N + 1,): rows by
     vehicle.
     """
 
     low: FloatArray
     high: FloatArray
     along: FloatArray
-    aligned: BoolArray
-    crosses: BoolArray
+    same_direction: BoolArray
+    crossing: BoolArray
     agents: IntArray
     first: IntArray
 
@@ -287,7 +287,7 @@ class Driving:
             self._ahead = self._look_ahead()
         driving, here, count = self.scene.config.driving, self._ahead, len(self.scene.traffic.ids)
         found = shown_ahead(
-            here.low, here.high, here.along, here.aligned, here.crosses, here.agents, here.first, self._lengths,
+            here.low, here.high, here.along, here.same_direction, here.crossing, here.agents, here.first, self._lengths,
             self.scene.traffic.position, self.fixed.position, step, self._place[: len(self.vehicles)],
             self._centre, self._own_lengths, (driving.standing_mps, driving.leads_from_m, driving.shown_m),
         )  # fmt: skip
@@ -309,7 +309,7 @@ class Driving:
         every = nobody.joined(*(found for found, _ in known))
         first = np.concatenate([[0], np.cumsum([rows.size for _, rows in known])]).astype(np.int64)
         agents = np.concatenate([np.zeros(0, dtype=np.int64), *(rows for _, rows in known)])
-        return _Ahead(every.low, every.high, every.along, every.aligned, every.crosses, agents, first)
+        return _Ahead(every.low, every.high, every.along, every.same_direction, every.crossing, agents, first)
 
     def _known_of(self, row: int) -> tuple[PathOccupancy, IntArray]:
         """Intervals of everybody whose future is known on a vehicle's path, and rows (recorded, then kept)."""
@@ -503,7 +503,7 @@ class Driving:
         others = _without(fleet.value, vehicle.vehicle_id)
         options, leader = self._look_around(vehicle, now, others)
         if change.rule == "LC2013":
-            options = {side: (self._with_wish(vehicle, found), path) for side, (found, path) in options.items()}
+            options = {side: (self._with_sumo_answer(vehicle, found), path) for side, (found, path) in options.items()}
         passed_m = self._passed_gap_m(vehicle, now, others)
         seen = self._observation(vehicle, now, tuple(option for option, _ in options.values()), leader, passed_m)
         if change.rule not in ("paper", "LC2013"):
@@ -581,9 +581,9 @@ class Driving:
             driver=vehicle.start.driver,
         )
 
-    def _with_wish(self, vehicle: DrivenVehicle, option: LaneOption) -> LaneOption:
+    def _with_sumo_answer(self, vehicle: DrivenVehicle, option: LaneOption) -> LaneOption:
         """An adjacent lane with what SUMO's own model makes of it."""
-        return replace(option, wish=Wish(*self.simulation.wish(vehicle.vehicle_id, option.side)))
+        return replace(option, sumo=SumoAnswer(*self.simulation.lane_change_answer(vehicle.vehicle_id, option.side)))
 
     def _attempt(
         self, row: int, vehicle: DrivenVehicle, now: int, option: LaneOption, target: DrivenPath, leader: Leader | None

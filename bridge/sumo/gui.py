@@ -14,6 +14,7 @@ from types import ModuleType
 
 import numpy as np
 
+from bridge.files import make_folder
 from bridge.pictures.figures import check_ending, check_step
 from bridge.recordings.folders import Address
 from bridge.recordings.scenario import Scenario
@@ -182,10 +183,7 @@ def _add(traci: ModuleType, track: Track, rgba: tuple[int, int, int, int]) -> No
 
 def _photograph(traci: ModuleType, path: Path) -> None:
     """Write the window's content; sumo-gui does so at its next step, in which vehicles stay where they are."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ExportError(f"{path}: cannot write the picture ({error})") from error
+    make_folder(path.parent)
     traci.gui.screenshot(traci.gui.getIDList()[0], str(path.resolve()))
     for name in traci.vehicle.getIDList():
         x, y = traci.vehicle.getPosition(name)

@@ -4,6 +4,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+from bridge.recordings.folders import MAP_PATTERN, only_file
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import STEP_S
 from netconvert.cells import build_cell_grid
@@ -11,8 +12,6 @@ from netconvert.errors import MapError, NetError, NoSceneError
 from netconvert.fidelity import FidelityReport, measure_fidelity
 from netconvert.gui_files import gui_files
 from netconvert.net_xml import net_bytes
-
-_MAP_PREFIX = "log_map_archive_"
 
 
 def convert(scene: Path, out_dir: Path, *, cell_m: float = 4.0, max_skew_m: float = 6.0) -> FidelityReport:
@@ -22,7 +21,7 @@ def convert(scene: Path, out_dir: Path, *, cell_m: float = 4.0, max_skew_m: floa
     earlier run are replaced, all of them or, after an error, none. Errors: MapError, NetError.
     """
     path = _map_file(scene)
-    name = path.stem.removeprefix(_MAP_PREFIX)
+    name = path.stem.removeprefix("log_map_archive_")
     grid = build_cell_grid(read_source_map(path), cell_m=cell_m, max_skew_m=max_skew_m)
     net = net_bytes(grid)
     report = measure_fidelity(grid, net)
@@ -35,10 +34,7 @@ def _map_file(scene: Path) -> Path:
         return scene
     if not scene.is_dir():
         raise NoSceneError(f"{scene}: no such folder, expected a scenario folder")
-    found = sorted(scene.glob(f"{_MAP_PREFIX}*.json"))
-    if len(found) != 1:
-        raise MapError(f"{len(found) or 'no'} {_MAP_PREFIX}<id>.json in {scene}; expected exactly one")
-    return found[0]
+    return only_file(scene, MAP_PATTERN, MapError)
 
 
 def write_all(folder: Path, files: Mapping[str, bytes]) -> None:

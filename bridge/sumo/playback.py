@@ -9,24 +9,20 @@ import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from lxml import etree
 
 from bridge.config import word_for_recorded
-from bridge.files import beside
-from bridge.pictures.figures import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
-from bridge.recordings.folders import Address
+from bridge.pictures.figures import POLICY_COLORS, SKY
 from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario
 from bridge.recordings.sidecar import sidecar_in
-from bridge.recordings.sources import read_recording
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
-from netconvert.cells import CellGrid, build_cell_grid
-from netconvert.errors import ExportError
+from hid2.policy.behaviours import BEHAVIOURS
+from netconvert.cells import CellGrid
 from netconvert.geo import CITY_ORIGINS
 from netconvert.geometry import arc_length
 from netconvert.gui_files import WINDOW_ASPECT, gui_files
@@ -89,11 +85,7 @@ RECORDED, REACTING = Paint("#9C9CA4", "recorded"), Paint("#9C9CA4", "reacting")
 AV = Paint(SKY, "recording vehicle")
 FOCAL = Paint("#F0E442", "focal")  # neither ground nor road nor background has it
 POLICIES: Mapping[Policy, Paint] = {
-    Policy.STRAIGHT: Paint(VERMILION, "straight"),
-    Policy.LEFT_TURN: Paint(GREEN, "left turn"),
-    Policy.RIGHT_TURN: Paint(PURPLE, "right turn"),
-    Policy.LANE_CHANGE: Paint(BLUE, "lane change"),
-    Policy.OVERTAKE: Paint(ORANGE, "overtake"),
+    policy: Paint(color, BEHAVIOURS[policy].label) for policy, color in POLICY_COLORS.items()
 }
 
 
@@ -113,26 +105,11 @@ def paints(scenario: Scenario) -> dict[str, Paint]:
     return out
 
 
-def write_playable(address: Address, out_dir: Path) -> Path:
-    """Write <id>_scene.sumocfg, .net.xml, .rou.xml, .poly.xml and .view.xml into out_dir; returns the .sumocfg to open.
+def playable_files(scenario: Scenario, grid: CellGrid) -> dict[str, bytes]:
+    """<id>_scene.sumocfg, .net.xml, .rou.xml, .poly.xml and .view.xml by file name.
 
     The net is that of `hid2 net` with the lanes of the traces added.
-
-    Errors: ScenarioError, MapError, NetError; ExportError where the files cannot be written.
     """
-    scenario = read_recording(address)
-    files = playable_files(scenario, build_cell_grid(scenario.graph))
-    try:
-        for file_name, content in files.items():
-            with beside(out_dir / file_name) as hidden:
-                hidden.write_bytes(content)
-    except OSError as error:
-        raise ExportError(f"{out_dir}: cannot write the files for sumo-gui ({error})") from error
-    return out_dir / next(name for name in files if name.endswith(".sumocfg"))
-
-
-def playable_files(scenario: Scenario, grid: CellGrid) -> dict[str, bytes]:
-    """What `write_playable` writes, by file name."""
     name = f"{scenario.scenario_id}_scene"
     files = scene_view_files(scenario, grid, name)
     traces = [_trace(track, scenario.step_s) for track in scenario.tracks]

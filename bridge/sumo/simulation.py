@@ -240,7 +240,7 @@ class Simulation:
         libsumo.vehicle.changeLane(vehicle_id, lane_index, self._step_s)
 
     @staticmethod
-    def wish(vehicle_id: str, side: str) -> tuple[frozenset[str], bool, bool]:
+    def lane_change_answer(vehicle_id: str, side: str) -> tuple[frozenset[str], bool, bool]:
         """What SUMO's lane-change model made of a side at the last step: motives, blocked ahead, blocked behind."""
         words = libsumo.vehicle.getLaneChangeStatePretty(vehicle_id, 1 if side == "left" else -1)[0]
         ahead, behind = (any(w.startswith("blocked") and w.endswith(e) for w in words) for e in ("leader", "follower"))

@@ -167,7 +167,7 @@ def weighted_auc(scores: FloatArray, labels: BoolArray, weights: FloatArray) -> 
     return float((up * (below + 0.5 * down)).sum() / (positive.sum() * negative.sum()))
 
 
-def judge(found: Packed, critic: Critic, view: View, *, seed: int = 0) -> Verdict | None:
+def judge(found: Packed, critic: Critic, view: View) -> Verdict | None:
     """Verdict of a critic on matched windows; None where fewer than two scenes hold both kinds."""
     weights = matched_weights(found.stratum, found.generated)
     found, weights = found.of(weights > 0), weights[weights > 0]
@@ -188,18 +188,18 @@ def judge(found: Packed, critic: Critic, view: View, *, seed: int = 0) -> Verdic
     ]
     size = np.array([weight for weight, auc in parts if auc is not None])
     aucs = np.array([auc for _, auc in parts if auc is not None])
-    low, high = _interval(aucs, size, seed)
+    low, high = _interval(aucs, size)
     return Verdict(
         critic, view, float((size * aucs).sum() / size.sum()), low, high, int(found.generated.sum()),
         int((~found.generated).sum()), len(aucs),
     )  # fmt: skip
 
 
-def _interval(aucs: FloatArray, size: FloatArray, seed: int) -> tuple[float | None, float | None]:
+def _interval(aucs: FloatArray, size: FloatArray) -> tuple[float | None, float | None]:
     """Percentile bootstrap over scenes."""
     if len(aucs) < 2:
         return None, None
-    drawn = np.random.default_rng(seed).integers(0, len(aucs), size=(_RESAMPLES, len(aucs)))
+    drawn = np.random.default_rng(0).integers(0, len(aucs), size=(_RESAMPLES, len(aucs)))
     means = (size[drawn] * aucs[drawn]).sum(axis=1) / size[drawn].sum(axis=1)
     low, high = np.percentile(means, _INTERVAL)
     return float(low), float(high)
@@ -232,14 +232,14 @@ def _logistic(x: FloatArray, generated: BoolArray, weights: FloatArray) -> _Scor
     return lambda new: np.asarray((new - mean) / spread @ found[:-1] + found[-1])
 
 
-def logistic_regression(x: FloatArray, y: BoolArray, weights: FloatArray, *, ridge: float = 1.0) -> FloatArray:
+def logistic_regression(x: FloatArray, y: BoolArray, weights: FloatArray) -> FloatArray:
     """Coefficients (F + 1,), intercept last, of a ridge-penalised logistic regression by Newton's method.
 
     x (M, F) standardised features; weights (M,).
     """
     design = np.column_stack([x, np.ones(len(x))])
     target = y.astype(np.float64)
-    penalty = np.diag([ridge] * x.shape[1] + [1e-6])
+    penalty = np.diag([1.0] * x.shape[1] + [1e-6])
     found = np.zeros(design.shape[1])
     for _ in range(25):
         p = 1.0 / (1.0 + np.exp(-np.clip(design @ found, -500.0, 500.0)))

@@ -18,6 +18,7 @@ from hid2.params import Limits
 MIN_STEPS = 5
 #: Curvature is not defined for a vehicle that stands; below this speed it is not checked.
 CURVATURE_SPEED_MPS = 1.0
+_SLACK = 1e-6  # relative, no tunable: against rounding
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -109,8 +110,8 @@ def clean(arrays: SceneArrays) -> BoolArray:
     return np.asarray(arrays.vehicle & arrays.moving & (arrays.category != FRAGMENT))
 
 
-def beyond_limits(arrays: SceneArrays, moved: Motion, limits: Limits, *, slack: float = 1e-6) -> dict[str, BoolArray]:
-    """Which rows (N,) exceed each limit of motion. `slack` is relative, against rounding.
+def beyond_limits(arrays: SceneArrays, moved: Motion, limits: Limits) -> dict[str, BoolArray]:
+    """Which rows (N,) exceed each limit of motion, by more than rounding.
 
     Rates of heading are those of the recorded heading; the radius is that of heading rate over speed.
     """
@@ -125,6 +126,6 @@ def beyond_limits(arrays: SceneArrays, moved: Motion, limits: Limits, *, slack: 
         yaw_rate_radps=moved.yaw_rate,
         yaw_accel_radps2=moved.yaw_accel,
     )
-    return exceeded(profile, limits, slack=slack) | {
-        "radius": fast & (curvature > (1.0 + slack) / limits.min_radius_m),
+    return exceeded(profile, limits, slack=_SLACK) | {
+        "radius": fast & (curvature > (1.0 + _SLACK) / limits.min_radius_m),
     }

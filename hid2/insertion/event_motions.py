@@ -124,8 +124,8 @@ def motions(wanted: Wanted, rules: Rules, before: Along, after: Along) -> tuple[
                 braking = (step - wanted.at) * dt <= _BRAKES_FOR_S
                 accel = np.where(braking, -rules.brakes_mps2, accel)
         room, follows = _behind_of(after, s + after.from_m, step - 1)
-        pushed = _LEADER_PULL * (follows - v) - _LEADER_GAP_PULL * (room - _LEADER_GAP_M - _LEADER_TIME_S * follows)
-        accel = np.maximum(accel, np.minimum(pushed, SPEEDS_UP_MPS2))
+        kept_ahead = _LEADER_PULL * (follows - v) - _LEADER_GAP_PULL * (room - _LEADER_GAP_M - _LEADER_TIME_S * follows)
+        accel = np.maximum(accel, np.minimum(kept_ahead, SPEEDS_UP_MPS2))
         room, lead = _ahead_of(after, s + after.from_m, step - 1)
         led = _LEADER_PULL * (lead - v) + _LEADER_GAP_PULL * (room - _LEADER_GAP_M - _LEADER_TIME_S * v)
         accel = np.minimum(accel, np.maximum(led, _LEADER_MPS2))
@@ -172,7 +172,7 @@ def kept_to(
 
 def _ahead_of(along: Along, s: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
     """Room (N,) m to who is next ahead with the path, and its speed; the target is left out. inf where nobody is."""
-    rows = along.taken.aligned[:, step] & ~along.own & np.isfinite(along.taken.low[:, step])
+    rows = along.taken.same_direction[:, step] & ~along.own & np.isfinite(along.taken.low[:, step])
     if not rows.any():
         return np.full(s.size, np.inf), np.zeros(s.size)
     low, speed = along.taken.low[rows, step], along.taken.along[rows, step]
@@ -184,7 +184,7 @@ def _ahead_of(along: Along, s: FloatArray, step: int) -> tuple[FloatArray, Float
 
 def _behind_of(along: Along, s: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
     """Room (N,) m to who comes next from behind with the path, and its speed; the target is left out."""
-    rows = along.taken.aligned[:, step] & ~along.own & np.isfinite(along.taken.low[:, step])
+    rows = along.taken.same_direction[:, step] & ~along.own & np.isfinite(along.taken.low[:, step])
     if not rows.any():
         return np.full(s.size, np.inf), np.zeros(s.size)
     high, speed = along.taken.high[rows, step], along.taken.along[rows, step]
@@ -203,12 +203,16 @@ def _is_met(
     if not rows.any():
         return np.zeros(s.size, dtype=np.bool_)
     low, high = taken.low[rows, step, None], taken.high[rows, step, None]
-    own, aligned, speed = along.own[rows, None], taken.aligned[rows, step, None], taken.along[rows, step, None]
+    own, same_direction, speed = (
+        along.own[rows, None],
+        taken.same_direction[rows, step, None],
+        taken.along[rows, step, None],
+    )
     bad = (s > low - _MARGIN_M) & (s < high + _MARGIN_M)
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead, behind = low - s, s - high
-        leads = aligned & ~own & (ahead > 0)
+        leads = same_direction & ~own & (ahead > 0)
         bad |= leads & (v > speed + 0.05) & (ahead < rules.ttc_s * (v - speed))
         bad |= leads & up_to_event & (ahead < _HEAD_M + _HEAD_S * v)
-        bad |= aligned & ~own & (behind > 0) & (speed > v + 0.05) & (behind < rules.ttc_s * (speed - v))
+        bad |= same_direction & ~own & (behind > 0) & (speed > v + 0.05) & (behind < rules.ttc_s * (speed - v))
     return np.asarray(bad.any(axis=0))

@@ -101,7 +101,7 @@ class Plan:
 
     speeds (T,) m/s as planned; at_step: the moment of the event; trigger_s, side, change_s: of the change of lanes;
     order: -1 where the vehicle is behind the target, or crosses second, else 1; score: how far from the middle of what
-    is asked; cruise_mps: what its driver drives at most; traits: what it shares with plans that are like it.
+    is asked; desired_mps: what its driver drives at most; traits: what it shares with plans that are like it.
     """
 
     event: Event
@@ -112,7 +112,7 @@ class Plan:
     at_step: int
     order: int
     score: float
-    cruise_mps: float
+    desired_mps: float
     traits: tuple[float, ...]
     trigger_s: float = 0.0
     side: Side | None = None
@@ -163,7 +163,7 @@ class _Course:
     rules: Rules
     before: Along
     after: Along
-    cruise_mps: float
+    desired_mps: float
     side: Side | None = None
 
 
@@ -266,11 +266,11 @@ class Planner:
                     if ahead is None or there is None:
                         continue
                     wanted, off = self._grid(event, target, moments, ahead, 1)
-                    cruise = min(_FASTEST_MPS, float(wanted.speed_mps.max(initial=_SLOWEST_MPS)) + 1.0)
-                    first = self._looked_along(route, target, cruise)
-                    second = self._looked_along(joined, target, cruise, from_m=float(there[at] - ahead[at]))
+                    desired = min(_FASTEST_MPS, float(wanted.speed_mps.max(initial=_SLOWEST_MPS)) + 1.0)
+                    first = self._looked_along(route, target, desired)
+                    second = self._looked_along(joined, target, desired, from_m=float(there[at] - ahead[at]))
                     rules = self._rules(event, target, ahead, 1, changes=True)
-                    yield _Course(route, wanted, off, rules, first, second, cruise, side)
+                    yield _Course(route, wanted, off, rules, first, second, desired, side)
 
     def _merges(self, event: Event, target: Target) -> Iterator[_Course]:
         """Onto a lane that the target comes onto from another one, before or behind it."""
@@ -431,7 +431,7 @@ class Planner:
             ttc_s=max(critical.ttc_min_s, critical.follower_ttc_min_s) + _TTC_SPARE_S, step_s=self.scene.step_s,
         )  # fmt: skip
 
-    def _looked_along(self, route: Route, target: Target | None, cruise_mps: float, *, from_m: float = 0.0) -> Along:
+    def _looked_along(self, route: Route, target: Target | None, desired_mps: float, *, from_m: float = 0.0) -> Along:
         """A route's path with everybody on it: recorded vehicles and those kept."""
         if route not in self._taken:
             path, margin = self.scene.path(route), self.scene.config.conflict.margin_lateral_m
@@ -445,7 +445,7 @@ class Planner:
             self._taken[route] = taken, rows
         taken, rows = self._taken[route]
         own = np.zeros(rows.size, dtype=np.bool_) if target is None else rows == target.row
-        return Along(self._cap(route, cruise_mps), taken, own, self.scene.path(route).exit_s, from_m)
+        return Along(self._cap(route, desired_mps), taken, own, self.scene.path(route).exit_s, from_m)
 
     def _free(self, event: Event, target: Target, course: _Course) -> list[Plan]:
         """Plans of a course that the road has room for, that meet nobody, and that are as critical as is asked for."""
@@ -485,7 +485,7 @@ class Planner:
             )  # fmt: skip
             plan = Plan(
                 event, target, course.route, float(way[row, 0]), speeds[row], int(wanted.at[row]), rules.order,
-                float(score[place]), course.cruise_mps, traits,
+                float(score[place]), course.desired_mps, traits,
             )  # fmt: skip
             if course.side is not None:
                 plan = replace(plan, trigger_s=max(0.0, at_s - 0.5 * change_s), side=course.side, change_s=change_s)
@@ -507,7 +507,7 @@ class Planner:
         if course.side is not None:
             begins, change = self._begins(course.wanted), self.scene.config.lane_change
             left = course.after.exit_m - course.after.from_m - way[rows, begins]
-            pace = 0.5 * (course.wanted.speed_mps + course.cruise_mps)
+            pace = 0.5 * (course.wanted.speed_mps + course.desired_mps)
             found &= left > np.maximum(change.min_remaining_m, change.min_duration_s * pace / change.length_share) + 1.0
             found &= way[rows, course.wanted.at] < course.before.exit_m - half_m - 1.0
         return found

@@ -223,9 +223,9 @@ class EventSearch:
         path = scene.path(plan.route)
         # a path across is laid out at a pace between its speed and the one that it likes
         v = max(float(plan.speeds[scene.steps_in(plan.trigger_s)]), scene.config.lane_change.min_speed_mps)
-        change_s = plan.change_s * v / (0.5 * (v + max(v, plan.cruise_mps)))
+        change_s = plan.change_s * v / (0.5 * (v + max(v, plan.desired_mps)))
         driver = replace(
-            draw_driver(scene.config, rng, lane_speed_mps=plan.cruise_mps), desired_mps=plan.cruise_mps, tau_s=_TAU_S,
+            draw_driver(scene.config, rng, lane_speed_mps=plan.desired_mps), desired_mps=plan.desired_mps, tau_s=_TAU_S,
             turn_lateral_mps2=scene.config.drivers.turn_lateral_max_mps2, accel_mps2=_ACCEL_MPS2,
             decel_mps2=max(_DECEL_MPS2, plan.event.brakes_mps2), min_gap_m=_MIN_GAP_M,
             lane_change_s=change_s if plan.side is not None else CHANGE_S,

@@ -12,7 +12,7 @@ from hid2.motion.smoothing import Motion, Trajectory, smooth_motion, trajectory
 from hid2.motion.verify import first_overlap, limit_exceeded, off_road_steps
 from hid2.occupancy.along_path import PathOccupancy, look_along, path_occupancy
 from hid2.occupancy.traffic import Traffic
-from hid2.reasons import Reason, limit_reason
+from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle
 from netconvert.geometry import arc_length
@@ -123,7 +123,7 @@ def _checked(
         return Reason.AGAINST_LANE
     exceeded = limit_exceeded(path, config.limits, step_s=scene.step_s)
     if exceeded is not None:
-        return limit_reason(exceeded)
+        return exceeded
     ttc_s = np.inf
     if "collision" not in config.without:
         tolerance = export.drivable_share * config.limits.drivable_tolerance_m
@@ -149,7 +149,7 @@ def _checked(
                 found.track("own", 1), ttc_s=config.conflict.follower_ttc_min_s, pet_s=config.conflict.pet_min_s
             )
             if verdict is not None:
-                return Reason.PET if verdict == "pet" else Reason.TTC_RECORDED_FOLLOWER
+                return verdict
     return ExportedVehicle(vehicle, motion, path, off_m, ttc_s)
 
 
@@ -182,7 +182,7 @@ def _leader_ttcs(scene: Scene, vehicle: DrivenVehicle, motion: Motion, seen: Pat
     gap = seen.low[:, :steps] - motion.s
     closing = motion.v - seen.along[:, :steps]
     ahead = np.isfinite(gap) & (gap > -export.touching_m) & (seen.along[:, :steps] >= -export.rolls_back_mps)
-    leads = ahead & seen.aligned[:, :steps] & (closing > 1e-3)
+    leads = ahead & seen.same_direction[:, :steps] & (closing > 1e-3)
     ttc_s = np.full(gap.shape, np.inf)
     ttc_s[leads] = gap[leads] / closing[leads]
     return np.asarray(ttc_s.min(axis=1, initial=np.inf))
@@ -216,7 +216,7 @@ def _avoids_after_end(scene: Scene, vehicle: DrivenVehicle, motion: Motion, seen
     if motion.s.size < last:  # its last step is the map's edge
         return True
     time_s = scene.step_s * np.arange(1, steps + 1)
-    follows = seen.aligned[:, last - 1] & (seen.low[:, last - 1] < motion.s[-1])
+    follows = seen.same_direction[:, last - 1] & (seen.low[:, last - 1] < motion.s[-1])
     low, high = seen.low[~follows, last : last + steps], seen.high[~follows, last : last + steps]
     for share in _BRAKING_SHARES:
         decel = share * vehicle.start.driver.decel_mps2

@@ -199,7 +199,7 @@ class Meetings:
         motion, steps = vehicle.motion, vehicle.num_steps
         seen = scene.in_driving_width(path, box)[1]
         gap = seen.low[:, :steps] - motion.s
-        follows = seen.aligned[:, :steps] & (gap > 0.0) & (gap < FOLLOWS_S * motion.v) & (motion.v > MOVES_MPS)
+        follows = seen.same_direction[:, :steps] & (gap > 0.0) & (gap < FOLLOWS_S * motion.v) & (motion.v > MOVES_MPS)
         if follows.any(axis=0).sum() >= scene.steps_in(FOLLOWS_FOR_S):
             return 2
         looks = self._steps[self._steps < steps]

@@ -388,7 +388,7 @@ class InsertionSites:
         """Where a vehicle is after some time, m on its path, and how fast, m/s: as before, or behind who is ahead."""
         known, step = self._known_on(path, box), round(time_s / self.scene.step_s)
         at, low, along = s + speed_mps * time_s, known.low[:, step], known.along[:, step]
-        leads = known.aligned[:, step] & np.isfinite(low) & (known.low[:, 0] >= s) & np.isfinite(known.low[:, 0])
+        leads = known.same_direction[:, step] & np.isfinite(low) & (known.low[:, 0] >= s) & np.isfinite(known.low[:, 0])
         behind = np.where(leads, low - driver.min_gap_m - driver.tau_s * np.maximum(along, 0.0), np.inf)
         if behind.size == 0 or behind.min() >= at:
             return at, speed_mps
@@ -556,7 +556,7 @@ class InsertionSites:
         rows = np.isin(self.scene.rows_on(start.path, start.box), self.scene.vehicle_rows)
         near = (
             rows
-            & found.aligned[:, 0]
+            & found.same_direction[:, 0]
             & (low > start.start_s)
             & (low - start.start_s < overtake.d_obs_m + sites.leader_beyond_m)
         )

@@ -115,19 +115,3 @@ def is_on(
         x, y, co, si, half_l, half_w,
         center[c, 0], center[c, 1], np.cos(c_heading[c]), np.sin(c_heading[c]), c_length[c] / 2, c_width[c] / 2,
     )  # fmt: skip
-
-
-@kernel("(f8[:,::1], f8[::1], f8[::1], f8[::1], f8, f8, f8, f8, f8)")
-def cells_below(
-    center: FloatArray, c_heading: FloatArray, c_length: FloatArray, c_width: FloatArray,
-    x: float, y: float, heading: float, half_l: float, half_w: float,
-) -> IntArray:  # fmt: skip
-    """Indices of the cells that a box covers, 64 at most."""
-    out = np.empty(64, dtype=np.int64)
-    count = 0
-    co, si = np.cos(heading), np.sin(heading)
-    for c in range(center.shape[0]):
-        if count < 64 and is_on(center, c_heading, c_length, c_width, c, x, y, co, si, half_l, half_w):
-            out[count] = c
-            count += 1
-    return out[:count]

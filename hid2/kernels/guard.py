@@ -103,14 +103,15 @@ def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: f
     " UniTuple(f8, 3), f8, f8[::1], f8, f8, i8, i8, f8, UniTuple(f8, 4), f8[::1], f8, f8)"
 )
 def needed_braking(
-    low: FloatArray, high: FloatArray, along: FloatArray, aligned: BoolArray, stop_s: FloatArray, closed: BoolArray,
-    swept: FloatArray, rows: IntArray, fleet: FloatArray, own: int, t: int, start: tuple[float, float, float],
-    desired_mps: float, road: FloatArray, road_step: float, table_step: float, horizon: int, stride: int, step_s: float,
-    driver: tuple[float, float, float, float], brakes: FloatArray, jerk: float, margin: float,
+    low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_s: FloatArray,
+    closed: BoolArray, swept: FloatArray, rows: IntArray, fleet: FloatArray, own: int, t: int,
+    start: tuple[float, float, float], desired_mps: float, road: FloatArray, road_step: float, table_step: float,
+    horizon: int, stride: int, step_s: float, driver: tuple[float, float, float, float], brakes: FloatArray,
+    jerk: float, margin: float,
 ) -> tuple[int, int, int, int, float, bool, float]:  # fmt: skip
     """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) whose predicted motion meets nobody.
 
-    low, high, along, aligned (A, T): agents whose future is known, as in `PathOccupancy`. stop_s (L,) m, closed
+    low, high, along, same_direction (A, T): agents whose future is known, as in `PathOccupancy`. stop_s (L,) m, closed
     (L, T): stop lines. swept (3, G, K): low, high, cosine of generated vehicles by their own arc length, of rows (G,)
     of fleet (N, 5): s, v, a, executing, present. start: own s, v, a; driver: tau s, acceleration, deceleration m/s2,
     gap at standstill m. Returns
@@ -138,14 +139,14 @@ def needed_braking(
                 if lo == np.inf:
                     continue
                 hi = high[a, now]
-                if (lo < s < hi and k > 0) or (lo - margin < s < hi and k > 0 and not aligned[a, now]):
-                    if (aligned[a, now] or along[a, now] > 1.0) and s > 0.5 * (lo + hi):
+                if (lo < s < hi and k > 0) or (lo - margin < s < hi and k > 0 and not same_direction[a, now]):
+                    if (same_direction[a, now] or along[a, now] > 1.0) and s > 0.5 * (lo + hi):
                         struck = True
                         continue
                     met = True
                     behind_leader = abs(along[a, now]) < 0.5  # it stands: brake as hard as is allowed
                     break
-                if aligned[a, now] and s <= 0.5 * (lo + hi) and lo - s < gap_least:
+                if same_direction[a, now] and s <= 0.5 * (lo + hi) and lo - s < gap_least:
                     gap_least, closing = lo - s, v - along[a, now]
             if not met:
                 for g in range(rows.size):

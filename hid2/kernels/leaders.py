@@ -82,8 +82,8 @@ def lane_leaders(
 
 @inner
 def _next_two_ahead(
-    low: FloatArray, high: FloatArray, along: FloatArray, aligned: BoolArray, crosses: BoolArray, agents: IntArray,
-    lengths: FloatArray, rows: tuple[int, int], step: int, s: float, length: float,
+    low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, crossing: BoolArray,
+    agents: IntArray, lengths: FloatArray, rows: tuple[int, int], step: int, s: float, length: float,
     bounds: tuple[float, float, float],
 ) -> tuple[int, float, float, int, float, float]:  # fmt: skip
     """Of who moves along a path or stands on it at a step, the next two ahead of arc length s: agent, gap m, middle m.
@@ -96,7 +96,7 @@ def _next_two_ahead(
     for row in range(rows[0], rows[1]):
         if low[row, step] == np.inf:
             continue
-        if not aligned[row, step] and (crosses[row, step] or abs(along[row, step]) >= standing):
+        if not same_direction[row, step] and (crossing[row, step] or abs(along[row, step]) >= standing):
             continue
         middle = 0.5 * (low[row, step] + high[row, step])
         gap = middle - s - 0.5 * (length + lengths[agents[row]])
@@ -126,14 +126,14 @@ def _is_beside(x: float, y: float, length: float, centre: FloatArray, own_length
     " f8[::1], f8[:,::1], f8[::1], UniTuple(f8, 3))"
 )
 def shown_ahead(
-    low: FloatArray, high: FloatArray, along: FloatArray, aligned: BoolArray, crosses: BoolArray, agents: IntArray,
-    first: IntArray, lengths: FloatArray, recorded: FloatArray, kept: FloatArray, step: int, s: FloatArray,
-    centre: FloatArray, own_lengths: FloatArray, bounds: tuple[float, float, float],
+    low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, crossing: BoolArray,
+    agents: IntArray, first: IntArray, lengths: FloatArray, recorded: FloatArray, kept: FloatArray, step: int,
+    s: FloatArray, centre: FloatArray, own_lengths: FloatArray, bounds: tuple[float, float, float],
 ) -> tuple[IntArray, IntArray, FloatArray]:  # fmt: skip
     """Whom vehicles (N,) have ahead of them at a step, two each at most, and nobody who is beside any of them.
 
     Returns agents (M,), the vehicle nearest behind each, and where the agent's middle is on its path, m.
-    low .. crosses (R, T): as in `PathOccupancy`, of agents (R,) on the paths; those of vehicle i are the rows from
+    low .. crossing (R, T): as in `PathOccupancy`, of agents (R,) on the paths; those of vehicle i are the rows from
     first[i] to first[i + 1]. lengths (A,) m, of recorded (., T, 2) m, then kept ones. s (N,) m, NaN for who is not
     there; centre (N, 2) m; own_lengths (N,) m; bounds: speed below which an agent stands, m/s, and of the gap, m.
     """
@@ -145,7 +145,7 @@ def shown_ahead(
         if np.isnan(s[vehicle]) or first[vehicle] == first[vehicle + 1]:
             continue
         one, gap, at, other, other_gap, other_at = _next_two_ahead(
-            low, high, along, aligned, crosses, agents, lengths, (first[vehicle], first[vehicle + 1]), step,
+            low, high, along, same_direction, crossing, agents, lengths, (first[vehicle], first[vehicle + 1]), step,
             s[vehicle], own_lengths[vehicle], bounds,
         )  # fmt: skip
         if one >= 0 and gap < nearest[one]:

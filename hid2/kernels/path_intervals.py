@@ -50,20 +50,20 @@ def meets(
 
 @kernel("(f8[:,::1], f8[:,::1], b1[:,::1], b1[:,::1], i8, f8)")
 def crossings_kept_clear(
-    low: FloatArray, high: FloatArray, aligned: BoolArray, crosses: BoolArray, steps: int, margin: float
+    low: FloatArray, high: FloatArray, same_direction: BoolArray, crossing: BoolArray, steps: int, margin: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Who crosses also holds the path where it does so, `steps` before and after."""
-    wide_low, wide_high, leads = low.copy(), high.copy(), aligned.copy()
+    wide_low, wide_high, leads = low.copy(), high.copy(), same_direction.copy()
     agents, last = low.shape
     for a in range(agents):
         for t in range(last):
             if low[a, t] == np.inf:
                 leads[a, t] = False
                 continue
-            if not crosses[a, t]:
+            if not crossing[a, t]:
                 continue
             for k in range(max(0, t - steps), min(last, t + steps + 1)):
-                if low[a, k] != np.inf and aligned[a, k]:
+                if low[a, k] != np.inf and same_direction[a, k]:
                     continue
                 if high[a, t] - low[a, t] <= 2 * margin or k == t:
                     continue
@@ -136,7 +136,7 @@ def intervals_on_path(
     """
     agents, steps = present.shape
     low, high, along = np.empty((agents, steps)), np.empty((agents, steps)), np.empty((agents, steps))
-    aligned, crosses = np.empty((agents, steps), dtype=np.bool_), np.empty((agents, steps), dtype=np.bool_)
+    same_direction, crossing = np.empty((agents, steps), dtype=np.bool_), np.empty((agents, steps), dtype=np.bool_)
     who, count = np.empty(agents, dtype=np.int64), 0
     gaps = np.empty(points.shape[1])
     own_l, own_w = length / 2, width / 2
@@ -145,7 +145,7 @@ def intervals_on_path(
         half_l, half_w = lengths[a] / 2, widths[a] / 2
         reach = np.hypot(own_l, own_w) + np.hypot(half_l, half_w) + _WIDER_M
         k, hit = count, False  # row of the result
-        low[k], high[k], along[k], aligned[k], crosses[k] = np.inf, -np.inf, 0.0, False, False
+        low[k], high[k], along[k], same_direction[k], crossing[k] = np.inf, -np.inf, 0.0, False, False
         nearest = -1  # point of the path nearest to it, where it was touched when last looked at
         spare, last_x, last_y, last_angle = -1.0, 0.0, 0.0, 0.0  # how far it may move from there and stay clear
         for t in range(steps):
@@ -172,7 +172,7 @@ def intervals_on_path(
                 and angle == other_heading[a, t - 1]
             ):
                 low[k, t], high[k, t] = low[k, t - 1], high[k, t - 1]
-                aligned[k, t], crosses[k, t] = aligned[k, t - 1], crosses[k, t - 1]
+                same_direction[k, t], crossing[k, t] = same_direction[k, t - 1], crossing[k, t - 1]
                 if nearest >= 0:
                     along[k, t] = velocity[a, t, 0] * points[2, nearest] + velocity[a, t, 1] * points[3, nearest]
                 continue
@@ -193,7 +193,7 @@ def intervals_on_path(
             low[k, t], high[k, t] = (begin + first - 1) * step, (begin + last + 1) * step
             along[k, t] = velocity[a, t, 0] * points[2, nearest] + velocity[a, t, 1] * points[3, nearest]
             turned = np.cos(angle - heading[nearest])
-            aligned[k, t], crosses[k, t] = turned > 0.7, abs(turned) <= 0.87
+            same_direction[k, t], crossing[k, t] = turned > 0.7, abs(turned) <= 0.87
             spare, hit = 0.0, True
         if hit:
             who[k] = a
@@ -202,7 +202,7 @@ def intervals_on_path(
         low[:count].copy(),
         high[:count].copy(),
         along[:count].copy(),
-        aligned[:count].copy(),
-        crosses[:count].copy(),
+        same_direction[:count].copy(),
+        crossing[:count].copy(),
     )
     return (who[:count].copy(), *found)

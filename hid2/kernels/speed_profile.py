@@ -7,8 +7,10 @@ from netconvert.geometry import FloatArray
 
 
 @kernel("(f8[::1], f8[::1], f8, f8, f8, f8)")
-def reachable(cap: FloatArray, shape: FloatArray, cruise: float, step: float, decel: float, accel: float) -> FloatArray:
-    """Highest speed (S,) m/s at points `step` m apart that keeps below cap (S,) m/s and cruise times shape (S,).
+def reachable(
+    cap: FloatArray, shape: FloatArray, desired: float, step: float, decel: float, accel: float
+) -> FloatArray:
+    """Highest speed (S,) m/s at points `step` m apart that keeps below cap (S,) m/s and `desired` times shape (S,).
 
     Backward pass for slowing in time, forward pass for speeding up, both in squares of speed.
     """
@@ -16,7 +18,7 @@ def reachable(cap: FloatArray, shape: FloatArray, cruise: float, step: float, de
     slowing, speeding = 2 * decel * step, 2 * accel * step
     square = np.inf
     for i in range(out.size - 1, -1, -1):
-        wanted = min(cap[i], cruise * shape[i])
+        wanted = min(cap[i], desired * shape[i])
         square = min(wanted * wanted, square + slowing)
         out[i] = square
     square = np.inf

@@ -33,13 +33,13 @@ class LaneView:
     matches: Matches
 
 
-def first_lane_path(arrays: SceneArrays, lanes: FlatLanes, matches: Matches, agent: int) -> Polyline | None:
-    """The path of the lane that the vehicle starts in, kept beside it through lane changes; None off every lane.
+def first_lane_path(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> Polyline | None:
+    """The path of the lane that the only vehicle starts in, kept beside it through lane changes; None off every lane.
 
     Its Frenet d is the lateral offset over time that shows a lane change as one smooth step.
     """
     view = LaneView(arrays, lanes, matches)
-    runs = [run for run in runs_of(view, agent) if run.lane >= 0]
+    runs = [run for run in runs_of(view, 0) if run.lane >= 0]
     if not runs:
         return None
     change = next((k for k, (a, b) in enumerate(pairwise(runs), 1) if lanes.link[a.lane, b.lane] != 0), len(runs))

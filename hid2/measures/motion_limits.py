@@ -9,6 +9,7 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray
 from hid2.params import Limits
+from hid2.reasons import Reason
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -28,6 +29,7 @@ class MotionLimit(NamedTuple):
     """One limit of motion. value: of the profile, exceeded above the bound; bound: of the parameters, positive."""
 
     name: str
+    reason: Reason
     label: str
     unit: str
     value: Callable[[MotionProfile], FloatArray]
@@ -40,22 +42,19 @@ def _size(values: FloatArray) -> FloatArray:
 
 #: In the order in which the last check names the first one that is exceeded.
 MOTION_LIMITS = (
-    MotionLimit("accel", "acceleration", "m/s²", lambda p: p.accel_mps2, lambda m: m.accel_max_mps2),
-    MotionLimit("decel", "deceleration", "m/s²", lambda p: -p.accel_mps2, lambda m: -m.accel_min_mps2),
-    MotionLimit(
-        "lateral_accel", "|lateral acceleration|", "m/s²",
-        lambda p: _size(p.lateral_accel_mps2), lambda m: m.lateral_accel_mps2,
-    ),
-    MotionLimit(
-        "longitudinal_jerk", "|longitudinal jerk|", "m/s³",
-        lambda p: _size(p.longitudinal_jerk_mps3), lambda m: m.longitudinal_jerk_mps3,
-    ),
-    MotionLimit("jerk", "jerk", "m/s³", lambda p: p.jerk_mps3, lambda m: m.jerk_mps3),
-    MotionLimit("yaw_rate", "|yaw rate|", "rad/s", lambda p: _size(p.yaw_rate_radps), lambda m: m.yaw_rate_radps),
-    MotionLimit(
-        "yaw_accel", "|yaw acceleration|", "rad/s²",
-        lambda p: _size(p.yaw_accel_radps2), lambda m: m.yaw_accel_radps2,
-    ),
+    MotionLimit("accel", Reason.LIMIT_ACCEL, "acceleration", "m/s²",
+                lambda p: p.accel_mps2, lambda m: m.accel_max_mps2),
+    MotionLimit("decel", Reason.LIMIT_DECEL, "deceleration", "m/s²",
+                lambda p: -p.accel_mps2, lambda m: -m.accel_min_mps2),
+    MotionLimit("lateral_accel", Reason.LIMIT_LATERAL_ACCEL, "|lateral acceleration|", "m/s²",
+                lambda p: _size(p.lateral_accel_mps2), lambda m: m.lateral_accel_mps2),
+    MotionLimit("longitudinal_jerk", Reason.LIMIT_LONGITUDINAL_JERK, "|longitudinal jerk|", "m/s³",
+                lambda p: _size(p.longitudinal_jerk_mps3), lambda m: m.longitudinal_jerk_mps3),
+    MotionLimit("jerk", Reason.LIMIT_JERK, "jerk", "m/s³", lambda p: p.jerk_mps3, lambda m: m.jerk_mps3),
+    MotionLimit("yaw_rate", Reason.LIMIT_YAW_RATE, "|yaw rate|", "rad/s",
+                lambda p: _size(p.yaw_rate_radps), lambda m: m.yaw_rate_radps),
+    MotionLimit("yaw_accel", Reason.LIMIT_YAW_ACCEL, "|yaw acceleration|", "rad/s²",
+                lambda p: _size(p.yaw_accel_radps2), lambda m: m.yaw_accel_radps2),
 )  # fmt: skip
 
 

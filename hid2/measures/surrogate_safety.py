@@ -17,6 +17,7 @@ from hid2.measures.arrays import SceneArrays, is_moving, stack
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import FlatLanes, match_lanes
 from hid2.measures.post_encroachment import CROSSING_RAD, encroachments
+from hid2.reasons import Reason
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -33,13 +34,13 @@ class RecordedVehicles:
         """Put the tracks into arrays, once."""
         object.__setattr__(self, "arrays", stack(self.tracks, num_steps=self.num_steps, step_s=self.step_s))
 
-    def conflict_with(self, track: Track, *, ttc_s: float, pet_s: float) -> str | None:
+    def conflict_with(self, track: Track, *, ttc_s: float, pet_s: float) -> Reason | None:
         """What would come of a generated track: one that comes up behind it at a TTC below ttc_s, a PET below pet_s."""
         if pet_s > 0.0 and self._is_crossed_by(track, pet_s):
-            return "pet"
+            return Reason.PET
         behind = self._closing_in_on(track, ttc_s) if ttc_s > 0.0 else np.zeros(0, dtype=np.int64)
         if behind.size and self.with_generated([track]).followed_conflicts(critical_s=ttc_s, by=behind):
-            return "ttc_of_recorded"
+            return Reason.TTC_RECORDED_FOLLOWER
         return None
 
     def _is_crossed_by(self, track: Track, critical_s: float) -> bool:

@@ -39,31 +39,21 @@ class Blend:
     target_offset_m: float
 
 
-def blend_paths(
-    current: FloatArray, target: FloatArray, *, start_m: float, length_m: float, step_m: float, max_shift_m: float
-) -> Blend | None:
-    """Path that follows `current`, shifts over length_m from start_m on, and follows `target` from there.
-
-    current, target (N, 2) m. None where the two are not side by side all along (farther than max_shift_m apart), or
-    the target ends before. The shift is `lateral_share` over the length driven.
-    """
-    return blend_lines(
-        even_line(current, step_m=step_m), Polyline(target), start_m=start_m, length_m=length_m, step_m=step_m,
-        max_shift_m=max_shift_m,
-    )  # fmt: skip
-
-
 def even_line(points: FloatArray, *, step_m: float) -> tuple[FloatArray, FloatArray]:
     """Points (N, 2) m at equal distances, and their arc lengths (N,) m."""
     source = resample(points, step_m=step_m)
     return source, arc_length(source)
 
 
-def blend_lines(
+def blend_paths(
     current: tuple[FloatArray, FloatArray], aim: Polyline, *, start_m: float, length_m: float, step_m: float,
     max_shift_m: float,
 ) -> Blend | None:  # fmt: skip
-    """`blend_paths` of an even line, and a target that is known already."""
+    """Path that follows `current`, an `even_line`, shifts over length_m from start_m on, and follows `aim` from there.
+
+    None where the two are not side by side all along (farther than max_shift_m apart), or the target ends before. The
+    shift is `lateral_share` over the length driven.
+    """
     source, s = current
     end_m = start_m + length_m
     if end_m > s[-1]:

@@ -77,14 +77,14 @@ class ReferenceLine:
         return along_spline(self.breaks, self.pieces, np.ascontiguousarray(s, dtype=np.float64))
 
 
-def smooth_points(points: FloatArray, *, strength: float, pin_ends: bool = True) -> FloatArray:
+def smooth_points(points: FloatArray, *, strength: float) -> FloatArray:
     """Penalised least squares on third differences: parabolas, so constant curvature, pass unchanged.
 
     points (N, 2) m evenly spaced; strength: the sixth power of the length, in points, over which kinks are spread.
     """
     if len(points) < 5 or strength <= 0:
         return points
-    return smooth_polyline(np.ascontiguousarray(points, dtype=np.float64), strength, 1e4 if pin_ends else 1.0)
+    return smooth_polyline(np.ascontiguousarray(points, dtype=np.float64), strength, 1e4)
 
 
 def build_reference_line(

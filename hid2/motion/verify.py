@@ -9,9 +9,10 @@ import shapely
 from hid2.agents import BoxSize, FloatArray
 from hid2.kernels.trajectory import derivatives_of_motion, first_overlapping
 from hid2.measures.arrays import BoolArray
-from hid2.measures.motion_limits import MotionProfile, exceeded
+from hid2.measures.motion_limits import MOTION_LIMITS, MotionProfile, exceeded
 from hid2.motion.smoothing import Trajectory
 from hid2.params import Limits
+from hid2.reasons import Reason
 from netconvert.geometry import box_corners, differences
 
 _OUTLINE_STEP_M = 0.6  # no tunable: between two points a side leaves the road by less than what the tolerance spares
@@ -46,14 +47,15 @@ def motion_profile(velocity: FloatArray, heading: FloatArray, *, step_s: float) 
     return MotionProfile(*derivatives_of_motion(np.ascontiguousarray(velocity), np.ascontiguousarray(heading), step_s))
 
 
-def limit_exceeded(trajectory: Trajectory, limits: Limits, *, step_s: float) -> str | None:
-    """Name of the first limit that some step exceeds, from the exported velocity and from the positions alone."""
+def limit_exceeded(trajectory: Trajectory, limits: Limits, *, step_s: float) -> Reason | None:
+    """The first limit that some step exceeds, from the exported velocity and from the positions alone."""
     derived = differences(trajectory.position, step_s)
     for velocity in (trajectory.velocity, derived):
         profile = motion_profile(velocity, trajectory.heading, step_s=step_s)
-        for name, steps in exceeded(profile, limits).items():
-            if steps.any():
-                return name
+        beyond = exceeded(profile, limits)
+        for limit in MOTION_LIMITS:
+            if beyond[limit.name].any():
+                return limit.reason
     return None
 
 

@@ -24,15 +24,15 @@ class PathOccupancy:
 
     low, high (A, T) m: the own box touches the agent's (with the lateral margin) while low < s < high; low is +inf and
     high is -inf where it never does. along (A, T) m/s: the agent's speed in the path's direction there.
-    aligned (A, T): it moves with the path (a leader or follower) rather than across or against it; crosses (A, T): it
-    moves across, rather than with or against it.
+    same_direction (A, T): it moves with the path (a leader or follower) rather than across or against it; crossing
+    (A, T): it moves across, rather than with or against it.
     """
 
     low: FloatArray
     high: FloatArray
     along: FloatArray
-    aligned: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
-    crosses: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
+    same_direction: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
+    crossing: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
 
     @classmethod
     def nobody(cls, steps: int) -> "PathOccupancy":
@@ -43,14 +43,18 @@ class PathOccupancy:
     def rows(self, which: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> "PathOccupancy":
         """Some of the agents."""
         return PathOccupancy(
-            self.low[which], self.high[which], self.along[which], self.aligned[which], self.crosses[which]
+            self.low[which], self.high[which], self.along[which], self.same_direction[which], self.crossing[which]
         )
 
     def at(self, step: int) -> "PathOccupancy":
         """The same agents at one step, T = 1."""
         span = slice(step, step + 1)
         return PathOccupancy(
-            self.low[:, span], self.high[:, span], self.along[:, span], self.aligned[:, span], self.crosses[:, span]
+            self.low[:, span],
+            self.high[:, span],
+            self.along[:, span],
+            self.same_direction[:, span],
+            self.crossing[:, span],
         )
 
     def kept_clear(self, steps: int, *, margin_m: float) -> "PathOccupancy":
@@ -59,10 +63,14 @@ class PathOccupancy:
         margin_m: what is kept to a box that is there needs not be kept to one that was or will be: the place is
         smaller by so much on both sides then.
         """
-        if not self.crosses.any():
+        if not self.crossing.any():
             return self
-        low, high, aligned = crossings_kept_clear(self.low, self.high, self.aligned, self.crosses, steps, margin_m)
-        return PathOccupancy(low=low, high=high, along=self.along, aligned=aligned, crosses=self.crosses)
+        low, high, same_direction = crossings_kept_clear(
+            self.low, self.high, self.same_direction, self.crossing, steps, margin_m
+        )
+        return PathOccupancy(
+            low=low, high=high, along=self.along, same_direction=same_direction, crossing=self.crossing
+        )
 
     def joined(self, *others: "PathOccupancy") -> "PathOccupancy":
         """Agents of all, self first."""
@@ -73,8 +81,8 @@ class PathOccupancy:
             low=np.concatenate([one.low for one in every]),
             high=np.concatenate([one.high for one in every]),
             along=np.concatenate([one.along for one in every]),
-            aligned=np.concatenate([one.aligned for one in every]),
-            crosses=np.concatenate([one.crosses for one in every]),
+            same_direction=np.concatenate([one.same_direction for one in every]),
+            crossing=np.concatenate([one.crossing for one in every]),
         )
 
 
@@ -97,9 +105,9 @@ def path_occupancy(
         return PathOccupancy.nobody(traffic.num_steps)
     key = line, length_m, width_m, margin_lateral_m, clear_steps, clear_margin_m
     if key not in traffic.known:
-        before = traffic.joined_to
+        before = traffic.extends
         while before is not None and key not in before.known:
-            before = before.joined_to
+            before = before.extends
         since = 0 if before is None else len(before.ids)
         _, new = look_along(line, traffic, length_m, width_m + 2 * margin_lateral_m, since)
         if clear_steps > 0:
@@ -117,7 +125,7 @@ def look_along(
     others = (
         traffic.position, traffic.heading, traffic.velocity, traffic.present, traffic.length_m, traffic.width_m,
     )  # fmt: skip
-    rows, low, high, along, aligned, crosses = intervals_on_path(
+    rows, low, high, along, same_direction, crossing = intervals_on_path(
         points, line.table_heading, TABLE_STEP_M, *near, length_m, width_m, *others, since
     )
-    return rows, PathOccupancy(low, high, along, aligned, crosses)
+    return rows, PathOccupancy(low, high, along, same_direction, crossing)

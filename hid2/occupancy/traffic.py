@@ -21,7 +21,7 @@ class Traffic:
     position (A, T, 2) m, box centres; heading (A, T) rad; velocity (A, T, 2) m/s, from the positions; present (A, T):
     the agent has a state at that step or lies between two of its states (interpolated: it is somewhere there);
     length_m, width_m (A,).
-    joined_to: its first agents, which others were joined to, so that what is known of them need not be worked out
+    extends: its first agents, which others were joined to, so that what is known of them need not be worked out
     again; the arrays do not change. known: intervals on paths, kept by `path_occupancy`.
     """
 
@@ -32,7 +32,7 @@ class Traffic:
     present: BoolArray
     length_m: FloatArray
     width_m: FloatArray
-    joined_to: "Traffic | None" = None
+    extends: "Traffic | None" = None
     known: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -100,7 +100,7 @@ class Traffic:
             present=np.concatenate([traffic.present for traffic in every]),
             length_m=np.concatenate([traffic.length_m for traffic in every]),
             width_m=np.concatenate([traffic.width_m for traffic in every]),
-            joined_to=every[0],
+            extends=every[0],
         )
 
 

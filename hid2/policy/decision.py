@@ -8,7 +8,7 @@ from hid2.drivers.driver import Driver, usual_driver
 from hid2.params import LaneChange, Overtake
 from hid2.policy.lane_change import NOBODY, Gap
 from hid2.policy.overtake import Leader, Stage, enter_reason, return_reason
-from hid2.policy.rules import GapView, Wish, rule_reason
+from hid2.policy.rules import GapView, SumoAnswer, rule_reason
 from hid2.reasons import Reason
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
@@ -26,7 +26,8 @@ class LaneOption:
     """An adjacent lane l' that the marking lets the agent change to, as it sees it at one step.
 
     target: cell g_{l',j}; cells_free: sigma = 0 in j-1, j, j+1; gaps to the vehicles ahead and behind there, Frenet m;
-    remaining_m: length of l' left through its successors; corridor_m: its free stretch m * delta s; wish: SUMO's.
+    remaining_m: length of l' left through its successors; corridor_m: its free stretch m * delta s; sumo: what SUMO
+    answers.
     """
 
     side: Side
@@ -36,7 +37,7 @@ class LaneOption:
     rear: Gap
     remaining_m: float
     corridor_m: float
-    wish: Wish | None = None
+    sumo: SumoAnswer | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,5 +130,5 @@ def _view(seen: Observation, option: LaneOption) -> GapView:
         speed_mps=seen.speed_mps, desired_mps=seen.desired_mps, length_m=seen.length_m,
         tau_s=driver.tau_s, accel_mps2=driver.accel_mps2, decel_mps2=driver.decel_mps2, min_gap_m=driver.min_gap_m,
         cells_free=option.cells_free, front=option.front, rear=option.rear, own_front=seen.own_front,
-        own_rear=seen.own_rear, remaining_m=option.remaining_m, wish=option.wish,
+        own_rear=seen.own_rear, remaining_m=option.remaining_m, sumo=option.sumo,
     )  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import transition_rejected
 from hid2.kernels.polyline import frenet
-from hid2.motion.lane_change_path import blend_lines
+from hid2.motion.lane_change_path import blend_paths
 from hid2.motion.route import DrivenPath, shifted_path
 from hid2.occupancy.along_path import look_along, path_occupancy
 from hid2.occupancy.sigma import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
@@ -131,7 +131,7 @@ def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here
     near = here.present[:, 0] & (np.abs(here.position[:, 0] - own).max(axis=1) < d_obs_m + 15.0)
     here = here.rows(np.flatnonzero(near).tolist())
     rows, found = look_along(path.line, here, size.length_m, size.width_m)
-    gap = np.where(found.aligned[:, 0], found.low[:, 0] - s, np.inf)
+    gap = np.where(found.same_direction[:, 0], found.low[:, 0] - s, np.inf)
     gap[gap <= -1.0] = np.inf
     if not np.any(gap < d_obs_m):
         return None
@@ -183,7 +183,7 @@ def lay_across(
     pace = max(pace_mps, change.min_speed_mps)
     time_left_s = change.time_share * (scene.num_steps - 1 - step) * scene.step_s - change.spare_s
     lasting_s = max(change.min_duration_s, min(lasting_s, time_left_s, change.length_share * remaining_m / pace))
-    blend = blend_lines(
+    blend = blend_paths(
         path.even(smoothing.path_step_m), target.raw_line, start_m=path.to_raw(s), length_m=pace * lasting_s,
         step_m=smoothing.path_step_m, max_shift_m=change.max_shift_m,
     )  # fmt: skip

@@ -17,7 +17,7 @@ from netconvert.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class SumoAnswer:
     """What SUMO's LC2013 makes of one side: its motives (none: it does not want to), and who is in its way there."""
 
     motives: frozenset[str]
@@ -31,7 +31,7 @@ class GapView:
 
     front, rear: new leader and new follower; own_front, own_rear: those on the lane that would be left; waited_s: since
     the trigger; cells_free: sigma = 0 in cells j-1, j, j+1 of l'; remaining_m: length of l' left; tau_s, accel_mps2,
-    decel_mps2, min_gap_m: the own driver's. wish: SUMO's, only for the rule LC2013.
+    decel_mps2, min_gap_m: the own driver's. sumo: what SUMO answers, only for the rule LC2013.
     """
 
     time_s: float
@@ -50,7 +50,7 @@ class GapView:
     own_front: Gap
     own_rear: Gap
     remaining_m: float
-    wish: Wish | None = None
+    sumo: SumoAnswer | None = None
 
 
 #: A user's rule: whether the gap is taken.
@@ -135,8 +135,8 @@ def mobil_reason(view: GapView, params: LaneChange) -> Reason | None:
 
 def _lc2013_reason(view: GapView) -> Reason | None:
     """SUMO's own model: it wants the lane (strategic, cooperative, speed gain, keep right) and finds it free."""
-    if view.wish is None or not view.wish.motives:
+    if view.sumo is None or not view.sumo.motives:
         return Reason.LC2013_NO_MOTIVE
-    if view.wish.blocked_behind:
+    if view.sumo.blocked_behind:
         return Reason.REAR_GAP
-    return Reason.FRONT_GAP if view.wish.blocked_ahead else None
+    return Reason.FRONT_GAP if view.sumo.blocked_ahead else None

@@ -71,7 +71,7 @@ class RoadSpeeds:
         return np.minimum(self.hard, math.sqrt(lateral_accel_mps2) * self.bend)
 
     def desired(
-        self, cruise_mps: float, *, lateral_accel_mps2: float, accel_mps2: float, approach_decel_mps2: float
+        self, desired_mps: float, *, lateral_accel_mps2: float, accel_mps2: float, approach_decel_mps2: float
     ) -> FloatArray:
         """(S,) m/s target speed along a route: the cruising speed, v_0 f(alpha) on turning lanes, less in bends.
 
@@ -79,7 +79,7 @@ class RoadSpeeds:
         allows. Slowing begins before the entrance at approach_decel_mps2; speeding up after the trough at accel_mps2.
         """
         cap = self.cap(lateral_accel_mps2)
-        return reachable(cap, self.shape, cruise_mps, TABLE_STEP_M, approach_decel_mps2, accel_mps2)
+        return reachable(cap, self.shape, desired_mps, TABLE_STEP_M, approach_decel_mps2, accel_mps2)
 
 
 def road_speeds(

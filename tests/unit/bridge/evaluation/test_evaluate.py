@@ -213,7 +213,7 @@ def test_nothing_to_evaluate_and_nowhere_to_write_are_explained(made_root, tmp_p
     with pytest.raises(ScenarioError):
         evaluate_folder(tmp_path, report_dir=tmp_path / "report")
     (tmp_path / "file").write_text("")
-    with pytest.raises(ExportError, match="cannot write the report"):
+    with pytest.raises(ExportError, match="cannot be written"):
         evaluate_folder(made_root, report_dir=tmp_path / "file")
 
 

@@ -15,7 +15,8 @@ import sumolib
 from lxml import etree
 
 from bridge.recordings.scenario import read_scenario
-from bridge.sumo.playback import POLICIES, RECORDED, STANDS_M, paints, write_playable
+from bridge.sumo.exchange import write_sumo
+from bridge.sumo.playback import POLICIES, RECORDED, STANDS_M, paints
 from bridge.sumo.poses import sumo_poses
 from netconvert.errors import ConfigError, SimulationError
 
@@ -30,7 +31,7 @@ def sumo(config, *options):
 
 @pytest.fixture(scope="module")
 def playable(made_scene, tmp_path_factory):
-    return write_playable(made_scene, tmp_path_factory.mktemp("play"))
+    return write_sumo(made_scene, tmp_path_factory.mktemp("play"))[1]
 
 
 def played(config, out):
@@ -66,7 +67,7 @@ def test_sumo_plays_a_generated_scene_from_files_without_a_warning(playable, mad
 
 
 def test_sumo_plays_real_scenes_from_files(real_scene, tmp_path):
-    config = write_playable(real_scene, tmp_path / "play")
+    _, config = write_sumo(real_scene, tmp_path / "play")
     check(real_scene, played(config, tmp_path / "fcd.xml"))
 
 
@@ -106,7 +107,7 @@ def test_files_are_valid_and_hold_the_lanes_of_the_map(playable, made_scene):
 
 
 def test_same_scene_gives_the_same_files(playable, made_scene, tmp_path):
-    again = write_playable(made_scene, tmp_path)
+    _, again = write_sumo(made_scene, tmp_path)
     for path in again.parent.iterdir():
         assert path.read_bytes() == (playable.parent / path.name).read_bytes()
 

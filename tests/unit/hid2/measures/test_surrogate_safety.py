@@ -6,6 +6,7 @@ import pytest
 from hid2.agents import BoxSize, Track
 from hid2.measures.lane_matching import FlatLanes, flatten_lanes
 from hid2.measures.surrogate_safety import RecordedVehicles
+from hid2.reasons import Reason
 from netconvert.lane_graph import LaneGraph
 
 STEPS = 40
@@ -126,15 +127,15 @@ def test_generated_leader_of_a_recorded_follower_that_will_not_brake_is_found(la
 def test_conflicts_with_recorded_vehicles_are_foreseen_for_one_track(lanes: FlatLanes) -> None:
     """The cases above, each for a single planned track: what runs up on it, what it crosses too soon, and neither."""
 
-    def conflict(recorded: list[Track], planned: Track, *, ttc_s: float = 1.5, pet_s: float = 1.0) -> str | None:
+    def conflict(recorded: list[Track], planned: Track, *, ttc_s: float = 1.5, pet_s: float = 1.0) -> Reason | None:
         return RecordedVehicles(recorded, lanes, STEPS, step_s=0.1).conflict_with(planned, ttc_s=ttc_s, pet_s=pet_s)
 
     comes = _drive("a", 0.0, 0.0, 10.0)
-    assert conflict([comes], _drive("gen_0", 45.7, 0.0, 2.0)) == "ttc_of_recorded"
+    assert conflict([comes], _drive("gen_0", 45.7, 0.0, 2.0)) is Reason.TTC_RECORDED_FOLLOWER
     assert conflict([comes], _drive("gen_0", 45.7, 3.5, 2.0)) is None
     assert conflict([comes], _drive("gen_0", 60.0, 0.0, 2.0)) is None
     assert conflict([comes], _drive("gen_0", 45.7, 0.0, 2.0), ttc_s=0.0) is None
-    assert conflict([comes], _cross("gen_0", -33.2)) == "pet"
+    assert conflict([comes], _cross("gen_0", -33.2)) is Reason.PET
     assert conflict([comes], _cross("gen_0", -37.2)) is None
     assert conflict([comes], _cross("gen_0", -33.2), pet_s=0.0) is None
     assert conflict([], _drive("gen_0", 0.0, 0.0, 5.0)) is None

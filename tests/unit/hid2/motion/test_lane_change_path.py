@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hid2.motion.lane_change_path import blend_paths, lateral_share
+from hid2.motion.lane_change_path import Blend, blend_paths, even_line, lateral_share
 from netconvert.geometry import Polyline
 
 
@@ -34,6 +34,11 @@ CURRENT = np.array([[0.0, 0.0], [200.0, 0.0]])
 LEFT = np.array([[0.0, 3.5], [200.0, 3.5]])
 
 
+def blend_of(current: np.ndarray, target: np.ndarray, *, start_m: float, length_m: float) -> Blend | None:
+    line = even_line(current, step_m=1.0)
+    return blend_paths(line, Polyline(target), start_m=start_m, length_m=length_m, step_m=1.0, max_shift_m=5.5)
+
+
 def test_blend_leaves_one_lane_for_the_other() -> None:
     """Shift from 50 to 90 m: on the old lane until 50, half way (1.75 m) at 70, on the new one from 90 on.
 
@@ -42,7 +47,7 @@ def test_blend_leaves_one_lane_for_the_other() -> None:
     y = 0   ____________/ - - - - - - - - -
             0           50   70   90      200
     """
-    blend = blend_paths(CURRENT, LEFT, start_m=50.0, length_m=40.0, step_m=1.0, max_shift_m=5.5)
+    blend = blend_of(CURRENT, LEFT, start_m=50.0, length_m=40.0)
     assert blend is not None
     y = np.interp([0.0, 50.0, 70.0, 90.0, 200.0], blend.points[:, 0], blend.points[:, 1])
     assert y == pytest.approx([0.0, 0.0, 1.75, 3.5, 3.5], abs=0.02)
@@ -51,14 +56,14 @@ def test_blend_leaves_one_lane_for_the_other() -> None:
 
 
 def test_blend_to_the_right_shifts_the_other_way() -> None:
-    blend = blend_paths(LEFT, CURRENT, start_m=50.0, length_m=40.0, step_m=1.0, max_shift_m=5.5)
+    blend = blend_of(LEFT, CURRENT, start_m=50.0, length_m=40.0)
     assert blend is not None
     assert np.all(np.diff(blend.points[:, 1]) <= 1e-9)
 
 
 def test_blend_knows_how_far_the_target_is_ahead_of_it() -> None:
     """The target begins 30 m before the current lane: its arc length is 30 m more, less a detour of 0.2 m."""
-    blend = blend_paths(CURRENT, LEFT - np.array([30.0, 0.0]), start_m=50.0, length_m=40.0, step_m=1.0, max_shift_m=5.5)
+    blend = blend_of(CURRENT, LEFT - np.array([30.0, 0.0]), start_m=50.0, length_m=40.0)
     assert blend is not None
     assert blend.target_offset_m == pytest.approx(30.0, abs=0.3)
     onward = Polyline(LEFT - np.array([30.0, 0.0])).point(np.array([150.0 + blend.target_offset_m]))
@@ -76,4 +81,4 @@ def test_blend_knows_how_far_the_target_is_ahead_of_it() -> None:
     ],
 )
 def test_no_blend_where_the_lanes_are_not_side_by_side(target: np.ndarray, start: float, length: float) -> None:
-    assert blend_paths(CURRENT, target, start_m=start, length_m=length, step_m=1.0, max_shift_m=5.5) is None
+    assert blend_of(CURRENT, target, start_m=start, length_m=length) is None

@@ -3,7 +3,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hid2.motion.lane_change_path import blend_paths
+from hid2.motion.lane_change_path import blend_paths, even_line
 from hid2.motion.route import (
     DrivenPath,
     Segment,
@@ -15,6 +15,7 @@ from hid2.motion.route import (
     turn_segments,
 )
 from hid2.params import Limits, Smoothing
+from netconvert.geometry import Polyline
 from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
 
 
@@ -119,7 +120,8 @@ def test_circle_of_lanes_is_driven_once(lane: Callable[..., LaneSegment]) -> Non
 
 
 def _shifted(own: DrivenPath, target: DrivenPath, *, start_m: float, length_m: float) -> DrivenPath:
-    blend = blend_paths(own.raw, target.raw, start_m=start_m, length_m=length_m, step_m=1.0, max_shift_m=5.5)
+    line = even_line(own.raw, step_m=1.0)
+    blend = blend_paths(line, Polyline(target.raw), start_m=start_m, length_m=length_m, step_m=1.0, max_shift_m=5.5)
     assert blend is not None
     return shifted_path(own, target, blend, smoothing=Smoothing(), limits=Limits())
 

@@ -10,6 +10,7 @@ from hid2.motion.smoothing import Trajectory
 from hid2.motion.verify import first_overlap, limit_exceeded, motion_profile, off_road_steps
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Limits
+from hid2.reasons import Reason
 
 CAR = BoxSize(4.5, 1.9)
 
@@ -70,12 +71,12 @@ def test_quiet_motion_exceeds_nothing() -> None:
 
 def test_limits_are_named() -> None:
     """R = 15 m at 9 m/s: 5.4 m/s2 across, above 4.89. R = 5 m at 4.9 m/s: 4.8 m/s2, but 0.98 rad/s, above 0.95."""
-    assert limit_exceeded(_circle(15.0, 9.0), Limits(), step_s=0.1) == "lateral_accel"
-    assert limit_exceeded(_circle(5.0, 4.9), Limits(), step_s=0.1) == "yaw_rate"
+    assert limit_exceeded(_circle(15.0, 9.0), Limits(), step_s=0.1) is Reason.LIMIT_LATERAL_ACCEL
+    assert limit_exceeded(_circle(5.0, 4.9), Limits(), step_s=0.1) is Reason.LIMIT_YAW_RATE
 
 
-@pytest.mark.parametrize(("accel", "name"), [(2.5, "accel"), (-4.2, "decel")])
-def test_acceleration_beyond_a_limit_is_named(accel: float, name: str) -> None:
+@pytest.mark.parametrize(("accel", "reason"), [(2.5, Reason.LIMIT_ACCEL), (-4.2, Reason.LIMIT_DECEL)])
+def test_acceleration_beyond_a_limit_is_named(accel: float, reason: Reason) -> None:
     time = 0.1 * np.arange(20)
     speed = 10.0 + accel * time
     flat = np.zeros(20)
@@ -85,7 +86,7 @@ def test_acceleration_beyond_a_limit_is_named(accel: float, name: str) -> None:
         velocity=np.column_stack([speed, flat]),
         s=flat,
     )
-    assert limit_exceeded(trajectory, Limits(), step_s=0.1) == name
+    assert limit_exceeded(trajectory, Limits(), step_s=0.1) is reason
 
 
 def test_positions_are_checked_as_well_as_the_stated_velocity() -> None:

@@ -22,7 +22,7 @@ def test_box_across_the_path_forbids_half_its_width_and_half_the_own_length(
     assert found.low.shape == (1, 3)
     assert 46.5 - 1e-9 <= found.low[0, 0] <= 47.0
     assert 53.0 <= found.high[0, 0] <= 53.5 + 1e-9
-    assert not found.aligned.any()
+    assert not found.same_direction.any()
 
 
 def test_box_ahead_forbids_from_bumper_to_bumper(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
@@ -31,7 +31,7 @@ def test_box_ahead_forbids_from_bumper_to_bumper(straight_line: ReferenceLine, b
     assert found.low[0, 0] == pytest.approx(46.0, abs=0.51)
     assert found.high[0, 0] == pytest.approx(54.0, abs=0.51)
     assert found.along[0, 0] == pytest.approx(6.0)
-    assert found.aligned.all()
+    assert found.same_direction.all()
 
 
 def test_oncoming_box_is_not_aligned_and_moves_against_the_path(
@@ -39,7 +39,7 @@ def test_oncoming_box_is_not_aligned_and_moves_against_the_path(
 ) -> None:
     found = occupancy_of(straight_line, box(50.0, 0.0, np.pi, 6.0, steps=3, **SIZE))
     assert found.along[0, 0] == pytest.approx(-6.0)
-    assert not found.aligned.any()
+    assert not found.same_direction.any()
 
 
 def test_lateral_margin_counts_a_box_beside_the_path(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
@@ -112,7 +112,7 @@ def test_place_of_who_crosses_is_kept_clear_before_and_after(
     assert clear.low[0, 20] == found.low[0, 20]
     assert clear.low[0, 10] == pytest.approx(found.low[0, 17] + 0.2)
     assert clear.high[0, 30] == pytest.approx(found.high[0, 23] - 0.2)
-    assert not clear.aligned.any()
+    assert not clear.same_direction.any()
 
 
 def test_leader_holds_no_more_than_where_it_is(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
@@ -195,7 +195,7 @@ def test_what_is_known_of_some_holds_for_all_that_join_them(
             along(grown, clear_steps)
             grown = grown.joined(other)
         fresh = parts()[0].joined(*parts()[1:])
-        for name in ("low", "high", "along", "aligned", "crosses"):
+        for name in ("low", "high", "along", "same_direction", "crossing"):
             assert np.array_equal(getattr(along(grown, clear_steps), name), getattr(along(fresh, clear_steps), name))
         assert along(grown, clear_steps).low.shape[0] == 3
     assert not np.array_equal(along(fresh, 0).low, along(fresh, 10).low)

@@ -7,7 +7,7 @@ import pytest
 
 from hid2.params import LaneChange
 from hid2.policy.lane_change import Gap
-from hid2.policy.rules import GapView, Wish, idm_mps2, mobil_reason, rule_reason
+from hid2.policy.rules import GapView, SumoAnswer, idm_mps2, mobil_reason, rule_reason
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 
@@ -64,17 +64,17 @@ def test_mobil_politeness_counts_what_the_old_follower_wins() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wish", "reason"),
+    ("sumo", "reason"),
     [
         (None, Reason.LC2013_NO_MOTIVE),
-        (Wish(frozenset(), False, False), Reason.LC2013_NO_MOTIVE),
-        (Wish(frozenset({"speedGain"}), False, False), None),
-        (Wish(frozenset({"speedGain"}), True, False), Reason.FRONT_GAP),
-        (Wish(frozenset({"cooperative"}), False, True), Reason.REAR_GAP),
+        (SumoAnswer(frozenset(), False, False), Reason.LC2013_NO_MOTIVE),
+        (SumoAnswer(frozenset({"speedGain"}), False, False), None),
+        (SumoAnswer(frozenset({"speedGain"}), True, False), Reason.FRONT_GAP),
+        (SumoAnswer(frozenset({"cooperative"}), False, True), Reason.REAR_GAP),
     ],
 )
-def test_lc2013_wants_and_can(wish: Wish | None, reason: Reason | None) -> None:
-    assert rule_reason(replace(VIEW, wish=wish), LaneChange(rule="LC2013")) == reason
+def test_lc2013_wants_and_can(sumo: SumoAnswer | None, reason: Reason | None) -> None:
+    assert rule_reason(replace(VIEW, sumo=sumo), LaneChange(rule="LC2013")) == reason
 
 
 @pytest.mark.parametrize("rule", ["MOBIL", "LC2013", "tests_of_rules:anything"])

@@ -62,21 +62,21 @@ def _desired(
     line: ReferenceLine,
     segments: list[tuple[float, float, TurnType]],
     *,
-    cruise_mps: float = 10.0,
+    desired_mps: float = 10.0,
     lateral_accel_mps2: float = 2.5,
 ):
     road = road_speeds(line, segments, turn=TURN, limits=Limits())
-    return road.desired(cruise_mps, lateral_accel_mps2=lateral_accel_mps2, accel_mps2=1.8, approach_decel_mps2=1.5)
+    return road.desired(desired_mps, lateral_accel_mps2=lateral_accel_mps2, accel_mps2=1.8, approach_decel_mps2=1.5)
 
 
 def test_straight_lane_is_driven_at_the_cruising_speed(straight_line: ReferenceLine) -> None:
     """v(t + dt) ~ v(t)."""
-    speed = _desired(straight_line, [(0.0, 200.0, TurnType.STRAIGHT)], cruise_mps=12.0)
+    speed = _desired(straight_line, [(0.0, 200.0, TurnType.STRAIGHT)], desired_mps=12.0)
     assert speed == pytest.approx(np.full(speed.size, 12.0))
 
 
 def test_slowing_begins_before_the_entrance_and_speeding_up_ends_after_the_exit(straight_line: ReferenceLine) -> None:
-    """Left turn from 100 to 120 m at cruise 10 m/s: 6.5 m/s at its trough, 108 m.
+    """Left turn from 100 to 120 m at a desired speed of 10 m/s: 6.5 m/s at its trough, 108 m.
 
     Slowing at 1.5 m/s2 from 10 to 6.5 m/s takes (100 - 42.25) / 3 = 19.25 m: it begins at 88.75 m, 11 m before the
     entrance. Speeding up at 1.8 m/s2 takes 57.75 / 3.6 = 16.04 m: it ends at 124.04 m, 4 m behind the exit. At the
@@ -146,9 +146,9 @@ def test_entry_speed_grows_with_the_root_of_the_drivers_lateral_acceleration() -
 
 
 def test_slow_driver_enters_a_wide_turn_at_the_cruising_speed() -> None:
-    """R = 40 m at 2.5 m/s2 allows 10 m/s and more: at a cruise of 6 m/s f alone decides, 0.65 * 6 = 3.9 m/s."""
+    """R = 40 m at 2.5 m/s2 allows 10 m/s and more: at a desired speed of 6 m/s f alone decides, 0.65 * 6 = 3.9 m/s."""
     line, segments = _corner(40.0)
-    speed = _desired(line, segments, cruise_mps=6.0)
+    speed = _desired(line, segments, desired_mps=6.0)
     assert speed.min() == pytest.approx(3.9, rel=0.01)
     assert speed[0] == pytest.approx(6.0)
 
