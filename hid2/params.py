@@ -196,7 +196,7 @@ class Sites(_Section):
         "a turn pocket or a driveway", ge=0, le=200,
     )  # fmt: skip
     entry_gap_s: float = _param(
-        1.0, "s", "nobody enters at the map's edge in less than this behind or ahead of another", ge=0, le=5
+        1.0, "s", "nobody enters at the map's edge in less than this ahead of another inserted vehicle", ge=0, le=5
     )
     slow_leader_min: float = _param(
         0.25, "share", "desired speed of an added leader over that of who overtakes it, uniform from here", gt=0, le=1

@@ -105,6 +105,17 @@ def generate(  # noqa: PLR0913  # one for each option
         float | None,
         typer.Option(metavar="M", help="How near that is, in metres.", show_default="30", rich_help_panel=REQUEST),
     ] = None,
+    entering: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            metavar="SHARE",
+            help="Of the vehicles that go straight: these enter at the map's edge during the observed steps.",
+            show_default="0",
+            rich_help_panel=REQUEST,
+        ),
+    ] = None,
     event: Annotated[
         list[EventName],
         typer.Option(
@@ -287,6 +298,7 @@ def generate(  # noqa: PLR0913  # one for each option
             "request.variants": variants,
             "request.near": near,
             "request.within_m": within,
+            "request.entering": entering,
             "request.focal": focal,
             "request.seed": seed,
             "request.spawn_leaders": spawn_leaders,

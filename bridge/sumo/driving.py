@@ -14,7 +14,7 @@ from hid2.agents import BoxSize, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S, V
 from hid2.conflicts.reaction import Reactions, yielding
 from hid2.conflicts.stop_lines import StopLines
-from hid2.insertion.sites import has_room
+from hid2.insertion.sites import entry_speed
 from hid2.kernels.leaders import shown_ahead
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
@@ -241,12 +241,14 @@ class Driving:
             if start.step != step:
                 continue
             vehicle = self.vehicles[row]
-            if step > 0 and "collision" not in self.scene.config.without and not has_room(
-                start, self._fleet(), self.scene.config, step_s=self.scene.step_s
-            ):  # fmt: skip
+            speed: float | None = start.start_mps
+            if step > 0 and "collision" not in self.scene.config.without:
+                speed = entry_speed(start, self._fleet(), self.scene.config, step_s=self.scene.step_s)
+            if speed is None:
                 vehicle.objection = Reason.NO_ROOM_AT_EDGE
             else:
-                vehicle.objection = insert(self.simulation, self.scene, start)
+                vehicle.start = replace(start, start_mps=speed)
+                vehicle.objection = insert(self.simulation, self.scene, vehicle.start)
             if vehicle.objection is not None:
                 self._place[row] = np.nan
 

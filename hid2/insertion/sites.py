@@ -676,28 +676,28 @@ def _any_site(_offer: RouteOffer, _s: float, _speed_mps: float) -> bool:
     return True
 
 
-def has_room(start: Start, fleet: Traffic, config: Config, *, step_s: float) -> bool:
-    """Whether a vehicle can enter at the map's edge among those that are driven.
+def entry_speed(start: Start, fleet: Traffic, config: Config, *, step_s: float) -> float | None:
+    """Speed at which a vehicle can enter at the map's edge among those that are driven, m/s; None: there is no room.
 
-    fleet: where these were step_s before, (one step).
+    fleet: where these were step_s before (one step). At most the speed of the start.
     """
     if not fleet.ids:
-        return True
+        return start.start_mps
     xy, tangent, _ = start.path.line.motion(np.array([start.start_s]))
-    (tx, ty), driver = tangent[0], start.driver
+    (tx, ty), speed = tangent[0], start.start_mps
     offset = fleet.position[:, 0] + step_s * fleet.velocity[:, 0] - xy[0]
     along_m, across_m = offset @ (tx, ty), np.abs(offset @ (-ty, tx))
     gap_m = np.abs(along_m) - 0.5 * (fleet.length_m + start.box.length_m)
     in_lane = across_m < 0.5 * (fleet.width_m + start.box.width_m) + config.conflict.margin_lateral_m
     for row in np.flatnonzero(in_lane & fleet.present[:, 0]).tolist():
         gap, other_mps = float(gap_m[row]), float(fleet.velocity[row, 0] @ (tx, ty))
-        if gap < config.spawn.clear_gap_m:
-            return False
         leads = along_m[row] > 0.0
-        fastest = speed_behind(gap, max(0.0, other_mps), driver, config.sites) if leads else start.start_mps
-        if start.start_mps > fastest or (not leads and gap < config.sites.entry_gap_s * other_mps):
-            return False
-    return True
+        if gap < config.spawn.clear_gap_m or (not leads and gap < config.sites.entry_gap_s * other_mps):
+            return None
+        if leads:
+            speed = min(speed, speed_behind(gap, max(0.0, other_mps), start.driver, config.sites))
+    slowest_mps = max(config.sites.standing_mps, config.sites.slowest_share * start.driver.desired_mps)
+    return speed if speed >= slowest_mps else None
 
 
 def speed_behind(gap_m: float, leader_mps: float, driver: Driver, sites: Sites) -> float:
