@@ -153,10 +153,11 @@ class InsertionSites:
             of=round(scene.config.request.entering * self.asked[Policy.STRAIGHT]),
         )  # fmt: skip
         self._entering += 1
+        likely = self.round_number < scene.config.spawn.reseed_rounds  # the count matters more by then
         for row in order[: scene.config.sites.tries].tolist():
             start = self._start(
                 request, self.entries.offer(row), int(table.lane[row]), None, step=int(table.step[row]),
-                led_by=int(table.leader[row]),
+                led_by=int(table.leader[row]), likely=likely,
             )  # fmt: skip
             if isinstance(start, Start):
                 yield start
@@ -354,9 +355,9 @@ class InsertionSites:
             if turn is None:
                 return Reason.TURN_NOT_SEEN
             reach_s = turn.end + 1.0 if likely else None
-        elif likely and request.policy is not Policy.STRAIGHT:  # whoever changes lanes has to be under way
+        elif likely and (step > 0 or request.policy is not Policy.STRAIGHT):  # who changes lanes or enters is under way
             pace_mps = config.sites.under_way_share * self.meetings.usual_speed(lane_id)
-            reach_s = start_s + pace_mps * scene.last_s
+            reach_s = start_s + pace_mps * (scene.last_s - step * scene.step_s)
         led_mps = 0.0
         if config.request.sites == "promising":
             leader = led_by if step else self.meetings.leader_of(scene.cell_at(path, start_s), offer.route)
