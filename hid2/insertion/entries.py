@@ -49,10 +49,16 @@ class Entries:
         """The route of an entry."""
         return self.routes.offers(int(self.table.lane[row]))[int(self.table.offer[row])]
 
+    def step(self, row: int, rng: np.random.Generator) -> int:
+        """A step of an entry, drawn from its own to the one before the next look."""
+        last = int(self.table.step[row]) + self._between - 1
+        return int(rng.integers(int(self.table.step[row]), min(last, self._last) + 1))
+
     def leader_of(self, route: Route, step: int) -> int:
         """Whom a vehicle that enters on a route at a step would follow, as `Meetings` numbers them; -1 nobody."""
         table = self.table
-        for row in np.flatnonzero((table.lane == route[0]) & (table.step == step)).tolist():
+        here = (table.lane == route[0]) & (table.step <= step) & (step < table.step + self._between)
+        for row in np.flatnonzero(here).tolist():
             if self.offer(row).route == route:
                 return int(table.leader[row])
         return -1
@@ -61,7 +67,7 @@ class Entries:
         scene, spawn = self.scene, self.scene.config.spawn
         rows: list[tuple[int, int, int]] = []
         met: list[tuple[float, bool, int]] = []
-        looks = [(look, step) for look, step in enumerate(self.meetings.looks.tolist()) if self._may_enter_at(step)]
+        looks = [(look, step) for look, step in enumerate(self.meetings.looks.tolist()) if 0 < step <= self._last]
         for lane_id in edge_lanes(scene, self.routes):
             offers = self.meetings.offers_towards(lane_id, Policy.STRAIGHT)
             for offer in offers:
@@ -78,11 +84,16 @@ class Entries:
             np.array([leader for _, _, leader in met], dtype=np.int64),
         )  # fmt: skip
 
-    def _may_enter_at(self, step: int) -> bool:
-        """After the first step, by the last observed one, and not just before the scene ends."""
+    @property
+    def _between(self) -> int:
+        """Steps between two looks."""
+        return int(np.diff(self.meetings.looks[:2]).sum()) or 1
+
+    @property
+    def _last(self) -> int:
+        """The last step at which anybody enters: an observed one, and not just before the scene ends."""
         scene = self.scene
-        stays = scene.steps_in(scene.config.sites.entry_stays_s)
-        return 0 < step <= min(scene.last_observed_step, scene.num_steps - stays)
+        return min(scene.last_observed_step, scene.num_steps - scene.steps_in(scene.config.sites.entry_stays_s))
 
 
 def edge_lanes(scene: Scene, routes: Routes) -> list[int]:

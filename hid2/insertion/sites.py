@@ -156,7 +156,7 @@ class InsertionSites:
         likely = self.round_number < scene.config.spawn.reseed_rounds  # the count matters more by then
         for row in order[: scene.config.sites.tries].tolist():
             start = self._start(
-                request, self.entries.offer(row), int(table.lane[row]), None, step=int(table.step[row]),
+                request, self.entries.offer(row), int(table.lane[row]), None, step=self.entries.step(row, self.rng),
                 led_by=int(table.leader[row]), likely=likely,
             )  # fmt: skip
             if isinstance(start, Start):
