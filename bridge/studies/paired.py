@@ -67,8 +67,8 @@ class PairedRun:
 def drawing_config(config: Config) -> Config:
     """The part of a configuration that decides who takes part; the rest has its defaults."""
     request = config.request.model_copy(
-        update={"sites": "any", "entering": 0.0, "trigger_min_s": 0.0, "trigger_max_s": 0.0, "trigger_list_s": ()}
-    )  # who enters is a matter of `flow`
+        update={"sites": "any", "trigger_min_s": 0.0, "trigger_max_s": 0.0, "trigger_list_s": ()}
+    )
     flow = config.flow.model_copy(update={"warm_up_s": 0.0})
     spawn = config.spawn.model_copy(update={"rivals": 0, "reseed_rounds": 1})  # one vehicle for each request
     return Config(
