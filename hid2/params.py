@@ -65,6 +65,10 @@ class Request(_Section):
         gt=0, le=200,
     )  # fmt: skip
     generated_category: Literal[1, 2] = _param(1, "-", "category of generated tracks: 1 context, 2 scored")
+    entering: float = _param(
+        0.0, "share", "of the vehicles that go straight: these enter at the map's edge during the observed steps, "
+        "where there is room; none where generated_category is 2", ge=0, le=1,
+    )  # fmt: skip
     seed: int = _param(0, "-", "seed of every random choice", ge=0, le=2**31 - 1)
     variants: int = _param(1, "scenes", "scenes written for each source scene", ge=1, le=10_000)
     spawn_leaders: bool = _param(True, "-", "an overtake without a slower leader may spawn one")
@@ -185,6 +189,14 @@ class Sites(_Section):
     )
     leader_advantage_ratio: float = _param(
         2.0, "ratio", "over speed_advantage_mps, by which that leader is slower at the start", ge=0, le=10
+    )
+    entry_stays_s: float = _param(3.0, "s", "who enters at the map's edge is there at least so long", ge=0.5, le=10)
+    entry_edge_m: float = _param(
+        15.0, "m", "a lane that begins so near to the hull of all lanes begins at the map's edge; farther inside it is "
+        "a turn pocket or a driveway", ge=0, le=200,
+    )  # fmt: skip
+    entry_gap_s: float = _param(
+        1.0, "s", "nobody enters at the map's edge in less than this ahead of another inserted vehicle", ge=0, le=5
     )
     slow_leader_min: float = _param(
         0.25, "share", "desired speed of an added leader over that of who overtakes it, uniform from here", gt=0, le=1

@@ -32,6 +32,10 @@ class Reason(StrEnum):
     # what the simulation answered
     NO_ROUTE = "no_route", "The start site is not on the vehicle's route."
     SUMO_REFUSES_INSERTION = "sumo_refuses_insertion", "SUMO did not accept the vehicle at its start site."
+    NO_ROOM_AT_EDGE = (
+        "no_room_at_edge",
+        "Another inserted vehicle was too near to the map's edge when the vehicle was to enter there.",
+    )
     # events
     EVENT_NO_TARGET = "event_no_target", "The target of an event is not in the scene, or no vehicle on a lane."
     EVENT_NO_PLACE = "event_no_place", "The target's way offers no place for the event at the time asked for."

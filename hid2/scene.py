@@ -42,9 +42,9 @@ class Scene:
     traffic: recorded agents over the scene's T steps; future: the same, and beyond the last step at constant velocity,
     T + E steps; begin: the first ones, on which it depends who holds what at the start. step_s: from one step of the
     recording to the next, and of the simulation: the only one that there is. first_exit_step: a generated vehicle may
-    leave the map only from this step on. vehicle_rows: rows of the recorded cars and buses, which an overtaker may
-    pass. stated_velocity (A, T, 2) m/s: as the tracks state it, which is what readers of the file take for it; that of
-    the positions where a track has no state.
+    leave the map only from this step on, and enter it by last_observed_step. vehicle_rows: rows of the recorded cars
+    and buses, which an overtaker may pass. stated_velocity (A, T, 2) m/s: as the tracks state it, which is what
+    readers of the file take for it; that of the positions where a track has no state.
     """
 
     grid: CellGrid
@@ -62,6 +62,7 @@ class Scene:
     num_steps: int
     step_s: float
     first_exit_step: int
+    last_observed_step: int
     lane_speeds: dict[int, list[float]]
     scene_speeds: list[float]
     _paths: dict[Route, DrivenPath] = field(default_factory=dict)
@@ -140,6 +141,11 @@ class Scene:
         """Time of the last step, s from the first."""
         return (self.num_steps - 1) * self.step_s
 
+    def steps_to_stay(self, step: int) -> int:
+        """Steps that a generated vehicle which is there from a step on stays at least."""
+        until = self.first_exit_step - step
+        return until if step == 0 else max(until, self.steps_in(self.config.sites.entry_stays_s))
+
     def steps_in(self, seconds: float) -> int:
         """The number of steps nearest to a duration, at least one."""
         return max(1, round(seconds / self.step_s))
@@ -201,6 +207,7 @@ def build_scene(
         num_steps=num_steps,
         step_s=step_s,
         first_exit_step=num_steps if through else min(last_observed_step + 1, num_steps),
+        last_observed_step=last_observed_step,
         lane_speeds=lane_speeds,
         scene_speeds=scene_speeds,
     )

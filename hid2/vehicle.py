@@ -27,9 +27,9 @@ class Start:
     """A request with a site and a driver: everything that decides how a vehicle begins.
 
     start_s m, of the box centre on the path; start_mps m/s; box: what is kept clear, size: what is exported; desired
-    (T,) m/s; sides: where it looks for a lane, in this order; is_held: whether its speed is the desired one, unless
-    somebody or the road is in the way, rather than what car following makes of it, and no conflict makes it take
-    another way.
+    (T,) m/s, by the scene's steps; sides: where it looks for a lane, in this order; is_held: whether its speed is the
+    desired one, unless somebody or the road is in the way, rather than what car following makes of it, and no conflict
+    makes it take another way; step: at which it is first there, later than 0 where it enters at the map's edge.
     """
 
     vehicle_id: str
@@ -46,6 +46,7 @@ class Start:
     offset: LaneOffset
     sides: tuple[Side, ...]
     is_held: bool = False
+    step: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +85,7 @@ class GapLook:
 
 @dataclass(eq=False, slots=True)
 class DrivenVehicle:
-    """A vehicle that SUMO drives: s (T,) m, v (T,) m/s on its path so far, and what became of its request.
+    """A vehicle that SUMO drives: s (T,) m, v (T,) m/s on its path since its start, and what became of its request.
 
     limited: steps in which hid2 held it below SUMO's own choice of speed, by cause; policies: steps by the policy that
     Algorithm 1 returned; rerouted_at: step at which it took another way at the next split; waited_for: vehicles of the
@@ -120,5 +121,5 @@ class DrivenVehicle:
 
     @property
     def running(self) -> bool:
-        """Whether SUMO has it."""
+        """Whether SUMO has it, or will have it."""
         return self.objection is None and self.left_at is None

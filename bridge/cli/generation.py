@@ -99,6 +99,16 @@ def generate(  # noqa: PLR0913  # one for each option
         float | None,
         request_option(metavar="M", help="How near that is, in metres.", show_default="30"),
     ] = None,
+    entering: Annotated[
+        float | None,
+        request_option(
+            min=0.0,
+            max=1.0,
+            metavar="SHARE",
+            help="Of the vehicles that go straight: these enter at the map's edge during the observed steps.",
+            show_default="0",
+        ),
+    ] = None,
     event: Annotated[
         list[EventName],
         event_option(
@@ -250,6 +260,7 @@ def generate(  # noqa: PLR0913  # one for each option
             "request.variants": variants,
             "request.near": near,
             "request.within_m": within,
+            "request.entering": entering,
             "request.focal": focal,
             "request.seed": seed,
             "request.spawn_leaders": spawn_leaders,

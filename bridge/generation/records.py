@@ -52,7 +52,12 @@ def agent_record(
         length_m=start.size.length_m,
         width_m=start.size.width_m,
         policy=driven.policy,
-        spawn=SpawnRecord(lane_segment_id=cell.lane_id, cell=cell.index, speed_mps=round(start.start_mps, 6)),
+        spawn=SpawnRecord(
+            lane_segment_id=cell.lane_id,
+            cell=cell.index,
+            speed_mps=round(start.start_mps, 6),
+            timestep=start.step,
+        ),
         route=tuple(
             segment.lane_id
             for segment in driven.path.segments
@@ -72,7 +77,7 @@ def agent_record(
         ),
         rerouted_s=None if driven.rerouted_at is None else round(driven.rerouted_at * scene.step_s, 6),
         simulated=SimulatedRecord(max_off_m=round(float(abs(vehicle.simulated_off_m).max()), 6)),
-        end_reason="map_edge" if vehicle.num_steps < scene.num_steps else None,
+        end_reason="map_edge" if vehicle.span.stop < scene.num_steps else None,
     )
 
 

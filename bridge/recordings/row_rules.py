@@ -52,6 +52,12 @@ class Rows:
         """Names a row in messages."""
         return f"track {self.ids[self.code[row]]!r}, timestep {self.timestep[row]}"
 
+    def begins(self) -> dict[str, int]:
+        """First timestep of each track, by its id."""
+        first = np.full(len(self.ids), np.iinfo(np.int64).max)
+        np.minimum.at(first, self.code, self.timestep)
+        return dict(zip(self.ids, first.tolist(), strict=True))
+
     def of(self, track_id: str) -> npt.NDArray[np.int64]:
         """Rows of a track, sorted by timestep."""
         rows = np.flatnonzero(self.code == self.ids.index(track_id))

@@ -82,11 +82,12 @@ class PlacedRecord(_Record):
 
 
 class SpawnRecord(_Record):
-    """Where and how fast a vehicle was inserted."""
+    """Where and how fast a vehicle was inserted; timestep: its first, above 0 where it enters at the map's edge."""
 
     lane_segment_id: int
     cell: int = Field(ge=0)
     speed_mps: float = Field(ge=0)
+    timestep: int = Field(default=0, ge=0)
 
 
 class ManeuverRecord(_Record):

@@ -1,7 +1,7 @@
 """The rules on the sidecar of a scenario: in agreement with itself, the rows and the map."""
 
 import uuid
-from collections.abc import Iterator, Set
+from collections.abc import Iterator, Mapping, Set
 
 from bridge.config import config_from_dict, config_sha256, config_to_dict
 from bridge.recordings.export import new_scenario_id
@@ -12,9 +12,14 @@ from netconvert.errors import ConfigError
 
 
 def check_sidecar(
-    sidecar: Sidecar, new_id: str, *, track_ids: Set[str] | None, generated_ids: Set[str], lanes: Set[str] | None
-) -> Iterator[Breach]:
-    """A sidecar against its scene; track_ids, lanes: those of the rows and of the map, None where these are missing."""
+    sidecar: Sidecar, new_id: str, *, begins: Mapping[str, int] | None, generated_ids: Set[str],
+    lanes: Set[str] | None,
+) -> Iterator[Breach]:  # fmt: skip
+    """A sidecar against its scene.
+
+    begins: first timestep of each track of the rows, by its id; lanes: those of the map; None where these are missing.
+    """
+    track_ids = None if begins is None else begins.keys()
     try:
         if str(uuid.UUID(new_id)) != new_id:
             raise ValueError
@@ -47,6 +52,9 @@ def check_sidecar(
         yield "sidecar", f"agents and generated tracks differ: {missing}"
     for agent in sidecar.agents:
         yield from _check_agent(agent, track_ids, lanes)
+        begin = agent.spawn.timestep if begins is None else begins.get(agent.track_id, agent.spawn.timestep)
+        if begin != agent.spawn.timestep:
+            yield "sidecar", f"agent {agent.track_id}: spawn.timestep {agent.spawn.timestep}, but it begins at {begin}"
 
 
 def _check_agent(agent: AgentRecord, track_ids: Set[str] | None, lanes: Set[str] | None) -> Iterator[Breach]:

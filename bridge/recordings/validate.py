@@ -111,9 +111,9 @@ def validate_scene(
             breaches += check_scene_end(rows, generated_ids, sizes=_sizes(sidecar, sources))
         findings += [Finding(parquet_path, *breach) for breach in breaches]
     if sidecar is not None:
-        track_ids = set(rows.ids) if rows is not None else None
+        begins = rows.begins() if rows is not None else None
         lanes = {str(lane) for lane in document["lane_segments"]} if document is not None else None
-        breaches = list(check_sidecar(sidecar, new_id, track_ids=track_ids, generated_ids=generated_ids, lanes=lanes))
+        breaches = list(check_sidecar(sidecar, new_id, begins=begins, generated_ids=generated_ids, lanes=lanes))
         findings += [Finding(sidecar_path(folder, new_id), *breach) for breach in breaches]
     source = None
     if sources is not None and sidecar is not None:

@@ -133,6 +133,10 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
             )
     if any(config.request.agents == "max" for config in configs[0]):
         raise ConfigError(f"{path}: config.request.agents = 'max', expected a number of vehicles")
+    if any(config.request.entering > 0.0 for config in configs[0]):
+        raise ConfigError(
+            f"{path}: config.request.entering: in studies vehicles enter by flow.veh_per_h_lane, expected 0"
+        )
     paired = not any(key.startswith(_CHANGES_TRAFFIC) for key in content.vary)
     return Study(path.stem, content.kind, content.design, folders, points, seeds, configs, paired)
 

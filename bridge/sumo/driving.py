@@ -14,6 +14,7 @@ from hid2.agents import BoxSize, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S, V
 from hid2.conflicts.reaction import Reactions, yielding
 from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.sites import entry_speed
 from hid2.kernels.leaders import shown_ahead
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
@@ -99,7 +100,7 @@ class _Lazy:
 
 @dataclass(eq=False, slots=True)
 class Driving:
-    """One simulation of vehicles that start together, among the recorded ones and those kept in rounds before.
+    """One simulation of vehicles, each from its own first step on, among recorded ones and those kept in rounds before.
 
     checked: all recorded agents are replayed at all steps, and their poses in SUMO compared; else those who have to be
     shown to a vehicle, when they have to. Where recorded vehicles react, `scene` becomes another one with each that
@@ -141,7 +142,7 @@ class Driving:
         self._obstacles = [None] * len(self.starts)
         self._lengths = np.concatenate([self.scene.traffic.length_m, self.fixed.length_m])
         self._known = [None] * len(self.starts)
-        self._place = np.array([start.start_s for start in self.starts], dtype=np.float64)
+        self._place = np.array([np.nan if start.step > 0 else start.start_s for start in self.starts], dtype=np.float64)
         self._centre = np.full((len(self.starts), 2), np.inf)
         self._own_lengths = np.array([start.box.length_m for start in self.starts])
         self._road = [self.roads.speeds(start.path, start.driver) for start in self.starts]
@@ -157,7 +158,7 @@ class Driving:
         )
 
     def run(self) -> list[DrivenVehicle]:
-        """All steps of the scene; a vehicle's step 0 is its start."""
+        """All steps of the scene; a vehicle's first state is its start."""
         scene, simulation, step_s = self.scene, self.simulation, self.scene.step_s
         simulation.rewind()
         everybody = self.checked or scene.config.driving.replay != "fixed"  # who reacts is anywhere
@@ -178,8 +179,11 @@ class Driving:
                     self._look_anew(reactions.scene)
                     recorded.take(self.scene.traffic)
                 for row, vehicle in enumerate(self.vehicles):
-                    if vehicle.running:
+                    if vehicle.running and step > vehicle.start.step:
                         attempts += self._steer(row, vehicle, step - 1, fleet)
+            for row, start in enumerate(self.starts):
+                if start.step == step:  # SUMO has to have shown who is ahead of it by now
+                    self._place[row] = start.start_s
             seen, seen_kept = self._seen(step)
             recorded.place(step, seen)
             if self.fixed.ids:
@@ -232,18 +236,27 @@ class Driving:
         self._obstacles = [None] * len(self.vehicles)
 
     def _enter(self, step: int) -> None:
-        """Insert whoever begins; after the first step, so that the state of step 0 is the start."""
-        if step == 0:
-            for row, vehicle in enumerate(self.vehicles):
+        """Insert whoever begins; after the step, so that the state of its first step is the start."""
+        for row, start in enumerate(self.starts):
+            if start.step != step:
+                continue
+            vehicle = self.vehicles[row]
+            speed: float | None = start.start_mps
+            if step > 0 and "collision" not in self.scene.config.without:
+                speed = entry_speed(start, self._fleet(), self.scene.config, step_s=self.scene.step_s)
+            if speed is None:
+                vehicle.objection = Reason.NO_ROOM_AT_EDGE
+            else:
+                vehicle.start = replace(start, start_mps=speed)
                 vehicle.objection = insert(self.simulation, self.scene, vehicle.start)
-                if vehicle.objection is not None:
-                    self._place[row] = np.nan
+            if vehicle.objection is not None:
+                self._place[row] = np.nan
 
     def _read(self, step: int) -> None:
         """Take down what SUMO did, and which limit decided it."""
         inside, step_s = self.simulation.driven(), self.scene.step_s
         for row, vehicle in enumerate(self.vehicles):
-            if not vehicle.running:
+            if not vehicle.running or step < vehicle.start.step:
                 continue
             if vehicle.vehicle_id not in inside:
                 if not vehicle.s:
@@ -327,7 +340,7 @@ class Driving:
 
     def _fleet(self) -> Traffic:
         """The vehicles that are driven, where the simulation has them now (one step)."""
-        rows = [row for row, vehicle in enumerate(self.vehicles) if vehicle.running]
+        rows = [row for row, vehicle in enumerate(self.vehicles) if vehicle.running and vehicle.s]
         position, heading, velocity = np.zeros((len(rows), 1, 2)), np.zeros((len(rows), 1)), np.zeros((len(rows), 1, 2))
         for place, row in enumerate(rows):
             vehicle = self.vehicles[row]
@@ -405,7 +418,7 @@ class Driving:
         return replace(obstacles, known=replace(known, low=low))
 
     def _others(self, row: int) -> list[tuple[int, DrivenPath, BoxSize]]:
-        """Rows of the other vehicles that SUMO has, with their paths and boxes."""
+        """Rows of the other vehicles that SUMO has or will have, with their paths and boxes."""
         return [
             (other, one.path, one.start.box) for other, one in enumerate(self.vehicles) if other != row and one.running
         ]

@@ -39,9 +39,10 @@ def shown_when(
             needed |= _near(traffic, start, num_steps, max(1, round(_EVERY_S / step_s)))
             continue
         fastest_mps = _PACE_MOST * max(float(start.desired.max()), start.start_mps)
-        reach_m = start.start_s + start.box.length_m + driving.shown_m + fastest_mps * step_s * np.arange(num_steps)
+        lasting_s = step_s * (np.arange(num_steps) - start.step)
+        reach_m = start.start_s + start.box.length_m + driving.shown_m + fastest_mps * lasting_s
         low, high = found.low[:, :num_steps], found.high[:, :num_steps]
-        needed[rows] |= np.isfinite(low) & (high > start.start_s) & (low < reach_m)
+        needed[rows] |= np.isfinite(low) & (high > start.start_s) & (low < reach_m) & (lasting_s >= 0.0)
     needed &= traffic.present
     steps = np.arange(num_steps)
     first = needed.argmax(axis=1) - UNSEEN_STEPS - 1

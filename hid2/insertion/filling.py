@@ -193,7 +193,7 @@ class Filling:
         guard = Guard(self.scene, self._fixed(), here.stop_lines)
         sites = InsertionSites(
             self.scene, here.roads, here.routes, here.stop_lines, guard, rng, number, here.meetings,
-            Spread.of(self.seed), self._avoided, [one.driven.start for one in self.kept],
+            here.entries, Spread.of(self.seed), self._avoided, [one.driven.start for one in self.kept],
             asked=Counter(r.policy for r in self._open),
         )  # fmt: skip
         sites.taken += self._again
@@ -384,7 +384,7 @@ class Filling:
             )
         )
         place_failed = reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE)
-        if place_failed and self.scene.config.request.sites == "promising":
+        if place_failed and start.step == 0 and self.scene.config.request.sites == "promising":
             segment = start.path.segment_at(start.start_s)
             self._avoided.append((segment.lane_id, segment.lane_s(start.start_s)))
 
@@ -413,7 +413,7 @@ def _site(scene: Scene, vehicle: DrivenVehicle) -> Cell:
 
 def _last_step(vehicle: DrivenVehicle) -> int:
     """Last step at which SUMO had a vehicle."""
-    return max(0, len(vehicle.s) - 1)
+    return vehicle.start.step + max(0, len(vehicle.s) - 1)
 
 
 def _tell(vehicle: DrivenVehicle, cell: Cell, number: int, verdict: str, detail: str | None) -> None:

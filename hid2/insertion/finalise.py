@@ -26,7 +26,7 @@ _BRAKING_SHARES = (0.0, 0.5, 1.0)  # of its driver's deceleration: some answer t
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ExportedVehicle:
-    """A vehicle as it is exported: steps 0 .. T_i - 1. simulated_off_m (T_i,): exported s(t) minus that of SUMO."""
+    """A vehicle as it is exported: T_i steps from its first on. simulated_off_m (T_i,): exported s(t) minus SUMO's."""
 
     driven: DrivenVehicle
     motion: Motion
@@ -39,13 +39,23 @@ class ExportedVehicle:
         """T_i."""
         return int(self.motion.s.size)
 
+    @property
+    def span(self) -> slice:
+        """Its steps among those of the scene."""
+        return _span(self.driven, self.num_steps)
+
     def track(self, track_id: str, category: int) -> Track:
         """As it is written."""
         start, path = self.driven.start, self.trajectory
         return Track(
-            track_id, start.object_type, category, np.arange(self.num_steps, dtype=np.int64), path.position,
-            path.heading, path.velocity, start.size,
+            track_id, start.object_type, category, np.arange(self.span.start, self.span.stop, dtype=np.int64),
+            path.position, path.heading, path.velocity, start.size,
         )  # fmt: skip
+
+
+def _span(vehicle: DrivenVehicle, count: int) -> slice:
+    """The first `count` steps of a vehicle among those of the scene."""
+    return slice(vehicle.start.step, vehicle.start.step + count)
 
 
 def traffic_of_exported(vehicles: Sequence[ExportedVehicle], scene: Scene) -> Traffic:
@@ -54,7 +64,7 @@ def traffic_of_exported(vehicles: Sequence[ExportedVehicle], scene: Scene) -> Tr
     position, heading = np.zeros((count, steps, 2)), np.zeros((count, steps))
     velocity, present = np.zeros((count, steps, 2)), np.zeros((count, steps), dtype=np.bool_)
     for row, vehicle in enumerate(vehicles):
-        span = slice(0, vehicle.num_steps)
+        span = vehicle.span
         position[row, span], heading[row, span] = vehicle.trajectory.position, vehicle.trajectory.heading
         velocity[row, span], present[row, span] = vehicle.trajectory.velocity, True
     inside = Traffic(
@@ -72,13 +82,13 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, others: Traffic) -> ExportedV
         return vehicle.objection
     start, config = vehicle.start, scene.config
     s, v = np.array(vehicle.s), np.array(vehicle.v)
-    if "topology" in config.without and s.size < scene.num_steps:  # off the grid it goes on as it was
-        missing = scene.num_steps - s.size
+    missing = scene.num_steps - start.step - s.size
+    if "topology" in config.without and missing > 0:  # off the grid it goes on as it was
         s = np.concatenate([s, s[-1] + v[-1] * scene.step_s * np.arange(1, missing + 1)])
         v = np.concatenate([v, np.full(missing, v[-1])])
     end = vehicle.path.exit_s - start.size.length_m / 2
     steps = int((s <= end).sum())
-    if steps < scene.first_exit_step:
+    if steps < scene.steps_to_stay(start.step):
         return Reason.LEAVES_TOO_EARLY
     if s[steps - 1] - s[0] < config.export.moves_m and "collision" not in config.without:
         return Reason.STANDS_THROUGHOUT
@@ -116,6 +126,7 @@ def _checked(
 ) -> ExportedVehicle | Reason:
     """Limits of motion, drivable area, boxes, the end of the scene; cheap ones first."""
     config, export = scene.config, scene.config.export
+    start = vehicle.start
     cells = slice(int(motion.s[0] / TABLE_STEP_M), int(motion.s[-1] / TABLE_STEP_M) + 2)
     if np.abs(vehicle.path.line.table_curvature[cells]).max() > export.limit_share / config.limits.min_radius_m:
         return Reason.LIMIT_CURVATURE
@@ -130,13 +141,13 @@ def _checked(
         drivable = scene.grid.graph.drivable
         if (
             "topology" not in config.without
-            and off_road_steps(path.position, path.heading, vehicle.start.size, drivable, tolerance_m=tolerance).any()
+            and off_road_steps(path.position, path.heading, start.size, drivable, tolerance_m=tolerance).any()
         ):
             return Reason.OFF_ROAD
-        if first_overlap(path, vehicle.start.box, scene.traffic, margin_m=export.box_margin_m) is not None:
-            return Reason.MEETS_RECORDED
-        if others.ids and first_overlap(path, vehicle.start.box, others, margin_m=export.box_margin_m) is not None:
-            return Reason.MEETS_GENERATED
+        for traffic, reason in ((scene.traffic, Reason.MEETS_RECORDED), (others, Reason.MEETS_GENERATED)):
+            there = traffic.since(start.step)
+            if traffic.ids and first_overlap(path, start.box, there, margin_m=export.box_margin_m) is not None:
+                return reason
         seen = _on_its_path(scene, vehicle, others)
         ttc_s = float(_leader_ttcs(scene, vehicle, motion, seen).min(initial=np.inf))  # inf: never closing in
         if ttc_s < config.conflict.ttc_min_s:
@@ -178,11 +189,11 @@ def _on_its_path(scene: Scene, vehicle: DrivenVehicle, others: Traffic) -> PathO
 
 def _leader_ttcs(scene: Scene, vehicle: DrivenVehicle, motion: Motion, seen: PathOccupancy) -> FloatArray:
     """(A,) smallest TTC, s, to each of those seen on the vehicle's path while they move ahead with it; else inf."""
-    steps, export = motion.s.size, scene.config.export
-    gap = seen.low[:, :steps] - motion.s
-    closing = motion.v - seen.along[:, :steps]
-    ahead = np.isfinite(gap) & (gap > -export.touching_m) & (seen.along[:, :steps] >= -export.rolls_back_mps)
-    leads = ahead & seen.same_direction[:, :steps] & (closing > 1e-3)
+    span, export = _span(vehicle, motion.s.size), scene.config.export
+    gap = seen.low[:, span] - motion.s
+    closing = motion.v - seen.along[:, span]
+    ahead = np.isfinite(gap) & (gap > -export.touching_m) & (seen.along[:, span] >= -export.rolls_back_mps)
+    leads = ahead & seen.same_direction[:, span] & (closing > 1e-3)
     ttc_s = np.full(gap.shape, np.inf)
     ttc_s[leads] = gap[leads] / closing[leads]
     return np.asarray(ttc_s.min(axis=1, initial=np.inf))
@@ -190,16 +201,16 @@ def _leader_ttcs(scene: Scene, vehicle: DrivenVehicle, motion: Motion, seen: Pat
 
 def _meets_after_end(scene: Scene, vehicle: DrivenVehicle, path: Trajectory, others: Traffic) -> bool:
     """Whether everybody at the velocity stated for its own last step meets it within the critical time."""
-    conflict, last = scene.config.conflict, path.s.size - 1
+    conflict, last = scene.config.conflict, _span(vehicle, path.s.size).stop - 1
     recorded = replace(scene.traffic.at(last), velocity=scene.stated_velocity[:, last : last + 1])
     everybody = recorded.joined(others.at(last)) if others.ids else recorded
     here = np.flatnonzero(everybody.present[:, 0])
-    here = here[np.hypot(*(everybody.position[here, 0] - path.position[last]).T) < _AFTER_END_M]
+    here = here[np.hypot(*(everybody.position[here, 0] - path.position[-1]).T) < _AFTER_END_M]
     size = np.column_stack([everybody.length_m[here], everybody.width_m[here]])
     boxes = BoxesAtStep(
-        position=np.concatenate([path.position[last : last + 1], everybody.position[here, 0]]),
-        heading=np.concatenate([path.heading[last : last + 1], everybody.heading[here, 0]]),
-        velocity=np.concatenate([path.velocity[last : last + 1], everybody.velocity[here, 0]]),
+        position=np.concatenate([path.position[-1:], everybody.position[here, 0]]),
+        heading=np.concatenate([path.heading[-1:], everybody.heading[here, 0]]),
+        velocity=np.concatenate([path.velocity[-1:], everybody.velocity[here, 0]]),
         size=np.concatenate([np.array([[vehicle.start.box.length_m, vehicle.start.box.width_m]]), size]),
     )
     contact = first_contact(0, boxes, horizon_s=conflict.end_horizon_s)
@@ -213,7 +224,7 @@ def _avoids_after_end(scene: Scene, vehicle: DrivenVehicle, motion: Motion, seen
     Who comes from behind brakes too: TTC says whether there is time for it.
     """
     last, steps = scene.num_steps, scene.steps_in(scene.config.conflict.end_horizon_s)
-    if motion.s.size < last:  # its last step is the map's edge
+    if _span(vehicle, motion.s.size).stop < last:  # its last step is the map's edge
         return True
     time_s = scene.step_s * np.arange(1, steps + 1)
     follows = seen.same_direction[:, last - 1] & (seen.low[:, last - 1] < motion.s[-1])
@@ -256,7 +267,8 @@ def _grid_path(
     )
     if "collision" not in scene.config.without:
         for traffic, reason in ((scene.traffic, Reason.MEETS_RECORDED), (others, Reason.MEETS_GENERATED)):
-            if traffic.ids and first_overlap(path, vehicle.start.box, traffic, margin_m=0.0) is not None:
+            there = traffic.since(vehicle.start.step)
+            if traffic.ids and first_overlap(path, vehicle.start.box, there, margin_m=0.0) is not None:
                 return reason
     motion = Motion(s=s, v=v, a=np.gradient(v, scene.step_s), step_s=scene.step_s)
     return ExportedVehicle(vehicle, motion, path, np.zeros(s.size), float("inf"))

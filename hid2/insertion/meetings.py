@@ -135,6 +135,11 @@ class Meetings:
         self._pace_mps = np.array([_pace(traffic, row) for row in moving.tolist()], dtype=np.float64)
 
     @property
+    def looks(self) -> IntArray:
+        """Steps at which recorded traffic is looked at."""
+        return self._steps
+
+    @property
     def is_target_named(self) -> bool:
         """Whether vehicles are to be near to somebody in particular."""
         return self.scene.config.request.near not in ("traffic", "anywhere")
@@ -186,6 +191,14 @@ class Meetings:
         mean = sum(known.values()) / max(1, len(known))
         return [max(_LEAST, known.get(row, mean)) for row in range(len(self.routes.offers(cell.lane_id)))]
 
+    def offers_towards(self, lane_id: int, policy: Policy) -> list[int]:
+        """Rows of the routes from a lane that a vehicle of a policy would take, among `Routes.offers`."""
+        return self._rows(lane_id, TURN_OF_POLICY.get(policy, TurnType.STRAIGHT))
+
+    def from_edge(self, lane_id: int, row: int, look: int) -> Outlook:
+        """Of the first cell of a lane on one of its routes, for a vehicle that is there from a look on."""
+        return self._of_route(lane_id, self.routes.offers(lane_id)[row], self.usual_speed(lane_id), look, 1)
+
     def leader_of(self, cell: Cell, route: Route) -> int:
         """Whom a vehicle from a cell would follow on a route, a number of its own; -1 nobody."""
         for row, offer in enumerate(self.routes.offers(cell.lane_id)):
@@ -196,15 +209,15 @@ class Meetings:
     def met_by(self, vehicle: ExportedVehicle) -> int:
         """What recorded moving traffic is to a vehicle that was driven: 2 a leader, 1 nearby, 0 far away."""
         scene, path, box = self.scene, vehicle.driven.path, vehicle.driven.start.box
-        motion, steps = vehicle.motion, vehicle.num_steps
+        motion, span = vehicle.motion, vehicle.span
         seen = scene.in_driving_width(path, box)[1]
-        gap = seen.low[:, :steps] - motion.s
-        follows = seen.same_direction[:, :steps] & (gap > 0.0) & (gap < FOLLOWS_S * motion.v) & (motion.v > MOVES_MPS)
+        gap = seen.low[:, span] - motion.s
+        follows = seen.same_direction[:, span] & (gap > 0.0) & (gap < FOLLOWS_S * motion.v) & (motion.v > MOVES_MPS)
         if follows.any(axis=0).sum() >= scene.steps_in(FOLLOWS_FOR_S):
             return 2
-        looks = self._steps[self._steps < steps]
-        xy, shown = vehicle.trajectory.position[looks][None], slice(0, looks.size)
-        there = np.ones((1, looks.size), dtype=np.bool_)
+        shown = (self._steps >= span.start) & (self._steps < span.stop)
+        xy = vehicle.trajectory.position[self._steps[shown] - span.start][None]
+        there = np.ones(xy.shape[:2], dtype=np.bool_)
         return int(_any_within(xy, there, self._xy[:, shown], self._there[:, shown], NEAR_M).any())
 
     def pace_of(self, leader: int) -> float:
@@ -236,19 +249,24 @@ class Meetings:
         best = weights.argmax(axis=0)
         found.leader[cells] = np.array([one.leader for one in looked])[best, np.arange(best.size)]
 
-    def _of_route(self, lane_id: int, offer: RouteOffer, speed_mps: float) -> Outlook:
-        """Of the cells of a lane on one route."""
+    def _of_route(
+        self, lane_id: int, offer: RouteOffer, speed_mps: float, look: int = 0, count: int | None = None
+    ) -> Outlook:
+        """Of the cells of a lane on one route, for who is there from a look on; count: of its first cells alone."""
         scene, request, spawn = self.scene, self.scene.config.request, self.scene.config.spawn
         cells, middle = self._cells(lane_id, offer)
-        count, pace = scene.grid.count(lane_id), _PACE * speed_mps
-        start = middle[:count]
-        time_s = np.asarray(self._steps * scene.step_s, dtype=np.float64)
+        count, pace = count or scene.grid.count(lane_id), _PACE * speed_mps
+        start, since, step = middle[:count], slice(look, None), int(self._steps[look])
+        time_s = np.asarray((self._steps[since] - step) * scene.step_s, dtype=np.float64)
         last = int(np.searchsorted(self._steps, min(scene.first_exit_step, scene.num_steps) - 1, side="right")) - 1
+        target_xy = np.ascontiguousarray(self._target_xy[:, since])
+        target_there = np.ascontiguousarray(self._target_there[:, since])
+        lane_cell = np.ascontiguousarray(self._lane_cell[:, since])
         near, near_last, leader, is_run_into, crosses = met_on_route(
-            scene.grid.centers, cells, middle, count, time_s, pace, self._target_xy, self._target_there,
-            _SURELY * request.within_m, self._lane_cell, self._number, _LEADS_FROM_M,
-            FOLLOWS_S * speed_mps + _LEADS_FROM_M, _LEADS_LOOKS, self._crossed_from, self._crossed_s,
-            _AFTER_CROSSING_S, WITHIN_S, last,
+            scene.grid.centers, cells, middle, count, time_s, pace, target_xy, target_there,
+            _SURELY * request.within_m, lane_cell, self._number, _LEADS_FROM_M,
+            FOLLOWS_S * speed_mps + _LEADS_FROM_M, _LEADS_LOOKS, self._crossed_from,
+            self._crossed_s - step * scene.step_s, _AFTER_CROSSING_S, WITHIN_S, last - look,
         )  # fmt: skip
         weight = np.ones(count)
         if request.near == "anywhere":
@@ -258,7 +276,7 @@ class Meetings:
             weight[near] *= spawn.near_weight
             weight[leader >= 0] *= spawn.leader_weight
             weight[crosses] *= spawn.crossing_weight
-        leaves = middle[-1] - start < 0.8 * speed_mps * scene.first_exit_step * scene.step_s
+        leaves = middle[-1] - start < 0.8 * speed_mps * scene.steps_to_stay(step) * scene.step_s
         if "topology" not in scene.config.without:
             weight[leaves] = 0.0
         return Outlook(weight, near_last, leader)

@@ -12,6 +12,7 @@ from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import Guard, Obstacles
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver, desired_speeds, draw_driver, lane_offset
+from hid2.insertion.entries import Entries
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.insertion.sizes import draw_size
@@ -20,7 +21,7 @@ from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import Traffic
-from hid2.params import Sites
+from hid2.params import Config, Sites
 from hid2.policy.decision import Side
 from hid2.policy.lane_change import lane_change_reason, safe_gap_m
 from hid2.policy.observation import lane_options, lay_across
@@ -31,6 +32,8 @@ from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.cells import Cell
 
+#: A vehicle begins with its rear bumper so far from the beginning of its way at least, m.
+_FROM_EDGE_M = 0.5
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.LEAVES_TOO_EARLY})
 _BESIDE_MOST_M = 80.0  # no tunable, spares time: two starts farther apart have nothing to do with each other
@@ -55,6 +58,7 @@ class InsertionSites:
     rng: np.random.Generator
     round_number: int
     meetings: Meetings
+    entries: Entries
     spread: Spread
     avoided: Sequence[tuple[int, float]] = ()
     kept: Sequence[Start] = ()
@@ -62,6 +66,7 @@ class InsertionSites:
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
     _looked: Counter[Policy] = field(default_factory=Counter)
+    _entering: int = 0
     _poses: dict[str, _Pose] = field(default_factory=dict)
     _obstacles: dict[tuple[DrivenPath, BoxSize], Obstacles] = field(default_factory=dict)
     _foreseen: dict[tuple[float, int], Traffic] = field(default_factory=dict)
@@ -119,12 +124,45 @@ class InsertionSites:
         Strict: the lane beside is not in an intersection; whoever is to go straight meets no turn in the time of the
         scene. Likely: a gap beside is foreseen at the trigger; nobody known is in the way of a turn.
         """
+        if self._is_to_enter(request):
+            yield from self._entering_starts(request)
         if self.scene.config.request.sites == "any":
             yield from self._starts_where(request, _any_site, likely=False)
             return
         tiers = ((True, True), (False, True), (False, False))
         for strict, likely in tiers if request.policy is Policy.LANE_CHANGE else tiers[::2]:
             yield from self._starts_where(request, partial(self._promises, request, strict=strict), likely=likely)
+
+    def _is_to_enter(self, request: VehicleRequest) -> bool:
+        """Whether a vehicle is to enter at the map's edge if it can; who is scored is there from the first step on."""
+        asked = self.scene.config.request
+        if request.policy is not Policy.STRAIGHT or asked.generated_category > 1 or asked.entering == 0.0:
+            return False
+        return bool(self.rng.random() < asked.entering)
+
+    def _entering_starts(self, request: VehicleRequest) -> Iterator[Start]:
+        """Starts at the map's edge during the scene: lane, route and step in the order of `Spread`."""
+        scene, table = self.scene, self.entries.table
+        weight = table.weight.copy()
+        followed = [self._leader_of(start) for start in (*self.kept, *self.taken)]
+        weight[np.isin(table.leader, followed) & (table.leader >= 0)] /= scene.config.spawn.leader_weight
+        if self.meetings.is_target_named:
+            weight[~table.near] = 0.0
+        order = self.spread.order(
+            weight, self.rng, number=self._entering, kind=len(Policy), round_number=self.round_number,
+            of=round(scene.config.request.entering * self.asked[Policy.STRAIGHT]),
+        )  # fmt: skip
+        self._entering += 1
+        likely = self.round_number < scene.config.spawn.reseed_rounds  # the count matters more by then
+        for row in order[: scene.config.sites.tries].tolist():
+            start = self._start(
+                request, self.entries.offer(row), int(table.lane[row]), None, step=self.entries.step(row, self.rng),
+                led_by=int(table.leader[row]), likely=likely,
+            )  # fmt: skip
+            if isinstance(start, Start):
+                yield start
+            else:
+                self.rejected[start] += 1
 
     def _starts_where(
         self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool], *, likely: bool
@@ -219,6 +257,8 @@ class InsertionSites:
 
     def _leader_of(self, start: Start) -> int:
         """The recorded vehicle that a start follows, as `Meetings` numbers them; -1 none."""
+        if start.step > 0:
+            return self.entries.leader_of(start.route, start.step)
         return self.meetings.leader_of(self.scene.cell_at(start.path, start.start_s), start.route)
 
     def _promises(
@@ -287,21 +327,27 @@ class InsertionSites:
         return False
 
     def _start(
-        self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float, *, driver: Driver | None = None,
-        likely: bool = False,
+        self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float | None, *,
+        driver: Driver | None = None, likely: bool = False, step: int = 0, led_by: int = -1,
     ) -> Start | Reason:  # fmt: skip
-        """A vehicle with a driver at a site, or why it cannot begin there."""
+        """A vehicle with a driver at a site, or why it cannot begin there.
+
+        s: along the route's lanes, m; None: at their beginning, all of it on them. step: from which on it is there;
+        led_by: whom it would follow then.
+        """
         scene, config, rng = self.scene, self.scene.config, self.rng
         object_type, size = draw_size(config.request, rng)
         box = clearance_box(size, DEFAULT_SIZES[object_type])
         half_m, run_on = box.length_m / 2, "topology" in config.without
-        if s < half_m + 0.5 or (s + half_m > offer.length_m - 1.0 and not run_on):
+        if s is None:  # it has come over the edge since the step before
+            s = half_m + _FROM_EDGE_M + float(rng.random()) * self.meetings.usual_speed(lane_id) * scene.step_s
+        if s < half_m + _FROM_EDGE_M or (s + half_m > offer.length_m - 1.0 and not run_on):
             return Reason.NO_SITE
-        if self._meets_taken_roughly(lane_id, s - offer.start_m, box):
+        if step == 0 and self._meets_taken_roughly(lane_id, s - offer.start_m, box):
             return Reason.NO_SITE
         path = scene.path(offer.route)
         start_s = path.to_line(s)
-        if "collision" not in config.without and self._is_taken(path, box, start_s):
+        if "collision" not in config.without and self._is_taken(path, box, start_s, step):
             return Reason.NO_SITE
         reach_s: float | None = None
         if request.policy in TURN_OF_POLICY:
@@ -309,19 +355,20 @@ class InsertionSites:
             if turn is None:
                 return Reason.TURN_NOT_SEEN
             reach_s = turn.end + 1.0 if likely else None
-        elif likely and request.policy is not Policy.STRAIGHT:  # whoever changes lanes has to be under way
+        elif likely and (step > 0 or request.policy is not Policy.STRAIGHT):  # who changes lanes or enters is under way
             pace_mps = config.sites.under_way_share * self.meetings.usual_speed(lane_id)
-            reach_s = start_s + pace_mps * scene.last_s
+            reach_s = start_s + pace_mps * (scene.last_s - step * scene.step_s)
         led_mps = 0.0
         if config.request.sites == "promising":
-            led_mps = self.meetings.pace_of(self.meetings.leader_of(scene.cell_at(path, start_s), offer.route))
+            leader = led_by if step else self.meetings.leader_of(scene.cell_at(path, start_s), offer.route)
+            led_mps = self.meetings.pace_of(leader)
         verdict: Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else config.sites.drivers):
             # who follows at a usual gap drives as fast as the leader at least, or would not be there
             pace_mps = max(scene.lane_speed(lane_id, rng), led_mps)
             who = driver or draw_driver(config, rng, lane_speed_mps=pace_mps)
             speed = who.desired_mps * (1.0 + config.spawn.speed_sd * float(np.clip(rng.standard_normal(), -2, 2)))
-            found = self._start_speed(offer, path, box, s, start_s, speed, who, reach_s)
+            found = self._start_speed(offer, path, box, s, start_s, speed, who, reach_s, step)
             if not isinstance(found, Reason):
                 break
             verdict = found
@@ -337,13 +384,14 @@ class InsertionSites:
             and not self._gap_likely(path, box, start_s, speed, request, who)
         ):
             return Reason.CELLS_OCCUPIED
+        wished = desired_speeds(
+            who, config, rng, num_steps=scene.num_steps - step, step_s=scene.step_s, at_least_mps=speed
+        )
         return Start(
             vehicle_id=self._name(request), request=request, object_type=object_type, size=size,
             box=box, route=offer.route, path=path, start_s=start_s, start_mps=speed, driver=who,
-            desired=desired_speeds(
-                who, config, rng, num_steps=scene.num_steps, step_s=scene.step_s, at_least_mps=speed
-            ),
-            offset=lane_offset(who, config, rng, length_m=path.line.length_m), sides=sides,
+            desired=np.concatenate([np.full(step, wished[0]), wished]),
+            offset=lane_offset(who, config, rng, length_m=path.line.length_m), sides=sides, step=step,
         )  # fmt: skip
 
     def _name(self, request: VehicleRequest) -> str:
@@ -397,9 +445,13 @@ class InsertionSites:
 
     def _taken_at(self, time_s: float) -> Traffic:
         """The other starts of this round after some time, each at its start speed (one step)."""
-        count = len(self.taken)
+        count, step_s = len(self.taken), self.scene.step_s
         if (time_s, count) not in self._foreseen:
-            places = [np.array([start.start_s + start.start_mps * time_s]) for start in self.taken]
+            lasting_s = [time_s - start.step * step_s for start in self.taken]
+            places = [
+                np.array([start.start_s + start.start_mps * max(0.0, since_s)])
+                for start, since_s in zip(self.taken, lasting_s, strict=True)
+            ]
             poses = [start.path.line.motion(at) for start, at in zip(self.taken, places, strict=True)]
             tangent = np.array([tangent[0] for _, tangent, _ in poses]).reshape(count, 1, 2)
             self._foreseen[time_s, count] = Traffic(
@@ -407,7 +459,7 @@ class InsertionSites:
                 position=np.array([xy[0] for xy, _, _ in poses]).reshape(count, 1, 2),
                 heading=np.arctan2(tangent[..., 1], tangent[..., 0]),
                 velocity=tangent * np.array([start.start_mps for start in self.taken])[:, None, None],
-                present=np.ones((count, 1), dtype=np.bool_),
+                present=np.array([since_s >= 0.0 for since_s in lasting_s], dtype=np.bool_).reshape(count, 1),
                 length_m=np.array([start.box.length_m for start in self.taken]),
                 width_m=np.array([start.box.width_m for start in self.taken]),
             )  # fmt: skip
@@ -415,14 +467,14 @@ class InsertionSites:
 
     def _start_speed(
         self, offer: RouteOffer, path: DrivenPath, box: BoxSize, s: float, start_s: float, speed: float,
-        driver: Driver, reach_s: float | None,
+        driver: Driver, reach_s: float | None, step: int,
     ) -> float | Reason:  # fmt: skip
         """Speed at which a driver who would like to drive at `speed` begins, m/s; or why it cannot begin there.
 
         s, start_s: the site along the route's lanes and on the path, m; reach_s: where it has to get unhindered.
         """
         limits, export = self.scene.config.limits, self.scene.config.export
-        if self._leaves_early(offer, s + box.length_m / 2, 0.95 * speed):
+        if self._leaves_early(offer, s + box.length_m / 2, 0.95 * speed, step):
             return Reason.LEAVES_TOO_EARLY
         reach = slice(int(start_s / TABLE_STEP_M), int((start_s + 12.0 * speed) / TABLE_STEP_M) + 2)
         if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > export.limit_share / limits.min_radius_m:
@@ -431,19 +483,23 @@ class InsertionSites:
         speed = min(speed, float(road[min(int(start_s / TABLE_STEP_M), road.size - 1)]))
         if "collision" in self.scene.config.without:
             return speed
-        return self._admitted_speed(path, box, start_s, speed, driver, reach_s)
+        return self._admitted_speed(path, box, start_s, speed, driver, reach_s, step)
 
-    def _leaves_early(self, offer: RouteOffer, s: float, speed_mps: float) -> bool:
+    def _leaves_early(self, offer: RouteOffer, s: float, speed_mps: float, step: int = 0) -> bool:
         """Whether the map ends before the last observed step at a speed."""
         if "topology" in self.scene.config.without:
             return False
-        return offer.length_m - s < speed_mps * self.scene.first_exit_step * self.scene.step_s
+        return offer.length_m - s < speed_mps * self.scene.steps_to_stay(step) * self.scene.step_s
 
-    def _is_taken(self, path: DrivenPath, box: BoxSize, s: float) -> bool:
+    def _is_taken(self, path: DrivenPath, box: BoxSize, s: float, step: int) -> bool:
         """Whether somebody recorded or kept is at a place at the start, or too near to it."""
         clear = self.scene.config.spawn.clear_gap_m
-        known = self.guard.at_start(path, box)
+        known = self._known_at(path, box, step)
         return bool(np.any((known.low[:, 0] - clear < s) & (s < known.high[:, 0] + clear)))
+
+    def _known_at(self, path: DrivenPath, box: BoxSize, step: int) -> PathOccupancy:
+        """Everybody known on a path at a step, (A, 1)."""
+        return self.guard.at_start(path, box) if step == 0 else self._known_on(path, box).at(step)
 
     def _known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         return self._obstacles_on(path, box).known
@@ -455,25 +511,30 @@ class InsertionSites:
         return self._obstacles[key]
 
     def _admitted_speed(
-        self, path: DrivenPath, box: BoxSize, s: float, speed: float, driver: Driver, reach_s: float | None
+        self, path: DrivenPath, box: BoxSize, s: float, speed: float, driver: Driver, reach_s: float | None, step: int
     ) -> float | Reason:
         """Speed that who is ahead allows, m/s, at most the one wished for; or why nobody can begin there."""
         conflict, spawn, sites = self.scene.config.conflict, self.scene.config.spawn, self.scene.config.sites
-        known, wished = self.guard.at_start(path, box), speed
+        known, wished = self._known_at(path, box, step), speed
         low, along = known.low[:, 0], known.along[:, 0]
         ahead = np.isfinite(low) & (low >= s)
         for gap, leader_mps in zip((low - s)[ahead].tolist(), along[ahead].tolist(), strict=True):
             speed = min(speed, speed_behind(gap, max(0.0, leader_mps), driver, sites))
-        stop = self.stop_lines.arrays(path, box).braking(driver, s=s, speed_mps=speed, step=0)
+        stop = self.stop_lines.arrays(path, box).braking(driver, s=s, speed_mps=speed, step=step)
         if stop is not None and stop[0] < -driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
         own_xy, own_t, _ = path.line.motion(np.array([s]))
         own = own_xy[0].tolist(), own_t[0].tolist()
         for other in self.taken:
-            verdict = self._beside_start(own, box, driver, other, speed)
+            verdict = self._beside_start(
+                self._later(path, s, speed, other.step - step) or own, box, driver, other, speed,
+                self._later(other.path, other.start_s, other.start_mps, step - other.step),
+            )  # fmt: skip
             if verdict is None:
                 return Reason.NO_SITE
             speed = min(speed, verdict)
+        if step > 0 and (speed < sites.standing_mps or self._follower_is_near(own, box, speed, step)):
+            return Reason.NO_SITE
         if speed < sites.standing_mps:
             if not np.any(ahead & (low - s < sites.queue_m) & (along < sites.standing_mps)):
                 return Reason.NO_SITE
@@ -482,9 +543,9 @@ class InsertionSites:
             return Reason.NO_SITE  # nobody drives so slowly with so much room ahead
         fleet = np.array([[s, speed, 0.0, 0.0, 1.0]])
         found = self.guard.braking(
-            self._obstacles_on(path, box), own=0, step=0, fleet=fleet, state=(s, speed, 0.0),
+            self._obstacles_on(path, box), own=0, step=step, fleet=fleet, state=(s, speed, 0.0),
             desired_mps=driver.desired_mps, road=self.roads.speeds(path, driver), driver=driver,
-            horizon_s=self.scene.last_s,
+            horizon_s=self.scene.last_s - step * self.scene.step_s,
         )  # fmt: skip
         if found.run_into:
             return Reason.TTC_RECORDED_FOLLOWER
@@ -504,11 +565,37 @@ class InsertionSites:
             self._poses[start.vehicle_id] = xy[0].tolist(), tangent[0].tolist()
         return self._poses[start.vehicle_id]
 
-    def _beside_start(self, own: _Pose, box: BoxSize, driver: Driver, other: Start, speed: float) -> float | None:
-        """Fastest start speed beside another start of this round; None where the two are too near."""
+    def _later(self, path: DrivenPath, s: float, speed_mps: float, steps: int) -> _Pose | None:
+        """Where a vehicle is so many steps after its start at its start speed; None for no step after it."""
+        if steps <= 0:
+            return None
+        xy, tangent, _ = path.line.motion(np.array([s + speed_mps * steps * self.scene.step_s]))
+        return xy[0].tolist(), tangent[0].tolist()
+
+    def _follower_is_near(self, own: _Pose, box: BoxSize, speed_mps: float, step: int) -> bool:
+        """Whether somebody comes from behind at a step, as recorded or kept, on the lane or before the map's edge."""
+        config = self.scene.config
+        here = self.scene.traffic.at(step)
+        here = here.joined(self.guard.fixed.at(step)) if self.guard.fixed.ids else here
+        (x, y), (tx, ty) = own
+        offset = here.position[:, 0] - (x, y)
+        behind_m = -(offset @ (tx, ty)) - 0.5 * (here.length_m + box.length_m)
+        across_m = np.abs(offset @ (-ty, tx)) - 0.5 * (here.width_m + box.width_m)
+        closing = here.velocity[:, 0] @ (tx, ty) - speed_mps
+        least_m = np.maximum(config.spawn.clear_gap_m, config.conflict.follower_ttc_min_s * closing)
+        near = (across_m < config.conflict.margin_lateral_m) & (behind_m > -box.length_m) & (behind_m < least_m)
+        return bool(np.any(near & here.present[:, 0] & (offset @ (tx, ty) < 0.0)))
+
+    def _beside_start(
+        self, own: _Pose, box: BoxSize, driver: Driver, other: Start, speed: float, pose: _Pose | None = None
+    ) -> float | None:
+        """Fastest start speed beside another start of this round; None where the two are too near.
+
+        pose: of the other one when the later of the two begins, where that is not at its own start.
+        """
         sites = self.scene.config.sites
         (own_x, own_y), (own_tx, own_ty) = own
-        (x, y), (tx, ty) = self._pose_of(other)
+        (x, y), (tx, ty) = pose or self._pose_of(other)
         dx, dy = x - own_x, y - own_y
         if math.hypot(dx, dy) > _BESIDE_MOST_M:
             return speed
@@ -588,6 +675,30 @@ class InsertionSites:
 def _any_site(_offer: RouteOffer, _s: float, _speed_mps: float) -> bool:
     """Every admissible site will do."""
     return True
+
+
+def entry_speed(start: Start, fleet: Traffic, config: Config, *, step_s: float) -> float | None:
+    """Speed at which a vehicle can enter at the map's edge among those that are driven, m/s; None: there is no room.
+
+    fleet: where these were step_s before (one step). At most the speed of the start.
+    """
+    if not fleet.ids:
+        return start.start_mps
+    xy, tangent, _ = start.path.line.motion(np.array([start.start_s]))
+    (tx, ty), speed = tangent[0], start.start_mps
+    offset = fleet.position[:, 0] + step_s * fleet.velocity[:, 0] - xy[0]
+    along_m, across_m = offset @ (tx, ty), np.abs(offset @ (-ty, tx))
+    gap_m = np.abs(along_m) - 0.5 * (fleet.length_m + start.box.length_m)
+    in_lane = across_m < 0.5 * (fleet.width_m + start.box.width_m) + config.conflict.margin_lateral_m
+    for row in np.flatnonzero(in_lane & fleet.present[:, 0]).tolist():
+        gap, other_mps = float(gap_m[row]), float(fleet.velocity[row, 0] @ (tx, ty))
+        leads = along_m[row] > 0.0
+        if gap < config.spawn.clear_gap_m or (not leads and gap < config.sites.entry_gap_s * other_mps):
+            return None
+        if leads:
+            speed = min(speed, speed_behind(gap, max(0.0, other_mps), start.driver, config.sites))
+    slowest_mps = max(config.sites.standing_mps, config.sites.slowest_share * start.driver.desired_mps)
+    return speed if speed >= slowest_mps else None
 
 
 def speed_behind(gap_m: float, leader_mps: float, driver: Driver, sites: Sites) -> float:

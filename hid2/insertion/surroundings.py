@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.entries import Entries
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import Routes
 from hid2.policy.roads import Roads
@@ -18,8 +19,10 @@ class Surroundings:
     routes: Routes = field(init=False)
     stop_lines: StopLines = field(init=False)
     meetings: Meetings = field(init=False)
+    entries: Entries = field(init=False)
 
     def __post_init__(self) -> None:
         """Each fills its own tables when somebody first asks."""
         self.roads, self.routes, self.stop_lines = Roads(self.scene), Routes(self.scene), StopLines(self.scene)
         self.meetings = Meetings(self.scene, self.routes)
+        self.entries = Entries(self.scene, self.routes, self.meetings)

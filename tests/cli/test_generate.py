@@ -41,6 +41,7 @@ def test_request_ends_up_in_the_sidecar(hid2: Run, data_scenes: dict[str, Path],
         "generate", data_scenes["arterial"], "-o", tmp_path / "out", "--config", file, "--agents", 4,
         "--behaviours", "lane_change=0.5,straight=0.5", "--trigger-time", "1:2", "--seed", 7, "--variants", 2,
         "--focal", "generated", "--set", "overtake.d_obs_m=50", "--no-spawn-leaders", "--without", "smoothing",
+        "--entering", 0.3,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
     rows = rows_of(tmp_path / "out")
@@ -49,6 +50,7 @@ def test_request_ends_up_in_the_sidecar(hid2: Run, data_scenes: dict[str, Path],
         config = sidecar_of(tmp_path / "out", row).config
         request = config["request"]
         assert (request["agents"], request["seed"], request["focal"]) == (4, 7, "generated")
+        assert request["entering"] == 0.3
         assert (request["straight"], request["lane_change"], request["overtake"]) == (0.5, 0.5, 0.0)
         assert (request["trigger_min_s"], request["trigger_max_s"], request["spawn_leaders"]) == (1.0, 2.0, False)
         assert config["lane_change"]["min_gap_m"] == 3.0

@@ -11,6 +11,7 @@ from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.guard import Braking, Guard, transition_rejected
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver, LaneOffset
+from hid2.insertion.entries import Entries
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.routes import Routes
@@ -141,6 +142,7 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
         np.random.default_rng(0),
         0,
         Meetings(scene, Routes(scene)),
+        Entries(scene, Routes(scene), Meetings(scene, Routes(scene))),
         Spread.of((0, 0)),
     )
     config = Config(request=Request(left_turn=0, right_turn=0, lane_change=0, overtake=0))

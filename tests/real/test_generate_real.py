@@ -75,6 +75,25 @@ def test_ten_vehicles_in_a_synthetic_scene_break_no_rule(data_scene: Path, seed:
     assert check_scene(make(data_scene, 10, seed)) == []
 
 
+def test_vehicles_that_enter_a_real_scene_break_no_rule(real_scene: Path) -> None:
+    """Whoever goes straight enters if it can; somebody does, but for the dense 00a0ec58: its edges are seldom free."""
+    prepared = prepare(read_scenario(real_scene), Config())
+    config = Config(request=Request(agents=10, entering=1.0))
+    scenes = [generate(prepared, config, variant=variant) for variant in range(2)]
+    assert [check_scene(scene) for scene in scenes] == [[], []]
+    entered = [(agent, track) for one in scenes for agent, track in zip(one.sidecar.agents, one.generated, strict=True)
+               if agent.spawn.timestep > 0]  # fmt: skip
+    assert entered or real_scene.name.startswith("00a0ec58")
+    assert all(agent.policy is Policy.STRAIGHT and track.category == 1 for agent, track in entered)
+
+
+def test_vehicles_that_enter_a_synthetic_scene_break_no_rule(data_scene: Path) -> None:
+    scene = generate(read_scenario(data_scene), Config(request=Request(agents=10, entering=1.0)))
+    assert check_scene(scene) == []
+    assert any(track.timesteps[0] > 0 for track in scene.generated)
+    assert len(scene.generated) == 10
+
+
 def test_ten_asked_for_are_six_placed_at_least_and_95_percent_in_all(
     real_scenes: list[Path], data_scenes: dict[str, Path], make: Make
 ) -> None:
@@ -237,6 +256,19 @@ def test_checker_finds_what_is_wrong(data_scenes: dict[str, Path], make: Make) -
     twice = replace(scene.generated[0], track_id="gen_1")
     double = replace(scene, generated=(scene.generated[0], twice, *scene.generated[2:]))
     assert any("overlap" in sentence for sentence in check_scene(double))
+
+
+def test_checker_finds_a_late_start_inside_the_map(data_scenes: dict[str, Path], make: Make) -> None:
+    """A vehicle whose first two seconds are cut off begins where no lane does, and not when its record says."""
+    scene = make(data_scenes["arterial"], 10, 0)
+    own = scene.generated[0]
+    late = Track(
+        "gen_0", own.object_type, 1, own.timesteps[20:], own.position[20:], own.heading[20:], own.velocity[20:],
+        own.size,
+    )  # fmt: skip
+    found = check_scene(replace(scene, generated=(late, *scene.generated[1:])))
+    assert [sentence for sentence in found if sentence.startswith("gen_0 begins at timestep 20 by its record at 0")]
+    assert [sentence for sentence in found if sentence.endswith("m from where lanes begin")]
 
 
 def _ahead_by(track: Track, metres: float, speed_mps: float) -> Track:

@@ -23,6 +23,8 @@ LAST_OBSERVED = 49
 TOLERANCE_M = 0.3
 TTC_MIN_S = 1.5
 END_TTC_MIN_S = 1.0
+#: Rear bumper of who enters at the map's edge to the beginning of the lane: 0.5 m, and what is driven in a step.
+ENTERS_WITHIN_M = 3.0
 EDGE_STEP_M = 0.5
 #: method.md's limits (nuPlan's comfort bounds).
 LIMITS = {
@@ -236,6 +238,26 @@ def way_on(graph: LaneGraph, track: Track) -> Floats:
     return np.vstack([reached, (reached[-1] if len(reached) else end) + max(left_m, 5.0) * ahead])
 
 
+def check_times(scene: GeneratedScene, track: Track, verdict: Verdict) -> None:
+    """No gaps. Who is not there from step 0 enters while it is observed, where the map has nothing before a lane."""
+    first, scenario = int(track.timesteps[0]), scene.scenario
+    if not np.array_equal(track.timesteps, first + np.arange(len(track.timesteps))):
+        verdict.note("gaps in", track.track_id)
+    if first == 0:
+        return
+    if track.category != 1 or first > scenario.last_observed:
+        verdict.note(track.track_id, "of category", track.category, "begins at timestep", first)
+    lanes = scenario.graph.lanes
+    led_to = {after for lane in lanes.values() for after in lane.successors}
+    begins = np.array([lane.centerline[0] for n, lane in lanes.items() if n not in led_to])
+    apart = float(np.hypot(*(begins - track.position[0]).T).min())
+    if apart > 0.5 * track.size.length_m + ENTERS_WITHIN_M:
+        verdict.note(track.track_id, "begins at timestep", first, "but", round(apart, 1), "m from where lanes begin")
+    agent = next(one for one in scene.sidecar.agents if one.track_id == track.track_id)
+    if agent.spawn.timestep != first:
+        verdict.note(track.track_id, "begins at timestep", first, "by its record at", agent.spawn.timestep)
+
+
 def check_leaders(scene: GeneratedScene, track: Track, sizes: dict[str, tuple[float, float]], verdict: Verdict) -> None:
     """TTC to who is ahead on the path driven: aligned, overlapping the swept width, closing by positions.
 
@@ -249,8 +271,8 @@ def check_leaders(scene: GeneratedScene, track: Track, sizes: dict[str, tuple[fl
     for other in (*scene.scenario.tracks, *scene.generated):
         if other.track_id == track.track_id or len(other.timesteps) < 2:
             continue
-        steps, at, _ = np.intersect1d(other.timesteps, track.timesteps, assume_unique=True, return_indices=True)
-        if steps.size == 0 or np.hypot(*(other.position[at] - track.position[steps]).T).min() > 80.0:
+        steps, at, own = np.intersect1d(other.timesteps, track.timesteps, assume_unique=True, return_indices=True)
+        if steps.size == 0 or np.hypot(*(other.position[at] - track.position[own]).T).min() > 80.0:
             continue
         s, d = path.frenet(other.position[at])
         heading = path.heading(s)
@@ -261,23 +283,23 @@ def check_leaders(scene: GeneratedScene, track: Track, sizes: dict[str, tuple[fl
         leads = (
             (np.cos(other.heading[at] - heading) > 0.7)
             & (np.abs(d) < (width + other_width) / 2 - 0.1)
-            & (s > own_s[steps] + 1.0)
+            & (s > own_s[own] + 1.0)
             & (s < path.length_m - 1.0)
         )
         if other.track_id not in {one.track_id for one in scene.generated}:
             leads &= along > -0.2
-        gap = s - own_s[steps] - (length + other_length) / 2
-        closing = own_v[steps] - along
+        gap = s - own_s[own] - (length + other_length) / 2
+        closing = own_v[own] - along
         for row in np.flatnonzero(leads & (closing > 0.05) & (gap < TTC_MIN_S * closing)):
-            step = int(steps[row])
+            step, here = int(steps[row]), int(own[row])
             box = Moving(
                 other.track_id, other_length, other_width, [(*other.position[at][row], other.heading[at][row])]
             )
-            room = free_run(path, float(own_s[step]), box.polygon(0), length, width, most_m=float(gap[row]) + 15.0)
+            room = free_run(path, float(own_s[here]), box.polygon(0), length, width, most_m=float(gap[row]) + 15.0)
             if room < TTC_MIN_S * closing[row]:
                 verdict.note(
                     "TTC", round(room / float(closing[row]), 2), "s:", track.track_id, "to", other.object_type,
-                    other.track_id, "at timestep", step, "gap", round(room, 2), "own", round(float(own_v[step]), 2),
+                    other.track_id, "at timestep", step, "gap", round(room, 2), "own", round(float(own_v[here]), 2),
                     "leader", round(float(along[row]), 2), "aside", round(float(d[row]), 2),
                 )  # fmt: skip
                 break
@@ -312,8 +334,7 @@ def check_scene(scene: GeneratedScene) -> list[str]:
     lanes = [(lane.path, lane.width_m / 2) for lane in scenario.graph.lanes.values() if lane.lane_type == "VEHICLE"]
     check_overlaps(widest, recorded, verdict)
     for track, boxes in zip(scene.generated, generated, strict=True):
-        if not np.array_equal(track.timesteps, np.arange(len(track.timesteps))):
-            verdict.note("gaps or a late start in", track.track_id)
+        check_times(scene, track, verdict)
         if track.timesteps[-1] < min(LAST_OBSERVED, scenario.num_steps - 1):
             verdict.note(track.track_id, "ends before it is predicted")
         if not (

@@ -138,6 +138,8 @@ FOCAL, SCORED = "310100", "310107"
         (_track("gen_1", "heading", 0.5), "heading"),
         (_at("gen_1", 60, "heading", 4.0), "heading"),
         (_without("gen_1", *range(110)), "sidecar"),
+        (_without("gen_1", 0), "sidecar"),
+        (lambda rows: _without("gen_1", 0)(_track("gen_1", "object_category", 2)(rows)), "generated"),
     ],
 )
 def test_a_spoiled_row_is_found(written: Path, edit_rows: Callable[..., None], change: Change, rule: str) -> None:

@@ -453,3 +453,69 @@ def test_vehicle_is_inserted_with_its_box_where_it_starts(s0: float, drive: Call
     pose, speed = poses[0]
     assert pose == pytest.approx((s0 + 2.25, 0.0, 90.0), abs=0.01)
     assert speed == pytest.approx(7.0)
+
+
+# Vehicles that enter during the scene ---------------------------------------------------------------------------------
+
+
+def test_vehicle_enters_at_its_step(drive: Callable[..., Driving]) -> None:
+    """At step 30, of 110: its first state is its start, and it is driven by SUMO from then on."""
+    scene = scene_on(_two_lanes())
+    first, later = drive(
+        scene, start_on(scene, (1,), 100.0, 9.0), start_on(scene, (1,), 3.0, 7.0, number=1, step=30)
+    ).vehicles  # fmt: skip
+    assert (len(first.s), len(later.s)) == (110, 80)
+    assert (later.s[0], later.v[0]) == (3.0, 7.0)
+    assert np.diff(later.s) == pytest.approx(0.1 * np.array(later.v[1:]))
+    assert np.mean(later.v[-20:]) == pytest.approx(DRIVER.desired_mps, abs=0.5)
+    assert sum(later.policies.values()) == 79
+
+
+@pytest.mark.parametrize("checked", [True, False])
+def test_vehicle_that_enters_follows_who_was_recorded_ahead_of_it(
+    drive: Callable[..., Driving],
+    checked: bool,
+) -> None:
+    """A leader at 4 m/s, 15.5 m ahead of it at step 30, bumper to bumper; all are replayed, or those who matter."""
+    leader = recorded(11.0, 0.0, 4.0)
+    scene = scene_on(_two_lanes(), leader)
+    (one,) = drive(scene, start_on(scene, (1,), 3.0, 6.0, step=30), checked=checked).vehicles
+    gaps = leader.position[30:, 0] - np.array(one.s) - CAR.length_m
+    assert gaps[0] == pytest.approx(15.5)
+    assert gaps.min() > 1.5
+    assert one.v[-1] == pytest.approx(4.0, abs=0.7)
+
+
+def test_vehicle_that_enters_keeps_clear_of_who_crosses(drive: Callable[..., Driving]) -> None:
+    """Somebody crosses x = 60 at step 80; at 10 m/s from x = 3 on it would be there at step 79 if it enters at 22."""
+    crosses = recorded(60.0, -40.0, 5.0, heading=UP)
+    scene = scene_on(_two_lanes(), crosses)
+    (one,) = drive(scene, start_on(scene, (1,), 3.0, 10.0, step=22)).vehicles
+    found = finalise(scene, one, nobody(scene.future.num_steps))
+    assert isinstance(found, ExportedVehicle), found
+    assert one.limited["conflict"] > 0
+
+
+def test_nobody_enters_where_another_one_is(drive: Callable[..., Driving]) -> None:
+    """One that stands behind somebody recorded has not left the edge of the map when the next one is due."""
+    scene = scene_on(_two_lanes(), recorded(12.0, 0.0))
+    first, later = drive(
+        scene, start_on(scene, (1,), 4.0, 0.0), start_on(scene, (1,), 3.0, 7.0, number=1, step=30)
+    ).vehicles  # fmt: skip
+    assert later.objection is Reason.NO_ROOM_AT_EDGE
+    assert later.s == []
+    assert len(first.s) == 110
+    assert finalise(scene, later, nobody(scene.future.num_steps)) is Reason.NO_ROOM_AT_EDGE
+
+
+def test_those_that_are_driven_see_who_has_entered(drive: Callable[..., Driving]) -> None:
+    """The second to enter on a lane follows the first one, which drives at 5 m/s at most."""
+    scene = scene_on(_two_lanes())
+    slow = replace(DRIVER, desired_mps=5.0)
+    first, later = drive(
+        scene, start_on(scene, (1,), 3.0, 5.0, step=10, driver=slow),
+        start_on(scene, (1,), 3.0, 8.0, number=1, step=40),
+    ).vehicles  # fmt: skip
+    gaps = np.array(first.s)[30:] - np.array(later.s) - CAR.length_m
+    assert gaps.min() > 1.5
+    assert later.v[-1] == pytest.approx(5.0, abs=1.0)

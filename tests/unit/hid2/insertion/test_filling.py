@@ -36,7 +36,7 @@ class Road:
         assert number == len(self.rounds)
         self.rounds.append(list(starts))
         self.kept_before.append(len(fixed.ids))
-        return [self.spoil(driven(start, np.full(110, 8.0)), number) for start in starts]
+        return [self.spoil(driven(start, np.full(110 - start.step, 8.0)), number) for start in starts]
 
 
 def _as_driven(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
@@ -107,6 +107,24 @@ def test_failed_vehicle_is_replaced_elsewhere_and_counted_with_its_reason(scene_
     assert [start.vehicle_id for start in drive.rounds[1]] == ["v0_1", "v1_1"]
     assert drive.kept_before == [0, 2]
     assert drive.rounds[1][0].start_s != drive.rounds[0][0].start_s
+
+
+def test_who_cannot_enter_is_replaced_and_its_lane_stays_open(scene_for: Callable[..., Scene]) -> None:
+    """Everybody who would enter finds somebody at the edge in round 0: the next round tries the same two lanes."""
+
+    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
+        if number == 0 and vehicle.start.step > 0:
+            vehicle.objection, vehicle.s[:], vehicle.v[:] = Reason.NO_ROOM_AT_EDGE, [], []
+        return vehicle
+
+    filling, drive = _fill(scene_for(agents=2, spare=0.0, entering=1.0, near="anywhere"), spoil)
+    first, second = drive.rounds
+    assert [start.step > 0 for start in (*first, *second)] == [True] * 4
+    assert [(one.reason, one.last_step) for one in filling.rejected] == [
+        (Reason.NO_ROOM_AT_EDGE, start.step) for start in first
+    ]
+    assert [one.driven.start for one in filling.kept] == second
+    assert [one.span.stop for one in filling.kept] == [110, 110]
 
 
 def test_rounds_come_to_an_end_with_fewer_than_asked_for(scene_for: Callable[..., Scene]) -> None:

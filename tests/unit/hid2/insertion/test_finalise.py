@@ -13,7 +13,7 @@ from hid2.agents import Track
 from hid2.drivers.driver import LaneOffset
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.motion.route import DrivenPath
-from hid2.params import Config, Request
+from hid2.params import Config, Request, Sites
 from hid2.policy.observation import lay_across
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -280,3 +280,61 @@ def test_who_is_started_ahead_of_a_kept_vehicle_that_comes_into_its_lane_is_no_l
     near, far = (_kept(scene, np.full(110, 6.0), s, lane=2, number=1) for s in (93.0, 100.0))
     assert conflicting(scene, [changer, near]) == [(1, Reason.TTC_LANE_LEADER)]
     assert conflicting(scene, [changer, far]) == []
+
+
+# Vehicles that enter during the scene ---------------------------------------------------------------------------------
+
+
+def test_vehicle_that_enters_has_the_steps_since_then(scene_of: Callable[..., Scene]) -> None:
+    scene = scene_of()
+    found = _alone(scene, np.full(80, 10.0), 3.0, step=30)
+    assert isinstance(found, ExportedVehicle)
+    track = found.track("gen_0", 1)
+    assert track.timesteps.tolist() == list(range(30, 110))
+    assert track.position[0] == pytest.approx([3.0, 0.0], abs=1e-6)
+    traffic = traffic_of_exported([found], scene)
+    assert np.flatnonzero(traffic.present[0, :110]).tolist() == list(range(30, 110))
+    assert traffic.position[0, 60] == pytest.approx([33.0, 0.0], abs=1e-6)
+    assert traffic.present[0, 110:].all()
+
+
+@pytest.mark.parametrize(
+    ("steps", "met_by"), [(range(51), 0), (range(60, 110), 30)], ids=["there until step 50", "there from step 60 on"]
+)
+def test_who_is_met_depends_on_when_a_vehicle_enters(scene_of: Callable[..., Scene], steps: range, met_by: int) -> None:
+    """Somebody stands across the lane at x = 60. From x = 20 on at 10 m/s that is reached after 3.7 s, and left after
+    4.3 s: from step 0 on at steps 37 to 43, from step 30 on at steps 67 to 73.
+    """
+    stands = recorded(60.0, 0.0, heading=np.pi / 2)
+    rows = slice(steps.start, steps.stop)
+    track = Track(
+        "r", "vehicle", 2, stands.timesteps[rows], stands.position[rows], stands.heading[rows], stands.velocity[rows],
+        CAR,
+    )  # fmt: skip
+    scene = scene_of(track)
+    for step in (0, 30):
+        found = _alone(scene, np.full(110 - step, 10.0), 20.0, step=step)
+        assert (found is Reason.MEETS_RECORDED) is (step == met_by)
+        assert isinstance(found, ExportedVehicle) is (step != met_by)
+
+
+def test_ttc_to_a_leader_is_that_of_the_steps_driven(scene_of: Callable[..., Scene]) -> None:
+    """A leader at 5 m/s, at x = 20 at step 0, slows nobody down who comes in at step 40, 20 m behind it, at 5 m/s; from
+    step 0 on, 12.5 m behind it bumper to bumper at 10 m/s, it is reached after 2.5 s.
+    """
+    scene = scene_of(recorded(20.0, 0.0, 5.0))
+    assert isinstance(_alone(scene, np.full(70, 5.0), 20.0, step=40), ExportedVehicle)
+    assert _alone(scene, np.full(110, 10.0), 3.0) is Reason.MEETS_RECORDED
+
+
+@pytest.mark.parametrize(("step", "found"), [(0, Reason.LEAVES_TOO_EARLY), (20, None), (45, Reason.LEAVES_TOO_EARLY)])
+def test_who_enters_stays_until_it_has_been_observed_and_a_while(
+    scene_of: Callable[..., Scene], step: int, found: Reason | None
+) -> None:
+    """From x = 110 of 150 m on it leaves after 3.7 s, less than 4.9: from step 0 on at step 37, from step 20 on at step
+    57, after the last observed one; who enters at step 45 is to be there for 4 s.
+    """
+    config = Config(sites=Sites(entry_stays_s=3.0 if step < 45 else 4.0))
+    scene = scene_of(length_m=150.0, config=config)
+    verdict = _alone(scene, np.full(110 - step, 10.0), 110.0, step=step)
+    assert verdict is found or (found is None and isinstance(verdict, ExportedVehicle))

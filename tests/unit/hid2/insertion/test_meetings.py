@@ -9,6 +9,7 @@ from inserted import driven, nobody, recorded, scene_on, start_on
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.entries import Entries
 from hid2.insertion.finalise import ExportedVehicle, finalise
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import Routes
@@ -135,7 +136,8 @@ def _sites(scene: Scene, meetings: Meetings, seed: int) -> InsertionSites:
     lines = StopLines(scene)
     guard = Guard(scene, nobody(scene.future.num_steps), lines)
     rng, spread = np.random.default_rng(seed), Spread.of((seed, 0))
-    return InsertionSites(scene, Roads(scene), meetings.routes, lines, guard, rng, 0, meetings, spread)
+    entries = Entries(scene, meetings.routes, meetings)
+    return InsertionSites(scene, Roads(scene), meetings.routes, lines, guard, rng, 0, meetings, entries, spread)
 
 
 def test_leader_does_not_depend_on_what_was_looked_at_before(scene_of: Callable[..., Scene]) -> None:

@@ -11,6 +11,7 @@ from scipy.stats import chisquare
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.entries import Entries
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import Routes
 from hid2.insertion.sites import InsertionSites, speed_behind
@@ -30,7 +31,9 @@ def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
     lines = StopLines(scene)
     guard = Guard(scene, nobody(scene.future.num_steps), lines)
     routes, rng, spread = Routes(scene), np.random.default_rng(seed), Spread.of((seed, 0))
-    return InsertionSites(scene, Roads(scene), routes, lines, guard, rng, 0, Meetings(scene, routes), spread)
+    meetings = Meetings(scene, routes)
+    entries = Entries(scene, routes, meetings)
+    return InsertionSites(scene, Roads(scene), routes, lines, guard, rng, 0, meetings, entries, spread)
 
 
 def _request(number: int = 0, policy: Policy = Policy.STRAIGHT, trigger_s: float = 0.0) -> VehicleRequest:

@@ -1,0 +1,117 @@
+"""Entries: where and when vehicles may enter at the map's edge, and what they would meet from there."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+
+from hid2.agents import FloatArray, IntArray, Policy
+from hid2.insertion.flow import entry_lanes
+from hid2.insertion.meetings import Meetings
+from hid2.insertion.routes import RouteOffer, Routes
+from hid2.motion.route import Route
+from hid2.occupancy.traffic import BoolArray
+from hid2.scene import Scene
+
+
+class EntryTable(NamedTuple):
+    """Entries of a scene, (N,): lane, row of the route in `Routes.offers`, step; weight, near, leader: `Outlook`.
+
+    Those from which nobody is met have no weight where vehicles are asked for near to somebody.
+    """
+
+    lane: IntArray
+    offer: IntArray
+    step: IntArray
+    weight: FloatArray
+    near: BoolArray
+    leader: IntArray
+
+
+@dataclass(slots=True)
+class Entries:
+    """Entries of one scene; the table is made when somebody first asks."""
+
+    scene: Scene
+    routes: Routes
+    meetings: Meetings
+    _table: list[EntryTable] = field(default_factory=list)
+
+    @property
+    def table(self) -> EntryTable:
+        """All of them, at every look of `Meetings` after the first, up to the last observed step."""
+        if not self._table:
+            self._table.append(self._made())
+        return self._table[0]
+
+    def offer(self, row: int) -> RouteOffer:
+        """The route of an entry."""
+        return self.routes.offers(int(self.table.lane[row]))[int(self.table.offer[row])]
+
+    def step(self, row: int, rng: np.random.Generator) -> int:
+        """A step of an entry, drawn from its own to the one before the next look."""
+        last = int(self.table.step[row]) + self._between - 1
+        return int(rng.integers(int(self.table.step[row]), min(last, self._last) + 1))
+
+    def leader_of(self, route: Route, step: int) -> int:
+        """Whom a vehicle that enters on a route at a step would follow, as `Meetings` numbers them; -1 nobody."""
+        table = self.table
+        here = (table.lane == route[0]) & (table.step <= step) & (step < table.step + self._between)
+        for row in np.flatnonzero(here).tolist():
+            if self.offer(row).route == route:
+                return int(table.leader[row])
+        return -1
+
+    def _made(self) -> EntryTable:
+        scene, spawn = self.scene, self.scene.config.spawn
+        rows: list[tuple[int, int, int]] = []
+        met: list[tuple[float, bool, int]] = []
+        looks = [(look, step) for look, step in enumerate(self.meetings.looks.tolist()) if 0 < step <= self._last]
+        for lane_id in edge_lanes(scene, self.routes):
+            offers = self.meetings.offers_towards(lane_id, Policy.STRAIGHT)
+            for offer in offers:
+                for look, step in looks:
+                    found = self.meetings.from_edge(lane_id, offer, look)
+                    rows.append((lane_id, offer, step))
+                    met.append((float(found.weight[0]) / len(offers), bool(found.near[0]), int(found.leader[0])))
+                    if scene.config.request.near != "anywhere" and found.weight[0] < spawn.near_weight:
+                        met[-1] = (0.0, *met[-1][1:])
+        lane, offer_row, at = np.array(rows, dtype=np.int64).reshape(-1, 3).T
+        return EntryTable(
+            lane, offer_row, at, np.array([weight for weight, _, _ in met], dtype=np.float64),
+            np.array([near for _, near, _ in met], dtype=np.bool_),
+            np.array([leader for _, _, leader in met], dtype=np.int64),
+        )  # fmt: skip
+
+    @property
+    def _between(self) -> int:
+        """Steps between two looks."""
+        return int(np.diff(self.meetings.looks[:2]).sum()) or 1
+
+    @property
+    def _last(self) -> int:
+        """The last step at which anybody enters: an observed one, and not just before the scene ends."""
+        scene = self.scene
+        return min(scene.last_observed_step, scene.num_steps - scene.steps_in(scene.config.sites.entry_stays_s))
+
+
+def edge_lanes(scene: Scene, routes: Routes) -> list[int]:
+    """Entry lanes that begin at the map's edge: near to the hull of all lanes, and no lane of their row goes on before.
+
+    Elsewhere a lane without predecessors is a turn pocket or a driveway, where nobody appears at the speed of traffic.
+    """
+    graph, edge_m = scene.grid.graph, scene.config.sites.entry_edge_m
+    hull = shapely.convex_hull(shapely.multipoints(np.concatenate([lane.centerline for lane in graph.lanes.values()])))
+    found = []
+    for lane_id in entry_lanes(scene, routes):
+        row, waiting = {lane_id}, [lane_id]
+        while waiting:
+            here = waiting.pop()
+            beside = {graph.neighbor(here, "left"), graph.neighbor(here, "right")} - row - {None}
+            row |= beside  # type: ignore[arg-type]
+            waiting += sorted(beside)  # type: ignore[arg-type]
+        begins = shapely.points(graph.lanes[lane_id].centerline[0])
+        if not any(graph.predecessors(n) for n in row) and shapely.distance(hull.boundary, begins) <= edge_m:
+            found.append(lane_id)
+    return found
