@@ -42,9 +42,7 @@ class Request(_Section):
     trigger_usual_share: float = _param(
         0.36, "share", "of the scene's duration, and no later: what comes about takes seconds", ge=0, le=1
     )
-    trigger_overtake_share: float = _param(
-        0.14, "share", "the same for overtakes, which take 8 s and more", ge=0, le=1
-    )
+    trigger_overtake_share: float = _param(0.14, "share", "the same for overtakes, which take 8 s and more", ge=0, le=1)
     trigger_list_s: tuple[Annotated[float, Field(ge=0, le=60)], ...] = _param(
         (), "s", "t_trigger, one of these; used instead of the range where there are any"
     )
@@ -215,11 +213,12 @@ class Foresight(_Section):
     gap_s: tuple[Annotated[float, Field(ge=0, le=20)], Annotated[float, Field(ge=0, le=20)]] = _param(
         (1.0, 4.0), "s", "and so much more of the speed difference, uniform"
     )
-    waits_s: float = _param(2.0, "s", "after the trigger, in which a lane beside that may be used is come to", ge=0, le=10)
+    waits_s: float = _param(
+        2.0, "s", "after the trigger, in which a lane beside that may be used is come to", ge=0, le=10
+    )
     bend_share: float = _param(
         1.25, "ratio", "speed in a lateral motion over what its sharpest bend allows: smoothing rounds it", gt=0, le=5
     )
-    accel_share: float = _param(1.0, "share", "of the driver's acceleration: EIDM takes its time", gt=0, le=1)
     spare_s: float = _param(0.4, "s", "left of the scene after the return", ge=0, le=5)
     ttc_s: float = _param(1.7, "s", "TTC kept to everybody known; a little over the critical one", ge=0, le=10)
     margin_m: float = _param(1.0, "m", "kept to boxes", ge=0, le=10)

@@ -98,9 +98,7 @@ class InsertionSites:
         foreseen = Overtakes(self.scene, self.routes, self.roads, self.guard)
         sites = self.scene.config.sites
         adds = slow_leader is not None and self.scene.config.request.spawn_leaders
-        rivals_on = {
-            lane for start in self.taken if start.request.policy is Policy.OVERTAKE for lane in start.route
-        }
+        rivals_on = {lane for start in self.taken if start.request.policy is Policy.OVERTAKE for lane in start.route}
         ways = [way for way in self.routes.ways_past() if rivals_on.isdisjoint(way[0].route)]
         tried = 0
         for place in self.rng.permutation(len(ways)).tolist():
