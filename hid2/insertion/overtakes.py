@@ -94,10 +94,14 @@ class Overtakes:
         size = DEFAULT_SIZES["vehicle"]
         self.box = clearance_box(size, size)
 
-    def way(self, offer: RouteOffer, lane_id: int, side: Side) -> Way | None:
-        """A route from a lane on with the stretch on which a lane is beside; None where that is too short."""
+    def way(self, offer: RouteOffer, lane_id: int, side: Side, *, reach_m: float) -> Way | None:
+        """A route from a lane on with the stretch on which a lane is beside; None where that is too short.
+
+        Also where it begins farther than reach_m behind the lane.
+        """
         stretch = self.routes.together(offer, side)
-        if stretch is None:
+        lane_m = self.scene.grid.graph.lanes[lane_id].length_m
+        if stretch is None or stretch[0] - offer.start_m - lane_m > reach_m:
             return None
         scene, path = self.scene, self.scene.path(offer.route)
         begin, end = path.to_line(stretch[0]), path.to_line(stretch[1])
@@ -150,11 +154,6 @@ class Overtakes:
 
     def _lane_end(self, way: Way) -> float:
         return way.path.to_line(way.offer.start_m + self.scene.grid.graph.lanes[way.lane_id].length_m)
-
-    def is_in_reach(self, way: Way, driver: Driver, trigger_s: float) -> bool:
-        """Whether a driver from the lane where a way begins is where a lane is beside soon after the trigger."""
-        reach_m = driver.desired_mps * (trigger_s + self.scene.config.foresight.waits_s)
-        return way.begin - self._lane_end(way) < reach_m
 
     def _look_s(self) -> float:
         """From one look to the next, s."""

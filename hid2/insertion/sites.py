@@ -61,6 +61,8 @@ class InsertionSites:
     kept: Sequence[Start] = ()
     asked: Counter[Policy] = field(default_factory=Counter)
     taken: list[Start] = field(default_factory=list)
+    foresees_none: bool = False
+    """Whether the overtake looked for last fits nowhere into the recorded traffic."""
     rejected: Counter[Reason] = field(default_factory=Counter)
     _looked: Counter[Policy] = field(default_factory=Counter)
     _poses: dict[str, _Pose] = field(default_factory=dict)
@@ -96,29 +98,28 @@ class InsertionSites:
     def _foreseen_overtake(self, request: VehicleRequest, slow_leader: VehicleRequest | None) -> list[Start]:
         """A start where an overtake from the trigger on fits into what is known, and its leader where one is added."""
         foreseen = Overtakes(self.scene, self.routes, self.roads, self.guard)
-        sites = self.scene.config.sites
+        sites, waits_s = self.scene.config.sites, self.scene.config.foresight.waits_s
         adds = slow_leader is not None and self.scene.config.request.spawn_leaders
         rivals_on = {lane for start in self.taken if start.request.policy is Policy.OVERTAKE for lane in start.route}
         ways = [way for way in self.routes.ways_past() if rivals_on.isdisjoint(way[0].route)]
-        tried = 0
+        tried, self.foresees_none = 0, True
         for place in self.rng.permutation(len(ways)).tolist():
             if tried == sites.overtake_ways:
                 break
-            way = foreseen.way(*ways[place])
-            if way is None:
-                continue
             drivers = [
-                draw_driver(self.scene.config, self.rng, lane_speed_mps=self.scene.lane_speed(way.lane_id, self.rng))
+                draw_driver(self.scene.config, self.rng, lane_speed_mps=self.scene.lane_speed(ways[place][1], self.rng))
                 for _ in range(sites.drivers)
             ]
             driver = max(drivers, key=lambda one: one.desired_mps)  # who overtakes is in a hurry
-            if not foreseen.is_in_reach(way, driver, request.trigger_s):
+            way = foreseen.way(*ways[place], reach_m=driver.desired_mps * (request.trigger_s + waits_s))
+            if way is None:
                 continue
             tried += 1
             found = foreseen.foresee(way, driver, self.rng, trigger_s=request.trigger_s, lead=adds)
             if not found:
                 self.rejected[Reason.NO_OVERTAKE_FORESEEN] += 1
                 continue
+            self.foresees_none = False
             for one in found[: sites.drivers]:
                 starts = self._overtake_starts(request, slow_leader, way, one, driver)
                 if starts:

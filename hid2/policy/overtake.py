@@ -30,11 +30,11 @@ class Leader:
 
 
 def stretch_m(config: Config) -> float:
-    """Shortest stretch of two lanes side by side for an overtake, m: the corridor, and the ways out and back.
+    """Shortest stretch of two lanes side by side for an overtake, m: the corridor for out and past, and the way back.
 
-    The two lateral motions last as short as they may, at the slowest speed that drivers wish for.
+    Back is a lateral motion, as short as it may be, at the speed of usual traffic.
     """
-    return config.overtake.d_overtake_m + 2.0 * config.lane_change.min_duration_s * config.spawn.min_speed_mps
+    return config.overtake.d_overtake_m + config.lane_change.min_duration_s * config.spawn.prior_speed_mps
 
 
 def enter_reason(
