@@ -193,7 +193,7 @@ class Sites(_Section):
     slow_leader_max: float = _param(0.65, "share", "to here", gt=0, le=1)
     slow_leader_mps: float = _param(2.0, "m/s", "slowest desired speed of an added leader", gt=0, le=20)
     overtake_ways: int = _param(
-        60, "routes", "along which an overtake is foreseen for a request in a round", ge=1, le=10_000
+        120, "routes", "along which an overtake is foreseen for a request in a round", ge=1, le=10_000
     )
     slow_leader_gap_m: float = _param(12.0, "m", "to an added leader when the overtake is due", ge=0, le=100)
     slow_leader_gap_s: float = _param(0.8, "s", "and so much more by the start speed", ge=0, le=5)
@@ -208,7 +208,7 @@ class Sites(_Section):
 class Foresight(_Section):
     """What motions keep to by which an overtake is foreseen. Chosen on the scenes of tests/real."""
 
-    motions: int = _param(300, "motions", "drawn along a way: places, speeds, leaders", ge=1, le=100_000)
+    motions: int = _param(600, "motions", "drawn along a way: places, speeds, leaders", ge=1, le=100_000)
     gap_m: float = _param(2.0, "m", "to an added leader at the least when the overtake is due", ge=0, le=50)
     gap_s: tuple[Annotated[float, Field(ge=0, le=20)], Annotated[float, Field(ge=0, le=20)]] = _param(
         (1.0, 4.0), "s", "and so much more of the speed difference, uniform"

@@ -538,13 +538,14 @@ class InsertionSites:
         across = abs(dy * own_tx - dx * own_ty)
         gap = abs(along) - (box.length_m + other.box.length_m) / 2
         beside = across > (box.width_m + other.box.width_m) / 2 + 0.5
+        ahead_of_other = -(dx * tx + dy * ty)
+        near = -sites.pass_behind_m < ahead_of_other < sites.pass_ahead_m and across <= sites.pass_beside_m
+        if other.request.policy is Policy.OVERTAKE and near and same_way >= 0.7:
+            return None  # nor between it and its leader
         if beside:
-            ahead_of_other = -(dx * tx + dy * ty)
             if same_way < 0.7 or across > sites.pass_beside_m:
                 return speed
-            passing = other.request.policy is Policy.OVERTAKE
-            near = -sites.pass_behind_m < ahead_of_other < sites.pass_ahead_m
-            return None if (passing and near) or self._in_the_gap(other, ahead_of_other, speed, box) else speed
+            return None if self._in_the_gap(other, ahead_of_other, speed, box) else speed
         if same_way < 0.7:
             return speed if gap > sites.crossing_gap_m else None
         if along > 0:
