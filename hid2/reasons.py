@@ -25,7 +25,7 @@ class Reason(StrEnum):
     MAP_OFFERS_NO_OVERTAKE = "map_offers_no_overtake", "The map has no lane beside another that lasts for an overtake."
     NO_OVERTAKE_FORESEEN = (
         "no_overtake_foreseen",
-        "The recorded traffic leaves no place where a slower vehicle could be passed from the trigger on, out and back.",
+        "The recorded traffic leaves no place where a slower vehicle can be passed in time, out and back.",
     )
     MAP_OFFERS_NO_LANE = "map_offers_no_straight", "The map has no lane for general motor traffic."
     TRIGGER_AFTER_SCENE = "trigger_after_scene", "The trigger time lies beyond the end of the scene."

@@ -161,26 +161,29 @@ class Overtakes:
 
     def _times(self) -> FloatArray:
         """Times of the looks, s."""
-        return self._looks() * self.scene.step_s
+        return np.asarray(self._looks() * self.scene.step_s, dtype=np.float64)
 
     def _looks(self) -> IntArray:
         """Steps at which motions are looked at."""
         return np.arange(0, self.scene.num_steps, self.scene.config.conflict.stride)
 
-    def _places(self, way: Way, driver: Driver, rng: np.random.Generator, trigger_s: float) -> FloatArray:
-        """Drawn places, m on the path, on the lane where a way begins, near enough to the stretch side by side."""
+    def _between(self, way: Way, driver: Driver, trigger_s: float) -> tuple[float, float]:
+        """From where to where on its lane, m on the path, a vehicle begins that is soon where a lane is beside."""
+        reach_m = driver.desired_mps * (trigger_s + self.scene.config.foresight.waits_s)
+        return max(way.path.to_line(way.offer.start_m), way.begin - reach_m), self._lane_end(way)
+
+    def _gap_m(self, driver: Driver, closing_mps: FloatArray, trigger_s: float, share: FloatArray) -> FloatArray:
+        """Gaps at the start, m, to leaders that are closed in on, by drawn shares."""
         foresight = self.scene.config.foresight
-        end = self._lane_end(way)
-        begin = max(
-            way.path.to_line(way.offer.start_m), way.begin - driver.desired_mps * (trigger_s + foresight.waits_s)
-        )
-        return np.asarray(begin + max(0.0, end - begin) * rng.random(foresight.motions))
+        low, high = foresight.gap_s
+        return driver.min_gap_m + foresight.gap_m + closing_mps * (trigger_s + low + share * (high - low))
 
     def _behind_added(self, way: Way, driver: Driver, rng: np.random.Generator, trigger_s: float) -> _Tried:
         """Drawn places, start speeds and slower leaders ahead, which drive on and meet nobody."""
         config = self.scene.config
         foresight, sites = config.foresight, config.sites
-        places = self._places(way, driver, rng, trigger_s)
+        begin, end = self._between(way, driver, trigger_s)
+        places = begin + max(0.0, end - begin) * rng.random(foresight.motions)
         share = rng.random((3, foresight.motions))
         slowest = max(sites.slow_leader_mps, sites.slow_leader_min * driver.desired_mps)
         fastest = min(
@@ -188,8 +191,7 @@ class Overtakes:
         )
         leader_mps = slowest + share[0] * max(0.0, fastest - slowest)
         closing = share[1] * (driver.desired_mps - leader_mps)
-        low, high = foresight.gap_s
-        gap_m = driver.min_gap_m + foresight.gap_m + closing * (trigger_s + low + share[2] * (high - low))
+        gap_m = self._gap_m(driver, closing, trigger_s, share[2])
         ahead = places + self.box.length_m + gap_m
         free = drives_on(
             ahead, leader_mps, self._looks().size, self._look_s(), way.path.exit_s, *self._on(way.path), self._keeps()
@@ -199,7 +201,7 @@ class Overtakes:
 
     def _behind_recorded(self, way: Way, driver: Driver, rng: np.random.Generator, trigger_s: float) -> _Tried | None:
         """Drawn places and start speeds behind recorded vehicles that are slower at the trigger; None without any."""
-        overtake, sites, looks = self.scene.config.overtake, self.scene.config.sites, self._looks()
+        overtake, foresight, looks = self.scene.config.overtake, self.scene.config.foresight, self._looks()
         known, at = self.scene.recorded_on(way.path, self.box), self.scene.steps_in(trigger_s)
         vehicles = np.isin(self.scene.rows_on(way.path, self.box), self.scene.vehicle_rows)
         speed = known.along[:, at]
@@ -210,14 +212,16 @@ class Overtakes:
         )  # fmt: skip
         if not rows.size:
             return None
-        places = self._places(way, driver, rng, trigger_s)
-        row = rows[rng.integers(rows.size, size=places.size)]
-        start_mps = speed[row] + rng.random(places.size) * (driver.desired_mps - speed[row])
+        row = rows[rng.integers(rows.size, size=foresight.motions)]
+        share = rng.random((2, row.size))
+        closing = share[0] * (driver.desired_mps - speed[row])
+        start_mps = speed[row] + closing
+        places = known.low[row, 0] - self._gap_m(driver, closing, trigger_s, share[1])
         low, high = known.low[row][:, looks], known.high[row][:, looks]
         there = np.isfinite(low) & np.isfinite(high)
         leader = np.where(there, 0.5 * (np.where(there, low, 0.0) + np.where(there, high, 0.0)), -np.inf)
-        gap = known.low[row, 0] - places
-        near = (gap > self.scene.config.spawn.clear_gap_m) & (gap < overtake.d_obs_m + sites.leader_beyond_m)
+        begin, end = self._between(way, driver, trigger_s)
+        near = (places >= begin) & (places <= end)
         return _Tried(places[near], start_mps[near], np.ascontiguousarray(leader[near]), speed[row][near])
 
     def _done_s(self, way: Way, driver: Driver, trigger_s: float, tried: _Tried) -> FloatArray:

@@ -269,9 +269,7 @@ class InsertionSites:
         at = s + 0.9 * speed_mps * request.trigger_s
         if request.policy is Policy.LANE_CHANGE:
             return self._offers_change(request, offer, at, speed_mps, strict=strict)
-        if any(begin < reach for _, begin, _ in ahead) and (strict or request.policy is not Policy.STRAIGHT):
-            return False
-        return True
+        return not (strict or request.policy is Policy.OVERTAKE) or all(begin >= reach for _, begin, _ in ahead)
 
     def _offers_change(
         self, request: VehicleRequest, offer: RouteOffer, at: float, speed_mps: float, *, strict: bool

@@ -57,6 +57,23 @@ def _may_enter(at: float, look: int, spans: FloatArray, desired: float, exit_s: 
     return True
 
 
+@inner
+def _next_speed(
+    v: float, gap: float, closing: float, look_s: float, driver: FloatArray, bend_mps: float, most: float
+) -> float:
+    """Speed of a driver at the next look by the intelligent driver model, m/s; gap inf: nobody is followed.
+
+    bend_mps: to which it brakes in a lateral motion; most: what the road allows.
+    """
+    desired, accel, decel, tau, min_gap, _, _ = driver
+    wished = min_gap + max(0.0, v * tau + v * closing / (2.0 * math.sqrt(accel * decel)))
+    wish = accel * (1.0 - (v / desired) ** 4 - (wished / max(gap, 0.5)) ** 2)
+    faster = max(0.0, v + min(max(wish, -decel), accel) * look_s)
+    if faster > bend_mps:
+        faster = max(bend_mps, v - decel * look_s)
+    return float(min(faster, most))
+
+
 @kernel("(f8[::1], f8[::1], i8, f8, f8, f8[:,:,::1], b1[:,::1], f8[::1], b1[:,::1], f8[::1],)")
 def drives_on(
     start_s: FloatArray, speed: FloatArray, looks: int, look_s: float, exit_s: float, spans: FloatArray,
@@ -98,12 +115,11 @@ def overtakes_done(
     corridor, front and rear, m. road (S,) m/s at each road_step of the path, beside_s (G,) m at each beside_step.
     Then everybody and the stop lines on both paths, as in `drives_on`.
     """
-    desired, accel, decel, tau, min_gap, bend, length = driver
+    desired, bend, length = driver[0], driver[5], driver[6]
     begin, end, exit_s, beside_exit = stretch
     trigger, waits, lasting, latest = times[:4]
     keeps, ttc = times[4:], times[6]
     looks = leader.shape[1]
-    root = 2.0 * math.sqrt(accel * decel)
     done = np.full(start_s.size, np.inf)
     for n in range(start_s.size):
         s, v = start_s[n], start_mps[n]
@@ -148,15 +164,12 @@ def overtakes_done(
             ):
                 back_in_lane = np.inf
                 break
-            room = 0.0
-            if out < 0.0:
-                room = ((min_gap + max(0.0, v * tau + v * closing / root)) / max(gap, 0.5)) ** 2
-            wish = accel * (1.0 - (v / desired) ** 4 - room)
-            faster = max(0.0, v + min(max(wish, -decel), accel) * look_s)
             lateral_m = out_m if back < 0.0 else back_m
-            if lateral_m > 0.0 and s < (out if back < 0.0 else back) + lateral_m and faster > bend * lateral_m:
-                faster = max(bend * lateral_m, v - decel * look_s)
-            faster = min(faster, road[min(int(s / road_step), road.size - 1)])
+            moves = lateral_m > 0.0 and s < (out if back < 0.0 else back) + lateral_m
+            most = road[min(int(s / road_step), road.size - 1)]
+            faster = _next_speed(
+                v, gap if out < 0.0 else np.inf, closing, look_s, driver, bend * lateral_m if moves else np.inf, most
+            )
             s, v = s + 0.5 * (v + faster) * look_s, faster
         if back_in_lane <= latest:
             done[n] = back_in_lane
