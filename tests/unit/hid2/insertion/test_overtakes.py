@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from inserted import DRIVER, nobody, recorded, scene_on
 
+from bridge.batch.scan import _room_to_pass
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
@@ -99,6 +100,15 @@ def test_map_must_have_two_lanes_side_by_side_for_out_past_and_back(scene_of: Ca
     assert Routes(scene_of(length_m=70.0)).map_offers(Policy.OVERTAKE)
     assert not Routes(scene_of(length_m=60.0)).map_offers(Policy.OVERTAKE)
     assert not Routes(scene_of(lanes=1)).map_offers(Policy.OVERTAKE)
+
+
+def test_scan_and_generation_agree_on_what_the_map_offers(road: Callable[..., LaneGraph]) -> None:
+    """70 m of two lanes are 7.5 m more than 62.5 m from each of them; 60 m, or one lane, are none."""
+    for lanes, length_m, room_m in ((2, 70.0, 15.0), (2, 60.0, 0.0), (1, 300.0, 0.0)):
+        graph = road(lanes=lanes, length_m=length_m)
+        found = _room_to_pass(graph, list(graph.lanes.values()), needed_m=stretch_m(Config()))
+        assert found == pytest.approx(room_m)
+        assert Routes(scene_on(graph, config=Config())).map_offers(Policy.OVERTAKE) == (found > 0)
 
 
 def test_usual_trigger_of_an_overtake_is_earlier_and_what_is_asked_for_stays() -> None:
