@@ -42,6 +42,7 @@ class Request(_Section):
     trigger_usual_share: float = _param(
         0.36, "share", "of the scene's duration, and no later: what comes about takes seconds", ge=0, le=1
     )
+    trigger_overtake_share: float = _param(0.14, "share", "the same for overtakes, which take 8 s and more", ge=0, le=1)
     trigger_list_s: tuple[Annotated[float, Field(ge=0, le=60)], ...] = _param(
         (), "s", "t_trigger, one of these; used instead of the range where there are any"
     )
@@ -201,8 +202,11 @@ class Sites(_Section):
     slow_leader_min: float = _param(
         0.25, "share", "desired speed of an added leader over that of who overtakes it, uniform from here", gt=0, le=1
     )
-    slow_leader_max: float = _param(0.38, "share", "to here", gt=0, le=1)
+    slow_leader_max: float = _param(0.65, "share", "to here", gt=0, le=1)
     slow_leader_mps: float = _param(2.0, "m/s", "slowest desired speed of an added leader", gt=0, le=20)
+    overtake_ways: int = _param(
+        120, "routes", "along which an overtake is foreseen for a request in a round", ge=1, le=10_000
+    )
     slow_leader_gap_m: float = _param(12.0, "m", "to an added leader when the overtake is due", ge=0, le=100)
     slow_leader_gap_s: float = _param(0.8, "s", "and so much more by the start speed", ge=0, le=5)
 
@@ -211,6 +215,27 @@ class Sites(_Section):
         if self.slow_leader_max < self.slow_leader_min:
             raise ValueError(f"slow_leader_max {self.slow_leader_max} is below slow_leader_min {self.slow_leader_min}")
         return self
+
+
+class Foresight(_Section):
+    """What motions keep to by which an overtake is foreseen. Chosen on the scenes of tests/real."""
+
+    motions: int = _param(600, "motions", "drawn along a way: places, speeds, leaders", ge=1, le=100_000)
+    gap_m: float = _param(2.0, "m", "to an added leader at the least when the overtake is due", ge=0, le=50)
+    gap_s: tuple[Annotated[float, Field(ge=0, le=20)], Annotated[float, Field(ge=0, le=20)]] = _param(
+        (1.0, 4.0), "s", "and so much more of the speed difference, uniform"
+    )
+    waits_s: float = _param(
+        2.0, "s", "after the trigger, in which a lane beside that may be used is come to", ge=0, le=10
+    )
+    bend_share: float = _param(
+        1.25, "ratio", "speed in a lateral motion over what its sharpest bend allows: smoothing rounds it", gt=0, le=5
+    )
+    spare_s: float = _param(0.4, "s", "left of the scene after the return", ge=0, le=5)
+    ttc_s: float = _param(1.7, "s", "TTC kept to everybody known; a little over the critical one", ge=0, le=10)
+    margin_m: float = _param(1.0, "m", "kept to boxes", ge=0, le=10)
+    headway_s: float = _param(0.3, "s", "and to who is ahead so much more by the own speed", ge=0, le=5)
+    stops_mps2: float = _param(1.0, "m/s2", "no closed stop line asks for more braking", ge=0, le=4)
 
 
 class Drivers(_Section):
@@ -580,6 +605,7 @@ class Config(_Section):
     car_following: CarFollowing = CarFollowing()
     lane_change: LaneChange = LaneChange()
     overtake: Overtake = Overtake()
+    foresight: Foresight = Foresight()
     turn: Turn = Turn()
     conflict: Conflict = Conflict()
     signals: Signals = Signals()

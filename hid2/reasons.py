@@ -23,6 +23,10 @@ class Reason(StrEnum):
     )
     MAP_OFFERS_NO_LANE_CHANGE = "map_offers_no_lane_change", "The map has no lane beside another to change to."
     MAP_OFFERS_NO_OVERTAKE = "map_offers_no_overtake", "The map has no lane beside another that lasts for an overtake."
+    NO_OVERTAKE_FORESEEN = (
+        "no_overtake_foreseen",
+        "The recorded traffic leaves no place where a slower vehicle can be passed in time, out and back.",
+    )
     MAP_OFFERS_NO_LANE = "map_offers_no_straight", "The map has no lane for general motor traffic."
     TRIGGER_AFTER_SCENE = "trigger_after_scene", "The trigger time lies beyond the end of the scene."
     NO_SITE = (

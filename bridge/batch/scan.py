@@ -14,7 +14,9 @@ from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
 from hid2.agents import VEHICLE_TYPES, Policy
 from hid2.insertion.events import offered_events
+from hid2.insertion.routes import lane_to_pass_on
 from hid2.params import Config, Event
+from hid2.policy.overtake import stretch_m
 from hid2.scene import build_scene
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ConfigError
@@ -35,7 +37,8 @@ class SceneFacts(NamedTuple):
     tracks: in all; at_49: present at the last observed timestep; vehicles: tracks of type vehicle or bus; moving:
     vehicles with a path over 5 m, seen for more than 1 s; same_direction: (lane, side) pairs of VEHICLE lanes.
     Room: lane_change_m and overtake_m are metres of VEHICLE lane from which a change, or an overtake, has the length it
-    needs beside it; left_turns and right_turns are turning lanes that can be entered within the map. events: those that
+    needs beside it (an overtake: out, past and back); left_turns and right_turns are turning lanes that can be entered
+    within the map. All that is room on the map, whoever drives there. events: those that
     there is room for with the recording vehicle and the focal track, as `cut_in:av lead:focal`.
     """
 
@@ -133,7 +136,7 @@ def describe_scene(folder: Address, config: Config) -> SceneFacts:
         same_direction=sum(_beside(graph, lane.lane_id, side) is not None for lane in lanes for side in SIDES),
         straight_m=round(sum(lane.length_m for lane in lanes), 1),
         lane_change_m=_room_beside(graph, lanes, ahead, needed_m=config.lane_change.min_remaining_m),
-        overtake_m=_room_beside(graph, lanes, ahead, needed_m=config.overtake.d_overtake_m),
+        overtake_m=_room_to_pass(graph, lanes, needed_m=stretch_m(config)),
         left_turns=sum(lane.turn is TurnType.LEFT for lane in turns),
         right_turns=sum(lane.turn is TurnType.RIGHT for lane in turns),
         events=" ".join(_events(scenario, config)),
@@ -224,6 +227,36 @@ def _lengths_ahead(graph: LaneGraph) -> dict[int, float]:
         if lane.lane_type == "VEHICLE":
             walk(lane_id, frozenset())
     return ahead
+
+
+def _room_to_pass(graph: LaneGraph, lanes: Sequence[LaneSegment], *, needed_m: float) -> float:
+    """Metres of lane from which another goes on beside for `needed_m`, where one may change to it and back."""
+    together: dict[tuple[int, Side], float] = {}
+
+    def walk(lane_id: int, side: Side, path: frozenset[int]) -> float:
+        """Longest way from the start of a lane, m; cycles are cut where they close."""
+        if (lane_id, side) in together:
+            return together[lane_id, side]
+        beside = lane_to_pass_on(graph, lane_id, side)
+        length_m = 0.0
+        if beside is not None:
+            onward = (
+                walk(target, side, path | {lane_id})
+                for target in graph.successors(lane_id)
+                if target not in path and target != lane_id
+                and lane_to_pass_on(graph, target, side) in graph.successors(beside)
+            )  # fmt: skip
+            length_m = graph.lanes[lane_id].length_m + max(onward, default=0.0)
+        together[lane_id, side] = length_m
+        return length_m
+
+    return round(
+        sum(
+            min(lane.length_m, max(0.0, max(walk(lane.lane_id, side, frozenset()) for side in SIDES) - needed_m))
+            for lane in lanes
+        ),
+        1,
+    )
 
 
 def _room_beside(

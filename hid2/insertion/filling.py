@@ -209,7 +209,7 @@ class Filling:
                 continue
             straight = request.policy is Policy.STRAIGHT
             if failed[request.policy] >= (config.spawn.failed_straight if straight else config.spawn.failed_manoeuvres):
-                self._last_reason[request.number] = Reason.NO_SITE
+                self._found_none(request, sites)
                 continue
             slow = next(
                 (r for r in waiting if r.policy is Policy.STRAIGHT and r.number not in used), None
@@ -219,7 +219,7 @@ class Filling:
             starts += found
             if not found:
                 failed[request.policy] += 1
-                self._last_reason[request.number] = Reason.NO_SITE
+                self._found_none(request, sites)
             elif request.policy is not Policy.STRAIGHT:
                 waiting_rivals.append(request)
         if number < config.spawn.reseed_rounds:
@@ -236,6 +236,14 @@ class Filling:
         refused = ", ".join(f"{reason} {count}" for reason, count in sites.rejected.most_common())
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
         return starts
+
+    def _found_none(self, request: VehicleRequest, sites: InsertionSites) -> None:
+        """Why no site was found; of an overtake that was driven and did not come about, what became of it says more."""
+        if request.policy is not Policy.OVERTAKE:
+            self._last_reason[request.number] = Reason.NO_SITE
+        elif request.number not in self._last_reason:
+            seen = sites.foresees_none
+            self._last_reason[request.number] = Reason.NO_OVERTAKE_FORESEEN if seen else Reason.NO_SITE
 
     def _rivals(self, sites: InsertionSites, requests: list[VehicleRequest], most: int) -> list[Start]:
         """More vehicles for the same requests, in turns, so that one of them does what is asked for in this round.

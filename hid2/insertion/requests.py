@@ -17,7 +17,7 @@ def draw_requests(config: Config, rng: np.random.Generator, *, count: int, durat
     request = config.request
     policies = draw_mix(dict(request.behaviours), rng, count=count)
     return [
-        VehicleRequest(number=number, policy=policy, trigger_s=draw_trigger(request, rng, duration_s))
+        VehicleRequest(number=number, policy=policy, trigger_s=draw_trigger(request, rng, duration_s, policy=policy))
         for number, policy in enumerate(policies)
     ]
 
@@ -36,14 +36,18 @@ def draw_mix(shares: dict[Policy, float], rng: np.random.Generator, *, count: in
     return found + [last] * (count - len(found))
 
 
-def draw_trigger(request: Request, rng: np.random.Generator, duration_s: float) -> float:
+def draw_trigger(
+    request: Request, rng: np.random.Generator, duration_s: float, *, policy: Policy = Policy.STRAIGHT
+) -> float:
     """t_trigger, s: exactly as asked for, one of a list, or uniform in a range; never cut to suit a place.
 
-    Where nothing is asked for the range ends at what is usual in scenes of this duration, s.
+    Where nothing is asked for the range ends at what is usual for a policy in scenes of this duration, s.
     """
     if request.trigger_list_s:
         return float(request.trigger_list_s[int(rng.integers(len(request.trigger_list_s)))])
     low, high = request.trigger_min_s, request.trigger_max_s
     if high is None:
-        high = min(request.trigger_usual_s, request.trigger_usual_share * duration_s)
+        overtakes = policy is Policy.OVERTAKE
+        share = request.trigger_overtake_share if overtakes else request.trigger_usual_share
+        high = min(request.trigger_usual_s, share * duration_s)
     return low if high <= low else float(rng.uniform(low, high))

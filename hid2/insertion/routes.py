@@ -11,9 +11,10 @@ from hid2.occupancy.sigma import FREE
 from hid2.occupancy.traffic import BoolArray
 from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
+from hid2.policy.overtake import stretch_m
 from hid2.policy.turns import TURN_OF_POLICY
 from hid2.scene import DRIVABLE_TYPES, Scene
-from netconvert.lane_graph import TurnType
+from netconvert.lane_graph import LaneGraph, TurnType
 
 _ROUTES_MOST = 16  # from one lane
 _RUN_UP_M = 40.0  # of a route before the lane that it starts on: who comes from behind is seen there
@@ -45,6 +46,17 @@ class RouteOffer:
     beside: tuple[Beside, ...]
 
 
+def lane_to_pass_on(graph: LaneGraph, lane_id: int, side: Side) -> int | None:
+    """The lane beside that may be changed to, and back from, where neither of the two turns; None without."""
+    neighbor = graph.neighbor(lane_id, side)
+    if neighbor is None or graph.lanes[neighbor].lane_type not in DRIVABLE_TYPES:
+        return None
+    if any(graph.lanes[one].turn is not TurnType.STRAIGHT for one in (lane_id, neighbor)):
+        return None
+    back: Side = "left" if side == "right" else "right"
+    return neighbor if graph.may_change(lane_id, side) and graph.may_change(neighbor, back) else None
+
+
 @dataclass(slots=True)
 class Routes:
     """Routes of a scene's map; what is found out is kept."""
@@ -53,6 +65,7 @@ class Routes:
     lanes: tuple[int, ...] = field(init=False)
     _offers: dict[int, tuple[RouteOffer, ...]] = field(default_factory=dict)
     _beside: dict[tuple[Route, int], float] = field(default_factory=dict)
+    _ways_past: list[tuple[RouteOffer, int, Side]] | None = None
     _free: dict[Policy, tuple[IntArray, BoolArray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -98,10 +111,38 @@ class Routes:
         if policy in TURN_OF_POLICY:
             kind = TURN_OF_POLICY[policy]
             return any(offer.turns and offer.turns[0][0] is kind for offer in self.offers(lane_id))
-        config = self.scene.config
-        lane_change = policy is Policy.LANE_CHANGE
-        needed_m = config.lane_change.min_remaining_m if lane_change else config.overtake.d_overtake_m
+        if policy is Policy.OVERTAKE:
+            return any(self.together(offer, side) is not None for offer in self.offers(lane_id) for side in _SIDES)
+        needed_m = self.scene.config.lane_change.min_remaining_m
         return any(beside.remaining_m > needed_m for offer in self.offers(lane_id) for beside in offer.beside)
+
+    def together(self, offer: RouteOffer, side: Side) -> tuple[float, float] | None:
+        """First stretch of a route, m along its lanes, with a lane beside that lasts for an overtake; None without."""
+        graph, lanes = self.scene.grid.graph, self.scene.grid.graph.lanes
+        needed_m, at, begin = stretch_m(self.scene.config), 0.0, 0.0
+        before: int | None = None
+        for lane_id in offer.route:
+            beside = lane_to_pass_on(graph, lane_id, side) if at > offer.start_m - 1e-6 else None
+            if "topology" in self.scene.config.without:
+                beside = None
+            if beside is None or before is None or beside not in graph.successors(before):
+                if at - begin > needed_m and before is not None:
+                    return begin, at
+                begin = at
+            before, at = beside, at + lanes[lane_id].length_m
+        return (begin, at) if before is not None and at - begin > needed_m else None
+
+    def ways_past(self) -> list[tuple[RouteOffer, int, Side]]:
+        """Routes, the lanes they begin on, and the side of a lane beside that lasts for an overtake."""
+        if self._ways_past is None:
+            self._ways_past = [
+                (offer, lane_id, side)
+                for lane_id in self.lanes
+                for offer in self.offers(lane_id)
+                for side in _SIDES
+                if self.together(offer, side) is not None
+            ]
+        return self._ways_past
 
     def free_cells(self, policy: Policy) -> tuple[IntArray, BoolArray]:
         """Rows of the grid's cells on lanes with a place for a policy that nobody recorded holds at step 0.

@@ -14,6 +14,7 @@ from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver, desired_speeds, draw_driver, lane_offset
 from hid2.insertion.entries import Entries
 from hid2.insertion.meetings import Meetings
+from hid2.insertion.overtakes import ForeseenOvertake, Overtakes, Way
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.insertion.sizes import draw_size
 from hid2.insertion.spread import Spread, by_weight
@@ -64,6 +65,8 @@ class InsertionSites:
     kept: Sequence[Start] = ()
     asked: Counter[Policy] = field(default_factory=Counter)
     taken: list[Start] = field(default_factory=list)
+    foresees_none: bool = False
+    """Whether the overtake looked for last fits nowhere into the recorded traffic."""
     rejected: Counter[Reason] = field(default_factory=Counter)
     _looked: Counter[Policy] = field(default_factory=Counter)
     _entering: int = 0
@@ -85,38 +88,65 @@ class InsertionSites:
         self.taken += starts
         return starts
 
-    def _may_pass(self, start: Start) -> bool:
-        """Whether the recorded traffic leaves a lane beside free for an overtake soon after the trigger."""
-        overtake = self.scene.config.overtake
-        for wait_s in self.scene.config.sites.gap_waits_s:
-            at_s = start.request.trigger_s + wait_s
-            step, at = round(at_s / self.scene.step_s), start.start_s + 0.8 * start.start_mps * at_s
-            if step >= self.scene.num_steps or at > start.path.exit_s:
-                break
-            options = lane_options(
-                self.scene, start.path, start.box, s=at, step=step, sides=("left", "right"), fixed=self.guard.fixed,
-                fleet=self._taken_at(at_s), speed_mps=start.start_mps, desired_mps=start.driver.desired_mps,
-            )  # fmt: skip
-            if any(
-                option.cells_free and option.corridor_m >= overtake.d_overtake_m
-                and option.rear.distance_m >= overtake.safe_rear_m
-                for option, _ in options
-            ):  # fmt: skip
-                return True
-        return False
-
     def _propose_overtake(self, request: VehicleRequest, slow_leader: VehicleRequest | None) -> list[Start]:
+        if self.scene.config.request.sites == "promising":
+            return self._take(self._foreseen_overtake(request, slow_leader))
         for start in self._starts(request):
-            if self.scene.config.request.sites == "promising" and not self._may_pass(start):
-                self.rejected[Reason.NO_LANE] += 1
-                continue
             if self._has_slower_leader(start):
                 return self._take([start])
             if slow_leader is not None and self.scene.config.request.spawn_leaders:
-                leader = self._slow_leader(start, slow_leader)
+                leader = self._slow_leader(start, slow_leader, *self._slow_place(start))
                 if leader is not None:
                     return self._take([leader, start])
         return []
+
+    def _foreseen_overtake(self, request: VehicleRequest, slow_leader: VehicleRequest | None) -> list[Start]:
+        """A start where an overtake from the trigger on fits into what is known, and its leader where one is added."""
+        foreseen = Overtakes(self.scene, self.routes, self.roads, self.guard)
+        sites, waits_s = self.scene.config.sites, self.scene.config.foresight.waits_s
+        adds = slow_leader is not None and self.scene.config.request.spawn_leaders
+        rivals_on = {lane for start in self.taken if start.request.policy is Policy.OVERTAKE for lane in start.route}
+        ways = [way for way in self.routes.ways_past() if rivals_on.isdisjoint(way[0].route)]
+        tried, self.foresees_none = 0, True
+        for place in self.rng.permutation(len(ways)).tolist():
+            if tried == sites.overtake_ways:
+                break
+            drivers = [
+                draw_driver(self.scene.config, self.rng, lane_speed_mps=self.scene.lane_speed(ways[place][1], self.rng))
+                for _ in range(sites.drivers)
+            ]
+            driver = max(drivers, key=lambda one: one.desired_mps)  # who overtakes is in a hurry
+            way = foreseen.way(*ways[place], reach_m=driver.desired_mps * (request.trigger_s + waits_s))
+            if way is None:
+                continue
+            tried += 1
+            found = foreseen.foresee(way, driver, self.rng, trigger_s=request.trigger_s, lead=adds)
+            if not found:
+                self.rejected[Reason.NO_OVERTAKE_FORESEEN] += 1
+                continue
+            self.foresees_none = False
+            for one in found[: sites.drivers]:
+                starts = self._overtake_starts(request, slow_leader, way, one, driver)
+                if starts:
+                    return starts
+        return []
+
+    def _overtake_starts(
+        self, request: VehicleRequest, slow_leader: VehicleRequest | None, way: Way, seen: ForeseenOvertake,
+        driver: Driver,
+    ) -> list[Start]:  # fmt: skip
+        """The vehicle and, where it is added, its leader, ahead of it; empty where they cannot begin so."""
+        raw = way.path.to_raw(seen.start_s)
+        found = self._start(request, way.offer, way.lane_id, raw, driver=driver, speed_mps=seen.start_mps)
+        if not isinstance(found, Start):
+            self.rejected[found] += 1
+            return []
+        found = replace(found, sides=(way.side,))
+        if seen.leader_s is None:
+            return [found]
+        assert slow_leader is not None
+        leader = self._slow_leader(found, slow_leader, seen.leader_s, seen.leader_mps)
+        return [] if leader is None else [leader, found]
 
     def _starts(self, request: VehicleRequest) -> Iterator[Start]:
         """Starts at sites in weighted random order; first where more speaks for them.
@@ -279,20 +309,7 @@ class InsertionSites:
         at = s + 0.9 * speed_mps * request.trigger_s
         if request.policy is Policy.LANE_CHANGE:
             return self._offers_change(request, offer, at, speed_mps, strict=strict)
-        if any(begin < reach for _, begin, _ in ahead) and (strict or request.policy is not Policy.STRAIGHT):
-            return False
-        if request.policy is Policy.OVERTAKE:
-            for side in ("left", "right"):
-                stretches = sorted((b.start, b.end) for b in offer.beside if b.side == side and b.end > at)
-                reached = at
-                for begin, end in stretches:
-                    if begin > reached + 0.5:
-                        break
-                    reached = max(reached, end)
-                if reached - at > scene.config.overtake.d_overtake_m:
-                    return True
-            return False
-        return True
+        return not (strict or request.policy is Policy.OVERTAKE) or all(begin >= reach for _, begin, _ in ahead)
 
     def _offers_change(
         self, request: VehicleRequest, offer: RouteOffer, at: float, speed_mps: float, *, strict: bool
@@ -328,9 +345,10 @@ class InsertionSites:
 
     def _start(
         self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float | None, *,
-        driver: Driver | None = None, likely: bool = False, step: int = 0, led_by: int = -1,
+        driver: Driver | None = None, speed_mps: float | None = None, likely: bool = False, step: int = 0,
+        led_by: int = -1,
     ) -> Start | Reason:  # fmt: skip
-        """A vehicle with a driver at a site, or why it cannot begin there.
+        """A vehicle with a driver at a site, with a start speed, m/s, or why it cannot begin there.
 
         s: along the route's lanes, m; None: at their beginning, all of it on them. step: from which on it is there;
         led_by: whom it would follow then.
@@ -367,7 +385,9 @@ class InsertionSites:
             # who follows at a usual gap drives as fast as the leader at least, or would not be there
             pace_mps = max(scene.lane_speed(lane_id, rng), led_mps)
             who = driver or draw_driver(config, rng, lane_speed_mps=pace_mps)
-            speed = who.desired_mps * (1.0 + config.spawn.speed_sd * float(np.clip(rng.standard_normal(), -2, 2)))
+            speed = speed_mps
+            if speed is None:
+                speed = who.desired_mps * (1.0 + config.spawn.speed_sd * float(np.clip(rng.standard_normal(), -2, 2)))
             found = self._start_speed(offer, path, box, s, start_s, speed, who, reach_s, step)
             if not isinstance(found, Reason):
                 break
@@ -604,13 +624,14 @@ class InsertionSites:
         across = abs(dy * own_tx - dx * own_ty)
         gap = abs(along) - (box.length_m + other.box.length_m) / 2
         beside = across > (box.width_m + other.box.width_m) / 2 + 0.5
+        ahead_of_other = -(dx * tx + dy * ty)
+        near = -sites.pass_behind_m < ahead_of_other < sites.pass_ahead_m and across <= sites.pass_beside_m
+        if other.request.policy is Policy.OVERTAKE and near and same_way >= 0.7:
+            return None  # nor between it and its leader
         if beside:
-            ahead_of_other = -(dx * tx + dy * ty)
             if same_way < 0.7 or across > sites.pass_beside_m:
                 return speed
-            passing = other.request.policy is Policy.OVERTAKE
-            near = -sites.pass_behind_m < ahead_of_other < sites.pass_ahead_m
-            return None if (passing and near) or self._in_the_gap(other, ahead_of_other, speed, box) else speed
+            return None if self._in_the_gap(other, ahead_of_other, speed, box) else speed
         if same_way < 0.7:
             return speed if gap > sites.crossing_gap_m else None
         if along > 0:
@@ -650,15 +671,18 @@ class InsertionSites:
         slower = along < start.driver.desired_mps - sites.leader_advantage_ratio * overtake.speed_advantage_mps
         return bool(np.any(near & slower & (along > overtake.parked_mps)))
 
-    def _slow_leader(self, start: Start, request: VehicleRequest) -> Start | None:
-        """A slow vehicle ahead of one that is to overtake, so far that it is caught up with at the trigger."""
-        rng, sites = self.rng, self.scene.config.sites
-        share = float(rng.uniform(sites.slow_leader_min, sites.slow_leader_max))
-        base = draw_driver(self.scene.config, rng, lane_speed_mps=start.driver.desired_mps)
-        slow = replace(base, desired_mps=max(sites.slow_leader_mps, share * start.driver.desired_mps))
-        catch_up = (start.start_mps - slow.desired_mps) * start.request.trigger_s
-        s = start.start_s + start.box.length_m + sites.slow_leader_gap_m
-        s += sites.slow_leader_gap_s * start.start_mps + max(0.0, catch_up)
+    def _slow_place(self, start: Start) -> tuple[float, float]:
+        """Where a slow vehicle begins that is caught up with at the trigger, m on the path, and its speed, m/s."""
+        sites = self.scene.config.sites
+        share = float(self.rng.uniform(sites.slow_leader_min, sites.slow_leader_max))
+        slow_mps = max(sites.slow_leader_mps, share * start.driver.desired_mps)
+        s = start.start_s + start.box.length_m + sites.slow_leader_gap_m + sites.slow_leader_gap_s * start.start_mps
+        return s + max(0.0, (start.start_mps - slow_mps) * start.request.trigger_s), slow_mps
+
+    def _slow_leader(self, start: Start, request: VehicleRequest, s: float, slow_mps: float) -> Start | None:
+        """A slow vehicle at a place ahead, m, of one that is to overtake; None where it cannot begin there."""
+        base = draw_driver(self.scene.config, self.rng, lane_speed_mps=start.driver.desired_mps)
+        slow = replace(base, desired_mps=slow_mps)
         raw = start.path.to_raw(s)
         lanes, begin = self.scene.grid.graph.lanes, 0.0
         for lane_id in start.route:
@@ -666,7 +690,7 @@ class InsertionSites:
                 break
             begin += lanes[lane_id].length_m
         offer = RouteOffer(start.route, begin, start.path.to_raw(start.path.line.length_m), (), ())
-        found = self._start(request, offer, lane_id, raw, driver=slow)
+        found = self._start(request, offer, lane_id, raw, driver=slow, speed_mps=slow_mps)
         if not isinstance(found, Start) or abs(found.path.line.length_m - start.path.line.length_m) > 0.1:
             return None
         return found

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from hid2.agents import Policy
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.params import Config
+from hid2.policy.overtake import stretch_m
 from netconvert.lane_graph import TurnType
 
 
@@ -49,7 +50,7 @@ BEHAVIOURS: Mapping[Policy, Behaviour] = {
             "overtake",
             "OT",
             (ManeuverKind.OVERTAKE,),
-            beside_m=lambda config: config.overtake.d_overtake_m,
+            beside_m=stretch_m,
         ),
     )
 }

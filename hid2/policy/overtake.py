@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from hid2.params import Overtake
+from hid2.params import Config, Overtake
 from hid2.policy.lane_change import Gap
 from hid2.reasons import Reason
 
@@ -27,6 +27,14 @@ class Leader:
     gap_m: float
     speed_mps: float
     length_m: float
+
+
+def stretch_m(config: Config) -> float:
+    """Shortest stretch of two lanes side by side for an overtake, m: the corridor for out and past, and the way back.
+
+    Back is a lateral motion, as short as it may be, at the speed of usual traffic.
+    """
+    return config.overtake.d_overtake_m + config.lane_change.min_duration_s * config.spawn.prior_speed_mps
 
 
 def enter_reason(

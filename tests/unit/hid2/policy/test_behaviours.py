@@ -36,5 +36,6 @@ def test_what_the_map_must_offer_beside_follows_the_parameters() -> None:
     needed = {policy: b.beside_m(config) for policy, b in BEHAVIOURS.items() if b.beside_m is not None}
     assert needed == {
         Policy.LANE_CHANGE: config.lane_change.min_remaining_m,
-        Policy.OVERTAKE: config.overtake.d_overtake_m,
+        Policy.OVERTAKE: config.overtake.d_overtake_m
+        + config.lane_change.min_duration_s * config.spawn.prior_speed_mps,  # out and past, and back
     }
