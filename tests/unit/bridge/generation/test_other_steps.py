@@ -127,15 +127,16 @@ def test_times_in_the_sidecar_are_seconds_of_the_recording(made):
 
 
 def test_speeds_do_not_depend_on_the_step(recording, usual, made):
-    """Drivers and roads are the same, sites are drawn: the median speed in three scenes, in the mean, differs by less
-    than a quarter from that at 0.1 s.
+    """Drivers and roads are the same, sites are drawn: the median speed in eight scenes, in the mean, differs by less
+    than a fifth from that at 0.1 s (it varies by 1.2 m/s between scenes, so that the difference's standard error is
+    0.6 m/s).
     """
 
     def speed_mps(first):
-        others = [made_at(recording, first.scenario.step_s, seed) for seed in (4, 5)]
+        others = [made_at(recording, first.scenario.step_s, seed) for seed in range(4, 11)]
         return np.mean([np.median([np.median(t.speed) for t in scene.generated]) for scene in (first, *others)])
 
-    assert speed_mps(made) == pytest.approx(speed_mps(usual), rel=0.25)
+    assert speed_mps(made) == pytest.approx(speed_mps(usual), rel=0.2)
 
 
 def test_files_for_sumo_have_the_step(made):
