@@ -43,6 +43,9 @@ QUARANTINE = "quarantine"
 #: Where a study keeps what its runs have measured.
 RUNS = "runs"
 GENERATE = "bridge.batch.scene_work:generate_runs"
+#: Most runs on a recording that one process does before they are in the manifest: a power cut costs no more, and the
+#: runs on one recording are spread over all processes. Reading it and building its net is a small part of so many.
+RUNS_OF_A_TASK = 24
 GENERATE_WITH_GAPS = "bridge.batch.scene_work:generate_and_record_gaps"
 #: By function, the file that a complete folder holds beside the usual ones.
 _EXTRA_FILES = {GENERATE_WITH_GAPS: "gaps_*.csv.gz"}
@@ -300,7 +303,7 @@ def _tasks(
     sources: dict[Address, str],
     skip: Callable[[ManifestRow], None],
 ) -> Iterator[Task]:
-    """Yield a task for every job that has something to do; called as workers become free."""
+    """Yield tasks for every job that has something to do; called as workers become free."""
     for job in jobs:
         place = Place(job.folder.absolute(), out_dir, options.argoverse1, options.sumo)
         source_sha256 = _digest(place.folder)
@@ -317,7 +320,9 @@ def _tasks(
                 wanted.append(run)
         if wanted:
             sources[place.folder] = source_sha256
-            yield Task(place.folder.name, options.function, place, tuple(wanted))
+        for first in range(0, len(wanted), RUNS_OF_A_TASK):
+            part = tuple(wanted[first : first + RUNS_OF_A_TASK])
+            yield Task(place.folder.name, options.function, place, part)
 
 
 def _name(folder: Address) -> str:

@@ -18,7 +18,7 @@ import pytest
 from distributed import LocalCluster
 from processes import still_running
 
-from bridge.batch.batch import Options, plan, reproduce, run_batch
+from bridge.batch.batch import RUNS_OF_A_TASK, Options, Progress, plan, reproduce, run_batch
 from bridge.batch.manifest import (
     DONE,
     MAX_TEXT,
@@ -299,6 +299,22 @@ def test_workers_make_no_difference_to_the_bytes(make_data_set: MakeDataSet, tmp
     run_batch(jobs, tmp_path / "two", Options(jobs=2, function=COPIES))
     assert len(contents(tmp_path / "one")) == 16
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
+
+
+def test_runs_on_one_scene_are_in_the_manifest_part_by_part(
+    make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A power cut costs one part, not all variants of a scene; and a second process has something to do."""
+    monkeypatch.setenv("FAULTS_SLEEP_S", "0.05")
+    jobs = plan(make_data_set(1), load_config(flags={"request.variants": 2 * RUNS_OF_A_TASK + 1}))
+    out, written = tmp_path / "out", []
+
+    def note(row: ManifestRow, progress: Progress) -> None:
+        written.append(len(list(out.glob("val/*/hid2_*.json"))))
+
+    rows = run_batch(jobs, out, Options(function=COPIES), on_row=note)
+    assert len(rows) == len(written) == written[-1] == 2 * RUNS_OF_A_TASK + 1
+    assert RUNS_OF_A_TASK <= written[0] < 2 * RUNS_OF_A_TASK
 
 
 class TestResume:
