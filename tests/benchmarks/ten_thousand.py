@@ -213,6 +213,9 @@ def main() -> int:
     )
     parser.add_argument("--work", type=Path, default=None, help="folder to work in (default: a temporary one)")
     arguments = parser.parse_args()
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # a shell in the background has it ignored, by children too
     folders = find_scenarios(arguments.root)
     variants = arguments.scenes // len(folders)
     wanted = variants * len(folders)
