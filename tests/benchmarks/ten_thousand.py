@@ -213,9 +213,8 @@ def main() -> int:
     )
     parser.add_argument("--work", type=Path, default=None, help="folder to work in (default: a temporary one)")
     arguments = parser.parse_args()
-    signal.signal(
-        signal.SIGINT, signal.default_int_handler
-    )  # a shell in the background has it ignored, by children too
+    # a shell that starts this in the background has the signal ignored, and so would the batch
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     folders = find_scenarios(arguments.root)
     variants = arguments.scenes // len(folders)
     wanted = variants * len(folders)
