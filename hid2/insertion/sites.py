@@ -70,9 +70,14 @@ class InsertionSites:
     rejected: Counter[Reason] = field(default_factory=Counter)
     _looked: Counter[Policy] = field(default_factory=Counter)
     _entering: int = 0
+    _overtakes: Overtakes = field(init=False)
     _poses: dict[str, _Pose] = field(default_factory=dict)
     _obstacles: dict[tuple[DrivenPath, BoxSize], Obstacles] = field(default_factory=dict)
     _foreseen: dict[tuple[float, int], Traffic] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """One for all requests of a round: what is known on a way is looked up once."""
+        self._overtakes = Overtakes(self.scene, self.routes, self.roads, self.guard)
 
     def propose(self, request: VehicleRequest, slow_leader: VehicleRequest | None = None) -> list[Start]:
         """A start for a request, and where it is to overtake and finds no leader, one for that; empty where none fits.
@@ -102,7 +107,6 @@ class InsertionSites:
 
     def _foreseen_overtake(self, request: VehicleRequest, slow_leader: VehicleRequest | None) -> list[Start]:
         """A start where an overtake from the trigger on fits into what is known, and its leader where one is added."""
-        foreseen = Overtakes(self.scene, self.routes, self.roads, self.guard)
         sites, waits_s = self.scene.config.sites, self.scene.config.foresight.waits_s
         adds = slow_leader is not None and self.scene.config.request.spawn_leaders
         rivals_on = {lane for start in self.taken if start.request.policy is Policy.OVERTAKE for lane in start.route}
@@ -116,11 +120,11 @@ class InsertionSites:
                 for _ in range(sites.drivers)
             ]
             driver = max(drivers, key=lambda one: one.desired_mps)  # who overtakes is in a hurry
-            way = foreseen.way(*ways[place], reach_m=driver.desired_mps * (request.trigger_s + waits_s))
+            way = self._overtakes.way(*ways[place], reach_m=driver.desired_mps * (request.trigger_s + waits_s))
             if way is None:
                 continue
             tried += 1
-            found = foreseen.foresee(way, driver, self.rng, trigger_s=request.trigger_s, lead=adds)
+            found = self._overtakes.foresee(way, driver, self.rng, trigger_s=request.trigger_s, lead=adds)
             if not found:
                 self.rejected[Reason.NO_OVERTAKE_FORESEEN] += 1
                 continue

@@ -15,7 +15,7 @@ _OUT_OF_THE_WAY, _TOUCHES_M = 0.6, 1.0
 
 @inner
 def _is_free(
-    s: float, v: float, look: int, spans: FloatArray, aligned: BoolArray, stop_s: FloatArray, closed: BoolArray,
+    s: float, v: float, look: int, spans: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray,
     keeps: FloatArray,
 ) -> bool:  # fmt: skip
     """Whether a box at s, m, with v, m/s, touches nobody, closes in on nobody, and can stop where it has to."""
@@ -27,7 +27,7 @@ def _is_free(
         ahead, behind = low - s, s - high
         if ahead <= margin and behind <= margin:
             return False
-        if aligned[a, look]:
+        if same_direction[a, look]:
             if 0.0 < ahead < max(margin + headway * v, ttc * (v - along)):
                 return False
             if 0.0 < behind < max(margin, ttc * (along - v)):
@@ -66,9 +66,9 @@ def _next_speed(
     bend_mps: to which it brakes in a lateral motion; most: what the road allows.
     """
     desired, accel, decel, tau, min_gap, _, _ = driver
-    wished = min_gap + max(0.0, v * tau + v * closing / (2.0 * math.sqrt(accel * decel)))
-    wish = accel * (1.0 - (v / desired) ** 4 - (wished / max(gap, 0.5)) ** 2)
-    faster = max(0.0, v + min(max(wish, -decel), accel) * look_s)
+    gap_m = min_gap + max(0.0, v * tau + v * closing / (2.0 * math.sqrt(accel * decel)))
+    asked = accel * (1.0 - (v / desired) ** 4 - (gap_m / max(gap, 0.5)) ** 2)
+    faster = max(0.0, v + min(max(asked, -decel), accel) * look_s)
     if faster > bend_mps:
         faster = max(bend_mps, v - decel * look_s)
     return float(min(faster, most))
@@ -77,12 +77,12 @@ def _next_speed(
 @kernel("(f8[::1], f8[::1], i8, f8, f8, f8[:,:,::1], b1[:,::1], f8[::1], b1[:,::1], f8[::1],)")
 def drives_on(
     start_s: FloatArray, speed: FloatArray, looks: int, look_s: float, exit_s: float, spans: FloatArray,
-    aligned: BoolArray, stop_s: FloatArray, closed: BoolArray, keeps: FloatArray,
+    same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray, keeps: FloatArray,
 ) -> BoolArray:  # fmt: skip
     """(N,) whether vehicles at constant speeds, m/s, from places, m, meet nobody up to the end of path or scene.
 
     Everybody on the path at each of so many looks, look_s apart: spans (A, K, 3) low and high, m, and speed along, m/s;
-    aligned (A, K). stop_s (L,) m, closed (L, K): stop lines. keeps: margin m, headway s, TTC s, braking m/s2.
+    same_direction (A, K). stop_s (L,) m, closed (L, K): stop lines. keeps: margin m, headway s, TTC s, braking m/s2.
     """
     free = np.ones(start_s.size, dtype=np.bool_)
     for n in range(start_s.size):
@@ -90,7 +90,7 @@ def drives_on(
             s = start_s[n] + speed[n] * look_s * look
             if s > exit_s:
                 break
-            if not _is_free(s, speed[n], look, spans, aligned, stop_s, closed, keeps):
+            if not _is_free(s, speed[n], look, spans, same_direction, stop_s, closed, keeps):
                 free[n] = False
                 break
     return free
@@ -103,8 +103,8 @@ def drives_on(
 def overtakes_done(
     start_s: FloatArray, start_mps: FloatArray, leader: FloatArray, look_s: float, driver: FloatArray,
     stretch: FloatArray, times: FloatArray, gaps: FloatArray, road: FloatArray, road_step: float, beside_s: FloatArray,
-    beside_step: float, spans: FloatArray, aligned: BoolArray, stop_s: FloatArray, closed: BoolArray,
-    beside_spans: FloatArray, beside_aligned: BoolArray, beside_stop_s: FloatArray, beside_closed: BoolArray,
+    beside_step: float, spans: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray,
+    beside_spans: FloatArray, beside_same_direction: BoolArray, beside_stop_s: FloatArray, beside_closed: BoolArray,
 ) -> FloatArray:  # fmt: skip
     """(N,) time, s, at which vehicles are back in their lane ahead of their leader; inf where somebody is met before.
 
@@ -155,12 +155,12 @@ def overtakes_done(
                 back_in_lane = np.inf
                 break
             on_own = out < 0.0 or s < out + _LEAVES * out_m or (back >= 0.0 and s > back + _ENTERS * back_m)
-            if on_own and s <= exit_s and not _is_free(s, v, look, spans, aligned, stop_s, closed, keeps):
+            if on_own and s <= exit_s and not _is_free(s, v, look, spans, same_direction, stop_s, closed, keeps):
                 back_in_lane = np.inf
                 break
             on_beside = out >= 0.0 and s > out + _ENTERS * out_m and (back < 0.0 or s < back + _LEAVES * back_m)
             if on_beside and not _is_free(
-                beside, v, look, beside_spans, beside_aligned, beside_stop_s, beside_closed, keeps
+                beside, v, look, beside_spans, beside_same_direction, beside_stop_s, beside_closed, keeps
             ):
                 back_in_lane = np.inf
                 break
