@@ -453,12 +453,11 @@ class Driving(_Section):
     soon_s: float = _param(
         3.0, "s", "no braking yet for a conflict later than this, unless it asks for hard braking", ge=0, le=10
     )
-    urgent_ratio: float = _param(2.0, "ratio", "hard braking over conflict.act_mps2", ge=1, le=10)
+    urgent_ratio: float = _param(2.5, "ratio", "hard braking over conflict.act_mps2", ge=1, le=10)
     keep_yielding_mps2: float = _param(0.3, "m/s2", "who yields goes on while a conflict asks for this", ge=0, le=4)
     brake_jerk_mps3: float = _param(3.5, "m/s3", "braking for what SUMO does not see builds up so", gt=0, le=20)
     last_brake_mps2: float = _param(0.6, "m/s2", "hardest braking just before standing still", gt=0, le=4)
     last_brake_per_s: float = _param(1.8, "1/s", "and so much harder by the speed", ge=0, le=20)
-    released_mps2: float = _param(0.5, "m/s2", "from here on SUMO's own acceleration takes over", ge=0, le=4)
     across_s: float = _param(
         8.0, "s", "who comes from behind on the way across is looked for so far ahead", gt=0, le=15
     )

@@ -38,7 +38,6 @@ _LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
 #: Who is held to a speed would like to drive so much faster, m/s: a leader at a usual gap does not slow it then.
 _HELD_MPS = 5.0
 _ACROSS_MORE_S = 0.5  # it is looked at for so long beyond its change of lanes
-_HELD_BY_GUARD = frozenset({"conflict", "signal", "crossing"})
 
 
 @dataclass(eq=False, slots=True)
@@ -368,12 +367,6 @@ class Driving:
         if vehicle.stage is Stage.WAITING and vehicle.reason in _LETS_PASS:
             limits.append((max(driving.let_pass_share * desired, v - driving.let_pass_mps2 * step_s), "gap"))
         limit = min(limits)
-        held = self._limit[row]
-        if held is not None and held[1] in _HELD_BY_GUARD:  # a foot neither falls on the brake nor leaves it at once
-            a = float(self._state[row, A])
-            eased = v + (a + driving.brake_jerk_mps3 * step_s) * step_s
-            if a < driving.released_mps2 and eased < limit[0]:
-                limit = eased, held[1]
         self._limit[row] = limit if limit[0] < desired - 1e-3 else None
         held = self._limit[row]
         limit_mps = None if held is None else max(0.0, held[0])

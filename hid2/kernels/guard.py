@@ -9,6 +9,7 @@ from netconvert.geometry import BoolArray, FloatArray, IntArray
 _AHEAD_M = 60.0
 #: Whoever has passed a line by this has passed it, m.
 _PASSED_M = 0.3
+_SAME_WAY = 0.7  # definition: cosine of 45 degrees, as `path_intervals` has it
 _BRAKING_LASTS_S = 1.0  # that a generated vehicle which brakes now is predicted to brake on
 
 
@@ -98,6 +99,13 @@ def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: f
     return True
 
 
+@inner
+def _is_on(low: FloatArray, cosine: FloatArray, s: float, step_m: float) -> bool:
+    """Whether a generated vehicle is on the way that it shares, so that SUMO's car following sees it."""
+    at = int(s / step_m)
+    return bool(0 <= at < low.size and low[at] != np.inf and cosine[at] > _SAME_WAY)
+
+
 @kernel(
     "(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], f8[:,:,::1], i8[::1], f8[:,::1], i8, i8,"
     " UniTuple(f8, 3), f8, f8[::1], f8, f8, i8, i8, f8, UniTuple(f8, 4), f8[::1], f8, f8)"
@@ -133,7 +141,7 @@ def needed_braking(
         for k in range(last + 1):
             now = min(t + k * stride, steps - 1)
             ahead_s = k * stride * step_s
-            gap_least, closing, met = np.inf, 0.0, False
+            gap_least, closing, met, seen = np.inf, 0.0, False, False
             for a in range(agents):
                 lo = low[a, now]
                 if lo == np.inf:
@@ -148,6 +156,7 @@ def needed_braking(
                     break
                 if same_direction[a, now] and s <= 0.5 * (lo + hi) and lo - s < gap_least:
                     gap_least, closing = lo - s, v - along[a, now]
+                    seen = same_direction[a, t] and low[a, t] != np.inf and s0 <= 0.5 * (low[a, t] + high[a, t])
             if not met:
                 for g in range(rows.size):
                     j = rows[g]
@@ -157,11 +166,12 @@ def needed_braking(
                     if at < 0 or at >= g_low.shape[1] or g_low[g, at] == np.inf:
                         continue
                     lo, hi = g_low[g, at], g_high[g, at]
-                    if g_cos[g, at] > 0.7:
+                    if g_cos[g, at] > _SAME_WAY:
                         if s > 0.5 * (lo + hi):
                             continue  # it follows: its driver's business
                         if lo - s < gap_least and _goes_first(first, g, g_low[g], fleet, j, own, s0, table_step):
                             gap_least, closing = lo - s, v - fleet[j, 1] * g_cos[g, at]
+                            seen = _is_on(g_low[g], g_cos[g], fleet[j, 0], table_step)
                             if k == 0 and row == 0:
                                 leader, leader_gap = j, lo - s
                     elif (
@@ -179,11 +189,12 @@ def needed_braking(
             if gap_least < 1e3:
                 star = min_gap + max(0.0, v * tau + v * closing / (2.0 * np.sqrt(accel * decel)))
                 a_next = min(a_next, accel * (1.0 - (star / max(gap_least, 0.1)) ** 2))
-                if a_next < -hardest and k > 0:
+                most = max(hardest, brakes[-1]) if seen else hardest  # whom SUMO sees it brakes for by itself, in time
+                if a_next < -most and k > 0 and not (seen and v0 < 0.1):
                     hit = k * stride  # who appears ahead, or stands, asks for more than a driver would brake
                     behind_leader = True
                     break
-                a_next = max(a_next, -hardest)
+                a_next = max(a_next, -most)
             line = _line_ahead(stop_s, closed, s, v, now, decel)
             if line >= 0:
                 a_next = min(a_next, _accel_towards_stop(stop_s[line] - s, v, accel, decel))

@@ -125,6 +125,23 @@ def test_leader_that_a_driver_copes_with_is_not_the_guards_business(look: Callab
     assert look(recorded(75.0, 0.0, 8.0)).decel_mps2 == 0.0
 
 
+@pytest.mark.parametrize(("first", "brakes"), [(0, False), (5, True)], ids=["in sight", "appears in 0.5 s"])
+def test_leader_in_sight_is_left_to_sumo_up_to_the_hardest_braking(
+    look: Callable[..., Braking], first: int, brakes: bool
+) -> None:
+    """A car stands 23 m ahead, for which IDM asks 3.2 m/s2: more than 1.4 b = 2.8, less than 3.5 m/s2.
+
+    SUMO sees it and brakes by itself; of who is not there yet it knows nothing.
+    """
+    assert (look(recorded(67.5, 0.0, first=first)).decel_mps2 > 0.0) is brakes
+
+
+def test_who_stands_close_behind_a_leader_in_sight_needs_no_limit(look: Callable[..., Braking]) -> None:
+    """1 m behind, half the jam gap: it stays where it is by itself."""
+    found = look(recorded(45.5, 0.0), v=0.0)
+    assert (found.decel_mps2, found.conflict_s) == (0.0, None)
+
+
 def test_who_follows_is_ignored_but_told_of(look: Callable[..., Braking]) -> None:
     """Recorded, from 20 m at 14 m/s: it reaches 40 + 10 t - 4.5 after 3.9 s. Braking would make it worse."""
     found = look(recorded(20.0, 0.0, 14.0))
