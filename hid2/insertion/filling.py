@@ -118,7 +118,11 @@ class Filling:
                 continue  # a road that is full for one draw of drivers and places may not be for the next
             self.rounds = number + 1
             self._keep(drive(starts, self._fixed(), number), number)
-            if asked == "max" and number >= config.spawn.reseed_rounds and len(self.kept) - before <= config.spawn.full_share * len(self.kept):
+            if (
+                asked == "max"
+                and number >= config.spawn.reseed_rounds
+                and len(self.kept) - before <= config.spawn.full_share * len(self.kept)
+            ):
                 break
         self._give_up_manoeuvres()
 
