@@ -122,6 +122,9 @@ class Spawn(_Section):
     crossing_weight: float = _param(
         3.0, "ratio", "weight of sites from which recorded traffic would be crossed", ge=1, le=100
     )
+    run_into_weight: float = _param(
+        0.2, "ratio", "weight of sites whose vehicle a recorded one would run into from behind: most fail", ge=0, le=1
+    )
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(
         3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
@@ -159,6 +162,27 @@ class Sites(_Section):
 
     tries: int = _param(150, "sites", "looked at in full for a request in a round", ge=1, le=10_000)
     drivers: int = _param(3, "drivers", "drawn for a site before it is turned down", ge=1, le=50)
+    routes: int = _param(16, "routes", "known from a lane", ge=1, le=1000)
+    run_up_m: float = _param(40.0, "m", "of a route before the lane that it starts on: who follows is seen there", ge=0,
+        le=200,
+    )  # fmt: skip
+    routes_estimated: int = _param(
+        4, "routes", "that turn alike, in whose mean it is estimated what is met from a lane's cells", ge=1, le=100
+    )
+    pace_share: float = _param(
+        0.9, "share", "of the usual speed, at which it is estimated where a vehicle would be: it brakes now and then",
+        gt=0, le=2,
+    )  # fmt: skip
+    near_share: float = _param(
+        0.7,
+        "share",
+        "of request.within_m, within which somebody is near: estimates are rough",
+        gt=0,
+        le=1,
+    )
+    leaves_share: float = _param(
+        0.8, "share", "of the way at usual speed, with less of which left of the map nobody begins", ge=0, le=2
+    )
     avoided_m: float = _param(5.0, "m", "around a start that could not be kept nobody begins", ge=0, le=100)
     standing_mps: float = _param(0.3, "m/s", "who would begin more slowly begins standing", ge=0, le=3)
     queue_m: float = _param(8.0, "m", "who begins standing does so this near behind somebody who stands", ge=0, le=50)
@@ -298,6 +322,11 @@ class Drivers(_Section):
     lane_change_sd_s: float = _param(0.9, "s", "its SD between drivers", ge=0, le=4)
     reaction_s: float = _param(0.5, "s", "EIDM treaction", ge=0.1, le=3)
     error: float = _param(0.1, "-", "EIDM sigmaerror, driving error", ge=0, le=1)
+    truncated_at: float = _param(2.0, "SD", "draws are cut off so far from the mean", gt=0, le=6)
+    eased_s: float = _param(0.8, "s", "the wandering of the speed is eased over this: feet do not jump", gt=0, le=10)
+    offset_spacing_m: float = _param(
+        6.0, "m", "between two places in the lane at the least: a car is not a bicycle", gt=1, le=100
+    )
 
 
 class LaneChange(_Section):
@@ -582,6 +611,10 @@ class Export(_Section):
     offset_shares: tuple[Annotated[float, Field(ge=0, le=1)], ...] = _param(
         (1.0, 0.5, 0.0), "share", "of the driver's place in the lane, tried in turn", min_length=1
     )
+    end_braking_shares: tuple[Annotated[float, Field(ge=0, le=2)], ...] = _param(
+        (0.0, 0.5, 1.0), "share", "of the driver's deceleration: one of them meets nobody after the last step",
+        min_length=1,
+    )  # fmt: skip
     moves_m: float = _param(2.0, "m", "who moves less stands throughout", ge=0, le=50)
     box_margin_m: float = _param(0.05, "m", "between boxes, so that readers' rounding makes none meet", ge=0, le=1)
     limit_share: float = _param(0.98, "share", "of the curvature 1 / R_min that a path may have", gt=0, le=1)
