@@ -79,7 +79,7 @@ def test_parameter_is_arc_length() -> None:
     """|dr/ds| is 1 to a few parts in a thousand, also on a winding line."""
     x = np.arange(0.0, 120.0, 2.0)
     line = _line(np.column_stack([x, 4.0 * np.sin(x / 12.0)]))
-    assert np.abs(line.pace(np.linspace(0.0, line.length_m, 400)) - 1.0).max() < 5e-3
+    assert np.abs(line.motion(np.linspace(0.0, line.length_m, 400))[2] - 1.0).max() < 5e-3
 
 
 def test_tables_stand_at_equal_steps_on_the_line(straight_line: ReferenceLine) -> None:
@@ -93,7 +93,7 @@ def test_line_goes_straight_on_past_its_ends(straight_line: ReferenceLine) -> No
     assert straight_line.position(np.array([-3.0, 205.0])) == pytest.approx(
         np.array([[-3.0, 0.0], [205.0, 0.0]]), abs=1e-6
     )
-    assert straight_line.pace(np.array([-3.0, 205.0])).tolist() == [1.0, 1.0]
+    assert straight_line.motion(np.array([-3.0, 205.0]))[2].tolist() == [1.0, 1.0]
 
 
 def test_ends_stay_where_they_are() -> None:
