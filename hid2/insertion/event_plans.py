@@ -206,8 +206,10 @@ class Planner:
         ends = np.array([segment.end for segment in path.segments])
         may = np.array([admissible_neighbor(self.scene, one.lane_id, side) is not None for one in path.segments])
         found &= 2.0 * wanted.at * self.scene.step_s >= self.scene.config.lane_change.min_duration_s
-        for step in (self._begins(wanted), wanted.at):
-            s = way[np.arange(wanted.at.size), step]
+        rows, begins = np.arange(wanted.at.size), self._begins(wanted)
+        front_m = 0.5 * self.size.length_m  # SUMO has the front bumper on a lane, and it goes on for the coming step
+        asked = way[rows, np.minimum(begins + 1, way.shape[1] - 1)] + front_m
+        for s in (way[rows, begins], asked, way[rows, wanted.at]):
             found &= may[np.minimum(np.searchsorted(ends, s, side="right"), ends.size - 1)]
         return found
 
