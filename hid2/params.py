@@ -622,7 +622,6 @@ class EventSearch(_Section):
     )
     slowest_mps: float = _param(2.5, "m/s", "at the event", ge=0, le=20)
     change_s: float = _param(3.4, "s", "duration of the change of lanes of a cut-in", ge=1.5, le=15)
-    soonest_s: float = _param(1.0, "s", "no crossing is planned sooner", ge=0, le=10)
     cross_apart_s: Band = _param((1.4, 5.0), "s", "apart at the conflict point, where no PET is asked for")
     cross_usual_s: float = _param(2.4, "s", "the best of those", ge=0, le=10)
     cross_speeds: tuple[Annotated[float, Field(gt=0, le=3)], ...] = _param(
@@ -645,7 +644,6 @@ class EventSearch(_Section):
     off_chance: float = _param(0.02, "score", "uniform from 0 to here", ge=0, le=10)
 
     after_s: float = _param(2.0, "s", "after an event nobody is met by plan, nor the map left", ge=0, le=10)
-    stops_mps2: float = _param(0.4, "m/s2", "a stop line holds whoever has to brake harder for it", ge=0, le=4)
     road_spare_mps: float = _param(0.4, "m/s", "a plan may be so much faster than its driver on the road", ge=0, le=5)
     ttc_spare_s: float = _param(0.3, "s", "that plans keep above the critical TTC", ge=0, le=5)
     margin_m: float = _param(0.35, "m", "kept to boxes by plan", ge=0, le=5)
@@ -674,7 +672,6 @@ class EventSearch(_Section):
     decel_mps2: float = _param(2.6, "m/s2", "its deceleration, unless the event asks for more", gt=0, le=4.05)
     cut_in_gap_s: float = _param(0.3, "s", "lane_change.time_gap_front_s of a cut-in", ge=0, le=5)
     cut_in_gap_m: float = _param(1.0, "m", "lane_change.min_gap_m of a cut-in", ge=0, le=50)
-    cut_in_give_up_s: float = _param(0.6, "s", "lane_change.give_up_s of a cut-in: soon or never", ge=0, le=60)
 
 
 class Export(_Section):

@@ -168,7 +168,7 @@ class Courses:
         """Passing a conflict point at each step of the time asked for; crossed: the step at which the target does."""
         event, target, search = self.event, self.target, self._search
         accelerations = [a for a in self._accelerations() if not math.isnan(a)]
-        for at in range(round(search.soonest_s / target.step_s), target.present.size):
+        for at in range(1, target.present.size):
             apart_s, at_s = order * (crossed - at) * target.step_s, at * target.step_s
             asked = event.at_s[0] - search.moment_s <= at_s <= event.at_s[1] + search.moment_s
             if not asked or not target.present[at] or not self._is_apart(apart_s):

@@ -92,8 +92,8 @@ def scene_for(scene: Scene, event: Event) -> Scene:
     if event.kind == "cut_in":
         search = config.event_search
         change = {  # behind the vehicle the event's band counts alone
-            "time_gap_front_s": search.cut_in_gap_s, "min_gap_m": search.cut_in_gap_m,
-            "give_up_s": search.cut_in_give_up_s, "time_gap_rear_s": 0.0, "braking_mps2": 9.0,
+            "time_gap_front_s": search.cut_in_gap_s, "min_gap_m": search.cut_in_gap_m, "time_gap_rear_s": 0.0,
+            "braking_mps2": 9.0,
         }  # fmt: skip
         update["lane_change"] = config.lane_change.model_copy(update=change)
     changed: Config = config.model_copy(update=update)
@@ -253,7 +253,7 @@ class EventSearch:
         closed = lines.arrays(path, start.box)
         for step in range(0, until, scene.steps_in(_LOOKS_S)):
             stop = closed.braking(start.driver, s=float(way[step]), speed_mps=float(plan.speeds[step]), step=step)
-            if stop is not None and stop[0] < -search.stops_mps2:
+            if stop is not None and stop[0] < 0.0:
                 return Reason.CONFLICT_PREDICTED
         return None
 
