@@ -21,10 +21,6 @@ class BoxSize(tuple[float, float]):
         """Make the pair."""
         return super().__new__(cls, (float(length_m), float(width_m)))
 
-    def fits(self, other: "BoxSize") -> bool:
-        """Whether it is neither longer nor wider than another box."""
-        return self[0] <= other[0] and self[1] <= other[1]
-
     def __getnewargs__(self) -> tuple[float, float]:
         """Pickle and copy by the two numbers."""
         return self[0], self[1]

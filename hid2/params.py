@@ -122,6 +122,9 @@ class Spawn(_Section):
     crossing_weight: float = _param(
         3.0, "ratio", "weight of sites from which recorded traffic would be crossed", ge=1, le=100
     )
+    run_into_weight: float = _param(
+        0.2, "ratio", "weight of sites whose vehicle a recorded one would run into from behind: most fail", ge=0, le=1
+    )
     rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(
         3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
@@ -159,6 +162,23 @@ class Sites(_Section):
 
     tries: int = _param(150, "sites", "looked at in full for a request in a round", ge=1, le=10_000)
     drivers: int = _param(3, "drivers", "drawn for a site before it is turned down", ge=1, le=50)
+    routes: int = _param(16, "routes", "known from a lane", ge=1, le=1000)
+    run_up_m: float = _param(40.0, "m", "of a route before the lane that it starts on: who follows is seen there", ge=0,
+        le=200,
+    )  # fmt: skip
+    routes_estimated: int = _param(
+        4, "routes", "that turn alike, in whose mean it is estimated what is met from a lane's cells", ge=1, le=100
+    )
+    pace_share: float = _param(
+        0.9, "share", "of the usual speed, at which it is estimated where a vehicle would be: it brakes now and then",
+        gt=0, le=2,
+    )  # fmt: skip
+    near_share: float = _param(
+        0.7, "share", "of request.within_m, within which somebody is near: estimates are rough", gt=0, le=1
+    )
+    leaves_share: float = _param(
+        0.8, "share", "of the way at usual speed, with less of which left of the map nobody begins", ge=0, le=2
+    )
     avoided_m: float = _param(5.0, "m", "around a start that could not be kept nobody begins", ge=0, le=100)
     standing_mps: float = _param(0.3, "m/s", "who would begin more slowly begins standing", ge=0, le=3)
     queue_m: float = _param(8.0, "m", "who begins standing does so this near behind somebody who stands", ge=0, le=50)
@@ -298,6 +318,11 @@ class Drivers(_Section):
     lane_change_sd_s: float = _param(0.9, "s", "its SD between drivers", ge=0, le=4)
     reaction_s: float = _param(0.5, "s", "EIDM treaction", ge=0.1, le=3)
     error: float = _param(0.1, "-", "EIDM sigmaerror, driving error", ge=0, le=1)
+    truncated_at: float = _param(2.0, "SD", "draws are cut off so far from the mean", gt=0, le=6)
+    eased_s: float = _param(0.8, "s", "the wandering of the speed is eased over this: feet do not jump", gt=0, le=10)
+    offset_spacing_m: float = _param(
+        6.0, "m", "between two places in the lane at the least: a car is not a bicycle", gt=1, le=100
+    )
 
 
 class LaneChange(_Section):
@@ -566,10 +591,87 @@ class Event(_Section):
 
 
 class EventSearch(_Section):
-    """The search for a site, a speed and a trigger time with which an event comes about."""
+    """The search for a site, a speed and a trigger time with which an event comes about: plans, motions, tries.
 
-    tries: int = _param(14, "vehicles", "driven for one event before it is given up", ge=1, le=200)
+    Chosen on the scenes of tests/real unless another source is named. Plans are tried in the order of their scores,
+    the least first: the sum of the fields `off_*`.
+    """
+
+    tries: int = _param(30, "vehicles", "driven for one event before it is given up", ge=1, le=200)
     moment_s: float = _param(0.5, "s", "an event counts so much before or after the time asked for", ge=0, le=5)
+    plans: int = _param(600, "plans", "of a target that are looked at closely", ge=1, le=100_000)
+    plan_tries: int = _param(3, "vehicles", "driven for one plan, each with a better start", ge=1, le=50)
+    route_plans: int = _param(150, "plans", "kept of those along one route", ge=1, le=10_000)
+    routes: int = _param(4, "routes", "that lead to a lane", ge=1, le=100)
+
+    band_shares: tuple[Annotated[float, Field(ge=0, le=1)], ...] = _param(
+        (0.5, 0.3, 0.7, 0.12, 0.88, 0.02),
+        "share",
+        "of a band of times, gaps, differences: the middle first",
+        min_length=2,
+    )
+    differences_mps: tuple[float, ...] = _param(
+        (-1.0, 0.0, 1.0, -2.0, 2.0, -3.5, 3.5), "m/s", "speed differences tried; where no criticality is asked for"
+    )
+    critical_differences: int = _param(21, "-", "speed differences tried where one is", ge=2, le=1000)
+    accelerations_mps2: tuple[float, ...] = _param(
+        (0.5, -0.5, 1.1, -1.1), "m/s2", "tried before the event, beside none and the target's"
+    )
+    later_mps: tuple[float, ...] = _param(
+        (3.0, -2.0), "m/s", "faster afterwards; tried beside the same speed and keeping to the target"
+    )
+    slowest_mps: float = _param(2.5, "m/s", "at the event", ge=0, le=20)
+    change_s: float = _param(3.4, "s", "duration of the change of lanes of a cut-in", ge=1.5, le=15)
+    cross_apart_s: Band = _param((1.4, 5.0), "s", "apart at the conflict point, where no PET is asked for")
+    cross_usual_s: float = _param(2.4, "s", "the best of those", ge=0, le=10)
+    cross_speeds: tuple[Annotated[float, Field(gt=0, le=3)], ...] = _param(
+        (1.0, 0.8, 0.6, 1.2, 0.45, 0.3, 1.4), "ratio", "speeds tried across, over the lane's usual one", min_length=1
+    )
+    overtake_faster_mps: tuple[float, ...] = _param((5.0, 7.0, 4.0, 9.0), "m/s", "than the target; for an overtake")
+    overtake_gaps_m: tuple[float, ...] = _param((8.0, 14.0, 22.0), "m", "behind the target at the start")
+    overtake_triggers_s: tuple[float, ...] = _param((0.3, 1.5, 3.0), "s", "t_trigger")
+
+    off_moment: float = _param(0.2, "score", "at the ends of the time asked for", ge=0, le=10)
+    off_gap: float = _param(0.3, "score", "by the distance from the middle of the gaps, over their range", ge=0, le=10)
+    off_difference: float = _param(0.03, "score per m/s", "speed difference", ge=0, le=10)
+    off_merging_difference: float = _param(0.02, "score per m/s", "the same where lanes merge", ge=0, le=10)
+    off_acceleration: float = _param(0.1, "score per m/s2", "acceleration before the event", ge=0, le=10)
+    off_as_target: float = _param(0.02, "score", "for moving as the target does before", ge=0, le=10)
+    off_later: float = _param(0.05, "score", "for not keeping to the target afterwards", ge=0, le=10)
+    off_apart: float = _param(0.1, "score per s", "from cross_usual_s", ge=0, le=10)
+    off_met: float = _param(0.5, "score", "somebody is met in the end: a driver may see to it", ge=0, le=10)
+    off_alike: float = _param(0.12, "score", "shares all its traits with a plan that failed before", ge=0, le=10)
+    off_chance: float = _param(0.02, "score", "uniform from 0 to here", ge=0, le=10)
+
+    after_s: float = _param(2.0, "s", "after an event nobody is met by plan, nor the map left", ge=0, le=10)
+    road_spare_mps: float = _param(0.4, "m/s", "a plan may be so much faster than its driver on the road", ge=0, le=5)
+    ttc_spare_s: float = _param(0.3, "s", "that plans keep above the critical TTC", ge=0, le=5)
+    margin_m: float = _param(0.35, "m", "kept to boxes by plan", ge=0, le=5)
+    headway_m: float = _param(1.5, "m", "kept to who is ahead up to the event", ge=0, le=20)
+    headway_s: float = _param(0.35, "s", "and so much more by the own speed", ge=0, le=5)
+    leaves_s: float = _param(1.2, "s", "after the moment of a cut-in the lane left is still touched", ge=0, le=10)
+    arrives_s: float = _param(1.3, "s", "before it the lane entered is touched already", ge=0, le=10)
+
+    slows_mps2: float = _param(1.5, "m/s2", "deceleration after an event, by plan", ge=0, le=4)
+    speeds_up_mps2: float = _param(1.4, "m/s2", "and acceleration", ge=0, le=2.4)
+    speed_pull_per_s: float = _param(0.6, "1/s", "towards the speed wanted, or the target's", ge=0, le=5)
+    gap_pull_per_s2: float = _param(0.15, "1/s2", "towards the gap to the target", ge=0, le=5)
+    kept_gap_m: float = _param(12.0, "m", "a gap asked for is kept up to here", ge=0, le=100)
+    ahead_gap_m: float = _param(5.0, "m", "kept to the target at the least", ge=0, le=50)
+    ahead_gap_s: float = _param(0.3, "s", "and so much more by the own speed", ge=0, le=5)
+    brakes_s: float = _param(1.5, "s", "braking that is asked for lasts so long", ge=0, le=10)
+    leader_speed_pull_per_s: float = _param(0.7, "1/s", "towards the speed of who is ahead, or behind", ge=0, le=5)
+    leader_gap_pull_per_s2: float = _param(0.25, "1/s2", "towards the gap to them", ge=0, le=5)
+    leader_gap_m: float = _param(2.5, "m", "that gap", ge=0, le=50)
+    leader_gap_s: float = _param(0.7, "s", "and so much more by the speed of who is behind", ge=0, le=5)
+    leader_brakes_mps2: float = _param(2.4, "m/s2", "hardest braking for who is ahead, by plan", ge=0, le=4)
+
+    tau_s: float = _param(0.6, "s", "time gap of an event's driver, who holds to the plan", ge=0.5, le=4)
+    min_gap_m: float = _param(1.2, "m", "its gap to a standing leader", ge=0.5, le=10)
+    accel_mps2: float = _param(2.2, "m/s2", "its acceleration from standstill", gt=0, le=2.4)
+    decel_mps2: float = _param(2.6, "m/s2", "its deceleration, unless the event asks for more", gt=0, le=4.05)
+    cut_in_gap_s: float = _param(0.3, "s", "lane_change.time_gap_front_s of a cut-in", ge=0, le=5)
+    cut_in_gap_m: float = _param(1.0, "m", "lane_change.min_gap_m of a cut-in", ge=0, le=50)
 
 
 class Export(_Section):
@@ -581,6 +683,10 @@ class Export(_Section):
     offset_shares: tuple[Annotated[float, Field(ge=0, le=1)], ...] = _param(
         (1.0, 0.5, 0.0), "share", "of the driver's place in the lane, tried in turn", min_length=1
     )
+    end_braking_shares: tuple[Annotated[float, Field(ge=0, le=2)], ...] = _param(
+        (0.0, 0.5, 1.0), "share", "of the driver's deceleration: one of them meets nobody after the last step",
+        min_length=1,
+    )  # fmt: skip
     moves_m: float = _param(2.0, "m", "who moves less stands throughout", ge=0, le=50)
     box_margin_m: float = _param(0.05, "m", "between boxes, so that readers' rounding makes none meet", ge=0, le=1)
     limit_share: float = _param(0.98, "share", "of the curvature 1 / R_min that a path may have", gt=0, le=1)

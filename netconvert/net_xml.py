@@ -27,7 +27,7 @@ _MIN_STEP_M = 1e-3
 _DIRECTION = {TurnType.STRAIGHT: "s", TurnType.LEFT: "l", TurnType.RIGHT: "r"}
 
 
-def net_bytes(grid: CellGrid, *, speed_limit_mps: float = SPEED_LIMIT_MPS, origin: CityOrigin | None = None) -> bytes:
+def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
     """The net.xml of a grid, in city coordinates. Equal grids give equal bytes.
 
     origin: of the city frame; with it the net has a geo-reference, so that it lies on a map.
@@ -39,7 +39,7 @@ def net_bytes(grid: CellGrid, *, speed_limit_mps: float = SPEED_LIMIT_MPS, origi
     names = _junction_names(len(rows), [(from_edge, to_edge) for from_edge, _, to_edge, _, _ in links])
 
     text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', _location(grid, origin)]
-    templates = {lane_id: _lane_attributes(grid, lane, speed_limit_mps) for lane_id, lane in grid.graph.lanes.items()}
+    templates = {lane_id: _lane_attributes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
     shapes = {lane_id: _cell_shapes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
     closed = {
         side: {lane_id for lane_id in grid.graph.lanes if not grid.graph.may_change(lane_id, side)} for side in SIDES
@@ -144,12 +144,12 @@ def _location(grid: CellGrid, origin: CityOrigin | None) -> str:
     return f'  <location {places} projParameter="{projection}"/>'
 
 
-def _lane_attributes(grid: CellGrid, lane: LaneSegment, speed_limit_mps: float) -> str:
+def _lane_attributes(grid: CellGrid, lane: LaneSegment) -> str:
     """What all cells of a lane have in common, as XML attributes."""
     allowed = ALLOWED_CLASSES[lane.lane_type]
     classes = "" if allowed is None else f' allow="{allowed}"'
     length_m = lane.length_m / grid.count(lane.lane_id)
-    return f'{classes} speed="{speed_limit_mps:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"'
+    return f'{classes} speed="{SPEED_LIMIT_MPS:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"'
 
 
 def _cell_shapes(grid: CellGrid, lane: LaneSegment) -> list[str]:

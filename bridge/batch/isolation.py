@@ -121,11 +121,6 @@ class IsolatedProcess:
         return self._process.pid if self._process else None
 
     @property
-    def rss_mb(self) -> float:
-        """Resident memory of the process after its last call, MB."""
-        return self._rss_mb
-
-    @property
     def stopped(self) -> bool:
         """Whether `stop` was called: there will be no other process."""
         return self._stopped

@@ -168,7 +168,7 @@ def measure(
     maneuvers = detect(arrays, safe.lanes, safe.matches)
     policy_of = policies(arrays, maneuvers)
     kinematic = kinematics(arrays, moved)
-    beyond = beyond_limits(arrays, moved, limits)
+    beyond = beyond_limits(moved, limits)
     groups = _groups(arrays, kinematic, safe, beyond)
     view = _View(
         arrays,

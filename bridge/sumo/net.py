@@ -14,7 +14,7 @@ from netconvert.gui_files import gui_files
 from netconvert.net_xml import net_bytes
 
 
-def convert(scene: Path, out_dir: Path, *, cell_m: float = 4.0, max_skew_m: float = 6.0) -> FidelityReport:
+def convert(scene: Path, out_dir: Path, *, cell_m: float = 4.0) -> FidelityReport:
     """Write <id>.net.xml, .sumocfg, .poly.xml, .view.xml and .cells.csv of a scene's map into out_dir.
 
     scene: a folder with one log_map_archive_<id>.json, or that file; the recorded tracks are not needed. Files of an
@@ -22,7 +22,7 @@ def convert(scene: Path, out_dir: Path, *, cell_m: float = 4.0, max_skew_m: floa
     """
     path = _map_file(scene)
     name = path.stem.removeprefix("log_map_archive_")
-    grid = build_cell_grid(read_source_map(path), cell_m=cell_m, max_skew_m=max_skew_m)
+    grid = build_cell_grid(read_source_map(path), cell_m=cell_m)
     net = net_bytes(grid)
     report = measure_fidelity(grid, net)
     write_all(out_dir, {f"{name}.net.xml": net, **gui_files(grid, name, step_s=STEP_S)})

@@ -120,12 +120,8 @@ class Simulation:
             else:
                 move(vehicle_id, lane[0], lane[1], x, y, angle_deg, _REPLAY_KEEP_ROUTE, _REPLAY_MATCH_M)
 
-    def pose(self, vehicle_id: str) -> tuple[float, float, float] | None:
-        """Front bumper x, y in m and angle in degrees, as SUMO has them now; None for a vehicle not in the net."""
-        return self.poses([vehicle_id])[0]
-
     def poses(self, vehicle_ids: Sequence[str]) -> list[tuple[float, float, float] | None]:
-        """The same for many."""
+        """Front bumper x, y in m and angle in degrees, as SUMO has them now; None for vehicles not in the net."""
         position, angle, nowhere = libsumo.vehicle.getPosition, libsumo.vehicle.getAngle, libsumo.INVALID_DOUBLE_VALUE
         found: list[tuple[float, float, float] | None] = []
         for vehicle_id in vehicle_ids:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hid2.agents import FloatArray, IntArray, Track
-from hid2.kernels.path_intervals import boxes_met
+from hid2.kernels.path_intervals import SAME_WAY, boxes_met
 from hid2.occupancy.sigma import original_occupancy
 from hid2.occupancy.traffic import BoolArray, Traffic, velocity_of
 from hid2.scene import Scene
@@ -20,9 +20,8 @@ from netconvert.geometry import wrap_angle
 
 #: Car following: row of the recorded agent, its speed m/s, bumper gap m and speed of its leader m/s -> speed, m/s.
 FollowSpeed = Callable[[int, float, float, float], float]
-#: How far ahead a leader is looked for, and how finely, m: no tunable, nobody brakes for one farther away.
+#: How far ahead a leader is looked for, and how finely, m. No tunables: nobody brakes for one farther away.
 _AHEAD_M, _FINE_M = 80.0, 0.25
-_SAME_WAY = 0.7  # cosine, as of everybody who moves with a path
 
 
 def yielding(
@@ -36,7 +35,7 @@ def yielding(
     traffic = scene.traffic
     offset, heading = traffic.position[rows, step] - xy, traffic.heading[rows, step]
     gap_m = -(offset @ forward) - half_m - 0.5 * traffic.length_m[rows]
-    same_way = np.cos(heading) * forward[0] + np.sin(heading) * forward[1] > _SAME_WAY
+    same_way = np.cos(heading) * forward[0] + np.sin(heading) * forward[1] > SAME_WAY
     closing = np.maximum(traffic.velocity[rows, step] @ forward - speed_mps, 0.0)
     brakes = np.square(closing) / (2.0 * np.maximum(gap_m, 1e-6))
     able = (gap_m > 0.0) & (brakes <= scene.config.driving.yields_mps2)

@@ -17,6 +17,8 @@ from hid2.agents import FloatArray, IntArray
 from hid2.drivers.driver import Driver, desired_speeds, lane_offset
 from hid2.params import Config, Drivers
 
+# No tunables of a scene: which windows tell what, and how finely laws are compared. The sources in `params.Drivers` are
+# figures made so, which other numbers here would not match.
 #: Fewer drivers than this tell nothing: the prior stays.
 LEAST = 12
 _RESAMPLES = 400
@@ -268,13 +270,13 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
     The speed does not matter: the place in the lane changes with the way driven in a correlation time.
     """
     config, rng = Config(drivers=Drivers(lateral_wander_time_s=time_s, offset_max_m=1.5)), np.random.default_rng(2)
-    speed_mps = _DRIVER.desired_mps
+    speed_mps, law = _DRIVER.desired_mps, config.drivers
     time, parabola, _ = _fits()
     length_m = speed_mps * _EVERY_S * (4 * _HALF + 1) + 10.0
     driver, drift, bend = [], [], []
     for number in range(_SIMULATED):
         # a hundredth, so that the bound on the offset does not matter
-        wander = 0.01 * float(np.exp(spread * np.clip(rng.standard_normal(), -2, 2)))
+        wander = 0.01 * float(np.exp(spread * np.clip(rng.standard_normal(), -law.truncated_at, law.truncated_at)))
         offset = lane_offset(replace(_DRIVER, wander_m=wander), config, rng, length_m=length_m)
         for begin in (0.0, _HALF_S, 2.0 * _HALF_S):
             d, _, _ = offset.at(5.0 + speed_mps * (begin + _HALF_S + time))

@@ -8,13 +8,6 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.params import Config, Drivers
 
-#: Draws are cut off so many standard deviations from the mean.
-_TRUNCATED_AT = 2.0
-#: Knots of the place in the lane are no nearer to each other, m: a car is not a bicycle.
-_LEAST_SPACING_M = 6.0
-#: A foot does not jump: the wandering of the desired speed is eased over this, s.
-_EASED_S = 0.8
-
 
 @dataclass(frozen=True, slots=True)
 class Driver:
@@ -56,7 +49,7 @@ def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: flo
     law, spawn, change = config.drivers, config.spawn, config.lane_change
 
     def normal(mean: float, sd: float) -> float:
-        return mean + sd * _clipped(rng.standard_normal(), -_TRUNCATED_AT, _TRUNCATED_AT)
+        return mean + sd * _clipped(rng.standard_normal(), -law.truncated_at, law.truncated_at)
 
     desired = lane_speed_mps * normal(1.0, law.desired_sd)
     return Driver(
@@ -82,7 +75,7 @@ def desired_speeds(
     at_least_mps: what the vehicle begins with; at the first step it is not above the desired speed.
     """
     law = config.drivers
-    kept, eased = float(np.exp(-step_s / law.wander_time_s)), float(np.exp(-step_s / _EASED_S))
+    kept, eased = float(np.exp(-step_s / law.wander_time_s)), float(np.exp(-step_s / law.eased_s))
     kick = (law.wander_sd_mps * np.sqrt(1.0 - kept * kept) * rng.standard_normal(num_steps)).tolist()
     wander = [max(law.wander_sd_mps * float(rng.standard_normal()), at_least_mps - driver.desired_mps)]
     level = wander[0] + law.wander_sd_mps * float(rng.standard_normal())  # nobody begins at a constant speed
@@ -127,14 +120,14 @@ class LaneOffset:
 def lane_offset(driver: Driver, config: Config, rng: np.random.Generator, *, length_m: float) -> LaneOffset:
     """The driver's place along a path of length_m: its mean with a wandering about it."""
     law = config.drivers
-    spacing = max(_LEAST_SPACING_M, driver.desired_mps * law.lateral_wander_time_s)
+    spacing = max(law.offset_spacing_m, driver.desired_mps * law.lateral_wander_time_s)
     count = max(4, int(length_m / spacing) + 3)
     knots = spacing * (np.arange(count) - rng.uniform())
     kept = float(np.exp(-1.0))
     value, rest = rng.standard_normal(count).tolist(), math.sqrt(1.0 - kept * kept)
     for row in range(1, count):
         value[row] = kept * value[row - 1] + rest * value[row]
-    offset = driver.offset_m + driver.wander_m * np.clip(value, -_TRUNCATED_AT, _TRUNCATED_AT)
+    offset = driver.offset_m + driver.wander_m * np.clip(value, -law.truncated_at, law.truncated_at)
     offset = np.clip(offset, -law.offset_max_m, law.offset_max_m)
     return LaneOffset(
         np.asarray(knots, dtype=np.float64), offset, np.asarray(np.gradient(offset, knots), dtype=np.float64)

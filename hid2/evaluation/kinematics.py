@@ -25,13 +25,11 @@ _SLACK = 1e-6  # relative, no tunable: against rounding
 class Motion:
     """Derivatives at every row of a scene (N,), from positions and headings.
 
-    velocity, acceleration, jerk (N, 2) m/s, m/s2, m/s3; longitudinal and lateral to the heading; yaw in rad;
+    velocity (N, 2) m/s; longitudinal and lateral to the heading; yaw in rad;
     jerk_norm: JE, the magnitude of the derivative of the acceleration vector.
     """
 
     velocity: FloatArray
-    acceleration: FloatArray
-    jerk: FloatArray
     speed: FloatArray
     longitudinal_accel: FloatArray
     lateral_accel: FloatArray
@@ -83,8 +81,6 @@ def motion(arrays: SceneArrays) -> Motion:
     yaw_rate = derivative(unwrapped_heading(arrays), arrays)
     return Motion(
         velocity=velocity,
-        acceleration=acceleration,
-        jerk=jerk,
         speed=np.hypot(velocity[:, 0], velocity[:, 1]),
         longitudinal_accel=longitudinal,
         lateral_accel=lateral,
@@ -110,7 +106,7 @@ def clean(arrays: SceneArrays) -> BoolArray:
     return np.asarray(arrays.vehicle & arrays.moving & (arrays.category != FRAGMENT))
 
 
-def beyond_limits(arrays: SceneArrays, moved: Motion, limits: Limits) -> dict[str, BoolArray]:
+def beyond_limits(moved: Motion, limits: Limits) -> dict[str, BoolArray]:
     """Which rows (N,) exceed each limit of motion, by more than rounding.
 
     Rates of heading are those of the recorded heading; the radius is that of heading rate over speed.

@@ -72,13 +72,11 @@ def overlaps(arrays: SceneArrays) -> tuple[Overlap, ...]:
     )
 
 
-def colliding(
-    arrays: SceneArrays, pairs: tuple[Overlap, ...], members: BoolArray, *, iou: float = IOU_THRESHOLD
-) -> BoolArray:
-    """(A,) members that overlap another member with more than `iou` at any step."""
+def colliding(arrays: SceneArrays, pairs: tuple[Overlap, ...], members: BoolArray) -> BoolArray:
+    """(A,) members that overlap another member with more than IOU_THRESHOLD at any step."""
     hit = np.zeros(arrays.num_agents, dtype=bool)
     for pair in pairs:
-        if pair.iou > iou and members[pair.first] and members[pair.second]:
+        if pair.iou > IOU_THRESHOLD and members[pair.first] and members[pair.second]:
             hit[[pair.first, pair.second]] = True
     return hit
 

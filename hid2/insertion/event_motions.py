@@ -14,19 +14,7 @@ from hid2.agents import FloatArray, IntArray
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray
-
-#: How a driver of an event keeps to the target: pull towards its speed, 1/s, and towards the gap, 1/s2.
-_SPEED_PULL, _GAP_PULL = 0.6, 0.15
-SLOWS_MPS2, SPEEDS_UP_MPS2 = -1.5, 1.4
-#: Ahead of the target a vehicle keeps at least this gap, m, and so much of its speed, s; a gap asked for counts up to.
-_AHEAD_GAP_M, _AHEAD_TIME_S, _KEEPS_M = 5.0, 0.3, 12.0
-#: The same to who is ahead of it: pulls, gap and time; and how hard it brakes for it, m/s2.
-_LEADER_PULL, _LEADER_GAP_PULL, _LEADER_GAP_M, _LEADER_TIME_S, _LEADER_MPS2 = 0.7, 0.25, 2.5, 0.7, -2.4
-_BRAKES_FOR_S = 1.5
-#: Kept to boxes by plan, m; to who is ahead up to the event, m and s.
-_MARGIN_M, _HEAD_M, _HEAD_S = 0.35, 1.5, 0.35
-#: A lateral motion touches the lane left so long after the moment, and the lane that it goes to so long before, s.
-_STILL_THERE_S, _ALREADY_THERE_S = 1.2, 1.3
+from hid2.params import EventSearch
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -76,7 +64,8 @@ class Rules:
     """What motions keep to: order as in a plan (-1 behind the target), lengths: half of both boxes, m.
 
     changes: whether the vehicle changes lanes at the moment, from `before` to `after`; brakes_mps2: after the moment;
-    target_mps (T,), ahead (T,) m: of the target, ahead None where it is not followed; ttc_s: least TTC to all others.
+    target_mps (T,), ahead (T,) m: of the target, ahead None where it is not followed; ttc_s: least TTC to all
+    others; search: gaps and accelerations.
     """
 
     order: int
@@ -87,11 +76,13 @@ class Rules:
     ahead: FloatArray | None
     ttc_s: float
     step_s: float
+    search: EventSearch
 
 
 def motions(wanted: Wanted, rules: Rules, before: Along, after: Along) -> tuple[FloatArray, FloatArray]:
     """Speeds (N, T) m/s and ways (N, T) m of wanted motions; whether they are free is another matter."""
-    steps, dt = rules.target_mps.size, rules.step_s
+    steps, dt, search = rules.target_mps.size, rules.step_s, rules.search
+    slows_mps2, speeds_up_mps2 = -search.slows_mps2, search.speeds_up_mps2
     count = wanted.at.size
     speeds, way = np.zeros((count, steps)), np.zeros((count, steps))
     rows = np.arange(count)
@@ -114,21 +105,26 @@ def motions(wanted: Wanted, rules: Rules, before: Along, after: Along) -> tuple[
     v, s = wanted.speed_mps.copy(), wanted.place.copy()
     for step in range(int(wanted.at.min(initial=steps)) + 1, steps):
         here = wanted.at < step
-        accel = np.clip(_SPEED_PULL * (later - v), SLOWS_MPS2, SPEEDS_UP_MPS2)
+        accel = np.clip(search.speed_pull_per_s * (later - v), slows_mps2, speeds_up_mps2)
         if rules.ahead is not None:
             apart = rules.order * (s - rules.ahead[step - 1]) - rules.lengths
-            gap = np.maximum(np.minimum(wanted.gap_m, _KEEPS_M), _AHEAD_GAP_M + _AHEAD_TIME_S * v)
-            kept = _SPEED_PULL * (rules.target_mps[step - 1] - v) + rules.order * _GAP_PULL * (gap - apart)
-            accel = np.where(keeps, np.clip(kept, SLOWS_MPS2, SPEEDS_UP_MPS2), accel)
+            gap = np.maximum(np.minimum(wanted.gap_m, search.kept_gap_m), search.ahead_gap_m + search.ahead_gap_s * v)
+            kept = search.speed_pull_per_s * (rules.target_mps[step - 1] - v)
+            kept = kept + rules.order * search.gap_pull_per_s2 * (gap - apart)
+            accel = np.where(keeps, np.clip(kept, slows_mps2, speeds_up_mps2), accel)
             if rules.brakes_mps2:
-                braking = (step - wanted.at) * dt <= _BRAKES_FOR_S
+                braking = (step - wanted.at) * dt <= search.brakes_s
                 accel = np.where(braking, -rules.brakes_mps2, accel)
         room, follows = _behind_of(after, s + after.from_m, step - 1)
-        kept_ahead = _LEADER_PULL * (follows - v) - _LEADER_GAP_PULL * (room - _LEADER_GAP_M - _LEADER_TIME_S * follows)
-        accel = np.maximum(accel, np.minimum(kept_ahead, SPEEDS_UP_MPS2))
+        kept_ahead = search.leader_speed_pull_per_s * (follows - v) - search.leader_gap_pull_per_s2 * (
+            room - search.leader_gap_m - search.leader_gap_s * follows
+        )
+        accel = np.maximum(accel, np.minimum(kept_ahead, speeds_up_mps2))
         room, lead = _ahead_of(after, s + after.from_m, step - 1)
-        led = _LEADER_PULL * (lead - v) + _LEADER_GAP_PULL * (room - _LEADER_GAP_M - _LEADER_TIME_S * v)
-        accel = np.minimum(accel, np.maximum(led, _LEADER_MPS2))
+        led = search.leader_speed_pull_per_s * (lead - v) + search.leader_gap_pull_per_s2 * (
+            room - search.leader_gap_m - search.leader_gap_s * v
+        )
+        accel = np.minimum(accel, np.maximum(led, -search.leader_brakes_mps2))
         v = np.where(here, np.clip(v + accel * dt, 0.0, after.at(s + after.from_m)), v)
         s = np.where(here, s + v * dt, s)
         speeds[here, step], way[here, step] = v[here], s[here]
@@ -139,7 +135,7 @@ def free(wanted: Wanted, rules: Rules, before: Along, after: Along, speeds: Floa
     """(N,) time, s, at which a motion first touches somebody, or comes too near to anybody but the target; else inf."""
     steps, dt = rules.target_mps.size, rules.step_s
     until = np.full(wanted.at.size, np.inf)
-    still, already = round(_STILL_THERE_S / dt), round(_ALREADY_THERE_S / dt)
+    still, already = round(rules.search.leaves_s / dt), round(rules.search.arrives_s / dt)
     for step in range(steps):
         s, v = way[:, step], speeds[:, step]
         bad = np.zeros(wanted.at.size, dtype=np.bool_)
@@ -159,7 +155,7 @@ def kept_to(
     """(N,) smallest TTC, s, and largest DRAC, m/s2, of vehicle and target from the moment on; -1 s where they touch."""
     assert rules.ahead is not None
     steps = np.arange(rules.target_mps.size)
-    since = wanted.at - (round(0.5 * _ALREADY_THERE_S / rules.step_s) if rules.changes else 0)
+    since = wanted.at - (round(0.5 * rules.search.arrives_s / rules.step_s) if rules.changes else 0)
     there = present[None, :] & (steps[None, :] >= since[:, None])
     apart = rules.order * (way - rules.ahead) - rules.lengths
     closing = rules.order * (rules.target_mps - speeds)
@@ -198,7 +194,7 @@ def _is_met(
     along: Along, s: FloatArray, v: FloatArray, step: int, rules: Rules, *, up_to_event: BoolArray
 ) -> BoolArray:
     """(N,) whether somebody is touched, or closed in on, at a step."""
-    taken = along.taken
+    taken, search = along.taken, rules.search
     rows = np.isfinite(taken.low[:, step])
     if not rows.any():
         return np.zeros(s.size, dtype=np.bool_)
@@ -208,11 +204,11 @@ def _is_met(
         taken.same_direction[rows, step, None],
         taken.along[rows, step, None],
     )
-    bad = (s > low - _MARGIN_M) & (s < high + _MARGIN_M)
+    bad = (s > low - search.margin_m) & (s < high + search.margin_m)
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead, behind = low - s, s - high
         leads = same_direction & ~own & (ahead > 0)
         bad |= leads & (v > speed + 0.05) & (ahead < rules.ttc_s * (v - speed))
-        bad |= leads & up_to_event & (ahead < _HEAD_M + _HEAD_S * v)
+        bad |= leads & up_to_event & (ahead < search.headway_m + search.headway_s * v)
         bad |= same_direction & ~own & (behind > 0) & (speed > v + 0.05) & (behind < rules.ttc_s * (speed - v))
     return np.asarray(bad.any(axis=0))

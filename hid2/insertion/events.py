@@ -17,7 +17,8 @@ import numpy as np
 from hid2.agents import DEFAULT_SIZES, Policy
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import draw_driver, lane_offset
-from hid2.insertion.event_plans import CHANGE_S, Plan, Planner, Target, target_of
+from hid2.insertion.event_plans import Plan, Planner
+from hid2.insertion.event_targets import Target, target_of
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.insertion.meetings import moving_vehicles, named_rows
 from hid2.insertion.outcome import Outcome, outcome_of, shift_times
@@ -38,19 +39,11 @@ from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
 #: Drives one vehicle alone among the recorded and the kept ones: scene, stop lines, start, kept ones.
 DriveAlone = Callable[[Scene, StopLines, Start, Traffic], DrivenVehicle]
-#: Vehicles of events are numbered from here on, behind all others.
+#: Vehicles of events are numbered from here on, behind all others: bookkeeping.
 FIRST_NUMBER = 10_000
 _POLICY = {"cut_in": Policy.LANE_CHANGE, "overtake": Policy.OVERTAKE}
 _MEETS_CROSSING = frozenset({"cross", "merge"})
-_PLANS_MOST = 600  # that are looked at closely
-_SAME_PLAN = 3  # times that a plan is tried, with a better start each time
-_ALIKE = 0.12  # score of a trait that a plan shares with one that has failed
-_ROAD_SPARE_MPS = 0.4
-_LOOKS_S = 0.5  # between looks at stop lines
-_AFTER_S = 1.0  # for so long after an event no stop line may hold a vehicle by plan
-_STOPS_MPS2 = -0.4
-#: The driver of an event holds to its plan: a short time gap, and whatever acceleration the plan has.
-_TAU_S, _ACCEL_MPS2, _DECEL_MPS2, _MIN_GAP_M = 0.6, 2.2, 2.6, 1.2
+_LOOKS_S = 0.5  # between looks at stop lines by plan; no tunable, spares time: driving looks at every step
 _LOG = logging.getLogger(__name__)
 
 
@@ -97,8 +90,10 @@ def scene_for(scene: Scene, event: Event) -> Scene:
     if event.kind in _MEETS_CROSSING:
         update["signals"] = config.signals.model_copy(update={"before_s": 0.0, "after_s": 0.0})
     if event.kind == "cut_in":
-        change = {
-            "time_gap_front_s": 0.3, "time_gap_rear_s": 0.0, "min_gap_m": 1.0, "braking_mps2": 9.0, "give_up_s": 0.6,
+        search = config.event_search
+        change = {  # behind the vehicle the event's band counts alone
+            "time_gap_front_s": search.cut_in_gap_s, "min_gap_m": search.cut_in_gap_m, "time_gap_rear_s": 0.0,
+            "braking_mps2": 9.0,
         }  # fmt: skip
         update["lane_change"] = config.lane_change.model_copy(update=change)
     changed: Config = config.model_copy(update=update)
@@ -164,11 +159,11 @@ class EventSearch:
         box = clearance_box(size, DEFAULT_SIZES[object_type])
         planner = Planner(scene, self.routes, self.roads, size, box, fixed)
         lines = StopLines(scene) if event.kind in _MEETS_CROSSING else self.stop_lines
-        tries = 0
+        search, tries = scene.config.event_search, 0
         for plan in self._plans(planner, event, targets, rng):
             best: Plan | None = plan
-            for _ in range(_SAME_PLAN):
-                if best is None or tries >= scene.config.event_search.tries:
+            for _ in range(search.plan_tries):
+                if best is None or tries >= search.tries:
                     break
                 start = self._start(planner, best, number, tries, rng)
                 objection = self._objection(planner, lines, best, start)
@@ -179,7 +174,7 @@ class EventSearch:
                 tries += 1
                 if outcome is not None:
                     return replace(outcome, tries=tries)
-            if tries >= scene.config.event_search.tries:
+            if tries >= search.tries:
                 break
         if not self.tried:
             self.tried = planner.turned_down
@@ -201,34 +196,35 @@ class EventSearch:
 
         Those that are like one that was given out before come later.
         """
-        lists, scores, traits = [], [], []
+        search, lists, scores, traits = self.scene.config.event_search, [], [], []
         for target in targets:
             plans = planner.plans(event, target)
             lists.append(plans)
-            scores.append(np.array([plan.score for plan in plans]) + 0.02 * rng.random(len(plans)))
+            scores.append(np.array([plan.score for plan in plans]) + search.off_chance * rng.random(len(plans)))
             traits.append(np.array([plan.traits for plan in plans]))
-        for _ in range(_PLANS_MOST):
+        for _ in range(search.plans):
             if not any(score.size and np.isfinite(score.min()) for score in scores):
                 return
             for plans, score, trait in zip(lists, scores, traits, strict=True):
                 if score.size and np.isfinite(score.min()):
                     row = int(np.argmin(score))
                     yield plans[row]
-                    score += _ALIKE * np.mean(trait == trait[row], axis=1)
+                    score += search.off_alike * np.mean(trait == trait[row], axis=1)
                     score[row] = np.inf
 
     def _start(self, planner: Planner, plan: Plan, number: int, tries: int, rng: np.random.Generator) -> Start:
         """A driver who holds to a plan, at its site."""
-        scene = self.scene
+        scene, search = self.scene, self.scene.config.event_search
         path = scene.path(plan.route)
         # a path across is laid out at a pace between its speed and the one that it likes
         v = max(float(plan.speeds[scene.steps_in(plan.trigger_s)]), scene.config.lane_change.min_speed_mps)
         change_s = plan.change_s * v / (0.5 * (v + max(v, plan.desired_mps)))
         driver = replace(
-            draw_driver(scene.config, rng, lane_speed_mps=plan.desired_mps), desired_mps=plan.desired_mps, tau_s=_TAU_S,
-            turn_lateral_mps2=scene.config.drivers.turn_lateral_max_mps2, accel_mps2=_ACCEL_MPS2,
-            decel_mps2=max(_DECEL_MPS2, plan.event.brakes_mps2), min_gap_m=_MIN_GAP_M,
-            lane_change_s=change_s if plan.side is not None else CHANGE_S,
+            draw_driver(scene.config, rng, lane_speed_mps=plan.desired_mps), desired_mps=plan.desired_mps,
+            turn_lateral_mps2=scene.config.drivers.turn_lateral_max_mps2, tau_s=search.tau_s,
+            accel_mps2=search.accel_mps2,
+            decel_mps2=max(search.decel_mps2, plan.event.brakes_mps2), min_gap_m=search.min_gap_m,
+            lane_change_s=change_s if plan.side is not None else search.change_s,
         )  # fmt: skip
         desired = np.append(plan.speeds[1:], plan.speeds[-1:])  # the wish at a step is for the next one
         policy = _POLICY.get(plan.event.kind, Policy.STRAIGHT)
@@ -243,8 +239,8 @@ class EventSearch:
 
     def _objection(self, planner: Planner, lines: StopLines, plan: Plan, start: Start) -> Reason | None:
         """What road and stop lines have against a plan before SUMO is asked; None for nothing."""
-        scene, path = planner.scene, start.path
-        until = min(plan.at_step + scene.steps_in(_AFTER_S), scene.num_steps)
+        scene, path, search = planner.scene, start.path, planner.scene.config.event_search
+        until = min(plan.at_step + scene.steps_in(search.after_s), scene.num_steps)
         if plan.side is not None:  # then it is on another path
             until = scene.steps_in(plan.trigger_s) + 1
         way = plan.way
@@ -252,12 +248,12 @@ class EventSearch:
             return Reason.NO_SITE
         table = self.roads.speeds(path, start.driver)
         asked = table[np.minimum((way / TABLE_STEP_M).astype(np.int64), table.size - 1)]
-        if (plan.speeds[:until] > asked[:until] + _ROAD_SPARE_MPS).any():
+        if (plan.speeds[:until] > asked[:until] + search.road_spare_mps).any():
             return Reason.TOO_SLOW
         closed = lines.arrays(path, start.box)
         for step in range(0, until, scene.steps_in(_LOOKS_S)):
             stop = closed.braking(start.driver, s=float(way[step]), speed_mps=float(plan.speeds[step]), step=step)
-            if stop is not None and stop[0] < _STOPS_MPS2:
+            if stop is not None and stop[0] < 0.0:
                 return Reason.CONFLICT_PREDICTED
         return None
 
@@ -313,7 +309,7 @@ class EventSearch:
         at: int | None = None
         if kind == "cut_in":
             at = _cut_in_step(plan, arrays, lanes, matches)
-            since = None if at is None else max(0, at - round(0.5 * CHANGE_S / scene.step_s))
+            since = None if at is None else max(0, at - round(0.5 * scene.config.event_search.change_s / scene.step_s))
         elif kind in ("lead", "follow"):
             led = leaders(arrays, lanes, matches)
             follower, leader = (1, 0) if kind == "lead" else (0, 1)

@@ -112,12 +112,17 @@ class Filling:
             if not starts and number > 0 and missing > 0 and self._give_up_manoeuvres():
                 starts = self._starts(number, missing, spare=asked != "max")
             if not starts and number > 0:
-                if asked == "max":
+                if asked == "max" and not self._avoided:
                     break
+                self._avoided.clear()  # who failed there may have failed because of others
                 continue  # a road that is full for one draw of drivers and places may not be for the next
             self.rounds = number + 1
             self._keep(drive(starts, self._fixed(), number), number)
-            if asked == "max" and number > 0 and len(self.kept) - before <= config.spawn.full_share * len(self.kept):
+            if (
+                asked == "max"
+                and number >= config.spawn.reseed_rounds
+                and len(self.kept) - before <= config.spawn.full_share * len(self.kept)
+            ):
                 break
         self._give_up_manoeuvres()
 

@@ -18,10 +18,9 @@ from hid2.vehicle import DrivenVehicle
 from netconvert.geometry import arc_length
 
 _AFTER_END_M = 120.0  # no tunable, spares time: nobody closes in from farther away within `conflict.end_horizon_s`
-
-
-_WITH_LANE = 0.5  # cosine of the largest angle between a lane and who drives along it, 60 degrees
-_BRAKING_SHARES = (0.0, 0.5, 1.0)  # of its driver's deceleration: some answer to what follows the last step
+#: Cosine of the largest angle between a lane and who drives along it, 60 degrees. No tunable: smoothed lines are within
+#: a few degrees of their lanes, and where a damaged map turns back on itself they are against them.
+_WITH_LANE = 0.5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -229,7 +228,7 @@ def _avoids_after_end(scene: Scene, vehicle: DrivenVehicle, motion: Motion, seen
     time_s = scene.step_s * np.arange(1, steps + 1)
     follows = seen.same_direction[:, last - 1] & (seen.low[:, last - 1] < motion.s[-1])
     low, high = seen.low[~follows, last : last + steps], seen.high[~follows, last : last + steps]
-    for share in _BRAKING_SHARES:
+    for share in scene.config.export.end_braking_shares:
         decel = share * vehicle.start.driver.decel_mps2
         moving_s = np.minimum(time_s, motion.v[-1] / max(decel, 1e-9))
         s = motion.s[-1] + motion.v[-1] * moving_s - 0.5 * decel * moving_s**2

@@ -20,24 +20,16 @@ from netconvert.cells import Cell
 from netconvert.errors import ScenarioError
 from netconvert.lane_graph import TurnType
 
-#: Recorded traffic is looked at so often, s: an estimate of where somebody would be needs no more.
+#: Recorded traffic is looked at so often, s. No tunable, spares time: an estimate of where somebody is needs no more.
 _EVERY_S = 0.5
-#: Centres this near to the middle of a cell are on it, m: half a lane and a little.
+#: Centres this near to the middle of a cell are on it, m: half a lane and a little. No tunable: what on a cell means.
 _ON_CELL_M = 3.0
-#: Share of the distance asked for within which somebody is near for sure, though nobody drives as estimated.
-_SURELY = 0.7
-#: A vehicle that keeps its speed all the time is estimated to be somewhat behind, as it brakes now and then.
-_PACE = 0.9
-#: Weights of a lane's cells are averaged over so many of its routes that turn alike.
-_ROUTES_MOST = 4
-#: A leader is estimated to lead from this gap between centres on, m, if it does for so many of the looks.
-_LEADS_FROM_M, _LEADS_LOOKS = 6.0, 3
-#: Weight of a site whose vehicle would be run into from behind by a recorded one, which does not brake: most fail.
-_RUN_INTO = 0.2
+#: A leader leads from this gap between centres on, m, if it does for so many looks. No tunables: what following is by
+#: `measures/encounters.py`, and a box ahead of a box.
+_LEADS_FROM_M, _LEADS_LOOKS = 6.0, 1 + round(FOLLOWS_FOR_S / _EVERY_S)
 #: Tracks of these categories are scored by whoever evaluates forecasts: scored ones and the focal one (Argoverse 2).
 _SCORED = (2, 3)
-_AFTER_CROSSING_S = 1.0  # who would be nearer to who crosses is kept from it
-_LEAST = 1e-3  # weight of a route that is not worth trying
+_LEAST = 1e-3  # weight of a route that is not worth trying; no tunable: not 0, so that one is drawn where no other is
 #: Track id of the recording vehicle (Argoverse 2).
 _RECORDING_VEHICLE = "AV"
 
@@ -230,7 +222,7 @@ class Meetings:
         rows = [row for row, one in enumerate(offers) if (one.turns[0][0] if one.turns else TurnType.STRAIGHT) is turn]
         if turn is TurnType.STRAIGHT and not rows:
             rows = list(range(len(offers)))
-        return rows[:_ROUTES_MOST]
+        return rows[: self.scene.config.sites.routes_estimated]
 
     def _of_offer(self, lane_id: int, row: int) -> Outlook:
         if (lane_id, row) not in self._on_route:
@@ -253,9 +245,10 @@ class Meetings:
         self, lane_id: int, offer: RouteOffer, speed_mps: float, look: int = 0, count: int | None = None
     ) -> Outlook:
         """Of the cells of a lane on one route, for who is there from a look on; count: of its first cells alone."""
-        scene, request, spawn = self.scene, self.scene.config.request, self.scene.config.spawn
+        scene, config = self.scene, self.scene.config
+        request, sites, spawn = config.request, config.sites, config.spawn
         cells, middle = self._cells(lane_id, offer)
-        count, pace = count or scene.grid.count(lane_id), _PACE * speed_mps
+        count, pace = count or scene.grid.count(lane_id), sites.pace_share * speed_mps
         start, since, step = middle[:count], slice(look, None), int(self._steps[look])
         time_s = np.asarray((self._steps[since] - step) * scene.step_s, dtype=np.float64)
         last = int(np.searchsorted(self._steps, min(scene.first_exit_step, scene.num_steps) - 1, side="right")) - 1
@@ -264,19 +257,19 @@ class Meetings:
         lane_cell = np.ascontiguousarray(self._lane_cell[:, since])
         near, near_last, leader, is_run_into, crosses = met_on_route(
             scene.grid.centers, cells, middle, count, time_s, pace, target_xy, target_there,
-            _SURELY * request.within_m, lane_cell, self._number, _LEADS_FROM_M,
+            sites.near_share * request.within_m, lane_cell, self._number, _LEADS_FROM_M,
             FOLLOWS_S * speed_mps + _LEADS_FROM_M, _LEADS_LOOKS, self._crossed_from,
-            self._crossed_s - step * scene.step_s, _AFTER_CROSSING_S, WITHIN_S, last - look,
+            self._crossed_s - step * scene.step_s, scene.config.conflict.pet_min_s, WITHIN_S, last - look,
         )  # fmt: skip
         weight = np.ones(count)
         if request.near == "anywhere":
             leader = np.full(count, -1, dtype=np.int64)
         else:
-            weight[is_run_into] *= _RUN_INTO
+            weight[is_run_into] *= spawn.run_into_weight
             weight[near] *= spawn.near_weight
             weight[leader >= 0] *= spawn.leader_weight
             weight[crosses] *= spawn.crossing_weight
-        leaves = middle[-1] - start < 0.8 * speed_mps * scene.steps_to_stay(step) * scene.step_s
+        leaves = middle[-1] - start < sites.leaves_share * speed_mps * scene.steps_to_stay(step) * scene.step_s
         if "topology" not in scene.config.without:
             weight[leaves] = 0.0
         return Outlook(weight, near_last, leader)

@@ -8,6 +8,7 @@ import numpy as np
 
 from hid2.agents import FloatArray, Policy
 from hid2.insertion.finalise import ExportedVehicle
+from hid2.measures.manoeuvres import LATERAL_SPEED_MPS, TURN_MARGIN_S
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.route import first_turn
 from hid2.occupancy.traffic import Traffic
@@ -16,11 +17,9 @@ from hid2.policy.overtake import Stage
 from hid2.policy.turns import TURN_OF_POLICY
 from hid2.reasons import Reason
 from hid2.scene import Scene
+from netconvert.lane_graph import TURN_RAD
 
 Status = Literal["done", "aborted", "not_feasible", "not_triggered"]
-_VISIBLE_MPS = 0.1
-_TURN_RAD = math.radians(30.0)
-_AROUND_TURN_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +70,9 @@ def _turn(scene: Scene, vehicle: ExportedVehicle) -> Outcome:
         return Outcome(driven.policy, "not_feasible", Reason.SCENE_ENDED, **common)  # type: ignore[arg-type]
     if end is None:
         return Outcome(driven.policy, "aborted", Reason.SCENE_ENDED, **common)  # type: ignore[arg-type]
-    heading, around = np.unwrap(vehicle.trajectory.heading), scene.steps_in(_AROUND_TURN_S)
+    heading, around = np.unwrap(vehicle.trajectory.heading), scene.steps_in(TURN_MARGIN_S)
     turned = heading[min(end + around, s.size - 1)] - heading[max(start - around, 0)]
-    if (turned if driven.policy is Policy.LEFT_TURN else -turned) < _TURN_RAD:
+    if (turned if driven.policy is Policy.LEFT_TURN else -turned) < TURN_RAD:
         return Outcome(driven.policy, "not_feasible", Reason.TURN_NOT_SEEN, **common)  # type: ignore[arg-type]
     return Outcome(driven.policy, "done", end_s=_time(end, step_s), **common)  # type: ignore[arg-type]
 
@@ -172,7 +171,7 @@ def shift_times(vehicle: ExportedVehicle, index: int) -> tuple[float | None, flo
     s, step_s = vehicle.motion.s, vehicle.motion.step_s
     share = lateral_share((s - start_m) / max(end_m - start_m, 1e-9))
     lateral_mps = np.abs(np.gradient(share * 3.5, step_s))
-    moving = np.flatnonzero(lateral_mps > _VISIBLE_MPS)
+    moving = np.flatnonzero(lateral_mps > LATERAL_SPEED_MPS)
     start = _time(int(moving[0]), step_s) if moving.size else None
     finished = float(share[-1]) > 0.98
     end = _time(min(int(moving[-1]) + 1, s.size - 1), step_s) if finished and moving.size else None

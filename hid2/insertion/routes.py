@@ -16,8 +16,6 @@ from hid2.policy.turns import TURN_OF_POLICY
 from hid2.scene import DRIVABLE_TYPES, Scene
 from netconvert.lane_graph import LaneGraph, TurnType
 
-_ROUTES_MOST = 16  # from one lane
-_RUN_UP_M = 40.0  # of a route before the lane that it starts on: who comes from behind is seen there
 _SIDES: tuple[Side, ...] = ("left", "right")
 
 
@@ -90,7 +88,7 @@ class Routes:
                         lane_id,
                         choose=lambda onward: tuple(sorted(onward)),
                         usable=self.usable,
-                        most=_ROUTES_MOST,
+                        most=self.scene.config.sites.routes,
                         longest_m=ROUTE_LONGEST_M,
                     )
                 )
@@ -188,12 +186,12 @@ class Routes:
         return self._beside[key]
 
     def _run_up(self, lane_id: int) -> Route:
-        """Lanes that lead to a lane, the straightest way, back to the map's edge or _RUN_UP_M."""
+        """Lanes that lead to a lane, the straightest way, back to the map's edge or `sites.run_up_m`."""
         if "topology" in self.scene.config.without:
             return ()
         graph, length = self.scene.grid.graph, 0.0
         before: Route = ()
-        while length < _RUN_UP_M:
+        while length < self.scene.config.sites.run_up_m:
             here = before[0] if before else lane_id
             onto = [p for p in graph.predecessors(here) if self.usable(p) and p not in (lane_id, *before)]
             if not onto:

@@ -5,6 +5,7 @@ import numpy as np
 from hid2.kernels.compiled import inner, kernel
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
+# No tunables, spare time: whoever may close in passes this test, and is then measured on the lanes.
 _SLACK_M = 0.5
 _ONCOMING = -0.2  # cosine of the angle between two that do not follow each other, not even round a corner
 _SHARPEST_M, _LATERAL_MPS2 = 6.0, 6.0  # radius of the bend that may lie ahead at any speed, and by the speed

@@ -7,6 +7,7 @@ import numpy as np
 from hid2.kernels.compiled import inner, kernel
 from netconvert.geometry import BoolArray, FloatArray
 
+# No tunables: half widths of usual cars and of lanes, on the curve of `motion/lane_change_path.py`, with some to spare.
 #: Shares of a lateral motion: the lane entered is touched from the first on, the lane left up to the second.
 _ENTERS, _LEAVES = 0.25, 0.7
 #: Share of a lateral motion after which two usual cars do not overlap any more; kept to who is behind there, m.

@@ -7,7 +7,12 @@ from hid2.kernels.compiled import inner, kernel
 from hid2.kernels.raster import IndexTable
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
-_WIDER_M = 1.0  # who stands is measured more widely, so that it need not be looked at again when a tracker jitters
+#: Who stands is measured more widely, m, so that it need not be looked at again when a tracker jitters. No tunable:
+#: spares time.
+_WIDER_M = 1.0
+#: Cosines of the largest angle (45 degrees) to a path of who moves with it, and of the smallest (30) of who crosses it.
+#: No tunables: what the words mean. Between the two somebody does both.
+SAME_WAY, _CROSSES = 0.7, 0.87
 
 
 @kernel("(f8[:,::1], f8[::1], f8[::1], f8, i8, f8[:,:,::1], f8[:,::1], b1[:,::1], f8[::1], f8[::1])")
@@ -193,7 +198,7 @@ def intervals_on_path(
             low[k, t], high[k, t] = (begin + first - 1) * step, (begin + last + 1) * step
             along[k, t] = velocity[a, t, 0] * points[2, nearest] + velocity[a, t, 1] * points[3, nearest]
             turned = np.cos(angle - heading[nearest])
-            same_direction[k, t], crossing[k, t] = turned > 0.7, abs(turned) <= 0.87
+            same_direction[k, t], crossing[k, t] = turned > SAME_WAY, abs(turned) <= _CROSSES
             spare, hit = 0.0, True
         if hit:
             who[k] = a

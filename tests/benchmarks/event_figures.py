@@ -30,7 +30,7 @@ from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import EventRecord
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray, Track
-from hid2.insertion.event_plans import Target, target_of
+from hid2.insertion.event_targets import Target, target_of
 from hid2.insertion.meetings import moving_vehicles, named_rows
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.occupancy.traffic import BoolArray

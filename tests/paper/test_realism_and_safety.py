@@ -110,7 +110,6 @@ def test_scr_is_the_share_of_vehicles_that_collide_at_any_step():
     assert pairs[1].iou == pytest.approx(0.2 / 15.8)
     everyone = np.ones(4, dtype=bool)
     assert colliding(arrays, pairs, everyone).mean() == 0.5
-    assert colliding(arrays, pairs, everyone, iou=0.0).mean() == 0.75
     assert not colliding(arrays, pairs, ~everyone).any()
 
 

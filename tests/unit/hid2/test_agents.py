@@ -37,9 +37,3 @@ def test_box_size_travels_between_processes() -> None:
 def test_every_vehicle_type_has_a_size_and_the_paper_s_policies_are_five() -> None:
     assert set(DEFAULT_SIZES) >= VEHICLE_TYPES
     assert [policy.value for policy in Policy] == ["straight", "left_turn", "right_turn", "lane_change", "overtake"]
-
-
-def test_a_box_fits_in_one_that_is_neither_shorter_nor_narrower() -> None:
-    assert BoxSize(4.0, 2.0).fits(BoxSize(4.0, 2.1))
-    assert not BoxSize(4.0, 2.0).fits(BoxSize(5.0, 1.9))
-    assert not BoxSize(4.5, 2.0).fits(BoxSize(4.0, 2.1))

@@ -115,11 +115,6 @@ def test_the_net_has_a_version_and_no_offset(fork: LaneGraph) -> None:
     assert net.find("location").get("convBoundary") == "0.00,-3.00,12.00,3.00"
 
 
-def test_the_speed_limit_is_the_caller_s(fork: LaneGraph) -> None:
-    net = etree.fromstring(net_bytes(build_cell_grid(fork), speed_limit_mps=13.9))
-    assert {lane.get("speed") for lane in net.iter("lane")} == {"13.9"}
-
-
 def test_equal_grids_give_equal_bytes(fork: LaneGraph) -> None:
     assert net_bytes(build_cell_grid(fork)) == net_bytes(build_cell_grid(LaneGraph(fork.lanes)))
 

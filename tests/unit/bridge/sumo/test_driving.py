@@ -444,7 +444,7 @@ def test_vehicle_is_inserted_with_its_box_where_it_starts(s0: float, drive: Call
 
         def first() -> frozenset[str]:
             if not poses:
-                poses.append((simulation.pose("v0_0"), simulation.speed("v0_0")))
+                poses.append((simulation.poses(["v0_0"])[0], simulation.speed("v0_0")))
             return read()
 
         simulation.driven = first  # type: ignore[method-assign]

@@ -111,7 +111,7 @@ def test_inserted_vehicle_starts_where_and_as_fast_as_asked(sumo: Simulation) ->
     assert sumo.speed("v1") == pytest.approx(8.0)
     sumo.drive("v1", desired_mps=12.0, limit_mps=8.0)
     sumo.step()
-    assert sumo.pose("v1") == pytest.approx((23.05, 0.0, 90.0))
+    assert sumo.poses(["v1"])[0] == pytest.approx((23.05, 0.0, 90.0))
 
 
 def test_vehicle_is_inserted_close_behind_another_if_it_was_planned_so(sumo: Simulation) -> None:
@@ -153,7 +153,7 @@ def test_car_following_stays_below_a_desired_speed(sumo: Simulation) -> None:
         sumo.place("r0", 62.0, 0.0, 90.0)
         sumo.drive("v1", desired_mps=12.0, limit_mps=12.0)
         sumo.step()
-    front = sumo.pose("v1")[0]
+    front = sumo.poses(["v1"])[0][0]
     assert sumo.speed("v1") < 0.1
     assert 62.0 - 4.5 - 3.5 < front < 62.0 - 4.5 - 1.9
 
@@ -202,7 +202,7 @@ def test_replayed_vehicle_stays_where_it_is_put_and_goes_when_removed(sumo: Simu
     for pose in ((30.0, 0.0, 90.0), (30.4, -9.0, 12.5), (31.0, 1.75, 180.0)):
         sumo.place("r0", *pose)
         sumo.step()
-        assert sumo.pose("r0") == pytest.approx(pose)
+        assert sumo.poses(["r0"])[0] == pytest.approx(pose)
     sumo.remove("r0")
     sumo.step()
     assert "r0" not in sumo.driven()
@@ -246,6 +246,6 @@ def test_gap_behind_a_replayed_vehicle_is_what_its_expected_deceleration_asks_fo
                     "v1", edges=EDGES[3:], lane_id="1#3_0", front_m=0.0, speed_mps=5.0, length_m=4.5, width_m=1.9,
                     accel_mps2=1.8, decel_mps2=2.5, tau_s=1.0, min_gap_m=1.5, max_speed_mps=12.0,
                 ) is None  # fmt: skip
-        pose = sumo.pose("v1")
+        pose = sumo.poses(["v1"])[0]
         assert pose is not None
         assert front - 4.5 - pose[0] == pytest.approx(wanted_m, abs=0.5)

@@ -163,10 +163,16 @@ def test_recorded_follower_may_not_close_in_critically(scene_of: Callable[..., S
     assert _alone(scene_of(recorded(23.0, 0.0, 10.0)), v) is Reason.TTC_RECORDED_FOLLOWER
 
 
-def test_crossing_below_the_critical_pet_is_named(scene_of: Callable[..., Scene]) -> None:
-    """The vehicle leaves x = 90 after 5.3 s; a recorded one crosses there, its front at y = -1.75 after 5.8 s."""
-    crossing = recorded(90.0, -10.0 * 5.8 - 1.75 - 2.25, 10.0, heading=np.pi / 2)
-    assert _alone(scene_of(crossing), np.full(110, 10.0)) is Reason.PET
+@pytest.mark.parametrize(("at_s", "is_critical"), [(5.8, True), (6.1, True), (6.6, False)])
+def test_crossing_below_the_critical_pet_is_named(
+    at_s: float, is_critical: bool, scene_of: Callable[..., Scene]
+) -> None:
+    """The vehicle leaves x = 90.95 after 5.3 s; a recorded one crosses it 0.1 s after at_s (y = -0.95).
+
+    PETs of 0.6, 0.9 and 1.4 s; 1 s is critical.
+    """
+    crossing = recorded(90.0, -10.0 * at_s - 1.75 - 2.25, 10.0, heading=np.pi / 2)
+    assert (_alone(scene_of(crossing), np.full(110, 10.0)) is Reason.PET) is is_critical
 
 
 def test_end_of_the_scene_is_no_cliff(scene_of: Callable[..., Scene]) -> None:

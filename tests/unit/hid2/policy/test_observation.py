@@ -150,16 +150,22 @@ def test_free_corridor_ends_at_who_is_slower_than_desired(
     assert option.corridor_m == pytest.approx(corridor, abs=0.6)
 
 
-def test_fleet_holds_the_cells_where_the_simulation_has_it_now(
-    scene_of: Callable[..., Scene], box: Callable[..., Traffic]
+@pytest.mark.parametrize("who", ["driven", "kept"])
+def test_generated_vehicles_hold_the_cells_where_the_simulation_has_them_now(
+    who: str, scene_of: Callable[..., Scene], box: Callable[..., Traffic]
 ) -> None:
-    """Sigma = 2: somebody driven stands in cell 11 (44 .. 48 m) of lane 2, next to cell 10; cell 13 is three away."""
+    """Sigma = 2: somebody driven, or kept in a round before, stands in cell 11 (44 .. 48 m) of lane 2, next to cell 10.
+
+    Cell 13 is three away.
+    """
     scene = scene_of()
 
     def is_free(x: float) -> bool:
+        fixed = box(x, 3.5, length_m=3.0) if who == "kept" else NOBODY
+        fleet = box(x, 3.5, steps=1, length_m=3.0) if who == "driven" else NOBODY
         ((option, _),) = lane_options(
-            scene, scene.path((1,)), CAR, s=42.0, step=70, sides=("left",), fixed=NOBODY,
-            fleet=box(x, 3.5, steps=1, length_m=3.0), speed_mps=10.0, desired_mps=10.0,
+            scene, scene.path((1,)), CAR, s=42.0, step=70, sides=("left",), fixed=fixed, fleet=fleet, speed_mps=10.0,
+            desired_mps=10.0,
         )  # fmt: skip
         return option.cells_free
 

@@ -1,0 +1,157 @@
+"""Mutants where numbers decide, and the tests that must notice each. A script, no test:
+
+python tests/benchmarks/mutants.py [NAME ...]
+
+The tree is copied, one text of one file is replaced at a time, and the tests named are run there. Exit status 1 where
+a mutant survives, where its text is not in its file exactly once any more, or where the tests fail without any mutant.
+"""
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[2]
+UNIT = "tests/unit/hid2"
+#: Kernels are interpreted: compiling them anew for a mutant would take longer than the tests.
+ENVIRONMENT = {"OMP_NUM_THREADS": "1", "NUMBA_DISABLE_JIT": "1"}
+
+
+class Mutant(NamedTuple):
+    """A text of a file, what is there instead, and the tests that must fail then."""
+
+    file: str
+    text: str
+    instead: str
+    tests: tuple[str, ...]
+
+
+MUTANTS = {
+    "lane change: two cells for three": Mutant(
+        "hid2/policy/observation.py", "grid.count(cell.lane_id) - 1 - cell.index, 1)",
+        "grid.count(cell.lane_id) - 1 - cell.index, 0)", (f"{UNIT}/policy/test_observation.py",),
+    ),
+    "lane change: front gap by the other's speed": Mutant(
+        "hid2/policy/lane_change.py", "safe_gap_m(speed_mps, front.speed_mps,",
+        "safe_gap_m(front.speed_mps, speed_mps,", (f"{UNIT}/policy/test_lane_change.py",),
+    ),
+    "lane change: rear gap with the time gap of the front": Mutant(
+        "hid2/policy/lane_change.py", "time_gap_s=params.time_gap_rear_s", "time_gap_s=params.time_gap_front_s",
+        (f"{UNIT}/policy/test_lane_change.py",),
+    ),
+    "sigma: kept vehicles hold no cell": Mutant(
+        "hid2/policy/observation.py", "for traffic, column in ((fixed, step), (fleet, 0))\n        if traffic.ids\n",
+        "for traffic, column in ((fleet, 0),)\n        if traffic.ids\n", (f"{UNIT}/policy/test_observation.py",),
+    ),
+    "conflict case 2: the farther one goes first": Mutant(
+        "hid2/kernels/guard.py", "return bool(theirs < mine)", "return bool(theirs > mine)",
+        (f"{UNIT}/conflicts/test_guard.py",),
+    ),
+    "trigger: a step late": Mutant(
+        "hid2/policy/decision.py", "seen.time_s >= seen.trigger_s", "seen.time_s > seen.trigger_s",
+        (f"{UNIT}/policy/test_decision.py",),
+    ),
+    "end of the scene: half the time is enough": Mutant(
+        "hid2/insertion/finalise.py", "contact.ttc_s < conflict.end_ttc_min_s",
+        "contact.ttc_s < 0.5 * conflict.end_ttc_min_s", (f"{UNIT}/insertion/test_finalise.py",),
+    ),
+    "critical TTC: four fifths are enough": Mutant(
+        "hid2/insertion/finalise.py", "if ttc_s < config.conflict.ttc_min_s",
+        "if ttc_s < 0.8 * config.conflict.ttc_min_s", (f"{UNIT}/insertion/test_finalise.py",),
+    ),
+    "critical PET: four fifths are enough": Mutant(
+        "hid2/insertion/finalise.py", "pet_s=config.conflict.pet_min_s", "pet_s=0.8 * config.conflict.pet_min_s",
+        (f"{UNIT}/insertion/test_finalise.py",),
+    ),
+    "smoothing: the line may stray three times as far": Mutant(
+        "hid2/motion/reference_line.py", ".max() > max_offset_m:", ".max() > 3.0 * max_offset_m:",
+        (f"{UNIT}/motion/test_reference_line.py",),
+    ),
+    "mix: rounded, not drawn": Mutant(
+        "hid2/insertion/requests.py", "offset, upto, before = float(rng.random()), 0.0, 0",
+        "offset, upto, before = 0.5, 0.0, 0", (f"{UNIT}/insertion/test_requests.py",),
+    ),
+    "order of kept vehicles: the earlier one goes": Mutant(
+        "hid2/insertion/finalise.py", "found.setdefault(max(row, leader),", "found.setdefault(min(row, leader),",
+        (f"{UNIT}/insertion/test_finalise.py",),
+    ),
+    "resume: an edited source is taken as done": Mutant(
+        "bridge/batch/batch.py", "== (base.version, source_sha256)", "== (base.version, row.source_sha256)",
+        ("tests/batch/test_batch.py::TestResume",),
+    ),
+    "seeds: variants look for sites at one place": Mutant(
+        "hid2/insertion/spread.py", "+ variant * _VARIANT", "+ 0 * variant * _VARIANT",
+        (f"{UNIT}/insertion/test_spread.py",),
+    ),
+}  # fmt: skip
+
+
+def copy(folder: Path) -> None:
+    """What git has, or would have, of the tree."""
+    listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    names = subprocess.run(listed, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    for name in filter(None, names.split("\0")):
+        if (ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(ROOT / name, folder / name)
+
+
+def failures(folder: Path, tests: Sequence[str]) -> tuple[int, list[str]]:
+    """Exit status of pytest in a folder, and the tests that failed."""
+    command = [sys.executable, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider", "-q", "-x", "--tb=no", *tests]
+    environment = os.environ | ENVIRONMENT | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(command, cwd=folder, env=environment, check=False, capture_output=True, text=True)
+    return done.returncode, [
+        line.removeprefix("FAILED ").split(" - ")[0].split("::", 1)[-1]
+        for line in done.stdout.splitlines()
+        if line.startswith("FAILED ")
+    ]
+
+
+def verdict(folder: Path, mutant: Mutant) -> tuple[bool, str]:
+    """Whether a mutant was noticed in a copy of the tree, and by whom, or what went wrong."""
+    path = folder / mutant.file
+    source = path.read_text(encoding="utf-8")
+    if source.count(mutant.text) != 1:
+        return False, f"{mutant.file} has its text {source.count(mutant.text)} times, expected once"
+    path.write_text(source.replace(mutant.text, mutant.instead), encoding="utf-8")
+    try:
+        status, failed = failures(folder, mutant.tests)
+    finally:
+        path.write_text(source, encoding="utf-8")
+    if status != 1:
+        return False, "SURVIVED" if status == 0 else f"pytest ended with status {status}"
+    return True, ", ".join(failed)
+
+
+def main() -> int:
+    """Run the mutants asked for, all unless told."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="words of the names of mutants")
+    words = parser.parse_args().names
+    chosen = {name: one for name, one in MUTANTS.items() if not words or any(word in name for word in words)}
+    missed = 0
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        copy(folder)
+        status, failed = failures(folder, sorted({test for one in chosen.values() for test in one.tests}))
+        if status != 0:
+            print(f"without any mutant: pytest ended with status {status}: {', '.join(failed)}")
+            return 1
+        for name, mutant in chosen.items():
+            began = time.monotonic()
+            noticed, said = verdict(folder, mutant)
+            missed += not noticed
+            print(f"{'caught' if noticed else 'MISSED'} {time.monotonic() - began:5.1f} s  {name}: {said}", flush=True)
+    print(f"{len(chosen) - missed} of {len(chosen)} mutants caught")
+    return int(missed > 0 or not chosen)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
