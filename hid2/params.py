@@ -125,7 +125,7 @@ class Spawn(_Section):
     run_into_weight: float = _param(
         0.2, "ratio", "weight of sites whose vehicle a recorded one would run into from behind: most fail", ge=0, le=1
     )
-    rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
+    rounds: int = _param(12, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(
         3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
     )
@@ -151,7 +151,7 @@ class Spawn(_Section):
     failed_manoeuvres: int = _param(
         2, "requests", "without a site, after which a round looks for no more for that manoeuvre", ge=1, le=500
     )
-    failed_straight: int = _param(1, "requests", "the same for those that go straight", ge=1, le=500)
+    failed_straight: int = _param(3, "requests", "the same for those that go straight", ge=1, le=500)
     driven_again: int = _param(
         1, "times", "a vehicle that had waited for one that is gone is driven again", ge=0, le=10
     )
