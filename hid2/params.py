@@ -125,7 +125,7 @@ class Spawn(_Section):
     run_into_weight: float = _param(
         0.2, "ratio", "weight of sites whose vehicle a recorded one would run into from behind: most fail", ge=0, le=1
     )
-    rounds: int = _param(6, "rounds", "simulations run to reach the requested count", ge=1, le=50)
+    rounds: int = _param(12, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(
         3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
     )
@@ -151,7 +151,7 @@ class Spawn(_Section):
     failed_manoeuvres: int = _param(
         2, "requests", "without a site, after which a round looks for no more for that manoeuvre", ge=1, le=500
     )
-    failed_straight: int = _param(1, "requests", "the same for those that go straight", ge=1, le=500)
+    failed_straight: int = _param(3, "requests", "the same for those that go straight", ge=1, le=500)
     driven_again: int = _param(
         1, "times", "a vehicle that had waited for one that is gone is driven again", ge=0, le=10
     )
@@ -407,6 +407,12 @@ class Conflict(_Section):
         min_length=1,
     )
     predicted_jerk_mps3: float = _param(4.0, "m/s3", "predicted braking builds up at this rate", gt=0, le=20)
+    braking_lasts_s: float = _param(
+        1.0, "s", "a generated vehicle that brakes is predicted to brake on so long", ge=0, le=10
+    )
+    hardest_ratio: float = _param(
+        1.4, "ratio", "hardest braking for who appears ahead, over the driver's deceleration", ge=1, le=5
+    )
     stride: int = _param(2, "steps", "between two looks at the predicted motion", ge=1, le=10)
     margin_lateral_m: float = _param(0.1, "m", "added to each side of a box", ge=0, le=2)
     margin_front_m: float = _param(1.0, "m", "kept to a box that crosses or stands ahead", ge=0, le=10)
@@ -483,6 +489,12 @@ class Driving(_Section):
     brake_jerk_mps3: float = _param(3.5, "m/s3", "braking for what SUMO does not see builds up so", gt=0, le=20)
     last_brake_mps2: float = _param(0.6, "m/s2", "hardest braking just before standing still", gt=0, le=4)
     last_brake_per_s: float = _param(1.8, "1/s", "and so much harder by the speed", ge=0, le=20)
+    stop_ahead_m: float = _param(60.0, "m", "closed stop lines farther ahead matter to no driver yet", ge=5, le=500)
+    stop_share: float = _param(0.6, "share", "of its deceleration, with which a driver rolls up to a line", gt=0, le=1)
+    stop_takes_s: float = _param(0.5, "s", "in which it takes up the speed for that", gt=0, le=5)
+    stop_hardest_ratio: float = _param(
+        1.3, "ratio", "over its deceleration: who would have to brake harder crosses, as at amber", ge=1, le=5
+    )
     across_s: float = _param(
         8.0, "s", "who comes from behind on the way across is looked for so far ahead", gt=0, le=15
     )

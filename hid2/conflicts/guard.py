@@ -171,7 +171,10 @@ class Guard:
             obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
             round((conflict.horizon_s if horizon_s is None else horizon_s) / step_s), conflict.stride, step_s,
             (driver.tau_s, driver.accel_mps2, driver.decel_mps2, driver.min_gap_m), self._brakes,
-            conflict.predicted_jerk_mps3, 0.5 * conflict.margin_front_m,
+            (
+                conflict.predicted_jerk_mps3, 0.5 * conflict.margin_front_m, conflict.braking_lasts_s,
+                conflict.hardest_ratio,
+            ), obstacles.lines.stops,
         )  # fmt: skip
         return Braking(
             decel_mps2=float(self._brakes[row]),

@@ -25,17 +25,23 @@ class StopLine:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ClosedLines:
-    """The stop lines of one path, in their order: where (L,) m, whether they are closed (L, T), and why."""
+    """The stop lines of one path, in their order: where (L,) m, whether they are closed (L, T), and why.
+
+    stops: how drivers stop at them, as in the kernel `stop_ahead`.
+    """
 
     stop_s: FloatArray
     closed: BoolArray
     causes: tuple[str, ...]
+    stops: tuple[float, float, float, float]
 
     def braking(self, driver: Driver, *, s: float, speed_mps: float, step: int) -> tuple[float, str] | None:
         """Acceleration, m/s2, that stops a driver at the next closed line, and its cause; None for none."""
         if not self.causes:
             return None
-        row, accel = stop_ahead(self.stop_s, self.closed, s, speed_mps, step, driver.accel_mps2, driver.decel_mps2)
+        row, accel = stop_ahead(
+            self.stop_s, self.closed, s, speed_mps, step, driver.accel_mps2, driver.decel_mps2, self.stops
+        )
         return None if row < 0 else (float(accel), self.causes[row])
 
 
@@ -84,5 +90,7 @@ class StopLines:
             for row, line in enumerate(lines):
                 closed[row] = line.closed
             stop_s = np.array([line.stop_s for line in lines], dtype=np.float64)
-            self._arrays[key] = ClosedLines(stop_s, closed, tuple(line.cause for line in lines))
+            driving = self.scene.config.driving
+            stops = driving.stop_ahead_m, driving.stop_share, driving.stop_takes_s, driving.stop_hardest_ratio
+            self._arrays[key] = ClosedLines(stop_s, closed, tuple(line.cause for line in lines), stops)
         return self._arrays[key]

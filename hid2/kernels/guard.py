@@ -5,52 +5,53 @@ import numpy as np
 from hid2.kernels.compiled import inner, kernel
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
-#: Stop lines farther ahead than this are no business of a driver yet, m.
-_AHEAD_M = 60.0
-#: Whoever has passed a line by this has passed it, m.
-_PASSED_M = 0.3
+_PASSED_M = 0.3  # tolerance: whoever is so far beyond a stop line has passed it
 _SAME_WAY = 0.7  # definition: cosine of 45 degrees, as `path_intervals` has it
-_BRAKING_LASTS_S = 1.0  # that a generated vehicle which brakes now is predicted to brake on
 
 
 @inner
-def predicted_s(s: float, v: float, a: float, ahead_s: float) -> float:
-    """Arc length of a vehicle ahead_s from now: constant speed, or braking on for a second and then constant speed."""
+def predicted_s(s: float, v: float, a: float, ahead_s: float, lasts_s: float) -> float:
+    """Arc length of a vehicle ahead_s from now: constant speed, or braking on for lasts_s and then constant speed."""
     if a >= 0.0:
         return s + v * ahead_s
-    braking = min(ahead_s, _BRAKING_LASTS_S, v / -a)
-    slower = max(0.0, v + a * min(ahead_s, _BRAKING_LASTS_S))
+    braking = min(ahead_s, lasts_s, v / -a)
+    slower = max(0.0, v + a * min(ahead_s, lasts_s))
     return s + v * braking + 0.5 * a * braking * braking + slower * (ahead_s - braking)
 
 
 @inner
-def _accel_towards_stop(ahead_m: float, speed_mps: float, accel_mps2: float, decel_mps2: float) -> float:
-    """Acceleration of a driver who comes to stand ahead_m from here, m/s2.
+def _accel_towards_stop(
+    ahead_m: float, speed_mps: float, accel_mps2: float, decel_mps2: float, stops: tuple[float, float, float, float]
+) -> float:
+    """Acceleration of a driver who comes to stand ahead_m from here, m/s2; stops: as in `stop_ahead`.
 
     Kinematic rather than IDM: a driver lets the car roll up to a line, and does not begin far before it.
     """
     if ahead_m <= 0.1:
         return -decel_mps2
     needed = speed_mps * speed_mps / (2.0 * ahead_m)
-    comfortable = 0.6 * decel_mps2
+    comfortable = stops[1] * decel_mps2
     if needed < comfortable:
         reach: float = np.sqrt(2.0 * comfortable * ahead_m)  # from which comfortable braking ends at the line
-        return min(accel_mps2, (reach - speed_mps) / 0.5)
+        return min(accel_mps2, (reach - speed_mps) / stops[2])
     return -needed
 
 
 @inner
-def _line_ahead(stop_s: FloatArray, closed: BoolArray, s: float, v: float, step: int, decel_mps2: float) -> int:
+def _line_ahead(
+    stop_s: FloatArray, closed: BoolArray, s: float, v: float, step: int, decel_mps2: float,
+    stops: tuple[float, float, float, float],
+) -> int:  # fmt: skip
     """Row of the next stop line that is closed at a step and at which the driver can stop, -1 for none.
 
     A line at which the driver can no longer stop without braking hard is driven across, as an amber light is.
     """
-    hardest = 1.3 * decel_mps2
+    hardest = stops[3] * decel_mps2
     for row in range(stop_s.size):
         ahead = stop_s[row] - s
         if ahead < -_PASSED_M or not closed[row, min(step, closed.shape[1] - 1)]:
             continue
-        if ahead > _AHEAD_M:
+        if ahead > stops[0]:
             return -1
         if v * v > 2.0 * hardest * max(ahead, 0.05) and v > 1.0:
             continue
@@ -58,13 +59,18 @@ def _line_ahead(stop_s: FloatArray, closed: BoolArray, s: float, v: float, step:
     return -1
 
 
-@kernel("(f8[::1], b1[:,::1], f8, f8, i8, f8, f8)")
+@kernel("(f8[::1], b1[:,::1], f8, f8, i8, f8, f8, UniTuple(f8, 4))")
 def stop_ahead(
-    stop_s: FloatArray, closed: BoolArray, s: float, v: float, step: int, accel_mps2: float, decel_mps2: float
-) -> tuple[int, float]:
-    """Row of the next closed stop line ahead at which a driver can stop, -1 for none, and the acceleration, m/s2."""
-    row = _line_ahead(stop_s, closed, s, v, step, decel_mps2)
-    return row, _accel_towards_stop(stop_s[row] - s, v, accel_mps2, decel_mps2) if row >= 0 else 0.0
+    stop_s: FloatArray, closed: BoolArray, s: float, v: float, step: int, accel_mps2: float, decel_mps2: float,
+    stops: tuple[float, float, float, float],
+) -> tuple[int, float]:  # fmt: skip
+    """Row of the next closed stop line ahead at which a driver can stop, -1 for none, and the acceleration, m/s2.
+
+    stops: how far ahead lines are looked at, m; usual braking over the driver's deceleration; time in which it takes
+    up the speed from which that ends at the line, s; hardest braking over its deceleration.
+    """
+    row = _line_ahead(stop_s, closed, s, v, step, decel_mps2, stops)
+    return row, _accel_towards_stop(stop_s[row] - s, v, accel_mps2, decel_mps2, stops) if row >= 0 else 0.0
 
 
 @inner
@@ -108,21 +114,22 @@ def _is_on(low: FloatArray, cosine: FloatArray, s: float, step_m: float) -> bool
 
 @kernel(
     "(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], f8[:,:,::1], i8[::1], f8[:,::1], i8, i8,"
-    " UniTuple(f8, 3), f8, f8[::1], f8, f8, i8, i8, f8, UniTuple(f8, 4), f8[::1], f8, f8)"
+    " UniTuple(f8, 3), f8, f8[::1], f8, f8, i8, i8, f8, UniTuple(f8, 4), f8[::1], UniTuple(f8, 4), UniTuple(f8, 4))"
 )
 def needed_braking(
     low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_s: FloatArray,
     closed: BoolArray, swept: FloatArray, rows: IntArray, fleet: FloatArray, own: int, t: int,
     start: tuple[float, float, float], desired_mps: float, road: FloatArray, road_step: float, table_step: float,
     horizon: int, stride: int, step_s: float, driver: tuple[float, float, float, float], brakes: FloatArray,
-    jerk: float, margin: float,
+    predicted: tuple[float, float, float, float], stops: tuple[float, float, float, float],
 ) -> tuple[int, int, int, int, float, bool, float]:  # fmt: skip
     """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) whose predicted motion meets nobody.
 
     low, high, along, same_direction (A, T): agents whose future is known, as in `PathOccupancy`. stop_s (L,) m, closed
     (L, T): stop lines. swept (3, G, K): low, high, cosine of generated vehicles by their own arc length, of rows (G,)
     of fleet (N, 5): s, v, a, executing, present. start: own s, v, a; driver: tau s, acceleration, deceleration m/s2,
-    gap at standstill m. Returns
+    gap at standstill m; predicted: rate at which braking builds up, m/s3, margin to boxes ahead, m, time for which who
+    brakes brakes on, s, hardest braking for who appears ahead over the deceleration; stops: as in `stop_ahead`. Returns
     (row of brakes, step of its first conflict or -1, step of the first conflict without braking or -1, fleet row of
     the nearest generated leader or -1, gap to it m, whether some known agent comes up from behind,
     where the vehicle gets without braking before a conflict or the horizon, m).
@@ -130,7 +137,8 @@ def needed_braking(
     g_low, g_high, g_cos = swept
     s0, v0, a0 = start
     tau, accel, decel, min_gap = driver
-    hardest = 1.4 * decel
+    jerk, margin, lasts, hardest_ratio = predicted
+    hardest = hardest_ratio * decel
     agents, steps = low.shape
     best, best_step, free_step = 0, 0, -1
     leader, leader_gap, run_into, free_s = -1, np.inf, False, s0
@@ -162,7 +170,7 @@ def needed_braking(
                     j = rows[g]
                     if fleet[j, 4] == 0.0:
                         continue
-                    at = int(predicted_s(fleet[j, 0], fleet[j, 1], fleet[j, 2], ahead_s) / table_step)
+                    at = int(predicted_s(fleet[j, 0], fleet[j, 1], fleet[j, 2], ahead_s, lasts) / table_step)
                     if at < 0 or at >= g_low.shape[1] or g_low[g, at] == np.inf:
                         continue
                     lo, hi = g_low[g, at], g_high[g, at]
@@ -195,9 +203,9 @@ def needed_braking(
                     behind_leader = True
                     break
                 a_next = max(a_next, -most)
-            line = _line_ahead(stop_s, closed, s, v, now, decel)
+            line = _line_ahead(stop_s, closed, s, v, now, decel, stops)
             if line >= 0:
-                a_next = min(a_next, _accel_towards_stop(stop_s[line] - s, v, accel, decel))
+                a_next = min(a_next, _accel_towards_stop(stop_s[line] - s, v, accel, decel, stops))
             if row > 0:
                 a_cmd = max(min(a_cmd, 0.0) - jerk * stride * step_s, -brakes[row])
                 a_next = min(a_next, a_cmd)
