@@ -60,10 +60,12 @@ class _Lanes:
 
     ends: list[float]
     policies: list[Policy]
+    only: Policy | None
+    """The one of all its lanes, None where they differ."""
 
     def policy_at(self, s: float) -> Policy:
         """Of the lane at an arc length, m."""
-        return self.policies[min(bisect_right(self.ends, s), len(self.ends) - 1)]
+        return self.only or self.policies[min(bisect_right(self.ends, s), len(self.ends) - 1)]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -152,10 +154,9 @@ class Driving:
 
     def _lanes_of(self, path: DrivenPath) -> _Lanes:
         lanes = self.scene.grid.graph.lanes
-        return _Lanes(
-            [segment.end for segment in path.segments],
-            [policy_on(lanes[segment.lane_id].turn) for segment in path.segments],
-        )
+        policies = [policy_on(lanes[segment.lane_id].turn) for segment in path.segments]
+        only = policies[0] if len(set(policies)) == 1 else None
+        return _Lanes([segment.end for segment in path.segments], policies, only)
 
     def run(self) -> list[DrivenVehicle]:
         """All steps of the scene; a vehicle's first state is its start."""
