@@ -87,7 +87,9 @@ class Overtakes:
     roads: Roads
     guard: Guard
     box: BoxSize = field(init=False)
-    _known: dict[DrivenPath, tuple[FloatArray, BoolArray, IntArray, FloatArray, BoolArray]] = field(default_factory=dict)
+    _known: dict[DrivenPath, tuple[FloatArray, BoolArray, IntArray, FloatArray, BoolArray]] = field(
+        default_factory=dict
+    )
 
     def __post_init__(self) -> None:
         """A usual car."""

@@ -136,8 +136,10 @@ def overtakes_done(
             beside = beside_s[knot] + (place - knot) * (beside_s[knot + 1] - beside_s[knot])
             pace = 0.5 * (v + max(v, desired))
             if out < 0.0 and time_s >= trigger - 1e-9:
-                if s >= begin and gap < gaps[0] and _may_enter(
-                    beside, look, beside_spans, beside_first, desired, beside_exit, gaps
+                if (
+                    s >= begin
+                    and gap < gaps[0]
+                    and _may_enter(beside, look, beside_spans, beside_first, desired, beside_exit, gaps)
                 ):
                     out, out_m = s, pace * lasting
                 elif time_s > trigger + waits:
