@@ -70,13 +70,14 @@ def check_map_size(graph: LaneGraph, name: str) -> None:
 def check_ground(tracks: Sequence[Track], graph: LaneGraph, name: str) -> None:
     """Refuse tracks that do not lie on the ground of the map. Errors: ScenarioError with track and value."""
     lanes = [lane.centerline for lane in graph.lanes.values()]
-    for track in tracks:
-        said = _extent_breach([*lanes[:1], track.position])
-        if said:
-            raise ScenarioError(f"{name}: track {track.track_id!r} and the map: {said}")
     said = _extent_breach([*lanes, *(track.position for track in tracks)])
-    if said:
-        raise ScenarioError(f"{name}: tracks and map: {said}")
+    if not said:
+        return
+    for track in tracks:
+        alone = _extent_breach([*lanes[:1], track.position])
+        if alone:
+            raise ScenarioError(f"{name}: track {track.track_id!r} and the map: {alone}")
+    raise ScenarioError(f"{name}: tracks and map: {said}")
 
 
 def _check_map(count: int, most: int, what: str) -> None:
@@ -85,8 +86,8 @@ def _check_map(count: int, most: int, what: str) -> None:
 
 
 def _extent_breach(lines: Sequence[FloatArray]) -> str:
-    low = np.min([line.min(axis=0) for line in lines], axis=0)
-    high = np.max([line.max(axis=0) for line in lines], axis=0)
+    points = np.concatenate(lines)
+    low, high = points.min(axis=0), points.max(axis=0)
     with np.errstate(over="ignore"):  # of coordinates near the largest double: infinity is too far as well
         (x, y), far = high - low, float(np.abs([low, high]).max())
     if not max(x, y) <= MAX_EXTENT_M:

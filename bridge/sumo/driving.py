@@ -15,7 +15,7 @@ from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S, V
 from hid2.conflicts.reaction import Reactions, yielding
 from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.sites import entry_speed
-from hid2.kernels.leaders import shown_ahead
+from hid2.kernels.leaders import deep_inside, shown_ahead
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along
@@ -38,6 +38,9 @@ _LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
 #: Who is held to a speed would like to drive so much faster, m/s: a leader at a usual gap does not slow it then.
 _HELD_MPS = 5.0
 _ACROSS_MORE_S = 0.5  # it is looked at for so long beyond its change of lanes
+#: No tunable, spares time: how often it is looked who is in a recorded agent's box, s, and so deep, m, that the last
+#: check lets nobody pass: smoothing moves nobody so far.
+_STRUCK_EVERY_S, _STRUCK_M = 0.5, 2.0
 
 
 @dataclass(eq=False, slots=True)
@@ -59,10 +62,12 @@ class _Lanes:
 
     ends: list[float]
     policies: list[Policy]
+    only: Policy | None
+    """The one of all its lanes, None where they differ."""
 
     def policy_at(self, s: float) -> Policy:
         """Of the lane at an arc length, m."""
-        return self.policies[min(bisect_right(self.ends, s), len(self.ends) - 1)]
+        return self.only or self.policies[min(bisect_right(self.ends, s), len(self.ends) - 1)]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -151,10 +156,9 @@ class Driving:
 
     def _lanes_of(self, path: DrivenPath) -> _Lanes:
         lanes = self.scene.grid.graph.lanes
-        return _Lanes(
-            [segment.end for segment in path.segments],
-            [policy_on(lanes[segment.lane_id].turn) for segment in path.segments],
-        )
+        policies = [policy_on(lanes[segment.lane_id].turn) for segment in path.segments]
+        only = policies[0] if len(set(policies)) == 1 else None
+        return _Lanes([segment.end for segment in path.segments], policies, only)
 
     def run(self) -> list[DrivenVehicle]:
         """All steps of the scene; a vehicle's first state is its start."""
@@ -169,10 +173,13 @@ class Driving:
             if self.fixed.ids:
                 kept.warm_up(back)
             simulation.step()
-        reactions = self._reactions(recorded)
+        reactions, look = self._reactions(recorded), scene.steps_in(_STRUCK_EVERY_S)
+        fails = reactions is None and "collision" not in scene.config.without  # who is run into
         for step in range(scene.num_steps):
             attempts: list[_Attempt] = []
             if step > 0:
+                if fails and step % look == 0:
+                    self._take_out_struck(step - 1)
                 fleet = _Lazy(self._fleet)
                 if reactions is not None and reactions.advance(step, self._generated(step - 1, fleet)):
                     self._look_anew(reactions.scene)
@@ -262,7 +269,7 @@ class Driving:
                     vehicle.objection = Reason.SUMO_REFUSES_INSERTION
                 else:
                     vehicle.left_at = step
-                self._state[row, PRESENT], self._centre[row], self._place[row] = 0.0, np.inf, np.nan
+                self._forget(row)
                 continue
             if not vehicle.s:
                 speed, s = vehicle.start.start_mps, vehicle.start.start_s
@@ -278,6 +285,32 @@ class Driving:
             table = vehicle.path.line.table_xy
             self._place[row], self._centre[row] = s, table[min(int(s / TABLE_STEP_M), len(table) - 1)]
             self._state[row] = s, speed, (speed - before) / step_s, self._is_executing(row, vehicle.path, s), 1.0
+
+    def _forget(self, row: int) -> None:
+        """It is nowhere any more."""
+        self._state[row, PRESENT], self._centre[row], self._place[row] = 0.0, np.inf, np.nan
+
+    def _take_out_struck(self, step: int) -> None:
+        """Take out who is in a recorded agent's box, mostly as that does not brake: it will not be exported.
+
+        Others need not mind it any more.
+        """
+        if self._ahead is None:
+            self._ahead = self._look_ahead()
+        here, scene, traffic = self._ahead, self.scene, self.scene.traffic
+        struck = deep_inside(
+            here.low, here.high, here.agents, here.first, len(traffic.ids), step, self._place[: len(self.vehicles)],
+            _STRUCK_M,
+        )  # fmt: skip
+        for row, agent in zip(*(column.tolist() for column in struck), strict=True):
+            vehicle = self.vehicles[row]
+            xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))
+            (tx, ty), (dx, dy) = tangent[0], traffic.position[agent, step] - xy[0]
+            room = 0.5 * (vehicle.start.box.width_m + traffic.width_m[agent]) - scene.config.drivers.offset_max_m
+            if vehicle.running and abs(tx * dy - ty * dx) < room:  # wherever in its lane it is
+                vehicle.objection = Reason.MEETS_RECORDED
+                self.simulation.remove(vehicle.vehicle_id)
+                self._forget(row)
 
     def _is_executing(self, row: int, path: DrivenPath, s: float) -> bool:
         """Whether a vehicle is changing lanes or in a turn: case 2, executing goes before pending."""

@@ -43,21 +43,24 @@ class Replay:
     _here: list[list[int]] = field(init=False)
     _seen: list[tuple[int, list[int], FloatArray]] = field(default_factory=list)
     _lost: int = 0
-    _age: list[int] = field(init=False)
+    _placed: int = 0
+    _since: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Nobody is in the simulation yet."""
         self._names = [f"{self.prefix}{row}" for row in range(len(self.traffic.ids))]
-        self._age = [0] * len(self._names)
         self.take(self.traffic)
 
     def take(self, traffic: Traffic) -> None:
-        """The same agents with other states from the coming step on; all poses are turned at once."""
+        """The same agents with other states from the coming step on; all poses of who is there are turned at once."""
         self.traffic = traffic
-        front, angle = sumo_poses(self.traffic.position, self.traffic.heading, self.traffic.length_m[:, None])
-        by_step = zip(front[..., 0].T.tolist(), front[..., 1].T.tolist(), angle.T.tolist(), strict=True)
-        self._poses = list(by_step)
-        self._here = [np.flatnonzero(column).tolist() for column in self.traffic.present.T]
+        step, row = np.nonzero(traffic.present.T)
+        front, angle = sumo_poses(traffic.position[row, step], traffic.heading[row, step], traffic.length_m[row])
+        columns = [column.tolist() for column in (row, front[:, 0], front[:, 1], angle)]
+        ends = np.cumsum(traffic.present.sum(axis=0)).tolist()
+        spans = [slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
+        self._here, *poses = ([column[span] for span in spans] for column in columns)
+        self._poses = list(zip(*poses, strict=True))
 
     def warm_up(self, back: int) -> None:
         """Place those of step 0 where they were `back` steps before, seen by nobody.
@@ -73,14 +76,14 @@ class Replay:
         self.simulation.place_all(
             [(self._names[row], float(xy[row, 0]), float(xy[row, 1]), float(angle[row]), None) for row in rows]
         )
-        for row in rows:
-            self._age[row] += 1
+        self._placed += 1
 
     def _add(self, rows: list[int]) -> None:
         for row in rows:
             self.simulation.add_replayed(
                 self._names[row], length_m=float(self.traffic.length_m[row]), width_m=float(self.traffic.width_m[row])
             )
+            self._since[row] = self._placed
         self._in = set(rows) | self._in
 
     def place(self, step: int, seen: Mapping[int, tuple[str, int]]) -> None:
@@ -97,15 +100,14 @@ class Replay:
                 self.simulation.remove(names[row])
             self._in &= here
             self._add(sorted(here - self._in))
-        x, y, angle = self._poses[step]
+        known, since = self._placed - UNSEEN_STEPS, self._since
         self.simulation.place_all(
             [
-                (names[row], x[row], y[row], angle[row], seen.get(row) if self._age[row] >= UNSEEN_STEPS else None)
-                for row in rows
+                (names[row], x, y, angle, seen.get(row) if since[row] <= known else None)
+                for row, x, y, angle in zip(rows, *self._poses[step], strict=True)
             ]
         )
-        for row in rows:
-            self._age[row] += 1
+        self._placed += 1
 
     def check(self, step: int) -> None:
         """Take down SUMO's poses, where they are to be compared with the recorded ones."""

@@ -48,22 +48,26 @@ def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: flo
     """A driver on a lane whose traffic drives at lane_speed_mps, m/s."""
     law, spawn, change = config.drivers, config.spawn, config.lane_change
 
-    def normal(mean: float, sd: float) -> float:
-        return mean + sd * _clipped(rng.standard_normal(), -law.truncated_at, law.truncated_at)
+    def draws(count: int) -> list[float]:
+        return [_clipped(one, -law.truncated_at, law.truncated_at) for one in rng.standard_normal(count).tolist()]
 
-    desired = lane_speed_mps * normal(1.0, law.desired_sd)
+    desired, tau, accel, decel, min_gap = draws(5)
+    turn_lateral_mps2 = float(rng.uniform(law.turn_lateral_min_mps2, law.turn_lateral_max_mps2))
+    offset, lane_change, wander = draws(3)
     return Driver(
-        desired_mps=_clipped(desired, spawn.min_speed_mps, spawn.max_speed_mps),
-        tau_s=max(0.6, normal(law.tau_mean_s, law.tau_sd_s)),
-        accel_mps2=_clipped(normal(law.accel_mean_mps2, law.accel_sd_mps2), 0.6, config.limits.accel_max_mps2),
-        decel_mps2=_clipped(normal(law.decel_mean_mps2, law.decel_sd_mps2), 0.8, -config.limits.accel_min_mps2),
-        min_gap_m=max(1.0, normal(law.min_gap_mean_m, law.min_gap_sd_m)),
-        turn_lateral_mps2=float(rng.uniform(law.turn_lateral_min_mps2, law.turn_lateral_max_mps2)),
-        offset_m=normal(law.offset_mean_m, law.offset_sd_m),
-        lane_change_s=_clipped(
-            normal(law.lane_change_mean_s, law.lane_change_sd_s), change.min_duration_s, change.max_duration_s
+        desired_mps=_clipped(
+            lane_speed_mps * (1.0 + law.desired_sd * desired), spawn.min_speed_mps, spawn.max_speed_mps
         ),
-        wander_m=law.lateral_wander_sd_m * float(np.exp(normal(0.0, law.lateral_wander_spread))),
+        tau_s=max(0.6, law.tau_mean_s + law.tau_sd_s * tau),
+        accel_mps2=_clipped(law.accel_mean_mps2 + law.accel_sd_mps2 * accel, 0.6, config.limits.accel_max_mps2),
+        decel_mps2=_clipped(law.decel_mean_mps2 + law.decel_sd_mps2 * decel, 0.8, -config.limits.accel_min_mps2),
+        min_gap_m=max(1.0, law.min_gap_mean_m + law.min_gap_sd_m * min_gap),
+        turn_lateral_mps2=turn_lateral_mps2,
+        offset_m=law.offset_mean_m + law.offset_sd_m * offset,
+        lane_change_s=_clipped(
+            law.lane_change_mean_s + law.lane_change_sd_s * lane_change, change.min_duration_s, change.max_duration_s
+        ),
+        wander_m=law.lateral_wander_sd_m * float(np.exp(law.lateral_wander_spread * wander)),
     )
 
 

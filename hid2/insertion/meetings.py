@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -161,7 +162,7 @@ class Meetings:
         """Median speed of a lane's traffic, m/s."""
         if lane_id not in self._usual:
             pool = self.scene.lane_speeds.get(lane_id) or self.scene.scene_speeds
-            self._usual[lane_id] = float(np.median(pool)) if pool else self.scene.config.spawn.prior_speed_mps
+            self._usual[lane_id] = median(pool) if pool else self.scene.config.spawn.prior_speed_mps
         return self._usual[lane_id]
 
     def outlook(self, policy: Policy) -> Outlook:

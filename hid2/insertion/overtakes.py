@@ -87,7 +87,9 @@ class Overtakes:
     roads: Roads
     guard: Guard
     box: BoxSize = field(init=False)
-    _known: dict[DrivenPath, tuple[FloatArray, BoolArray, FloatArray, BoolArray]] = field(default_factory=dict)
+    _known: dict[DrivenPath, tuple[FloatArray, BoolArray, IntArray, FloatArray, BoolArray]] = field(
+        default_factory=dict
+    )
 
     def __post_init__(self) -> None:
         """A usual car."""
@@ -145,8 +147,7 @@ class Overtakes:
                     float(tried.start_s[n]), float(tried.start_mps[n]),
                     float(tried.leader[n, 0]) if added else None, float(tried.leader_mps[n]), float(done_s[n]),
                 )
-                for n in np.argsort(done_s, kind="stable").tolist()
-                if np.isfinite(done_s[n])
+                for n in np.argsort(done_s, kind="stable")[: np.isfinite(done_s).sum()].tolist()
             ]  # fmt: skip
             if found:  # nobody is added where somebody recorded can be overtaken
                 break
@@ -251,15 +252,15 @@ class Overtakes:
         foresight = self.scene.config.foresight
         return np.array([foresight.margin_m, foresight.headway_s, foresight.ttc_s, foresight.stops_mps2])
 
-    def _on(self, path: DrivenPath) -> tuple[FloatArray, BoolArray, FloatArray, BoolArray]:
+    def _on(self, path: DrivenPath) -> tuple[FloatArray, BoolArray, IntArray, FloatArray, BoolArray]:
         """Everybody known on a path at each look, and its stop lines, as kernels take them."""
         if path not in self._known:
             obstacles, looks = self.guard.obstacles(path, self.box, []), self._looks()
             known = obstacles.known
-            rows = np.isfinite(known.low[:, looks]).any(axis=1)
-            spans = np.stack([one[rows][:, looks] for one in (known.low, known.high, known.along)], axis=2)
+            there = np.isfinite(known.low[:, looks]).T
+            spans = np.stack([one[:, looks].T[there] for one in (known.low, known.high, known.along)], axis=1)
             self._known[path] = (
-                spans, np.ascontiguousarray(known.same_direction[rows][:, looks]), obstacles.lines.stop_s,
-                np.ascontiguousarray(obstacles.lines.closed[:, looks]),
+                spans, known.same_direction[:, looks].T[there], np.concatenate([[0], np.cumsum(there.sum(axis=1))]),
+                obstacles.lines.stop_s, np.ascontiguousarray(obstacles.lines.closed[:, looks]),
             )  # fmt: skip
         return self._known[path]

@@ -65,6 +65,8 @@ class Routes:
     _beside: dict[tuple[Route, int], float] = field(default_factory=dict)
     _ways_past: list[tuple[RouteOffer, int, Side]] | None = None
     _free: dict[Policy, tuple[IntArray, BoolArray]] = field(default_factory=dict)
+    _admissible: dict[tuple[int, Side], int | None] = field(default_factory=dict)
+    _to_pass_on: dict[tuple[int, Side], int | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Lanes that cars drive on."""
@@ -116,13 +118,16 @@ class Routes:
 
     def together(self, offer: RouteOffer, side: Side) -> tuple[float, float] | None:
         """First stretch of a route, m along its lanes, with a lane beside that lasts for an overtake; None without."""
-        graph, lanes = self.scene.grid.graph, self.scene.grid.graph.lanes
+        graph, lanes, without = self.scene.grid.graph, self.scene.grid.graph.lanes, self.scene.config.without
         needed_m, at, begin = stretch_m(self.scene.config), 0.0, 0.0
         before: int | None = None
         for lane_id in offer.route:
-            beside = lane_to_pass_on(graph, lane_id, side) if at > offer.start_m - 1e-6 else None
-            if "topology" in self.scene.config.without:
-                beside = None
+            beside = None
+            if at > offer.start_m - 1e-6 and "topology" not in without:
+                key = lane_id, side
+                if key not in self._to_pass_on:
+                    self._to_pass_on[key] = lane_to_pass_on(graph, lane_id, side)
+                beside = self._to_pass_on[key]
             if beside is None or before is None or beside not in graph.successors(before):
                 if at - begin > needed_m and before is not None:
                     return begin, at
@@ -171,9 +176,15 @@ class Routes:
             Beside(side, starts[row], ends[row], self._beside_m(whole[row:], lane), lanes[whole[row]].is_intersection)
             for row in rows
             for side in _SIDES
-            if (lane := admissible_neighbor(self.scene, whole[row], side)) is not None
+            if (lane := self._neighbor(whole[row], side)) is not None
         )
         return RouteOffer(whole, starts[len(before)], ends[-1], turns, beside)
+
+    def _neighbor(self, lane_id: int, side: Side) -> int | None:
+        key = lane_id, side
+        if key not in self._admissible:
+            self._admissible[key] = admissible_neighbor(self.scene, lane_id, side)
+        return self._admissible[key]
 
     def _beside_m(self, own: Route, lane_id: int) -> float:
         """Length of the way on a lane beside an own route, from the start of that lane on, m."""

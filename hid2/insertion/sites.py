@@ -391,7 +391,7 @@ class InsertionSites:
             who = driver or draw_driver(config, rng, lane_speed_mps=pace_mps)
             speed = speed_mps
             if speed is None:
-                speed = who.desired_mps * (1.0 + config.spawn.speed_sd * float(np.clip(rng.standard_normal(), -2, 2)))
+                speed = who.desired_mps * (1.0 + config.spawn.speed_sd * min(max(rng.standard_normal(), -2.0), 2.0))
             found = self._start_speed(offer, path, box, s, start_s, speed, who, reach_s, step)
             if not isinstance(found, Reason):
                 break

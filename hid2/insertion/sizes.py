@@ -1,14 +1,17 @@
 """Sizes of inserted vehicles: quantiles of labelled Argoverse 2 boxes (human labels of sensor logs)."""
 
+from bisect import bisect_right
+
 import numpy as np
 
-from hid2.agents import BoxSize, FloatArray
+from hid2.agents import BoxSize
 from hid2.params import Request
 
+_Table = tuple[tuple[float, float, float], ...]
 #: (share, length m, width m) of cars, box trucks and buses.
-_CAR = np.array(((0.0, 3.8, 1.72), (0.1, 4.0, 1.76), (0.5, 4.2, 1.87), (0.9, 5.2, 2.05), (1.0, 5.6, 2.12))).T
-_TRUCK = np.array(((0.0, 7.0, 2.3), (0.5, 9.6, 2.6), (1.0, 10.5, 2.7))).T
-_BUS = np.array(((0.0, 10.5, 2.7), (0.5, 11.6, 2.9), (1.0, 12.3, 2.95))).T
+_CAR = ((0.0, 3.8, 1.72), (0.1, 4.0, 1.76), (0.5, 4.2, 1.87), (0.9, 5.2, 2.05), (1.0, 5.6, 2.12))
+_TRUCK = ((0.0, 7.0, 2.3), (0.5, 9.6, 2.6), (1.0, 10.5, 2.7))
+_BUS = ((0.0, 10.5, 2.7), (0.5, 11.6, 2.9), (1.0, 12.3, 2.95))
 
 
 def draw_size(request: Request, rng: np.random.Generator) -> tuple[str, BoxSize]:
@@ -19,8 +22,12 @@ def draw_size(request: Request, rng: np.random.Generator) -> tuple[str, BoxSize]
     return "vehicle", _quantile(_TRUCK if kind < request.bus_share + request.truck_share else _CAR, share)
 
 
-def _quantile(table: FloatArray, share: float) -> BoxSize:
-    shares, lengths, widths = table
+def _quantile(table: _Table, share: float) -> BoxSize:
+    """Linear between the rows of a table; share from 0 to below 1."""
+    row = bisect_right(table, share, key=lambda knot: knot[0])
+    (low, length_m, width_m), (high, longer_m, wider_m) = table[row - 1 : row + 1]
+    part = share - low
     return BoxSize(
-        round(float(np.interp(share, shares, lengths)), 3), round(float(np.interp(share, shares, widths)), 3)
+        round((longer_m - length_m) / (high - low) * part + length_m, 3),
+        round((wider_m - width_m) / (high - low) * part + width_m, 3),
     )

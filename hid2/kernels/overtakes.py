@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from hid2.kernels.compiled import inner, kernel
-from netconvert.geometry import BoolArray, FloatArray
+from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 # No tunables: half widths of usual cars and of lanes, on the curve of `motion/lane_change_path.py`, with some to spare.
 #: Shares of a lateral motion: the lane entered is touched from the first on, the lane left up to the second.
@@ -16,19 +16,17 @@ _OUT_OF_THE_WAY, _TOUCHES_M = 0.6, 1.0
 
 @inner
 def _is_free(
-    s: float, v: float, look: int, spans: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray,
-    keeps: FloatArray,
+    s: float, v: float, look: int, spans: FloatArray, same_direction: BoolArray, first: IntArray, stop_s: FloatArray,
+    closed: BoolArray, keeps: FloatArray,
 ) -> bool:  # fmt: skip
     """Whether a box at s, m, with v, m/s, touches nobody, closes in on nobody, and can stop where it has to."""
-    margin, headway, ttc, stops = keeps
-    for a in range(spans.shape[0]):
-        low, high, along = spans[a, look]
-        if not math.isfinite(low):
-            continue
+    margin, headway, ttc, stops = keeps[0], keeps[1], keeps[2], keeps[3]
+    for row in range(first[look], first[look + 1]):
+        low, high, along = spans[row, 0], spans[row, 1], spans[row, 2]
         ahead, behind = low - s, s - high
         if ahead <= margin and behind <= margin:
             return False
-        if same_direction[a, look]:
+        if same_direction[row]:
             if 0.0 < ahead < max(margin + headway * v, ttc * (v - along)):
                 return False
             if 0.0 < behind < max(margin, ttc * (along - v)):
@@ -41,15 +39,15 @@ def _is_free(
 
 
 @inner
-def _may_enter(at: float, look: int, spans: FloatArray, desired: float, exit_s: float, gaps: FloatArray) -> bool:
+def _may_enter(
+    at: float, look: int, spans: FloatArray, first: IntArray, desired: float, exit_s: float, gaps: FloatArray
+) -> bool:
     """Whether Algorithm 1 lets a vehicle onto the lane beside at a place there, m."""
-    _, _, corridor, front, rear = gaps
+    corridor, front, rear = gaps[2], gaps[3], gaps[4]
     if exit_s - at < corridor:
         return False
-    for a in range(spans.shape[0]):
-        low, high, along = spans[a, look]
-        if not math.isfinite(low):
-            continue
+    for row in range(first[look], first[look + 1]):
+        low, high, along = spans[row, 0], spans[row, 1], spans[row, 2]
         if 0.5 * (low + high) >= at:
             if low - at < (front if along >= desired else corridor):
                 return False
@@ -66,7 +64,7 @@ def _next_speed(
 
     bend_mps: to which it brakes in a lateral motion; most: what the road allows.
     """
-    desired, accel, decel, tau, min_gap, _, _ = driver
+    desired, accel, decel, tau, min_gap = driver[0], driver[1], driver[2], driver[3], driver[4]
     gap_m = min_gap + max(0.0, v * tau + v * closing / (2.0 * math.sqrt(accel * decel)))
     asked = accel * (1.0 - (v / desired) ** 4 - (gap_m / max(gap, 0.5)) ** 2)
     faster = max(0.0, v + min(max(asked, -decel), accel) * look_s)
@@ -75,15 +73,16 @@ def _next_speed(
     return float(min(faster, most))
 
 
-@kernel("(f8[::1], f8[::1], i8, f8, f8, f8[:,:,::1], b1[:,::1], f8[::1], b1[:,::1], f8[::1],)")
+@kernel("(f8[::1], f8[::1], i8, f8, f8, f8[:,::1], b1[::1], i8[::1], f8[::1], b1[:,::1], f8[::1],)")
 def drives_on(
     start_s: FloatArray, speed: FloatArray, looks: int, look_s: float, exit_s: float, spans: FloatArray,
-    same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray, keeps: FloatArray,
+    same_direction: BoolArray, first: IntArray, stop_s: FloatArray, closed: BoolArray, keeps: FloatArray,
 ) -> BoolArray:  # fmt: skip
     """(N,) whether vehicles at constant speeds, m/s, from places, m, meet nobody up to the end of path or scene.
 
-    Everybody on the path at each of so many looks, look_s apart: spans (A, K, 3) low and high, m, and speed along, m/s;
-    same_direction (A, K). stop_s (L,) m, closed (L, K): stop lines. keeps: margin m, headway s, TTC s, braking m/s2.
+    Everybody on the path at each of so many looks, look_s apart: spans (M, 3) low and high, m, and speed along, m/s;
+    same_direction (M,); those at look k are the rows from first[k] to first[k + 1]. stop_s (L,) m, closed (L, K): stop
+    lines. keeps: margin m, headway s, TTC s, braking m/s2.
     """
     free = np.ones(start_s.size, dtype=np.bool_)
     for n in range(start_s.size):
@@ -91,7 +90,7 @@ def drives_on(
             s = start_s[n] + speed[n] * look_s * look
             if s > exit_s:
                 break
-            if not _is_free(s, speed[n], look, spans, same_direction, stop_s, closed, keeps):
+            if not _is_free(s, speed[n], look, spans, same_direction, first, stop_s, closed, keeps):
                 free[n] = False
                 break
     return free
@@ -99,13 +98,14 @@ def drives_on(
 
 @kernel(
     "(f8[::1], f8[::1], f8[:,::1], f8, f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, f8[::1], f8, "
-    "f8[:,:,::1], b1[:,::1], f8[::1], b1[:,::1], f8[:,:,::1], b1[:,::1], f8[::1], b1[:,::1],)"
+    "f8[:,::1], b1[::1], i8[::1], f8[::1], b1[:,::1], f8[:,::1], b1[::1], i8[::1], f8[::1], b1[:,::1],)"
 )
 def overtakes_done(
     start_s: FloatArray, start_mps: FloatArray, leader: FloatArray, look_s: float, driver: FloatArray,
     stretch: FloatArray, times: FloatArray, gaps: FloatArray, road: FloatArray, road_step: float, beside_s: FloatArray,
-    beside_step: float, spans: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray,
-    beside_spans: FloatArray, beside_same_direction: BoolArray, beside_stop_s: FloatArray, beside_closed: BoolArray,
+    beside_step: float, spans: FloatArray, same_direction: BoolArray, first: IntArray, stop_s: FloatArray,
+    closed: BoolArray, beside_spans: FloatArray, beside_same_direction: BoolArray, beside_first: IntArray,
+    beside_stop_s: FloatArray, beside_closed: BoolArray,
 ) -> FloatArray:  # fmt: skip
     """(N,) time, s, at which vehicles are back in their lane ahead of their leader; inf where somebody is met before.
 
@@ -137,7 +137,11 @@ def overtakes_done(
             beside = beside_s[knot] + (place - knot) * (beside_s[knot + 1] - beside_s[knot])
             pace = 0.5 * (v + max(v, desired))
             if out < 0.0 and time_s >= trigger - 1e-9:
-                if s >= begin and gap < gaps[0] and _may_enter(beside, look, beside_spans, desired, beside_exit, gaps):
+                if (
+                    s >= begin
+                    and gap < gaps[0]
+                    and _may_enter(beside, look, beside_spans, beside_first, desired, beside_exit, gaps)
+                ):
                     out, out_m = s, pace * lasting
                 elif time_s > trigger + waits:
                     break
@@ -156,12 +160,12 @@ def overtakes_done(
                 back_in_lane = np.inf
                 break
             on_own = out < 0.0 or s < out + _LEAVES * out_m or (back >= 0.0 and s > back + _ENTERS * back_m)
-            if on_own and s <= exit_s and not _is_free(s, v, look, spans, same_direction, stop_s, closed, keeps):
+            if on_own and s <= exit_s and not _is_free(s, v, look, spans, same_direction, first, stop_s, closed, keeps):
                 back_in_lane = np.inf
                 break
             on_beside = out >= 0.0 and s > out + _ENTERS * out_m and (back < 0.0 or s < back + _LEAVES * back_m)
             if on_beside and not _is_free(
-                beside, v, look, beside_spans, beside_same_direction, beside_stop_s, beside_closed, keeps
+                beside, v, look, beside_spans, beside_same_direction, beside_first, beside_stop_s, beside_closed, keeps
             ):
                 back_in_lane = np.inf
                 break

@@ -182,16 +182,18 @@ def intervals_on_path(
                     along[k, t] = velocity[a, t, 0] * points[2, nearest] + velocity[a, t, 1] * points[3, nearest]
                 continue
             # between an end of the range and the first point within reach nothing needs to be looked at
-            leap = int((np.sqrt((x - points[0, begin]) ** 2 + (y - points[1, begin]) ** 2) - reach) / step)
+            jitters = t > 0 and abs(x - position[a, t - 1, 0]) + abs(y - position[a, t - 1, 1]) < 0.1
+            far = reach if jitters else reach - _WIDER_M
+            leap = int((np.sqrt((x - points[0, begin]) ** 2 + (y - points[1, begin]) ** 2) - far) / step)
             begin += min(max(leap, 0), end - begin - 1)
-            leap = int((np.sqrt((x - points[0, end - 1]) ** 2 + (y - points[1, end - 1]) ** 2) - reach) / step)
+            leap = int((np.sqrt((x - points[0, end - 1]) ** 2 + (y - points[1, end - 1]) ** 2) - far) / step)
             end -= min(max(leap, 0), end - begin - 1)
             near = gaps[: end - begin]
             _gaps(near, points, begin, end, x, y, np.cos(angle), np.sin(angle), own_l, own_w, half_l, half_w)
             first, last = _touched(near)
             if first < 0:
                 nearest = -1
-                if t > 0 and abs(x - position[a, t - 1, 0]) + abs(y - position[a, t - 1, 1]) < 0.1:
+                if jitters:
                     spare, last_x, last_y, last_angle = _least(near, _WIDER_M) - 1e-6, x, y, angle
                 continue
             nearest = _nearest(points, begin, end, x, y)
