@@ -8,15 +8,13 @@ from inserted import driven, nobody, recorded, scene_on, start_on
 
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
-from hid2.conflicts.stop_lines import StopLines
-from hid2.insertion.entries import Entries
 from hid2.insertion.finalise import ExportedVehicle, finalise
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import Routes
 from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
+from hid2.insertion.surroundings import Surroundings
 from hid2.params import Config, Drivers, Spawn
-from hid2.policy.roads import Roads
 from hid2.scene import Scene
 from hid2.vehicle import VehicleRequest
 from netconvert.lane_graph import LaneGraph
@@ -84,7 +82,7 @@ def test_who_follows_drives_as_fast_as_the_leader_at_least(scene_of: Callable[..
     crawling = recorded(300.0, 0.0, 4.0, name="c")
     scene = scene_of(recorded(60.0, 0.0, 12.0), crawling)
     meetings = Meetings(scene, Routes(scene))
-    starts = [start for seed in range(60) for start in _sites(scene, meetings, seed).propose(_request())]
+    starts = [start for seed in range(60) for start in _sites(scene, seed).propose(_request())]
     led = [one for one in starts if _leader(meetings, scene, one.route[0], one.start_s) == 0]
     assert len(led) >= 5
     assert all(one.driver.desired_mps == pytest.approx(12.0) for one in led)
@@ -93,7 +91,7 @@ def test_who_follows_drives_as_fast_as_the_leader_at_least(scene_of: Callable[..
 def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site(scene_of: Callable[..., Scene]) -> None:
     scene = scene_of(recorded(100.0, 0.0, 9.0))
     meetings = Meetings(scene, Routes(scene))
-    sites = _sites(scene, meetings, 0)
+    sites = _sites(scene, 0)
     rows = np.array([scene.grid.index_of[scene.grid.cell_at(1, 82.0)]])
     free, _ = sites._weights(Policy.STRAIGHT, rows)
     sites.kept = [start_on(scene, meetings.routes.offers(1)[0].route, 80.0, 9.0)]
@@ -132,12 +130,10 @@ def _request() -> VehicleRequest:
     return VehicleRequest(0, Policy.STRAIGHT, 0.0)
 
 
-def _sites(scene: Scene, meetings: Meetings, seed: int) -> InsertionSites:
-    lines = StopLines(scene)
-    guard = Guard(scene, nobody(scene.future.num_steps), lines)
-    rng, spread = np.random.default_rng(seed), Spread.of((seed, 0))
-    entries = Entries(scene, meetings.routes, meetings)
-    return InsertionSites(scene, Roads(scene), meetings.routes, lines, guard, rng, 0, meetings, entries, spread)
+def _sites(scene: Scene, seed: int) -> InsertionSites:
+    here = Surroundings(scene)
+    guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
+    return InsertionSites(here, guard, np.random.default_rng(seed), 0, Spread.of((seed, 0)))
 
 
 def test_leader_does_not_depend_on_what_was_looked_at_before(scene_of: Callable[..., Scene]) -> None:

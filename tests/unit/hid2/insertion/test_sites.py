@@ -10,15 +10,12 @@ from scipy.stats import chisquare
 
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
-from hid2.conflicts.stop_lines import StopLines
-from hid2.insertion.entries import Entries
-from hid2.insertion.meetings import Meetings
-from hid2.insertion.routes import Routes
-from hid2.insertion.sites import InsertionSites, speed_behind
+from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
+from hid2.insertion.starts import speed_behind
+from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.sigma import FREE
 from hid2.params import Config, Request, Sites, Spawn
-from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
@@ -28,12 +25,9 @@ ROAD_M = 300.0
 
 
 def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
-    lines = StopLines(scene)
-    guard = Guard(scene, nobody(scene.future.num_steps), lines)
-    routes, rng, spread = Routes(scene), np.random.default_rng(seed), Spread.of((seed, 0))
-    meetings = Meetings(scene, routes)
-    entries = Entries(scene, routes, meetings)
-    return InsertionSites(scene, Roads(scene), routes, lines, guard, rng, 0, meetings, entries, spread)
+    here = Surroundings(scene)
+    guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
+    return InsertionSites(here, guard, np.random.default_rng(seed), 0, Spread.of((seed, 0)))
 
 
 def _request(number: int = 0, policy: Policy = Policy.STRAIGHT, trigger_s: float = 0.0) -> VehicleRequest:
@@ -82,7 +76,7 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected(scene_of: Call
     assert all(start.start_s > 75.0 for start in starts)
     for number in range(10):
         sites.propose(_request(number))
-    assert sites.rejected[Reason.TTC_RECORDED_FOLLOWER] > 0
+    assert sites.starts.rejected[Reason.TTC_RECORDED_FOLLOWER] > 0
 
 
 @pytest.mark.parametrize(("gap", "leader_mps"), [(6.0, 0.0), (15.0, 8.0), (30.0, 4.0), (60.0, 12.0)])
