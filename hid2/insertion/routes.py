@@ -8,7 +8,6 @@ import numpy as np
 from hid2.agents import IntArray, Policy
 from hid2.motion.route import ROUTE_LONGEST_M, Route, route_beside, routes_from
 from hid2.occupancy.sigma import FREE
-from hid2.occupancy.traffic import BoolArray
 from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.overtake import stretch_m
@@ -66,7 +65,7 @@ class Routes:
     _offers: dict[int, tuple[RouteOffer, ...]] = field(default_factory=dict)
     _beside: dict[tuple[Route, int], float] = field(default_factory=dict)
     _ways_past: list[tuple[RouteOffer, int, Side]] | None = None
-    _free: dict[Policy, tuple[IntArray, BoolArray]] = field(default_factory=dict)
+    _free: dict[Policy, IntArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Lanes that cars drive on."""
@@ -144,18 +143,13 @@ class Routes:
             ]
         return self._ways_past
 
-    def free_cells(self, policy: Policy) -> tuple[IntArray, BoolArray]:
-        """Rows of the grid's cells on lanes with a place for a policy that nobody recorded holds at step 0.
-
-        And whether each is in an intersection.
-        """
+    def free_cells(self, policy: Policy) -> IntArray:
+        """Rows of the grid's cells on lanes with a place for a policy that nobody recorded holds at step 0."""
         if policy not in self._free:
-            grid, lanes = self.scene.grid, self.scene.grid.graph.lanes
             usable = {n for n in self.lanes if self.lane_offers(n, policy)}
             free = (self.scene.occupancy.sigma[0] == FREE).tolist()
-            rows = [row for row, cell in enumerate(grid.cells) if free[row] and cell.lane_id in usable]
-            inside = [lanes[grid.cells[row].lane_id].is_intersection for row in rows]
-            self._free[policy] = np.array(rows, dtype=np.int64), np.array(inside, dtype=np.bool_)
+            rows = [row for row, cell in enumerate(self.scene.grid.cells) if free[row] and cell.lane_id in usable]
+            self._free[policy] = np.array(rows, dtype=np.int64)
         return self._free[policy]
 
     def _offer(self, before: Route, route: Route) -> RouteOffer:

@@ -131,13 +131,13 @@ class InsertionSites:
         return sorted(order, key=lambda offer: bool(offer.turns))
 
     def _places(self, request: VehicleRequest) -> Iterator[tuple[int, float]]:
-        """Lane and arc length, m, of free cells at step 0; first from where more is met, intersections last or never.
+        """Lane and arc length, m, of free cells at step 0; first from where more is met.
 
         The order is that of `Spread`, by the number of this vehicle among those of its policy.
         """
         scene, policy = self.here.scene, request.policy
         grid, promising = scene.grid, scene.config.request.sites == "promising"
-        rows, inside = self.here.routes.free_cells(policy if promising else Policy.STRAIGHT)
+        rows = self.here.routes.free_cells(policy if promising else Policy.STRAIGHT)
         if not rows.size:
             return
         weight, tier = np.ones(rows.size), np.zeros(rows.size, dtype=np.int64)
@@ -148,8 +148,6 @@ class InsertionSites:
             failed.setdefault(lane_id, []).append(at)
         if failed:
             weight /= [1.0 + len(failed.get(grid.cells[row].lane_id, ())) for row in rows.tolist()]
-        if promising and policy is Policy.STRAIGHT:  # who follows a recorded vehicle goes through with it
-            inside = inside & (self.here.meetings.outlook(policy).leader[rows] < 0)
         share = self.rng.random(rows.size)
         if not promising:
             order = by_weight(weight, self.rng)
@@ -159,10 +157,7 @@ class InsertionSites:
                 kind=list(Policy).index(policy), round_number=self.round_number,
             )  # fmt: skip
         self._looked[policy] += 1
-        all_inside = bool(inside.all())
-        for place in order[np.lexsort((tier[order], inside[order]))].tolist():
-            if inside[place] and promising and not all_inside:
-                return
+        for place in order[np.argsort(tier[order], kind="stable")].tolist():
             cell = grid.cells[rows[place]]
             begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
             lane_s = float(begin + share[place] * (end - begin))

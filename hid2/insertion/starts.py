@@ -271,12 +271,10 @@ class Starts:
             speed = min(speed, verdict)
         if step > 0 and (speed < sites.standing_mps or self._follower_is_near(own, box, speed, step)):
             return Reason.NO_SITE
-        if speed < sites.standing_mps:
+        if speed < max(sites.standing_mps, sites.slowest_share * wished):
             if not np.any(ahead & (low - s < sites.queue_m) & (along < sites.standing_mps)):
-                return Reason.NO_SITE
+                return Reason.NO_SITE  # nobody drives so slowly with so much room ahead
             speed = 0.0
-        elif speed < sites.slowest_share * wished:
-            return Reason.NO_SITE  # nobody drives so slowly with so much room ahead
         fleet = np.array([[s, speed, 0.0, 0.0, 1.0]])
         found = self.guard.braking(
             self._obstacles_on(path, box), own=0, step=step, fleet=fleet, state=(s, speed, 0.0),

@@ -1,9 +1,11 @@
 """Whom vehicles meet from a start site: leaders on their route, who would run into them, and what came of it."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hand_drawn import draw_lane
 from inserted import driven, nobody, recorded, scene_on, start_on
 
 from hid2.agents import Policy
@@ -64,6 +66,23 @@ def test_nobody_leads_past_somebody_between(scene_of: Callable[..., Scene]) -> N
     scene = scene_of(recorded(100.0, 0.0, 9.0, name="far"), recorded(91.0, 0.0, 9.0, name="next"))
     meetings = Meetings(scene, Routes(scene))
     assert _leader(meetings, scene, 1, 80.0) == 1
+
+
+@pytest.mark.parametrize(("is_red", "expected"), [(False, 0), (True, -1)])
+def test_nobody_is_followed_beyond_a_red_light(is_red: bool, expected: int) -> None:
+    """One at 3 m/s from 130 m on: at 8.1 m/s who starts at 50 m is within 33 m of it from 9.2 s on, the light at 100 m
+    behind it.
+    """
+    lanes = {
+        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)),
+        2: draw_lane(2, [(100.0, 0.0), (400.0, 0.0)]),
+    }
+    scene = scene_on(LaneGraph(lanes, drivable_areas=()), recorded(130.0, 0.0, 3.0))
+    meetings = Meetings(scene, Routes(scene))
+    red = {2: np.full(scene.num_steps, is_red)}
+    meetings._signals = SimpleNamespace(red=red.get)
+    meetings._usual[1] = 9.0
+    assert _leader(meetings, scene, 1, 50.0) == expected
 
 
 def test_site_at_which_somebody_recorded_would_run_into_a_vehicle_weighs_a_fifth(

@@ -1,10 +1,12 @@
 """Start sites: where a request may be met, and whether a vehicle can begin there."""
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from hand_drawn import draw_lane
 from inserted import DRIVER, nobody, recorded, scene_on
 from scipy.stats import chisquare
 
@@ -208,3 +210,26 @@ def test_nobody_begins_between_an_overtaker_and_its_leader(scene_of: Callable[..
 def test_route_that_ends_too_early_is_no_site(scene_of: Callable[..., Scene]) -> None:
     """On 60 m of road nobody stays for 5 s at 9 m/s but from its first metres; at 20 m/s nobody does."""
     assert _many(scene_of(recorded(200.0, 30.0, 20.0), length_m=60.0, min_speed_mps=18.0), 10) == []
+
+
+def test_who_begins_close_behind_a_standing_one_stands(scene_of: Callable[..., Scene]) -> None:
+    """Some 4 m from bumper to bumper behind one that stands at 100 m; at 3 m/s it would have to brake at once."""
+    scene = scene_of(recorded(100.0, 0.0), lanes=1)
+    for seed in range(10):
+        sites = _sites(scene, seed)
+        start = sites.starts.make(_request(), sites.here.routes.offers(1)[0], 1, 91.5)
+        assert isinstance(start, Start), start
+        assert start.start_mps == 0.0
+
+
+def test_some_are_on_their_way_through_an_intersection() -> None:
+    """One is 30 m of the 150 m or so from which a vehicle stays on the map for 5 s."""
+    lanes = {
+        1: draw_lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
+        2: draw_lane(2, [(60.0, 0.0), (90.0, 0.0)], successors=(3,), is_intersection=True),
+        3: draw_lane(3, [(90.0, 0.0), (200.0, 0.0)]),
+    }
+    config = Config(request=Request(near="anywhere"), spawn=Spawn(prior_speed_mps=9.0))
+    scene = scene_on(LaneGraph(lanes, drivable_areas=()), config=config)
+    begun = Counter(one.path.segment_at(one.start_s).lane_id for one in _many(scene, 60))
+    assert begun[2] / begun.total() == pytest.approx(30.0 / 150.0, abs=0.08)
