@@ -94,7 +94,8 @@ def met_on_route(
     targets (A, T, 2) m, there (A, T): near within a distance, m. lane_cell (M, T): cells of the others, -1 for none,
     who lead at leads_from to leads_to m ahead for so many looks if number (M,) is not -1. crossed_s: times at which
     cells are crossed, s, those of cell c from crossed_from[c] to crossed_from[c + 1]; a crossing counts between
-    crossed_after and crossed_within s. Nobody drives past a stop line, stop_at (L,) m in their order, closed (L, T).
+    crossed_after and crossed_within s. Nobody is followed or crossed beyond a stop line that is closed, stop_at (L,) m
+    in their order, closed (L, T).
     """
     near, near_last = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
     leader, crosses = np.full(count, -1, dtype=np.int64), np.zeros(count, dtype=np.bool_)
@@ -105,7 +106,7 @@ def met_on_route(
     for n in range(count):
         place, held_s = 0, _held(middle[n], pace, time_s, stop_at, closed)
         for look in range(time_s.size):
-            way = middle[n] + pace * min(time_s[look], held_s)
+            way = middle[n] + pace * time_s[look]
             if way > end:
                 break
             while place < middle.size - 1 and middle[place] < way:
