@@ -117,7 +117,7 @@ class Spawn(_Section):
     )  # fmt: skip
     near_weight: float = _param(8.0, "ratio", "weight of sites near to whom request.near asks for", ge=1, le=100)
     leader_weight: float = _param(
-        15.0, "ratio", "weight of sites from which a recorded vehicle would be followed", ge=1, le=100
+        6.0, "ratio", "weight of sites from which a recorded vehicle would be followed", ge=1, le=100
     )
     crossing_weight: float = _param(
         3.0, "ratio", "weight of sites from which recorded traffic would be crossed", ge=1, le=100
