@@ -125,6 +125,10 @@ class Spawn(_Section):
     run_into_weight: float = _param(
         0.2, "ratio", "weight of sites whose vehicle a recorded one would run into from behind: most fail", ge=0, le=1
     )
+    crossing_apart_s: tuple[Annotated[float, Field(ge=0, le=10)], Annotated[float, Field(ge=0, le=10)]] = _param(
+        (1.8, 3.8), "s", "between centres where a path is crossed; boxes take about .8 s less, which leaves a PET from "
+        "conflict's critical 1 s to 3 s",
+    )  # fmt: skip
     rounds: int = _param(12, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(
         3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20

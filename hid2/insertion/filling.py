@@ -197,11 +197,10 @@ class Filling:
         here = self.surroundings
         guard = Guard(self.scene, self._fixed(), here.stop_lines)
         sites = InsertionSites(
-            self.scene, here.roads, here.routes, here.stop_lines, guard, rng, number, here.meetings,
-            here.entries, Spread.of(self.seed), self._avoided, [one.driven.start for one in self.kept],
+            here, guard, rng, number, Spread.of(self.seed), self._avoided, [one.driven.start for one in self.kept],
             asked=Counter(r.policy for r in self._open),
         )  # fmt: skip
-        sites.taken += self._again
+        sites.starts.take(self._again)
         starts, self._again = list(self._again), []
         if number >= max(1, config.spawn.reseed_rounds):  # the count matters more by now; each is tried once
             self._give_up_manoeuvres({start.request.number for start in starts})
@@ -237,8 +236,8 @@ class Filling:
                 extra = max(extra, math.ceil(config.spawn.stand_by_share * manoeuvres))
             for _ in range(min(extra, max(0, missing))):
                 starts += sites.propose(self._spare_request())
-        self.no_site.update(sites.rejected)
-        refused = ", ".join(f"{reason} {count}" for reason, count in sites.rejected.most_common())
+        self.no_site.update(sites.starts.rejected)
+        refused = ", ".join(f"{reason} {count}" for reason, count in sites.starts.rejected.most_common())
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
         return starts
 
@@ -247,7 +246,7 @@ class Filling:
         if request.policy is not Policy.OVERTAKE:
             self._last_reason[request.number] = Reason.NO_SITE
         elif request.number not in self._last_reason:
-            seen = sites.foresees_none
+            seen = sites.overtakes.foresees_none
             self._last_reason[request.number] = Reason.NO_OVERTAKE_FORESEEN if seen else Reason.NO_SITE
 
     def _rivals(self, sites: InsertionSites, requests: list[VehicleRequest], most: int) -> list[Start]:

@@ -7,12 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hid2.agents import FloatArray, IntArray, Policy
+from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray, Policy
+from hid2.conflicts.signals import InferredSignals, signalled_rows
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.kernels.meetings import met_on_route
 from hid2.measures.arrays import is_moving
-from hid2.measures.encounters import CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S, NEAR_M, WITHIN_S
+from hid2.measures.encounters import CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S, NEAR_M
 from hid2.motion.route import Route
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.turns import TURN_OF_POLICY
@@ -104,6 +105,7 @@ class Meetings:
     _crossed_from: IntArray = field(init=False)
     _crossed_s: FloatArray = field(init=False)
     _pace_mps: FloatArray = field(init=False)
+    _signals: InferredSignals = field(init=False)
     _outlooks: dict[TurnType, Outlook] = field(default_factory=dict)
     _on_route: dict[tuple[int, int], Outlook] = field(default_factory=dict)
     _usual: dict[int, float] = field(default_factory=dict)
@@ -125,6 +127,8 @@ class Meetings:
         self._number[moving] = np.arange(moving.size)
         self._number = self._number[rows]
         self._crossed_from, self._crossed_s = self._crossings(moving)
+        signalled = traffic.rows(signalled_rows(scene.object_types).tolist())
+        self._signals = InferredSignals(scene.grid, signalled, scene.config.signals, scene.step_s)
         self._pace_mps = np.array([_pace(traffic, row) for row in moving.tolist()], dtype=np.float64)
 
     @property
@@ -260,7 +264,8 @@ class Meetings:
             scene.grid.centers, cells, middle, count, time_s, pace, target_xy, target_there,
             sites.near_share * request.within_m, lane_cell, self._number, _LEADS_FROM_M,
             FOLLOWS_S * speed_mps + _LEADS_FROM_M, _LEADS_LOOKS, self._crossed_from,
-            self._crossed_s - step * scene.step_s, scene.config.conflict.pet_min_s, WITHIN_S, last - look,
+            self._crossed_s - step * scene.step_s, *spawn.crossing_apart_s, last - look,
+            *self._red(lane_id, offer, look),
         )  # fmt: skip
         weight = np.ones(count)
         if request.near == "anywhere":
@@ -274,6 +279,20 @@ class Meetings:
         if "topology" not in scene.config.without:
             weight[leaves] = 0.0
         return Outlook(weight, near_last, leader)
+
+    def _red(self, lane_id: int, offer: RouteOffer, look: int) -> tuple[FloatArray, BoolArray]:
+        """Where a vehicle on a route stops at signals, (L,) m from a lane on, and whether they are red (L, looks)."""
+        config, lanes, at = self.scene.config, self.scene.grid.graph.lanes, 0.0
+        before_m = DEFAULT_SIZES["vehicle"].length_m / 2 + config.conflict.stop_margin_m
+        stop_at: list[float] = []
+        red = [np.zeros((0, self._steps.size - look), dtype=np.bool_)]
+        for lane in offer.route[offer.route.index(lane_id) :]:
+            found = self._signals.red(lane)
+            if found is not None and found.any():
+                stop_at.append(at - before_m)
+                red.append(found[None, self._steps[look:]])
+            at += lanes[lane].length_m
+        return np.array(stop_at), np.concatenate(red)
 
     def _cells(self, lane_id: int, offer: RouteOffer) -> tuple[IntArray, FloatArray]:
         """Cells of a route from a lane on, (K,) rows of the grid, and their middles along it, (K,) m."""

@@ -19,15 +19,17 @@ def _is_near(x: float, y: float, others: FloatArray, there: BoolArray, look: int
 @inner
 def _leader(
     at: FloatArray, start: float, pace: float, time_s: FloatArray, lane_cell: IntArray, number: IntArray,
-    leads_from: float, leads_to: float, looks: int,
+    leads_from: float, leads_to: float, looks: int, held_s: float,
 ) -> tuple[int, bool]:  # fmt: skip
     """Row of who is next ahead of a vehicle for so many looks, -1 for nobody; and whether somebody runs into it.
 
-    Whoever has a leader stays behind it. Nobody is followed by a vehicle that is run into.
+    Whoever has a leader stays behind it. Nobody is followed by a vehicle that is run into, nor after held_s.
     """
     count = lane_cell.shape[0]
     led = np.zeros(count, dtype=np.int64)
     for look in range(time_s.size):
+        if time_s[look] >= held_s:
+            break
         way, nearest, who = start + pace * time_s[look], np.inf, -1
         for a in range(count):
             if lane_cell[a, look] >= 0:
@@ -45,7 +47,7 @@ def _leader(
         for look in range(time_s.size):
             if lane_cell[a, look] < 0:
                 continue
-            own = start + pace * time_s[look]
+            own = start + pace * min(time_s[look], held_s)
             if leader >= 0 and lane_cell[leader, look] >= 0 and at[lane_cell[leader, look]] - leads_from < own:
                 own = max(start, at[lane_cell[leader, look]] - leads_from)
             apart = at[lane_cell[a, look]] - own
@@ -53,6 +55,17 @@ def _leader(
                 return -1, True
             was_behind = was_behind or apart < 0.0
     return leader, False
+
+
+@inner
+def _held(start: float, pace: float, time_s: FloatArray, stop_at: FloatArray, closed: BoolArray) -> float:
+    """When a vehicle comes to a stop line that is closed at that look, s; inf where it comes to none."""
+    for line in range(stop_at.size):
+        arrives = (stop_at[line] - start) / pace
+        look = np.searchsorted(time_s, arrives, side="right") - 1
+        if arrives >= 0.0 and arrives <= time_s[-1] and closed[line, look]:
+            return float(arrives)
+    return np.inf
 
 
 @inner
@@ -65,13 +78,13 @@ def _least_apart(time_s: float, others_s: FloatArray) -> float:
 
 @kernel(
     "(f8[:,::1], i8[::1], f8[::1], i8, f8[::1], f8, f8[:,:,::1], b1[:,::1], f8, i8[:,::1], i8[::1], f8, f8, i8,"
-    " i8[::1], f8[::1], f8, f8, i8)"
+    " i8[::1], f8[::1], f8, f8, i8, f8[::1], b1[:,::1])"
 )
 def met_on_route(
     centers: FloatArray, cells: IntArray, middle: FloatArray, count: int, time_s: FloatArray, pace: float,
     targets: FloatArray, there: BoolArray, within: float, lane_cell: IntArray, number: IntArray, leads_from: float,
     leads_to: float, looks: int, crossed_from: IntArray, crossed_s: FloatArray, crossed_after: float,
-    crossed_within: float, last: int,
+    crossed_within: float, last: int, stop_at: FloatArray, closed: BoolArray,
 ) -> tuple[BoolArray, BoolArray, IntArray, BoolArray, BoolArray]:  # fmt: skip
     """What vehicles from the first `count` cells of a route meet: targets, a leader, who is crossed, who runs into it.
 
@@ -81,7 +94,8 @@ def met_on_route(
     targets (A, T, 2) m, there (A, T): near within a distance, m. lane_cell (M, T): cells of the others, -1 for none,
     who lead at leads_from to leads_to m ahead for so many looks if number (M,) is not -1. crossed_s: times at which
     cells are crossed, s, those of cell c from crossed_from[c] to crossed_from[c + 1]; a crossing counts between
-    crossed_after and crossed_within s.
+    crossed_after and crossed_within s. Nobody is followed or crossed beyond a stop line that is closed, stop_at (L,) m
+    in their order, closed (L, T).
     """
     near, near_last = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
     leader, crosses = np.full(count, -1, dtype=np.int64), np.zeros(count, dtype=np.bool_)
@@ -90,7 +104,7 @@ def met_on_route(
     at[cells] = middle
     end = middle[middle.size - 1]
     for n in range(count):
-        place = 0
+        place, held_s = 0, _held(middle[n], pace, time_s, stop_at, closed)
         for look in range(time_s.size):
             way = middle[n] + pace * time_s[look]
             if way > end:
@@ -101,11 +115,13 @@ def met_on_route(
             if (not near[n] or look == last) and _is_near(x, y, targets, there, look, within):
                 near[n] = True
                 near_last[n] = near_last[n] or look == last
-        who, is_run_into[n] = _leader(at, middle[n], pace, time_s, lane_cell, number, leads_from, leads_to, looks)
+        who, is_run_into[n] = _leader(
+            at, middle[n], pace, time_s, lane_cell, number, leads_from, leads_to, looks, held_s
+        )
         leader[n] = number[who] if who >= 0 else -1
         for place in range(cells.size):
             arrives = (middle[place] - middle[n]) / pace
-            if arrives > 0.0:
+            if 0.0 < arrives < held_s:
                 begin, stop = crossed_from[cells[place]], crossed_from[cells[place] + 1]
                 apart = _least_apart(arrives, crossed_s[begin:stop])
                 crosses[n] = crosses[n] or crossed_after < apart < crossed_within

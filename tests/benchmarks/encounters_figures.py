@@ -68,7 +68,7 @@ class Figures:
         self.met["inserted"].append(found[arrays.generated])
         self.met["inserted, moving"].append(found[arrays.generated & arrays.moving])
         self.met[f"inserted, {name}"].append(found[arrays.generated])
-        later = round(LATER_S / recording.step_s)
+        later = min(round(LATER_S / recording.step_s), recording.num_steps - 1)  # some scenes last for 5 s
         ends = [(t.position[0], t.position[later]) for t in scene.generated if len(t.timesteps) > later]
         self.starts[name].append(np.array(ends).reshape(-1, 2, 2))
         for one in detect(arrays, safe.lanes, safe.matches):

@@ -11,12 +11,10 @@ from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.guard import Braking, Guard, transition_rejected
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver, LaneOffset
-from hid2.insertion.entries import Entries
-from hid2.insertion.meetings import Meetings
 from hid2.insertion.requests import draw_requests
-from hid2.insertion.routes import Routes
 from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
+from hid2.insertion.surroundings import Surroundings
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M, build_reference_line
 from hid2.motion.route import DrivenPath
@@ -29,7 +27,6 @@ from hid2.policy.decision import LaneOption, Observation, decide
 from hid2.policy.lane_change import Gap
 from hid2.policy.observation import lane_options
 from hid2.policy.overtake import Leader, Stage, enter_reason
-from hid2.policy.roads import Roads
 from hid2.policy.turns import f_left, f_right, road_speeds
 from hid2.scene import Scene, build_scene
 from netconvert.cells import Cell, build_cell_grid
@@ -133,18 +130,9 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
     scene = _scene(_track(60.0, 0.0), _track(100.0, 3.5))
     sigma = scene.occupancy.sigma[0]
     assert set(np.unique(sigma)) == {FREE, ORIGINAL}
-    sites = InsertionSites(
-        scene,
-        Roads(scene),
-        Routes(scene),
-        StopLines(scene),
-        Guard(scene, NOBODY, StopLines(scene)),
-        np.random.default_rng(0),
-        0,
-        Meetings(scene, Routes(scene)),
-        Entries(scene, Routes(scene), Meetings(scene, Routes(scene))),
-        Spread.of((0, 0)),
-    )
+    here = Surroundings(scene)
+    guard = Guard(scene, NOBODY, here.stop_lines)
+    sites = InsertionSites(here, guard, np.random.default_rng(0), 0, Spread.of((0, 0)))
     config = Config(request=Request(left_turn=0, right_turn=0, lane_change=0, overtake=0))
     requests = draw_requests(config, np.random.default_rng(0), count=6, duration_s=10.9)
     placed = [start for one in requests for start in sites.propose(one)]

@@ -33,14 +33,11 @@ def _scene(graph: LaneGraph, *tracks: Track, **request: object) -> Scene:
 def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
     here = Surroundings(scene)
     guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
-    rng, spread = np.random.default_rng(seed), Spread.of((seed, 0))
-    return InsertionSites(
-        scene, here.roads, here.routes, here.stop_lines, guard, rng, 0, here.meetings, here.entries, spread
-    )
+    return InsertionSites(here, guard, np.random.default_rng(seed), 0, Spread.of((seed, 0)))
 
 
 def _entering(scene: Scene, *, count: int = 20, seed: int = 0) -> list[Start]:
-    return list(islice(_sites(scene, seed)._entering_starts(STRAIGHT), count))
+    return list(islice(_sites(scene, seed).entering.starts_of(STRAIGHT, []), count))
 
 
 def _pocket() -> LaneGraph:

@@ -1,22 +1,22 @@
 """Whom vehicles meet from a start site: leaders on their route, who would run into them, and what came of it."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hand_drawn import draw_lane
 from inserted import driven, nobody, recorded, scene_on, start_on
 
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
-from hid2.conflicts.stop_lines import StopLines
-from hid2.insertion.entries import Entries
 from hid2.insertion.finalise import ExportedVehicle, finalise
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import Routes
 from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
+from hid2.insertion.surroundings import Surroundings
 from hid2.params import Config, Drivers, Spawn
-from hid2.policy.roads import Roads
 from hid2.scene import Scene
 from hid2.vehicle import VehicleRequest
 from netconvert.lane_graph import LaneGraph
@@ -58,7 +58,7 @@ def test_leader_is_next_ahead_on_the_same_lane_within_three_seconds(scene_of: Ca
     assert _leader(meetings, scene, 1, 40.0) == -1
     assert _leader(meetings, scene, 1, 120.0) == -1
     assert _leader(meetings, scene, 2, 82.0) == -1
-    assert _weight(meetings, scene, 1, 82.0) == pytest.approx(6.0 * _weight(meetings, scene, 2, 82.0))
+    assert _weight(meetings, scene, 1, 82.0) == pytest.approx(15.0 * _weight(meetings, scene, 2, 82.0))
 
 
 def test_nobody_leads_past_somebody_between(scene_of: Callable[..., Scene]) -> None:
@@ -66,6 +66,23 @@ def test_nobody_leads_past_somebody_between(scene_of: Callable[..., Scene]) -> N
     scene = scene_of(recorded(100.0, 0.0, 9.0, name="far"), recorded(91.0, 0.0, 9.0, name="next"))
     meetings = Meetings(scene, Routes(scene))
     assert _leader(meetings, scene, 1, 80.0) == 1
+
+
+@pytest.mark.parametrize(("is_red", "expected"), [(False, 0), (True, -1)])
+def test_nobody_is_followed_beyond_a_red_light(is_red: bool, expected: int) -> None:
+    """One at 3 m/s from 130 m on: at 8.1 m/s who starts at 50 m is within 33 m of it from 9.2 s on, the light at 100 m
+    behind it.
+    """
+    lanes = {
+        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)),
+        2: draw_lane(2, [(100.0, 0.0), (400.0, 0.0)]),
+    }
+    scene = scene_on(LaneGraph(lanes, drivable_areas=()), recorded(130.0, 0.0, 3.0))
+    meetings = Meetings(scene, Routes(scene))
+    red = {2: np.full(scene.num_steps, is_red)}
+    meetings._signals = SimpleNamespace(red=red.get)
+    meetings._usual[1] = 9.0
+    assert _leader(meetings, scene, 1, 50.0) == expected
 
 
 def test_site_at_which_somebody_recorded_would_run_into_a_vehicle_weighs_a_fifth(
@@ -84,7 +101,7 @@ def test_who_follows_drives_as_fast_as_the_leader_at_least(scene_of: Callable[..
     crawling = recorded(300.0, 0.0, 4.0, name="c")
     scene = scene_of(recorded(60.0, 0.0, 12.0), crawling)
     meetings = Meetings(scene, Routes(scene))
-    starts = [start for seed in range(60) for start in _sites(scene, meetings, seed).propose(_request())]
+    starts = [start for seed in range(60) for start in _sites(scene, seed).propose(_request())]
     led = [one for one in starts if _leader(meetings, scene, one.route[0], one.start_s) == 0]
     assert len(led) >= 5
     assert all(one.driver.desired_mps == pytest.approx(12.0) for one in led)
@@ -93,12 +110,12 @@ def test_who_follows_drives_as_fast_as_the_leader_at_least(scene_of: Callable[..
 def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site(scene_of: Callable[..., Scene]) -> None:
     scene = scene_of(recorded(100.0, 0.0, 9.0))
     meetings = Meetings(scene, Routes(scene))
-    sites = _sites(scene, meetings, 0)
+    sites = _sites(scene, 0)
     rows = np.array([scene.grid.index_of[scene.grid.cell_at(1, 82.0)]])
     free, _ = sites._weights(Policy.STRAIGHT, rows)
     sites.kept = [start_on(scene, meetings.routes.offers(1)[0].route, 80.0, 9.0)]
     taken, _ = sites._weights(Policy.STRAIGHT, rows)
-    assert free[0] == pytest.approx(6.0 * taken[0])
+    assert free[0] == pytest.approx(15.0 * taken[0])
 
 
 @pytest.mark.parametrize(("start_m", "lane_id", "expected"), [(80.0, 1, 2), (88.0, 2, 1), (20.0, 2, 0)])
@@ -132,12 +149,10 @@ def _request() -> VehicleRequest:
     return VehicleRequest(0, Policy.STRAIGHT, 0.0)
 
 
-def _sites(scene: Scene, meetings: Meetings, seed: int) -> InsertionSites:
-    lines = StopLines(scene)
-    guard = Guard(scene, nobody(scene.future.num_steps), lines)
-    rng, spread = np.random.default_rng(seed), Spread.of((seed, 0))
-    entries = Entries(scene, meetings.routes, meetings)
-    return InsertionSites(scene, Roads(scene), meetings.routes, lines, guard, rng, 0, meetings, entries, spread)
+def _sites(scene: Scene, seed: int) -> InsertionSites:
+    here = Surroundings(scene)
+    guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
+    return InsertionSites(here, guard, np.random.default_rng(seed), 0, Spread.of((seed, 0)))
 
 
 def test_leader_does_not_depend_on_what_was_looked_at_before(scene_of: Callable[..., Scene]) -> None:

@@ -1,24 +1,23 @@
 """Start sites: where a request may be met, and whether a vehicle can begin there."""
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from hand_drawn import draw_lane
 from inserted import DRIVER, nobody, recorded, scene_on
 from scipy.stats import chisquare
 
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
-from hid2.conflicts.stop_lines import StopLines
-from hid2.insertion.entries import Entries
-from hid2.insertion.meetings import Meetings
-from hid2.insertion.routes import Routes
-from hid2.insertion.sites import InsertionSites, speed_behind
+from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
+from hid2.insertion.starts import speed_behind
+from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.sigma import FREE
 from hid2.params import Config, Request, Sites, Spawn
-from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
@@ -28,12 +27,9 @@ ROAD_M = 300.0
 
 
 def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
-    lines = StopLines(scene)
-    guard = Guard(scene, nobody(scene.future.num_steps), lines)
-    routes, rng, spread = Routes(scene), np.random.default_rng(seed), Spread.of((seed, 0))
-    meetings = Meetings(scene, routes)
-    entries = Entries(scene, routes, meetings)
-    return InsertionSites(scene, Roads(scene), routes, lines, guard, rng, 0, meetings, entries, spread)
+    here = Surroundings(scene)
+    guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
+    return InsertionSites(here, guard, np.random.default_rng(seed), 0, Spread.of((seed, 0)))
 
 
 def _request(number: int = 0, policy: Policy = Policy.STRAIGHT, trigger_s: float = 0.0) -> VehicleRequest:
@@ -82,7 +78,7 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected(scene_of: Call
     assert all(start.start_s > 75.0 for start in starts)
     for number in range(10):
         sites.propose(_request(number))
-    assert sites.rejected[Reason.TTC_RECORDED_FOLLOWER] > 0
+    assert sites.starts.rejected[Reason.TTC_RECORDED_FOLLOWER] > 0
 
 
 @pytest.mark.parametrize(("gap", "leader_mps"), [(6.0, 0.0), (15.0, 8.0), (30.0, 4.0), (60.0, 12.0)])
@@ -214,3 +210,26 @@ def test_nobody_begins_between_an_overtaker_and_its_leader(scene_of: Callable[..
 def test_route_that_ends_too_early_is_no_site(scene_of: Callable[..., Scene]) -> None:
     """On 60 m of road nobody stays for 5 s at 9 m/s but from its first metres; at 20 m/s nobody does."""
     assert _many(scene_of(recorded(200.0, 30.0, 20.0), length_m=60.0, min_speed_mps=18.0), 10) == []
+
+
+def test_who_begins_close_behind_a_standing_one_stands(scene_of: Callable[..., Scene]) -> None:
+    """Some 4 m from bumper to bumper behind one that stands at 100 m; at 3 m/s it would have to brake at once."""
+    scene = scene_of(recorded(100.0, 0.0), lanes=1)
+    for seed in range(10):
+        sites = _sites(scene, seed)
+        start = sites.starts.make(_request(), sites.here.routes.offers(1)[0], 1, 91.5)
+        assert isinstance(start, Start), start
+        assert start.start_mps == 0.0
+
+
+def test_nobody_begins_in_an_intersection_where_there_is_anything_else() -> None:
+    lanes = {
+        1: draw_lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
+        2: draw_lane(2, [(60.0, 0.0), (90.0, 0.0)], successors=(3,), is_intersection=True),
+        3: draw_lane(3, [(90.0, 0.0), (200.0, 0.0)]),
+    }
+    config = Config(request=Request(near="anywhere"), spawn=Spawn(prior_speed_mps=9.0))
+    scene = scene_on(LaneGraph(lanes, drivable_areas=()), config=config)
+    begun = Counter(one.path.segment_at(one.start_s).lane_id for one in _many(scene, 60))
+    assert begun.total() == 60
+    assert begun[2] == 0

@@ -1,0 +1,54 @@
+"""Sites of vehicles that enter at the map's edge during the scene."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hid2.agents import Policy
+from hid2.insertion.spread import Spread
+from hid2.insertion.starts import Starts
+from hid2.insertion.surroundings import Surroundings
+from hid2.vehicle import Start, VehicleRequest
+
+
+@dataclass(slots=True)
+class EntrySites:
+    """Sites of the vehicles that enter in one round; asked: how many are to go straight, of whom a share enters."""
+
+    here: Surroundings
+    starts: Starts
+    spread: Spread
+    asked: int
+    _looked: int = 0
+
+    def is_to_enter(self, request: VehicleRequest) -> bool:
+        """Whether a vehicle is to enter at the map's edge if it can; who is scored is there from the first step on."""
+        asked = self.here.scene.config.request
+        if request.policy is not Policy.STRAIGHT or asked.generated_category > 1 or asked.entering == 0.0:
+            return False
+        return bool(self.starts.rng.random() < asked.entering)
+
+    def starts_of(self, request: VehicleRequest, followed: list[int]) -> Iterator[Start]:
+        """Starts at the map's edge during the scene: lane, route and step in the order of `Spread`."""
+        scene, entries, rng = self.here.scene, self.here.entries, self.starts.rng
+        table = entries.table
+        weight = table.weight.copy()
+        weight[np.isin(table.leader, followed) & (table.leader >= 0)] /= scene.config.spawn.leader_weight
+        if self.here.meetings.is_target_named:
+            weight[~table.near] = 0.0
+        order = self.spread.order(
+            weight, rng, number=self._looked, kind=len(Policy), round_number=self.starts.round_number,
+            of=round(scene.config.request.entering * self.asked),
+        )  # fmt: skip
+        self._looked += 1
+        likely = self.starts.round_number < scene.config.spawn.reseed_rounds  # the count matters more by then
+        for row in order[: scene.config.sites.tries].tolist():
+            start = self.starts.make(
+                request, entries.offer(row), int(table.lane[row]), None, step=entries.step(row, rng),
+                led_by=int(table.leader[row]), likely=likely,
+            )  # fmt: skip
+            if isinstance(start, Start):
+                yield start
+            else:
+                self.starts.rejected[start] += 1
