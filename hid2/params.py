@@ -164,6 +164,9 @@ class Spawn(_Section):
 class Sites(_Section):
     """Where vehicles may begin, and how fast. Chosen on the scenes of tests/real unless another source is named."""
 
+    cell_tries: int = _param(
+        2, "vehicles", "for which a cell was turned down, after which a round looks elsewhere", ge=1, le=1000
+    )
     tries: int = _param(150, "sites", "looked at in full for a request in a round", ge=1, le=10_000)
     drivers: int = _param(3, "drivers", "drawn for a site before it is turned down", ge=1, le=50)
     routes: int = _param(16, "routes", "known from a lane", ge=1, le=1000)

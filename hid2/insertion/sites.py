@@ -1,6 +1,6 @@
 """Start sites: where on the map a request may be met, in which order they are looked at."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -43,6 +43,7 @@ class InsertionSites:
     overtakes: OvertakeSites = field(init=False)
     entering: EntrySites = field(init=False)
     _looked: Counter[Policy] = field(default_factory=Counter)
+    _turned_down: dict[tuple[Policy, bool], Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
 
     def __post_init__(self) -> None:
         """Sites of all kinds share the starts of the round."""
@@ -99,7 +100,8 @@ class InsertionSites:
             for start in self.starts.taken
             if start.request.number == request.number
         }
-        for lane_id, lane_s in self._places(request):
+        turned_down = self._turned_down[request.policy, likely and request.policy is not Policy.STRAIGHT]
+        for row, lane_id, lane_s in self._places(request, turned_down):
             if lane_id in rivals_on:  # of two on one lane the one behind would wait for the other
                 continue
             for offer in self._order(request, self.here.scene.grid.cell_at(lane_id, lane_s)):
@@ -113,6 +115,7 @@ class InsertionSites:
                     yield start
                 else:
                     self.starts.rejected[start] += 1
+                    turned_down[row] += 1
                 break
             if tried >= self.here.scene.config.sites.tries:
                 return
@@ -130,10 +133,11 @@ class InsertionSites:
             return order
         return sorted(order, key=lambda offer: bool(offer.turns))
 
-    def _places(self, request: VehicleRequest) -> Iterator[tuple[int, float]]:
-        """Lane and arc length, m, of free cells at step 0; first from where more is met, intersections last or never.
+    def _places(self, request: VehicleRequest, turned_down: Counter[int]) -> Iterator[tuple[int, int, float]]:
+        """Row, lane and arc length, m, of free cells at step 0; first where more is met, intersections last or never.
 
-        The order is that of `Spread`, by the number of this vehicle among those of its policy.
+        The order is that of `Spread`, by the number of this vehicle among those of its policy. turned_down: vehicles of
+        this round that could not begin on a cell, by row.
         """
         scene, policy = self.here.scene, request.policy
         grid, promising = scene.grid, scene.config.request.sites == "promising"
@@ -163,11 +167,14 @@ class InsertionSites:
         for place in order[np.lexsort((tier[order], inside[order]))].tolist():
             if inside[place] and promising and not all_inside:
                 return
-            cell = grid.cells[rows[place]]
+            row = int(rows[place])
+            if promising and turned_down[row] >= scene.config.sites.cell_tries:
+                continue
+            cell = grid.cells[row]
             begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
             lane_s = float(begin + share[place] * (end - begin))
             if not any(abs(lane_s - at) < scene.config.sites.avoided_m for at in failed.get(cell.lane_id, ())):
-                yield cell.lane_id, lane_s
+                yield row, cell.lane_id, lane_s
 
     def _weights(self, policy: Policy, rows: IntArray) -> tuple[FloatArray, IntArray]:
         """Weights of cells, rows (N,) of the grid; and 1 for those from which a named target is not met, else 0.

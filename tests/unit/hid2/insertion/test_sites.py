@@ -233,3 +233,20 @@ def test_nobody_begins_in_an_intersection_where_there_is_anything_else() -> None
     begun = Counter(one.path.segment_at(one.start_s).lane_id for one in _many(scene, 60))
     assert begun.total() == 60
     assert begun[2] == 0
+
+
+@pytest.mark.parametrize(("sites", "most"), [("promising", 2), ("any", 30)])
+def test_cell_that_was_turned_down_twice_is_left_alone_in_a_round(
+    scene_of: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch, sites: str, most: int
+) -> None:
+    """Two lanes of cells on which nobody can begin. Drawn from all that is admissible, a cell is tried for each."""
+    tried: Counter[tuple[int, int]] = Counter()
+
+    def turn_down(_starts: object, _request: object, offer: Any, lane_id: int, s: float, **_more: object) -> Reason:
+        tried[lane_id, int((s - offer.start_m) / 4.0)] += 1
+        return Reason.NO_SITE
+
+    monkeypatch.setattr("hid2.insertion.starts.Starts.make", turn_down)
+    here = _sites(scene_of(recorded(200.0, 30.0, 20.0), sites=sites))
+    assert [here.propose(_request(number)) for number in range(30)] == [[]] * 30
+    assert max(tried.values()) == most
