@@ -172,11 +172,9 @@ class Driving:
 
         Others need not mind it any more.
         """
-        fleet, here, scene = self.fleet, self.fleet.on_ways, self.fleet.scene
-        traffic = scene.traffic
-        struck = deep_inside(
-            here.low, here.high, here.agents, here.first, len(traffic.ids), step, fleet.place, _STRUCK_M
-        )
+        fleet, here, scene, traffic = self.fleet, self.fleet.on_ways, self.fleet.scene, self.fleet.scene.traffic
+        low, high, count = here.intervals.low, here.intervals.high, len(traffic.ids)
+        struck = deep_inside(low, high, here.agents, here.first, count, step, fleet.place, _STRUCK_M)
         for row, agent in zip(*(column.tolist() for column in struck), strict=True):
             vehicle = fleet.vehicles[row]
             xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))

@@ -8,14 +8,14 @@ from dataclasses import InitVar, dataclass, field, replace
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, IntArray, Policy
-from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S, V
+from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S
 from hid2.conflicts.reaction import yielding
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along
-from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import policy_on
 from hid2.policy.roads import Roads
 from hid2.scene import Scene
@@ -49,15 +49,11 @@ class Way:
 class OnWays:
     """Everybody whose future is known on the ways of all vehicles, those of one after those of another.
 
-    low .. crossing (R, T): as in `PathOccupancy`; agents (R,): recorded, then kept ones, length_m (A,) of all of them;
-    first (N + 1,): rows by vehicle.
+    intervals (R, T); agents (R,): recorded, then kept ones, length_m (A,) of all of them; first (N + 1,): rows by
+    vehicle.
     """
 
-    low: FloatArray
-    high: FloatArray
-    along: FloatArray
-    same_direction: BoolArray
-    crossing: BoolArray
+    intervals: PathOccupancy
     agents: IntArray
     length_m: FloatArray
     first: IntArray
@@ -125,7 +121,7 @@ class Fleet:
 
     def motion(self, row: int) -> tuple[float, float, float]:
         """A vehicle's s m, v m/s and a m/s2."""
-        s, v, a = self.state[row, [S, V, A]].tolist()
+        s, v, a = self.state[row, S : A + 1].tolist()
         return s, v, a
 
     def traffic(self) -> Traffic:
@@ -166,6 +162,7 @@ class Fleet:
         self._forget_obstacles()
 
     def _forget_obstacles(self) -> None:
+        """What is on the ways is worked out anew when somebody asks."""
         self._on_ways = None
         for way in self.ways:
             way.obstacles = None
@@ -188,14 +185,11 @@ class Fleet:
         """Everybody known on the present ways of all."""
         if self._on_ways is None:
             known = [self.known_on_way(row) for row in range(len(self.vehicles))]
-            nobody = PathOccupancy.nobody(self.scene.future.num_steps)
-            every = nobody.joined(*(found for found, _ in known))
+            every = PathOccupancy.nobody(self.scene.future.num_steps).joined(*(found for found, _ in known))
             first = np.concatenate([[0], np.cumsum([rows.size for _, rows in known])]).astype(np.int64)
             agents = np.concatenate([np.zeros(0, dtype=np.int64), *(rows for _, rows in known)])
             length_m = np.concatenate([self.scene.traffic.length_m, self.fixed.length_m])
-            self._on_ways = OnWays(
-                every.low, every.high, every.along, every.same_direction, every.crossing, agents, length_m, first
-            )
+            self._on_ways = OnWays(every, agents, length_m, first)
         return self._on_ways
 
     def braking(

@@ -135,21 +135,12 @@ class _Due:
         vehicle, start, scene = self.vehicle, self.vehicle.start, self.fleet.scene
         cell = scene.cell_at(vehicle.path, vehicle.s[-1])
         seen = Observation(
-            time_s=self.now * scene.step_s,
-            cell=cell,
-            next_cell=scene.grid.longitudinal(cell),
-            lane_turn=scene.grid.graph.lanes[cell.lane_id].turn,
-            speed_mps=vehicle.v[-1],
-            desired_mps=start.driver.desired_mps,
-            request=vehicle.policy,
-            trigger_s=start.request.trigger_s,
-            stage=vehicle.stage,
-            leader=leader,
-            options=options,
-            passed_gap_m=self._passed_gap_m(),
-            length_m=start.box.length_m,
-            driver=start.driver,
-        )
+            time_s=self.now * scene.step_s, cell=cell, next_cell=scene.grid.longitudinal(cell),
+            lane_turn=scene.grid.graph.lanes[cell.lane_id].turn, speed_mps=vehicle.v[-1],
+            desired_mps=start.driver.desired_mps, request=vehicle.policy, trigger_s=start.request.trigger_s,
+            stage=vehicle.stage, leader=leader, options=options, passed_gap_m=self._passed_gap_m(),
+            length_m=start.box.length_m, driver=start.driver,
+        )  # fmt: skip
         if scene.config.lane_change.rule in ("paper", "LC2013"):
             return seen
         ahead, behind = gaps_on(

@@ -12,7 +12,7 @@ from hid2.policy.reroute import places_on, ways_at_next_split
 from hid2.scene import Scene
 from netconvert.cells import Cell
 
-_ABOVE_MPS = 0.05  # book-keeping: nobody is too fast for a way by rounding
+_ABOVE_MPS = 0.05  # no tunable, for rounding: road speeds are those of a table's points
 
 
 def edges_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[str, ...] | None:

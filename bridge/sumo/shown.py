@@ -37,10 +37,10 @@ def shown_at(fleet: Fleet, step: int) -> tuple[dict[int, tuple[str, int]], dict[
     scene, driving, count = fleet.scene, fleet.scene.config.driving, len(fleet.scene.traffic.ids)
     if "collision" in scene.config.without:
         return recorded, kept
-    here = fleet.on_ways
+    here, known = fleet.on_ways, fleet.on_ways.intervals
     found = shown_ahead(
-        here.low, here.high, here.along, here.same_direction, here.crossing, here.agents, here.first, here.length_m,
-        scene.traffic.position, fleet.fixed.position, step, fleet.place, fleet.centre, fleet.length_m,
+        known.low, known.high, known.along, known.same_direction, known.crossing, here.agents, here.first,
+        here.length_m, scene.traffic.position, fleet.fixed.position, step, fleet.place, fleet.centre, fleet.length_m,
         (driving.standing_mps, driving.leads_from_m, driving.shown_m),
     )  # fmt: skip
     for agent, row, middle in zip(*(column.tolist() for column in found), strict=True):

@@ -21,7 +21,7 @@ def speed_limit(fleet: Fleet, simulation: Simulation, row: int, now: int, desire
     vehicle, way, scene = fleet.vehicles[row], fleet.ways[row], fleet.scene
     driving, (s, v, _) = scene.config.driving, fleet.motion(row)
     on_road = float(way.road[min(int((s + v * scene.step_s) / TABLE_STEP_M), way.road.size - 1)])
-    turns = any(way.policy_at(at) is not Policy.STRAIGHT for at in (s, s + _TURN_AHEAD_S * v))
+    turns = (way.policy_at(s), way.policy_at(s + _TURN_AHEAD_S * v)) != (Policy.STRAIGHT, Policy.STRAIGHT)
     limits = [(on_road, "turn" if turns else "curve")]
     if "collision" not in scene.config.without:
         limits += _guarded(fleet, simulation, row, now, desired_mps)
