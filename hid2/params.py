@@ -640,6 +640,8 @@ class EventSearch(_Section):
         (3.0, -2.0), "m/s", "faster afterwards; tried beside the same speed and keeping to the target"
     )
     slowest_mps: float = _param(2.5, "m/s", "at the event", ge=0, le=20)
+    held_more_mps: float = _param(5.0, "m/s", "beyond a held speed, wished: no usual gap slows it", ge=0, le=20)
+    across_more_s: float = _param(0.5, "s", "beyond a change of lanes; conflicts are looked for", ge=0, le=10)
     change_s: float = _param(3.4, "s", "duration of the change of lanes of a cut-in", ge=1.5, le=15)
     cross_apart_s: Band = _param((1.4, 5.0), "s", "apart at the conflict point, where no PET is asked for")
     cross_usual_s: float = _param(2.4, "s", "the best of those", ge=0, le=10)

@@ -24,6 +24,7 @@ from bridge.recordings.sidecar import (
     Sidecar,
 )
 from bridge.sumo.driving import Driving
+from bridge.sumo.fleet import Fleet
 from bridge.sumo.replay import ReplayErrors
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy, Track
@@ -172,14 +173,13 @@ class _Rounds:
     def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, fixed: Traffic) -> DrivenVehicle:
         """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
         roads = self._filling.surroundings.roads
-        return Driving(scene, self._simulation, [start], fixed, roads, stop_lines, checked=False).run()[0]
+        return Driving(Fleet(scene, [start], fixed, roads, stop_lines), self._simulation, checked=False).run()[0]
 
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
         """One simulation. The first one replays every recorded agent and compares; later ones those who matter."""
         here = self._filling.surroundings
-        driving = Driving(
-            self._scene, self._simulation, starts, fixed, here.roads, here.stop_lines, checked=number == 0
-        )
+        fleet = Fleet(self._scene, starts, fixed, here.roads, here.stop_lines)
+        driving = Driving(fleet, self._simulation, checked=number == 0)
         vehicles = driving.run()
         self.driven += [(number, vehicle) for vehicle in vehicles]
         if number == 0:
@@ -197,14 +197,8 @@ class _ReactiveRounds(_Rounds):
 
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
         """One simulation, from the scene as it was recorded; the filling gets it as it has become."""
-        driving = Driving(
-            self._scene,
-            self._simulation,
-            starts,
-            fixed,
-            self._filling.surroundings.roads,
-            self._filling.surroundings.stop_lines,
-        )
+        here = self._filling.surroundings
+        driving = Driving(Fleet(self._scene, starts, fixed, here.roads, here.stop_lines), self._simulation)
         vehicles = driving.run()
         assert driving.reactions is not None
         self.driven += [(number, vehicle) for vehicle in vehicles]

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from bridge.generation.generate import PreparedScene, as_driven, model_parameters, sumo_seed
-from bridge.sumo.flow_driving import FlowDriving
+from bridge.sumo.fleet import Fleet
+from bridge.sumo.flow_driving import NEAR_M, FlowDriving
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.stop_lines import StopLines
@@ -115,8 +116,9 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
             net, seed=sumo_seed(drawn.seed), step_s=scene.step_s, model=config.car_following.model,
             parameters=model_parameters(config),
         ) as simulation:  # fmt: skip
+            nobody = traffic_of_exported([], scene)
             driving = FlowDriving(
-                scene, simulation, starts, traffic_of_exported([], scene), Roads(scene), StopLines(scene),
+                Fleet(scene, starts, nobody, Roads(scene), StopLines(scene), near_m=NEAR_M), simulation,
                 checked=False, arrivals=comers,
                 trigger_after_s=lambda arrival: trigger_after_s(arrival, config.request, drawn.seed, last_s),
             )  # fmt: skip

@@ -5,16 +5,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bridge.sumo.driving import Driving, edges_along
-from hid2.agents import BoxSize, FloatArray
+from bridge.sumo.driving import Driving
+from bridge.sumo.routes import edges_along
 from hid2.insertion.flow import Arrival
-from hid2.motion.reference_line import TABLE_STEP_M
-from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
-from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
+from hid2.vehicle import Start, VehicleRequest
 
-#: Other vehicles farther away than this are looked at when they come near: nobody gets there within the horizon.
-_NEAR_M = 150.0
+#: `Fleet.near_m` of a fleet that others join: at every entry everybody looks anew, at those near, for nobody farther
+#: away gets there within the horizon.
+NEAR_M = 150.0
 
 
 @dataclass(eq=False, slots=True)
@@ -33,18 +32,9 @@ class FlowDriving(Driving):
     _held: list[Arrival] = field(default_factory=list)
     _queued: dict[str, Arrival] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        """Room in the fleet's state for everybody who may come."""
-        Driving.__post_init__(self)
-        more = len(self.arrivals)
-        self._state = np.concatenate([self._state, np.zeros((more, self._state.shape[1]))])
-        self._centre = np.concatenate([self._centre, np.full((more, 2), np.inf)])
-        self._place = np.concatenate([self._place, np.full(more, np.nan)])
-        self._own_lengths = np.concatenate([self._own_lengths, [one.box.length_m for one in self.arrivals]])
-
-    def _shown(self) -> tuple[Traffic, Traffic]:
+    def _replayed(self) -> tuple[Traffic, Traffic]:
         """All of them at all steps: anybody may be ahead of somebody who comes."""
-        return self.scene.traffic, self.fixed
+        return self.fleet.scene.traffic, self.fleet.fixed
 
     def _enter(self, step: int) -> None:
         Driving._enter(self, step)
@@ -53,7 +43,7 @@ class FlowDriving(Driving):
         inside = self.simulation.driven()
         for vehicle_id in [name for name in self._queued if name in inside]:
             self._appear(self._queued.pop(vehicle_id), step)
-        while self._next < len(self.arrivals) and self.arrivals[self._next].due_s <= step * self.scene.step_s:
+        while self._next < len(self.arrivals) and self.arrivals[self._next].due_s <= step * self.fleet.scene.step_s:
             self._held.append(self.arrivals[self._next])
             self._next += 1
         held, blocked = [], set()
@@ -67,13 +57,13 @@ class FlowDriving(Driving):
 
     def _is_clear(self, arrival: Arrival, step: int) -> bool:
         """Whether no recorded agent is too near ahead; those driven are SUMO's business."""
-        found = self.scene.recorded_on(arrival.path, arrival.box)
+        found = self.fleet.scene.recorded_on(arrival.path, arrival.box)
         low = found.low[:, step]
         room_m = arrival.driver.min_gap_m + arrival.driver.tau_s * arrival.driver.desired_mps
         return not bool(np.any(np.isfinite(low) & (low < room_m + 0.5 * arrival.box.length_m)))
 
     def _queue(self, arrival: Arrival) -> None:
-        scene, driver = self.scene, arrival.driver
+        scene, driver = self.fleet.scene, arrival.driver
         cell = scene.cell_at(arrival.path, 0.0)
         edges = edges_along(scene, arrival.path, cell)
         assert edges is not None  # the route begins on its own lane
@@ -86,7 +76,7 @@ class FlowDriving(Driving):
 
     def _appear(self, arrival: Arrival, step: int) -> None:
         """It is in the net: from now on one of those that are driven."""
-        simulation, scene = self.simulation, self.scene
+        simulation, scene = self.simulation, self.fleet.scene
         lane, front_m = simulation.lane(arrival.vehicle_id)
         cell = scene.grid.cell_of_sumo_lane[lane]
         at = float(scene.grid.edges_s(cell.lane_id)[cell.index]) + front_m
@@ -101,29 +91,6 @@ class FlowDriving(Driving):
             start_mps=simulation.speed(arrival.vehicle_id), driver=arrival.driver, desired=arrival.desired,
             offset=arrival.offset, sides=arrival.sides,
         )  # fmt: skip
-        self._own_lengths[len(self.vehicles)], self._place[len(self.vehicles)] = arrival.box.length_m, start.start_s
         self.entered[arrival.vehicle_id] = step
-        self.waiting_s[arrival.vehicle_id] = step * self.scene.step_s - arrival.due_s
-        self.vehicles.append(DrivenVehicle(start=start, path=start.path))
-        self._road.append(self.roads.speeds(start.path, start.driver))
-        self._lanes.append(self._lanes_of(start.path))
-        self._limit.append(None)
-        self._reroutes_tried.append(None)
-        self._known.append(None)
-        self._ahead = None
-        self._obstacles = [None] * len(self.vehicles)  # everybody sees who is new
-
-    def _others(self, row: int) -> list[tuple[int, DrivenPath, BoxSize]]:
-        """Those near: at every entry everybody looks anew."""
-        own = self._xy(row)
-        return [
-            (other, one.path, one.start.box)
-            for other, one in enumerate(self.vehicles)
-            if other != row and one.running and bool(np.abs(self._xy(other) - own).max() < _NEAR_M)
-        ]
-
-    def _xy(self, row: int) -> FloatArray:
-        vehicle = self.vehicles[row]
-        s = vehicle.s[-1] if vehicle.s else vehicle.start.start_s
-        table = vehicle.path.line.table_xy
-        return np.asarray(table[min(max(int(s / TABLE_STEP_M), 0), len(table) - 1)])
+        self.waiting_s[arrival.vehicle_id] = step * scene.step_s - arrival.due_s
+        self.fleet.add([start])

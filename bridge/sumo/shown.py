@@ -1,11 +1,14 @@
-"""When SUMO may have to be shown whom: the others who are ahead of vehicles in time and place, and nobody else."""
+"""Whom SUMO is shown: the others who are ahead of vehicles in time and place, and nobody else."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from bridge.sumo.fleet import Fleet
 from bridge.sumo.replay import UNSEEN_STEPS
 from hid2.agents import IntArray, Policy
+from hid2.kernels.leaders import shown_ahead
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray, Traffic
@@ -21,6 +24,48 @@ _PACE_MOST = 1.1
 def may_change(start: Start) -> bool:
     """Whether a vehicle may leave its path for that of a lane beside, wherever that goes."""
     return start.request.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE)
+
+
+def shown_at(fleet: Fleet, step: int) -> tuple[dict[int, tuple[str, int]], dict[int, tuple[str, int]]]:
+    """Whom SUMO's car following is shown, recorded and kept: row -> edge and lane index of its place on the way.
+
+    Those whose boxes reach into the driving width on the present way of some vehicle and who move along it or
+    stand. Who crosses is the guard's business: to SUMO it would appear out of nowhere.
+    """
+    recorded: dict[int, tuple[str, int]] = {}
+    kept: dict[int, tuple[str, int]] = {}
+    scene, driving, count = fleet.scene, fleet.scene.config.driving, len(fleet.scene.traffic.ids)
+    if "collision" in scene.config.without:
+        return recorded, kept
+    here, known = fleet.on_ways, fleet.on_ways.intervals
+    found = shown_ahead(
+        known.low, known.high, known.along, known.same_direction, known.crossing, here.agents, here.first,
+        here.length_m, scene.traffic.position, fleet.fixed.position, step, fleet.place, fleet.centre, fleet.length_m,
+        (driving.standing_mps, driving.leads_from_m, driving.shown_m),
+    )  # fmt: skip
+    for agent, row, middle in zip(*(column.tolist() for column in found), strict=True):
+        cell = scene.cell_at(fleet.vehicles[row].path, middle)
+        where = scene.grid.edge_id(cell), scene.grid.lane_index(cell)
+        (recorded if agent < count else kept)[agent if agent < count else agent - count] = where
+    return recorded, kept
+
+
+def ever_shown(fleet: Fleet) -> tuple[Traffic, Traffic]:
+    """Recorded agents and those kept, present only while SUMO may have to be shown them to a fleet before its start."""
+    scene, count, shown = fleet.scene, len(fleet.scene.traffic.ids), []
+    starts = [vehicle.start for vehicle in fleet.vehicles]
+    everybody = [fleet.known_on_way(row) for row in range(len(starts))]
+    for traffic, first in ((scene.traffic.first(scene.num_steps), 0), (fleet.fixed.first(scene.num_steps), count)):
+        if first == count and any(may_change(start) for start in starts):  # few, and any may come to lead
+            shown.append(traffic)
+            continue
+        last, known = first + len(traffic.ids), []
+        for found, rows in everybody:
+            here = (rows >= first) & (rows < last)
+            known.append((rows[here] - first, found.rows(here)))
+        present = shown_when(traffic, starts, known, step_s=scene.step_s, driving=scene.config.driving)
+        shown.append(replace(traffic, present=present))
+    return shown[0], shown[1]
 
 
 def shown_when(

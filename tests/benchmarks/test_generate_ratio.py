@@ -30,8 +30,8 @@ import pytest
 from bridge.batch.isolation import spare_the_collector
 from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare, write
 from bridge.recordings.scenario import find_scenarios, read_scenario
-from bridge.sumo.driving import edges_along
 from bridge.sumo.poses import front_arc_m, sumo_poses
+from bridge.sumo.routes import edges_along
 from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray
 from hid2.occupancy.traffic import Traffic

@@ -10,7 +10,9 @@ import pytest
 from hand_drawn import draw_lane
 from inserted import CAR, DRIVER, driven, nobody, recorded, scene_on, start_on
 
-from bridge.sumo.driving import Driving, edges_along
+from bridge.sumo.driving import Driving
+from bridge.sumo.fleet import Fleet
+from bridge.sumo.routes import edges_along
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.stop_lines import StopLines
@@ -54,7 +56,8 @@ def drive(tmp_path: Path) -> Callable[..., Driving]:
             if patch is not None:
                 patch(simulation)
             others = fixed or nobody(scene.future.num_steps)
-            driving = Driving(scene, simulation, starts, others, Roads(scene), StopLines(scene), checked=checked)
+            fleet = Fleet(scene, starts, others, Roads(scene), StopLines(scene))
+            driving = Driving(fleet, simulation, checked=checked)
             driving.run()
         return driving
 
@@ -71,7 +74,7 @@ def _gaps(vehicle: DrivenVehicle, other: Track) -> np.ndarray:
 
 def test_vehicle_begins_at_its_start_and_moves_by_sumos_speed(drive: Callable[..., Driving]) -> None:
     scene = scene_on(_two_lanes())
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 7.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 7.0)).fleet.vehicles
     assert (one.s[0], one.v[0], len(one.s)) == (40.0, 7.0, 110)
     assert np.diff(one.s) == pytest.approx(0.1 * np.array(one.v[1:]))
     assert np.mean(one.v[-20:]) == pytest.approx(DRIVER.desired_mps, abs=0.5)
@@ -79,7 +82,7 @@ def test_vehicle_begins_at_its_start_and_moves_by_sumos_speed(drive: Callable[..
 
 def test_nobody_limits_sumo_on_a_free_road(drive: Callable[..., Driving]) -> None:
     scene = scene_on(_two_lanes())
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 9.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 9.0)).fleet.vehicles
     assert dict(one.limited) == {}
 
 
@@ -89,7 +92,7 @@ def test_algorithm_1_decides_at_every_step_for_every_vehicle(drive: Callable[...
     vehicles = drive(
         scene, start_on(scene, (1,), 40.0, 9.0), start_on(scene, (2,), 80.0, 9.0, number=1),
         start_on(scene, (1,), 100.0, 9.0, number=2, policy=Policy.LANE_CHANGE, trigger_s=3.0),
-    ).vehicles  # fmt: skip
+    ).fleet.vehicles  # fmt: skip
     assert [sum(one.policies.values()) for one in vehicles] == [109] * 3
     assert set(vehicles[0].policies) == {Policy.STRAIGHT}
     assert vehicles[2].policies[Policy.LANE_CHANGE] >= 1
@@ -102,7 +105,7 @@ def test_nothing_follows_a_stored_trajectory(drive: Callable[..., Driving]) -> N
     scene = scene_on(_two_lanes(), recorded(75.0, 0.0, 6.0))
 
     def speeds(**how: Any) -> np.ndarray:
-        (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0), **how).vehicles
+        (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0), **how).fleet.vehicles
         return np.array(one.v)
 
     eidm = speeds()
@@ -114,7 +117,7 @@ def test_nothing_follows_a_stored_trajectory(drive: Callable[..., Driving]) -> N
 
 def test_vehicle_that_reaches_the_end_of_the_map_has_left(drive: Callable[..., Driving]) -> None:
     scene = scene_on(_two_lanes(120.0))
-    (one,) = drive(scene, start_on(scene, (1,), 60.0, 10.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1,), 60.0, 10.0)).fleet.vehicles
     assert one.left_at == len(one.s)
     assert 50 < one.left_at < 70
 
@@ -125,7 +128,7 @@ def test_who_is_run_into_is_taken_out_unless_its_place_in_the_lane_may_save_it(
 ) -> None:
     """A recorded vehicle that does not brake comes from behind at 20 m/s: on the lane, half on it, on the next one."""
     scene = scene_on(_two_lanes(), recorded(10.0, aside_m, 20.0))
-    (one,) = drive(scene, start_on(scene, (1,), 60.0, 8.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1,), 60.0, 8.0)).fleet.vehicles
     assert (one.objection is Reason.MEETS_RECORDED) == is_hit
     assert (len(one.s) < 60) == is_hit
 
@@ -152,7 +155,7 @@ def test_conflict_that_no_timing_solves_is_answered_by_another_way_at_the_next_s
 ) -> None:
     """Case 3: its own lane is taken by an oncoming one, whom braking does not avoid."""
     scene = scene_on(_forks(), _oncoming())
-    (one,) = drive(scene, start_on(scene, (1, 2), 40.0, 9.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1, 2), 40.0, 9.0)).fleet.vehicles
     assert one.rerouted_at is not None
     assert [segment.lane_id for segment in one.path.segments] == [1, 3]
     assert one.left_at is None
@@ -165,7 +168,7 @@ def test_who_was_asked_for_more_than_to_go_straight_keeps_the_way(
     stays: dict[str, Any], drive: Callable[..., Driving]
 ) -> None:
     scene = scene_on(_forks(), _oncoming())
-    (one,) = drive(scene, start_on(scene, (1, 2), 40.0, 9.0, **stays)).vehicles
+    (one,) = drive(scene, start_on(scene, (1, 2), 40.0, 9.0, **stays)).fleet.vehicles
     assert one.rerouted_at is None
 
 
@@ -173,7 +176,7 @@ def test_nobody_takes_another_way_that_is_no_better(drive: Callable[..., Driving
     """One stands across both ways behind the split: braking solves it, and nothing else does."""
     across = recorded(112.0, 0.0, heading=UP, size=BoxSize(6.0, 2.0))
     scene = scene_on(_forks(), across, _oncoming())
-    (one,) = drive(scene, start_on(scene, (1, 2), 40.0, 9.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1, 2), 40.0, 9.0)).fleet.vehicles
     assert one.rerouted_at is None
 
 
@@ -184,7 +187,7 @@ def test_replayed_leader_is_followed_with_its_speed_known_from_the_first_step(dr
     """Gap 17.5 m at 10 m/s behind one with 10: taken for one that stands it would be braked for at once, and hard."""
     leader = recorded(62.0, 0.0, 10.0)
     scene = scene_on(_two_lanes(), leader)
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).fleet.vehicles
     assert min(one.v[:10]) > 9.6
     assert _gaps(one, leader).min() > 5.0
 
@@ -195,7 +198,7 @@ def test_slower_leaders_of_all_kinds_are_followed(kind: str, drive: Callable[...
     size = {"bus": BoxSize(11.0, 2.8), "cyclist": BoxSize(1.8, 0.6), "motorcyclist": BoxSize(2.2, 0.9)}.get(kind, CAR)
     leader = recorded(85.0, 0.0, 4.0, kind=kind, size=size)
     scene = scene_on(_two_lanes(), leader)
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).fleet.vehicles
     assert _gaps(one, leader).min() > 1.0
     assert np.mean(one.v[-10:]) < 5.5
 
@@ -211,7 +214,7 @@ def test_who_is_not_shown_need_not_be_there(drive: Callable[..., Driving]) -> No
         drive(scene, start_on(scene, (1,), 40.0, 10.0), start_on(scene, (2,), 60.0, 8.0, number=1), checked=checked)
         for checked in (True, False)
     ]
-    first, second = ([vehicle.s for vehicle in way.vehicles] for way in ways)
+    first, second = ([vehicle.s for vehicle in way.fleet.vehicles] for way in ways)
     assert first == second
     assert (ways[0].replay_errors.states, ways[1].replay_errors.states) == (440, 0)
 
@@ -222,7 +225,7 @@ def test_only_who_reaches_into_the_driving_width_is_shown(
 ) -> None:
     """Somebody stands at x = 95, both are 1.9 m wide: 1.5 m aside they share 0.4 m, 2.3 m aside they do not touch."""
     scene = scene_on(_two_lanes(), recorded(95.0, y))
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).fleet.vehicles
     assert (one.s[-1] < 95.0 - 4.5) is is_seen
     assert (min(one.v) < 0.5) is is_seen
 
@@ -231,7 +234,7 @@ def test_who_crosses_is_the_guards_business_not_sumos(drive: Callable[..., Drivi
     """It crosses x = 90 at 8 m/s after 5 s, as the vehicle would: timing is adjusted, the cause is told."""
     crossing = recorded(90.0, -40.0, 8.0, heading=UP)
     scene = scene_on(_two_lanes(), crossing)
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).fleet.vehicles
     assert one.limited["conflict"] > 3
     exported = finalise(scene, one, nobody(scene.future.num_steps))
     assert isinstance(exported, ExportedVehicle), exported
@@ -243,7 +246,7 @@ def test_kept_vehicles_of_rounds_before_are_followed_too(drive: Callable[..., Dr
         scene, driven(start_on(scene, (1,), 85.0, 5.0, number=9), np.full(110, 5.0)), nobody(scene.future.num_steps)
     )
     assert isinstance(ahead, ExportedVehicle)
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0), fixed=traffic_of_exported([ahead], scene)).vehicles
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0), fixed=traffic_of_exported([ahead], scene)).fleet.vehicles
     assert (ahead.motion.s - np.array(one.s) - 4.5).min() > 1.0
     assert np.mean(one.v[-10:]) < 6.5
 
@@ -252,7 +255,7 @@ def test_followers_slow_down_for_each_other_and_it_is_told_for_whom(drive: Calla
     scene = scene_on(_two_lanes())
     slow = replace(DRIVER, desired_mps=5.0)
     first = start_on(scene, (1,), 75.0, 5.0, driver=slow, number=1)
-    last, other = drive(scene, start_on(scene, (1,), 40.0, 10.0), first).vehicles
+    last, other = drive(scene, start_on(scene, (1,), 40.0, 10.0), first).fleet.vehicles
     assert last.waited_for == {"v1_0"}
     assert other.waited_for == set()
     assert (np.array(other.s) - np.array(last.s) - 4.5).min() > 1.0
@@ -270,7 +273,7 @@ def test_recorded_agents_are_replayed_exactly(drive: Callable[..., Driving]) -> 
 
 def test_lane_change_is_asked_for_at_the_trigger_and_carried_out(drive: Callable[..., Driving]) -> None:
     scene = scene_on(_two_lanes())
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)).fleet.vehicles
     (shift,) = one.shifts
     assert (shift.requested_step, shift.side, shift.source_lane, shift.target_lane) == (20, "left", 1, 2)
     assert one.stage is Stage.DONE
@@ -291,7 +294,7 @@ def test_change_that_sumo_refuses_is_its_answer_and_is_asked_for_again(drive: Ca
     scene = scene_on(_two_lanes(), config=EASY)
     fast = start_on(scene, (2,), 30.0, 14.0, number=1, driver=replace(DRIVER, desired_mps=14.0))
     own = start_on(scene, (1,), 40.0, 9.0, policy=Policy.LANE_CHANGE, driver=replace(DRIVER, desired_mps=9.0))
-    one, _ = drive(scene, own, fast).vehicles
+    one, _ = drive(scene, own, fast).fleet.vehicles
     answers = [look.sumo for look in one.gaps if look.rule is None]
     assert answers[0] is False
     assert answers[-1] is True
@@ -307,7 +310,7 @@ def test_refusal_leaves_the_vehicle_on_its_way(drive: Callable[..., Driving]) ->
 
     scene = scene_on(_two_lanes())
     start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=1.0)
-    (one,) = drive(scene, start, patch=refuse).vehicles
+    (one,) = drive(scene, start, patch=refuse).fleet.vehicles
     assert one.shifts == []
     assert one.reason == Reason.SUMO_REFUSES
     assert {look.sumo for look in one.gaps if look.rule is None} == {False}
@@ -320,7 +323,7 @@ def test_refusal_leaves_the_vehicle_on_its_way(drive: Callable[..., Driving]) ->
 def test_occupied_gap_is_looked_at_and_noted_at_every_step(drive: Callable[..., Driving]) -> None:
     """A recorded one drives beside: each look says what is in the way, and SUMO is not asked then."""
     scene = scene_on(_two_lanes(), recorded(41.0, 3.5, 10.0))
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=1.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=1.0)).fleet.vehicles
     first = one.gaps[:5]
     assert [look.step for look in first] == [10, 11, 12, 13, 14]
     assert {look.rule for look in first} <= {Reason.CELLS_OCCUPIED, Reason.FRONT_GAP, Reason.REAR_GAP}
@@ -332,7 +335,7 @@ def test_overtake_enters_passes_and_returns(drive: Callable[..., Driving]) -> No
     scene = scene_on(_two_lanes(400.0), recorded(75.0, 0.0, 3.0, name="slow"))
     fast = replace(DRIVER, desired_mps=14.0, lane_change_s=4.0)
     start = start_on(scene, (1,), 40.0, 13.0, policy=Policy.OVERTAKE, driver=fast)
-    (one,) = drive(scene, start).vehicles
+    (one,) = drive(scene, start).fleet.vehicles
     assert [shift.side for shift in one.shifts] == ["left", "right"]
     assert one.leader_id == "slow"
     assert one.policies[Policy.OVERTAKE] >= 2
@@ -359,7 +362,7 @@ def test_bends_and_turns_limit_the_speed_and_say_so(
 ) -> None:
     """Radius 15 m and 2 m/s2: sqrt(30) = 5.5 m/s at most at the sharpest place."""
     scene = scene_on(_bend(15.0, is_intersection=is_intersection))
-    (one,) = drive(scene, start_on(scene, (1, 2, 3), 20.0, 10.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1, 2, 3), 20.0, 10.0)).fleet.vehicles
     assert one.limited[cause] > 10
     assert set(one.limited) <= {"turn", "curve"}
     s, v = np.array(one.s), np.array(one.v)
@@ -385,7 +388,7 @@ def test_vehicle_stops_at_a_red_entrance_and_goes_on_when_it_opens(drive: Callab
     """Cross traffic at 3.5 and 4.5 s: red until 3 s after it. The line is 60 - 2.25 - 1 = 56.75 m."""
     flow = (recorded(70.0, -45.0, 10.0, heading=UP, name="a"), recorded(70.0, -35.0, 10.0, heading=UP, name="b"))
     scene = scene_on(_junction(), *flow)
-    (one,) = drive(scene, start_on(scene, (1, 2, 3), 15.0, 9.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1, 2, 3), 15.0, 9.0)).fleet.vehicles
     s, v = np.array(one.s), np.array(one.v)
     assert one.limited["signal"] > 20
     assert s[50] < 57.3
@@ -399,7 +402,7 @@ def test_vehicle_joins_the_recorded_queue_and_goes_with_it(drive: Callable[..., 
     x = 50.0 + np.concatenate([np.zeros(80), np.cumsum(0.1 * np.clip(0.2 * np.arange(30), 0.0, 6.0))])
     queue = Track("q", "vehicle", 2, steps, np.column_stack([x, 0.0 * x]), 0.0 * x, np.zeros((110, 2)), CAR)
     scene = scene_on(_junction(), queue)
-    (one,) = drive(scene, start_on(scene, (1, 2, 3), 5.0, 9.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1, 2, 3), 5.0, 9.0)).fleet.vehicles
     gap = _gaps(one, queue)
     assert gap.min() > 0.5
     assert min(one.v[60:90]) < 0.5
@@ -411,7 +414,7 @@ def test_pedestrian_on_the_crossing_is_let_across(drive: Callable[..., Driving])
     """The walker is on the vehicle's way (|y| < 2) from 3 to 6.2 s; at 10 m/s from 65 m the crossing comes at 3.5 s."""
     walker = recorded(101.5, -6.0, 1.3, heading=UP, kind="pedestrian", size=BoxSize(0.6, 0.6))
     scene = scene_on(_junction(), walker)
-    (one,) = drive(scene, start_on(scene, (1, 2, 3), 62.0, 9.0)).vehicles
+    (one,) = drive(scene, start_on(scene, (1, 2, 3), 62.0, 9.0)).fleet.vehicles
     s = np.array(one.s)
     on_the_way = np.abs(walker.position[:, 1]) < 1.5
     assert one.limited["crossing"] > 5
@@ -474,7 +477,7 @@ def test_vehicle_enters_at_its_step(drive: Callable[..., Driving]) -> None:
     scene = scene_on(_two_lanes())
     first, later = drive(
         scene, start_on(scene, (1,), 100.0, 9.0), start_on(scene, (1,), 3.0, 7.0, number=1, step=30)
-    ).vehicles  # fmt: skip
+    ).fleet.vehicles  # fmt: skip
     assert (len(first.s), len(later.s)) == (110, 80)
     assert (later.s[0], later.v[0]) == (3.0, 7.0)
     assert np.diff(later.s) == pytest.approx(0.1 * np.array(later.v[1:]))
@@ -490,7 +493,7 @@ def test_vehicle_that_enters_follows_who_was_recorded_ahead_of_it(
     """A leader at 4 m/s, 15.5 m ahead of it at step 30, bumper to bumper; all are replayed, or those who matter."""
     leader = recorded(11.0, 0.0, 4.0)
     scene = scene_on(_two_lanes(), leader)
-    (one,) = drive(scene, start_on(scene, (1,), 3.0, 6.0, step=30), checked=checked).vehicles
+    (one,) = drive(scene, start_on(scene, (1,), 3.0, 6.0, step=30), checked=checked).fleet.vehicles
     gaps = leader.position[30:, 0] - np.array(one.s) - CAR.length_m
     assert gaps[0] == pytest.approx(15.5)
     assert gaps.min() > 1.5
@@ -501,7 +504,7 @@ def test_vehicle_that_enters_keeps_clear_of_who_crosses(drive: Callable[..., Dri
     """Somebody crosses x = 60 at step 80; at 10 m/s from x = 3 on it would be there at step 79 if it enters at 22."""
     crosses = recorded(60.0, -40.0, 5.0, heading=UP)
     scene = scene_on(_two_lanes(), crosses)
-    (one,) = drive(scene, start_on(scene, (1,), 3.0, 10.0, step=22)).vehicles
+    (one,) = drive(scene, start_on(scene, (1,), 3.0, 10.0, step=22)).fleet.vehicles
     found = finalise(scene, one, nobody(scene.future.num_steps))
     assert isinstance(found, ExportedVehicle), found
     assert one.limited["conflict"] > 0
@@ -512,7 +515,7 @@ def test_nobody_enters_where_another_one_is(drive: Callable[..., Driving]) -> No
     scene = scene_on(_two_lanes(), recorded(12.0, 0.0))
     first, later = drive(
         scene, start_on(scene, (1,), 4.0, 0.0), start_on(scene, (1,), 3.0, 7.0, number=1, step=30)
-    ).vehicles  # fmt: skip
+    ).fleet.vehicles  # fmt: skip
     assert later.objection is Reason.NO_ROOM_AT_EDGE
     assert later.s == []
     assert len(first.s) == 110
@@ -526,7 +529,7 @@ def test_those_that_are_driven_see_who_has_entered(drive: Callable[..., Driving]
     first, later = drive(
         scene, start_on(scene, (1,), 3.0, 5.0, step=10, driver=slow),
         start_on(scene, (1,), 3.0, 8.0, number=1, step=40),
-    ).vehicles  # fmt: skip
+    ).fleet.vehicles  # fmt: skip
     gaps = np.array(first.s)[30:] - np.array(later.s) - CAR.length_m
     assert gaps.min() > 1.5
     assert later.v[-1] == pytest.approx(5.0, abs=1.0)

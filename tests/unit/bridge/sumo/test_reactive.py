@@ -18,6 +18,7 @@ from bridge.pictures.render import _panels
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.validate import validate_folder
 from bridge.sumo.driving import Driving
+from bridge.sumo.fleet import Fleet
 from bridge.sumo.playback import paints
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
@@ -54,7 +55,8 @@ def cut_in(tmp_path: Path) -> Callable[[DrivingParams], Driving]:
         net.write_bytes(net_bytes(scene.grid))
         parameters = {"sigmaerror": 0.1, "jerkmax": 3.0, "treaction": 0.5}
         with Simulation(net, seed=0, step_s=0.1, model="EIDM", parameters=parameters) as simulation:
-            found = Driving(scene, simulation, [start], nobody(scene.future.num_steps), Roads(scene), StopLines(scene))
+            others = nobody(scene.future.num_steps)
+            found = Driving(Fleet(scene, [start], others, Roads(scene), StopLines(scene)), simulation)
             found.run()
         return found
 
@@ -66,10 +68,10 @@ def test_follower_that_is_cut_in_front_of_yields_on_its_path(cut_in: Callable[[D
     SUMO's 9 m/s2, stays behind, and is where SUMO has it.
     """
     fixed, reactive = cut_in(DrivingParams()), cut_in(REACTIVE)
-    assert fixed.vehicles[0].shifts == []
-    (vehicle,) = reactive.vehicles
+    assert fixed.fleet.vehicles[0].shifts == []
+    (vehicle,) = reactive.fleet.vehicles
     assert len(vehicle.shifts) == 1
-    traffic = reactive.scene.traffic
+    traffic = reactive.fleet.scene.traffic
     x, y = traffic.position[0, :, 0], traffic.position[0, :, 1]
     speed = np.diff(x) / 0.1
     assert speed.min() < 9.0
@@ -85,7 +87,7 @@ def test_follower_that_is_cut_in_front_of_yields_on_its_path(cut_in: Callable[[D
 def test_fixed_scene_is_never_another_one(cut_in: Callable[[DrivingParams], Driving]) -> None:
     fixed = cut_in(DrivingParams())
     assert fixed.reactions is None
-    assert fixed.scene.traffic.position[0, :, 0] == pytest.approx(20.0 + 1.2 * np.arange(110))
+    assert fixed.fleet.scene.traffic.position[0, :, 0] == pytest.approx(20.0 + 1.2 * np.arange(110))
 
 
 CHANGES = Request(agents=8, straight=0.3, left_turn=0.0, right_turn=0.0, lane_change=0.7, overtake=0.0, seed=3)

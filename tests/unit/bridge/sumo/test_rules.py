@@ -11,6 +11,7 @@ from inserted import DRIVER, nobody, recorded, scene_on, start_on
 
 from bridge.generation.generate import model_parameters
 from bridge.sumo.driving import Driving
+from bridge.sumo.fleet import Fleet
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
 from hid2.conflicts.stop_lines import StopLines
@@ -45,10 +46,9 @@ def change(tmp_path: Path) -> Callable[..., DrivenVehicle]:
         net.write_bytes(net_bytes(scene.grid))
         parameters = model_parameters(config)
         with Simulation(net, seed=0, step_s=0.1, model="EIDM", parameters=parameters) as simulation:
-            driving = Driving(
-                scene, simulation, [replace(start)], nobody(scene.future.num_steps), Roads(scene), StopLines(scene)
-            )
-            (vehicle,) = driving.run()
+            others = nobody(scene.future.num_steps)
+            fleet = Fleet(scene, [replace(start)], others, Roads(scene), StopLines(scene))
+            (vehicle,) = Driving(fleet, simulation).run()
         return vehicle
 
     return run

@@ -1,0 +1,250 @@
+"""The vehicles that are driven together: where they are, the ways they are on, and whom they will meet there."""
+
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import InitVar, dataclass, field, replace
+
+import numpy as np
+
+from hid2.agents import BoxSize, FloatArray, IntArray, Policy
+from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S
+from hid2.conflicts.reaction import yielding
+from hid2.conflicts.stop_lines import StopLines
+from hid2.drivers.driver import Driver
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.motion.route import DrivenPath
+from hid2.occupancy.along_path import PathOccupancy, look_along
+from hid2.occupancy.traffic import Traffic
+from hid2.policy.decision import policy_on
+from hid2.policy.roads import Roads
+from hid2.scene import Scene
+from hid2.vehicle import DrivenVehicle, Start
+
+
+@dataclass(eq=False, slots=True)
+class Way:
+    """What is known of a vehicle's present path; a vehicle that takes another path gets a new one.
+
+    road (S,): m/s at the table of the path's line, what the road allows the driver; lane_ends: where its lanes end, m;
+    policies: what Algorithm 1 comes to on each of them without a manoeuvre, only: the one of all, None where they
+    differ; known: intervals of everybody whose future is known, and their rows (recorded, then kept), None as long as
+    nobody asked; obstacles: the guard's, likewise; reroute_tried: whether another way has been looked for.
+    """
+
+    road: FloatArray
+    lane_ends: list[float]
+    policies: list[Policy]
+    only: Policy | None
+    known: tuple[PathOccupancy, IntArray] | None = None
+    obstacles: Obstacles | None = None
+    reroute_tried: bool = False
+
+    def policy_at(self, s: float) -> Policy:
+        """Of the lane at an arc length, m."""
+        return self.only or self.policies[min(bisect_right(self.lane_ends, s), len(self.lane_ends) - 1)]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OnWays:
+    """Everybody whose future is known on the ways of all vehicles, those of one after those of another.
+
+    intervals (R, T); agents (R,): recorded, then kept ones, length_m (A,) of all of them; first (N + 1,): rows by
+    vehicle.
+    """
+
+    intervals: PathOccupancy
+    agents: IntArray
+    length_m: FloatArray
+    first: IntArray
+
+
+@dataclass(eq=False, slots=True)
+class Fleet:
+    """Vehicles that are driven together among recorded ones and those kept in rounds before, `fixed`.
+
+    scene: where recorded vehicles react, each that yields is elsewhere in a scene to come (`look_anew`); near_m: who is
+    farther than this from another one on either axis does not look at it. By vehicle: state (N, 5), the guard's
+    columns; place (N,) m of the centre on the path, from its first step on, NaN for who is nowhere; centre (N, 2) m,
+    inf for who is nowhere yet; length_m (N,) of the box.
+    """
+
+    scene: Scene
+    starts: InitVar[Sequence[Start]]
+    fixed: Traffic
+    roads: Roads
+    stop_lines: StopLines
+    near_m: float = math.inf
+    vehicles: list[DrivenVehicle] = field(init=False, default_factory=list)
+    ways: list[Way] = field(init=False, default_factory=list)
+    state: FloatArray = field(init=False)
+    place: FloatArray = field(init=False)
+    centre: FloatArray = field(init=False)
+    length_m: FloatArray = field(init=False)
+    _guard: Guard = field(init=False)
+    _on_ways: OnWays | None = field(init=False, default=None)
+
+    def __post_init__(self, starts: Sequence[Start]) -> None:
+        """Nobody has moved yet."""
+        self._guard = Guard(self.scene, self.fixed, self.stop_lines)
+        self.state, self.centre = np.zeros((0, 5)), np.zeros((0, 2))
+        self.place, self.length_m = np.zeros(0), np.zeros(0)
+        self.add(starts)
+
+    def add(self, starts: Sequence[Start]) -> None:
+        """Vehicles that have not moved yet."""
+        count = len(starts)
+        self.vehicles += [DrivenVehicle(start=start, path=start.path) for start in starts]
+        self.ways += [self._way(start.path, start.driver) for start in starts]
+        self.state = np.concatenate([self.state, np.zeros((count, 5))])
+        self.centre = np.concatenate([self.centre, np.full((count, 2), np.inf)])
+        places = [np.nan if start.step > 0 else start.start_s for start in starts]
+        self.place = np.concatenate([self.place, places])
+        self.length_m = np.concatenate([self.length_m, [start.box.length_m for start in starts]])
+        self._forget_obstacles()  # everybody sees who is new
+
+    def move(self, row: int, s: float, speed_mps: float) -> None:
+        """A vehicle is at an arc length, m, of its path now."""
+        vehicle, way = self.vehicles[row], self.ways[row]
+        before = vehicle.v[-1] if vehicle.v else speed_mps
+        vehicle.s.append(s)
+        vehicle.v.append(speed_mps)
+        shifts, table = vehicle.path.shifts, vehicle.path.line.table_xy
+        # Case 2, executing goes before pending: in a change of lanes or in a turn.
+        executing = (shifts and shifts[-1][0] < s < shifts[-1][1]) or way.policy_at(s) is not Policy.STRAIGHT
+        self.place[row], self.centre[row] = s, table[min(int(s / TABLE_STEP_M), len(table) - 1)]
+        self.state[row] = s, speed_mps, (speed_mps - before) / self.scene.step_s, executing, 1.0
+
+    def leave(self, row: int) -> None:
+        """A vehicle is nowhere any more."""
+        self.state[row, PRESENT], self.centre[row], self.place[row] = 0.0, np.inf, np.nan
+
+    def motion(self, row: int) -> tuple[float, float, float]:
+        """A vehicle's s m, v m/s and a m/s2."""
+        s, v, a = self.state[row, S : A + 1].tolist()
+        return s, v, a
+
+    def traffic(self) -> Traffic:
+        """The vehicles that are driven, where the simulation has them now (one step)."""
+        rows = [row for row, vehicle in enumerate(self.vehicles) if vehicle.running and vehicle.s]
+        position, heading, velocity = np.zeros((len(rows), 1, 2)), np.zeros((len(rows), 1)), np.zeros((len(rows), 1, 2))
+        for place, row in enumerate(rows):
+            vehicle = self.vehicles[row]
+            xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))
+            position[place], heading[place, 0] = xy, np.arctan2(tangent[0, 1], tangent[0, 0])
+            velocity[place] = tangent * vehicle.v[-1]
+        return Traffic(
+            ids=tuple(self.vehicles[row].vehicle_id for row in rows), position=position, heading=heading,
+            velocity=velocity, present=np.ones((len(rows), 1), dtype=np.bool_), length_m=self.length_m[rows],
+            width_m=np.array([self.vehicles[row].start.box.width_m for row in rows]),
+        )  # fmt: skip
+
+    def _way(self, path: DrivenPath, driver: Driver) -> Way:
+        lanes = self.scene.grid.graph.lanes
+        policies = [policy_on(lanes[segment.lane_id].turn) for segment in path.segments]
+        only = policies[0] if len(set(policies)) == 1 else None
+        return Way(self.roads.speeds(path, driver), [segment.end for segment in path.segments], policies, only)
+
+    def take_path(self, row: int, path: DrivenPath, s: FloatArray | None = None) -> None:
+        """A vehicle is on another path from now on. s (T,) m: where it has been on it, None: as far as on the old."""
+        vehicle = self.vehicles[row]
+        vehicle.path, self.ways[row] = path, self._way(path, vehicle.start.driver)
+        if s is not None:
+            vehicle.s[:] = s.tolist()
+            self.state[row, S] = self.place[row] = s[-1]
+        self._forget_obstacles()  # everybody sees the new intention
+
+    def look_anew(self, scene: Scene) -> None:
+        """Recorded vehicles will be elsewhere than was known: nothing that was worked out of it holds any more."""
+        self.scene = self._guard.scene = scene
+        for way in self.ways:
+            way.known = None
+        self._forget_obstacles()
+
+    def _forget_obstacles(self) -> None:
+        """What is on the ways is worked out anew when somebody asks."""
+        self._on_ways = None
+        for way in self.ways:
+            way.obstacles = None
+
+    def known_on_way(self, row: int) -> tuple[PathOccupancy, IntArray]:
+        """Intervals of everybody whose future is known on a vehicle's path, and rows (recorded, then kept)."""
+        way = self.ways[row]
+        if way.known is None:
+            path, box = self.vehicles[row].path, self.vehicles[row].start.box
+            rows, found = self.scene.in_driving_width(path, box)
+            if self.fixed.ids:
+                kept_rows, more = look_along(path.line, self.fixed, box.length_m, box.width_m)
+                found = found.joined(more)
+                rows = np.concatenate([rows, kept_rows + len(self.scene.traffic.ids)])
+            way.known = found, rows
+        return way.known
+
+    @property
+    def on_ways(self) -> OnWays:
+        """Everybody known on the present ways of all."""
+        if self._on_ways is None:
+            known = [self.known_on_way(row) for row in range(len(self.vehicles))]
+            every = PathOccupancy.nobody(self.scene.future.num_steps).joined(*(found for found, _ in known))
+            first = np.concatenate([[0], np.cumsum([rows.size for _, rows in known])]).astype(np.int64)
+            agents = np.concatenate([np.zeros(0, dtype=np.int64), *(rows for _, rows in known)])
+            length_m = np.concatenate([self.scene.traffic.length_m, self.fixed.length_m])
+            self._on_ways = OnWays(every, agents, length_m, first)
+        return self._on_ways
+
+    def braking(
+        self, row: int, path: DrivenPath, now: int, *, state: tuple[float, float, float], desired_mps: float,
+        horizon_s: float | None = None,
+    ) -> Braking:  # fmt: skip
+        """What the guard predicts for a vehicle from a state (s m, v m/s, a m/s2) at step `now`, on any path.
+
+        horizon_s: another one than `conflict.horizon_s`.
+        """
+        driver = self.vehicles[row].start.driver
+        obstacles = self._who_does_not_yield(self.obstacles(row, path), row, path, now)
+        road = self.ways[row].road if path is self.vehicles[row].path else self.roads.speeds(path, driver)
+        return self._guard.braking(
+            obstacles, own=row, step=now, fleet=self.state, state=state, desired_mps=desired_mps, road=road,
+            driver=driver, horizon_s=horizon_s,
+        )  # fmt: skip
+
+    def obstacles(self, row: int, path: DrivenPath) -> Obstacles:
+        """Everybody on a path for a vehicle; what is on its own one is worked out once."""
+        way, own = self.ways[row], path is self.vehicles[row].path
+        if own and way.obstacles is not None:
+            return way.obstacles
+        found = self._guard.obstacles(path, self.vehicles[row].start.box, self._others(row))
+        if own:
+            way.obstacles = found
+        return found
+
+    def _others(self, row: int) -> list[tuple[int, DrivenPath, BoxSize]]:
+        """Rows of the other vehicles that SUMO has or will have, with their paths and boxes."""
+        found = [(other, one) for other, one in enumerate(self.vehicles) if other != row and one.running]
+        if self.near_m < math.inf:
+            own = _xy(self.vehicles[row])
+            found = [(other, one) for other, one in found if np.abs(_xy(one) - own).max() < self.near_m]
+        return [(other, one.path, one.start.box) for other, one in found]
+
+    def _who_does_not_yield(self, obstacles: Obstacles, row: int, path: DrivenPath, now: int) -> Obstacles:
+        """Where recorded vehicles react: without those behind a vehicle who can yield to it."""
+        if self.scene.config.driving.replay == "fixed":
+            return obstacles
+        vehicle = self.vehicles[row]
+        rows = self.scene.rows_on(path, vehicle.start.box)
+        xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))
+        yields = yielding(
+            self.scene, rows, now, xy=xy[0], forward=tangent[0], half_m=0.5 * vehicle.start.box.length_m,
+            speed_mps=vehicle.v[-1],
+        )  # fmt: skip
+        known = obstacles.known
+        low = known.low.copy()
+        low[: rows.size][yields] = np.inf
+        return replace(obstacles, known=replace(known, low=low))
+
+
+def _xy(vehicle: DrivenVehicle) -> FloatArray:
+    """Where a vehicle is, or starts, (2,) m."""
+    s = vehicle.s[-1] if vehicle.s else vehicle.start.start_s
+    table = vehicle.path.line.table_xy
+    return np.asarray(table[min(max(int(s / TABLE_STEP_M), 0), len(table) - 1)])

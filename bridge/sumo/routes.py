@@ -1,0 +1,62 @@
+"""The path of a vehicle as SUMO's route, and another one from the next split on."""
+
+import numpy as np
+
+from bridge.sumo.fleet import Fleet
+from bridge.sumo.simulation import Simulation
+from hid2.agents import Policy
+from hid2.conflicts.guard import Braking
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.motion.route import DrivenPath
+from hid2.policy.reroute import places_on, ways_at_next_split
+from hid2.scene import Scene
+from netconvert.cells import Cell
+
+_ABOVE_MPS = 0.05  # no tunable, for rounding: road speeds are those of a table's points
+
+
+def edges_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[str, ...] | None:
+    """SUMO edges from a cell on along the lanes of a path; None where the path does not use the cell's lane."""
+    lanes = [segment.lane_id for segment in path.segments]
+    if cell.lane_id not in lanes:
+        return None
+    grid = scene.grid
+    edges: list[str] = []
+    first = cell.index
+    last = len(lanes) - 1 - lanes[::-1].index(cell.lane_id)  # an overtake comes back to the lane it left
+    for lane_id in lanes[last:]:
+        for index in range(first, grid.count(lane_id)):
+            edge = grid.edge_id(Cell(lane_id, index))
+            if not edges or edges[-1] != edge:
+                edges.append(edge)
+        first = 0
+    return tuple(edges)
+
+
+def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int, desired_mps: float) -> Braking | None:
+    """Send a vehicle another way at the next split if nobody is met there (conflict case 3).
+
+    Returns what the guard predicts there; None where there is no such way. Only who is to go straight: another way is
+    no longer the turn or the change of lanes that was asked for.
+    """
+    vehicle, way, scene = fleet.vehicles[row], fleet.ways[row], fleet.scene
+    if vehicle.start.is_held or vehicle.policy is not Policy.STRAIGHT or way.reroute_tried:
+        return None
+    way.reroute_tried = True
+    s, v, a = fleet.motion(row)
+    cell = scene.grid.cell_of_sumo_lane.get(simulation.lane(vehicle.vehicle_id)[0])
+    if cell is None:
+        return None
+    for path in ways_at_next_split(scene, vehicle.path, s=s, from_m=s + vehicle.start.box.length_m):
+        at = places_on(path, vehicle.path, np.array(vehicle.s))
+        road = fleet.roads.speeds(path, vehicle.start.driver)
+        if v > road[min(int(at[-1] / TABLE_STEP_M), road.size - 1)] + _ABOVE_MPS:
+            continue
+        found = fleet.braking(row, path, now, state=(float(at[-1]), v, a), desired_mps=desired_mps)
+        edges = edges_along(scene, path, cell)
+        if found.conflict_s is None and found.decel_mps2 < scene.config.conflict.act_mps2 and edges:
+            simulation.set_route(vehicle.vehicle_id, edges)
+            fleet.take_path(row, path, at)
+            vehicle.rerouted_at = now
+            return found
+    return None
