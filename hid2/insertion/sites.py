@@ -13,10 +13,8 @@ from hid2.insertion.entry_sites import EntrySites
 from hid2.insertion.overtake_sites import OvertakeSites
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.spread import Spread, by_weight
-from hid2.insertion.starts import Starts, speed_behind
+from hid2.insertion.starts import Starts
 from hid2.insertion.surroundings import Surroundings
-from hid2.occupancy.traffic import Traffic
-from hid2.params import Config
 from hid2.policy.turns import TURN_OF_POLICY
 from hid2.reasons import Reason
 from hid2.vehicle import Start, VehicleRequest
@@ -258,27 +256,3 @@ class InsertionSites:
 def _any_site(_offer: RouteOffer, _s: float, _speed_mps: float) -> bool:
     """Every admissible site will do."""
     return True
-
-
-def entry_speed(start: Start, fleet: Traffic, config: Config, *, step_s: float) -> float | None:
-    """Speed at which a vehicle can enter at the map's edge among those that are driven, m/s; None: there is no room.
-
-    fleet: where these were step_s before (one step). At most the speed of the start.
-    """
-    if not fleet.ids:
-        return start.start_mps
-    xy, tangent, _ = start.path.line.motion(np.array([start.start_s]))
-    (tx, ty), speed = tangent[0], start.start_mps
-    offset = fleet.position[:, 0] + step_s * fleet.velocity[:, 0] - xy[0]
-    along_m, across_m = offset @ (tx, ty), np.abs(offset @ (-ty, tx))
-    gap_m = np.abs(along_m) - 0.5 * (fleet.length_m + start.box.length_m)
-    in_lane = across_m < 0.5 * (fleet.width_m + start.box.width_m) + config.conflict.margin_lateral_m
-    for row in np.flatnonzero(in_lane & fleet.present[:, 0]).tolist():
-        gap, other_mps = float(gap_m[row]), float(fleet.velocity[row, 0] @ (tx, ty))
-        leads = along_m[row] > 0.0
-        if gap < config.spawn.clear_gap_m or (not leads and gap < config.sites.entry_gap_s * other_mps):
-            return None
-        if leads:
-            speed = min(speed, speed_behind(gap, max(0.0, other_mps), start.driver, config.sites))
-    slowest_mps = max(config.sites.standing_mps, config.sites.slowest_share * start.driver.desired_mps)
-    return speed if speed >= slowest_mps else None

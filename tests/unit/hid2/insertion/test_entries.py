@@ -12,8 +12,9 @@ from inserted import nobody, recorded, scene_on, start_on
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
 from hid2.insertion.entries import edge_lanes
+from hid2.insertion.entry_sites import entry_speed
 from hid2.insertion.filling import Filling
-from hid2.insertion.sites import InsertionSites, entry_speed
+from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.traffic import Traffic
