@@ -58,7 +58,7 @@ def test_leader_is_next_ahead_on_the_same_lane_within_three_seconds(scene_of: Ca
     assert _leader(meetings, scene, 1, 40.0) == -1
     assert _leader(meetings, scene, 1, 120.0) == -1
     assert _leader(meetings, scene, 2, 82.0) == -1
-    assert _weight(meetings, scene, 1, 82.0) == pytest.approx(15.0 * _weight(meetings, scene, 2, 82.0))
+    assert _weight(meetings, scene, 1, 82.0) == pytest.approx(Spawn().leader_weight * _weight(meetings, scene, 2, 82.0))
 
 
 def test_nobody_leads_past_somebody_between(scene_of: Callable[..., Scene]) -> None:
@@ -115,7 +115,7 @@ def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site(scene
     free, _ = sites._weights(Policy.STRAIGHT, rows)
     sites.kept = [start_on(scene, meetings.routes.offers(1)[0].route, 80.0, 9.0)]
     taken, _ = sites._weights(Policy.STRAIGHT, rows)
-    assert free[0] == pytest.approx(15.0 * taken[0])
+    assert free[0] == pytest.approx(Spawn().leader_weight * taken[0])
 
 
 @pytest.mark.parametrize(("start_m", "lane_id", "expected"), [(80.0, 1, 2), (88.0, 2, 1), (20.0, 2, 0)])
