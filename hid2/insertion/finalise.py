@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hid2.agents import FloatArray, Track
+from hid2.agents import FloatArray, IntArray, Track
 from hid2.measures.scene_end import BoxesAtStep, first_contact
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.smoothing import Motion, Trajectory, smooth_motion, trajectory
@@ -154,6 +154,9 @@ def _checked(
         if _meets_after_end(scene, vehicle, path, others) or not _avoids_after_end(scene, vehicle, motion, seen):
             return Reason.TTC_AT_END
         found = ExportedVehicle(vehicle, motion, path, off_m, ttc_s)
+        _, seen = _seen_from(scene, found, scene.traffic)
+        if np.any(_leader_ttcs(scene, vehicle, motion, seen) < config.conflict.ttc_min_s):
+            return Reason.TTC_LANE_LEADER
         if "topology" not in config.without:
             verdict = scene.recorded.conflict_with(
                 found.track("own", 1), ttc_s=config.conflict.follower_ttc_min_s, pet_s=config.conflict.pet_min_s
@@ -184,6 +187,15 @@ def _on_its_path(scene: Scene, vehicle: DrivenVehicle, others: Traffic) -> PathO
         )  # fmt: skip
         seen = seen.joined(more)
     return seen
+
+
+def _seen_from(scene: Scene, vehicle: ExportedVehicle, traffic: Traffic) -> tuple[IntArray, PathOccupancy]:
+    """Rows and intervals of others on a vehicle's path, with the lateral margin, from where it drives in its lane."""
+    line, box = vehicle.driven.path.line, vehicle.driven.start.box
+    aside = np.zeros((traffic.num_steps, 2))
+    aside[vehicle.span] = vehicle.trajectory.position - line.position(vehicle.motion.s)
+    width_m = box.width_m + 2 * scene.config.conflict.margin_lateral_m
+    return look_along(line, replace(traffic, position=traffic.position - aside), box.length_m, width_m)
 
 
 def _leader_ttcs(scene: Scene, vehicle: DrivenVehicle, motion: Motion, seen: PathOccupancy) -> FloatArray:
@@ -302,11 +314,8 @@ def _closing_in(scene: Scene, exported: Sequence[ExportedVehicle]) -> list[tuple
     everybody = traffic_of_exported(exported, scene)
     found = []
     for row, vehicle in enumerate(exported):
-        start, margin = vehicle.driven.start, scene.config.conflict.margin_lateral_m
         others = [other for other in range(len(exported)) if other != row]
-        rows, seen = look_along(
-            vehicle.driven.path.line, everybody.rows(others), start.box.length_m, start.box.width_m + 2 * margin
-        )
+        rows, seen = _seen_from(scene, vehicle, everybody.rows(others))
         near = _leader_ttcs(scene, vehicle.driven, vehicle.motion, seen) < scene.config.conflict.ttc_min_s
         found += [(row, others[leader]) for leader in rows[near].tolist()]
     return found

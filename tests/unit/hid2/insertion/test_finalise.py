@@ -244,6 +244,39 @@ def test_of_two_that_come_too_near_together_the_later_one_goes(scene_of: Callabl
     assert conflicting(scene, [slow, _kept(scene, np.full(110, 10.0), 40.0, lane=2, number=1)]) == []
 
 
+@pytest.mark.parametrize(("aside_m", "rows"), [(0.7, [1]), (0.0, [])], ids=["towards it", "in the middle"])
+def test_who_drives_aside_in_its_lane_closes_in_on_who_is_aside_ahead(
+    scene_of: Callable[..., Scene], aside_m: float, rows: list[int]
+) -> None:
+    """Lanes 3.5 m apart; the slow one drives 1 m to the right in lane 2, at y = 2.5. Boxes are 1.9 m wide: who is at
+    y = 0.7 would touch it, who is at y = 0 passes 0.6 m beside it.
+    """
+    scene, bounds = scene_of(), np.array([0.0, 1000.0])
+    right = LaneOffset(bounds, np.full(2, -1.0), np.zeros(2))
+    slow = driven(start_on(scene, (2,), 60.0, 5.0, offset=right), np.full(110, 5.0))
+    left = LaneOffset(bounds, np.full(2, aside_m), np.zeros(2))
+    fast = driven(start_on(scene, (1,), 40.0, 10.0, offset=left, number=1), np.full(110, 10.0))
+    found = [finalise(scene, one, nobody(scene.future.num_steps)) for one in (slow, fast)]
+    both = [one for one in found if isinstance(one, ExportedVehicle)]
+    assert len(both) == 2, found
+    assert [row for row, _ in conflicting(scene, both)] == rows
+
+
+@pytest.mark.parametrize(("aside_m", "is_too_near"), [(0.7, True), (0.0, False)])
+def test_the_same_with_a_recorded_one_aside_in_the_next_lane(
+    scene_of: Callable[..., Scene], aside_m: float, is_too_near: bool
+) -> None:
+    """At y = 2.5, 5 m/s, from 60 m on; the vehicle comes from 40 m with 10 m/s and brakes 7 m behind it: 1.4 s."""
+    scene = scene_of(recorded(60.0, 2.5, 5.0))
+    aside = LaneOffset(np.array([0.0, 1000.0]), np.full(2, aside_m), np.zeros(2))
+    v = np.concatenate([np.full(18, 10.0), np.linspace(10.0, 5.0, 20), np.full(72, 5.0)])
+    found = finalise(
+        scene, driven(start_on(scene, (1,), 40.0, 10.0, offset=aside), v), nobody(scene.future.num_steps)
+    )  # fmt: skip
+    assert (found is Reason.TTC_LANE_LEADER) is is_too_near
+    assert isinstance(found, ExportedVehicle) is not is_too_near
+
+
 def test_without_collision_checks_nobody_is_looked_at(scene_of: Callable[..., Scene]) -> None:
     scene = scene_of(recorded(100.0, 0.0), config=Config(without=frozenset({"collision"})))
     assert isinstance(_alone(scene, np.full(110, 10.0)), ExportedVehicle)
