@@ -489,9 +489,9 @@ class Driving(_Section):
     leads_from_m: float = _param(0.3, "m", "gap from which on somebody ahead leads and is not beside", ge=0, le=5)
     shown_m: float = _param(120.0, "m", "SUMO is shown agents up to here ahead of a vehicle", ge=20, le=500)
     soon_s: float = _param(
-        3.0, "s", "no braking yet for a conflict later than this, unless it asks for hard braking", ge=0, le=10
+        2.5, "s", "no braking yet for a conflict later than this, unless it asks for hard braking", ge=0, le=10
     )
-    urgent_ratio: float = _param(2.5, "ratio", "hard braking over conflict.act_mps2", ge=1, le=10)
+    urgent_ratio: float = _param(3.0, "ratio", "hard braking over conflict.act_mps2", ge=1, le=10)
     keep_yielding_mps2: float = _param(0.3, "m/s2", "who yields goes on while a conflict asks for this", ge=0, le=4)
     brake_jerk_mps3: float = _param(3.5, "m/s3", "braking for what SUMO does not see builds up so", gt=0, le=20)
     last_brake_mps2: float = _param(0.6, "m/s2", "hardest braking just before standing still", gt=0, le=4)
