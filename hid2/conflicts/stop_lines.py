@@ -50,7 +50,7 @@ class StopLines:
     """The stop lines of a scene's paths, each path worked out once."""
 
     scene: Scene
-    _signals: InferredSignals = field(init=False)
+    signals: InferredSignals = field(init=False)
     _crossings: PedestrianCrossings = field(init=False)
     _known: dict[tuple[DrivenPath, BoxSize], list[StopLine]] = field(default_factory=dict)
     _arrays: dict[tuple[DrivenPath, BoxSize], ClosedLines] = field(default_factory=dict)
@@ -60,7 +60,7 @@ class StopLines:
         scene, config, step_s = self.scene, self.scene.config, self.scene.step_s
         signalled = scene.traffic.rows(signalled_rows(scene.object_types).tolist())
         walking = scene.traffic.rows(crossing_rows(scene.object_types).tolist())
-        self._signals = InferredSignals(scene.grid, signalled, config.signals, step_s)
+        self.signals = InferredSignals(scene.grid, signalled, config.signals, step_s)
         self._crossings = PedestrianCrossings(scene.grid.graph.pedestrian_crossings, walking, config.crossings, step_s)
 
     def on(self, path: DrivenPath, box: BoxSize) -> list[StopLine]:
@@ -70,7 +70,7 @@ class StopLines:
             before = box.length_m / 2 + self.scene.config.conflict.stop_margin_m
             found = []
             for segment in path.segments:
-                red = self._signals.red(segment.lane_id) if segment.lane_start < 1.0 else None
+                red = self.signals.red(segment.lane_id) if segment.lane_start < 1.0 else None
                 if red is not None and red.any():
                     found.append(StopLine(segment.start - before, red, "signal"))
             found.extend(

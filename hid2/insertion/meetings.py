@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray, Policy
-from hid2.conflicts.signals import InferredSignals, signalled_rows
+from hid2.conflicts.signals import InferredSignals
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.kernels.meetings import met_on_route
@@ -90,10 +90,14 @@ class Outlook(NamedTuple):
 
 @dataclass(slots=True)
 class Meetings:
-    """What vehicles that start on the cells of a scene would meet at usual speed; what is found out is kept."""
+    """What vehicles that start on the cells of a scene would meet at usual speed; what is found out is kept.
+
+    signals: those of the stop lines, at which vehicles wait.
+    """
 
     scene: Scene
     routes: Routes
+    signals: InferredSignals
     _targets: IntArray = field(init=False)
     _xy: FloatArray = field(init=False)
     _there: BoolArray = field(init=False)
@@ -105,7 +109,6 @@ class Meetings:
     _crossed_from: IntArray = field(init=False)
     _crossed_s: FloatArray = field(init=False)
     _pace_mps: FloatArray = field(init=False)
-    _signals: InferredSignals = field(init=False)
     _outlooks: dict[TurnType, Outlook] = field(default_factory=dict)
     _on_route: dict[tuple[int, int], Outlook] = field(default_factory=dict)
     _usual: dict[int, float] = field(default_factory=dict)
@@ -127,8 +130,6 @@ class Meetings:
         self._number[moving] = np.arange(moving.size)
         self._number = self._number[rows]
         self._crossed_from, self._crossed_s = self._crossings(moving)
-        signalled = traffic.rows(signalled_rows(scene.object_types).tolist())
-        self._signals = InferredSignals(scene.grid, signalled, scene.config.signals, scene.step_s)
         self._pace_mps = np.array([_pace(traffic, row) for row in moving.tolist()], dtype=np.float64)
 
     @property
@@ -287,7 +288,7 @@ class Meetings:
         stop_at: list[float] = []
         red = [np.zeros((0, self._steps.size - look), dtype=np.bool_)]
         for lane in offer.route[offer.route.index(lane_id) :]:
-            found = self._signals.red(lane)
+            found = self.signals.red(lane)
             if found is not None and found.any():
                 stop_at.append(at - before_m)
                 red.append(found[None, self._steps[look:]])

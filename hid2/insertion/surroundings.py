@@ -24,5 +24,5 @@ class Surroundings:
     def __post_init__(self) -> None:
         """Each fills its own tables when somebody first asks."""
         self.roads, self.routes, self.stop_lines = Roads(self.scene), Routes(self.scene), StopLines(self.scene)
-        self.meetings = Meetings(self.scene, self.routes)
+        self.meetings = Meetings(self.scene, self.routes, self.stop_lines.signals)
         self.entries = Entries(self.scene, self.routes, self.meetings)

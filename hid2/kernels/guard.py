@@ -3,10 +3,10 @@
 import numpy as np
 
 from hid2.kernels.compiled import inner, kernel
+from hid2.kernels.path_intervals import SAME_WAY
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 _PASSED_M = 0.3  # tolerance: whoever is so far beyond a stop line has passed it
-_SAME_WAY = 0.7  # definition: cosine of 45 degrees, as `path_intervals` has it
 
 
 @inner
@@ -109,7 +109,7 @@ def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: f
 def _is_on(low: FloatArray, cosine: FloatArray, s: float, step_m: float) -> bool:
     """Whether a generated vehicle is on the way that it shares, so that SUMO's car following sees it."""
     at = int(s / step_m)
-    return bool(0 <= at < low.size and low[at] != np.inf and cosine[at] > _SAME_WAY)
+    return bool(0 <= at < low.size and low[at] != np.inf and cosine[at] > SAME_WAY)
 
 
 @kernel(
@@ -174,7 +174,7 @@ def needed_braking(
                     if at < 0 or at >= g_low.shape[1] or g_low[g, at] == np.inf:
                         continue
                     lo, hi = g_low[g, at], g_high[g, at]
-                    if g_cos[g, at] > _SAME_WAY:
+                    if g_cos[g, at] > SAME_WAY:
                         if s > 0.5 * (lo + hi):
                             continue  # it follows: its driver's business
                         if lo - s < gap_least and _goes_first(first, g, g_low[g], fleet, j, own, s0, table_step):

@@ -10,6 +10,7 @@ from inserted import driven, nobody, recorded, scene_on, start_on
 
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
+from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.finalise import ExportedVehicle, finalise
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import Routes
@@ -35,6 +36,10 @@ def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
     return make
 
 
+def _meetings(scene: Scene) -> Meetings:
+    return Meetings(scene, Routes(scene), StopLines(scene).signals)
+
+
 def _leader(meetings: Meetings, scene: Scene, lane_id: int, at_m: float) -> int:
     """The leader from a site on the lane's only route; 0 is the moving vehicle that was recorded first, -1 nobody."""
     meetings.outlook(Policy.STRAIGHT)
@@ -53,7 +58,7 @@ def test_leader_is_next_ahead_on_the_same_lane_within_three_seconds(scene_of: Ca
     At 0.9 of its speed the one from 82 m falls behind by 0.9 m/s and is within 3 s for more than three looks.
     """
     scene = scene_of(recorded(100.0, 0.0, 9.0))
-    meetings = Meetings(scene, Routes(scene))
+    meetings = _meetings(scene)
     assert _leader(meetings, scene, 1, 82.0) == 0
     assert _leader(meetings, scene, 1, 40.0) == -1
     assert _leader(meetings, scene, 1, 120.0) == -1
@@ -64,7 +69,7 @@ def test_leader_is_next_ahead_on_the_same_lane_within_three_seconds(scene_of: Ca
 def test_nobody_leads_past_somebody_between(scene_of: Callable[..., Scene]) -> None:
     """The same with another one at 9 m/s at 91 m, between them: that one leads."""
     scene = scene_of(recorded(100.0, 0.0, 9.0, name="far"), recorded(91.0, 0.0, 9.0, name="next"))
-    meetings = Meetings(scene, Routes(scene))
+    meetings = _meetings(scene)
     assert _leader(meetings, scene, 1, 80.0) == 1
 
 
@@ -78,9 +83,9 @@ def test_nobody_is_followed_beyond_a_red_light(is_red: bool, expected: int) -> N
         2: draw_lane(2, [(100.0, 0.0), (400.0, 0.0)]),
     }
     scene = scene_on(LaneGraph(lanes, drivable_areas=()), recorded(130.0, 0.0, 3.0))
-    meetings = Meetings(scene, Routes(scene))
+    meetings = _meetings(scene)
     red = {2: np.full(scene.num_steps, is_red)}
-    meetings._signals = SimpleNamespace(red=red.get)
+    meetings.signals = SimpleNamespace(red=red.get)
     meetings._usual[1] = 9.0
     assert _leader(meetings, scene, 1, 50.0) == expected
 
@@ -90,7 +95,7 @@ def test_site_at_which_somebody_recorded_would_run_into_a_vehicle_weighs_a_fifth
 ) -> None:
     """On lane 1 one at 20 m/s from 20 m on drives 218 m: past who starts at 60 m, not past who starts behind it."""
     scene = scene_of(recorded(20.0, 0.0, 20.0), recorded(20.0, 3.5, 9.0, name="other"), max_speed_mps=12.0)
-    meetings = Meetings(scene, Routes(scene))
+    meetings = _meetings(scene)
     meetings._usual.update({1: 9.0, 2: 9.0})
     behind, ahead = _weight(meetings, scene, 2, 60.0), _weight(meetings, scene, 1, 60.0)
     assert ahead == pytest.approx(0.2 * behind)
@@ -100,7 +105,7 @@ def test_who_follows_drives_as_fast_as_the_leader_at_least(scene_of: Callable[..
     """Half the traffic of the lane crawls at 4 m/s, far ahead; who starts behind the one at 12 m/s wants 12, not 4."""
     crawling = recorded(300.0, 0.0, 4.0, name="c")
     scene = scene_of(recorded(60.0, 0.0, 12.0), crawling)
-    meetings = Meetings(scene, Routes(scene))
+    meetings = _meetings(scene)
     starts = [start for seed in range(60) for start in _sites(scene, seed).propose(_request())]
     led = [one for one in starts if _leader(meetings, scene, one.route[0], one.start_s) == 0]
     assert len(led) >= 5
@@ -109,7 +114,7 @@ def test_who_follows_drives_as_fast_as_the_leader_at_least(scene_of: Callable[..
 
 def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site(scene_of: Callable[..., Scene]) -> None:
     scene = scene_of(recorded(100.0, 0.0, 9.0))
-    meetings = Meetings(scene, Routes(scene))
+    meetings = _meetings(scene)
     sites = _sites(scene, 0)
     rows = np.array([scene.grid.index_of[scene.grid.cell_at(1, 82.0)]])
     free, _ = sites._weights(Policy.STRAIGHT, rows)
@@ -124,7 +129,7 @@ def test_what_a_driven_vehicle_met(scene_of: Callable[..., Scene], start_m: floa
     beside, near; 80 m behind it, far away.
     """
     scene = scene_of(recorded(100.0, 0.0, 9.0))
-    meetings = Meetings(scene, Routes(scene))
+    meetings = _meetings(scene)
     start = start_on(scene, (lane_id,), start_m, 8.0)
     exported = finalise(scene, driven(start, np.full(110, 8.0)), nobody(scene.future.num_steps))
     assert isinstance(exported, ExportedVehicle), exported
@@ -133,14 +138,14 @@ def test_what_a_driven_vehicle_met(scene_of: Callable[..., Scene], start_m: floa
 
 def test_pace_of_a_leader_is_what_it_drives_while_it_moves(scene_of: Callable[..., Scene]) -> None:
     scene = scene_of(recorded(100.0, 0.0, 9.0))
-    meetings = Meetings(scene, Routes(scene))
+    meetings = _meetings(scene)
     assert meetings.pace_of(0) == pytest.approx(9.0)
     assert meetings.pace_of(-1) == 0.0
 
 
 def test_weight_of_a_route_is_that_of_its_cell(scene_of: Callable[..., Scene]) -> None:
     scene = scene_of(recorded(100.0, 0.0, 9.0))
-    meetings = Meetings(scene, Routes(scene))
+    meetings = _meetings(scene)
     cell = scene.grid.cell_at(1, 82.0)
     assert meetings.offer_weights(cell, Policy.STRAIGHT) == pytest.approx([_weight(meetings, scene, 1, 82.0)])
 
@@ -158,7 +163,7 @@ def _sites(scene: Scene, seed: int) -> InsertionSites:
 def test_leader_does_not_depend_on_what_was_looked_at_before(scene_of: Callable[..., Scene]) -> None:
     """Variants share what they find: a site asked for first is answered as one asked for after all others."""
     scene = scene_of(recorded(100.0, 0.0, 9.0))
-    fresh, used = Meetings(scene, Routes(scene)), Meetings(scene, Routes(scene))
+    fresh, used = _meetings(scene), _meetings(scene)
     for policy in Policy:
         used.outlook(policy)
     route = used.routes.offers(1)[0].route
