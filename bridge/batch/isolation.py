@@ -292,6 +292,7 @@ def _log_to(connection: "Connection[Any, Any]", *, debug: bool) -> None:
 
 def serve() -> None:
     """Run in the child: answer calls until the caller goes away."""
+    gc.disable()  # until the work is imported, of which nothing is ever free
     spare_imports()
     connection: Connection[Any, Any] = Connection(int(sys.argv[1]))
     threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
@@ -300,7 +301,8 @@ def serve() -> None:
     _reply(connection, "ready", None)
     for call in itertools.count():
         if call == 1:
-            spare_the_collector()
+            gc.collect()
+            spare_the_collector()  # what the first call loaded as well
         try:
             function, arguments, timeout_s, debug = pickle.loads(connection.recv_bytes())  # noqa: S301  # our own caller
         except (EOFError, OSError):  # the caller is gone, and cannot remove this process's folder any more
@@ -315,12 +317,12 @@ def serve() -> None:
 def spare_the_collector() -> None:
     """Keep the garbage collector from looking through what stays for good: modules, types, compiled functions.
 
-    For a process that has done its first piece of work, and thereby imported everything. One scene leaves little
-    behind that only the collector can free, so it also need not come as often.
+    For a process that has imported its work. One scene leaves little behind that only the collector can free, so it
+    also need not come as often.
     """
-    gc.collect()
     gc.freeze()
     gc.set_threshold(*_COLLECT)
+    gc.enable()
 
 
 def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequence[Any], *, timeout_s: float) -> None:
@@ -328,6 +330,8 @@ def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequen
     try:
         values = resolve(function)(*arguments)
         _make_kernels_ready()
+        if not gc.isenabled():  # the first
+            spare_the_collector()
         _reply(connection, "started", None)
         faulthandler.dump_traceback_later(timeout_s, exit=True)
         for value in values:

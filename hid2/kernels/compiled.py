@@ -11,10 +11,11 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from llvmlite.binding import get_host_cpu_name
+from llvmlite.binding import get_host_cpu_name, parse_bitcode
 from numba import __version__ as numba_version
 from numba import njit
 from numba.core.caching import FunctionCache
+from numba.core.codegen import JITCodeLibrary
 from numba.core.runtime.nrt import rtsys
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -46,7 +47,41 @@ def stamp() -> Path | None:
     return folder / f"compiled-{hashlib.sha256(machine.encode()).hexdigest()[:16]}"
 
 
-_FunctionCache: Any = FunctionCache  # its methods have no types
+_JITCodeLibrary: Any = JITCodeLibrary  # its methods have no types
+_FunctionCache: Any = FunctionCache
+
+
+class _Library(_JITCodeLibrary):  # type: ignore[misc]
+    """Code of a function. Kept code is loaded without the bitcode beside it, which would take two thirds of the time.
+
+    The bitcode is read when a function is compiled that calls this one.
+    """
+
+    _bitcode: bytes | None = None
+
+    @classmethod
+    def _unserialize(cls, codegen: Any, state: tuple[str, str, Any]) -> Any:  # noqa: ANN401
+        name, kind, data = state
+        if kind != "object":
+            return super()._unserialize(codegen, state)
+        library = codegen.create_library(name)
+        library.enable_object_caching()
+        code, library._bitcode = data
+        library._set_compiled_object(code)
+        library._finalize_final_module()
+        return library
+
+    def _get_module_for_linking(self) -> object:
+        if self._bitcode is not None:
+            self._shared_module, self._bitcode = parse_bitcode(self._bitcode), None
+            self._codegen._engine._load_defined_symbols(self._shared_module)
+        return super()._get_module_for_linking()
+
+    def get_pointer_to_function(self, name: str) -> object:
+        """Address of a function; that kept code has the one asked for need not be looked up in its bitcode."""
+        if self._bitcode is None:
+            return super().get_pointer_to_function(name)
+        return self._codegen._engine.get_function_address(name)
 
 
 class _KernelCache(_FunctionCache):  # type: ignore[misc]
@@ -56,9 +91,10 @@ class _KernelCache(_FunctionCache):  # type: ignore[misc]
         """Add the sources: numba looks at the file of a function, not at those of the functions that it calls."""
         return (*super()._index_key(sig, codegen), _SOURCES)
 
-    def load_overload(self, sig: object, target_context: object) -> object:
+    def load_overload(self, sig: object, target_context: Any) -> object:  # noqa: ANN401  # numba's
         """Load without making the compiler ready, whose imports take half a second; running needs no compiler."""
         rtsys.initialize(target_context)
+        target_context.codegen()._library_class = _Library
         with self._guard_against_spurious_io_errors():
             return self._load_overload(sig, target_context)
 
