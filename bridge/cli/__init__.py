@@ -4,6 +4,7 @@ Exit codes: 0 all done, 1 some scene could not be done, 2 usage or configuration
 messages to stderr.
 """
 
+import os
 import re
 import sys
 
@@ -21,6 +22,7 @@ GROUPS = (generation, scenes, measuring, forecasting, pictures, configuration)
 
 def main() -> None:
     """Run the command; an explained error is a line on stderr, never a traceback."""
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # else every installed distribution is asked for one
     from typer.exceptions import Abort, TyperException
 
     try:

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from pyarrow._compute import call_function  # pyarrow.compute takes longer to import than a scene to read
 
 from bridge.config import is_corridor
 from bridge.files import one_line, read_regular
@@ -174,7 +174,7 @@ def split_rows(
     same = {column: _one_value(table, column, name) for column in SCENARIO_COLUMNS}
     for column in ("scenario_id", "focal_track_id", "city"):
         _check_name(str(same[column]), f"{name}: {column}")
-    encoded = pc.dictionary_encode(table.column("track_id")).combine_chunks()
+    encoded = call_function("dictionary_encode", [table.column("track_id")]).combine_chunks()
     ids: list[str] = encoded.dictionary.to_pylist()
     if len(ids) > limits.MAX_TRACKS:
         raise ScenarioError(f"{name}: {len(ids)} tracks, expected at most {limits.MAX_TRACKS}")
@@ -188,7 +188,7 @@ def split_rows(
     where = _Where(name, ids, code, timestep)
     motion = np.column_stack([_numbers(table, column)[order] for column in _MOTION_COLUMNS])
     category = _numbers(table, "object_category")[order]
-    kind_encoded = pc.dictionary_encode(table.column("object_type")).combine_chunks()
+    kind_encoded = call_function("dictionary_encode", [table.column("object_type")]).combine_chunks()
     kinds: list[str] = kind_encoded.dictionary.to_pylist()
     kind = np.asarray(kind_encoded.indices.to_numpy(zero_copy_only=False))[order]
 
@@ -338,7 +338,7 @@ def _numbers(table: pa.Table, column: str) -> npt.NDArray[Any]:
 
 
 def _one_value(table: pa.Table, column: str, name: str) -> object:
-    values = pc.unique(table.column(column))
+    values = call_function("unique", [table.column(column)])
     if len(values) != 1:
         shown = one_line(str(values[:3].to_pylist()), most=200)
         raise ScenarioError(f"{name}: column {column!r} has {len(values)} values {shown}, expected one")

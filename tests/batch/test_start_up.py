@@ -44,7 +44,15 @@ def generated_with(folder: str, _items: Sequence[int]) -> Iterator[list[str]]:
         generate(scenario, Config(request=Request(agents=3)))
         yield [
             name
-            for name in ("matplotlib", "pandas", "pyproj", "scipy.linalg", "yaml", "numba.np.arraymath")
+            for name in (
+                "matplotlib",
+                "pandas",
+                "pyproj",
+                "scipy.linalg",
+                "yaml",
+                "numba.np.arraymath",
+                "pyarrow.compute",
+            )
             if name in sys.modules
         ]
         import pyproj

@@ -65,6 +65,16 @@ def test_kernel_is_kept_and_loads_without_the_compiler(room: Path) -> None:
     assert run(room).stdout.split() == ["2.0", "1"]
 
 
+def test_kept_kernel_is_linked_into_one_that_is_compiled_later(room: Path) -> None:
+    """Its bitcode, which loading leaves aside, is read then: 1 + 1, and 1 more."""
+    run(room)
+    script = (
+        "from numba import njit; from hid2.kernels.caller import caller;"
+        " print(caller(1.0), njit(lambda x: caller(x) + 1.0)(1.0), sum(caller.stats.cache_hits.values()))"
+    )
+    assert run(room, "-c", script).stdout.split() == ["2.0", "3.0", "1"]
+
+
 def test_changed_kernel_is_compiled_again_with_what_calls_it(room: Path) -> None:
     """The caller's own file is the same; numba itself would go on with the old one."""
     run(room)
