@@ -18,11 +18,11 @@ from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Sites
+from hid2.policy.behaviours import TURN_OF_POLICY
 from hid2.policy.decision import Side
 from hid2.policy.lane_change import lane_change_reason, safe_gap_m
 from hid2.policy.observation import lane_options, lay_across
 from hid2.policy.roads import Roads
-from hid2.policy.turns import TURN_OF_POLICY
 from hid2.reasons import Reason
 from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
