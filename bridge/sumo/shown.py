@@ -17,8 +17,9 @@ from hid2.policy.behaviours import BEHAVIOURS
 from hid2.vehicle import Start
 
 #: Who is farther than this from the way of a vehicle that may change lanes need not be shown; how finely that is told.
+#: No tunables, spare time: lanes beside are nearer, and SUMO brakes for nobody who is farther aside.
 _NEAR_M, _EVERY_M, _EVERY_S = 12.0, 6.0, 0.5
-#: No vehicle is faster than its desired speed by more than this ratio.
+#: No vehicle is faster than its desired speed by more than this ratio: no tunable, a bound that spares time.
 _PACE_MOST = 1.1
 
 

@@ -12,6 +12,7 @@ from hid2.params import Limits, Turn
 from netconvert.lane_graph import TurnType
 
 #: A line that bends, or changes its curvature, by less than this is straight, 1/m and 1/m2.
+#: No tunable: against division by 0.
 _FLAT = 1e-6
 
 
