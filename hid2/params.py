@@ -107,6 +107,8 @@ class Spawn(_Section):
     )
     min_speed_mps: float = _param(4.0, "m/s", "slowest desired speed drawn", ge=0, le=40)
     max_speed_mps: float = _param(20.0, "m/s", "fastest desired speed drawn", gt=0, le=50)
+    usual_from_m: float = _param(5.0, "m", "who drives less far over the scene tells no usual speed", ge=0, le=100)
+    usual_from_s: float = _param(1.0, "s", "nor does who moves for less than this", ge=0, le=10)
     speed_sd: float = _param(
         0.08, "share", "standard deviation of the start speed around the desired one", ge=0, le=0.5
     )
@@ -187,6 +189,9 @@ class Sites(_Section):
         0.8, "share", "of the way at usual speed, with less of which left of the map nobody begins", ge=0, le=2
     )
     avoided_m: float = _param(5.0, "m", "around a start that could not be kept nobody begins", ge=0, le=100)
+    from_edge_m: float = _param(
+        0.5, "m", "rear bumper of who begins from the beginning of its way, at the least", ge=0, le=50
+    )
     standing_mps: float = _param(0.3, "m/s", "who would begin more slowly begins standing", ge=0, le=3)
     queue_m: float = _param(8.0, "m", "who begins standing does so this near behind somebody who stands", ge=0, le=50)
     slowest_share: float = _param(
@@ -354,6 +359,7 @@ class LaneChange(_Section):
     lc_strategic: float = _param(1.0, "-", "LC2013 lcStrategic; SUMO's default", ge=0, le=100)
     lc_cooperative: float = _param(1.0, "-", "LC2013 lcCooperative; SUMO's default", ge=0, le=1)
     lc_speed_gain: float = _param(1.0, "-", "LC2013 lcSpeedGain; SUMO's default", ge=0, le=1000)
+    look_back_m: float = _param(50.0, "m", "of l' before it begins: who comes from behind there", ge=0, le=300)
     max_shift_m: float = _param(5.5, "m", "middles of lanes farther apart are not side by side", gt=0, le=20)
     time_share: float = _param(0.95, "share", "of the time left that the lateral motion may take", gt=0, le=1)
     spare_s: float = _param(0.5, "s", "of that time, left after the lateral motion", ge=0, le=5)
@@ -485,6 +491,7 @@ class Driving(_Section):
         4.5, "m/s2", "reactive: whoever would have to brake harder from behind is not expected to; SUMO's decel",
         ge=0, le=9,
     )  # fmt: skip
+    yields_ahead_m: float = _param(80.0, "m", "reactive: leaders farther away are not followed", gt=0, le=300)
     standing_mps: float = _param(0.5, "m/s", "slower agents stand: SUMO is shown them in any direction", ge=0, le=3)
     leads_from_m: float = _param(0.3, "m", "gap from which on somebody ahead leads and is not beside", ge=0, le=5)
     shown_m: float = _param(120.0, "m", "SUMO is shown agents up to here ahead of a vehicle", ge=20, le=500)
@@ -492,6 +499,13 @@ class Driving(_Section):
         2.5, "s", "no braking yet for a conflict later than this, unless it asks for hard braking", ge=0, le=10
     )
     urgent_ratio: float = _param(3.0, "ratio", "hard braking over conflict.act_mps2", ge=1, le=10)
+    reroute_over_mps: float = _param(
+        0.05,
+        "m/s",
+        "over the speed of the road on another way, with which it is still taken (conflict case 3)",
+        ge=0,
+        le=10,
+    )
     keep_yielding_mps2: float = _param(0.3, "m/s2", "who yields goes on while a conflict asks for this", ge=0, le=4)
     brake_jerk_mps3: float = _param(3.5, "m/s3", "braking for what SUMO does not see builds up so", gt=0, le=20)
     last_brake_mps2: float = _param(0.6, "m/s2", "hardest braking just before standing still", gt=0, le=4)

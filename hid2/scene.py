@@ -13,16 +13,16 @@ from hid2.motion.route import DrivenPath, Route, path_along, route_beside
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.sigma import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
 from hid2.occupancy.traffic import Traffic, traffic_of
-from hid2.params import Config
+from hid2.params import Config, Spawn
 from netconvert.cells import Cell, CellGrid
 
 #: Lane types open to general motor traffic.
 DRIVABLE_TYPES = frozenset({"VEHICLE"})
-_RUN_ON_M = 250.0
+_RUN_ON_M = 250.0  # no tunable: without topology a vehicle runs straight on, farther than any scene lasts
 #: Recorded vehicles that drive slower than this do not move, m/s.
 MOVES_MPS = 1.0
-_MOVING_M, _MOVING_S = 5.0, 1.0
 #: Clearance boxes are rounded up to these, m, so that vehicles of about one size share what is found out on a path.
+#: No tunables, spare time: a box that is larger by less than this is clear of a little more.
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
 
 
@@ -92,7 +92,11 @@ class Scene:
         if key not in self._routes_beside:
             lanes = self.grid.graph.lanes
             self._routes_beside[key] = route_beside(
-                self.grid.graph, own, lane_id, usable=lambda n: lanes[n].lane_type in DRIVABLE_TYPES
+                self.grid.graph,
+                own,
+                lane_id,
+                usable=lambda n: lanes[n].lane_type in DRIVABLE_TYPES,
+                look_back_m=self.config.lane_change.look_back_m,
             )
         return self._routes_beside[key]
 
@@ -187,7 +191,7 @@ def build_scene(
     for row, track in enumerate(tracks):
         stated[row, track.timesteps] = track.velocity
     through = config.request.focal == "generated" or config.request.generated_category >= 2
-    lane_speeds, scene_speeds = _speeds(grid, tracks, traffic, occupancy, step_s=step_s)
+    lane_speeds, scene_speeds = _speeds(grid, tracks, traffic, occupancy, config.spawn, step_s=step_s)
     rows = [row for row, track in enumerate(tracks) if track.object_type in VEHICLE_TYPES]
     beyond = math.ceil((config.conflict.end_horizon_s + config.conflict.horizon_s) / step_s)
     future = traffic.extended(beyond, step_s=step_s)
@@ -214,18 +218,24 @@ def build_scene(
 
 
 def _speeds(
-    grid: CellGrid, tracks: Sequence[Track], traffic: Traffic, occupancy: OriginalOccupancy, *, step_s: float
+    grid: CellGrid,
+    tracks: Sequence[Track],
+    traffic: Traffic,
+    occupancy: OriginalOccupancy,
+    spawn: Spawn,
+    *,
+    step_s: float,
 ) -> tuple[dict[int, list[float]], list[float]]:
     """Cruising speed (90th percentile while moving) of each moving vehicle: over the scene, and by lane driven on."""
     lane_of = np.array([cell.lane_id for cell in grid.cells])
     by_lane: dict[int, list[float]] = {}
     scene: list[float] = []
     for row, track in enumerate(tracks):
-        if track.object_type not in VEHICLE_TYPES or track.category < 1 or track.path_m < _MOVING_M:
+        if track.object_type not in VEHICLE_TYPES or track.category < 1 or track.path_m < spawn.usual_from_m:
             continue
         speed = np.hypot(*traffic.velocity[row].T)
         moving = traffic.present[row] & (speed > MOVES_MPS)
-        if moving.sum() < round(_MOVING_S / step_s):
+        if moving.sum() < round(spawn.usual_from_s / step_s):
             continue
         usual_mps = float(np.percentile(speed[moving], 90))
         scene.append(usual_mps)

@@ -25,12 +25,8 @@ class Estimate(NamedTuple):
     """A pooled ratio with its bootstrap interval; None where the denominator is 0."""
 
     value: float | None
-    low: float | None
-    high: float | None
-
-    def as_dict(self) -> dict[str, float | None]:
-        """For JSON."""
-        return {"value": self.value, "low": self.low, "high": self.high}
+    low: float | None = None
+    high: float | None = None
 
 
 class SourceSums:
@@ -95,10 +91,10 @@ def estimate(sums: SourceSums, metric: Metric, group: str) -> Estimate:
 def ratio_estimate(numerator: FloatArray, denominator: FloatArray) -> Estimate:
     """Ratio of sums with a percentile bootstrap over its parts."""
     if denominator.sum() <= 0:
-        return Estimate(None, None, None)
+        return Estimate(None)
     value = float(numerator.sum() / denominator.sum())
     if len(numerator) < 2:
-        return Estimate(value, None, None)
+        return Estimate(value)
     rng = np.random.default_rng(0)
     ratios: list[FloatArray] = []
     block = max(1, _BLOCK // len(numerator))
@@ -117,7 +113,7 @@ def table(sums: SourceSums, metrics: Sequence[Metric]) -> dict[str, Any]:
             "label": metric.label,
             "unit": metric.unit,
             "sentence": metric.sentence,
-            **{group: estimate(sums, metric, group).as_dict() for group in GROUPS},
+            **{group: estimate(sums, metric, group)._asdict() for group in GROUPS},
         }
         for metric in metrics
     }

@@ -34,7 +34,7 @@ class Line(NamedTuple):
 
 def _ours(label: str, rows: Sequence[Row], group: str) -> Line:
     sums = SourceSums.of(rows)
-    return Line(label, {m.key: estimate(sums, m, group).as_dict() for m in (*COLUMNS, *MORE_COLUMNS)})
+    return Line(label, {m.key: estimate(sums, m, group)._asdict() for m in (*COLUMNS, *MORE_COLUMNS)})
 
 
 def _papers(label: str, figures: Mapping[str, float]) -> Line:

@@ -263,20 +263,25 @@ def _score_scene(scene: Rows, forecast: Forecast) -> tuple[list[Score], list[str
     return scores, reasons
 
 
-#: What bands count: tracks in all, and those present at the last observed step.
-_COUNTED: tuple[tuple[Literal["agents", "agents_observed"], str], ...] = (
-    ("agents", "more than {}"),
-    ("agents_observed", "more than {} at the observation's end"),
-)
+def bands(bounds: Sequence[int]) -> dict[str, Callable[[Score], bool]]:
+    """All scenes, and those of more tracks than each bound, in all and at the observation's end."""
+    found: dict[str, Callable[[Score], bool]] = {"all scenes": lambda _: True}
+    for bound in bounds:
+        found[f"more than {bound}"] = above("agents", bound)
+    for bound in bounds:
+        found[f"more than {bound} at the observation's end"] = above("agents_observed", bound)
+    return found
+
+
+def above(field: Literal["agents", "agents_observed"], bound: int) -> Callable[[Score], bool]:
+    """Whether a scene has more tracks than a bound, in all or at the observation's end."""
+    return lambda score: bool(getattr(score, field) > bound)
 
 
 def _bands(scores: Sequence[Score], bounds: Sequence[int]) -> Iterable[dict[str, Any]]:
-    wanted = [("all scenes", _COUNTED[0][0], -1)]
-    wanted += [(name.format(bound), counted, bound) for counted, name in _COUNTED for bound in bounds]
-    for name, counted, bound in wanted:
-        inside = [score for score in scores if getattr(score, counted) > bound]
+    for name, belongs in bands(bounds).items():
         for k in KS:
-            yield {"band": name, "k": k} | means([score for score in inside if score.k == k])
+            yield {"band": name, "k": k} | means([score for score in scores if score.k == k and belongs(score)])
 
 
 def means(scores: Sequence[Score]) -> dict[str, Any]:

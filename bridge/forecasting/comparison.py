@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.evaluation import pages
-from bridge.evaluation.predictions import BASELINES, BOUNDS, PredictionScores, Score, score_predictions
+from bridge.evaluation.predictions import BASELINES, BOUNDS, PredictionScores, Score, bands, score_predictions
 from bridge.files import explained, make_folder, write_json, write_rows, write_text
 from bridge.recordings.scenario import find_scenarios, source_id
 from hid2.agents import FloatArray
@@ -43,10 +43,6 @@ class Estimate(NamedTuple):
     low: float | None
     high: float | None
     se: float | None = None
-
-    def as_dict(self) -> dict[str, float | None]:
-        """For JSON."""
-        return self._asdict()
 
 
 NOTHING = Estimate(None, None, None)
@@ -224,21 +220,6 @@ def compare_predictions(
     return found, left_out
 
 
-def bands(bounds: Sequence[int]) -> dict[str, Callable[[Score], bool]]:
-    """All scenes, and those of more tracks than each bound, in all and at the observation's end."""
-    found: dict[str, Callable[[Score], bool]] = {"all scenes": lambda _: True}
-    for bound in bounds:
-        found[f"more than {bound}"] = above("agents", bound)
-    for bound in bounds:
-        found[f"more than {bound} at the observation's end"] = above("agents_observed", bound)
-    return found
-
-
-def above(field: Literal["agents", "agents_observed"], bound: int) -> Callable[[Score], bool]:
-    """Whether a scene has more tracks than a bound, in all or at the observation's end."""
-    return lambda score: bool(getattr(score, field) > bound)
-
-
 def sources_of(scenes: Path) -> dict[str, str]:
     """The recorded scene behind each generated one below a folder, by scenario id."""
     from bridge.forecasting.compose import origins_of
@@ -284,7 +265,7 @@ def interval(estimate: Estimate) -> str:
 
 def as_dicts(differences: Sequence[Difference]) -> list[dict[str, Any]]:
     """For JSON."""
-    return [{**one._asdict(), "estimate": one.estimate.as_dict(), "seeds": list(one.seeds)} for one in differences]
+    return [{**one._asdict(), "estimate": one.estimate._asdict(), "seeds": list(one.seeds)} for one in differences]
 
 
 ABOUT = (

@@ -17,7 +17,7 @@ from bridge.batch.batch import Progress as BatchProgress
 from bridge.batch.engine import Settings, Task, execute_here
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.evaluation import pages
-from bridge.evaluation.predictions import BOUNDS, Score, score_predictions, write_forecasts
+from bridge.evaluation.predictions import BOUNDS, Score, above, score_predictions, write_forecasts
 from bridge.files import explained, make_folder, write_json, write_rows, write_text
 from bridge.forecasting.comparison import (
     ABOUT,
@@ -27,7 +27,6 @@ from bridge.forecasting.comparison import (
     Estimate,
     MetricKey,
     Runs,
-    above,
     as_dicts,
     difference_of,
     in_band,
@@ -431,8 +430,8 @@ def _sets(composed: Path) -> list[tuple[str, ...]]:
 
 
 def _cells(line: _Line) -> tuple[str, ...]:
-    return html.escape(line.label), *(pages.with_interval(cell.as_dict()) for cell in line.cells)
+    return html.escape(line.label), *(pages.with_interval(cell._asdict()) for cell in line.cells)
 
 
 def _as_dict(line: _Line, names: Sequence[str]) -> dict[str, Any]:
-    return {"row": line.label, **{name: cell.as_dict() for name, cell in zip(names, line.cells, strict=True)}}
+    return {"row": line.label, **{name: cell._asdict() for name, cell in zip(names, line.cells, strict=True)}}

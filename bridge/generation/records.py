@@ -22,8 +22,7 @@ from hid2.insertion.events import EventOutcome
 from hid2.insertion.filling import Filling, Rejection, Unmet
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.outcome import Outcome
-from hid2.policy.behaviours import BEHAVIOURS
-from hid2.policy.turns import TURN_OF_POLICY
+from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
 from hid2.scene import Scene
 
 

@@ -48,8 +48,6 @@ AGENT_MARGIN_M = 25.0
 _OTHER = "#B9A7C4"
 _RECORDED = "#B4B4B4"
 
-MARKS = {"lane_change": "D", "overtake": "*", "left_turn": "<", "right_turn": ">"}
-
 
 class _Look(NamedTuple):
     face: str
@@ -280,10 +278,11 @@ def _marks(panel: _Panel, ax: Axes, until_s: float | None) -> list[Artist]:
         track = tracks[track_id]
         x, y = track.position[int(np.argmin(np.abs(track.timesteps * panel.scenario.step_s - place)))]
         done = maneuver.status == "done"
-        color = figures.POLICY_COLORS[behaviour_seen(ManeuverKind(maneuver.kind)).policy] if done else "black"
+        behaviour = behaviour_seen(ManeuverKind(maneuver.kind))
+        color = figures.POLICY_COLORS[behaviour.policy] if done else "black"
         size = 110 if maneuver.kind == "overtake" else 45
         artist = ax.scatter(
-            [x], [y], marker=MARKS[maneuver.kind] if done else "x", s=size, c=color,
+            [x], [y], marker=behaviour.mark if done else "x", s=size, c=color,
             edgecolors="black" if done else None, linewidths=0.8, zorder=8,
         )  # fmt: skip
         artists.append(artist)
@@ -352,7 +351,7 @@ class _Drawing:
             behaviour = behaviour_seen(ManeuverKind(kind))
             color = figures.POLICY_COLORS[behaviour.policy]
             handles.append(
-                Line2D([], [], marker=MARKS[kind], color="none", markerfacecolor=color, markeredgecolor="black",
+                Line2D([], [], marker=behaviour.mark, color="none", markerfacecolor=color, markeredgecolor="black",
                        label=f"{behaviour.label} here")
             )  # fmt: skip
         if any(maneuver.status == "aborted" for _, maneuver in panel.maneuvers):

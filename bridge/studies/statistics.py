@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from bridge.evaluation.aggregate import Estimate
 from hid2.agents import FloatArray, IntArray
 
 #: Resamples of the bootstrap, and its interval, percent.
@@ -23,15 +24,6 @@ _FEWEST = 8  # gaps of each answer, drivers: below, no curve and no critical gap
 _SEPARATED = 50.0
 #: Longer time gaps count as this, s: behind whoever hardly moves they grow without end.
 _LONG_GAP_S = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A value with its 95 % interval; None where there is nothing to tell it from."""
-
-    value: float | None
-    low: float | None = None
-    high: float | None = None
 
 
 def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:

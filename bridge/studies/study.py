@@ -20,6 +20,7 @@ from bridge.batch.manifest import DONE, ManifestRow
 from bridge.batch.scan import Selection, facts_of, wanted
 from bridge.config import config_from_dict, config_sha256
 from bridge.recordings.folders import Address
+from bridge.recordings.sidecar import ManeuverKind
 from bridge.recordings.sources import find_sources
 from hid2.params import Config
 from netconvert.errors import ConfigError, ScenarioError
@@ -51,7 +52,7 @@ class _File(BaseModel):
     design: Literal["grid", "latin_hypercube"] = "grid"
     samples: int = Field(default=0, ge=0, le=1_000_000)
     sample_seed: int = Field(default=0, ge=0)
-    kind: Literal["lane_change", "overtake", "left_turn", "right_turn"] = "lane_change"
+    kind: ManeuverKind = "lane_change"
     vary: dict[str, Annotated[list[Value], Field(min_length=1)]] = Field(min_length=1)
     config: dict[str, Any] = {}
 

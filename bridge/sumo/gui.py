@@ -27,7 +27,7 @@ from netconvert.errors import ExportError, SimulationError
 from netconvert.gui_files import REAL_TIME_MS
 from netconvert.net_xml import write_net
 
-#: As for replayed vehicles in libsumo: exact positions, on and off lanes.
+#: As for replayed vehicles in libsumo: exact positions, on and off lanes. No tunables: they change no picture.
 _KEEP_ROUTE = 6
 _MATCH_M = 3.0
 #: So often can a scene be seen again without a new start.

@@ -9,6 +9,7 @@ from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
+from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.decision import LaneOption, Observation, Side, decide
 from hid2.policy.observation import gap_ahead_of, gaps_on, lane_options, lay_across, leader_on, returns_to
 from hid2.policy.overtake import Leader, Stage
@@ -47,7 +48,7 @@ def apply_policy(
         passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
         vehicle.stage = Stage.PASS if passing else Stage.DONE
     time_s = now * fleet.scene.step_s
-    asks = vehicle.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE)
+    asks = BEHAVIOURS[vehicle.policy].changes_lanes
     due = asks and time_s >= request.trigger_s and vehicle.stage in (Stage.WAITING, Stage.PASS)
     if due and vehicle.stage is Stage.WAITING and time_s > request.trigger_s + config.lane_change.give_up_s:
         vehicle.stage, due = Stage.ABORTED, False

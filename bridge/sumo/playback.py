@@ -28,6 +28,7 @@ from netconvert.geometry import arc_length
 from netconvert.gui_files import WINDOW_ASPECT, gui_files
 from netconvert.net_xml import net_bytes
 
+# No tunables: how a scene is drawn in sumo-gui; nothing that is generated depends on any of these.
 #: A lane of a trace covers at least this much time and way (the last one whatever is left).
 _MIN_SECONDS = 0.5
 _MIN_METERS = 0.3

@@ -12,8 +12,6 @@ from hid2.policy.reroute import places_on, ways_at_next_split
 from hid2.scene import Scene
 from netconvert.cells import Cell
 
-_ABOVE_MPS = 0.05  # no tunable, for rounding: road speeds are those of a table's points
-
 
 def edges_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[str, ...] | None:
     """SUMO edges from a cell on along the lanes of a path; None where the path does not use the cell's lane."""
@@ -50,7 +48,7 @@ def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int, d
     for path in ways_at_next_split(scene, vehicle.path, s=s, from_m=s + vehicle.start.box.length_m):
         at = places_on(path, vehicle.path, np.array(vehicle.s))
         road = fleet.roads.speeds(path, vehicle.start.driver)
-        if v > road[min(int(at[-1] / TABLE_STEP_M), road.size - 1)] + _ABOVE_MPS:
+        if v > road[min(int(at[-1] / TABLE_STEP_M), road.size - 1)] + scene.config.driving.reroute_over_mps:
             continue
         found = fleet.braking(row, path, now, state=(float(at[-1]), v, a), desired_mps=desired_mps)
         edges = edges_along(scene, path, cell)

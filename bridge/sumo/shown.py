@@ -7,23 +7,25 @@ import numpy as np
 
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.replay import UNSEEN_STEPS
-from hid2.agents import IntArray, Policy
+from hid2.agents import IntArray
 from hid2.kernels.leaders import shown_ahead
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.params import Driving
+from hid2.policy.behaviours import BEHAVIOURS
 from hid2.vehicle import Start
 
 #: Who is farther than this from the way of a vehicle that may change lanes need not be shown; how finely that is told.
+#: No tunables, spare time: lanes beside are nearer, and SUMO brakes for nobody who is farther aside.
 _NEAR_M, _EVERY_M, _EVERY_S = 12.0, 6.0, 0.5
-#: No vehicle is faster than its desired speed by more than this ratio.
+#: No vehicle is faster than its desired speed by more than this ratio: no tunable, a bound that spares time.
 _PACE_MOST = 1.1
 
 
 def may_change(start: Start) -> bool:
     """Whether a vehicle may leave its path for that of a lane beside, wherever that goes."""
-    return start.request.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE)
+    return BEHAVIOURS[start.request.policy].changes_lanes
 
 
 def shown_at(fleet: Fleet, step: int) -> tuple[dict[int, tuple[str, int]], dict[int, tuple[str, int]]]:

@@ -19,10 +19,10 @@ _ONLY_ASKED_IF_SAFE = 512
 _SAFE_SPEED = 1 + 2 + 8 + 16
 #: Motives of SUMO's lane-change model, as it names them.
 _MOTIVES = frozenset({"strategic", "cooperative", "speedGain", "keepRight"})
-_REPLAY_KEEP_ROUTE = 6
-_REPLAY_MATCH_M = 2.0  # half a lane and a little: farther aside nobody is ahead of anybody
-_ASIDE_MATCH_M = 0.01  # on no lane
-_NEVER_S = 1000.0
+_REPLAY_KEEP_ROUTE = 6  # TraCI moveToXY: exactly there, on a road or off it
+_REPLAY_MATCH_M = 2.0  # no tunable, half a lane and a little: farther aside nobody is ahead of anybody
+_ASIDE_MATCH_M = 0.01  # no tunable: so little that it is on no lane
+_NEVER_S = 1000.0  # longer than any scene
 _START, _TYPES = "start.xml", "types.add.xml"
 _DRIVEN = "driven"
 

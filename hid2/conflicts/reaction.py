@@ -20,8 +20,7 @@ from netconvert.geometry import wrap_angle
 
 #: Car following: row of the recorded agent, its speed m/s, bumper gap m and speed of its leader m/s -> speed, m/s.
 FollowSpeed = Callable[[int, float, float, float], float]
-#: How far ahead a leader is looked for, and how finely, m. No tunables: nobody brakes for one farther away.
-_AHEAD_M, _FINE_M = 80.0, 0.25
+_FINE_M = 0.25  # no tunable: how finely a path is looked along, which changes a gap by no more
 
 
 def yielding(
@@ -117,10 +116,10 @@ class Reactions:
         leader = self._leader(row, at, here) if free_m > 0.0 else None
         if late == 0.0 and leader is None:
             return late
-        wanted = free_m / self.scene.step_s
+        wanted, ahead_m = free_m / self.scene.step_s, self.scene.config.driving.yields_ahead_m
         # trackers jitter: who drives as recorded need not be able to accelerate as its track does
         speed = float(self._speed[row]) if late > 0.0 else max(wanted, float(np.hypot(*here.velocity[row, 0])))
-        gap_m, leader_mps = leader or (_AHEAD_M, wanted)
+        gap_m, leader_mps = leader or (ahead_m, wanted)
         driven_m = min(free_m, max(0.0, self.follow_mps(row, speed, gap_m, leader_mps)) * self.scene.step_s)
         self._speed[row] = driven_m / self.scene.step_s
         if driven_m >= free_m:
@@ -128,12 +127,13 @@ class Reactions:
         return step - path.place_at(at + driven_m, since=place)
 
     def _leader(self, row: int, at: float, here: Traffic) -> tuple[float, float] | None:
-        """Bumper gap m and speed along the path m/s of the next one on an agent's path; None within _AHEAD_M.
+        """Bumper gap m and speed along the path m/s of the next one on an agent's path; None near enough.
 
         For an agent that drives as recorded: of generated ones and of those who are late; all others keep out of its
         way as they did. Who is beside or behind is not ahead.
         """
         count, path = len(self._recorded.ids), self._path(row)
+        ahead_m = self.scene.config.driving.yields_ahead_m
         ahead = here.present[:, 0].copy()
         ahead[row] = False
         if self.late[row] == 0.0:
@@ -141,9 +141,9 @@ class Reactions:
         offset = here.position[:, 0] - here.position[row, 0]
         angle = here.heading[row, 0]
         forward = offset[:, 0] * np.cos(angle) + offset[:, 1] * np.sin(angle)
-        ahead &= (forward > 0.0) & (np.hypot(offset[:, 0], offset[:, 1]) < _AHEAD_M)
+        ahead &= (forward > 0.0) & (np.hypot(offset[:, 0], offset[:, 1]) < ahead_m)
         first = int(at / _FINE_M)
-        span = slice(first, min(first + int(_AHEAD_M / _FINE_M), path.heading.size))
+        span = slice(first, min(first + int(ahead_m / _FINE_M), path.heading.size))
         xy, heading = path.xy[span], path.heading[span]
         length = np.full(heading.size, self._recorded.length_m[row])
         found: tuple[float, float] | None = None
@@ -167,7 +167,7 @@ class Reactions:
             there = np.flatnonzero(self._recorded.present[row])
             xy, heading = self._recorded.position[row, there], np.unwrap(self._recorded.heading[row, there])
             s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
-            fine = np.arange(0.0, s[-1] + _AHEAD_M, _FINE_M)
+            fine = np.arange(0.0, s[-1] + self.scene.config.driving.yields_ahead_m, _FINE_M)
             beyond = np.maximum(fine - s[-1], 0.0)
             along = np.stack([np.interp(fine, s, xy[:, axis]) for axis in (0, 1)], axis=1)
             along += beyond[:, None] * np.array([np.cos(heading[-1]), np.sin(heading[-1])])

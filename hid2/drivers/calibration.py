@@ -21,6 +21,7 @@ from hid2.params import Config, Drivers
 # figures made so, which other numbers here would not match.
 #: Fewer drivers than this tell nothing: the prior stays.
 LEAST = 12
+# No tunables, here and below: they say which moments are measured and how finely, and calibrations with others differ.
 _RESAMPLES = 400
 _INTERVAL = (2.5, 97.5)
 #: Steady following: closing slower, m/s, accelerating less, m/s2, faster than, m/s, nearer than, s and m.

@@ -28,6 +28,7 @@ IOU_THRESHOLD = 0.02
 FOOTPRINT_TOLERANCE_M = Limits().drivable_tolerance_m
 #: Slower vehicles drive neither with nor against a lane.
 WRONG_WAY_SPEED_MPS = 1.0
+# No tunables, for rounding: both change a footprint by less than a millimetre.
 #: Chords of a quarter circle, and slack against rounding, where the drivable area is widened.
 _ARC = 16
 _MARGIN_M = 1e-4

@@ -17,6 +17,7 @@ from hid2.measures.arrays import BoolArray, SceneArrays
 WINDOW_S, TRIMMED_S, STRIDE_S = 4.0, 1.0, 0.5
 #: Windows slower than this on average are those of standing vehicles: noise, no driving.
 MIN_SPEED_MPS = 1.0
+# No tunables: what a window is, the same for recorded and generated vehicles and for every configuration.
 #: Between two steps the lateral offset jumps by more than this where the lane is changed, m.
 _JUMP_M = 1.5
 #: A leader is the same one over this share of the window and nearer than this at its middle, m.

@@ -18,6 +18,7 @@ from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.traffic import Traffic
+from hid2.policy.behaviours import BEHAVIOURS
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
@@ -27,15 +28,6 @@ from netconvert.cells import Cell
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
 #: Vehicles of a round that are not exported, by id: reason and detail.
 _Gone = dict[str, tuple[DrivenVehicle, Reason, str | None]]
-_NO_MAP: dict[Policy, Reason] = {
-    Policy.STRAIGHT: Reason.MAP_OFFERS_NO_LANE,
-    Policy.LEFT_TURN: Reason.MAP_OFFERS_NO_LEFT_TURN,
-    Policy.RIGHT_TURN: Reason.MAP_OFFERS_NO_RIGHT_TURN,
-    Policy.LANE_CHANGE: Reason.MAP_OFFERS_NO_LANE_CHANGE,
-    Policy.OVERTAKE: Reason.MAP_OFFERS_NO_OVERTAKE,
-}
-#: What needs the most room chooses its site first.
-_ORDER = (Policy.OVERTAKE, Policy.LEFT_TURN, Policy.RIGHT_TURN, Policy.LANE_CHANGE, Policy.STRAIGHT)
 _LOG = logging.getLogger(__name__)
 
 
@@ -181,8 +173,8 @@ class Filling:
         for request in draw_requests(self.scene.config, rng, count=count, duration_s=last_s):
             reason: Reason | None = None
             if not self.surroundings.routes.map_offers(request.policy):
-                reason = _NO_MAP[request.policy]
-            elif request.policy in (Policy.LANE_CHANGE, Policy.OVERTAKE) and request.trigger_s > last_s:
+                reason = BEHAVIOURS[request.policy].no_map
+            elif BEHAVIOURS[request.policy].changes_lanes and request.trigger_s > last_s:
                 reason = Reason.TRIGGER_AFTER_SCENE
             if reason is not None and request.policy is not Policy.STRAIGHT:
                 self.unmet.append(Unmet(request, reason))
@@ -204,7 +196,7 @@ class Filling:
         starts, self._again = list(self._again), []
         if number >= max(1, config.spawn.reseed_rounds):  # the count matters more by now; each is tried once
             self._give_up_manoeuvres({start.request.number for start in starts})
-        waiting = sorted(self._open, key=lambda request: (_ORDER.index(request.policy), request.number))
+        waiting = sorted(self._open, key=lambda request: (BEHAVIOURS[request.policy].site_order, request.number))
         used: set[int] = {start.request.number for start in starts}
         failed: Counter[Policy] = Counter()
         waiting_rivals: list[VehicleRequest] = []

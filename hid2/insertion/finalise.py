@@ -10,7 +10,7 @@ from hid2.measures.scene_end import BoxesAtStep, first_contact
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.smoothing import Motion, Trajectory, smooth_motion, trajectory
 from hid2.motion.verify import first_overlap, limit_exceeded, off_road_steps
-from hid2.occupancy.along_path import PathOccupancy, look_along, path_occupancy
+from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.traffic import Traffic
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -147,19 +147,18 @@ def _checked(
             there = traffic.since(start.step)
             if traffic.ids and first_overlap(path, start.box, there, margin_m=export.box_margin_m) is not None:
                 return reason
-        seen = _on_its_path(scene, vehicle, others)
+        everybody = scene.future.joined(others)
+        _, seen = _seen_from(scene, vehicle, motion, path, everybody)
         ttc_s = float(_leader_ttcs(scene, vehicle, motion, seen).min(initial=np.inf))  # inf: never closing in
         if ttc_s < config.conflict.ttc_min_s:
             return Reason.TTC_LANE_LEADER
         if _meets_after_end(scene, vehicle, path, others) or not _avoids_after_end(scene, vehicle, motion, seen):
             return Reason.TTC_AT_END
-        found = ExportedVehicle(vehicle, motion, path, off_m, ttc_s)
-        _, seen = _seen_from(scene, found, scene.traffic)
-        if np.any(_leader_ttcs(scene, vehicle, motion, seen) < config.conflict.ttc_min_s):
-            return Reason.TTC_LANE_LEADER
         if "topology" not in config.without:
             verdict = scene.recorded.conflict_with(
-                found.track("own", 1), ttc_s=config.conflict.follower_ttc_min_s, pet_s=config.conflict.pet_min_s
+                ExportedVehicle(vehicle, motion, path, off_m, ttc_s).track("own", 1),
+                ttc_s=config.conflict.follower_ttc_min_s,
+                pet_s=config.conflict.pet_min_s,
             )
             if verdict is not None:
                 return verdict
@@ -177,23 +176,17 @@ def _against_its_lanes(vehicle: DrivenVehicle, s: FloatArray) -> bool:
     return bool(np.any(share < _WITH_LANE * np.hypot(forward[:, 0], forward[:, 1])))
 
 
-def _on_its_path(scene: Scene, vehicle: DrivenVehicle, others: Traffic) -> PathOccupancy:
-    """Everybody on the path that a vehicle drives, with the lateral margin, (A, T + E)."""
-    box, margin = vehicle.start.box, scene.config.conflict.margin_lateral_m
-    seen = scene.recorded_on(vehicle.path, box)
-    if others.ids:
-        more = path_occupancy(
-            vehicle.path.line, others, length_m=box.length_m, width_m=box.width_m, margin_lateral_m=margin
-        )  # fmt: skip
-        seen = seen.joined(more)
-    return seen
+def _seen_from(
+    scene: Scene, vehicle: DrivenVehicle, motion: Motion, path: Trajectory, traffic: Traffic
+) -> tuple[IntArray, PathOccupancy]:
+    """Rows and intervals of others on a vehicle's path, with the lateral margin, from where it drives in its lane.
 
-
-def _seen_from(scene: Scene, vehicle: ExportedVehicle, traffic: Traffic) -> tuple[IntArray, PathOccupancy]:
-    """Rows and intervals of others on a vehicle's path, with the lateral margin, from where it drives in its lane."""
-    line, box = vehicle.driven.path.line, vehicle.driven.start.box
+    Beyond its last step it is as far aside as it was then.
+    """
+    line, box, span = vehicle.path.line, vehicle.start.box, _span(vehicle, motion.s.size)
     aside = np.zeros((traffic.num_steps, 2))
-    aside[vehicle.span] = vehicle.trajectory.position - line.position(vehicle.motion.s)
+    aside[span] = path.position - line.position(motion.s)
+    aside[span.stop :] = aside[span.stop - 1]
     width_m = box.width_m + 2 * scene.config.conflict.margin_lateral_m
     return look_along(line, replace(traffic, position=traffic.position - aside), box.length_m, width_m)
 
@@ -315,7 +308,7 @@ def _closing_in(scene: Scene, exported: Sequence[ExportedVehicle]) -> list[tuple
     found = []
     for row, vehicle in enumerate(exported):
         others = [other for other in range(len(exported)) if other != row]
-        rows, seen = _seen_from(scene, vehicle, everybody.rows(others))
+        rows, seen = _seen_from(scene, vehicle.driven, vehicle.motion, vehicle.trajectory, everybody.rows(others))
         near = _leader_ttcs(scene, vehicle.driven, vehicle.motion, seen) < scene.config.conflict.ttc_min_s
         found += [(row, others[leader]) for leader in rows[near].tolist()]
     return found

@@ -18,7 +18,7 @@ from hid2.params import Request
 from hid2.policy.decision import Side
 from hid2.scene import Scene, clearance_box
 
-_STREAM, _TRIGGERS = 77, 78  # apart from the streams of the rounds
+_STREAM, _TRIGGERS = 77, 78  # of random numbers, apart from those of the rounds: names, no tunables
 
 
 @dataclass(frozen=True, eq=False, slots=True)

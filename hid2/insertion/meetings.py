@@ -16,7 +16,7 @@ from hid2.measures.arrays import is_moving
 from hid2.measures.encounters import CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S, NEAR_M
 from hid2.motion.route import Route
 from hid2.occupancy.traffic import BoolArray, Traffic
-from hid2.policy.turns import TURN_OF_POLICY
+from hid2.policy.behaviours import TURN_OF_POLICY
 from hid2.scene import MOVES_MPS, Scene
 from netconvert.cells import Cell
 from netconvert.errors import ScenarioError

@@ -12,9 +12,9 @@ from hid2.measures.manoeuvres import LATERAL_SPEED_MPS, TURN_MARGIN_S
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.route import first_turn
 from hid2.occupancy.traffic import Traffic
+from hid2.policy.behaviours import TURN_OF_POLICY
 from hid2.policy.observation import is_on_lane, returns_to
 from hid2.policy.overtake import Stage
-from hid2.policy.turns import TURN_OF_POLICY
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from netconvert.lane_graph import TURN_RAD

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hid2.agents import IntArray, Policy
-from hid2.motion.route import ROUTE_LONGEST_M, Route, route_beside, routes_from
+from hid2.motion.route import ROUTE_LONGEST_M, Route, routes_from
 from hid2.occupancy.sigma import FREE
 from hid2.occupancy.traffic import BoolArray
+from hid2.policy.behaviours import TURN_OF_POLICY
 from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.overtake import stretch_m
-from hid2.policy.turns import TURN_OF_POLICY
 from hid2.scene import DRIVABLE_TYPES, Scene
 from netconvert.lane_graph import LaneGraph, TurnType
 
@@ -191,7 +191,7 @@ class Routes:
         key = own, lane_id
         if key not in self._beside:
             graph = self.scene.grid.graph
-            route = route_beside(graph, own, lane_id, usable=self.usable)
+            route = self.scene.route_beside(own, lane_id)
             ahead = route[route.index(lane_id) :]
             self._beside[key] = sum(graph.lanes[n].length_m for n in ahead)
         return self._beside[key]

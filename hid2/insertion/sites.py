@@ -15,7 +15,7 @@ from hid2.insertion.routes import RouteOffer
 from hid2.insertion.spread import Spread, by_weight
 from hid2.insertion.starts import Starts
 from hid2.insertion.surroundings import Surroundings
-from hid2.policy.turns import TURN_OF_POLICY
+from hid2.policy.behaviours import TURN_OF_POLICY
 from hid2.reasons import Reason
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.cells import Cell

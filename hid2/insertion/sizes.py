@@ -8,7 +8,7 @@ from hid2.agents import BoxSize
 from hid2.params import Request
 
 _Table = tuple[tuple[float, float, float], ...]
-#: (share, length m, width m) of cars, box trucks and buses.
+#: (share, length m, width m) of cars, box trucks and buses. No tunables: measured; shares of buses and trucks are.
 _CAR = ((0.0, 3.8, 1.72), (0.1, 4.0, 1.76), (0.5, 4.2, 1.87), (0.9, 5.2, 2.05), (1.0, 5.6, 2.12))
 _TRUCK = ((0.0, 7.0, 2.3), (0.5, 9.6, 2.6), (1.0, 10.5, 2.7))
 _BUS = ((0.0, 10.5, 2.7), (0.5, 11.6, 2.9), (1.0, 12.3, 2.95))

@@ -18,17 +18,15 @@ from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Sites
+from hid2.policy.behaviours import TURN_OF_POLICY
 from hid2.policy.decision import Side
 from hid2.policy.lane_change import lane_change_reason, safe_gap_m
 from hid2.policy.observation import lane_options, lay_across
 from hid2.policy.roads import Roads
-from hid2.policy.turns import TURN_OF_POLICY
 from hid2.reasons import Reason
 from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
-#: A vehicle begins with its rear bumper so far from the beginning of its way at least, m.
-_FROM_EDGE_M = 0.5
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.LEAVES_TOO_EARLY})
 _BESIDE_MOST_M = 80.0  # no tunable, spares time: two starts farther apart have nothing to do with each other
@@ -73,9 +71,10 @@ class Starts:
         object_type, size = draw_size(config.request, rng)
         box = clearance_box(size, DEFAULT_SIZES[object_type])
         half_m, run_on = box.length_m / 2, "topology" in config.without
+        first_m = half_m + config.sites.from_edge_m
         if s is None:  # it has come over the edge since the step before
-            s = half_m + _FROM_EDGE_M + float(rng.random()) * self.meetings.usual_speed(lane_id) * scene.step_s
-        if s < half_m + _FROM_EDGE_M or (s + half_m > offer.length_m - 1.0 and not run_on):
+            s = first_m + float(rng.random()) * self.meetings.usual_speed(lane_id) * scene.step_s
+        if s < first_m or (s + half_m > offer.length_m - 1.0 and not run_on):
             return Reason.NO_SITE
         if step == 0 and self._meets_taken_roughly(lane_id, s - offer.start_m, box):
             return Reason.NO_SITE

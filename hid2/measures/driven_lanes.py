@@ -10,6 +10,7 @@ from hid2.measures.arrays import SceneArrays
 from hid2.measures.lane_matching import FlatLanes, Matches
 from netconvert.geometry import Polyline
 
+# No tunables: what a manoeuvre is, to method and evaluation, whatever the configuration.
 #: Lane paths are laid out this far beyond the lane of a change.
 _PATH_AHEAD_M = 150.0
 #: Times off every lane shorter than this do not end a run on a lane.

@@ -14,7 +14,7 @@ from hid2.measures.encounters import CROSSING_RAD
 CAP_S = 10.0
 #: Drivers brake before this TTC, s: 90 % of the followers of lane changes (see method.md).
 HUMAN_BRAKES_S = 4.7
-#: Slower than this a target has no closing speed, m/s.
+#: Slower than this a target has no closing speed, m/s. No tunable, against rounding.
 _CLOSES_MPS = 0.05
 
 

@@ -21,8 +21,8 @@ AGREE_RAD = math.radians(60)
 #: Direction of motion: displacement over this long either side, s, where it is at least MIN_CHORD_M.
 HALF_WINDOW_S = 0.5
 MIN_CHORD_M = 1.0
-_CANDIDATES = 10
-#: Lanes shorter than this may be passed between two steps.
+_CANDIDATES = 10  # nearest lanes looked at; no tunable: as in `kernels/lane_matching.py`, the one rule of lanes
+#: Lanes shorter than this may be passed between two steps. No tunable, for the same reason.
 _SHORT_M = 6.0
 
 

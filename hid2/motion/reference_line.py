@@ -11,7 +11,7 @@ from netconvert.geometry import arc_length, resample
 
 #: Spacing of the tables of pose and curvature along a line, m.
 TABLE_STEP_M = 0.5
-_BEYOND_M = 40.0
+_BEYOND_M = 40.0  # no tunable: so far its tables go on straight behind its end, for whoever leaves it
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -14,8 +14,7 @@ from netconvert.lane_graph import TURN_RAD, LaneGraph, TurnType
 
 #: A route that is no shorter than this stops growing.
 ROUTE_LONGEST_M = 260.0
-_LOOK_BACK_M = 50.0  # on a lane beside, for who comes from behind
-_BESIDE_TURN_M = 5.0  # before a turning lane and behind it, that its heading is compared over
+_BESIDE_TURN_M = 5.0  # before a turning lane and behind it its heading is compared; no tunable: what a turn is
 
 Route = tuple[int, ...]
 
@@ -208,7 +207,9 @@ def routes_from(
         stack.extend(((*route, n), length) for n in reversed(choose(onward)))
 
 
-def route_beside(graph: LaneGraph, own: Route, lane_id: int, *, usable: Callable[[int], bool]) -> Route:
+def route_beside(
+    graph: LaneGraph, own: Route, lane_id: int, *, usable: Callable[[int], bool], look_back_m: float
+) -> Route:
     """Route of l', a lane beside: lanes before it, for who comes from behind, then on beside the own ones if it can."""
     beside = {n for lane in own for n in (graph.neighbor(lane, "left"), graph.neighbor(lane, "right")) if n is not None}
 
@@ -218,7 +219,7 @@ def route_beside(graph: LaneGraph, own: Route, lane_id: int, *, usable: Callable
     ahead = routes_from(graph, lane_id, choose=choose, usable=usable, most=1, longest_m=ROUTE_LONGEST_M)
     route: Route = next(ahead, (lane_id,))
     behind_m = 0.0
-    while behind_m < _LOOK_BACK_M:
+    while behind_m < look_back_m:
         before = sorted(p for p in graph.predecessors(route[0]) if usable(p) and p not in route)
         if not before:
             break

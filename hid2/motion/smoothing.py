@@ -14,7 +14,7 @@ from hid2.agents import FloatArray
 from hid2.drivers.driver import LaneOffset
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 
-_TRUNCATED_AT = 3.0  # standard deviations of the filter
+_TRUNCATED_AT = 3.0  # standard deviations of the filter; no tunable: 0.3 % of its weight is beyond
 #: Acceleration at the first and last step over the jerk limit, fifths of a step, and how fast it may grow from there:
 #: derived, not tuned. Who differentiates positions three times, one-sided at the ends, finds there a jerk of a quarter
 #: of the acceleration for each step, plus .8 times the jerk.

@@ -13,9 +13,9 @@ from hid2.kernels.path_intervals import crossings_kept_clear, intervals_on_path
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.occupancy.traffic import Traffic
 
-_NEAR_M = (
-    11.0  # half the diagonals of a large car and of a bus, or of a car that keeps room for a lane change, and that
-)
+#: Half the diagonals of a large car and of a bus, or of a car that keeps room for a lane change, and that. No tunable:
+#: a bound that spares time.
+_NEAR_M = 11.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)

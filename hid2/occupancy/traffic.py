@@ -10,7 +10,7 @@ import numpy.typing as npt
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
 
 BoolArray = npt.NDArray[np.bool_]
-#: Velocity is the difference of positions over this long either side, s.
+#: Velocity is the difference of positions over this long either side, s. No tunable: what a tracker's velocity is.
 _HALF_S = 0.2
 
 

@@ -11,6 +11,7 @@ from hid2.agents import Policy
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.params import Config
 from hid2.policy.overtake import stretch_m
+from hid2.reasons import Reason
 from netconvert.lane_graph import TurnType
 
 
@@ -25,24 +26,56 @@ class Behaviour:
     """As in the figures of the paper."""
     seen_as: tuple[ManeuverKind, ...]
     """What the detectors call it when a vehicle does it, the usual one first; none: whoever does nothing else."""
+    no_map: Reason
+    """Why nobody does it where the map has no place for it."""
+    site_order: int
+    """Requests choose their sites in this order: what needs the most room first."""
+    mark: str = ""
+    """Matplotlib's marker of the place where it was done; none: nothing to mark."""
     turn: TurnType | None = None
     """The map must offer a lane that turns so."""
     beside_m: Callable[[Config], float] | None = None
     """The map must offer a same-direction lane beside, that may be changed to, for so many metres."""
+
+    @property
+    def changes_lanes(self) -> bool:
+        """Whether who does it leaves its lane for one beside."""
+        return self.beside_m is not None
 
 
 #: By policy, the commonest first: of several that a vehicle shows, the last one counts.
 BEHAVIOURS: Mapping[Policy, Behaviour] = {
     behaviour.policy: behaviour
     for behaviour in (
-        Behaviour(Policy.STRAIGHT, "straight", "ST", ()),
-        Behaviour(Policy.RIGHT_TURN, "right turn", "RT", (ManeuverKind.RIGHT_TURN,), turn=TurnType.RIGHT),
-        Behaviour(Policy.LEFT_TURN, "left turn", "LT", (ManeuverKind.LEFT_TURN,), turn=TurnType.LEFT),
+        Behaviour(Policy.STRAIGHT, "straight", "ST", (), Reason.MAP_OFFERS_NO_LANE, 5),
+        Behaviour(
+            Policy.RIGHT_TURN,
+            "right turn",
+            "RT",
+            (ManeuverKind.RIGHT_TURN,),
+            Reason.MAP_OFFERS_NO_RIGHT_TURN,
+            3,
+            mark=">",
+            turn=TurnType.RIGHT,
+        ),
+        Behaviour(
+            Policy.LEFT_TURN,
+            "left turn",
+            "LT",
+            (ManeuverKind.LEFT_TURN,),
+            Reason.MAP_OFFERS_NO_LEFT_TURN,
+            2,
+            mark="<",
+            turn=TurnType.LEFT,
+        ),
         Behaviour(
             Policy.LANE_CHANGE,
             "lane change",
             "LC",
             (ManeuverKind.LANE_CHANGE, ManeuverKind.PASS, ManeuverKind.OBSTACLE_AVOIDANCE),
+            Reason.MAP_OFFERS_NO_LANE_CHANGE,
+            4,
+            mark="D",
             beside_m=lambda config: config.lane_change.min_remaining_m,
         ),
         Behaviour(
@@ -50,10 +83,19 @@ BEHAVIOURS: Mapping[Policy, Behaviour] = {
             "overtake",
             "OT",
             (ManeuverKind.OVERTAKE,),
+            Reason.MAP_OFFERS_NO_OVERTAKE,
+            1,
+            mark="*",
             beside_m=stretch_m,
         ),
     )
 }
+#: The turn that a policy asks for; no entry: none.
+TURN_OF_POLICY: Mapping[Policy, TurnType] = {
+    policy: behaviour.turn for policy, behaviour in BEHAVIOURS.items() if behaviour.turn is not None
+}
+#: The policy of who drives on a lane that turns.
+POLICY_OF_TURN: Mapping[TurnType, Policy] = {turn: policy for policy, turn in TURN_OF_POLICY.items()}
 _SEEN = {kind: behaviour for behaviour in BEHAVIOURS.values() for kind in behaviour.seen_as}
 
 

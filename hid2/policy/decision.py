@@ -6,6 +6,7 @@ from typing import Literal
 from hid2.agents import Policy
 from hid2.drivers.driver import Driver, usual_driver
 from hid2.params import LaneChange, Overtake
+from hid2.policy.behaviours import POLICY_OF_TURN
 from hid2.policy.lane_change import NOBODY, Gap
 from hid2.policy.overtake import Leader, Stage, enter_reason, return_reason
 from hid2.policy.rules import GapView, SumoAnswer, rule_reason
@@ -14,11 +15,6 @@ from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
 Side = Literal["left", "right"]
-_POLICY_ON = {
-    TurnType.STRAIGHT: Policy.STRAIGHT,
-    TurnType.LEFT: Policy.LEFT_TURN,
-    TurnType.RIGHT: Policy.RIGHT_TURN,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +115,7 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
 
 def policy_on(lane_turn: TurnType) -> Policy:
     """What Algorithm 1 comes to on a lane of a type where no manoeuvre is due or possible."""
-    return _POLICY_ON[lane_turn]
+    return POLICY_OF_TURN.get(lane_turn, Policy.STRAIGHT)
 
 
 def _view(seen: Observation, option: LaneOption) -> GapView:

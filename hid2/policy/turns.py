@@ -5,15 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hid2.agents import FloatArray, Policy
+from hid2.agents import FloatArray
 from hid2.kernels.speed_profile import reachable
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.params import Limits, Turn
 from netconvert.lane_graph import TurnType
 
 #: A line that bends, or changes its curvature, by less than this is straight, 1/m and 1/m2.
+#: No tunable: against division by 0.
 _FLAT = 1e-6
-TURN_OF_POLICY = {Policy.LEFT_TURN: TurnType.LEFT, Policy.RIGHT_TURN: TurnType.RIGHT}
 
 
 def turn_shape(alpha: FloatArray, trough: float, trough_at: float) -> FloatArray:

@@ -2,8 +2,11 @@
 
 from typing import get_args
 
+from matplotlib.lines import Line2D
+
+from bridge.batch.manifest import ManifestRow
+from bridge.batch.scan import SceneFacts
 from bridge.pictures import figures
-from bridge.pictures.render import MARKS
 from bridge.recordings.sidecar import ManeuverKind
 from bridge.sumo.playback import POLICIES
 from hid2.policy.behaviours import BEHAVIOURS
@@ -18,4 +21,12 @@ def test_every_behaviour_has_a_colour_of_its_own_in_pictures_and_in_sumo_gui() -
 def test_every_manoeuvre_that_can_be_asked_for_has_a_mark_and_a_kind_in_the_sidecar() -> None:
     asked = {behaviour.seen_as[0].value for behaviour in BEHAVIOURS.values() if behaviour.seen_as}
     assert set(get_args(ManeuverKind)) == asked
-    assert set(MARKS) == asked
+    marked = [behaviour.mark for behaviour in BEHAVIOURS.values() if behaviour.seen_as]
+    assert len(set(marked)) == len(asked)
+    assert all(mark in Line2D.markers and mark != " " for mark in marked)
+
+
+def test_every_behaviour_is_counted_in_scans_and_manifests() -> None:
+    facts = SceneFacts(*(range(len(SceneFacts._fields))))  # type: ignore[arg-type]
+    assert len({facts.room(policy) for policy in BEHAVIOURS}) == len(BEHAVIOURS)
+    assert {policy.value for policy in BEHAVIOURS} <= set(ManifestRow._fields)

@@ -277,6 +277,21 @@ def test_the_same_with_a_recorded_one_aside_in_the_next_lane(
     assert isinstance(found, ExportedVehicle) is not is_too_near
 
 
+@pytest.mark.parametrize(("x", "speed_mps"), [(60.0, 5.0), (157.0, 0.0)], ids=["closing in", "beyond the last step"])
+def test_who_is_aside_passes_whom_it_would_meet_from_the_middle_of_its_lane(
+    x: float, speed_mps: float, scene_of: Callable[..., Scene]
+) -> None:
+    """A recorded one at y = 2.0, in the next lane; the vehicle drives at y = -0.7, or in the middle.
+
+    Boxes are 1.9 m wide, the lateral margin is more than 0.1 m: from y = 0 it counts, from y = -0.7 they are 0.8 m
+    apart. It closes in at 5 m/s; or the vehicle is at 149 m at its last step, 3.5 m behind one that stands, at 10 m/s.
+    """
+    scene = scene_of(recorded(x, 2.0, speed_mps))
+    aside = LaneOffset(np.array([0.0, 1000.0]), np.full(2, -0.7), np.zeros(2))
+    assert isinstance(_alone(scene, np.full(110, 10.0), offset=aside), ExportedVehicle)
+    assert _alone(scene, np.full(110, 10.0)) in {Reason.TTC_LANE_LEADER, Reason.TTC_AT_END}
+
+
 def test_without_collision_checks_nobody_is_looked_at(scene_of: Callable[..., Scene]) -> None:
     scene = scene_of(recorded(100.0, 0.0), config=Config(without=frozenset({"collision"})))
     assert isinstance(_alone(scene, np.full(110, 10.0)), ExportedVehicle)

@@ -13,7 +13,7 @@ def test_every_policy_has_one_record_and_a_share_in_a_request() -> None:
     assert set(BEHAVIOURS) == set(Policy)
     assert all(behaviour.policy is policy for policy, behaviour in BEHAVIOURS.items())
     assert set(Request().behaviours) == set(BEHAVIOURS)
-    for field in ("label", "short"):
+    for field in ("label", "short", "site_order", "no_map"):
         names = Counter(getattr(behaviour, field) for behaviour in BEHAVIOURS.values())
         assert names.most_common(1)[0][1] == 1, field
 
