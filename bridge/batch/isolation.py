@@ -32,7 +32,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import IO, Any, Literal, TypeVar
 
-from bridge.batch.start_up import spare_imports, spare_modules_of_kernels
+from bridge.batch.start_up import spare_imports, spare_modules_of_kernels, spare_the_collector
 from bridge.files import disk_error
 from netconvert.errors import Hid2Error
 
@@ -49,8 +49,6 @@ RECYCLE_AFTER = 1000
 MAX_RSS_MB = 600.0
 #: What a process may allocate at most, MB (RLIMIT_DATA): several times what the largest real scene takes.
 MEMORY_MB = 4000
-#: Objects made between two collections of the young ones, and young ones between two of the older (gc.set_threshold).
-_COLLECT = (5_000, 20, 20)
 
 _MB = 1_000_000
 #: Of what a process wrote last, to tell why it ended.
@@ -312,17 +310,6 @@ def serve() -> None:
         os.lseek(sys.stderr.fileno(), 0, os.SEEK_SET)
         _log_to(connection, debug=debug)
         _answer(connection, function, arguments, timeout_s=timeout_s)
-
-
-def spare_the_collector() -> None:
-    """Keep the garbage collector from looking through what stays for good: modules, types, compiled functions.
-
-    For a process that has imported its work. One scene leaves little behind that only the collector can free, so it
-    also need not come as often.
-    """
-    gc.freeze()
-    gc.set_threshold(*_COLLECT)
-    gc.enable()
 
 
 def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequence[Any], *, timeout_s: float) -> None:

@@ -4,10 +4,12 @@ Exit codes: 0 all done, 1 some scene could not be done, 2 usage or configuration
 messages to stderr.
 """
 
+import gc
 import os
 import re
 import sys
 
+from bridge.batch.start_up import COLLECT
 from bridge.cli import configuration, forecasting, generation, measuring, pictures, scenes
 from bridge.cli.app import app
 from bridge.cli.options import INTERRUPTED, SOME_FAILED, USAGE
@@ -22,6 +24,7 @@ GROUPS = (generation, scenes, measuring, forecasting, pictures, configuration)
 
 def main() -> None:
     """Run the command; an explained error is a line on stderr, never a traceback."""
+    gc.set_threshold(*COLLECT)
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # else every installed distribution is asked for one
     from typer.exceptions import Abort, TyperException
 

@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bridge.batch.isolation import spare_the_collector
+from bridge.batch.start_up import spare_the_collector
 from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare, write
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from bridge.sumo.poses import front_arc_m, sumo_poses
