@@ -60,6 +60,14 @@ def find_folder(root: Path, scenario_id: str) -> Path:
     return found[0]
 
 
+@pytest.fixture
+def tmp_path(tmp_path: Path) -> Path:
+    """One folder deeper than pytest's, or the folder of a test that writes a scene there would be one beside others'."""
+    folder = tmp_path / "work"
+    folder.mkdir()
+    return folder
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder with real Argoverse data. Without it a test that needs it is skipped, which fails where CI is set."""

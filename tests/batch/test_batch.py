@@ -310,7 +310,7 @@ def test_runs_on_one_scene_are_in_the_manifest_part_by_part(
     out, written = tmp_path / "out", []
 
     def note(row: ManifestRow, progress: Progress) -> None:
-        written.append(len(list(out.glob("val/*/hid2_*.json"))))
+        written.append(len(list(out.glob("val/[!.]*/hid2_*.json"))))
 
     rows = run_batch(jobs, out, Options(function=COPIES), on_row=note)
     assert len(rows) == len(written) == written[-1] == 2 * RUNS_OF_A_TASK + 1
