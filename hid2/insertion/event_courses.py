@@ -269,5 +269,6 @@ class Courses:
             brakes_mps2=self.event.brakes_mps2 if self.event.kind == "lead" else 0.0, target_mps=self.target.speed,
             ahead=ahead,
             ttc_s=max(critical.ttc_min_s, critical.follower_ttc_min_s) + self._search.ttc_spare_s,
+            tau_s=max(self._search.taus_s),
             step_s=self.target.step_s, search=self._search,
         )  # fmt: skip

@@ -221,7 +221,7 @@ class EventSearch:
         change_s = plan.change_s * v / (0.5 * (v + max(v, plan.desired_mps)))
         driver = replace(
             draw_driver(scene.config, rng, lane_speed_mps=plan.desired_mps), desired_mps=plan.desired_mps,
-            turn_lateral_mps2=scene.config.drivers.turn_lateral_max_mps2, tau_s=search.tau_s,
+            turn_lateral_mps2=scene.config.drivers.turn_lateral_max_mps2, tau_s=plan.tau_s,
             accel_mps2=search.accel_mps2,
             decel_mps2=max(search.decel_mps2, plan.event.brakes_mps2), min_gap_m=search.min_gap_m,
             lane_change_s=change_s if plan.side is not None else search.change_s,

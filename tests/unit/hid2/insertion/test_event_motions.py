@@ -23,7 +23,7 @@ def along(*others: tuple[float, float], own: bool = False, cap: float = 20.0) ->
 def rules(target_mps: float = 10.0, *, order: int = 1, ahead_m: float = 50.0, changes: bool = False) -> Rules:
     """With a target at a place at step 0 that keeps its speed; both 5 m long."""
     ahead = ahead_m + target_mps * STEP_S * np.arange(STEPS)
-    return Rules(order, 5.0, changes, 0.0, np.full(STEPS, target_mps), ahead, 1.8, STEP_S, EventSearch())
+    return Rules(order, 5.0, changes, 0.0, np.full(STEPS, target_mps), ahead, 1.8, 0.6, STEP_S, EventSearch())
 
 
 def wanted(place: float, speed: float, *, before: float = 0.0, later: float = np.nan, gap: float = 10.0) -> Wanted:
