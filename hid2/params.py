@@ -630,7 +630,7 @@ class EventSearch(_Section):
         min_length=2,
     )
     differences_mps: tuple[float, ...] = _param(
-        (-1.0, 0.0, 1.0, -2.0, 2.0, -3.5, 3.5), "m/s", "speed differences tried; where no criticality is asked for"
+        (-1.0, 0.0, 1.0, -2.0, 2.0, -3.5, 3.5, -5.0), "m/s", "speed differences tried; where no criticality is asked for"
     )
     critical_differences: int = _param(21, "-", "speed differences tried where one is", ge=2, le=1000)
     accelerations_mps2: tuple[float, ...] = _param(
@@ -644,6 +644,7 @@ class EventSearch(_Section):
     across_more_s: float = _param(0.5, "s", "beyond a change of lanes; conflicts are looked for", ge=0, le=10)
     change_s: float = _param(3.4, "s", "duration of the change of lanes of a cut-in", ge=1.5, le=15)
     cross_apart_s: Band = _param((1.4, 5.0), "s", "apart at the conflict point, where no PET is asked for")
+    pet_apart_s: Band = _param((0.2, 1.5), "s", "the same over the ends of a PET asked for, between the centres")
     cross_usual_s: float = _param(2.4, "s", "the best of those", ge=0, le=10)
     cross_speeds: tuple[Annotated[float, Field(gt=0, le=3)], ...] = _param(
         (1.0, 0.8, 0.6, 1.2, 0.45, 0.3, 1.4), "ratio", "speeds tried across, over the lane's usual one", min_length=1
@@ -692,6 +693,12 @@ class EventSearch(_Section):
     min_gap_m: float = _param(1.2, "m", "its gap to a standing leader", ge=0.5, le=10)
     accel_mps2: float = _param(2.2, "m/s2", "its acceleration from standstill", gt=0, le=2.4)
     decel_mps2: float = _param(2.6, "m/s2", "its deceleration, unless the event asks for more", gt=0, le=4.05)
+    gap_most_m: float = _param(30.0, "m", "gaps tried up to here; the usual band's end", ge=0, le=200)
+    edge_share: float = _param(0.2, "share", "of a band asked for that is kept off its ends", ge=0, le=0.5)
+    ttc_edge_s: float = _param(0.1, "s", "and so much at most of a band of TTC", ge=0, le=2)
+    cut_in_braking_mps2: float = _param(
+        9.0, "m/s2", "lane_change.braking_mps2 of a cut-in: the event's band counts alone", gt=0, le=9
+    )
     cut_in_gap_s: float = _param(0.3, "s", "lane_change.time_gap_front_s of a cut-in", ge=0, le=5)
     cut_in_gap_m: float = _param(1.0, "m", "lane_change.min_gap_m of a cut-in", ge=0, le=50)
 

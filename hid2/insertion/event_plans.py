@@ -36,7 +36,8 @@ class Plan:
 
     speeds (T,) m/s as planned; at_step: the moment of the event; trigger_s, side, change_s: of the change of lanes;
     order: -1 where the vehicle is behind the target, or crosses second, else 1; score: how far from the middle of what
-    is asked; desired_mps, tau_s: what its driver drives at most, and its time gap; traits: what it shares with plans that are like it.
+    is asked; desired_mps, tau_s: what its driver drives at most, and its time gap; traits: what it shares with plans
+    that are like it.
     """
 
     event: Event
@@ -154,7 +155,11 @@ class Planner:
             self._still(late > search.after_s, np.ones(late.size, dtype=np.bool_), Reason.MEETS_RECORDED)
         )
         # somebody is met in the end: a driver may see to it
-        score = off[rows] + search.off_tau * (max(search.taus_s) - tau_s) + np.where(np.isinf(until[rows]), 0.0, search.off_met)
+        score = (
+            off[rows]
+            + search.off_tau * (max(search.taus_s) - tau_s)
+            + np.where(np.isinf(until[rows]), 0.0, search.off_met)
+        )
         found = []
         for place in np.argsort(score, kind="stable")[: search.route_plans].tolist():
             row = rows[place]
@@ -225,7 +230,7 @@ class Planner:
             found &= (event.drac_mps2[0] <= drac) & (drac <= event.drac_mps2[1])
         if event.ttc_s is None:
             return np.asarray(found & (least_s > self.scene.config.conflict.ttc_min_s + self._search.ttc_spare_s))
-        wide = min(0.1, 0.2 * (event.ttc_s[1] - event.ttc_s[0]))
+        wide = min(self._search.ttc_edge_s, self._search.edge_share * (event.ttc_s[1] - event.ttc_s[0]))
         return np.asarray(found & (event.ttc_s[0] + wide <= least_s) & (least_s <= event.ttc_s[1] - wide))
 
     def _is_possible(self, plan: Plan) -> bool:
