@@ -638,13 +638,13 @@ class EventSearch(_Section):
     routes: int = _param(4, "routes", "that lead to a lane", ge=1, le=100)
 
     band_shares: tuple[Annotated[float, Field(ge=0, le=1)], ...] = _param(
-        (0.5, 0.3, 0.7, 0.12, 0.88, 0.02),
+        (0.5, 0.3, 0.7, 0.12, 0.88, 0.02, 0.4, 0.6, 0.2),
         "share",
         "of a band of times, gaps, differences: the middle first",
         min_length=2,
     )
     differences_mps: tuple[float, ...] = _param(
-        (-1.0, 0.0, 1.0, -2.0, 2.0, -3.5, 3.5), "m/s", "speed differences tried; where no criticality is asked for"
+        (-1.0, 0.0, 1.0, -2.0, 2.0, -3.5, 3.5, -5.0), "m/s", "speed differences tried; where no criticality is asked for"
     )
     critical_differences: int = _param(21, "-", "speed differences tried where one is", ge=2, le=1000)
     accelerations_mps2: tuple[float, ...] = _param(
@@ -658,6 +658,7 @@ class EventSearch(_Section):
     across_more_s: float = _param(0.5, "s", "beyond a change of lanes; conflicts are looked for", ge=0, le=10)
     change_s: float = _param(3.4, "s", "duration of the change of lanes of a cut-in", ge=1.5, le=15)
     cross_apart_s: Band = _param((1.4, 5.0), "s", "apart at the conflict point, where no PET is asked for")
+    pet_apart_s: Band = _param((0.2, 1.5), "s", "the same over the ends of a PET asked for, between the centres")
     cross_usual_s: float = _param(2.4, "s", "the best of those", ge=0, le=10)
     cross_speeds: tuple[Annotated[float, Field(gt=0, le=3)], ...] = _param(
         (1.0, 0.8, 0.6, 1.2, 0.45, 0.3, 1.4), "ratio", "speeds tried across, over the lane's usual one", min_length=1
@@ -674,16 +675,15 @@ class EventSearch(_Section):
     off_as_target: float = _param(0.02, "score", "for moving as the target does before", ge=0, le=10)
     off_later: float = _param(0.05, "score", "for not keeping to the target afterwards", ge=0, le=10)
     off_apart: float = _param(0.1, "score per s", "from cross_usual_s", ge=0, le=10)
+    off_tau: float = _param(0.5, "score per s", "of the driver's time gap below the longest", ge=0, le=10)
     off_met: float = _param(0.5, "score", "somebody is met in the end: a driver may see to it", ge=0, le=10)
     off_alike: float = _param(0.12, "score", "shares all its traits with a plan that failed before", ge=0, le=10)
     off_chance: float = _param(0.02, "score", "uniform from 0 to here", ge=0, le=10)
 
     after_s: float = _param(2.0, "s", "after an event nobody is met by plan, nor the map left", ge=0, le=10)
     road_spare_mps: float = _param(0.4, "m/s", "a plan may be so much faster than its driver on the road", ge=0, le=5)
-    ttc_spare_s: float = _param(0.3, "s", "that plans keep above the critical TTC", ge=0, le=5)
+    ttc_spare_s: float = _param(0.05, "s", "that plans keep above the critical TTC", ge=0, le=5)
     margin_m: float = _param(0.35, "m", "kept to boxes by plan", ge=0, le=5)
-    headway_m: float = _param(1.5, "m", "kept to who is ahead up to the event", ge=0, le=20)
-    headway_s: float = _param(0.35, "s", "and so much more by the own speed", ge=0, le=5)
     leaves_s: float = _param(1.2, "s", "after the moment of a cut-in the lane left is still touched", ge=0, le=10)
     arrives_s: float = _param(1.3, "s", "before it the lane entered is touched already", ge=0, le=10)
 
@@ -697,14 +697,22 @@ class EventSearch(_Section):
     brakes_s: float = _param(1.5, "s", "braking that is asked for lasts so long", ge=0, le=10)
     leader_speed_pull_per_s: float = _param(0.7, "1/s", "towards the speed of who is ahead, or behind", ge=0, le=5)
     leader_gap_pull_per_s2: float = _param(0.25, "1/s2", "towards the gap to them", ge=0, le=5)
-    leader_gap_m: float = _param(2.5, "m", "that gap", ge=0, le=50)
-    leader_gap_s: float = _param(0.7, "s", "and so much more by the speed of who is behind", ge=0, le=5)
+    leader_gap_m: float = _param(1.0, "m", "that gap", ge=0, le=50)
+    leader_gap_s: float = _param(0.1, "s", "beyond the driver's time gap, by the speed of who is behind", ge=0, le=5)
     leader_brakes_mps2: float = _param(2.4, "m/s2", "hardest braking for who is ahead, by plan", ge=0, le=4)
 
-    tau_s: float = _param(0.6, "s", "time gap of an event's driver, who holds to the plan", ge=0.5, le=4)
+    taus_s: tuple[Annotated[float, Field(ge=0.2, le=4)], ...] = _param(
+        (0.6, 0.25), "s", "time gaps tried of an event's driver, who holds to the plan", min_length=1
+    )
     min_gap_m: float = _param(1.2, "m", "its gap to a standing leader", ge=0.5, le=10)
     accel_mps2: float = _param(2.2, "m/s2", "its acceleration from standstill", gt=0, le=2.4)
     decel_mps2: float = _param(2.6, "m/s2", "its deceleration, unless the event asks for more", gt=0, le=4.05)
+    gap_most_m: float = _param(30.0, "m", "gaps tried up to here; the usual band's end", ge=0, le=200)
+    edge_share: float = _param(0.2, "share", "of a band asked for that is kept off its ends", ge=0, le=0.5)
+    ttc_edge_s: float = _param(0.1, "s", "and so much at most of a band of TTC", ge=0, le=2)
+    cut_in_braking_mps2: float = _param(
+        9.0, "m/s2", "lane_change.braking_mps2 of a cut-in: the event's band counts alone", gt=0, le=9
+    )
     cut_in_gap_s: float = _param(0.3, "s", "lane_change.time_gap_front_s of a cut-in", ge=0, le=5)
     cut_in_gap_m: float = _param(1.0, "m", "lane_change.min_gap_m of a cut-in", ge=0, le=50)
 

@@ -204,7 +204,7 @@ class Courses:
     def _relations(self) -> tuple[FloatArray, FloatArray]:
         """Gaps, m, and speed differences, m/s, within what is asked for."""
         event, search = self.event, self._search
-        least, most = event.gap_band_m[0], min(event.gap_band_m[1], max(30.0, event.gap_band_m[0]))
+        least, most = event.gap_band_m[0], min(event.gap_band_m[1], max(search.gap_most_m, event.gap_band_m[0]))
         gaps = np.array([least + share * (most - least) for share in search.band_shares])
         low, high = event.difference_band_mps
         if event.ttc_s is None and event.drac_mps2 is None:
@@ -253,7 +253,9 @@ class Courses:
     def _is_apart(self, apart_s: float) -> bool:
         """Whether a time between the two centres at the conflict point is what is asked for, about."""
         asked, (least, most) = self.event.pet_s, self._search.cross_apart_s
-        return least <= apart_s <= most if asked is None else asked[0] + 0.2 <= apart_s <= asked[1] + 1.5
+        if asked is not None:
+            least, most = (one + over for one, over in zip(asked, self._search.pet_apart_s, strict=True))
+        return least <= apart_s <= most
 
     def _table(self, rows: Iterable[_Row]) -> tuple[Wanted, FloatArray]:
         """Motions of rows, without those too slow or too fast, and their scores."""
@@ -269,5 +271,6 @@ class Courses:
             brakes_mps2=self.event.brakes_mps2 if self.event.kind == "lead" else 0.0, target_mps=self.target.speed,
             ahead=ahead,
             ttc_s=max(critical.ttc_min_s, critical.follower_ttc_min_s) + self._search.ttc_spare_s,
+            tau_s=max(self._search.taus_s),
             step_s=self.target.step_s, search=self._search,
         )  # fmt: skip

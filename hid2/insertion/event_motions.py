@@ -31,6 +31,11 @@ class Along:
     exit_m: float
     from_m: float
 
+    @property
+    def is_own_there(self) -> BoolArray:
+        """(T,) whether the target is on the path."""
+        return np.asarray(np.isfinite(self.taken.low[self.own]).any(axis=0))
+
     def at(self, s: FloatArray) -> FloatArray:
         """What the road allows at places (N,) m."""
         return np.asarray(self.cap[np.clip((s / TABLE_STEP_M).astype(np.int64), 0, self.cap.size - 1)])
@@ -65,7 +70,7 @@ class Rules:
 
     changes: whether the vehicle changes lanes at the moment, from `before` to `after`; brakes_mps2: after the moment;
     target_mps (T,), ahead (T,) m: of the target, ahead None where it is not followed; ttc_s: least TTC to all
-    others; search: gaps and accelerations.
+    others; tau_s: time gap of the driver; search: gaps and accelerations.
     """
 
     order: int
@@ -75,6 +80,7 @@ class Rules:
     target_mps: FloatArray
     ahead: FloatArray | None
     ttc_s: float
+    tau_s: float
     step_s: float
     search: EventSearch
 
@@ -117,12 +123,12 @@ def motions(wanted: Wanted, rules: Rules, before: Along, after: Along) -> tuple[
                 accel = np.where(braking, -rules.brakes_mps2, accel)
         room, follows = _behind_of(after, s + after.from_m, step - 1)
         kept_ahead = search.leader_speed_pull_per_s * (follows - v) - search.leader_gap_pull_per_s2 * (
-            room - search.leader_gap_m - search.leader_gap_s * follows
+            room - search.leader_gap_m - (rules.tau_s + search.leader_gap_s) * follows
         )
         accel = np.maximum(accel, np.minimum(kept_ahead, speeds_up_mps2))
         room, lead = _ahead_of(after, s + after.from_m, step - 1)
         led = search.leader_speed_pull_per_s * (lead - v) + search.leader_gap_pull_per_s2 * (
-            room - search.leader_gap_m - search.leader_gap_s * v
+            room - search.leader_gap_m - (rules.tau_s + search.leader_gap_s) * v
         )
         accel = np.minimum(accel, np.maximum(led, -search.leader_brakes_mps2))
         v = np.where(here, np.clip(v + accel * dt, 0.0, after.at(s + after.from_m)), v)
@@ -150,13 +156,16 @@ def free(wanted: Wanted, rules: Rules, before: Along, after: Along, speeds: Floa
 
 
 def kept_to(
-    wanted: Wanted, rules: Rules, speeds: FloatArray, way: FloatArray, present: BoolArray
+    wanted: Wanted, rules: Rules, speeds: FloatArray, way: FloatArray, there: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(N,) smallest TTC, s, and largest DRAC, m/s2, of vehicle and target from the moment on; -1 s where they touch."""
+    """(N,) smallest TTC, s, and largest DRAC, m/s2, of vehicle and target from the moment on; -1 s where they touch.
+
+    there (T,): whether the target is on the path; elsewhere it closes in on nobody.
+    """
     assert rules.ahead is not None
     steps = np.arange(rules.target_mps.size)
     since = wanted.at - (round(0.5 * rules.search.arrives_s / rules.step_s) if rules.changes else 0)
-    there = present[None, :] & (steps[None, :] >= since[:, None])
+    there = there[None, :] & (steps[None, :] >= since[:, None])
     apart = rules.order * (way - rules.ahead) - rules.lengths
     closing = rules.order * (rules.target_mps - speeds)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -209,6 +218,6 @@ def _is_met(
         ahead, behind = low - s, s - high
         leads = same_direction & ~own & (ahead > 0)
         bad |= leads & (v > speed + 0.05) & (ahead < rules.ttc_s * (v - speed))
-        bad |= leads & up_to_event & (ahead < search.headway_m + search.headway_s * v)
+        bad |= leads & up_to_event & (ahead < search.min_gap_m + rules.tau_s * v)
         bad |= same_direction & ~own & (behind > 0) & (speed > v + 0.05) & (behind < rules.ttc_s * (speed - v))
     return np.asarray(bad.any(axis=0))

@@ -36,7 +36,8 @@ class Plan:
 
     speeds (T,) m/s as planned; at_step: the moment of the event; trigger_s, side, change_s: of the change of lanes;
     order: -1 where the vehicle is behind the target, or crosses second, else 1; score: how far from the middle of what
-    is asked; desired_mps: what its driver drives at most; traits: what it shares with plans that are like it.
+    is asked; desired_mps, tau_s: what its driver drives at most, and its time gap; traits: what it shares with plans
+    that are like it.
     """
 
     event: Event
@@ -50,6 +51,7 @@ class Plan:
     desired_mps: float
     traits: tuple[float, ...]
     change_s: float
+    tau_s: float
     trigger_s: float = 0.0
     side: Side | None = None
 
@@ -89,8 +91,12 @@ class Planner:
         if event.kind == "overtake":
             found = [plan for plan in self._overtakes(event, target, lengths_m) if self._is_possible(plan)]
         else:
-            courses = Courses(self._paths, event, target, lengths_m).all()
-            found = [plan for course in courses for plan in self._free(event, target, course)]
+            found = [
+                plan
+                for course in Courses(self._paths, event, target, lengths_m).all()
+                for tau_s in self._search.taus_s
+                for plan in self._free(event, target, course, tau_s)
+            ]
         return sorted(found, key=lambda plan: plan.score)
 
     @property
@@ -119,15 +125,15 @@ class Planner:
                 yield Plan(
                     event, target, route, start, np.full(self.scene.num_steps, speed),
                     round(event.at_s[0] / self.scene.step_s), -1, 0.05 * number, speed, (faster, gap, trigger),
-                    search.change_s, trigger_s=trigger,
+                    search.change_s, max(search.taus_s), trigger_s=trigger,
                 )  # fmt: skip
 
-    def _free(self, event: Event, target: Target, course: Course) -> list[Plan]:
+    def _free(self, event: Event, target: Target, course: Course, tau_s: float) -> list[Plan]:
         """Plans of a course that the road has room for, that meet nobody, and that are as critical as is asked for."""
         wanted, off = course.wanted, course.off
         if not wanted.at.size:
             return []
-        step_s, rules, search = self.scene.step_s, course.rules, self._search
+        step_s, rules, search = self.scene.step_s, replace(course.rules, tau_s=tau_s), self._search
         most = np.minimum(course.before.at(wanted.place), course.after.at(wanted.place + course.after.from_m))
         wanted = replace(wanted, speed_mps=np.minimum(wanted.speed_mps, most))  # as fast as the road lets it
         low, high = event.difference_band_mps
@@ -138,7 +144,7 @@ class Planner:
         keep = self._still(self._has_room(course, way), keep, Reason.NO_SITE)
         keep = self._still(self._may_change(course, way), keep, Reason.NO_ADJACENT_LANE)
         if rules.ahead is not None:
-            least, drac = kept_to(wanted, rules, speeds, way, target.present)
+            least, drac = kept_to(wanted, rules, speeds, way, course.after.is_own_there[: target.present.size])
             keep = self._still(self._is_critical(event, least, drac), keep, Reason.EVENT_NOT_AS_ASKED)
         if not keep.any():
             return []
@@ -149,7 +155,11 @@ class Planner:
             self._still(late > search.after_s, np.ones(late.size, dtype=np.bool_), Reason.MEETS_RECORDED)
         )
         # somebody is met in the end: a driver may see to it
-        score = off[rows] + np.where(np.isinf(until[rows]), 0.0, search.off_met)
+        score = (
+            off[rows]
+            + search.off_tau * (max(search.taus_s) - tau_s)
+            + np.where(np.isinf(until[rows]), 0.0, search.off_met)
+        )
         found = []
         for place in np.argsort(score, kind="stable")[: search.route_plans].tolist():
             row = rows[place]
@@ -162,7 +172,7 @@ class Planner:
             )  # fmt: skip
             plan = Plan(
                 event, target, course.route, float(way[row, 0]), speeds[row], int(wanted.at[row]), rules.order,
-                float(score[place]), course.desired_mps, traits, change_s,
+                float(score[place]), course.desired_mps, traits, change_s, tau_s,
             )  # fmt: skip
             if course.side is not None:
                 plan = replace(plan, trigger_s=max(0.0, at_s - 0.5 * change_s), side=course.side)
@@ -220,7 +230,7 @@ class Planner:
             found &= (event.drac_mps2[0] <= drac) & (drac <= event.drac_mps2[1])
         if event.ttc_s is None:
             return np.asarray(found & (least_s > self.scene.config.conflict.ttc_min_s + self._search.ttc_spare_s))
-        wide = min(0.1, 0.2 * (event.ttc_s[1] - event.ttc_s[0]))
+        wide = min(self._search.ttc_edge_s, self._search.edge_share * (event.ttc_s[1] - event.ttc_s[0]))
         return np.asarray(found & (event.ttc_s[0] + wide <= least_s) & (least_s <= event.ttc_s[1] - wide))
 
     def _is_possible(self, plan: Plan) -> bool:

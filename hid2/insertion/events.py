@@ -18,7 +18,7 @@ from hid2.agents import DEFAULT_SIZES, Policy
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import draw_driver, lane_offset
 from hid2.insertion.event_plans import Plan, Planner
-from hid2.insertion.event_targets import Target, target_of
+from hid2.insertion.event_targets import target_of
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.insertion.meetings import moving_vehicles, named_rows
 from hid2.insertion.outcome import Outcome, outcome_of, shift_times
@@ -93,7 +93,7 @@ def scene_for(scene: Scene, event: Event) -> Scene:
         search = config.event_search
         change = {  # behind the vehicle the event's band counts alone
             "time_gap_front_s": search.cut_in_gap_s, "min_gap_m": search.cut_in_gap_m, "time_gap_rear_s": 0.0,
-            "braking_mps2": 9.0,
+            "braking_mps2": search.cut_in_braking_mps2,
         }  # fmt: skip
         update["lane_change"] = config.lane_change.model_copy(update=change)
     changed: Config = config.model_copy(update=update)
@@ -156,11 +156,15 @@ class EventSearch:
             return EventOutcome(event, Reason.EVENT_NO_TARGET)
         object_type, size = draw_size(scene.config.request.model_copy(update={"bus_share": 0.0}), rng)
         fixed = traffic_of_exported(self.kept, scene)
-        box = clearance_box(size, DEFAULT_SIZES[object_type])
-        planner = Planner(scene, self.routes, self.roads, size, box, fixed)
+        for planned in (size, DEFAULT_SIZES[object_type]):  # a usual car fits where the one drawn is too long
+            box = clearance_box(planned, DEFAULT_SIZES[object_type])
+            planner = Planner(scene, self.routes, self.roads, planned, box, fixed)
+            found = [planner.plans(event, target) for target in targets]
+            if any(found):
+                break
         lines = StopLines(scene) if event.kind in _MEETS_CROSSING else self.stop_lines
         search, tries = scene.config.event_search, 0
-        for plan in self._plans(planner, event, targets, rng):
+        for plan in self._plans(found, rng):
             best: Plan | None = plan
             for _ in range(search.plan_tries):
                 if best is None or tries >= search.tries:
@@ -189,23 +193,19 @@ class EventSearch:
             return [moving[row] for row in rng.permutation(len(moving)).tolist()]
         return [row for row in named_rows(self.scene, event.target).tolist() if row in set(moving)]
 
-    def _plans(
-        self, planner: Planner, event: Event, targets: Sequence[Target], rng: np.random.Generator
-    ) -> Iterator[Plan]:
+    def _plans(self, found: Sequence[list[Plan]], rng: np.random.Generator) -> Iterator[Plan]:
         """Plans of all targets in turns, those of a target the likeliest first, with a little chance among them.
 
         Those that are like one that was given out before come later.
         """
-        search, lists, scores, traits = self.scene.config.event_search, [], [], []
-        for target in targets:
-            plans = planner.plans(event, target)
-            lists.append(plans)
+        search, scores, traits = self.scene.config.event_search, [], []
+        for plans in found:
             scores.append(np.array([plan.score for plan in plans]) + search.off_chance * rng.random(len(plans)))
             traits.append(np.array([plan.traits for plan in plans]))
         for _ in range(search.plans):
             if not any(score.size and np.isfinite(score.min()) for score in scores):
                 return
-            for plans, score, trait in zip(lists, scores, traits, strict=True):
+            for plans, score, trait in zip(found, scores, traits, strict=True):
                 if score.size and np.isfinite(score.min()):
                     row = int(np.argmin(score))
                     yield plans[row]
@@ -221,7 +221,7 @@ class EventSearch:
         change_s = plan.change_s * v / (0.5 * (v + max(v, plan.desired_mps)))
         driver = replace(
             draw_driver(scene.config, rng, lane_speed_mps=plan.desired_mps), desired_mps=plan.desired_mps,
-            turn_lateral_mps2=scene.config.drivers.turn_lateral_max_mps2, tau_s=search.tau_s,
+            turn_lateral_mps2=scene.config.drivers.turn_lateral_max_mps2, tau_s=plan.tau_s,
             accel_mps2=search.accel_mps2,
             decel_mps2=max(search.decel_mps2, plan.event.brakes_mps2), min_gap_m=search.min_gap_m,
             lane_change_s=change_s if plan.side is not None else search.change_s,
@@ -274,7 +274,8 @@ class EventSearch:
         if not _is_as_asked(scene, event, seen):
             missing = seen.measures
             low, high = event.gap_band_m
-            gap = min(max(missing.gap_m, low + 0.2 * (high - low)), high - 0.2 * (high - low)) - missing.gap_m
+            edge = scene.config.event_search.edge_share * (high - low)
+            gap = min(max(missing.gap_m, low + edge), high - edge) - missing.gap_m
             late_s = (plan.at_step - seen.at_step) * scene.step_s
             self._tell(plan, start, Reason.EVENT_NOT_AS_ASKED, f"at {seen.at_step * scene.step_s:.1f} s {missing}")
             better = plan.moved(forward_m=plan.order * gap, later_s=late_s if event.kind == "cut_in" else 0.0)

@@ -1,5 +1,7 @@
 """Motions for events: where they begin, whom they keep to, and what makes them no plans."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -23,7 +25,7 @@ def along(*others: tuple[float, float], own: bool = False, cap: float = 20.0) ->
 def rules(target_mps: float = 10.0, *, order: int = 1, ahead_m: float = 50.0, changes: bool = False) -> Rules:
     """With a target at a place at step 0 that keeps its speed; both 5 m long."""
     ahead = ahead_m + target_mps * STEP_S * np.arange(STEPS)
-    return Rules(order, 5.0, changes, 0.0, np.full(STEPS, target_mps), ahead, 1.8, STEP_S, EventSearch())
+    return Rules(order, 5.0, changes, 0.0, np.full(STEPS, target_mps), ahead, 1.8, 0.6, STEP_S, EventSearch())
 
 
 def wanted(place: float, speed: float, *, before: float = 0.0, later: float = np.nan, gap: float = 10.0) -> Wanted:
@@ -101,3 +103,24 @@ def test_a_pair_that_would_touch_has_no_time_to_collision() -> None:
     one = wanted(72.0, 10.0)
     speeds, way = motions(one, rules(), along(), along())
     assert kept_to(one, rules(), speeds, way, np.ones(STEPS, dtype=np.bool_))[0][0] == -1.0
+
+
+def test_a_target_that_has_left_the_path_closes_in_on_nobody() -> None:
+    """One that comes up behind at 2 m/s: its TTC counts only up to the step at which it leaves."""
+    one = wanted(95.0, 8.0, later=8.0)
+    speeds, way = motions(one, rules(), along(), along())
+    there = np.arange(STEPS) <= 30
+    assert kept_to(one, rules(), speeds, way, there)[0][0] == pytest.approx((20.0 - 2.0 * STEP_S * 10) / 2.0)
+    assert np.isinf(kept_to(one, rules(), speeds, way, np.zeros(STEPS, dtype=np.bool_))[0][0])
+
+
+def test_a_driver_with_a_short_time_gap_is_nearer_to_who_is_ahead() -> None:
+    """Behind one at 6 m/s, both still after the longer gap."""
+    slow = along((98.0, 6.0))
+    one = wanted(100.0, 10.0, later=10.0)
+    usual, short = rules(), replace(rules(), tau_s=0.25)
+    assert motions(one, short, slow, slow)[1][0, -1] > motions(one, usual, slow, slow)[1][0, -1] + 1.0
+    near = along((106.0, 10.0))
+    speeds, way = motions(wanted(120.0, 10.0, later=10.0), usual, near, near)
+    assert free(wanted(120.0, 10.0), usual, near, near, speeds, way)[0] == 0.0
+    assert np.isinf(free(wanted(120.0, 10.0), short, near, near, speeds, way)[0])
