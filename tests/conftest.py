@@ -62,7 +62,7 @@ def find_folder(root: Path, scenario_id: str) -> Path:
 
 @pytest.fixture
 def tmp_path(tmp_path: Path) -> Path:
-    """One folder deeper than pytest's, or the folder of a test that writes a scene there would be one beside others'."""
+    """One folder deeper than pytest's, in which the folder of a test that writes a scene is one beside others'."""
     folder = tmp_path / "work"
     folder.mkdir()
     return folder
