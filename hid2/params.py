@@ -644,9 +644,7 @@ class EventSearch(_Section):
         min_length=2,
     )
     differences_mps: tuple[float, ...] = _param(
-        (-1.0, 0.0, 1.0, -2.0, 2.0, -3.5, 3.5, -5.0),
-        "m/s",
-        "speed differences tried; where no criticality is asked for",
+        (-1.0, 0.0, 1.0, -2.0, 2.0, -3.5, 3.5, -5.0), "m/s", "speed differences tried where no criticality is"
     )
     critical_differences: int = _param(21, "-", "speed differences tried where one is", ge=2, le=1000)
     accelerations_mps2: tuple[float, ...] = _param(

@@ -91,12 +91,11 @@ class Planner:
         if event.kind == "overtake":
             found = [plan for plan in self._overtakes(event, target, lengths_m) if self._is_possible(plan)]
         else:
-            found = [
-                plan
-                for course in Courses(self._paths, event, target, lengths_m).all()
-                for tau_s in self._search.taus_s
-                for plan in self._free(event, target, course, tau_s)
-            ]
+            found = []
+            courses = list(Courses(self._paths, event, target, lengths_m).all())
+            for tau_s in self._search.taus_s:
+                if len(found) < self._search.plans:  # no more of a target are looked at
+                    found += [plan for course in courses for plan in self._free(event, target, course, tau_s)]
         return sorted(found, key=lambda plan: plan.score)
 
     @property
