@@ -574,14 +574,15 @@ Band = tuple[float, float]
 class Event(_Section):
     """One kind of event that is asked for in a scene: `[[event]]` in TOML, `--event` on the command line.
 
-    Bands are (least, largest). gap_m: bumper to bumper at the moment of the event (cross: from the target's bumper to
-    the conflict point), None: `gap_band_m`; speed_difference_mps: vehicle minus target, None: `difference_band_mps`;
-    ttc_s, pet_s, drac_mps2: criticality, None: what the critical values of `conflict` allow.
+    Bands are (least, largest). at_s: the moment, None: `at_band_s`; gap_m: bumper to bumper at the moment of the event
+    (cross: from the target's bumper to the conflict point), None: `gap_band_m`; speed_difference_mps: vehicle minus
+    target, None: `difference_band_mps`; ttc_s, pet_s, drac_mps2: criticality, None: what the critical values of
+    `conflict` allow.
     """
 
     kind: Literal["cut_in", "overtake", "lead", "follow", "merge", "cross"]
     target: str = Field(default="av", min_length=1, max_length=100)
-    at_s: Band = (2.0, 7.0)
+    at_s: Band | None = None
     gap_m: Band | None = None
     speed_difference_mps: Band | None = None
     brakes_mps2: float = Field(default=0.0, ge=0, le=4.05)
@@ -589,6 +590,11 @@ class Event(_Section):
     pet_s: Band | None = None
     drac_mps2: Band | None = None
     count: int = Field(default=1, ge=1, le=20)
+
+    @property
+    def at_band_s(self) -> Band:
+        """Time asked for; where none is, what is usual for the kind: out, past and back take 5 s and more."""
+        return self.at_s or ((4.0, 10.0) if self.kind == "overtake" else (2.0, 7.0))
 
     @property
     def gap_band_m(self) -> Band:
@@ -657,15 +663,16 @@ class EventSearch(_Section):
     held_more_mps: float = _param(5.0, "m/s", "beyond a held speed, wished: no usual gap slows it", ge=0, le=20)
     across_more_s: float = _param(0.5, "s", "beyond a change of lanes; conflicts are looked for", ge=0, le=10)
     change_s: float = _param(3.4, "s", "duration of the change of lanes of a cut-in", ge=1.5, le=15)
+    overtake_changes_s: tuple[Annotated[float, Field(ge=1.5, le=15)], ...] = _param(
+        (6.8, 3.4), "s", "durations of a usual change of lanes tried for who overtakes; `overtake.shift_ratio` counts",
+        min_length=1,
+    )  # fmt: skip
     cross_apart_s: Band = _param((1.4, 5.0), "s", "apart at the conflict point, where no PET is asked for")
     pet_apart_s: Band = _param((0.2, 1.5), "s", "the same over the ends of a PET asked for, between the centres")
     cross_usual_s: float = _param(2.4, "s", "the best of those", ge=0, le=10)
     cross_speeds: tuple[Annotated[float, Field(gt=0, le=3)], ...] = _param(
         (1.0, 0.8, 0.6, 1.2, 0.45, 0.3, 1.4), "ratio", "speeds tried across, over the lane's usual one", min_length=1
     )
-    overtake_faster_mps: tuple[float, ...] = _param((5.0, 7.0, 4.0, 9.0), "m/s", "than the target; for an overtake")
-    overtake_gaps_m: tuple[float, ...] = _param((8.0, 14.0, 22.0), "m", "behind the target at the start")
-    overtake_triggers_s: tuple[float, ...] = _param((0.3, 1.5, 3.0), "s", "t_trigger")
 
     off_moment: float = _param(0.2, "score", "at the ends of the time asked for", ge=0, le=10)
     off_gap: float = _param(0.3, "score", "by the distance from the middle of the gaps, over their range", ge=0, le=10)

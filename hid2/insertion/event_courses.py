@@ -133,7 +133,10 @@ class Courses:
         event, target, search = self.event, self.target, self._search
         along = self.paths.along(route, target, self._fastest_mps)
         steps = np.flatnonzero(target.present)
-        near = np.abs(steps * target.step_s - 0.5 * sum(event.at_s)) <= 0.5 * np.ptp(event.at_s) + search.moment_s
+        near = (
+            np.abs(steps * target.step_s - 0.5 * sum(event.at_band_s))
+            <= 0.5 * np.ptp(event.at_band_s) + search.moment_s
+        )
         gaps = np.abs(place - ahead[steps]) - self.lengths_m
         steps = steps[near & (gaps >= event.gap_band_m[0]) & (gaps <= event.gap_band_m[1]) & (steps > 0)]
         _, differences = self._relations()
@@ -170,7 +173,7 @@ class Courses:
         accelerations = [a for a in self._accelerations() if not math.isnan(a)]
         for at in range(1, target.present.size):
             apart_s, at_s = order * (crossed - at) * target.step_s, at * target.step_s
-            asked = event.at_s[0] - search.moment_s <= at_s <= event.at_s[1] + search.moment_s
+            asked = event.at_band_s[0] - search.moment_s <= at_s <= event.at_band_s[1] + search.moment_s
             if not asked or not target.present[at] or not self._is_apart(apart_s):
                 continue
             gap = abs(float(target.way[crossed] - target.way[at])) - 0.5 * target.track.size.length_m
@@ -184,7 +187,7 @@ class Courses:
     def _moments(self) -> list[tuple[int, float]]:
         """Steps of the time asked for at which the target is there, with their distance from its middle, 0 to 1."""
         target, search = self.target, self._search
-        spare, (low, high) = 0.6 * search.moment_s, self.event.at_s
+        spare, (low, high) = 0.6 * search.moment_s, self.event.at_band_s
         times = [low + share * (high - low) for share in search.band_shares[:-1]] if high - low > 2 * spare else [
             0.5 * (low + high) + share * spare for share in (0.0, -1.0, 1.0)
         ]  # fmt: skip

@@ -2,8 +2,8 @@
 
 A plan is worked out from the recorded future: of the target, and of everybody else who would be met. Which motions are
 wanted is in `insertion/event_courses.py`, how they go on in `insertion/event_motions.py`. What comes of a plan when
-SUMO drives is another matter (`insertion/events.py`). An overtake begins behind the target, faster; the manoeuvre
-itself is Algorithm 1's.
+SUMO drives is another matter (`insertion/events.py`). An overtake is foreseen as any other one is
+(`insertion/overtakes.py`), of the target alone: its driver holds to no speed, and the manoeuvre is Algorithm 1's.
 """
 
 from collections import Counter
@@ -14,20 +14,22 @@ from itertools import product
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, IntArray
+from hid2.conflicts.guard import Guard
+from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.event_courses import Course, Courses
 from hid2.insertion.event_motions import Wanted, free, kept_to, motions
 from hid2.insertion.event_paths import EventPaths
 from hid2.insertion.event_targets import Target
+from hid2.insertion.overtakes import Overtakes
 from hid2.insertion.routes import Routes
 from hid2.motion.route import Route
-from hid2.occupancy.traffic import BoolArray, Traffic
-from hid2.params import Event, EventSearch
+from hid2.occupancy.traffic import BoolArray
+from hid2.params import Config, Event, EventSearch
 from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene
-from netconvert.lane_graph import SIDES
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -37,7 +39,7 @@ class Plan:
     speeds (T,) m/s as planned; at_step: the moment of the event; trigger_s, side, change_s: of the change of lanes;
     order: -1 where the vehicle is behind the target, or crosses second, else 1; score: how far from the middle of what
     is asked; desired_mps, tau_s: what its driver drives at most, and its time gap; traits: what it shares with plans
-    that are like it.
+    that are like it; driver: who drives freely, not by the speeds planned.
     """
 
     event: Event
@@ -54,6 +56,7 @@ class Plan:
     tau_s: float
     trigger_s: float = 0.0
     side: Side | None = None
+    driver: Driver | None = None
 
     @property
     def way(self) -> FloatArray:
@@ -65,9 +68,21 @@ class Plan:
         return replace(self, start_s=self.start_s + forward_m, trigger_s=max(0.0, self.trigger_s + later_s))
 
 
+def hurried_driver(
+    config: Config, rng: np.random.Generator, *, desired_mps: float, tau_s: float, lane_change_s: float
+) -> Driver:
+    """Who brings an event about: a driver drawn as any other, but as brisk as `event_search` has it."""
+    search = config.event_search
+    return replace(
+        draw_driver(config, rng, lane_speed_mps=desired_mps), desired_mps=desired_mps, tau_s=tau_s,
+        turn_lateral_mps2=config.drivers.turn_lateral_max_mps2, accel_mps2=search.accel_mps2,
+        decel_mps2=search.decel_mps2, min_gap_m=search.min_gap_m, lane_change_s=lane_change_s,
+    )  # fmt: skip
+
+
 @dataclass(slots=True)
 class Planner:
-    """Plans of one scene for a vehicle of a size; box: what is kept clear for it; fixed: vehicles that are kept.
+    """Plans of one scene for a vehicle of a size; box: what is kept clear for it; guard: with the vehicles kept.
 
     turned_down: motions that were no plans, by reason.
     """
@@ -77,19 +92,21 @@ class Planner:
     roads: Roads
     size: BoxSize
     box: BoxSize
-    fixed: Traffic
+    guard: Guard
     turned_down: Counter[Reason] = field(default_factory=Counter)
     _paths: EventPaths = field(init=False)
+    _foresight: Overtakes = field(init=False)
 
     def __post_init__(self) -> None:
         """Nothing is known of any path yet."""
-        self._paths = EventPaths(self.scene, self.routes, self.roads, self.box, self.fixed)
+        self._paths = EventPaths(self.scene, self.routes, self.roads, self.box, self.guard.fixed)
+        self._foresight = Overtakes(self.scene, self.routes, self.roads, self.guard)
 
     def plans(self, event: Event, target: Target) -> list[Plan]:
         """Plans for an event with a target, the likeliest ones first."""
         lengths_m = 0.5 * (self.size.length_m + target.track.size.length_m)
         if event.kind == "overtake":
-            found = [plan for plan in self._overtakes(event, target, lengths_m) if self._is_possible(plan)]
+            found = list(self._overtakes(event, target))
         else:
             found = []
             courses = list(Courses(self._paths, event, target, lengths_m).all())
@@ -102,30 +119,50 @@ class Planner:
     def _search(self) -> EventSearch:
         return self.scene.config.event_search
 
-    def _overtakes(self, event: Event, target: Target, lengths_m: float) -> Iterator[Plan]:
-        """From behind the target and faster, where it is slow enough to be overtaken within the scene."""
-        first = int(np.flatnonzero(target.present)[0])
-        lane = target.lane_at(first)
-        mean = float(target.speed[target.present].mean())
-        if lane is None or first > 0 or mean < self.scene.config.overtake.parked_mps:
-            return
-        lanes = [one for one, _, _ in target.runs]
-        if not any(admissible_neighbor(self.scene, one, side) is not None for one in lanes for side in SIDES):
-            return
-        search = self._search
-        tried = list(product(search.overtake_faster_mps, search.overtake_gaps_m, search.overtake_triggers_s))
-        for route in self._paths.over(lane, target.lanes_from(first)):
-            ahead = target.along(self.scene.path(route), first)
-            if ahead is None:
+    def _overtakes(self, event: Event, target: Target) -> Iterator[Plan]:
+        """Foreseen ones, back in the lane ahead of the target at the time asked for; drivers no faster than needed."""
+        scene, search = self.scene, self._search
+        rng = np.random.default_rng(target.row)  # of an event: whoever asks for it looks at the same motions
+        foresight, (earliest_s, latest_s) = self._foresight, event.at_band_s
+        pace = float(target.speed[target.present].mean())
+        least, most = event.difference_band_mps
+        least = max(least, scene.config.overtake.speed_advantage_mps)
+        drivers = [
+            hurried_driver(
+                scene.config,
+                rng,
+                tau_s=max(search.taus_s),
+                lane_change_s=change_s,
+                desired_mps=min(pace + least + share * (most - least), scene.config.spawn.max_speed_mps),
+            )
+            for change_s, share in product(search.overtake_changes_s, search.band_shares)
+            if least <= most
+        ]
+        triggers = np.arange(0.0, latest_s, scene.config.foresight.waits_s).tolist()
+        target_lanes = set(target.lanes_from(0))
+        for offer, lane_id, side in self.routes.ways_past():
+            if target_lanes.isdisjoint(offer.route):
                 continue
-            for number, (faster, gap, trigger) in enumerate(tried):
-                speed = min(mean + faster, self.scene.config.spawn.max_speed_mps)
-                start = float(ahead[0]) - gap - lengths_m
-                yield Plan(
-                    event, target, route, start, np.full(self.scene.num_steps, speed),
-                    round(event.at_s[0] / self.scene.step_s), -1, 0.05 * number, speed, (faster, gap, trigger),
-                    search.change_s, max(search.taus_s), trigger_s=trigger,
-                )  # fmt: skip
+            way = foresight.way(offer, lane_id, side, reach_m=scene.config.spawn.max_speed_mps * latest_s)
+            if way is None:
+                continue
+            for driver, trigger_s in product(drivers, triggers):
+                back_s = 0.5 * foresight.lasting_s(driver)
+                found = foresight.foresee(way, driver, rng, trigger_s=trigger_s, lead=False, leader=target.row)
+                self.turned_down[Reason.NO_OVERTAKE_FORESEEN] += not found
+                for one in found[:: max(1, len(found) // search.plan_tries)]:
+                    at_s = one.done_s - back_s
+                    late_s = max(earliest_s - at_s, at_s - latest_s, 0.0)
+                    if late_s > search.moment_s:
+                        continue
+                    speeds = np.full(scene.num_steps, driver.desired_mps)
+                    speeds[0] = one.start_mps
+                    yield Plan(
+                        event, target, offer.route, one.start_s, speeds, round(at_s / scene.step_s), -1,
+                        search.off_moment * late_s + search.off_difference * (driver.desired_mps - pace),
+                        driver.desired_mps, (float(sum(offer.route) % 9973), trigger_s, driver.desired_mps),
+                        driver.lane_change_s, driver.tau_s, trigger_s=trigger_s, side=side, driver=driver,
+                    )  # fmt: skip
 
     def _free(self, event: Event, target: Target, course: Course, tau_s: float) -> list[Plan]:
         """Plans of a course that the road has room for, that meet nobody, and that are as critical as is asked for."""
@@ -231,13 +268,3 @@ class Planner:
             return np.asarray(found & (least_s > self.scene.config.conflict.ttc_min_s + self._search.ttc_spare_s))
         wide = min(self._search.ttc_edge_s, self._search.edge_share * (event.ttc_s[1] - event.ttc_s[0]))
         return np.asarray(found & (event.ttc_s[0] + wide <= least_s) & (least_s <= event.ttc_s[1] - wide))
-
-    def _is_possible(self, plan: Plan) -> bool:
-        """Whether the route is long enough for the plan of an overtake."""
-        scene, path = self.scene, self.scene.path(plan.route)
-        way = plan.way
-        if plan.start_s < 0.5 * self.box.length_m + 0.5:
-            return False
-        inside = way < path.exit_s - 0.5 * self.box.length_m - 1.0
-        needed = max(scene.first_exit_step, min(plan.at_step + scene.steps_in(self._search.after_s), scene.num_steps))
-        return bool(inside[:needed].all())

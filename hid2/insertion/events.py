@@ -14,10 +14,11 @@ from typing import get_args
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, Policy
+from hid2.agents import DEFAULT_SIZES, FloatArray, Policy
+from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
-from hid2.drivers.driver import draw_driver, lane_offset
-from hid2.insertion.event_plans import Plan, Planner
+from hid2.drivers.driver import Driver, desired_speeds, lane_offset
+from hid2.insertion.event_plans import Plan, Planner, hurried_driver
 from hid2.insertion.event_targets import target_of
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.insertion.meetings import moving_vehicles, named_rows
@@ -103,12 +104,12 @@ def scene_for(scene: Scene, event: Event) -> Scene:
 def offered_events(scene: Scene, targets: Sequence[str]) -> tuple[str, ...]:
     """Which events the map, the targets' ways and recorded traffic have room for by plan, as `kind:target`.
 
-    From second 1 on to 4 s before the end, a vehicle of usual size.
+    From second 1 on to 4 s before the end, an overtake to the end; a vehicle of usual size.
     """
-    routes, roads = Routes(scene), Roads(scene)
     size = DEFAULT_SIZES["vehicle"]
-    planner = Planner(scene, routes, roads, size, clearance_box(size, size), traffic_of_exported([], scene))
-    at_s = 1.0, max(1.0, scene.last_s - 4.0)
+    guard = Guard(scene, traffic_of_exported([], scene), StopLines(scene))
+    planner = Planner(scene, Routes(scene), Roads(scene), size, clearance_box(size, size), guard)
+    until_s = {"overtake": scene.last_s}
     found = []
     for name in targets:
         rows = named_rows(scene, name).tolist()
@@ -118,7 +119,9 @@ def offered_events(scene: Scene, targets: Sequence[str]) -> tuple[str, ...]:
         found += [
             f"{kind}:{name}"
             for kind in get_args(Event.model_fields["kind"].annotation)
-            if planner.plans(Event(kind=kind, target=name, at_s=at_s), target)
+            if planner.plans(
+                Event(kind=kind, target=name, at_s=(1.0, max(1.0, until_s.get(kind, scene.last_s - 4.0)))), target
+            )
         ]
     return tuple(found)
 
@@ -156,13 +159,14 @@ class EventSearch:
             return EventOutcome(event, Reason.EVENT_NO_TARGET)
         object_type, size = draw_size(scene.config.request.model_copy(update={"bus_share": 0.0}), rng)
         fixed = traffic_of_exported(self.kept, scene)
+        lines = StopLines(scene) if event.kind in _MEETS_CROSSING else self.stop_lines
+        guard = Guard(scene, fixed, lines)
         for planned in (size, DEFAULT_SIZES[object_type]):  # a usual car fits where the one drawn is too long
             box = clearance_box(planned, DEFAULT_SIZES[object_type])
-            planner = Planner(scene, self.routes, self.roads, planned, box, fixed)
+            planner = Planner(scene, self.routes, self.roads, planned, box, guard)
             found = [planner.plans(event, target) for target in targets]
             if any(found):
                 break
-        lines = StopLines(scene) if event.kind in _MEETS_CROSSING else self.stop_lines
         search, tries = scene.config.event_search, 0
         for plan in self._plans(found, rng):
             best: Plan | None = plan
@@ -213,33 +217,45 @@ class EventSearch:
                     score[row] = np.inf
 
     def _start(self, planner: Planner, plan: Plan, number: int, tries: int, rng: np.random.Generator) -> Start:
-        """A driver who holds to a plan, at its site."""
-        scene, search = self.scene, self.scene.config.event_search
+        """A driver who holds to a plan, or the free one of a plan, at its site."""
+        scene = self.scene
+        request = VehicleRequest(FIRST_NUMBER + number, _POLICY.get(plan.event.kind, Policy.STRAIGHT), plan.trigger_s)
         path = scene.path(plan.route)
+        if plan.driver is None:
+            driver, desired = self._held(plan, rng)
+        else:
+            driver = plan.driver
+            desired = desired_speeds(
+                driver, scene.config, rng, num_steps=scene.num_steps, step_s=scene.step_s,
+                at_least_mps=float(plan.speeds[0]),
+            )  # fmt: skip
+        return Start(
+            vehicle_id=f"e{number}_{tries}", request=request, object_type="vehicle", size=planner.size,
+            box=planner.box, route=plan.route, path=path, start_s=plan.start_s, start_mps=float(plan.speeds[0]),
+            driver=driver, desired=desired,
+            offset=lane_offset(driver, scene.config, rng, length_m=path.line.length_m),
+            sides=("left", "right") if plan.side is None else (plan.side,), is_held=plan.driver is None,
+        )  # fmt: skip
+
+    def _held(self, plan: Plan, rng: np.random.Generator) -> tuple[Driver, FloatArray]:
+        """A driver who holds to a plan, and (T,) m/s that it wishes to drive."""
+        scene, search = self.scene, self.scene.config.event_search
         # a path across is laid out at a pace between its speed and the one that it likes
         v = max(float(plan.speeds[scene.steps_in(plan.trigger_s)]), scene.config.lane_change.min_speed_mps)
         change_s = plan.change_s * v / (0.5 * (v + max(v, plan.desired_mps)))
-        driver = replace(
-            draw_driver(scene.config, rng, lane_speed_mps=plan.desired_mps), desired_mps=plan.desired_mps,
-            turn_lateral_mps2=scene.config.drivers.turn_lateral_max_mps2, tau_s=plan.tau_s,
-            accel_mps2=search.accel_mps2,
-            decel_mps2=max(search.decel_mps2, plan.event.brakes_mps2), min_gap_m=search.min_gap_m,
+        driver = hurried_driver(
+            scene.config, rng, desired_mps=plan.desired_mps, tau_s=plan.tau_s,
             lane_change_s=change_s if plan.side is not None else search.change_s,
         )  # fmt: skip
+        driver = replace(driver, decel_mps2=max(driver.decel_mps2, plan.event.brakes_mps2))
         desired = np.append(plan.speeds[1:], plan.speeds[-1:])  # the wish at a step is for the next one
-        policy = _POLICY.get(plan.event.kind, Policy.STRAIGHT)
-        return Start(
-            vehicle_id=f"e{number}_{tries}",
-            request=VehicleRequest(FIRST_NUMBER + number, policy, plan.trigger_s), object_type="vehicle",
-            size=planner.size, box=planner.box, route=plan.route, path=path, start_s=plan.start_s,
-            start_mps=float(plan.speeds[0]), driver=driver, desired=np.maximum(desired, 0.2),
-            offset=lane_offset(driver, scene.config, rng, length_m=path.line.length_m),
-            sides=("left", "right") if plan.side is None else (plan.side,), is_held=True,
-        )  # fmt: skip
+        return driver, np.maximum(desired, 0.2)
 
     def _objection(self, planner: Planner, lines: StopLines, plan: Plan, start: Start) -> Reason | None:
         """What road and stop lines have against a plan before SUMO is asked; None for nothing."""
         scene, path, search = planner.scene, start.path, planner.scene.config.event_search
+        if plan.driver is not None:  # foreseen with the road and the lines
+            return None
         until = min(plan.at_step + scene.steps_in(search.after_s), scene.num_steps)
         if plan.side is not None:  # then it is on another path
             until = scene.steps_in(plan.trigger_s) + 1
@@ -341,7 +357,7 @@ def _is_as_asked(scene: Scene, event: Event, seen: _Seen) -> bool:
     """Whether an event has the time, gap, speed difference and criticality asked for."""
     found, spare = seen.measures, scene.config.event_search.moment_s
     within = [
-        (seen.at_step * scene.step_s, (event.at_s[0] - spare, event.at_s[1] + spare)),
+        (seen.at_step * scene.step_s, (event.at_band_s[0] - spare, event.at_band_s[1] + spare)),
         (found.gap_m, event.gap_band_m),
         (found.speed_difference_mps, event.difference_band_mps),
     ]

@@ -128,15 +128,23 @@ class Overtakes:
         return Way(offer, lane_id, side, path, beside, begin, end, apart_m, beside.all_to_line(along))
 
     def foresee(
-        self, way: Way, driver: Driver, rng: np.random.Generator, *, trigger_s: float, lead: bool
+        self,
+        way: Way,
+        driver: Driver,
+        rng: np.random.Generator,
+        *,
+        trigger_s: float,
+        lead: bool,
+        leader: int | None = None,
     ) -> list[ForeseenOvertake]:
         """Overtakes by a driver that begin at the trigger or soon after, the soonest done first.
 
-        lead: whether a leader may be added, or only recorded ones are there to be overtaken.
+        lead: whether a leader may be added, or only recorded ones are there to be overtaken; leader: row in the scene's
+        traffic of the only one that may be, None: anybody.
         """
         found = []
         for tried, added in (
-            (self._behind_recorded(way, driver, rng, trigger_s), False),
+            (self._behind_recorded(way, driver, rng, trigger_s, leader), False),
             (self._behind_added(way, driver, rng, trigger_s) if lead else None, True),
         ):
             if tried is None or not tried.start_s.size:
@@ -152,6 +160,11 @@ class Overtakes:
             if found:  # nobody is added where somebody recorded can be overtaken
                 break
         return found
+
+    def lasting_s(self, driver: Driver) -> float:
+        """Duration of the lateral motion out, and of that back, s."""
+        config = self.scene.config
+        return max(config.lane_change.min_duration_s, config.overtake.shift_ratio * driver.lane_change_s)
 
     def _lane_end(self, way: Way) -> float:
         return way.path.to_line(way.offer.start_m + self.scene.grid.graph.lanes[way.lane_id].length_m)
@@ -200,11 +213,18 @@ class Overtakes:
         leader = ahead[free, None] + leader_mps[free, None] * self._times()
         return _Tried(places[free], (leader_mps + closing)[free], leader, leader_mps[free])
 
-    def _behind_recorded(self, way: Way, driver: Driver, rng: np.random.Generator, trigger_s: float) -> _Tried | None:
-        """Drawn places and start speeds behind recorded vehicles that are slower at the trigger; None without any."""
+    def _behind_recorded(
+        self, way: Way, driver: Driver, rng: np.random.Generator, trigger_s: float, leader: int | None
+    ) -> _Tried | None:
+        """Drawn places and start speeds behind recorded vehicles that are slower at the trigger; None without any.
+
+        leader: the only one that may be overtaken; None: anybody.
+        """
         overtake, foresight, looks = self.scene.config.overtake, self.scene.config.foresight, self._looks()
         known, at = self.scene.recorded_on(way.path, self.box), self.scene.steps_in(trigger_s)
-        vehicles = np.isin(self.scene.rows_on(way.path, self.box), self.scene.vehicle_rows)
+        vehicles = np.isin(
+            self.scene.rows_on(way.path, self.box), self.scene.vehicle_rows if leader is None else [leader]
+        )
         speed = known.along[:, at]
         rows = np.flatnonzero(
             vehicles & known.same_direction[:, 0] & np.isfinite(known.low[:, 0]) & np.isfinite(known.low[:, at])
@@ -220,21 +240,21 @@ class Overtakes:
         places = known.low[row, 0] - self._gap_m(driver, closing, trigger_s, share[1])
         low, high = known.low[row][:, looks], known.high[row][:, looks]
         there = np.isfinite(low) & np.isfinite(high)
-        leader = np.where(there, 0.5 * (np.where(there, low, 0.0) + np.where(there, high, 0.0)), -np.inf)
+        middle = np.where(there, 0.5 * (np.where(there, low, 0.0) + np.where(there, high, 0.0)), -np.inf)
         begin, end = self._between(way, driver, trigger_s)
         near = (places >= begin) & (places <= end)
-        return _Tried(places[near], start_mps[near], np.ascontiguousarray(leader[near]), speed[row][near])
+        return _Tried(places[near], start_mps[near], np.ascontiguousarray(middle[near]), speed[row][near])
 
     def _done_s(self, way: Way, driver: Driver, trigger_s: float, tried: _Tried) -> FloatArray:
         """(N,) time, s, at which each is back in its lane; inf where it does not fit."""
-        config, change, overtake = self.scene.config, self.scene.config.lane_change, self.scene.config.overtake
+        config, overtake = self.scene.config, self.scene.config.overtake
         # v2 kappa of a lateral motion is what the driver takes: its curvature is 9 D / L2 at most (`lateral_share`)
         bend = config.foresight.bend_share * math.sqrt(driver.turn_lateral_mps2 / (9.0 * way.apart_m))
         who = (
             driver.desired_mps, driver.accel_mps2, driver.decel_mps2, driver.tau_s, driver.min_gap_m, bend,
             self.box.length_m,
         )  # fmt: skip
-        lasting_s = max(change.min_duration_s, overtake.shift_ratio * driver.lane_change_s)
+        lasting_s = self.lasting_s(driver)
         latest_s = self.scene.last_s - config.foresight.spare_s
         gaps = (
             overtake.d_obs_m, overtake.return_gap_m, overtake.d_overtake_m, overtake.safe_front_m, overtake.safe_rear_m

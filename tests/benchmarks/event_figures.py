@@ -46,6 +46,8 @@ BEFORE_END_S, BESIDE_S = 4.0, 4.0
 REACH_S = 5.0
 #: Off the target's path, m: in its lane at most, in the lane beside at least; how far over at the moment, share.
 ON_M, BESIDE_M, HALF_WAY = 1.3, 2.2, (0.2, 0.8)
+#: Out, past and half of the way back take so long: 2 x 9 m of boxes and gaps at 6 m/s more, and 1.5 + 0.75 s aside.
+OVERTAKE_S, PARKED_MPS = 5.0, 0.5
 OVERLAP_M = 2.0  # boxes overlap across, nearly
 MOMENT_S, SPARE_M = 0.7, 1.5
 
@@ -77,7 +79,7 @@ def offers(scene: Scene, target: Target, kind: str, at_s: float, gap_m: tuple[fl
         return lies_beside(scene, target, at, round(BESIDE_S / step_s)) and may_come_over(scene, target, at, gap_m)
     if kind == "overtake":  # out, past, and back at the moment asked for
         mean = float(target.speed[target.present].mean())
-        return mean < 12.0 and lies_beside(scene, target, at // 2, at)
+        return at_s >= OVERTAKE_S and PARKED_MPS < mean < 12.0 and lies_beside(scene, target, at // 2, at)
     graph = scene.grid.graph
     lanes = graph.lanes
     reach = round(REACH_S / step_s)

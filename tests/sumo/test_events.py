@@ -47,6 +47,23 @@ def test_cut_in_has_the_criticality_asked_for(data_root: Path) -> None:
     assert 1.5 <= event.min_ttc_s <= 3.0
 
 
+def test_overtake_passes_the_target_and_comes_back_before_it(data_root: Path) -> None:
+    """Behind it at first, beside it in between, and ahead of it in its lane at the moment noted and after it."""
+    scene = made(data_root, kind="overtake")
+    (event,) = scene.sidecar.events
+    assert event.status == "done", event.reason
+    assert 3.5 <= event.at_s <= 10.5  # the usual time of an overtake, within half a second
+    own = scene.generated[0]
+    target = next(track for track in scene.scenario.tracks if track.track_id == event.target_track_id)
+    way = Polyline(np.concatenate([target.position, own.position[-1:]]))
+    (own_s, own_d), (target_s, _) = way.frenet(own.position), way.frenet(target.position)
+    at, lengths_m = round(event.at_s * 10), 0.5 * (own.size.length_m + target.size.length_m)
+    assert own_s[0] < target_s[0] - lengths_m
+    assert np.max(np.abs(own_d[:at])) > 2.2
+    assert own_s[at] - target_s[at] - lengths_m == pytest.approx(event.gap_m, abs=1.0)
+    assert np.all(own_s[at:] - target_s[at:] > lengths_m)
+
+
 def test_event_that_the_road_has_no_room_for_is_not_driven(data_root: Path) -> None:
     """Nobody is 90 m/s faster than a target: no plan, no try."""
     (event,) = made(data_root, at_s=(4.0, 4.0), speed_difference_mps=(90.0, 91.0)).sidecar.events

@@ -7,6 +7,8 @@ import pytest
 from inserted import CAR, nobody, recorded, scene_on
 
 from hid2.agents import Track
+from hid2.conflicts.guard import Guard
+from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.event_courses import Courses
 from hid2.insertion.event_paths import EventPaths
 from hid2.insertion.event_plans import Plan, Planner
@@ -33,7 +35,8 @@ def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
 
 
 def _planner(scene: Scene) -> Planner:
-    return Planner(scene, Routes(scene), Roads(scene), CAR, CAR, nobody(scene.future.num_steps))
+    guard = Guard(scene, nobody(scene.future.num_steps), StopLines(scene))
+    return Planner(scene, Routes(scene), Roads(scene), CAR, CAR, guard)
 
 
 def _plans(scene: Scene, planner: Planner | None = None, **asked: object) -> list[Plan]:
@@ -60,6 +63,31 @@ def test_cut_in_comes_from_the_lane_beside_half_its_duration_before_the_moment(s
     plan = _plans(scene_of(recorded(100.0, 0.0, 8.0)), kind="cut_in")[0]
     assert (plan.route, plan.side) == ((2,), "right")
     assert plan.trigger_s == pytest.approx(plan.at_step * 0.1 - 1.7)
+
+
+def test_overtake_is_foreseen_of_the_target_alone_and_back_at_the_time_asked_for(
+    scene_of: Callable[..., Scene],
+) -> None:
+    """The target is at 60 m with 4 m/s, another slow one 200 m ahead of it: from behind the target, out to the left."""
+    scene = scene_of(recorded(60.0, 0.0, 4.0), recorded(260.0, 0.0, 4.0, name="other"))
+    found = _plans(scene, kind="overtake", at_s=(6.0, 8.0))
+    assert found
+    for plan in found:
+        assert (plan.route, plan.side) == ((1,), "left")
+        assert plan.start_s < 60.0 - LENGTHS_M
+        assert 5.5 <= plan.at_step * 0.1 <= 8.5
+        assert plan.driver is not None
+        assert 4.0 + 1.5 <= plan.driver.desired_mps <= 4.0 + 6.0
+    assert not _plans(scene, kind="overtake", at_s=(2.0, 2.0))  # out and back alone take longer
+
+
+def test_no_overtake_is_foreseen_beside_a_queue(scene_of: Callable[..., Scene]) -> None:
+    """Cars stand on the lane beside all along, so that nobody comes past; the reason is counted."""
+    queue = [recorded(20.0 + 8.0 * number, 3.5, 0.0, name=f"q{number}") for number in range(40)]
+    scene = scene_of(recorded(60.0, 0.0, 4.0), *queue)
+    planner = _planner(scene)
+    assert not _plans(scene, planner, kind="overtake", at_s=(4.0, 10.0))
+    assert planner.turned_down[Reason.NO_OVERTAKE_FORESEEN] > 0
 
 
 def test_likeliest_plans_come_first(scene_of: Callable[..., Scene]) -> None:
