@@ -124,7 +124,7 @@ def generate(  # noqa: PLR0913  # one for each option
         event_option(
             metavar="S|S:S",
             help="When, in seconds: the moment of crossing into the target's lane, or of passing the conflict point.",
-            show_default="2:7",
+            show_default="2:7, overtake 4:10",
         ),
     ] = None,
     gap: Annotated[

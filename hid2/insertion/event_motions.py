@@ -56,7 +56,7 @@ class Wanted:
     before_mps2: FloatArray
     later_mps: FloatArray
 
-    def rows(self, rows: BoolArray) -> "Wanted":
+    def rows(self, rows: BoolArray | IntArray) -> "Wanted":
         """Some of them."""
         return Wanted(
             self.at[rows], self.place[rows], self.gap_m[rows], self.speed_mps[rows], self.before_mps2[rows],
@@ -85,13 +85,89 @@ class Rules:
     search: EventSearch
 
 
-def motions(wanted: Wanted, rules: Rules, before: Along, after: Along) -> tuple[FloatArray, FloatArray]:
-    """Speeds (N, T) m/s and ways (N, T) m of wanted motions; whether they are free is another matter."""
-    steps, dt, search = rules.target_mps.size, rules.step_s, rules.search
-    slows_mps2, speeds_up_mps2 = -search.slows_mps2, search.speeds_up_mps2
-    count = wanted.at.size
-    speeds, way = np.zeros((count, steps)), np.zeros((count, steps))
-    rows = np.arange(count)
+@dataclass(frozen=True, eq=False, slots=True)
+class Half:
+    """What motions of a fan do up to their moment, or after it; those that are alike there are one.
+
+    wanted (U,); speeds (U, T) m/s and way (U, T) m, 0 at the steps of the other half; of (N,): the row of each motion.
+    """
+
+    wanted: Wanted
+    speeds: FloatArray
+    way: FloatArray
+    of: IntArray
+    is_first: bool
+
+    def steps(self) -> range:
+        """Steps at which some motion is in this half."""
+        at, end = self.wanted.at, self.way.shape[1]
+        return range(int(at.max(initial=-1)) + 1) if self.is_first else range(int(at.min(initial=end)) + 1, end)
+
+    def has(self, steps: IntArray | int) -> BoolArray:
+        """(U,) or (U, K) whether motions are in this half at steps."""
+        at = self.wanted.at if isinstance(steps, int) else self.wanted.at[:, None]
+        return np.asarray((steps <= at) == self.is_first)
+
+    def rows(self, rows: BoolArray) -> "Half":
+        """Of some motions."""
+        used, of = np.unique(self.of[rows], return_inverse=True)
+        return Half(self.wanted.rows(used), self.speeds[used], self.way[used], of, self.is_first)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Fan:
+    """Motions (N,), by their moments at (N,) and their two halves."""
+
+    at: IntArray
+    until: Half
+    since: Half
+
+    def way_at(self, steps: IntArray) -> FloatArray:
+        """(N,) m, where each is at a step of its own."""
+        first, second = self.until, self.since
+        return np.where(steps <= self.at, first.way[first.of, steps], second.way[second.of, steps])
+
+    def rows(self, rows: BoolArray) -> "Fan":
+        """Some of them."""
+        return Fan(self.at[rows], self.until.rows(rows), self.since.rows(rows))
+
+    def motion(self, row: int) -> tuple[FloatArray, FloatArray]:
+        """Speed (T,) m/s and way (T,) m of one of them."""
+        first, second = self.until, self.since
+        is_first = np.arange(first.way.shape[1]) <= self.at[row]
+        speed, way = (
+            np.where(is_first, one[first.of[row]], two[second.of[row]])
+            for one, two in ((first.speeds, second.speeds), (first.way, second.way))
+        )
+        return speed, way
+
+
+def motions(wanted: Wanted, rules: Rules, before: Along, after: Along) -> Fan:
+    """All motions that are wanted; whether they are free is another matter."""
+    until, of_until = _unlike(wanted, wanted.before_mps2)
+    since, of_since = _unlike(wanted, wanted.later_mps)
+    first, second = wanted.rows(until), wanted.rows(since)
+    return Fan(
+        wanted.at,
+        Half(first, *_until(first, rules, before), of_until, is_first=True),
+        Half(second, *_since(second, rules, after), of_since, is_first=False),
+    )
+
+
+def _unlike(wanted: Wanted, other: FloatArray) -> tuple[IntArray, IntArray]:
+    """First row of each group of motions alike at the moment and in something else, and for each row its group."""
+    same = np.nan_to_num(np.stack([wanted.at, wanted.place, wanted.gap_m, wanted.speed_mps, other]), nan=-1e9)
+    order = np.lexsort(same)
+    begins = np.concatenate([np.ones(min(order.size, 1), dtype=np.bool_), (np.diff(same[:, order]) != 0.0).any(axis=0)])
+    group = np.empty(order.size, dtype=np.int64)
+    group[order] = np.cumsum(begins) - 1
+    return order[begins], group
+
+
+def _until(wanted: Wanted, rules: Rules, before: Along) -> tuple[FloatArray, FloatArray]:
+    """Speeds (N, T) m/s and ways (N, T) m up to the moment; 0 after it."""
+    dt, rows = rules.step_s, np.arange(wanted.at.size)
+    speeds, way = np.zeros((2, wanted.at.size, rules.target_mps.size))
     speeds[rows, wanted.at], way[rows, wanted.at] = wanted.speed_mps, wanted.place
     v, s = wanted.speed_mps.copy(), wanted.place.copy()
     difference = wanted.speed_mps - rules.target_mps[wanted.at]
@@ -106,6 +182,14 @@ def motions(wanted: Wanted, rules: Rules, before: Along, after: Along) -> tuple[
         )
         v = np.where(here, np.minimum(np.maximum(free, 0.0), before.at(s)), v)
         speeds[here, step], way[here, step] = v[here], s[here]
+    return speeds, way
+
+
+def _since(wanted: Wanted, rules: Rules, after: Along) -> tuple[FloatArray, FloatArray]:
+    """Speeds (N, T) m/s and ways (N, T) m after the moment; 0 up to it."""
+    steps, dt, search = rules.target_mps.size, rules.step_s, rules.search
+    slows_mps2, speeds_up_mps2 = -search.slows_mps2, search.speeds_up_mps2
+    speeds, way = np.zeros((2, wanted.at.size, steps))
     keeps = np.isnan(wanted.later_mps)
     later = np.where(keeps, wanted.speed_mps, wanted.later_mps)
     v, s = wanted.speed_mps.copy(), wanted.place.copy()
@@ -137,42 +221,56 @@ def motions(wanted: Wanted, rules: Rules, before: Along, after: Along) -> tuple[
     return speeds, way
 
 
-def free(wanted: Wanted, rules: Rules, before: Along, after: Along, speeds: FloatArray, way: FloatArray) -> FloatArray:
+def free(fan: Fan, rules: Rules, before: Along, after: Along) -> FloatArray:
     """(N,) time, s, at which a motion first touches somebody, or comes too near to anybody but the target; else inf."""
-    steps, dt = rules.target_mps.size, rules.step_s
-    until = np.full(wanted.at.size, np.inf)
+    first, second = (_free(half, rules, before, after)[half.of] for half in (fan.until, fan.since))
+    return np.minimum(first, second) * rules.step_s
+
+
+def _free(half: Half, rules: Rules, before: Along, after: Along) -> FloatArray:
+    """(U,) step at which somebody is first met in a half; inf for never."""
+    dt, at = rules.step_s, half.wanted.at
+    until = np.full(at.size, np.inf)
     still, already = round(rules.search.leaves_s / dt), round(rules.search.arrives_s / dt)
-    for step in range(steps):
-        s, v = way[:, step], speeds[:, step]
-        bad = np.zeros(wanted.at.size, dtype=np.bool_)
-        looks = [(before, np.ones(wanted.at.size, dtype=np.bool_))]
+    for step in half.steps():
+        s, v, here = half.way[:, step], half.speeds[:, step], half.has(step)
+        bad = np.zeros(at.size, dtype=np.bool_)
+        looks = [(before, here)]
         if rules.changes:
-            looks = [(before, step <= wanted.at + still), (after, step >= wanted.at - already)]
+            looks = [(before, here & (step <= at + still)), (after, here & (step >= at - already))]
         for along, on in looks:
             if on.any():
-                bad |= on & _is_met(along, s + along.from_m, v, step, rules, up_to_event=step <= wanted.at)
+                bad |= on & _is_met(along, s + along.from_m, v, step, rules, up_to_event=half.is_first)
         until = np.where(bad & (until > step), step, until)
-    return until * dt
+    return until
 
 
-def kept_to(
-    wanted: Wanted, rules: Rules, speeds: FloatArray, way: FloatArray, there: BoolArray
-) -> tuple[FloatArray, FloatArray]:
+def kept_to(fan: Fan, rules: Rules, there: BoolArray) -> tuple[FloatArray, FloatArray]:
     """(N,) smallest TTC, s, and largest DRAC, m/s2, of vehicle and target from the moment on; -1 s where they touch.
 
     there (T,): whether the target is on the path; elsewhere it closes in on nobody.
     """
+    halves = [(half.of, *_kept_to(half, rules, there)) for half in (fan.until, fan.since)]
+    (ttc, drac), (later_ttc, later_drac) = ((ttc[of], drac[of]) for of, ttc, drac in halves)
+    return np.minimum(ttc, later_ttc), np.maximum(drac, later_drac)
+
+
+def _kept_to(half: Half, rules: Rules, there: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """(U,) the same of a half."""
     assert rules.ahead is not None
-    steps = np.arange(rules.target_mps.size)
-    since = wanted.at - (round(0.5 * rules.search.arrives_s / rules.step_s) if rules.changes else 0)
-    there = there[None, :] & (steps[None, :] >= since[:, None])
-    apart = rules.order * (way - rules.ahead) - rules.lengths
-    closing = rules.order * (rules.target_mps - speeds)
+    arrives = round(0.5 * rules.search.arrives_s / rules.step_s) if rules.changes else 0
+    steps = np.arange(
+        max(0, half.steps().start if not half.is_first else half.wanted.at.min(initial=0) - arrives), half.steps().stop
+    )
+    looked = there[steps] & half.has(steps) & (steps >= half.wanted.at[:, None] - arrives)
+    apart = rules.order * (half.way[:, steps] - rules.ahead[steps]) - rules.lengths
+    closing = rules.order * (rules.target_mps[steps] - half.speeds[:, steps])
+    closes = looked & (closing > 0.05)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ttc = np.where(there & (closing > 0.05), apart / closing, np.inf)
-        drac = np.where(there & (closing > 0.05), closing * closing / (2.0 * np.maximum(apart, 0.1)), 0.0)
-    touched = (there & (apart < 1.0)).any(axis=1)
-    return np.where(touched, -1.0, ttc.min(axis=1)), drac.max(axis=1)
+        ttc = np.where(closes, apart / closing, np.inf)
+        drac = np.where(closes, closing * closing / (2.0 * np.maximum(apart, 0.1)), 0.0)
+    touched = (looked & (apart < 1.0)).any(axis=1)
+    return np.where(touched, -1.0, ttc.min(axis=1, initial=np.inf)), drac.max(axis=1, initial=0.0)
 
 
 def _ahead_of(along: Along, s: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
@@ -199,9 +297,7 @@ def _behind_of(along: Along, s: FloatArray, step: int) -> tuple[FloatArray, Floa
     return s - high[place], np.maximum(speed[place], 0.0)
 
 
-def _is_met(
-    along: Along, s: FloatArray, v: FloatArray, step: int, rules: Rules, *, up_to_event: BoolArray
-) -> BoolArray:
+def _is_met(along: Along, s: FloatArray, v: FloatArray, step: int, rules: Rules, *, up_to_event: bool) -> BoolArray:
     """(N,) whether somebody is touched, or closed in on, at a step."""
     taken, search = along.taken, rules.search
     rows = np.isfinite(taken.low[:, step])
@@ -218,6 +314,7 @@ def _is_met(
         ahead, behind = low - s, s - high
         leads = same_direction & ~own & (ahead > 0)
         bad |= leads & (v > speed + 0.05) & (ahead < rules.ttc_s * (v - speed))
-        bad |= leads & up_to_event & (ahead < search.min_gap_m + rules.tau_s * v)
+        if up_to_event:
+            bad |= leads & (ahead < search.min_gap_m + rules.tau_s * v)
         bad |= same_direction & ~own & (behind > 0) & (speed > v + 0.05) & (behind < rules.ttc_s * (speed - v))
     return np.asarray(bad.any(axis=0))

@@ -17,7 +17,7 @@ from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.event_courses import Course, Courses
-from hid2.insertion.event_motions import Wanted, free, kept_to, motions
+from hid2.insertion.event_motions import Fan, Wanted, free, kept_to, motions
 from hid2.insertion.event_paths import EventPaths
 from hid2.insertion.event_targets import Target
 from hid2.insertion.overtakes import Overtakes
@@ -176,16 +176,16 @@ class Planner:
         difference = wanted.speed_mps - target.speed[wanted.at]
         fast = (wanted.speed_mps >= search.slowest_mps) & (difference >= low) & (difference <= high)
         keep = self._still(fast, np.ones(fast.size, dtype=np.bool_), Reason.TOO_SLOW)
-        speeds, way = motions(wanted, rules, course.before, course.after)
-        keep = self._still(self._has_room(course, way), keep, Reason.NO_SITE)
-        keep = self._still(self._may_change(course, way), keep, Reason.NO_ADJACENT_LANE)
+        fan = motions(wanted, rules, course.before, course.after)
+        keep = self._still(self._has_room(course, fan), keep, Reason.NO_SITE)
+        keep = self._still(self._may_change(course, fan), keep, Reason.NO_ADJACENT_LANE)
         if rules.ahead is not None:
-            least, drac = kept_to(wanted, rules, speeds, way, course.after.is_own_there[: target.present.size])
+            least, drac = kept_to(fan, rules, course.after.is_own_there[: target.present.size])
             keep = self._still(self._is_critical(event, least, drac), keep, Reason.EVENT_NOT_AS_ASKED)
         if not keep.any():
             return []
-        wanted, off, speeds, way = wanted.rows(keep), off[keep], speeds[keep], way[keep]
-        until = free(wanted, rules, course.before, course.after, speeds, way)
+        wanted, off, fan = wanted.rows(keep), off[keep], fan.rows(keep)
+        until = free(fan, rules, course.before, course.after)
         late = until - wanted.at * step_s
         rows = np.flatnonzero(
             self._still(late > search.after_s, np.ones(late.size, dtype=np.bool_), Reason.MEETS_RECORDED)
@@ -198,7 +198,8 @@ class Planner:
         )
         found = []
         for place in np.argsort(score, kind="stable")[: search.route_plans].tolist():
-            row = rows[place]
+            row = int(rows[place])
+            speeds, way = fan.motion(row)
             at_s = float(wanted.at[row]) * step_s
             change_s = min(search.change_s, 2.0 * at_s)
             traits = (
@@ -207,7 +208,7 @@ class Planner:
                 float(np.nan_to_num(wanted.later_mps[row], nan=-1.0)),
             )  # fmt: skip
             plan = Plan(
-                event, target, course.route, float(way[row, 0]), speeds[row], int(wanted.at[row]), rules.order,
+                event, target, course.route, float(way[0]), speeds, int(wanted.at[row]), rules.order,
                 float(score[place]), course.desired_mps, traits, change_s, tau_s,
             )  # fmt: skip
             if course.side is not None:
@@ -220,21 +221,20 @@ class Planner:
         self.turned_down[reason] += int((before & ~holds).sum())
         return before & holds
 
-    def _has_room(self, course: Course, way: FloatArray) -> BoolArray:
+    def _has_room(self, course: Course, fan: Fan) -> BoolArray:
         """(N,) whether motions begin and go on, after the moment, on the map."""
         scene, at, half_m = self.scene, course.wanted.at, 0.5 * self.box.length_m
-        rows = np.arange(at.size)
         needed = np.minimum(
             np.maximum(scene.first_exit_step, at + scene.steps_in(self._search.after_s)), scene.num_steps - 1
         )
         end = course.after.exit_m - course.after.from_m - half_m - 1.0
-        found = (way[:, 0] >= half_m + 0.5) & (way[rows, needed] < end)
+        found = (fan.way_at(np.zeros_like(at)) >= half_m + 0.5) & (fan.way_at(needed) < end)
         if course.side is not None:
             begins, change = self._begins(course.wanted), self.scene.config.lane_change
-            left = course.after.exit_m - course.after.from_m - way[rows, begins]
+            left = course.after.exit_m - course.after.from_m - fan.way_at(begins)
             pace = 0.5 * (course.wanted.speed_mps + course.desired_mps)
             found &= left > np.maximum(change.min_remaining_m, change.min_duration_s * pace / change.length_share) + 1.0
-            found &= way[rows, course.wanted.at] < course.before.exit_m - half_m - 1.0
+            found &= fan.way_at(at) < course.before.exit_m - half_m - 1.0
         return found
 
     def _begins(self, wanted: Wanted) -> IntArray:
@@ -243,7 +243,7 @@ class Planner:
         change_s = np.minimum(self._search.change_s, 2.0 * wanted.at * step_s)
         return np.asarray(np.maximum(wanted.at - np.round(0.5 * change_s / step_s).astype(np.int64), 0))
 
-    def _may_change(self, course: Course, way: FloatArray) -> BoolArray:
+    def _may_change(self, course: Course, fan: Fan) -> BoolArray:
         """(N,) whether the marking lets a vehicle over when it begins to change lanes and when it crosses."""
         wanted, side, path = course.wanted, course.side, self.scene.path(course.route)
         found = np.ones(wanted.at.size, dtype=np.bool_)
@@ -252,10 +252,10 @@ class Planner:
         ends = np.array([segment.end for segment in path.segments])
         may = np.array([admissible_neighbor(self.scene, one.lane_id, side) is not None for one in path.segments])
         found &= 2.0 * wanted.at * self.scene.step_s >= self.scene.config.lane_change.min_duration_s
-        rows, begins = np.arange(wanted.at.size), self._begins(wanted)
+        begins = self._begins(wanted)
         front_m = 0.5 * self.size.length_m  # SUMO has the front bumper on a lane, and it goes on for the coming step
-        asked = way[rows, np.minimum(begins + 1, way.shape[1] - 1)] + front_m
-        for s in (way[rows, begins], asked, way[rows, wanted.at]):
+        asked = fan.way_at(np.minimum(begins + 1, self.scene.num_steps - 1)) + front_m
+        for s in (fan.way_at(begins), asked, fan.way_at(wanted.at)):
             found &= may[np.minimum(np.searchsorted(ends, s, side="right"), ends.size - 1)]
         return found
 
