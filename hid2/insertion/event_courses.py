@@ -218,21 +218,24 @@ class Courses:
             differences = [low + number / last * (high - low) for number in range(last + 1)]
         return np.unique(gaps), np.unique(differences)
 
-    def _around(self, moments: Sequence[tuple[int, float]], ahead: FloatArray, order: int) -> Iterator[_Row]:
-        """Every gap, speed difference and way to come there that is tried, at each moment."""
+    def _around(self, moments: Sequence[tuple[int, float]], ahead: FloatArray, order: int) -> FloatArray:
+        """(N, 7) every gap, speed difference and way to come there that is tried, at each moment."""
         target, search = self.target, self._search
         gaps, differences = self._relations()
         if self.event.ttc_s is not None:  # whoever is behind is faster, or nobody closes in
             differences = differences[order * differences < 0.0]
         middle, wide = 0.5 * (gaps[0] + gaps[-1]), max(float(np.ptp(gaps)), 1.0)
-        for (at, late), gap, d, a, later in product(
-            moments, gaps.tolist(), differences.tolist(), self._accelerations(), self._later_speeds()
-        ):
-            off = (
-                search.off_moment * late + search.off_gap * abs(gap - middle) / wide + search.off_difference * abs(d)
-                + self._off_acceleration(a) + (0.0 if math.isnan(later) else search.off_later)
-            )  # fmt: skip
-            yield at, float(ahead[at]) + order * (gap + self.lengths_m), gap, float(target.speed[at]) + d, a, later, off
+        tried = np.arange(len(moments)), gaps, differences, self._accelerations(), self._later_speeds()
+        moment, gap, d, a, later = (one.ravel() for one in np.meshgrid(*tried, indexing="ij"))
+        at, late = np.array(moments, dtype=np.float64).reshape(-1, 2)[moment.astype(np.int64)].T
+        step = at.astype(np.int64)
+        off = (
+            search.off_moment * late + search.off_gap * np.abs(gap - middle) / wide
+            + search.off_difference * np.abs(d) + self._off_accelerations(a)
+            + np.where(np.isnan(later), 0.0, search.off_later)
+        )  # fmt: skip
+        place = ahead[step] + order * (gap + self.lengths_m)
+        return np.stack([at, place, gap, target.speed[step] + d, a, later, off], axis=1)
 
     def _accelerations(self) -> tuple[float, ...]:
         """Before the moment, m/s2; none, and nan: as the target moves."""
@@ -243,8 +246,11 @@ class Courses:
         return math.nan, 0.0, *self._search.later_mps
 
     def _off_acceleration(self, before_mps2: float) -> float:
+        return float(self._off_accelerations(np.array(before_mps2)))
+
+    def _off_accelerations(self, before_mps2: FloatArray) -> FloatArray:
         search = self._search
-        return search.off_as_target if math.isnan(before_mps2) else search.off_acceleration * abs(before_mps2)
+        return np.where(np.isnan(before_mps2), search.off_as_target, search.off_acceleration * np.abs(before_mps2))
 
     def _crossing_speeds(self, lane_id: int) -> tuple[float, ...]:
         """Speeds tried on a lane, m/s, by what its traffic drives."""
@@ -260,9 +266,9 @@ class Courses:
             least, most = (one + over for one, over in zip(asked, self._search.pet_apart_s, strict=True))
         return least <= apart_s <= most
 
-    def _table(self, rows: Iterable[_Row]) -> tuple[Wanted, FloatArray]:
+    def _table(self, rows: FloatArray | Iterable[_Row]) -> tuple[Wanted, FloatArray]:
         """Motions of rows, without those too slow or too fast, and their scores."""
-        table = np.array(list(rows), dtype=np.float64).reshape(-1, 7)
+        table = np.asarray(rows if isinstance(rows, np.ndarray) else list(rows), dtype=np.float64).reshape(-1, 7)
         table = table[(table[:, 3] >= self._search.slowest_mps) & (table[:, 3] <= self._fastest_mps)]
         at, place, gap, speed, before, later, off = table.T
         return Wanted(at.astype(np.int64), place, gap, speed, before, np.maximum(speed + later, 0.5)), off

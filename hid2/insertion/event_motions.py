@@ -233,15 +233,16 @@ def _free(half: Half, rules: Rules, before: Along, after: Along) -> FloatArray:
     until = np.full(at.size, np.inf)
     still, already = round(rules.search.leaves_s / dt), round(rules.search.arrives_s / dt)
     for step in half.steps():
-        s, v, here = half.way[:, step], half.speeds[:, step], half.has(step)
-        bad = np.zeros(at.size, dtype=np.bool_)
-        looks = [(before, here)]
+        rows = np.flatnonzero(np.isinf(until) & half.has(step))  # who has met somebody is not looked at again
+        s, v = half.way[rows, step], half.speeds[rows, step]
+        bad = np.zeros(rows.size, dtype=np.bool_)
+        looks = [(before, np.ones(rows.size, dtype=np.bool_))]
         if rules.changes:
-            looks = [(before, here & (step <= at + still)), (after, here & (step >= at - already))]
+            looks = [(before, step <= at[rows] + still), (after, step >= at[rows] - already)]
         for along, on in looks:
             if on.any():
                 bad |= on & _is_met(along, s + along.from_m, v, step, rules, up_to_event=half.is_first)
-        until = np.where(bad & (until > step), step, until)
+        until[rows[bad]] = step
     return until
 
 
