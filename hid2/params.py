@@ -636,7 +636,7 @@ class EventSearch(_Section):
     the least first: the sum of the fields `off_*`.
     """
 
-    tries: int = _param(30, "vehicles", "driven for one event before it is given up", ge=1, le=200)
+    tries: int = _param(20, "vehicles", "driven for one event before it is given up", ge=1, le=200)
     moment_s: float = _param(0.5, "s", "an event counts so much before or after the time asked for", ge=0, le=5)
     plans: int = _param(600, "plans", "of a target that are looked at closely", ge=1, le=100_000)
     plan_tries: int = _param(3, "vehicles", "driven for one plan, each with a better start", ge=1, le=50)

@@ -26,7 +26,7 @@ from hid2.insertion.outcome import Outcome, outcome_of, shift_times
 from hid2.insertion.routes import Routes
 from hid2.insertion.sizes import draw_size
 from hid2.measures.arrays import SceneArrays, stack
-from hid2.measures.events import EventMeasures, crossing_steps, measure_event
+from hid2.measures.events import EventMeasures, crossing_steps, is_in_the_way, measure_event
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import FlatLanes, Matches, match_lanes
 from hid2.measures.manoeuvres import ManeuverKind, detect
@@ -331,7 +331,9 @@ class EventSearch:
             led = leaders(arrays, lanes, matches)
             follower, leader = (1, 0) if kind == "lead" else (0, 1)
             row = int(arrays.row_of[follower, plan.at_step])
-            at = plan.at_step if row >= 0 and led.agent[row] == leader else None
+            pair = (own, target) if kind == "lead" else (target, own)
+            leads = row >= 0 and led.agent[row] == leader and is_in_the_way(*pair, at_step=plan.at_step)
+            at = plan.at_step if leads else None
         elif kind == "merge":
             at = _merge_step(plan, arrays, lanes, matches)
         elif kind == "cross":

@@ -9,11 +9,14 @@ from hid2.agents import FloatArray, Track
 from hid2.kernels.box_pairs import post_encroachment, time_to_collision
 from hid2.measures.arrays import stack
 from hid2.measures.encounters import CROSSING_RAD
+from netconvert.geometry import Polyline
 
 #: TTC and PET above this are not told apart, s.
 CAP_S = 10.0
 #: Drivers brake before this TTC, s: 90 % of the followers of lane changes (see method.md).
 HUMAN_BRAKES_S = 4.7
+#: Positions nearer than this to the one before say nothing of a way, m. No tunable, against rounding.
+_MOVES_M = 0.05
 #: Slower than this a target has no closing speed, m/s. No tunable, against rounding.
 _CLOSES_MPS = 0.05
 
@@ -85,6 +88,22 @@ def crossing_steps(own: Track, target: Track) -> tuple[int, int] | None:
     if not hit.size:
         return None
     return int(own.timesteps[hit[0, 0]]), int(target.timesteps[hit[0, 1]])
+
+
+def is_in_the_way(leader: Track, follower: Track, *, at_step: int) -> bool:
+    """Whether the leader's box is at a step on the way that the follower's box drives from then on.
+
+    True beyond the end of that way, and where the follower stands: nothing is known of it there. Errors: ValueError
+    where the leader is not there at that step.
+    """
+    way = follower.position[follower.timesteps >= at_step]
+    if len(way):
+        way = way[np.concatenate([[True], np.hypot(*np.diff(way, axis=0).T) > _MOVES_M])]
+    if len(way) < 2:
+        return True
+    line = Polyline(way)
+    (along,), (across,) = line.frenet(_pose(leader, at_step)[None, :2])
+    return bool(along >= line.length_m or abs(across) < 0.5 * (leader.size.width_m + follower.size.width_m))
 
 
 def _closing(own: Track, target: Track, since_step: int, step_s: float) -> tuple[float | None, float]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hid2.agents import BoxSize, Track
-from hid2.measures.events import crossing_steps, measure_event, post_encroachment_of
+from hid2.measures.events import crossing_steps, is_in_the_way, measure_event, post_encroachment_of
 
 CAR = BoxSize(4.0, 2.0)
 
@@ -64,3 +64,12 @@ def test_moment_without_a_state_is_an_error() -> None:
     """Step 70 of a track of 60 steps."""
     with pytest.raises(ValueError, match="no state at step 70"):
         measure_event(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0), at_step=70, since_step=0, step_s=0.1)
+
+
+def test_vehicle_is_in_the_way_where_its_box_is_on_the_way_that_the_other_drives_later() -> None:
+    """Cars of 2 m width: 1.9 m aside they overlap across, 2.1 m aside not; beyond the end of a way all is open."""
+    follower = _drive(0.0, 0.0, 10.0)
+    assert is_in_the_way(_drive(20.0, 1.9, 10.0), follower, at_step=10)
+    assert not is_in_the_way(_drive(20.0, 2.1, 10.0), follower, at_step=10)
+    assert is_in_the_way(_drive(60.0, 3.0, 10.0), follower, at_step=10)
+    assert is_in_the_way(_drive(20.0, 3.0, 10.0), _drive(0.0, 0.0, 0.0), at_step=10)
