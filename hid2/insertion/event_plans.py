@@ -155,13 +155,14 @@ class Planner:
                     late_s = max(earliest_s - at_s, at_s - latest_s, 0.0)
                     if late_s > search.moment_s:
                         continue
+                    traits = float(sum(offer.route) % 9973), trigger_s, driver.desired_mps, driver.lane_change_s
                     speeds = np.full(scene.num_steps, driver.desired_mps)
                     speeds[0] = one.start_mps
                     yield Plan(
                         event, target, offer.route, one.start_s, speeds, round(at_s / scene.step_s), -1,
                         search.off_moment * late_s + search.off_difference * (driver.desired_mps - pace),
-                        driver.desired_mps, (float(sum(offer.route) % 9973), trigger_s, driver.desired_mps),
-                        driver.lane_change_s, driver.tau_s, trigger_s=trigger_s, side=side, driver=driver,
+                        driver.desired_mps, traits, driver.lane_change_s, driver.tau_s, trigger_s=trigger_s, side=side,
+                        driver=driver,
                     )  # fmt: skip
 
     def _free(self, event: Event, target: Target, course: Course, tau_s: float) -> list[Plan]:
