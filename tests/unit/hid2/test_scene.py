@@ -59,6 +59,16 @@ def test_parked_vehicle_sets_no_speed(scene_of: Callable[..., Scene], track: Cal
     assert not scene_of(_moving(track, 10.0, 0.0, 0.0)).scene_speeds
 
 
+def test_who_drives_too_short_a_way_or_time_sets_no_speed(
+    scene_of: Callable[..., Scene], track: Callable[..., Track]
+) -> None:
+    """8 m/s for 5.9 s are 47.2 m in 60 steps."""
+    one = _moving(track, 10.0, 0.0, 8.0)
+    assert scene_of(one, spawn=Spawn(usual_from_m=47.0, usual_from_s=6.0)).scene_speeds
+    assert not scene_of(one, spawn=Spawn(usual_from_m=48.0)).scene_speeds
+    assert not scene_of(one, spawn=Spawn(usual_from_s=6.1)).scene_speeds
+
+
 def test_speed_of_a_lane_is_drawn_there_else_from_the_scene_else_it_is_the_prior(
     scene_of: Callable[..., Scene], track: Callable[..., Track]
 ) -> None:

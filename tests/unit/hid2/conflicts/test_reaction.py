@@ -62,6 +62,22 @@ def test_leader_is_told_with_its_gap_and_its_speed() -> None:
     assert gap == pytest.approx(25.5, abs=0.3)
 
 
+def test_leader_farther_away_than_is_looked_is_none() -> None:
+    """Centres 80 m apart at most: at 79 m it is asked what to do, at 81 m not."""
+    asked = []
+
+    def follow(row: int, speed: float, gap: float, leader: float) -> float:
+        asked.append(gap)
+        return speed
+
+    scene = _scene(recorded(50.0, 0.0, 10.0))
+    assert scene.config.driving.yields_ahead_m == 80.0
+    Reactions(scene, follow).advance(1, _ahead(131.0))
+    assert asked == []
+    Reactions(scene, follow).advance(1, _ahead(129.0))
+    assert asked == [pytest.approx(74.5, abs=0.3)]
+
+
 def test_half_the_speed_is_half_a_step_later_and_all_that_follows_so_much_later() -> None:
     """10 m/s recorded, 5 m/s driven for two steps: 1 m behind, 0.1 s late, from then on at the recorded pace."""
     track = recorded(50.0, 0.0, 10.0)

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -250,3 +251,17 @@ def test_cell_that_was_turned_down_twice_is_left_alone_in_a_round(
     here = _sites(scene_of(recorded(200.0, 30.0, 20.0), sites=sites))
     assert [here.propose(_request(number)) for number in range(30)] == [[]] * 30
     assert max(tried.values()) == most
+
+
+def test_rear_bumper_is_at_least_so_far_from_the_beginning_of_the_way(scene_of: Callable[..., Scene]) -> None:
+    """A car begins no nearer to the edge than half its kept length and `sites.from_edge_m`."""
+    scene = scene_of(length_m=60.0)
+    here = Surroundings(replace(scene, config=scene.config.model_copy(update={"sites": Sites(from_edge_m=6.0)})))
+    sites = InsertionSites(
+        here, Guard(here.scene, nobody(scene.future.num_steps), here.stop_lines), np.random.default_rng(0), 0,
+        Spread.of((0, 0)),
+    )  # fmt: skip
+    offer = here.routes.offers(1)[0]
+    for s, begins in ((0.5, False), (8.0, False), (9.5, True)):
+        found = sites.starts.make(_request(), offer, 1, s)
+        assert isinstance(found, Start) == begins, s

@@ -9,6 +9,7 @@ from hid2.motion.route import (
     Segment,
     first_turn,
     path_along,
+    route_beside,
     route_points,
     routes_from,
     shifted_path,
@@ -106,6 +107,18 @@ def test_routes_are_cut_when_long_enough_and_counted(forked: LaneGraph) -> None:
 
     assert routes(1, 500.0) == [(1, 2, 5)]
     assert routes(9, 60.0) == [(1, 2), (1, 3)]
+
+
+@pytest.mark.parametrize(("look_back_m", "route"), [(0.0, (5,)), (30.0, (4, 5)), (50.0, (3, 4, 5)), (500.0, (3, 4, 5))])
+def test_lane_beside_is_known_so_far_back_as_is_asked_for(
+    lane: Callable[..., LaneSegment], look_back_m: float, route: tuple[int, ...]
+) -> None:
+    """Lanes 3, 4, 5 of 40 m each, one after the other, and lane 6 beside lane 5: whoever comes from behind on them."""
+    graph = LaneGraph({
+        n: lane(n, [(40.0 * place, 3.5), (40.0 * (place + 1), 3.5)], successors=onward)
+        for place, (n, onward) in enumerate(((3, (4,)), (4, (5,)), (5, ())))
+    } | {6: lane(6, [(80.0, 0.0), (120.0, 0.0)])})  # fmt: skip
+    assert route_beside(graph, (6,), 5, usable=lambda _: True, look_back_m=look_back_m) == route
 
 
 def test_circle_of_lanes_is_driven_once(lane: Callable[..., LaneSegment]) -> None:
