@@ -121,6 +121,10 @@ def parse_events(
         measure, separator, band = text.partition("=")
         if measure not in _CRITICALITY or not separator:
             raise ConfigError(f"--criticality {text!r}: expected ttc=A:B, pet=A:B (s) or drac=A:B (m/s2)")
+        if _CRITICALITY[measure] in given:
+            raise ConfigError(
+                f"--criticality {text!r}: {measure} is asked for twice, expected one band of each measure"
+            )
         given[_CRITICALITY[measure]] = _band(band, f"criticality {measure}")
     if given and not kinds:
         names = [f"--{name}" for name, value in values.items() if value is not None]
@@ -135,9 +139,11 @@ _CRITICALITY = {"ttc": "ttc_s", "pet": "pet_s", "drac": "drac_mps2"}
 
 
 def _band(text: str, name: str) -> list[float]:
-    """Least and largest value of "A:B"; twice the same of "A"."""
-    wanted = "A or A:B"
+    """Least and largest value of "A:B"; twice the same of "A", which only a moment may be."""
+    wanted = "A or A:B" if name == "at" else "A:B"
     first, separator, second = text.partition(":")
+    if not separator and name != "at":
+        raise ConfigError(f"--{name} {text!r}: expected {wanted}")
     low = _number(first.strip(), f"--{name}", wanted)
     return [low, _number(second.strip(), f"--{name}", wanted) if separator else low]
 
@@ -193,8 +199,8 @@ def check_reactive(config: Config) -> None:
     """Raise ConfigError where recorded vehicles are to react and an event is asked for with them as recorded."""
     if config.driving.replay == "reactive" and config.event:
         raise ConfigError(
-            f"event {config.event[0].kind}: with recorded vehicles as recorded, expected none with "
-            "driving.replay = 'reactive'"
+            f"event {config.event[0].kind} with driving.replay = 'reactive': an event is made with vehicles "
+            "as recorded; expected no event, or driving.replay = 'fixed'"
         )
 
 

@@ -620,6 +620,8 @@ class Event(_Section):
             band = getattr(self, name)
             if band is not None and band[1] < band[0]:
                 raise ValueError(f"{name} {band[0]:g}:{band[1]:g}, expected the smaller value first")
+            if band is not None and name != "at_s" and band[0] == band[1]:  # a moment has moment_s to both sides
+                raise ValueError(f"{name} {band[0]:g}, expected a band of two values: nothing driven meets one exactly")
             if band is not None and name != "speed_difference_mps" and band[0] < 0:
                 raise ValueError(f"{name} {band[0]:g}:{band[1]:g}, expected values of 0 or more")
         if self.brakes_mps2 and self.kind != "lead":
@@ -640,7 +642,10 @@ class EventSearch(_Section):
     moment_s: float = _param(0.5, "s", "an event counts so much before or after the time asked for", ge=0, le=5)
     plans: int = _param(600, "plans", "of a target that are looked at closely", ge=1, le=100_000)
     plan_tries: int = _param(3, "vehicles", "driven for one plan, each with a better start", ge=1, le=50)
-    route_plans: int = _param(150, "plans", "kept of those along one route", ge=1, le=10_000)
+    route_plans: int = _param(150, "plans", "kept of those of one course and time gap", ge=1, le=10_000)
+    overtake_starts: int = _param(
+        4, "plans", "of an overtake, kept of those of one route, driver and trigger", ge=1, le=1000
+    )
     routes: int = _param(4, "routes", "that lead to a lane", ge=1, le=100)
 
     band_shares: tuple[Annotated[float, Field(ge=0, le=1)], ...] = _param(
@@ -701,7 +706,14 @@ class EventSearch(_Section):
     kept_gap_m: float = _param(12.0, "m", "a gap asked for is kept up to here", ge=0, le=100)
     ahead_gap_m: float = _param(5.0, "m", "kept to the target at the least", ge=0, le=50)
     ahead_gap_s: float = _param(0.3, "s", "and so much more by the own speed", ge=0, le=5)
-    brakes_s: float = _param(1.5, "s", "braking that is asked for lasts so long", ge=0, le=10)
+    brakes_s: float = _param(2.5, "s", "braking that is asked for lasts so long", ge=0, le=10)
+    brakes_share: float = _param(
+        0.8,
+        "share",
+        "of the braking asked for is seen at the least: jerk is bounded, and positions smoothed",
+        ge=0,
+        le=1,
+    )
     leader_speed_pull_per_s: float = _param(0.7, "1/s", "towards the speed of who is ahead, or behind", ge=0, le=5)
     leader_gap_pull_per_s2: float = _param(0.25, "1/s2", "towards the gap to them", ge=0, le=5)
     leader_gap_m: float = _param(1.0, "m", "that gap", ge=0, le=50)
@@ -714,7 +726,7 @@ class EventSearch(_Section):
     min_gap_m: float = _param(1.2, "m", "its gap to a standing leader", ge=0.5, le=10)
     accel_mps2: float = _param(2.2, "m/s2", "its acceleration from standstill", gt=0, le=2.4)
     decel_mps2: float = _param(2.6, "m/s2", "its deceleration, unless the event asks for more", gt=0, le=4.05)
-    gap_most_m: float = _param(30.0, "m", "gaps tried up to here; the usual band's end", ge=0, le=200)
+    gap_most_m: float = _param(30.0, "m", "gaps tried up to here where no gap is asked for", ge=0, le=200)
     edge_share: float = _param(0.2, "share", "of a band asked for that is kept off its ends", ge=0, le=0.5)
     ttc_edge_s: float = _param(0.1, "s", "and so much at most of a band of TTC", ge=0, le=2)
     cut_in_braking_mps2: float = _param(

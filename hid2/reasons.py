@@ -41,11 +41,14 @@ class Reason(StrEnum):
         "Another inserted vehicle was too near to the map's edge when the vehicle was to enter there.",
     )
     # events
-    EVENT_NO_TARGET = "event_no_target", "The target of an event is not in the scene, or no vehicle on a lane."
+    EVENT_NO_TARGET = (
+        "event_no_target",
+        "The target of an event is not in the scene, does not move, or is no vehicle on a lane.",
+    )
     EVENT_NO_PLACE = "event_no_place", "The target's way offers no place for the event at the time asked for."
     EVENT_NOT_AS_ASKED = (
         "event_not_as_asked",
-        "No vehicle that was tried made the event as asked for: time, gap, speed difference or criticality.",
+        "No vehicle that was tried made the event safely and as asked for: time, gap, speeds, braking, criticality.",
     )
     # answers to a look at a gap (Algorithm 1, lane change)
     NO_ADJACENT_LANE = "no_adjacent_lane", "There is no lane beside that may be changed to."

@@ -112,7 +112,8 @@ def generate(  # noqa: PLR0913  # one for each option
     event: Annotated[
         list[EventName],
         event_option(
-            help="An event with a recorded vehicle, searched until it comes about; repeatable.", show_default=False
+            help="An event with a recorded vehicle, searched until it comes about; repeatable, with the same options.",
+            show_default=False,
         ),
     ] = [],  # noqa: B006
     target: Annotated[
@@ -123,7 +124,8 @@ def generate(  # noqa: PLR0913  # one for each option
         str | None,
         event_option(
             metavar="S|S:S",
-            help="When, in seconds: the moment of crossing into the target's lane, or of passing the conflict point.",
+            help="When, in seconds, half a second more or less: the moment of crossing into the target's lane (of an "
+            "overtake, on the way back), of coming onto the common lane, or of passing the conflict point.",
             show_default="2:7, overtake 4:10",
         ),
     ] = None,
@@ -141,7 +143,7 @@ def generate(  # noqa: PLR0913  # one for each option
     ] = None,
     brakes: Annotated[
         float | None,
-        event_option(metavar="MPS2", help="A leader brakes so hard at that moment, in m/s2."),
+        event_option(metavar="MPS2", help="A leader brakes so hard from that moment on, in m/s2."),
     ] = None,
     criticality: Annotated[
         list[str],
@@ -251,7 +253,14 @@ def generate(  # noqa: PLR0913  # one for each option
     if sumo is not None:
         check_out(sumo)
     with Activity(quiet=quiet) as activity:
-        from bridge.config import load_config, parse_behaviours, parse_events, parse_trigger_time, read_drivers
+        from bridge.config import (
+            check_reactive,
+            load_config,
+            parse_behaviours,
+            parse_events,
+            parse_trigger_time,
+            read_drivers,
+        )
         from bridge.recordings.folders import Choices, Source
         from bridge.recordings.sources import find_sources
 
@@ -275,6 +284,7 @@ def generate(  # noqa: PLR0913  # one for each option
         }  # fmt: skip
         flags |= parse_events([str(kind) for kind in event], event_values, criticality)
         resolved = load_config(config, settings, {key: value for key, value in flags.items() if value is not None})
+        check_reactive(resolved)
         activity.doing("looking for scenes")
         folders = find_sources(scenes, Choices(map_path, window, stride))
         tell_formats(folders, activity)

@@ -114,15 +114,16 @@ def event_record(found: EventOutcome, names: Mapping[str, str]) -> EventRecord:
     if found.vehicle is None or measures is None or found.at_s is None:
         reason = None if found.reason is None else str(found.reason.value)
         return EventRecord(
-            kind=event.kind, target=event.target, status="not_feasible", reason=reason, tries=found.tries
-        )
+            kind=event.kind, target=event.target, status="not_feasible", reason=reason, tries=found.tries,
+            tried={reason.value: count for reason, count in found.tried.items()},
+        )  # fmt: skip
     return EventRecord(
         kind=event.kind, target=event.target, status="done", track_id=names[found.vehicle.driven.vehicle_id],
         target_track_id=found.target_id, at_s=round(found.at_s, 6), ahead=found.order > 0,
         gap_m=round(measures.gap_m, 6), speed_difference_mps=round(measures.speed_difference_mps, 6),
         min_ttc_s=None if measures.min_ttc_s is None else round(measures.min_ttc_s, 6),
         pet_s=None if measures.pet_s is None else round(measures.pet_s, 6), drac_mps2=round(measures.drac_mps2, 6),
-        human_brakes=measures.human_brakes, tries=found.tries,
+        human_brakes=measures.human_brakes, brakes_mps2=round(measures.brakes_mps2, 6), tries=found.tries,
     )  # fmt: skip
 
 

@@ -179,7 +179,9 @@ class EventRecord(_Record):
 
     track_id: the vehicle that made it; gap_m bumper to bumper at at_s (cross: from the target's bumper to the conflict
     point); drac_mps2: what the target would have had to brake with; human_brakes: whether TTC came below the one before
-    which drivers brake; tries: vehicles that were driven for it.
+    which drivers brake; brakes_mps2: hardest braking of the vehicle itself from then on; ahead: whether the vehicle is
+    ahead of the target, or crosses first; tries: vehicles that were driven for it; tried: where none came about, what
+    each of them failed by or, where nobody was driven, each motion that was looked at.
     """
 
     kind: Literal["cut_in", "overtake", "lead", "follow", "merge", "cross"]
@@ -196,7 +198,9 @@ class EventRecord(_Record):
     pet_s: Seconds | None = None
     drac_mps2: float | None = Field(default=None, ge=0)
     human_brakes: bool | None = None
+    brakes_mps2: float | None = Field(default=None, ge=0)
     tries: int = Field(ge=0)
+    tried: Mapping[str, int] = {}
 
 
 class Sidecar(_Record):

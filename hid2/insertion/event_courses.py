@@ -207,7 +207,7 @@ class Courses:
     def _relations(self) -> tuple[FloatArray, FloatArray]:
         """Gaps, m, and speed differences, m/s, within what is asked for."""
         event, search = self.event, self._search
-        least, most = event.gap_band_m[0], min(event.gap_band_m[1], max(search.gap_most_m, event.gap_band_m[0]))
+        least, most = event.gap_m or (event.gap_band_m[0], min(event.gap_band_m[1], search.gap_most_m))
         gaps = np.array([least + share * (most - least) for share in search.band_shares])
         low, high = event.difference_band_mps
         if event.ttc_s is None and event.drac_mps2 is None:

@@ -16,6 +16,8 @@ from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import EventSearch
 
+_FASTER_MPS = 0.05  # by less nobody closes in; no tunable, against rounding
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Along:
@@ -221,13 +223,13 @@ def _since(wanted: Wanted, rules: Rules, after: Along) -> tuple[FloatArray, Floa
     return speeds, way
 
 
-def free(fan: Fan, rules: Rules, before: Along, after: Along) -> FloatArray:
+def first_met_s(fan: Fan, rules: Rules, before: Along, after: Along) -> FloatArray:
     """(N,) time, s, at which a motion first touches somebody, or comes too near to anybody but the target; else inf."""
-    first, second = (_free(half, rules, before, after)[half.of] for half in (fan.until, fan.since))
+    first, second = (_first_met(half, rules, before, after)[half.of] for half in (fan.until, fan.since))
     return np.minimum(first, second) * rules.step_s
 
 
-def _free(half: Half, rules: Rules, before: Along, after: Along) -> FloatArray:
+def _first_met(half: Half, rules: Rules, before: Along, after: Along) -> FloatArray:
     """(U,) step at which somebody is first met in a half; inf for never."""
     dt, at = rules.step_s, half.wanted.at
     until = np.full(at.size, np.inf)
@@ -247,8 +249,9 @@ def _free(half: Half, rules: Rules, before: Along, after: Along) -> FloatArray:
 
 
 def kept_to(fan: Fan, rules: Rules, there: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """(N,) smallest TTC, s, and largest DRAC, m/s2, of vehicle and target from the moment on; -1 s where they touch.
+    """(N,) smallest TTC, s, and largest DRAC, m/s2, of vehicle and target; -1 s where they come nearer than margin_m.
 
+    From the moment on, with a change of lanes from when half of `arrives_s` is left.
     there (T,): whether the target is on the path; elsewhere it closes in on nobody.
     """
     halves = [(half.of, *_kept_to(half, rules, there)) for half in (fan.until, fan.since)]
@@ -261,16 +264,17 @@ def _kept_to(half: Half, rules: Rules, there: BoolArray) -> tuple[FloatArray, Fl
     assert rules.ahead is not None
     arrives = round(0.5 * rules.search.arrives_s / rules.step_s) if rules.changes else 0
     steps = np.arange(
-        max(0, half.steps().start if not half.is_first else half.wanted.at.min(initial=0) - arrives), half.steps().stop
+        max(0, half.steps().start if not half.is_first else half.wanted.at.min(initial=half.way.shape[1]) - arrives),
+        half.steps().stop,
     )
     looked = there[steps] & half.has(steps) & (steps >= half.wanted.at[:, None] - arrives)
     apart = rules.order * (half.way[:, steps] - rules.ahead[steps]) - rules.lengths
     closing = rules.order * (rules.target_mps[steps] - half.speeds[:, steps])
-    closes = looked & (closing > 0.05)
+    closes = looked & (closing > _FASTER_MPS)
     with np.errstate(divide="ignore", invalid="ignore"):
         ttc = np.where(closes, apart / closing, np.inf)
         drac = np.where(closes, closing * closing / (2.0 * np.maximum(apart, 0.1)), 0.0)
-    touched = (looked & (apart < 1.0)).any(axis=1)
+    touched = (looked & (apart < rules.search.margin_m)).any(axis=1)
     return np.where(touched, -1.0, ttc.min(axis=1, initial=np.inf)), drac.max(axis=1, initial=0.0)
 
 
@@ -314,8 +318,8 @@ def _is_met(along: Along, s: FloatArray, v: FloatArray, step: int, rules: Rules,
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead, behind = low - s, s - high
         leads = same_direction & ~own & (ahead > 0)
-        bad |= leads & (v > speed + 0.05) & (ahead < rules.ttc_s * (v - speed))
+        bad |= leads & (v > speed + _FASTER_MPS) & (ahead < rules.ttc_s * (v - speed))
         if up_to_event:
             bad |= leads & (ahead < search.min_gap_m + rules.tau_s * v)
-        bad |= same_direction & ~own & (behind > 0) & (speed > v + 0.05) & (behind < rules.ttc_s * (speed - v))
+        bad |= same_direction & ~own & (behind > 0) & (speed > v + _FASTER_MPS) & (behind < rules.ttc_s * (speed - v))
     return np.asarray(bad.any(axis=0))

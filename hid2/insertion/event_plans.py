@@ -6,6 +6,7 @@ SUMO drives is another matter (`insertion/events.py`). An overtake is foreseen a
 (`insertion/overtakes.py`), of the target alone: its driver holds to no speed, and the manoeuvre is Algorithm 1's.
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -17,11 +18,12 @@ from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.event_courses import Course, Courses
-from hid2.insertion.event_motions import Fan, Wanted, free, kept_to, motions
+from hid2.insertion.event_motions import Fan, Wanted, first_met_s, kept_to, motions
 from hid2.insertion.event_paths import EventPaths
 from hid2.insertion.event_targets import Target
 from hid2.insertion.overtakes import Overtakes
 from hid2.insertion.routes import Routes
+from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import Route
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import Config, Event, EventSearch
@@ -31,6 +33,9 @@ from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene
 
+_LOOKS_S = 0.5  # between looks at stop lines by plan; no tunable, spares time: driving looks at every step
+_MANY_ROUTES = 9973  # a prime: routes are told apart by the sum of their lane ids over it; no tunable
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Plan:
@@ -39,7 +44,8 @@ class Plan:
     speeds (T,) m/s as planned; at_step: the moment of the event; trigger_s, side, change_s: of the change of lanes;
     order: -1 where the vehicle is behind the target, or crosses second, else 1; score: how far from the middle of what
     is asked; desired_mps, tau_s: what its driver drives at most, and its time gap; traits: what it shares with plans
-    that are like it; driver: who drives freely, not by the speeds planned.
+    that are like it; driver: of an overtake that is foreseen, who drives freely: speeds are what it starts with and
+    what it wishes.
     """
 
     event: Event
@@ -100,7 +106,7 @@ class Planner:
     def __post_init__(self) -> None:
         """Nothing is known of any path yet."""
         self._paths = EventPaths(self.scene, self.routes, self.roads, self.box, self.guard.fixed)
-        self._foresight = Overtakes(self.scene, self.routes, self.roads, self.guard)
+        self._foresight = Overtakes(self.scene, self.routes, self.roads, self.guard, self.box)
 
     def plans(self, event: Event, target: Target) -> list[Plan]:
         """Plans for an event with a target, the likeliest ones first."""
@@ -115,6 +121,48 @@ class Planner:
                     found += [plan for course in courses for plan in self._free(event, target, course, tau_s)]
         return sorted(found, key=lambda plan: plan.score)
 
+    def has_plan(self, event: Event, target: Target) -> bool:
+        """Whether any of the plans that would be tried is one that road and stop lines let be driven."""
+        rng = np.random.default_rng(target.row)
+        plans = self.plans(event, target)[: self._search.plans]
+        return any(self.objection(plan, self.driver_of(plan, rng), self.box) is None for plan in plans)
+
+    def driver_of(self, plan: Plan, rng: np.random.Generator) -> Driver:
+        """Who drives a plan."""
+        if plan.driver is not None:
+            return plan.driver
+        config = self.scene.config
+        # a path across is laid out at a pace between its speed and the one that it likes
+        v = max(float(plan.speeds[self.scene.steps_in(plan.trigger_s)]), config.lane_change.min_speed_mps)
+        change_s = plan.change_s * v / (0.5 * (v + max(v, plan.desired_mps)))
+        driver = hurried_driver(
+            config, rng, desired_mps=plan.desired_mps, tau_s=plan.tau_s,
+            lane_change_s=change_s if plan.side is not None else self._search.change_s,
+        )  # fmt: skip
+        return replace(driver, decel_mps2=max(driver.decel_mps2, plan.event.brakes_mps2))
+
+    def objection(self, plan: Plan, driver: Driver, box: BoxSize) -> Reason | None:
+        """What road and stop lines have against a plan before SUMO is asked; None for nothing."""
+        scene, path, search = self.scene, self.scene.path(plan.route), self._search
+        if plan.driver is not None:  # foreseen with the road and the lines
+            return None
+        until = min(plan.at_step + scene.steps_in(search.after_s), scene.num_steps)
+        if plan.side is not None:  # then it is on another path
+            until = scene.steps_in(plan.trigger_s) + 1
+        way = plan.way
+        if way[0] < 0.5 * box.length_m:
+            return Reason.NO_SITE
+        table = self.roads.speeds(path, driver)
+        asked = table[np.minimum((way / TABLE_STEP_M).astype(np.int64), table.size - 1)]
+        if (plan.speeds[:until] > asked[:until] + search.road_spare_mps).any():
+            return Reason.TOO_SLOW
+        closed = self.guard.stop_lines.arrays(path, box)
+        for step in range(0, until, scene.steps_in(_LOOKS_S)):
+            stop = closed.braking(driver, s=float(way[step]), speed_mps=float(plan.speeds[step]), step=step)
+            if stop is not None and stop[0] < 0.0:
+                return Reason.CONFLICT_PREDICTED
+        return None
+
     @property
     def _search(self) -> EventSearch:
         return self.scene.config.event_search
@@ -122,11 +170,13 @@ class Planner:
     def _overtakes(self, event: Event, target: Target) -> Iterator[Plan]:
         """Foreseen ones, back in the lane ahead of the target at the time asked for; drivers no faster than needed."""
         scene, search = self.scene, self._search
-        rng = np.random.default_rng(target.row)  # of an event: whoever asks for it looks at the same motions
         foresight, (earliest_s, latest_s) = self._foresight, event.at_band_s
         pace = float(target.speed[target.present].mean())
         least, most = event.difference_band_mps
         least = max(least, scene.config.overtake.speed_advantage_mps)
+        if least > most:
+            return
+        rng = np.random.default_rng(target.row)
         drivers = [
             hurried_driver(
                 scene.config,
@@ -136,7 +186,6 @@ class Planner:
                 desired_mps=min(pace + least + share * (most - least), scene.config.spawn.max_speed_mps),
             )
             for change_s, share in product(search.overtake_changes_s, search.band_shares)
-            if least <= most
         ]
         triggers = np.arange(0.0, latest_s, scene.config.foresight.waits_s).tolist()
         target_lanes = set(target.lanes_from(0))
@@ -146,20 +195,22 @@ class Planner:
             way = foresight.way(offer, lane_id, side, reach_m=scene.config.spawn.max_speed_mps * latest_s)
             if way is None:
                 continue
-            for driver, trigger_s in product(drivers, triggers):
+            for (number, driver), trigger_s in product(enumerate(drivers), triggers):
+                # whoever asks for it, scan or generate, at whatever time, looks at the same motions
+                rng = np.random.default_rng([target.row, lane_id, number, scene.steps_in(trigger_s)])
                 back_s = 0.5 * foresight.lasting_s(driver)
                 found = foresight.foresee(way, driver, rng, trigger_s=trigger_s, lead=False, leader=target.row)
                 self.turned_down[Reason.NO_OVERTAKE_FORESEEN] += not found
-                for one in found[:: max(1, len(found) // search.plan_tries)]:
+                for one in found[:: math.ceil(len(found) / search.overtake_starts) or 1]:
                     at_s = one.done_s - back_s
                     late_s = max(earliest_s - at_s, at_s - latest_s, 0.0)
                     if late_s > search.moment_s:
                         continue
-                    traits = float(sum(offer.route) % 9973), trigger_s, driver.desired_mps, driver.lane_change_s
+                    traits = float(sum(offer.route) % _MANY_ROUTES), trigger_s, driver.desired_mps, driver.lane_change_s
                     speeds = np.full(scene.num_steps, driver.desired_mps)
                     speeds[0] = one.start_mps
                     yield Plan(
-                        event, target, offer.route, one.start_s, speeds, round(at_s / scene.step_s), -1,
+                        event, target, offer.route, one.start_s, speeds, round(at_s / scene.step_s), 1,
                         search.off_moment * late_s + search.off_difference * (driver.desired_mps - pace),
                         driver.desired_mps, traits, driver.lane_change_s, driver.tau_s, trigger_s=trigger_s, side=side,
                         driver=driver,
@@ -186,7 +237,7 @@ class Planner:
         if not keep.any():
             return []
         wanted, off, fan = wanted.rows(keep), off[keep], fan.rows(keep)
-        until = free(fan, rules, course.before, course.after)
+        until = first_met_s(fan, rules, course.before, course.after)
         late = until - wanted.at * step_s
         rows = np.flatnonzero(
             self._still(late > search.after_s, np.ones(late.size, dtype=np.bool_), Reason.MEETS_RECORDED)
@@ -204,7 +255,7 @@ class Planner:
             at_s = float(wanted.at[row]) * step_s
             change_s = min(search.change_s, 2.0 * at_s)
             traits = (
-                float(sum(course.route) % 9973), float(wanted.at[row]), float(wanted.gap_m[row]),
+                float(sum(course.route) % _MANY_ROUTES), float(wanted.at[row]), float(wanted.gap_m[row]),
                 float(wanted.speed_mps[row]), float(np.nan_to_num(wanted.before_mps2[row], nan=9.0)),
                 float(np.nan_to_num(wanted.later_mps[row], nan=-1.0)),
             )  # fmt: skip

@@ -8,17 +8,17 @@ later by what was missing, or follows another plan.
 
 import logging
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import get_args
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, FloatArray, Policy
+from hid2.agents import DEFAULT_SIZES, Policy
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
-from hid2.drivers.driver import Driver, desired_speeds, lane_offset
-from hid2.insertion.event_plans import Plan, Planner, hurried_driver
+from hid2.drivers.driver import desired_speeds, lane_offset
+from hid2.insertion.event_plans import Plan, Planner
 from hid2.insertion.event_targets import target_of
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.insertion.meetings import moving_vehicles, named_rows
@@ -30,7 +30,6 @@ from hid2.measures.events import EventMeasures, crossing_steps, is_in_the_way, m
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import FlatLanes, Matches, match_lanes
 from hid2.measures.manoeuvres import ManeuverKind, detect
-from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Event
 from hid2.policy.roads import Roads
@@ -44,7 +43,8 @@ DriveAlone = Callable[[Scene, StopLines, Start, Traffic], DrivenVehicle]
 FIRST_NUMBER = 10_000
 _POLICY = {"cut_in": Policy.LANE_CHANGE, "overtake": Policy.OVERTAKE}
 _MEETS_CROSSING = frozenset({"cross", "merge"})
-_LOOKS_S = 0.5  # between looks at stop lines by plan; no tunable, spares time: driving looks at every step
+_SAME_M = 0.1  # a start moved by less is the same; no tunable
+_CREEPS_MPS = 0.2  # who wishes to stand is let roll on so slowly; no tunable: SUMO takes no wish of 0
 _LOG = logging.getLogger(__name__)
 
 
@@ -52,7 +52,8 @@ _LOG = logging.getLogger(__name__)
 class EventOutcome:
     """What became of an event that was asked for; vehicle, at_s s and measures where it came about.
 
-    tries: vehicles that were driven for it; order: 1 where the vehicle is ahead of the target, or crosses first.
+    order: 1 where the vehicle is ahead of the target, or crosses first; tries: vehicles that were driven for it; tried:
+    what each try or, where nobody was driven, each plan failed by.
     """
 
     event: Event
@@ -64,6 +65,7 @@ class EventOutcome:
     measures: EventMeasures | None = None
     order: int = 1
     tries: int = 0
+    tried: Mapping[Reason, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -83,8 +85,10 @@ def scene_for(scene: Scene, event: Event) -> Scene:
     config, conflict = scene.config, scene.config.conflict
     critical: dict[str, float] = {}
     if event.ttc_s is not None:
-        name = "ttc_min_s" if event.kind == "follow" else "follower_ttc_min_s"
-        critical[name] = min(getattr(conflict, name), event.ttc_s[0])
+        # the vehicle is behind, ahead, or either
+        names = {"follow": ("ttc_min_s",), "merge": ("ttc_min_s", "follower_ttc_min_s")}
+        for name in names.get(event.kind, ("follower_ttc_min_s",)):
+            critical[name] = min(getattr(conflict, name), event.ttc_s[0])
     if event.pet_s is not None:
         critical["pet_min_s"] = min(conflict.pet_min_s, event.pet_s[0])
     update: dict[str, object] = {"conflict": conflict.model_copy(update=critical)}
@@ -106,24 +110,20 @@ def offered_events(scene: Scene, targets: Sequence[str]) -> tuple[str, ...]:
 
     From second 1 on to 4 s before the end, an overtake to the end; a vehicle of usual size.
     """
-    size = DEFAULT_SIZES["vehicle"]
-    guard = Guard(scene, traffic_of_exported([], scene), StopLines(scene))
-    planner = Planner(scene, Routes(scene), Roads(scene), size, clearance_box(size, size), guard)
-    until_s = {"overtake": scene.last_s}
+    size, routes, roads = DEFAULT_SIZES["vehicle"], Routes(scene), Roads(scene)
+    usual_lines, nobody = StopLines(scene), traffic_of_exported([], scene)
     found = []
-    for name in targets:
-        rows = named_rows(scene, name).tolist()
-        target = target_of(scene, rows[0]) if rows else None
-        if target is None or rows[0] not in moving_vehicles(scene):
-            continue
-        found += [
-            f"{kind}:{name}"
-            for kind in get_args(Event.model_fields["kind"].annotation)
-            if planner.plans(
-                Event(kind=kind, target=name, at_s=(1.0, max(1.0, until_s.get(kind, scene.last_s - 4.0)))), target
-            )
-        ]
-    return tuple(found)
+    wanted = {name: row for name in targets for row in named_rows(scene, name).tolist()[:1]}
+    moving = set(moving_vehicles(scene).tolist())
+    at = {name: target_of(scene, row) for name, row in wanted.items() if row in moving}
+    for kind in get_args(Event.model_fields["kind"].annotation):
+        until_s = scene.last_s if kind == "overtake" else scene.last_s - 4.0
+        event = Event(kind=kind, at_s=(1.0, max(1.0, until_s)))
+        ruled = scene_for(scene, event)
+        lines = StopLines(ruled) if kind in _MEETS_CROSSING else usual_lines
+        planner = Planner(ruled, routes, roads, size, clearance_box(size, size), Guard(ruled, nobody, lines))
+        found += [f"{kind}:{name}" for name, target in at.items() if target and planner.has_plan(event, target)]
+    return tuple(sorted(found, key=lambda one: targets.index(one.partition(":")[2])))
 
 
 @dataclass(slots=True)
@@ -152,6 +152,7 @@ class EventSearch:
     def search(self, event: Event, number: int, drive: DriveAlone) -> EventOutcome:
         """One event; its reason where none of the tries brought it about."""
         rng = np.random.default_rng([*self.seed, 0xE7E27, number])
+        self.tried = Counter()
         scene = scene_for(self.scene, event)
         rows = self._targets(event, rng)
         targets = [target for row in rows if (target := target_of(scene, row)) is not None]
@@ -174,7 +175,7 @@ class EventSearch:
                 if best is None or tries >= search.tries:
                     break
                 start = self._start(planner, best, number, tries, rng)
-                objection = self._objection(planner, lines, best, start)
+                objection = planner.objection(best, start.driver, start.box)
                 if objection is not None:
                     self.tried[objection] += 1
                     break
@@ -184,11 +185,11 @@ class EventSearch:
                     return replace(outcome, tries=tries)
             if tries >= search.tries:
                 break
-        if not self.tried:
-            self.tried = planner.turned_down
-        said = ", ".join(f"{reason} {count}" for reason, count in self.tried.most_common())
+        tried = dict((self.tried or +planner.turned_down).most_common())
+        said = ", ".join(f"{reason} {count}" for reason, count in tried.items())
         _LOG.debug("event %s: %d tries; %s", event.kind, tries, said or "no plan")
-        return EventOutcome(event, Reason.EVENT_NOT_AS_ASKED if tries else Reason.EVENT_NO_PLACE, tries=tries)
+        reason = Reason.EVENT_NOT_AS_ASKED if tries else Reason.EVENT_NO_PLACE
+        return EventOutcome(event, reason, tries=tries, tried=tried)
 
     def _targets(self, event: Event, rng: np.random.Generator) -> list[int]:
         """Rows of the targets that may be taken, in the order in which they are tried."""
@@ -221,10 +222,10 @@ class EventSearch:
         scene = self.scene
         request = VehicleRequest(FIRST_NUMBER + number, _POLICY.get(plan.event.kind, Policy.STRAIGHT), plan.trigger_s)
         path = scene.path(plan.route)
-        if plan.driver is None:
-            driver, desired = self._held(plan, rng)
+        driver = planner.driver_of(plan, rng)
+        if plan.driver is None:  # the wish at a step is for the next one
+            desired = np.maximum(np.append(plan.speeds[1:], plan.speeds[-1:]), _CREEPS_MPS)
         else:
-            driver = plan.driver
             desired = desired_speeds(
                 driver, scene.config, rng, num_steps=scene.num_steps, step_s=scene.step_s,
                 at_least_mps=float(plan.speeds[0]),
@@ -236,42 +237,6 @@ class EventSearch:
             offset=lane_offset(driver, scene.config, rng, length_m=path.line.length_m),
             sides=("left", "right") if plan.side is None else (plan.side,), is_held=plan.driver is None,
         )  # fmt: skip
-
-    def _held(self, plan: Plan, rng: np.random.Generator) -> tuple[Driver, FloatArray]:
-        """A driver who holds to a plan, and (T,) m/s that it wishes to drive."""
-        scene, search = self.scene, self.scene.config.event_search
-        # a path across is laid out at a pace between its speed and the one that it likes
-        v = max(float(plan.speeds[scene.steps_in(plan.trigger_s)]), scene.config.lane_change.min_speed_mps)
-        change_s = plan.change_s * v / (0.5 * (v + max(v, plan.desired_mps)))
-        driver = hurried_driver(
-            scene.config, rng, desired_mps=plan.desired_mps, tau_s=plan.tau_s,
-            lane_change_s=change_s if plan.side is not None else search.change_s,
-        )  # fmt: skip
-        driver = replace(driver, decel_mps2=max(driver.decel_mps2, plan.event.brakes_mps2))
-        desired = np.append(plan.speeds[1:], plan.speeds[-1:])  # the wish at a step is for the next one
-        return driver, np.maximum(desired, 0.2)
-
-    def _objection(self, planner: Planner, lines: StopLines, plan: Plan, start: Start) -> Reason | None:
-        """What road and stop lines have against a plan before SUMO is asked; None for nothing."""
-        scene, path, search = planner.scene, start.path, planner.scene.config.event_search
-        if plan.driver is not None:  # foreseen with the road and the lines
-            return None
-        until = min(plan.at_step + scene.steps_in(search.after_s), scene.num_steps)
-        if plan.side is not None:  # then it is on another path
-            until = scene.steps_in(plan.trigger_s) + 1
-        way = plan.way
-        if way[0] < 0.5 * start.box.length_m:
-            return Reason.NO_SITE
-        table = self.roads.speeds(path, start.driver)
-        asked = table[np.minimum((way / TABLE_STEP_M).astype(np.int64), table.size - 1)]
-        if (plan.speeds[:until] > asked[:until] + search.road_spare_mps).any():
-            return Reason.TOO_SLOW
-        closed = lines.arrays(path, start.box)
-        for step in range(0, until, scene.steps_in(_LOOKS_S)):
-            stop = closed.braking(start.driver, s=float(way[step]), speed_mps=float(plan.speeds[step]), step=step)
-            if stop is not None and stop[0] < 0.0:
-                return Reason.CONFLICT_PREDICTED
-        return None
 
     def _drive(
         self, scene: Scene, lines: StopLines, plan: Plan, start: Start, fixed: Traffic, drive: DriveAlone
@@ -294,8 +259,10 @@ class EventSearch:
             gap = min(max(missing.gap_m, low + edge), high - edge) - missing.gap_m
             late_s = (plan.at_step - seen.at_step) * scene.step_s
             self._tell(plan, start, Reason.EVENT_NOT_AS_ASKED, f"at {seen.at_step * scene.step_s:.1f} s {missing}")
-            better = plan.moved(forward_m=plan.order * gap, later_s=late_s if event.kind == "cut_in" else 0.0)
-            return None, better if event.kind != "overtake" else None
+            later_s = late_s if event.kind == "cut_in" else 0.0
+            if event.kind == "overtake" or (abs(gap) < _SAME_M and abs(later_s) < scene.step_s):
+                return None, None  # it would be driven once more as it was
+            return None, plan.moved(forward_m=plan.order * gap, later_s=later_s)
         if any(row >= len(self.kept) for row, _ in conflicting(scene, [*self.kept, vehicle])):
             self._tell(plan, start, Reason.TTC_LANE_LEADER, None)
             return None, None
@@ -369,7 +336,8 @@ def _is_as_asked(scene: Scene, event: Event, seen: _Seen) -> bool:
         within.append((np.inf if found.pet_s is None else found.pet_s, event.pet_s))
     if event.drac_mps2 is not None:
         within.append((found.drac_mps2, event.drac_mps2))
-    return all(low <= value <= high for value, (low, high) in within)
+    brakes = found.brakes_mps2 >= scene.config.event_search.brakes_share * event.brakes_mps2
+    return brakes and all(low <= value <= high for value, (low, high) in within)
 
 
 def _cut_in_step(plan: Plan, arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> int | None:

@@ -4,13 +4,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hid2.agents import Policy
+from hid2.agents import DEFAULT_SIZES, Policy
 from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.overtakes import ForeseenOvertake, Overtakes, Way
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.starts import Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.reasons import Reason
+from hid2.scene import clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
 
@@ -26,7 +27,10 @@ class OvertakeSites:
 
     def __post_init__(self) -> None:
         """One for all requests of a round: what is known on a way is looked up once."""
-        self._foresight = Overtakes(self.here.scene, self.here.routes, self.here.roads, self.starts.guard)
+        usual = DEFAULT_SIZES["vehicle"]
+        self._foresight = Overtakes(
+            self.here.scene, self.here.routes, self.here.roads, self.starts.guard, clearance_box(usual, usual)
+        )
 
     def foreseen(self, request: VehicleRequest, slow_leader: VehicleRequest | None) -> list[Start]:
         """A start where an overtake from the trigger on fits into what is known, and its leader where one is added."""

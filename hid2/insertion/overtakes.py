@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray
+from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import Driver
 from hid2.insertion.routes import RouteOffer, Routes
@@ -26,7 +26,7 @@ from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.overtake import stretch_m
 from hid2.policy.roads import Roads
-from hid2.scene import Scene, clearance_box
+from hid2.scene import Scene
 
 _GRID_M = 1.0  # no tunable: of the table that leads from the own lane to the one beside
 
@@ -80,21 +80,19 @@ class _Tried:
 
 @dataclass(slots=True)
 class Overtakes:
-    """Overtakes of one scene that fit between everybody known; ways that are found out are kept with the routes."""
+    """Overtakes of one scene that fit between everybody known; ways that are found out are kept with the routes.
+
+    box: what is kept clear for who overtakes, and for a leader that is added.
+    """
 
     scene: Scene
     routes: Routes
     roads: Roads
     guard: Guard
-    box: BoxSize = field(init=False)
+    box: BoxSize
     _known: dict[DrivenPath, tuple[FloatArray, BoolArray, IntArray, FloatArray, BoolArray]] = field(
         default_factory=dict
     )
-
-    def __post_init__(self) -> None:
-        """A usual car."""
-        size = DEFAULT_SIZES["vehicle"]
-        self.box = clearance_box(size, size)
 
     def way(self, offer: RouteOffer, lane_id: int, side: Side, *, reach_m: float) -> Way | None:
         """A route from a lane on with the stretch on which a lane is beside; None where that is too short.

@@ -28,7 +28,8 @@ class EventMeasures:
     gap_m: bumper to bumper along the target's heading at the moment of the event, whoever is ahead;
     speed_difference_mps: speed of the vehicle minus that of the target then; min_ttc_s: smallest two-dimensional TTC
     from then on, None where it is never below CAP_S; pet_s: where the paths cross; drac_mps2: largest deceleration that
-    the target would have needed, 0 where it never closes in; human_brakes: whether a human would have braked.
+    the target would have needed, 0 where it never closes in; brakes_mps2: hardest braking of the vehicle itself from
+    the moment on, 0 where it never brakes; human_brakes: whether a human would have braked.
     """
 
     gap_m: float
@@ -36,6 +37,7 @@ class EventMeasures:
     min_ttc_s: float | None
     pet_s: float | None
     drac_mps2: float
+    brakes_mps2: float
 
     @property
     def human_brakes(self) -> bool:
@@ -57,6 +59,7 @@ def measure_event(own: Track, target: Track, *, at_step: int, since_step: int, s
     return EventMeasures(
         gap_m=float(gap), speed_difference_mps=float(speed - other_speed), min_ttc_s=min_ttc_s,
         pet_s=post_encroachment_of(own, target, step_s=step_s), drac_mps2=drac,
+        brakes_mps2=_braking(own, at_step, step_s),
     )  # fmt: skip
 
 
@@ -88,6 +91,11 @@ def crossing_steps(own: Track, target: Track) -> tuple[int, int] | None:
     if not hit.size:
         return None
     return int(own.timesteps[hit[0, 0]]), int(target.timesteps[hit[0, 1]])
+
+
+def _braking(own: Track, at_step: int, step_s: float) -> float:
+    speed = np.hypot(*own.velocity[own.timesteps >= at_step].T)
+    return float(max(0.0, -np.gradient(speed, step_s).min())) if speed.size > 1 else 0.0
 
 
 def is_in_the_way(leader: Track, follower: Track, *, at_step: int) -> bool:

@@ -52,6 +52,7 @@ def test_overtake_passes_the_target_and_comes_back_before_it(data_root: Path) ->
     scene = made(data_root, kind="overtake")
     (event,) = scene.sidecar.events
     assert event.status == "done", event.reason
+    assert event.ahead
     assert 3.5 <= event.at_s <= 10.5  # the usual time of an overtake, within half a second
     own = scene.generated[0]
     target = next(track for track in scene.scenario.tracks if track.track_id == event.target_track_id)
@@ -62,6 +63,33 @@ def test_overtake_passes_the_target_and_comes_back_before_it(data_root: Path) ->
     assert np.max(np.abs(own_d[:at])) > 2.2
     assert own_s[at] - target_s[at] - lengths_m == pytest.approx(event.gap_m, abs=1.0)
     assert np.all(own_s[at:] - target_s[at:] > lengths_m)
+
+
+@pytest.mark.parametrize("asked_mps2", [2.0, 4.0])
+def test_leader_brakes_as_hard_as_is_asked_for(data_root: Path, asked_mps2: float) -> None:
+    """Within a fifth, in the exported positions, and not before the moment."""
+    scene = made(data_root, kind="lead", target="any", at_s=(3.0, 6.0), brakes_mps2=asked_mps2)
+    (event,) = scene.sidecar.events
+    assert event.status == "done", event.reason
+    speed = np.hypot(*np.gradient(scene.generated[0].position, 0.1, axis=0).T)
+    braking = -np.gradient(speed, 0.1)
+    at = round(event.at_s * 10)
+    assert 0.8 * asked_mps2 - 0.05 <= braking[at:].max() <= asked_mps2 + 0.1
+    assert braking[: at - 10].max() < 1.0
+    assert event.brakes_mps2 == pytest.approx(braking[at:].max(), abs=0.2)
+
+
+def test_what_the_tries_failed_by_is_told_for_each_event(data_root: Path) -> None:
+    """The second event has nothing of the first one's reasons."""
+    folder = next(one for one in find_scenarios(data_root) if one.name.startswith(ARTERIAL))
+    asked = (
+        Event(kind="overtake", target="av", at_s=(2.0, 2.0)),
+        Event(kind="cut_in", target="nobody"),
+    )
+    scene = generate(prepare(read_scenario(folder), Config()), Config(request=Request(agents=0), event=asked))
+    first, second = scene.sidecar.events
+    assert (first.reason, set(first.tried)) == ("event_no_place", {"no_overtake_foreseen"})
+    assert (second.reason, second.tried) == ("event_no_target", {})
 
 
 def test_event_that_the_road_has_no_room_for_is_not_driven(data_root: Path) -> None:

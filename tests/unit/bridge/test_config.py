@@ -236,9 +236,12 @@ def test_a_file_of_drivers_that_is_wrong_is_refused(tmp_path: Path, text: str, s
     ("kinds", "values", "criticality", "said"),
     [
         ([], {"target": "av", "gap": "2:3"}, ["ttc=1:2"], "--target, --gap, --criticality without --event; say which"),
-        (["cut_in"], {"gap": "wide"}, [], "--gap: 'wide', expected A or A:B"),
+        (["cut_in"], {"gap": "wide"}, [], "--gap 'wide': expected A:B"),
+        (["cut_in"], {"gap": "5"}, [], "--gap '5': expected A:B"),
+        (["cut_in"], {"at": "late"}, [], "--at: 'late', expected A or A:B"),
+        (["cut_in"], {}, ["ttc=1:2", "ttc=2:3"], "--criticality 'ttc=2:3': ttc is asked for twice"),
         (["cut_in"], {}, ["thw=1:2"], "--criticality 'thw=1:2': expected ttc=A:B"),
-        (["cut_in"], {}, ["ttc=low"], "--criticality ttc: 'low', expected A or A:B"),
+        (["cut_in"], {}, ["ttc=low"], "--criticality ttc 'low': expected A:B"),
     ],
 )
 def test_options_of_events_that_are_wrong_are_named(

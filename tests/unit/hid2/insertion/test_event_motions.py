@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hid2.insertion.event_motions import Along, Rules, Wanted, free, kept_to, motions
+from hid2.insertion.event_motions import Along, Rules, Wanted, first_met_s, kept_to, motions
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.params import EventSearch
 
@@ -72,8 +72,8 @@ def test_a_motion_through_somebody_is_free_until_it_meets_it() -> None:
     standing = along((90.0, 0.0))
     one = wanted(100.0, 10.0)
     fan = motions(one, rules(), standing, standing)
-    assert free(fan, rules(), standing, standing)[0] <= 1.0
-    assert np.isinf(free(fan, rules(), along(), along())[0])
+    assert first_met_s(fan, rules(), standing, standing)[0] <= 1.0
+    assert np.isinf(first_met_s(fan, rules(), along(), along())[0])
 
 
 def test_the_lane_that_is_left_is_no_matter_after_a_change_and_the_other_not_before() -> None:
@@ -82,10 +82,10 @@ def test_the_lane_that_is_left_is_no_matter_after_a_change_and_the_other_not_bef
     changing = rules(changes=True)
     first, second = along((112.0, 0.0)), along((76.0, 0.0))
     fan = motions(one, changing, first, second)
-    met = free(fan, changing, first, along())[0]
+    met = first_met_s(fan, changing, first, along())[0]
     assert met < 2.0, "a standing leader is too near before the change"
-    assert np.isinf(free(fan, changing, along(), second)[0])
-    assert np.isfinite(free(fan, rules(), second, second)[0])
+    assert np.isinf(first_met_s(fan, changing, along(), second)[0])
+    assert np.isfinite(first_met_s(fan, rules(), second, second)[0])
 
 
 def test_time_to_collision_of_a_faster_target_behind_is_gap_over_speed_difference() -> None:
@@ -122,8 +122,8 @@ def test_a_driver_with_a_short_time_gap_is_nearer_to_who_is_ahead() -> None:
     assert motions(one, short, slow, slow).motion(0)[1][-1] > motions(one, usual, slow, slow).motion(0)[1][-1] + 1.0
     near = along((106.0, 10.0))
     fan = motions(wanted(120.0, 10.0, later=10.0), usual, near, near)
-    assert free(fan, usual, near, near)[0] == 0.0
-    assert np.isinf(free(fan, short, near, near)[0])
+    assert first_met_s(fan, usual, near, near)[0] == 0.0
+    assert np.isinf(first_met_s(fan, short, near, near)[0])
 
 
 def test_motions_alike_in_one_half_are_those_that_each_would_be_alone() -> None:
@@ -141,7 +141,7 @@ def test_motions_alike_in_one_half_are_those_that_each_would_be_alone() -> None:
     for row, one in enumerate(ones):
         alone = motions(one, rules(), others, others)
         assert np.array_equal(fan.motion(row), alone.motion(0))
-        assert free(fan, rules(), others, others)[row] == free(alone, rules(), others, others)[0]
+        assert first_met_s(fan, rules(), others, others)[row] == first_met_s(alone, rules(), others, others)[0]
         assert [found[row] for found in kept_to(fan, rules(), there)] == [f[0] for f in kept_to(alone, rules(), there)]
     for row, of in enumerate((1, 2, 4)):
         assert np.array_equal(some.motion(row), fan.motion(of))

@@ -51,7 +51,7 @@ def test_plan_has_the_gap_asked_for_at_the_moment_asked_for(
     scene_of: Callable[..., Scene], kind: str, order: int
 ) -> None:
     """A target at 8 m/s from 150 m: at 4 s it is at 182 m, and whoever is 10 m away, bumper to bumper, at 14.5 m."""
-    plan = _plans(scene_of(recorded(150.0, 0.0, 8.0)), kind=kind, gap_m=(10.0, 10.0))[0]
+    plan = _plans(scene_of(recorded(150.0, 0.0, 8.0)), kind=kind, gap_m=(9.5, 10.5))[0]
     assert (plan.at_step * 0.1, plan.order) == (pytest.approx(4.0, abs=0.3), order)
     apart = plan.way[plan.at_step] - (150.0 + 0.8 * plan.at_step)
     assert apart == pytest.approx(order * (10.0 + LENGTHS_M), abs=0.6)
@@ -101,7 +101,7 @@ def test_no_plan_where_somebody_stands_on_the_way_and_the_reason_is_counted(scen
     row = [recorded(60.0 + 8.0 * number, 0.0, 8.0, name=f"o{number}") for number in range(12)]
     scene = scene_of(recorded(52.0, 0.0, 8.0), *row)
     planner = _planner(scene)
-    assert not _plans(scene, planner, gap_m=(10.0, 10.0))
+    assert not _plans(scene, planner, gap_m=(9.5, 10.5))
     assert planner.turned_down[Reason.MEETS_RECORDED] > 0
 
 

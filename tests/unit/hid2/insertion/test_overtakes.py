@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inserted import DRIVER, nobody, recorded, scene_on
+from inserted import CAR, DRIVER, nobody, recorded, scene_on
 
 from bridge.batch.scan import _room_to_pass
 from hid2.agents import Policy, Track
@@ -17,7 +17,7 @@ from hid2.insertion.routes import Routes
 from hid2.params import Config, Request
 from hid2.policy.overtake import stretch_m
 from hid2.policy.roads import Roads
-from hid2.scene import Scene
+from hid2.scene import Scene, clearance_box
 from netconvert.lane_graph import LaneGraph
 
 #: 12 m/s on a road of 300 m.
@@ -36,7 +36,7 @@ def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
 
 def _foresight(scene: Scene) -> tuple[Overtakes, Routes]:
     routes, guard = Routes(scene), Guard(scene, nobody(scene.future.num_steps), StopLines(scene))
-    return Overtakes(scene, routes, Roads(scene), guard), routes
+    return Overtakes(scene, routes, Roads(scene), guard, clearance_box(CAR, CAR)), routes
 
 
 def _foreseen(scene: Scene, *, trigger_s: float = 1.0, lead: bool = True) -> list[tuple[Way, ForeseenOvertake]]:
