@@ -609,7 +609,7 @@ class Event(_Section):
     @field_validator("at_s", "gap_m", "speed_difference_mps", "ttc_s", "pet_s", "drac_mps2", mode="before")
     @classmethod
     def _band(cls, value: Any) -> Any:  # noqa: ANN401
-        """A band may be given as a list, which is what JSON and TOML have, or as one number."""
+        """A band may be given as a list, which is what JSON and TOML have, a moment as one number."""
         if isinstance(value, int | float) and not isinstance(value, bool):
             return float(value), float(value)
         return tuple(value) if isinstance(value, list) else value

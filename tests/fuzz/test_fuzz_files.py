@@ -45,7 +45,7 @@ filter_ratios = [1.0, 2.0]
 kind = "cut_in"
 target = "av"
 at_s = [5.0, 7.0]
-gap_m = 8.0
+gap_m = [6.0, 10.0]
 count = 2
 """
 STUDY = """scenes = ["{scene}"]

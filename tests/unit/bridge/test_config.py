@@ -18,7 +18,7 @@ from bridge.config import (
     parse_trigger_time,
     read_drivers,
 )
-from hid2.params import Config
+from hid2.params import Config, Event
 from netconvert.errors import ConfigError
 
 
@@ -249,3 +249,12 @@ def test_options_of_events_that_are_wrong_are_named(
 ) -> None:
     with pytest.raises(ConfigError, match=said):
         parse_events(kinds, values, criticality)
+
+
+@pytest.mark.parametrize("name", ["gap_m", "speed_difference_mps", "ttc_s", "drac_mps2"])
+def test_band_of_an_event_has_two_ends_and_a_moment_need_not(name: str) -> None:
+    """Nothing driven meets one value exactly; a moment has `event_search.moment_s` to both sides."""
+    Event.model_validate({"kind": "cut_in", "at_s": 3.0, name: [2.0, 3.0]})
+    for one in (2.0, [2.0, 2.0]):
+        with pytest.raises(ValueError, match=f"{name} 2, expected a band of two values"):
+            Event.model_validate({"kind": "cut_in", name: one})
