@@ -203,15 +203,17 @@ class Planner:
                 self.turned_down[Reason.NO_OVERTAKE_FORESEEN] += not found
                 for one in found[:: math.ceil(len(found) / search.overtake_starts) or 1]:
                     at_s = one.done_s - back_s
-                    late_s = max(earliest_s - at_s, at_s - latest_s, 0.0)
-                    if late_s > search.moment_s:
+                    if not earliest_s - search.moment_s <= at_s <= latest_s + search.moment_s:
                         continue
+                    off = abs(at_s - 0.5 * (earliest_s + latest_s)) / max(
+                        0.5 * (latest_s - earliest_s), search.moment_s
+                    )
                     traits = float(sum(offer.route) % _MANY_ROUTES), trigger_s, driver.desired_mps, driver.lane_change_s
                     speeds = np.full(scene.num_steps, driver.desired_mps)
                     speeds[0] = one.start_mps
                     yield Plan(
                         event, target, offer.route, one.start_s, speeds, round(at_s / scene.step_s), 1,
-                        search.off_moment * late_s + search.off_difference * (driver.desired_mps - pace),
+                        search.off_moment * off + search.off_difference * (driver.desired_mps - pace),
                         driver.desired_mps, traits, driver.lane_change_s, driver.tau_s, trigger_s=trigger_s, side=side,
                         driver=driver,
                     )  # fmt: skip
