@@ -52,7 +52,7 @@ class Killer:
         self.thread.join()
 
     def _run(self) -> None:
-        while len(self.hit) < self.kills and not self.stop.wait(self.random.uniform(0.3, 1.2)):
+        while len(self.hit) < self.kills and not self.stop.wait(self.random.uniform(0.1, 0.4)):
             target = self._choose()
             if target is not None:
                 with contextlib.suppress(psutil.NoSuchProcess, OSError):
