@@ -263,10 +263,8 @@ def _kept_to(half: Half, rules: Rules, there: BoolArray) -> tuple[FloatArray, Fl
     """(U,) the same of a half."""
     assert rules.ahead is not None
     arrives = round(0.5 * rules.search.arrives_s / rules.step_s) if rules.changes else 0
-    steps = np.arange(
-        max(0, half.steps().start if not half.is_first else half.wanted.at.min(initial=half.way.shape[1]) - arrives),
-        half.steps().stop,
-    )
+    span = half.steps()
+    steps = np.arange(max(span.start, int(half.wanted.at.min(initial=span.stop)) - arrives), span.stop)
     looked = there[steps] & half.has(steps) & (steps >= half.wanted.at[:, None] - arrives)
     apart = rules.order * (half.way[:, steps] - rules.ahead[steps]) - rules.lengths
     closing = rules.order * (rules.target_mps[steps] - half.speeds[:, steps])
