@@ -1,5 +1,5 @@
 #!/bin/sh
-# Makes .venv/ with the command hid2 and all that it needs, at the versions that pyproject.toml pins.
+# Makes .venv/ with the command hid2 and all that it needs, at the versions, and with the hashes, of requirements.txt.
 # "sh setup.sh tests" adds sumo-gui, a virtual screen for it, and the tools of the tests; "sh setup.sh forecast" the small
 # forecaster's torch, without CUDA unless UV_TORCH_BACKEND says so. Completed steps are skipped.
 set -eu
@@ -57,9 +57,19 @@ if "tests" in sys.argv and not shutil.which("Xvfb"):
     print("xvfb libgl1-mesa-dri")
 PYTHON
 }
+# Root may install them; at a terminal of a machine of its own, where others may care what it has, when the answer is yes.
+may_install() {
+    [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null || return 1
+    for mark in /.dockerenv /run/.containerenv; do [ ! -e "$mark" ] || return 0; done
+    [ -z "${container:-}${KUBERNETES_SERVICE_HOST:-}${CI:-}" ] && [ -t 0 ] && [ -t 2 ] || return 0
+    printf 'setup.sh: apt-get install %s? [y/N] ' "$packages" >&2
+    read -r answer
+    case "$answer" in [yY]*) ;; *) return 1 ;; esac
+}
 packages=$(missing_packages "$@" | tr '\n' ' ')
+packages=${packages% }
 if [ -n "$packages" ]; then
-    if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+    if may_install; then
         echo "setup.sh: installing $packages" >&2
         # shellcheck disable=SC2086  # one word a package
         { # a list that cannot be renewed may still do
@@ -90,32 +100,30 @@ export UV_PYTHON_DOWNLOADS=never
 # The machine's certificates, as pip takes them: its network may have some of its own.
 [ ! -e /etc/ssl/certs/ca-certificates.crt ] || export UV_SYSTEM_CERTS="${UV_SYSTEM_CERTS:-true}"
 
-# .venv/.hid2 says for which place, and for which pyproject.toml, the environment was made.
+# .venv/.hid2 says for which place, and for which of the two files, the environment was made.
 place="place $PWD"
-made="pins $(cksum <pyproject.toml)"
+made="pins $(cksum pyproject.toml requirements.txt | tr '\n' ' ')"
 if ! .venv/bin/python -c "$LOCATE" >/dev/null 2>&1 ||
     { [ -f .venv/.hid2 ] && ! grep -qxF "$place" .venv/.hid2; }; then
     echo "setup.sh: making .venv, which takes a minute" >&2
     .uv/bin/uv venv -q --clear --python "$python" .venv || fail "uv could not make .venv"
 fi
 if ! grep -qxF "$made ${1:-}" .venv/.hid2 2>/dev/null; then
-    wanted="-e ."
-    hint="is there a network?"
-    if [ "${1:-}" = tests ]; then wanted="-e .[gui] --group dev"; fi
-    if [ "${1:-}" = forecast ]; then
-        wanted="-e .[forecast]"
-        UV_TORCH_BACKEND="${UV_TORCH_BACKEND-cpu}" # PyTorch's own list of wheels; empty: that of all packages
-        if [ -n "$UV_TORCH_BACKEND" ]; then
-            export UV_TORCH_BACKEND
-            hint="can PyTorch's list of wheels be reached? bridge/forecasting/README.md says what to do without"
-        else
-            unset UV_TORCH_BACKEND
-        fi
-    fi
-    echo "setup.sh: installing packages into .venv (1.8 GB, a minute or two)" >&2
+    wanted=
+    if [ "${1:-}" = tests ]; then wanted="--extra gui --group dev"; fi
+    torch=${UV_TORCH_BACKEND-cpu} # PyTorch's own list of wheels; empty, which uv itself refuses: that of all packages
+    unset UV_TORCH_BACKEND
+    install() { .uv/bin/uv pip install -q --python .venv/bin/python --constraints requirements.txt "$@"; }
+    echo "setup.sh: installing packages into .venv (1.3 to 2 GB, a minute or two)" >&2
     # shellcheck disable=SC2086  # several words
-    .uv/bin/uv pip install -q --python .venv/bin/python $wanted ||
-        fail "uv could not install the packages into .venv; $hint"
+    install --require-hashes -r pyproject.toml $wanted &&
+        install --no-deps --require-build-hashes --build-constraints requirements.txt -e . ||
+        fail "uv could not install the packages into .venv; is there a network?"
+    if [ "${1:-}" = forecast ]; then # PyTorch's wheels have other hashes than those of the list of all packages
+        install -r pyproject.toml --extra forecast ${torch:+--torch-backend "$torch"} ||
+            fail "uv could not install torch into .venv;" \
+                "can PyTorch's list of wheels be reached? bridge/forecasting/README.md says what to do without"
+    fi
     printf '%s\n' "$place" "$made " "$made ${1:-}" >.venv/.hid2
 fi
 .venv/bin/python -c 'import libsumo' >/dev/null || fail "SUMO's library cannot be loaded (see above)"

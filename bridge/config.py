@@ -2,9 +2,10 @@
 
 import hashlib
 import json
+import re
 import tomllib
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_origin
@@ -12,12 +13,17 @@ from typing import Any, NamedTuple, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from bridge.files import one_line, read_regular
 from hid2.params import Config, Event
 from hid2.policies import Policy
 from netconvert.errors import ConfigError
 
 #: Ids of synthetic corridors, which are no scenes of Argoverse and may be longer.
 CORRIDOR_PREFIX = "corridor-"
+#: A TOML file: its size, MB, how deep values are nested, and a dotted key of so many parts that the parser takes long.
+#: Real: below 0.02, 4 deep, 3 parts.
+_MAX_TOML_MB, _MAX_DEPTH = 1, 20
+_MANY_DOTS = re.compile(r"(?:[^\s.,]{1,50}[ \t]*\.[ \t]*){20}")
 #: Ids of scenes in which recorded vehicles react: these are no scenes of Argoverse either, for nobody drove so.
 REACTIVE_PREFIX = "reactive-"
 
@@ -43,7 +49,7 @@ def load_config(
     "section.key=value", which come last.
     Errors: ConfigError with key, value and range.
     """
-    data = _read_toml(toml_path) if toml_path is not None else {}
+    data = read_toml(toml_path, "a configuration") if toml_path is not None else {}
     source = str(toml_path) if toml_path is not None else "configuration"
     config = _validated(data, source)
     for key, value in (flags or {}).items():
@@ -59,7 +65,7 @@ def read_drivers(path: Path) -> dict[str, object]:
 
     Errors: ConfigError for another section, and for a key, a value or a range that no driver has.
     """
-    data = _read_toml(path)
+    data = read_toml(path, "a configuration")
     others = sorted(data.keys() - {"drivers"})
     if others or not isinstance(data.get("drivers"), dict):
         wrong = f"section or key {', '.join(others)}" if others else "no section [drivers]"
@@ -102,21 +108,21 @@ def parse_trigger_time(text: str) -> dict[str, Any]:
     return {"request.trigger_min_s": low, "request.trigger_max_s": high, "request.trigger_list_s": []}
 
 
-def parse_events(
-    kinds: Sequence[str], values: Mapping[str, str | int | float | None], criticality: Sequence[str]
-) -> dict[str, Any]:
+def option_name(key: str) -> str:
+    """The option of a field, without its dashes: the field's name without its unit."""
+    return re.sub(r"_(s|m|mps|mps2)$", "", key).replace("_", "-")
+
+
+def parse_events(kinds: Sequence[str], values: Mapping[str, Any], criticality: Sequence[str]) -> dict[str, Any]:
     """Events of the command line as flags, all of them with the same values and criticality.
 
-    values: by the names of the options, target, at, gap, speed-difference, brakes, count. Errors: ConfigError, also
-    where there are values and no event.
+    values: by fields of `Event`, None for those not given; bands are texts. Errors: ConfigError, also where there are
+    values and no event.
     """
-    given: dict[str, Any] = {}
-    for name, key in _EVENT_BANDS.items():
-        if values.get(name) is not None:
-            given[key] = _band(str(values[name]), name)
-    for name, key in (("target", "target"), ("brakes", "brakes_mps2"), ("count", "count")):
-        if values.get(name) is not None:
-            given[key] = values[name]
+    given = {key: value for key, value in values.items() if value is not None}
+    names = [f"--{option_name(key)}" for key in given] + ["--criticality"] * bool(criticality)
+    for key in _BANDS & given.keys():
+        given[key] = _band(given[key], option_name(key))
     for text in criticality:
         measure, separator, band = text.partition("=")
         if measure not in _CRITICALITY or not separator:
@@ -127,15 +133,13 @@ def parse_events(
             )
         given[_CRITICALITY[measure]] = _band(band, f"criticality {measure}")
     if given and not kinds:
-        names = [f"--{name}" for name, value in values.items() if value is not None]
-        names += ["--criticality"] if criticality else []
         raise ConfigError(f"{', '.join(names)} without --event; say which event is meant, such as --event cut_in")
     return {"event": [{"kind": kind, **given} for kind in kinds]} if kinds else {}
 
 
-#: Options of events that are bands, and their parameters.
-_EVENT_BANDS = {"at": "at_s", "gap": "gap_m", "speed-difference": "speed_difference_mps"}
+#: Fields of events that are bands, and criticality by its measure.
 _CRITICALITY = {"ttc": "ttc_s", "pet": "pet_s", "drac": "drac_mps2"}
+_BANDS = {"at_s", "gap_m", "speed_difference_mps", *_CRITICALITY.values()}
 
 
 def _band(text: str, name: str) -> list[float]:
@@ -186,6 +190,19 @@ def word_for_recorded(scenario_id: str) -> str:
     return "reacting" if scenario_id.startswith(REACTIVE_PREFIX) else "recorded"
 
 
+def check_function(name: str, named: Collection[str], *, where: str) -> None:
+    """Raise ConfigError for a function "module:function" that is none of `named`: received files import nothing.
+
+    named: hid2's own, and those that the command line, or a configuration or study file on it, names; where: what asks
+    for the function. A name without colon is that of a built-in rule.
+    """
+    if ":" in name and name not in named:
+        raise ConfigError(
+            f"{where}: asks for the function {one_line(name, most=200)!r}, which is none of hid2's: if you trust it, "
+            f"add --function {one_line(name, most=200)}"
+        )
+
+
 def check_no_flow(config: Config) -> None:
     """Raise ConfigError where traffic is to enter at the map's edge: whoever does so is not exported, only studied."""
     if config.flow.veh_per_h_lane > 0.0:
@@ -218,27 +235,25 @@ def config_to_toml(config: Config) -> str:
 def describe_config() -> list[ParameterRow]:
     """Every parameter with default, unit, range and source, in the order of the tree."""
     rows = []
-    for section, field in Config.model_fields.items():
-        for key, inner in _leaves(section, field):
-            extra = inner.json_schema_extra if isinstance(inner.json_schema_extra, dict) else {}
-            default = inner.get_default(call_default_factory=True)
-            values = sorted(default) if isinstance(default, frozenset) else default
-            text = ",".join(map(str, values)) or "none" if isinstance(values, list | tuple) else str(default)
-            rows.append(
-                ParameterRow(key, text, str(extra.get("unit", "-")), _range(inner), str(extra.get("source", "")))
-            )
+    for key, field in _fields().items():
+        extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
+        default = field.get_default(call_default_factory=True)
+        values = sorted(default) if isinstance(default, frozenset) else default
+        text = ",".join(map(str, values)) or "none" if isinstance(values, list | tuple) else str(default)
+        rows.append(ParameterRow(key, text, str(extra.get("unit", "-")), _range(field), str(extra.get("source", ""))))
     return rows
 
 
-def _leaves(section: str, field: FieldInfo) -> list[tuple[str, FieldInfo]]:
-    model = field.annotation
-    if isinstance(model, type) and issubclass(model, BaseModel):
-        return [(f"{section}.{key}", inner) for key, inner in model.model_fields.items()]
-    return [(section, field)]
-
-
 def _fields() -> dict[str, FieldInfo]:
-    return {key: inner for section, field in Config.model_fields.items() for key, inner in _leaves(section, field)}
+    """Every field by its dotted key, in the order of the tree."""
+    found: dict[str, FieldInfo] = {}
+    for section, field in Config.model_fields.items():
+        model = field.annotation
+        if isinstance(model, type) and issubclass(model, BaseModel):
+            found |= {f"{section}.{key}": inner for key, inner in model.model_fields.items()}
+        else:
+            found[section] = field
+    return found
 
 
 def _range(field: FieldInfo) -> str:
@@ -288,15 +303,36 @@ def _bounds(metadata: Sequence[object]) -> str:
     )
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """The values of a TOML file of bounded size and depth; what: what is expected there. Errors: ConfigError."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file, expected a configuration in TOML") from None
-    except IsADirectoryError:
-        raise ConfigError(f"{path}: is a folder, expected a configuration in TOML") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"{path}: not TOML ({error})") from error
+        return _parse_toml(read_regular(path, most_mb=_MAX_TOML_MB).decode())
+    except OSError as error:
+        said = "is a folder" if path.is_dir() else error.strerror if path.exists() else "no such file"
+        raise ConfigError(f"{path}: {said}, expected {what} in TOML") from error
+    except ValueError as error:
+        raise ConfigError(f"{path}: not TOML ({one_line(str(error), most=300)}), expected {what}") from error
+
+
+def _parse_toml(text: str) -> dict[str, Any]:
+    """Errors: ValueError, also for what the parser or a message about a value would not come to an end with."""
+    if _MANY_DOTS.search(text):
+        raise ValueError("a key of more than 20 parts")
+    try:
+        values = tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("tables or lists nested too deeply") from None
+    _check_values(values, 1)
+    return values
+
+
+def _check_values(value: object, depth: int) -> None:
+    if depth > _MAX_DEPTH:
+        raise ValueError(f"tables or lists nested more than {_MAX_DEPTH} deep")
+    if isinstance(value, int) and value.bit_length() > 64:
+        raise ValueError("an integer of more than 64 bit")
+    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _check_values(inner, depth + 1)
 
 
 def _parse_override(text: str) -> tuple[str, object]:
@@ -306,10 +342,15 @@ def _parse_override(text: str) -> tuple[str, object]:
     key, value = key.strip(), value.strip()
     if key == "without":
         return key, [part.strip() for part in value.strip("[]").replace('"', "").split(",") if part.strip()]
+    return key, parse_value(value)
+
+
+def parse_value(text: str) -> Any:  # noqa: ANN401  # whatever TOML holds
+    """The value of a text: as TOML has it, or the text itself."""
     try:
-        return key, tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
-        return key, value
+        return _parse_toml(f"value = {text}")["value"]
+    except ValueError:
+        return text
 
 
 def _put(data: dict[str, Any], key: str, value: object) -> None:
@@ -367,7 +408,7 @@ def _explain_event(location: tuple[int | str, ...], message: str, value: object)
     key = str(location[2])
     if key not in Event.model_fields:
         return f"{which}: unknown key {key!r} (= {value!r}), expected one of {names}"
-    wanted = "[least, largest]" if key in _EVENT_BANDS.values() or key in _CRITICALITY.values() else ""
+    wanted = "[least, largest]" if key in _BANDS else ""
     return f"{which}: {key} = {value!r}, expected {wanted or _range(Event.model_fields[key])}"
 
 

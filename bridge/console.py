@@ -12,27 +12,36 @@ import threading
 import time
 from collections.abc import Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from bridge.files import one_line
+from bridge.interruption import tidied
 from bridge.tables import table_lines
 
-if TYPE_CHECKING:
-    from rich.progress import Progress as Bar
-    from rich.progress import TaskID
-
-#: Seconds to the first plain progress line, between two in the first minutes, and later.
-_FIRST_S, _PLAIN_EVERY_S, _LATER_EVERY_S = 2.0, 4.0, 30.0
+#: Seconds between two looks at what is done; off a terminal to the first line, and to the next, early and later.
+_LOOK_S, _FIRST_S, _PLAIN_EVERY_S, _LATER_EVERY_S = 0.2, 2.0, 4.0, 30.0
 _LATER_S = 180.0
 #: Of a message.
 _MOST_CHARACTERS = 2000
 #: Nothing is said of a rate before.
 _RATED_S = 1.0
+#: To the beginning of a terminal's line, and clear it.
+_CLEAR = "\r\x1b[K"
 
 
 def say(message: str) -> None:
-    """A message for the person, on stderr."""
-    print(fitted(message), file=sys.stderr, flush=True)
+    """A message for the person, on stderr: in the place of the progress, which comes again below."""
+    _write(f"{fitted(message)}\n")
+
+
+def _write(text: str) -> None:
+    sys.stderr.write(_CLEAR + text if _is_live() else text)
+    sys.stderr.flush()
+
+
+def _is_live() -> bool:
+    """Whether stderr is a terminal on which a line can be written anew."""
+    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
 def fitted(message: str) -> str:
@@ -82,51 +91,40 @@ def print_json(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None
 
 
 class Activity:
-    """What is being done, from the start: a bar on a terminal, a line every few seconds elsewhere, nothing when quiet.
+    """What is being done, from the start: one line on a terminal, a line every few seconds elsewhere, none when quiet.
 
     `doing` names the next piece of work, `show` counts within it.
     """
 
     def __init__(self, what: str = "starting", *, quiet: bool) -> None:
         self._what, self._quiet = what, quiet
-        self._bar: Bar | None = None
-        self._task: TaskID | None = None
         self._began = self._named = time.monotonic()
         self._next_line = self._began + _FIRST_S
         self._counted = ""
         self._over = threading.Event()
-        self._ticker: threading.Thread | None = None
+        self._ticker = threading.Thread(target=self._tick, daemon=True)
 
     def __enter__(self) -> Self:
-        if self._quiet:
-            return self
-        if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
-            self._bar = _new_bar()
-            self._task = self._bar.add_task(self._what, total=None, count="", rate="")
-            self._bar.start()
-        else:
-            self._ticker = threading.Thread(target=self._tick, daemon=True)
+        self._tidied = tidied(self.end)
+        self._tidied.__enter__()
+        if not self._quiet:
             self._ticker.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.end()
+        self._tidied.__exit__(kind, error, trace)
 
     def end(self) -> None:
         """Say nothing more; safe to call twice."""
         self._over.set()
-        if self._bar:
-            self._bar.stop()
-        if self._ticker:
+        if self._ticker.is_alive():
             self._ticker.join()
 
     def doing(self, what: str) -> None:
         """Name the work that begins now, which nothing is counted of yet."""
         self._what, self._counted, self._named = what, "", time.monotonic()
-        if self._bar and self._task is not None:
-            self._bar.reset(self._task, total=None, description=what, count="", rate="")
 
     def show(self, done: int, total: int, rate: float | None = None, details: str = "") -> None:
         """Take note of what is done so far; rate: items a second, by the count if not given."""
@@ -135,9 +133,6 @@ class Activity:
         left = f", {duration((total - done) / rate)} left" if rate > 0 and done < total else ""
         speed = f"{_rate(rate)}{left}" if rate > 0 else ""
         self._counted = f": {done} of {total}{details}{speed and ', '}{speed}"
-        if self._bar and self._task is not None:
-            count = f"{done} of {total}"
-            self._bar.update(self._task, description=self._what, completed=done, total=total, count=count, rate=speed)
 
     def step(self, what: str, done: int, total: int) -> None:
         """`show`, after `doing` where it is another piece of work than before."""
@@ -145,43 +140,24 @@ class Activity:
             self.doing(what)
         self.show(done, total)
 
-    def message(self, text: str) -> None:
-        """A message beside the progress."""
-        if self._bar:
-            from rich.text import Text
-
-            self._bar.console.print(Text(fitted(text)), soft_wrap=True)
-        else:
-            say(text)
-
     def note(self, text: str) -> None:
         """A message that nobody needs: none when quiet."""
         if not self._quiet:
-            self.message(text)
+            say(text)
 
     def _tick(self) -> None:
-        while not self._over.wait(0.2):
+        while not self._over.wait(_LOOK_S):
             now = time.monotonic()
-            if now > self._next_line:
+            if _is_live():
+                _write(f"{self._what}{self._so_far(now)}"[: shutil.get_terminal_size().columns - 1])
+            elif now > self._next_line:
                 self._next_line = now + (_PLAIN_EVERY_S if now - self._began < _LATER_S else _LATER_EVERY_S)
-                since = self._counted or f", {duration(now - self._named)} so far"
-                say(f"{self._what}{since}")
+                say(f"{self._what}{self._so_far(now)}")
+        if _is_live():
+            _write("")
 
-
-def _new_bar() -> "Bar":
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    return Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=20),
-        TextColumn("{task.fields[count]}"),
-        TextColumn("{task.fields[rate]}"),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    )
+    def _so_far(self, now: float) -> str:
+        return self._counted or f", {duration(now - self._named)} so far"
 
 
 def _rate(per_s: float) -> str:

@@ -3,41 +3,44 @@
 import contextlib
 import csv
 import errno
+import gzip
+import io
 import json
 import os
+import re
 import stat
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
+from bridge.interruption import hidden_file
 from netconvert.errors import DiskFullError, ExportError
 
 #: What the system says when nothing more can be written: full, over the quota or the size, read-only.
 _DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 #: Each file of a scene, MB. Real: below 3.
 MAX_FILE_MB = 32
-_SHORTENED = " ... (shortened)"
+_SHORTENED = " ...(shortened)... "
+#: A text that a spreadsheet runs as a formula, behind apostrophes or not; a number is none, nor is a sign alone.
+_FORMULA = re.compile(r"'*(?:[=@\t\r]|[+-](?!(?:\d*\.?\d+(?:e[+-]?\d+)?|inf|nan)$)).", re.DOTALL | re.IGNORECASE)
 
 
 @contextlib.contextmanager
 def beside(path: Path) -> Iterator[Path]:
-    """A hidden path beside a file, to write to: at the end it takes the file's place, and it is gone if all fails.
+    """A hidden file beside a file, to write to: at the end it takes the file's place, and it is gone if all fails.
 
     The folder is made. Errors: OSError, for the caller to explain.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    hidden = path.with_name(f".{path.name}")
-    hidden.unlink(missing_ok=True)  # a link there would be followed
-    try:
+    with hidden_file(path.parent, path.suffix) as hidden:
         yield hidden
         hidden.replace(path)
-    finally:
-        hidden.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
 def table_file(path: Path) -> Iterator[IO[str]]:
-    """A file for `csv` to write to, `beside` its place. Errors: OSError."""
+    """A file for `append_rows`, `beside` its place. Errors: OSError."""
     with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as stream:
         yield stream
 
@@ -72,9 +75,23 @@ def write_json(path: Path, content: object) -> None:
 def write_rows(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a CSV table. Errors: OSError."""
     with table_file(path) as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(head)
-        writer.writerows(rows)
+        append_rows(stream, [head])
+        append_rows(stream, rows)
+
+
+def append_rows(stream: IO[str], rows: Iterable[Iterable[object]]) -> None:
+    """Append rows to a CSV table: every table that hid2 writes for people goes through here."""
+    csv.writer(stream, lineterminator="\n").writerows(map(table_cell, row) for row in rows)
+
+
+def table_cell(value: object) -> object:
+    """A value as a CSV table has it: a text that would be run as a formula goes behind an apostrophe."""
+    return f"'{value}" if isinstance(value, str) and _FORMULA.match(value) else value
+
+
+def untabled(text: str) -> str:
+    """The way back from `table_cell`."""
+    return text[1:] if text[:1] == "'" and _FORMULA.match(text) else text
 
 
 def disk_error(error: BaseException) -> OSError | None:
@@ -105,13 +122,29 @@ def read_regular(path: Path, *, most_mb: int) -> bytes:
     return content
 
 
+def read_packed(path: Path, *, most_mb: int) -> bytes:
+    """What a gzip file holds, never unpacked beyond its limit. Errors: OSError."""
+    try:
+        with gzip.open(io.BytesIO(read_regular(path, most_mb=most_mb))) as stream:
+            content = stream.read(most_mb * 1_000_000 + 1)
+    except (EOFError, zlib.error) as error:
+        raise OSError(errno.EINVAL, f"not gzip ({error})", str(path)) from error
+    if len(content) > most_mb * 1_000_000:
+        raise OSError(errno.EINVAL, f"unpacks to more than {most_mb} MB", str(path))
+    return content
+
+
 def printable(text: str) -> str:
     """A text in which all that does not print is escaped: no control sequences for terminals, always valid UTF-8."""
     return "".join(c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode() for c in text)
 
 
 def one_line(text: str, *, most: int) -> str:
-    """A printable text on one line, of at most so many characters; a text that is so already stays as it is."""
+    """A printable text on one line, of at most so many characters; a text that is so already stays as it is.
+
+    A longer one keeps its end as well: what is expected stands there, behind a value of any length.
+    """
     if len(text) > most or not text.isprintable():
         text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
-    return text if len(text) <= most else text[: most - len(_SHORTENED)] + _SHORTENED
+    end = (most - len(_SHORTENED)) // 3
+    return text if len(text) <= most else text[: most - end - len(_SHORTENED)] + _SHORTENED + text[len(text) - end :]

@@ -58,11 +58,6 @@ def smoothstep(u: FloatArray | float) -> FloatArray:
     return np.asarray(u * u * u * (10.0 + u * (6.0 * u - 15.0)))
 
 
-def wrap(angle: FloatArray) -> FloatArray:
-    """Angles in (-pi, pi]."""
-    return np.asarray(angle + 2 * PI * np.floor((PI - angle) / (2 * PI)))
-
-
 @dataclass(frozen=True, eq=False)
 class Path2d:
     """A densely sampled path. xy (N, 2) m; s (N,) m, arc length; heading (N,) rad, not wrapped."""

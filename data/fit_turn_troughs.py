@@ -14,8 +14,8 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -45,17 +45,16 @@ _ACCEL_MPS2 = 5.0  # no driver's: a tracker's
 _PLACES = np.round(np.arange(0.1, 0.6001, 0.01), 2)  # early to mid-turn
 
 
-@dataclass
-class Turns:
-    """Recorded turns by side. profiles: (21,) v / v_0 at ALPHA each; left_out: passes that are none, by reason."""
+class Pass(NamedTuple):
+    """A vehicle on a turning lane. profile: (21,) v / v_0 at ALPHA, v_0 = entry_mps; None where left_out says why."""
 
-    profiles: dict[str, list[FloatArray]] = field(default_factory=lambda: {side: [] for side in SIDES.values()})
-    entry_mps: dict[str, list[float]] = field(default_factory=lambda: {side: [] for side in SIDES.values()})
-    left_out: Counter[str] = field(default_factory=Counter)
+    side: str
+    profile: FloatArray | None = None
+    entry_mps: float = math.nan
+    left_out: str = ""
 
 
-@dataclass(frozen=True)
-class Fit:
+class Fit(NamedTuple):
     """A trough and its place, and the root of the mean squared difference to the profiles' median."""
 
     trough: float
@@ -74,42 +73,35 @@ def fit(medians: Mapping[str, FloatArray]) -> dict[str, Fit]:
     At a place, 1 - f = (1 - trough) g(alpha): the trough follows in closed form. Of the places early to mid-turn the
     one with the least sum of squares over the sides is taken.
     """
-    best: tuple[float, dict[str, Fit]] | None = None
-    for place in _PLACES.tolist():
-        depth = 1.0 - turn_shape(ALPHA, 0.0, place)
-        sides, total = {}, 0.0
-        for side, profile in medians.items():
-            slowing = 1.0 - profile
-            share = float(np.clip(slowing @ depth / (depth @ depth), 0.0, 0.99))
-            error = float(np.sum(np.square(slowing - share * depth)))
-            sides[side] = Fit(1.0 - share, place, math.sqrt(error / ALPHA.size))
-            total += error
-        if best is None or total < best[0]:
-            best = total, sides
-    return {} if best is None else best[1]
+    return min((_fit_at(place, medians) for place in _PLACES.tolist()), key=lambda found: found[0])[1]
 
 
-def turns_of(scenario: Scenario) -> Turns:
-    """Turns of a scene's recorded vehicles."""
-    arrays, lanes = (
-        stack(scenario.tracks, num_steps=scenario.num_steps, step_s=scenario.step_s),
-        flatten_lanes(scenario.graph),
-    )
-    matches, _ = match_lanes(arrays, lanes)
-    view, found = LaneView(arrays, lanes, matches), Turns()
+def _fit_at(place: float, medians: Mapping[str, FloatArray]) -> tuple[float, dict[str, Fit]]:
+    """The sum of squares over the sides with the trough at a place, and the troughs."""
+    depth = 1.0 - turn_shape(ALPHA, 0.0, place)
+    sides, total = {}, 0.0
+    for side, profile in medians.items():
+        slowing = 1.0 - profile
+        share = float(np.clip(slowing @ depth / (depth @ depth), 0.0, 0.99))
+        error = float(np.sum(np.square(slowing - share * depth)))
+        sides[side] = Fit(1.0 - share, place, math.sqrt(error / ALPHA.size))
+        total += error
+    return total, sides
+
+
+def turns_of(scenario: Scenario) -> Iterator[Pass]:
+    """Passes of a scene's recorded vehicles over its turning lanes."""
+    arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)
+    lanes = flatten_lanes(scenario.graph)
+    matches = match_lanes(arrays, lanes)
+    view = LaneView(arrays, lanes, matches)
     for agent in np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.fragment).tolist():
         for run in runs_of(view, agent):
-            if run.lane < 0 or lanes.turn[run.lane] == 0:
-                continue
-            side = SIDES[int(lanes.turn[run.lane])]
-            alpha = matches.s[run.first : run.last + 1] / lanes.length_m[run.lane]
-            profile = _profile(arrays, agent, run.first, run.last, alpha, sign=int(lanes.turn[run.lane]))
-            if isinstance(profile, str):
-                found.left_out[profile] += 1
-            else:
-                found.profiles[side].append(profile[0])
-                found.entry_mps[side].append(profile[1])
-    return found
+            sign = int(lanes.turn[run.lane]) if run.lane >= 0 else 0
+            if sign:
+                alpha = matches.s[run.first : run.last + 1] / lanes.length_m[run.lane]
+                profile = _profile(arrays, agent, run.first, run.last, alpha, sign=sign)
+                yield Pass(SIDES[sign], left_out=profile) if isinstance(profile, str) else Pass(SIDES[sign], *profile)
 
 
 def _profile(
@@ -137,15 +129,19 @@ def _profile(
     return v / v[0], float(v[0])
 
 
-def report(turns: Turns, scenes: int, *, prior: Turn) -> tuple[Turn, list[str]]:
+def report(passes: Sequence[Pass], scenes: int, *, prior: Turn) -> tuple[Turn, list[str]]:
     """The turns' parameters, fitted as far as the data go, and what to say of it."""
-    lines = [f"{scenes} scenes"]
-    lines += [f"  left out, {reason}: {count}" for reason, count in sorted(turns.left_out.items())]
-    enough = {side: found for side, found in turns.profiles.items() if len(found) >= LEAST_TURNS}
+    left_out = Counter(one.left_out for one in passes if one.left_out)
+    lines = [f"{scenes} scenes", *(f"  left out, {reason}: {count}" for reason, count in sorted(left_out.items()))]
+    profiles = {
+        side: [one.profile for one in passes if one.side == side and one.profile is not None] for side in SIDES.values()
+    }
+    enough = {side: found for side, found in profiles.items() if len(found) >= LEAST_TURNS}
     fits = fit({side: median_profile(found) for side, found in enough.items()})
     values: dict[str, float] = {}
-    for side, found in turns.profiles.items():
-        entry = f", entered at {np.median(turns.entry_mps[side]):.1f} m/s in the median" if found else ""
+    for side, found in profiles.items():
+        entries = [one.entry_mps for one in passes if one.side == side and one.profile is not None]
+        entry = f", entered at {np.median(entries):.1f} m/s in the median" if found else ""
         trough = getattr(prior, f"{side}_trough")
         if side in fits:
             one = fits[side]
@@ -165,36 +161,20 @@ def report(turns: Turns, scenes: int, *, prior: Turn) -> tuple[Turn, list[str]]:
     return prior.model_copy(update=values), lines
 
 
-def _scenarios(paths: Sequence[Path]) -> Iterator[Scenario]:
-    for folder in find_sources(paths):
-        yield read_recording(folder)
-
-
 def main(arguments: Sequence[str]) -> None:
     """Read, fit, say what was found, write it."""
-    parser = argparse.ArgumentParser(
-        description="Fit f_left and f_right, the shapes of speed over turns, to recorded turns.",
-        epilog=f"A side with fewer than {LEAST_TURNS} turns keeps the documented prior.",
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("paths", nargs="+", type=Path, metavar="PATH", help="folders of recorded scenes")
-    parser.add_argument(
-        "-o", "--out", type=Path, metavar="TURN.toml", help="write the section [turn] of a configuration"
-    )
+    parser.add_argument("-o", "--out", type=Path, help="write the section [turn] of a configuration")
     chosen = parser.parse_args(arguments)
-    every, scenes = Turns(), 0
-    for scenario in _scenarios(chosen.paths):
-        found = turns_of(scenario)
-        for side in SIDES.values():
-            every.profiles[side] += found.profiles[side]
-            every.entry_mps[side] += found.entry_mps[side]
-        every.left_out += found.left_out
-        scenes += 1
-    turn, lines = report(every, scenes, prior=Turn())
-    print("\n".join(lines))
-    section = "".join(f"{name} = {getattr(turn, name)}\n" for name in ("left_trough", "right_trough", "trough_at"))
-    print(f"\n[turn]\n{section}", end="")
+    folders = find_sources(chosen.paths)
+    passes = [one for folder in folders for one in turns_of(read_recording(folder))]
+    turn, lines = report(passes, len(folders), prior=Turn())
+    section = [f"{name} = {getattr(turn, name)}" for name in ("left_trough", "right_trough", "trough_at")]
+    text = "\n".join(["[turn]", *section, ""])
+    print("\n".join(lines), text, sep="\n\n", end="")
     if chosen.out is not None:
-        chosen.out.write_text(f"[turn]\n{section}")
+        chosen.out.write_text(text)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ Every byte follows from this file and the two that it is made with, exact_paths.
 
 import sys
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -125,8 +126,7 @@ def intersection() -> Scene:
         name = f"{way}{lane}_{kind}"
         paths[name] = line(start, end) if kind == "straight" else turn(start, ways[way], end, ways[to])
         scene.add_lane(name, paths[name], (0.0, float(paths[name].s[-1])), marks=(none, none), is_intersection=True)
-        scene.link(f"{way}{lane}_in1", name)
-        scene.link(name, f"{to}{to_lane}_out0")
+        scene.link(f"{way}{lane}_in1", name, f"{to}{to_lane}_out0")
     for way in "ew":
         scene.side_by_side(f"{way}l_straight", f"{way}r_straight")
     _ground_of_intersection(scene, reach)
@@ -179,10 +179,7 @@ def curve() -> Scene:
     for i in (2, 3, 4):
         ends = stations(base, branch, cuts[i : i + 2])
         scene.add_lane(f"f{i}", branch, (ends[0], ends[1]), marks=(none if i != 3 else solid, solid))
-    scene.link("r1", "f2")
-    scene.link("f2", "f3")
-    scene.link("f3", "f4")
-    scene.link("f4", "r5")
+    scene.link("r1", "f2", "f3", "f4", "r5")
     for i in (2, 4):  # where the branch starts and ends, it does so at the right lane's own points
         scene.lanes[f"f{i}"].centerline[0 if i == 2 else -1] = scene.lanes[f"r{i}"].centerline[0 if i == 2 else -1]
     scene.areas.append(strip(base, (0.0, 300.0), left_m=8.2, right_m=-4.4))
@@ -228,22 +225,15 @@ def stations(base: Path2d, path: Path2d, at: Sequence[float]) -> list[float]:
 
 
 def rows(
-    scene: Scene,
-    paths: dict[str, Path2d],
-    base: Path2d,
-    cuts: Sequence[float],
-    marks: dict[str, tuple[str, str]],
+    scene: Scene, paths: dict[str, Path2d], base: Path2d, cuts: Sequence[float], marks: dict[str, tuple[str, str]]
 ) -> None:
     """Cut lanes abreast of each other at the same places of the base; number i lies between cuts i and i + 1."""
     for name, path in paths.items():
         ends = stations(base, path, cuts)
-        reverse = ends[0] > ends[-1]
-        for i in range(len(cuts) - 1):
-            between = (ends[i + 1], ends[i]) if reverse else (ends[i], ends[i + 1])
-            scene.add_lane(f"{name}{i}", path, between, marks=marks[name])
-        for i in range(len(cuts) - 2):
-            one, other = (i + 1, i) if reverse else (i, i + 1)
-            scene.link(f"{name}{one}", f"{name}{other}")
+        names = [f"{name}{i}" for i in range(len(cuts) - 1)]
+        for lane, between in zip(names, pairwise(ends), strict=True):
+            scene.add_lane(lane, path, (min(between), max(between)), marks=marks[name])
+        scene.link(*(names if ends[0] < ends[-1] else reversed(names)))
 
 
 def strip(base: Path2d, between: tuple[float, float], *, left_m: float, right_m: float) -> FloatArray:

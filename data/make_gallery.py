@@ -7,15 +7,12 @@ it in some scene, the event whose vehicle is nearest to its target is shown. Pic
 import io
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
 
-import imageio.v3 as iio
 import numpy as np
-from make_pictures import COLORS, WIDTH, reduced  # beside this file
+from make_pictures import write_small  # beside this file
 from matplotlib.figure import Figure
-from PIL import Image
 
 from bridge import draw_scene, find_scenarios, generate, prepare, read_scenario, write
 from bridge.pictures import figures
@@ -52,25 +49,20 @@ This page and its pictures are made by `python data/make_gallery.py`.
 """
 
 
-def config_of(kind: str, seed: int) -> Config:
-    """The request for one event of a kind and nothing else."""
+def best_of(kind: str, out: Path) -> tuple[Path, Path, EventRecord, int]:
+    """Source, generated folder, record and seed of an event: of the first seed that has any, the nearest."""
     asked = Event.model_validate({"kind": kind, "target": "any", "at_s": AT_S[kind]})
-    return Config(request=Request(agents=0, seed=seed), event=(asked,))
-
-
-def found(kind: str, out: Path) -> Iterator[tuple[Path, Path, EventRecord, int]]:
-    """Source, generated folder, record and seed of events of a kind, of the first seed with which any comes about."""
     for seed in range(SEEDS):
-        some = False
+        config = Config(request=Request(agents=0, seed=seed), event=(asked,))
+        found = []
         for folder in find_scenarios(DATA / "av2"):
-            config = config_of(kind, seed)
             scene = generate(prepare(read_scenario(folder), config), config)
             (event,) = scene.sidecar.events
             if event.status == "done":
-                some = True
-                yield folder, write(scene, out), event, seed
-        if some:
-            return
+                found.append((folder, write(scene, out), event, seed))
+        if found:
+            return min(found, key=lambda one: one[2].gap_m or 0.0)
+    raise SystemExit(f"{kind}: none of the scenes has one with seeds 0 to {SEEDS - 1}")
 
 
 def picture(folder: Path, event: EventRecord) -> Figure:
@@ -100,8 +92,7 @@ def picture(folder: Path, event: EventRecord) -> Figure:
 
 
 def _row(track: Track, step: int) -> int | None:
-    rows = [row for row, at in enumerate(track.timesteps.tolist()) if at == step]
-    return rows[0] if rows else None
+    return next(iter(np.flatnonzero(track.timesteps == step).tolist()), None)
 
 
 def told(event: EventRecord) -> str:
@@ -131,15 +122,10 @@ def main() -> None:
     lines = [_HEAD.format(around=AROUND_S)]
     with tempfile.TemporaryDirectory() as scratch:
         for kind in KINDS:
-            ways = list(found(kind, Path(scratch) / kind))
-            if not ways:
-                raise SystemExit(f"{kind}: none of the scenes has one with seeds 0 to {SEEDS - 1}")
-            source, folder, event, seed = min(ways, key=lambda one: one[2].gap_m or 0.0)
-            buffer = io.BytesIO()
-            picture(folder, event).savefig(buffer, dpi=100, metadata={"Software": None})
-            image = Image.fromarray(iio.imread(buffer.getvalue())[..., :3])
-            image.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
-            reduced(image, COLORS).save(PICTURES / f"{kind}.png", optimize=True)
+            source, folder, event, seed = best_of(kind, Path(scratch) / kind)
+            drawn = io.BytesIO()
+            picture(folder, event).savefig(drawn, dpi=100)
+            write_small(drawn, PICTURES / f"{kind}.png")
             lines += [
                 f"## {kind}\n",
                 f"The vehicle {SEEN[kind]}, track {event.target_track_id}: {told(event)}.\n",

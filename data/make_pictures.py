@@ -4,9 +4,9 @@ They are of synthetic data only, and reduced to a palette: small files.
 """
 
 import tempfile
+from io import BytesIO
 from pathlib import Path
 
-import imageio.v3 as iio
 from PIL import Image
 
 from bridge import (
@@ -19,13 +19,14 @@ from bridge import (
     render_scene,
     write,
 )
-from bridge.evaluation.charts import distribution_figure
+from bridge.pages.charts import distribution_figure
 from bridge.pictures import figures
+from bridge.pictures.render import palette_of
 
 ROOT = Path(__file__).parent
 PICTURES = ROOT / "pictures"
-#: Widest picture, pixels, and colours of its palette.
-WIDTH, COLORS = 1200, 96
+#: Widest picture, pixels.
+WIDTH = 1200
 
 
 def main() -> None:
@@ -45,18 +46,15 @@ def main() -> None:
         evaluation = evaluate_folder(out / "scenes", report_dir=out / "report", source=ROOT / "av2")
         figures.save(distribution_figure(evaluation.totals.realism), out / "report.png")
         for name in ("scene", "plot", "report"):
-            picture = Image.fromarray(iio.imread(out / f"{name}.png")[..., :3])
-            picture.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
-            reduced(picture, COLORS).save(PICTURES / f"{name}.png", optimize=True)
+            write_small(out / f"{name}.png", PICTURES / f"{name}.png")
 
 
-def reduced(picture: Image.Image, colors: int) -> Image.Image:
-    """A picture with a palette that holds the colours of vehicles, though they cover little ground."""
-    kept = [*figures.POLICY_COLORS.values(), figures.SKY, figures.DARK_GREY, figures.GREY, figures.HIGHLIGHT]
-    own = [int(color[k : k + 2], 16) for color in kept for k in (1, 3, 5)]
-    palette = Image.new("P", (1, 1))
-    palette.putpalette((picture.quantize(colors - len(kept)).getpalette() or []) + own)
-    return picture.quantize(palette=palette, dither=Image.Dither.NONE)
+def write_small(drawn: Path | BytesIO, to: Path | BytesIO, *, colors: int = 96) -> None:
+    """A picture as a PNG of at most WIDTH pixels a side with a palette."""
+    picture = Image.open(drawn).convert("RGB")
+    picture.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
+    palette = palette_of(picture, colors)
+    picture.quantize(palette=palette, dither=Image.Dither.NONE).save(to, "png", optimize=True)
 
 
 def _done(agents):  # noqa: ANN001, ANN202

@@ -13,6 +13,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -55,10 +56,8 @@ def _outputs(source: str, names: dict[str, Any], number: int) -> list[dict[str, 
         if isinstance(last, ast.Expr):
             value = eval(compile(ast.Expression(last.value), f"cell {number}", "eval"), names)  # noqa: S307
     outputs: list[dict[str, Any]] = []
-    if printed.getvalue():
-        outputs.append(
-            {"name": "stdout", "output_type": "stream", "text": printed.getvalue().splitlines(keepends=True)}
-        )
+    if lines := printed.getvalue().splitlines(keepends=True):
+        outputs.append({"name": "stdout", "output_type": "stream", "text": lines})
     if value is not None:
         data = {"text/plain": repr(value).splitlines(keepends=True)}
         if hasattr(value, "_repr_html_"):
@@ -70,15 +69,13 @@ def _outputs(source: str, names: dict[str, Any], number: int) -> list[dict[str, 
 def _figures() -> list[dict[str, Any]]:
     """Open figures as pictures, as Jupyter shows them; they are closed."""
     import matplotlib.pyplot as plt
-    from make_pictures import reduced  # beside this file
-    from PIL import Image
+    from make_pictures import write_small  # beside this file
 
     outputs: list[dict[str, Any]] = []
     for figure in map(plt.figure, plt.get_fignums()):
         drawn, small = io.BytesIO(), io.BytesIO()
         figure.savefig(drawn, dpi=80, bbox_inches="tight")
-        picture = Image.open(drawn).convert("RGB")
-        reduced(picture, _COLORS).save(small, "png", optimize=True)
+        write_small(drawn, small, colors=_COLORS)
         data = {"image/png": base64.b64encode(small.getvalue()).decode(), "text/plain": [repr(figure)]}
         outputs.append({"data": data, "metadata": {}, "output_type": "display_data"})
     plt.close("all")
@@ -87,19 +84,14 @@ def _figures() -> list[dict[str, Any]]:
 
 def main() -> None:
     """Run the notebooks named, or all."""
-    import shutil
-    import tempfile
-
     if sys.argv[1:2] == ["--cells"]:
         with contextlib.redirect_stdout(sys.stderr):
             document = _with_outputs(json.loads(Path(sys.argv[2]).read_text(encoding="utf-8")))
         print(json.dumps(document))
         return
-    for notebook in map(Path, sys.argv[1:] or sorted(map(str, EXAMPLES.glob("*.ipynb")))):
+    for notebook in [Path(name) for name in sys.argv[1:]] or sorted(EXAMPLES.glob("*.ipynb")):
         with tempfile.TemporaryDirectory() as scratch:
-            folder = lay_out(Path(scratch))
-            notebook.write_text(text_of(run(notebook, folder)), encoding="utf-8")
-            shutil.rmtree(folder)
+            notebook.write_text(text_of(run(notebook, lay_out(Path(scratch)))), encoding="utf-8")
         print(notebook)
 
 

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-from exact_paths import FloatArray, Path2d, cos, direction, norm, sin, smoothstep, wrap
+from exact_paths import FloatArray, Path2d, cos, direction, norm, sin, smoothstep
 
 from bridge.recordings.export import parquet_bytes
+from netconvert.geometry import wrap_angle
 
 STEPS, OBSERVED, STEP_S, FINE_S = 110, 50, 0.1, 0.01
 LANE_M = 3.5
@@ -68,31 +69,26 @@ class Scene:
     @property
     def scenario_id(self) -> str:
         """UUID of the scene's name."""
-        return str(uuid.uuid5(uuid.NAMESPACE_URL, f"hid2-sumo/data/{self.name}"))
+        return _uuid(self.name)
 
     def add_lane(
-        self,
-        name: str,
-        path: Path2d,
-        between: tuple[float, float],
-        *,
-        marks: tuple[str, str] = ("NONE", "NONE"),
+        self, name: str, path: Path2d, between: tuple[float, float], *, marks: tuple[str, str],
         is_intersection: bool = False,
-        width_m: float = LANE_M,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """A lane segment along a stretch (m) of a path; 10 centreline points, boundaries as far apart as needed."""
         first, last = between
         centre, _ = path.at(first + (last - first) * np.arange(10) / 9)
         bent = float(np.ptp(path.heading))
         count = max(2, int((last - first) / (1.5 if is_intersection else 5.0)) + 1) if bent > 0.02 else 2
         stations = first + (last - first) * np.arange(count) / (count - 1)
-        left, _ = path.at(stations, offset_m=width_m / 2)
-        right, _ = path.at(stations, offset_m=-width_m / 2)
+        left, _ = path.at(stations, offset_m=LANE_M / 2)
+        right, _ = path.at(stations, offset_m=-LANE_M / 2)
         self.lanes[name] = Lane(centre, left, right, is_intersection, *marks)
 
-    def link(self, name: str, *successors: str) -> None:
-        """Successors of a lane."""
-        self.lanes[name].successors += successors
+    def link(self, *names: str) -> None:
+        """Lanes that follow each other."""
+        for name, successor in pairwise(names):
+            self.lanes[name].successors.append(successor)
 
     def side_by_side(self, left: str, right: str) -> None:
         """Two lanes of one direction, side by side."""
@@ -140,29 +136,26 @@ class Scene:
         velocity = np.gradient(xy, FINE_S, axis=0)
         moving = norm(velocity) > 0.3
         course = direction(velocity)
-        heading = np.where(moving, heading + wrap(course - heading), heading)
+        heading = np.where(moving, heading + wrap_angle(course - heading), heading)
         timesteps = np.arange(*steps)
         fine = 10 + 10 * timesteps
-        self.agents.append(Agent(object_type, category, timesteps, xy[fine], wrap(heading[fine]), velocity[fine]))
+        self.agents.append(Agent(object_type, category, timesteps, xy[fine], wrap_angle(heading[fine]), velocity[fine]))
 
     def stand(self, xy: Sequence[float], heading: float, *, object_type: str = "vehicle", category: int = 1) -> None:
         """An agent that does not move."""
-        self.agents.append(
-            Agent(
-                object_type,
-                category,
-                np.arange(STEPS),
-                np.tile(np.asarray(xy, dtype=np.float64), (STEPS, 1)),
-                np.full(STEPS, heading),
-                np.zeros((STEPS, 2)),
-            )
-        )
+        position = np.tile(np.asarray(xy, dtype=np.float64), (STEPS, 1))
+        still = np.full(STEPS, heading), np.zeros((STEPS, 2))
+        self.agents.append(Agent(object_type, category, np.arange(STEPS), position, *still))
 
     def city_xy(self, xy: FloatArray) -> FloatArray:
         """Local points or, less the origin, vectors in the city frame."""
         c, s = float(cos(self.turn_rad)), float(sin(self.turn_rad))
         turned = np.column_stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]])
         return turned + np.asarray(self.origin)
+
+
+def _uuid(name: str) -> str:
+    return str(uuid.uuid5(uuid.NAMESPACE_URL, f"hid2-sumo/data/{name}"))
 
 
 def map_json(scene: Scene) -> bytes:
@@ -201,11 +194,8 @@ def map_json(scene: Scene) -> bytes:
         }
     for i, (edge1, edge2) in enumerate(scene.crossings):
         crossing_id = scene.first_id // 10 + 500 + i
-        document["pedestrian_crossings"][str(crossing_id)] = {
-            "edge1": points(edge1),
-            "edge2": points(edge2),
-            "id": crossing_id,
-        }
+        crossing = {"edge1": points(edge1), "edge2": points(edge2), "id": crossing_id}
+        document["pedestrian_crossings"][str(crossing_id)] = crossing
     return json.dumps(document).encode()
 
 
@@ -215,37 +205,37 @@ def scenario_parquet(scene: Scene) -> bytes:
     track_ids = [*(str(scene.first_id // 1000 + 7 * i) for i in range(count - 1)), "AV"]
     focal = [track for track, agent in zip(track_ids, scene.agents, strict=True) if agent.category == 3]
     lengths = [len(agent.timesteps) for agent in scene.agents]
-    rows_total = sum(lengths)
 
-    def each(values: Sequence[Any]) -> list[Any]:
-        return [value for value, length in zip(values, lengths, strict=True) for _ in range(length)]
+    def each(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
+        return pa.array([value for value, length in zip(values, lengths, strict=True) for _ in range(length)], kind)
+
+    def same(value: object, kind: pa.DataType) -> pa.Array:
+        return pa.array([value] * sum(lengths), kind)
 
     c, s = float(cos(scene.turn_rad)), float(sin(scene.turn_rad))
     timestep = np.concatenate([agent.timesteps for agent in scene.agents])
     position = scene.city_xy(np.vstack([agent.position for agent in scene.agents])).round(6)
     velocity = np.vstack([agent.velocity for agent in scene.agents])
     velocity = np.column_stack([c * velocity[:, 0] - s * velocity[:, 1], s * velocity[:, 0] + c * velocity[:, 1]])
-    heading = wrap(np.concatenate([agent.heading for agent in scene.agents]) + scene.turn_rad)
+    heading = wrap_angle(np.concatenate([agent.heading for agent in scene.agents]) + scene.turn_rad)
     columns = {
         "observed": pa.array(timestep < OBSERVED),
-        "track_id": pa.array(each(track_ids), pa.string()),
-        "object_type": pa.array(each([agent.object_type for agent in scene.agents]), pa.string()),
-        "object_category": pa.array(each([agent.category for agent in scene.agents]), pa.int64()),
+        "track_id": each(track_ids, pa.string()),
+        "object_type": each([agent.object_type for agent in scene.agents], pa.string()),
+        "object_category": each([agent.category for agent in scene.agents], pa.int64()),
         "timestep": pa.array(timestep, pa.int64()),
         "position_x": pa.array(position[:, 0]),
         "position_y": pa.array(position[:, 1]),
         "heading": pa.array(heading.round(6)),
         "velocity_x": pa.array(velocity[:, 0].round(6) + 0.0),
         "velocity_y": pa.array(velocity[:, 1].round(6) + 0.0),
-        "scenario_id": pa.array([scene.scenario_id] * rows_total, pa.string()),
-        "start_timestamp": pa.array([START_NS] * rows_total, pa.float64()),
-        "end_timestamp": pa.array([START_NS + (STEPS - 1) * 1e8] * rows_total, pa.float64()),
-        "num_timestamps": pa.array([STEPS] * rows_total, pa.int64()),
-        "focal_track_id": pa.array(focal * rows_total, pa.string()),
-        "city": pa.array([scene.city] * rows_total, pa.string()),
-        "map_id": pa.array([scene.first_id // 1000] * rows_total, pa.uint64()),
-        "slice_id": pa.array(
-            [str(uuid.uuid5(uuid.NAMESPACE_URL, f"hid2-sumo/data/{scene.name}/slice"))] * rows_total, pa.string()
-        ),
+        "scenario_id": same(scene.scenario_id, pa.string()),
+        "start_timestamp": same(START_NS, pa.float64()),
+        "end_timestamp": same(START_NS + (STEPS - 1) * 1e8, pa.float64()),
+        "num_timestamps": same(STEPS, pa.int64()),
+        "focal_track_id": same(*focal, pa.string()),
+        "city": same(scene.city, pa.string()),
+        "map_id": same(scene.first_id // 1000, pa.uint64()),
+        "slice_id": same(_uuid(f"{scene.name}/slice"), pa.string()),
     }
     return parquet_bytes(pa.table(columns))

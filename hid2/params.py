@@ -16,6 +16,13 @@ def _param(default: Any, unit: str, source: str, **bounds: Any) -> Any:  # noqa:
     return Field(default=default, json_schema_extra={"unit": unit, "source": source}, **bounds)
 
 
+def _option(default: Any, unit: str, says: str, metavar: str, **more: Any) -> Any:  # noqa: ANN401
+    """A parameter that is an option of `hid2 generate` as well; shown: in place of the default, "" for none."""
+    extra: dict[str, Any] = {"unit": unit, "source": says, "metavar": metavar, "shown": str(default)}
+    extra |= {"shown": more.pop("shown")} if "shown" in more else {}
+    return Field(default=default, json_schema_extra=extra, **more)
+
+
 _FUNCTION = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"  # module:function
 
 
@@ -26,8 +33,8 @@ class _Section(BaseModel):
 class Request(_Section):
     """What the user asks for in a scene."""
 
-    agents: Annotated[int, Field(ge=0, le=500)] | Literal["max"] = _param(
-        10, "vehicles", "paper, Diversity: 10 added to each scene; max: as many as the road takes at usual gaps"
+    agents: Annotated[int, Field(ge=0, le=500)] | Literal["max"] = _option(
+        10, "vehicles", "Vehicles to insert into each scene (paper, Diversity: 10); max: as many as it holds", "N|max"
     )
     straight: float = _param(0.6, "share", "policy mix; shares are divided by their sum", ge=0, le=1)
     left_turn: float = _param(0.1, "share", "policy mix", ge=0, le=1)
@@ -49,30 +56,29 @@ class Request(_Section):
     sites: Literal["promising", "any"] = _param(
         "promising", "-", "start sites: those first where map and traffic allow what is asked for; any: uniformly drawn"
     )
-    near: str = _param(
-        "traffic",
-        "-",
-        "sites first from which these are met: traffic (recorded moving vehicles), av (the recording vehicle), focal, "
-        "scored, a track id; anywhere: all alike",
-        min_length=1, max_length=100,
+    near: str = _option(
+        "traffic", "-",
+        "Where vehicles are inserted: near moving traffic, the recording vehicle, the focal track, scored tracks, or a "
+        "track", "av|focal|scored|traffic|anywhere|TRACK_ID", min_length=1, max_length=100,
     )  # fmt: skip
-    within_m: float = _param(
-        30.0, "m", "a site is near where centres would come so near: to traffic at some step, to others at the last "
-        "observed one", gt=0, le=500,
+    within_m: float = _option(
+        30.0, "m",
+        "How near that is, in metres between centres: to traffic at some step, to others at the last observed one",
+        "M", gt=0, le=500,
     )  # fmt: skip
-    focal: Literal["recorded", "generated"] = _param("recorded", "-", "which track carries category 3")
+    focal: Literal["recorded", "generated"] = _option("recorded", "-", "Which track is the focal one (category 3)", "")
     focal_radius_m: float = _param(
         50.0, "m", "a generated focal track is the one with the most neighbours within this that does its manoeuvre",
         gt=0, le=200,
     )  # fmt: skip
     generated_category: Literal[1, 2] = _param(1, "-", "category of generated tracks: 1 context, 2 scored")
-    entering: float = _param(
-        0.0, "share", "of the vehicles that go straight: these enter at the map's edge during the observed steps, "
-        "where there is room; none where generated_category is 2", ge=0, le=1,
+    entering: float = _option(
+        0.0, "share", "Of the vehicles that go straight: these enter at the map's edge during the observed steps, "
+        "where there is room; none where generated_category is 2", "SHARE", ge=0, le=1,
     )  # fmt: skip
-    seed: int = _param(0, "-", "seed of every random choice", ge=0, le=2**31 - 1)
-    variants: int = _param(1, "scenes", "scenes written for each source scene", ge=1, le=10_000)
-    spawn_leaders: bool = _param(True, "-", "an overtake without a slower leader may spawn one")
+    seed: int = _option(0, "-", "Seed of every random choice", "N", ge=0, le=2**31 - 1)
+    variants: int = _option(1, "scenes", "Scenes to write for each source scene", "K", ge=1, le=10_000)
+    spawn_leaders: bool = _option(True, "-", "Add a slow lead vehicle when an overtake has none", "")
     bus_share: float = _param(0.0, "share", "share of buses among generated vehicles", ge=0, le=1)
     truck_share: float = _param(0.0, "share", "share of box trucks among generated vehicles", ge=0, le=1)
 
@@ -87,9 +93,22 @@ class Request(_Section):
         return self
 
     @property
+    def first_trigger_s(self) -> float:
+        """Earliest trigger time that may be drawn, s."""
+        return min(self.trigger_list_s, default=self.trigger_min_s)
+
+    @property
     def behaviours(self) -> Mapping[Policy, float]:
         """Shares by policy, as asked for."""
         return {policy: float(getattr(self, policy.value)) for policy in Policy}
+
+
+class Source(_Section):
+    """What is asked of a recording before anything is driven in it."""
+
+    plausible: bool = _param(
+        True, "-", "refuse recordings whose tracks fit neither their map nor their own velocities and headings"
+    )
 
 
 class Grid(_Section):
@@ -135,22 +154,6 @@ class Spawn(_Section):
     reseed_rounds: int = _param(
         3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
     )
-    rivals: int = _param(
-        2, "vehicles", "driven beside the first for one manoeuvre, of which one that does it is kept", ge=0, le=10
-    )
-    rivals_share: float = _param(
-        0.8,
-        "share",
-        "of the vehicles still missing: most that try manoeuvres in one round, rivals among them",
-        ge=0,
-        le=5,
-    )
-    stand_by_share: float = _param(
-        0.3, "share", "of the manoeuvres tried for the last time: spare vehicles that stand by for them", ge=0, le=1
-    )
-    spare_share: float = _param(
-        0.2, "share", "vehicles driven beyond the count, in case some cannot be made safe", ge=0, le=2
-    )
     most_agents: int = _param(400, "vehicles", "most that `agents = max` asks for", ge=1, le=500)
     spacing_m: float = _param(25.0, "m", "lane that a vehicle takes on a full road; `agents = max`", ge=5, le=200)
     full_share: float = _param(0.1, "share", "a round of `max` that adds a smaller share is the last", ge=0, le=1)
@@ -167,7 +170,7 @@ class Sites(_Section):
     """Where vehicles may begin, and how fast. Chosen on the scenes of tests/real unless another source is named."""
 
     cell_tries: int = _param(
-        2, "vehicles", "for which a cell was turned down, after which a round looks elsewhere", ge=1, le=1000
+        2, "vehicles", "for which a cell was turned down, after which it is left alone", ge=1, le=1000
     )
     tries: int = _param(150, "sites", "looked at in full for a request in a round", ge=1, le=10_000)
     drivers: int = _param(3, "drivers", "drawn for a site before it is turned down", ge=1, le=50)
@@ -487,6 +490,10 @@ class Driving(_Section):
     replay: Literal["fixed", "reactive"] = _param(
         "fixed", "-", "reactive: recorded vehicles yield in time on their recorded path; for studies and planner tests"
     )
+    check_replay: bool = _option(
+        False, "-", "Replay every recorded agent and measure its pose in SUMO, not only those near inserted ones", "",
+        shown="",
+    )  # fmt: skip
     yields_mps2: float = _param(
         4.5, "m/s2", "reactive: whoever would have to brake harder from behind is not expected to; SUMO's decel",
         ge=0, le=9,
@@ -574,22 +581,31 @@ Band = tuple[float, float]
 class Event(_Section):
     """One kind of event that is asked for in a scene: `[[event]]` in TOML, `--event` on the command line.
 
-    Bands are (least, largest). at_s: the moment, None: `at_band_s`; gap_m: bumper to bumper at the moment of the event
-    (cross: from the target's bumper to the conflict point), None: `gap_band_m`; speed_difference_mps: vehicle minus
-    target, None: `difference_band_mps`; ttc_s, pet_s, drac_mps2: criticality, None: what the critical values of
+    Bands are (least, largest), None: `at_band_s`, `gap_band_m`, `difference_band_mps`. gap_m of kind cross: from the
+    target's bumper to the conflict point; ttc_s, pet_s, drac_mps2: criticality, None: what the critical values of
     `conflict` allow.
     """
 
     kind: Literal["cut_in", "overtake", "lead", "follow", "merge", "cross"]
-    target: str = Field(default="av", min_length=1, max_length=100)
-    at_s: Band | None = None
-    gap_m: Band | None = None
-    speed_difference_mps: Band | None = None
-    brakes_mps2: float = Field(default=0.0, ge=0, le=4.05)
+    target: str = _option("av", "-", "Whom with", "av|focal|any|TRACK_ID", min_length=1, max_length=100)
+    at_s: Band | None = _option(
+        None, "s", "When, in seconds, half a second more or less: the moment of crossing into the target's lane (of an "
+        "overtake, on the way back), of coming onto the common lane, or of passing the conflict point", "S|S:S",
+        shown="2:7, overtake 4:10",
+    )  # fmt: skip
+    gap_m: Band | None = _option(
+        None, "m", "Bumper to bumper at that moment, in metres", "A:B", shown="4:30, cross 0:100"
+    )
+    speed_difference_mps: Band | None = _option(
+        None, "m/s", "Own speed minus the target's at that moment, in m/s", "A:B", shown="-6:6, cross any"
+    )
+    brakes_mps2: float = _option(
+        0.0, "m/s2", "A leader brakes so hard from that moment on, in m/s2", "MPS2", shown="", ge=0, le=4.05
+    )
     ttc_s: Band | None = None
     pet_s: Band | None = None
     drac_mps2: Band | None = None
-    count: int = Field(default=1, ge=1, le=20)
+    count: int = _option(1, "events", "Events of each kind in a scene", "N", ge=1, le=20)
 
     @property
     def at_band_s(self) -> Band:
@@ -745,18 +761,10 @@ class Export(_Section):
     offset_shares: tuple[Annotated[float, Field(ge=0, le=1)], ...] = _param(
         (1.0, 0.5, 0.0), "share", "of the driver's place in the lane, tried in turn", min_length=1
     )
-    end_braking_shares: tuple[Annotated[float, Field(ge=0, le=2)], ...] = _param(
-        (0.0, 0.5, 1.0), "share", "of the driver's deceleration: one of them meets nobody after the last step",
-        min_length=1,
-    )  # fmt: skip
     moves_m: float = _param(2.0, "m", "who moves less stands throughout", ge=0, le=50)
     box_margin_m: float = _param(0.05, "m", "between boxes, so that readers' rounding makes none meet", ge=0, le=1)
     limit_share: float = _param(0.98, "share", "of the curvature 1 / R_min that a path may have", gt=0, le=1)
     drivable_share: float = _param(0.9, "share", "of limits.drivable_tolerance_m that is used", ge=0, le=1)
-    touching_m: float = _param(1.0, "m", "boxes on a path that overlap by more are side by side", ge=0, le=5)
-    rolls_back_mps: float = _param(
-        0.2, "m/s", "who comes back faster is parking, or noise of the tracker: no leader to close in on", ge=0, le=3
-    )
     end_spare_s: float = _param(0.1, "s", "above conflict.end_ttc_min_s, for the rounding of files", ge=0, le=2)
 
 
@@ -764,6 +772,7 @@ class Config(_Section):
     """A whole request: what to generate and every parameter of the method."""
 
     request: Request = Request()
+    source: Source = Source()
     grid: Grid = Grid()
     spawn: Spawn = Spawn()
     sites: Sites = Sites()

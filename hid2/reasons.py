@@ -33,6 +33,7 @@ class Reason(StrEnum):
         "no_site",
         "Every admissible start site was taken, or the recorded traffic would have run into a vehicle there.",
     )
+    NEAR_NO_TRACK = "near_no_track", "The track that vehicles are to be near to is not in the scene."
     # what the simulation answered
     NO_ROUTE = "no_route", "The start site is not on the vehicle's route."
     SUMO_REFUSES_INSERTION = "sumo_refuses_insertion", "SUMO did not accept the vehicle at its start site."
@@ -99,8 +100,8 @@ class Reason(StrEnum):
     LIMIT_JERK = "limit_jerk", "It exceeds the jerk allowed."
     LIMIT_YAW_RATE = "limit_yaw_rate", "It exceeds the yaw rate allowed."
     LIMIT_YAW_ACCEL = "limit_yaw_accel", "It exceeds the yaw acceleration allowed."
-    AGAINST_LANE = "against_lane", "Its lanes turn back on themselves, so that its path runs against them."
-    TTC_LANE_LEADER = "ttc_lane_leader", "TTC to its leader on the lane path falls below the critical value."
+    AGAINST_LANE = "against_lane", "It drives at too large an angle to every lane below it."
+    TTC_LANE_LEADER = "ttc_lane_leader", "TTC to its leader on the path driven falls below the critical value."
     TTC_RECORDED_FOLLOWER = (
         "ttc_recorded_follower",
         "A recorded vehicle closes in on it from behind below the critical TTC.",
@@ -113,4 +114,3 @@ class Reason(StrEnum):
     DID_NOT_DO_IT = "did_not_do_it", "It did not perform its manoeuvre, and was replaced by another vehicle."
     WAITED_FOR_GONE = "waited_for_gone", "It had braked for a vehicle that is not exported, and was driven again."
     STANDS_THROUGHOUT = "stands_throughout", "It stands from the first step to the last."
-    SPARE = "spare", "The count was reached without it."

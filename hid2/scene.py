@@ -2,17 +2,17 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Track
+from hid2.agents import VEHICLE_TYPES, BoxSize, IntArray, Track
 from hid2.measures.lane_matching import flatten_lanes
-from hid2.measures.surrogate_safety import RecordedVehicles
 from hid2.motion.route import DrivenPath, Route, path_along, route_beside
+from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.sigma import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
-from hid2.occupancy.traffic import Traffic, traffic_of
+from hid2.occupancy.traffic import Traffic, covering, traffic_of
 from hid2.params import Config, Spawn
 from netconvert.cells import Cell, CellGrid
 
@@ -40,23 +40,21 @@ class Scene:
     """Everything about a scene that does not change while vehicles are inserted, and caches of what follows from it.
 
     traffic: recorded agents over the scene's T steps; future: the same, and beyond the last step at constant velocity,
-    T + E steps; begin: the first ones, on which it depends who holds what at the start. step_s: from one step of the
-    recording to the next, and of the simulation: the only one that there is. first_exit_step: a generated vehicle may
-    leave the map only from this step on, and enter it by last_observed_step. vehicle_rows: rows of the recorded cars
-    and buses, which an overtaker may pass. stated_velocity (A, T, 2) m/s: as the tracks state it, which is what
-    readers of the file take for it; that of the positions where a track has no state.
+    T + E steps. step_s: from one step of the recording to the next, and of the simulation: the only one that there is.
+    first_exit_step: a generated vehicle may leave the map only from this step on, and enter it by last_observed_step.
+    vehicle_rows: rows of the recorded cars and buses, which an overtaker may pass. tracks: the recorded ones; states:
+    as a reader has them, with boxes that cover those that the reader assumes.
     """
 
     grid: CellGrid
     config: Config
     traffic: Traffic
     future: Traffic
-    begin: Traffic
-    stated_velocity: FloatArray
+    tracks: tuple[Track, ...]
+    states: AgentStates
     object_types: tuple[str, ...]
     categories: tuple[int, ...]
     vehicle_rows: IntArray
-    recorded: RecordedVehicles
     occupancy: OriginalOccupancy
     boxes: CellBoxes
     num_steps: int
@@ -67,11 +65,8 @@ class Scene:
     scene_speeds: list[float]
     _paths: dict[Route, DrivenPath] = field(default_factory=dict)
     _routes_beside: dict[tuple[Route, int], Route] = field(default_factory=dict)
-    _known: dict[tuple[DrivenPath, BoxSize], tuple[IntArray, PathOccupancy, PathOccupancy]] = field(
-        default_factory=dict
-    )
-    _begins: dict[tuple[DrivenPath, BoxSize], PathOccupancy] = field(default_factory=dict)
-    _leaders: dict[tuple[DrivenPath, BoxSize], tuple[IntArray, PathOccupancy]] = field(default_factory=dict)
+    _known: dict[tuple[DrivenPath, BoxSize], tuple[PathOccupancy, PathOccupancy]] = field(default_factory=dict)
+    _leaders: dict[tuple[DrivenPath, BoxSize], PathOccupancy] = field(default_factory=dict)
 
     def path(self, route: Route) -> DrivenPath:
         """Path on the middle of a route's lanes; built once."""
@@ -101,43 +96,26 @@ class Scene:
         return self._routes_beside[key]
 
     def recorded_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
-        """Intervals of the recorded agents on a path by their true future, (A, T + E)."""
-        return self._recorded_on(path, box)[1]
+        """Intervals of the recorded agents on a path by their true future, (A, T + E), with rows of `traffic`."""
+        return self._recorded_on(path, box)[0]
 
     def kept_clear_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         """The same, with the place of who crosses taken for the critical PET before and after."""
-        return self._recorded_on(path, box)[2]
+        return self._recorded_on(path, box)[1]
 
-    def kept_clear_at_start(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
-        """`kept_clear_on` at the first step, (A, 1), which costs a fraction of it."""
-        key = path, box
-        if key not in self._begins:
-            if key not in self._known:
-                width_m = box.width_m + 2 * self.config.conflict.margin_lateral_m
-                _, found = look_along(path.line, self.begin, box.length_m, width_m)
-                found = found.kept_clear(self.pet_steps, margin_m=self.pet_margin_m)
-            else:
-                found = self._known[key][2]
-            self._begins[key] = found.at(0)
-        return self._begins[key]
-
-    def in_driving_width(self, path: DrivenPath, box: BoxSize) -> tuple[IntArray, PathOccupancy]:
-        """Recorded agents whose boxes reach into the width driven, without margins: rows of `traffic`, intervals."""
+    def in_driving_width(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
+        """Intervals of the recorded agents whose boxes reach into the width driven, without margins."""
         key = path, box
         if key not in self._leaders:
             self._leaders[key] = look_along(path.line, self.future, box.length_m, box.width_m)
         return self._leaders[key]
 
-    def rows_on(self, path: DrivenPath, box: BoxSize) -> IntArray:
-        """Rows of `traffic` of the agents of `recorded_on`."""
-        return self._recorded_on(path, box)[0]
-
-    def _recorded_on(self, path: DrivenPath, box: BoxSize) -> tuple[IntArray, PathOccupancy, PathOccupancy]:
+    def _recorded_on(self, path: DrivenPath, box: BoxSize) -> tuple[PathOccupancy, PathOccupancy]:
         key = path, box
         if key not in self._known:
             width_m = box.width_m + 2 * self.config.conflict.margin_lateral_m
-            rows, found = look_along(path.line, self.future, box.length_m, width_m)
-            self._known[key] = rows, found, found.kept_clear(self.pet_steps, margin_m=self.pet_margin_m)
+            found = look_along(path.line, self.future, box.length_m, width_m)
+            self._known[key] = found, found.kept_clear(self.pet_steps, margin_m=self.pet_margin_m)
         return self._known[key]
 
     @property
@@ -157,7 +135,7 @@ class Scene:
     @property
     def pet_steps(self) -> int:
         """Steps for which the place of who crosses is kept clear before and after."""
-        return pet_steps(self.config, self.step_s)
+        return math.ceil(self.config.conflict.pet_min_s / self.step_s) + 1
 
     @property
     def pet_margin_m(self) -> float:
@@ -175,11 +153,6 @@ class Scene:
         return pool[int(rng.integers(len(pool)))]
 
 
-def pet_steps(config: Config, step_s: float) -> int:
-    """Steps for which the place of who crosses is kept clear before and after."""
-    return math.ceil(config.conflict.pet_min_s / step_s) + 1
-
-
 def build_scene(
     grid: CellGrid, tracks: Sequence[Track], *, config: Config, num_steps: int, step_s: float, last_observed_step: int
 ) -> Scene:
@@ -187,25 +160,26 @@ def build_scene(
     traffic = traffic_of(tracks, num_steps, step_s=step_s)
     boxes = cell_boxes(grid)
     occupancy = original_occupancy(boxes, traffic)
-    stated = traffic.velocity.copy()
-    for row, track in enumerate(tracks):
-        stated[row, track.timesteps] = track.velocity
     through = config.request.focal == "generated" or config.request.generated_category >= 2
     lane_speeds, scene_speeds = _speeds(grid, tracks, traffic, occupancy, config.spawn, step_s=step_s)
     rows = [row for row, track in enumerate(tracks) if track.object_type in VEHICLE_TYPES]
     beyond = math.ceil((config.conflict.end_horizon_s + config.conflict.horizon_s) / step_s)
-    future = traffic.extended(beyond, step_s=step_s)
     return Scene(
         grid=grid,
         config=config,
         traffic=traffic,
-        future=future,
-        begin=future.first(pet_steps(config, step_s) + 1),
-        stated_velocity=stated,
+        future=traffic.extended(beyond, step_s=step_s),
+        tracks=tuple(tracks),
+        states=agent_states(
+            [replace(track, size=covering(track)) for track in tracks],
+            flatten_lanes(grid.graph),
+            num_steps=num_steps,
+            step_s=step_s,
+            is_inserted=lambda _: False,
+        ),
         object_types=tuple(track.object_type for track in tracks),
         categories=tuple(track.category for track in tracks),
         vehicle_rows=np.array(rows, dtype=np.int64),
-        recorded=RecordedVehicles([tracks[row] for row in rows], flatten_lanes(grid.graph), num_steps, step_s),
         occupancy=occupancy,
         boxes=boxes,
         num_steps=num_steps,

@@ -87,6 +87,7 @@ class GapLook:
 class DrivenVehicle:
     """A vehicle that SUMO drives: s (T,) m, v (T,) m/s on its path since its start, and what became of its request.
 
+    jumped_m (T,): how far SUMO has it behind s, which does not jump where SUMO changes lanes;
     limited: steps in which hid2 held it below SUMO's own choice of speed, by cause; policies: steps by the policy that
     Algorithm 1 returned; rerouted_at: step at which it took another way at the next split; waited_for: vehicles of the
     same run that it followed or yielded to while it slowed down.
@@ -96,6 +97,7 @@ class DrivenVehicle:
     path: DrivenPath
     s: list[float] = field(default_factory=list)
     v: list[float] = field(default_factory=list)
+    jumped_m: list[float] = field(default_factory=list)
     stage: Stage = Stage.WAITING
     reason: Reason | None = None
     objection: Reason | None = None

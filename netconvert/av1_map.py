@@ -31,13 +31,11 @@ _MOST_M = 1e7
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CityLane:
-    """One way. centerline: (N, 2) m in the city frame, in driving direction; turn: LEFT, RIGHT or NONE."""
+    """One way. centerline: (N, 2) m in the city frame, in driving direction."""
 
     lane_id: int
     centerline: FloatArray
     is_intersection: bool
-    has_traffic_control: bool
-    turn: str
     left_neighbor_id: int | None
     right_neighbor_id: int | None
     predecessors: tuple[int, ...]
@@ -138,21 +136,18 @@ def cut_city(
 def _lane(way: etree._Element, nodes: Mapping[int, tuple[float, float]], name: str) -> CityLane:
     lane_id = _integer(way.get("lane_id"), f"{name}: way {_shown(way.get('lane_id'))}: lane_id")
     where = f"{name}: way {lane_id}"
-    tags: dict[str, str] = {}
-    links: dict[str, list[int]] = {"predecessor": [], "successor": []}
-    points: list[tuple[float, float]] = []
-    for child in way:
-        if child.tag == "nd":
-            node = _integer(child.get("ref"), f"{where}: nd ref")
-            if node not in nodes:
-                raise MapError(f"{where}: node {node} is not in the file, expected it before the way")
-            points.append(nodes[node])
-        elif child.tag == "tag":
-            key, value = child.get("k"), child.get("v") or ""
-            if key in links:
-                links[key].append(_integer(value, f"{where}: {key}"))
-            elif key in _UNIQUE:
-                tags[key] = value
+    points = []
+    for child in way.iterchildren("nd"):
+        node = _integer(child.get("ref"), f"{where}: nd ref")
+        if node not in nodes:
+            raise MapError(f"{where}: node {node} is not in the file, expected it before the way")
+        points.append(nodes[node])
+    pairs = [(child.get("k"), child.get("v") or "") for child in way.iterchildren("tag")]
+    tags = {key: value for key, value in pairs if key in _UNIQUE}
+    before, after = (
+        tuple(_integer(value, f"{where}: {link}") for key, value in pairs if key == link)
+        for link in ("predecessor", "successor")
+    )
     for key in _UNIQUE:
         if key not in tags:
             raise MapError(f"{where}: no tag {key}, expected one")
@@ -162,16 +157,15 @@ def _lane(way: etree._Element, nodes: Mapping[int, tuple[float, float]], name: s
         raise MapError(f"{where}: {len(line)} different nodes, expected 2 to {MAX_NODES}")
     if tags["turn_direction"] not in ("LEFT", "RIGHT", "NONE"):
         raise MapError(f"{where}: turn_direction {_shown(tags['turn_direction'])}, expected LEFT, RIGHT or NONE")
+    _boolean(tags["has_traffic_control"], f"{where}: has_traffic_control")
     return CityLane(
         lane_id=lane_id,
         centerline=line,
         is_intersection=_boolean(tags["is_intersection"], f"{where}: is_intersection"),
-        has_traffic_control=_boolean(tags["has_traffic_control"], f"{where}: has_traffic_control"),
-        turn=tags["turn_direction"],
         left_neighbor_id=_neighbor(tags["l_neighbor_id"], f"{where}: l_neighbor_id"),
         right_neighbor_id=_neighbor(tags["r_neighbor_id"], f"{where}: r_neighbor_id"),
-        predecessors=tuple(links["predecessor"]),
-        successors=tuple(links["successor"]),
+        predecessors=before,
+        successors=after,
     )
 
 

@@ -1,8 +1,7 @@
 """Argoverse 2 vector maps (log_map_archive_*.json) as lane graphs."""
 
 import reprlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,206 +14,194 @@ from netconvert.lane_graph import LANE_TYPES, LaneGraph, LaneSegment, turn_type
 CENTERLINE_POINTS = 10
 #: A lane shorter than this has no direction: the format's coordinates are in centimetres.
 MIN_LENGTH_M = 0.001
-
+_LINES = ("DASHED", "SOLID", "DASH_SOLID", "SOLID_DASH", "DOUBLE_DASH", "DOUBLE_SOLID")
 MARK_TYPES = frozenset(
-    {
-        *(f"{line}_{color}" for line in ("DASH_SOLID", "SOLID_DASH") for color in ("WHITE", "YELLOW")),
-        *(f"{line}_{color}" for line in ("DASHED", "SOLID") for color in ("WHITE", "YELLOW")),
-        *(f"DOUBLE_{line}_{color}" for line in ("DASH", "SOLID") for color in ("WHITE", "YELLOW")),
-        "SOLID_BLUE",
-        "NONE",
-        "UNKNOWN",
-    }
+    {f"{line}_{color}" for line in _LINES for color in ("WHITE", "YELLOW")} | {"SOLID_BLUE", "NONE", "UNKNOWN"}
 )
-_FIELDS = (
-    "id",
-    "lane_type",
-    "is_intersection",
-    "left_lane_boundary",
-    "right_lane_boundary",
-    "left_lane_mark_type",
-    "right_lane_mark_type",
-    "left_neighbor_id",
-    "right_neighbor_id",
-    "successors",
-)
+#: A rule of the format that is broken, by its name, and what is said of it.
+Breach = tuple[str, str]
+#: Reads one value of a map. Errors: _RefusedError.
+_Read = Callable[[Any], Any]
+
+
+class _RefusedError(Exception):
+    """A value that breaks a rule: the rule, and what is said of the value."""
 
 
 def lane_graph_from_json(data: Any, *, name: str) -> LaneGraph:  # noqa: ANN401
-    """Build the lane graph of a decoded map; name stands for the file in messages."""
-    segments = _objects(data, "lane_segments", name=name)
-    areas = _objects(data, "drivable_areas", name=name)
-    shapes = [_Shape.of(segment, where=f"{name}: lane {key}") for key, segment in segments.items()]
-    rungs = _rungs([boundary for shape in shapes for boundary in (shape.left, shape.right)])
+    """Build the lane graph of a decoded map; name stands for the file in messages. Errors: MapError."""
+    graph, breaches = read_map(data)
+    if graph is None:
+        raise MapError(f"{name}: {breaches[0][1]}")
+    return graph
+
+
+def read_map(data: Any) -> tuple[LaneGraph | None, list[Breach]]:  # noqa: ANN401
+    """The lane graph of a decoded map, and all that is wrong with the map, of which there is no graph then."""
+    optional: dict[str, Any] = {"pedestrian_crossings": {}}
+    document = {**optional, **data} if isinstance(data, dict) else {}
+    for part in ("lane_segments", "drivable_areas", *optional):
+        if not isinstance(document.get(part), dict):
+            return None, [("map", f"no object {part!r}, expected an Argoverse 2 vector map")]
+    found: list[Breach] = []
     lanes: dict[int, LaneSegment] = {}
-    for number, (key, segment) in enumerate(segments.items()):
-        where = f"{name}: lane {key}"
-        lane = _lane_segment(segment, shapes[number], rungs[2 * number], rungs[2 * number + 1], where=where)
-        if lane.lane_id in lanes:
-            raise MapError(f"{where}: id {lane.lane_id} appears twice, expected one segment an id")
-        lanes[lane.lane_id] = lane
-    if not any(lane.lane_type == "VEHICLE" for lane in lanes.values()):
-        raise MapError(f"{name}: no lane of type VEHICLE among {len(lanes)} lane segments, expected at least one")
-    rings = []
-    for key, area in areas.items():
-        where = f"{name}: drivable area {key}"
-        if not isinstance(area, dict) or "area_boundary" not in area:
-            raise MapError(f"{where}: no area_boundary, expected a list of points")
-        ring = _points(area["area_boundary"], where=f"{where}: area_boundary", axes="xy", at_least=3)
-        rings.append(np.vstack([ring, ring[:1]]))
-    crossings = _objects(data, "pedestrian_crossings", name=name) if "pedestrian_crossings" in data else {}
-    return LaneGraph(
-        lanes,
-        tuple(rings),
-        tuple(_crossing(found, where=f"{name}: pedestrian crossing {key}") for key, found in crossings.items()),
-    )
+    for key, segment in document["lane_segments"].items():
+        lane = _lane_segment(segment, f"lane {key}", found)
+        if lane is not None and lanes.setdefault(lane.lane_id, lane) is not lane:
+            found.append(("map", f"lane {key}: id {lane.lane_id} appears twice, expected one segment an id"))
+    if not found and not any(lane.lane_type == "VEHICLE" for lane in lanes.values()):
+        said = f"no lane of type VEHICLE among {len(lanes)} lane segments, expected at least one"
+        found.append(("map", said))
+    areas = [_values(one, _AREA, f"drivable area {key}", found) for key, one in document["drivable_areas"].items()]
+    crossings = [
+        _values(one, _CROSSING, f"pedestrian crossing {key}", found)
+        for key, one in document["pedestrian_crossings"].items()
+    ]
+    if found:
+        return None, found
+    rings = (np.vstack([ring, ring[:1]]) for (ring,) in map(dict.values, areas))
+    return LaneGraph(lanes, tuple(rings), tuple(_corners(*edges.values()) for edges in crossings)), []
 
 
-def _objects(data: Any, key: str, *, name: str) -> Mapping[str, Any]:  # noqa: ANN401
-    if not isinstance(data, dict) or not isinstance(data.get(key), dict):
-        raise MapError(f"{name}: no object {key!r}, expected an Argoverse 2 vector map")
-    objects: dict[str, Any] = data[key]
-    return objects
-
-
-def _crossing(found: Any, *, where: str) -> FloatArray:  # noqa: ANN401
+def _corners(first: FloatArray, second: FloatArray) -> FloatArray:
     """Corners of a pedestrian crossing, along its first edge and back along the second; (4, 2) m."""
-    if not isinstance(found, dict) or "edge1" not in found or "edge2" not in found:
-        raise MapError(f"{where}: no edge1 or no edge2, expected two lists of points")
-    first, second = (
-        _points(found[edge], where=f"{where}: {edge}", axes="xy", at_least=2)[[0, -1]] for edge in ("edge1", "edge2")
-    )
-    if np.dot(first[1] - first[0], second[1] - second[0]) > 0:
-        second = second[::-1]
-    return np.concatenate([first, second])
+    first, second = first[[0, -1]], second[[0, -1]]
+    is_along = np.dot(first[1] - first[0], second[1] - second[0]) > 0
+    return np.concatenate([first, second[::-1] if is_along else second])
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Shape:
-    """What a segment's lists of points hold."""
-
-    left: FloatArray
-    """(M, 3) m."""
-    right: FloatArray
-    """(M, 3) m."""
-    centerline: FloatArray | None
-    """(N, 2) m, None where the source has none."""
-
-    @staticmethod
-    def of(segment: Any, *, where: str) -> "_Shape":  # noqa: ANN401
-        if not isinstance(segment, dict):
-            raise MapError(f"{where}: {type(segment).__name__}, expected an object")
-        missing = [field for field in _FIELDS if field not in segment]
-        if missing:
-            raise MapError(f"{where}: no {', '.join(missing)}, expected the fields of an Argoverse 2 lane segment")
-        centerline = segment.get("centerline")
-        return _Shape(
-            left=_points(segment["left_lane_boundary"], where=f"{where}: left_lane_boundary", axes="xyz", at_least=2),
-            right=_points(
-                segment["right_lane_boundary"], where=f"{where}: right_lane_boundary", axes="xyz", at_least=2
-            ),
-            centerline=None
-            if centerline is None
-            else _points(centerline, where=f"{where}: centerline", axes="xy", at_least=2),
-        )
-
-
-def _lane_segment(
-    segment: Mapping[str, Any], shape: _Shape, left_rungs: FloatArray, right_rungs: FloatArray, *, where: str
-) -> LaneSegment:
-    centerline = shape.centerline
+def _lane_segment(segment: Any, where: str, found: list[Breach]) -> LaneSegment | None:  # noqa: ANN401
+    """One lane; None where something is wrong, which is appended to `found`."""
+    if not isinstance(segment, dict):
+        found.append(("map", f"{where}: {type(segment).__name__}, expected an object"))
+        return None
+    before = len(found)
+    values = _values({"centerline": None, **segment}, _LANE, where, found)
+    if len(found) > before:
+        return None
+    left, right, centerline = (values.pop(line) for line in ("left_lane_boundary", "right_lane_boundary", "centerline"))
+    rungs = _rungs(left), _rungs(right)
     if centerline is None:
-        centerline = (left_rungs[:, :2] + right_rungs[:, :2]) / 2.0
-    centerline = _without_repeats(centerline)
+        centerline = (rungs[0][:, :2] + rungs[1][:, :2]) / 2.0
+    centerline = centerline[np.append(True, np.any(centerline[1:] != centerline[:-1], axis=1))]
     length_m = float(arc_length(centerline)[-1])
     if length_m < MIN_LENGTH_M:
-        raise MapError(f"{where}: centerline is {length_m:.6f} m long, expected at least {MIN_LENGTH_M} m")
-    is_intersection = segment["is_intersection"]
-    if not isinstance(is_intersection, bool):
-        raise MapError(f"{where}: is_intersection {reprlib.repr(is_intersection)}, expected true or false")
-    gaps = left_rungs - right_rungs
-    return LaneSegment(
-        lane_id=_lane_id(segment["id"], where=f"{where}: id"),
-        centerline=centerline,
-        left_boundary=np.ascontiguousarray(shape.left[:, :2]),
-        right_boundary=np.ascontiguousarray(shape.right[:, :2]),
-        lane_type=_one_of(segment["lane_type"], LANE_TYPES, where=f"{where}: lane_type"),
-        is_intersection=is_intersection,
-        successors=_lane_ids(segment["successors"], where=f"{where}: successors"),
-        left_neighbor_id=_neighbor_id(segment["left_neighbor_id"], where=f"{where}: left_neighbor_id"),
-        right_neighbor_id=_neighbor_id(segment["right_neighbor_id"], where=f"{where}: right_neighbor_id"),
-        left_mark_type=_one_of(segment["left_lane_mark_type"], MARK_TYPES, where=f"{where}: left_lane_mark_type"),
-        right_mark_type=_one_of(segment["right_lane_mark_type"], MARK_TYPES, where=f"{where}: right_lane_mark_type"),
-        width_m=float(np.hypot(gaps[:, 0], gaps[:, 1]).mean()),
-        turn=turn_type(centerline, is_intersection=is_intersection),
-    )
-
-
-def _points(value: Any, *, where: str, axes: str, at_least: int) -> FloatArray:  # noqa: ANN401
-    """Coordinates of a list of {x, y, z}; (N, len(axes)) m."""
-    if not isinstance(value, list) or len(value) < at_least:
-        found = f"{len(value)} points" if isinstance(value, list) else reprlib.repr(value)
-        raise MapError(f"{where}: {found}, expected at least {at_least} points")
+        said = f"centerline is {length_m:.6f} m long, expected at least {MIN_LENGTH_M} m"
+        found.append(("map", f"{where}: {said}"))
+        return None
     try:
-        if axes == "xy":
-            points = np.array([(point["x"], point["y"]) for point in value], dtype=np.float64)
-        else:
-            points = np.array([(point["x"], point["y"], point["z"]) for point in value], dtype=np.float64)
-    except KeyError as error:
-        raise MapError(f"{where}: a point has no {error}, expected x, y and z") from error
-    except (TypeError, ValueError) as error:
-        raise MapError(f"{where}: a point is not made of numbers ({error}), expected x, y and z") from error
-    if not np.isfinite(points).all():
-        raise MapError(f"{where}: point {points[~np.isfinite(points).all(axis=1)][0]}, expected finite coordinates")
-    return points
+        return LaneSegment(
+            lane_id=values["id"],
+            centerline=centerline,
+            left_boundary=np.ascontiguousarray(left[:, :2]),
+            right_boundary=np.ascontiguousarray(right[:, :2]),
+            lane_type=values["lane_type"],
+            is_intersection=values["is_intersection"],
+            successors=values["successors"],
+            left_neighbor_id=values["left_neighbor_id"],
+            right_neighbor_id=values["right_neighbor_id"],
+            left_mark_type=values["left_lane_mark_type"],
+            right_mark_type=values["right_lane_mark_type"],
+            width_m=float(np.hypot(*(rungs[0] - rungs[1]).T[:2]).mean()),
+            turn=turn_type(centerline, is_intersection=values["is_intersection"]),
+        )
+    except MapError as error:  # coordinates without end
+        found.append(("map", str(error)))
+        return None
 
 
-def _rungs(boundaries: Sequence[FloatArray]) -> FloatArray:
-    """CENTERLINE_POINTS points at equal distances (in space) along each boundary.
-
-    boundaries: B arrays (M, 3) m, all interpolated in one go on one long axis of arc length. Returns (B, 10, 3) m.
-    """
-    if not boundaries:
-        return np.zeros((0, CENTERLINE_POINTS, 3))
-    points = np.concatenate(boundaries)
-    first = np.cumsum([0, *(len(boundary) for boundary in boundaries[:-1])])
-    steps = np.zeros(len(points))
-    steps[1:] = np.sqrt(np.square(points[1:] - points[:-1]).sum(axis=1))
-    # The step from one boundary to the next stays on the axis: no point is asked for there.
-    s = np.cumsum(steps)
-    start, end = s[first], s[np.append(first[1:], len(points)) - 1]
-    at = start[:, None] + (end - start)[:, None] * np.linspace(0.0, 1.0, CENTERLINE_POINTS)
-    at[:, -1] = end
-    rungs = np.stack([np.interp(at, s, points[:, axis]) for axis in range(3)], axis=-1)
-    # Boundaries that meet lie at one place of the axis: each keeps its own ends.
-    rungs[:, 0], rungs[:, -1] = points[first], points[np.append(first[1:], len(points)) - 1]
-    return rungs
+def _rungs(boundary: FloatArray) -> FloatArray:
+    """CENTERLINE_POINTS points at equal distances (in space) along a boundary (M, 3) m; (10, 3) m."""
+    s = np.append(0.0, np.cumsum(np.sqrt(np.square(boundary[1:] - boundary[:-1]).sum(axis=1))))
+    at = np.linspace(0.0, s[-1], CENTERLINE_POINTS)
+    return np.column_stack([np.interp(at, s, axis) for axis in boundary.T])
 
 
-def _without_repeats(points: FloatArray) -> FloatArray:
-    """The points without those that repeat the one before; the first always stays."""
-    keep = np.ones(len(points), dtype=np.bool_)
-    keep[1:] = np.any(points[1:] != points[:-1], axis=1)
-    return points if keep.all() else points[keep]
+def _values(owner: Any, fields: Mapping[str, _Read], where: str, found: list[Breach]) -> dict[str, Any]:  # noqa: ANN401
+    """The fields of an object as they are read; what is wrong with them is appended to `found`."""
+    missing = [field for field in fields if not isinstance(owner, dict) or field not in owner]
+    if missing:
+        found.append(("map", f"{where}: {_LACKS.get(missing[-1], _LACKS_FIELDS).format(', '.join(missing))}"))
+        return {}
+    values = {}
+    for field, read in fields.items():
+        try:
+            values[field] = read(owner[field])
+        except _RefusedError as error:
+            rule, said = error.args
+            found.append((rule, f"{where}: {field}{said}"))
+    return values
 
 
-def _lane_id(value: Any, *, where: str) -> int:  # noqa: ANN401
+def _points(axes: str, *, at_least: int = 2) -> _Read:
+    """Reads the coordinates of a list of {x, y, z}; (N, len(axes)) m."""
+
+    def read(value: Any) -> FloatArray:  # noqa: ANN401
+        if not isinstance(value, list) or len(value) < at_least:
+            have = f"{len(value)} points" if isinstance(value, list) else reprlib.repr(value)
+            raise _RefusedError("boundary", f": {have}, expected at least {at_least} points")
+        try:
+            points = np.array([[point[axis] for axis in axes] for point in value], dtype=np.float64)
+        except KeyError as error:
+            raise _RefusedError("map", f": a point has no {error}, expected x, y and z") from error
+        except (TypeError, ValueError, OverflowError) as error:
+            raise _RefusedError("map", f": a point is not made of numbers ({error}), expected x, y and z") from error
+        if not np.isfinite(points).all():
+            bad = points[~np.isfinite(points).all(axis=1)][0]
+            raise _RefusedError("map", f": point {bad}, expected finite coordinates")
+        return points
+
+    return read
+
+
+def _integer(value: Any) -> int:  # noqa: ANN401
     if not isinstance(value, int) or isinstance(value, bool):
-        raise MapError(f"{where}: {reprlib.repr(value)}, expected an integer")
+        raise _RefusedError("map", f": {reprlib.repr(value)}, expected an integer")
     return value
 
 
-def _neighbor_id(value: Any, *, where: str) -> int | None:  # noqa: ANN401
-    return None if value is None else _lane_id(value, where=where)
+def _boolean(value: Any) -> bool:  # noqa: ANN401
+    if not isinstance(value, bool):
+        raise _RefusedError("map", f" {reprlib.repr(value)}, expected true or false")
+    return value
 
 
-def _lane_ids(value: Any, *, where: str) -> tuple[int, ...]:  # noqa: ANN401
+def _lane_ids(value: Any) -> tuple[int, ...]:  # noqa: ANN401
     if not isinstance(value, Sequence) or isinstance(value, str):
-        raise MapError(f"{where}: {reprlib.repr(value)}, expected a list of lane ids")
-    return tuple(_lane_id(item, where=where) for item in value)
+        raise _RefusedError("map", f": {reprlib.repr(value)}, expected a list of lane ids")
+    return tuple(map(_integer, value))
 
 
-def _one_of(value: Any, allowed: frozenset[str], *, where: str) -> str:  # noqa: ANN401
-    if not isinstance(value, str) or value not in allowed:
-        raise MapError(f"{where}: {reprlib.repr(value)}, expected one of {', '.join(sorted(allowed))}")
-    return value
+def _optional(read: _Read) -> _Read:
+    return lambda value: None if value is None else read(value)
+
+
+def _one_of(allowed: frozenset[str], rule: str) -> _Read:
+    def read(value: Any) -> str:  # noqa: ANN401
+        if not isinstance(value, str) or value not in allowed:
+            raise _RefusedError(rule, f": {reprlib.repr(value)}, expected one of {', '.join(sorted(allowed))}")
+        return value
+
+    return read
+
+
+#: What reads each field, by name.
+_LANE: Mapping[str, _Read] = {
+    "left_lane_boundary": _points("xyz"),
+    "right_lane_boundary": _points("xyz"),
+    "centerline": _optional(_points("xy")),
+    "id": _integer,
+    "lane_type": _one_of(LANE_TYPES, "lane-type"),
+    "is_intersection": _boolean,
+    "successors": _lane_ids,
+    "left_neighbor_id": _optional(_integer),
+    "right_neighbor_id": _optional(_integer),
+    "left_lane_mark_type": _one_of(MARK_TYPES, "mark-type"),
+    "right_lane_mark_type": _one_of(MARK_TYPES, "mark-type"),
+}
+_AREA: Mapping[str, _Read] = {"area_boundary": _points("xy", at_least=3)}
+_CROSSING: Mapping[str, _Read] = {"edge1": _points("xy"), "edge2": _points("xy")}
+#: What is said where a field is missing.
+_LACKS_FIELDS = "no {}, expected the fields of an Argoverse 2 lane segment"
+_LACKS_EDGE = "no edge1 or no edge2, expected two lists of points"
+_LACKS = {"area_boundary": "no area_boundary, expected a list of points", "edge1": _LACKS_EDGE, "edge2": _LACKS_EDGE}

@@ -19,10 +19,7 @@ import numpy.typing as npt
 import shapely
 
 from netconvert.geometry import FloatArray, arc_length
-from netconvert.lane_graph import LaneGraph, LaneSegment, Side
-
-#: Cells share ground when more of it than this is common to both; cells that only touch share a sliver at most.
-MIN_OVERLAP_M2 = 0.05
+from netconvert.lane_graph import DroppedLink, LaneGraph, LaneSegment, Side
 
 
 class Cell(NamedTuple):
@@ -39,16 +36,6 @@ class LateralLink(NamedTuple):
     allowed: bool
 
 
-class LostLink(NamedTuple):
-    """A link of the source map that the grid does not have, and why."""
-
-    kind: str
-    """successor, left_neighbor or right_neighbor."""
-    source: int
-    target: int
-    reason: str
-
-
 @dataclass(frozen=True, eq=False)
 class CellGrid:
     """The cells of a lane graph. Made by build_cell_grid."""
@@ -58,10 +45,10 @@ class CellGrid:
     """By lane id, then index."""
     centers: FloatArray
     """(C, 2) m, the middle of each cell's centreline, in the order of cells."""
-    lost_links: tuple[LostLink, ...]
+    lost_links: tuple[DroppedLink, ...]
+    """Links of the source map that the grid does not have."""
     _edges_s: dict[int, FloatArray] = field(repr=False)
     _borders: dict[int, FloatArray] = field(repr=False)
-    _first: dict[int, int] = field(repr=False)
     _rows: dict[int, tuple[tuple[int, ...], ...]] = field(repr=False)
     """For each lane and cell index, the lanes whose cells face each other, from the right."""
 
@@ -87,11 +74,6 @@ class CellGrid:
         """Length of the cell's centreline."""
         return float(self._edges_s[cell.lane_id][-1]) / len(self._rows[cell.lane_id])
 
-    def center(self, cell: Cell) -> FloatArray:
-        """The middle of the cell's centreline; (2,) m."""
-        center: FloatArray = self.centers[self._first[cell.lane_id] + cell.index]
-        return center
-
     def longitudinal(self, cell: Cell) -> Cell | None:
         """The next cell of the same lane, None at its end."""
         return Cell(cell.lane_id, cell.index + 1) if cell.index + 1 < len(self._rows[cell.lane_id]) else None
@@ -110,14 +92,6 @@ class CellGrid:
             return ()
         return tuple(Cell(target, 0) for target in self.graph.successors(cell.lane_id))
 
-    def overlaps(self, cell: Cell) -> tuple[Cell, ...]:
-        """Cells of other lanes that share ground with this one: crossing, merging and forking lanes."""
-        return self._overlaps.get(cell, ())
-
-    def row(self, cell: Cell) -> tuple[Cell, ...]:
-        """The cell and those that face it, from the right: the lanes of one SUMO edge."""
-        return tuple(Cell(lane_id, cell.index) for lane_id in self._rows[cell.lane_id][cell.index])
-
     def edge_id(self, cell: Cell) -> str:
         """SUMO edge that holds the cell."""
         return f"{self._rows[cell.lane_id][cell.index][0]}#{cell.index}"
@@ -128,8 +102,7 @@ class CellGrid:
 
     def sumo_lane_id(self, cell: Cell) -> str:
         """SUMO lane that is the cell."""
-        row = self._rows[cell.lane_id][cell.index]
-        return f"{row[0]}#{cell.index}_{row.index(cell.lane_id)}"
+        return f"{self.edge_id(cell)}_{self.lane_index(cell)}"
 
     def rows(self) -> Iterator[tuple[Cell, ...]]:
         """Every row of facing cells once, from the right, ordered by its rightmost lane and index."""
@@ -168,19 +141,6 @@ class CellGrid:
             polygons[invalid] = shapely.buffer(shapely.make_valid(polygons[invalid]), 0.0)
         return polygons
 
-    @cached_property
-    def _overlaps(self) -> dict[Cell, tuple[Cell, ...]]:
-        lanes = np.array([cell.lane_id for cell in self.cells])
-        first, second = shapely.STRtree(self.polygons).query(self.polygons, predicate="intersects")
-        other = (first < second) & (lanes[first] != lanes[second])
-        first, second = first[other], second[other]
-        common = shapely.area(shapely.intersection(self.polygons[first], self.polygons[second]))
-        shared: dict[Cell, list[Cell]] = {}
-        for a, b in zip(first[common > MIN_OVERLAP_M2], second[common > MIN_OVERLAP_M2], strict=True):
-            shared.setdefault(self.cells[a], []).append(self.cells[b])
-            shared.setdefault(self.cells[b], []).append(self.cells[a])
-        return {cell: tuple(sorted(others)) for cell, others in shared.items()}
-
 
 def build_cell_grid(graph: LaneGraph, *, cell_m: float = 4.0, max_skew_m: float = 6.0) -> CellGrid:
     """Cut every lane into cells of at most cell_m: N_l = ceil(L_l / cell_m), the maximum over a row of neighbours.
@@ -191,7 +151,7 @@ def build_cell_grid(graph: LaneGraph, *, cell_m: float = 4.0, max_skew_m: float 
     edges_s: dict[int, FloatArray] = {}
     borders: dict[int, FloatArray] = {}
     centers: dict[int, FloatArray] = {}
-    lost = [LostLink(link.kind, link.source, link.target, link.reason) for link in graph.dropped]
+    lost = list(graph.dropped)
     for members in _lane_rows(graph):
         lanes = [graph.lanes[lane_id] for lane_id in members]
         count = max(1, *(math.ceil(lane.length_m / cell_m - 1e-9) for lane in lanes))
@@ -201,9 +161,6 @@ def build_cell_grid(graph: LaneGraph, *, cell_m: float = 4.0, max_skew_m: float 
             halves = lane.path.point(halves_s)
             edges_s[lane.lane_id], borders[lane.lane_id] = halves_s[::2], halves[::2]
             centers[lane.lane_id] = halves[1::2]
-        if len(lanes) == 1:
-            rows[members[0]] = (members,) * count
-            continue
         split = np.zeros((len(lanes), count), dtype=np.bool_)
         for at in range(1, len(lanes)):
             right, left = lanes[at - 1], lanes[at]
@@ -211,27 +168,21 @@ def build_cell_grid(graph: LaneGraph, *, cell_m: float = 4.0, max_skew_m: float 
             split[at] = skew > max_skew_m
             if split[at].all():
                 reason = f"facing cells are skewed by {skew.min():.1f} m or more, {max_skew_m} m is allowed"
-                lost.append(LostLink("left_neighbor", right.lane_id, left.lane_id, reason))
-                lost.append(LostLink("right_neighbor", left.lane_id, right.lane_id, reason))
+                lost.append(DroppedLink("left_neighbor", right.lane_id, left.lane_id, reason))
+                lost.append(DroppedLink("right_neighbor", left.lane_id, right.lane_id, reason))
         if not split.any():
             rows.update(dict.fromkeys(members, (members,) * count))
             continue
         by_index = [_split(members, split[:, index]) for index in range(count)]
         for lane_id in members:
             rows[lane_id] = tuple(next(part for part in parts if lane_id in part) for parts in by_index)
-    cells: list[Cell] = []
-    first: dict[int, int] = {}
-    for lane_id in graph.lanes:
-        first[lane_id] = len(cells)
-        cells.extend(Cell(lane_id, index) for index in range(len(rows[lane_id])))
     return CellGrid(
         graph=graph,
-        cells=tuple(cells),
+        cells=tuple(Cell(lane_id, index) for lane_id in graph.lanes for index in range(len(rows[lane_id]))),
         centers=np.concatenate([centers[lane_id] for lane_id in graph.lanes]),
         lost_links=tuple(lost),
         _edges_s=edges_s,
         _borders=borders,
-        _first=first,
         _rows={lane_id: rows[lane_id] for lane_id in graph.lanes},
     )
 

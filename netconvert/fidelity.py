@@ -1,16 +1,15 @@
 """How faithfully a SUMO net shows the lane graph that it was made from, measured on the net's XML."""
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import shapely
 from lxml import etree
 
-from netconvert.cells import CellGrid, LostLink
+from netconvert.cells import CellGrid
 from netconvert.errors import NetError
-from netconvert.lane_graph import REASON_OPPOSITE, SIDES, LaneGraph
+from netconvert.lane_graph import REASON_OPPOSITE, SIDES, DroppedLink
 
 #: The reason of a link that is missing although nothing stood against it: a defect of the conversion.
 UNEXPLAINED = "no reason known"
@@ -39,7 +38,7 @@ class FidelityReport:
     neighbors_kept: int
     oncoming: int
     """Neighbour links to lanes that run the opposite way, which are none of the grid's."""
-    lost: tuple[LostLink, ...]
+    lost: tuple[DroppedLink, ...]
     """Every successor and same-direction neighbour link that is not in the net, and why."""
 
     def rows(self) -> list[tuple[str, str]]:
@@ -78,14 +77,15 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
         next_of.setdefault(source, set()).add(f"{link.get('to')}_{link.get('toLane')}")
 
     chains = _chains(lane_of, next_of)
-    distances = {
-        lane_id: _distance_m(graph, lane_id, [shapes[sumo_id] for sumo_id in chain])
-        for lane_id, chain in chains.items()
-    }
-    farthest = max(distances, key=lambda lane_id: distances[lane_id], default=None)
+    distances = {}
+    for lane_id, chain in chains.items():
+        drawn = shapely.LineString([point for sumo_id in chain for point in shapes[sumo_id]])
+        line = shapely.LineString(graph.lanes[lane_id].centerline)
+        distances[lane_id] = float(shapely.hausdorff_distance(drawn, line))
+    farthest = max(distances, key=distances.__getitem__, default=None)
 
     reasons = {(link.kind, link.source, link.target): link.reason for link in grid.lost_links}
-    lost: list[LostLink] = []
+    lost: list[tuple[str, int, int]] = []
     counts: Counter[str] = Counter()
     for lane_id, lane in graph.lanes.items():
         ends = next_of.get(chains[lane_id][-1], set()) if lane_id in chains else set()
@@ -94,7 +94,7 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
             if target in chains and chains[target][0] in ends:
                 counts["successors kept"] += 1
             else:
-                lost.append(_lost("successor", lane_id, target, reasons))
+                lost.append(("successor", lane_id, target))
         for side in SIDES:
             neighbor = lane.neighbor_id(side)
             if neighbor is None:
@@ -107,7 +107,7 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
             if ((lane_id, neighbor) if side == "left" else (neighbor, lane_id)) in beside:
                 counts["neighbors kept"] += 1
             else:
-                lost.append(_lost(kind, lane_id, neighbor, reasons))
+                lost.append((kind, lane_id, neighbor))
     return FidelityReport(
         lanes_in=len(graph.lanes),
         lanes_out=len(chains),
@@ -120,7 +120,7 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
         neighbors_in=counts["neighbors"],
         neighbors_kept=counts["neighbors kept"],
         oncoming=counts["oncoming"],
-        lost=tuple(lost),
+        lost=tuple(DroppedLink(*link, reasons.get(link, UNEXPLAINED)) for link in lost),
     )
 
 
@@ -152,24 +152,11 @@ def _chains(lane_of: dict[str, int], next_of: dict[str, set[str]]) -> dict[int, 
         members.setdefault(lane_id, []).append(sumo_id)
     chains = {}
     for lane_id, sumo_ids in members.items():
-        following = {
-            sumo_id: [target for target in next_of.get(sumo_id, ()) if lane_of[target] == lane_id]
-            for sumo_id in sumo_ids
-        }
-        led_to = {target for targets in following.values() for target in targets}
-        chain = [sumo_id for sumo_id in sumo_ids if sumo_id not in led_to][:1]
-        while chain and following[chain[-1]] and len(chain) <= len(sumo_ids):
-            chain.append(following[chain[-1]][0])
+        own = {lane: next((to for to in next_of.get(lane, ()) if lane_of[to] == lane_id), "") for lane in sumo_ids}
+        chain = [lane for lane in sumo_ids if lane not in own.values()][:1]
+        while chain and own[chain[-1]] and len(chain) <= len(sumo_ids):
+            chain.append(own[chain[-1]])
         if len(chain) != len(sumo_ids):
             raise NetError(f"the net's lanes of lane segment {lane_id} are not one chain: {', '.join(sumo_ids)}")
         chains[lane_id] = chain
     return chains
-
-
-def _distance_m(graph: LaneGraph, lane_id: int, shapes: Sequence[Sequence[Sequence[float]]]) -> float:
-    drawn = shapely.LineString([point for shape in shapes for point in shape])
-    return float(shapely.hausdorff_distance(drawn, shapely.LineString(graph.lanes[lane_id].centerline)))
-
-
-def _lost(kind: str, source: int, target: int, reasons: dict[tuple[str, int, int], str]) -> LostLink:
-    return LostLink(kind, source, target, reasons.get((kind, source, target), UNEXPLAINED))

@@ -27,13 +27,9 @@ def resample(points: FloatArray, *, step_m: float) -> FloatArray:
 
     points: (N, 2) m, of a length above 0. Returns (M, 2) m, M >= 2.
     """
-    points = np.ascontiguousarray(points, dtype=np.float64)
-    s = arc_length(points)
-    if not 0.0 < s[-1] < np.inf:
-        raise ValueError(f"polyline of length {s[-1]} m, expected a finite length above 0")
-    count = max(1, int(np.ceil(s[-1] / step_m - 1e-9)))
-    at = np.linspace(0.0, s[-1], count + 1)
-    return np.column_stack([np.interp(at, s, points[:, 0]), np.interp(at, s, points[:, 1])])
+    line = Polyline(points)
+    count = max(1, int(np.ceil(line.length_m / step_m - 1e-9)))
+    return line.point(np.linspace(0.0, line.length_m, count + 1))
 
 
 def differences(values: FloatArray, step: float) -> FloatArray:

@@ -2,9 +2,11 @@
 
 import csv
 import io
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from lxml import etree
+from lxml.builder import E
 
 from netconvert.cells import CellGrid
 from netconvert.geometry import FloatArray
@@ -34,20 +36,27 @@ REAL_TIME_MS = 1000
 
 
 def gui_files(
-    grid: CellGrid, name: str, *, step_s: float, shown: tuple[FloatArray, FloatArray] | None = None
+    grid: CellGrid,
+    name: str,
+    *,
+    step_s: float,
+    shown: tuple[FloatArray, FloatArray] | None = None,
+    options: Mapping[str, Mapping[str, str]] | None = None,
+    shapes: Sequence[etree._Element] = (),
+    scheme: Sequence[etree._Element] = (),
 ) -> dict[str, bytes]:
     """Contents by file name of everything beside <name>.net.xml.
 
     step_s: of the simulation that sumo-gui runs. shown: low and high corner of the ground to look at first, (2,) m; all
-    lanes by default.
+    lanes by default. options: more of SUMO's, by section and name; shapes, scheme: more to draw, and how.
 
     <name>.sumocfg refers to the net, the drivable area (<name>.poly.xml) and the view (<name>.view.xml) by file names,
     so that the folder can be moved; <name>.cells.csv has one row a cell.
     """
     return {
-        f"{name}.sumocfg": _configuration(name, step_s),
-        f"{name}.poly.xml": _polygons(grid),
-        f"{name}.view.xml": _view(grid, shown),
+        f"{name}.sumocfg": _configuration(name, step_s, options or {}),
+        f"{name}.poly.xml": xml_bytes(E.additional(*_polygons(grid), *shapes)),
+        f"{name}.view.xml": _view(grid, shown, scheme),
         f"{name}.cells.csv": cells_csv(grid),
     }
 
@@ -72,82 +81,66 @@ def cells_csv(grid: CellGrid) -> bytes:
     return text.getvalue().encode()
 
 
-def _configuration(name: str, step_s: float) -> bytes:
-    root = etree.Element("sumoConfiguration")
-    inputs = etree.SubElement(root, "input")
-    etree.SubElement(inputs, "net-file", {"value": f"{name}.net.xml"})
-    etree.SubElement(inputs, "additional-files", {"value": f"{name}.poly.xml"})
-    time = etree.SubElement(root, "time")
-    etree.SubElement(time, "step-length", {"value": f"{step_s}"})
-    gui = etree.SubElement(root, "gui_only")
-    etree.SubElement(gui, "gui-settings-file", {"value": f"{name}.view.xml"})
-    etree.SubElement(gui, "delay", {"value": str(REAL_TIME_MS)})
-    return _content(root)
+def xml_bytes(root: etree._Element) -> bytes:
+    """A file of SUMO's."""
+    content: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+    return content
 
 
-def _polygons(grid: CellGrid) -> bytes:
+def shape(points: FloatArray, *, digits: int = 2) -> str:
+    """Points (N, 2) m as SUMO writes them."""
+    return " ".join(f"{x:.{digits}f},{y:.{digits}f}" for x, y in points.tolist())
+
+
+def _configuration(name: str, step_s: float, options: Mapping[str, Mapping[str, str]]) -> bytes:
+    own = {
+        "input": {"net-file": f"{name}.net.xml", "additional-files": f"{name}.poly.xml"},
+        "time": {"step-length": f"{step_s}"},
+        "gui_only": {"gui-settings-file": f"{name}.view.xml", "delay": str(REAL_TIME_MS)},
+    }
+    sections = {section: {**own.get(section, {}), **options.get(section, {})} for section in {**own, **options}}
+    return xml_bytes(
+        E.sumoConfiguration(
+            *(E(section, *(E(key, value=value) for key, value in of.items())) for section, of in sections.items())
+        )
+    )
+
+
+def _polygons(grid: CellGrid) -> list[etree._Element]:
     """The drivable area below the lanes, and the outline of each cell above them."""
-    root = etree.Element("additional")
-    for number, ring in enumerate(grid.graph.drivable_areas):
-        attributes = {
-            "id": f"drivable_area_{number}",
-            "type": "drivable_area",
-            "color": _AREA_COLOR,
-            "fill": "1",
-            "layer": "-10",
-            "shape": " ".join(f"{x:.2f},{y:.2f}" for x, y in ring.tolist()),
-        }
-        etree.SubElement(root, "poly", attributes)
-    for cell, polygon in zip(grid.cells, grid.polygons, strict=True):
-        if not polygon.is_empty:
-            outline = {
-                "id": f"cell_{cell.lane_id}_{cell.index}",
-                "type": "cell",
-                "color": _CELL_COLOR,
-                "fill": "0",
-                "lineWidth": str(_CELL_LINE_M),
-                "layer": str(_ABOVE_LANES),
-                "shape": " ".join(f"{x:.2f},{y:.2f}" for x, y in polygon.exterior.coords),
-            }
-            etree.SubElement(root, "poly", outline)
-    return _content(root)
+    area = {"type": "drivable_area", "color": _AREA_COLOR, "fill": "1", "layer": "-10"}
+    cell = {"type": "cell", "color": _CELL_COLOR, "fill": "0", "lineWidth": str(_CELL_LINE_M)}
+    cell |= {"layer": str(_ABOVE_LANES)}
+    return [
+        E.poly({"id": f"drivable_area_{number}", **area, "shape": shape(ring)})
+        for number, ring in enumerate(grid.graph.drivable_areas)
+    ] + [
+        E.poly({"id": f"cell_{lane_id}_{index}", **cell, "shape": shape(np.asarray(polygon.exterior.coords))})
+        for (lane_id, index), polygon in zip(grid.cells, grid.polygons, strict=True)
+        if not polygon.is_empty
+    ]
 
 
-def _view(grid: CellGrid, shown: tuple[FloatArray, FloatArray] | None) -> bytes:
+def _view(grid: CellGrid, shown: tuple[FloatArray, FloatArray] | None, more: Sequence[etree._Element]) -> bytes:
     lanes = np.concatenate([lane.centerline for lane in grid.graph.lanes.values()])
     everything = np.concatenate([lanes, *grid.graph.drivable_areas])  # what zoom 100 shows
     low, high = shown or (lanes.min(axis=0), lanes.max(axis=0))
     x, y = ((low + high) / 2.0).tolist()
     zoom = _ZOOM * _window_width(everything.min(axis=0), everything.max(axis=0)) / _window_width(low, high)
-    root = etree.Element("viewsettings")
-    scheme = etree.SubElement(root, "scheme", {"name": "hid2"})
-    etree.SubElement(scheme, "background", {"backgroundColor": "250,250,248", "showGrid": "0"})
-    # Every cell ends in a junction: the arrows and stop lines there would hide the lanes.
-    edges = etree.SubElement(
-        scheme,
-        "edges",
-        {
-            "showLinkDecals": "0",
-            "showLinkRules": "0",
-            "laneShowBorders": "0",
-            "showBikeMarkings": "0",
-        },
+    colors = E.colorScheme(
+        E.entry(color=_LANE_COLOR, name="road"),
+        E.entry(color=_BICYCLE_COLOR, name="bike lane"),
+        E.entry(color="0,0,0,0", name="waterway"),  # lanes that only carry a trace
+        name="uniform",
     )
-    colors = etree.SubElement(edges, "colorScheme", {"name": "uniform"})
-    etree.SubElement(colors, "entry", {"color": _LANE_COLOR, "name": "road"})
-    etree.SubElement(colors, "entry", {"color": _BICYCLE_COLOR, "name": "bike lane"})
-    etree.SubElement(colors, "entry", {"color": "0,0,0,0", "name": "waterway"})  # lanes that only carry a trace
-    etree.SubElement(scheme, "junctions", {"drawShape": "0"})  # there is nothing to see at the ends of cells
-    etree.SubElement(root, "viewport", {"zoom": f"{zoom:.1f}", "x": f"{x:.2f}", "y": f"{y:.2f}"})
-    return _content(root)
+    # Every cell ends in a junction: the arrows and stop lines there would hide the lanes, and there is nothing to see.
+    edges = E.edges(colors, showLinkDecals="0", showLinkRules="0", laneShowBorders="0", showBikeMarkings="0")
+    background = E.background(backgroundColor="250,250,248", showGrid="0")
+    scheme = E.scheme(background, edges, E.junctions(drawShape="0"), *more, name="hid2")
+    return xml_bytes(E.viewsettings(scheme, E.viewport(zoom=f"{zoom:.1f}", x=f"{x:.2f}", y=f"{y:.2f}")))
 
 
 def _window_width(low: FloatArray, high: FloatArray) -> float:
     """Width of the ground in a window that shows all from low to high, m."""
     wide, high_m = (high - low).tolist()
     return max(float(wide), float(high_m) * WINDOW_ASPECT, 1.0)
-
-
-def _content(root: etree._Element) -> bytes:
-    content: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
-    return content

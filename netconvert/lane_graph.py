@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import shapely
@@ -40,9 +40,8 @@ class TurnType(StrEnum):
     RIGHT = "right_turn"
 
 
-@dataclass(frozen=True, slots=True)
-class DroppedLink:
-    """A link of the source map that the graph does not follow, and why."""
+class DroppedLink(NamedTuple):
+    """A link of the source map that the graph, or its grid or its net, does not have, and why."""
 
     kind: str
     """successor, left_neighbor or right_neighbor."""
@@ -114,27 +113,18 @@ class LaneGraph:
     """Closed rings, each (N, 2) m with the first point repeated at the end."""
     pedestrian_crossings: tuple[FloatArray, ...] = ()
     """Corners of each crossing in turn, (4, 2) m."""
-    dropped: tuple[DroppedLink, ...] = field(init=False)
-    _successors: dict[int, tuple[int, ...]] = field(init=False, repr=False)
-    _predecessors: dict[int, tuple[int, ...]] = field(init=False, repr=False)
-    _neighbors: dict[Side, dict[int, int]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lanes", dict(sorted(self.lanes.items())))
-        dropped: list[DroppedLink] = []
-        successors = self._drivable_successors(dropped)
-        predecessors: dict[int, list[int]] = {lane_id: [] for lane_id in self.lanes}
-        for lane_id, targets in successors.items():
-            for target in targets:
-                predecessors[target].append(lane_id)
-        object.__setattr__(self, "_successors", successors)
-        object.__setattr__(self, "_predecessors", {lane_id: tuple(ids) for lane_id, ids in predecessors.items()})
-        object.__setattr__(self, "_neighbors", self._mutual_neighbors(dropped))
-        object.__setattr__(self, "dropped", tuple(dropped))
+
+    @cached_property
+    def dropped(self) -> tuple[DroppedLink, ...]:
+        """Links of the source map that are not followed."""
+        return tuple(self._drivable_successors[1] + self._mutual_neighbors[1])
 
     def successors(self, lane_id: int) -> tuple[int, ...]:
         """Lanes of the map that follow this one, in the source's order."""
-        return self._successors[lane_id]
+        return self._drivable_successors[0][lane_id]
 
     def predecessors(self, lane_id: int) -> tuple[int, ...]:
         """Lanes that have this one as successor, ascending. The source's own list is not used: it is incomplete."""
@@ -154,7 +144,7 @@ class LaneGraph:
             (x0, y0), (x1, y1) = lane.centerline[-2:].tolist()
             end = math.atan2(y1 - y0, x1 - x0)
             turned = []
-            for target in self._successors[lane_id]:
+            for target in self.successors(lane_id):
                 if lane.lane_type in MOTOR_TYPES and self.lanes[target].lane_type not in MOTOR_TYPES:
                     continue
                 x, y = _direction(self.lanes[target])
@@ -164,7 +154,7 @@ class LaneGraph:
 
     def neighbor(self, lane_id: int, side: Side) -> int | None:
         """The lane beside this one that runs the same way, of whatever type."""
-        return self._neighbors[side].get(lane_id)
+        return self._mutual_neighbors[0][side].get(lane_id)
 
     def may_change(self, lane_id: int, side: Side) -> bool:
         """Whether there is a neighbour on that side and the marking between allows a vehicle of this lane to cross."""
@@ -178,31 +168,37 @@ class LaneGraph:
         shapely.prepare(union)
         return union
 
-    def _drivable_successors(self, dropped: list[DroppedLink]) -> dict[int, tuple[int, ...]]:
-        starts = {lane_id: lane.centerline[0].tolist() for lane_id, lane in self.lanes.items()}
-        ends = {lane_id: lane.centerline[-1].tolist() for lane_id, lane in self.lanes.items()}
+    @cached_property
+    def _predecessors(self) -> dict[int, tuple[int, ...]]:
+        predecessors: dict[int, tuple[int, ...]] = dict.fromkeys(self.lanes, ())
+        for lane_id in self.lanes:
+            for target in self.successors(lane_id):
+                predecessors[target] += (lane_id,)
+        return predecessors
+
+    @cached_property
+    def _drivable_successors(self) -> tuple[dict[int, tuple[int, ...]], list[DroppedLink]]:
         successors: dict[int, tuple[int, ...]] = {}
+        dropped = []
         for lane_id, lane in self.lanes.items():
             kept = []
-            end_x, end_y = ends[lane_id]
             for target in dict.fromkeys(lane.successors):
-                reason = None
-                if target == lane_id:
-                    reason = REASON_ITSELF
-                elif target not in self.lanes:
-                    reason = REASON_OUTSIDE
-                else:
-                    start_x, start_y = starts[target]
-                    if math.hypot(start_x - end_x, start_y - end_y) > MAX_SUCCESSOR_GAP_M:
-                        reason = REASON_GAP
-                if reason is None:
-                    kept.append(target)
-                else:
+                reason = self._why_not(lane_id, target)
+                if (
+                    not reason
+                    and math.dist(self.lanes[target].centerline[0], lane.centerline[-1]) > MAX_SUCCESSOR_GAP_M
+                ):
+                    reason = REASON_GAP
+                if reason:
                     dropped.append(DroppedLink("successor", lane_id, target, reason))
+                else:
+                    kept.append(target)
             successors[lane_id] = tuple(kept)
-        return successors
+        return successors, dropped
 
-    def _mutual_neighbors(self, dropped: list[DroppedLink]) -> dict[Side, dict[int, int]]:
+    @cached_property
+    def _mutual_neighbors(self) -> tuple[dict[Side, dict[int, int]], list[DroppedLink]]:
+        dropped = []
         direction = {lane_id: _direction(lane) for lane_id, lane in self.lanes.items()}
         stated: list[tuple[bool, int, Side, int]] = []
         for lane_id, lane in self.lanes.items():
@@ -210,33 +206,31 @@ class LaneGraph:
                 target = lane.neighbor_id(side)
                 if target is None:
                     continue
-                reason = None
-                if target == lane_id:
-                    reason = REASON_ITSELF
-                elif target not in self.lanes:
-                    reason = REASON_OUTSIDE
-                elif not _same_way(direction[lane_id], direction[target]):
+                reason = self._why_not(lane_id, target)
+                if not reason and np.dot(direction[lane_id], direction[target]) <= 0.0:
                     reason = REASON_OPPOSITE
-                if reason is None:
+                if reason:
+                    dropped.append(DroppedLink(f"{side}_neighbor", lane_id, target, reason))
+                else:
                     one_sided = self.lanes[target].neighbor_id(_other(side)) != lane_id
                     stated.append((one_sided, lane_id, side, target))
-                else:
-                    dropped.append(DroppedLink(f"{side}_neighbor", lane_id, target, reason))
         # Links that both lanes state come first, so that a one-sided claim never displaces one of them.
-        stated.sort(key=lambda link: (link[0], link[1], link[2]))
         neighbors: dict[Side, dict[int, int]] = {"left": {}, "right": {}}
-        for _, lane_id, side, target in stated:
+        for _, lane_id, side, target in sorted(stated):
             mine, theirs = neighbors[side], neighbors[_other(side)]
             if mine.get(lane_id) == target and theirs.get(target) == lane_id:
                 continue
             if lane_id in mine or target in theirs:
                 dropped.append(DroppedLink(f"{side}_neighbor", lane_id, target, REASON_CONTRADICTED))
-            elif _walk_reaches(neighbors[side], target, lane_id):
+            elif _walk_reaches(mine, target, lane_id):
                 dropped.append(DroppedLink(f"{side}_neighbor", lane_id, target, REASON_RING))
             else:
                 mine[lane_id] = target
                 theirs[target] = lane_id
-        return neighbors
+        return neighbors, dropped
+
+    def _why_not(self, lane_id: int, target: int) -> str:
+        return REASON_ITSELF if target == lane_id else "" if target in self.lanes else REASON_OUTSIDE
 
 
 def crossable(mark_type: str) -> bool:
@@ -270,19 +264,12 @@ def _direction(lane: LaneSegment) -> tuple[float, float]:
     return end_x - start_x, end_y - start_y
 
 
-def _same_way(a: tuple[float, float], b: tuple[float, float]) -> bool:
-    return a[0] * b[0] + a[1] * b[1] > 0.0
-
-
 def _other(side: Side) -> Side:
     return "right" if side == "left" else "left"
 
 
-def _walk_reaches(links: Mapping[int, int], start: int, goal: int) -> bool:
-    """Whether following the links from start arrives at goal."""
-    lane: int | None = start
-    while lane is not None:
-        if lane == goal:
-            return True
-        lane = links.get(lane)
-    return False
+def _walk_reaches(links: Mapping[int, int], lane: int, goal: int) -> bool:
+    """Whether following the links from a lane arrives at the goal."""
+    while lane != goal and lane in links:
+        lane = links[lane]
+    return lane == goal

@@ -4,12 +4,10 @@ The netconvert program of SUMO is not used: it trims lanes at junctions, while h
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from netconvert.cells import Cell, CellGrid
-from netconvert.errors import NetError
 from netconvert.geo import CityOrigin
 from netconvert.geometry import FloatArray
 from netconvert.lane_graph import SIDES, LaneSegment, TurnType
@@ -65,14 +63,6 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
         for from_edge, from_lane, to_edge, to_lane, direction in links
     ]
     return "\n".join([*text, "</net>", ""]).encode()
-
-
-def write_net(grid: CellGrid, path: Path | str) -> None:
-    """Write the net.xml of a grid. NetError if the file cannot be written."""
-    try:
-        Path(path).write_bytes(net_bytes(grid))
-    except OSError as error:
-        raise NetError(f"{path}: cannot write the net: {error.strerror}") from error
 
 
 def _links(

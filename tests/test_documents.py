@@ -125,9 +125,9 @@ def test_every_command_line_of_a_page_is_understood(name: str) -> None:
     import typer
     from typer.main import get_command
 
-    from bridge.cli import app
+    from bridge.cli.commands import application
 
-    group = get_command(app)
+    group = get_command(application())
     text = (ROOT / name).read_text(encoding="utf-8").replace("`hid2 ...", "")
     for line in COMMAND.findall(text):
         words = shlex.split(line.replace("\\\n", " "), comments=True)[1:]

@@ -21,7 +21,7 @@ PLANTS = {
     "the paper imports a library of files": ("hid2/params.py", "import pandas"),
     "a cycle within a room, inside a function": (
         "bridge/batch/engine.py",
-        "def late() -> None:\n    import bridge.batch.execution",
+        "def late() -> None:\n    import bridge.batch.cluster",
     ),
     "a room that has no place": ("hid2/attic.py", "ATTIC = 1"),
 }

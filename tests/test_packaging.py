@@ -1,5 +1,8 @@
 """What is needed, at which versions, and how setup.sh and .ci/run bring it."""
 
+import contextlib
+import os
+import pty
 import re
 import shutil
 import subprocess
@@ -16,6 +19,7 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 README = (ROOT / "README.md").read_text()
+REQUIREMENTS = (ROOT / "requirements.txt").read_text()
 #: Hosts of package registries, in two halves so that this file names none.
 REGISTRIES = (
     ("pypi", "org"), ("pythonhosted", "org"), ("npmjs", "org"), ("npmjs", "com"), ("yarnpkg", "com"),
@@ -83,7 +87,7 @@ def test_the_extra_forecast_is_pinned_and_nothing_else_brings_torch() -> None:
 def pins() -> dict[str, str]:
     """Version by canonical name, of the pins that apply here."""
     found = {}
-    for line in PROJECT["tool"]["uv"]["constraint-dependencies"]:
+    for line in re.findall(r"^[^ #].*?(?= \\$|$)", REQUIREMENTS, re.MULTILINE):
         requirement = Requirement(line)
         (specifier,) = requirement.specifier
         assert (specifier.operator, requirement.url) == ("==", None), f"{line}: expected a version, name==1.2.3"
@@ -94,7 +98,7 @@ def pins() -> dict[str, str]:
 
 
 def left_out() -> set[str]:
-    """What dependencies declare and dependency-metadata leaves out: only the extra `forecast` brings torch."""
+    """What dependencies declare and dependency-metadata leaves out, but for what the tools of the tests bring."""
     found = set()
     for metadata in PROJECT["tool"]["uv"]["dependency-metadata"]:
         assert pins()[metadata["name"]] == metadata["version"], "dependency-metadata is of another version than the pin"
@@ -102,7 +106,20 @@ def left_out() -> set[str]:
         names = {requirement.name for requirement in said if applies(requirement)}
         assert set(metadata["requires-dist"]) <= names, f"{metadata['name']} no longer needs some of these"
         found |= names - set(metadata["requires-dist"])
-    return found
+    return found - {requirement.name for requirement in declared()}
+
+
+def test_every_pin_but_torch_has_a_hash_and_none_an_address() -> None:
+    """torch's wheels without CUDA are on PyTorch's own list, with hashes of their own."""
+    entries = re.split(r"\n(?=\S)", REQUIREMENTS)
+    hashed = re.compile(r"[\w.-]+==[\w.+]+ ;[^\\]+( \\\n    --hash=sha256:[0-9a-f]{64})+\n?")
+    assert [entry.split("==")[0] for entry in entries if not hashed.fullmatch(entry)] == ["torch"]
+    assert "://" not in REQUIREMENTS
+
+
+def test_what_builds_the_package_is_pinned() -> None:
+    (builds,) = (Requirement(line) for line in PROJECT["build-system"]["requires"])
+    assert builds.specifier.contains(pins()[builds.name])
 
 
 def test_pins_are_within_the_declared_ranges() -> None:
@@ -136,10 +153,17 @@ def test_all_that_is_needed_is_pinned_and_installed_at_that_version() -> None:
 
 def test_environment_has_neither_torch_nor_cuda() -> None:
     installed = {canonicalize_name(found.metadata["Name"]) for found in distributions()}
-    assert left_out() == {"torch", "kornia"}
+    assert left_out() == {"av", "joblib", "kornia", "nox", "opencv-python", "polars", "torch", "tqdm"}
     if " forecast\n" in (ROOT / ".venv" / ".hid2").read_text():
         installed -= {"torch", "triton"}  # asked for
-    assert {name for name in installed if name in left_out() or name.startswith(("nvidia-", "triton"))} == set()
+    assert {name for name in installed if name.startswith(("torch", "kornia", "nvidia-", "triton"))} == set()
+
+
+def test_forecasts_are_scored_without_what_av2_is_installed_without() -> None:
+    """av2's metrics and submissions load none of it: the tools of the tests bring cv2 for av2's map alone."""
+    gone = {"av", "cv2", "joblib", "kornia", "nox", "polars", "pyproj", "torch", "tqdm"}
+    code = f"import sys; sys.modules.update(dict.fromkeys({sorted(gone)}))\nimport bridge.evaluation.predictions"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 
 # --- setup.sh on a machine that lacks something -----------------------------------------------------------------------
@@ -155,7 +179,7 @@ def python(*, missing: str = "") -> str:
 @pytest.fixture
 def set_up(tmp_path: Path) -> Setup:
     """set_up(*arguments, python3="...", ...): run a copy of setup.sh where only these commands (shell code) exist."""
-    for name in ("setup.sh", "pyproject.toml"):
+    for name in ("setup.sh", "pyproject.toml", "requirements.txt"):
         shutil.copy(ROOT / name, tmp_path)
 
     def run(*arguments: str, **commands: str) -> subprocess.CompletedProcess[str]:
@@ -170,9 +194,60 @@ def set_up(tmp_path: Path) -> Setup:
         shell = str(shutil.which("sh"))
         environment = {"PATH": str(folder), "HOME": str(tmp_path)}
         command = [shell, "setup.sh", *arguments]
-        return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
+        return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=180)
 
     return run
+
+
+def at_a_terminal(folder: Path, answer: str, *, is_container: bool, **more: str) -> str:
+    """What setup.sh says on a terminal on which that answer is typed, with the commands that set_up made there."""
+    script = (folder / "setup.sh").read_text()
+    (folder / "setup.sh").write_text(script.replace("/.dockerenv", str(ROOT if is_container else folder / "none")))
+    ours, theirs = pty.openpty()
+    os.write(ours, answer.encode())
+    environment = {"PATH": str(folder / "bin"), "HOME": str(folder), **more}
+    command = [str(shutil.which("sh")), "setup.sh"]
+    subprocess.run(
+        command, cwd=folder, env=environment, stdin=theirs, stdout=theirs, stderr=theirs, check=False, timeout=180
+    )
+    os.close(theirs)
+    said = b""
+    with contextlib.suppress(OSError):  # how a terminal ends on Linux
+        while part := os.read(ours, 65_536):
+            said += part
+    os.close(ours)
+    return said.decode()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Debian's packages are asked for on Linux only")
+class TestRootIsAskedBeforePackagesAreInstalled:
+    """The fake pip installs nothing, so that each run ends: after apt-get, or where it would have been called."""
+
+    QUESTION = "apt-get install libgl1? [y/N]"
+    REFUSED = "please install, then call this again (Debian's names)"
+    INSTALLED = "pip could not install uv"
+
+    @pytest.fixture
+    def folder(self, set_up: Setup, tmp_path: Path) -> Path:
+        """A folder in which setup.sh finds libgl1 missing, and without a terminal installs it unasked."""
+        result = set_up(python3=python(missing="libgl1"), id="echo 0", apt_get="exit 0")
+        assert "[y/N]" not in result.stderr
+        assert self.INSTALLED in result.stderr
+        return tmp_path
+
+    @pytest.mark.parametrize(("answer", "ends"), [("y\n", INSTALLED), ("n\n", REFUSED), ("\n", REFUSED)])
+    def test_at_a_terminal(self, folder: Path, answer: str, ends: str) -> None:
+        said = at_a_terminal(folder, answer, is_container=False)
+        assert self.QUESTION in said
+        assert ends in said
+
+    def test_but_in_no_container_and_no_run_of_ci(self, folder: Path) -> None:
+        for more in ({"container": "podman"}, {"KUBERNETES_SERVICE_HOST": "10.0.0.1"}, {"CI": "true"}):
+            said = at_a_terminal(folder, "", is_container=False, **more)
+            (folder / "setup.sh").write_text((ROOT / "setup.sh").read_text())
+            assert (self.QUESTION in said, self.INSTALLED in said) == (False, True), more
+        said = at_a_terminal(folder, "", is_container=True)
+        assert (self.QUESTION in said, self.INSTALLED in said) == (False, True)
 
 
 @pytest.mark.parametrize(

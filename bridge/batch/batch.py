@@ -6,35 +6,27 @@ bundle in OUT/quarantine that reproduces the failure, and the batch goes on.
 
 import contextlib
 import fcntl
+import hashlib
 import logging
 import math
 import os
-import re
-import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
+from platform import platform
 from tempfile import TemporaryDirectory
 
-from bridge.batch.engine import Outcome, Settings, Task
-from bridge.batch.execution import execute
-from bridge.batch.isolation import MEMORY_MB
-from bridge.batch.manifest import (
-    DONE,
-    MAX_TEXT,
-    QUARANTINED,
-    Manifest,
-    ManifestRow,
-    code_version,
-    files_sha256,
-    output_files,
-)
+from bridge.batch.engine import Outcome, Settings, Task, execute_here
+from bridge.batch.manifest import DONE, MAX_TEXT, QUARANTINED, Manifest, ManifestRow, files_sha256, output_files
 from bridge.batch.quarantine import MAX_TIMEOUT_S, Bundle, read_bundle, write_bundle
-from bridge.config import check_no_flow, config_sha256, new_scenario_id
+from bridge.config import check_function, check_no_flow, config_sha256, new_scenario_id
 from bridge.files import explained, one_line
-from bridge.recordings.folders import SPLITS, Address, sequence_path, source_id, split_of, sumo_folder
+from bridge.generation.program import code_version, processor
+from bridge.interruption import remove_abandoned, tidied
+from bridge.recordings.folders import SEQUENCES, SPLITS, Address, sequence_path, source_id, split_of, sumo_folder
 from bridge.recordings.sources import source_files
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportError
@@ -51,15 +43,15 @@ GENERATE_WITH_GAPS = "bridge.batch.scene_work:generate_and_record_gaps"
 _EXTRA_FILES = {GENERATE_WITH_GAPS: "gaps_*.csv.gz"}
 
 _LOG = logging.getLogger(__name__)
-_HALF_WRITTEN = re.compile(r"\.(?:reactive-)?(?:corridor-)?[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}-.*")
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One generated scene that is wanted."""
+    """One generated scene that is wanted. rule_sha256: of the file of a lane-change rule of the user's own."""
 
     config: Config
     variant: int = 0
+    rule_sha256: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,32 +73,27 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
-    """How a batch runs. Errors: ConfigError.
+class Options(Settings):
+    """How a batch, and each scene of it, runs. Errors: ConfigError.
 
-    scheduler: address of a Dask scheduler; resume: skip what is complete and unchanged; memory_mb: what a scene may
-    take; argoverse1: write sequences of Argoverse 1 as well; sumo: folder for files of SUMO.
+    scheduler: address of a Dask scheduler; resume: skip what is complete and unchanged; argoverse1: write sequences of
+    Argoverse 1 as well; sumo: folder for files of SUMO; functions: lane-change rules module:function that may be
+    imported.
     """
 
+    recycle_after: int = 200
     jobs: int = 1
     scheduler: str | None = None
-    timeout_s: float = 300.0
     resume: bool = False
     function: str = GENERATE
-    recycle_after: int = 200
-    memory_mb: int = MEMORY_MB
     argoverse1: bool = False
     sumo: Path | None = None
+    functions: Collection[str] = ()
 
     def __post_init__(self) -> None:
         """Refuse a time that would never come."""
         if not (math.isfinite(self.timeout_s) and 1 <= self.timeout_s <= MAX_TIMEOUT_S):
             raise ConfigError(f"scene-timeout {self.timeout_s:g}: expected 1 to {MAX_TIMEOUT_S:g} s")
-
-    @property
-    def settings(self) -> Settings:
-        """The engine's part."""
-        return Settings(timeout_s=self.timeout_s, recycle_after=self.recycle_after, memory_mb=self.memory_mb)
 
 
 @dataclass(slots=True)
@@ -163,9 +150,10 @@ def run_batch(
     _check_places(jobs, out_dir)
     progress = Progress(total=sum(len(job.runs) for job in jobs))
     rows: list[ManifestRow] = []
-    _check_rules(jobs)
-    with _locked(out_dir):
-        remove_half_written(out_dir)
+    jobs = _with_rules(jobs, options.functions)
+    remove = partial(_remove_half_written, out_dir, options.sumo)
+    with _locked(out_dir), tidied(remove):
+        remove()
         manifest = Manifest(out_dir)
         written = _Written(manifest, out_dir)
         written.check(jobs)
@@ -180,7 +168,12 @@ def run_batch(
             on_row(row, progress)
 
         try:
-            results = execute(tasks, jobs=options.jobs, scheduler=options.scheduler, settings=options.settings)
+            if options.scheduler is None:
+                results = execute_here(tasks, jobs=options.jobs, settings=options)
+            else:
+                from bridge.batch.cluster import execute_on_dask  # imports distributed, which takes a second
+
+                results = execute_on_dask(tasks, scheduler=options.scheduler, settings=options)
             with contextlib.closing(results):
                 for result in results:
                     place: Place = result.task.shared
@@ -197,21 +190,30 @@ def run_batch(
                 said = f"{error}; finished scenes are in {manifest.path}, make room and continue with --resume"
                 raise DiskFullError(said) from error
             raise
-        finally:
-            remove_half_written(out_dir)
     return sorted(rows, key=lambda row: row.key)
 
 
-def _check_rules(jobs: Sequence[SceneJob]) -> None:
-    """Raise ConfigError where a lane-change rule of the user's own is not found, in the working folder either."""
-    from hid2.policy.rules import user_rule  # only where there is one
+def _with_rules(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence[SceneJob]:
+    """Import and try each lane-change rule that is a function, say its file; the jobs with that file's digest.
 
+    functions: those that may be imported. They are looked for in the working folder last. Errors: ConfigError.
+    """
     rules = {run.config.lane_change.rule for job in jobs for run in job.runs}
-    names = sorted(rule for rule in rules if ":" in rule)
-    if names and str(Path.cwd()) not in sys.path:
-        sys.path.append(str(Path.cwd()))  # processes of the batch get it from here
-    for name in names:
-        user_rule(name)
+    digests = {}
+    for rule in sorted(rule for rule in rules if ":" in rule):
+        check_function(rule, functions, where="lane_change.rule")
+        from hid2.policy.rules import check_user_rule  # only where there is one
+
+        if str(Path.cwd()) not in sys.path:
+            sys.path.append(str(Path.cwd()))  # processes of the batch get it from here
+        file = check_user_rule(rule)
+        digests[rule] = hashlib.sha256(Path(file).read_bytes()).hexdigest()
+        _LOG.warning("lane_change.rule = %s is imported from %s and run", rule, file)
+
+    def known(run: Run) -> Run:
+        return replace(run, rule_sha256=digests.get(run.config.lane_change.rule, ""))
+
+    return [replace(job, runs=tuple(map(known, job.runs))) for job in jobs] if digests else jobs
 
 
 class _Written:
@@ -256,30 +258,33 @@ def base_row(place: Place, run: Run) -> ManifestRow:
         status=DONE,
         requested=str(run.config.request.agents),
         config_sha256=config_sha256(run.config),
+        rule_sha256=run.rule_sha256,
         version=code_version(),
+        platform=platform(),
+        processor=processor(),
     )
 
 
-def reproduce(path: Path, out_dir: Path, *, function: str | None = None) -> tuple[Bundle, ManifestRow]:
-    """Run what a bundle holds again, isolated, with its own limits; its scene is written to out_dir if it succeeds now.
+def reproduce(path: Path, out_dir: Path | None, *, functions: Collection[str] = ()) -> tuple[Bundle, ManifestRow]:
+    """Run what a bundle holds again, isolated, with its own limits.
 
-    function: one beyond hid2's own that the bundle may ask for. Errors: BatchError for a file that is no bundle.
+    out_dir: for its scene, if it succeeds now; None: nothing is kept. functions: beyond hid2's own, that the bundle
+    may ask for. Errors: BatchError for a file that is no bundle.
     """
     with TemporaryDirectory(prefix="hid2-repro-") as scratch:
-        bundle = read_bundle(path, Path(scratch), function=function)
-        options = Options(timeout_s=bundle.timeout_s, function=bundle.function)
+        bundle = read_bundle(path, Path(scratch), functions=functions)
+        options = Options(timeout_s=bundle.timeout_s, function=bundle.function, functions=functions)
         job = SceneJob(bundle.folder, (Run(bundle.config, bundle.variant),))
-        (row,) = run_batch([job], out_dir, options)
+        (row,) = run_batch([job], out_dir or Path(scratch, "out"), options)
     return bundle, row
 
 
-def remove_half_written(out_dir: Path) -> None:
-    """Remove the hidden folders in which a process that was ended was writing."""
-    for parent in (out_dir, *(out_dir / name for name in (*SPLITS, RUNS))):
-        if parent.is_dir():
-            for entry in parent.iterdir():
-                if entry.is_dir() and _HALF_WRITTEN.fullmatch(entry.name):
-                    shutil.rmtree(entry, ignore_errors=True)
+def _remove_half_written(out_dir: Path, sumo: Path | None) -> None:
+    """Remove what scene processes that have ended were writing."""
+    bundles, sequences = f"{QUARANTINE}/*", f"{SEQUENCES}/*"
+    remove_abandoned(out_dir, *SPLITS, RUNS, QUARANTINE, bundles, sequences, f"{sequences}/*")
+    if sumo is not None:
+        remove_abandoned(sumo, "*", "*/*")
 
 
 def _check_places(jobs: Sequence[SceneJob], out_dir: Path) -> None:
@@ -309,10 +314,11 @@ def _tasks(
         source_sha256 = _digest(place.folder)
         wanted = []
         for run in job.runs:
-            row = manifest.get(base_row(place, run).key) if options.resume else None
+            base = base_row(place, run)
+            row = manifest.get(base.key) if options.resume else None
             if (
                 row is not None
-                and _is_complete(row, base_row(place, run), out_dir, source_sha256, options)
+                and _is_complete(row, base, out_dir, source_sha256, options)
                 and _has_formats(row, place)
             ):
                 skip(row)
@@ -344,7 +350,7 @@ def _is_complete(row: ManifestRow, base: ManifestRow, out_dir: Path, source_sha2
     return (
         row.status == DONE
         and source_sha256 != ""
-        and (row.version, row.source_sha256) == (base.version, source_sha256)
+        and (row.version, row.source_sha256, row.rule_sha256) == (base.version, source_sha256, base.rule_sha256)
         and row.output_sha256 != ""
         and row.output_sha256 == files_sha256(output_files(folder))
         and (extra is None or any(folder.glob(extra)))

@@ -11,9 +11,9 @@ import logging
 import pickle
 import queue
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import CancelledError
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, cast
 
 from distributed import Client, KilledWorker, Security, Worker, get_worker
@@ -46,7 +46,7 @@ _LOGGERS = ("distributed", "tornado", "asyncio")
 _LOG = logging.getLogger(__name__)
 
 
-def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings) -> Iterator[Result]:
+def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings) -> Generator[Result, None, None]:
     """Yield results as they come; never more than a few tasks a worker are with the scheduler.
 
     Errors: BatchError when the scheduler cannot be reached or is lost.
@@ -54,7 +54,8 @@ def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings
     waiting = iter(tasks)
     number = itertools.count()
     with _client(scheduler) as client:
-        client.register_plugin(SceneProcesses(settings), name=_PLUGIN)
+        values = (getattr(settings, field.name) for field in fields(Settings))  # no more than workers need import
+        client.register_plugin(SceneProcesses(Settings(*values)), name=_PLUGIN)
         completed: queue.SimpleQueue[Any] = queue.SimpleQueue()
         running: dict[object, Task] = {}
         room, looked_up, staffed = 0, -_LOOK_UP_S, time.monotonic()

@@ -26,6 +26,7 @@ from bridge.batch.isolation import (
     resolve,
 )
 from bridge.files import one_line
+from bridge.interruption import tidied
 from netconvert.errors import BatchError
 
 _Shared = TypeVar("_Shared")
@@ -92,9 +93,10 @@ class Settings:
 def execute_here(
     tasks: Iterable[Task], *, jobs: int = 1, settings: Settings | None = None
 ) -> Generator[Result, None, None]:
-    """As `execution.execute`, on this machine: a thread for each process hands it one task after the other.
+    """Yield the result of every task as it is done: a thread for each process hands it one task after the other.
 
-    When the caller goes away, by Ctrl-C or by closing the generator, the processes end with what they are at.
+    `tasks` is consumed as processes become free. When the caller goes away, by Ctrl-C or by closing the generator, the
+    processes end with what they are at. Errors: BatchError when no process can begin its work.
     """
     settings = settings or Settings()
     processes = [new_process(settings) for _ in range(jobs)]
@@ -110,23 +112,27 @@ def execute_here(
 
     threads = [threading.Thread(target=work, args=(process,), daemon=True) for process in processes]
     waiting, running = iter(tasks), 0
-    try:
-        for thread in threads:
-            thread.start()
-        while True:
-            for task in itertools.islice(waiting, _AHEAD * jobs - running):
-                todo.put(task)
-                running += 1
-            if not running:
-                return
-            result = done.get()
-            running -= 1
-            if isinstance(result, BaseException):
-                raise result
-            yield result
-    finally:
+
+    def stop() -> None:
         for process in processes:
             process.stop()
+
+    try:
+        with tidied(stop):
+            for thread in threads:
+                thread.start()
+            while True:
+                for task in itertools.islice(waiting, _AHEAD * jobs - running):
+                    todo.put(task)
+                    running += 1
+                if not running:
+                    return
+                result = done.get()
+                running -= 1
+                if isinstance(result, BaseException):
+                    raise result
+                yield result
+    finally:
         for _ in threads:
             todo.put(None)
         for thread, process in zip(threads, processes, strict=True):

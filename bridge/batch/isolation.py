@@ -30,7 +30,7 @@ from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import IO, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 from bridge.batch.start_up import spare_imports, spare_modules_of_kernels, spare_the_collector
 from bridge.files import disk_error
@@ -104,12 +104,10 @@ class IsolatedProcess:
         self._timeout_s = timeout_s
         self._recycle_after = recycle_after
         self._memory_mb = memory_mb
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # `stop` may interrupt a thread that holds it
         self._stopped = False
-        self._scratch: tempfile.TemporaryDirectory[str] | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        self._connection: Connection[Any, Any] | None = None
-        self._stderr: IO[bytes] | None = None
+        self._open = contextlib.ExitStack()  # as long as there is a process
         self._calls = 0
         self._rss_mb = 0.0
 
@@ -135,7 +133,6 @@ class IsolatedProcess:
             self.close()
         if self._process is None or self._process.poll() is not None:
             self._start()
-        assert self._connection is not None
         self._calls += 1
         try:
             self._connection.send_bytes(
@@ -169,27 +166,22 @@ class IsolatedProcess:
         if process is not None:
             process.kill()
             process.wait()
-        if self._connection is not None:
-            self._connection.close()
-            self._connection = None
-        if self._stderr is not None:
-            self._stderr.close()
-            self._stderr = None
-        if self._scratch is not None:
-            self._scratch.cleanup()
-            self._scratch = None
+        self._open.close()
 
     def _start(self) -> None:
         self.close()
         here, there = Pipe(duplex=True)
+        self._connection: Connection[Any, Any] = self._open.enter_context(here)
         try:
-            self._scratch = tempfile.TemporaryDirectory(prefix="hid2-scene-", ignore_cleanup_errors=True)
-            self._stderr = tempfile.TemporaryFile(dir=self._scratch.name)  # noqa: SIM115  # closed in close()
-            own = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "TMPDIR": self._scratch.name}
-            command = [sys.executable, "-P", "-X", "faulthandler", "-c", _SERVE]
             with self._lock:
                 if self._stopped:
                     raise WorkFailedError(Failure("killed", "the process was closed"))
+                folder = tempfile.TemporaryDirectory(prefix="hid2-scene-", ignore_cleanup_errors=True)
+                scratch = self._open.enter_context(folder)
+                stderr = tempfile.TemporaryFile(dir=scratch)  # noqa: SIM115  # closed in close()
+                self._stderr = self._open.enter_context(stderr)
+                own = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "TMPDIR": scratch}
+                command = [sys.executable, "-P", "-X", "faulthandler", "-c", _SERVE]
                 self._process = subprocess.Popen(
                     [*command, str(there.fileno()), str(self._memory_mb)],
                     stdin=subprocess.DEVNULL,
@@ -200,13 +192,11 @@ class IsolatedProcess:
                     start_new_session=True,  # Ctrl-C is for the caller, who then closes this process
                 )
         except OSError as error:
-            here.close()
             raise StartFailedError(
                 Failure("exception", f"{error.filename or 'the system'}: {error.strerror}")
             ) from error
         finally:
             there.close()
-        self._connection = here
         self._calls = 0
         self._rss_mb = 0.0
         self._receive_start()
@@ -221,7 +211,6 @@ class IsolatedProcess:
             raise StartFailedError(value)
 
     def _receive(self, timeout_s: float) -> tuple[str, Any, float]:
-        assert self._connection is not None
         began = time.monotonic()
         try:
             if self._connection.poll(timeout_s + GRACE_S):
@@ -255,7 +244,6 @@ class IsolatedProcess:
         return Failure("crashed", f"the process exited with status {code}", details)
 
     def _log_tail(self) -> str:
-        assert self._stderr is not None
         length = os.fstat(self._stderr.fileno()).st_size
         return os.pread(self._stderr.fileno(), _TAIL_BYTES, max(0, length - _TAIL_BYTES)).decode(errors="replace")
 
@@ -304,7 +292,7 @@ def serve() -> None:
         try:
             function, arguments, timeout_s, debug = pickle.loads(connection.recv_bytes())  # noqa: S301  # our own caller
         except (EOFError, OSError):  # the caller is gone, and cannot remove this process's folder any more
-            shutil.rmtree(tempfile.gettempdir(), ignore_errors=True)
+            _remove_scratch()
             return
         os.ftruncate(sys.stderr.fileno(), 0)
         os.lseek(sys.stderr.fileno(), 0, os.SEEK_SET)
@@ -384,5 +372,10 @@ def _too_much(memory_mb: int | None) -> str:
 def _leave_with_parent(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(0.2)
-    shutil.rmtree(tempfile.gettempdir(), ignore_errors=True)  # this process's own, see IsolatedProcess
+    _remove_scratch()
     os._exit(1)
+
+
+def _remove_scratch() -> None:
+    """Remove this process's own folder, see IsolatedProcess; `tempfile` takes another one where it is gone already."""
+    shutil.rmtree(os.environ["TMPDIR"], ignore_errors=True)

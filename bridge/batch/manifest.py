@@ -16,21 +16,18 @@ import re
 import stat
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cache
-from importlib.metadata import version as installed_version
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
-import bridge
-import hid2
-import netconvert
-from bridge.files import MAX_FILE_MB, explained, one_line, table_file
+from bridge.files import MAX_FILE_MB, append_rows, explained, one_line, table_file, untabled
 from bridge.recordings.folders import SPLITS
 from netconvert.errors import BatchError
 
 MANIFEST_NAME = "manifest.csv"
 #: Last column: CRC-32 of the line up to it.
 CHECK = "check"
+#: Columns of manifests that hid2-sumo 0.2 wrote, and of those before the selection was told: today's first ones.
+_OLDER = (30, 33)
 #: Longest text in a row, characters; the bundle of a scene has all of its reason.
 MAX_TEXT = 2_000
 _MAX_LINE = 100_000
@@ -47,8 +44,11 @@ class ManifestRow(NamedTuple):
     scenario: name of the source folder; requested: number, or "max"; maneuvers_*, events_*: records of the sidecar;
     rejected, not_done: "reason (count)" joined by "; "; failure: error, exception, crashed, killed, timeout or memory;
     bundle: file that reproduces the failure, below the output folder; *_sha256: contents of the source's and of the
-    written files; version: of the program, by its contents too (`code_version`). Texts are printable, on one line and
-    bounded.
+    written files, and of the file of a lane-change rule of the user's own; version: of the program, by its contents too
+    (`code_version`); platform, processor: where it ran; driven: vehicles, of which those placed are a selection;
+    braking_*, standing_*: share of the vehicles that are kept, dropped or recorded that brake harder than 3 m/s2, or
+    stand, at some time; limited_*: share of steps in which one was limited for a conflict. Texts are printable, on one
+    line and bounded.
     """
 
     scenario: str
@@ -81,6 +81,18 @@ class ManifestRow(NamedTuple):
     config_sha256: str = ""
     output_sha256: str = ""
     version: str = ""
+    rule_sha256: str = ""
+    platform: str = ""
+    processor: str = ""
+    driven: int = 0
+    braking_kept: float = 0.0
+    braking_dropped: float = 0.0
+    braking_recorded: float = 0.0
+    standing_kept: float = 0.0
+    standing_dropped: float = 0.0
+    standing_recorded: float = 0.0
+    limited_kept: float = 0.0
+    limited_dropped: float = 0.0
 
     @property
     def key(self) -> tuple[str, str, str, int]:
@@ -144,7 +156,7 @@ def read_manifest(path: Path) -> tuple[list[ManifestRow], int]:
                 row = _parse(line)
                 if row is not None:
                     rows.append(row)
-                elif line.strip() and line != _header().encode():
+                elif line.strip() and not line.startswith(b"scenario,split,"):
                     unread += 1
     except FileNotFoundError:
         return [], 0
@@ -172,10 +184,9 @@ def _header() -> str:
 
 def _line(row: ManifestRow) -> str:
     text = io.StringIO()
-    csv.writer(text, lineterminator="").writerow(
-        [one_line(value, most=MAX_TEXT) if isinstance(value, str) else value for value in row]
-    )
-    return f"{text.getvalue()},{_check(text.getvalue().encode())}\n"
+    append_rows(text, [[one_line(value, most=MAX_TEXT) if isinstance(value, str) else value for value in row]])
+    said = text.getvalue().rstrip("\n")
+    return f"{said},{_check(said.encode())}\n"
 
 
 def _check(text: bytes) -> str:
@@ -197,8 +208,8 @@ def _parse(line: bytes) -> ManifestRow | None:
 
 def _typed(values: Sequence[str]) -> ManifestRow:
     types = ManifestRow.__annotations__
-    named = zip(ManifestRow._fields, values, strict=True)
-    return ManifestRow(**{name: types[name](value) for name, value in named})
+    named = zip(ManifestRow._fields, values, strict=len(values) not in _OLDER)
+    return ManifestRow(**{name: types[name](untabled(value)) for name, value in named})
 
 
 def _is_sound(row: ManifestRow) -> bool:
@@ -207,7 +218,7 @@ def _is_sound(row: ManifestRow) -> bool:
         row.status in (DONE, QUARANTINED)
         and row.split in ("", *SPLITS)
         and row.variant >= 0
-        and all(_DIGEST.fullmatch(digest) for digest in (row.source_sha256, row.config_sha256, row.output_sha256))
+        and all(_DIGEST.fullmatch(getattr(row, name)) for name in ManifestRow._fields if name.endswith("_sha256"))
         and all(_is_below(path) for path in (row.folder, row.bundle))
         and (row.status == DONE) == (row.folder != "")
         and all(value == one_line(value, most=MAX_TEXT) for value in row if isinstance(value, str))
@@ -232,19 +243,6 @@ def files_sha256(paths: Iterable[Path]) -> str:
         digest.update(content)
         found = True
     return digest.hexdigest() if found else ""
-
-
-@cache
-def code_version() -> str:
-    """Version of the program with a digest of its source, "0.1.0+3f2a...": edited code is another version."""
-    digest = hashlib.sha256()
-    for package in (netconvert, hid2, bridge):
-        for place in package.__path__:
-            for path in sorted(Path(place).rglob("*.py")):
-                content = path.read_bytes()
-                digest.update(f"{package.__name__}/{path.relative_to(place).as_posix()} {len(content)}\n".encode())
-                digest.update(content)
-    return f"{installed_version('hid2-sumo')}+{digest.hexdigest()[:12]}"
 
 
 def output_files(folder: Path) -> list[Path]:

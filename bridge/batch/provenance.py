@@ -1,11 +1,12 @@
 """A generated scene made again from its sidecar and its recorded scene, and compared bit for bit."""
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
 
 from bridge.batch.batch import Options, Run, SceneJob, run_batch
 from bridge.batch.manifest import DONE
-from bridge.config import config_from_dict, config_sha256
+from bridge.config import check_function, config_from_dict, config_sha256
 from bridge.recordings.export import sha256_of
 from bridge.recordings.folders import (
     PARQUET_PATTERN,
@@ -27,20 +28,30 @@ class MadeAgain(NamedTuple):
     folder: Path
     differences: tuple[str, ...]
     compared: bool
+    program: str = ""  # what is other than in the one that made it; that alone is no difference of a sidecar
 
 
-def make_again(sidecar_path: Path, source: Path, out: Path, *, map_path: Path | None = None) -> MadeAgain:
+def make_again(
+    sidecar_path: Path, source: Path, out: Path, *, map_path: Path | None = None, functions: Collection[str] = ()
+) -> MadeAgain:
     """Make a scene again into `out`; `source`: where its recording lies, map_path: the map that was chosen for it.
+
+    functions: of those the sidecar's configuration may name one as its lane-change rule.
 
     Errors: ScenarioError for what is no sidecar; ConfigError where its configuration is not one of this version, or
     OUT is where the scene lies; NoSceneError where the recorded scene is missing; BatchError where it cannot be made.
     """
     sidecar = read_sidecar(sidecar_path)
-    config = config_from_dict(sidecar.config, source=f"{sidecar_path}: config")
+    then = "made by " + ", ".join(f"{name} {version}" for name, version in sidecar.program.items())
+    try:
+        config = config_from_dict(sidecar.config, source=f"{sidecar_path}: config")
+    except ConfigError as error:
+        raise ConfigError(f"{error}; {then}: use that program") from error
+    check_function(config.lane_change.rule, functions, where=f"{sidecar_path}: lane_change.rule")
     if config_sha256(config) != sidecar.config_sha256:
         raise ConfigError(
             f"{sidecar_path}: config_sha256 {sidecar.config_sha256[:12]}..., expected {config_sha256(config)[:12]}..., "
-            f"that of its configuration: edited, or of another version (made by hid2-sumo {sidecar.generator.version})"
+            f"that of its configuration: edited, or of another version ({then}): use that program"
         )
     wanted = sidecar.source_scenario_id
     choices = Choices(map_path, sidecar.recording.first_step if sidecar.recording else 0)
@@ -52,18 +63,26 @@ def make_again(sidecar_path: Path, source: Path, out: Path, *, map_path: Path | 
     beside = sidecar_path.parent.resolve()
     if (out / (split_of(found[0]) or "") / beside.name).resolve() == beside:
         raise ConfigError(f"{out}: holds the scene of {sidecar_path} itself; choose another output folder")
-    (row,) = run_batch([SceneJob(found[0], (Run(config, sidecar.variant),))], out, Options(timeout_s=600))
+    job, options = SceneJob(found[0], (Run(config, sidecar.variant),)), Options(timeout_s=600, functions=functions)
+    (row,) = run_batch([job], out, options)
     if row.status != DONE:
         raise BatchError(f"{found[0]}: could not be made again: {row.reason}")
     folder = out / row.folder
     if not any(beside.glob(PARQUET_PATTERN)):
         return MadeAgain(folder, (), compared=False)
+    (made_path,) = folder.glob(SIDECAR_PATTERN)
+    made = read_sidecar(made_path)
+    was, here = sidecar.program, made.program
+    changed = [name for name in here if was.get(name) != here[name]]
+    program = ", ".join(f"{name} {was.get(name, 'not said')} then and {here[name]} now" for name in changed)
+    apart = {"schema_version", "generator", "sumo_version"}
     differences = []
-    for pattern in (PARQUET_PATTERN, "log_map_archive_*.json", SIDECAR_PATTERN):
-        for path in sorted(folder.glob(pattern)):
-            old = beside / path.name
-            if not old.is_file():
-                differences.append(f"{old}: no such file, to compare {path} with")
-            elif sha256_of(old) != sha256_of(path):
-                differences.append(f"{path}: differs from {old}; made then by hid2-sumo {sidecar.generator.version}")
-    return MadeAgain(folder, tuple(differences), compared=True)
+    for path in sorted([*folder.glob(PARQUET_PATTERN), *folder.glob("log_map_archive_*.json"), made_path]):
+        old = beside / path.name
+        if changed and path == made_path and made.model_dump(exclude=apart) == sidecar.model_dump(exclude=apart):
+            continue
+        if not old.is_file():
+            differences.append(f"{old}: no such file, to compare {path} with")
+        elif sha256_of(old) != sha256_of(path):
+            differences.append(f"{path}: differs from {old}; {program or 'code and libraries were the same'}")
+    return MadeAgain(folder, tuple(differences), compared=True, program=program)

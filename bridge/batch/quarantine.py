@@ -9,6 +9,7 @@ import json
 import platform
 import zipfile
 import zlib
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeGuard
@@ -16,7 +17,7 @@ from typing import Annotated, Any, Literal, TypeGuard
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bridge.batch.isolation import Failure, FailureKind
-from bridge.config import config_from_dict, config_to_dict
+from bridge.config import check_function, config_from_dict, config_to_dict
 from bridge.files import MAX_FILE_MB, beside, one_line, printable, read_regular
 from bridge.recordings.folders import Address, Choices, Source
 from bridge.recordings.sources import find_one, source_files
@@ -37,8 +38,12 @@ MAX_TIMEOUT_S = 86_400.0
 MAX_BUNDLE_MB, MAX_UNPACKED_MB, MAX_MEMBERS = 64, 128, 64
 
 _REQUEST, _FAILURE, _DETAILS, _SCENE = "request.json", "failure.json", "details.txt", "scene/"
+#: How the entry of a file in the directory of an archive begins.
+_ENTRY = b"PK\1\2"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _MOST_DETAILS, _MOST_REASON = 200_000, 2_000
+#: What is unpacked of each member at most, MB; of others MAX_FILE_MB. Real: 0.02, 0.002, 0.2.
+_MOST_MB = {_REQUEST: 1, _FAILURE: 1, _DETAILS: 4}
 
 
 class _Strict(BaseModel):
@@ -50,9 +55,9 @@ class _Request(_Strict):
 
     format: Literal[1]
     version: Annotated[str, Field(max_length=200)]
-    python: str
-    platform: str
-    scenario: str
+    python: Annotated[str, Field(max_length=200)]
+    platform: Annotated[str, Field(max_length=1_000)]
+    scenario: Annotated[str, Field(max_length=255)]
     split: Literal["train", "val", "test"] | None
     variant: Annotated[int, Field(ge=0, le=1_000_000)]
     start: Annotated[int, Field(ge=0, le=1_000_000)] = 0
@@ -60,14 +65,14 @@ class _Request(_Strict):
     timeout_s: Annotated[float, Field(ge=1, le=MAX_TIMEOUT_S)]
     function: Annotated[str, Field(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", max_length=200)]
     config: dict[str, Any]
-    left_out: list[str] = []
+    left_out: Annotated[list[Annotated[str, Field(max_length=255)]], Field(max_length=MAX_MEMBERS)] = []
 
 
 class _Seen(_Strict):
     """How it failed."""
 
     kind: FailureKind
-    message: str
+    message: Annotated[str, Field(max_length=10 * _MOST_REASON)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,55 +130,47 @@ def write_bundle(bundle: Bundle, path: Path) -> None:
             _add(archive, _SCENE + name, content)
 
 
-def read_bundle(path: Path, into: Path, *, function: str | None = None) -> Bundle:
+def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> Bundle:
     """Read a bundle and unpack its scene below `into`; nothing is imported, and nothing is written elsewhere.
 
-    function: a function beyond hid2's own that the caller agrees to. Errors: BatchError.
+    functions: those beyond hid2's own that the caller agrees to. Errors: BatchError.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(read_regular(path, most_mb=MAX_BUNDLE_MB))) as archive:
+        content = read_regular(path, most_mb=MAX_BUNDLE_MB)
+        if content.count(_ENTRY) > 2 * MAX_MEMBERS:  # before `zipfile` makes an object of each; data hold few by chance
+            raise ValueError(f"more than {2 * MAX_MEMBERS} files in it, expected at most {MAX_MEMBERS}")
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = _members(archive)
-            request = _Request.model_validate_json(archive.read(members[_REQUEST]))
-            seen = _Seen.model_validate_json(archive.read(members[_FAILURE]))
-            if request.function not in OWN_WORK and request.function != function:
-                raise ValueError(
-                    f"it asks for the function {request.function!r}, which is none of hid2's: "
-                    f"if you trust the bundle, add --function {request.function}"
-                )
+            request = _Request.model_validate_json(_unpack(archive, members[_REQUEST]))
+            seen = _Seen.model_validate_json(_unpack(archive, members[_FAILURE]))
+            check_function(request.function, {*OWN_WORK, *functions}, where="function")
             json.dumps(request.config, allow_nan=False)
             config = config_from_dict(request.config, source="config")
-            rule = config.lane_change.rule
-            if ":" in rule and rule != function:
-                raise ValueError(
-                    f"its configuration asks for the lane-change rule {rule!r}, a function: "
-                    f"if you trust the bundle, add --function {rule}"
-                )
-            details = printable(archive.read(members[_DETAILS]).decode())
+            check_function(config.lane_change.rule, functions, where="config: lane_change.rule")
+            details = printable(_unpack(archive, members[_DETAILS]).decode())
             folder = into / (request.split or "scenes") / _plain(request.scenario)
             folder.mkdir(parents=True)
             for name, member in members.items():
                 if name.startswith(_SCENE):
-                    (folder / _plain(name.removeprefix(_SCENE))).write_bytes(archive.read(member))
+                    (folder / _plain(name.removeprefix(_SCENE))).write_bytes(_unpack(archive, member))
             address = _unpacked(folder, request)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         field = ".".join(str(part) for part in first["loc"]) or "the file"
         said = f"{field}: {first['msg']}, have {first['input']!r}"
         raise BatchError(_no_bundle(path, said)) from error
-    except OSError as error:
-        raise BatchError(_no_bundle(path, error.strerror or str(error))) from error
-    except KeyError as error:
-        raise BatchError(_no_bundle(path, f"no {error} in it")) from error
     except (
+        OSError,
+        ValueError,
+        KeyError,
+        EOFError,
+        RuntimeError,
         zipfile.BadZipFile,
         zlib.error,
-        EOFError,
-        ValueError,
-        RuntimeError,
-        NotImplementedError,
         ConfigError,
     ) as error:
-        raise BatchError(_no_bundle(path, str(error))) from error
+        said = f"no {error} in it" if isinstance(error, KeyError) else getattr(error, "strerror", None) or str(error)
+        raise BatchError(_no_bundle(path, said)) from error
     return Bundle(
         folder=address,
         split=request.split,
@@ -229,6 +226,16 @@ def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
             raise ValueError(f"file {name!r}, expected {_REQUEST}, {_FAILURE}, {_DETAILS} and {_SCENE}<file>")
         members[name] = member
     return members
+
+
+def _unpack(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """What a member holds, never unpacked beyond its limit, whatever its size is said to be. Errors: ValueError."""
+    most_mb = _MOST_MB.get(member.filename, MAX_FILE_MB)
+    with archive.open(member) as stream:
+        content = stream.read(most_mb * 1_000_000 + 1)
+    if len(content) > most_mb * 1_000_000:
+        raise ValueError(f"file {member.filename!r} unpacks to more than {most_mb} MB")
+    return content
 
 
 def _plain(name: str) -> str:

@@ -2,7 +2,7 @@
 
 import logging
 import random
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, get_args
 
@@ -10,14 +10,15 @@ from bridge.batch.engine import sorted_out, work_on_each
 from bridge.batch.isolation import Failure, attempt_each
 from bridge.files import explained, write_rows
 from bridge.recordings.folders import Address
+from bridge.recordings.plausibility import figures_of
 from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
 from hid2.agents import VEHICLE_TYPES, Policy
 from hid2.insertion.events import offered_events
-from hid2.insertion.routes import lane_to_pass_on
+from hid2.insertion.routes import Routes
 from hid2.params import Config, Event
 from hid2.policy.overtake import stretch_m
-from hid2.scene import build_scene
+from hid2.scene import Scene, build_scene
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ConfigError
 from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment, Side, TurnType
@@ -39,7 +40,8 @@ class SceneFacts(NamedTuple):
     Room: lane_change_m and overtake_m are metres of VEHICLE lane from which a change, or an overtake, has the length it
     needs beside it (an overtake: out, past and back); left_turns and right_turns are turning lanes that can be entered
     within the map. All that is room on the map, whoever drives there. events: those that
-    there is room for with the recording vehicle and the focal track, as `cut_in:av lead:focal`.
+    there is room for with the recording vehicle and the focal track, as `cut_in:av lead:focal`. shift_m: of
+    `hid2/measures/plausibility.py`, by how much the tracks lie beside the lanes.
     """
 
     folder: Address
@@ -60,15 +62,7 @@ class SceneFacts(NamedTuple):
     left_turns: int
     right_turns: int
     events: str
-
-    @staticmethod
-    def columns() -> tuple[str, ...]:
-        """Names of the columns, without the folder."""
-        return SceneFacts._fields[1:]
-
-    def values(self) -> tuple[object, ...]:
-        """Values in the order of columns()."""
-        return tuple(self[1:])
+    shift_m: float
 
     def room(self, policy: Policy) -> float:
         """Room for a policy: metres or lanes, 0 where there is none."""
@@ -115,10 +109,9 @@ def scan_folders(config: Config, folders: Sequence[Address]) -> Iterator[SceneFa
 def describe_scene(folder: Address, config: Config) -> SceneFacts:
     """Read one scene and count. Errors: ScenarioError, MapError."""
     scenario = read_recording(folder)
-    graph = scenario.graph
+    graph, routes = scenario.graph, Routes(scene_of(scenario, config))
     vehicles = [track for track in scenario.tracks if track.object_type in VEHICLE_TYPES]
     lanes = [lane for lane in graph.lanes.values() if lane.lane_type == "VEHICLE"]
-    ahead = _lengths_ahead(graph)
     turns = [lane for lane in lanes if lane.turn is not TurnType.STRAIGHT and graph.predecessors(lane.lane_id)]
     short = round(_MOVING_S / scenario.step_s)
     return SceneFacts(
@@ -135,22 +128,22 @@ def describe_scene(folder: Address, config: Config) -> SceneFacts:
         vehicle_lanes=len(lanes),
         same_direction=sum(_beside(graph, lane.lane_id, side) is not None for lane in lanes for side in SIDES),
         straight_m=round(sum(lane.length_m for lane in lanes), 1),
-        lane_change_m=_room_beside(graph, lanes, ahead, needed_m=config.lane_change.min_remaining_m),
-        overtake_m=_room_to_pass(graph, lanes, needed_m=stretch_m(config)),
+        lane_change_m=_room_beside(routes, lanes, needed_m=config.lane_change.min_remaining_m),
+        overtake_m=_room_to_pass(routes, lanes, needed_m=stretch_m(config)),
         left_turns=sum(lane.turn is TurnType.LEFT for lane in turns),
         right_turns=sum(lane.turn is TurnType.RIGHT for lane in turns),
-        events=" ".join(_events(scenario, config)),
+        events=" ".join(offered_events(routes, EVENT_TARGETS)),
+        shift_m=round(figures_of(scenario).shift_m, 1),
     )
 
 
-def _events(scenario: Recording, config: Config) -> tuple[str, ...]:
-    """Events that there is room for."""
+def scene_of(scenario: Recording, config: Config) -> Scene:
+    """The scene of a recording, without a net. Errors: MapError."""
     grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m, max_skew_m=config.grid.max_skew_m)
-    scene = build_scene(
+    return build_scene(
         grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
         step_s=scenario.step_s, last_observed_step=scenario.last_observed,
     )  # fmt: skip
-    return offered_events(scene, EVENT_TARGETS)
 
 
 def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts]:
@@ -199,7 +192,7 @@ def wanted(
 def write_facts(path: Path, facts: Sequence[SceneFacts]) -> None:
     """Write a CSV table, one row per scene. Errors: ExportError."""
     with explained(path):
-        write_rows(path, ("folder", *SceneFacts.columns()), facts)
+        write_rows(path, SceneFacts._fields, facts)
 
 
 def _beside(graph: LaneGraph, lane_id: int, side: Side) -> int | None:
@@ -208,67 +201,30 @@ def _beside(graph: LaneGraph, lane_id: int, side: Side) -> int | None:
     return neighbor if neighbor is not None and graph.lanes[neighbor].lane_type == "VEHICLE" else None
 
 
-def _lengths_ahead(graph: LaneGraph) -> dict[int, float]:
-    """Longest way from the start of each VEHICLE lane through its successors, m; cycles are cut where they close."""
-    ahead: dict[int, float] = {}
-
-    def walk(lane_id: int, path: frozenset[int]) -> float:
-        if lane_id in ahead:
-            return ahead[lane_id]
-        following = [
-            walk(target, path | {lane_id})
-            for target in graph.successors(lane_id)
-            if target not in path and target != lane_id and graph.lanes[target].lane_type == "VEHICLE"
-        ]
-        ahead[lane_id] = graph.lanes[lane_id].length_m + max(following, default=0.0)
-        return ahead[lane_id]
-
-    for lane_id, lane in graph.lanes.items():
-        if lane.lane_type == "VEHICLE":
-            walk(lane_id, frozenset())
-    return ahead
-
-
-def _room_to_pass(graph: LaneGraph, lanes: Sequence[LaneSegment], *, needed_m: float) -> float:
-    """Metres of lane from which another goes on beside for `needed_m`, where one may change to it and back."""
-    together: dict[tuple[int, Side], float] = {}
-
-    def walk(lane_id: int, side: Side, path: frozenset[int]) -> float:
-        """Longest way from the start of a lane, m; cycles are cut where they close."""
-        if (lane_id, side) in together:
-            return together[lane_id, side]
-        beside = lane_to_pass_on(graph, lane_id, side)
-        length_m = 0.0
-        if beside is not None:
-            onward = (
-                walk(target, side, path | {lane_id})
-                for target in graph.successors(lane_id)
-                if target not in path and target != lane_id
-                and lane_to_pass_on(graph, target, side) in graph.successors(beside)
-            )  # fmt: skip
-            length_m = graph.lanes[lane_id].length_m + max(onward, default=0.0)
-        together[lane_id, side] = length_m
-        return length_m
-
-    return round(
-        sum(
-            min(lane.length_m, max(0.0, max(walk(lane.lane_id, side, frozenset()) for side in SIDES) - needed_m))
-            for lane in lanes
-        ),
-        1,
-    )
-
-
-def _room_beside(
-    graph: LaneGraph, lanes: Sequence[LaneSegment], ahead: Mapping[int, float], *, needed_m: float
-) -> float:
+def _room_beside(routes: Routes, lanes: Sequence[LaneSegment], *, needed_m: float) -> float:
     """Metres of lane from which a neighbour that may be changed to goes on for at least `needed_m`."""
-    room = 0.0
-    for lane in lanes:
-        ways = [
-            ahead[neighbor]
-            for side in SIDES
-            if (neighbor := _beside(graph, lane.lane_id, side)) is not None and graph.may_change(lane.lane_id, side)
-        ]
-        room += min(lane.length_m, max(0.0, max(ways, default=0.0) - needed_m))
-    return round(room, 1)
+    return _room_m(
+        lanes, needed_m,
+        lambda lane: [
+            one.remaining_m
+            for offer in routes.offers(lane.lane_id) for one in offer.beside if one.start == offer.start_m
+        ],
+    )  # fmt: skip
+
+
+def _room_to_pass(routes: Routes, lanes: Sequence[LaneSegment], *, needed_m: float) -> float:
+    """Metres of lane from which another goes on beside for `needed_m`, where one may change to it and back."""
+    return _room_m(
+        lanes, needed_m,
+        lambda lane: [
+            found[1] - found[0]
+            for offer in routes.offers(lane.lane_id) for side in SIDES
+            if (found := routes.together(offer, side)) is not None and found[0] <= offer.start_m
+        ],
+    )  # fmt: skip
+
+
+def _room_m(lanes: Sequence[LaneSegment], needed_m: float, ways: Callable[[LaneSegment], list[float]]) -> float:
+    """Metres from which the longest way beside a lane still lasts. ways: their lengths from the start of a lane, m."""
+    each = (min(lane.length_m, max(0.0, max(ways(lane), default=0.0) - needed_m)) for lane in lanes)
+    return round(sum(each), 1)

@@ -4,6 +4,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, describe_error
@@ -11,7 +12,7 @@ from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare, write
 from bridge.recordings.export import check_step
 from bridge.recordings.folders import sumo_folder
-from bridge.recordings.sidecar import Sidecar
+from bridge.recordings.sidecar import DrivesRecord, Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import Policy
 from hid2.params import Grid
@@ -111,7 +112,25 @@ def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
         events_done=sum(event.status == "done" for event in sidecar.events),
         rejected=join_counts({entry.reason: entry.count for entry in sidecar.rejected}),
         not_done=join_counts(not_done),
+        **_selection(sidecar),
     )
+
+
+def _selection(sidecar: Sidecar) -> dict[str, Any]:
+    """What tells of the selection; nothing where the sidecar is an older one."""
+    told = sidecar.selection
+    if told is None:
+        return {}
+    found: dict[str, Any] = {"driven": told.driven}
+    for name in ("kept", "dropped", "recorded"):
+        of: DrivesRecord = getattr(told, name)
+        found |= {
+            f"braking_{name}": round(of.braking / max(1, of.vehicles), 4),
+            f"standing_{name}": round(of.standing / max(1, of.vehicles), 4),
+        }
+        if name != "recorded":
+            found[f"limited_{name}"] = round(of.limited / max(1, of.steps), 4)
+    return found
 
 
 def join_counts(counts: Mapping[str, int]) -> str:

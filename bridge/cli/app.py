@@ -1,40 +1,32 @@
-"""The application that the commands are registered with, its own options, and how its help looks."""
+"""The application that is made of the commands, its own options, and how its help looks."""
 
 import re
 from collections.abc import Callable
+from importlib import import_module
 from typing import Annotated, Any, TypeVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-#: Order of the commands in the help: that of the work.
-ORDER = (
-    "generate",
-    "validate",
-    "scan",
-    "net",
-    "evaluate",
-    "calibrate",
-    "compose",
-    "forecast",
-    "study",
-    "make",
-    "paper",
-    "render",
-    "plot",
-    "gui",
-    "config",
-)
+from bridge.cli.options import flattened
 
+#: The commands of each module, which are registered as it is imported, in the order of the help: that of the work.
+MODULES = {
+    "generation": ("generate",),
+    "scenes": ("validate", "scan", "net"),
+    "measuring": ("evaluate", "calibrate", "study", "make", "paper"),
+    "forecasting": ("compose", "forecast"),
+    "pictures": ("render", "plot", "gui"),
+    "configuration": ("config",),
+}
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+#: Those of the modules that are imported.
+_FUNCTIONS: dict[str, Callable[..., Any]] = {}
 
 
 class _Group(TyperGroup):
-    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ANN401
-        return sorted(super().list_commands(ctx), key=ORDER.index)
-
-    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Each command with its whole first sentence."""
         found = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
         with formatter.section("Commands"):
@@ -44,7 +36,7 @@ class _Group(TyperGroup):
 class _Command(TyperCommand):
     """A command whose help lists options in groups, and wraps values between words instead of cutting them."""
 
-    def format_options(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
+    def format_options(self, ctx: Any, formatter: Any) -> None:
         groups: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
@@ -61,21 +53,41 @@ class _Command(TyperCommand):
                 formatter.write_dl(records, col_max=28)
 
 
-app = typer.Typer(
-    name="hid2",
-    cls=_Group,
-    help="Dense traffic and rare manoeuvres for Argoverse 2 scenes, driven by SUMO (HiD2).",
-    epilog="Exit codes: 0 all done, 1 some scene could not be done, 2 usage or configuration, 130 interrupted.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-)
-
-
 def command(name: str | None = None) -> Callable[[_Function], _Function]:
-    """Register a function as a command of the application."""
-    return app.command(name, cls=_Command)
+    """A function, which returns the exit code, is a command."""
+
+    def register(function: _Function) -> _Function:
+        _FUNCTIONS[name or function.__name__] = function
+        return function
+
+    return register
+
+
+def application(named: str = "") -> typer.Typer:
+    """The application with the command that is named and those of its module, which start sooner; else with all.
+
+    Commands of which only the first sentence is asked for have no options.
+    """
+    of_one = [module for module, names in MODULES.items() if named in names]
+    for module in [] if named == "--version" else of_one or MODULES:
+        import_module(f"bridge.cli.{module}")
+    app = typer.Typer(
+        name="hid2",
+        cls=_Group,
+        help="Dense traffic and rare manoeuvres for Argoverse 2 scenes, driven by SUMO (HiD2).",
+        epilog="Exit codes: 0 all done, 1 some scene could not be done, 2 usage or configuration, "
+        "130 or 143 interrupted.",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    )
+    app.callback()(hid2)
+    for name in (name for names in MODULES.values() for name in names if name in _FUNCTIONS):
+        function = _FUNCTIONS[name]
+        made = (lambda: None) if named in {"-h", "--help"} else flattened(function)
+        app.command(name, cls=_Command, help=function.__doc__)(made)
+    return app
 
 
 def _version(wanted: bool) -> None:  # noqa: FBT001  # typer calls it so
@@ -86,7 +98,6 @@ def _version(wanted: bool) -> None:  # noqa: FBT001  # typer calls it so
         raise typer.Exit
 
 
-@app.callback()
 def hid2(
     *,
     version: Annotated[

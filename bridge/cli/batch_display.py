@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bridge.batch.batch import Progress
-from bridge.batch.manifest import DONE, ManifestRow
-from bridge.console import Activity, print_table
+from bridge.batch.manifest import DONE, MANIFEST_NAME, ManifestRow
+from bridge.console import Activity, print_table, say
+from bridge.interruption import if_interrupted
 
 #: A batch with more runs than this is summed up instead of listed.
 _LISTED_RUNS = 24
@@ -16,26 +17,22 @@ _REASONS = 3
 class BatchNotes:
     """Tells an activity what becomes of a batch's runs; when verbose, of those that succeed too."""
 
-    def __init__(self, activity: Activity, out: Path, *, verbose: bool) -> None:
-        self._activity, self._out, self._verbose = activity, out, verbose
+    def __init__(self, activity: Activity, out: Path, *, go_on: str, verbose: bool) -> None:
+        self._activity, self._out, self._go_on, self._verbose = activity, out, go_on, verbose
 
     def note(self, row: ManifestRow, progress: Progress) -> None:
         """Take note of one more run."""
+        if_interrupted(f"finished scenes are in {self._out / MANIFEST_NAME}; {self._go_on}")
         if row.status != DONE:
-            self._activity.message(
+            say(
                 f"hid2: warning: {row.scenario} variant {row.variant}: {row.failure}: {row.reason}\n"
                 f"  to see it again: hid2 generate --repro {self._out / row.bundle}"
             )
         elif self._verbose:
             placed = f"{row.placed} of {row.requested} placed, {row.seconds:.1f} s"
-            self._activity.message(f"{row.scenario} variant {row.variant}: {placed}")
+            say(f"{row.scenario} variant {row.variant}: {placed}")
         details = f" ({progress.skipped} complete before, {progress.quarantined} quarantined)"
         self._activity.show(progress.finished, progress.total, progress.rate, details)
-
-
-def batch_rows(rows: Sequence[ManifestRow]) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
-    """The rows of a manifest as a table with its head."""
-    return ManifestRow._fields, [tuple(row) for row in rows]
 
 
 def print_batch(rows: Sequence[ManifestRow]) -> None:

@@ -1,121 +1,82 @@
 """`hid2 compose` and `forecast`: data sets for forecasters, and a small forecaster to try them with."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Literal
 
-import typer
-
+from bridge.cli import options
 from bridge.cli.app import command
-from bridge.cli.options import (
-    ALL_DONE,
-    SOME_FAILED,
-    AsJson,
-    Jobs,
-    Quiet,
-    Verbose,
-    output_option,
-    running_option,
-    selection_option,
-)
-from bridge.cli.places import check_among_sources, check_out, check_scenes
-from bridge.cli.session import set_up
+from bridge.cli.places import check_out, check_scenes
 from bridge.console import Activity, print_json, print_table, say
+from bridge.interruption import if_interrupted
 from netconvert.errors import ConfigError
 
-Layout = StrEnum("Layout", ["AV2", "QCNET"])
-SplitBy = StrEnum("SplitBy", ["PLACE", "FOLDER"])
-CountIn = StrEnum("CountIn", ["ALL", "OBSERVED"])
 #: Lines on what was left out that are shown without -v.
 _SHOWN = 10
 
 
 @command()
 def compose(  # noqa: PLR0913  # one for each option
-    sources: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="COMPOSITION.toml|SOURCE[:N]",
-            help="A composition, or sources of scenes and how many of each: a number, a share (0.5) or all.",
-            show_default=False,
-        ),
-    ],
+    sources: list[str] = options.argument(
+        "COMPOSITION.toml|SOURCE[:N]",
+        "A composition, or sources of scenes and how many of each: a number, a share (0.5) or all.",
+    ),
     *,
-    out: Annotated[
-        Path | None,
-        output_option("-o", "--out", metavar="ROOT", help="Data-set root to make (required)."),
-    ] = None,
-    check: Annotated[
-        bool,
-        output_option("--check", metavar="", help="Make nothing: check composed roots for leaks."),
-    ] = False,
-    layout: Annotated[
-        Layout | None,
-        output_option(help="<split>/<id> or <split>/raw/<id>.", show_default="av2, or that of the file"),
-    ] = None,
-    split_by: Annotated[
-        SplitBy,
-        selection_option(help="Split SOURCEs by place, or by the folders they lie in."),
-    ] = SplitBy.PLACE,
-    val: Annotated[float, selection_option(min=0, max=0.9, metavar="SHARE", help="Share for validation.")] = 0.1,
-    test: Annotated[float, selection_option(min=0, max=0.9, metavar="SHARE", help="Share for test.")] = 0.0,
-    min_agents: Annotated[int, selection_option(min=0, metavar="N", help="Only scenes with at least N tracks.")] = 0,
-    min_agents_in: Annotated[
-        CountIn,
-        selection_option(help="Tracks in all, or those at the observation's end."),
-    ] = CountIn.ALL,
-    seed: Annotated[
-        int | None,
-        selection_option(min=0, metavar="N", help="Seed of the draw.", show_default="0, or that of the file"),
-    ] = None,
-    jobs: Jobs = 1,
-    as_json: AsJson = False,
-    verbose: Verbose = 0,
-    quiet: Quiet = False,
-) -> None:
+    out: Path | None = options.output("Data-set root to make (required).", None, "ROOT", "-o"),
+    check: bool = options.output("Make nothing: check composed roots for leaks.", False),
+    layout: Literal["av2", "qcnet"] | None = options.output(
+        "<split>/<id> or <split>/raw/<id>.", None, show_default="av2, or that of the file"
+    ),
+    split_by: Literal["place", "folder"] = options.selection(
+        "Split SOURCEs by place, or by the folders they lie in.", "place"
+    ),
+    val: float = options.selection("Share for validation.", 0.1, "SHARE", min=0, max=0.9),
+    test: float = options.selection("Share for test.", 0.0, "SHARE", min=0, max=0.9),
+    min_agents: int = options.selection("Only scenes with at least N tracks.", 0, "N", min=0),
+    min_agents_in: Literal["all", "observed"] = options.selection(
+        "Tracks in all, or those at the observation's end.", "all"
+    ),
+    seed: int | None = options.selection("Seed of the draw.", None, "N", min=0, show_default="0, or that of the file"),
+    jobs: int = options.JOBS,
+    as_json: bool = options.AS_JSON,
+    tell: options.Tell,
+) -> int:
     """Make data-set roots of recorded and generated scenes for training and validation, without leaks.
 
     With SOURCEs one root is made; a composition can make several, the control experiments among them.
     """
-    set_up(verbose=verbose, quiet=quiet)
     if check:
-        raise typer.Exit(_check([Path(text) for text in sources], jobs=jobs, as_json=as_json, quiet=quiet))
+        return _check([Path(text) for text in sources], jobs=jobs, as_json=as_json, quiet=tell.quiet)
     if out is None:
         raise ConfigError("missing -o/--out (see hid2 compose --help)")
-    check_among_sources(out)
-    with Activity(quiet=quiet) as activity:
+    check_out(out)
+    with Activity(quiet=tell.quiet) as activity:
         from bridge.forecasting.compose import compose as make
-        from bridge.forecasting.composition import Split, composition_of, composition_of_sources, read_composition
+        from bridge.forecasting.composition import composition_of, composition_of_sources, read_composition
 
         if len(sources) == 1 and sources[0].endswith(".toml"):
             found = read_composition(Path(sources[0]))
-            changes: dict[str, object] = {"seed": seed, "layout": str(layout) if layout else None}
+            changes: dict[str, object] = {"seed": seed, "layout": layout}
             found = found.model_copy(update={key: value for key, value in changes.items() if value is not None})
         else:
-            checked = composition_of(
-                {"sources": {"a": ("b",)}, "sets": {"c": {}}, "split": {"val": val, "test": test}}, "split"
-            )
+            split = {"by": split_by, "val": val, "test": test}
+            checked = composition_of({"sources": {"a": ("b",)}, "sets": {"c": {}}, "split": split}, "split")
             found = composition_of_sources(
-                sources,
-                split=Split(by=split_by.value, val=checked.split.val, test=checked.split.test),  # type: ignore[arg-type]
-                seed=seed or 0,
-                layout=(layout or Layout.AV2).value,  # type: ignore[arg-type]
-                min_agents=min_agents,
-                min_agents_in=min_agents_in.value,  # type: ignore[arg-type]
-            )
+                sources, split=checked.split, seed=seed or 0, layout=layout or "av2", min_agents=min_agents,
+                min_agents_in=min_agents_in,
+            )  # fmt: skip
         check_scenes([Path(place) for places in found.sources.values() for place in places])
 
         made = make(found, out, jobs=jobs, on_scene=activity.step)
-        for line in made.left_out[: None if verbose else _SHOWN]:
-            activity.message(f"hid2: warning: left out: {line}")
-        if len(made.left_out) > _SHOWN and not verbose:
-            activity.message(f"hid2: warning: left out: {len(made.left_out) - _SHOWN} more (-v lists them)")
+        for line in made.left_out[: None if tell.verbose else _SHOWN]:
+            say(f"hid2: warning: left out: {line}")
+        if len(made.left_out) > _SHOWN and not tell.verbose:
+            say(f"hid2: warning: left out: {len(made.left_out) - _SHOWN} more (-v lists them)")
     head = ("data set", "train", "val", "test")
     if as_json:
         print_json(head, made.rows())
-    elif not quiet:
+    elif not tell.quiet:
         print_table(f"{out}: scenes", head, made.rows())
-    raise typer.Exit(ALL_DONE)
+    return options.ALL_DONE
 
 
 def _check(roots: list[Path], *, jobs: int, as_json: bool, quiet: bool) -> int:
@@ -134,48 +95,30 @@ def _check(roots: list[Path], *, jobs: int, as_json: bool, quiet: bool) -> int:
             print(leak.text())
     if not quiet:
         say(f"{', '.join(map(str, roots))}: {len(leaks) or 'no'} leak{'' if len(leaks) == 1 else 's'}")
-    return SOME_FAILED if leaks else ALL_DONE
+    return options.SOME_FAILED if leaks else options.ALL_DONE
 
 
 @command()
 def forecast(
-    root: Annotated[
-        Path,
-        typer.Argument(
-            metavar="ROOT", help="A data-set root with train/ and val/, as compose makes.", show_default=False
-        ),
-    ],
-    out: Annotated[
-        Path,
-        output_option("-o", "--out", metavar="MODEL", help="Folder for checkpoint.pt and predictions.parquet."),
-    ],
+    root: Path = options.argument("ROOT", "A data-set root with train/ and val/, as compose makes."),
+    out: Path = options.output("Folder for checkpoint.pt and predictions.parquet.", ..., "MODEL", "-o"),
     *,
-    scenes: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Scenes to forecast.", show_default="ROOT/val"),
-    ] = None,
-    updates: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Updates of the training.", show_default="300")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of weights and batches.")] = 0,
-    resume: Annotated[
-        bool,
-        running_option("--resume", metavar="", help="Go on from MODEL/checkpoint.pt."),
-    ] = False,
-    verbose: Verbose = 0,
-    quiet: Quiet = False,
+    scenes: Path | None = options.option("Scenes to forecast.", None, "DIR", show_default="ROOT/val"),
+    updates: int | None = options.option("Updates of the training.", None, "N", min=1, show_default="300"),
+    seed: int = options.option("Seed of weights and batches.", 0, "N", min=0),
+    resume: bool = options.running("Go on from MODEL/checkpoint.pt.", False),
+    tell: options.Tell,
 ) -> None:
     """Train a small forecaster and write its forecasts of the focal tracks (needs the extra `forecast`).
 
     VectorNet with six futures: an instrument to compare data sets with, no state of the art.
     """
-    set_up(verbose=verbose, quiet=quiet)
     check_scenes([root, *([scenes] if scenes else [])])
     check_out(out)
     from bridge.forecasting.torch_extra import check_torch
 
     check_torch()
-    with Activity(quiet=quiet) as activity:
+    with Activity(quiet=tell.quiet) as activity:
         from bridge.evaluation.predictions import write_forecasts
         from bridge.forecasting.features import features_of
         from bridge.forecasting.training import be_deterministic, train
@@ -190,9 +133,10 @@ def forecast(
             found, left_out = features_of(find_scenarios(place), params, on_scene=activity.show)
             targets.append(found)
             for line in left_out:
-                activity.message(f"hid2: warning: not used: {line}")
+                say(f"hid2: warning: not used: {line}")
         activity.doing("training")
         be_deterministic(1)
+        if_interrupted("continue with --resume")
         model = train(targets[0], out / "checkpoint.pt", params, seed=seed, resume=resume, on_update=activity.show)
         activity.doing("forecasting")
         path = write_forecasts(predict(model, targets[1], params), out / "predictions.parquet")

@@ -1,97 +1,51 @@
 """`hid2 evaluate`, `study` and `paper`: from scenes to figures and tables."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-import typer
-
+from bridge.cli import options
 from bridge.cli.app import command
-from bridge.cli.options import (
-    ALL_DONE,
-    INTERRUPTED,
-    SOME_FAILED,
-    ExperimentName,
-    Jobs,
-    MapChoice,
-    Out,
-    Quiet,
-    ReadingName,
-    Scheduler,
-    Stride,
-    Timeout,
-    Verbose,
-    Window,
-    output_option,
-    prediction_option,
-)
-from bridge.cli.places import check_out, check_scenes
-from bridge.cli.session import set_up, unread_text
+from bridge.cli.places import check_out, check_out_file, check_scenes
+from bridge.cli.session import tell_unread
 from bridge.console import Activity, counted, print_json, print_table, say
 from netconvert.errors import ConfigError
 
 
 @command()
-def evaluate(  # noqa: PLR0913  # one for each option
-    out: Annotated[
-        Path,
-        typer.Argument(
-            metavar="SCENES",
-            help="Scenes to measure, generated or recorded: a scenario folder, a split folder or a root.",
-            show_default=False,
-        ),
-    ],
-    report: Annotated[
-        Path,
-        output_option("-o", "--out", metavar="REPORT", help="Folder for metrics.json, the tables and report.html."),
-    ],
+def evaluate(
+    out: Path = options.argument(
+        "SCENES", "Scenes to measure, generated or recorded: a scenario folder, a split folder or a root."
+    ),
+    report: Path = options.output("Folder for metrics.json, the tables and report.html.", ..., "REPORT", "-o", "--out"),
     *,
-    source: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="The source scenes: before is those of the scenes measured."),
-    ] = None,
-    control: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Scenes of the same sources with drivers that the critics must tell, as data/configs has them.",
-        ),
-    ] = None,
-    predictions: Annotated[
-        list[str],
-        typer.Option(
-            metavar="[NAME=]FILE|constant-velocity|constant-turn-rate",
-            help="Score forecasts instead: a file in av2's submission format, or a baseline; given again: compare the "
-            "files, further ones of a NAME being other seeds of it.",
-            show_default=False,
-        ),
-    ] = [],  # noqa: B006  # typer copies it
-    bands: Annotated[
-        str, typer.Option(metavar="N,N,...", help="With --predictions: bands of scenes with more agents than each N.")
-    ] = "50,70,90",
-    map_path: MapChoice = None,
-    window: Window = 0,
-    stride: Stride = None,
-    jobs: Jobs = 1,
-    as_json: Annotated[
-        bool,
-        output_option("--json", metavar="", help="With --predictions: print the table as JSON."),
-    ] = False,
-    verbose: Verbose = 0,
-    quiet: Quiet = False,
-) -> None:
+    source: Path | None = options.option("The source scenes: before is those of the scenes measured.", None, "DIR"),
+    control: Path | None = options.option(
+        "Scenes of the same sources with drivers that the critics must tell, as data/configs has them.", None, "DIR"
+    ),
+    predictions: list[str] = options.option(
+        "Score forecasts instead: a file in av2's submission format, or a baseline; given again: compare the "
+        "files, further ones of a NAME being other seeds of it.",
+        [],
+        "[NAME=]FILE|constant-velocity|constant-turn-rate",
+    ),
+    bands: str = options.option(
+        "With --predictions: bands of scenes with more agents than each N.", "50,70,90", "N,N,..."
+    ),
+    windows: options.Windows,
+    jobs: int = options.JOBS,
+    as_json: bool = options.output("With --predictions: print the table as JSON.", False, None, "--json"),
+    tell: options.Tell,
+) -> int:
     """Measure density, diversity, safety, kinematics and realism of any number of scenes, or score forecasts."""
-    set_up(verbose=verbose, quiet=quiet)
     check_scenes([out, *(folder for folder in (source, control) if folder)])
     check_out(report)
     if as_json and not predictions:
         raise ConfigError("--json without --predictions: the tables of scenes are files; expected the two together")
     if predictions:
-        score = _score if len(predictions) == 1 else _compare
-        raise typer.Exit(score(out, predictions, bands, report, jobs=jobs, as_json=as_json, quiet=quiet))
-    with Activity(quiet=quiet) as activity:
+        return _score(out, predictions, bands, report, jobs=jobs, as_json=as_json, quiet=tell.quiet)
+    with Activity(quiet=tell.quiet) as activity:
         from bridge.evaluation.evaluate import evaluate_folder
-        from bridge.recordings.folders import Choices
 
         activity.doing("measuring scenes")
 
@@ -101,17 +55,10 @@ def evaluate(  # noqa: PLR0913  # one for each option
                 activity.doing("writing the report")
 
         evaluation = evaluate_folder(
-            out,
-            report_dir=report,
-            source=source,
-            choices=Choices(map_path, window, stride),
-            control=control,
-            jobs=jobs,
-            on_scene=show,
+            out, report_dir=report, source=source, choices=windows.choices(), control=control, jobs=jobs, on_scene=show
         )
-        for folder, reason in evaluation.failures:
-            activity.message(unread_text(folder, reason))
-    if not quiet:
+        tell_unread(evaluation.failures)
+    if not tell.quiet:
         counts = evaluation.metrics["scenes"]
         made, left_out = counts["generated_vehicles"], len(evaluation.failures)
         say(
@@ -119,108 +66,77 @@ def evaluate(  # noqa: PLR0913  # one for each option
             f"{counted(made, 'generated vehicle')}" + (f"; {left_out} not readable, left out" if left_out else "")
         )
         print(report / "report.html")
-    raise typer.Exit(SOME_FAILED if evaluation.failures else ALL_DONE)
+    return options.SOME_FAILED if evaluation.failures else options.ALL_DONE
 
 
 @command()
 def calibrate(
-    root: Annotated[
-        Path,
-        typer.Argument(
-            metavar="ROOT", help="Recorded scenes: a scenario folder, a split folder or a root.", show_default=False
-        ),
-    ],
-    out: Annotated[
-        Path,
-        output_option(
-            "-o", "--out", metavar="DRIVERS.toml", help="File to write; tables and a page go beside it."),
-    ] = Path("drivers.toml"),
+    root: Path = options.argument("ROOT", "Recorded scenes: a scenario folder, a split folder or a root."),
+    out: Path = options.output(
+        "File to write; tables and a page go beside it.", Path("drivers.toml"), "DRIVERS.toml", "-o"
+    ),
     *,
-    without: Annotated[
-        list[str],
-        typer.Option(
-            metavar="ID", help="Leave a scene out, such as one to generate from; repeatable.", show_default=False
-        ),
-    ] = [],  # noqa: B006
-    jobs: Jobs = 1,
-    verbose: Verbose = 0,
-    quiet: Quiet = False,
-) -> None:  # fmt: skip
+    without: list[str] = options.option("Leave a scene out, such as one to generate from; repeatable.", [], "ID"),
+    jobs: int = options.JOBS,
+    tell: options.Tell,
+) -> int:
     """Measure how people drive in recorded scenes, for `hid2 generate --drivers`."""
-    set_up(verbose=verbose, quiet=quiet)
     check_scenes([root])
-    if out.is_dir():
-        raise ConfigError(f"{out}: is a folder, expected a file to write, such as {out / 'drivers.toml'}")
-    check_out(out.parent)
-    with Activity(quiet=quiet) as activity:
+    check_out_file(out)
+    with Activity(quiet=tell.quiet) as activity:
         from bridge.evaluation.calibrate import calibrate_folder
 
         activity.doing("measuring how people drive")
         found = calibrate_folder(root, out, without=without, jobs=jobs, on_scene=activity.show)
-        for folder, reason in found.failures:
-            activity.message(unread_text(folder, reason))
-    if not quiet:
+        tell_unread(found.failures)
+    if not tell.quiet:
         print(out)
         print(out.with_name(f"{out.stem}.html"))
-    raise typer.Exit(SOME_FAILED if found.failures else ALL_DONE)
+    return options.SOME_FAILED if found.failures else options.ALL_DONE
 
 
 @command()
 def study(
-    file: Annotated[
-        Path, typer.Argument(metavar="STUDY.toml", help="The study, as those in data/studies.", show_default=False)
-    ],
-    out: Out,
+    file: Path = options.argument("STUDY.toml", "The study, as those in data/studies."),
+    out: Path = options.OUT,
     *,
-    scenes: Annotated[
-        list[Path],
-        typer.Option(metavar="SCENE", help="Scenes instead of those in the file; repeatable.", show_default=False),
-    ] = [],  # noqa: B006
-    jobs: Jobs = 1,
-    scheduler: Scheduler = None,
-    scene_timeout: Timeout = 300.0,
-    verbose: Verbose = 0,
-    quiet: Quiet = False,
-) -> None:
+    scenes: list[Path] = options.option("Scenes instead of those in the file; repeatable.", [], "SCENE"),
+    batch: options.Batch,
+    tell: options.Tell,
+) -> int:
     """Run a parameter study. Called again, it continues: completed runs are skipped."""
-    set_up(verbose=verbose, quiet=quiet)
-    if file.is_dir():
-        raise ConfigError(f"{file}: is a folder, expected a study in TOML, as those in data/studies")
     check_scenes(scenes)
     check_out(out)
-    with Activity(quiet=quiet) as activity:
+    with Activity(quiet=tell.quiet) as activity:
         from bridge.batch.batch import Options
         from bridge.cli.batch_display import BatchNotes
         from bridge.studies.run import run_study
         from bridge.studies.study import read_study
 
-        options = Options(jobs=jobs, scheduler=scheduler, timeout_s=scene_timeout, resume=True)
+        how = Options(jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout, resume=True)
         activity.doing("reading the study and its scenes")
         found = read_study(file, scenes=scenes)
-        notes = BatchNotes(activity, out, verbose=verbose > 0)
+        notes = BatchNotes(activity, out, go_on="the same command continues", verbose=tell.verbose > 0)
         activity.doing("generating")
         activity.show(0, sum(len(job.runs) for job in found.jobs))
-        try:
-            report = run_study(found, out, options, on_row=notes.note)
-        except KeyboardInterrupt:
-            activity.message("interrupted; the same command continues")
-            raise typer.Exit(INTERRUPTED) from None
-    if not quiet:
+        report = run_study(found, out, how, on_row=notes.note)
+    if not tell.quiet:
         for path in report.files:
             print(path)
-    raise typer.Exit(SOME_FAILED if report.failed else ALL_DONE)
+    return options.SOME_FAILED if report.failed else options.ALL_DONE
 
 
 @command()
 def make(
-    what: Annotated[Literal["corridor"], typer.Argument(metavar="WHAT", help="corridor: a straight one-way road.")],
-    out: Out,
+    what: Literal["corridor"] = options.argument("WHAT", "corridor: a straight one-way road."),
+    out: Path = options.OUT,
     *,
-    length: Annotated[float, typer.Option(metavar="M", help="Length of the road, m.")] = 600.0,
-    lanes: Annotated[int, typer.Option(metavar="N", help="Lanes.")] = 2,
-    seconds: Annotated[float, typer.Option(metavar="S", help="Duration of the recording, s.")] = 180.0,
+    length: float = options.option("Length of the road, m.", 600.0, "M"),
+    lanes: int = options.option("Lanes.", 2, "N"),
+    seconds: float = options.option("Duration of the recording, s.", 180.0, "S"),
 ) -> None:
     """Make a synthetic scene for studies; it is no scene of Argoverse, and its id says so."""
+    check_out(out)
     from bridge.recordings.corridor import write_corridor
 
     assert what == "corridor"
@@ -229,71 +145,48 @@ def make(
 
 @command()
 def paper(  # noqa: PLR0913  # one for each option
-    experiment: Annotated[
-        ExperimentName,
-        typer.Argument(metavar="EXPERIMENT", help="One of table1, ablation, density, diversity, prediction."),
-    ],
-    out: Out,
+    experiment: options.ExperimentName = options.argument(
+        "EXPERIMENT", "One of table1, ablation, density, diversity, prediction."
+    ),
+    out: Path = options.OUT,
     *,
-    scenes: Annotated[
-        list[Path],
-        typer.Option(
-            metavar="DIR",
-            help="Recordings; diversity needs real ones of over 40 agents for the paper's part; repeatable.",
-        ),
-    ] = [Path("data/av2")],  # noqa: B006
-    map_path: MapChoice = None,
-    window: Window = 0,
-    stride: Stride = None,
-    seeds: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="N", help="Seeds per scene, or of the training.", show_default="10; prediction: 3"),
-    ] = None,
-    agents: Annotated[int, typer.Option(min=0, metavar="N", help="Vehicles added, except in density.")] = 10,
-    variants: Annotated[
-        int | None,
-        prediction_option(min=1, metavar="K", help="Scenes made of each recorded one.", show_default="8"),
-    ] = None,
-    val: Annotated[
-        float | None,
-        prediction_option(
-            min=0.01, max=0.9, metavar="SHARE", help="Share of the scenes for validation.", show_default="0.3"
-        ),
-    ] = None,
-    updates: Annotated[
-        int | None,
-        prediction_option(min=1, metavar="N", help="Updates of each training.", show_default="300"),
-    ] = None,
-    focal: Annotated[
-        ReadingName,
-        prediction_option(help="What is forecast in generated scenes; both: by turns."),
-    ] = "both",
-    composed: Annotated[
-        Path | None,
-        prediction_option(metavar="ROOT", help="Data sets that compose made, with the controls, instead of new ones."),
-    ] = None,
-    predictions: Annotated[
-        Path | None,
-        prediction_option(
-            metavar="DIR",
-            help="Forecasts from elsewhere instead of the small forecaster's: SET/SEED/VALIDATION.parquet.",
-        ),
-    ] = None,
-    jobs: Jobs = 1,
-    verbose: Verbose = 0,
-    quiet: Quiet = False,
+    scenes: list[Path] = options.option(
+        "Recordings; diversity needs real ones of over 40 agents for the paper's part; repeatable.",
+        [Path("data/av2")],
+        "DIR",
+        show_default=True,
+    ),
+    windows: options.Windows,
+    seeds: int | None = options.option(
+        "Seeds per scene, or of the training.", None, "N", min=1, show_default="10; prediction: 3"
+    ),
+    agents: int = options.option("Vehicles added, except in density.", 10, "N", min=0),
+    variants: int | None = options.prediction("Scenes made of each recorded one.", None, "K", min=1, show_default="8"),
+    val: float | None = options.prediction(
+        "Share of the scenes for validation.", None, "SHARE", min=0.01, max=0.9, show_default="0.3"
+    ),
+    updates: int | None = options.prediction("Updates of each training.", None, "N", min=1, show_default="300"),
+    focal: options.ReadingName = options.prediction("What is forecast in generated scenes; both: by turns.", "both"),
+    composed: Path | None = options.prediction(
+        "Data sets that compose made, with the controls, instead of new ones.", None, "ROOT"
+    ),
+    predictions: Path | None = options.prediction(
+        "Forecasts from elsewhere instead of the small forecaster's: SET/SEED/VALIDATION.parquet.", None, "DIR"
+    ),
+    jobs: int = options.JOBS,
+    tell: options.Tell,
 ) -> None:
     """Run an experiment of the paper, from generation to the table beside the paper's; prediction needs `forecast`."""
-    set_up(verbose=verbose, quiet=quiet)
     theirs = {"--variants": variants, "--val": val, "--updates": updates, "--composed": composed}
-    _check_fits(experiment, {**theirs, "--predictions": predictions}, {"--map": map_path, "--stride": stride})
+    others = {"--map": windows.map_path, "--stride": windows.stride}
+    _check_fits(experiment, {**theirs, "--predictions": predictions}, others)
     check_scenes([*scenes, *([composed] if composed else [])])
     check_out(out)
     if experiment == "prediction" and predictions is None:
         from bridge.forecasting.torch_extra import check_torch
 
         check_torch()
-    with Activity(quiet=quiet) as activity:
+    with Activity(quiet=tell.quiet) as activity:
         if experiment == "prediction":
             from bridge.forecasting.experiment import Plan, run_prediction
             from hid2.params import Forecasting
@@ -302,16 +195,15 @@ def paper(  # noqa: PLR0913  # one for each option
             params = Forecasting.model_validate({name: value for name, value in given.items() if value is not None})
             page = run_prediction(
                 scenes, out, Plan(seeds=seeds or 3, agents=agents, reading=focal, params=params), jobs=jobs,
-                composed=composed, predictions=predictions, on_step=activity.step,
+                composed=composed, predictions=predictions, on_step=activity.step
             )  # fmt: skip
         else:
             from bridge.evaluation.paper import run_experiment
-            from bridge.recordings.folders import Choices
 
             activity.doing("generating and measuring")
             page = run_experiment(
-                experiment, scenes=scenes, out_dir=out, choices=Choices(map_path, window, stride), seeds=seeds or 10,
-                agents=agents, jobs=jobs, on_scene=activity.show,
+                experiment, scenes=scenes, out_dir=out, choices=windows.choices(), seeds=seeds or 10,
+                agents=agents, jobs=jobs, on_scene=activity.show
             )  # fmt: skip
     print(page)
 
@@ -325,60 +217,43 @@ def _check_fits(experiment: str, prediction: Mapping[str, object], others: Mappi
         raise ConfigError(f"{given[0]} does nothing in {experiment}, expected it with {which} only")
 
 
-def _bounds(bands: str) -> list[int]:
-    """Errors: ConfigError."""
+def _score(out: Path, files: list[str], bands: str, report: Path, *, jobs: int, as_json: bool, quiet: bool) -> int:
+    """Score forecasts, or compare those of several files; returns the exit code."""
     try:
-        return [int(band) for band in bands.split(",")]
+        bounds = [int(band) for band in bands.split(",")]
     except ValueError:
         raise ConfigError(f"--bands {bands!r}: expected numbers of agents, joined by commas") from None
-
-
-def _compare(
-    out: Path, predictions: list[str], bands: str, report: Path, *, jobs: int, as_json: bool, quiet: bool
-) -> int:
-    """Compare files of predictions; returns the exit code."""
-    bounds = _bounds(bands)
-    with Activity(quiet=quiet) as activity:
-        from bridge.forecasting.comparison import HEAD, compare_predictions, parse_models, rows_of
-
-        models = parse_models(predictions)
-        activity.doing("scoring forecasts")
-        found, left_out = compare_predictions(out, models, report, bounds=bounds, jobs=jobs, on_scene=activity.show)
-        for reason in left_out:
-            activity.message(f"hid2: warning: not scored: {reason}")
-    if as_json:
-        print_json(HEAD, rows_of(found))
-    elif not quiet:
-        print_table(f"{len(models)} models", HEAD, rows_of(found))
-        print(report / "comparison.html")
-    return SOME_FAILED if left_out else ALL_DONE
-
-
-def _score(out: Path, files: list[str], bands: str, report: Path, *, jobs: int, as_json: bool, quiet: bool) -> int:
-    """Score forecasts; returns the exit code."""
-    bounds, (predictions,) = _bounds(bands), files
+    head: Sequence[str]
+    left_out: Sequence[str]
     with Activity(quiet=quiet) as activity:
         from bridge.evaluation.predictions import BASELINES, TABLE_HEAD, score_predictions
 
-        baseline = next((name for name in BASELINES if name == predictions), None)
-        if baseline is None and not Path(predictions).is_file():
-            raise ConfigError(
-                f"--predictions {predictions}: no such file; expected a forecast file or one of {', '.join(BASELINES)}"
-            )
-        activity.doing("scoring forecasts")
-        scored = score_predictions(
-            out,
-            predictions=baseline or Path(predictions),
-            report_dir=report,
-            bounds=bounds,
-            jobs=jobs,
-            on_scene=activity.show,
-        )
-        for reason in scored.left_out:
-            activity.message(f"hid2: warning: not scored: {reason}")
+        if len(files) > 1:
+            from bridge.forecasting.comparison import HEAD, compare_predictions, parse_models, rows_of
+
+            models = parse_models(files)
+            activity.doing("scoring forecasts")
+            found, left_out = compare_predictions(out, models, report, bounds=bounds, jobs=jobs, on_scene=activity.show)
+            title, head, rows, page = f"{len(models)} models", HEAD, rows_of(found), "comparison.html"
+        else:
+            (file,) = files
+            baseline = next((name for name in BASELINES if name == file), None)
+            if baseline is None and not Path(file).is_file():
+                raise ConfigError(
+                    f"--predictions {file}: no such file; expected a forecast file or one of {', '.join(BASELINES)}"
+                )
+            activity.doing("scoring forecasts")
+            scored = score_predictions(
+                out, predictions=baseline or Path(file), report_dir=report, bounds=bounds, jobs=jobs,
+                on_scene=activity.show,
+            )  # fmt: skip
+            left_out, title, head = scored.left_out, f"{len(scored.scores)} scores", TABLE_HEAD
+            rows, page = scored.rows(), "predictions.html"
+        for reason in left_out:
+            say(f"hid2: warning: not scored: {reason}")
     if as_json:
-        print_json(TABLE_HEAD, scored.rows())
+        print_json(head, rows)
     elif not quiet:
-        print_table(f"{len(scored.scores)} scores", TABLE_HEAD, scored.rows())
-        print(report / "predictions.html")
-    return SOME_FAILED if scored.left_out else ALL_DONE
+        print_table(title, head, rows)
+        print(report / page)
+    return options.SOME_FAILED if left_out else options.ALL_DONE

@@ -1,127 +1,224 @@
-"""Arguments and options that several commands share, and the exit codes."""
+"""Options: what each says, groups that several commands share, and how a command's are made of its signature.
 
+A parameter of a command has an `option` or an `argument` as its default. One whose type is a group (a NamedTuple
+of options) stands for all of that group, and one whose default is `FieldOptions` for fields of the parameters of the
+method, from which name, type, range, default and sentence come.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
-from functools import partial
+from functools import partial, wraps
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_origin, get_type_hints
 
 import typer
 
-ALL_DONE, SOME_FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
+from bridge.cli.session import set_up
 
-# Options of each group in the help.
-request_option = partial(typer.Option, rich_help_panel="What to generate")
-event_option = partial(typer.Option, rich_help_panel="Events")
-selection_option = partial(typer.Option, rich_help_panel="Which scenes")
-parameter_option = partial(typer.Option, rich_help_panel="Parameters")
-running_option = partial(typer.Option, rich_help_panel="Running")
-output_option = partial(typer.Option, rich_help_panel="Output")
-prediction_option = partial(typer.Option, rich_help_panel="With prediction")
+if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
+
+    from bridge.batch.scan import Selection
+    from bridge.recordings.folders import Choices
+
+ALL_DONE, SOME_FAILED, USAGE = 0, 1, 2
 
 # Choices, written out because what they mirror is slow to import; tests/cli/test_options.py compares them.
-EventName = StrEnum("EventName", ["CUT_IN", "OVERTAKE", "LEAD", "FOLLOW", "MERGE", "CROSS"])
-CanName = StrEnum(
-    "CanName",
-    {
-        "STRAIGHT": "straight", "LEFT_TURN": "left_turn", "RIGHT_TURN": "right_turn", "LANE_CHANGE": "lane_change",
-        "OVERTAKE": "overtake", "CUT_IN_AV": "cut_in:av", "CUT_IN_FOCAL": "cut_in:focal", "OVERTAKE_AV": "overtake:av",
-        "OVERTAKE_FOCAL": "overtake:focal", "LEAD_AV": "lead:av", "LEAD_FOCAL": "lead:focal", "FOLLOW_AV": "follow:av",
-        "FOLLOW_FOCAL": "follow:focal", "MERGE_AV": "merge:av", "MERGE_FOCAL": "merge:focal", "CROSS_AV": "cross:av",
-        "CROSS_FOCAL": "cross:focal",
-    },
-)  # fmt: skip
-ComponentName = StrEnum("ComponentName", ["TOPOLOGY", "COLLISION", "SMOOTHING"])
-SplitName = StrEnum("SplitName", ["TRAIN", "VAL", "TEST"])
-FormatName = StrEnum("FormatName", ["ARGOVERSE1"])
-RecordName = StrEnum("RecordName", ["GAPS"])
-FocalName = Literal["recorded", "generated"]
+EVENTS = ("cut_in", "overtake", "lead", "follow", "merge", "cross")
+BEHAVIOURS = ("straight", "left_turn", "right_turn", "lane_change", "overtake")
+CAN = (*BEHAVIOURS, *(f"{event}:{target}" for event in EVENTS for target in ("av", "focal")))
+COMPONENTS = ("topology", "collision", "smoothing")
+SPLITS = ("train", "val", "test")
 ExperimentName = Literal["table1", "ablation", "density", "diversity", "prediction"]
 ReadingName = Literal["recorded", "generated", "both"]
 
-MapChoice = Annotated[
-    Path | None,
-    selection_option(
-        "--map",
-        metavar="MAP",
-        help="An Argoverse 2 map, or a scene's folder with one, for Argoverse 1 sequences without their city's map.",
-    ),
-]
-Window = Annotated[
-    int,
-    selection_option(min=0, metavar="N", help="First sweep of a sensor log that is taken."),
-]
-Stride = Annotated[
-    int | None,
-    selection_option(min=1, metavar="N", help="More windows of a sensor log, N sweeps from one to the next."),
-]
-Scenes = Annotated[
-    list[Path],
-    typer.Argument(metavar="SCENE", help="Scenario folders, split folders or data-set roots.", show_default=False),
-]
-Scene = Annotated[Path, typer.Argument(metavar="SCENE", help="Scenario folder.", show_default=False)]
-Out = Annotated[Path, output_option("-o", "--out", metavar="OUT", help="Folder to write to.")]
-Jobs = Annotated[
-    int,
-    running_option("--jobs", "-j", min=1, metavar="N", help="Worker processes on this machine."),
-]
-Scheduler = Annotated[
-    str | None,
-    running_option(metavar="ADDRESS", help="A running Dask scheduler, tcp://HOST:PORT."),
-]
-ConfigFile = Annotated[
-    Path | None,
-    parameter_option("--config", metavar="FILE.toml", help="Parameters, as `hid2 config` lists them."),
-]
-Settings = Annotated[
-    list[str],
-    parameter_option(
-        "--set", metavar="KEY=VALUE", help="One parameter, section.key=value; repeatable.", show_default=False
-    ),
-]
-Timeout = Annotated[
-    float,
-    running_option("--scene-timeout", min=1, metavar="S", help="Seconds after which a scene is ended and quarantined."),
-]
-Memory = Annotated[
-    int,
-    running_option(
-        "--scene-memory", min=500, metavar="MB", help="Memory beyond which a scene is ended and quarantined."
-    ),
-]
-Resume = Annotated[
-    bool,
-    running_option("--resume", metavar="", help="Skip scenes that are complete and unchanged."),
-]
-Verbose = Annotated[
-    int,
-    output_option(
-        "-v",
-        "--verbose",
-        count=True,
-        metavar="",
-        help="Say more; -vv: everything, in generate the story of every vehicle that was tried.",
-        show_default=False,
-    ),
-]
-Quiet = Annotated[bool, output_option("-q", "--quiet", metavar="", help="Print errors only.")]
-AsJson = Annotated[bool, output_option("--json", metavar="", help="Print the table as JSON.")]
-MinAgents = Annotated[
-    int,
-    selection_option(min=0, metavar="N", help="Only scenes with at least N recorded tracks."),
-]
-City = Annotated[
-    list[str],
-    selection_option(metavar="CITY", help="Only scenes of this city; repeatable.", show_default=False),
-]
-Split = Annotated[
-    list[SplitName],
-    selection_option(help="Only scenes of this split; repeatable.", show_default=False),
-]
-Can = Annotated[
-    list[CanName],
-    selection_option(help="Only scenes with room for this manoeuvre or event; repeatable.", show_default=False),
-]
-Sample = Annotated[
-    int | None,
-    selection_option(min=1, metavar="N", help="N of the selected scenes, drawn with the seed."),
-]
+
+class _Option(NamedTuple):
+    """An option before its parameter's name and type are known."""
+
+    says: str
+    default: Any
+    metavar: str | None
+    names: tuple[str, ...]
+    choices: Sequence[str]
+    more: Mapping[str, Any]
+
+
+def option(
+    says: str, default: Any = ..., metavar: str | None = None, *names: str, choices: Sequence[str] = (), **more: Any
+) -> Any:  # it stands for a value of any type
+    """An option, required where it has no default.
+
+    names: beside --parameter-name, or instead of it; choices: of an option that may be repeated; others: `Literal`.
+    """
+    return _Option(says, default, metavar, names, choices, more)
+
+
+request = partial(option, rich_help_panel="What to generate")
+event = partial(option, rich_help_panel="Events")
+selection = partial(option, rich_help_panel="Which scenes")
+parameter = partial(option, rich_help_panel="Parameters")
+running = partial(option, rich_help_panel="Running")
+output = partial(option, rich_help_panel="Output")
+prediction = partial(option, rich_help_panel="With prediction")
+
+
+def argument(metavar: str, says: str, default: Any = ...) -> Any:  # it stands for a value of any type
+    """An argument by its place, required where it has no default."""
+    return typer.Argument(default, metavar=metavar, help=says, show_default=False)
+
+
+class FieldOptions(NamedTuple):
+    """An option for each field of a section of parameters that names a metavar: values by field, of those given."""
+
+    section: str
+    make: Callable[..., Any]
+
+    def parameters(self) -> dict[str, Parameter]:
+        """Parameters of the command by the names of the fields."""
+        from hid2 import params
+
+        fields = getattr(params, self.section).model_fields.items()
+        return {key: self._parameter(key, field, _extra(field)) for key, field in fields if "metavar" in _extra(field)}
+
+    def _parameter(self, key: str, field: "FieldInfo", extra: Mapping[str, Any]) -> Parameter:
+        from bridge.config import option_name
+
+        name, kind = option_name(key), field.annotation
+        more: dict[str, Any] = {"show_default": extra["shown"] or False}
+        names: tuple[str, ...] = ()
+        if kind is bool:
+            names, more["show_default"] = (f"--{name}/--no-{name}",), name if field.default else f"no-{name}"
+        elif kind in (int, float):
+            more["min"] = next((bound.ge for bound in field.metadata if hasattr(bound, "ge")), None)
+            more["max"] = next((bound.le for bound in field.metadata if hasattr(bound, "le")), None)
+        made = self.make(f"{extra['source']}.", None, extra["metavar"] or None, *names, **more)
+        known = kind in (int, float, bool) or get_origin(kind) is Literal
+        return _parameter(name.replace("-", "_"), kind if known else str, made)
+
+
+def _extra(field: "FieldInfo") -> Mapping[str, Any]:
+    return field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
+
+
+def _parameter(name: str, kind: Any, default: Any) -> Parameter:  # any type and value
+    """A parameter as typer takes it."""
+    if isinstance(default, _Option):
+        says, value, metavar, names, choices, more = default
+        many = isinstance(value, list)
+        if choices:
+            kind = list[StrEnum("Choice", {choice: choice for choice in choices})]  # type: ignore[misc]
+        if kind is bool or "count" in more:
+            metavar = ""
+        if not any(part.startswith("--") for part in names):
+            names = (*names, f"--{name.replace('_', '-')}")
+        default = typer.Option(value, *names, **{"help": says, "metavar": metavar, "show_default": not many, **more})
+        kind = kind | None if value is None else kind
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+
+
+def _plain(value: Any) -> Any:
+    """Choices of a list, of which typer takes enumerations alone, as texts."""
+    return [str(one) if isinstance(one, StrEnum) else one for one in value] if isinstance(value, list) else value
+
+
+def flattened(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function of a command as typer takes it, with a parameter for each option; logging is set up before."""
+    parameters: list[Parameter] = []
+    groups: dict[str, tuple[Callable[..., object], dict[str, str]]] = {}
+    hints = get_type_hints(function)
+    for name, own in signature(function).parameters.items():
+        kind = hints[name]
+        if isinstance(own.default, FieldOptions):
+            found = own.default.parameters()
+            groups[name] = dict, {key: one.name for key, one in found.items()}
+            parameters += found.values()
+        elif hasattr(kind, "_fields"):
+            groups[name] = kind, {key: key for key in kind._fields}
+            each = get_type_hints(kind)
+            parameters += [_parameter(key, each[key], kind._field_defaults[key]) for key in kind._fields]
+        else:
+            parameters.append(_parameter(name, kind, own.default))
+
+    @wraps(function)
+    def called(**values: Any) -> object:
+        values = {name: _plain(value) for name, value in values.items()}
+        set_up(verbose=values.get("verbose", 0), quiet=values.get("quiet", False))
+        made = {
+            name: kind(**{key: values.pop(one) for key, one in keys.items()}) for name, (kind, keys) in groups.items()
+        }
+        return function(**made, **values)
+
+    called.__signature__ = signature(function).replace(parameters=parameters)  # type: ignore[attr-defined]
+    called.__annotations__ = {one.name: one.annotation for one in parameters}
+    return called
+
+
+MAP = selection(
+    "An Argoverse 2 map, or a scene's folder with one, for Argoverse 1 sequences without their city's map.",
+    None, "MAP", "--map"
+)  # fmt: skip
+STRIDE = selection("More windows of a sensor log, N sweeps from one to the next.", None, "N", min=1)
+SCENE = argument("SCENE", "Scenario folder.")
+SCENES = argument("SCENE", "Scenario folders, split folders or data-set roots.")
+OUT = output("Folder to write to.", ..., "OUT", "-o")
+JOBS = running("Worker processes on this machine.", 1, "N", "--jobs", "-j", min=1)
+AS_JSON = output("Print the table as JSON.", False, None, "--json")
+CONFIG = parameter("Parameters, as `hid2 config` lists them.", None, "FILE.toml")
+SETTINGS = parameter("One parameter, section.key=value; repeatable.", [], "KEY=VALUE", "--set")
+
+
+class Tell(NamedTuple):
+    """How much is said."""
+
+    verbose: int = output(
+        "Say more; -vv: everything, in generate the story of every vehicle that was tried.", 0, None, "-v", count=True,
+        show_default=False
+    )  # fmt: skip
+    quiet: bool = output("Print errors only.", False, None, "-q")
+
+
+class OneWindow(NamedTuple):
+    """Which part of a recording is read, and with which map."""
+
+    map_path: Path | None = MAP
+    window: int = selection("First sweep of a sensor log that is taken.", 0, "N", min=0)
+
+
+class Windows(NamedTuple):
+    """Which parts of recordings are read, and with which map."""
+
+    map_path: Path | None = MAP
+    window: int = selection("First sweep of a sensor log that is taken.", 0, "N", min=0)
+    stride: int | None = STRIDE
+
+    def choices(self) -> "Choices":
+        """As readers take it."""
+        from bridge.recordings.folders import Choices
+
+        return Choices(*self)
+
+
+class Which(NamedTuple):
+    """Which scenes of a data set are wanted."""
+
+    min_agents: int = selection("Only scenes with at least N recorded tracks.", 0, "N", min=0)
+    city: list[str] = selection("Only scenes of this city; repeatable.", [], "CITY")
+    split: list[str] = selection("Only scenes of this split; repeatable.", [], choices=SPLITS)
+    can: list[str] = selection("Only scenes with room for this manoeuvre or event; repeatable.", [], choices=CAN)
+    sample: int | None = selection("N of the selected scenes, drawn with the seed.", None, "N", min=1)
+
+    def selection(self, seed: int) -> "Selection":
+        """As scans take it."""
+        from bridge.batch.scan import Selection
+
+        return Selection(self.min_agents, tuple(self.city), tuple(self.split), tuple(self.can), self.sample, seed)
+
+
+class Batch(NamedTuple):
+    """How a batch of scenes runs."""
+
+    jobs: int = JOBS
+    scheduler: str | None = running("A running Dask scheduler, tcp://HOST:PORT.", None, "ADDRESS")
+    scene_timeout: float = running("Seconds after which a scene is ended and quarantined.", 300.0, "S", min=1)

@@ -4,17 +4,18 @@ from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
-from bridge.cli.options import SplitName
+from bridge.cli.options import SPLITS
 from bridge.console import warn
+from bridge.interruption import remove_abandoned
+from bridge.recordings.folders import SEQUENCES, is_generated, other_data
 from netconvert.errors import ConfigError
 
 _SCENE_FILES = ("scenario_*.parquet", "log_map_archive_*.json", "annotations*.feather", "city_SE3_egovehicle.feather")
-_SIDECAR = "hid2_*.json"
 _ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".zst")
 #: Folders of a split or root that are looked at to tell which of them it is: they are all alike.
 _LOOKED_AT = 20
 #: Folders whose recorded scenes make a split of them; any other folder becomes one by the second scene.
-_SPLITS = (*SplitName, "raw")
+_SPLITS = (*SPLITS, "raw")
 
 
 def check_scenes(paths: Sequence[Path]) -> None:
@@ -23,7 +24,8 @@ def check_scenes(paths: Sequence[Path]) -> None:
         if not path.exists():
             raise ConfigError(f"{path}: no such folder, expected a scenario folder, a split folder or a data-set root")
         if path.is_file() and path.suffix != ".csv":
-            raise ConfigError(f"{path}: is a file, expected a folder; {_instead_of_file(path)}")
+            said = other_data(path) or f"is a file, expected a folder; {_instead_of_file(path)}"
+            raise ConfigError(f"{path}: {said}")
 
 
 def check_one_scene(path: Path, *, map_file: bool = False) -> None:
@@ -44,13 +46,23 @@ def check_one_scene(path: Path, *, map_file: bool = False) -> None:
 
 
 def check_out(out: Path) -> None:
-    """What is written must not get among the sources. `out`: a folder to write to, or a file.
+    """What is written must not get among the sources; every command that writes asks here, or `check_out_file`.
 
     Errors: ConfigError where it lies inside a scenario folder or a split folder of recorded scenes, or where a file is
     in the way. Below the root of a data set, or beside a single scene, it is taken with a warning.
     """
     _check_can_be_made(out, out)
-    check_among_sources(out)
+    _check_among_sources(out)
+    remove_abandoned(out)
+
+
+def check_out_file(file: Path) -> None:
+    """As `check_out` for a file. Errors: ConfigError."""
+    if file.is_dir():
+        raise ConfigError(f"{file}: is a folder, expected a file to write, such as {file / 'NAME'}")
+    _check_can_be_made(file.parent, file)
+    _check_among_sources(file)
+    remove_abandoned(file.parent)
 
 
 def _check_can_be_made(folder: Path, out: Path) -> None:
@@ -62,39 +74,23 @@ def _check_can_be_made(folder: Path, out: Path) -> None:
             return
 
 
-def _check_in_no_scene(out: Path) -> None:
-    for place in _real_parents(out):
+def _check_among_sources(out: Path) -> None:
+    real = out.resolve()
+    parents = [place for place in (real, *real.parents) if place.is_dir()]
+    for place in parents:
         if _is_scene(place):
             raise ConfigError(f"{out}: lies inside the scene {place}; choose a place outside it")
-
-
-def check_out_file(file: Path) -> None:
-    """As `check_out` for a file, which is no scene and may lie in a split folder. Errors: ConfigError."""
-    if file.is_dir():
-        raise ConfigError(f"{file}: is a folder, expected a file to write")
-    _check_can_be_made(file.parent, file)
-    _check_in_no_scene(file)
-
-
-def check_among_sources(out: Path) -> None:
-    """The half of `check_out` about scenes. Errors: ConfigError."""
-    _check_in_no_scene(out)
-    beside = {place: list(islice(_recorded(place), 2)) for place in _real_parents(out)}
+    beside = {place: list(islice(_recorded(place), 2)) for place in parents}
     for place, scenes in beside.items():
         if len(scenes) == 2 or (scenes and place.name in _SPLITS):
             raise ConfigError(
                 f"{out}: lies inside the split folder {place}, beside the scene {scenes[0].name}; "
-                "choose an output folder outside it"
+                "choose a place outside it"
             )
     for place, scenes in beside.items():
-        if scenes or any(any(_recorded(place / split)) for split in SplitName):
+        if scenes or any(any(_recorded(place / split)) for split in SPLITS):
             warn(f"{out} lies inside the data set {place}; an output folder outside it keeps them apart")
             return
-
-
-def _real_parents(out: Path) -> Iterator[Path]:
-    real = out.resolve()
-    return (place for place in (real, *real.parents) if place.is_dir())
 
 
 def _instead_of_file(path: Path) -> str:
@@ -111,7 +107,12 @@ def _is_scene(folder: Path) -> bool:
 def _recorded(folder: Path) -> Iterator[Path]:
     """Scenes that hid2 did not write and that lie directly in a folder, of the first that are there."""
     looked_at = islice(_folders(folder), _LOOKED_AT)
-    return (child for child in looked_at if _is_scene(child) and not any(child.glob(_SIDECAR)))
+    yield from (child for child in looked_at if _is_scene(child) and not is_generated(child))
+    written = any(place.name == SEQUENCES and (place.parent / "manifest.csv").is_file() for place in folder.parents)
+    for path in islice(_sequences(folder), 0 if written else 2):
+        with path.open("rb") as stream:  # any table may be called 1.csv
+            if b"TRACK_ID" in stream.readline(200):
+                yield path
 
 
 def _folders(folder: Path) -> Iterator[Path]:
@@ -132,5 +133,5 @@ def _scenes_below(path: Path) -> Iterator[Path]:
 
 
 def _sequences(folder: Path) -> Iterator[Path]:
-    """Sequences of Argoverse 1 in a folder, in any order."""
-    return (path for path in folder.glob("*.csv") if path.stem.isdigit())
+    """Files that are called as sequences of Argoverse 1 are, in a folder, in any order."""
+    return (path for path in folder.glob("*.csv") if path.stem.isdigit() and path.is_file())

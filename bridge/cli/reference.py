@@ -6,7 +6,7 @@ from typing import Any
 import typer
 from typer.main import get_command
 
-from bridge.cli import app
+from bridge.cli.commands import application
 
 PAGE = Path(__file__).parents[1] / "COMMANDS.md"
 #: Columns that the help is laid out for.
@@ -17,13 +17,13 @@ _INTRODUCTION = """\
 What `hid2 COMMAND --help` says; `python -m bridge.cli.reference` writes this page, and a test compares it.
 
 Results go to stdout, messages to stderr. Exit codes: 0 all done, 1 some scene could not be done,
-2 usage or configuration, 130 interrupted. `hid2 --install-completion` adds completion to your shell.
+2 usage or configuration, 130 or 143 interrupted. `hid2 --install-completion` adds completion to your shell.
 """
 
 
 def reference() -> str:
     """The text of the page."""
-    group: Any = get_command(app)
+    group: Any = get_command(application())
     context = typer.Context(group, info_name="hid2", terminal_width=_WIDTH, max_content_width=_WIDTH)
     names = group.list_commands(context)
     contents = "\n".join(f"- [`hid2 {name}`](#hid2-{name})" for name in names)

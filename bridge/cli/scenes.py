@@ -1,149 +1,116 @@
 """`hid2 validate`, `scan` and `net`: what scenes and maps hold."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
+from bridge.cli import options
 from bridge.cli.app import command
-from bridge.cli.options import (
-    ALL_DONE,
-    SOME_FAILED,
-    AsJson,
-    Can,
-    City,
-    Jobs,
-    MapChoice,
-    MinAgents,
-    Out,
-    Quiet,
-    Sample,
-    Scene,
-    Scenes,
-    Split,
-    Stride,
-    Verbose,
-    Window,
-    output_option,
-    selection_option,
-)
 from bridge.cli.places import check_one_scene, check_out, check_out_file, check_scenes
-from bridge.cli.session import one_scene, set_up, tell_formats, unread_text, with_cities_of
+from bridge.cli.session import one_scene, read_facts, tell_formats, with_cities_of
 from bridge.console import Activity, counted, print_json, print_table, say
 
 
 @command()
 def validate(
-    out: Annotated[
-        Path,
-        typer.Argument(
-            metavar="OUT", help="Generated scenes: a scenario folder, a split folder or a root.", show_default=False
-        ),
-    ],
+    out: Path = options.argument("OUT", "Generated scenes: a scenario folder, a split folder or a root."),
     *,
-    source: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="The source scenes, to compare recorded tracks with.")
-    ] = None,
-    map_path: MapChoice = None,
-    as_json: AsJson = False,
-    verbose: Verbose = 0,
-    quiet: Quiet = False,
-) -> None:
-    """Check that scenes are valid Argoverse 2 scenes; findings go to stdout."""
-    set_up(verbose=verbose, quiet=quiet)
-    check_scenes([out, *([source] if source else [])])
-    with Activity("checking scenes", quiet=quiet):
-        from bridge.recordings.folders import find_scenarios
-        from bridge.recordings.validate import validate_folder
+    source: list[Path] = options.option("The source scenes, to compare recorded tracks with; repeatable.", [], "DIR"),
+    inserted: list[str] = options.option(
+        "Judge this track as if it were inserted, instead of those that hid2 inserted; repeatable.", [], "ID"
+    ),
+    csv: Path | None = options.option("Write the findings as a table as well.", None, "FILE.csv"),
+    map_path: Path | None = options.MAP,
+    jobs: int = options.JOBS,
+    as_json: bool = options.AS_JSON,
+    tell: options.Tell,
+) -> int:
+    """Check that scenes are valid Argoverse 2 scenes, safe, driveable, and true to their claims; findings go to stdout.
 
-        scenes = len(find_scenarios(out))
-        findings = validate_folder(out, source=source, map_path=map_path)
+    Ends with 1 where something is wrong; notes are told and are no faults.
+    """
+    check_scenes([out, *source])
+    if csv is not None:
+        check_out_file(csv)
+    with Activity("checking scenes", quiet=tell.quiet) as activity:
+        from bridge.batch.validation import validate_scenes
+        from bridge.recordings.validate import Finding
+
+        scenes, findings = validate_scenes(
+            out, sources=source, map_path=map_path, inserted=inserted, jobs=jobs, on_scene=activity.show
+        )
+        if csv is not None:
+            from bridge.files import make_folder, write_rows
+
+            make_folder(csv.parent)
+            write_rows(csv, Finding._fields, findings)
     if as_json:
-        print_json(("file", "rule", "message"), findings)
+        print_json(Finding._fields, findings)
     else:
         for finding in findings:
-            print(f"{finding.file}: {finding.rule}: {finding.message}")
+            print(finding.line())
     wrong = sum(not finding.is_note for finding in findings)
-    if not quiet:
+    if not tell.quiet:
         noted = len(findings) - wrong
-        notes = f", {counted(noted, 'note')} on recorded tracks" if noted else ""
+        notes = f", {counted(noted, 'note')}" if noted else ""
         say(f"{out}: {counted(scenes, 'scene')}, {counted(wrong, 'finding')}{notes}")
-    raise typer.Exit(SOME_FAILED if wrong else ALL_DONE)
+    return options.SOME_FAILED if wrong else options.ALL_DONE
 
 
 @command()
-def scan(  # noqa: PLR0913  # one for each option
-    scenes: Scenes,
+def scan(
+    scenes: list[Path] = options.SCENES,
     *,
-    out: Annotated[
-        Path | None,
-        output_option("-o", "--out", metavar="FILE.csv", help="Write a CSV file instead of a table."),
-    ] = None,
-    min_agents: MinAgents = 0,
-    city: City = [],  # noqa: B006
-    split: Split = [],  # noqa: B006
-    can: Can = [],  # noqa: B006
-    sample: Sample = None,
-    seed: Annotated[int, selection_option(min=0, metavar="N", help="Seed of --sample.")] = 0,
-    map_path: MapChoice = None,
-    window: Window = 0,
-    stride: Stride = None,
-    jobs: Jobs = 1,
-    as_json: AsJson = False,
-    verbose: Verbose = 0,
-    quiet: Quiet = False,
-) -> None:
+    out: Path | None = options.output("Write a CSV file instead of a table.", None, "FILE.csv", "-o"),
+    which: options.Which,
+    seed: int = options.selection("Seed of --sample.", 0, "N", min=0),
+    windows: options.Windows,
+    jobs: int = options.JOBS,
+    as_json: bool = options.AS_JSON,
+    tell: options.Tell,
+) -> int:
     """Tabulate a data set: agents, density, lanes, neighbours, and room for each manoeuvre."""
-    set_up(verbose=verbose, quiet=quiet)
     check_scenes(scenes)
     if out is not None:
         check_out_file(out)
-    with Activity(quiet=quiet) as activity:
-        from bridge.batch.scan import SceneFacts, Selection, facts_of, select, write_facts
+    with Activity(quiet=tell.quiet) as activity:
+        from bridge.batch.scan import SceneFacts, select, write_facts
         from bridge.files import make_folder
-        from bridge.recordings.folders import Choices
         from bridge.recordings.sources import find_recordings
 
-        folders = find_recordings(scenes, Choices(map_path, window, stride))
+        folders = find_recordings(scenes, windows.choices())
         tell_formats(folders, activity)
         if out is not None:
             make_folder(out.parent)
         activity.doing("reading scenes")
-        facts, failures = facts_of(folders, jobs=jobs, on_scene=activity.show)
-        for folder, reason in failures:
-            activity.message(unread_text(folder, reason))
-        selection = Selection(min_agents, tuple(city), tuple(map(str, split)), tuple(map(str, can)), sample, seed)
-        chosen = select(facts, with_cities_of(facts, selection))
+        facts, failures = read_facts(folders, activity, jobs=jobs)
+        chosen = select(facts, with_cities_of(facts, which.selection(seed)))
     if out is not None:
         write_facts(out, chosen)
         print(out)
     elif as_json:
         print_json(SceneFacts._fields, chosen)
     else:
-        print_table(f"{len(chosen)} of {len(folders)} scenes", SceneFacts.columns(), [fact.values() for fact in chosen])
-    raise typer.Exit(SOME_FAILED if failures else ALL_DONE)
+        title, columns = f"{len(chosen)} of {len(folders)} scenes", SceneFacts._fields[1:]  # all but the folder
+        print_table(title, columns, [fact[1:] for fact in chosen])
+    return options.SOME_FAILED if failures else options.ALL_DONE
 
 
 @command()
 def net(
-    scene: Scene,
-    out: Out,
+    scene: Path = options.SCENE,
+    out: Path = options.OUT,
     *,
-    map_path: MapChoice = None,
-    window: Window = 0,
-    as_json: AsJson = False,
-    verbose: Verbose = 0,
-    quiet: Quiet = False,
+    window: options.OneWindow,
+    as_json: bool = options.AS_JSON,
+    tell: options.Tell,
 ) -> None:
     """Write the lane graph as a SUMO net of 4 m cells, with the scene in SUMO's formats, and a report.
 
     The net is for simulating and looking at, not for editing: every cell ends in a junction, which netedit draws large.
     """
-    set_up(verbose=verbose, quiet=quiet)
     check_one_scene(scene, map_file=True)
     check_out(out)
-    with Activity("converting the map", quiet=quiet):
-        found, playable = one_scene(scene, map_path, window), None
+    with Activity("converting the map", quiet=tell.quiet):
+        found, playable = one_scene(scene, window), None
         if isinstance(found, Path) and not any(found.glob("scenario_*.parquet")):
             from bridge.sumo.net import convert
 
@@ -155,7 +122,7 @@ def net(
     head = ("what", "value")
     if as_json:
         print_json(head, report.rows())
-    elif not quiet:
+    elif not tell.quiet:
         print_table(f"{scene.name}: fidelity of the net", head, report.rows())
         if playable is not None:
             print(f"to play it: sumo-gui -c {playable}")

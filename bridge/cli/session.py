@@ -1,9 +1,8 @@
-"""What every command does alike: logging and signals, telling of scenes that cannot be read, choosing scenes."""
+"""What every command does alike: logging, telling of scenes that cannot be read, choosing scenes."""
 
 import io
 import logging
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,7 +24,7 @@ class _Handler(logging.Handler):
 
 
 def set_up(*, verbose: int = 0, quiet: bool = False) -> None:
-    """Logging as asked for; SIGTERM ends the command as Ctrl-C does; no figure opens a window.
+    """Logging as asked for; no figure opens a window.
 
     verbose: 0, 1 for more messages, 2 for debug messages. Names of any bytes can be printed.
     """
@@ -34,15 +33,16 @@ def set_up(*, verbose: int = 0, quiet: bool = False) -> None:
     logging.basicConfig(level=logging.WARNING, handlers=[_Handler()])
     for package in ("bridge", "hid2", "netconvert"):
         logging.getLogger(package).setLevel(level)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     os.environ.setdefault("MPLBACKEND", "Agg")
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def unread_text(folder: "Address", reason: str) -> str:
-    """A warning about a scene that cannot be read; most reasons name the file themselves."""
-    return f"hid2: warning: {reason if reason.startswith(str(folder)) else f'{folder}: {reason}'}"
+def tell_unread(failures: Sequence[tuple["Address", str]]) -> None:
+    """Warn of scenes that cannot be read; most reasons name the file themselves."""
+    for folder, reason in failures:
+        said = reason if reason.startswith(str(folder)) else f"{folder}: {reason}"
+        say(f"hid2: warning: {said}")
 
 
 def tell_formats(found: Sequence["Address"], activity: Activity) -> None:
@@ -53,24 +53,33 @@ def tell_formats(found: Sequence["Address"], activity: Activity) -> None:
         activity.note(line)
 
 
-def one_scene(place: Path, map_path: Path | None, window: int) -> "Address":
-    """The one recording at a place. Errors: ScenarioError."""
+def one_scene(place: Path, window: tuple[Path | None, int]) -> "Address":
+    """The one recording at a place. window: map and first sweep. Errors: ScenarioError."""
     from bridge.recordings.folders import Choices
     from bridge.recordings.sources import find_one
 
-    return find_one(place, Choices(map_path, window))
+    return find_one(place, Choices(*window))
+
+
+def read_facts(
+    folders: Sequence["Address"], activity: Activity, *, jobs: int
+) -> tuple[list["SceneFacts"], list[tuple["Address", str]]]:
+    """Facts of scenes, and those that cannot be read with the reason, of which it warns."""
+    from bridge.batch.scan import facts_of
+
+    facts, failures = facts_of(folders, jobs=jobs, on_scene=activity.show)
+    tell_unread(failures)
+    return facts, failures
 
 
 def select_scenes(
     folders: Sequence["Address"], selection: "Selection", activity: Activity, *, jobs: int
 ) -> list["Address"]:
     """The scenes that the selection wants. Errors: ConfigError where there is none."""
-    from bridge.batch.scan import facts_of, wanted
+    from bridge.batch.scan import wanted
 
     activity.doing("reading scenes for the selection")
-    facts, failures = facts_of(folders, jobs=jobs, on_scene=activity.show)
-    for folder, reason in failures:
-        activity.message(unread_text(folder, reason))
+    facts, failures = read_facts(folders, activity, jobs=jobs)
     chosen = wanted(folders, facts, failures, with_cities_of(facts, selection))
     activity.note(f"{len(chosen)} of {len(folders)} scenes selected")
     return chosen

@@ -2,31 +2,18 @@
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.evaluation.metrics import GROUPS, Metric, columns
+from hid2.resampling import Estimate, ratio
 
-#: Resamples of the bootstrap.
-RESAMPLES = 2000
 #: Sums are kept of at most this many source scenes; of more, they are kept of this many groups of sources.
 MOST_SOURCES = 1000
-#: Indices drawn at a time: the memory of the bootstrap does not grow with the scenes.
-_BLOCK = 2_000_000
-#: Interval reported, percent.
-INTERVAL = (2.5, 97.5)
 
 Row = Mapping[str, Any]
-
-
-class Estimate(NamedTuple):
-    """A pooled ratio with its bootstrap interval; None where the denominator is 0."""
-
-    value: float | None
-    low: float | None = None
-    high: float | None = None
 
 
 class SourceSums:
@@ -84,26 +71,7 @@ class SourceSums:
 
 def estimate(sums: SourceSums, metric: Metric, group: str) -> Estimate:
     """Pool a metric over scenes. The bootstrap draws source scenes: the variants of one scene are not independent."""
-    numerator, denominator = sums.of_columns(f"{group}_{metric.numerator.name}", f"{group}_{metric.denominator.name}")
-    return ratio_estimate(numerator, denominator)
-
-
-def ratio_estimate(numerator: FloatArray, denominator: FloatArray) -> Estimate:
-    """Ratio of sums with a percentile bootstrap over its parts."""
-    if denominator.sum() <= 0:
-        return Estimate(None)
-    value = float(numerator.sum() / denominator.sum())
-    if len(numerator) < 2:
-        return Estimate(value)
-    rng = np.random.default_rng(0)
-    ratios: list[FloatArray] = []
-    block = max(1, _BLOCK // len(numerator))
-    for start in range(0, RESAMPLES, block):
-        drawn = rng.integers(0, len(numerator), size=(min(block, RESAMPLES - start), len(numerator)))
-        below = denominator[drawn].sum(axis=1)
-        ratios.append(numerator[drawn].sum(axis=1)[below > 0] / below[below > 0])
-    low, high = np.percentile(np.concatenate(ratios), INTERVAL)
-    return Estimate(value, float(low), float(high))
+    return ratio(*sums.of_columns(f"{group}_{metric.numerator.name}", f"{group}_{metric.denominator.name}"))
 
 
 def table(sums: SourceSums, metrics: Sequence[Metric]) -> dict[str, Any]:

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from bridge.batch.engine import sorted_out, work_on_each
 from bridge.batch.isolation import Failure, attempt_each
 from bridge.evaluation.evaluate import write_table
-from bridge.evaluation.pages import Section, number, page, picture, table
 from bridge.files import explained, write_text
+from bridge.pages.parts import Section, macro, number, page, picture, table
 from bridge.pictures import figures
 from bridge.recordings.scenario import read_scenario, source_id
 from bridge.recordings.sources import find_sources
@@ -31,7 +31,7 @@ from netconvert.errors import ConfigError, ScenarioError
 _STANDS_MPS, _QUEUE_M = 0.3, 8.0
 #: A leader or follower farther away than this, m, did not matter for a manoeuvre.
 _MATTERS_M = 60.0
-_SHARES = (0.05, 0.5, 0.95)
+_SHARES = {"5 %": 0.05, "50 %": 0.5, "95 %": 0.95}
 _CHUNK = 20
 
 #: Quantities of a recorded manoeuvre, with their units.
@@ -206,11 +206,7 @@ def _groups(scenes: Sequence[SceneDriving]) -> Iterator[tuple[str, list[SceneDri
         if part:
             yield f"recordings {name}", part
     for name, turning in (("straight", False), ("turning", True)):
-        yield f"lane {name}", [_only(scene, turning=turning) for scene in scenes]
-
-
-def _only(scene: SceneDriving, *, turning: bool) -> SceneDriving:
-    return scene._replace(seen=scene.seen.rows(scene.seen.turning == turning))
+        yield f"lane {name}", [scene._replace(seen=scene.seen.rows(scene.seen.turning == turning)) for scene in scenes]
 
 
 def pooled(scenes: Sequence[SceneDriving]) -> tuple[Observed, Extra]:
@@ -234,9 +230,8 @@ def manoeuvre_table(scenes: Iterable[SceneDriving]) -> list[dict[str, Any]]:
                     values[row["kind"], name].append(row[name])
     rows = []
     for (kind, name), known in sorted(values.items()):
-        low, middle, high = np.quantile(known, _SHARES)
-        rows.append({"kind": kind, "quantity": name, "unit": MANOEUVRE_COLUMNS[name], "number": len(known),
-                     "5 %": low, "50 %": middle, "95 %": high})  # fmt: skip
+        row = {"kind": kind, "quantity": name, "unit": MANOEUVRE_COLUMNS[name], "number": len(known)}
+        rows.append(row | dict(zip(_SHARES, np.quantile(known, list(_SHARES.values())), strict=True)))
     return rows
 
 
@@ -295,35 +290,22 @@ def _page(result: Calibration, rows: Sequence[Mapping[str, Any]], manoeuvres: Se
         )
         for row in rows
     ]  # fmt: skip
-    shown: dict[str, Quantity] = {}
-    for quantity in result.groups["all"]:
-        if quantity.measured:
-            shown.setdefault(quantity.what, quantity)
+    shown = {quantity.what: quantity for quantity in reversed(result.groups["all"]) if quantity.measured}
     drawn = [
         picture(_distribution(quantity), f"{quantity.what}: {quantity.drivers} drivers.", _fit_in_words(quantity))
-        for quantity in shown.values()
+        for quantity in reversed(shown.values())
     ]
-    intro = (
-        f"<p>{len(result.scenes)} recorded scenes. One value a driver; 95 % intervals by drawing drivers again. KS: "
-        "the largest distance between recorded and fitted distribution function. A parameter whose source is prior "
-        "keeps its documented value: these recordings do not tell it.</p>"
-    )
-    kinds = table(
-        ("manoeuvre", "quantity", "number", "5 %", "50 %", "95 %"),
-        [
-            (r["kind"].replace("_", " "), f"{r['quantity']}", str(r["number"]), *(number(r[k], 2) for k in
-             ("5 %", "50 %", "95 %")))
-            for r in manoeuvres
-        ],
-    )  # fmt: skip
-    return page(
-        "How people drive in these recordings", [intro],
-        [
-            Section("quantities", "Quantities", str(table(head, cells, numbers=6))),
-            Section("figures", "Recorded and fitted distributions", "".join(drawn)),
-            Section("manoeuvres", "Recorded manoeuvres", str(kinds)),
-        ],
-    )  # fmt: skip
+    kinds = [
+        (row["kind"].replace("_", " "), row["quantity"], str(row["number"]), *(number(row[k], 2) for k in _SHARES))
+        for row in manoeuvres
+    ]
+    sections = [
+        Section("quantities", "Quantities", table(head, cells, numbers=6)),
+        Section("figures", "Recorded and fitted distributions", "".join(drawn)),
+        Section("manoeuvres", "Recorded manoeuvres", table(("manoeuvre", "quantity", "number", *_SHARES), kinds)),
+    ]
+    intro = macro("calibration.html.j2", "intro", len(result.scenes))
+    return page("How people drive in these recordings", [intro], sections)
 
 
 def _distribution(quantity: Quantity) -> Figure:

@@ -8,7 +8,6 @@ from hid2.evaluation.critics import (
     JUDGED,
     Critic,
     Packed,
-    Verdict,
     View,
     betrayals,
     constant_on_the_middle,
@@ -30,42 +29,30 @@ def critique(found: Packed, control: Packed | None = None) -> dict[str, Any]:
     control: recorded windows with those of other drivers, which the critics must tell, such as SUMO's default ones.
     """
     verdicts = [
-        {"recordings": kind, **_entry(verdict)}
+        {"recordings": kind, **verdict}
         for kind, number in _KINDS
-        for part in [found if number is None else found.of(found.labelled == number)]
-        for critic, view in JUDGED
-        if (verdict := judge(part, critic, view)) is not None
+        for verdict in _all_of(found if number is None else found.of(found.labelled == number))
     ]
-    constant = constant_on_the_middle(found)
     return {
         "windows": {"generated": int(found.generated.sum()), "recorded": int((~found.generated).sum())},
         "verdicts": verdicts,
         "negative_control": [entry for critic, view in JUDGED if (entry := _halves(found, critic, view)) is not None],
-        "constant_speed_control": _all_of(constant),
+        "constant_speed_control": _all_of(constant_on_the_middle(found)),
         "drivers_control": _all_of(control) if control is not None else [],
         "betrays": [{"feature": name, "auc": auc} for name, auc in betrayals(found)[:_NAMED]],
     }
 
 
 def _all_of(found: Packed) -> list[dict[str, Any]]:
-    return [_entry(verdict) for critic, view in JUDGED if (verdict := judge(found, critic, view)) is not None]
-
-
-def _entry(verdict: Verdict) -> dict[str, Any]:
-    return {
-        "critic": str(verdict.critic), "view": str(verdict.view), "auc": verdict.auc, "low": verdict.low,
-        "high": verdict.high, "generated": verdict.generated, "recorded": verdict.recorded, "scenes": verdict.scenes,
-    }  # fmt: skip
+    return [verdict._asdict() for critic, view in JUDGED if (verdict := judge(found, critic, view)) is not None]
 
 
 def _halves(found: Packed, critic: Critic, view: View) -> dict[str, Any] | None:
     """Recorded against recorded: mean over splits of the AUC and of the ends of its interval."""
     verdicts = [judge(halves_apart(found, split), critic, view) for split in range(_SPLITS)]
-    known = [verdict for verdict in verdicts if verdict is not None]
+    known = [(one.auc, one.low, one.high) for one in verdicts if one is not None]
     if not known:
         return None
-    low, high = [v.low for v in known if v.low is not None], [v.high for v in known if v.high is not None]
-    return {
-        "critic": str(critic), "view": str(view), "auc": float(np.mean([v.auc for v in known])),
-        "low": float(np.mean(low)) if low else None, "high": float(np.mean(high)) if high else None,
-    }  # fmt: skip
+    means = [[value for value in column if value is not None] for column in zip(*known, strict=True)]
+    auc, low, high = (float(np.mean(values)) if values else None for values in means)
+    return {"critic": critic, "view": view, "auc": auc, "low": low, "high": high}

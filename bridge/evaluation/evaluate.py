@@ -4,7 +4,6 @@ Memory does not grow with the scenes but by their names: tables are written as s
 """
 
 import contextlib
-import csv
 import logging
 import pickle
 import zlib
@@ -14,9 +13,9 @@ from typing import IO, Any
 
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
-from bridge.evaluation.scene_metrics import Labelled, Row, SceneMeasures, measure_folders
+from bridge.evaluation.scene_metrics import TABLES, Labelled, Row, SceneMeasures, measure_folders
 from bridge.evaluation.totals import Evaluation, Totals
-from bridge.files import explained, table_file, write_json
+from bridge.files import append_rows, explained, table_file, write_json
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Source, find_scenarios, source_id
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import read_sizes
@@ -31,8 +30,6 @@ from netconvert.fidelity import measure_fidelity
 from netconvert.net_xml import net_bytes
 
 _LOG = logging.getLogger(__name__)
-#: Tables that grow as scenes are done.
-_BY_SCENE = ("scenes", "tracks", "maneuvers", "events")
 #: Most scenes that a process gets at a time.
 _CHUNK = 40
 
@@ -69,7 +66,7 @@ def evaluate_folder(
     totals = evaluation.totals
     with explained(report_dir):
         with contextlib.ExitStack() as stack:
-            tables = [stack.enter_context(_table(report_dir / f"{name}.csv")) for name in _BY_SCENE]
+            tables = [stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES]
             every = [*folders, *sources.values(), *controls]
             measured = _measured(every, _labelled(sources), jobs=jobs, on_scene=on_scene)
             for done, (folder, measures) in enumerate(measured, 1):
@@ -85,6 +82,11 @@ def evaluate_folder(
                         tables, ([measures.scene], measures.tracks, measures.maneuvers, measures.events), strict=True
                     ):
                         table.write(rows)
+            if set(folders) <= {folder for folder, _ in evaluation.failures}:
+                (first, reason), many = evaluation.failures[0], len(folders)
+                raise ScenarioError(
+                    f"{out}: none of {many} scenes can be read, expected one at least; {first}: {reason}"
+                )
         evaluation.metrics = _metrics(evaluation, {str(folder): folder for folder in folders})
         write_json(report_dir / "metrics.json", evaluation.metrics)
         write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
@@ -93,9 +95,9 @@ def evaluate_folder(
 
 
 @contextlib.contextmanager
-def _table(path: Path) -> Iterator["_Table"]:
+def _table(path: Path, columns: Sequence[str] = ()) -> Iterator["_Table"]:
     with table_file(path) as stream:
-        yield _Table(stream)
+        yield _Table(stream, columns)
 
 
 def _sources_of(folders: Sequence[Address], source: Path, choices: Choices | None) -> dict[str, Address]:
@@ -148,18 +150,18 @@ def _map_size(folder: Address) -> int:
 
 
 class _Table:
-    """A CSV file that grows row by row; columns are those of its first row."""
+    """A CSV file that grows row by row; columns are those named, else those of its first row."""
 
-    def __init__(self, stream: IO[str]) -> None:
-        self._stream = stream
-        self._writer: csv.DictWriter[str] | None = None
+    def __init__(self, stream: IO[str], columns: Sequence[str]) -> None:
+        self._stream, self._columns = stream, columns
+        append_rows(stream, [columns] if columns else [])
 
     def write(self, rows: Iterable[Row]) -> None:
         for row in rows:
-            if self._writer is None:
-                self._writer = csv.DictWriter(self._stream, list(row))
-                self._writer.writeheader()
-            self._writer.writerow({key: _cell(value) for key, value in row.items()})
+            if not self._columns:
+                self._columns = tuple(row)
+                append_rows(self._stream, [self._columns])
+            append_rows(self._stream, [[_cell(row[column]) for column in self._columns]])
 
 
 def write_table(path: Path, rows: Iterable[Row]) -> None:

@@ -3,16 +3,17 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from bridge.evaluation import pages, report
+from bridge.evaluation import report
 from bridge.evaluation.aggregate import SourceSums, estimate
 from bridge.evaluation.experiments import Experiment, Outcome
 from bridge.evaluation.scene_metrics import Row
+from bridge.pages import parts as pages
 from hid2.evaluation.metrics import METRICS, Metric
 
 #: LO, LA, JE, SCR, ORR: what the paper reports.
 COLUMNS: tuple[Metric, ...] = tuple(metric for metric in METRICS if metric.key in report.PAPER_ORIGINAL)
-#: Further columns that the paper does not have.
-MORE_COLUMNS: tuple[Metric, ...] = tuple(metric for metric in METRICS if metric.key == "footprint_orr")
+#: The same, and a column that the paper does not have.
+SHOWN: tuple[Metric, ...] = (*COLUMNS, *(metric for metric in METRICS if metric.key == "footprint_orr"))
 #: The paper's ablation table: component switched off, LO, LA, JE, SCR, ORR.
 PAPER_ABLATION: Mapping[str, Mapping[str, float]] = {
     "full": report.PAPER_HID2,
@@ -34,7 +35,7 @@ class Line(NamedTuple):
 
 def _ours(label: str, rows: Sequence[Row], group: str) -> Line:
     sums = SourceSums.of(rows)
-    return Line(label, {m.key: estimate(sums, m, group)._asdict() for m in (*COLUMNS, *MORE_COLUMNS)})
+    return Line(label, {m.key: estimate(sums, m, group)._asdict() for m in SHOWN})
 
 
 def _papers(label: str, figures: Mapping[str, float]) -> Line:
@@ -58,15 +59,12 @@ def lines_of(name: Experiment, outcomes: Sequence[Outcome]) -> list[Line]:
                 _ours(f"ours: {what}, generated alone", outcome.rows, "generated"),
             ]
         return lines
-    return [
-        line
-        for outcome in outcomes
-        for line in (
-            _ours(f"{outcome.setting.name} asked for: recorded and generated", outcome.rows, "combined"),
-            _ours(f"{outcome.setting.name} asked for: generated alone", outcome.rows, "generated"),
-        )
-        if outcome.setting.config is not None or "alone" not in line.label
-    ]
+    lines = []
+    for outcome in outcomes:
+        lines.append(_ours(f"{outcome.setting.name} asked for: recorded and generated", outcome.rows, "combined"))
+        if outcome.setting.config is not None:
+            lines.append(_ours(f"{outcome.setting.name} asked for: generated alone", outcome.rows, "generated"))
+    return lines
 
 
 def _table1_lines(rows: Sequence[Row]) -> list[Line]:
@@ -112,19 +110,20 @@ def _table1_argoverse1_lines(rows: Sequence[Row], filtered: Sequence[Row], whole
     ]
 
 
+_EMPTY: Mapping[str, float | None] = {"value": None, "low": None, "high": None}
+
+
 def html_table(lines: Sequence[Line]) -> str:
     """The table for the page."""
-    columns = (*COLUMNS, *MORE_COLUMNS)
-    empty = {"value": None, "low": None, "high": None}
-    rows = [(line.label, *(pages.with_interval(line.values.get(m.key, empty)) for m in columns)) for line in lines]
-    head = ("", *(m.label.split(":")[0] + (f", {m.unit}" if m.unit != "share" else "") for m in columns))
+    rows = [(line.label, *(pages.with_interval(line.values.get(m.key, _EMPTY)) for m in SHOWN)) for line in lines]
+    head = ("", *(m.label.split(":")[0] + (f", {m.unit}" if m.unit != "share" else "") for m in SHOWN))
     return pages.table(head, rows)
 
 
 def flat(line: Line) -> Row:
     """A line for the CSV file."""
     row: Row = {"row": line.label}
-    for metric in (*COLUMNS, *MORE_COLUMNS):
-        value = line.values.get(metric.key, {"value": None, "low": None, "high": None})
-        row |= {metric.key: value["value"], f"{metric.key}_low": value["low"], f"{metric.key}_high": value["high"]}
+    for metric in SHOWN:
+        value, low, high = line.values.get(metric.key, _EMPTY).values()
+        row |= {metric.key: value, f"{metric.key}_low": low, f"{metric.key}_high": high}
     return row

@@ -4,8 +4,6 @@ minADE, minFDE, miss rate and brier-minFDE, each of the mode that ends nearest, 
 is av2's challenge submission: 60 steps from timestep 50 for each mode of a track.
 """
 
-import csv
-import html
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +20,8 @@ from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure, attempt_each
-from bridge.evaluation import pages
-from bridge.files import beside, explained, make_folder, table_file, write_json, write_text
+from bridge.files import beside, explained, make_folder, write_json, write_rows, write_text
+from bridge.pages import parts as pages
 from bridge.recordings.scenario import (
     MAX_STEPS,
     OBSERVED_STEPS,
@@ -88,13 +86,9 @@ class PredictionScores:
     def rows(self) -> list[tuple[str, ...]]:
         """A table of the bands."""
         return [
-            (
-                band["band"], str(band["k"]), str(band["tracks"]), pages.number(band["min_ade_m"]),
-                pages.number(band["min_fde_m"]), pages.number(band["miss_rate"]),
-                pages.number(band["brier_min_fde"]),
-            )
+            (band["band"], str(band["k"]), str(band["tracks"]), *(pages.number(band[name]) for name in _MEANS))
             for band in self.bands
-        ]  # fmt: skip
+        ]
 
 
 TABLE_HEAD = ("agents in the scene", "k", "tracks", "minADE, m", "minFDE, m", "MR at 2 m", "brier-minFDE, m")
@@ -286,33 +280,18 @@ def _bands(scores: Sequence[Score], bounds: Sequence[int]) -> Iterable[dict[str,
 
 def means(scores: Sequence[Score]) -> dict[str, Any]:
     """Number of tracks and their mean of each metric, None where there is none."""
-    return {
-        "tracks": len(scores),
-        "min_ade_m": float(np.mean([s.min_ade_m for s in scores])) if scores else None,
-        "min_fde_m": float(np.mean([s.min_fde_m for s in scores])) if scores else None,
-        "miss_rate": float(np.mean([s.missed for s in scores])) if scores else None,
-        "brier_min_fde": float(np.mean([s.brier_min_fde for s in scores])) if scores else None,
-    }
+    values = {name: [getattr(score, field) for score in scores] for name, field in _MEANS.items()}
+    return {"tracks": len(scores)} | {name: float(np.mean(one)) if one else None for name, one in values.items()}
+
+
+_MEANS = {"min_ade_m": "min_ade_m", "min_fde_m": "min_fde_m", "miss_rate": "missed", "brier_min_fde": "brier_min_fde"}
 
 
 def _write(result: PredictionScores, report_dir: Path) -> None:
     content = {"bands": list(result.bands), "left_out": list(result.left_out)}
-    left_out = "".join(f"<li>{html.escape(reason)}</li>" for reason in result.left_out[:50])
-    about = (
-        "<p>How far forecasts end up from where vehicles really went, 6 s after the last observed moment. minADE: mean "
-        "distance of the best forecast over all steps; minFDE: its distance at the end; MR: share of vehicles whose "
-        "best forecast ends more than 2 m off; brier-minFDE: minFDE plus the square of what the best forecast's "
-        "probability lacks to 1. Best is the one of the k most probable forecasts that ends nearest.</p>"
-    )
-    parts = [
-        about,
-        pages.table(TABLE_HEAD, result.rows()),
-        f"<p>Not scored ({len(result.left_out)}):</p><ul>{left_out}</ul>" if result.left_out else "",
-    ]
+    reasons = pages.macro("predictions.html.j2", "left_out", result.left_out)
+    parts = [pages.macro("predictions.html.j2", "about"), pages.table(TABLE_HEAD, result.rows()), reasons]
     with explained(report_dir):
-        with table_file(report_dir / "predictions.csv") as stream:
-            writer = csv.writer(stream)
-            writer.writerow(Score._fields)
-            writer.writerows(result.scores)
+        write_rows(report_dir / "predictions.csv", Score._fields, result.scores)
         write_json(report_dir / "predictions.json", content)
         write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))

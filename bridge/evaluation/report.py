@@ -1,20 +1,22 @@
 """report.html: what an evaluation found, in one file that needs neither the paper nor the code to be understood.
 
-The prose is in templates/ (jinja2); here are the figures, the tables, and what is to be seen in them.
+The prose is in bridge/pages/templates (jinja2); here are the figures, the tables, and what is to be seen in them.
 """
 
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from markupsafe import Markup
 
-from bridge.evaluation.charts import diversity_figure
-from bridge.evaluation.pages import Section, linked, macro, number, page, picture, table, with_interval
+from bridge.evaluation.diversity import DENSITIES
 from bridge.evaluation.realism_page import realism_section
+from bridge.evaluation.scene_metrics import PAIR_KINDS
 from bridge.evaluation.totals import Evaluation
 from bridge.files import write_text
+from bridge.pages.charts import diversity_figure
+from bridge.pages.parts import Section, linked, macro, number, page, picture, table, with_interval
 from bridge.pictures import figures
 from bridge.pictures.render import scene_figure
 from bridge.recordings.sidecar import AgentRecord, sidecar_in
@@ -30,94 +32,12 @@ _PAIR_NAMES = {
 PAPER_ORIGINAL = {"lo": 1.648, "la": 0.476, "je": 8.106, "scr": 0.072, "orr": 0.142}
 PAPER_HID2 = {"lo": 1.465, "la": 0.486, "je": 7.801, "scr": 0.051, "orr": 0.114}
 
-
 #: Events with a picture in the table; each takes some 60 kB.
 _EVENT_PICTURES = 12
 
 
-class Term(NamedTuple):
-    """A word that tables link to: its anchor, the word and its definition."""
-
-    key: str
-    name: str
-    text: str
-
-
-_TERMS = (
-    Term(
-        "motion",
-        "LO, LA, JE",
-        "magnitude of longitudinal acceleration, lateral acceleration and jerk, from positions.",
-    ),
-    Term(
-        "scr",
-        "SCR",
-        "scenario collision rate: vehicles whose box overlaps another one’s (IoU above 0.02) at any step, as a share "
-        "of the vehicles of the scene; mean over scenes.",
-    ),
-    Term(
-        "orr", "ORR", "off-road rate: positions outside the drivable area of the map, as a share of all of the group."
-    ),
-    Term(
-        "footprint",
-        "footprint ORR",
-        "positions at which a corner of the box is more than 0.3 m outside the drivable area, as a share of the "
-        "group’s.",
-    ),
-    Term("ttc", "TTC", "time until two boxes touch if both keep their velocity; looked at up to 5 s."),
-    Term("gap", "time gap", "gap to the vehicle ahead in the lane, divided by the own speed."),
-    Term(
-        "pet",
-        "PET",
-        "post-encroachment time: from the moment at which one vehicle leaves ground that two paths share to the moment "
-        "at which the other arrives there.",
-    ),
-    Term(
-        "js",
-        "Jensen-Shannon distance",
-        "root of the Jensen-Shannon divergence of two histograms, to base 2: 0 for equal ones, 1 without overlap.",
-    ),
-    Term(
-        "wasserstein",
-        "Wasserstein distance",
-        "mean distance by which the values of one sample would have to be shifted to become the other.",
-    ),
-    Term(
-        "auc",
-        "AUC",
-        "how often a critic finds the generated one of a generated and a recorded window: 0.5 by guessing, 1 always; "
-        "below 0.5 what it learned on the other scenes does not hold on these.",
-    ),
-    Term(
-        "overtake",
-        "overtake, pass, obstacle avoidance",
-        "driving past a slower vehicle by the lane beside it and back; the same without coming back; past one that "
-        "stands.",
-    ),
-    Term(
-        "manoeuvre",
-        "lane change, turn",
-        "the centre crosses to a lane beside that runs the same way, and stays at least 0.5 s on each side; a turning "
-        "lane of an intersection is driven and the direction changes by as much as makes a turn.",
-    ),
-    Term("contact", "touching, any contact", "two boxes share ground at some step, by however little."),
-    Term(
-        "smooth",
-        "speed, acceleration, jerk, yaw rate, offset",
-        "of the smooth curve through four seconds of positions of a moving vehicle, along and across its lane; the "
-        "offset is the distance from the lane’s middle, left positive.",
-    ),
-    Term(
-        "duration", "lane-change duration", "from where the lateral speed passes 0.1 m/s to where it falls below again."
-    ),
-    Term("iou", "IoU", "area shared by two boxes over the area covered by either."),
-    Term("moving", "moving", "a vehicle whose path extends over more than 5 m, seen at more than 10 steps."),
-    Term("fragment", "fragment", "a short, poor track; the data set marks it so."),
-)
-
-
 def _section(name: str, *arguments: object) -> Markup:
-    return macro("sections.html.j2", name, *arguments)
+    return macro("report.html.j2", name, *arguments)
 
 
 def write_report(evaluation: Evaluation, path: Path) -> None:
@@ -135,7 +55,7 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
         Section("diversity", "Diversity", Markup("\n").join(diversity_parts(metrics["diversity"]))),
         Section("requests", "Asked for and delivered", _requests(metrics)),
         Section("fidelity", "Fidelity of replay and road network", _fidelity(metrics)),
-        Section("words", "Words", _section("words", _TERMS, _described(metrics), _reasons_of(evaluation))),
+        Section("words", "Words", _section("words", _described(metrics), _reasons_of(evaluation))),
     ]
     intro = _section("intro", metrics["scenes"])
     write_text(path, page("Generated traffic scenes: evaluation", [intro], [s for s in sections if s.body]))
@@ -179,6 +99,15 @@ def _reasons_of(evaluation: Evaluation) -> list[Reason]:
     return [reason for reason in Reason if reason in found]
 
 
+#: Shares that a glance is cast at, and how they are named there: those of vehicles and boxes, and of driving.
+_GLANCE = {
+    "footprint_orr": "share of boxes with a corner over 0.3 m off the road",
+    "wrong_way": "share of driving against the lane",
+    "leader_ttc_critical": "time to collision (TTC) with the leader below 1.5 s, share of driving",
+    "end_ttc_critical": "contact within 1 s after the last step at constant velocity, share of vehicles",
+}
+
+
 def _glance(metrics: Mapping[str, Any]) -> str:
     safety, pairs = metrics["safety"], metrics["safety"]["pairs"]
     if not metrics["scenes"]["generated_vehicles"]:
@@ -187,40 +116,13 @@ def _glance(metrics: Mapping[str, Any]) -> str:
     limits = metrics["kinematics"]["limits"].values()
     beyond = [entry for entry in limits if entry["generated"]["value"]]
     named = "".join(f"<br>{entry['label']}: {entry['generated']['value']:.1e} of driving" for entry in beyond)
-
-    def defined(key: str, name: str) -> str:
-        return f'<a href="#metric-{key}">{name}</a>'
-
+    shares = {key: safety[key]["generated"]["value"] for key in _GLANCE}
     rows = [
-        (linked("generated vehicles that touch anything, pairs"), hits == 0, str(hits)),
-        (
-            defined("footprint_orr", "share of boxes with a corner over 0.3 m off the road"),
-            not safety["footprint_orr"]["generated"]["value"],
-            number(safety["footprint_orr"]["generated"]["value"], 4),
-        ),
-        (
-            defined("wrong_way", "share of driving against the lane"),
-            not safety["wrong_way"]["generated"]["value"],
-            number(safety["wrong_way"]["generated"]["value"], 4),
-        ),
-        (
-            '<a href="#motion">limits of motion</a> that some step exceeds',
-            not beyond,
-            f"{len(beyond)} of {len(limits)}{named}",
-        ),
-        (
-            defined("leader_ttc_critical", "time to collision (TTC) with the leader below 1.5 s, share of driving"),
-            not safety["leader_ttc_critical"]["generated"]["value"],
-            number(safety["leader_ttc_critical"]["generated"]["value"], 4),
-        ),
-        (
-            defined(
-                "end_ttc_critical", "contact within 1 s after the last step at constant velocity, share of vehicles"
-            ),
-            not safety["end_ttc_critical"]["generated"]["value"],
-            number(safety["end_ttc_critical"]["generated"]["value"], 4),
-        ),
+        (f'<a href="#metric-{key}">{_GLANCE[key]}</a>', not share, number(share, 4)) for key, share in shares.items()
     ]
+    rows.insert(0, (linked("generated vehicles that touch anything, pairs"), hits == 0, str(hits)))
+    exceeded = '<a href="#motion">limits of motion</a> that some step exceeds'
+    rows.insert(3, (exceeded, not beyond, f"{len(beyond)} of {len(limits)}{named}"))
     cells = [
         (name, value, '<span class="good">none</span>' if good else '<span class="bad">some</span>')
         for name, good, value in rows
@@ -242,38 +144,41 @@ def _example(evaluation: Evaluation) -> str:
     )
     see = f"{len(agents)} generated vehicles, coloured, drive among the recorded ones, grey." if agents else ""
     parts = [picture(scene_figure(folder), caption, see)]
-    agent = _busiest(agents)
+    # one to look at: it overtook, else changed lanes, else any
+    agent = max(agents, key=lambda one: [kind in _done(one) for kind in ("overtake", "lane_change")], default=None)
     if agent is not None:
-        caption = f"The same moment around the path of {html.escape(agent.track_id)}, one of the generated vehicles."
-        parts.append(picture(scene_figure(folder, agent=agent.track_id), caption, _deeds(agent)))
+        track_id, done = html.escape(agent.track_id), [kind.replace("_", " ") for kind in _done(agent)]
+        what = f"does what it was asked for: {', '.join(done)}" if done else "keeps to its lane path"
+        caption = f"The same moment around the path of {track_id}, one of the generated vehicles."
+        shown = scene_figure(folder, agent=agent.track_id)
+        parts.append(picture(shown, caption, f"{track_id}, in the ring, {html.escape(what)}."))
     return "".join(parts)
 
 
-def _deeds(agent: AgentRecord) -> str:
-    """What a vehicle does, in a sentence."""
-    done = [maneuver.kind.replace("_", " ") for maneuver in agent.maneuvers if maneuver.status == "done"]
-    what = f"does what it was asked for: {', '.join(done)}" if done else "keeps to its lane path"
-    return html.escape(f"{agent.track_id}, in the ring, {what}.")
-
-
-def _busiest(agents: Sequence[AgentRecord]) -> AgentRecord | None:
-    """A generated vehicle to look at: one that overtook, else changed lanes, else any."""
-
-    def shown(agent: AgentRecord) -> tuple[bool, bool]:
-        done = {maneuver.kind for maneuver in agent.maneuvers if maneuver.status == "done"}
-        return "overtake" in done, "lane_change" in done
-
-    return max(agents, key=shown, default=None)
+def _done(agent: AgentRecord) -> list[str]:
+    """Kinds of manoeuvres that a vehicle was asked for and did."""
+    return [maneuver.kind for maneuver in agent.maneuvers if maneuver.status == "done"]
 
 
 def _encounters(metrics: Mapping[str, Any]) -> str:
     """What inserted vehicles meet, beside what recorded ones meet among themselves."""
-    rows = [
-        (_name(key, entry), *(with_interval(entry[group]) for group in ("original", "generated")))
-        for key, entry in metrics["encounters"].items()
+    names = {group: _GROUP_NAMES[group] for group in ("original", "generated")}
+    rows = _metric_rows(metrics["encounters"], names)
+    return _section("encounters", metrics["scenes"], table(("share of vehicles that …", *names.values()), rows))
+
+
+def _metric_rows(entries: Mapping[str, Any], groups: Iterable[str], digits: int = 3) -> list[tuple[str, ...]]:
+    """For each metric its name, and its value with the interval for each group."""
+    return [
+        (_name(key, entry), *(with_interval(entry[group], digits) for group in groups))
+        for key, entry in entries.items()
     ]
-    head = ("share of vehicles that …", _GROUP_NAMES["original"], _GROUP_NAMES["generated"])
-    return _section("encounters", metrics["scenes"], table(head, rows))
+
+
+def _papers(entries: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """The paper's figures of each metric; without those that it does not have."""
+    for key in entries:
+        yield (number(PAPER_ORIGINAL[key]), number(PAPER_HID2[key])) if key in PAPER_ORIGINAL else ("", "")
 
 
 def _events(evaluation: Evaluation) -> str:
@@ -309,119 +214,81 @@ def _event_picture(row: Mapping[str, Any], shown: int) -> str:
 
 
 def _safety(metrics: Mapping[str, Any]) -> str:
-    safety = metrics["safety"]
-    rows = [
-        (_name(key, entry), *(with_interval(entry[group], 4) for group in _GROUP_NAMES), *_paper(key))
-        for key, entry in safety.items()
-        if key != "pairs"
-    ]
-    pair_rows = [
-        (
-            name,
-            str(safety["pairs"]["pairs_vehicles"][key]),
-            str(safety["pairs"]["pairs_all"][key]),
-            str(safety["pairs"]["touching_all"][key]),
-            str(safety["pairs"]["crossings"][key]),
-            str(safety["pairs"]["pet_critical"][key]),
-        )
-        for key, name in _PAIR_NAMES.items()
-    ]
+    pairs = metrics["safety"]["pairs"]
+    shares = {key: entry for key, entry in metrics["safety"].items() if key != "pairs"}
+    rows = [(*row, *paper) for row, paper in zip(_metric_rows(shares, _GROUP_NAMES, 4), _papers(shares), strict=True)]
+    pair_rows = [(name, *(str(pairs[kind][key]) for kind in PAIR_KINDS)) for key, name in _PAIR_NAMES.items()]
     head = ("share of …", *_GROUP_NAMES.values(), "paper: recorded", "paper: combined")
     kinds = map(linked, ("vehicles, IoU > 0.02", "any type, IoU > 0.02", "any contact", "crossing paths", "PET < 1 s"))
-    return _section("safety", metrics["scenes"], table(head, rows), table(("pairs", *kinds), pair_rows))
-
-
-def _paper(key: str) -> tuple[str, str]:
-    if key not in PAPER_ORIGINAL:
-        return "", ""
-    return number(PAPER_ORIGINAL[key]), number(PAPER_HID2[key])
+    judged = [
+        (name.replace("_", " "), entry["limit"], entry["kind"], str(entry["findings"]))
+        for name, entry in metrics["judge"].items()
+    ] or [("none", "", "", "0")]
+    found = table(("what is judged of inserted vehicles", "what it is", "", linked("findings")), judged)
+    return _section("safety", metrics["scenes"], table(head, rows), table(("pairs", *kinds), pair_rows), found)
 
 
 def _kinematics(metrics: Mapping[str, Any]) -> str:
-    kinematics = metrics["kinematics"]
+    parts = metrics["kinematics"]
+    shown = parts["paper"] | parts["clean"]
     rows = [
-        (
-            f"{_name(key, entry)}, {entry['unit']}",
-            *(with_interval(entry[group]) for group in _GROUP_NAMES),
-            *_paper(key),
+        (f"{name}, {entry['unit']}", *values, *paper)
+        for (name, *values), entry, paper in zip(
+            _metric_rows(shown, _GROUP_NAMES), shown.values(), _papers(shown), strict=True
         )
-        for section in ("paper", "clean")
-        for key, entry in kinematics[section].items()
     ]
     limits = [
         (_name(key, entry), *(number(entry[group]["value"], 4) for group in _GROUP_NAMES))
-        for key, entry in kinematics["limits"].items()
+        for key, entry in parts["limits"].items()
     ]
     head = ("", *_GROUP_NAMES.values(), "paper: recorded", "paper: combined")
-    limited = table(("limit", *_GROUP_NAMES.values()), limits)
-    return _section("motion", metrics["scenes"], table(head, rows), limited)
+    return _section("motion", metrics["scenes"], table(head, rows), table(("limit", *_GROUP_NAMES.values()), limits))
 
 
 def diversity_parts(diversity: Mapping[str, Any]) -> list[str]:
     """Figure and tables of scenes by density and behaviour, before and after."""
-    bands = [
+    densities = [diversity["density"][name] for name in DENSITIES]
+    moments = ("before", "after")
+    rows = [("mean", *(number(part[f"mean_{when}"], 1) for part in densities for when in moments))]
+    rows += [
         (
             f"share of scenes with more than {bound}",
-            *(number(part[bound][when], 2) for part in _shares(diversity) for when in ("before", "after")),
+            *(number(part["share_above"][bound][when], 2) for part in densities for when in moments),
         )
-        for bound in diversity["density"]["tracks"]["share_above"]
+        for bound in densities[0]["share_above"]
     ]
-    means = (
-        "mean",
-        *(
-            number(diversity["density"][name][f"mean_{when}"], 1)
-            for name in ("tracks", "tracks_at_49")
-            for when in ("before", "after")
-        ),
-    )
     behaviours = diversity["behaviours"]
     kinds = [
         (
             linked(kind.replace("_", " ")),
-            *(
-                number(behaviours[when]["maneuvers"][kind] / max(1, behaviours[when]["scenes"]), 2)
-                for when in ("before", "generated", "after")
-            ),
+            *(number(part["maneuvers"][kind] / max(1, part["scenes"]), 2) for part in behaviours.values()),
         )
         for kind in behaviours["before"]["maneuvers"]
     ]
     return [
-        picture(
-            diversity_figure(diversity),
-            "Left: scenes by number of agents, before and after vehicles were added (all tracks of a scene, and those "
-            "present at the last observed moment); a bar from 40 to 60 holds more than 40 and up to 60. Right: share "
-            "of scenes that have a moving vehicle of the kind; a vehicle is of one kind, the rarest that it shows: one "
-            "that changes lanes on its way to a turn, or passes another and stays, counts as a lane change.",
-            _denser(diversity),
-        ),
-        Markup("<p class=of>Before: {} source scenes. After: {} scenes.</p>").format(
-            *(diversity["scenes"][when] for when in ("before", "after"))
-        ),
-        table(("agents in a scene", "tracks, before", "after", "at 4.9 s, before", "after"), [means, *bands]),
-        Markup("<p>Manoeuvres per scene, as a detector sees them in the positions (before: recorded; after: all):</p>"),
-        table(("manoeuvre", "before", "generated", "after"), kinds),
+        picture(diversity_figure(diversity), _section("diversity_caption"), _denser(diversity)),
+        _section("diversity_of", diversity["scenes"]),
+        table(("agents in a scene", "tracks, before", "after", "at 4.9 s, before", "after"), rows),
+        _section("manoeuvres_seen"),
+        table(("manoeuvre", *behaviours), kinds),
     ]
 
 
 def _denser(diversity: Mapping[str, Any]) -> str:
     """How density and behaviours change, in a sentence."""
-    tracks, part = diversity["density"]["tracks"], diversity["behaviours"]
+    tracks, behaviours = diversity["density"]["tracks"], diversity["behaviours"]
     if tracks["mean_before"] is None or tracks["mean_after"] is None:
         return ""
-    shares = {
-        kind: tuple(part[when]["scenes_with"][kind] / max(1, part[when]["scenes"]) for when in ("before", "after"))
-        for kind in part["before"]["scenes_with"]
-    }
-    grown = max(shares, key=lambda kind: shares[kind][1] - shares[kind][0])
-    before, after = shares[grown]
-    more = (
-        f"; scenes with {grown.replace('_', ' ')} grow most, from {before:.2f} to {after:.2f}" if after > before else ""
+    before, after = (
+        {kind: count / max(1, part["scenes"]) for kind, count in part["scenes_with"].items()}
+        for part in (behaviours["before"], behaviours["after"])
     )
-    return f"the mean number of agents goes from {tracks['mean_before']:.1f} to {tracks['mean_after']:.1f}{more}."
-
-
-def _shares(diversity: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    return [diversity["density"][name]["share_above"] for name in ("tracks", "tracks_at_49")]
+    grown = max(before, key=lambda kind: after[kind] - before[kind])
+    text = f"the mean number of agents goes from {tracks['mean_before']:.1f} to {tracks['mean_after']:.1f}"
+    if after[grown] > before[grown]:
+        kind = grown.replace("_", " ")
+        text += f"; scenes with {kind} grow most, from {before[grown]:.2f} to {after[grown]:.2f}"
+    return f"{text}."
 
 
 def _requests(metrics: Mapping[str, Any]) -> str:
@@ -443,7 +310,25 @@ def _requests(metrics: Mapping[str, Any]) -> str:
         "reasons",
     )  # fmt: skip
     tried = table(("reason", "candidates"), rejected) if rejected else ""
-    return _section("requests", requests, table(head, maneuvers, numbers=6), tried)
+    return _section("requests", requests, table(head, maneuvers, numbers=6), tried, _selection(requests["selection"]))
+
+
+def _selection(selection: Mapping[str, Mapping[str, int]]) -> str:
+    """How vehicles drive that are kept, that are dropped, and recorded ones; "" where no sidecar tells."""
+    rows = [
+        (
+            name,
+            str(told["vehicles"]),
+            *(number(told[what] / max(1, told["vehicles"]), 2) for what in ("braking", "standing")),
+            "–" if name == "recorded" else number(told["limited"] / max(1, told["steps"]), 2),
+        )
+        for name, told in selection.items()
+    ]
+    head = (
+        '<a href="#word-selection">vehicles</a>', "number", "brake harder than 3 m/s²", "stand at some time",
+        "steps limited for conflicts",
+    )  # fmt: skip
+    return table(head, rows) if rows else ""
 
 
 def _fidelity(metrics: Mapping[str, Any]) -> str:

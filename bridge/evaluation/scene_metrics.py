@@ -1,7 +1,7 @@
 """Every measure of one scene folder: a row for the scene, one per track, one per manoeuvre, and histograms."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from bridge.batch.isolation import Failure, attempt_each
 from bridge.files import read_regular
 from bridge.recordings.export import recording_record_of
 from bridge.recordings.folders import Address, Source
+from bridge.recordings.judging import findings_of, states_of
 from bridge.recordings.limits import MAX_FILE_MB, check_ground
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import (
@@ -23,20 +24,22 @@ from bridge.recordings.scenario import (
     split_of,
     split_rows,
 )
-from bridge.recordings.sidecar import REACTIVE, ManeuverRecord, RecordingRecord, Sidecar, sidecar_in
+from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, RecordingRecord, Sidecar, sidecar_in
 from bridge.recordings.sources import read_recording
 from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
 from hid2.evaluation.critics import pack
-from hid2.evaluation.kinematics import Kinematics, Motion, beyond_limits, kinematics, motion
-from hid2.evaluation.metrics import CRITICAL, GROUPS, Group, last_step_counts, measure_group
+from hid2.evaluation.kinematics import Kinematics, beyond_limits, kinematics, motion
+from hid2.evaluation.metrics import CRITICAL, Group, last_step_counts, measure_group
 from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
-from hid2.evaluation.safety import IOU_THRESHOLD, PreparedMap, Safety, prepare_map, safety
+from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, PreparedMap, Safety, prepare_map, safety
 from hid2.evaluation.windows import is_labelled, windows
-from hid2.measures.arrays import BoolArray, SceneArrays, stack
+from hid2.judge.findings import Finding
+from hid2.measures.arrays import BoolArray, SceneArrays, is_generated_id
 from hid2.measures.encounters import encounters
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
-from hid2.measures.scene_end import Contact, contacts_after_last_step
+from hid2.measures.post_encroachment import Encroachment
+from hid2.measures.scene_end import contacts_after_last_step
 from hid2.params import Limits
 from netconvert.errors import ScenarioError
 
@@ -44,6 +47,9 @@ from netconvert.errors import ScenarioError
 SAME_MANEUVER_S = 2.0
 #: Maps kept while scenes are measured.
 _MOST_MAPS = 8
+
+PAIR_GROUPS = ("original_original", "generated_original", "generated_generated")
+PAIR_KINDS = ("pairs_vehicles", "pairs_all", "touching_all", "crossings", "pet_critical")
 
 Row = dict[str, Any]
 #: Sizes of recorded tracks by the id of their scene, then of the track.
@@ -61,18 +67,6 @@ class SceneMeasures:
     realism: RealismCounts
     samples: FloatArray
     sample_generated: BoolArray
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _View:
-    arrays: SceneArrays
-    moved: Motion
-    kinematic: Kinematics
-    safe: Safety
-    maneuvers: list[Maneuver]
-    limits: Mapping[str, BoolArray]
-    after_end: Mapping[int, Contact]
-    """First contacts after the last step, by agent: of recorded ones with recorded ones, of inserted ones with any."""
 
 
 def measure_folders(
@@ -111,20 +105,23 @@ def measure_folder(folder: Address, limits: Limits, maps: Maps, labelled: Labell
     sidecar = sidecar_in(folder, rows.scenario_id) if isinstance(folder, Path) else None
     if sidecar is not None and sidecar.replay.mode == "reactive":
         raise ScenarioError(f"{folder}: {REACTIVE}")
-    sizes = (labelled or {}).get(sidecar.source_scenario_id, {}) if sidecar else {}
+    source = sidecar.source_scenario_id if sidecar else rows.scenario_id
+    sizes = (labelled or {}).get(source, {}) if sidecar else {}
     measures = measure(
-        [replace(t, size=sizes[t.track_id]) if t.track_id in sizes else t for t in rows.tracks]
-        if sizes
-        else rows.tracks,
-        ground,
-        sidecar,
-        limits=limits,
-        num_steps=rows.num_steps,
-        source=sidecar.source_scenario_id if sidecar else rows.scenario_id,
-        observed_steps=known.observed_steps,
+        [replace(t, size=sizes.get(t.track_id, t.size)) for t in rows.tracks] if sizes else rows.tracks, ground,
+        sidecar, limits=limits, num_steps=rows.num_steps, source=source, observed_steps=known.observed_steps,
         step_s=known.step_s,
+    )  # fmt: skip
+    name: Row = {"scenario_id": rows.scenario_id}
+    place: Row = {"split": split_of(folder) or "", "city": rows.city, "folder": str(folder)}
+    place |= {"format": known.format, "provenance": known.provenance}
+    return replace(
+        measures,
+        scene=name | place | measures.scene,
+        tracks=[name | row for row in measures.tracks],
+        maneuvers=[name | row for row in measures.maneuvers],
+        events=[name | {"folder": str(folder)} | row for row in measures.events],
     )
-    return _named(measures, rows, folder, known)
 
 
 def _read(folder: Address, maps: Maps) -> tuple[Rows, PreparedMap, RecordingRecord]:
@@ -161,24 +158,16 @@ def measure(
     step_s: float,
 ) -> SceneMeasures:
     """Measure tracks on a map. `source`: id of the recorded scene; observed_steps, step_s: of its data set."""
-    arrays = stack(tracks, num_steps=num_steps, step_s=step_s)
+    generated_ids = {track.track_id for track in tracks if is_generated_id(track.track_id)}
+    states = states_of(tracks, ground.lanes, generated_ids, num_steps=num_steps, step_s=step_s)
+    arrays = states.arrays
     last_observed = min(observed_steps, num_steps) - 1
     moved = motion(arrays)
-    safe = safety(arrays, ground)
+    safe = safety(arrays, ground, states.matches)
     maneuvers = detect(arrays, safe.lanes, safe.matches)
+    findings = findings_of(states, ground.graph, sidecar)
     policy_of = policies(arrays, maneuvers)
-    kinematic = kinematics(arrays, moved)
-    beyond = beyond_limits(moved, limits)
-    groups = _groups(arrays, kinematic, safe, beyond)
-    view = _View(
-        arrays,
-        moved,
-        kinematic,
-        safe,
-        maneuvers,
-        beyond,
-        {**groups["original"].end_contacts, **groups["generated"].end_contacts},
-    )
+    groups = _groups(arrays, kinematics(arrays, moved), safe, beyond_limits(moved, limits))
     scene: Row = {
         "source": source,
         "steps": arrays.num_steps,
@@ -186,12 +175,11 @@ def measure(
         "tracks_at_49": int((arrays.row_of[:, last_observed] >= 0).sum()),
         "generated": int(arrays.generated.sum()),
         "generated_at_49": int((arrays.row_of[arrays.generated, last_observed] >= 0).sum()),
+        "findings": Counter(one.quantity.value for one in findings),
     }
-    for group in GROUPS:
-        row = _group_row(groups[group], maneuvers, policy_of)
-        scene |= {f"{group}_{key}": value for key, value in row.items()}
-    scene |= _pair_row(view)
-    scene |= _request_row(sidecar)
+    for name, group in groups.items():
+        scene |= {f"{name}_{key}": value for key, value in _group_row(group, maneuvers, policy_of).items()}
+    scene |= _pair_row(safe, arrays) | _request_row(sidecar)
     durations: dict[str, list[float]] = {}
     for maneuver in maneuvers:
         if maneuver.kind is ManeuverKind.LANE_CHANGE and maneuver.complete:
@@ -202,8 +190,8 @@ def measure(
     halves = np.array([half_number(source, arrays.track_ids[a]) for a in driving.agent], dtype=np.int64)
     return SceneMeasures(
         scene=scene,
-        tracks=_track_rows(view, policy_of, sidecar),
-        maneuvers=_maneuver_rows(view, sidecar),
+        tracks=_track_rows(groups, arrays.mean_per_agent(moved.speed_mps), findings, policy_of, sidecar),
+        maneuvers=_maneuver_rows(maneuvers, generated_ids, sidecar),
         events=[event.model_dump(mode="json") for event in sidecar.events] if sidecar else [],
         realism=count_scene(
             source, arrays, scene_values(arrays, safe, driving, durations), generated=generated, recorded=recorded
@@ -241,22 +229,6 @@ def _groups(
     return groups
 
 
-def _named(measures: SceneMeasures, scene: Rows, folder: Address, known: RecordingRecord) -> SceneMeasures:
-    """Put the scene's names in front of every row."""
-    name: Row = {"scenario_id": scene.scenario_id}
-    place: Row = {"split": split_of(folder) or "", "city": scene.city, "folder": str(folder)}
-    place |= {"format": known.format, "provenance": known.provenance}
-    return SceneMeasures(
-        scene=name | place | measures.scene,
-        tracks=[name | row for row in measures.tracks],
-        maneuvers=[name | row for row in measures.maneuvers],
-        events=[name | {"folder": str(folder)} | row for row in measures.events],
-        realism=measures.realism,
-        samples=measures.samples,
-        sample_generated=measures.sample_generated,
-    )
-
-
 def _group_row(group: Group, maneuvers: Sequence[Maneuver], policy_of: Mapping[str, Policy]) -> Row:
     """Sums and counts of one group; ratios are formed when scenes are pooled."""
     arrays = group.arrays
@@ -276,30 +248,27 @@ def _group_row(group: Group, maneuvers: Sequence[Maneuver], policy_of: Mapping[s
     return row
 
 
-def _pair_row(view: _View) -> Row:
+def _pair_row(safe: Safety, arrays: SceneArrays) -> Row:
     """Colliding pairs (IoU above the threshold), pairs that touch at all, and PET, by who is involved."""
-    row: Row = {}
-    names = ("original_original", "generated_original", "generated_generated")
-    generated = view.arrays.generated
-    vehicle = view.arrays.vehicle
-    for kind in ("pairs_vehicles", "pairs_all", "touching_all", "crossings", "pet_critical"):
-        row |= {f"{kind}_{name}": 0 for name in names}
-    for pair in view.safe.overlaps:
-        name = names[int(generated[pair.first]) + int(generated[pair.second])]
-        row[f"touching_all_{name}"] += 1
+    row: Row = {f"{kind}_{name}": 0 for kind in PAIR_KINDS for name in PAIR_GROUPS}
+
+    def of(pair: Overlap | Encroachment) -> str:
+        return PAIR_GROUPS[int(arrays.generated[pair.first]) + int(arrays.generated[pair.second])]
+
+    for pair in safe.overlaps:
+        row[f"touching_all_{of(pair)}"] += 1
         if pair.iou > IOU_THRESHOLD:
-            row[f"pairs_all_{name}"] += 1
-            row[f"pairs_vehicles_{name}"] += int(vehicle[pair.first] and vehicle[pair.second])
-    for crossing in view.safe.encroachments:
-        name = names[int(generated[crossing.first]) + int(generated[crossing.second])]
-        row[f"crossings_{name}"] += 1
-        row[f"pet_critical_{name}"] += int(crossing.pet_s < CRITICAL.pet_min_s)
+            row[f"pairs_all_{of(pair)}"] += 1
+            row[f"pairs_vehicles_{of(pair)}"] += int(arrays.vehicle[pair.first] and arrays.vehicle[pair.second])
+    for crossing in safe.encroachments:
+        row[f"crossings_{of(crossing)}"] += 1
+        row[f"pet_critical_{of(crossing)}"] += int(crossing.pet_s < CRITICAL.pet_min_s)
     return row
 
 
 def _request_row(sidecar: Sidecar | None) -> Row:
     if sidecar is None:
-        unknown = ("replay_position_error_m", "replay_heading_error_rad", "rejected", "seed", "variant")
+        unknown = ("replay_position_error_m", "replay_heading_error_rad", "rejected", "selection", "seed", "variant")
         return {"requested": None, "placed": 0, "replay_states": 0} | dict.fromkeys(unknown)
     asked = sidecar.requested.agents
     return {
@@ -309,68 +278,64 @@ def _request_row(sidecar: Sidecar | None) -> Row:
         "replay_position_error_m": sidecar.replay.max_position_error_m,
         "replay_heading_error_rad": sidecar.replay.max_heading_error_rad,
         "rejected": {item.reason: item.count for item in sidecar.rejected},
+        "selection": None if sidecar.selection is None else sidecar.selection.model_dump(),
         "seed": sidecar.seed,
         "variant": sidecar.variant,
     }
 
 
-def _track_rows(view: _View, policy_of: Mapping[str, Policy], sidecar: Sidecar | None) -> list[Row]:
-    arrays, safe, kinematic = view.arrays, view.safe, view.kinematic
+def _track_rows(
+    groups: Mapping[str, Group], speed: FloatArray, findings: Sequence[Finding], policy_of: Mapping[str, Policy],
+    sidecar: Sidecar | None,
+) -> list[Row]:  # fmt: skip
+    """A row for each track. speed (A,): its mean, m/s."""
+    whole = groups["combined"]
+    arrays, safe, kinematic = whole.arrays, whole.safe, whole.kinematic
+    # of recorded agents contacts with recorded ones, of inserted ones with any
+    after_end = {**groups["original"].end_contacts, **groups["generated"].end_contacts}
     asked = {agent.track_id: agent.policy.value for agent in sidecar.agents} if sidecar else {}
-    collides_generated = np.zeros(arrays.num_agents, dtype=bool)
-    collides_original = np.zeros(arrays.num_agents, dtype=bool)
+    collides = np.zeros((2, arrays.num_agents), dtype=bool)  # with recorded ones, with generated ones
     for pair in safe.overlaps:
         if pair.iou > IOU_THRESHOLD:
-            for one, other in ((pair.first, pair.second), (pair.second, pair.first)):
-                (collides_generated if arrays.generated[other] else collides_original)[one] = True
-    sums = {
-        "off_road_steps": arrays.sum_per_agent(safe.off_road),
-        "off_footprint_steps": arrays.sum_per_agent(safe.off_footprint),
-        "against_lane_steps": arrays.sum_per_agent(safe.against_lane),
-        **{f"beyond_{name}_steps": arrays.sum_per_agent(mask) for name, mask in view.limits.items()},
+            collides[int(arrays.generated[pair.second]), pair.first] = True
+            collides[int(arrays.generated[pair.first]), pair.second] = True
+    off = {"off_road": safe.off_road, "off_footprint": safe.off_footprint, "against_lane": safe.against_lane}
+    steps = {f"{name}_steps": mask for name, mask in off.items()}
+    steps |= {f"beyond_{name}_steps": mask for name, mask in whole.beyond.items()}
+
+    def least(values: FloatArray) -> list[float | None]:
+        """Smallest value of each agent, None where none is finite."""
+        found = np.minimum.reduceat(values, arrays.first[:-1]) if arrays.num_agents else values
+        return [float(value) if np.isfinite(value) else None for value in found]
+
+    columns: dict[str, Sequence[Any]] = {
+        "track_id": arrays.track_ids,
+        "group": np.where(arrays.generated, "generated", "original").tolist(),
+        "object_type": arrays.object_types,
+        "category": arrays.category.tolist(),
+        "steps": arrays.rows_per_agent.tolist(),
+        "moving": arrays.moving.tolist(),
+        "policy_requested": [asked.get(track_id) for track_id in arrays.track_ids],
+        "policy_seen": [policy_of[name].value if name in policy_of else None for name in arrays.track_ids],
+        "mean_speed_mps": speed.tolist(),
+        "lo_mps2": kinematic.lo.tolist(),
+        "la_mps2": kinematic.la.tolist(),
+        "je_mps3": kinematic.je.tolist(),
+        "collides_with_original": collides[0].tolist(),
+        "collides_with_generated": collides[1].tolist(),
+        "min_ttc_s": least(safe.ttc_s),
+        "min_leader_ttc_s": least(safe.leaders.ttc_s),
+        "min_time_gap_s": least(safe.leaders.time_gap_s),
+        "end_ttc_s": [after_end[a].ttc_s if a in after_end else None for a in range(arrays.num_agents)],
+        "findings": [Counter(one.quantity.value for one in findings if one.track_id == t) for t in arrays.track_ids],
+        **{name: arrays.sum_per_agent(mask).astype(int).tolist() for name, mask in steps.items()},
     }
-    speed = arrays.mean_per_agent(view.moved.speed)
-    starts = arrays.first[:-1]
-    min_ttc = np.minimum.reduceat(safe.ttc_s, starts) if len(starts) else starts
-    min_leader = np.minimum.reduceat(safe.leaders.ttc_s, starts) if len(starts) else starts
-    min_gap = np.minimum.reduceat(safe.leaders.time_gap_s, starts) if len(starts) else starts
-    rows: list[Row] = []
-    for a in range(arrays.num_agents):
-        track_id = arrays.track_ids[a]
-        policy = policy_of.get(track_id)
-        rows.append(
-            {
-                "track_id": track_id,
-                "group": "generated" if arrays.generated[a] else "original",
-                "object_type": arrays.object_types[a],
-                "category": int(arrays.category[a]),
-                "steps": int(arrays.rows_per_agent[a]),
-                "moving": bool(arrays.moving[a]),
-                "policy_requested": asked.get(track_id),
-                "policy_seen": policy.value if policy is not None else None,
-                "mean_speed_mps": float(speed[a]),
-                "lo_mps2": float(kinematic.lo[a]),
-                "la_mps2": float(kinematic.la[a]),
-                "je_mps3": float(kinematic.je[a]),
-                "collides_with_original": bool(collides_original[a]),
-                "collides_with_generated": bool(collides_generated[a]),
-                "min_ttc_s": float(min_ttc[a]),
-                "min_leader_ttc_s": _finite(min_leader[a]),
-                "min_time_gap_s": _finite(min_gap[a]),
-                "end_ttc_s": view.after_end[a].ttc_s if a in view.after_end else None,
-                **{name: int(values[a]) for name, values in sums.items()},
-            }
-        )
-    return rows
+    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _maneuver_rows(view: _View, sidecar: Sidecar | None) -> list[Row]:
+def _maneuver_rows(seen: Sequence[Maneuver], generated: Container[str], sidecar: Sidecar | None) -> list[Row]:
     """Records of the sidecar joined with what was seen, then what was seen without a record."""
-    left = list(view.maneuvers)
+    left = list(seen)
     rows: list[Row] = []
     for agent in sidecar.agents if sidecar else ():
         for record in agent.maneuvers:
@@ -378,12 +343,11 @@ def _maneuver_rows(view: _View, sidecar: Sidecar | None) -> list[Row]:
             if found is not None:
                 left.remove(found)
             known: Row = {"track_id": agent.track_id, "group": "generated", "kind": record.kind, "recorded": True}
-            rows.append(known | _record_row(record) | _seen_row(found))
-    generated = {view.arrays.track_ids[a] for a in np.flatnonzero(view.arrays.generated)}
+            rows.append(known | _fields(record, _RECORD) | _fields(found, _SEEN))
     for maneuver in left:
         group = "generated" if maneuver.track_id in generated else "original"
         unasked: Row = {"track_id": maneuver.track_id, "group": group, "kind": maneuver.kind.value, "recorded": False}
-        rows.append(unasked | _record_row(None) | _seen_row(maneuver))
+        rows.append(unasked | _fields(None, _RECORD) | _fields(maneuver, _SEEN))
     return rows
 
 
@@ -403,24 +367,25 @@ def _seen(track_id: str, record: ManeuverRecord, candidates: Sequence[Maneuver])
     return nearest if inside else None
 
 
-def _record_row(record: ManeuverRecord | None) -> Row:
-    times = ("trigger_s", "requested_s", "start_s", "crossing_s", "end_s")
-    names = ("status", "reason", *times, "gap_front_m", "gap_rear_m", "min_ttc_s", "leader_track_id")
-    return {name: getattr(record, name) if record is not None else None for name in names}
+#: Columns of the table of manoeuvres: fields of the record, and of the manoeuvre that was seen.
+_RECORD = {name: name for name in (
+    "status", "reason", "trigger_s", "requested_s", "start_s", "crossing_s", "end_s", "gap_front_m", "gap_rear_m",
+    "min_ttc_s", "leader_track_id",
+)}  # fmt: skip
+_SEEN = {"seen": "kind", **{f"seen_{name}": name for name in ("start_s", "crossing_s", "end_s", "complete")}}
+_SEEN |= {name: name for name in ("source_lane", "target_lane", "other_track_id", "part_of")}
 
 
-def _seen_row(maneuver: Maneuver | None) -> Row:
-    if maneuver is None:
-        return {"seen": None, "seen_start_s": None, "seen_crossing_s": None, "seen_end_s": None, "seen_complete": None,
-                "source_lane": None, "target_lane": None, "other_track_id": None, "part_of": None}  # fmt: skip
-    return {
-        "seen": maneuver.kind.value,
-        "seen_start_s": maneuver.start_s,
-        "seen_crossing_s": maneuver.crossing_s,
-        "seen_end_s": maneuver.end_s,
-        "seen_complete": maneuver.complete,
-        "source_lane": maneuver.source_lane,
-        "target_lane": maneuver.target_lane,
-        "other_track_id": maneuver.other_track_id,
-        "part_of": maneuver.part_of.value if maneuver.part_of else None,
-    }
+def _fields(one: ManeuverRecord | Maneuver | None, names: Mapping[str, str]) -> Row:
+    """Fields by column; None of what there is not."""
+    values = {column: None if one is None else getattr(one, name) for column, name in names.items()}
+    return {column: str(value) if isinstance(value, ManeuverKind) else value for column, value in values.items()}
+
+
+#: Tables that grow as scenes are done, and the columns of those that may stay empty.
+TABLES: Mapping[str, tuple[str, ...]] = {
+    "scenes": (),
+    "tracks": (),
+    "maneuvers": ("scenario_id", "track_id", "group", "kind", "recorded", *_RECORD, *_SEEN),
+    "events": ("scenario_id", "folder", *EventRecord.model_fields),
+}

@@ -1,8 +1,5 @@
 """What an evaluation keeps of all its scenes: sums and counts, the same size after ten scenes and after a million."""
 
-import bisect
-import hashlib
-from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -14,41 +11,21 @@ from bridge.evaluation.aggregate import SourceSums, table
 from bridge.evaluation.critique import critique
 from bridge.evaluation.diversity import Diversity
 from bridge.evaluation.samples import Samples
-from bridge.evaluation.scene_metrics import SceneMeasures
+from bridge.evaluation.scene_metrics import PAIR_GROUPS, PAIR_KINDS, SceneMeasures
 from bridge.recordings.folders import Address
 from hid2.evaluation.metrics import Section, metrics_in
 from hid2.evaluation.realism import FEATURES, TAIL_SHARES, TAILS, RealismCounts, quantiles
+from hid2.judge.findings import NOTES, Quantity
 from hid2.measures.arrays import BoolArray
 
 #: Nets of at most this many different maps are measured.
 MOST_NETS = 20
 #: Events are listed in the report up to this many; events.csv has all.
 MOST_EVENTS = 40
-PAIR_GROUPS = ("original_original", "generated_original", "generated_generated")
-PAIR_KINDS = ("pairs_vehicles", "pairs_all", "touching_all", "crossings", "pet_critical")
 #: Delays are counted to this part of a second.
 _DELAY_PARTS = 1000
 
 Row = Mapping[str, Any]
-
-
-class NameSet:
-    """Which names have been seen: 8 bytes each, a hash of the name."""
-
-    def __init__(self) -> None:
-        self._hashes: array[int] = array("Q")
-
-    def __len__(self) -> int:
-        return len(self._hashes)
-
-    def add(self, name: str) -> bool:
-        """Add a name; whether it is a new one."""
-        number = int.from_bytes(hashlib.blake2b(name.encode(), digest_size=8).digest())
-        place = bisect.bisect_left(self._hashes, number)
-        if place < len(self._hashes) and self._hashes[place] == number:
-            return False
-        self._hashes.insert(place, number)
-        return True
 
 
 @dataclass(eq=False, slots=True)
@@ -87,11 +64,7 @@ class ManeuverCounts:
         counts = self.delays.get(kind)
         if not counts:
             return None
-        values = sorted(counts)
-        upto = np.cumsum([counts[value] for value in values])
-        last = int(upto[-1]) - 1
-        middle = [values[int(np.searchsorted(upto, place, side="right"))] for place in (last // 2, (last + 1) // 2)]
-        return sum(middle) / 2 / _DELAY_PARTS
+        return float(np.median(np.repeat(list(counts), list(counts.values())))) / _DELAY_PARTS
 
 
 class Example(NamedTuple):
@@ -105,6 +78,8 @@ class Example(NamedTuple):
 
 class Totals:
     """Sums over all scenes of a pass. `example`: the scene to show, None before the first.
+
+    Memory grows by the names of the source scenes alone.
 
     sources: ids of the source scenes that are measured themselves; for others the recorded tracks of the first scene
     made from them stand.
@@ -121,10 +96,12 @@ class Totals:
         self.events: list[Row] = []
         self.event_counts: Counter[tuple[str, str]] = Counter()
         self.example: Example | None = None
-        self._sources = NameSet()
+        self._sources: set[str] = set()
         self._nets: dict[str, str] = {}
         self._counts: Counter[str] = Counter()
         self._rejected: Counter[str] = Counter()
+        self._selection: dict[str, Counter[str]] = {}
+        self._findings: Counter[str] = Counter()
         self._replay_position_error_m = 0.0
 
     def add(self, measures: SceneMeasures) -> None:
@@ -137,7 +114,8 @@ class Totals:
         self.event_counts.update((str(row["kind"]), str(row["status"])) for row in measures.events)
         self.events += measures.events[: max(0, MOST_EVENTS - len(self.events))]
         # the recorded vehicles of a source scene are in every scene that was made from it: they count once
-        as_recorded = self._sources.add(source) and source not in self._measured_sources
+        as_recorded = source not in self._sources and source not in self._measured_sources
+        self._sources.add(source)
         if as_recorded:
             self.diversity.add_source(row)
         self._add_driving(measures, generated=True, recorded=as_recorded)
@@ -191,6 +169,15 @@ class Totals:
             },
             "safety": table(self.sums, metrics_in(Section.SAFETY))
             | {"pairs": {kind: {g: counts[f"{kind}_{g}"] for g in PAIR_GROUPS} for kind in PAIR_KINDS}},
+            "judge": {
+                quantity.value: {
+                    "findings": self._findings[quantity.value],
+                    "limit": quantity.sentence,
+                    "kind": "note" if quantity in NOTES else "error",
+                }
+                for quantity in Quantity
+                if self._findings[quantity.value]
+            },
             "encounters": table(self.sums, metrics_in(Section.ENCOUNTERS)),
             "events": {
                 kind: {status: self.event_counts[kind, status] for status in ("done", "not_feasible")}
@@ -198,7 +185,7 @@ class Totals:
             },
             "diversity": self.diversity.content(),
             "realism": {
-                "distances": _distances(self.realism),
+                "distances": [distance._asdict() for distance in self.realism.distances()],
                 "tails": _tails(self.realism),
                 "critics": critique(
                     self.samples.packed(), self.samples.joined(self.control) if self.control is not None else None
@@ -209,6 +196,7 @@ class Totals:
                 "placed": counts["placed"],
                 "placed_of_requested": counts["placed_of_requested"],
                 "rejected": dict(self._rejected.most_common()),
+                "selection": {name: dict(counts) for name, counts in self._selection.items()},
                 "maneuvers": _maneuvers(self.maneuvers),
                 "seen_without_record": dict(sorted(self.maneuvers.unasked.items())),
             },
@@ -231,6 +219,9 @@ class Totals:
             for group in PAIR_GROUPS:
                 counts[f"{kind}_{group}"] += row[f"{kind}_{group}"]
         self._rejected.update(row["rejected"] or {})
+        for name, told in (row["selection"] or {}).items():
+            self._selection.setdefault(name, Counter()).update(told)
+        self._findings.update(row["findings"])
         self._replay_position_error_m = max(self._replay_position_error_m, row["replay_position_error_m"] or 0.0)
 
 
@@ -246,23 +237,6 @@ class Evaluation:
     metrics: dict[str, Any] = field(default_factory=dict)
 
 
-def _distances(realism: RealismCounts) -> list[dict[str, Any]]:
-    return [
-        {
-            "feature": d.feature.name,
-            "unit": d.feature.unit,
-            "jensen_shannon": d.jensen_shannon,
-            "jensen_shannon_floor": d.jensen_shannon_floor,
-            "jensen_shannon_ratio": _ratio(d.jensen_shannon, d.jensen_shannon_floor),
-            "wasserstein": d.wasserstein,
-            "wasserstein_floor": d.wasserstein_floor,
-            "generated_samples": d.generated,
-            "recorded_samples": d.recorded,
-        }
-        for d in realism.distances()
-    ]
-
-
 def _tails(realism: RealismCounts) -> list[dict[str, Any]]:
     """Quantiles of generated and recorded vehicles side by side."""
     return [
@@ -276,10 +250,6 @@ def _tails(realism: RealismCounts) -> list[dict[str, Any]]:
         for feature in FEATURES
         if feature.name in TAILS
     ]
-
-
-def _ratio(value: float | None, floor: float | None) -> float | None:
-    return value / floor if value is not None and floor else None
 
 
 def _maneuvers(counts: ManeuverCounts) -> dict[str, Any]:

@@ -5,19 +5,20 @@ was made of one, and seeds of each model on its own: what is left is what other 
 """
 
 import html
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from bridge.evaluation import pages
-from bridge.evaluation.predictions import BASELINES, BOUNDS, PredictionScores, Score, bands, score_predictions
+from bridge.evaluation.predictions import BASELINES, BOUNDS, Score, bands, score_predictions
 from bridge.files import explained, make_folder, write_json, write_rows, write_text
+from bridge.pages import parts as pages
 from bridge.recordings.scenario import find_scenarios, source_id
-from hid2.agents import FloatArray
+from hid2.agents import FloatArray, IntArray
 from hid2.params import Forecasting
+from hid2.resampling import draws
+from hid2.resampling import interval as interval_of
 from netconvert.errors import ConfigError, ScenarioError
 
 MetricKey = Literal["min_ade_m", "min_fde_m", "missed", "brier_min_fde"]
@@ -29,8 +30,6 @@ METRICS: Mapping[MetricKey, str] = {
 K = 6
 #: Normal quantiles of a two-sided test at 5 %, and of a power of 80 %.
 _Z_TEST, _Z_POWER = 1.959964, 0.841621
-#: Weights drawn at a time: the memory of the bootstrap does not grow with the scenes.
-_BLOCK = 4_000_000
 
 #: Scores of a model, one sequence for each seed.
 Runs = Sequence[Sequence[Score]]
@@ -40,12 +39,9 @@ class Estimate(NamedTuple):
     """A mean with its 95 % interval by bootstrap; None where there is nothing. se: standard error."""
 
     value: float | None
-    low: float | None
-    high: float | None
+    low: float | None = None
+    high: float | None = None
     se: float | None = None
-
-
-NOTHING = Estimate(None, None, None)
 
 
 class Difference(NamedTuple):
@@ -72,18 +68,9 @@ class Difference(NamedTuple):
         return int(np.ceil(self.sources * (self.detectable / effect) ** 2))
 
 
-class _Table(NamedTuple):
-    """Scores of a model as arrays: values (seeds, tracks) and the number of the recorded scene of each track."""
-
-    values: FloatArray
-    source: npt.NDArray[np.int64]
-    sources: int
-
-
 def mean_of(runs: Runs, source_of: Mapping[str, str], metric: MetricKey, params: Forecasting) -> Estimate:
     """Mean of a metric of one model."""
-    table = _table(runs, _common([runs]), source_of, metric)
-    return NOTHING if table is None else _bootstrap([(table, 1.0)], params)
+    return _bootstrap(*_aligned([runs], source_of, metric), params)
 
 
 def difference_of(
@@ -91,69 +78,66 @@ def difference_of(
     params: Forecasting,
 ) -> Difference:  # fmt: skip
     """One model minus the other, in pairs of the same track."""
-    common = _common([model[1], other[1]])
-    mine, theirs = (_table(runs, common, source_of, metric) for _, runs in (model, other))
-    if mine is None or theirs is None:
-        return Difference(model[0], other[0], band, metric, NOTHING, 0, 0, (len(model[1]), len(other[1])), None)
-    estimate = _bootstrap([(mine, 1.0), (theirs, -1.0)], params)
-    detectable = None if not estimate.se else (_Z_TEST + _Z_POWER) * estimate.se
+    (name, mine), (others_name, theirs) = model, other
+    values, source = _aligned([mine, theirs], source_of, metric)
+    estimate = _bootstrap(values, source, params)
     return Difference(
-        model[0], other[0], band, metric, estimate, mine.values.shape[1], mine.sources, (len(model[1]), len(other[1])),
-        detectable,
+        name, others_name, band, metric, estimate, tracks=len(source), sources=len(np.unique(source)),
+        seeds=(len(mine), len(theirs)), detectable=(_Z_TEST + _Z_POWER) * estimate.se if estimate.se else None,
     )  # fmt: skip
 
 
-def _common(models: Sequence[Runs]) -> list[tuple[str, str]]:
-    """Tracks that every run of every model forecasts, sorted."""
-    found = [{(s.scenario_id, s.track_id) for s in run if s.k == K} for runs in models for run in runs]
-    return sorted(set.intersection(*found)) if found else []
+def differences_of(
+    pairs: Iterable[tuple[str, str]], runs: Mapping[str, Runs], bands: Mapping[str, Callable[[Score], bool]],
+    source_of: Mapping[str, str], params: Forecasting,
+) -> list[Difference]:  # fmt: skip
+    """Each pair of models compared in every band by every metric."""
+    return [
+        difference_of(
+            (name, in_band(runs[name], belongs)), (other, in_band(runs[other], belongs)), band=band,
+            source_of=source_of, metric=metric, params=params,
+        )
+        for name, other in pairs
+        for band, belongs in bands.items()
+        for metric in METRICS
+    ]  # fmt: skip
 
 
-def _table(
-    runs: Runs, tracks: Sequence[tuple[str, str]], source_of: Mapping[str, str], metric: MetricKey
-) -> _Table | None:
-    if not tracks:
-        return None
-    row = {track: number for number, track in enumerate(tracks)}
-    values = np.full((len(runs), len(tracks)), np.nan)
-    for number, run in enumerate(runs):
-        for score in run:
-            if score.k == K and (score.scenario_id, score.track_id) in row:
-                values[number, row[score.scenario_id, score.track_id]] = float(getattr(score, metric))
-    names = sorted({source_of.get(scenario, scenario) for scenario, _ in tracks})
-    number_of = {name: number for number, name in enumerate(names)}
-    source = np.array([number_of[source_of.get(scenario, scenario)] for scenario, _ in tracks])
-    return _Table(values, source, len(names))
+def _aligned(
+    models: Sequence[Runs], source_of: Mapping[str, str], metric: MetricKey
+) -> tuple[list[FloatArray], IntArray]:
+    """Values (seeds, T) of each model on the T tracks that every run forecasts, and the number (T,) of their source."""
+    found = [
+        [{(one.scenario_id, one.track_id): float(getattr(one, metric)) for one in run if one.k == K} for run in runs]
+        for runs in models
+    ]
+    tracks = sorted(set.intersection(*(set(run) for runs in found for run in runs)))
+    _, source = np.unique([source_of.get(scenario, scenario) for scenario, _ in tracks], return_inverse=True)
+    return [np.array([[run[track] for track in tracks] for run in runs]) for runs in found], source
 
 
-def _bootstrap(parts: Sequence[tuple[_Table, float]], params: Forecasting) -> Estimate:
-    """Weighted sum of means with its interval: scenes are drawn for all tables at once, seeds for each."""
-    sources = parts[0][0].sources
-    value = sum(sign * float(table.values.mean()) for table, sign in parts)
+def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasting) -> Estimate:
+    """Mean of the first values less that of the others: sources are drawn for all at once, seeds for each."""
+    if not len(source):
+        return Estimate(None)
+    signs = (1.0, *[-1.0] * (len(values) - 1))
+    value = sum(sign * float(each.mean()) for sign, each in zip(signs, values, strict=True))
+    counts = np.bincount(source).astype(np.float64)
+    sources = len(counts)
     if sources < 2:
-        return Estimate(value, None, None)
+        return Estimate(value)
     random = np.random.default_rng(0)
-    counts = np.bincount(parts[0][0].source, minlength=sources).astype(np.float64)
-    sums = []
-    for table, _ in parts:
-        per_seed = [np.bincount(table.source, weights=run, minlength=sources) for run in table.values]
-        sums.append(np.array(per_seed))
-    drawn = []
-    left = params.resamples
-    while left:
-        number = min(left, max(1, _BLOCK // sources))
-        left -= number
-        weights = random.multinomial(sources, np.full(sources, 1 / sources), size=number).astype(np.float64)
-        total = weights @ counts
-        result = np.zeros(number)
-        for (_, sign), own in zip(parts, sums, strict=True):
-            seeds = random.integers(len(own), size=(number, len(own)))
-            means = (weights @ own.T) / total[:, None]
+    sums = [np.array([np.bincount(source, weights=run) for run in each]) for each in values]
+    drawn: list[FloatArray] = []
+    for weights in draws(sources, resamples=params.resamples, rng=random):
+        result = np.zeros(len(weights))
+        for sign, own in zip(signs, sums, strict=True):
+            seeds = random.integers(len(own), size=(len(weights), len(own)))
+            means = (weights @ own.T) / (weights @ counts)[:, None]
             result += sign * np.take_along_axis(means, seeds, axis=1).mean(axis=1)
         drawn.append(result)
     every = np.concatenate(drawn)
-    low, high = np.percentile(every, [2.5, 97.5])
-    return Estimate(value, float(low), float(high), float(every.std(ddof=1)))
+    return Estimate(*interval_of(value, every), float(every.std(ddof=1)))
 
 
 def in_band(runs: Runs, belongs: Callable[[Score], bool]) -> Runs:
@@ -197,23 +181,12 @@ def compare_predictions(
     left_out: list[str] = []
     for name, files in models.items():
         for file in files:
-            scored: PredictionScores = score_predictions(
-                scenes, predictions=file, bounds=bounds, jobs=jobs, on_scene=on_scene
-            )
+            scored = score_predictions(scenes, predictions=file, bounds=bounds, jobs=jobs, on_scene=on_scene)
             runs.setdefault(name, []).append(scored.scores)
             left_out += [f"{name}: {reason}" for reason in scored.left_out]
-    source_of = sources_of(scenes)
-    params = Forecasting()
     first, *others = runs
-    found = [
-        difference_of(
-            (name, in_band(runs[name], belongs)), (first, in_band(runs[first], belongs)), band=band,
-            source_of=source_of, metric=metric, params=params,
-        )
-        for name in others
-        for band, belongs in bands(bounds).items()
-        for metric in METRICS
-    ]  # fmt: skip
+    pairs = [(name, first) for name in others]
+    found = differences_of(pairs, runs, bands(bounds), sources_of(scenes), Forecasting())
     if not any(difference.tracks for difference in found):
         raise ScenarioError(f"{scenes}: no track is forecast by every file, nothing to compare")
     _write(found, report_dir)
@@ -243,7 +216,8 @@ def rows_of(differences: Sequence[Difference]) -> list[tuple[str, ...]]:
     """A table of differences with tracks."""
     return [
         (
-            one.model, one.other, one.band, METRICS[one.metric], signed(one.estimate.value), interval(one.estimate),
+            one.model, one.other, one.band, METRICS[one.metric], _signed(one.estimate.value),
+            "–" if one.estimate.low is None else f"{_signed(one.estimate.low)} to {_signed(one.estimate.high)}",
             str(one.tracks), str(one.sources), "–" if one.detectable is None else f"{one.detectable:.3f}",
         )
         for one in differences
@@ -251,16 +225,8 @@ def rows_of(differences: Sequence[Difference]) -> list[tuple[str, ...]]:
     ]  # fmt: skip
 
 
-def signed(value: float | None) -> str:
-    """A difference, with its sign."""
+def _signed(value: float | None) -> str:
     return "–" if value is None else f"{value:+.3f}"
-
-
-def interval(estimate: Estimate) -> str:
-    """An interval of a difference."""
-    if estimate.low is None or estimate.high is None:
-        return "–"
-    return f"{estimate.low:+.3f} to {estimate.high:+.3f}"
 
 
 def as_dicts(differences: Sequence[Difference]) -> list[dict[str, Any]]:
@@ -268,7 +234,7 @@ def as_dicts(differences: Sequence[Difference]) -> list[dict[str, Any]]:
     return [{**one._asdict(), "estimate": one.estimate._asdict(), "seeds": list(one.seeds)} for one in differences]
 
 
-ABOUT = (
+_ABOUT = (
     "<p>Each difference is over the same tracks, pair by pair; below 0 the first model is better. 95 % interval: "
     "bootstrap over recorded scenes, with all that was generated from one, and over the seeds of each model; with one "
     "seed it tells nothing of other seeds, and with fewer than some twenty recorded scenes it is too narrow. "
@@ -277,8 +243,13 @@ ABOUT = (
 )
 
 
+def page_parts(differences: Sequence[Difference]) -> list[str]:
+    """What a page says of differences, as HTML."""
+    rows = [tuple(html.escape(cell) for cell in row) for row in rows_of(differences)]
+    return [_ABOUT, pages.table(HEAD, rows)]
+
+
 def _write(differences: Sequence[Difference], report_dir: Path) -> None:
-    head = tuple(html.escape(name) for name in HEAD)
     with explained(report_dir):
         write_rows(
             report_dir / "comparison.csv",
@@ -287,5 +258,4 @@ def _write(differences: Sequence[Difference], report_dir: Path) -> None:
              for one in differences),
         )  # fmt: skip
         write_json(report_dir / "comparison.json", as_dicts(differences))
-        rows = [tuple(html.escape(cell) for cell in row) for row in rows_of(differences)]
-        write_text(report_dir / "comparison.html", pages.page("Forecasts, compared", [ABOUT, pages.table(head, rows)]))
+        write_text(report_dir / "comparison.html", pages.page("Forecasts, compared", page_parts(differences)))

@@ -8,28 +8,20 @@ import csv
 import logging
 import os
 import shutil
-import tempfile
 import uuid
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from bridge.files import explained, write_rows, write_text
+from bridge.files import explained, untabled, write_rows, write_text
 from bridge.forecasting.composition import Composition, Draw
-from bridge.forecasting.places import (
-    Leak,
-    SceneFacts,
-    facts_of_scenes,
-    leaks_between,
-    overlapping,
-    split_by_place,
-    stratum,
-)
+from bridge.forecasting.places import Leak, SceneFacts, facts_of_scenes, leaks_between, split_by_place, stratum
+from bridge.interruption import hidden_folder, remove_abandoned
 from bridge.recordings.export import parquet_bytes
 from bridge.recordings.folders import RAW, SPLITS, find_scenarios, split_of
 from bridge.recordings.scenario import MAX_STEPS
@@ -41,18 +33,17 @@ ORIGINS, COMPOSITION = "origins.csv", "composition.json"
 VALIDATION = "validation"
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo compose")
 
-Kind = Literal["recorded", "generated", "copy"]
-
 
 class Origin(NamedTuple):
     """One scene of a composed root, a row of origins.csv.
 
-    scenario_id: its own; drawn: that of the scene it is; source_id: that of the recorded scene it comes from.
+    scenario_id: its own; kind: recorded, generated or copy; drawn: id of the scene it is; source_id: that of the
+    recorded scene it comes from.
     """
 
     split: str
     scenario_id: str
-    kind: Kind
+    kind: str
     source: str
     drawn: str
     source_id: str
@@ -86,6 +77,13 @@ class _Scene(NamedTuple):
         own = self.facts.scenario_id
         return own if not self.copy else str(uuid.uuid5(_NAMESPACE, f"{own}\n{self.copy}"))
 
+    def origin(self, split: str) -> Origin:
+        fact = self.facts
+        return Origin(
+            split, self.scenario_id, "copy" if self.copy else fact.kind, self.source, fact.scenario_id, fact.source_id,
+            fact.city, fact.tracks, fact.observed, str(fact.folder),
+        )  # fmt: skip
+
 
 def compose(
     composition: Composition, root: Path, *, jobs: int = 1, on_scene: Callable[[str, int, int], None] | None = None
@@ -116,27 +114,24 @@ def compose(
     done = 0
     with explained(root):
         root.parent.mkdir(parents=True, exist_ok=True)
-        hidden = Path(tempfile.mkdtemp(prefix=f".{root.name}-", dir=root.parent))
-    try:
-        with explained(root):
-            hidden.chmod(0o755)
-            write_text(hidden / COMPOSITION, composition.model_dump_json(indent=1) + "\n")
-            for name, splits in roots.items():
-                origins = []
-                for split, scenes in splits.items():
-                    place = hidden / name / split / (RAW if composition.layout == "qcnet" else "")
-                    place.mkdir(parents=True, exist_ok=True)
-                    for scene in scenes:
-                        _put(scene, place)
-                        origins.append(_origin(split, scene))
-                        done += 1
-                        tell("writing", done, total)
-                write_rows(hidden / name / ORIGINS, Origin._fields, origins)
-            if root.exists():
-                root.rmdir()  # empty
-            hidden.rename(root)
-    finally:
-        shutil.rmtree(hidden, ignore_errors=True)
+        remove_abandoned(root.parent)
+    with explained(root), hidden_folder(root.parent) as hidden:
+        made = hidden / "root"
+        write_text(made / COMPOSITION, composition.model_dump_json(indent=1) + "\n")
+        for name, splits in roots.items():
+            origins = []
+            for split, scenes in splits.items():
+                place = made / name / split / (RAW if composition.layout == "qcnet" else "")
+                place.mkdir(parents=True, exist_ok=True)
+                for scene in scenes:
+                    _put(scene, place)
+                    origins.append(scene.origin(split))
+                    done += 1
+                    tell("writing", done, total)
+            write_rows(made / name / ORIGINS, Origin._fields, origins)
+        if root.exists():
+            root.rmdir()  # empty
+        made.rename(root)
     counts = {name: {split: len(scenes) for split, scenes in splits.items()} for name, splits in roots.items()}
     return Composed(root, counts, tuple(pool.left_out))
 
@@ -180,8 +175,12 @@ class _Pool:
                 self._scenes[split, source_of[usable[row].folder]].append(usable[row])
 
     def _split(self, facts: Sequence[SceneFacts], composition: Composition) -> dict[str, list[int]]:
-        if composition.split.by == "folder":
-            splits: dict[str, list[int]] = {split: [] for split in SPLITS}
+        by_place = composition.split.by == "place"
+        if by_place:
+            shares, bounds = composition.split.shares, self._params.density_bounds
+            splits = split_by_place(facts, shares, seed=composition.seed, bounds=bounds)
+        else:
+            splits = {split: [] for split in SPLITS}
             for row, fact in enumerate(facts):
                 split = split_of(fact.folder)
                 if split is None:
@@ -190,26 +189,15 @@ class _Pool:
                         "split by place instead"
                     )
                 splits[split].append(row)
-        else:
-            shares, bounds = composition.split.shares, self._params.density_bounds
-            splits = split_by_place(facts, shares, seed=composition.seed, bounds=bounds)
-            self._keep_apart(facts, splits)
-            return splits
         leaks = leaks_between(facts, splits["train"], splits["val"] + splits["test"])
         leaks += leaks_between(facts, splits["val"], splits["test"])
-        dropped = {leak.folder: leak for leak in leaks}
-        self.left_out += [f"{leak.text()}, which is held out" for leak in leaks]
+        self.left_out += [  # groups of places share nothing but ground, at the edges of their blocks
+            f"{leak.folder}: lies where {leak.other} does, which is held out" if by_place
+            else f"{leak.text()}, which is held out"
+            for leak in leaks
+        ]  # fmt: skip
+        dropped = {leak.folder for leak in leaks}
         return {split: [row for row in rows if facts[row].folder not in dropped] for split, rows in splits.items()}
-
-    def _keep_apart(self, facts: Sequence[SceneFacts], splits: dict[str, list[int]]) -> None:
-        """Scenes at the edge of a block that lie on ground of one held out are left out."""
-        for split, others in (("val", splits["test"]), ("train", splits["val"] + splits["test"])):
-            clash = overlapping(facts, splits[split], others)
-            self.left_out += [
-                f"{facts[row].folder}: lies where {facts[other].folder} does, which is held out"
-                for row, other in clash.items()
-            ]
-            splits[split] = [row for row in splits[split] if row not in clash]
 
     def added(self, composition: Composition) -> int:
         """How many scenes are added to each control. Errors: ConfigError where the sources have none."""
@@ -236,32 +224,25 @@ class _Pool:
                     f"({len(self.left_out)} scenes of all sources were left out); ask for fewer, or for all"
                 )
             taken = self._stratified(there, wanted, f"{split} {source}")
-            own = [_Scene(source, fact) for fact in taken]
             chosen = {fact.scenario_id for fact in taken}
-            left = self._densest([fact for fact in there if fact.scenario_id not in chosen], draw)
+            left = _densest((fact for fact in there if fact.scenario_id not in chosen), draw)
             dense = left[: draw.densest.get(source, 0)]
             lacking = draw.densest.get(source, 0) - len(dense)
-            own += [_Scene(source, fact) for fact in dense]
+            scenes += [_Scene(source, fact) for fact in (*taken, *dense)]
             for number, among in (
                 (draw.again.get(source, 0), self._shuffled(taken, f"{split} {source} again")),
-                (lacking, self._densest(taken, draw)[: max(1, min(lacking, (len(taken) + 1) // 2))]),
+                (lacking, _densest(taken, draw)[: max(1, min(lacking, (len(taken) + 1) // 2))]),
             ):
                 if number and not among:
                     raise ConfigError(f"{where}: nothing of {source!r} to draw again in {split}; take some")
                 for index in range(number):
                     fact = among[index % len(among)]
                     copies[fact.scenario_id] += 1
-                    own.append(_Scene(source, fact, copies[fact.scenario_id]))
-            scenes += own
+                    scenes.append(_Scene(source, fact, copies[fact.scenario_id]))
         twice = [name for name, number in Counter(scene.scenario_id for scene in scenes).items() if number > 1]
         if twice:
             raise ConfigError(f"{where}: scene {twice[0]} is in two of the sources; leave it out of one")
         return scenes
-
-    @staticmethod
-    def _densest(facts: Sequence[SceneFacts], draw: Draw) -> list[SceneFacts]:
-        """The densest first."""
-        return sorted(facts, key=lambda fact: (-_agents(fact, draw), fact.scenario_id))
 
     def _shuffled(self, facts: Sequence[SceneFacts], what: str) -> list[SceneFacts]:
         ranked = sorted(facts, key=lambda fact: fact.scenario_id)
@@ -287,17 +268,13 @@ class _Pool:
         return np.random.default_rng([self._seed, *what.encode()])
 
 
+def _densest(facts: Iterable[SceneFacts], draw: Draw) -> list[SceneFacts]:
+    """The densest first."""
+    return sorted(facts, key=lambda fact: (-_agents(fact, draw), fact.scenario_id))
+
+
 def _agents(fact: SceneFacts, draw: Draw) -> int:
     return fact.tracks if draw.min_agents_in == "all" else fact.observed
-
-
-def _origin(split: str, scene: _Scene) -> Origin:
-    fact = scene.facts
-    kind: Kind = "copy" if scene.copy else "generated" if fact.generated else "recorded"
-    return Origin(
-        split, scene.scenario_id, kind, scene.source, fact.scenario_id, fact.source_id, fact.city, fact.tracks,
-        fact.observed, str(fact.folder),
-    )  # fmt: skip
 
 
 def _put(scene: _Scene, place: Path) -> None:
@@ -337,8 +314,8 @@ def check_leaks(root: Path, *, jobs: int = 1, on_scene: Callable[[int, int], Non
     lost its source. Errors: NoSceneError where there is no scene; ScenarioError for one that cannot be read.
     """
     roots = [root] if any((root / split).is_dir() for split in SPLITS) else _roots_in(root)
-    held_out = _roots_in(root / VALIDATION) if (root / VALIDATION).is_dir() else []
-    folders = {place: find_scenarios(place) for place in [*roots, *held_out] if _has_scenes(place)}
+    held_out = _roots_in(root / VALIDATION)
+    folders = {place: _scenes_in(place) for place in [*roots, *held_out]}
     everything = list(dict.fromkeys(folder for found in folders.values() for folder in found))
     if not everything:
         raise NoSceneError(f"{root}: no scene in folders train, val or test")
@@ -353,10 +330,8 @@ def check_leaks(root: Path, *, jobs: int = 1, on_scene: Callable[[int, int], Non
     row_of = {fact.folder: row for row, fact in enumerate(facts)}
     found: dict[Path, Leak] = {}
     for place in roots:
-        mine = {split: [f for f in folders.get(place, ()) if split_of(f) == split] for split in SPLITS}
-        others = [folder for other in held_out for folder in folders.get(other, ())]
-        train, val, test = ([row_of[folder] for folder in mine[split]] for split in SPLITS)
-        outside = list(dict.fromkeys(val + [row_of[folder] for folder in others]))
+        train, val, test = ([row_of[f] for f in folders[place] if split_of(f) == split] for split in SPLITS)
+        outside = list(dict.fromkeys(val + [row_of[f] for other in held_out for f in folders[other]]))
         for leak in (*leaks_between(facts, train, outside + test), *leaks_between(facts, val, test)):
             found.setdefault(leak.folder, leak)
     return list(found.values())
@@ -370,11 +345,11 @@ def _roots_in(root: Path) -> list[Path]:
     )
 
 
-def _has_scenes(root: Path) -> bool:
+def _scenes_in(root: Path) -> list[Path]:
     try:
-        return bool(find_scenarios(root))
+        return find_scenarios(root)
     except NoSceneError:
-        return False
+        return []
 
 
 def origins_of(root: Path) -> dict[str, Origin]:
@@ -385,5 +360,5 @@ def origins_of(root: Path) -> dict[str, Origin]:
     with path.open(newline="", encoding="utf-8") as stream:
         return {
             row["scenario_id"]: Origin(**{**row, "tracks": int(row["tracks"]), "observed": int(row["observed"])})  # type: ignore[arg-type]
-            for row in csv.DictReader(stream)
+            for row in ({key: untabled(value) for key, value in row.items()} for row in csv.DictReader(stream))
         }

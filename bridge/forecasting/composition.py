@@ -1,13 +1,13 @@
 """COMPOSITION.toml: which scenes of which sources make which data sets. `bridge/forecasting/README.md` has examples."""
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from bridge.config import read_toml
 from bridge.recordings.folders import SPLITS
 from netconvert.errors import ConfigError
 
@@ -140,12 +140,7 @@ class Composition(_Part):
 
 def read_composition(path: Path) -> Composition:
     """Read a file; its relative paths begin at its folder. Errors: ConfigError with file, key, value and range."""
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file, expected a composition in TOML") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"{path}: not TOML ({error})") from error
+    values = read_toml(path, "a composition")
     sources = values.get("sources")
     if isinstance(sources, dict):
         values["sources"] = {name: _places(places, path.parent) for name, places in sources.items()}

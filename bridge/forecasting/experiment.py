@@ -16,27 +16,25 @@ from bridge.batch.batch import Options, Run, SceneJob, run_batch
 from bridge.batch.batch import Progress as BatchProgress
 from bridge.batch.engine import Settings, Task, execute_here
 from bridge.batch.manifest import DONE, ManifestRow
-from bridge.evaluation import pages
 from bridge.evaluation.predictions import BOUNDS, Score, above, score_predictions, write_forecasts
 from bridge.files import explained, make_folder, write_json, write_rows, write_text
 from bridge.forecasting.comparison import (
-    ABOUT,
-    HEAD,
     METRICS,
     Difference,
     Estimate,
     MetricKey,
     Runs,
     as_dicts,
-    difference_of,
+    differences_of,
     in_band,
     mean_of,
-    rows_of,
+    page_parts,
     sources_of,
 )
 from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose, origins_of
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, Controls, Draw, Split
 from bridge.forecasting.torch_extra import check_torch
+from bridge.pages import parts as pages
 from bridge.recordings.sources import find_sources
 from hid2.params import Config, Forecasting, Request
 from netconvert.errors import BatchError, ConfigError, ScenarioError
@@ -145,9 +143,9 @@ def _composed(scenes: Sequence[Path], out: Path, plan: Plan, *, jobs: int, tell:
     root = out / "composed"
     text = composition.model_dump_json(indent=1) + "\n"
     same = (root / COMPOSITION).is_file() and (root / COMPOSITION).read_text(encoding="utf-8") == text
-    if same and any(made.values()):  # of scenes that have been made anew since
-        shutil.rmtree(root)
     if not same or any(made.values()):
+        if same:  # of scenes that have been made anew since
+            shutil.rmtree(root)
         compose(composition, root, jobs=jobs, on_scene=tell)
     return root
 
@@ -221,54 +219,50 @@ def train_and_forecast(
 
 def _scores(composed: Path, predictions: Path, *, jobs: int, tell: Progress) -> dict[str, dict[str, Runs]]:
     """Scores by validation set and training set, a sequence for each seed. Errors: ConfigError for a missing file."""
-    files: dict[tuple[str, str], list[Path]] = {}
-    for name in SETS:
-        seeds = sorted(path for path in (predictions / name).glob("*") if path.is_dir())
-        for validation in (RECORDED, HID2):
-            found = [folder / f"{validation}.parquet" for folder in seeds]
-            missing = [path for path in found if not path.is_file()]
-            if missing or not found:
-                path = missing[0] if missing else predictions / name / "0" / f"{validation}.parquet"
-                raise ConfigError(
-                    f"{path}: no such file; expected DIR/SET/SEED/VALIDATION.parquet of every set and seed"
-                )
-            files[validation, name] = found
+    files = {(on, name): _files(predictions / name, f"{on}.parquet") for name in SETS for on in (RECORDED, HID2)}
     runs: dict[str, dict[str, Runs]] = {RECORDED: {}, HID2: {}}
     done, total = 0, sum(map(len, files.values()))
-    for (validation, name), found in files.items():
+    for (on, name), found in files.items():
         scores = []
         for path in found:
-            scored = score_predictions(composed / VALIDATION / validation / "val", predictions=path, jobs=jobs)
+            scored = score_predictions(composed / VALIDATION / on / "val", predictions=path, jobs=jobs)
             if scored.left_out:
                 raise ScenarioError(f"{path}: {len(scored.left_out)} not scored, the first: {scored.left_out[0]}")
             scores.append(scored.scores)
             done += 1
             tell("scoring", done, total)
-        runs[validation][name] = scores
+        runs[on][name] = scores
     return runs
+
+
+def _files(folder: Path, name: str) -> list[Path]:
+    """The forecasts of a training set on a validation set, one file a seed. Errors: ConfigError for a missing one."""
+    found = [seed / name for seed in sorted(folder.glob("*")) if seed.is_dir()]
+    missing = next((path for path in found or [folder / "0" / name] if not path.is_file()), None)
+    if missing is not None:
+        raise ConfigError(f"{missing}: no such file; expected DIR/SET/SEED/VALIDATION.parquet of every set and seed")
+    return found
 
 
 class _Line(NamedTuple):
     label: str
     cells: Sequence[Estimate]
 
+    def as_row(self) -> tuple[str, ...]:
+        return html.escape(self.label), *(pages.with_interval(cell._asdict()) for cell in self.cells)
 
-def _table2(runs: Mapping[str, Mapping[str, Runs]], source_of: Mapping[str, str], params: Forecasting) -> list[_Line]:
-    lines = [_Line(label, [Estimate(value, None, None) for value in values]) for label, values in PAPER_TABLE2.items()]
-    for name, label in ((RECORDED, "ours: recorded"), (HID2_ONLY, "ours: HiD2")):
-        cells = [mean_of(runs[on][name], source_of, metric, params) for on in (RECORDED, HID2) for metric in _COLUMNS]
-        lines.append(_Line(label, cells))
-    return lines
+    def as_dict(self, names: Sequence[str]) -> dict[str, Any]:
+        return {"row": self.label, **{name: cell._asdict() for name, cell in zip(names, self.cells, strict=True)}}
 
 
-def _table3(runs: Mapping[str, Mapping[str, Runs]], source_of: Mapping[str, str], params: Forecasting) -> list[_Line]:
-    lines = [_Line(label, [Estimate(value, None, None) for value in values]) for label, values in PAPER_TABLE3.items()]
-    for name, label in CONTROLS.items():
-        cells = [
-            mean_of(in_band(runs[RECORDED][name], above("agents", bound)), source_of, metric, params)
-            for bound in BOUNDS
-            for metric in _COLUMNS
-        ]
+def _table(
+    paper: Mapping[str, Sequence[float]], ours: Mapping[str, Sequence[Runs]], source_of: Mapping[str, str],
+    params: Forecasting,
+) -> list[_Line]:  # fmt: skip
+    """The paper's rows and ours, by label: every metric of each of a row's runs."""
+    lines = [_Line(label, [Estimate(value) for value in values]) for label, values in paper.items()]
+    for label, row in ours.items():
+        cells = [mean_of(runs, source_of, metric, params) for runs in row for metric in _COLUMNS]
         lines.append(_Line(f"ours: {label}", cells))
     return lines
 
@@ -279,36 +273,20 @@ def _differences(
     """The controls minus recorded scenes alone, and HiD2 minus its rivals, on recorded scenes; Table 2 on both."""
     bands: dict[str, Callable[[Score], bool]] = {"all scenes": lambda _: True}
     bands |= {f"more than {bound}": above("agents", bound) for bound in BOUNDS}
-    found = []
     pairs = [(name, RECORDED) for name in CONTROLS if name != RECORDED]
     pairs += [("hid2", "recorded-dense"), ("hid2", "no-interaction")]
-    for name, other in pairs:
-        for band, belongs in bands.items():
-            for metric in METRICS:
-                mine, theirs = (in_band(runs[RECORDED][one], belongs) for one in (name, other))
-                found.append(
-                    difference_of(
-                        (name, mine), (other, theirs), band=band, source_of=source_of, metric=metric, params=params
-                    )
-                )
+    found = differences_of(pairs, runs[RECORDED], bands, source_of, params)
     for on in (RECORDED, HID2):
-        for metric in METRICS:
-            found.append(  # noqa: PERF401  # two loops read better
-                difference_of(
-                    (HID2_ONLY, runs[on][HID2_ONLY]), (RECORDED, runs[on][RECORDED]), band=f"{on} validation scenes",
-                    source_of=source_of, metric=metric, params=params,
-                )
-            )  # fmt: skip
+        whole = {f"{on} validation scenes": bands["all scenes"]}
+        found += differences_of([(HID2_ONLY, RECORDED)], runs[on], whole, source_of, params)
     return found
 
 
 def power_text(differences: Sequence[Difference]) -> str:
     """What the comparison of hid2 with recorded scenes can show and what not, as HTML."""
-    one = next(
-        d
-        for d in differences
-        if (d.model, d.other, d.band, d.metric) == ("hid2", "recorded", "all scenes", "min_fde_m")
-    )
+    wanted = ("hid2", "recorded", "all scenes", "min_fde_m")
+    one = next(d for d in differences if (d.model, d.other, d.band, d.metric) == wanted)
+    low, high = one.estimate.low, one.estimate.high
     start = (
         f"<p><b>What these numbers can show.</b> {one.tracks} tracks of {one.sources} recorded "
         f"scene{'' if one.sources == 1 else 's'} are forecast, "
@@ -319,32 +297,23 @@ def power_text(differences: Sequence[Difference]) -> str:
         "scenes, whose minFDE has a standard deviation of some 1.6 m. Compared in pairs it is less, but it has to be "
         "shown with an interval, with several seeds, and against the same number of dense recorded scenes.</p>"
     )
-    if one.detectable is None:
-        return f"{start}There is no interval to go by.{_few(one)} {end}"
-    needed = one.sources_for(PAPER_GAIN_M)
+    if one.sources < _FEW_SCENES:
+        end = f"So few scenes show that the way works from end to end, and nothing about the claim. {end}"
+    if one.detectable is None or low is None or high is None:
+        return f"{start}There is no interval to go by. {end}"
+    verdict = "The interval of the difference does not hold 0."
+    if one.sources < _TRUSTED_SCENES:
+        verdict = (
+            f"The interval of the difference, {low:+.2f} to {high:+.2f} m, is drawn from so few scenes that it is too "
+            "narrow: whether it holds 0 says nothing."
+        )
+    elif low <= 0 <= high:
+        verdict = "The interval of the difference holds 0: no difference is shown."
     return (
         f"{start}A true difference of minFDE between hid2 and recorded would be found four times in five if it were "
-        f"{one.detectable:.2f} m or more; to find the paper’s {PAPER_GAIN_M} m some {needed:,} recorded scenes would "
-        f"be needed, other things equal. {_verdict(one)} {end}"
+        f"{one.detectable:.2f} m or more; to find the paper’s {PAPER_GAIN_M} m some {one.sources_for(PAPER_GAIN_M):,} "
+        f"recorded scenes would be needed, other things equal. {verdict} {end}"
     )
-
-
-def _verdict(one: Difference) -> str:
-    low, high = one.estimate.low, one.estimate.high
-    if low is not None and high is not None and one.sources < _TRUSTED_SCENES:
-        return (
-            f"The interval of the difference, {low:+.2f} to {high:+.2f} m, is drawn from so few scenes that it is too "
-            f"narrow: whether it holds 0 says nothing.{_few(one)}"
-        )
-    if low is None or high is None or low <= 0 <= high:
-        return f"The interval of the difference holds 0: no difference is shown.{_few(one)}"
-    return f"The interval of the difference does not hold 0.{_few(one)}"
-
-
-def _few(one: Difference) -> str:
-    if one.sources >= _FEW_SCENES:
-        return ""
-    return " So few scenes show that the way works from end to end, and nothing about the claim."
 
 
 _ABOUT = (
@@ -363,22 +332,23 @@ _READINGS: Mapping[Reading, str] = {
 def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, plan: Plan, *, brought: bool) -> Path:
     source_of = {**sources_of(composed / VALIDATION / HID2), **sources_of(composed / VALIDATION / RECORDED)}
     params = plan.params
-    table2, table3 = _table2(runs, source_of, params), _table3(runs, source_of, params)
+    trained = {"recorded": RECORDED, "HiD2": HID2_ONLY}
+    ours2 = {label: [runs[on][name] for on in (RECORDED, HID2)] for label, name in trained.items()}
+    above_bounds = [above("agents", bound) for bound in BOUNDS]
+    ours3 = {label: [in_band(runs[RECORDED][name], one) for one in above_bounds] for name, label in CONTROLS.items()}
+    table2, table3 = _table(PAPER_TABLE2, ours2, source_of, params), _table(PAPER_TABLE3, ours3, source_of, params)
     differences = _differences(runs, source_of, params)
     seeds = {name: len(found) for name, found in runs[RECORDED].items()}
     content: dict[str, Any] = {
         "experiment": "prediction",
         "seeds": seeds,
         "reading": None if brought else plan.reading,
-        "table2": [
-            _as_dict(line, [f"{on}_{metric}" for on in (RECORDED, HID2) for metric in _COLUMNS]) for line in table2
-        ],
-        "table3": [_as_dict(line, [f"{metric}_{bound}" for bound in BOUNDS for metric in _COLUMNS]) for line in table3],
+        "table2": [line.as_dict([f"{on}_{key}" for on in (RECORDED, HID2) for key in _COLUMNS]) for line in table2],
+        "table3": [line.as_dict([f"{key}_{bound}" for bound in BOUNDS for key in _COLUMNS]) for line in table3],
         "differences": as_dicts(differences),
     }
-    short = {"min_ade_m": "minADE, m", "min_fde_m": "minFDE, m", "missed": "MR"}
-    head2 = ("trained on", *(f"{short[metric]}<br>{on}" for on in ("recorded", "HiD2") for metric in _COLUMNS))
-    head3 = ("trained on", *(f"{short[metric]}<br>&gt; {bound}" for bound in BOUNDS for metric in _COLUMNS))
+    head2 = ("trained on", *(f"{METRICS[key]}<br>{on}" for on in ("recorded", "HiD2") for key in _COLUMNS))
+    head3 = ("trained on", *(f"{METRICS[key]}<br>&gt; {bound}" for bound in BOUNDS for key in _COLUMNS))
     focal = "" if brought else f" Forecast in generated scenes: {_READINGS[plan.reading]}."
     who = "Forecasts brought from elsewhere." if brought else f"The small forecaster, {params.updates} updates."
     parts = [
@@ -387,12 +357,11 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
         "<h2>What the forecasters were trained on, and scored on</h2>",
         pages.table(_SETS_HEAD, _sets(composed)),
         "<h2>Table 2: trained on recorded scenes or on generated ones</h2>",
-        pages.table(head2, [_cells(line) for line in table2]),
+        pages.table(head2, [line.as_row() for line in table2]),
         "<h2>Table 3: recorded validation scenes of more than 50, 70 and 90 agents</h2>",
-        pages.table(head3, [_cells(line) for line in table3]),
+        pages.table(head3, [line.as_row() for line in table3]),
         "<h2>Differences, in pairs</h2>",
-        ABOUT,
-        pages.table(HEAD, [tuple(html.escape(cell) for cell in row) for row in rows_of(differences)]),
+        *page_parts(differences),
         _ABOUT,
     ]
     with explained(out):
@@ -421,17 +390,9 @@ def _sets(composed: Path) -> list[tuple[str, ...]]:
     for name, root, split in places:
         found = [origin for origin in origins_of(root).values() if origin.split == split]
         kinds = Counter(origin.kind for origin in found)
-        means = [
-            sum(counts) / max(1, len(found)) for counts in zip(*((o.tracks, o.observed) for o in found), strict=True)
-        ]
+        tracks, observed = (
+            sum(getattr(one, field) for one in found) / max(1, len(found)) for field in ("tracks", "observed")
+        )
         cells = [str(kinds[kind]) for kind in ("recorded", "generated", "copy")]
-        rows.append((html.escape(name), *cells, *(f"{mean:.1f}" for mean in means or (0.0, 0.0))))
+        rows.append((name, *cells, f"{tracks:.1f}", f"{observed:.1f}"))
     return rows
-
-
-def _cells(line: _Line) -> tuple[str, ...]:
-    return html.escape(line.label), *(pages.with_interval(cell._asdict()) for cell in line.cells)
-
-
-def _as_dict(line: _Line, names: Sequence[str]) -> dict[str, Any]:
-    return {"row": line.label, **{name: cell._asdict() for name, cell in zip(names, line.cells, strict=True)}}

@@ -16,6 +16,7 @@ from bridge.recordings.scenario import FOCAL_CATEGORY, MAX_STEPS, OBSERVED_STEPS
 from hid2.agents import FloatArray, Track
 from hid2.params import Forecasting
 from netconvert.errors import Hid2Error, ScenarioError
+from netconvert.geometry import arc_length
 from netconvert.lane_graph import TurnType
 
 #: Features of an agent at a step: x, y, cos and sin of heading, vx, vy, present.
@@ -93,14 +94,12 @@ def targets_of(scenario: Scenario, params: Forecasting) -> list[Target]:
     present = np.zeros((len(scenario.tracks), OBSERVED_STEPS), dtype=np.bool_)
     for row, track in enumerate(scenario.tracks):
         seen = track.timesteps < OBSERVED_STEPS
-        steps = track.timesteps[seen]
+        steps, heading = track.timesteps[seen], track.heading[seen]
         present[row, steps] = True
-        heading = track.heading[seen]
         history[row, steps] = np.column_stack(
             [track.position[seen], np.cos(heading), np.sin(heading), track.velocity[seen]]
         )
-    lanes, lane_kinds = _lanes(scenario, params.lane_points)
-    around = _Seen(history, present, lanes, lane_kinds)
+    around = _Seen(history, present, *_lanes(scenario, params.lane_points))
     return [
         _target(scenario, row, around, params)
         for row, track in enumerate(scenario.tracks)
@@ -140,16 +139,15 @@ def _target(scenario: Scenario, row: int, around: _Seen, params: Forecasting) ->
         agent_kinds[slot, _KIND.get(scenario.tracks[k].object_type, 3)] = 1
     agent_kinds[0, 4] = 1
 
-    near = np.hypot(*np.moveaxis(lanes[..., :2] - origin, -1, 0)).min(axis=1) if len(lanes) else np.empty(0)
+    near = np.hypot(*np.moveaxis(lanes[..., :2] - origin, -1, 0)).min(axis=1)
     chosen = [k for k in np.argsort(near, kind="stable")[: params.lanes] if near[k] <= params.radius_m]
     own_lanes = np.zeros((params.lanes, params.lane_points, LANE_FEATURES), dtype=np.float32)
     own_kinds = np.zeros((params.lanes, LANE_KINDS), dtype=np.float32)
-    if chosen:
-        shape = lanes[chosen]
-        own_lanes[: len(chosen)] = np.concatenate(
-            [(shape[..., :2] - origin) @ turn / UNIT_M, shape[..., 2:] @ turn], axis=-1
-        )
-        own_kinds[: len(chosen)] = lane_kinds[chosen]
+    shape = lanes[chosen]
+    own_lanes[: len(chosen)] = np.concatenate(
+        [(shape[..., :2] - origin) @ turn / UNIT_M, shape[..., 2:] @ turn], axis=-1
+    )
+    own_kinds[: len(chosen)] = lane_kinds[chosen]
     return Target(
         scenario_id=scenario.scenario_id, track_id=track.track_id, focal=track.category == FOCAL_CATEGORY,
         agents=agents, agent_kinds=agent_kinds, lanes=own_lanes, lane_kinds=own_kinds,
@@ -169,7 +167,7 @@ def _lanes(scenario: Scenario, points: int) -> tuple[FloatArray, FloatArray]:
     shapes, kinds = [], []
     for lane in scenario.graph.lanes.values():
         line = lane.centerline
-        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+        along = arc_length(line)
         at = np.linspace(0.0, along[-1], points)
         place = np.column_stack([np.interp(at, along, line[:, axis]) for axis in (0, 1)])
         ahead = np.gradient(place, axis=0)

@@ -4,8 +4,6 @@ Two scenes are kept on one side where one was generated from the other, where th
 slice_id, where a file has one), and where their maps share a square of ground: neighbouring windows of a drive do.
 """
 
-import re
-import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,27 +11,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from pydantic_core import from_json
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from bridge.batch.engine import sorted_out, work_on_each
 from bridge.batch.isolation import Failure, attempt_each
 from bridge.config import word_for_recorded
 from bridge.files import read_regular
-from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIDECAR_PATTERN, only_file
+from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, only_file, source_id
 from bridge.recordings.limits import MAX_FILE_MB
-from bridge.recordings.scenario import OBSERVED_STEPS
-from bridge.recordings.sidecar import REACTIVE, read_sidecar
+from bridge.recordings.scenario import OBSERVED_STEPS, read_table
+from bridge.recordings.sidecar import REACTIVE, sidecar_in
 from hid2.params import Forecasting
 from netconvert.errors import MapError, ScenarioError
 
 #: Scenes per task.
 _CHUNK = 256
-_COLUMNS = ("scenario_id", "track_id", "timestep", "city")
 _SLICE = "slice_id"
-_SOURCE_ID = re.compile(rb'"source_scenario_id":\s*"([^"\\]*)"')
-#: The source's id is the second field of a sidecar.
-_HEAD_BYTES = 2000
 #: Cells in a city are numbered in a square of this many a side.
 _SIDE = 1 << 20
 
@@ -80,53 +75,30 @@ def facts_of_scenes(
     folders: Sequence[Path], *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
 ) -> tuple[list[SceneFacts], list[str]]:
     """Facts in the order of folders, and a line for each scene that cannot be read."""
-    known: dict[bytes, bytes] = {}  # variants of a scene lie where it lies
     each = work_on_each(
         describe_folders, folders, shared=Forecasting(), jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False,
         on_item=on_scene,
     )  # fmt: skip
-    facts, unread = sorted_out(
-        (
-            folder,
-            value if isinstance(value, Failure) else value._replace(cells=known.setdefault(value.cells, value.cells)),
-        )
-        for folder, value in each
-    )
+    facts, unread = sorted_out(each)
     by_folder = {fact.folder: fact for fact in facts}  # a folder that comes twice is one scene
     return [by_folder[folder] for folder in folders if folder in by_folder], [reason for _, reason in unread]
 
 
 def describe_folders(params: Forecasting, folders: Sequence[Path]) -> Iterator[SceneFacts | Failure]:
     """The work of a process: facts of each scene."""
-    maps: dict[tuple[int, int], tuple[bytes, tuple[int, int]]] = {}
-    return attempt_each(lambda folder: describe(folder, params, maps), folders)
+    return attempt_each(lambda folder: describe(folder, params), folders)
 
 
-def describe(
-    folder: Path, params: Forecasting, maps: dict[tuple[int, int], tuple[bytes, tuple[int, int]]]
-) -> SceneFacts:
-    """Read what is needed of one scene; `maps` remembers the last maps by size and check sum.
-
-    Errors: ScenarioError, MapError with file, value and what was expected.
-    """
+def describe(folder: Path, params: Forecasting) -> SceneFacts:
+    """Read what is needed of one scene. Errors: ScenarioError, MapError with file, value and what was expected."""
     parquet, map_path = only_file(folder, PARQUET_PATTERN, ScenarioError), only_file(folder, MAP_PATTERN, MapError)
-    try:
-        with pq.ParquetFile(parquet) as file:
-            names = file.schema_arrow.names
-            lacking = [name for name in _COLUMNS if name not in names]
-            if lacking:
-                raise ScenarioError(f"{parquet}: no column {lacking[0]!r}, expected the columns of Argoverse 2")
-            table = file.read(columns=[*_COLUMNS, *([_SLICE] if _SLICE in names else [])])
-    except (OSError, ValueError) as error:  # arrow's own errors are ValueErrors
-        raise ScenarioError(f"{parquet}: not a parquet file ({str(error).splitlines()[0]})") from error
-    if table.num_rows == 0:
-        raise ScenarioError(f"{parquet}: no rows, expected at least one track")
+    table = read_table(parquet)
     scenario_id = str(table.column("scenario_id")[0])
-    if scenario_id != parquet.stem.removeprefix("scenario_"):
+    if scenario_id != source_id(folder):
         raise ScenarioError(f"{parquet}: scenario_id {scenario_id!r}, expected the id in the file's name")
-    track = table.column("track_id")
-    at_end = table.filter(pc.equal(table.column("timestep"), OBSERVED_STEPS - 1)).column("track_id")
-    cells, block = _ground(map_path, params, maps)
+    track, timestep = table.column("track_id"), table.column("timestep")
+    at_end = track.filter(pc.equal(timestep, OBSERVED_STEPS - 1))
+    cells, block = _ground(map_path, params)
     source = recorded_source(folder)
     return SceneFacts(
         folder=folder,
@@ -134,7 +106,7 @@ def describe(
         source_id=source or scenario_id,
         generated=source is not None,
         city=str(table.column("city")[0]),
-        steps=int(pc.max(table.column("timestep")).as_py()) + 1,
+        steps=int(pc.max(timestep).as_py()) + 1,
         tracks=int(pc.count_distinct(track).as_py()),
         observed=int(pc.count_distinct(at_end).as_py()),
         log=str(table.column(_SLICE)[0].as_py() or "") if _SLICE in table.column_names else "",
@@ -144,41 +116,26 @@ def describe(
 
 
 def recorded_source(folder: Path) -> str | None:
-    """The source of a generated scene, by the head of its sidecar; None for a recorded one. Errors: ScenarioError."""
+    """The source of a generated scene, by its sidecar; None for a recorded one. Errors: ScenarioError."""
     if word_for_recorded(folder.name) != "recorded":
         raise ScenarioError(f"{folder}: {REACTIVE}")
-    sidecars = sorted(folder.glob(SIDECAR_PATTERN))
-    if not sidecars:
-        return None
-    try:
-        with sidecars[0].open("rb") as file:
-            found = _SOURCE_ID.search(file.read(_HEAD_BYTES))
-    except OSError as error:
-        raise ScenarioError(f"{sidecars[0]}: cannot be read ({error.strerror})") from error
-    return found[1].decode() if found else read_sidecar(sidecars[0]).source_scenario_id
+    sidecar = sidecar_in(folder, source_id(folder))
+    return None if sidecar is None else sidecar.source_scenario_id
 
 
-def _ground(
-    path: Path, params: Forecasting, maps: dict[tuple[int, int], tuple[bytes, tuple[int, int]]]
-) -> tuple[bytes, tuple[int, int]]:
+def _ground(path: Path, params: Forecasting) -> tuple[bytes, tuple[int, int]]:
+    """Cells and block of a map. Errors: MapError."""
     try:
-        content = read_regular(path, most_mb=MAX_FILE_MB)
+        points = np.array(list(_points(from_json(read_regular(path, most_mb=MAX_FILE_MB)))), dtype=np.float64)
     except OSError as error:
         raise MapError(f"{path}: cannot be read ({error.strerror})") from error
-    key = len(content), zlib.crc32(content)
-    if key not in maps:
-        if len(maps) > _CHUNK:
-            maps.clear()
-        try:
-            points = np.array(list(_points(from_json(content))), dtype=np.float64)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise MapError(f"{path}: no map of Argoverse 2 ({type(error).__name__}: {error})") from error
-        if not len(points) or not np.isfinite(points).all():
-            raise MapError(f"{path}: no lane segment with finite points, expected at least one")
-        cell = np.floor(points / params.place_cell_m).astype(np.int64) + _SIDE // 2
-        middle = np.floor((points.min(axis=0) + points.max(axis=0)) / 2 / params.block_m).astype(int)
-        maps[key] = np.unique(cell[:, 0] * _SIDE + cell[:, 1]).tobytes(), (int(middle[0]), int(middle[1]))
-    return maps[key]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise MapError(f"{path}: no map of Argoverse 2 ({type(error).__name__}: {error})") from error
+    if not len(points) or not np.isfinite(points).all():
+        raise MapError(f"{path}: no lane segment with finite points, expected at least one")
+    cell = np.floor(points / params.place_cell_m).astype(np.int64) + _SIDE // 2
+    middle = np.floor((points.min(axis=0) + points.max(axis=0)) / 2 / params.block_m).astype(int)
+    return np.unique(cell[:, 0] * _SIDE + cell[:, 1]).tobytes(), (int(middle[0]), int(middle[1]))
 
 
 def _points(document: Mapping[str, Any]) -> Iterator[tuple[float, float]]:
@@ -193,23 +150,18 @@ def _points(document: Mapping[str, Any]) -> Iterator[tuple[float, float]]:
 
 def groups_of(facts: Sequence[SceneFacts]) -> list[list[int]]:
     """Rows of scenes that stay on one side: of one block of a city, one source, one log. In the order of first rows."""
-    parent = list(range(len(facts)))
-
-    def root(row: int) -> int:
-        while parent[row] != row:
-            parent[row] = parent[parent[row]]
-            row = parent[row]
-        return row
-
-    first: dict[tuple[object, ...], int] = {}
+    number: dict[tuple[object, ...], int] = {}
+    links = []
     for row, fact in enumerate(facts):
         keys: list[tuple[object, ...]] = [("block", fact.city, *fact.block), ("source", fact.source_id)]
         keys += [("log", fact.log)] if fact.log else []
-        for key in keys:
-            parent[root(row)] = root(first.setdefault(key, row))
+        links += [(row, len(facts) + number.setdefault(key, len(number))) for key in keys]
+    ends, size = np.array(links).reshape(-1, 2), len(facts) + len(number)
+    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(size, size))
+    _, label = connected_components(graph, directed=False)
     groups: dict[int, list[int]] = defaultdict(list)
     for row in range(len(facts)):
-        groups[root(row)].append(row)
+        groups[int(label[row])].append(row)
     return list(groups.values())
 
 
@@ -252,41 +204,25 @@ def split_by_place(
     return {split: sorted(rows) for split, rows in chosen.items()}
 
 
-def overlapping(facts: Sequence[SceneFacts], rows: Sequence[int], others: Sequence[int]) -> dict[int, int]:
-    """Of `rows`, those whose ground is also that of one of `others`, with that one."""
-    ground: dict[tuple[str, int], int] = {}
-    for row in others:
-        for cell in np.frombuffer(facts[row].cells, dtype=np.int64).tolist():
-            ground.setdefault((facts[row].city, cell), row)
-    found = {}
-    for row in rows:
-        for cell in np.frombuffer(facts[row].cells, dtype=np.int64).tolist():
-            other = ground.get((facts[row].city, cell))
-            if other is not None:
-                found[row] = other
-                break
-    return found
-
-
 def leaks_between(facts: Sequence[SceneFacts], training: Sequence[int], held_out: Sequence[int]) -> list[Leak]:
     """Scenes for training that are, or come from, or lie where one of those held out does. Each is named once."""
-    ids = {facts[row].scenario_id: row for row in held_out}
-    sources = {facts[row].source_id: row for row in reversed(held_out)}
-    logs = {facts[row].log: row for row in reversed(held_out) if facts[row].log}
-    ground = overlapping(facts, training, held_out)
+    known: dict[tuple[object, ...], int] = {}
+    for row in held_out:
+        for sign, _ in _signs(facts[row]):
+            known.setdefault(sign, row)
     found = []
     for row in training:
-        fact = facts[row]
-        for known, key, why in (
-            (ids, fact.scenario_id, "the same scene as"),
-            (sources, fact.source_id, f"made of the same recorded scene {fact.source_id} as"),
-            (logs, fact.log, f"cut from the same log {fact.log} as"),
-        ):
-            other = known.get(key)
-            if other is not None:
-                found.append(Leak(fact.folder, facts[other].folder, why))
-                break
-        else:
-            if row in ground:
-                found.append(Leak(fact.folder, facts[ground[row]].folder, "lies where there is"))
+        leak = next(((known[sign], why) for sign, why in _signs(facts[row]) if sign in known), None)
+        if leak is not None:
+            found.append(Leak(facts[row].folder, facts[leak[0]].folder, leak[1]))
     return found
+
+
+def _signs(fact: SceneFacts) -> Iterator[tuple[tuple[object, ...], str]]:
+    """By what a scene is known again, and what to say of another one with the same; the plainest first."""
+    yield ("scene", fact.scenario_id), "the same scene as"
+    yield ("source", fact.source_id), f"made of the same recorded scene {fact.source_id} as"
+    if fact.log:
+        yield ("log", fact.log), f"cut from the same log {fact.log} as"
+    for cell in np.frombuffer(fact.cells, dtype=np.int64).tolist():
+        yield ("ground", fact.city, cell), "lies where there is"

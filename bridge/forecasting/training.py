@@ -6,7 +6,6 @@ epoch are drawn from the seed and the epoch's number. A GPU is used where there 
 
 import os
 import zlib
-from collections import defaultdict
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from bridge.evaluation.predictions import Forecast
 from bridge.files import beside, explained
 from bridge.forecasting.features import Target
 from bridge.forecasting.network import Batch, VectorNet, loss_of
-from hid2.agents import FloatArray
 from hid2.params import Forecasting
 from netconvert.errors import ConfigError, ScenarioError
 
@@ -82,7 +80,7 @@ def forecast(model: VectorNet, targets: Sequence[Target], params: Forecasting) -
     """Forecasts of the focal tracks by scenario: probabilities (K,) and modes (K, 60, 2), m, in the city."""
     device = _device()
     focal = [target for target in targets if target.focal]
-    found: dict[str, tuple[FloatArray, dict[str, FloatArray]]] = defaultdict()
+    found: dict[str, Forecast] = {}
     model.eval()
     with torch.no_grad():
         for start in range(0, len(focal), params.batch):
@@ -91,7 +89,7 @@ def forecast(model: VectorNet, targets: Sequence[Target], params: Forecasting) -
             shares = torch.softmax(logits.double(), dim=1).cpu().numpy()
             for target, modes, share in zip(part, futures.cpu().numpy(), shares, strict=True):
                 found[target.scenario_id] = share / share.sum(), {target.track_id: target.to_city(modes)}
-    return dict(found)
+    return found
 
 
 def be_deterministic(threads: int) -> None:
@@ -114,13 +112,12 @@ def _device() -> Any:  # noqa: ANN401
 
 
 def _batch(targets: Sequence[Target], device: Any) -> Batch:  # noqa: ANN401
-    future = [target.future for target in targets]
-    whole = None if any(values is None for values in future) else torch.from_numpy(np.stack(future)).to(device)  # type: ignore[arg-type]
-
-    def stacked(name: str) -> Any:  # noqa: ANN401
-        return torch.from_numpy(np.stack([getattr(target, name) for target in targets])).to(device)
-
-    return Batch(stacked("agents"), stacked("agent_kinds"), stacked("lanes"), stacked("lane_kinds"), whole)
+    """The targets' arrays by name; None where one of them lacks it, as futures of forecasts may be."""
+    columns = ([getattr(target, name) for target in targets] for name in Batch._fields)
+    return Batch._make(
+        None if any(values is None for values in column) else torch.from_numpy(np.stack(column)).to(device)
+        for column in columns
+    )
 
 
 def _load(checkpoint: Path, device: Any) -> dict[str, Any]:  # noqa: ANN401

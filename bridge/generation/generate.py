@@ -1,7 +1,6 @@
 """One recording -> a denser one: request, site, driver, [observe, decide, act, step], smooth, verify, export."""
 
 import logging
-import tempfile
 import zlib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -13,8 +12,17 @@ import numpy as np
 
 from bridge.config import check_no_flow, check_reactive, config_sha256
 from bridge.generation.gaps import gaps_bytes
-from bridge.generation.records import agent_record, event_record, rejected_records, replaced_record, with_unmet
+from bridge.generation.program import code_sha256, libraries
+from bridge.generation.records import (
+    agent_record,
+    event_record,
+    rejected_records,
+    replaced_record,
+    selection_record,
+    with_unmet,
+)
 from bridge.recordings.export import new_scenario_id, recording_record_of, with_motion, write_scene
+from bridge.recordings.plausibility import check_plausible
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import (
     GeneratorRecord,
@@ -90,7 +98,9 @@ class PreparedScene:
 
 
 def prepare(scenario: Recording, config: Config) -> PreparedScene:
-    """Grid and net of a scenario. Errors: MapError, NetError."""
+    """Grid and net of a scenario. Errors: MapError, NetError, ScenarioError where it is not plausible."""
+    if config.source.plausible:
+        check_plausible(scenario)
     grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m, max_skew_m=config.grid.max_skew_m)
     return PreparedScene(scenario=scenario, grid=grid, net=net_bytes(grid))
 
@@ -111,25 +121,22 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
     scene = surroundings.scene
     filling = Filling(surroundings, seed)
     _LOG.debug("%s variant %d: %s vehicles asked for", scenario.scenario_id, variant, config.request.agents)
-    with tempfile.TemporaryDirectory(prefix="hid2-") as folder:
-        net = Path(folder) / "scene.net.xml"
-        net.write_bytes(prepared.net)
-        with Simulation(
-            net, seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
-            parameters=model_parameters(config),
-        ) as simulation:  # fmt: skip
-            rounds: _Rounds
-            if config.driving.replay == "reactive":
-                reactive = _ReactiveRounds(scene, simulation, filling, scenario)
-                filling.fill_together(reactive.drive)
-                scenario, rounds = with_motion(scenario, reactive.late), reactive
-            else:
-                rounds = _Rounds(scene, simulation, filling)
-                search = EventSearch(scene, surroundings.roads, surroundings.routes, surroundings.stop_lines, seed)
-                events = search.run(rounds.drive_alone)
-                filling.take_events(events)
-                filling.fill(rounds.drive)
-            sumo_version = simulation.version()
+    with Simulation(
+        prepared.net, seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
+        parameters=model_parameters(config),
+    ) as simulation:  # fmt: skip
+        rounds: _Rounds
+        if config.driving.replay == "reactive":
+            reactive = _ReactiveRounds(scene, simulation, filling, scenario)
+            filling.fill_together(reactive.drive)
+            scenario, rounds = with_motion(scenario, reactive.late), reactive
+        else:
+            rounds = _Rounds(scene, simulation, filling)
+            search = EventSearch(scene, surroundings.roads, surroundings.routes, surroundings.stop_lines, seed)
+            events = search.run(rounds.drive_alone)
+            filling.take_events(events)
+            filling.fill(rounds.drive)
+        sumo_version = simulation.version()
     vehicles = sorted(filling.kept, key=lambda one: one.driven.start.request.number)
     tracks = [one.track(f"gen_{row}", config.request.generated_category) for row, one in enumerate(vehicles)]
     focal = scenario.focal_track_id
@@ -176,10 +183,11 @@ class _Rounds:
         return Driving(Fleet(scene, [start], fixed, roads, stop_lines), self._simulation, checked=False).run()[0]
 
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
-        """One simulation. The first one replays every recorded agent and compares; later ones those who matter."""
+        """One simulation; in the first one the poses of all recorded agents are measured, where that is asked for."""
         here = self._filling.surroundings
         fleet = Fleet(self._scene, starts, fixed, here.roads, here.stop_lines)
-        driving = Driving(fleet, self._simulation, checked=number == 0)
+        checked = number == 0 and self._scene.config.driving.check_replay
+        driving = Driving(fleet, self._simulation, checked=checked)
         vehicles = driving.run()
         self.driven += [(number, vehicle) for vehicle in vehicles]
         if number == 0:
@@ -198,7 +206,8 @@ class _ReactiveRounds(_Rounds):
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
         """One simulation, from the scene as it was recorded; the filling gets it as it has become."""
         here = self._filling.surroundings
-        driving = Driving(Fleet(self._scene, starts, fixed, here.roads, here.stop_lines), self._simulation)
+        fleet = Fleet(self._scene, starts, fixed, here.roads, here.stop_lines)
+        driving = Driving(fleet, self._simulation, checked=self._scene.config.driving.check_replay)
         vehicles = driving.run()
         assert driving.reactions is not None
         self.driven += [(number, vehicle) for vehicle in vehicles]
@@ -277,7 +286,7 @@ def _sidecar(
     placed = Counter(record.policy for record in agents)
     return Sidecar(
         source_scenario_id=prepared.scenario.scenario_id,
-        generator=GeneratorRecord(version=version("hid2-sumo")),
+        generator=GeneratorRecord(version=version("hid2-sumo"), code_sha256=code_sha256(), libraries=libraries()),
         recording=recording_record_of(prepared.scenario),
         sumo_version=sumo_version,
         seed=config.request.seed,
@@ -287,6 +296,7 @@ def _sidecar(
         replay=ReplayRecord(
             mode=config.driving.replay,
             late_s=rounds.late_s,
+            checked=config.driving.check_replay,
             states=rounds.errors.states,
             max_position_error_m=round(rounds.errors.max_position_error_m, 9),
             max_heading_error_rad=round(rounds.errors.max_heading_error_rad, 9),
@@ -297,4 +307,5 @@ def _sidecar(
         events=tuple(event_record(one, names) for one in filling.events),
         rejected=rejected_records(filling),
         replaced=tuple(replaced_record(one) for one in filling.rejected),
+        selection=selection_record(scene, filling),
     )  # fmt: skip

@@ -5,15 +5,19 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import cast
 
+import numpy as np
+
 from bridge.recordings.sidecar import (
     AgentRecord,
     DriverRecord,
+    DrivesRecord,
     EventRecord,
     GapsRecord,
     ManeuverKind,
     ManeuverRecord,
     RejectedRecord,
     ReplacedRecord,
+    SelectionRecord,
     SimulatedRecord,
     SpawnRecord,
 )
@@ -21,7 +25,9 @@ from hid2.agents import Policy
 from hid2.insertion.events import EventOutcome
 from hid2.insertion.filling import Filling, Rejection, Unmet
 from hid2.insertion.finalise import ExportedVehicle
+from hid2.insertion.meetings import moving_vehicles
 from hid2.insertion.outcome import Outcome
+from hid2.measures.selection import drives
 from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
 from hid2.scene import Scene
 
@@ -156,6 +162,25 @@ def replaced_record(rejection: Rejection) -> ReplacedRecord:
         detail=None if rejection.detail is None else str(rejection.detail), round=rejection.round_number,
         lane_segment_id=rejection.lane_id, cell=rejection.cell, last_step=rejection.last_step,
     )  # fmt: skip
+
+
+def selection_record(scene: Scene, filling: Filling) -> SelectionRecord:
+    """How vehicles that are kept drive, those that are not, and recorded vehicles that move."""
+    traffic = scene.traffic
+    speeds = [np.hypot(*traffic.velocity[row, traffic.present[row]].T) for row in moving_vehicles(scene).tolist()]
+    recorded = drives(speeds, step_s=scene.step_s)
+    kept, dropped = (
+        drives(
+            (np.array(one.v) for one in vehicles), step_s=scene.step_s,
+            limited=sum(one.limited["conflict"] for one in vehicles),
+        )
+        for vehicles in ([one.driven for one in filling.kept], filling.dropped)
+    )  # fmt: skip
+    return SelectionRecord(
+        kept=DrivesRecord(**kept._asdict()),
+        dropped=DrivesRecord(**dropped._asdict()),
+        recorded=DrivesRecord(**recorded._asdict()),
+    )
 
 
 def _finite(value: float) -> float | None:

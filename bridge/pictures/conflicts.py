@@ -113,15 +113,13 @@ def _crossings(arrays: SceneArrays, pet_s: float) -> Iterator[Conflict]:
 
 def _closing_in(arrays: SceneArrays, scenario: Scenario, ttc_s: float) -> Iterator[Conflict]:
     lanes = flatten_lanes(scenario.graph)
-    matches, _ = match_lanes(arrays, lanes)
+    matches = match_lanes(arrays, lanes)
     ahead = leaders(arrays, lanes, matches)
-    worst: dict[tuple[int, int], int] = {}
-    for row in np.flatnonzero((ahead.ttc_s < ttc_s) & arrays.moving[arrays.agent]).tolist():
-        pair = int(arrays.agent[row]), int(ahead.agent[row])
-        if pair not in worst or ahead.ttc_s[row] < ahead.ttc_s[worst[pair]]:
-            worst[pair] = row
-    for (_, leader), row in worst.items():
-        leader_row = int(arrays.row_of[leader, arrays.step[row]])
+    rows = np.flatnonzero((ahead.ttc_s < ttc_s) & arrays.moving[arrays.agent])
+    rows = rows[np.argsort(ahead.ttc_s[rows], kind="stable")]
+    _, worst = np.unique(np.column_stack([arrays.agent[rows], ahead.agent[rows]]), axis=0, return_index=True)
+    for row in rows[worst].tolist():
+        leader_row = int(arrays.row_of[ahead.agent[row], arrays.step[row]])
         yield _conflict(arrays, ConflictKind.CLOSING_IN, row, leader_row, float(ahead.ttc_s[row]))
 
 
@@ -130,11 +128,5 @@ def _conflict(arrays: SceneArrays, kind: ConflictKind, row: int, other: int, val
     first, second = (arrays.track_ids[arrays.agent[r]] for r in (row, other))
     if kind is not ConflictKind.CLOSING_IN and is_generated_id(second) and not is_generated_id(first):
         first, second = second, first
-    return Conflict(
-        kind,
-        first,
-        second,
-        float(min(arrays.step[row], arrays.step[other]) * arrays.step_s),
-        (arrays.position[row] + arrays.position[other]) / 2.0,
-        value,
-    )
+    time_s = float(min(arrays.step[row], arrays.step[other]) * arrays.step_s)
+    return Conflict(kind, first, second, time_s, (arrays.position[row] + arrays.position[other]) / 2.0, value)

@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from hid2.agents import FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ConfigError
-from netconvert.lane_graph import LaneGraph, LaneSegment
+from netconvert.lane_graph import LaneGraph
 
 #: Okabe and Ito's palette, without its yellow, which is too light on white.
 BLACK, ORANGE, SKY, GREEN, BLUE, VERMILION, PURPLE = (
@@ -70,26 +70,31 @@ def style() -> None:
 
 def draw_map(axes: Axes, graph: LaneGraph, *, cells: bool = False) -> None:
     """The map from above, in city coordinates: drivable area, lane boundaries, centrelines, cells on request."""
-    areas = [_patch(part) for part in _polygons(graph.drivable)]
+    parts = shapely.get_parts(graph.drivable)
+    areas = [_patch(part) for part in parts if isinstance(part, shapely.Polygon) and not part.is_empty]
     axes.add_collection(PatchCollection(areas, facecolor="#F1F1EF", edgecolor="#C9C9C4", linewidth=0.6, zorder=0))
-    bike = [_outline(lane) for lane in graph.lanes.values() if lane.lane_type == "BIKE"]
-    axes.add_collection(
-        PolyCollection([b for b in bike if b is not None], facecolor="#E3EEF4", edgecolor="none", zorder=1)
-    )
-    edges = [line for lane in graph.lanes.values() for line in (lane.left_boundary, lane.right_boundary)]
-    axes.add_collection(LineCollection([e for e in edges if e is not None], colors="#BDBDB8", linewidths=0.5, zorder=2))
-    centers = [lane.centerline for lane in graph.lanes.values() if lane.lane_type != "BIKE"]
+    sides = [(lane, lane.left_boundary, lane.right_boundary) for lane in graph.lanes.values()]
+    bike = [
+        np.concatenate([left, right[::-1]])
+        for lane, left, right in sides
+        if lane.lane_type == "BIKE" and left is not None and right is not None
+    ]
+    axes.add_collection(PolyCollection(bike, facecolor="#E3EEF4", edgecolor="none", zorder=1))
+    edges = [line for _, *lines in sides for line in lines if line is not None]
+    axes.add_collection(LineCollection(edges, colors="#BDBDB8", linewidths=0.5, zorder=2))
+    centers = [lane.centerline for lane, *_ in sides if lane.lane_type != "BIKE"]
     axes.add_collection(LineCollection(centers, colors="#CFCFCA", linewidths=0.5, linestyles=(0, (4, 4)), zorder=2))
     if cells:
         outlines = [shapely.get_coordinates(p.exterior) for p in build_cell_grid(graph).polygons if not p.is_empty]
         axes.add_collection(LineCollection(outlines, colors="#A8C4D6", linewidths=0.35, zorder=2))
 
 
-def frame(axes: Axes, low: FloatArray, high: FloatArray, *, origin: FloatArray, aspect: float = 1.0) -> None:
-    """Show the ground from `low` to `high` at the same scale both ways; ticks in m from `origin`.
+def frame(axes: Axes, low: FloatArray, high: FloatArray, *, aspect: float) -> None:
+    """Show the ground from `low` to `high` at the same scale both ways; ticks in m from a round place nearby.
 
     aspect: width over height that the shown ground is widened to.
     """
+    origin = np.floor(low / 100) * 100
     middle, half = (low + high) / 2, (high - low) / 2
     half = np.array([max(half[0], half[1] * aspect), max(half[1], half[0] / aspect)])
     axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
@@ -153,18 +158,6 @@ def data_uri(figure: Figure) -> str:
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
-def _polygons(geometry: shapely.Geometry) -> Sequence[shapely.Polygon]:
-    parts = shapely.get_parts(geometry)
-    return [part for part in parts if isinstance(part, shapely.Polygon) and not part.is_empty]
-
-
 def _patch(polygon: shapely.Polygon) -> PathPatch:
     rings = [np.asarray(ring.coords) for ring in (polygon.exterior, *polygon.interiors)]
     return PathPatch(MplPath.make_compound_path(*[MplPath(ring, closed=True) for ring in rings]))
-
-
-def _outline(lane: LaneSegment) -> FloatArray | None:
-    left, right = lane.left_boundary, lane.right_boundary
-    if left is None or right is None:
-        return None
-    return np.concatenate([left, right[::-1]])

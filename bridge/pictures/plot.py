@@ -1,6 +1,6 @@
 """One agent over time: speed, acceleration, jerk, lateral offset and cells, with the moments of its manoeuvres."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -17,7 +17,7 @@ from bridge.recordings.scenario import Scenario
 from bridge.recordings.sidecar import sidecar_in
 from bridge.recordings.sources import read_recording
 from hid2.agents import FloatArray
-from hid2.evaluation.kinematics import Motion, motion
+from hid2.evaluation.kinematics import motion
 from hid2.measures.arrays import SceneArrays, stack
 from hid2.measures.driven_lanes import first_lane_path
 from hid2.measures.lane_matching import FlatLanes, Matches, flatten_lanes, match_lanes
@@ -33,16 +33,12 @@ _LABEL_S, _LABELS_APART = 0.1, 0.08
 class _Moment(NamedTuple):
     time_s: float
     what: str
-    kind: str
 
 
 #: Dash patterns of the four moments of a manoeuvre.
 _STYLES: Mapping[str, Literal["dotted", "dashed", "solid", "dashdot"]] = {
-    "trigger": "dotted",
-    "start": "dashed",
-    "crossing": "solid",
-    "end": "dashdot",
-}
+    "trigger": "dotted", "start": "dashed", "crossing": "solid", "end": "dashdot",
+}  # fmt: skip
 
 
 def plot_agent(folder: Address, agent_id: str, out_file: Path) -> Path:
@@ -57,17 +53,24 @@ def plot_agent(folder: Address, agent_id: str, out_file: Path) -> Path:
     track = figures.find_track(scenario, agent_id)
     arrays = stack([track], step_s=scenario.step_s)
     lanes = flatten_lanes(scenario.graph)
-    matches, _ = match_lanes(arrays, lanes)
+    matches = match_lanes(arrays, lanes)
     seen = detect(arrays, lanes, matches)
     moments, note = _moments(scenario, agent_id, seen)
     time = np.asarray(track.timesteps * scenario.step_s, dtype=np.float64)
     figures.style()
     figure, axes = _axes(track.position)
     _plan(axes[0], scenario, track.position, moments, time)
-    moved = motion(arrays)
-    _speed(axes[1], time, moved)
-    _acceleration(axes[2], time, moved)
-    _jerk(axes[3], time, moved)
+    limits, moved = Limits(), motion(arrays)
+    axes[1].plot(time, moved.speed_mps, color=figures.BLUE)
+    axes[1].set_ylabel("speed, m/s")
+    axes[1].set_ylim(0, max(1.0, float(moved.speed_mps.max()) * 1.15))
+    accel = {"longitudinal": moved.accel_mps2, "lateral": moved.lateral_accel_mps2}
+    _derivative(axes[2], time, accel, limits=(limits.accel_min_mps2, limits.accel_max_mps2), one_sided=2)
+    axes[2].set_ylabel("acceleration,\nm/s²")
+    jerk = {"longitudinal": moved.longitudinal_jerk_mps3, "magnitude (JE)": moved.jerk_mps3}
+    most = limits.longitudinal_jerk_mps3
+    _derivative(axes[3], time, jerk, limits=(-most, most), one_sided=3)
+    axes[3].set_ylabel("jerk, m/s³")
     _offset(axes[4], time, arrays, lanes, matches)
     _cells(axes[5], time, scenario, lanes, matches)
     for ax in axes[1:]:
@@ -78,12 +81,8 @@ def plot_agent(folder: Address, agent_id: str, out_file: Path) -> Path:
     axes[5].set_xlabel(
         "time from timestep 0, s (acceleration and jerk: without the ends, where differences are one-sided)"
     )
-    marked = {moment.what for moment in moments}
-    handles = [
-        Line2D([], [], color=figures.DARK_GREY, linestyle=_STYLES[what], label=what)
-        for what in _STYLES
-        if what in marked
-    ]
+    marked = [what for what in _STYLES if any(moment.what == what for moment in moments)]
+    handles = [Line2D([], [], color=figures.DARK_GREY, linestyle=_STYLES[what], label=what) for what in marked]
     if handles:
         axes[1].legend(handles=handles, ncols=4, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     figure.suptitle(
@@ -99,14 +98,12 @@ def _axes(position: FloatArray) -> tuple[Figure, list[Axes]]:
     """The plan, then five axes over time: below the plan, or beside it where the path runs north or south."""
     names = ["speed", "acceleration", "jerk", "offset", "cells"]
     wide, high = np.ptp(position, axis=0)
+    shape: dict[str, Any] = {"figsize": (9.5, 11.5), "height_ratios": [2.2, 1, 1, 1, 1, 1]}
+    layout: Any = [[name] for name in ["plan", *names]]
     if high > wide:
-        layout: Any = [["plan", name] for name in names]
-        figure, found = plt.subplot_mosaic(layout, figsize=(12.5, 9.5), layout="constrained", width_ratios=[1, 2])
-    else:
-        layout = [[name] for name in ["plan", *names]]
-        figure, found = plt.subplot_mosaic(
-            layout, figsize=(9.5, 11.5), layout="constrained", height_ratios=[2.2, 1, 1, 1, 1, 1]
-        )
+        shape = {"figsize": (12.5, 9.5), "width_ratios": [1, 2]}
+        layout = [["plan", name] for name in names]
+    figure, found = plt.subplot_mosaic(layout, layout="constrained", **shape)
     return figure, [found[name] for name in ["plan", *names]]
 
 
@@ -114,31 +111,21 @@ def _moments(scenario: Scenario, agent_id: str, seen: list[Maneuver]) -> tuple[l
     """Moments to mark, and what the title says of the manoeuvres."""
     sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
     record = next((agent for agent in sidecar.agents if agent.track_id == agent_id), None) if sidecar else None
+    times = [
+        (getattr(maneuver, f"{what}_s", None), what)  # what is seen has no trigger
+        for maneuver in (seen if record is None else record.maneuvers)
+        for what in _STYLES
+    ]
+    moments = [_Moment(time_s, what) for time_s, what in times if time_s is not None]
     if record is None:
-        moments = [m for maneuver in seen for m in _seen_moments(maneuver)]
         named = ", ".join(maneuver.kind.value.replace("_", " ") for maneuver in seen)
         return moments, f"\nseen: {named}" if named else "\nno manoeuvre seen"
-    moments = []
-    for maneuver in record.maneuvers:
-        for what, value in (
-            ("trigger", maneuver.trigger_s),
-            ("start", maneuver.start_s),
-            ("crossing", maneuver.crossing_s),
-            ("end", maneuver.end_s),
-        ):
-            if value is not None:
-                moments.append(_Moment(value, what, maneuver.kind))
     named = ", ".join(
         f"{behaviour_seen(ManeuverKind(m.kind)).label} {m.status.replace('_', ' ')}"
         + (f" ({m.reason})" if m.reason else "")
         for m in record.maneuvers
     )
     return moments, f"\npolicy {record.policy.value.replace('_', ' ')}" + (f": {named}" if named else "")
-
-
-def _seen_moments(maneuver: Maneuver) -> Iterator[_Moment]:
-    for what, value in (("start", maneuver.start_s), ("crossing", maneuver.crossing_s), ("end", maneuver.end_s)):
-        yield _Moment(value, what, maneuver.kind)
 
 
 def _plan(ax: Axes, scenario: Scenario, position: FloatArray, moments: list[_Moment], time: FloatArray) -> None:
@@ -156,7 +143,7 @@ def _plan(ax: Axes, scenario: Scenario, position: FloatArray, moments: list[_Mom
             ax.plot(*position[row], "D", color=figures.BLUE, markeredgecolor="black", markersize=7, zorder=8)
     low, high = position.min(axis=0) - 10.0, position.max(axis=0) + 10.0
     wide, high_m = high - low
-    figures.frame(ax, low, high, origin=np.floor(low / 100) * 100, aspect=0.45 if high_m > wide else 2.6)
+    figures.frame(ax, low, high, aspect=0.45 if high_m > wide else 2.6)
     ax.set_title("position every second; diamond: crossing between lanes", fontsize=9)
 
 
@@ -169,46 +156,27 @@ def _apart(position: FloatArray, rows: npt.NDArray[np.int64], *, least_m: float)
     return taken
 
 
-def _speed(ax: Axes, time: FloatArray, moved: Motion) -> None:
-    ax.plot(time, moved.speed, color=figures.BLUE)
-    ax.set_ylabel("speed, m/s")
-    ax.set_ylim(0, max(1.0, float(moved.speed.max()) * 1.15))
+def _derivative(
+    ax: Axes, time: FloatArray, series: Mapping[str, FloatArray], *, limits: tuple[float, float], one_sided: int
+) -> None:
+    """Two series, dotted lines at the longitudinal limits, and room for whatever exceeds them.
 
-
-def _acceleration(ax: Axes, time: FloatArray, moved: Motion) -> None:
-    limits = Limits()
-    along, across = (_without_ends(values, 2) for values in (moved.longitudinal_accel, moved.lateral_accel))
-    ax.plot(time, along, color=figures.BLUE, label="longitudinal")
-    ax.plot(time, across, color=figures.VERMILION, label="lateral", linestyle="--")
-    _limits(ax, along, across, limits=(limits.accel_min_mps2, limits.accel_max_mps2))
-    ax.set_ylabel("acceleration,\nm/s²")
-    ax.legend(loc="upper right", ncols=3, fontsize=8)
-
-
-def _jerk(ax: Axes, time: FloatArray, moved: Motion) -> None:
-    bound = Limits().longitudinal_jerk_mps3
-    along, norm = (_without_ends(values, 3) for values in (moved.longitudinal_jerk, moved.jerk_norm))
-    ax.plot(time, along, color=figures.BLUE, label="longitudinal")
-    ax.plot(time, norm, color=figures.VERMILION, label="magnitude (JE)", linestyle="--")
-    _limits(ax, along, norm, limits=(-bound, bound))
-    ax.set_ylabel("jerk, m/s³")
-    ax.legend(loc="upper right", ncols=3, fontsize=8)
-
-
-def _without_ends(values: FloatArray, steps: int) -> FloatArray:
-    """NaN for the first and last steps: the differences there are one-sided, and jump where the motion does not."""
-    inner = np.zeros(len(values), dtype=bool)
-    inner[steps : len(values) - steps] = True
-    return np.where(inner, values, np.nan)
-
-
-def _limits(ax: Axes, *series: FloatArray, limits: tuple[float, float]) -> None:
-    """Dotted lines at the longitudinal limits, and room for whatever exceeds them."""
+    one_sided: first and last steps, which are not shown: differences there are one-sided, and jump where the motion
+    does not.
+    """
+    shown = [np.array(limits)]
+    looks = ((figures.BLUE, "-"), (figures.VERMILION, "--"))
+    for (name, values), (color, dashes) in zip(series.items(), looks, strict=True):
+        inner = values.copy()
+        inner[:one_sided] = inner[-one_sided:] = np.nan
+        ax.plot(time, inner, color=color, label=name, linestyle=dashes)
+        shown.append(inner[np.isfinite(inner)])
     for value, label in zip(limits, ("limit (longitudinal)", None), strict=True):
         ax.axhline(value, color=figures.GREY, linewidth=0.9, linestyle=":", label=label)
-    shown = np.concatenate([limits, *(values[np.isfinite(values)] for values in series)])
-    low, high = float(shown.min()), float(shown.max())
+    every = np.concatenate(shown)
+    low, high = float(every.min()), float(every.max())
     ax.set_ylim(low - 0.1 * (high - low), high + 0.3 * (high - low))
+    ax.legend(loc="upper right", ncols=3, fontsize=8)
 
 
 def _offset(ax: Axes, time: FloatArray, arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import imageio.v2
+import imageio_ffmpeg
 import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +32,7 @@ from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.policy.behaviours import BEHAVIOURS, behaviour_seen
-from netconvert.errors import ConfigError
+from netconvert.errors import ConfigError, ExportError
 from netconvert.geometry import box_corners
 
 PICTURES = tuple(figures.PICTURES)
@@ -49,6 +50,10 @@ _OTHER = "#B9A7C4"
 _RECORDED = "#B4B4B4"
 
 
+#: Manoeuvres with the ids of their tracks.
+_Done = tuple[tuple[str, ManeuverRecord], ...]
+
+
 class _Look(NamedTuple):
     face: str
     edge: str
@@ -64,7 +69,7 @@ class _Panel:
     scenario: Scenario
     tracks: tuple[Track, ...]
     looks: Mapping[str, _Look]
-    maneuvers: tuple[tuple[str, ManeuverRecord], ...]
+    maneuvers: _Done
 
 
 def render_scene(
@@ -92,29 +97,17 @@ def render_scene(
         raise ConfigError(f"{out_file}: a film shows every timestep; for one give a picture, {', '.join(PICTURES)}")
     scenario = read_recording(folder)
     shown = figures.check_step(scenario, step)
-    panels = _panels(scenario, source)
-    window = _window(scenario, agent)
+    drawing = _Drawing(scenario, source, agent=agent, cells=cells, whole_paths=suffix in PICTURES)
     with explained(out_file):
-        drawing = _Drawing(panels, window, agent=agent, cells=cells, whole_paths=suffix in PICTURES)
         if suffix in PICTURES:
             drawing.show(shown)
             figures.save(drawing.figure, out_file)
         else:
             with beside(out_file) as hidden:
-                hidden.touch()  # what speaks against it is said before the film is drawn
-                frames = drawing.frames(range(scenario.num_steps))
-                _write_animation(_counted(frames, scenario.num_steps, on_frame), hidden, step_s=scenario.step_s)
+                frames = drawing.frames(range(scenario.num_steps), on_frame)
+                _write_animation(frames, hidden, step_s=scenario.step_s)
             plt.close(drawing.figure)
     return out_file
-
-
-def _counted(
-    frames: Iterator[npt.NDArray[np.uint8]], total: int, on_frame: Callable[[int, int], None] | None
-) -> Iterator[npt.NDArray[np.uint8]]:
-    for number, frame in enumerate(frames, 1):
-        if on_frame is not None:
-            on_frame(number, total)
-        yield frame
 
 
 def scene_figure(folder: Address, *, source: Address | None = None, agent: str | None = None) -> Figure:
@@ -123,9 +116,8 @@ def scene_figure(folder: Address, *, source: Address | None = None, agent: str |
     Errors: ScenarioError, MapError.
     """
     scenario = read_recording(folder)
-    window = _window(scenario, agent)
-    drawing = _Drawing(_panels(scenario, source), window, agent=agent, cells=False, whole_paths=True)
-    drawing.show(figures.check_step(scenario, None))
+    drawing = _Drawing(scenario, source, agent=agent, cells=False, whole_paths=True)
+    drawing.show(scenario.last_observed)
     return drawing.figure
 
 
@@ -144,46 +136,41 @@ def draw_scene(
     figures.draw_map(axes, scenario.graph, cells=cells)
     _put(panel, axes, shown, agent=agent, whole_paths=True)
     room = axes.get_window_extent()
-    figures.frame(axes, low, high, origin=np.floor(low / 100) * 100, aspect=room.width / room.height)
+    figures.frame(axes, low, high, aspect=room.width / room.height)
 
 
 def _panels(scenario: Scenario, source: Address | None) -> list[_Panel]:
+    """What is shown: one half for a recorded scene, before | after for a generated one."""
     sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
-    generated = {track.track_id for track in scenario.tracks if is_generated_id(track.track_id)}
-    policies = {record.track_id: record.policy for record in sidecar.agents} if sidecar else {}
-    maneuvers = tuple(
-        (record.track_id, maneuver) for record in (sidecar.agents if sidecar else ()) for maneuver in record.maneuvers
-    )
-    looks = {track.track_id: _look(track, policies.get(track.track_id)) for track in scenario.tracks}
-    recorded = tuple(track for track in scenario.tracks if track.track_id not in generated)
-    name = scenario.scenario_id[:8]
+    agents = sidecar.agents if sidecar else ()
+    policies = {record.track_id: record.policy for record in agents}
+    maneuvers = tuple((record.track_id, maneuver) for record in agents for maneuver in record.maneuvers)
+    recorded = tuple(track for track in scenario.tracks if not is_generated_id(track.track_id))
+    generated = len(scenario.tracks) - len(recorded)
+    name, word = scenario.scenario_id[:8], word_for_recorded(scenario.scenario_id)
+
+    def panel(title: str, shown: Scenario, tracks: tuple[Track, ...], done: _Done = ()) -> _Panel:
+        own = policies if shown is scenario else {}
+        looks = {track.track_id: _look(track, own.get(track.track_id)) for track in tracks}
+        return _Panel(title, shown, tracks, looks, done)
+
     if not generated and source is None:
-        return [_Panel(f"{name}: {len(recorded)} recorded agents", scenario, scenario.tracks, looks, ())]
-    before = scenario if source is None else read_recording(source)
-    origin = (
-        "the recorded tracks of this scene, sizes by object type"
-        if source is None
-        else f"source scene {before.scenario_id[:8]}, with the sizes labelled there"
+        return [panel(f"{name}: {len(recorded)} recorded agents", scenario, scenario.tracks)]
+    before, tracks, origin = scenario, recorded, "the recorded tracks of this scene, sizes by object type"
+    if source is not None:
+        before = read_recording(source)
+        tracks = before.tracks
+        origin = f"source scene {before.scenario_id[:8]}, with the sizes labelled there"
+    known = {track.track_id: track.size for track in tracks}  # labelled sizes lie beside the source only
+    resized = (
+        track if is_generated_id(track.track_id) else replace(track, size=known.get(track.track_id, track.size))
+        for track in scenario.tracks
     )
-    before_tracks = recorded if source is None else before.tracks
-    known = {track.track_id: track.size for track in before_tracks}  # labelled sizes lie beside the source only
-    before_looks = {track.track_id: _look(track, None) for track in before_tracks}
-    word = word_for_recorded(scenario.scenario_id)
-    after = _Panel(
-        f"after: {len(recorded)} {word} agents + {len(generated)} generated vehicles\n(scene {name})",
-        scenario,
-        tuple(
-            t if t.track_id in generated else replace(t, size=known.get(t.track_id, t.size)) for t in scenario.tracks
-        ),
-        looks,
-        maneuvers,
-    )
+    title = f"after: {len(recorded)} {word} agents + {generated} generated vehicles\n(scene {name})"
+    after = panel(title, scenario, tuple(resized), maneuvers)
     if source is None and word != "recorded":  # what was recorded is not in it
         return [after]
-    return [
-        _Panel(f"before: {len(before_tracks)} recorded agents\n({origin})", before, before_tracks, before_looks, ()),
-        after,
-    ]
+    return [panel(f"before: {len(tracks)} recorded agents\n({origin})", before, tracks), after]
 
 
 def _look(track: Track, policy: Policy | None) -> _Look:
@@ -223,22 +210,20 @@ def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: 
     ]
     noses = [np.stack([t.position[i], box[:2].mean(axis=0)]) for (t, i), box in zip(present, boxes, strict=True)]
     trails = [t.position[max(0, i - trail) : i + 1] for t, i in present]
-    artists: list[Collection] = []
+    faces = [look.face for look in looks]
+    artists: list[Collection] = [
+        LineCollection(trails, colors=faces, linewidths=2.2, alpha=0.5, zorder=4),
+        PolyCollection(
+            boxes, facecolors=faces, edgecolors=[look.edge for look in looks],
+            linewidths=[look.line_width for look in looks], zorder=5,
+        ),
+        LineCollection(noses, colors="#222222", linewidths=0.6, zorder=6),
+    ]  # fmt: skip
     if whole_paths:
         paths = [t for t in panel.tracks if is_generated_id(t.track_id)]
         colors = [panel.looks[t.track_id].face for t in paths]
-        artists.append(LineCollection([t.position for t in paths], colors=colors, linewidths=0.8, alpha=0.8, zorder=3))
-    artists.append(LineCollection(trails, colors=[look.face for look in looks], linewidths=2.2, alpha=0.5, zorder=4))
-    artists.append(
-        PolyCollection(
-            boxes,
-            facecolors=[look.face for look in looks],
-            edgecolors=[look.edge for look in looks],
-            linewidths=[look.line_width for look in looks],
-            zorder=5,
-        )
-    )
-    artists.append(LineCollection(noses, colors="#222222", linewidths=0.6, zorder=6))
+        whole = LineCollection([t.position for t in paths], colors=colors, linewidths=0.8, alpha=0.8, zorder=3)
+        artists.insert(0, whole)
     for artist in artists:
         ax.add_collection(artist, autolim=False)
     labels = [part for track, row in present for part in _label(ax, track, row, agent)]
@@ -270,22 +255,20 @@ def _marks(panel: _Panel, ax: Axes, until_s: float | None) -> list[Artist]:
     artists: list[Artist] = []
     tracks = {track.track_id: track for track in panel.tracks}
     for track_id, maneuver in panel.maneuvers:
-        place = maneuver.crossing_s if maneuver.crossing_s is not None else maneuver.start_s
-        if place is None or maneuver.status not in {"done", "aborted"} or track_id not in tracks:
+        at_s = maneuver.crossing_s if maneuver.crossing_s is not None else maneuver.start_s
+        if at_s is None or maneuver.status not in {"done", "aborted"} or track_id not in tracks:
             continue
-        if until_s is not None and place > until_s:
+        if until_s is not None and at_s > until_s:
             continue
         track = tracks[track_id]
-        x, y = track.position[int(np.argmin(np.abs(track.timesteps * panel.scenario.step_s - place)))]
-        done = maneuver.status == "done"
+        row = int(np.argmin(np.abs(track.timesteps * panel.scenario.step_s - at_s)))
         behaviour = behaviour_seen(ManeuverKind(maneuver.kind))
-        color = figures.POLICY_COLORS[behaviour.policy] if done else "black"
+        look: dict[str, Any] = {"marker": "x", "c": "black"}
+        if maneuver.status == "done":
+            look = {"marker": behaviour.mark, "c": figures.POLICY_COLORS[behaviour.policy], "edgecolors": "black"}
         size = 110 if maneuver.kind == "overtake" else 45
-        artist = ax.scatter(
-            [x], [y], marker=behaviour.mark if done else "x", s=size, c=color,
-            edgecolors="black" if done else None, linewidths=0.8, zorder=8,
-        )  # fmt: skip
-        artists.append(artist)
+        x, y = track.position[row]
+        artists.append(ax.scatter([x], [y], s=size, linewidths=0.8, zorder=8, **look))
     return artists
 
 
@@ -297,17 +280,12 @@ class _Drawing:
     """
 
     def __init__(
-        self,
-        panels: Sequence[_Panel],
-        window: tuple[FloatArray, FloatArray],
-        *,
-        agent: str | None,
-        cells: bool,
-        whole_paths: bool,
+        self, scenario: Scenario, source: Address | None, *, agent: str | None, cells: bool, whole_paths: bool
     ) -> None:
         self.whole_paths, self.agent = whole_paths, agent
+        panels = _panels(scenario, source)
+        low, high = _window(scenario, agent)
         figures.style()
-        low, high = window
         span = high - low
         aspect = float(np.clip(span[0] / span[1], 0.6, 2.2))
         width = 7.0 if len(panels) > 1 else 9.0
@@ -319,7 +297,7 @@ class _Drawing:
         self.panels = list(zip(panels, axes[0], strict=True))
         for panel, ax in self.panels:
             figures.draw_map(ax, panel.scenario.graph, cells=cells)
-            figures.frame(ax, low, high, origin=np.floor(low / 100) * 100, aspect=aspect)
+            figures.frame(ax, low, high, aspect=aspect)
             ax.set_title(panel.title)
         self.legend()
         self.clock = self.figure.suptitle("0.0 s", x=0.01, ha="left", fontsize=11, fontweight="bold")
@@ -342,27 +320,22 @@ class _Drawing:
             if color in faces
         ]
         handles.append(Patch(facecolor="none", edgecolor="black", linewidth=1.6, label="focal track: black edge"))
+
+        def add(label: str, **look: Any) -> None:  # noqa: ANN401  # as Line2D has it
+            handles.append(Line2D([], [], label=label, **look))
+
         if self.agent is not None:
-            handles.append(
-                Line2D([], [], marker="o", color="none", markersize=11, markeredgecolor=figures.HIGHLIGHT,
-                       markeredgewidth=1.8, label=f"track {self.agent}")
-            )  # fmt: skip
+            ring = {"markersize": 11, "markeredgecolor": figures.HIGHLIGHT, "markeredgewidth": 1.8}
+            add(f"track {self.agent}", marker="o", color="none", **ring)
         for kind in dict.fromkeys(maneuver.kind for _, maneuver in panel.maneuvers if maneuver.status == "done"):
-            behaviour = behaviour_seen(ManeuverKind(kind))
-            color = figures.POLICY_COLORS[behaviour.policy]
-            handles.append(
-                Line2D([], [], marker=behaviour.mark, color="none", markerfacecolor=color, markeredgecolor="black",
-                       label=f"{behaviour.label} here")
-            )  # fmt: skip
+            seen = behaviour_seen(ManeuverKind(kind))
+            look = {"markerfacecolor": figures.POLICY_COLORS[seen.policy], "markeredgecolor": "black"}
+            add(f"{seen.label} here", marker=seen.mark, color="none", **look)
         if any(maneuver.status == "aborted" for _, maneuver in panel.maneuvers):
-            handles.append(Line2D([], [], marker="x", color="none", markeredgecolor="black", label="aborted here"))
-        handles.append(
-            Line2D([], [], color=figures.DARK_GREY, linewidth=1.6, alpha=0.5, label=f"path of the last {TRAIL_S:.0f} s")
-        )
+            add("aborted here", marker="x", color="none", markeredgecolor="black")
+        add(f"path of the last {TRAIL_S:.0f} s", color=figures.DARK_GREY, linewidth=1.6, alpha=0.5)
         if self.whole_paths and any(is_generated_id(track.track_id) for track in panel.tracks):
-            handles.append(
-                Line2D([], [], color=figures.DARK_GREY, linewidth=0.8, alpha=0.8, label="whole path, generated")
-            )
+            add("whole path, generated", color=figures.DARK_GREY, linewidth=0.8, alpha=0.8)
         self.figure.legend(handles=handles, loc="outside lower center", ncols=min(5, len(handles)), fontsize=8.5)
 
     def show(self, step: int) -> None:
@@ -378,7 +351,9 @@ class _Drawing:
         when = "observed" if step <= scenario.last_observed else "future"
         self.clock.set_text(f"{step * scenario.step_s:.1f} s  ({when})")
 
-    def frames(self, steps: Sequence[int]) -> Iterator[npt.NDArray[np.uint8]]:
+    def frames(
+        self, steps: Sequence[int], on_frame: Callable[[int, int], None] | None
+    ) -> Iterator[npt.NDArray[np.uint8]]:
         """(H, W, 3) pictures, H and W even; the map is drawn once and kept."""
         self.show(steps[0])
         for _, artist in self.moving:
@@ -389,13 +364,15 @@ class _Drawing:
         background = self.canvas.copy_from_bbox(self.figure.bbox)
         self.clock.set_visible(True)
         renderer = self.canvas.get_renderer()
-        for step in steps:
+        for number, step in enumerate(steps, 1):
             self.show(step)
             self.canvas.restore_region(background)
             for ax, artist in sorted(self.moving, key=lambda item: item[1].get_zorder()):
                 ax.draw_artist(artist)
             self.clock.draw(renderer)
             picture = np.asarray(self.canvas.buffer_rgba())[..., :3]
+            if on_frame is not None:
+                on_frame(number, len(steps))
             yield picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2].copy()
 
 
@@ -404,6 +381,12 @@ def _write_animation(frames: Iterator[npt.NDArray[np.uint8]], path: Path, *, ste
     if path.suffix.lower() == ".gif":
         _write_gif(frames, path, step_s=step_s)
         return
+    try:
+        imageio_ffmpeg.get_ffmpeg_exe()
+    except RuntimeError:  # its own was removed
+        raise ExportError(
+            f"found no program ffmpeg, which writes {path.suffix}: see INSTALL.md, or ask for .gif"
+        ) from None
     writer: Any = imageio.v2.get_writer(path, fps=1.0 / step_s, codec="libx264", quality=7, macro_block_size=2)
     with contextlib.closing(writer):  # as a context, it would leave ffmpeg running after an error
         for picture in frames:
@@ -411,20 +394,24 @@ def _write_animation(frames: Iterator[npt.NDArray[np.uint8]], path: Path, *, ste
 
 
 def _write_gif(frames: Iterator[npt.NDArray[np.uint8]], path: Path, *, step_s: float) -> None:
-    """All frames share one palette, at a reduced size: a tenth of the bytes of one palette a frame.
-
-    It is that of the first frame, with the colours that tell vehicles apart, which cover too little ground to be kept.
-    """
+    """All frames share the palette of the first, at a reduced size: a tenth of the bytes of one palette a frame."""
     pictures: list[Image.Image] = []
-    kept = [*figures.POLICY_COLORS.values(), figures.SKY, figures.DARK_GREY, _RECORDED, _OTHER]
-    own = [int(color[k : k + 2], 16) for color in kept for k in (1, 3, 5)]
-    shared: Image.Image | None = None
+    palette: Image.Image | None = None
     for picture in frames:
         image = Image.fromarray(picture)
         image.thumbnail((GIF_WIDTH, GIF_WIDTH), Image.Resampling.LANCZOS)
-        if shared is None:
-            first = image.quantize(_GIF_COLORS - len(kept)).getpalette() or []
-            shared = Image.new("P", (1, 1))
-            shared.putpalette(first + own)
-        pictures.append(image.quantize(palette=shared, dither=Image.Dither.NONE))
+        palette = palette or palette_of(image, _GIF_COLORS)
+        pictures.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
     pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=round(1000 * step_s), loop=0, disposal=1)
+
+
+def palette_of(picture: Image.Image, colors: int) -> Image.Image:
+    """A palette of so many colours, for `quantize`: a picture's own and those that tell vehicles apart.
+
+    Vehicles cover too little ground for theirs to be kept.
+    """
+    kept = [*figures.POLICY_COLORS.values(), figures.SKY, figures.DARK_GREY, figures.HIGHLIGHT, _RECORDED, _OTHER]
+    own = [int(color[k : k + 2], 16) for color in kept for k in (1, 3, 5)]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette((picture.quantize(colors - len(kept)).getpalette() or []) + own)
+    return palette

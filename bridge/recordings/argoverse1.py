@@ -39,9 +39,9 @@ from bridge.files import one_line, read_regular
 from bridge.recordings import limits
 from bridge.recordings.folders import Source
 from bridge.recordings.map_rules import graph_of, read_document
-from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY, Recording
-from bridge.recordings.scenario import REQUIRED_COLUMNS, split_rows
-from hid2.agents import FloatArray, IntArray
+from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY, Recording, velocity_of
+from bridge.recordings.scenario import recording_of, split_rows, table_of
+from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray, Track
 from netconvert.av1_map import CityLane, DrivableRaster, cut_city, drivable_raster, read_city_lanes
 from netconvert.errors import MapError, ScenarioError
 from netconvert.lane_graph import LaneGraph
@@ -53,7 +53,7 @@ NUM_STEPS, OBSERVED_STEPS, STEP_S = 50, 20, 0.1
 #: Time stamps: the mean of their distances, and the largest one, s. Of 60 real sequences: 0.1 to 0.2, and 0.27.
 _MEAN_S, _MOST_S = (0.05, 0.3), 0.6
 _CITIES = {"MIA": "miami", "PIT": "pittsburgh"}
-_SAMPLES, _DEGREE = 11, 2
+_SAMPLES = 11
 _MOVES_MPS, _MOVES_M = 1.0, 1.5
 _MARGIN_M = 30.0
 #: Share of the AGENT's positions that has to lie on the map's drivable area: on another city's map none does.
@@ -74,7 +74,7 @@ class CityMap(NamedTuple):
     raster: DrivableRaster
 
 
-class _Rows(NamedTuple):
+class SequenceRows(NamedTuple):
     """The rows of a sequence by track, in the order of first appearance; position (N, 2) m."""
 
     ids: list[str]
@@ -93,7 +93,7 @@ def read(source: Source) -> Recording:
         content = read_regular(path, most_mb=limits.MAX_FILE_MB)
     except OSError as error:
         raise ScenarioError(f"{path}: cannot be read ({error.strerror}), expected an Argoverse 1 sequence") from error
-    rows = _rows(content, name)
+    rows = check_sequence(content, name)
     assert source.map_path is not None
     graph, map_json = _map(source.map_path, rows, name)
     agent = rows.position[rows.code == rows.kinds.index(AGENT)]
@@ -105,34 +105,13 @@ def read(source: Source) -> Recording:
         )
     table = _table(rows, graph, source.scenario_id)
     checked = split_rows(table, name=name, sizes={}, observed_steps=OBSERVED_STEPS)
-    limits.check_ground(checked.tracks, graph, name)
-    return Recording(
-        scenario_id=source.scenario_id,
-        city=checked.city,
-        focal_track_id=checked.focal_track_id,
-        num_steps=checked.num_steps,
-        tracks=checked.tracks,
-        graph=graph,
-        table=table,
-        folder=path,
-        map_path=source.map_path,
-        split=source.split,
-        observed_steps=OBSERVED_STEPS,
-        step_s=STEP_S,
-        format=source.format,
-        provenance="tracker",
-        map_json=map_json,
-        sequence=content,
+    return recording_of(
+        source, table, checked, graph, provenance="tracker", sizes={}, map_json=map_json, sequence=content
     )
 
 
-def check_sequence(content: bytes, name: str) -> None:
-    """Whether a CSV file keeps the rules of the format. name: what messages call it. Errors: ScenarioError."""
-    _rows(content, name)
-
-
-def _rows(content: bytes, name: str) -> _Rows:
-    """The rows of a CSV file, checked. Errors: ScenarioError."""
+def check_sequence(content: bytes, name: str) -> SequenceRows:
+    """The rows of a CSV file, checked. name: what messages call it. Errors: ScenarioError."""
     try:
         lines = list(csv.reader(io.StringIO(content.decode("ascii"), newline="")))
     except (UnicodeDecodeError, csv.Error) as error:
@@ -177,28 +156,21 @@ def _rows(content: bytes, name: str) -> _Rows:
     ids = [AV_ID if kind == AV else track_id for track_id, kind in zip(ids, kinds, strict=True)]
     if ids.count(AV_ID) > 1:
         raise ScenarioError(f"{name}: TRACK_ID {AV_ID!r} of a track of another OBJECT_TYPE, expected it of none")
-    return _Rows(ids, code, timestep, kinds, position, stamps, cities[0])
+    return SequenceRows(ids, code, timestep, kinds, position, stamps, cities[0])
 
 
 def _floats(texts: list[str], column: str, name: str) -> FloatArray:
-    try:
-        values = np.array([float(text) for text in texts], dtype=np.float64)
-    except ValueError:
-        row = next(k for k, text in enumerate(texts) if not _is_number(text))
-        shown = one_line(texts[row], most=60)
-        raise ScenarioError(f"{name} line {row + 2}: {column} {shown!r}, expected a number") from None
-    bad = np.flatnonzero(~np.isfinite(values))
-    if len(bad):
-        raise ScenarioError(f"{name} line {int(bad[0]) + 2}: {column} {values[bad[0]]}, expected a finite number")
-    return values
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    values = []
+    for number, text in enumerate(texts, start=2):
+        try:
+            value = float(text)
+        except ValueError:
+            shown = one_line(text, most=60)
+            raise ScenarioError(f"{name} line {number}: {column} {shown!r}, expected a number") from None
+        if not math.isfinite(value):
+            raise ScenarioError(f"{name} line {number}: {column} {value}, expected a finite number")
+        values.append(value)
+    return np.array(values, dtype=np.float64)
 
 
 def _steps(stamp: FloatArray, name: str) -> tuple[list[float], IntArray]:
@@ -227,38 +199,28 @@ def _kinds(codes: dict[str, int], code: IntArray, types: list[str], name: str) -
     return kinds
 
 
-def _table(rows: _Rows, graph: LaneGraph, scenario_id: str) -> pa.Table:
+def _table(rows: SequenceRows, graph: LaneGraph, scenario_id: str) -> pa.Table:
     """The rows as Argoverse 2 has them."""
-    steps = len(rows.stamps)
-    velocity, heading = np.empty_like(rows.position), np.empty(len(rows.code))
-    lines = LaneLines.of(graph)
-    category = np.empty(len(rows.code), dtype=np.int64)
-    for k, kind in enumerate(rows.kinds):
+    lines, tracks = LaneLines.of(graph), []
+    for k, (track_id, kind) in enumerate(zip(rows.ids, rows.kinds, strict=True)):
         own = rows.code == k
-        velocity[own], heading[own] = motion_of(rows.position[own], rows.timestep[own], lines)
-        category[own] = FOCAL_CATEGORY if kind == AGENT else int(own.sum() == steps)
-    focal = rows.ids[rows.kinds.index(AGENT)]
-    count = len(rows.code)
-    columns = {
-        "observed": rows.timestep < OBSERVED_STEPS,
-        "track_id": [rows.ids[k] for k in rows.code.tolist()],
-        "object_type": ["vehicle"] * count,
-        "object_category": category,
-        "timestep": rows.timestep,
-        "position_x": rows.position[:, 0],
-        "position_y": rows.position[:, 1],
-        "heading": heading,
-        "velocity_x": velocity[:, 0],
-        "velocity_y": velocity[:, 1],
-        "scenario_id": [scenario_id] * count,
-        "start_timestamp": np.full(count, rows.stamps[0] * 1e9),
-        "end_timestamp": np.full(count, rows.stamps[-1] * 1e9),
-        "num_timestamps": np.full(count, steps),
-        "focal_track_id": [focal] * count,
-        "city": [_CITIES[rows.city]] * count,
-    }
-    schema = pa.schema([(name, types[0]) for name, types in REQUIRED_COLUMNS.items()])
-    return pa.table(columns, schema=schema)
+        velocity, heading = motion_of(rows.position[own], rows.timestep[own], lines)
+        tracks.append(
+            Track(
+                track_id=track_id,
+                object_type="vehicle",
+                category=FOCAL_CATEGORY if kind == AGENT else int(own.sum() == len(rows.stamps)),
+                timesteps=rows.timestep[own],
+                position=rows.position[own],
+                heading=heading,
+                velocity=velocity,
+                size=DEFAULT_SIZES["vehicle"],
+            )
+        )
+    same = {"scenario_id": scenario_id, "city": _CITIES[rows.city], "num_timestamps": len(rows.stamps)}
+    same |= {"start_timestamp": rows.stamps[0] * 1e9, "end_timestamp": rows.stamps[-1] * 1e9}
+    same["focal_track_id"] = rows.ids[rows.kinds.index(AGENT)]
+    return table_of(tracks, same, observed_steps=OBSERVED_STEPS)
 
 
 class LaneLines(NamedTuple):
@@ -285,7 +247,7 @@ class LaneLines(NamedTuple):
 def motion_of(position: FloatArray, timestep: IntArray, lines: LaneLines) -> tuple[FloatArray, FloatArray]:
     """Velocities (N, 2) m/s and headings (N,) rad in (-pi, pi] of a track from its positions (N, 2) m."""
     breaks = np.flatnonzero(np.diff(timestep) != 1) + 1
-    velocity = np.vstack([_velocity(run) for run in np.split(position, breaks)])
+    velocity = np.vstack([velocity_of(run, _SAMPLES, step_s=STEP_S, shortest=5) for run in np.split(position, breaks)])
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     away_m = float(np.hypot(*(position - position[0]).T).max())
     moves = np.flatnonzero(speed >= _MOVES_MPS) if away_m >= _MOVES_M else np.empty(0, dtype=np.int64)
@@ -296,22 +258,10 @@ def motion_of(position: FloatArray, timestep: IntArray, lines: LaneLines) -> tup
     return velocity, np.arctan2(moving[:, 1], moving[:, 0])
 
 
-def _velocity(position: FloatArray) -> FloatArray:
-    """As `motion_of`, of an unbroken run; short runs take the longest odd window, the shortest their mean."""
-    count = len(position)
-    if count < 5:
-        mean = (position[-1] - position[0]) / (STEP_S * max(count - 1, 1))
-        return np.repeat(mean[None], count, axis=0)
-    window = min(_SAMPLES, count - (count + 1) % 2)
-    from scipy.signal import savgol_filter  # a third of a scene process's start
-
-    return np.asarray(savgol_filter(position, window, _DEGREE, deriv=1, delta=STEP_S, axis=0), dtype=np.float64)
-
-
 # Maps
 
 
-def _map(path: Path, rows: _Rows, name: str) -> tuple[LaneGraph, bytes | None]:
+def _map(path: Path, rows: SequenceRows, name: str) -> tuple[LaneGraph, bytes | None]:
     """Lane graph, and the document that is written for it; None for a map of Argoverse 2, which is copied."""
     if path.is_file():
         return graph_of(read_document(path), name=str(path)), None

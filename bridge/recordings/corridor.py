@@ -16,7 +16,8 @@ from bridge.config import CORRIDOR_PREFIX
 from bridge.files import explained
 from bridge.recordings.export import parquet_bytes, write_folder
 from bridge.recordings.limits import MAX_CORRIDOR_STEPS, MAX_LANE_M
-from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, OBSERVED_STEPS, STEP_S
+from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, OBSERVED_STEPS, STEP_S, table_of
+from hid2.agents import DEFAULT_SIZES, Track
 from netconvert.errors import ConfigError
 
 _LANE_M, _SHOULDER_M = 3.5, 4.0
@@ -86,30 +87,19 @@ def _map(length_m: float, lanes: int) -> dict[str, Any]:
 
 def _table(scenario_id: str, steps: int) -> pa.Table:
     """The two vehicles on the shoulder, at every step."""
-    timestep = np.tile(np.arange(steps), 2)
-    count = timestep.size
-    zeros = pa.array(np.zeros(count))
-
-    def each(first: Any, second: Any) -> list[Any]:  # noqa: ANN401
-        return [first] * steps + [second] * steps
-
-    return pa.table(
-        {
-            "observed": pa.array(timestep < OBSERVED_STEPS),
-            "track_id": pa.array(each("1", AV_ID), pa.string()),
-            "object_type": pa.array(each("vehicle", "vehicle"), pa.string()),
-            "object_category": pa.array(each(FOCAL_CATEGORY, 1), pa.int64()),
-            "timestep": pa.array(timestep, pa.int64()),
-            "position_x": pa.array(np.array(each(20.0, 30.0))),
-            "position_y": pa.array(np.full(count, -_LANE_M / 2 - _SHOULDER_M / 2)),
-            "heading": zeros,
-            "velocity_x": zeros,
-            "velocity_y": zeros,
-            "scenario_id": pa.array([scenario_id] * count, pa.string()),
-            "start_timestamp": zeros,
-            "end_timestamp": pa.array(np.full(count, (steps - 1) * STEP_S * 1e9)),
-            "num_timestamps": pa.array([steps] * count, pa.int64()),
-            "focal_track_id": pa.array(["1"] * count, pa.string()),
-            "city": pa.array(["corridor"] * count, pa.string()),
-        }
-    )
+    tracks = [
+        Track(
+            track_id=track_id,
+            object_type="vehicle",
+            category=category,
+            timesteps=np.arange(steps),
+            position=np.tile([x, -_LANE_M / 2 - _SHOULDER_M / 2], (steps, 1)),
+            heading=np.zeros(steps),
+            velocity=np.zeros((steps, 2)),
+            size=DEFAULT_SIZES["vehicle"],
+        )
+        for track_id, category, x in (("1", FOCAL_CATEGORY, 20.0), (AV_ID, 1, 30.0))
+    ]
+    same = {"scenario_id": scenario_id, "start_timestamp": 0.0, "end_timestamp": (steps - 1) * STEP_S * 1e9}
+    same |= {"num_timestamps": steps, "focal_track_id": "1", "city": "corridor"}
+    return table_of(tracks, same, observed_steps=OBSERVED_STEPS)

@@ -4,8 +4,6 @@ import hashlib
 import io
 import json
 import re
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,8 +15,9 @@ import pyarrow.parquet as pq
 
 from bridge.config import new_scenario_id as new_scenario_id
 from bridge.files import explained
+from bridge.interruption import hidden_folder, tidied
 from bridge.recordings.recording import FOCAL_CATEGORY, SCORED_CATEGORY, Recording
-from bridge.recordings.scenario import SCENARIO_COLUMNS, STEP_S
+from bridge.recordings.scenario import SCENARIO_COLUMNS, STEP_S, track_columns
 from bridge.recordings.sidecar import RecordingRecord, Sidecar, sidecar_bytes, sidecar_path
 from hid2.agents import Track
 from netconvert.errors import ExportError
@@ -121,17 +120,18 @@ def _with_rows(
     observed_steps: int,
 ) -> pa.Table:  # fmt: skip
     """A table and behind it the rows of tracks, in its columns and types."""
-    lengths = [len(track.timesteps) for track in tracks]
-    added = _generated_columns(tracks, lengths, focal_track_id, observed_steps)
+    marked = [replace(t, category=FOCAL_CATEGORY) if t.track_id == focal_track_id else t for t in tracks]
+    added = track_columns(marked, observed_steps)
+    count = len(added["timestep"])
     columns = []
     for field in table.schema:
         name, recorded = field.name, table.column(field.name)
         if name in constants:
-            new = pa.repeat(_of_type(constants[name], field.type), sum(lengths))
+            new = pa.repeat(_of_type(constants[name], field.type), count)
         elif name in added:
             new = _of_type(added[name], field.type)
         else:  # a column of the source's own
-            new = pa.nulls(sum(lengths), field.type)
+            new = pa.nulls(count, field.type)
         chunks = recorded.chunks if isinstance(recorded, pa.ChunkedArray) else [recorded]
         columns.append(pa.concat_arrays([*chunks, new]))
     schema = pa.schema([pa.field(field.name, field.type) for field in table.schema])
@@ -166,57 +166,23 @@ def _check_generated(scenario: Recording, generated: Sequence[Track], focal_trac
         raise ExportError(f"focal track {focal_track_id!r}: no such track")
 
 
-def _generated_columns(
-    generated: Sequence[Track], lengths: list[int], focal_track_id: str, observed_steps: int
-) -> dict[str, pa.Array]:
-    timestep = np.concatenate([np.empty(0, np.int64), *(track.timesteps for track in generated)])
-    position = np.concatenate([np.empty((0, 2)), *(track.position for track in generated)])
-    velocity = np.concatenate([np.empty((0, 2)), *(track.velocity for track in generated)])
-    heading = np.concatenate([np.empty(0), *(track.heading for track in generated)])
-    category = [FOCAL_CATEGORY if track.track_id == focal_track_id else track.category for track in generated]
-    return {
-        "observed": pa.array(timestep < observed_steps),
-        "track_id": pa.array(np.repeat([track.track_id for track in generated], lengths).tolist(), pa.string()),
-        "object_type": pa.array(np.repeat([track.object_type for track in generated], lengths).tolist(), pa.string()),
-        "object_category": pa.array(np.repeat(np.asarray(category, dtype=np.int64), lengths)),
-        "timestep": pa.array(timestep),
-        "position_x": pa.array(position[:, 0]),
-        "position_y": pa.array(position[:, 1]),
-        "heading": pa.array(heading),
-        "velocity_x": pa.array(velocity[:, 0]),
-        "velocity_y": pa.array(velocity[:, 1]),
-    }
-
-
 def _pandas_metadata(table: pa.Table) -> dict[str, Any]:
     """What pandas writes beside the columns, so that it reads a RangeIndex; free of the version of any library."""
-    names = {"string": ("unicode", "object"), "large_string": ("unicode", "object"), "double": ("float64", "float64")}
-    names |= {"null": ("empty", "object"), "float": ("float32", "float32"), "halffloat": ("float16", "float16")}
+    types = {"string": ("unicode", "object"), "large_string": ("unicode", "object"), "double": ("float64", "float64")}
+    types |= {"null": ("empty", "object"), "float": ("float32", "float32"), "halffloat": ("float16", "float16")}
+
+    def told(name: str | None, pandas_type: str, numpy_type: str, metadata: object = None) -> dict[str, Any]:
+        names = {"name": name, "field_name": name}
+        return {**names, "pandas_type": pandas_type, "numpy_type": numpy_type, "metadata": metadata}
+
     columns = []
     for field in table.schema:
         plain = pa.types.is_integer(field.type) or pa.types.is_boolean(field.type)
         other = str(field.type) if plain else "object"  # a column of the source's own, of whatever type
-        pandas_type, numpy_type = names.get(str(field.type), (other, other))
-        columns.append(
-            {
-                "name": field.name,
-                "field_name": field.name,
-                "pandas_type": pandas_type,
-                "numpy_type": numpy_type,
-                "metadata": None,
-            }
-        )
-    index = {"kind": "range", "name": None, "start": 0, "stop": table.num_rows, "step": 1}
-    header = {
-        "name": None,
-        "field_name": None,
-        "pandas_type": "unicode",
-        "numpy_type": "object",
-        "metadata": {"encoding": "UTF-8"},
-    }
+        columns.append(told(field.name, *types.get(str(field.type), (other, other))))
     return {
-        "index_columns": [index],
-        "column_indexes": [header],
+        "index_columns": [{"kind": "range", "name": None, "start": 0, "stop": table.num_rows, "step": 1}],
+        "column_indexes": [told(None, "unicode", "object", {"encoding": "UTF-8"})],
         "columns": columns,
         "creator": {"library": "pyarrow", "version": pa.__version__},
         "pandas_version": "1.3.4",  # the version of the format, as in recorded files
@@ -241,24 +207,20 @@ def map_bytes(scenario: Recording) -> bytes:
 def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files into a hidden folder beside, then put it in the place of folder."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
-        beside.chmod(0o755)
+    with hidden_folder(folder.parent) as beside:
+        new, old = beside / "new", beside / "old"
+        new.mkdir()
         for name, content in files.items():
-            (beside / name).write_bytes(content)
-        if not folder.exists():
-            beside.rename(folder)
-        else:
-            old = beside.with_name(beside.name + "-old")
-            folder.rename(old)
-            try:
-                beside.rename(folder)
-            except OSError:
+            (new / name).write_bytes(content)
+
+        def put_back() -> None:
+            if old.exists() and not folder.exists():
                 old.rename(folder)
-                raise
-            shutil.rmtree(old)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
+
+        with tidied(put_back):
+            if folder.exists():
+                folder.rename(old)
+            new.rename(folder)
 
 
 def recording_record_of(scenario: Recording) -> RecordingRecord:

@@ -1,11 +1,13 @@
 """Where recordings are and what they are called, by the names of files alone. Quick to import."""
 
+import contextlib
 import fnmatch
 import logging
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from netconvert.errors import MapError, NoSceneError, ScenarioError
 
@@ -25,10 +27,21 @@ LOG_MAP_NAME = re.compile(r"log_map_archive_(.+)____([A-Z]{3})_city_(\d{1,18})")
 
 #: Names of the folders of a data-set root.
 SPLITS = ("train", "val", "test")
+#: Folders below a path that are looked into: DATA/av2/train/<id>.
+DEPTH = 3
 #: Folder between a split and its scenes, as QCNet lays data sets out.
 RAW = "raw"
 #: Folder of generated Argoverse 1 sequences below an output folder.
 SEQUENCES = "argoverse1"
+#: Names of files and folders by which other data is recognised.
+_OTHERS = {
+    "a nuScenes data set": r"sample_annotation\.json|sample\.json",
+    "Waymo data": r".+\.tfrecords?(-\d+-of-\d+)?(\.gz)?",
+    "nuPlan data": r".+\.db",
+    "a KITTI data set": r"calib_cam_to_cam\.txt|velodyne_points|label_02|oxts|tracklet_labels\.xml",
+    "a SUMO net or its traffic": r".+\.(net|rou|fcd)\.xml(\.gz)?|.+\.sumocfg",
+    "a table, such as of forecasts": r"(?!manifest\.).+\.csv(\.gz)?",
+}
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -82,51 +95,38 @@ class Choices:
     stride: int | None = None
 
 
-class Reader(Protocol):
+@dataclass(frozen=True, slots=True)
+class Reader:
     """A format of recordings.
 
-    name: as in sidecars and in Source.format; one, many: what a recording is called; lacks: what the format does not
-    tell and how it is made up for, a sentence; "" where nothing is missing; is_folder: whether a recording is a folder,
-    which then holds nothing else.
+    name: as in sidecars and in Source.format; one, many: what a recording is called; sniff: whether a file, or a folder
+    with these names in it, holds recordings; find: the recordings there, sorted (NoSceneError where something that all
+    of them need is missing); files: those that a recording is read from, as far as they are there; read: reads one
+    (ScenarioError, MapError with file, id, value and what was expected); lacks: what the format does not tell and how
+    it is made up for, a sentence; is_folder: whether a recording is a folder, which then holds nothing else.
     """
 
     name: str
     one: str
     many: str
-    lacks: str
-    is_folder: bool
-
-    def sniff(self, path: Path, names: frozenset[str]) -> bool:
-        """Whether a file, or a folder with these names in it, holds recordings of this format."""
-
-    def find(self, path: Path, names: frozenset[str], choices: Choices) -> list[Address]:
-        """The recordings there, sorted. Errors: NoSceneError where something that all of them need is missing."""
-
-    def files(self, source: Source) -> list[Path]:
-        """The files that a recording is read from, as far as they are there."""
-
-    def read(self, source: Source) -> "Recording":
-        """Read one. Errors: ScenarioError, MapError with file, id, value and what was expected."""
+    sniff: Callable[[Path, frozenset[str]], bool]
+    find: Callable[[Path, frozenset[str], Choices], list[Address]]
+    files: Callable[[Source], list[Path]]
+    read: Callable[[Source], "Recording"]
+    lacks: str = ""
+    is_folder: bool = True
 
 
-def find_scenarios(path: Path) -> list[Path]:
-    """Scenario folders at path, sorted: a scenario folder itself, those of a split folder, or of a data-set root.
-
-    The scenes of a split may lie in <split>/raw/. Errors: NoSceneError where there is none.
-    """
-    if not path.is_dir():
-        raise NoSceneError(f"{path}: no such folder, expected a scenario folder, a split folder or a data-set root")
-    if _is_scenario_folder(path):
-        return [path]
-    children = _subfolders(path)
-    found = [child for child in children if _is_scenario_folder(child)]
-    for split in (child for child in children if not _is_scenario_folder(child)):
-        below = _subfolders(split)
-        if RAW in (folder.name for folder in below):
-            below = [folder for folder in below if folder.name != RAW] + _subfolders(split / RAW)
-        found += [folder for folder in below if _is_scenario_folder(folder)]
+def find_scenarios(path: Path, depth: int = DEPTH) -> list[Path]:
+    """Scenario folders at a path: itself, or those up to `depth` folders below, sorted. Errors: NoSceneError."""
+    names = frozenset(names_in(path)) if path.is_dir() else frozenset()
+    found = [path] if has_scenario(names) else []
+    for folder in subfolders(path, names) if depth and not found else []:
+        with contextlib.suppress(NoSceneError):
+            found += find_scenarios(folder, depth - 1)
     if not found:
-        raise NoSceneError(f"{path}: no scenario; expected scenario_<id>.parquet in it or one or two folders below")
+        what = "no scenario" if path.is_dir() else "no such folder"
+        raise NoSceneError(f"{path}: {what}; expected scenario_<id>.parquet in it or one to three folders below")
     return sorted(found)
 
 
@@ -195,14 +195,22 @@ def is_generated(folder: Path) -> bool:
     return any(folder.glob(SIDECAR_PATTERN))
 
 
+def other_data(path: Path, *, depth: int = 0) -> str:
+    """What a file, or a folder with so many levels below, is of what hid2 does not read; "" where no name tells."""
+    files, folders = [path], [path] if path.is_dir() else []
+    for _ in range(depth + 1):
+        below = {folder: frozenset(names_in(folder)) for folder in folders}
+        files += [folder / name for folder in folders for name in sorted(below[folder])]
+        folders = [inner for folder in folders for inner in subfolders(folder, below[folder])]
+    for what, pattern in _OTHERS.items():
+        found = next((file for file in files if re.fullmatch(pattern, file.name)), None)
+        if found is not None:
+            where = "" if found == path else f" (it has {found.relative_to(path).as_posix()[:100]!r})"
+            reads = "Argoverse 2 scenes or sensor logs or Argoverse 1 sequences (columns: bridge/recordings/README.md)"
+            return f"this is {what}{where}, which hid2 does not read; expected {reads}: convert it to one of them"
+    return ""
+
+
 def subfolders(path: Path, names: frozenset[str]) -> list[Path]:
     """The folders among the names in a folder, sorted; hidden ones are left out."""
     return sorted(path / name for name in names if not name.startswith(".") and (path / name).is_dir())
-
-
-def _is_scenario_folder(folder: Path) -> bool:
-    return has_scenario(frozenset(names_in(folder)))
-
-
-def _subfolders(path: Path) -> list[Path]:
-    return subfolders(path, frozenset(names_in(path)))

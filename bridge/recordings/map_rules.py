@@ -12,30 +12,18 @@ from pydantic_core import from_json
 
 from bridge.files import one_line, read_regular
 from bridge.recordings.limits import MAX_FILE_MB, check_map_size
+from bridge.recordings.recording import Recording
 from bridge.recordings.rules import Breach
-from netconvert.av2_map import lane_graph_from_json
+from netconvert import av2_map
 from netconvert.errors import MapError
-from netconvert.lane_graph import LANE_TYPES, LaneGraph
+from netconvert.lane_graph import LaneGraph
 
-MARK_TYPES = frozenset(
-    {
-        "DASH_SOLID_YELLOW",
-        "DASH_SOLID_WHITE",
-        "DASHED_WHITE",
-        "DASHED_YELLOW",
-        "DOUBLE_SOLID_YELLOW",
-        "DOUBLE_SOLID_WHITE",
-        "DOUBLE_DASH_YELLOW",
-        "DOUBLE_DASH_WHITE",
-        "SOLID_YELLOW",
-        "SOLID_WHITE",
-        "SOLID_DASH_WHITE",
-        "SOLID_DASH_YELLOW",
-        "SOLID_BLUE",
-        "NONE",
-        "UNKNOWN",
-    }
-)
+#: Lists of points that have heights in maps of Argoverse 2: how their owners are called, and the fields.
+_POINTS = {
+    "drivable_areas": ("drivable area", ("area_boundary",)),
+    "pedestrian_crossings": ("pedestrian crossing", ("edge1", "edge2")),
+    "lane_segments": ("lane segment", ("left_lane_boundary", "right_lane_boundary", "centerline")),
+}
 
 
 def read_source_map(path: Path) -> LaneGraph:
@@ -58,9 +46,9 @@ def graph_of(document: Any, *, name: str) -> LaneGraph:  # noqa: ANN401  # decod
     name: what messages call the document.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # coordinates may be anything until their size is known
-        graph = lane_graph_from_json(document, name=name)
+        graph = av2_map.lane_graph_from_json(document, name=name)
         check_map_size(graph, name)
-    said = _lacks_a_part(document) or next((said for _, said in _check_map(document, centerlines=False)), "")
+    said = _lacks_a_part(document) or next((said for _, said in _stricter(document)), "")
     if said:
         raise MapError(f"{name}: {said}")
     if not graph.drivable.area > 0.0:
@@ -84,11 +72,17 @@ def read_map(path: Path) -> tuple[dict[str, Any] | None, list[Breach]]:
     except (OSError, ValueError) as error:
         return None, [("map", f"not JSON ({error})")]
     said = _lacks_a_part(document)
-    return (None, [("map", said)]) if said else (document, list(_check_map(document, centerlines=True)))
+    if said:
+        return None, [("map", said)]
+    with np.errstate(over="ignore", invalid="ignore"):
+        breaches = av2_map.read_map(document)[1] + list(_stricter(document))
+    lanes = document["lane_segments"].items()
+    lacking = [f"lane segment {key}: no centerline" for key, lane in lanes if not lane.get("centerline")]
+    return document, breaches + [("boundary", f"{said}, expected at least 2 points") for said in lacking]
 
 
 def _lacks_a_part(document: object) -> str:
-    for part in ("drivable_areas", "lane_segments", "pedestrian_crossings"):
+    for part in _POINTS:
         if not isinstance(document, dict) or not isinstance(document.get(part), dict):
             return f"no object {part!r}, expected drivable_areas, lane_segments and pedestrian_crossings"
         for key, value in document[part].items():
@@ -97,41 +91,23 @@ def _lacks_a_part(document: object) -> str:
     return ""
 
 
-def _check_map(document: Mapping[str, Any], *, centerlines: bool) -> Iterator[Breach]:
-    """What is wrong in a map that has its parts; centerlines: whether each lane must have one."""
+def _stricter(document: Mapping[str, Any]) -> Iterator[Breach]:
+    """What readers of the format demand of a map that has its parts, beyond what a lane graph needs."""
     if not document["drivable_areas"]:
         yield "map", "no drivable area, expected at least one: where there is none, nothing tells what is off the road"
-    for key, area in document["drivable_areas"].items():
-        yield from _check_points(area, "area_boundary", f"drivable area {key}", least=3)
-    for key, crossing in document["pedestrian_crossings"].items():
-        for edge in ("edge1", "edge2"):
-            yield from _check_points(crossing, edge, f"pedestrian crossing {key}", least=2)
+    for part, (name, fields) in _POINTS.items():
+        for key, one in document[part].items():
+            for field in fields:
+                points = one.get(field)
+                if isinstance(points, list) and not _are_finite(points):
+                    i, point = next((i, point) for i, point in enumerate(points) if not _are_finite([point]))
+                    shown = one_line(str(point), most=100)
+                    yield "map", f"{name} {key}: {field}[{i}] is {shown}, expected finite x, y and z"
     for key, lane in document["lane_segments"].items():
-        name = f"lane segment {key}"
-        for column in ("id", "is_intersection", "successors", "predecessors", "left_neighbor_id", "right_neighbor_id"):
-            if column not in lane:
-                yield "map", f"{name}: no {column}"
+        if "predecessors" not in lane:
+            yield "map", f"lane segment {key}: no predecessors"
         if str(lane.get("id")) != str(key):
-            yield "map", f"{name}: id {lane.get('id')!r}, expected its key"
-        if lane.get("lane_type") not in LANE_TYPES:
-            yield "lane-type", f"{name}: lane_type {lane.get('lane_type')!r}, expected {', '.join(sorted(LANE_TYPES))}"
-        for side in ("left", "right"):
-            mark = lane.get(f"{side}_lane_mark_type")
-            if mark not in MARK_TYPES:
-                yield "mark-type", f"{name}: {side}_lane_mark_type {mark!r}, expected one of the enum"
-            yield from _check_points(lane, f"{side}_lane_boundary", name, least=2)
-        if centerlines or lane.get("centerline"):
-            yield from _check_points(lane, "centerline", name, least=2)
-
-
-def _check_points(owner: Mapping[str, Any], field: str, name: str, *, least: int) -> Iterator[Breach]:
-    points = owner.get(field)
-    if not isinstance(points, list) or len(points) < least:
-        have = len(points) if isinstance(points, list) else "none"
-        yield "boundary", f"{name}: {field} of {have} points, expected at least {least}"
-    elif not _are_finite(points):
-        i, point = next((i, point) for i, point in enumerate(points) if not _are_finite([point]))
-        yield "map", f"{name}: {field}[{i}] is {one_line(str(point), most=100)}, expected finite x, y and z"
+            yield "map", f"lane segment {key}: id {lane.get('id')!r}, expected its key"
 
 
 def _are_finite(points: list[Any]) -> bool:
@@ -145,31 +121,24 @@ def _are_finite(points: list[Any]) -> bool:
         return False
 
 
-def compare_map(path: Path, document: Mapping[str, Any], raw: bytes, *, name: str) -> Iterator[str]:
-    """The map against the bytes of the source's; only centrelines may have been added. name: of the source's map."""
+def compare_map(path: Path, document: Mapping[str, Any], source: Recording) -> Iterator[str]:
+    """The map against the bytes of the source's; only centrelines may have been added."""
+    name = source.map_path.name
     try:
+        raw = source.map_path.read_bytes() if source.map_json is None else source.map_json
         if path.read_bytes() == raw:
             return
-        source = from_json(raw)
-    except (OSError, ValueError) as error:
+    except OSError as error:
         yield f"{name}: cannot be read ({error})"
         return
-    said = _lacks_a_part(source)
-    if said:
-        yield f"{name}: {said}"
-        return
-    lanes = source.get("lane_segments", {})
-    lacking = {key for key, lane in lanes.items() if not lane.get("centerline")}
+    wanted = from_json(raw)
+    lacking = {key for key, lane in wanted["lane_segments"].items() if not lane.get("centerline")}
     if not lacking:
         yield f"not the bytes of {name}"
         return
-
-    def without_added(lane_segments: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-        return {
-            key: {name: value for name, value in lane.items() if name != "centerline" or key not in lacking}
-            for key, lane in lane_segments.items()
-        }
-
-    ours = {**document, "lane_segments": without_added(document["lane_segments"])}
-    if ours != {**source, "lane_segments": without_added(lanes)}:
+    ours = {**document, "lane_segments": {key: {**lane} for key, lane in document["lane_segments"].items()}}
+    for lanes in (ours["lane_segments"], wanted["lane_segments"]):
+        for key in lacking & lanes.keys():
+            lanes[key].pop("centerline", None)
+    if ours != wanted:
         yield f"differs from {name} in more than added centrelines"

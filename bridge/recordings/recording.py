@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import pyarrow as pa
 
-from hid2.agents import BoxSize, Track
+from hid2.agents import BoxSize, FloatArray, Track
 from netconvert.errors import ScenarioError
 from netconvert.lane_graph import LaneGraph
 
@@ -61,3 +62,17 @@ class Recording:
             if track.track_id == track_id:
                 return track
         raise ScenarioError(f"{self.folder}: no track {track_id!r} among {len(self.tracks)}")
+
+
+def velocity_of(position: FloatArray, samples: int, *, step_s: float, shortest: int = 3) -> FloatArray:
+    """(N, 2) m/s: derivative of a Savitzky-Golay filter of degree 2 over an unbroken run of positions (N, 2) m.
+
+    A run of fewer samples takes the longest odd window, one shorter than the shortest its mean.
+    """
+    count = len(position)
+    if count < shortest:
+        return np.repeat((position[-1:] - position[:1]) / (step_s * max(count - 1, 1)), count, axis=0)
+    from scipy.signal import savgol_filter  # a third of a scene process's start
+
+    window = min(samples, count - (count + 1) % 2)
+    return np.asarray(savgol_filter(position, window, 2, deriv=1, delta=step_s, axis=0), dtype=np.float64)

@@ -9,10 +9,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pydantic_core import from_json
 
-from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY
+from bridge.recordings.recording import FOCAL_CATEGORY, SCORED_CATEGORY
 from bridge.recordings.rules import RECORDED, Breach
-from bridge.recordings.scenario import OBSERVED_STEPS, SCENARIO_COLUMNS, STEP_S, longest
-from hid2.agents import DEFAULT_SIZES, VEHICLE_TYPES
+from bridge.recordings.scenario import RowArrays, row_breaches
+from hid2.agents import VEHICLE_TYPES
 
 CITIES = frozenset({"austin", "dearborn", "miami", "palo-alto", "pittsburgh", "washington-dc"})
 #: Between central differences of positions 0.2 s apart and the velocity, m/s: 8.37 m/s3 of jerk make 0.014.
@@ -22,100 +22,29 @@ END_VELOCITY_TOLERANCE_MPS = 0.3
 HEADING_TOLERANCE_RAD = 0.1
 #: Slower vehicles have no direction of motion to speak of, m/s.
 HEADING_FROM_MPS = 0.5
-_MOTION_COLUMNS = ("position_x", "position_y", "heading", "velocity_x", "velocity_y")
 _GENERATED_ID = re.compile(r"gen_(0|[1-9][0-9]*)")
 
 
-class Rows:
-    """The rows of a scenario as arrays (N,), in the order of the file; code: index into ids.
-
-    observed_steps, step_s: of the recording, by default those of the format.
-    """
-
-    def __init__(self, table: pa.Table, *, observed_steps: int = OBSERVED_STEPS, step_s: float = STEP_S) -> None:
-        self.table, self.observed_steps, self.step_s = table, observed_steps, step_s
-        encoded = pc.dictionary_encode(table.column("track_id")).combine_chunks()
-        self.ids: list[str] = encoded.dictionary.to_pylist()
-        self.code: npt.NDArray[np.int64] = encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)
-        self.timestep: npt.NDArray[np.int64] = table.column("timestep").to_numpy()
-        self.category: npt.NDArray[np.int64] = table.column("object_category").to_numpy()
-        self.observed: npt.NDArray[np.bool_] = table.column("observed").to_numpy()
-        self.motion: npt.NDArray[np.float64] = np.column_stack([table.column(c).to_numpy() for c in _MOTION_COLUMNS])
-        self.num_steps = int(self.timestep.max()) + 1
-
-    @property
-    def last_observed(self) -> int:
-        """The last observed timestep."""
-        return self.observed_steps - 1
-
-    def where(self, row: int) -> str:
-        """Names a row in messages."""
-        return f"track {self.ids[self.code[row]]!r}, timestep {self.timestep[row]}"
-
-    def begins(self) -> dict[str, int]:
-        """First timestep of each track, by its id."""
-        first = np.full(len(self.ids), np.iinfo(np.int64).max)
-        np.minimum.at(first, self.code, self.timestep)
-        return dict(zip(self.ids, first.tolist(), strict=True))
-
-    def of(self, track_id: str) -> npt.NDArray[np.int64]:
-        """Rows of a track, sorted by timestep."""
-        rows = np.flatnonzero(self.code == self.ids.index(track_id))
-        return np.asarray(rows[np.argsort(self.timestep[rows], kind="stable")], dtype=np.int64)
-
-
-def check_rows(rows: Rows, new_id: str) -> Iterator[Breach]:
+def check_rows(rows: RowArrays, new_id: str) -> Iterator[Breach]:
     """The hard and the silent requirements on the rows, one breach for each rule and column."""
-    table = rows.table
-    yield from _check_index(table)
-    for column in SCENARIO_COLUMNS:
-        values = pc.unique(table.column(column))
-        if len(values) != 1:
-            yield "constant", f"{column} has {len(values)} values, expected one"
-    first = {column: table.column(column)[0].as_py() for column in SCENARIO_COLUMNS}
-    if first["scenario_id"] != new_id:
-        yield "scenario-id", f"column scenario_id is {first['scenario_id']!r}, expected {new_id!r} as the folder"
-    if not first["city"]:
-        yield "city", "no city"
-    elif first["city"] not in CITIES:
-        yield RECORDED, f"city {first['city']!r} is none of {', '.join(sorted(CITIES))}"
-    most = longest(str(first["scenario_id"]))
-    if not rows.num_steps <= first["num_timestamps"] <= most:
-        yield "timestep", f"num_timestamps {first['num_timestamps']}, expected {rows.num_steps} to {most}"
-    yield from _first(rows, (rows.timestep < 0) | (rows.timestep >= most), "timestep", f"expected 0 to {most - 1}")
-    for i, column in enumerate(_MOTION_COLUMNS):
-        yield from _first(rows, ~np.isfinite(rows.motion[:, i]), "finite", f"{column} is not a finite number")
-    order = np.lexsort((rows.timestep, rows.code))
-    again = np.zeros(len(order), dtype=bool)
-    again[order[1:]] = (np.diff(rows.code[order]) == 0) & (np.diff(rows.timestep[order]) == 0)
-    yield from _first(rows, again, "duplicate", "is there more than once")
-    yield from _first(rows, rows.observed != (rows.timestep < rows.observed_steps), "observed", "observed is wrong")
-    kinds = table.column("object_type").to_numpy()
-    unknown = ~np.isin(kinds, list(DEFAULT_SIZES))
-    yield from _first(rows, unknown, "object-type", f"expected one of {', '.join(DEFAULT_SIZES)}")
-    outside = (rows.category < 0) | (rows.category > FOCAL_CATEGORY)
-    yield from _first(rows, outside, "category", "expected 0, 1, 2 or 3")
-    _, first_rows = np.unique(rows.code, return_index=True)
-    yield from _first(rows, rows.category != rows.category[first_rows][rows.code], "constant", "category changes")
-    yield from _first(rows, kinds != kinds[first_rows][rows.code], "constant", "object_type changes")
-
-    focals = {rows.ids[code] for code in rows.code[rows.category == FOCAL_CATEGORY]}
-    if focals != {first["focal_track_id"]}:
-        names = ", ".join(map(repr, sorted(focals))) or "none"
-        yield "focal", f"tracks of category 3: {names}, expected focal_track_id {first['focal_track_id']!r} alone"
-    for track_id in sorted(focals):
-        steps = rows.timestep[rows.of(track_id)]
-        if rows.last_observed not in steps or steps[-1] != rows.num_steps - 1:
-            recorded = rows.last_observed in steps and not _GENERATED_ID.fullmatch(track_id)
+    yield from _check_index(rows.table)
+    for rule, said, more in row_breaches(rows):
+        yield rule, said + (f" (and {more} more rows)" if more else "")
+    scenario_id, city = (rows.constants[column][0] for column in ("scenario_id", "city"))
+    if scenario_id != new_id:
+        yield "scenario-id", f"column scenario_id is {scenario_id!r}, expected {new_id!r} as the folder"
+    if city and city not in CITIES:
+        yield RECORDED, f"city {city!r} is none of {', '.join(sorted(CITIES))}"
+    for code, track_id in enumerate(rows.ids):
+        own, is_generated = rows.of_track(code), _GENERATED_ID.fullmatch(track_id) is not None
+        steps, category = rows.timestep[own], rows.category[own.start]
+        is_there = rows.last_observed in steps
+        if category == FOCAL_CATEGORY and is_there and steps[-1] != rows.num_steps - 1:
             said = f"track {track_id!r} lasts from {steps[0]} to {steps[-1]}, expected {rows.num_steps - 1}"
-            yield RECORDED if recorded else "focal", said
-    at_last = set(rows.code[rows.timestep == rows.last_observed])
-    for code in sorted(set(rows.code[rows.category == FOCAL_CATEGORY - 1]) - at_last):
-        recorded = not _GENERATED_ID.fullmatch(rows.ids[code])
-        said = f"track {rows.ids[code]!r} is scored and absent at timestep {rows.last_observed}"
-        yield RECORDED if recorded else "scored", said
-    if AV_ID not in rows.ids:
-        yield "av", f"no track {AV_ID!r} among {len(rows.ids)}"
+            yield "focal" if is_generated else RECORDED, said
+        if category == SCORED_CATEGORY and not is_there:
+            said = f"track {track_id!r} is scored and absent at timestep {rows.last_observed}"
+            yield "scored" if is_generated else RECORDED, said
 
 
 def _check_index(table: pa.Table) -> Iterator[Breach]:
@@ -130,21 +59,14 @@ def _check_index(table: pa.Table) -> Iterator[Breach]:
         yield "columns", f"index {index}, expected a RangeIndex from 0 to {table.num_rows}"
 
 
-def _first(rows: Rows, bad: npt.NDArray[np.bool_], rule: str, message: str) -> Iterator[Breach]:
-    found = np.flatnonzero(bad)
-    if len(found):
-        more = f" (and {len(found) - 1} more rows)" if len(found) > 1 else ""
-        yield rule, f"{rows.where(int(found[0]))}: {message}{more}"
-
-
-def check_generated(rows: Rows, track_id: str) -> Iterator[Breach]:
+def check_generated(rows: RowArrays, track_id: str) -> Iterator[Breach]:
     """What is demanded of a generated track beyond the format."""
-    index = rows.of(track_id)
-    steps, category = rows.timestep[index], int(rows.category[index[0]])
+    index = rows.of_track(rows.ids.index(track_id))
+    steps, category = rows.timestep[index], int(rows.category[index.start])
     name = f"track {track_id!r}"
     if not _GENERATED_ID.fullmatch(track_id):
         yield "generated", f"{name}: expected an id gen_0, gen_1, ..."
-    kind = rows.table.column("object_type")[int(index[0])].as_py()
+    kind = rows.kinds[rows.kind[index.start]]
     if kind not in VEHICLE_TYPES:
         yield "generated", f"{name}: object_type {kind!r}, expected {' or '.join(sorted(VEHICLE_TYPES))}"
     if category == 0:

@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping
 
-#: A rule that is broken, and how.
-Breach = tuple[str, str]
+from hid2.judge.findings import NOTES, Quantity
+from netconvert.av2_map import Breach as Breach
 
-#: The rule whose breaches are noted and are no findings: recorded rows are kept as they are.
+#: The rule on recorded rows, which are kept as they are.
 RECORDED = "recorded"
+#: Rules whose breaches are told and are no faults.
+NOTED = frozenset({RECORDED, *(quantity.value for quantity in NOTES)})
 
 #: What each rule demands; the names are those of findings.
 RULES: Mapping[str, str] = {
@@ -32,13 +34,13 @@ RULES: Mapping[str, str] = {
     "boundary": "boundaries and centrelines of at least two points",
     "sidecar": "the schema of hid2_<id>.json, in agreement with itself, the tracks and the map",
     RECORDED: "noted, as the source has it so: another city than the six, a focal track that ends early, "
-    "a scored track that is absent at the last observed timestep",
+    "a scored track that is absent at the last observed timestep, figures that are not plausible",
     "generated": "gen_<n>, a vehicle, category 1 to 3, without gaps, present at the last observed step; "
     "scored or focal: at all steps",
     "velocity": "a generated track's velocity is the time derivative of its position",
     "heading": "a generated track's heading follows its motion",
-    "scene-end": "TTC of 1 s or more after a generated track's last step, everybody at constant velocity",
     "sequence": "an Argoverse 1 sequence keeps that format, its inserted tracks are the scene's",
     "replay": "recorded vehicles drive as recorded: driving.replay is fixed",
+    **{quantity.value: f"the judge's limit: {quantity.sentence}" for quantity in Quantity},
     "source": "recorded rows are the source's bit for bit, but for a former focal's category; the map is the source's",
 }

@@ -2,7 +2,8 @@
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from pyarrow._compute import call_function  # pyarrow.compute takes longer to im
 from bridge.config import is_corridor
 from bridge.files import one_line, read_regular
 from bridge.recordings import limits
-from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIZES_FILE, only_file
+from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIZES_FILE, Source, only_file
 from bridge.recordings.folders import SPLITS as SPLITS
 from bridge.recordings.folders import find_scenarios as find_scenarios
 from bridge.recordings.folders import source_id as source_id
@@ -27,6 +28,7 @@ from bridge.recordings.recording import Provenance, Recording
 from bridge.recordings.sidecar import RecordingRecord, Sidecar, read_sidecar, sidecar_path
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Track
 from netconvert.errors import MapError, NoSceneError, ScenarioError
+from netconvert.lane_graph import LaneGraph
 
 #: A recording of this format, which generated scenes are in as well.
 Scenario = Recording
@@ -53,9 +55,10 @@ REQUIRED_COLUMNS: Mapping[str, tuple[pa.DataType, ...]] = {
     "focal_track_id": (pa.string(), pa.large_string()),
     "city": (pa.string(), pa.large_string()),
 }
+SCHEMA = pa.schema([(name, types[0]) for name, types in REQUIRED_COLUMNS.items()])
 #: Columns that say the same in every row.
 SCENARIO_COLUMNS = ("scenario_id", "start_timestamp", "end_timestamp", "num_timestamps", "focal_track_id", "city")
-_MOTION_COLUMNS = ("position_x", "position_y", "heading", "velocity_x", "velocity_y")
+MOTION_COLUMNS = ("position_x", "position_y", "heading", "velocity_x", "velocity_y")
 
 
 class Rows(NamedTuple):
@@ -83,35 +86,48 @@ def read_scenario(folder: Path) -> Scenario:
     breaks what readers of the format demand: nothing recorded is repaired.
     Errors: ScenarioError or MapError with file, id, value and what was expected.
     """
-    if not folder.is_dir():
-        raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
-    parquet_path = only_file(folder, PARQUET_PATTERN, ScenarioError)
-    map_path = only_file(folder, MAP_PATTERN, MapError)
-    table = read_table(parquet_path)
-    known = recording_record(folder)
-    sizes = read_sizes(folder)
-    rows = split_rows(table, name=str(parquet_path), sizes=sizes, observed_steps=known.observed_steps)
+    table, rows, known, sizes = _rows_in(folder)
+    path = only_file(folder, PARQUET_PATTERN, ScenarioError)
     if rows.scenario_id != source_id(folder):
-        raise ScenarioError(f"{parquet_path}: scenario_id {rows.scenario_id!r}, expected the id in the file's name")
-    graph = read_source_map(map_path)
-    limits.check_ground(rows.tracks, graph, str(folder))
+        raise ScenarioError(f"{path}: scenario_id {rows.scenario_id!r}, expected the id in the file's name")
+    map_path = only_file(folder, MAP_PATTERN, MapError)
+    source = Source(folder, known.format, rows.scenario_id, split_of(folder), known.first_step, map_path)
+    return recording_of(source, table, rows, read_source_map(map_path), provenance=known.provenance, sizes=sizes)
+
+
+def recording_of(
+    source: Source,
+    table: pa.Table,
+    rows: Rows,
+    graph: LaneGraph,
+    *,
+    provenance: Provenance,
+    sizes: Mapping[str, BoxSize],
+    map_json: bytes | None = None,
+    sequence: bytes | None = None,
+) -> Recording:
+    """A recording of rows that were checked and a map that they have to lie on. Errors: ScenarioError."""
+    limits.check_ground(rows.tracks, graph, str(source.path))
+    assert source.map_path is not None
     return Recording(
-        scenario_id=rows.scenario_id,
+        scenario_id=source.scenario_id,
         city=rows.city,
         focal_track_id=rows.focal_track_id,
         num_steps=rows.num_steps,
         tracks=rows.tracks,
         graph=graph,
         table=table,
-        folder=folder,
-        map_path=map_path,
-        split=split_of(folder),
-        observed_steps=known.observed_steps,
-        step_s=known.step_s,
-        format=known.format,
-        provenance=known.provenance,
+        folder=source.path,
+        map_path=source.map_path,
+        split=source.split,
+        observed_steps=rows.observed_steps,
+        step_s=rows.step_s,
+        format=source.format,
+        provenance=provenance,
         sizes=sizes,
-        start=known.first_step,
+        map_json=map_json,
+        start=source.start,
+        sequence=sequence,
     )
 
 
@@ -133,13 +149,45 @@ def _sidecars(folder: Path) -> list[Sidecar]:
 
 def read_rows(folder: Path) -> Rows:
     """The rows of a scenario folder, checked as `read_scenario` does, without its map. Errors: ScenarioError."""
+    return _rows_in(folder)[1]
+
+
+def _rows_in(folder: Path) -> tuple[pa.Table, Rows, RecordingRecord, dict[str, BoxSize]]:
+    """The table of a scenario folder, its rows, what is known of the recording, and the sizes beside it."""
     if not folder.is_dir():
         raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
     path = only_file(folder, PARQUET_PATTERN, ScenarioError)
-    known = recording_record(folder)
-    sizes = read_sizes(folder)
-    rows = split_rows(read_table(path), name=str(path), sizes=sizes, observed_steps=known.observed_steps)
-    return rows._replace(step_s=known.step_s)
+    table, known, sizes = read_table(path), recording_record(folder), read_sizes(folder)
+    rows = split_rows(table, name=str(path), sizes=sizes, observed_steps=known.observed_steps)
+    return table, rows._replace(step_s=known.step_s), known, sizes
+
+
+def table_of(tracks: Sequence[Track], same: Mapping[str, object], *, observed_steps: int) -> pa.Table:
+    """The rows of tracks in the columns of the format. same: what every row says, by column."""
+    columns = track_columns(tracks, observed_steps)
+    count = len(columns["timestep"])
+    constants = {name: pa.repeat(pa.scalar(value, SCHEMA.field(name).type), count) for name, value in same.items()}
+    return pa.table(columns | constants, schema=SCHEMA)
+
+
+def track_columns(tracks: Sequence[Track], observed_steps: int) -> dict[str, pa.Array]:
+    """The columns that differ from row to row, of tracks one after the other."""
+    timestep = np.concatenate([np.empty(0, np.int64), *(track.timesteps for track in tracks)])
+    position = np.concatenate([np.empty((0, 2)), *(track.position for track in tracks)])
+    velocity = np.concatenate([np.empty((0, 2)), *(track.velocity for track in tracks)])
+    owner = np.repeat(np.arange(len(tracks)), [len(track.timesteps) for track in tracks]).tolist()
+    return {
+        "observed": pa.array(timestep < observed_steps),
+        "track_id": pa.array([tracks[k].track_id for k in owner], pa.string()),
+        "object_type": pa.array([tracks[k].object_type for k in owner], pa.string()),
+        "object_category": pa.array([tracks[k].category for k in owner], pa.int64()),
+        "timestep": pa.array(timestep),
+        "position_x": pa.array(position[:, 0]),
+        "position_y": pa.array(position[:, 1]),
+        "heading": pa.array(np.concatenate([np.empty(0), *(track.heading for track in tracks)])),
+        "velocity_x": pa.array(velocity[:, 0]),
+        "velocity_y": pa.array(velocity[:, 1]),
+    }
 
 
 def read_table(path: Path) -> pa.Table:
@@ -147,18 +195,28 @@ def read_table(path: Path) -> pa.Table:
 
     Errors: ScenarioError.
     """
-    try:
-        file = pq.ParquetFile(io.BytesIO(read_regular(path, most_mb=limits.MAX_FILE_MB)))
+
+    def read(content: io.BytesIO) -> pa.Table:
+        file = pq.ParquetFile(content)
         _check_table_size(file.metadata, str(path))
-        table = file.read(use_threads=False)
+        return file.read(use_threads=False)
+
+    table = read_arrow(path, read, kind="parquet", wanted="a scenario in parquet")
+    _check_columns(table, str(path))
+    return table
+
+
+def read_arrow(path: Path, read: Callable[[io.BytesIO], pa.Table], *, kind: str, wanted: str) -> pa.Table:
+    """A file of Arrow's, as `read` makes a table of its bytes. kind, wanted: for messages. Errors: ScenarioError."""
+    try:
+        table = read(io.BytesIO(read_regular(path, most_mb=limits.MAX_FILE_MB)))
         table.validate(full=True)
     except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such file, expected a scenario in parquet") from None
+        raise ScenarioError(f"{path}: no such file, expected {wanted}") from None
     except MemoryError:
         raise
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path}: not a parquet file ({_first_line(error)})") from error
-    _check_columns(table, str(path))
+        raise ScenarioError(f"{path}: not a {kind} file ({one_line(_first_line(error), most=200)})") from error
     return table
 
 
@@ -171,78 +229,193 @@ def split_rows(
     Errors: ScenarioError with track, timestep, value and what was expected.
     """
     _check_columns(table, name)
-    same = {column: _one_value(table, column, name) for column in SCENARIO_COLUMNS}
+    rows = RowArrays.of(table, observed_steps=observed_steps)
+    for breach in row_breaches(rows):
+        raise ScenarioError(f"{name}: {breach.said}")
+    same = rows.constants
+    return Rows(
+        scenario_id=str(same["scenario_id"][0]),
+        city=str(same["city"][0]),
+        focal_track_id=str(same["focal_track_id"][0]),
+        num_steps=rows.num_steps,
+        tracks=tracks_of(rows, sizes),
+        observed_steps=observed_steps,
+    )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RowArrays:
+    """The rows of a scenario as arrays (N,), by track, in the order of their first rows, and timestep.
+
+    ids, kinds: what code and kind are indices into; motion: (N, 5), columns as in MOTION_COLUMNS; constants: different
+    values of each column that says the same in every row; observed_steps, step_s: as in `Recording`.
+    """
+
+    table: pa.Table
+    ids: list[str]
+    kinds: list[str]
+    code: IntArray
+    kind: IntArray
+    timestep: IntArray
+    category: IntArray
+    observed: npt.NDArray[np.bool_]
+    motion: FloatArray
+    constants: Mapping[str, list[Any]]
+    observed_steps: int
+    step_s: float
+
+    @staticmethod
+    def of(table: pa.Table, *, observed_steps: int = OBSERVED_STEPS, step_s: float = STEP_S) -> "RowArrays":
+        """Those of a table that has the format's columns."""
+
+        def encoded(column: str) -> tuple[list[str], IntArray]:
+            values = call_function("dictionary_encode", [table.column(column)]).combine_chunks()
+            return values.dictionary.to_pylist(), values.indices.to_numpy(zero_copy_only=False).astype(np.int64)
+
+        (ids, code), (kinds, kind) = encoded("track_id"), encoded("object_type")
+        timestep = np.asarray(table.column("timestep").to_numpy())
+        by_track = np.lexsort((timestep, code))
+        order = slice(None) if (np.diff(by_track) == 1).all() else by_track  # recorded files are in this order
+        return RowArrays(
+            table,
+            ids,
+            kinds,
+            code[order],
+            kind[order],
+            timestep[order],
+            category=table.column("object_category").to_numpy()[order],
+            observed=table.column("observed").to_numpy()[order],
+            motion=np.column_stack([table.column(column).to_numpy()[order] for column in MOTION_COLUMNS]),
+            constants={name: call_function("unique", [table.column(name)]).to_pylist() for name in SCENARIO_COLUMNS},
+            observed_steps=observed_steps,
+            step_s=step_s,
+        )
+
+    @property
+    def num_steps(self) -> int:
+        """Last timestep + 1."""
+        return int(self.timestep.max()) + 1
+
+    @property
+    def last_observed(self) -> int:
+        """The last observed timestep."""
+        return self.observed_steps - 1
+
+    @property
+    def starts(self) -> IntArray:
+        """The first row of each track, in the order of ids."""
+        return np.searchsorted(self.code, np.arange(len(self.ids)))
+
+    def of_track(self, code: int) -> slice:
+        """Rows of a track."""
+        return slice(*np.searchsorted(self.code, [code, code + 1]).tolist())
+
+    def where(self, row: int) -> str:
+        """Names a row in messages."""
+        return f"track {self.ids[self.code[row]]!r}, timestep {self.timestep[row]}"
+
+
+class RowBreach(NamedTuple):
+    """A rule that rows break, by its name, what is said of the first of them, and how many more there are."""
+
+    rule: str
+    said: str
+    more: int = 0
+
+
+def row_breaches(rows: RowArrays) -> Iterator[RowBreach]:
+    """What is wrong with the rows of a scenario, by the rules that every scene has to keep: a reader refuses others."""
+    same, most_steps = rows.constants, longest(str(rows.constants["scenario_id"][0]))
+    for column, values in same.items():
+        if len(values) != 1:
+            shown = one_line(str(values[:3]), most=200)
+            yield RowBreach("constant", f"column {column!r} has {len(values)} values {shown}, expected one")
     for column in ("scenario_id", "focal_track_id", "city"):
-        _check_name(str(same[column]), f"{name}: {column}")
-    encoded = call_function("dictionary_encode", [table.column("track_id")]).combine_chunks()
-    ids: list[str] = encoded.dictionary.to_pylist()
-    if len(ids) > limits.MAX_TRACKS:
-        raise ScenarioError(f"{name}: {len(ids)} tracks, expected at most {limits.MAX_TRACKS}")
-    for track_id in ids:
-        _check_name(track_id, f"{name}: track_id")
-    code = np.asarray(encoded.indices.to_numpy(zero_copy_only=False), dtype=np.int64)
-    timestep = _numbers(table, "timestep").astype(np.int64, copy=False)
+        yield from _unprintable(str(same[column][0]), column, "city" if column == "city" else "columns")
+    if len(rows.ids) > limits.MAX_TRACKS:
+        yield RowBreach("columns", f"{len(rows.ids)} tracks, expected at most {limits.MAX_TRACKS}")
+    for track_id in rows.ids:
+        yield from _unprintable(track_id, "track_id", "columns")
+    for rule, wrong, said, *values in _masks(rows, most_steps):
+        found = np.flatnonzero(wrong)
+        if len(found):
+            row = int(found[0])
+            yield RowBreach(rule, f"{rows.where(row)}: {said.format(*(of[row] for of in values))}", len(found) - 1)
+    steps, stated = rows.num_steps, int(same["num_timestamps"][0])
+    if not steps <= stated <= most_steps:
+        said_steps = f"expected {steps}, as many as there are, to {most_steps}"
+        yield RowBreach("timestep", f"num_timestamps {stated}, {said_steps}")
+    yield from _focal_breaches(rows, str(same["focal_track_id"][0]))
+    if AV_ID not in rows.ids:
+        yield RowBreach("av", f"no track {AV_ID!r} among {len(rows.ids)}, readers of the format need one")
 
-    order = _order(code, timestep)
-    code, timestep = code[order], timestep[order]
-    where = _Where(name, ids, code, timestep)
-    motion = np.column_stack([_numbers(table, column)[order] for column in _MOTION_COLUMNS])
-    category = _numbers(table, "object_category")[order]
-    kind_encoded = call_function("dictionary_encode", [table.column("object_type")]).combine_chunks()
-    kinds: list[str] = kind_encoded.dictionary.to_pylist()
-    kind = np.asarray(kind_encoded.indices.to_numpy(zero_copy_only=False))[order]
 
-    most_steps = longest(str(same["scenario_id"]))
-    _check_timesteps(code, timestep, _numbers(table, "observed")[order], where, (observed_steps, most_steps))
-    _check_motion(motion, where)
-    for known in kinds:
-        if known not in DEFAULT_SIZES:
-            raise ScenarioError(f"{name}: object_type {known[:40]!r}, expected one of {', '.join(DEFAULT_SIZES)}")
-    outside = (category < 0) | (category > FOCAL_CATEGORY)
-    if outside.any():
-        row = int(np.flatnonzero(outside)[0])
-        raise ScenarioError(f"{where(row)}: object_category {category[row]}, expected 0, 1, 2 or 3")
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(code)) + 1])
-    run = np.repeat(starts, np.diff(np.concatenate([starts, [len(code)]])))
-    for column, values in (("object_category", category), ("object_type", kind)):
-        changed = values != values[run]
-        if changed.any():
-            raise ScenarioError(f"{where(int(np.flatnonzero(changed)[0]))}: {column} changes within the track")
+def _masks(rows: RowArrays, most_steps: int) -> Iterator[tuple[Any, ...]]:
+    """Rules on single rows: name, which rows break it, what is said of one, and (N,) values that are said with it."""
+    timestep, code, category, motion = rows.timestep, rows.code, rows.category, rows.motion
+    yield "timestep", (timestep < 0) | (timestep >= most_steps), f"expected timesteps 0 to {most_steps - 1}"
+    again = np.append(False, (np.diff(code) == 0) & (np.diff(timestep) == 0))
+    yield "duplicate", again, "more than one row, expected one"
+    seen = timestep < rows.observed_steps
+    yield "observed", rows.observed != seen, "observed is {}, expected {}", rows.observed, seen
+    for column, values in zip(MOTION_COLUMNS, motion.T, strict=True):
+        yield "finite", ~np.isfinite(values), f"{column} is {{}}, expected a finite number", values
+    speed, most = np.abs(motion[:, 3:]).max(axis=1), limits.MAX_SPEED_MPS
+    yield "columns", speed > most, f"velocity {{:.6g}} m/s, expected at most {most:g} m/s", speed
+    unknown, wanted = ~np.isin(rows.kinds, list(DEFAULT_SIZES)), ", ".join(DEFAULT_SIZES)
+    shown = np.array([repr(kind[:40]) for kind in rows.kinds])[rows.kind]
+    yield "object-type", unknown[rows.kind], f"object_type {{}}, expected one of {wanted}", shown
+    beyond = (category < 0) | (category > FOCAL_CATEGORY)
+    yield "category", beyond, "object_category {}, expected 0, 1, 2 or 3", category
+    for column, values in (("object_category", category), ("object_type", rows.kind)):
+        yield "constant", values != values[rows.starts[code]], f"{column} changes within the track"
 
-    heading = motion[:, 2]
+
+def _unprintable(text: str, what: str, rule: str) -> Iterator[RowBreach]:
+    """Ids and names that are empty, endless, or do not print: they go into files, tables and messages."""
+    if not text or len(text) > limits.MAX_NAME or not text.isprintable():
+        shown = one_line(text, most=60)
+        said = f"{what} {shown!r}: expected 1 to {limits.MAX_NAME} characters that can be printed"
+        yield RowBreach(rule, said)
+
+
+def _focal_breaches(rows: RowArrays, focal_track_id: str) -> Iterator[RowBreach]:
+    focals = [rows.ids[code] for code in np.unique(rows.code[rows.category == FOCAL_CATEGORY])]
+    if focals != [focal_track_id]:
+        have = ", ".join(map(repr, focals)) or "none"
+        said = f"tracks of category {FOCAL_CATEGORY}: {have}, expected focal_track_id {focal_track_id!r} alone"
+        yield RowBreach("focal", said)
+    for track_id in focals:
+        steps = rows.timestep[rows.of_track(rows.ids.index(track_id))]
+        if rows.last_observed not in steps:
+            lasts = f"lasts from timestep {steps[0]} to {steps[-1]}, expected it present at {rows.last_observed}"
+            yield RowBreach("focal", f"focal track {track_id!r} {lasts}")
+
+
+def tracks_of(rows: RowArrays, sizes: Mapping[str, BoxSize]) -> tuple[Track, ...]:
+    """The tracks of rows that keep the rules. sizes: boxes by track id, by object type where a track has none."""
+    heading = rows.motion[:, 2]
     if np.abs(heading).max() > np.pi:
         beyond = np.abs(heading) > np.pi
         heading = np.where(beyond, np.pi - np.mod(np.pi - heading, 2 * np.pi), heading)
-    position, velocity = np.ascontiguousarray(motion[:, :2]), np.ascontiguousarray(motion[:, 3:])
+    position, velocity = np.ascontiguousarray(rows.motion[:, :2]), np.ascontiguousarray(rows.motion[:, 3:])
     tracks = []
-    for start, stop in zip(starts, [*starts[1:], len(code)], strict=True):
-        track_id, object_type = ids[code[start]], kinds[kind[start]]
+    for code, track_id in enumerate(rows.ids):
+        own = rows.of_track(code)
+        object_type = rows.kinds[rows.kind[own.start]]
         tracks.append(
             Track(
                 track_id=track_id,
                 object_type=object_type,
-                category=int(category[start]),
-                timesteps=timestep[start:stop],
-                position=position[start:stop],
-                heading=heading[start:stop],
-                velocity=velocity[start:stop],
+                category=int(rows.category[own.start]),
+                timesteps=rows.timestep[own],
+                position=position[own],
+                heading=heading[own],
+                velocity=velocity[own],
                 size=sizes.get(track_id, DEFAULT_SIZES[object_type]),
             )
         )
-    if (code[starts[:-1]] > code[starts[1:]]).any():  # keep the order of first rows
-        tracks.sort(key=lambda track: ids.index(track.track_id))
-    steps, stated = int(timestep.max()) + 1, int(str(same["num_timestamps"]))
-    if not steps <= stated <= most_steps:
-        raise ScenarioError(f"{name}: num_timestamps {stated}, expected {steps}, as many as there are, to {most_steps}")
-    _check_focal(tracks, str(same["focal_track_id"]), name, last_observed=observed_steps - 1)
-    return Rows(
-        scenario_id=str(same["scenario_id"]),
-        city=str(same["city"]),
-        focal_track_id=str(same["focal_track_id"]),
-        num_steps=steps,
-        tracks=tuple(tracks),
-        observed_steps=observed_steps,
-    )
+    return tuple(tracks)
 
 
 def read_sizes(folder: Path) -> dict[str, BoxSize]:
@@ -268,16 +441,6 @@ def read_sizes(folder: Path) -> dict[str, BoxSize]:
     return sizes
 
 
-class _Where:
-    """Names a row in messages."""
-
-    def __init__(self, name: str, ids: list[str], code: IntArray, timestep: IntArray) -> None:
-        self._name, self._ids, self._code, self._timestep = name, ids, code, timestep
-
-    def __call__(self, row: int) -> str:
-        return f"{self._name}: track {self._ids[self._code[row]]!r}, timestep {self._timestep[row]}"
-
-
 def _size(row: Mapping[str, str], where: str) -> BoxSize:
     try:
         size = BoxSize(float(row["length_m"]), float(row["width_m"]))
@@ -288,13 +451,6 @@ def _size(row: Mapping[str, str], where: str) -> BoxSize:
     if not (0 < size.width_m < 10 and 0 < size.length_m < 50):
         raise ScenarioError(f"{where}: box {size.length_m} x {size.width_m} m, expected above 0 and below 50 x 10 m")
     return size
-
-
-def _check_name(text: str, where: str) -> None:
-    """Refuse ids and names that are empty, endless, or do not print: they go into files, tables and messages."""
-    if not text or len(text) > limits.MAX_NAME or not text.isprintable():
-        shown = one_line(text, most=60)
-        raise ScenarioError(f"{where} {shown!r}: expected 1 to {limits.MAX_NAME} characters that can be printed")
 
 
 def _check_table_size(found: pq.FileMetaData, name: str) -> None:
@@ -333,75 +489,9 @@ def _check_columns(table: pa.Table, name: str) -> None:
         raise ScenarioError(f"{name}: no rows, expected at least one track")
 
 
-def _numbers(table: pa.Table, column: str) -> npt.NDArray[Any]:
-    return np.asarray(table.column(column).to_numpy())
-
-
-def _one_value(table: pa.Table, column: str, name: str) -> object:
-    values = call_function("unique", [table.column(column)])
-    if len(values) != 1:
-        shown = one_line(str(values[:3].to_pylist()), most=200)
-        raise ScenarioError(f"{name}: column {column!r} has {len(values)} values {shown}, expected one")
-    return values[0].as_py()
-
-
-def _order(code: IntArray, timestep: IntArray) -> IntArray | slice:
-    """What sorts rows by track and timestep; the identity for files that are sorted, as recorded ones are."""
-    if ((np.diff(code) > 0) | ((np.diff(code) == 0) & (np.diff(timestep) > 0))).all():
-        return slice(None)
-    return np.asarray(np.lexsort((timestep, code)), dtype=np.int64)
-
-
-def _check_motion(motion: FloatArray, where: _Where) -> None:
-    if not np.isfinite(motion).all():
-        row, column = np.argwhere(~np.isfinite(motion))[0]
-        raise ScenarioError(
-            f"{where(row)}: {_MOTION_COLUMNS[column]} is {motion[row, column]}, expected a finite number"
-        )
-    speed = np.abs(motion[:, 3:]).max(axis=1)
-    if speed.max() > limits.MAX_SPEED_MPS:
-        row = int(speed.argmax())
-        raise ScenarioError(
-            f"{where(row)}: velocity {speed[row]:.6g} m/s, expected at most {limits.MAX_SPEED_MPS:g} m/s"
-        )
-
-
 def longest(scenario_id: str) -> int:
     """Timesteps that a scene may have at most."""
     return limits.MAX_CORRIDOR_STEPS if is_corridor(scenario_id) else MAX_STEPS
-
-
-def _check_timesteps(
-    code: IntArray, timestep: IntArray, observed: npt.NDArray[np.bool_], where: _Where, counts: tuple[int, int]
-) -> None:
-    """counts: observed timesteps, and the most that a scene may have."""
-    observed_steps, most_steps = counts
-    outside = (timestep < 0) | (timestep >= most_steps)
-    if outside.any():
-        raise ScenarioError(f"{where(int(np.flatnonzero(outside)[0]))}: expected timesteps 0 to {most_steps - 1}")
-    repeated = (np.diff(code) == 0) & (np.diff(timestep) == 0)
-    if repeated.any():
-        raise ScenarioError(f"{where(int(np.flatnonzero(repeated)[0]))}: more than one row, expected one")
-    wrong = observed != (timestep < observed_steps)
-    if wrong.any():
-        row = int(np.flatnonzero(wrong)[0])
-        raise ScenarioError(f"{where(row)}: observed is {observed[row]}, expected {timestep[row] < observed_steps}")
-
-
-def _check_focal(tracks: list[Track], focal_track_id: str, name: str, *, last_observed: int) -> None:
-    focals = [track for track in tracks if track.category == FOCAL_CATEGORY]
-    if [track.track_id for track in focals] != [focal_track_id]:
-        have = ", ".join(repr(track.track_id) for track in focals) or "none"
-        raise ScenarioError(
-            f"{name}: tracks of category {FOCAL_CATEGORY}: {have}, expected focal_track_id {focal_track_id!r} alone"
-        )
-    if last_observed not in focals[0].timesteps:
-        raise ScenarioError(
-            f"{name}: focal track {focal_track_id!r} lasts from timestep {focals[0].timesteps[0]} "
-            f"to {focals[0].timesteps[-1]}, expected it present at {last_observed}"
-        )
-    if all(track.track_id != AV_ID for track in tracks):
-        raise ScenarioError(f"{name}: no track {AV_ID!r} among {len(tracks)}, readers of the format need one")
 
 
 def _first_line(error: Exception) -> str:

@@ -21,6 +21,7 @@ import io
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +31,15 @@ import pyarrow as pa
 from pyarrow import feather
 from scipy.spatial.transform import Rotation
 
-from bridge.files import one_line, read_regular
+from bridge.files import one_line
 from bridge.recordings import limits
 from bridge.recordings.folders import ANNOTATIONS, LOG_MAP_NAME, POSES, Source, log_maps
 from bridge.recordings.map_rules import graph_of, read_document
-from bridge.recordings.recording import AV_ID, Recording
-from bridge.recordings.scenario import REQUIRED_COLUMNS, split_rows
+from bridge.recordings.recording import AV_ID, Recording, velocity_of
+from bridge.recordings.scenario import SCHEMA, read_arrow, recording_of, split_rows
 from hid2.agents import BoxSize, FloatArray
 from netconvert.errors import MapError, ScenarioError
+from netconvert.geometry import arc_length
 
 #: Steps of a window, those of them that are observed, seconds from one to the next, and how far sweeps may be off that.
 NUM_STEPS, OBSERVED_STEPS, STEP_S, _OFF_S = 110, 50, 0.1, 0.01
@@ -45,7 +47,7 @@ _MIN_STEPS, _AV_AHEAD_M, _FIRST_ID = 5, 1.4, 10_000
 #: Length, width, height of the egovehicle where a log does not tell, m.
 _AV_SIZE = (4.877, 2.0, 1.473)
 _SCORED_PATH_M, _SCORED_NEAR_M, _PATH_EVERY = 2.0, 35.0, 10
-_VELOCITY_SAMPLES, _VELOCITY_DEGREE = 7, 2
+_VELOCITY_SAMPLES = 7
 #: Distance of points of a centreline, and places at which boundaries are paired for it.
 _CENTERLINE_STEP_M, _LADDER = 2.0, 100
 _CITIES = {
@@ -87,10 +89,7 @@ def read(source: Source) -> Recording:
         "num_timestamps": NUM_STEPS, "focal_track_id": focal, "city": city, "map_id": map_id, "slice_id": log_id,
     }  # fmt: skip
     states = states.assign(observed=states.timestep < OBSERVED_STEPS, **same)
-    schema = pa.schema(
-        [(name, types[0]) for name, types in REQUIRED_COLUMNS.items()]
-        + [("map_id", pa.uint64()), ("slice_id", pa.string())]
-    )
+    schema = pa.schema([*SCHEMA, ("map_id", pa.uint64()), ("slice_id", pa.string())])
     table = pa.Table.from_pandas(states[schema.names], schema=schema, preserve_index=False)
     table = table.replace_schema_metadata(None)
     medians = states.groupby("track_id")[["length_m", "width_m"]].median().round(3)
@@ -98,26 +97,10 @@ def read(source: Source) -> Recording:
     rows = split_rows(table, name=str(source), sizes=sizes, observed_steps=OBSERVED_STEPS)
     document = _with_centerlines(read_document(map_path), name=str(map_path))
     graph = graph_of(document, name=str(map_path))
-    limits.check_ground(rows.tracks, graph, str(log))
-    return Recording(
-        scenario_id=source.scenario_id,
-        city=city,
-        focal_track_id=focal,
-        num_steps=rows.num_steps,
-        tracks=rows.tracks,
-        graph=graph,
-        table=table,
-        folder=log,
-        map_path=map_path,
-        split=source.split,
-        observed_steps=OBSERVED_STEPS,
-        step_s=STEP_S,
-        format=source.format,
-        provenance="human",
-        sizes=sizes,
+    return recording_of(
+        replace(source, map_path=map_path), table, rows, graph, provenance="human", sizes=sizes,
         map_json=json.dumps(document).encode(),
-        start=source.start,
-    )
+    )  # fmt: skip
 
 
 def last_start(log: Path) -> int:
@@ -150,17 +133,13 @@ _KINDS: Mapping[str, Any] = {
 }
 
 
+def _feather(content: io.BytesIO) -> pa.Table:
+    return feather.read_table(content, use_threads=False)
+
+
 def _table(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
     """Columns of a feather file, each of its kind (a key of `_KINDS`), finite, without nulls. Errors: ScenarioError."""
-    try:
-        table = feather.read_table(io.BytesIO(read_regular(path, most_mb=limits.MAX_FILE_MB)), use_threads=False)
-        table.validate(full=True)
-    except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such file, expected it in a sensor log") from None
-    except MemoryError:
-        raise
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path}: not a feather file ({one_line(str(error), most=200)})") from error
+    table = read_arrow(path, _feather, kind="feather", wanted="it in a sensor log")
     size = table.num_rows, table.num_columns
     if not 0 < size[0] <= limits.MAX_ROWS or size[1] > limits.MAX_COLUMNS:
         most = f"1 to {limits.MAX_ROWS} rows and at most {limits.MAX_COLUMNS} columns"
@@ -280,18 +259,6 @@ def _yaw(rotation: Any) -> FloatArray:  # noqa: ANN401  # scipy has no types
     return np.where(angle <= -np.pi, np.pi, angle)
 
 
-def velocity_of(position: FloatArray, step_s: float = STEP_S) -> FloatArray:
-    """(N, 2) m/s: the filter's derivative over an unbroken run (N, 2) m; short runs take the longest odd window."""
-    count = len(position)
-    if count < 3:
-        return np.repeat(np.diff(position, axis=0) / step_s, 2, axis=0) if count == 2 else np.zeros((1, 2))
-    window = min(_VELOCITY_SAMPLES, count - (count + 1) % 2)
-    degree = min(_VELOCITY_DEGREE, window - 1)
-    from scipy.signal import savgol_filter  # a third of a scene process's start
-
-    return np.asarray(savgol_filter(position, window, degree, deriv=1, delta=step_s, axis=0), dtype=np.float64)
-
-
 def _with_tracks(states: pd.DataFrame, log: Path, start: int) -> tuple[pd.DataFrame, str]:
     """Number the tracks by first appearance, add velocity and category; the rows and the focal track's id."""
     states = states[states.groupby("track_uuid").timestep.transform("size") >= _MIN_STEPS]
@@ -302,7 +269,7 @@ def _with_tracks(states: pd.DataFrame, log: Path, start: int) -> tuple[pd.DataFr
     states = states.reset_index(drop=True)
     run = ((states.track_id != states.track_id.shift()) | (states.timestep.diff() != 1)).cumsum()
     position = states[["position_x", "position_y"]]
-    velocities = [velocity_of(part.to_numpy()) for _, part in position.groupby(run)]
+    velocities = [velocity_of(part.to_numpy(), _VELOCITY_SAMPLES, step_s=STEP_S) for _, part in position.groupby(run)]
     states[["velocity_x", "velocity_y"]] = np.vstack(velocities)
 
     av = states.loc[states.track_id == AV_ID, ["position_x", "position_y"]].to_numpy()
@@ -374,5 +341,5 @@ def _points(lane: Mapping[str, Any], side: str, where: str) -> FloatArray:
 
 def _resampled(line: FloatArray, fractions: FloatArray) -> FloatArray:
     """Points of a polyline at fractions of its length."""
-    distance = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-    return np.column_stack([np.interp(fractions * distance[-1], distance, line[:, axis]) for axis in (0, 1)])
+    s = arc_length(line)
+    return np.column_stack([np.interp(fractions * s[-1], s, axis) for axis in line.T])

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bridge.files import beside, explained
-from bridge.recordings.argoverse1 import AGENT, AV, COLUMNS, OTHERS
+from bridge.recordings.argoverse1 import COLUMNS, OTHERS
 from bridge.recordings.folders import sequence_path
 from bridge.recordings.recording import Recording
 from hid2.agents import Track
@@ -60,18 +60,3 @@ def sequence_bytes(scenario: Recording, generated: Sequence[Track]) -> bytes:
 def inserted_id(number: int) -> str:
     """TRACK_ID of an inserted vehicle gen_<number>; recorded ones have 0000 before the last part."""
     return f"00000000-0000-0000-0001-{number:012d}"
-
-
-def split_lines(content: bytes) -> tuple[list[str], dict[str, list[tuple[str, str, str]]]]:
-    """Lines of a sequence that are the source's, and those of inserted vehicles: time stamp, X and Y by TRACK_ID."""
-    lines = content.decode("ascii").splitlines()
-    rows = list(csv.reader(lines))
-    at = {column: rows[0].index(column) for column in COLUMNS}
-    recorded, inserted = [lines[0]], dict[str, list[tuple[str, str, str]]]()
-    for line, row in zip(lines[1:], rows[1:], strict=True):
-        name = row[at["TRACK_ID"]]
-        if name.startswith(inserted_id(0)[:-12]) and row[at["OBJECT_TYPE"]] not in (AV, AGENT):
-            inserted.setdefault(name, []).append((row[at["TIMESTAMP"]], row[at["X"]], row[at["Y"]]))
-        else:
-            recorded.append(line)
-    return recorded, inserted

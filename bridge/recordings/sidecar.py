@@ -2,22 +2,24 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError
 
 from bridge.files import read_regular
-from bridge.recordings.limits import MAX_FILE_MB
+from bridge.recordings.limits import MAX_SIDECAR_MB
 from bridge.recordings.recording import Provenance
 from hid2.agents import BoxSize, Policy
 from netconvert.errors import ScenarioError
 
-SCHEMA_VERSION = "1"
-
 ManeuverKind = Literal["lane_change", "overtake", "left_turn", "right_turn"]
 ManeuverStatus = Literal["done", "aborted", "not_feasible", "not_triggered"]
 Seconds = Annotated[float, Field(ge=0)]
+Version = Annotated[str, Field(max_length=100, pattern="^[ -~]+$")]
 BoxLength = Annotated[float, Field(gt=0, lt=50)]
+_Entry = TypeVar("_Entry")
+#: Checked up to the first entry that is wrong: of a crafted file with a million the errors alone would fill the memory.
+Listed = Annotated[tuple[_Entry, ...], FailFast()]
 BoxWidth = Annotated[float, Field(gt=0, lt=10)]
 
 
@@ -26,10 +28,12 @@ class _Record(BaseModel):
 
 
 class GeneratorRecord(_Record):
-    """The program that made the scene."""
+    """The program that made the scene, its code and the libraries it computed with; schema 1 lacks the last two."""
 
-    name: str = "hid2-sumo"
-    version: str
+    name: Version = "hid2-sumo"
+    version: Version
+    code_sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$")
+    libraries: Mapping[Version, Version] = Field(default_factory=dict)
 
 
 class RecordingRecord(_Record):
@@ -50,11 +54,13 @@ class RecordingRecord(_Record):
 class ReplayRecord(_Record):
     """How the recorded agents were replayed, and how exactly. late_s: those who yielded, and how late that made them.
 
-    reactive: recorded vehicles keep their recorded path but yield in time; they do not drive as recorded.
+    reactive: recorded vehicles keep their recorded path but yield in time; they do not drive as recorded. checked: the
+    pose in SUMO of every recorded agent at every step was measured, so many states; else none.
     """
 
     mode: Literal["fixed", "reactive"] = "fixed"
     late_s: Mapping[str, Seconds] = Field(default_factory=dict)
+    checked: bool = True
     states: int = Field(ge=0)
     max_position_error_m: float = Field(ge=0)
     max_heading_error_rad: float = Field(ge=0)
@@ -125,7 +131,7 @@ class GapsRecord(_Record):
 
 
 class SimulatedRecord(_Record):
-    """Exported s(t) against the simulated one, m: the largest difference, and SUMO's own position at the last step."""
+    """Exported s(t) against SUMO's own place along the path, m: the largest difference of all steps."""
 
     max_off_m: float = Field(ge=0)
 
@@ -143,8 +149,8 @@ class AgentRecord(_Record):
     width_m: float = Field(gt=0)
     policy: Policy
     spawn: SpawnRecord
-    route: tuple[int, ...]
-    maneuvers: tuple[ManeuverRecord, ...] = ()
+    route: Listed[int]
+    maneuvers: Listed[ManeuverRecord] = ()
     driver: DriverRecord | None = None
     limited: Mapping[str, float] = Field(default_factory=dict)
     policies: Mapping[str, float] = Field(default_factory=dict)
@@ -172,6 +178,32 @@ class ReplacedRecord(_Record):
     lane_segment_id: int
     cell: int = Field(ge=0)
     last_step: int = Field(ge=0)
+
+
+class DrivesRecord(_Record):
+    """How vehicles drive: how many, of them those that brake hard at some time and those that stand at some time.
+
+    limited: of so many steps of all of them, those in which hid2 held one below SUMO's own choice for a conflict.
+    """
+
+    vehicles: int = Field(ge=0)
+    braking: int = Field(ge=0)
+    standing: int = Field(ge=0)
+    steps: int = Field(ge=0)
+    limited: int = Field(ge=0)
+
+
+class SelectionRecord(_Record):
+    """How vehicles drive that are exported, that were driven and dropped, and that are recorded and move."""
+
+    kept: DrivesRecord
+    dropped: DrivesRecord
+    recorded: DrivesRecord
+
+    @property
+    def driven(self) -> int:
+        """Vehicles that were driven."""
+        return self.kept.vehicles + self.dropped.vehicles
 
 
 class EventRecord(_Record):
@@ -206,11 +238,11 @@ class EventRecord(_Record):
 class Sidecar(_Record):
     """The whole file. Nothing in it depends on the clock or the machine: same request, same bytes."""
 
-    schema_version: str = SCHEMA_VERSION
+    schema_version: Literal["1", "2"] = "2"
     source_scenario_id: str
     generator: GeneratorRecord
     recording: RecordingRecord | None = None
-    sumo_version: str
+    sumo_version: Version
     seed: int = Field(ge=0)
     variant: int = Field(ge=0)
     config: Mapping[str, Any]
@@ -218,10 +250,18 @@ class Sidecar(_Record):
     replay: ReplayRecord
     requested: RequestedRecord
     placed: PlacedRecord
-    agents: tuple[AgentRecord, ...] = ()
-    events: tuple[EventRecord, ...] = ()
-    rejected: tuple[RejectedRecord, ...] = ()
-    replaced: tuple[ReplacedRecord, ...] = ()
+    agents: Listed[AgentRecord] = ()
+    events: Listed[EventRecord] = ()
+    rejected: Listed[RejectedRecord] = ()
+    replaced: Listed[ReplacedRecord] = ()
+    selection: SelectionRecord | None = None
+
+    @property
+    def program(self) -> dict[str, str]:
+        """Versions of the program and its libraries, by name, as far as they are said; the code by its digest."""
+        by = self.generator
+        code = {"code": by.code_sha256[:12]} if by.code_sha256 else {}
+        return {by.name: by.version, **code, "SUMO": self.sumo_version.removeprefix("SUMO "), **by.libraries}
 
     @property
     def boxes(self) -> dict[str, BoxSize]:
@@ -244,7 +284,7 @@ def sidecar_bytes(sidecar: Sidecar) -> bytes:
 def read_sidecar(path: Path) -> Sidecar:
     """Read a sidecar. Errors: ScenarioError with the file, the first field that is wrong and its value."""
     try:
-        return Sidecar.model_validate_json(read_regular(path, most_mb=MAX_FILE_MB))
+        return Sidecar.model_validate_json(read_regular(path, most_mb=MAX_SIDECAR_MB))
     except FileNotFoundError:
         raise ScenarioError(f"{path}: no such file, expected a sidecar") from None
     except OSError as error:
@@ -254,7 +294,8 @@ def read_sidecar(path: Path) -> Sidecar:
         if first["type"] == "json_invalid":
             raise ScenarioError(f"{path}: not JSON, expected a sidecar, hid2_<id>.json of a generated scene") from error
         field = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise ScenarioError(f"{path}: {field}: {first['msg']} (got {str(first['input'])[:60]!r})") from error
+        later = "; of a later hid2-sumo, which can read it" if field == "schema_version" else ""
+        raise ScenarioError(f"{path}: {field}: {first['msg']} (got {str(first['input'])[:60]!r}){later}") from error
 
 
 def sidecar_in(folder: Path, scenario_id: str) -> Sidecar | None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from bridge.files import one_line
 from bridge.recordings.folders import (
+    DEPTH,
     MAP_PATTERN,
     PARQUET_PATTERN,
     SEQUENCES,
@@ -19,11 +20,12 @@ from bridge.recordings.folders import (
     Source,
     is_generated,
     names_in,
+    other_data,
     subfolders,
 )
-from bridge.recordings.readers.argoverse1 import Argoverse1
-from bridge.recordings.readers.argoverse2 import Argoverse2
-from bridge.recordings.readers.sensor_log import SensorLog
+from bridge.recordings.readers.argoverse1 import ARGOVERSE1
+from bridge.recordings.readers.argoverse2 import ARGOVERSE2
+from bridge.recordings.readers.sensor_log import SENSOR_LOG
 from netconvert.errors import ConfigError, NoSceneError
 
 if TYPE_CHECKING:
@@ -33,9 +35,7 @@ _LOG = logging.getLogger(__name__)
 #: What an output folder has beside generated Argoverse 1 sequences.
 _MANIFEST = "manifest.csv"
 #: The formats; the first one that recognises a path has it.
-READERS: tuple[Reader, ...] = (SensorLog(), Argoverse2(), Argoverse1())
-#: Folders below a path that are looked into: DATA/av2/train/<id>.
-_DEPTH = 3
+READERS: tuple[Reader, ...] = (SENSOR_LOG, ARGOVERSE2, ARGOVERSE1)
 
 
 def find_recordings(paths: Sequence[Path], choices: Choices | None = None) -> list[Address]:
@@ -63,24 +63,29 @@ def find_one(path: Path, choices: Choices | None = None) -> Address:
     found = list(_walk(path, choices or Choices(), 0))
     if len(found) > 1:
         raise ConfigError(f"{path}: holds {len(found)} recordings, expected one; for example {found[0]}")
+    other = "" if found else other_data(path, depth=DEPTH)
+    if other:
+        raise NoSceneError(f"{path}: {other}")
     return found[0] if found else path
 
 
 def read_recording(address: Address) -> "Recording":
     """Read a recording, or a generated scene; a path is that of one. Errors: ScenarioError, MapError."""
     if isinstance(address, Path):
-        name, source = Argoverse2.name, Source(address, Argoverse2.name, address.name)
-    else:
-        name, source = address.format, address
-    return next(reader for reader in READERS if reader.name == name).read(source)
+        address = Source(address, ARGOVERSE2.name, address.name)
+    return _reader(address).read(address)
 
 
 def source_files(address: Address) -> list[Path]:
     """The regular files that a generated scene depends on."""
     if isinstance(address, Source):
-        return next(reader for reader in READERS if reader.name == address.format).files(address)
+        return _reader(address).files(address)
     patterns = (PARQUET_PATTERN, MAP_PATTERN, SIDECAR_PATTERN, SIZES_FILE)
     return [path for pattern in patterns for path in address.glob(pattern) if path.is_file()]
+
+
+def _reader(source: Source) -> Reader:
+    return next(reader for reader in READERS if reader.name == source.format)
 
 
 def described(found: Sequence[Address]) -> list[str]:
@@ -95,9 +100,10 @@ def described(found: Sequence[Address]) -> list[str]:
 
 def _find(paths: Sequence[Path], choices: Choices, is_wanted: Callable[[Address], bool]) -> list[Address]:
     found: dict[tuple[Path, str, int], Address] = {}  # by where it really is
+    again: list[Address] = []
     for path in paths:
         try:
-            there = list(_walk(path, choices, _DEPTH))
+            there = list(_walk(path, choices, DEPTH))
         except OSError as error:  # a name that the system refuses, or a folder that may not be read
             raise NoSceneError(f"{one_line(str(path), most=200)}: cannot be looked into ({error.strerror})") from error
         if not there:
@@ -108,7 +114,8 @@ def _find(paths: Sequence[Path], choices: Choices, is_wanted: Callable[[Address]
             wanted = (
                 "scenario_<id>.parquet (Argoverse 2), <number>.csv (Argoverse 1) or annotations.feather (sensor log)"
             )
-            raise NoSceneError(f"{path}: no scenario; expected {wanted} in it or one to three folders below")
+            said = f"no scenario; expected {wanted} in it or one to three folders below"
+            raise NoSceneError(f"{path}: {other_data(path, depth=DEPTH) or said}")
         wanted_there = [address for address in there if is_wanted(address)]
         if not wanted_there:
             raise NoSceneError(f"{path}: holds generated scenes only (with hid2_<id>.json); give recorded ones")
@@ -117,7 +124,11 @@ def _find(paths: Sequence[Path], choices: Choices, is_wanted: Callable[[Address]
             _LOG.warning("%s: %d of %d scenes passed over, which hid2 wrote", path, passed_over, len(there))
         for address in wanted_there:
             kind, start = (address.format, address.start) if isinstance(address, Source) else ("", 0)
-            found.setdefault((address.resolve(), kind, start), address)
+            if found.setdefault((address.resolve(), kind, start), address) is not address:
+                again.append(address)
+    if again:
+        more = f" (and {len(again) - 1} more)" if len(again) > 1 else ""
+        _LOG.warning("%s%s: given more than once, done once", again[0], more)
     return list(found.values())
 
 

@@ -3,220 +3,274 @@
 The rules are in `rules`; what is checked of rows, map and sidecar in `row_rules`, `map_rules`, `sidecar_rules`.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence, Set
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import pyarrow as pa
-
 from bridge.config import REACTIVE_PREFIX
-from bridge.files import read_regular
-from bridge.recordings.export import map_bytes, recording_record_of
+from bridge.recordings.export import recording_record_of
 from bridge.recordings.folders import (
     RAW,
     SPLITS,
     Address,
     Choices,
-    Source,
     find_scenarios,
     sequence_path,
     source_id,
     split_of,
 )
-from bridge.recordings.limits import MAX_FILE_MB
-from bridge.recordings.map_rules import compare_map, read_map
+from bridge.recordings.judging import findings_of, states_of
+from bridge.recordings.map_rules import compare_map, graph_of, read_map
+from bridge.recordings.plausibility import implausible
+from bridge.recordings.readers.argoverse2 import ARGOVERSE2
 from bridge.recordings.recording import Recording
-from bridge.recordings.row_rules import Rows, check_generated, check_rows, compare_rows
-from bridge.recordings.rules import RECORDED, RULES
-from bridge.recordings.scenario import read_sizes, read_table
-from bridge.recordings.scene_end_rule import check_scene_end
+from bridge.recordings.row_rules import check_generated, check_rows, compare_rows
+from bridge.recordings.rules import NOTED, RECORDED, RULES
+from bridge.recordings.scenario import (
+    RowArrays,
+    read_scenario,
+    read_sizes,
+    read_table,
+    row_breaches,
+    tracks_of,
+)
 from bridge.recordings.sequence_rules import check_written_sequence
 from bridge.recordings.sidecar import REACTIVE, Sidecar, read_sidecar, sidecar_path
 from bridge.recordings.sidecar_rules import check_sidecar
 from bridge.recordings.sources import find_recordings, read_recording
 from hid2.agents import BoxSize
-from netconvert.errors import Hid2Error, MapError, ScenarioError
+from hid2.evaluation.safety import overlaps
+from hid2.measures.lane_matching import flatten_lanes
+from hid2.occupancy.agent_states import AgentStates
+from netconvert.errors import Hid2Error, ScenarioError
 
 
 class Finding(NamedTuple):
-    """One breach of one rule."""
+    """One breach of one rule; what the judge found also as values: vehicle, step, value and limit, the other track."""
 
     file: Path
     rule: str
     message: str
+    vehicle: str | None = None
+    step: int | None = None
+    value: float | None = None
+    limit: float | None = None
+    other: str | None = None
 
     @property
     def is_note(self) -> bool:
-        """Whether it is about the source, which is kept as it is, and no fault of the scene."""
-        return self.rule == RECORDED
+        """Whether it is told and is no fault of the scene."""
+        return self.rule in NOTED
+
+    def line(self) -> str:
+        """As it is printed."""
+        return f"{self.file}: {'note: ' if self.is_note else ''}{self.rule}: {self.message}"
 
 
-def validate_folder(out: Path, *, source: Path | None = None, map_path: Path | None = None) -> list[Finding]:
+@dataclass(frozen=True, slots=True)
+class Against:
+    """What scenes are held against. out: the data set; sources: recordings by id, None for no comparison.
+
+    inserted: ids of the tracks that are judged, None for those that hid2 inserted.
+    """
+
+    out: Path | None = None
+    sources: Mapping[str, Address] | None = None
+    inserted: frozenset[str] | None = None
+
+
+def validate_folder(
+    out: Path, *, source: Path | None = None, map_path: Path | None = None, inserted: Sequence[str] = ()
+) -> list[Finding]:
     """Check every scenario under a data set that was generated, or mixed; source: where its recordings lie.
 
     out: a scenario folder, a split folder or a data-set root; source: recordings of any format; map_path: the map that
-    was chosen for them. Returns what is wrong, and notes on what the source brings along; nothing if all is well.
+    was chosen for them; inserted: ids of the tracks that are judged, those that hid2 inserted unless told. Returns what
+    is wrong, and notes; nothing if all is well.
     Errors: ScenarioError where out or source is no folder or holds no scenario.
     """
-    folders = find_scenarios(out)
-    sources = _index_sources(source, map_path) if source is not None else None
-    findings = list(_check_tree(out, folders))
+    sources = () if source is None else (source,)
+    folders, against = find_scenarios(out), held_against(out, sources, map_path, inserted)
+    findings = check_tree(out, folders)
     for folder in folders:
-        findings += validate_scene(folder, sources=sources, out=out)
+        findings += validate_scene(folder, against)
     return findings
 
 
-def validate_scene(
-    folder: Path, *, sources: Mapping[str, Address] | None = None, out: Path | None = None
-) -> list[Finding]:
+def held_against(
+    out: Path, sources: Sequence[Path] = (), map_path: Path | None = None, inserted: Sequence[str] = ()
+) -> Against:
+    """What the scenes of a data set are held against, as in `validate_folder`. Errors: ScenarioError."""
+    known = None
+    if sources:  # recordings by id, every window of a log among them
+        known = {source_id(address): address for address in find_recordings(sources, Choices(map_path, stride=1))}
+    return Against(out, known, frozenset(inserted) or None)
+
+
+def validate_scene(folder: Path, against: Against = Against()) -> list[Finding]:  # frozen
     """Check one scenario folder, and its sequence of Argoverse 1 below out where there is one.
 
-    sources: recordings by id, None for no comparison. A scene without sidecar in which no track is a generated one was
-    recorded: it is held to the format alone.
+    A scene without sidecar in which no track is a generated one was recorded: it is held to the format alone.
     """
-    findings: list[Finding] = []
     new_id = folder.name
-    parquet_path = folder / f"scenario_{new_id}.parquet"
-    map_path = folder / f"log_map_archive_{new_id}.json"
-    wanted = (parquet_path, map_path)
-    findings += [Finding(path, "folder", "no such file") for path in wanted if not path.is_file()]
-
-    sidecar = None
-    if sidecar_path(folder, new_id).is_file():
-        try:
-            sidecar = read_sidecar(sidecar_path(folder, new_id))
-        except ScenarioError as error:
-            findings.append(Finding(sidecar_path(folder, new_id), "sidecar", str(error)))
-    document = None
-    if map_path.is_file():
-        document, breaches = read_map(map_path)
-        findings += [Finding(map_path, *breach) for breach in breaches]
-    rows = None
-    if parquet_path.is_file():
-        try:
-            rows = _rows(parquet_path, sidecar)
-        except ScenarioError as error:
-            findings.append(Finding(parquet_path, "columns", str(error)))
-
+    findings: list[Finding] = []
+    sidecar, rows, document = _parts(folder, findings)
     if new_id.startswith(REACTIVE_PREFIX) or (sidecar is not None and sidecar.replay.mode == "reactive"):
         return [Finding(folder, "replay", REACTIVE)]  # whatever else it is, it is no scene of Argoverse
     findings += _missing_sidecar(folder, rows)
-    generated_ids: set[str] = {agent.track_id for agent in sidecar.agents} if sidecar is not None else set()
+    generated_ids = {agent.track_id for agent in sidecar.agents} if sidecar is not None else set()
+    begins = lanes = None
     if rows is not None:
+        path = folder / f"scenario_{new_id}.parquet"
         generated_ids |= {track_id for track_id in rows.ids if track_id.startswith("gen_")}
         breaches = list(check_rows(rows, new_id))
         for track_id in sorted(generated_ids & set(rows.ids)):
             breaches += check_generated(rows, track_id)
-        if all(rule == RECORDED for rule, _ in breaches):  # what it reads is sound
-            breaches += check_scene_end(rows, generated_ids, sizes=_sizes(sidecar, sources))
-        findings += [Finding(parquet_path, *breach) for breach in breaches]
+        findings += [Finding(path, *breach) for breach in breaches]
+        if document is not None:
+            judged = generated_ids if against.inserted is None else against.inserted
+            found = _judged(path, rows, document, sidecar, _sizes(folder, sidecar, against.sources), judged)
+            faulty = any(not finding.is_note for finding in findings)  # then it is known why nothing can be judged
+            findings += [finding for finding in found if finding.rule != "columns" or not faulty]
+        begins = dict(zip(rows.ids, rows.timestep[rows.starts].tolist(), strict=True))
     if sidecar is not None:
-        begins = rows.begins() if rows is not None else None
         lanes = {str(lane) for lane in document["lane_segments"]} if document is not None else None
-        breaches = list(check_sidecar(sidecar, new_id, begins=begins, generated_ids=generated_ids, lanes=lanes))
-        findings += [Finding(sidecar_path(folder, new_id), *breach) for breach in breaches]
-    source = None
-    if sources is not None and sidecar is not None:
-        try:
-            source = _compared(sources, sidecar.source_scenario_id)
-        except Hid2Error as error:
-            return [*findings, Finding(sidecar_path(folder, new_id), "source", str(error))]
-        findings += _compare(source, sidecar, folder, rows=rows, document=document, generated_ids=generated_ids)
-    if out is not None and rows is not None and sidecar is not None:
-        findings += _check_sequence(out, folder, rows, generated_ids, source)
+        found_in = check_sidecar(sidecar, new_id, begins=begins, generated_ids=generated_ids, lanes=lanes)
+        findings += [Finding(sidecar_path(folder, new_id), *breach) for breach in found_in]
+        findings += _compared(folder, sidecar, rows, document, generated_ids, against)
     return findings
 
 
-def _rows(path: Path, sidecar: Sidecar | None) -> Rows:
-    """The rows of a scene, with the steps of its recording. Errors: ScenarioError."""
-    known = sidecar.recording if sidecar is not None else None
-    table = read_table(path)
-    return Rows(table) if known is None else Rows(table, observed_steps=known.observed_steps, step_s=known.step_s)
+def _parts(folder: Path, findings: list[Finding]) -> tuple[Sidecar | None, RowArrays | None, dict[str, Any] | None]:
+    """Sidecar, rows and map of a scene, as far as they are there; why one cannot be read is appended to `findings`."""
+    parquet_path, map_path = folder / f"scenario_{folder.name}.parquet", folder / f"log_map_archive_{folder.name}.json"
+    own_path = sidecar_path(folder, folder.name)
+    findings += [Finding(path, "folder", "no such file") for path in (parquet_path, map_path) if not path.is_file()]
+    sidecar, rows, document = None, None, None
+    if own_path.is_file():
+        try:
+            sidecar = read_sidecar(own_path)
+        except ScenarioError as error:
+            findings.append(Finding(own_path, "sidecar", str(error)))
+    if map_path.is_file():
+        document, breaches = read_map(map_path)
+        findings += [Finding(map_path, *breach) for breach in breaches]
+    if parquet_path.is_file():
+        known = sidecar.recording if sidecar is not None else None
+        try:
+            table = read_table(parquet_path)
+        except ScenarioError as error:
+            findings.append(Finding(parquet_path, "columns", str(error)))
+        else:
+            rows = RowArrays.of(table)
+            if known is not None:
+                rows = replace(rows, observed_steps=known.observed_steps, step_s=known.step_s)
+    return sidecar, rows, document
 
 
-class _Compared(NamedTuple):
-    """What a scene is compared with. recording: of a source in another format."""
+def _compared(
+    folder: Path, sidecar: Sidecar, rows: RowArrays | None, document: Mapping[str, Any] | None,
+    generated_ids: set[str], against: Against,
+) -> Iterator[Finding]:  # fmt: skip
+    """A scene against its source, and its sequence of Argoverse 1 where there is one."""
+    source = None
+    if against.sources is not None:
+        try:
+            source = _source(against.sources, sidecar.source_scenario_id)
+        except Hid2Error as error:
+            yield Finding(sidecar_path(folder, folder.name), "source", str(error))
+            return
+        path = folder / f"scenario_{folder.name}.parquet"
+        for message in compare_rows(rows.table, source.table, generated_ids) if rows is not None else ():
+            yield Finding(path, "source", message)
+        path = folder / f"log_map_archive_{folder.name}.json"
+        for message in compare_map(path, document, source) if document is not None else ():
+            yield Finding(path, "source", message)
+        if source.format != ARGOVERSE2.name and sidecar.recording != recording_record_of(source):
+            yield Finding(sidecar_path(folder, folder.name), "source", "recording: not that of the source")
+    if against.out is not None and rows is not None:
+        path = sequence_path(against.out, split_of(folder), folder.name)
+        if path.is_file():
+            for breach in check_written_sequence(path, rows, generated_ids, source=source):
+                yield Finding(path, *breach)
 
-    table: pa.Table
-    map_json: bytes
-    map_name: str
-    recording: Recording | None
 
-
-def _compared(sources: Mapping[str, Address], scenario_id: str) -> _Compared:
+def _source(sources: Mapping[str, Address], scenario_id: str) -> Recording:
     """The source of a scene. Errors: ScenarioError, MapError."""
     address = sources.get(scenario_id)
     if address is None:
         raise ScenarioError(f"source scenario {scenario_id} is not among the {len(sources)} given")
-    if isinstance(address, Source):
-        recording = read_recording(address)
-        return _Compared(recording.table, map_bytes(recording), recording.map_path.name, recording)
-    table = read_table(address / f"scenario_{scenario_id}.parquet")
-    path = address / f"log_map_archive_{scenario_id}.json"
-    try:
-        return _Compared(table, read_regular(path, most_mb=MAX_FILE_MB), path.name, None)
-    except OSError as error:
-        raise MapError(f"{path}: cannot be read ({error})") from error
+    return read_recording(address)
 
 
-def _compare(
-    source: _Compared, sidecar: Sidecar, folder: Path, *, rows: Rows | None, document: Mapping[str, Any] | None,
-    generated_ids: set[str],
-) -> list[Finding]:  # fmt: skip
-    """Rows, map and sidecar of a scene against its source."""
-    findings = []
-    if rows is not None:
-        messages = compare_rows(rows.table, source.table, generated_ids)
-        findings += [Finding(folder / f"scenario_{folder.name}.parquet", "source", message) for message in messages]
-    if document is not None:
-        path = folder / f"log_map_archive_{folder.name}.json"
-        messages = compare_map(path, document, source.map_json, name=source.map_name)
-        findings += [Finding(path, "source", message) for message in messages]
-    if source.recording is not None and sidecar.recording != recording_record_of(source.recording):
-        message = "recording: not that of the source"
-        findings.append(Finding(sidecar_path(folder, folder.name), "source", message))
-    return findings
-
-
-def _missing_sidecar(folder: Path, rows: Rows | None) -> list[Finding]:
-    """A finding where there is no sidecar, unless none of the tracks is a generated one: the scene was recorded."""
+def _missing_sidecar(folder: Path, rows: RowArrays | None) -> list[Finding]:
+    """A finding where there is no sidecar, unless none of the tracks is a generated one: then how plausible it is."""
     path = sidecar_path(folder, folder.name)
-    generated = rows is None or any(track_id.startswith("gen_") for track_id in rows.ids)
-    message = "no such file, which every generated scene has (a recorded one has none)"
-    return [Finding(path, "folder", message)] if generated and not path.is_file() else []
-
-
-def _check_sequence(
-    out: Path, folder: Path, rows: Rows, generated_ids: set[str], source: _Compared | None
-) -> list[Finding]:
-    path = sequence_path(out, split_of(folder), folder.name)
-    if not path.is_file():
+    if path.is_file():
         return []
-    recording = source.recording if source is not None else None
-    return [Finding(path, *breach) for breach in check_written_sequence(path, rows, generated_ids, source=recording)]
+    if rows is None or any(track_id.startswith("gen_") for track_id in rows.ids):
+        return [Finding(path, "folder", "no such file, which every generated scene has (a recorded one has none)")]
+    with suppress(Hid2Error):  # which the other rules find
+        said = implausible(read_scenario(folder))
+        return [Finding(folder / f"scenario_{folder.name}.parquet", RECORDED, said)] if said else []
+    return []
 
 
-def _sizes(sidecar: Sidecar | None, sources: Mapping[str, Address] | None) -> dict[str, BoxSize]:
-    """Boxes by track id as far as they are known: of generated tracks, and of recorded ones beside their source."""
-    if sidecar is None:
-        return {}
-    source = (sources or {}).get(sidecar.source_scenario_id)
-    recorded = read_sizes(source) if isinstance(source, Path) else {}
-    return recorded | sidecar.boxes
+def _judged(
+    path: Path, rows: RowArrays, document: Mapping[str, Any], sidecar: Sidecar | None, sizes: Mapping[str, BoxSize],
+    inserted: Set[str],
+) -> list[Finding]:  # fmt: skip
+    """What the judge finds in a scene whose rows and map are sound."""
+    if next(row_breaches(rows), None) is not None:
+        return []
+    try:
+        graph = graph_of(document, name=str(path.parent))
+    except Hid2Error as error:
+        return [Finding(path, "columns", f"cannot be judged: {error}")]
+    tracks = tracks_of(rows, sizes)
+    states = states_of(tracks, flatten_lanes(graph), inserted, num_steps=rows.num_steps, step_s=rows.step_s)
+    found = []
+    for one in findings_of(states, graph, sidecar):
+        said = "not seen" if math.isinf(one.value) else f"{one.value:.3g} {one.quantity.unit}"
+        other = "" if one.other is None else f" (track {one.other!r})"
+        message = f"track {one.track_id!r}, timestep {one.step}: {said}{other}, limit {one.limit:.3g}"
+        value = None if math.isinf(one.value) else one.value
+        found.append(Finding(path, one.quantity.value, message, one.track_id, one.step, value, one.limit, one.other))
+    return found + _recorded_overlaps(path, states)
 
 
-def _check_tree(out: Path, folders: Sequence[Path]) -> Iterator[Finding]:
+def _recorded_overlaps(path: Path, states: AgentStates) -> list[Finding]:
+    """A note where boxes of recorded tracks share ground."""
+    arrays = states.arrays
+    pairs = [pair for pair in overlaps(arrays) if not arrays.generated[[pair.first, pair.second]].any()]
+    if not pairs:
+        return []
+    first, second = (arrays.track_ids[row] for row in pairs[0][:2])
+    said = f"{len(pairs)} pairs of recorded boxes share ground, such as {first!r} and {second!r}"
+    return [Finding(path, RECORDED, f"{said} at timestep {pairs[0].first_step}")]
+
+
+def _sizes(folder: Path, sidecar: Sidecar | None, sources: Mapping[str, Address] | None) -> dict[str, BoxSize]:
+    """Boxes by track id as far as they are known: beside the scene, and beside its source."""
+    source = None if sidecar is None else (sources or {}).get(sidecar.source_scenario_id)
+    sizes: dict[str, BoxSize] = {}
+    for place in (source, folder):
+        with suppress(ScenarioError):  # a sidecar that cannot be read is a finding of its own
+            sizes |= read_sizes(place) if isinstance(place, Path) else {}
+    return sizes
+
+
+def check_tree(out: Path, folders: Sequence[Path]) -> list[Finding]:
+    """What is wrong with the places of files in a data set."""
     expected = {folder / f"scenario_{folder.name}.parquet" for folder in folders}
-    for path in sorted(out.rglob("*.parquet")):
-        if path not in expected:
-            yield Finding(path, "other-parquet", RULES["other-parquet"])
+    others = [path for path in sorted(out.rglob("*.parquet")) if path not in expected]
+    findings = [Finding(path, "other-parquet", RULES["other-parquet"]) for path in others]
     for folder in folders:
         depth = len(folder.relative_to(out).parts)
         split = folder.parent.parent.name if depth == 3 and folder.parent.name == RAW else folder.parent.name
         if depth > 1 and split not in SPLITS:
-            yield Finding(folder, "folder", f"split {split!r}, expected one of {', '.join(SPLITS)}")
-
-
-def _index_sources(source: Path, map_path: Path | None) -> dict[str, Address]:
-    """Recordings by id, every window of a log among them."""
-    return {source_id(address): address for address in find_recordings([source], Choices(map_path, stride=1))}
+            findings.append(Finding(folder, "folder", f"split {split!r}, expected one of {', '.join(SPLITS)}"))
+    return findings

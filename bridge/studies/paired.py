@@ -6,11 +6,9 @@ and nothing is left out: what did not come about is an outcome. All is measured 
 exported is a column.
 """
 
-import tempfile
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,9 +21,9 @@ from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver
 from hid2.insertion.filling import Filling, Unmet
-from hid2.insertion.finalise import ExportedVehicle, finalise, traffic_of_exported
+from hid2.insertion.finalise import ExportedVehicle, as_exported, finalise, traffic_of_exported
 from hid2.insertion.flow import Arrival, arrivals, trigger_after_s
-from hid2.insertion.outcome import outcome_of, shift_times
+from hid2.insertion.outcome import outcome_of
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.surroundings import Surroundings
 from hid2.measures.arrays import stack
@@ -71,7 +69,7 @@ def drawing_config(config: Config) -> Config:
         update={"sites": "any", "trigger_min_s": 0.0, "trigger_max_s": 0.0, "trigger_list_s": ()}
     )
     flow = config.flow.model_copy(update={"warm_up_s": 0.0})
-    spawn = config.spawn.model_copy(update={"rivals": 0, "reseed_rounds": 1})  # one vehicle for each request
+    spawn = config.spawn.model_copy(update={"reseed_rounds": 1})  # a study may vary it
     return Config(
         request=request, grid=config.grid, spawn=spawn, sites=config.sites, drivers=config.drivers, turn=config.turn,
         limits=config.limits, smoothing=config.smoothing, flow=flow, without=config.without,
@@ -109,20 +107,17 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
         for start in drawn.starts
     ]  # fmt: skip
     comers = [replace(one, driver=_with_duration(one.driver, config.lane_change)) for one in drawn.arrivals]
-    with tempfile.TemporaryDirectory(prefix="hid2-") as folder:
-        net = Path(folder) / "scene.net.xml"
-        net.write_bytes(prepared.net)
-        with Simulation(
-            net, seed=sumo_seed(drawn.seed), step_s=scene.step_s, model=config.car_following.model,
-            parameters=model_parameters(config),
-        ) as simulation:  # fmt: skip
-            nobody = traffic_of_exported([], scene)
-            driving = FlowDriving(
-                Fleet(scene, starts, nobody, Roads(scene), StopLines(scene), near_m=NEAR_M), simulation,
-                checked=False, arrivals=comers,
-                trigger_after_s=lambda arrival: trigger_after_s(arrival, config.request, drawn.seed, last_s),
-            )  # fmt: skip
-            vehicles = driving.run()
+    with Simulation(
+        prepared.net, seed=sumo_seed(drawn.seed), step_s=scene.step_s, model=config.car_following.model,
+        parameters=model_parameters(config),
+    ) as simulation:  # fmt: skip
+        nobody = traffic_of_exported([], scene)
+        driving = FlowDriving(
+            Fleet(scene, starts, nobody, Roads(scene), StopLines(scene), near_m=NEAR_M), simulation,
+            checked=False, arrivals=comers,
+            trigger_after_s=lambda arrival: trigger_after_s(arrival, config.request, drawn.seed, last_s),
+        )  # fmt: skip
+        vehicles = driving.run()
     if driving.reactions is not None:
         scene = as_driven(scene, prepared.scenario, driving.reactions.tracks(prepared.scenario.tracks))
     return _measured(scene, drawn, driving, vehicles, trigger_s)
@@ -146,27 +141,24 @@ def _measured(
     scene: Scene, drawn: Drawn, driving: FlowDriving, vehicles: Sequence[DrivenVehicle], trigger_s: dict[int, float]
 ) -> PairedRun:
     moved = [vehicle for vehicle in vehicles if len(vehicle.s) > 1]
-    simulated = {vehicle.vehicle_id: _as_simulated(vehicle, scene.step_s) for vehicle in moved}
+    entered_at = {vehicle.vehicle_id: driving.entered.get(vehicle.vehicle_id, 0) for vehicle in vehicles}
+    simulated = {one.vehicle_id: _as_simulated(scene, one, entered_at[one.vehicle_id]) for one in moved}
     exported = _exported(scene, [vehicle for vehicle in vehicles if vehicle.vehicle_id not in driving.entered])
-    tracks = [one.track(vehicle_id, 1) for vehicle_id, one in simulated.items()]
-    tracks = [_later(track, driving.entered.get(track.track_id, 0)) for track in tracks]
-    everybody = [*_recorded(scene), *tracks]
-    all_traffic = scene.traffic.joined(traffic_of_exported(list(simulated.values()), scene).first(scene.num_steps)) if (
-        simulated and not driving.entered
-    ) else scene.traffic  # fmt: skip
+    everybody = [*_recorded(scene), *(one.track(vehicle_id, 1) for vehicle_id, one in simulated.items())]
     rows = []
     for vehicle in vehicles:
         if vehicle.policy is Policy.STRAIGHT:
             continue
-        entered = driving.entered.get(vehicle.vehicle_id)
-        row = _request_row(scene, vehicle, first=entered or 0)
-        row["source"] = "start" if entered is None else "flow"
+        entered = entered_at[vehicle.vehicle_id]
+        row = _request_row(scene, vehicle, first=entered)
+        row["source"] = "flow" if vehicle.vehicle_id in driving.entered else "start"
         row["exported"] = exported.get(vehicle.vehicle_id)
         if vehicle.vehicle_id in simulated:
-            row |= _outcome(scene, vehicle, simulated[vehicle.vehicle_id], all_traffic, first=entered or 0)
+            one = simulated[vehicle.vehicle_id]
+            row |= _outcome(scene, one, [other for other in simulated.values() if other is not one])
         if row["start_s"] is not None:
             first = round(row["start_s"] / scene.step_s)
-            last = round((row["end_s"] or ((entered or 0) + len(vehicle.s) - 1) * scene.step_s) / scene.step_s)
+            last = round((row["end_s"] or (entered + len(vehicle.s) - 1) * scene.step_s) / scene.step_s)
             row["min_ttc_s"], row["min_pet_s"] = _conflicts(
                 everybody, vehicle.vehicle_id, first, last, step_s=scene.step_s
             )
@@ -227,44 +219,36 @@ def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[st
 
 
 def _outcome(
-    scene: Scene, vehicle: DrivenVehicle, one: ExportedVehicle, everybody: Any, *, first: int  # noqa: ANN401
+    scene: Scene, vehicle: ExportedVehicle, others: Sequence[ExportedVehicle]
 ) -> dict[str, Any]:  # fmt: skip
     """Status and times of a manoeuvre by the simulated motion."""
-    if vehicle.policy is Policy.LANE_CHANGE:
-        if not vehicle.shifts:
-            return {}
-        start, crossing, end = shift_times(one, 0)
-        shifted = {"start_s": start, "crossing_s": crossing, "end_s": end}
-        times = {key: None if at is None else _rounded(at + first * scene.step_s) for key, at in shifted.items()}
-        done = end is not None
-        return {**times, "status": "done" if done else "aborted", "reason": None if done else str(Reason.SCENE_ENDED)}
-    outcome = outcome_of(scene, one, everybody)
-    assert outcome is not None
+    outcome = outcome_of(scene, vehicle, scene.states.joined(*(other.states for other in others)))
+    if outcome is None or not vehicle.driven.shifts:
+        return {}
     return {
         "status": outcome.status, "reason": None if outcome.reason is None else str(outcome.reason.value),
         "start_s": outcome.start_s, "crossing_s": outcome.crossing_s, "end_s": outcome.end_s,
     }  # fmt: skip
 
 
-def _as_simulated(vehicle: DrivenVehicle, step_s: float) -> ExportedVehicle:
-    """A vehicle as SUMO moved it, on its path and at its driver's place in the lane, unsmoothed and unchecked."""
+def _as_simulated(scene: Scene, vehicle: DrivenVehicle, first: int) -> ExportedVehicle:
+    """A vehicle as SUMO moved it since a step, at its driver's place in the lane, unsmoothed and unchecked."""
+    vehicle = replace(vehicle, start=replace(vehicle.start, step=first))
     s, v = np.array(vehicle.s), np.array(vehicle.v)
-    motion = Motion(s=s, v=v, a=np.gradient(v, step_s), step_s=step_s)
+    motion = Motion(s=s, v=v, a=np.gradient(v, scene.step_s), step_s=scene.step_s)
     path = trajectory(vehicle.path.line, motion, vehicle.start.offset)
-    return ExportedVehicle(vehicle, motion, path, np.zeros(s.size), float("inf"))
+    return as_exported(scene, vehicle, motion, path, np.zeros(s.size))
 
 
 def _exported(scene: Scene, vehicles: Sequence[DrivenVehicle]) -> dict[str, str]:
     """Whether each could be exported, one after the other: yes, or the reason."""
-    others = traffic_of_exported([], scene)
+    kept: list[ExportedVehicle] = []
     verdicts = {}
     for vehicle in vehicles:
-        found = finalise(scene, vehicle, others)
+        found = finalise(scene, vehicle, kept)
         if isinstance(found, ExportedVehicle):
-            verdicts[vehicle.vehicle_id] = "yes"
-            others = others.joined(traffic_of_exported([found], scene))
-        else:
-            verdicts[vehicle.vehicle_id] = str(found.value)
+            kept.append(found)
+        verdicts[vehicle.vehicle_id] = "yes" if isinstance(found, ExportedVehicle) else str(found.value)
     return verdicts
 
 
@@ -281,10 +265,6 @@ def _recorded(scene: Scene) -> list[Track]:
             )
         )  # fmt: skip
     return found
-
-
-def _later(track: Track, first: int) -> Track:
-    return replace(track, timesteps=track.timesteps + first) if first else track
 
 
 def _conflicts(

@@ -31,7 +31,8 @@ def run_study(
 
     Errors: BatchError, ExportError.
     """
-    options = replace(options, function=WORK)
+    named = {config.lane_change.rule for configs in study.configs for config in configs}  # in the user's own file
+    options = replace(options, function=WORK, functions=named)
     rows = run_batch(study.jobs, out_dir, options, on_row=on_row)
     from bridge.studies.page import write_results  # pandas, statsmodels, matplotlib: at the end
 

@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bridge.evaluation.aggregate import Estimate
 from hid2.agents import FloatArray, IntArray
+from hid2.resampling import Estimate, interval, redrawn
 
-#: Resamples of the bootstrap, and its interval, percent.
-RESAMPLES, INTERVAL = 500, (2.5, 97.5)
 _SCENES_LEAST, _UNITS_LEAST = 3, 3  # fewer scenes, or units at all, are not drawn again
 _FEWEST = 8  # gaps of each answer, drivers: below, no curve and no critical gap is fitted
 #: Coefficients beyond this say that a threshold parts the gaps without exception: no curve has an interval then.
@@ -50,16 +48,13 @@ def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
 def resampled(
     frame: pd.DataFrame, statistic: Callable[[FloatArray], FloatArray], *, unit: Sequence[str]
 ) -> tuple[FloatArray, FloatArray]:
-    """A statistic (K,) of the weights of rows, and (RESAMPLES, K) of it with units drawn again, with a fixed seed."""
+    """A statistic (K,) of the weights of rows, and (draws, K) of it with units drawn again; none of too few units."""
     code = pd.factorize(pd.MultiIndex.from_frame(frame[list(unit)]))[0]
-    count = int(code.max()) + 1 if len(code) else 0
-    rng = np.random.default_rng(0)
+    count = int(code.max(initial=-1)) + 1
     whole = statistic(np.ones(len(frame)))
-    draws = [
-        statistic(np.bincount(rng.integers(count, size=count), minlength=count)[code].astype(np.float64))
-        for _ in range(RESAMPLES if count >= _UNITS_LEAST else 0)
-    ]
-    return whole, np.array(draws).reshape(-1, whole.size)
+    if count < _UNITS_LEAST:
+        return whole, np.empty((0, whole.size))
+    return whole, redrawn(lambda weights: statistic(weights[code]), count)
 
 
 def units(frame: pd.DataFrame) -> dict[str, list[str]]:
@@ -68,17 +63,6 @@ def units(frame: pd.DataFrame) -> dict[str, list[str]]:
     if frame["scene"].nunique() >= _SCENES_LEAST:
         found["scenes"] = ["scene"]
     return found
-
-
-def interval(draws: FloatArray, value: float) -> Estimate:
-    """Percentile interval of the draws that exist."""
-    if not math.isfinite(value):
-        return Estimate(None)
-    known = draws[np.isfinite(draws)]
-    if known.size < 0.5 * RESAMPLES:
-        return Estimate(value)
-    low, high = np.percentile(known, INTERVAL)
-    return Estimate(value, float(low), float(high))
 
 
 # Waiting --------------------------------------------------------------------------------------------------------------
@@ -170,32 +154,25 @@ def dose_response(
     counted["lag_time_gap_s"] = counted["lag_time_gap_s"].clip(upper=_LONG_GAP_S)
     counted["looked"] = (counted["looks"] > 0).astype(float)
     frames = {"requests": counted, "gaps": gaps}
-    rows = []
+    rows: list[dict[str, Any]] = []
     for outcome in OUTCOMES:
         frame = frames[outcome.table]
         if frame.empty:
             continue
-        values = sorted(frame[key].unique())
-        code = np.searchsorted(values, frame[key]) if not isinstance(values[0], str) else pd.Categorical(
-            frame[key], values
-        ).codes.astype(int)  # fmt: skip
-
+        values, code = np.unique(frame[key].to_numpy(), return_inverse=True)
         statistic = _by_value(frame, outcome, code, len(values), give_up_s=give_up_s)
-        row_sets = []
+        own: list[dict[str, Any]] = [
+            {"parameter": key, "value": value, "outcome": outcome.name, "rows": int((code == place).sum())}
+            for place, value in enumerate(values.tolist())
+        ]
         for unit, columns in units(frame).items():
             whole, draws = resampled(frame, statistic, unit=columns)
-            row_sets.append((unit, whole, draws))
-        for place, value in enumerate(values):
-            row: dict[str, Any] = {"parameter": key, "value": value, "outcome": outcome.name}
-            row["rows"] = int((code == place).sum())
-            for unit, whole, draws in row_sets:
-                estimate = interval(draws[:, place], whole[place])
-                row["estimate"] = estimate.value
-                row[f"low_{unit}"], row[f"high_{unit}"] = estimate.low, estimate.high
-                apart = interval(draws[:, place] - draws[:, 0], whole[place] - whole[0])
-                row["difference"] = apart.value
-                row[f"difference_low_{unit}"], row[f"difference_high_{unit}"] = apart.low, apart.high
-            rows.append(row)
+            for place, row in enumerate(own):
+                row["estimate"], *row_interval = interval(whole[place], draws[:, place])
+                row[f"low_{unit}"], row[f"high_{unit}"] = row_interval
+                row["difference"], *apart = interval(whole[place] - whole[0], draws[:, place] - draws[:, 0])
+                row[f"difference_low_{unit}"], row[f"difference_high_{unit}"] = apart
+        rows += own
     return pd.DataFrame(rows)
 
 
@@ -206,7 +183,8 @@ def acceptance_curve(gaps: pd.DataFrame) -> dict[str, Any] | None:
     """Logistic P(accepted | lag time gap, lead time gap) with standard errors clustered by run; None if not to be told.
 
     A gap without a leader counts as one of the largest lead time gap seen; gaps without a follower are left out.
-    Returns intercept, lag, lead, covariance (3, 3), lead_s (median, at which curves are drawn).
+    Returns a row of acceptance.csv, with the covariance (3, 3): intercept, lag (with its 95 % interval), lead, lead_s
+    (median, at which curves are drawn); or why there is no curve (separated).
     """
     import statsmodels.api as sm
 
@@ -232,10 +210,13 @@ def acceptance_curve(gaps: pd.DataFrame) -> dict[str, Any] | None:
             return {"separated": str(error)}
     if not np.isfinite(fit.params).all() or np.abs(fit.params).max() > _SEPARATED:
         return {"separated": "a threshold parts the gaps"}
+    intercept, lag, lead = map(float, fit.params)
+    covariance = np.asarray(fit.cov_params())
+    apart = 1.96 * float(covariance[1, 1]) ** 0.5
     return {
-        "intercept": float(fit.params[0]), "lag": float(fit.params[1]), "lead": float(fit.params[2]),
-        "covariance": np.asarray(fit.cov_params()), "lead_s": float(np.median(design[:, 2])), "gaps": len(frame),
-        "accepted": int(accepted.sum()),
+        "intercept": intercept, "lag": lag, "lead": lead, "lead_s": float(np.median(design[:, 2])),
+        "gaps": len(frame), "accepted": int(accepted.sum()), "lag_low": lag - apart, "lag_high": lag + apart,
+        "separated": None, "covariance": covariance,
     }  # fmt: skip
 
 
@@ -316,12 +297,8 @@ def troutbeck(rejected_s: FloatArray, accepted_s: FloatArray) -> tuple[Estimate,
         np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:  # the likelihood is flat: no interval
         return Estimate(float(mean)), Estimate(float(sd))
-    draws = np.random.default_rng(0).multivariate_normal(best, covariance, size=4000)
-    means, sds = moments(draws)
-    return (
-        Estimate(float(mean), *map(float, np.percentile(means, INTERVAL))),
-        Estimate(float(sd), *map(float, np.percentile(sds, INTERVAL))),
-    )
+    drawn = moments(np.random.default_rng(0).multivariate_normal(best, covariance, size=4000))
+    return interval(float(mean), drawn[0]), interval(float(sd), drawn[1])
 
 
 def raff(rejected_s: FloatArray, accepted_s: FloatArray) -> float | None:
@@ -374,7 +351,7 @@ def effects(requests: pd.DataFrame, keys: Sequence[str], *, give_up_s: float) ->
         for unit, columns in units(frame).items():
             whole, draws = resampled(frame, statistic, unit=columns)
             for number, key in enumerate(numeric):
-                found = interval(draws[:, number], whole[number])
+                found = interval(whole[number], draws[:, number])
                 rows.append(
                     {
                         "outcome": outcome, "parameter": key, "drawn_again": unit, "rows": len(frame),

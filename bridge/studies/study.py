@@ -4,10 +4,9 @@ A study is a TOML file (examples in data/studies, the page README.md in this fol
 a batch.
 """
 
-import gzip
+import io
 import itertools
 import json
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,17 +17,19 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from bridge.batch.batch import Run, SceneJob
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.batch.scan import Selection, facts_of, wanted
-from bridge.config import config_from_dict, config_sha256
+from bridge.config import config_from_dict, config_sha256, read_toml
+from bridge.files import MAX_FILE_MB, one_line, read_packed, untabled
 from bridge.recordings.folders import Address
 from bridge.recordings.sidecar import ManeuverKind
 from bridge.recordings.sources import find_sources
 from hid2.params import Config
-from netconvert.errors import ConfigError, ScenarioError
+from netconvert.errors import BatchError, ConfigError, ScenarioError
 
 #: Stands for request.trigger_min_s and request.trigger_max_s: a fixed trigger time.
 TRIGGER = "trigger_s"
 #: Of each run, in a folder of its own below OUT/runs: what was measured, and every look at a gap.
 RUN_FILE, LOOKS_FILE = "run.json.gz", "looks.csv.gz"
+_REQUEST_KEYS = frozenset({"kind", "accepted", "waited_s", "source", "trigger_s"})
 #: What decides in a run, and leaves vehicles, drivers, sites and traffic as they are.
 _DECIDES = ("lane_change", "overtake", "conflict", "signals", "crossings", "car_following", "driving")
 #: What changes the traffic itself: allowed, but its values are compared between different vehicles.
@@ -94,11 +95,7 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
     Errors: ConfigError with file, key, value; also where a path holds no scene.
     """
     try:
-        content = _File.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file, expected a study in TOML") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"{path}: not TOML ({error})") from error
+        content = _File.model_validate(read_toml(path, "a study"))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         kinds = ("constrained-", "int", "float", "str", "bool", "list[")  # of which type of several
@@ -174,9 +171,9 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
         name |= {"replay": study.configs[number][0].driving.replay}
         found: dict[str, list[dict[str, Any]]] = {"requests": [], "flow": []}
         if row.status == DONE:
-            folder = out_dir / row.folder
-            found = json.loads(gzip.decompress((folder / RUN_FILE).read_bytes()))
-            own_looks = pd.read_csv(folder / LOOKS_FILE, dtype={"lead_id": str, "lag_id": str, "vehicle": str})
+            found, own_looks = _written(out_dir / row.folder)
+            for column in ("lead_id", "lag_id"):
+                own_looks[column] = own_looks[column].map(untabled, na_action="ignore")
             named = pd.DataFrame(name, index=own_looks.index)
             looks.append(named.join(own_looks.drop(columns=["round", "track_id"])))
         mine = [request for request in found["requests"] if request["kind"] == study.kind]
@@ -193,6 +190,26 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
         )  # fmt: skip
     seen = pd.concat(looks) if looks else pd.DataFrame()
     return Tables(pd.DataFrame(runs), _numeric(pd.DataFrame(requests)), _numeric(seen), pd.DataFrame(flow))
+
+
+def _written(folder: Path) -> tuple[dict[str, list[dict[str, Any]]], "pd.DataFrame"]:
+    """Requests and flow of a run, and its looks at gaps; a folder that was continued may hold anything.
+
+    Errors: BatchError.
+    """
+    import pandas as pd
+
+    try:
+        found = json.loads(read_packed(folder / RUN_FILE, most_mb=MAX_FILE_MB))
+        if lacking := {key for row in found["requests"] for key in _REQUEST_KEYS - row.keys()}:
+            raise ValueError(f"requests without {', '.join(sorted(lacking))}")
+        looks = io.BytesIO(read_packed(folder / LOOKS_FILE, most_mb=MAX_FILE_MB))
+        return found, pd.read_csv(looks, dtype={"lead_id": str, "lag_id": str, "vehicle": str})
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise BatchError(
+            f"{folder}: not what a run of a study writes ({one_line(repr(error), most=300)}); "
+            "please remove this folder, or begin the study in another one"
+        ) from error
 
 
 #: Endings of the columns that are numbers, also where all of a run's are missing.

@@ -28,11 +28,11 @@ LABELS = {
     "driving.replay": "recorded vehicles",
     "flow.veh_per_h_lane": "flow asked for, veh/h per lane",
 }
-_REFUSALS = (
-    ("looks_refused_by_rule", "the rule", figures.ORANGE),
-    ("looks_refused_by_guard", "the guard", figures.GREEN),
-    ("looks_refused_by_sumo", "SUMO", figures.VERMILION),
-)
+_REFUSALS = {
+    "looks_refused_by_rule": ("the rule", figures.ORANGE),
+    "looks_refused_by_guard": ("the guard", figures.GREEN),
+    "looks_refused_by_sumo": ("SUMO", figures.VERMILION),
+}
 
 
 def label_of(key: str) -> str:
@@ -52,49 +52,44 @@ def draw_parameter(
     colors = plt.get_cmap("viridis")(np.linspace(0.0, 0.85, len(values)))
     figure, axes = plt.subplots(2, 3, figsize=(12.5, 7), layout="constrained")
 
-    _dots(axes[0, 0], dose, at, "share_accepted", figures.BLUE, "requests that got a gap")
-    _dots(axes[0, 0], dose, at, "gaps_accepted", figures.SKY, "gaps taken")
-    axes[0, 0].set_title("accepted, share")
-    axes[0, 0].set_ylim(0, 1.03)
-    axes[0, 0].legend(fontsize=8)
-
-    _dots(axes[0, 1], dose, at, "mean_wait_s", figures.BLUE, f"waiting, up to {give_up_s:g} s")
-    _dots(axes[0, 1], dose, at, "lateral_s", figures.ORANGE, "lateral motion, once accepted")
-    axes[0, 1].set_title("mean duration, s")
-    axes[0, 1].set_ylim(bottom=0)
-    axes[0, 1].legend(fontsize=8)
-
-    for outcome, label, color in _REFUSALS:
-        _dots(axes[0, 2], dose, at, outcome, color, label)
-    axes[0, 2].set_title("looks refused, share, by")
-    axes[0, 2].set_ylim(0, 1.03)
-    axes[0, 2].legend(fontsize=8)
-    for panel in axes[0]:
+    upper = (
+        ("accepted, share", {"share_accepted": ("requests that got a gap", figures.BLUE),
+                             "gaps_accepted": ("gaps taken", figures.SKY)}),
+        ("mean duration, s", {"mean_wait_s": (f"waiting, up to {give_up_s:g} s", figures.BLUE),
+                              "lateral_s": ("lateral motion, once accepted", figures.ORANGE)}),
+        ("looks refused, share, by", _REFUSALS),
+    )  # fmt: skip
+    for panel, (panel_title, outcomes) in zip(axes[0], upper, strict=True):
+        for outcome, (label, color) in outcomes.items():
+            _dots(panel, dose, at, outcome, color, label)
+        panel.set_title(panel_title)
+        panel.set_ylim(0, 1.03 if "share" in panel_title else None)
+        panel.legend(fontsize=8)
         panel.set_xlabel(label_of(key))
         if not numeric:
             panel.set_xticks(list(at.values()), [str(value) for value in values])
 
-    counted = requests[requests["counted"]]
+    counted, lag = requests[requests["counted"]], np.linspace(0.0, 5.0, 101)
     for value, color in zip(values, colors, strict=True):
-        mine = counted[counted[key] == value]
+        mine, curve = counted[counted[key] == value], curves[value]
         if len(mine):
             survival = kaplan_meier(mine["waited_s"].to_numpy(float), mine["accepted"].to_numpy(float))
             level = np.concatenate([[1.0], survival.surv_prob])
             times = np.concatenate([[0.0], survival.surv_times, [give_up_s]])
             axes[1, 0].step(times, [*level, level[-1]], where="post", color=color, label=str(value))
+        if curve is not None and not curve["separated"]:
+            middle, low, high = curve_at(curve, lag)
+            axes[1, 1].plot(lag, middle, color=color, label=str(value))
+            axes[1, 1].fill_between(lag, low, high, color=color, alpha=0.12, linewidth=0)
+        started = mine[mine["start_s"].notna()]
+        _distribution(axes[1, 2], started["min_ttc_s"], color, "-")
+        _distribution(axes[1, 2], started["min_pet_s"], color, ":")
     axes[1, 0].set_title("still waiting (Kaplan-Meier)")
     axes[1, 0].set_xlabel("time from the trigger, s")
     axes[1, 0].set_ylim(0, 1.03)
     axes[1, 0].set_xlim(0, give_up_s)
     axes[1, 0].legend(fontsize=7, title=label_of(key), title_fontsize=7)
 
-    lag = np.linspace(0.0, 5.0, 101)
-    for value, color in zip(values, colors, strict=True):
-        curve = curves[value]
-        if curve is not None and "separated" not in curve:
-            middle, low, high = curve_at(curve, lag)
-            axes[1, 1].plot(lag, middle, color=color, label=str(value))
-            axes[1, 1].fill_between(lag, low, high, color=color, alpha=0.12, linewidth=0)
     axes[1, 1].set_title("gap taken, logistic, at the median lead gap")
     axes[1, 1].set_xlabel("lag time gap, s")
     axes[1, 1].set_ylim(0, 1.03)
@@ -103,10 +98,6 @@ def draw_parameter(
     else:
         axes[1, 1].annotate("too few gaps, or parted by a threshold", (0.5, 0.5), xycoords="axes fraction", ha="center")
 
-    for value, color in zip(values, colors, strict=True):
-        mine = counted[(counted[key] == value) & counted["start_s"].notna()]
-        _distribution(axes[1, 2], mine["min_ttc_s"], color, "-")
-        _distribution(axes[1, 2], mine["min_pet_s"], color, ":")
     axes[1, 2].axvline(CRITICAL.ttc_min_s, color=figures.VERMILION, linewidth=0.8)
     axes[1, 2].set_title("changes with a TTC (line), PET (dots) below")
     axes[1, 2].set_xlabel("s")

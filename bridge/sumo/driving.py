@@ -58,7 +58,7 @@ class Driving:
             simulation.step()
         self.reactions = self._reactions()
         for step in range(fleet.scene.num_steps):
-            attempts, limits = self._steer(step) if step > 0 else ([], {})
+            attempts, limits = self._steer(step) if step > 0 else ({}, {})
             for row, vehicle in enumerate(fleet.vehicles):
                 if vehicle.start.step == step:  # SUMO has to have shown who is ahead of it by now
                     fleet.place[row] = vehicle.start.start_s
@@ -69,14 +69,12 @@ class Driving:
             simulation.step()
             self._enter(step)
             recorded.check(step)
-            self._read(step, limits)
-            for attempt in attempts:
-                conclude(fleet, simulation, attempt)
+            self._read(step, attempts, limits)
         self.replay_errors = recorded.errors
         return fleet.vehicles
 
-    def _steer(self, step: int) -> tuple[list[Attempt], dict[int, Limit | None]]:
-        """Observe, decide and act before a step; returns what SUMO was asked for, and limits of speed by vehicle."""
+    def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, Limit | None]]:
+        """Observe, decide and act before a step; returns what SUMO was asked for, and limits of speed, by vehicle."""
         fleet, now = self.fleet, step - 1
         traffic = cache(fleet.traffic)  # put together when somebody first asks
         if self.reactions is not None:
@@ -86,14 +84,14 @@ class Driving:
                 self._recorded.take(fleet.scene.traffic)
         elif "collision" not in fleet.scene.config.without and step % fleet.scene.steps_in(_STRUCK_EVERY_S) == 0:
             self._take_out_struck(now)
-        attempts: list[Attempt] = []
+        attempts: dict[int, Attempt] = {}
         limits: dict[int, Limit | None] = {}
         for row, vehicle in enumerate(fleet.vehicles):
             if not vehicle.running or step <= vehicle.start.step:
                 continue
             attempt = apply_policy(fleet, self.simulation, row, now, traffic)
             if attempt is not None:
-                attempts.append(attempt)
+                attempts[row] = attempt
             limits[row] = self._drive(row, now)
             if vehicle.rerouted_at == now:  # others may have to be shown on this way
                 self._recorded.take(fleet.scene.traffic)
@@ -147,9 +145,9 @@ class Driving:
             if vehicle.objection is not None:
                 self.fleet.place[row] = np.nan
 
-    def _read(self, step: int, limits: dict[int, Limit | None]) -> None:
-        """Take down what SUMO did, and which of the limits, by vehicle, decided it."""
-        inside, step_s = self.simulation.driven(), self.fleet.scene.step_s
+    def _read(self, step: int, attempts: dict[int, Attempt], limits: dict[int, Limit | None]) -> None:
+        """Take down what SUMO did, what came of what it was asked for, and which of the limits decided the speed."""
+        inside = self.simulation.driven()
         for row, vehicle in enumerate(self.fleet.vehicles):
             if not vehicle.running or step < vehicle.start.step:
                 continue
@@ -163,9 +161,12 @@ class Driving:
                 self.fleet.move(row, vehicle.start.start_s, vehicle.start.start_mps)
             else:
                 speed, limit = self.simulation.speed(vehicle.vehicle_id), limits[row]
+                lane, front_m = self.simulation.lane(vehicle.vehicle_id)
                 if limit is not None and speed > limit[0] - _BINDS_MPS:
                     vehicle.limited[limit[1]] += 1
-                self.fleet.move(row, vehicle.s[-1] + speed * step_s, speed)  # SUMO moves by the new speed (Euler)
+                if row in attempts:
+                    conclude(self.fleet, self.simulation, attempts[row], lane)
+                self.fleet.follow(row, lane, front_m, speed)
 
     def _take_out_struck(self, step: int) -> None:
         """Take out who is in a recorded agent's box, mostly as that does not brake: it will not be exported.

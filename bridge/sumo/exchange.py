@@ -16,17 +16,18 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
+from xml.sax.saxutils import escape
 
 import numpy as np
 import shapely
-from lxml import etree
+from lxml.builder import E
 
 from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import AgentRecord, Sidecar, sidecar_in
 from bridge.recordings.sources import read_recording
 from bridge.sumo.net import write_all
-from bridge.sumo.playback import GUI_SHAPES, paints, playable_files
+from bridge.sumo.playback import departure, paints, playable_files, run_options, vehicle_type
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray
 from hid2.measures.arrays import stack
@@ -34,7 +35,7 @@ from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from netconvert.cells import Cell, CellGrid, build_cell_grid
 from netconvert.fidelity import FidelityReport, measure_fidelity
 from netconvert.geo import CITY_ORIGINS
-from netconvert.gui_files import gui_files
+from netconvert.gui_files import gui_files, xml_bytes
 from netconvert.net_xml import net_bytes
 
 _LOG = logging.getLogger(__name__)
@@ -67,12 +68,12 @@ def sumo_files(scenario: Recording, sidecar: Sidecar | None, grid: CellGrid) -> 
     """Contents by file name, but for <id>_scene.*. sidecar: of a generated scene; its vehicles get routes."""
     name = scenario.scenario_id
     placed = _places(scenario, grid)
-    files = gui_files(grid, name, step_s=scenario.step_s)
+    options = {} if sidecar is None else run_options(scenario, f"{name}.rou.xml")
+    files = gui_files(grid, name, step_s=scenario.step_s, options=options)
     files[f"{name}.net.xml"] = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city))
     files[f"{name}.fcd.xml"] = fcd_bytes(scenario, grid, placed)
     if sidecar is not None:
         files[f"{name}.rou.xml"] = _routes(scenario, sidecar, grid, placed)
-        files[f"{name}.sumocfg"] = _configuration(files[f"{name}.sumocfg"], scenario, f"{name}.rou.xml")
     return files
 
 
@@ -81,13 +82,13 @@ def fcd_bytes(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]
     steps: list[list[str]] = [[] for _ in range(scenario.num_steps)]
     for track in scenario.tracks:
         front, angle = sumo_poses(track.position, track.heading, np.full(len(track.timesteps), track.size.length_m))
-        where = placed[track.track_id]
+        where, name = placed[track.track_id], escape(track.track_id, {'"': "&quot;"})
         rows = zip(track.timesteps.tolist(), front.tolist(), angle.tolist(), track.speed.tolist(), strict=True)
         for row, (step, (x, y), degrees, speed) in enumerate(rows):
             lane, pos = grid.sumo_lane_id(where.cells[row]), where.pos_m[row]
             steps[step].append(
-                f'<vehicle id="{_escaped(track.track_id)}" x="{x:.{_DIGITS}f}" y="{y:.{_DIGITS}f}" '
-                f'angle="{degrees:.{_DIGITS}f}" type="type_{_escaped(track.track_id)}" speed="{speed:.{_DIGITS}f}" '
+                f'<vehicle id="{name}" x="{x:.{_DIGITS}f}" y="{y:.{_DIGITS}f}" '
+                f'angle="{degrees:.{_DIGITS}f}" type="type_{name}" speed="{speed:.{_DIGITS}f}" '
                 f'pos="{pos:.{_DIGITS}f}" lane="{lane}" slope="0.00"/>'
             )
     lines = ["<?xml version='1.0' encoding='UTF-8'?>", "<fcd-export>"]
@@ -98,16 +99,12 @@ def fcd_bytes(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]
     return "\n".join([*lines, "</fcd-export>", ""]).encode()
 
 
-def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
-
-
 def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
     """Cells of every agent, by the lane that it is matched to, else by the nearest lane."""
     tracks, graph = scenario.tracks, scenario.graph
     arrays = stack(tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)
     flat = flatten_lanes(graph)
-    matches, _ = match_lanes(arrays, flat)
+    matches = match_lanes(arrays, flat)
     lines = [shapely.LineString(flat.lane_points(lane)) for lane in range(len(flat.lane_ids))]
     nearest = shapely.STRtree(lines).nearest(shapely.points(arrays.position))
     lane_ids = flat.lane_ids[np.where(matches.lane >= 0, matches.lane, nearest)]
@@ -128,25 +125,17 @@ def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
 
 def _routes(scenario: Recording, sidecar: Sidecar, grid: CellGrid, placed: Mapping[str, _Placed]) -> bytes:
     """Types of the inserted vehicles, and the vehicles in the order of departure."""
-    root = etree.Element("routes")
-    colors = paints(scenario)
+    colors, links = paints(scenario), _edge_links(grid)
     agents = {agent.track_id: agent for agent in sidecar.agents}
-    tracks = [track for track in scenario.tracks if track.track_id in agents]
-    tracks.sort(key=lambda track: (int(track.timesteps[0]), track.track_id))
-    for track in tracks:
-        kind = {"id": f"type_{track.track_id}", "length": f"{track.size.length_m:.2f}"}
-        kind |= {"width": f"{track.size.width_m:.2f}", "color": colors[track.track_id].xml}
-        kind |= {"guiShape": GUI_SHAPES[track.object_type]} | _driver(agents[track.track_id])
-        etree.SubElement(root, "vType", kind)
-    links = _edge_links(grid)
-    for track in tracks:
+    kinds, vehicles = [], []
+    for track in sorted((track for track in scenario.tracks if track.track_id in agents), key=departure):
         name, where = track.track_id, placed[track.track_id]
+        kinds.append(E.vType(vehicle_type(track, colors[name]) | _driver(agents[name])))
         vehicle = {"id": name, "type": f"type_{name}", "depart": f"{track.timesteps[0] * scenario.step_s:.2f}"}
         vehicle |= {"departLane": str(grid.lane_index(where.cells[0])), "departPos": f"{where.pos_m[0]:.2f}"}
         vehicle |= {"departSpeed": f"{track.speed[0]:.2f}", "insertionChecks": "none"}
-        element = etree.SubElement(root, "vehicle", vehicle)
-        etree.SubElement(element, "route", {"edges": " ".join(_edges(where.cells, grid, links, name))})
-    return _content(root)
+        vehicles.append(E.vehicle(vehicle, E.route(edges=" ".join(_edges(where.cells, grid, links, name)))))
+    return xml_bytes(E.routes(*kinds, *vehicles))
 
 
 def _driver(agent: AgentRecord) -> dict[str, str]:
@@ -187,33 +176,12 @@ def _edges(cells: Sequence[Cell], grid: CellGrid, links: Mapping[str, tuple[str,
 
 def _way(start: str, goal: str, links: Mapping[str, tuple[str, ...]]) -> list[str] | None:
     """Edges after start to goal, the fewest; None where there is no way."""
-    before = {start: start}
-    queue = deque([start])
+    queue, seen = deque([[start]]), {start}
     while queue:
-        edge = queue.popleft()
-        if edge == goal:
-            way = []
-            while edge != start:
-                way.append(edge)
-                edge = before[edge]
-            return way[::-1]
-        for target in links.get(edge, ()):
-            if target not in before:
-                before[target] = edge
-                queue.append(target)
+        way = queue.popleft()
+        if way[-1] == goal:
+            return way[1:]
+        onward = [edge for edge in links.get(way[-1], ()) if edge not in seen]
+        seen.update(onward)
+        queue.extend([*way, edge] for edge in onward)
     return None
-
-
-def _configuration(base: bytes, scenario: Recording, routes: str) -> bytes:
-    root = etree.fromstring(base)
-    given, time = root.find("input"), root.find("time")
-    assert given is not None
-    assert time is not None
-    etree.SubElement(given, "route-files", {"value": routes})
-    etree.SubElement(time, "end", {"value": f"{scenario.num_steps * scenario.step_s:.2f}"})
-    return _content(root)
-
-
-def _content(root: etree._Element) -> bytes:
-    content: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
-    return content

@@ -7,6 +7,7 @@ from dataclasses import InitVar, dataclass, field, replace
 
 import numpy as np
 
+from bridge.sumo.poses import center_on_path
 from hid2.agents import BoxSize, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S
 from hid2.conflicts.reaction import yielding
@@ -21,6 +22,8 @@ from hid2.policy.roads import Roads
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
 
+_GIVEN_BACK = 0.05  # no tunable, not seen: share of its speed by which a vehicle gives back at most what SUMO jumped
+
 
 @dataclass(eq=False, slots=True)
 class Way:
@@ -29,7 +32,8 @@ class Way:
     road (S,): m/s at the table of the path's line, what the road allows the driver; lane_ends: where its lanes end, m;
     policies: what Algorithm 1 comes to on each of them without a manoeuvre, only: the one of all, None where they
     differ; known: intervals of everybody whose future is known, and their rows (recorded, then kept), None as long as
-    nobody asked; obstacles: the guard's, likewise; reroute_tried: whether another way has been looked for.
+    nobody asked; obstacles: the guard's, likewise; reroute_tried: whether another way has been looked for; jump: how
+    far SUMO is behind, m, where the vehicle comes on the path, and from where to where that is given back; None before.
     """
 
     road: FloatArray
@@ -39,6 +43,7 @@ class Way:
     known: tuple[PathOccupancy, IntArray] | None = None
     obstacles: Obstacles | None = None
     reroute_tried: bool = False
+    jump: tuple[float, float, float] | None = None
 
     def policy_at(self, s: float) -> Policy:
         """Of the lane at an arc length, m."""
@@ -103,17 +108,38 @@ class Fleet:
         self.length_m = np.concatenate([self.length_m, [start.box.length_m for start in starts]])
         self._forget_obstacles()  # everybody sees who is new
 
-    def move(self, row: int, s: float, speed_mps: float) -> None:
-        """A vehicle is at an arc length, m, of its path now."""
+    def move(self, row: int, s: float, speed_mps: float, *, jumped_m: float = 0.0) -> None:
+        """A vehicle is at an arc length, m, of its path now, so far ahead of where SUMO has it."""
         vehicle, way = self.vehicles[row], self.ways[row]
         before = vehicle.v[-1] if vehicle.v else speed_mps
         vehicle.s.append(s)
         vehicle.v.append(speed_mps)
+        vehicle.jumped_m.append(jumped_m)
         shifts, table = vehicle.path.shifts, vehicle.path.line.table_xy
         # Case 2, executing goes before pending: in a change of lanes or in a turn.
         executing = (shifts and shifts[-1][0] < s < shifts[-1][1]) or way.policy_at(s) is not Policy.STRAIGHT
         self.place[row], self.centre[row] = s, table[min(int(s / TABLE_STEP_M), len(table) - 1)]
         self.state[row] = s, speed_mps, (speed_mps - before) / self.scene.step_s, executing, 1.0
+
+    def follow(self, row: int, lane: str, front_m: float, speed_mps: float) -> None:
+        """A vehicle is where SUMO has it now: its front bumper front_m along a lane, at a speed.
+
+        SUMO changes lanes at once, from a cell to the facing one, which may lie a metre before or behind it. On its
+        path the vehicle goes on steadily, and gives back on the way across what it has jumped.
+        """
+        vehicle, way = self.vehicles[row], self.ways[row]
+        steady = vehicle.s[-1] + speed_mps * self.scene.step_s  # SUMO moves by the new speed (Euler)
+        own = center_on_path(
+            self.scene.grid, vehicle.path, lane, front_m, length_m=vehicle.start.size.length_m, after=vehicle.s[-1]
+        )
+        if own is None:
+            own = steady - vehicle.jumped_m[-1]
+        if way.jump is None:
+            jump, shifts = steady - own, vehicle.path.shifts
+            way.jump = jump, own, max(own + abs(jump) / _GIVEN_BACK, shifts[-1][1] if shifts else own + 1.0)
+        jump, since, until = way.jump
+        jumped = jump * max(until - own, 0.0) / (until - since)
+        self.move(row, own + jumped, speed_mps, jumped_m=jumped)
 
     def leave(self, row: int) -> None:
         """A vehicle is nowhere any more."""
@@ -172,12 +198,11 @@ class Fleet:
         way = self.ways[row]
         if way.known is None:
             path, box = self.vehicles[row].path, self.vehicles[row].start.box
-            rows, found = self.scene.in_driving_width(path, box)
+            found = self.scene.in_driving_width(path, box)
             if self.fixed.ids:
-                kept_rows, more = look_along(path.line, self.fixed, box.length_m, box.width_m)
-                found = found.joined(more)
-                rows = np.concatenate([rows, kept_rows + len(self.scene.traffic.ids)])
-            way.known = found, rows
+                more = look_along(path.line, self.fixed, box.length_m, box.width_m)
+                found = found.joined(replace(more, agents=more.agents + len(self.scene.traffic.ids)))
+            way.known = found, found.agents
         return way.known
 
     @property
@@ -231,7 +256,7 @@ class Fleet:
         if self.scene.config.driving.replay == "fixed":
             return obstacles
         vehicle = self.vehicles[row]
-        rows = self.scene.rows_on(path, vehicle.start.box)
+        rows = self.scene.recorded_on(path, vehicle.start.box).agents
         xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))
         yields = yielding(
             self.scene, rows, now, xy=xy[0], forward=tangent[0], half_m=0.5 * vehicle.start.box.length_m,

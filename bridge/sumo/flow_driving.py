@@ -1,13 +1,16 @@
 """Vehicles that enter at the map's edge while the scene runs, beside those that start in it: for studies."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from bridge.sumo.driving import Driving
+from bridge.sumo.poses import center_on_path
 from bridge.sumo.routes import edges_along
 from hid2.insertion.flow import Arrival
+from hid2.occupancy.gaps import gaps_on_path
 from hid2.occupancy.traffic import Traffic
 from hid2.vehicle import Start, VehicleRequest
 
@@ -57,10 +60,10 @@ class FlowDriving(Driving):
 
     def _is_clear(self, arrival: Arrival, step: int) -> bool:
         """Whether no recorded agent is too near ahead; those driven are SUMO's business."""
-        found = self.fleet.scene.recorded_on(arrival.path, arrival.box)
-        low = found.low[:, step]
+        seen = self.fleet.scene.recorded_on(arrival.path, arrival.box)
+        edge = np.array([-arrival.box.length_m])  # nobody on the path is behind it
         room_m = arrival.driver.min_gap_m + arrival.driver.tau_s * arrival.driver.desired_mps
-        return not bool(np.any(np.isfinite(low) & (low < room_m + 0.5 * arrival.box.length_m)))
+        return bool(gaps_on_path(seen, edge, step).lead_m[0] >= room_m + 1.5 * arrival.box.length_m)
 
     def _queue(self, arrival: Arrival) -> None:
         scene, driver = self.fleet.scene, arrival.driver
@@ -78,16 +81,15 @@ class FlowDriving(Driving):
         """It is in the net: from now on one of those that are driven."""
         simulation, scene = self.simulation, self.fleet.scene
         lane, front_m = simulation.lane(arrival.vehicle_id)
-        cell = scene.grid.cell_of_sumo_lane[lane]
-        at = float(scene.grid.edges_s(cell.lane_id)[cell.index]) + front_m
-        segment = next(one for one in arrival.path.segments if one.lane_id == cell.lane_id)
-        share = (at - segment.lane_start) / max(segment.lane_end - segment.lane_start, 1e-9)
-        front_s = segment.start + share * (segment.end - segment.start)
+        start_s = center_on_path(
+            scene.grid, arrival.path, lane, front_m, length_m=arrival.size.length_m, after=-math.inf
+        )
+        assert start_s is not None  # it begins on its route
         trigger_s = step * scene.step_s + self.trigger_after_s(arrival)
         start = Start(
             vehicle_id=arrival.vehicle_id, request=VehicleRequest(arrival.number, arrival.policy, trigger_s),
             object_type=arrival.object_type, size=arrival.size, box=arrival.box, route=arrival.route,
-            path=arrival.path, start_s=front_s - 0.5 * arrival.size.length_m,
+            path=arrival.path, start_s=start_s,
             start_mps=simulation.speed(arrival.vehicle_id), driver=arrival.driver, desired=arrival.desired,
             offset=arrival.offset, sides=arrival.sides,
         )  # fmt: skip

@@ -1,9 +1,9 @@
 """A scene in sumo-gui at its exact positions: recorded agents grey, generated vehicles coloured by policy."""
 
 import io
+import itertools
 import os
 import shutil
-import struct
 import sys
 import tempfile
 from collections.abc import Callable
@@ -25,7 +25,7 @@ from hid2.agents import Track
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ExportError, SimulationError
 from netconvert.gui_files import REAL_TIME_MS
-from netconvert.net_xml import write_net
+from netconvert.net_xml import net_bytes
 
 #: As for replayed vehicles in libsumo: exact positions, on and off lanes. No tunables: they change no picture.
 _KEEP_ROUTE = 6
@@ -60,8 +60,8 @@ def play_scene(
     pictured = check_step(scenario, step)
     with tempfile.TemporaryDirectory(prefix="hid2-gui-") as place:
         grid = build_cell_grid(scenario.graph)
-        write_net(grid, Path(place) / "scene.net.xml")
-        for name, content in scene_view_files(scenario, grid, "scene").items():
+        files = {"scene.net.xml": net_bytes(grid), **scene_view_files(scenario, grid, "scene")}
+        for name, content in files.items():
             (Path(place) / name).write_bytes(content)
         command = [binary, "-c", str(Path(place) / "scene.sumocfg"), "--no-warnings", "true", "--quit-on-end"]
         command += ["--window-size", _WINDOW]  # else what the user's last window had, or a small one
@@ -91,8 +91,7 @@ def play_scene(
             if screenshot is not None:
                 raise SimulationError(f"sumo-gui ended before the picture was taken: {error}") from error
         finally:
-            # nobody may be there any more, or half an answer unread where Ctrl-C cut the talk
-            with suppress(traci.exceptions.FatalTraCIError, OSError, struct.error):
+            with suppress(traci.exceptions.FatalTraCIError, OSError):  # the window may be closed already
                 traci.close(wait=False)
     return screenshot
 
@@ -141,25 +140,23 @@ def _play(traci: ModuleType, scenario: Scenario, last: int) -> None:
         track.track_id: sumo_poses(track.position, track.heading, np.full(len(track.timesteps), track.size.length_m))
         for track in scenario.tracks
     }
+    rows = {track.track_id: dict(zip(track.timesteps.tolist(), itertools.count())) for track in scenario.tracks}
     inside: set[str] = set()
     for step in range(last + 1):
-        for track in scenario.tracks:
-            row = int(np.searchsorted(track.timesteps, step))
-            present = row < len(track.timesteps) and int(track.timesteps[row]) == step
-            if not present:
-                if track.track_id in inside:
-                    traci.vehicle.remove(track.track_id)
-                    inside.discard(track.track_id)
-                continue
-            if track.track_id not in inside:
-                _add(traci, track, colors[track.track_id].rgba)
-                inside.add(track.track_id)
-            front, angle = poses[track.track_id]
-            traci.vehicle.moveToXY(
-                track.track_id, "", -1, float(front[row, 0]), float(front[row, 1]), float(angle[row]),
-                keepRoute=_KEEP_ROUTE, matchThreshold=_MATCH_M,
-            )  # fmt: skip
+        here = {track.track_id: track for track in scenario.tracks if step in rows[track.track_id]}
+        for name in inside - here.keys():
+            traci.vehicle.remove(name)
+        for name, track in here.items():
+            if name not in inside:
+                _add(traci, track, colors[name].rgba)
+            (x, y), angle = (part[rows[name][step]].tolist() for part in poses[name])
+            _move(traci, name, x, y, angle)
+        inside = set(here)
         traci.simulationStep()
+
+
+def _move(traci: ModuleType, name: str, x: float, y: float, angle: float) -> None:
+    traci.vehicle.moveToXY(name, "", -1, x, y, angle, keepRoute=_KEEP_ROUTE, matchThreshold=_MATCH_M)
 
 
 def _any_edge(traci: ModuleType) -> str:
@@ -187,8 +184,7 @@ def _photograph(traci: ModuleType, path: Path) -> None:
     traci.gui.screenshot(traci.gui.getIDList()[0], str(path.resolve()))
     for name in traci.vehicle.getIDList():
         x, y = traci.vehicle.getPosition(name)
-        angle = traci.vehicle.getAngle(name)
-        traci.vehicle.moveToXY(name, "", -1, x, y, angle, keepRoute=_KEEP_ROUTE, matchThreshold=_MATCH_M)
+        _move(traci, name, x, y, traci.vehicle.getAngle(name))
     traci.simulationStep()
     if not path.is_file():
         raise ExportError(f"{path}: sumo-gui wrote no picture; is the folder writable?")

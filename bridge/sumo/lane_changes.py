@@ -11,7 +11,7 @@ from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.decision import LaneOption, Observation, Side, decide
-from hid2.policy.observation import gap_ahead_of, gaps_on, lane_options, lay_across, leader_on, returns_to
+from hid2.policy.observation import gap_ahead_of, lane_options, lay_across, leader_on, own_gaps, returns_to
 from hid2.policy.overtake import Leader, Stage
 from hid2.policy.rules import SumoAnswer
 from hid2.reasons import Reason
@@ -135,19 +135,16 @@ class _Due:
     def _observation(self, options: tuple[LaneOption, ...], leader: Leader | None) -> Observation:
         vehicle, start, scene = self.vehicle, self.vehicle.start, self.fleet.scene
         cell = scene.cell_at(vehicle.path, vehicle.s[-1])
-        seen = Observation(
+        own_front, own_rear = own_gaps(
+            scene, vehicle.path, start.box, s=vehicle.s[-1], step=self.now, fixed=self.fleet.fixed, fleet=self.others
+        )
+        return Observation(
             time_s=self.now * scene.step_s, cell=cell, next_cell=scene.grid.longitudinal(cell),
             lane_turn=scene.grid.graph.lanes[cell.lane_id].turn, speed_mps=vehicle.v[-1],
             desired_mps=start.driver.desired_mps, request=vehicle.policy, trigger_s=start.request.trigger_s,
             stage=vehicle.stage, leader=leader, options=options, passed_gap_m=self._passed_gap_m(),
-            length_m=start.box.length_m, driver=start.driver,
+            length_m=start.box.length_m, driver=start.driver, own_front=own_front, own_rear=own_rear,
         )  # fmt: skip
-        if scene.config.lane_change.rule in ("paper", "LC2013"):
-            return seen
-        ahead, behind = gaps_on(
-            scene, vehicle.path, start.box, at=vehicle.s[-1], step=self.now, fixed=self.fleet.fixed, fleet=self.others
-        )
-        return replace(seen, own_front=ahead, own_rear=behind)
 
     def _look(self, option: LaneOption, rule: Reason | None) -> GapLook:
         """What is recorded of one look at a gap."""
@@ -208,12 +205,12 @@ class _Due:
         return found.conflict_s is not None or found.run_into or found.decel_mps2 > start.driver.decel_mps2
 
 
-def conclude(fleet: Fleet, simulation: Simulation, attempt: Attempt) -> None:
-    """Take the new path if SUMO did change lanes; else its refusal is the answer, and the route is restored."""
+def conclude(fleet: Fleet, simulation: Simulation, attempt: Attempt, lane: str) -> None:
+    """Take the new path if SUMO did change lanes; else its refusal is the answer, and the route is restored.
+
+    lane: on which SUMO has the vehicle now.
+    """
     vehicle, scene = fleet.vehicles[attempt.row], fleet.scene
-    if not vehicle.running:
-        return
-    lane, _ = simulation.lane(vehicle.vehicle_id)
     cell = scene.grid.cell_of_sumo_lane.get(lane)
     beside = {segment.lane_id for segment in attempt.target.segments}
     own = {segment.lane_id for segment in vehicle.path.segments if segment.end > vehicle.s[-1]}

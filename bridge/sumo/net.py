@@ -1,9 +1,9 @@
 """A scene's map as files for SUMO: what `hid2 net` does."""
 
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+from bridge.interruption import hidden_folder
 from bridge.recordings.folders import MAP_PATTERN, only_file
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import STEP_S
@@ -41,10 +41,10 @@ def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write every file to a hidden folder beside its place, then move all of them there."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".hid2-net-", dir=folder) as beside:
+        with hidden_folder(folder) as beside:
             for name, content in files.items():
-                (Path(beside) / name).write_bytes(content)
+                (beside / name).write_bytes(content)
             for name in files:
-                (Path(beside) / name).replace(folder / name)
+                (beside / name).replace(folder / name)
     except OSError as error:
         raise NetError(f"{folder}: cannot write the net: {error.strerror}") from error

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from lxml import etree
+from lxml.builder import E
 
 from bridge.config import word_for_recorded
 from bridge.pictures.figures import POLICY_COLORS, SKY
@@ -25,7 +26,7 @@ from hid2.policy.behaviours import BEHAVIOURS
 from netconvert.cells import CellGrid
 from netconvert.geo import CITY_ORIGINS
 from netconvert.geometry import arc_length
-from netconvert.gui_files import WINDOW_ASPECT, gui_files
+from netconvert.gui_files import WINDOW_ASPECT, gui_files, shape, xml_bytes
 from netconvert.net_xml import net_bytes
 
 # No tunables: how a scene is drawn in sumo-gui; nothing that is generated depends on any of these.
@@ -112,49 +113,41 @@ def playable_files(scenario: Scenario, grid: CellGrid) -> dict[str, bytes]:
     The net is that of `hid2 net` with the lanes of the traces added.
     """
     name = f"{scenario.scenario_id}_scene"
-    files = scene_view_files(scenario, grid, name)
+    options = run_options(scenario, f"{name}.rou.xml")
+    options["processing"] = {"collision.action": "none", "time-to-teleport": "-1"}
+    files = scene_view_files(scenario, grid, name, options)
     traces = [_trace(track, scenario.step_s) for track in scenario.tracks]
     files[f"{name}.net.xml"] = _with_traces(net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city)), traces)
     files[f"{name}.rou.xml"] = _routes(scenario, traces)
-    files[f"{name}.sumocfg"] = _with_routes(files[f"{name}.sumocfg"], name, end_s=scenario.num_steps * scenario.step_s)
     return files
 
 
-def scene_view_files(scenario: Scenario, grid: CellGrid, name: str) -> dict[str, bytes]:
+def run_options(scenario: Scenario, routes: str) -> dict[str, dict[str, str]]:
+    """Options with which SUMO runs a file of routes for as long as a scene lasts, by section and name."""
+    return {"input": {"route-files": routes}, "time": {"end": f"{scenario.num_steps * scenario.step_s:.2f}"}}
+
+
+def scene_view_files(
+    scenario: Scenario, grid: CellGrid, name: str, options: Mapping[str, Mapping[str, str]] | None = None
+) -> dict[str, bytes]:
     """<name>.sumocfg, .poly.xml and .view.xml: those of `hid2 net`, looking at what moves, with ids and a legend.
 
     sumo-gui then shows the first step and waits: vehicles are boxes of their size, with their ids.
     """
     low, high = moving_ground(scenario)
-    files = gui_files(grid, name, step_s=scenario.step_s, shown=(low, high))
-    del files[f"{name}.cells.csv"]
-    view = etree.fromstring(files[f"{name}.view.xml"])
-    scheme = view.find("scheme")
-    assert scheme is not None
-    boxes = {"vehicleMode": "0", "vehicleQuality": "1", "showBlinker": "0", "vehicle_minSize": "0"}
-    vehicles = etree.SubElement(
-        scheme,
-        "vehicles",
-        {
-            **boxes,
-            "vehicle_exaggeration": "1",
-            **_words("vehicleText", 46),
-            "vehicleText_bgColor": "255,255,255",
-            "vehicleTextParam": ID_KEY,
-        },
+    vehicles = E.vehicles(
+        {"vehicleMode": "0", "vehicleQuality": "1", "showBlinker": "0", "vehicle_minSize": "0"},
+        {"vehicle_exaggeration": "1", **_words("vehicleText", 46)},
+        {"vehicleText_bgColor": "255,255,255", "vehicleTextParam": ID_KEY},
+        E.colorScheme(name="given vehicle/type/route color"),
     )
-    etree.SubElement(vehicles, "colorScheme", {"name": "given vehicle/type/route color"})
-    etree.SubElement(scheme, "pois", {"poi_constantSize": "1", "poi_exaggeration": "1", **_words("poiName", 50)})
-    files[f"{name}.view.xml"] = _content(view)
-    shapes = etree.fromstring(files[f"{name}.poly.xml"])
-    shapes.extend(_legend(scenario, low, high))
-    files[f"{name}.poly.xml"] = _content(shapes)
-    configuration = etree.fromstring(files[f"{name}.sumocfg"])
-    gui = configuration.find("gui_only")
-    assert gui is not None
-    etree.SubElement(gui, "start", {"value": "true"})
-    etree.SubElement(gui, "breakpoints", {"value": f"{scenario.step_s}"})
-    files[f"{name}.sumocfg"] = _content(configuration)
+    names = E.pois({"poi_constantSize": "1", "poi_exaggeration": "1", **_words("poiName", 50)})
+    waits = {"start": "true", "breakpoints": f"{scenario.step_s}"}
+    files = gui_files(
+        grid, name, step_s=scenario.step_s, shown=(low, high), options={**(options or {}), "gui_only": waits},
+        shapes=_legend(scenario, low, high), scheme=[vehicles, names],
+    )  # fmt: skip
+    del files[f"{name}.cells.csv"]
     return files
 
 
@@ -202,14 +195,11 @@ def _bar(paint: Paint, name: str, corner: tuple[float, float], high_m: float) ->
     """A bar of the legend, lower left at `corner`, and its name, for which SUMO needs a point without colour."""
     (left, lower), width, height = corner, _LEGEND_WIDTH * high_m, 0.8 * _LEGEND_ROW * high_m
     ring = [(left, lower), (left + width, lower), (left + width, lower + height), (left, lower + height)]
-    bar = {"id": f"legend_{name}", "type": "legend", "color": paint.xml, "fill": "1", "layer": "450"}
-    bar["shape"] = " ".join(f"{x:.2f},{y:.2f}" for x, y in ring)
-    point = {"id": name, "type": "legend", "color": "0,0,0,0", "layer": "500"}
+    # SUMO takes no spaces in ids, but those that do not break
+    bar = {"id": f"legend_{name}".replace(" ", "\u00a0"), "type": "legend", "color": paint.xml, "fill": "1"}
+    point = {"id": name.replace(" ", "\u00a0"), "type": "legend", "color": "0,0,0,0", "layer": "500"}
     point |= {"x": f"{left + width / 2:.2f}", "y": f"{lower + height / 2:.2f}"}
-    elements = etree.Element("poly", bar), etree.Element("poi", point)
-    for element in elements:  # SUMO takes no spaces in ids, but those that do not break
-        element.set("id", element.get("id", "").replace(" ", "\u00a0"))
-    return list(elements)
+    return [E.poly(bar, {"layer": "450", "shape": shape(np.array(ring))}), E.poi(point)]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -288,74 +278,55 @@ def _direction(heading: float) -> FloatArray:
 def _with_traces(net: bytes, traces: list[_Trace]) -> bytes:
     """Add the lanes of the traces to a net."""
     root = etree.fromstring(net)
-    edges, junctions, connections = [], [], []
+    added: dict[str, list[etree._Element]] = {"edge": [], "junction": [], "connection": []}
     for trace in traces:
         count = len(trace.shapes)
-        for k, (shape, limit) in enumerate(zip(trace.shapes, trace.limits, strict=True)):
+        for k, (points, limit) in enumerate(zip(trace.shapes, trace.limits, strict=True)):
             ends = {"from": f"{trace.edge(k)}_j", "to": f"{trace.edge(k + 1)}_j"}
-            edge = etree.Element("edge", {"id": trace.edge(k), **ends, "priority": "0"})
             lane = {"id": f"{trace.edge(k)}_0", "index": "0", "speed": f"{limit:.4f}", "width": f"{_TRACE_WIDTH_M}"}
-            lane |= {"allow": _UNSEEN, "length": f"{arc_length(shape)[-1]:.4f}", "shape": _shape(shape)}
-            etree.SubElement(edge, "lane", lane)
-            edges.append(edge)
+            lane |= {"allow": _UNSEEN, "length": f"{arc_length(points)[-1]:.4f}", "shape": shape(points, digits=3)}
+            added["edge"].append(E.edge({"id": trace.edge(k), **ends, "priority": "0"}, E.lane(lane)))
             if k:
                 link = {"from": trace.edge(k - 1), "to": trace.edge(k), "fromLane": "0", "toLane": "0", "dir": "s"}
-                connections.append(etree.Element("connection", {**link, "state": "M"}))
+                added["connection"].append(E.connection({**link, "state": "M"}))
         for k in range(count + 1):
             x, y = trace.shapes[k][0] if k < count else trace.shapes[-1][-1]
-            incoming = f"{trace.edge(k - 1)}_0" if k else ""
             known = {"id": f"{trace.edge(k)}_j", "type": "unregulated", "x": f"{x:.3f}", "y": f"{y:.3f}"}
-            junctions.append(etree.Element("junction", {**known, "incLanes": incoming, "intLanes": ""}))
-    for tag, elements in (("edge", edges), ("junction", junctions), ("connection", connections)):
+            incoming = f"{trace.edge(k - 1)}_0" if k else ""
+            added["junction"].append(E.junction({**known, "incLanes": incoming, "intLanes": ""}))
+    for tag, elements in added.items():
         before = root.findall(tag)
         place = root.index(before[-1]) + 1 if before else len(root)
         root[place:place] = elements
-    return _content(root)
-
-
-def _shape(points: FloatArray) -> str:
-    return " ".join(f"{x:.3f},{y:.3f}" for x, y in points.tolist())
+    return xml_bytes(root)
 
 
 def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
     colors = paints(scenario)
-    root = etree.Element("routes")
-    ordered = sorted(traces, key=lambda trace: (int(trace.track.timesteps[0]), trace.track.track_id))
-    for trace in ordered:
-        size = trace.track.size
-        kind = {"id": f"type_{trace.track.track_id}", "length": f"{size.length_m:.2f}", "width": f"{size.width_m:.2f}"}
-        if trace.track.object_type in GUI_SHAPES:
-            kind["guiShape"] = GUI_SHAPES[trace.track.object_type]
-        kind |= {"vClass": _UNSEEN, "minGap": "0", "sigma": "0"}
+    kinds, vehicles = [], []
+    for trace in sorted(traces, key=lambda trace: departure(trace.track)):
+        name = trace.track.track_id
+        kind = vehicle_type(trace.track) | {"vClass": _UNSEEN, "minGap": "0", "sigma": "0"}
         kind |= {"accel": _ANY_ACCELERATION, "decel": _ANY_ACCELERATION, "emergencyDecel": _ANY_ACCELERATION}
         kind |= {"maxSpeed": "80", "speedFactor": "1", "speedDev": "0", "tau": f"{scenario.step_s}"}
-        etree.SubElement(root, "vType", kind)
-    for trace in ordered:
-        name = trace.track.track_id
+        kinds.append(E.vType(kind))
         vehicle = {"id": name, "type": f"type_{name}", "color": colors[name].xml, "insertionChecks": "none"}
         vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.2f}", "departPos": f"{trace.depart_m:.2f}"}
         vehicle |= {"departSpeed": f"{trace.limits[0]:.4f}", "arrivalPos": "max"}
-        element = etree.SubElement(root, "vehicle", vehicle)
-        if shows_id(trace.track):
-            etree.SubElement(element, "param", {"key": ID_KEY, "value": name})
+        params = [E.param(key=ID_KEY, value=name)] if shows_id(trace.track) else []
         edges = " ".join(trace.edge(k) for k in range(len(trace.shapes)))
-        etree.SubElement(element, "route", {"edges": edges})
-    return _content(root)
+        vehicles.append(E.vehicle(vehicle, *params, E.route(edges=edges)))
+    return xml_bytes(E.routes(*kinds, *vehicles))
 
 
-def _with_routes(configuration: bytes, name: str, *, end_s: float) -> bytes:
-    root = etree.fromstring(configuration)
-    inputs, time = root.find("input"), root.find("time")
-    assert inputs is not None
-    assert time is not None
-    etree.SubElement(inputs, "route-files", {"value": f"{name}.rou.xml"})
-    etree.SubElement(time, "end", {"value": f"{end_s:.2f}"})
-    processing = etree.SubElement(root, "processing")
-    etree.SubElement(processing, "collision.action", {"value": "none"})
-    etree.SubElement(processing, "time-to-teleport", {"value": "-1"})
-    return _content(root)
+def departure(track: Track) -> tuple[int, str]:
+    """What vehicles are sorted by in a file of routes."""
+    return int(track.timesteps[0]), track.track_id
 
 
-def _content(root: etree._Element) -> bytes:
-    content: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
-    return content
+def vehicle_type(track: Track, color: Paint | None = None) -> dict[str, str]:
+    """Attributes of the type that each agent has of its own: id, size and looks."""
+    looks = {} if color is None else {"color": color.xml}
+    looks |= {"guiShape": GUI_SHAPES[track.object_type]} if track.object_type in GUI_SHAPES else {}
+    size = {"length": f"{track.size.length_m:.2f}", "width": f"{track.size.width_m:.2f}"}
+    return {"id": f"type_{track.track_id}", **size, **looks}

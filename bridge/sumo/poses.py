@@ -6,6 +6,8 @@ The only home of degrees and front bumpers.
 import numpy as np
 
 from hid2.agents import FloatArray
+from hid2.motion.route import DrivenPath
+from netconvert.cells import CellGrid
 
 
 def sumo_poses(position: FloatArray, heading: FloatArray, length_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -26,3 +28,17 @@ def box_poses(front: FloatArray, angle_deg: FloatArray, length_m: FloatArray) ->
 def front_arc_m(center_s: float, length_m: float) -> float:
     """Arc length of the front bumper of a box whose centre is at center_s, m."""
     return center_s + 0.5 * length_m
+
+
+def center_on_path(
+    grid: CellGrid, path: DrivenPath, lane: str, front_m: float, *, length_m: float, after: float
+) -> float | None:
+    """Arc length of a box's centre on a path where SUMO has its front bumper front_m along a lane; None off the path.
+
+    after: where it was before (`DrivenPath.s_on`). SUMO's lanes are cells, each as long as its piece of the centreline.
+    """
+    cell = grid.cell_of_sumo_lane.get(lane)
+    if cell is None:
+        return None
+    front = path.s_on(cell.lane_id, float(grid.edges_s(cell.lane_id)[cell.index]) + front_m, after=after)
+    return None if front is None else front - 0.5 * length_m

@@ -29,7 +29,7 @@ class ReplayErrors:
 class Replay:
     """Drives the agents of a `Traffic` along their states. Call `place` before and `check` after each step.
 
-    checked: compare poses; a scene's first simulation does, later ones replay the same states.
+    checked: compare poses; only a scene's first simulation does, later ones replay the same states.
     """
 
     simulation: Simulation

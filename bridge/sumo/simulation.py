@@ -23,14 +23,15 @@ _REPLAY_KEEP_ROUTE = 6  # TraCI moveToXY: exactly there, on a road or off it
 _REPLAY_MATCH_M = 2.0  # no tunable, half a lane and a little: farther aside nobody is ahead of anybody
 _ASIDE_MATCH_M = 0.01  # no tunable: so little that it is on no lane
 _NEVER_S = 1000.0  # longer than any scene
-_START, _TYPES = "start.xml", "types.add.xml"
+_NET, _START, _TYPES = "scene.net.xml", "start.xml", "types.add.xml"
 _DRIVEN = "driven"
 
 
 class Simulation:
     """A running SUMO. Use as `with Simulation(net, seed=0, step_s=0.1) as sumo:`.
 
-    model: car-following model of the vehicles that SUMO drives, as it is named in SUMO; parameters: its attributes.
+    net: a file, or its content. model: car-following model of the vehicles that SUMO drives, as it is named in SUMO;
+    parameters: its attributes.
     expected_decel_mps2: what those behind a replayed vehicle expect it to brake with at most.
     Errors: SimulationError for a net that SUMO refuses, and for a second simulation in one process.
     """
@@ -38,7 +39,7 @@ class Simulation:
     _running: ClassVar[bool] = False
 
     def __init__(
-        self, net: Path, *, seed: int, step_s: float, expected_decel_mps2: float = 4.5, model: str = "EIDM",
+        self, net: Path | bytes, *, seed: int, step_s: float, expected_decel_mps2: float = 4.5, model: str = "EIDM",
         parameters: Mapping[str, float] | None = None,
     ) -> None:  # fmt: skip
         self._net = net
@@ -56,11 +57,15 @@ class Simulation:
         if Simulation._running:
             raise SimulationError("a simulation is already running in this process, expected one at a time")
         self._beside = tempfile.TemporaryDirectory(prefix="hid2-sumo-")
-        types = Path(self._beside.name) / _TYPES
+        net, types = Path(self._beside.name, _NET), Path(self._beside.name, _TYPES)
+        if isinstance(self._net, bytes):
+            net.write_bytes(self._net)
+        else:
+            net = self._net
         extra = "".join(f' {name}="{value:g}"' for name, value in self._parameters.items())
         types.write_text(f'<additional><vType id="{_DRIVEN}" carFollowModel="{self._model}"{extra}/></additional>')
         command = [
-            "sumo", "--net-file", str(self._net), "--additional-files", str(types),
+            "sumo", "--net-file", str(net), "--additional-files", str(types),
             "--step-length", f"{self._step_s}", "--seed", str(self._seed),
             "--collision.action", "none", "--time-to-teleport", "-1", "--lanechange.duration", "0",
             "--no-step-log", "true", "--no-warnings", "true", "--duration-log.disable", "true",
@@ -69,7 +74,7 @@ class Simulation:
             libsumo.start(command)
         except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
             self._beside.cleanup()
-            raise SimulationError(f"{self._net}: SUMO does not load the net: {error}") from error
+            raise SimulationError(f"{net}: SUMO does not load the net: {error}") from error
         Simulation._running = True
         edge = next(e for e in libsumo.edge.getIDList() if not e.startswith(":"))
         libsumo.route.add("replay", [edge])

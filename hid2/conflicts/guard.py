@@ -82,8 +82,6 @@ class Guard:
     )
     _on_its_own: dict[tuple[DrivenPath, BoxSize], Traffic] = field(default_factory=dict)
     _brakes: FloatArray = field(init=False)
-    _fixed_begin: Traffic | None = field(init=False, default=None)
-    _begins: dict[tuple[DrivenPath, BoxSize], PathOccupancy] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """The decelerations that are tried."""
@@ -114,23 +112,6 @@ class Guard:
         rows = np.array([row for row, _ in found], dtype=np.int64)
         return Obstacles(known=known, swept=every, rows=rows, lines=self.stop_lines.arrays(path, box))
 
-    def at_start(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
-        """Everybody known on a path for a box at the first step, (A, 1), as in `obstacles`."""
-        if not self.fixed.ids:
-            return self.scene.kept_clear_at_start(path, box)
-        key = path, box
-        if key not in self._begins:
-            if self._fixed_begin is None:
-                self._fixed_begin = self.fixed.first(self.scene.pet_steps + 1)
-            self._begins[key] = self.scene.kept_clear_at_start(path, box).joined(
-                path_occupancy(
-                    path.line, self._fixed_begin, length_m=box.length_m, width_m=box.width_m,
-                    margin_lateral_m=self.scene.config.conflict.margin_lateral_m, clear_steps=self.scene.pet_steps,
-                    clear_margin_m=self.scene.pet_margin_m,
-                ).at(0)
-            )  # fmt: skip
-        return self._begins[key]
-
     def _swept_on(
         self, path: DrivenPath, box: BoxSize, other: DrivenPath, other_box: BoxSize
     ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
@@ -141,8 +122,8 @@ class Guard:
         if key not in self._swept:
             alone = self._alone(other, other_box)
             width = box.width_m + 2 * self.scene.config.conflict.margin_lateral_m
-            rows, found = look_along(path.line, alone, box.length_m, width)
-            self._swept[key] = (found.low[0], found.high[0], found.along[0]) if rows.size else None
+            found = look_along(path.line, alone, box.length_m, width)
+            self._swept[key] = (found.low[0], found.high[0], found.along[0]) if found.agents.size else None
         return self._swept[key]
 
     def _alone(self, path: DrivenPath, box: BoxSize) -> Traffic:

@@ -11,8 +11,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hid2.agents import FloatArray, IntArray, Track
-from hid2.kernels.path_intervals import SAME_WAY, boxes_met
+from hid2.agents import BoxSize, FloatArray, IntArray, Track
+from hid2.kernels.path_intervals import SAME_WAY
+from hid2.occupancy.along_path import look_along
+from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path
 from hid2.occupancy.sigma import original_occupancy
 from hid2.occupancy.traffic import BoolArray, Traffic, velocity_of
 from hid2.scene import Scene
@@ -20,7 +22,6 @@ from netconvert.geometry import wrap_angle
 
 #: Car following: row of the recorded agent, its speed m/s, bumper gap m and speed of its leader m/s -> speed, m/s.
 FollowSpeed = Callable[[int, float, float, float], float]
-_FINE_M = 0.25  # no tunable: how finely a path is looked along, which changes a gap by no more
 
 
 def yielding(
@@ -31,27 +32,21 @@ def yielding(
     Those who drive as it does and would have to brake with `driving.yields_mps2` at most. xy (2,) m, forward (2,):
     centre and direction of the vehicle; half_m: half its length.
     """
-    traffic = scene.traffic
-    offset, heading = traffic.position[rows, step] - xy, traffic.heading[rows, step]
-    gap_m = -(offset @ forward) - half_m - 0.5 * traffic.length_m[rows]
-    same_way = np.cos(heading) * forward[0] + np.sin(heading) * forward[1] > SAME_WAY
-    closing = np.maximum(traffic.velocity[rows, step] @ forward - speed_mps, 0.0)
-    brakes = np.square(closing) / (2.0 * np.maximum(gap_m, 1e-6))
-    able = (gap_m > 0.0) & (brakes <= scene.config.driving.yields_mps2)
-    return np.asarray(able & same_way & traffic.present[rows, step] & np.isin(rows, scene.vehicle_rows))
+    here = scene.traffic.at(step).rows(rows.tolist())
+    seen = gaps_from_pose(xy, forward, BoxSize(2.0 * half_m, 0.0), here)
+    same_way = np.cos(here.heading[:, 0]) * forward[0] + np.sin(here.heading[:, 0]) * forward[1] > SAME_WAY
+    closing = np.maximum(seen.along_mps - speed_mps, 0.0)
+    brakes = np.square(closing) / (2.0 * np.maximum(seen.gap_m, 1e-6))
+    able = (seen.along_m < 0.0) & (seen.gap_m > 0.0) & (brakes <= scene.config.driving.yields_mps2)
+    return np.asarray(able & same_way & here.present[:, 0] & np.isin(rows, scene.vehicle_rows))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _OwnPath:
-    """Path of one recorded agent. s (K,) m driven at its steps first, first + 1, ...; boxes every _FINE_M of it.
-
-    xy (N, 2) m and heading (N,) rad go straight on beyond the end of the recording.
-    """
+    """Path of one recorded agent. s (K,) m driven at its steps first, first + 1, ..."""
 
     first: int
     s: FloatArray
-    xy: FloatArray
-    heading: FloatArray
 
     @property
     def last(self) -> int:
@@ -113,7 +108,7 @@ class Reactions:
             return late
         at = path.s_at(place)
         free_m = path.s_at(min(place + 1.0, path.last)) - at
-        leader = self._leader(row, at, here) if free_m > 0.0 else None
+        leader = self._leader(row, place, here) if free_m > 0.0 else None
         if late == 0.0 and leader is None:
             return late
         wanted, ahead_m = free_m / self.scene.step_s, self.scene.config.driving.yields_ahead_m
@@ -126,52 +121,34 @@ class Reactions:
             return late
         return step - path.place_at(at + driven_m, since=place)
 
-    def _leader(self, row: int, at: float, here: Traffic) -> tuple[float, float] | None:
+    def _leader(self, row: int, place: float, here: Traffic) -> tuple[float, float] | None:
         """Bumper gap m and speed along the path m/s of the next one on an agent's path; None near enough.
 
-        For an agent that drives as recorded: of generated ones and of those who are late; all others keep out of its
-        way as they did. Who is beside or behind is not ahead.
+        place: the recorded time, steps, at which the agent was where it is. For an agent that drives as recorded: of
+        generated ones and of those who are late; all others keep out of its way as they did.
         """
-        count, path = len(self._recorded.ids), self._path(row)
-        ahead_m = self.scene.config.driving.yields_ahead_m
-        ahead = here.present[:, 0].copy()
-        ahead[row] = False
+        count, own = len(self._recorded.ids), self._recorded
+        counts = here.present[:, 0].copy()
+        counts[row] = False
         if self.late[row] == 0.0:
-            ahead[:count] &= self.late > 0.0
-        offset = here.position[:, 0] - here.position[row, 0]
-        angle = here.heading[row, 0]
-        forward = offset[:, 0] * np.cos(angle) + offset[:, 1] * np.sin(angle)
-        ahead &= (forward > 0.0) & (np.hypot(offset[:, 0], offset[:, 1]) < ahead_m)
-        first = int(at / _FINE_M)
-        span = slice(first, min(first + int(ahead_m / _FINE_M), path.heading.size))
-        xy, heading = path.xy[span], path.heading[span]
-        length = np.full(heading.size, self._recorded.length_m[row])
-        found: tuple[float, float] | None = None
-        for other in np.flatnonzero(ahead).tolist():
-            one = slice(other, other + 1)
-            met = boxes_met(
-                xy, heading, length, float(self._recorded.width_m[row]), 0, here.position[one], here.heading[one],
-                here.present[one], here.length_m[one], here.width_m[one],
-            )  # fmt: skip
-            if not met.any():
-                continue
-            place = int(np.argmax(met))
-            gap_m = max(0.0, (place - 1) * _FINE_M)
-            if found is None or gap_m < found[0]:
-                along = here.velocity[other, 0] @ np.array([np.cos(heading[place]), np.sin(heading[place])])
-                found = gap_m, max(0.0, float(along))
-        return found
+            counts[:count] &= self.late > 0.0
+        apart = np.hypot(*(here.position[:, 0] - here.position[row, 0]).T)
+        others = np.flatnonzero(counts & (apart < self.scene.config.driving.yields_ahead_m))
+        driven = self.scene.states.line(row) if others.size else None
+        if driven is None:
+            return None
+        seen = look_along(
+            driven.line, here.rows(others.tolist()), float(own.length_m[row]), float(own.width_m[row])
+        )  # fmt: skip
+        steps = np.flatnonzero(np.isfinite(driven.s))
+        found = gaps_on_path(seen, np.interp([place], steps, driven.s[steps]), 0)
+        return None if found.leader[0] < 0 else (max(0.0, float(found.lead_m[0])), float(found.lead_mps[0]))
 
     def _path(self, row: int) -> _OwnPath:
         if row not in self._paths:
             there = np.flatnonzero(self._recorded.present[row])
-            xy, heading = self._recorded.position[row, there], np.unwrap(self._recorded.heading[row, there])
-            s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
-            fine = np.arange(0.0, s[-1] + self.scene.config.driving.yields_ahead_m, _FINE_M)
-            beyond = np.maximum(fine - s[-1], 0.0)
-            along = np.stack([np.interp(fine, s, xy[:, axis]) for axis in (0, 1)], axis=1)
-            along += beyond[:, None] * np.array([np.cos(heading[-1]), np.sin(heading[-1])])
-            self._paths[row] = _OwnPath(int(there[0]), s, np.ascontiguousarray(along), np.interp(fine, s, heading))
+            way = np.hypot(*np.diff(self._recorded.position[row, there], axis=0).T)
+            self._paths[row] = _OwnPath(int(there[0]), np.concatenate([[0.0], np.cumsum(way)]))
         return self._paths[row]
 
     def _move(self, rows: Sequence[int], step: int) -> None:
@@ -179,7 +156,6 @@ class Reactions:
         scene, recorded = self.scene, self._recorded
         position, heading = scene.future.position.copy(), scene.future.heading.copy()
         velocity, present = scene.future.velocity.copy(), scene.future.present.copy()
-        stated = scene.stated_velocity.copy()
         for row in rows:
             path = self._path(row)
             steps = np.arange(path.first, path.last + 1)
@@ -191,7 +167,6 @@ class Reactions:
             heading[row, ahead] = wrap_angle(np.interp(at, steps, np.unwrap(recorded.heading[row, steps])))
             present[row, ahead] = True
             velocity[row, present[row]] = velocity_of(position[row, present[row]], scene.step_s)
-            stated[row] = velocity[row, : scene.num_steps]
         future = replace(scene.future, position=position, heading=heading, velocity=velocity, present=present)
         inside = future.first(scene.num_steps)
         traffic = replace(
@@ -199,8 +174,8 @@ class Reactions:
             velocity=np.ascontiguousarray(inside.velocity), present=np.ascontiguousarray(inside.present),
         )  # fmt: skip
         self.scene = replace(
-            scene, traffic=traffic, future=future, stated_velocity=stated,
-            occupancy=original_occupancy(scene.boxes, traffic), _known={}, _leaders={},
+            scene, traffic=traffic, future=future, occupancy=original_occupancy(scene.boxes, traffic), _known={},
+            _leaders={},
         )  # fmt: skip
 
     @property

@@ -9,6 +9,7 @@ documented prior and says so.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,14 +17,13 @@ import numpy as np
 from hid2.agents import FloatArray, IntArray
 from hid2.drivers.driver import Driver, desired_speeds, lane_offset
 from hid2.params import Config, Drivers
+from hid2.resampling import Estimate, interval, redrawn
 
 # No tunables of a scene: which windows tell what, and how finely laws are compared. The sources in `params.Drivers` are
 # figures made so, which other numbers here would not match.
 #: Fewer drivers than this tell nothing: the prior stays.
 LEAST = 12
 # No tunables, here and below: they say which moments are measured and how finely, and calibrations with others differ.
-_RESAMPLES = 400
-_INTERVAL = (2.5, 97.5)
 #: Steady following: closing slower, m/s, accelerating less, m/s2, faster than, m/s, nearer than, s and m.
 _STEADY_MPS, _STEADY_MPS2, _FOLLOWS_MPS, _FOLLOWS_S = 1.0, 0.5, 3.0, 3.0
 #: Who accelerates or brakes by more than this in some window shows how: m/s2.
@@ -95,7 +95,6 @@ class Quantity:
 
 def calibrate(seen: Observed, extra: Extra, *, prior: Drivers) -> list[Quantity]:
     """Every parameter that recordings can tell, in the order of `params.Drivers`."""
-    rng = np.random.default_rng(0)
     straight = seen.rows(~seen.turning)
     free = straight.rows(np.isinf(straight.gap_m) | (straight.gap_m > 4.0 * straight.speed_mps))
     cruising = (free.speed_mps > _CRUISES * free.usual_mps) & (np.abs(free.accel_mps2) < _CRUISES_MPS2)
@@ -111,18 +110,17 @@ def calibrate(seen: Observed, extra: Extra, *, prior: Drivers) -> list[Quantity]
     turning = _by_driver(seen.driver[seen.turning], seen.lateral_mps2[seen.turning], np.max)
     offsets = _by_driver(straight.driver, straight.offset_m, np.median)
     found = [
-        *_normal("desired", "desired speed over the traffic's, logarithm", ratio, prior, rng, sd_only=True),
-        *_speed_wander(free.rows(cruising), prior, rng),
-        *_normal("tau", "time gap in steady following, s", gaps, prior, rng, unit="s"),
+        *_normal("desired", "desired speed over the traffic's, logarithm", ratio, prior, sd_only=True),
+        *_speed_wander(free.rows(cruising), prior),
+        *_normal("tau", "time gap in steady following, s", gaps, prior, unit="s"),
         *_normal("accel", "strongest acceleration of who accelerates, m/s2", strongest[strongest > _SHOWS_MPS2], prior,
-                 rng, unit="mps2"),
-        *_normal("decel", "hardest braking of who brakes, m/s2", hardest[hardest > _SHOWS_MPS2], prior, rng,
                  unit="mps2"),
-        *_normal("min_gap", "gap to a standing leader, m", extra.standing_gap_m, prior, rng, unit="m"),
-        *_range_of_turns(turning, prior, rng),
-        *_normal("offset", "place in the lane, m, left positive", offsets, prior, rng, unit="m"),
-        *_lateral_wander(straight, prior, rng),
-        *_normal("lane_change", "duration of lane changes, s", extra.lane_change_s, prior, rng, unit="s"),
+        *_normal("decel", "hardest braking of who brakes, m/s2", hardest[hardest > _SHOWS_MPS2], prior, unit="mps2"),
+        *_normal("min_gap", "gap to a standing leader, m", extra.standing_gap_m, prior, unit="m"),
+        *_range_of_turns(turning, prior),
+        *_normal("offset", "place in the lane, m, left positive", offsets, prior, unit="m"),
+        *_lateral_wander(straight, prior),
+        *_normal("lane_change", "duration of lane changes, s", extra.lane_change_s, prior, unit="s"),
     ]  # fmt: skip
     return [*found, _kept("reaction_s", "reaction time: positions do not tell it", prior),
             _kept("error", "perception error: positions do not tell it", prior)]  # fmt: skip
@@ -149,12 +147,11 @@ def robust_sd(values: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
-def _bootstrap(
-    values: FloatArray, statistic: Callable[[FloatArray], float], rng: np.random.Generator
-) -> tuple[float, float]:
-    drawn = rng.integers(0, len(values), size=(_RESAMPLES, len(values)))
-    low, high = np.percentile([statistic(values[rows]) for rows in drawn], _INTERVAL)
-    return float(low), float(high)
+def _intervals(found: Callable[[IntArray], Sequence[float]], drivers: int) -> list[Estimate]:
+    """What is found of the drivers of these numbers, for all of them, with intervals by drawing drivers again."""
+    every = np.arange(drivers)
+    drawn = redrawn(lambda times: np.asarray(found(np.repeat(every, times.astype(np.int64)))), drivers)
+    return [interval(value, column) for value, column in zip(found(every), drawn.T, strict=True)]
 
 
 def _bounded(name: str, value: float) -> float:
@@ -169,52 +166,42 @@ def _bounded(name: str, value: float) -> float:
 
 
 def _normal(
-    name: str, what: str, values: FloatArray, prior: Drivers, rng: np.random.Generator, *, unit: str = "",
-    sd_only: bool = False,
-) -> list[Quantity]:  # fmt: skip
+    name: str, what: str, values: FloatArray, prior: Drivers, *, unit: str = "", sd_only: bool = False
+) -> list[Quantity]:
     """Median and robust SD of one value a driver."""
-    mean_name, sd_name = f"{name}_mean_{unit}", f"{name}_sd_{unit}".rstrip("_")
+    names = [f"{name}_mean_{unit}", f"{name}_sd_{unit}".rstrip("_")]
+    first = 1 if sd_only else 0
     if len(values) < LEAST:
-        names = (sd_name,) if sd_only else (mean_name, sd_name)
-        return [_kept(one, what, prior, values) for one in names]
+        return [_kept(one, what, prior, values) for one in names[first:]]
+    found = _intervals(lambda drivers: (float(np.median(values[drivers])), robust_sd(values[drivers])), len(values))
     centre, spread = float(np.median(values)), max(robust_sd(values), 1e-6)
-
-    def law(share: FloatArray) -> FloatArray:
-        return np.asarray(centre + spread * _normal_quantile(share))
-
-    ks = ks_distance(values, law)
-    out = []
-    if not sd_only:
-        low, high = _bootstrap(values, lambda v: float(np.median(v)), rng)
-        out.append(
-            Quantity(mean_name, what, _bounded(mean_name, centre), low, high, len(values), True, values, law, ks)
-        )
-    low, high = _bootstrap(values, robust_sd, rng)
-    out.append(Quantity(sd_name, what, _bounded(sd_name, spread), low, high, len(values), True, values, law, ks))
-    return out
+    return _quantities(names[first:], what, found[first:], values, lambda p: centre + spread * _normal_quantile(p))
 
 
-def _range_of_turns(values: FloatArray, prior: Drivers, rng: np.random.Generator) -> list[Quantity]:
+def _range_of_turns(values: FloatArray, prior: Drivers) -> list[Quantity]:
     """Lateral acceleration in turns: uniform between the 10th and 90th percentile, widened to the whole."""
     what, names = "lateral acceleration in turns, m/s2", ("turn_lateral_min_mps2", "turn_lateral_max_mps2")
     if len(values) < LEAST:
         return [_kept(name, what, prior, values) for name in names]
 
-    def ends(v: FloatArray) -> tuple[float, float]:
-        low, high = np.percentile(v, [10, 90])
+    def ends(drivers: IntArray) -> tuple[float, float]:
+        low, high = np.percentile(values[drivers], [10, 90])
         return float(low - (high - low) / 8.0), float(high + (high - low) / 8.0)
 
-    first, last = ends(values)
+    first, last = ends(np.arange(len(values)))
+    return _quantities(names, what, _intervals(ends, len(values)), values, lambda p: first + (last - first) * p)
 
-    def law(share: FloatArray) -> FloatArray:
-        return np.asarray(first + (last - first) * share)
 
-    out = []
-    for k, name in enumerate(names):
-        low, high = _bootstrap(values, lambda v, k=k: ends(v)[k], rng)  # type: ignore[misc]
-        value = _bounded(name, max(0.1, ends(values)[k]))
-        out.append(Quantity(name, what, value, low, high, len(values), True, values, law, ks_distance(values, law)))
-    return out
+def _quantities(
+    names: Sequence[str], what: str, found: Sequence[Estimate], values: FloatArray,
+    law: Callable[[FloatArray], FloatArray],
+) -> list[Quantity]:  # fmt: skip
+    """Parameters that were measured together, by one value a driver and the law that was fitted to them."""
+    ks = ks_distance(values, law)
+    return [
+        Quantity(name, what, _bounded(name, one.value or 0.0), one.low, one.high, len(values), True, values, law, ks)
+        for name, one in zip(names, found, strict=True)
+    ]
 
 
 def _fits() -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -238,12 +225,13 @@ class _Moments(NamedTuple):
     spread: float
 
 
-def _moments(driver: IntArray, rate: FloatArray, change: FloatArray) -> _Moments:
-    def rms(v: FloatArray) -> float:
-        return float(np.sqrt(np.mean(v * v)))
+def _rms(driver: IntArray, values: FloatArray) -> FloatArray:
+    """(D,) root mean square of the values of each driver."""
+    return np.maximum(_by_driver(driver, values, lambda v: float(np.sqrt(np.mean(v * v)))), 1e-4)
 
-    rates = np.maximum(_by_driver(driver, rate, rms), 1e-4)
-    changes = np.maximum(_by_driver(driver, change, rms), 1e-4)
+
+def _moments(rates: FloatArray, changes: FloatArray) -> _Moments:
+    """Moments of two quantities, one value (D,) a driver."""
     return _Moments(float(np.median(rates)), float(np.median(changes) / np.median(rates)), robust_sd(np.log(rates)))
 
 
@@ -261,7 +249,7 @@ def speed_moments(time_s: float) -> _Moments:
             driver.append(number)
             accel.append(2.0 * fitted[2])
             jerk.append(6.0 * fitted[3])
-    return _moments(np.array(driver), np.array(accel), np.array(jerk))
+    return _moments(_rms(np.array(driver), np.array(accel)), _rms(np.array(driver), np.array(jerk)))
 
 
 @cache
@@ -285,41 +273,39 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
             driver.append(number)
             drift.append(100.0 * fitted[1])
             bend.append(100.0 * fitted[2])
-    return _moments(np.array(driver), np.array(drift), np.array(bend))
+    return _moments(_rms(np.array(driver), np.array(drift)), _rms(np.array(driver), np.array(bend)))
 
 
-def _speed_wander(free: Observed, prior: Drivers, rng: np.random.Generator) -> list[Quantity]:
+def _speed_wander(free: Observed, prior: Drivers) -> list[Quantity]:
     """SD and time of the wandering of the desired speed, from who drives freely."""
     what = "wandering of the desired speed: acceleration in windows, m/s2"
     names = ("wander_sd_mps", "wander_time_s")
-    values = _by_driver(free.driver, free.accel_mps2, lambda v: float(np.sqrt(np.mean(v * v))))
+    values, changes = _rms(free.driver, free.accel_mps2), _rms(free.driver, free.jerk_mps3)
     if len(values) < LEAST:
         return [_kept(name, what, prior, values) for name in names]
     table = [speed_moments(time_s) for time_s in _TIMES_S]
     ratios = np.array([one.ratio for one in table])
     sizes = np.array([one.size for one in table]) / _UNIT_MPS
 
-    def found(driver_rows: Sequence[IntArray]) -> tuple[float, float]:
-        seen = _resampled(free, driver_rows)
-        moments = _moments(seen.driver, seen.accel_mps2, seen.jerk_mps3)
+    def found(drivers: IntArray) -> tuple[float, float]:
+        moments = _moments(values[drivers], changes[drivers])
         time_s = _time_of(moments.ratio, ratios)
         return moments.size / float(np.interp(time_s, _TIMES_S, sizes)), time_s
 
-    return _two(names, what, values, free.driver, found, rng)
+    return _wandering(names, what, values, found)
 
 
-def _lateral_wander(straight: Observed, prior: Drivers, rng: np.random.Generator) -> list[Quantity]:
+def _lateral_wander(straight: Observed, prior: Drivers) -> list[Quantity]:
     """SD, spread and time of the wandering about the place in the lane."""
     what = "wandering about the place in the lane: drift in windows, m/s"
     names = ("lateral_wander_sd_m", "lateral_wander_time_s", "lateral_wander_spread")
-    values = _by_driver(straight.driver, straight.drift_mps, lambda v: float(np.sqrt(np.mean(v * v))))
+    values, changes = _rms(straight.driver, straight.drift_mps), _rms(straight.driver, straight.bend_mps2)
     if len(values) < LEAST:
         return [_kept(name, what, prior, values) for name in names]
     table = {(t, w): lateral_moments(t, w) for t in _TIMES_S for w in _SPREADS}
 
-    def found(driver_rows: Sequence[IntArray]) -> tuple[float, float, float]:
-        seen = _resampled(straight, driver_rows)
-        moments = _moments(seen.driver, seen.drift_mps, seen.bend_mps2)
+    def found(drivers: IntArray) -> tuple[float, float, float]:
+        moments = _moments(values[drivers], changes[drivers])
         spread = 0.6
         for _ in range(3):
             near = min(_SPREADS, key=lambda w: abs(w - spread))
@@ -331,7 +317,7 @@ def _lateral_wander(straight: Observed, prior: Drivers, rng: np.random.Generator
         size = float(np.interp(time_s, _TIMES_S, [table[t, near].size for t in _TIMES_S]))
         return moments.size / size, time_s, spread
 
-    return _two(names, what, values, straight.driver, found, rng)
+    return _wandering(names, what, values, found)
 
 
 def _time_of(ratio: float, ratios: FloatArray) -> float:
@@ -340,38 +326,18 @@ def _time_of(ratio: float, ratios: FloatArray) -> float:
     return float(np.interp(-ratio, -falling, _TIMES_S))
 
 
-def _resampled(seen: Observed, driver_rows: Sequence[IntArray]) -> Observed:
-    """Windows of drivers drawn with repetition, each under a number of its own."""
-    rows = np.concatenate(driver_rows)
-    number = np.repeat(np.arange(len(driver_rows)), [len(one) for one in driver_rows])
-    return seen.rows(rows)._replace(driver=number)
-
-
-def _two(
-    names: Sequence[str], what: str, values: FloatArray, driver: IntArray,
-    found: Callable[[Sequence[IntArray]], tuple[float, ...]], rng: np.random.Generator,
-) -> list[Quantity]:  # fmt: skip
-    """Quantities that are found together, with a bootstrap over drivers."""
-    rows = [np.flatnonzero(driver == one) for one in np.unique(driver)]
-    best = found(rows)
-    drawn = [found([rows[k] for k in rng.integers(0, len(rows), len(rows))]) for _ in range(_RESAMPLES // 4)]
-    low, high = np.percentile(drawn, _INTERVAL, axis=0)
-    logs = np.log(np.maximum(values, 1e-4))
+def _wandering(
+    names: Sequence[str], what: str, values: FloatArray, found: Callable[[IntArray], Sequence[float]]
+) -> list[Quantity]:
+    """Parameters of a wandering; the values of the drivers are shown beside a lognormal law."""
+    logs = np.log(values)
     centre, spread = float(np.median(logs)), max(robust_sd(logs), 1e-6)
-
-    def law(share: FloatArray) -> FloatArray:
-        return np.exp(centre + spread * _normal_quantile(share))
-
-    ks = ks_distance(values, law)
-    return [
-        Quantity(name, what, _bounded(name, best[k]), float(low[k]), float(high[k]), len(values), True, values, law, ks)
-        for k, name in enumerate(names)
-    ]
+    return _quantities(
+        names, what, _intervals(found, len(values)), values, lambda p: np.exp(centre + spread * _normal_quantile(p))
+    )
 
 
 def _normal_quantile(share: FloatArray) -> FloatArray:
-    from statistics import NormalDist
-
     return np.array([NormalDist().inv_cdf(float(p)) for p in np.atleast_1d(share)])
 
 

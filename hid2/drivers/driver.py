@@ -29,9 +29,13 @@ class Driver:
     wander_m: float = 0.0
 
 
+#: The distributions by default.
+_USUAL = Drivers()
+
+
 def usual_driver(desired_mps: float) -> Driver:
     """The mean driver of the defaults, with a desired speed, m/s."""
-    law = Drivers()
+    law = _USUAL
     return Driver(
         desired_mps=desired_mps, tau_s=law.tau_mean_s, accel_mps2=law.accel_mean_mps2,
         decel_mps2=law.decel_mean_mps2, min_gap_m=law.min_gap_mean_m,

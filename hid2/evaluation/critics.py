@@ -18,6 +18,7 @@ import numpy as np
 from hid2.agents import FloatArray, IntArray
 from hid2.evaluation.windows import WINDOW_S, Windows
 from hid2.measures.arrays import BoolArray
+from hid2.resampling import ratio
 
 #: Width of one packed window: see `pack`.
 WIDTH = 22
@@ -25,8 +26,6 @@ WIDTH = 22
 #: Strata with fewer windows of either kind are left out.
 _LEAST = 2
 _FOLDS = 5
-_RESAMPLES = 1000
-_INTERVAL = (2.5, 97.5)
 #: Points of a window at which the temporal critic looks, its kernels of each length, and the lengths.
 _POINTS, _KERNELS, _LENGTHS = 13, 30, (3, 5, 7)
 _FAR_M = 60.0
@@ -189,21 +188,9 @@ def judge(found: Packed, critic: Critic, view: View) -> Verdict | None:
     ]
     size = np.array([weight for weight, auc in parts if auc is not None])
     aucs = np.array([auc for _, auc in parts if auc is not None])
-    low, high = _interval(aucs, size)
-    return Verdict(
-        critic, view, float((size * aucs).sum() / size.sum()), low, high, int(found.generated.sum()),
-        int((~found.generated).sum()), len(aucs),
-    )  # fmt: skip
-
-
-def _interval(aucs: FloatArray, size: FloatArray) -> tuple[float | None, float | None]:
-    """Percentile bootstrap over scenes."""
-    if len(aucs) < 2:
-        return None, None
-    drawn = np.random.default_rng(0).integers(0, len(aucs), size=(_RESAMPLES, len(aucs)))
-    means = (size[drawn] * aucs[drawn]).sum(axis=1) / size[drawn].sum(axis=1)
-    low, high = np.percentile(means, _INTERVAL)
-    return float(low), float(high)
+    value, low, high = ratio(size * aucs, size)
+    auc = 0.5 if value is None else value  # a scene at least has windows of both kinds
+    return Verdict(critic, view, auc, low, high, int(found.generated.sum()), int((~found.generated).sum()), len(aucs))
 
 
 def betrayals(found: Packed) -> list[tuple[str, float]]:

@@ -22,24 +22,6 @@ _SLACK = 1e-6  # relative, no tunable: against rounding
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Motion:
-    """Derivatives at every row of a scene (N,), from positions and headings.
-
-    velocity (N, 2) m/s; longitudinal and lateral to the heading; yaw in rad;
-    jerk_norm: JE, the magnitude of the derivative of the acceleration vector.
-    """
-
-    velocity: FloatArray
-    speed: FloatArray
-    longitudinal_accel: FloatArray
-    lateral_accel: FloatArray
-    longitudinal_jerk: FloatArray
-    yaw_rate: FloatArray
-    yaw_accel: FloatArray
-    jerk_norm: FloatArray
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class Kinematics:
     """LO, LA, JE by agent (A,): the mean over an agent's steps; `counted` marks tracks of at least MIN_STEPS."""
 
@@ -70,33 +52,30 @@ def unwrapped_heading(arrays: SceneArrays) -> FloatArray:
     return np.asarray(total - np.repeat(total[start] - arrays.heading[start], arrays.rows_per_agent))
 
 
-def motion(arrays: SceneArrays) -> Motion:
-    """Derivatives of every track of the scene."""
+def motion(arrays: SceneArrays) -> MotionProfile:
+    """Derivatives at every row of a scene, from positions and headings."""
     velocity = derivative(arrays.position, arrays)
     acceleration = derivative(velocity, arrays)
-    jerk = derivative(acceleration, arrays)
     cos, sin = np.cos(arrays.heading), np.sin(arrays.heading)
     longitudinal = acceleration[:, 0] * cos + acceleration[:, 1] * sin
-    lateral = -acceleration[:, 0] * sin + acceleration[:, 1] * cos
     yaw_rate = derivative(unwrapped_heading(arrays), arrays)
-    return Motion(
-        velocity=velocity,
-        speed=np.hypot(velocity[:, 0], velocity[:, 1]),
-        longitudinal_accel=longitudinal,
-        lateral_accel=lateral,
-        longitudinal_jerk=derivative(longitudinal, arrays),
-        yaw_rate=yaw_rate,
-        yaw_accel=derivative(yaw_rate, arrays),
-        jerk_norm=np.hypot(jerk[:, 0], jerk[:, 1]),
+    return MotionProfile(
+        speed_mps=np.hypot(*velocity.T),
+        accel_mps2=longitudinal,
+        lateral_accel_mps2=-acceleration[:, 0] * sin + acceleration[:, 1] * cos,
+        longitudinal_jerk_mps3=derivative(longitudinal, arrays),
+        jerk_mps3=np.hypot(*derivative(acceleration, arrays).T),
+        yaw_rate_radps=yaw_rate,
+        yaw_accel_radps2=derivative(yaw_rate, arrays),
     )
 
 
-def kinematics(arrays: SceneArrays, moved: Motion) -> Kinematics:
+def kinematics(arrays: SceneArrays, moved: MotionProfile) -> Kinematics:
     """LO = |a_x cos + a_y sin|, LA = |-a_x sin + a_y cos|, JE = |da/dt|: mean over each agent's steps (paper, 4.2)."""
     return Kinematics(
-        lo=arrays.mean_per_agent(np.abs(moved.longitudinal_accel)),
-        la=arrays.mean_per_agent(np.abs(moved.lateral_accel)),
-        je=arrays.mean_per_agent(moved.jerk_norm),
+        lo=arrays.mean_per_agent(np.abs(moved.accel_mps2)),
+        la=arrays.mean_per_agent(np.abs(moved.lateral_accel_mps2)),
+        je=arrays.mean_per_agent(moved.jerk_mps3),
         counted=arrays.rows_per_agent >= MIN_STEPS,
     )
 
@@ -106,22 +85,13 @@ def clean(arrays: SceneArrays) -> BoolArray:
     return np.asarray(arrays.vehicle & arrays.moving & (arrays.category != FRAGMENT))
 
 
-def beyond_limits(moved: Motion, limits: Limits) -> dict[str, BoolArray]:
+def beyond_limits(moved: MotionProfile, limits: Limits) -> dict[str, BoolArray]:
     """Which rows (N,) exceed each limit of motion, by more than rounding.
 
     Rates of heading are those of the recorded heading; the radius is that of heading rate over speed.
     """
-    fast = moved.speed > CURVATURE_SPEED_MPS
-    curvature = np.abs(moved.yaw_rate) / np.where(fast, moved.speed, 1.0)
-    profile = MotionProfile(
-        speed_mps=moved.speed,
-        accel_mps2=moved.longitudinal_accel,
-        lateral_accel_mps2=moved.lateral_accel,
-        longitudinal_jerk_mps3=moved.longitudinal_jerk,
-        jerk_mps3=moved.jerk_norm,
-        yaw_rate_radps=moved.yaw_rate,
-        yaw_accel_radps2=moved.yaw_accel,
-    )
-    return exceeded(profile, limits, slack=_SLACK) | {
+    fast = moved.speed_mps > CURVATURE_SPEED_MPS
+    curvature = np.abs(moved.yaw_rate_radps) / np.where(fast, moved.speed_mps, 1.0)
+    return exceeded(moved, limits, slack=_SLACK) | {
         "radius": fast & (curvature > (1.0 + _SLACK) / limits.min_radius_m),
     }

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -136,11 +136,6 @@ def last_step_counts(arrays: SceneArrays) -> BoolArray:
     return np.asarray(arrays.vehicle & (arrays.generated | clean(arrays)))
 
 
-def _beyond(limit: str) -> Column:
-    """Steps of moving vehicles beyond a limit of motion."""
-    return Column(f"limit_{limit}", lambda g: int((g.beyond[limit] & g.moving_rows).sum()))
-
-
 TRACKS = Column("paper_tracks", lambda g: int(g.tracks.sum()))
 CLEAN_TRACKS = Column("clean_tracks", lambda g: int(g.clean_tracks.sum()))
 SCENES_WITH_VEHICLES = Column("scr_scenes", lambda g: int(g.vehicles.any()))
@@ -150,6 +145,31 @@ FOLLOWING_ROWS = Column("following_rows", lambda g: int(np.isfinite(g.safe.leade
 MEETING = Column("meeting", lambda g: int(g.meeting.sum()))
 ENDS = Column("ends", lambda g: int(g.ends.sum()))
 SCENES_WITH_ENDS = Column("end_scenes", lambda g: int(g.ends.any()))
+
+
+def _magnitude(key: Literal["lo", "la", "je"], label: str, unit: str, what: str) -> tuple[Metric, Metric]:
+    """One of the paper's magnitudes: over every track, and over the clean ones."""
+    name = label.partition(":")[0]
+    return (
+        Metric(
+            key, label, unit, Section.PAPER,
+            f"Magnitude of the {what}, from positions: mean over each track, then over tracks.",
+            Column(f"paper_{key}", lambda g: float(getattr(g.kinematic, key)[g.tracks].sum())), TRACKS,
+        ),
+        Metric(
+            f"clean_{key}", f"{name}, moving vehicles without fragments", unit, Section.CLEAN,
+            f"{name} of moving vehicles that are no tracker fragments.",
+            Column(f"clean_{key}", lambda g: float(getattr(g.kinematic, key)[g.clean_tracks].sum())), CLEAN_TRACKS,
+        ),
+    )  # fmt: skip
+
+
+def _steps(key: str, label: str, sentence: str, of: Callable[[Group], BoolArray], *, column: str = "") -> Metric:
+    """Share of the steps of moving vehicles; column: where it has another name than the metric."""
+    return Metric(
+        key, label, "share", Section.LIMITS if key.startswith("limit_") else Section.SAFETY, sentence,
+        Column(column or key, lambda g: int((of(g) & g.moving_rows).sum())), MOVING_ROWS,
+    )  # fmt: skip
 
 
 def _met(key: str, label: str, sentence: str, of: Callable[[Encounters], BoolArray]) -> Metric:
@@ -180,6 +200,10 @@ def _followed(kind: Partner) -> tuple[Metric, Metric, Metric]:
     )  # fmt: skip
 
 
+def _beyond(limit: str, group: Group) -> BoolArray:
+    return group.beyond[limit]
+
+
 def _crossing(kind: Partner, met: Encounters) -> BoolArray:
     return met.crosses[kind]
 
@@ -188,37 +212,15 @@ _TTC = f"TTC below {CRITICAL.ttc_min_s:g} s"
 _END_TTC = f"TTC below {CRITICAL.end_ttc_min_s:g} s"
 _TOLERANCE = f"{Limits().drivable_tolerance_m:g} m"
 
+_MAGNITUDES = (
+    _magnitude("lo", "LO: |longitudinal acceleration|", "m/s²", "acceleration along the heading"),
+    _magnitude("la", "LA: |lateral acceleration|", "m/s²", "acceleration across the heading"),
+    _magnitude("je", "JE: jerk", "m/s³", "derivative of the acceleration"),
+)
+
 METRICS: tuple[Metric, ...] = (
-    Metric(
-        "lo", "LO: |longitudinal acceleration|", "m/s²", Section.PAPER,
-        "Magnitude of the acceleration along the heading, from positions: mean over each track, then over tracks.",
-        Column("paper_lo", lambda g: float(g.kinematic.lo[g.tracks].sum())), TRACKS,
-    ),
-    Metric(
-        "la", "LA: |lateral acceleration|", "m/s²", Section.PAPER,
-        "Magnitude of the acceleration across the heading, from positions: mean over each track, then over tracks.",
-        Column("paper_la", lambda g: float(g.kinematic.la[g.tracks].sum())), TRACKS,
-    ),
-    Metric(
-        "je", "JE: jerk", "m/s³", Section.PAPER,
-        "Magnitude of the derivative of the acceleration, from positions: mean over each track, then over tracks.",
-        Column("paper_je", lambda g: float(g.kinematic.je[g.tracks].sum())), TRACKS,
-    ),
-    Metric(
-        "clean_lo", "LO, moving vehicles without fragments", "m/s²", Section.CLEAN,
-        "LO of moving vehicles that are no tracker fragments.",
-        Column("clean_lo", lambda g: float(g.kinematic.lo[g.clean_tracks].sum())), CLEAN_TRACKS,
-    ),
-    Metric(
-        "clean_la", "LA, moving vehicles without fragments", "m/s²", Section.CLEAN,
-        "LA of moving vehicles that are no tracker fragments.",
-        Column("clean_la", lambda g: float(g.kinematic.la[g.clean_tracks].sum())), CLEAN_TRACKS,
-    ),
-    Metric(
-        "clean_je", "JE, moving vehicles without fragments", "m/s³", Section.CLEAN,
-        "JE of moving vehicles that are no tracker fragments.",
-        Column("clean_je", lambda g: float(g.kinematic.je[g.clean_tracks].sum())), CLEAN_TRACKS,
-    ),
+    *(paper for paper, _ in _MAGNITUDES),
+    *(of_clean for _, of_clean in _MAGNITUDES),
     Metric(
         "scr", "SCR: share of vehicles that collide", "share", Section.SAFETY,
         "Vehicles whose box overlaps another one's (IoU above 0.02) at any step, of the vehicles of a scene; mean over "
@@ -232,26 +234,23 @@ METRICS: tuple[Metric, ...] = (
     ),
     Metric(
         "footprint_orr", f"footprint ORR: share of boxes over {_TOLERANCE} off", "share", Section.SAFETY,
-        f"Boxes of vehicles with a corner more than {_TOLERANCE} outside the drivable area.",
+        f"Boxes of vehicles that reach more than {_TOLERANCE} out of the drivable area.",
         Column("off_footprint", lambda g: int(g.safe.off_footprint[g.rows].sum())), ROWS,
     ),
-    Metric(
-        "wrong_way", "share of driving against the lane", "share", Section.SAFETY,
-        "Steps of moving vehicles on lanes that all run against the motion.",
-        Column("against_lane", lambda g: int((g.safe.against_lane & g.moving_rows).sum())), MOVING_ROWS,
+    _steps(
+        "wrong_way", "share of driving against the lane",
+        "Steps of moving vehicles at too large an angle to every lane below them, by the judge's limits.",
+        lambda g: g.safe.against_lane, column="against_lane",
     ),
-    Metric(
-        "ttc_critical", f"share of driving, {_TTC} to anything", "share", Section.SAFETY,
+    _steps(
+        "ttc_critical", f"share of driving, {_TTC} to anything",
         "Steps of moving vehicles whose box would touch another one so soon if both kept their velocity.",
-        Column("ttc_critical", lambda g: int((g.safe.ttc_s[g.moving_rows] < CRITICAL.ttc_min_s).sum())), MOVING_ROWS,
+        lambda g: g.safe.ttc_s < CRITICAL.ttc_min_s,
     ),
-    Metric(
-        "leader_ttc_critical", f"share of driving, {_TTC} to the leader", "share", Section.SAFETY,
+    _steps(
+        "leader_ttc_critical", f"share of driving, {_TTC} to the leader",
         "Steps of moving vehicles that would reach the next vehicle on their lane path so soon.",
-        Column(
-            "leader_ttc_critical",
-            lambda g: int((g.safe.leaders.ttc_s[g.moving_rows] < CRITICAL.ttc_min_s).sum()),
-        ), MOVING_ROWS,
+        lambda g: g.safe.leaders.ttc_s < CRITICAL.ttc_min_s,
     ),
     Metric(
         "short_gap", f"share of following, time gap below {SHORT_GAP_S:g} s", "share", Section.SAFETY,
@@ -271,17 +270,16 @@ METRICS: tuple[Metric, ...] = (
         Column("end_scenes_critical", lambda g: int(g.critical_ends > 0)), SCENES_WITH_ENDS,
     ),
     *(
-        Metric(
-            f"limit_{limit.name}", f"{limit.label} above {limit.bound(Limits()):g} {limit.unit}", "share",
-            Section.LIMITS, f"Steps of moving vehicles that exceed the bound of {limit.label} that drivers accept.",
-            _beyond(limit.name), MOVING_ROWS,
+        _steps(
+            f"limit_{limit.name}", f"{limit.label} above {limit.bound(Limits()):g} {limit.unit}",
+            f"Steps of moving vehicles that exceed the bound of {limit.label} that drivers accept.",
+            partial(_beyond, limit.name),
         )
         for limit in MOTION_LIMITS
     ),
-    Metric(
-        "limit_radius", f"radius below {Limits().min_radius_m:g} m", "share", Section.LIMITS,
-        "Steps of moving vehicles on a tighter curve than vehicles can drive.",
-        _beyond("radius"), MOVING_ROWS,
+    _steps(
+        "limit_radius", f"radius below {Limits().min_radius_m:g} m",
+        "Steps of moving vehicles on a tighter curve than vehicles can drive.", partial(_beyond, "radius"),
     ),
     _met(
         "far", f"never within {NEAR_M:g} m of moving recorded traffic",

@@ -76,14 +76,16 @@ def fine_bin(feature: Feature, values: FloatArray) -> IntArray:
 
 def jensen_shannon(feature: Feature, first: IntArray, second: IntArray) -> float | None:
     """Jensen-Shannon distance (root of the divergence, base 2: 0 to 1) over the bins; None without samples."""
-    p = first.reshape(feature.bins, FINE).sum(axis=1).astype(np.float64)
-    q = second.reshape(feature.bins, FINE).sum(axis=1).astype(np.float64)
-    if not p.sum() or not q.sum():
+    if not first.sum() or not second.sum():
         return None
-    p, q = p / p.sum(), q / q.sum()
-    middle = (p + q) / 2
-    divergence = (_relative_entropy(p, middle) + _relative_entropy(q, middle)) / 2
-    return float(np.sqrt(max(divergence, 0.0)))
+    p, q = (counts.reshape(feature.bins, FINE).sum(axis=1) / counts.sum() for counts in (first, second))
+    divergence = (_relative_entropy(p, (p + q) / 2) + _relative_entropy(q, (p + q) / 2)) / 2
+    return float(np.sqrt(max(divergence, 0.0)))  # unlike scipy's, a number where rounding says less than 0
+
+
+def _relative_entropy(p: FloatArray, q: FloatArray) -> float:
+    some = p > 0
+    return float((p[some] * np.log2(p[some] / q[some])).sum())
 
 
 def wasserstein(feature: Feature, first: IntArray, second: IntArray) -> float | None:
@@ -95,21 +97,18 @@ def wasserstein(feature: Feature, first: IntArray, second: IntArray) -> float | 
     return float(np.abs(apart).sum() * width)
 
 
-def _relative_entropy(p: FloatArray, q: FloatArray) -> float:
-    some = p > 0
-    return float((p[some] * np.log2(p[some] / q[some])).sum())
-
-
 class Distance(NamedTuple):
-    """Distance of generated from recorded motion in one feature, and the floor (None where samples lack)."""
+    """Distance of generated from recorded motion in a feature, and the floor; None where samples lack."""
 
-    feature: Feature
+    feature: str
+    unit: str
     jensen_shannon: float | None
     jensen_shannon_floor: float | None
+    jensen_shannon_ratio: float | None
     wasserstein: float | None
     wasserstein_floor: float | None
-    generated: int
-    recorded: int
+    generated_samples: int
+    recorded_samples: int
 
 
 @dataclass(eq=False, slots=True)
@@ -139,10 +138,14 @@ class RealismCounts:
     def _distance(self, feature: Feature) -> Distance:
         generated, recorded = self.generated[feature.name], self.recorded[feature.name]
         halves = [half[feature.name] for half in self.halves]
+        apart = jensen_shannon(feature, generated, recorded)
+        floor = _median(jensen_shannon(feature, half, recorded - half) for half in halves)
         return Distance(
-            feature,
-            jensen_shannon(feature, generated, recorded),
-            _median(jensen_shannon(feature, half, recorded - half) for half in halves),
+            feature.name,
+            feature.unit,
+            apart,
+            floor,
+            apart / floor if apart is not None and floor else None,
             wasserstein(feature, generated, recorded),
             _median(wasserstein(feature, half, recorded - half) for half in halves),
             int(generated.sum()),
@@ -210,19 +213,19 @@ def count_scene(
     scene: str, arrays: SceneArrays, values: Mapping[str, Values], *, generated: BoolArray, recorded: BoolArray
 ) -> RealismCounts:
     """Histograms of one scene. `scene` names the recorded scene; generated, recorded (A,): vehicles to compare."""
-    agents = np.flatnonzero(recorded)
-    # (SPLITS + 1, agents): which tracks each half holds, and in the last row all
-    member = np.ones((SPLITS + 1, len(agents)), dtype=bool)
-    for k, agent in enumerate(agents):
-        member[:-1, k] = half_of(scene, arrays.track_ids[agent])
     number = np.full(arrays.num_agents, -1, dtype=np.int64)
-    number[agents] = np.arange(len(agents))
+    number[recorded] = np.arange(int(recorded.sum()))
+    # (SPLITS, recorded agents): which tracks each half holds
+    halves = [half_of(scene, arrays.track_ids[agent]) for agent in np.flatnonzero(recorded)]
+    member = np.array(halves, dtype=np.bool_).reshape(-1, SPLITS)
     counts = RealismCounts()
     for feature in FEATURES:
         value, owner = values[feature.name]
         counts.generated[feature.name] = histogram(feature, value[generated[owner]])
-        mine = number[owner] >= 0
-        _count(counts, feature, value[mine], number[owner[mine]], member)
+        mine = recorded[owner]
+        counts.recorded[feature.name] = histogram(feature, value[mine])
+        for half, inside in zip(counts.halves, member.T, strict=True):
+            half[feature.name] = histogram(feature, value[mine][inside[number[owner[mine]]]])
     return counts
 
 
@@ -234,14 +237,3 @@ def quantiles(feature: Feature, counts: IntArray, shares: Sequence[float] = TAIL
     width = (feature.high - feature.low) / (feature.bins * FINE)
     place = np.searchsorted(np.cumsum(counts), np.asarray(shares) * total, side="left")
     return [float(feature.low + (k + 0.5) * width) for k in place]
-
-
-def _count(counts: RealismCounts, feature: Feature, values: FloatArray, owner: IntArray, member: BoolArray) -> None:
-    """Histograms of recorded values (V,), each of track `owner`, for every half in `member` and for all."""
-    place = fine_bin(feature, values)
-    for k, tracks in enumerate(member):
-        found = np.bincount(place[tracks[owner]], minlength=feature.bins * FINE)
-        if k < SPLITS:
-            counts.halves[k][feature.name] = found
-        else:
-            counts.recorded[feature.name] = found

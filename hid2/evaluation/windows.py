@@ -26,8 +26,6 @@ _LED_SHARE, _LED_M = 0.8, 60.0
 _TURNS_RAD = 0.35
 #: Human labels and smoothed recordings: the 99th percentile of the change of velocity between steps, m/s, is below.
 LABELLED_MPS = 0.6
-#: Upper ends of the speed bands of the matching, m/s.
-BANDS_MPS = (2.0, 5.0, 8.0, 11.0)
 
 
 class Windows(NamedTuple):
@@ -70,11 +68,6 @@ class Windows(NamedTuple):
     def lateral_accel_mps2(self) -> FloatArray:
         """(M,) at the middle: speed times yaw rate."""
         return self.s_cubic[:, 0] * self.yaw[:, 0]
-
-    @property
-    def band(self) -> IntArray:
-        """(M,) speed band of the matching."""
-        return np.asarray(np.searchsorted(BANDS_MPS, self.s_cubic[:, 0]), dtype=np.int64)
 
     def rows(self, chosen: BoolArray | IntArray) -> "Windows":
         """Some of the windows."""

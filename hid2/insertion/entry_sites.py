@@ -1,7 +1,7 @@
 """Sites of vehicles that enter at the map's edge during the scene."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from hid2.agents import Policy
 from hid2.insertion.spread import Spread
 from hid2.insertion.starts import Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
+from hid2.occupancy.gaps import gaps_from_pose
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.vehicle import Start, VehicleRequest
@@ -64,14 +65,10 @@ def entry_speed(start: Start, fleet: Traffic, config: Config, *, step_s: float) 
     if not fleet.ids:
         return start.start_mps
     xy, tangent, _ = start.path.line.motion(np.array([start.start_s]))
-    (tx, ty), speed = tangent[0], start.start_mps
-    offset = fleet.position[:, 0] + step_s * fleet.velocity[:, 0] - xy[0]
-    along_m, across_m = offset @ (tx, ty), np.abs(offset @ (-ty, tx))
-    gap_m = np.abs(along_m) - 0.5 * (fleet.length_m + start.box.length_m)
-    in_lane = across_m < 0.5 * (fleet.width_m + start.box.width_m) + config.conflict.margin_lateral_m
-    for row in np.flatnonzero(in_lane & fleet.present[:, 0]).tolist():
-        gap, other_mps = float(gap_m[row]), float(fleet.velocity[row, 0] @ (tx, ty))
-        leads = along_m[row] > 0.0
+    later = replace(fleet, position=fleet.position + step_s * fleet.velocity)
+    seen, speed = gaps_from_pose(xy[0], tangent[0], start.box, later), start.start_mps
+    for row in np.flatnonzero((seen.aside_m < config.conflict.margin_lateral_m) & fleet.present[:, 0]).tolist():
+        gap, other_mps, leads = float(seen.gap_m[row]), float(seen.along_mps[row]), seen.along_m[row] > 0.0
         if gap < config.spawn.clear_gap_m or (not leads and gap < config.sites.entry_gap_s * other_mps):
             return None
         if leads:

@@ -13,6 +13,7 @@ import numpy as np
 from hid2.agents import FloatArray, IntArray
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.along_path import PathOccupancy
+from hid2.occupancy.gaps import gaps_on_path
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import EventSearch
 
@@ -192,7 +193,7 @@ def _since(wanted: Wanted, rules: Rules, after: Along) -> tuple[FloatArray, Floa
     steps, dt, search = rules.target_mps.size, rules.step_s, rules.search
     slows_mps2, speeds_up_mps2 = -search.slows_mps2, search.speeds_up_mps2
     speeds, way = np.zeros((2, wanted.at.size, steps))
-    keeps = np.isnan(wanted.later_mps)
+    keeps, others = np.isnan(wanted.later_mps), after.taken.same_direction & ~after.own[:, None]
     later = np.where(keeps, wanted.speed_mps, wanted.later_mps)
     v, s = wanted.speed_mps.copy(), wanted.place.copy()
     for step in range(int(wanted.at.min(initial=steps)) + 1, steps):
@@ -207,14 +208,13 @@ def _since(wanted: Wanted, rules: Rules, after: Along) -> tuple[FloatArray, Floa
             if rules.brakes_mps2:
                 braking = (step - wanted.at) * dt <= search.brakes_s
                 accel = np.where(braking, -rules.brakes_mps2, accel)
-        room, follows = _behind_of(after, s + after.from_m, step - 1)
-        kept_ahead = search.leader_speed_pull_per_s * (follows - v) - search.leader_gap_pull_per_s2 * (
-            room - search.leader_gap_m - (rules.tau_s + search.leader_gap_s) * follows
+        near = gaps_on_path(after.taken, s + after.from_m, step - 1, among=others)
+        kept_ahead = search.leader_speed_pull_per_s * (near.lag_mps - v) - search.leader_gap_pull_per_s2 * (
+            near.lag_m - search.leader_gap_m - (rules.tau_s + search.leader_gap_s) * near.lag_mps
         )
         accel = np.maximum(accel, np.minimum(kept_ahead, speeds_up_mps2))
-        room, lead = _ahead_of(after, s + after.from_m, step - 1)
-        led = search.leader_speed_pull_per_s * (lead - v) + search.leader_gap_pull_per_s2 * (
-            room - search.leader_gap_m - (rules.tau_s + search.leader_gap_s) * v
+        led = search.leader_speed_pull_per_s * (near.lead_mps - v) + search.leader_gap_pull_per_s2 * (
+            near.lead_m - search.leader_gap_m - (rules.tau_s + search.leader_gap_s) * v
         )
         accel = np.minimum(accel, np.maximum(led, -search.leader_brakes_mps2))
         v = np.where(here, np.clip(v + accel * dt, 0.0, after.at(s + after.from_m)), v)
@@ -274,30 +274,6 @@ def _kept_to(half: Half, rules: Rules, there: BoolArray) -> tuple[FloatArray, Fl
         drac = np.where(closes, closing * closing / (2.0 * np.maximum(apart, 0.1)), 0.0)
     touched = (looked & (apart < rules.search.margin_m)).any(axis=1)
     return np.where(touched, -1.0, ttc.min(axis=1, initial=np.inf)), drac.max(axis=1, initial=0.0)
-
-
-def _ahead_of(along: Along, s: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
-    """Room (N,) m to who is next ahead with the path, and its speed; the target is left out. inf where nobody is."""
-    rows = along.taken.same_direction[:, step] & ~along.own & np.isfinite(along.taken.low[:, step])
-    if not rows.any():
-        return np.full(s.size, np.inf), np.zeros(s.size)
-    low, speed = along.taken.low[rows, step], along.taken.along[rows, step]
-    order = np.argsort(low)
-    low, speed = np.append(low[order], np.inf), np.append(speed[order], 0.0)
-    place = np.searchsorted(low, s)
-    return low[place] - s, np.where(np.isfinite(low[place]), np.maximum(speed[place], 0.0), 0.0)
-
-
-def _behind_of(along: Along, s: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
-    """Room (N,) m to who comes next from behind with the path, and its speed; the target is left out."""
-    rows = along.taken.same_direction[:, step] & ~along.own & np.isfinite(along.taken.low[:, step])
-    if not rows.any():
-        return np.full(s.size, np.inf), np.zeros(s.size)
-    high, speed = along.taken.high[rows, step], along.taken.along[rows, step]
-    order = np.argsort(high)
-    high, speed = np.append(-np.inf, high[order]), np.append(0.0, speed[order])
-    place = np.searchsorted(high, s) - 1
-    return s - high[place], np.maximum(speed[place], 0.0)
 
 
 def _is_met(along: Along, s: FloatArray, v: FloatArray, step: int, rules: Rules, *, up_to_event: bool) -> BoolArray:

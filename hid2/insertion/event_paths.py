@@ -1,10 +1,10 @@
 """Paths on which events may come about: routes over a lane, with everybody on them and what the road allows there."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hid2.agents import BoxSize, FloatArray, IntArray
+from hid2.agents import BoxSize, FloatArray
 from hid2.drivers.driver import Driver
 from hid2.insertion.event_motions import Along
 from hid2.insertion.event_targets import Target
@@ -31,7 +31,7 @@ class EventPaths:
     fixed: Traffic
     _over: dict[tuple[int, tuple[int, ...]], list[Route]] = field(default_factory=dict)
     _caps: dict[tuple[Route, float], FloatArray] = field(default_factory=dict)
-    _taken: dict[Route, tuple[PathOccupancy, IntArray]] = field(default_factory=dict)
+    _taken: dict[Route, PathOccupancy] = field(default_factory=dict)
 
     def over(self, lane_id: int, ahead: tuple[int, ...] = (), before: tuple[int, ...] = ()) -> list[Route]:
         """Routes over a lane: on along the lanes ahead where they can, else straight on; back to the map's edge.
@@ -47,15 +47,14 @@ class EventPaths:
         """A route's path with everybody on it: recorded vehicles and those kept. from_m: as in `Along`."""
         path = self.scene.path(route)
         if route not in self._taken:
-            taken, rows = self.scene.kept_clear_on(path, self.box), self.scene.rows_on(path, self.box)
+            taken = self.scene.kept_clear_on(path, self.box)
             if self.fixed.ids:
                 width_m = self.box.width_m + 2 * self.scene.config.conflict.margin_lateral_m
-                more_rows, more = look_along(path.line, self.fixed, self.box.length_m, width_m)
-                taken = taken.joined(more)
-                rows = np.concatenate([rows, np.full(more_rows.size, -1)])
-            self._taken[route] = taken, rows
-        taken, rows = self._taken[route]
-        own = np.zeros(rows.size, dtype=np.bool_) if target is None else rows == target.row
+                more = look_along(path.line, self.fixed, self.box.length_m, width_m)
+                taken = taken.joined(replace(more, agents=np.full(more.agents.size, -1)))  # none of them is a target
+            self._taken[route] = taken
+        taken = self._taken[route]
+        own = np.isin(taken.agents, [] if target is None else [target.row])
         return Along(self._cap(route, desired_mps), taken, own, path.exit_s, from_m)
 
     def _cap(self, route: Route, desired_mps: float) -> FloatArray:

@@ -16,7 +16,7 @@ import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.conflicts.guard import Guard
-from hid2.drivers.driver import Driver, draw_driver
+from hid2.drivers.driver import Driver, draw_driver, usual_driver
 from hid2.insertion.event_courses import Course, Courses
 from hid2.insertion.event_motions import Fan, Wanted, first_met_s, kept_to, motions
 from hid2.insertion.event_paths import EventPaths
@@ -30,6 +30,7 @@ from hid2.params import Config, Event, EventSearch
 from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.roads import Roads
+from hid2.policy.rules import free_lane_reason
 from hid2.reasons import Reason
 from hid2.scene import Scene
 
@@ -119,7 +120,18 @@ class Planner:
             for tau_s in self._search.taus_s:
                 if len(found) < self._search.plans:  # no more of a target are looked at
                     found += [plan for course in courses for plan in self._free(event, target, course, tau_s)]
-        return sorted(found, key=lambda plan: plan.score)
+        return sorted((plan for plan in found if self._rule_lets(plan)), key=lambda plan: plan.score)
+
+    def _rule_lets(self, plan: Plan) -> bool:
+        """Whether the configured rule would change lanes where a plan expects it, with nobody on the lane beside."""
+        if plan.side is None:
+            return True
+        speed_mps = float(plan.speeds[min(self.scene.steps_in(plan.trigger_s), plan.speeds.size - 1)])
+        driver = plan.driver or usual_driver(plan.desired_mps)
+        reason = free_lane_reason(driver, self.scene.config.lane_change, speed_mps=speed_mps)
+        if reason is not None:
+            self.turned_down[reason] += 1
+        return reason is None
 
     def has_plan(self, event: Event, target: Target) -> bool:
         """Whether any of the plans that would be tried is one that road and stop lines let be driven."""

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hid2.agents import FloatArray, Track
+from hid2.insertion.meetings import moving_vehicles, named_rows
 from hid2.insertion.routes import Routes
-from hid2.measures.arrays import stack
 from hid2.measures.driven_lanes import LaneView, Run, runs_of
 from hid2.measures.encounters import CROSSING_RAD
-from hid2.measures.lane_matching import match_lanes
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import BoolArray
@@ -82,23 +81,25 @@ class Target:
         return found
 
 
+def candidate_rows(scene: Scene, name: str) -> list[int]:
+    """Rows of `scene.traffic` that an event may have as its target, by the name asked for: moving vehicles."""
+    moving = moving_vehicles(scene).tolist()
+    return moving if name == "any" else [row for row in named_rows(scene, name).tolist() if row in moving]
+
+
 def target_of(scene: Scene, row: int) -> Target | None:
     """A recorded vehicle as a target; None where it is never on a lane. row: of `scene.traffic`."""
-    traffic = scene.traffic
-    at = scene.vehicle_rows.tolist()
-    if row not in at:
+    traffic, alone = scene.traffic, scene.states.rows([row])
+    if not alone.arrays.vehicle[0]:
         return None
-    track = scene.recorded.tracks[at.index(row)]
-    lanes = scene.recorded.lanes
-    arrays = stack([track], num_steps=scene.num_steps, step_s=scene.step_s)
-    matches, _ = match_lanes(arrays, lanes)
-    runs: list[Run] = [run for run in runs_of(LaneView(arrays, lanes, matches), 0) if run.lane >= 0]
+    arrays, lanes = alone.arrays, alone.lanes
+    runs: list[Run] = [run for run in runs_of(LaneView(arrays, lanes, alone.matches), 0) if run.lane >= 0]
     if not runs:
         return None
     step = np.hypot(*np.diff(traffic.position[row], axis=0).T)
     step[~(traffic.present[row, 1:] & traffic.present[row, :-1])] = 0.0
     return Target(
-        track=track, row=row, present=traffic.present[row], position=traffic.position[row],
+        track=scene.tracks[row], row=row, present=traffic.present[row], position=traffic.position[row],
         heading=traffic.heading[row], speed=np.hypot(*traffic.velocity[row].T),
         way=np.concatenate([[0.0], np.cumsum(step)]),
         runs=tuple(

@@ -19,17 +19,13 @@ from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import desired_speeds, lane_offset
 from hid2.insertion.event_plans import Plan, Planner
-from hid2.insertion.event_targets import target_of
+from hid2.insertion.event_targets import candidate_rows, target_of
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
-from hid2.insertion.meetings import moving_vehicles, named_rows
-from hid2.insertion.outcome import Outcome, outcome_of, shift_times
+from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.routes import Routes
 from hid2.insertion.sizes import draw_size
-from hid2.measures.arrays import SceneArrays, stack
-from hid2.measures.events import EventMeasures, crossing_steps, is_in_the_way, measure_event
-from hid2.measures.following import leaders
-from hid2.measures.lane_matching import FlatLanes, Matches, match_lanes
-from hid2.measures.manoeuvres import ManeuverKind, detect
+from hid2.judge.claims import EventClaim, crossing_steps, event_step
+from hid2.measures.events import EventMeasures, measure_event
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Event
 from hid2.policy.roads import Roads
@@ -105,17 +101,16 @@ def scene_for(scene: Scene, event: Event) -> Scene:
     return replace(scene, config=changed, _known={} if "pet_min_s" in critical else scene._known)
 
 
-def offered_events(scene: Scene, targets: Sequence[str]) -> tuple[str, ...]:
+def offered_events(routes: Routes, targets: Sequence[str]) -> tuple[str, ...]:
     """Which events the map, the targets' ways and recorded traffic have room for by plan, as `kind:target`.
 
     From second 1 on to 4 s before the end, an overtake to the end; a vehicle of usual size.
     """
-    size, routes, roads = DEFAULT_SIZES["vehicle"], Routes(scene), Roads(scene)
+    scene = routes.scene
+    size, roads = DEFAULT_SIZES["vehicle"], Roads(scene)
     usual_lines, nobody = StopLines(scene), traffic_of_exported([], scene)
     found = []
-    wanted = {name: row for name in targets for row in named_rows(scene, name).tolist()[:1]}
-    moving = set(moving_vehicles(scene).tolist())
-    at = {name: target_of(scene, row) for name, row in wanted.items() if row in moving}
+    at = {name: target_of(scene, row) for name in targets for row in candidate_rows(scene, name)[:1]}
     for kind in get_args(Event.model_fields["kind"].annotation):
         until_s = scene.last_s if kind == "overtake" else scene.last_s - 4.0
         event = Event(kind=kind, at_s=(1.0, max(1.0, until_s)))
@@ -193,10 +188,8 @@ class EventSearch:
 
     def _targets(self, event: Event, rng: np.random.Generator) -> list[int]:
         """Rows of the targets that may be taken, in the order in which they are tried."""
-        moving = moving_vehicles(self.scene).tolist()
-        if event.target == "any":
-            return [moving[row] for row in rng.permutation(len(moving)).tolist()]
-        return [row for row in named_rows(self.scene, event.target).tolist() if row in set(moving)]
+        rows = candidate_rows(self.scene, event.target)
+        return [rows[k] for k in rng.permutation(len(rows)).tolist()] if event.target == "any" else rows
 
     def _plans(self, found: Sequence[list[Plan]], rng: np.random.Generator) -> Iterator[Plan]:
         """Plans of all targets in turns, those of a target the likeliest first, with a little chance among them.
@@ -244,7 +237,7 @@ class EventSearch:
         """Drive a plan: the event where it came about as asked, else a better plan, None where none is known."""
         event, target = plan.event, plan.target
         driven = drive(scene, lines, start, fixed)
-        vehicle = finalise(scene, driven, fixed)
+        vehicle = finalise(scene, driven, self.kept)
         if not isinstance(vehicle, ExportedVehicle):
             self._tell(plan, start, vehicle, driven.reason)
             return None, None
@@ -266,11 +259,9 @@ class EventSearch:
         if any(row >= len(self.kept) for row, _ in conflicting(scene, [*self.kept, vehicle])):
             self._tell(plan, start, Reason.TTC_LANE_LEADER, None)
             return None, None
-        everybody = self.scene.traffic.joined(
-            traffic_of_exported([*self.kept, vehicle], self.scene).first(self.scene.num_steps)
-        )
+        others = scene.states.joined(*(one.states for one in self.kept))
         found = EventOutcome(
-            event, None, target.track.track_id, vehicle, outcome_of(scene, vehicle, everybody),
+            event, None, target.track.track_id, vehicle, outcome_of(scene, vehicle, others),
             seen.at_step * scene.step_s, seen.measures, plan.order,
         )  # fmt: skip
         return found, None
@@ -284,41 +275,24 @@ class EventSearch:
         )  # fmt: skip
 
     def _seen(self, scene: Scene, plan: Plan, vehicle: ExportedVehicle) -> _Seen | None:
-        """The event in the exported positions of the vehicle and its target; None where it did not come about."""
-        own, target, lanes = vehicle.track("own", 1), plan.target.track, scene.recorded.lanes
-        arrays = stack([own, target], num_steps=scene.num_steps, step_s=scene.step_s)
-        matches, _ = match_lanes(arrays, lanes)
-        kind = plan.event.kind
-        since: int | None = None
-        at: int | None = None
-        if kind == "cut_in":
-            at = _cut_in_step(plan, arrays, lanes, matches)
-            since = None if at is None else max(0, at - round(0.5 * scene.config.event_search.change_s / scene.step_s))
-        elif kind in ("lead", "follow"):
-            led = leaders(arrays, lanes, matches)
-            follower, leader = (1, 0) if kind == "lead" else (0, 1)
-            row = int(arrays.row_of[follower, plan.at_step])
-            pair = (own, target) if kind == "lead" else (target, own)
-            leads = row >= 0 and led.agent[row] == leader and is_in_the_way(*pair, at_step=plan.at_step)
-            at = plan.at_step if leads else None
-        elif kind == "merge":
-            at = _merge_step(plan, arrays, lanes, matches)
-        elif kind == "cross":
-            steps = crossing_steps(own, target)
-            at = None if steps is None or (steps[0] < steps[1]) != (plan.order > 0) else steps[0]
-            since = 0
-        elif kind == "overtake":
-            everybody = scene.traffic.joined(traffic_of_exported([vehicle], scene).first(scene.num_steps))
-            outcome = outcome_of(scene, vehicle, everybody)
-            if outcome is not None and outcome.done and outcome.leader_id == target.track_id:
-                back_s = shift_times(vehicle, 1)[1]
-                at = None if back_s is None else round(back_s / scene.step_s)
-        if at is None or at >= vehicle.num_steps or at not in target.timesteps:
+        """The event as the judge sees it in the states of the vehicle and its target; None where it does not."""
+        kind, target = plan.event.kind, plan.target
+        pair = scene.states.rows([target.row]).joined(vehicle.states)
+        at_s = plan.at_step * scene.step_s
+        claim = EventClaim(kind, vehicle.driven.vehicle_id, target.track.track_id, at_s, ahead=plan.order > 0)
+        at = event_step(pair, claim)
+        if at is None or at not in target.track.timesteps or not vehicle.span.start <= at < vehicle.span.stop:
             return None
-        found = measure_event(own, target, at_step=at, since_step=at if since is None else since, step_s=scene.step_s)
-        if kind == "cross" and steps is not None:  # from the target's bumper to the conflict point
-            way = abs(float(plan.target.way[steps[1]] - plan.target.way[steps[0]]))
-            found = replace(found, gap_m=way - 0.5 * target.size.length_m)
+        since = at
+        if kind == "cut_in":
+            since = max(0, at - round(0.5 * scene.config.event_search.change_s / scene.step_s))
+        elif kind == "cross":
+            since = 0
+        found = measure_event(vehicle.track("own", 1), target.track, at_step=at, since_step=since, step_s=scene.step_s)
+        if kind == "cross" and (steps := crossing_steps(pair, 1, 0)) is not None:
+            # from the target's bumper to the conflict point
+            way = abs(float(target.way[steps[1]] - target.way[steps[0]]))
+            found = replace(found, gap_m=way - 0.5 * target.track.size.length_m)
         return _Seen(at, found)
 
 
@@ -338,26 +312,3 @@ def _is_as_asked(scene: Scene, event: Event, seen: _Seen) -> bool:
         within.append((found.drac_mps2, event.drac_mps2))
     brakes = found.brakes_mps2 >= scene.config.event_search.brakes_share * event.brakes_mps2
     return brakes and all(low <= value <= high for value, (low, high) in within)
-
-
-def _cut_in_step(plan: Plan, arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> int | None:
-    """Step at which the vehicle crosses into a lane of the target, ahead of it."""
-    own_lanes = {lane for lane, _, _ in plan.target.runs}
-    changes = [
-        one
-        for one in detect(arrays, lanes, matches)
-        if one.track_id == "own" and one.kind is ManeuverKind.LANE_CHANGE and one.target_lane in own_lanes
-    ]
-    if not changes:
-        return None
-    nearest = min(changes, key=lambda one: abs(one.crossing_s - plan.at_step * arrays.step_s))
-    return round(nearest.crossing_s / arrays.step_s)
-
-
-def _merge_step(plan: Plan, arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> int | None:
-    """Step at which the vehicle comes onto the lane on which it merges with the target."""
-    common = [lane for lane, _, _ in plan.target.runs if lane in plan.route]
-    rows = np.flatnonzero(arrays.agent == 0)
-    on = np.isin(lanes.lane_ids[np.maximum(matches.lane[rows], 0)], common) & (matches.lane[rows] >= 0)
-    first = np.flatnonzero(on)
-    return int(arrays.step[rows[first[0]]]) if first.size and first[0] > 0 else None

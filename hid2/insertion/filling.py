@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
 
@@ -14,7 +14,7 @@ from hid2.insertion.events import EventOutcome
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.requests import draw_requests
-from hid2.insertion.sites import InsertionSites
+from hid2.insertion.sites import InsertionSites, TurnedDown
 from hid2.insertion.spread import Spread
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.traffic import Traffic
@@ -28,6 +28,8 @@ from netconvert.cells import Cell
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
 #: Vehicles of a round that are not exported, by id: reason and detail.
 _Gone = dict[str, tuple[DrivenVehicle, Reason, str | None]]
+#: Rounds in a row that add no vehicle, after which there are no more. No tunable: a few may have had bad luck.
+_IDLE = 4
 _LOG = logging.getLogger(__name__)
 
 
@@ -55,7 +57,10 @@ class Rejection:
 
 @dataclass(slots=True)
 class Filling:
-    """One scene being filled. kept: exported vehicles; outcomes: of those that were to do a manoeuvre, by id."""
+    """One scene being filled.
+
+    kept: exported vehicles; outcomes: of those that were to do a manoeuvre, by id; dropped: driven, not exported.
+    """
 
     surroundings: Surroundings
     seed: Sequence[int]
@@ -64,6 +69,7 @@ class Filling:
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     unmet: list[Unmet] = field(default_factory=list)
     rejected: list[Rejection] = field(default_factory=list)
+    dropped: list[DrivenVehicle] = field(default_factory=list)
     no_site: Counter[Reason] = field(default_factory=Counter)
     events: list[EventOutcome] = field(default_factory=list)
     rounds: int = 0
@@ -71,8 +77,8 @@ class Filling:
     _again: list[Start] = field(default_factory=list)
     _driven_again: Counter[str] = field(default_factory=Counter)
     _last_reason: dict[int, Reason] = field(default_factory=dict)
-    _next_spare: int = 0
     _avoided: list[tuple[int, float]] = field(default_factory=list)
+    _turned_down: TurnedDown = field(default_factory=lambda: defaultdict(Counter))
 
     def __post_init__(self) -> None:
         """Recorded vehicles are where they were; those that react may be elsewhere later."""
@@ -90,46 +96,40 @@ class Filling:
     def fill(self, drive: Drive) -> None:
         """All rounds. The count is a wish: a full road ends with fewer, and says so."""
         config = self.scene.config
-        asked = config.request.agents
-        target = self._most() if asked == "max" else asked
-        count = max(0, target - len(self.kept))
-        self._open = self._requests(count)
-        self._next_spare = target
+        target = self._target()
+        self._open = self._requests(max(0, target - len(self.kept)))
+        idle = 0
         for number in range(config.spawn.rounds):
-            missing = target - len(self.kept)
-            if missing <= 0 and not self._open and number > 0:
+            starts, before = self._starts(number), len(self.kept)
+            if not starts and number > 0:  # a road that is full for one draw of places may not be for the next
+                self._avoided.clear()
+                self._turned_down.clear()
+                starts = self._starts(number)
+            if starts or number == 0:
+                self.rounds = number + 1
+                self._keep(drive(starts, self._fixed(), number), number)
+            if not self._open:
                 break
-            before = len(self.kept)
-            starts = self._starts(number, missing, spare=asked != "max")
-            if not starts and number > 0 and missing > 0 and self._give_up_manoeuvres():
-                starts = self._starts(number, missing, spare=asked != "max")
-            if not starts and number > 0:
-                if asked == "max" and not self._avoided:
-                    break
-                self._avoided.clear()  # who failed there may have failed because of others
-                continue  # a road that is full for one draw of drivers and places may not be for the next
-            self.rounds = number + 1
-            self._keep(drive(starts, self._fixed(), number), number)
-            if (
-                asked == "max"
-                and number >= config.spawn.reseed_rounds
-                and len(self.kept) - before <= config.spawn.full_share * len(self.kept)
+            added = len(self.kept) - before
+            idle = 0 if added else idle + 1
+            is_last_try = number >= config.spawn.reseed_rounds
+            if is_last_try and config.request.agents == "max" and added <= config.spawn.full_share * len(self.kept):
+                break
+            if (is_last_try or idle == _IDLE) and self._give_up_manoeuvres(
+                {start.request.number for start in self._again}
             ):
+                idle = 0  # a vehicle that goes straight may find a place
+            if idle == _IDLE:
                 break
         self._give_up_manoeuvres()
 
     def fill_together(self, drive: Drive) -> None:
         """All in one round, again without those that are not kept until all are: where recorded vehicles react.
 
-        Nobody has reacted then to a vehicle that is not there, and nobody is replaced. After each round the scene is
-        the one that it has become.
+        No recorded vehicle has reacted then to a vehicle that is not there, and none is replaced. After each round the
+        scene is the one that it has become.
         """
-        asked = self.scene.config.request.agents
-        count = self._most() if asked == "max" else asked
-        first: dict[int, Start] = {}
-        for start in self._starts_of(count):
-            first.setdefault(start.request.number, start)  # one vehicle for each request
-        starts = [start for number, start in sorted(first.items()) if number < count]
+        starts = sorted(self._starts_of(self._target()), key=lambda start: start.request.number)
         nobody = self._fixed()
         while True:
             vehicles = drive(starts, nobody, self.rounds)
@@ -146,15 +146,18 @@ class Filling:
 
     def _starts_of(self, count: int) -> list[Start]:
         self._open = self._requests(count)
-        self._next_spare = count
-        return self._starts(0, count, spare=False)
+        return self._starts(0)
 
     def first_starts(self, count: int) -> list[Start]:
-        """Starts of one round for `count` requests, spare ones left out; who finds none is in `unmet`."""
+        """Starts of one round for `count` requests; those that find none are in `unmet`."""
         starts = self._starts_of(count)
         met = {start.request.number for start in starts}
         self.unmet += [Unmet(request, Reason.NO_SITE) for request in self._open if request.number not in met]
         return starts
+
+    def _target(self) -> int:
+        asked = self.scene.config.request.agents
+        return self._most() if asked == "max" else asked
 
     def _most(self) -> int:
         """How many the road takes at usual gaps, about: what `max` asks for."""
@@ -182,52 +185,35 @@ class Filling:
             found.append(request)
         return found
 
-    def _starts(self, number: int, missing: int, *, spare: bool) -> list[Start]:
-        """Starts of a round: those driven again, then requests, then some spare ones that go straight."""
-        config = self.scene.config
+    def _starts(self, number: int) -> list[Start]:
+        """Starts of a round: those driven again, then open requests, each of which keeps clear of those before it."""
+        spawn = self.scene.config.spawn
         rng = np.random.default_rng([*self.seed, 1 + number])
         here = self.surroundings
         guard = Guard(self.scene, self._fixed(), here.stop_lines)
         sites = InsertionSites(
             here, guard, rng, number, Spread.of(self.seed), self._avoided, [one.driven.start for one in self.kept],
-            asked=Counter(r.policy for r in self._open),
+            asked=Counter(r.policy for r in self._open), turned_down=self._turned_down,
         )  # fmt: skip
-        sites.starts.take(self._again)
-        starts, self._again = list(self._again), []
-        if number >= max(1, config.spawn.reseed_rounds):  # the count matters more by now; each is tried once
-            self._give_up_manoeuvres({start.request.number for start in starts})
+        starts, self._again = sites.starts.take(self._again), []
         waiting = sorted(self._open, key=lambda request: (BEHAVIOURS[request.policy].site_order, request.number))
-        used: set[int] = {start.request.number for start in starts}
+        used = {start.request.number for start in starts}
         failed: Counter[Policy] = Counter()
-        waiting_rivals: list[VehicleRequest] = []
         for request in waiting:
             if request.number in used:
                 continue
             straight = request.policy is Policy.STRAIGHT
-            if failed[request.policy] >= (config.spawn.failed_straight if straight else config.spawn.failed_manoeuvres):
+            found: list[Start] = []
+            if failed[request.policy] < (spawn.failed_straight if straight else spawn.failed_manoeuvres):
+                slow = next(
+                    (r for r in waiting if r.policy is Policy.STRAIGHT and r.number not in used), None
+                ) if request.policy is Policy.OVERTAKE else None  # fmt: skip
+                found = sites.propose(request, slow)
+                failed[request.policy] += not found
+            if not found:
                 self._found_none(request, sites)
-                continue
-            slow = next(
-                (r for r in waiting if r.policy is Policy.STRAIGHT and r.number not in used), None
-            ) if request.policy is Policy.OVERTAKE else None  # fmt: skip
-            found = sites.propose(request, slow)
             used.update(start.request.number for start in found)
             starts += found
-            if not found:
-                failed[request.policy] += 1
-                self._found_none(request, sites)
-            elif request.policy is not Policy.STRAIGHT:
-                waiting_rivals.append(request)
-        if number < config.spawn.reseed_rounds:
-            room = config.spawn.rivals_share * max(0, missing) - len(waiting_rivals)  # those that are there are enough
-            starts += self._rivals(sites, waiting_rivals, math.ceil(room))
-        if spare and starts and not failed[Policy.STRAIGHT]:
-            extra = math.ceil(config.spawn.spare_share * len(starts))
-            if number + 1 == config.spawn.reseed_rounds:  # in place of manoeuvres that fail once more
-                manoeuvres = sum(request.policy is not Policy.STRAIGHT for request in waiting)
-                extra = max(extra, math.ceil(config.spawn.stand_by_share * manoeuvres))
-            for _ in range(min(extra, max(0, missing))):
-                starts += sites.propose(self._spare_request())
         self.no_site.update(sites.starts.rejected)
         refused = ", ".join(f"{reason} {count}" for reason, count in sites.starts.rejected.most_common())
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
@@ -240,27 +226,6 @@ class Filling:
         elif request.number not in self._last_reason:
             seen = sites.overtakes.foresees_none
             self._last_reason[request.number] = Reason.NO_OVERTAKE_FORESEEN if seen else Reason.NO_SITE
-
-    def _rivals(self, sites: InsertionSites, requests: list[VehicleRequest], most: int) -> list[Start]:
-        """More vehicles for the same requests, in turns, so that one of them does what is asked for in this round.
-
-        Who is to be overtaken by them is a spare vehicle.
-        """
-        starts: list[Start] = []
-        for _ in range(self.scene.config.spawn.rivals):
-            for request in list(requests):
-                if len(starts) >= most:
-                    return starts
-                slow = self._spare_request() if request.policy is Policy.OVERTAKE else None
-                found = sites.propose(request, slow)
-                starts += found
-                if not found:
-                    requests.remove(request)
-        return starts
-
-    def _spare_request(self) -> VehicleRequest:
-        self._next_spare += 1
-        return VehicleRequest(self._next_spare - 1, Policy.STRAIGHT, 0.0)
 
     def _give_up_manoeuvres(self, met: Set[int] = frozenset()) -> bool:
         """Requests that no round met become vehicles that go straight; whether there was any. met: numbers."""
@@ -277,23 +242,12 @@ class Filling:
     def _keep(self, vehicles: list[DrivenVehicle], number: int) -> None:
         """Keep what holds; what does not goes with its reason, and its request stays open."""
         new, gone = self._judged(vehicles)
-        for one in new:
-            outcome = self.outcomes.get(one.driven.vehicle_id)
-            if outcome is not None and not outcome.done and number < self.scene.config.spawn.reseed_rounds:
-                said = outcome.reason or Reason.SCENE_ENDED
-                gone[one.driven.vehicle_id] = one.driven, Reason.DID_NOT_DO_IT, said
-                self._last_reason[one.driven.start.request.number] = said
         for vehicle, reason, _ in gone.values():
-            if reason is not Reason.DID_NOT_DO_IT:
-                self._last_reason[vehicle.start.request.number] = reason
-        needed = set().union(*(_needs(one.driven) for one in new))
-        self._drop_rivals(new, gone, needed)
-        if number + 1 >= self.scene.config.spawn.reseed_rounds:
-            self._give_up_manoeuvres(
-                {one.driven.start.request.number for one in new if one.driven.vehicle_id not in gone}
-            )
-        self._drop_surplus(new, gone, needed)
+            self._last_reason[vehicle.start.request.number] = reason
         self._drive_again(new, gone)
+        if number < self.scene.config.spawn.reseed_rounds:
+            new = self._gone_straight(new, gone)
+            self._drive_again(new, gone)
         for vehicle, reason, detail in gone.values():
             self._note(vehicle, reason, detail, number)
         kept_now = [one for one in new if one.driven.vehicle_id not in gone]
@@ -302,18 +256,17 @@ class Filling:
             became = None if outcome is None else " ".join(filter(None, (outcome.status, outcome.reason)))
             _tell(one.driven, _site(self.scene, one.driven), number, "kept", became)
         self.kept += kept_now
-        self._close(kept_now)
+        met = {one.driven.start.request.number for one in kept_now}
+        self._open = [request for request in self._open if request.number not in met]
 
     def _judged(self, vehicles: list[DrivenVehicle]) -> tuple[list[ExportedVehicle], _Gone]:
         """Those driven that pass the last check beside those that are kept, with their outcomes; and all others."""
         new: list[ExportedVehicle] = []
         gone: _Gone = {}
-        others = self._fixed()
         for vehicle in vehicles:
-            found = finalise(self.scene, vehicle, others)
+            found = finalise(self.scene, vehicle, [*self.kept, *new])
             if isinstance(found, ExportedVehicle):
                 new.append(found)
-                others = others.joined(traffic_of_exported([found], self.scene))
             else:
                 gone[vehicle.vehicle_id] = vehicle, found, None
         for row, reason in conflicting(self.scene, [*self.kept, *new]):
@@ -321,41 +274,36 @@ class Filling:
                 driven = new[row - len(self.kept)].driven
                 gone[driven.vehicle_id] = driven, reason, None
         new = [one for one in new if one.driven.vehicle_id not in gone]
-        everybody = self.scene.traffic.joined(
-            *(t for t in (traffic_of_exported([*self.kept, *new], self.scene).first(self.scene.num_steps),) if t.ids)
-        )
+        together = [*self.kept, *new]
         for one in new:
-            outcome = outcome_of(self.scene, one, everybody)
+            others = self.scene.states.joined(*(other.states for other in together if other is not one))
+            outcome = outcome_of(self.scene, one, others)
             if outcome is not None:
                 self.outcomes[one.driven.vehicle_id] = outcome
         return new, gone
 
-    def _drop_rivals(self, new: list[ExportedVehicle], gone: _Gone, needed: Set[str]) -> None:
-        """Of several vehicles for one request one is kept: one that others need before one that nobody does."""
-        left = [one.driven for one in new if one.driven.vehicle_id not in gone]
-        met: set[int] = set()
-        for driven in sorted(left, key=lambda driven: driven.vehicle_id not in needed):
-            if driven.start.request.number in met:
-                gone[driven.vehicle_id] = driven, Reason.SPARE, None
-            met.add(driven.start.request.number)
+    def _gone_straight(self, new: list[ExportedVehicle], gone: _Gone) -> list[ExportedVehicle]:
+        """Vehicles whose manoeuvre did not come about, each for an open request to go straight; the others go.
 
-    def _drop_surplus(self, new: list[ExportedVehicle], gone: _Gone, needed: Set[str]) -> None:
-        """Vehicles to go straight beyond the open requests go: nobody needs them, and they meet the least traffic."""
+        The manoeuvre stays open. Vehicles that others need come first.
+        """
         left = [one for one in new if one.driven.vehicle_id not in gone]
-        open_numbers = {request.number for request in self._open}
-        straight = [one for one in left if one.driven.policy is Policy.STRAIGHT]
-        asked = [request.number for request in self._open if request.policy is Policy.STRAIGHT]
-        if len(straight) <= len(asked):
-            return
-        met = {one.driven.vehicle_id: self.surroundings.meetings.met_by(one) for one in straight}
-        straight.sort(
-            key=lambda one: (
-                one.driven.vehicle_id not in needed, -met[one.driven.vehicle_id],
-                one.driven.start.request.number not in open_numbers,
-            )
-        )  # fmt: skip
-        for one in straight[len(asked) :]:
-            gone[one.driven.vehicle_id] = one.driven, Reason.SPARE, None
+        needed = set().union(*(_needs(one.driven) for one in left))
+        met = {start.request.number for start in (*self._again, *(one.driven.start for one in left))}
+        straight = [r for r in self._open if r.policy is Policy.STRAIGHT and r.number not in met]
+        found = {one.driven.vehicle_id: one for one in new}
+        for one in sorted(left, key=lambda one: one.driven.vehicle_id not in needed):
+            driven, outcome = one.driven, self.outcomes.get(one.driven.vehicle_id)
+            if outcome is None or outcome.done:
+                continue
+            del self.outcomes[driven.vehicle_id]
+            said = self._last_reason[driven.start.request.number] = outcome.reason or Reason.SCENE_ENDED
+            if straight:
+                start = replace(driven.start, request=straight.pop())
+                found[driven.vehicle_id] = replace(one, driven=replace(driven, start=start))
+            else:
+                gone[driven.vehicle_id] = driven, Reason.DID_NOT_DO_IT, said
+        return list(found.values())
 
     def _drive_again(self, new: list[ExportedVehicle], gone: _Gone) -> None:
         """Who had braked for a vehicle that is gone, or overtook it, is driven again without it, or goes too."""
@@ -375,6 +323,7 @@ class Filling:
     def _note(self, vehicle: DrivenVehicle, reason: Reason, detail: str | None, number: int) -> None:
         start, cell = vehicle.start, _site(self.scene, vehicle)
         _tell(vehicle, cell, number, reason, detail)
+        self.dropped.append(vehicle)
         self.rejected.append(
             Rejection(
                 reason,
@@ -387,22 +336,10 @@ class Filling:
                 detail,
             )
         )
-        place_failed = reason not in (Reason.SPARE, Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE)
+        place_failed = reason not in (Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE)
         if place_failed and start.step == 0 and self.scene.config.request.sites == "promising":
             segment = start.path.segment_at(start.start_s)
             self._avoided.append((segment.lane_id, segment.lane_s(start.start_s)))
-
-    def _close(self, kept: list[ExportedVehicle]) -> None:
-        """Take requests that are met off the list; a spare vehicle meets the last open one that goes straight."""
-        met = {one.driven.start.request.number for one in kept}
-        spare = sum(number not in {request.number for request in self._open} for number in met)
-        self._open = [request for request in self._open if request.number not in met]
-        while spare > 0:
-            straight = [request for request in self._open if request.policy is Policy.STRAIGHT]
-            if not straight:
-                return
-            self._open.remove(straight[-1])
-            spare -= 1
 
 
 def _needs(vehicle: DrivenVehicle) -> set[str]:

@@ -9,17 +9,15 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray, Policy
 from hid2.conflicts.signals import InferredSignals
-from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.kernels.meetings import met_on_route
 from hid2.measures.arrays import is_moving
-from hid2.measures.encounters import CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S, NEAR_M
+from hid2.measures.encounters import CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S
 from hid2.motion.route import Route
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.behaviours import TURN_OF_POLICY
 from hid2.scene import MOVES_MPS, Scene
 from netconvert.cells import Cell
-from netconvert.errors import ScenarioError
 from netconvert.lane_graph import TurnType
 
 #: Recorded traffic is looked at so often, s. No tunable, spares time: an estimate of where somebody is needs no more.
@@ -37,20 +35,8 @@ _RECORDING_VEHICLE = "AV"
 
 
 def target_rows(scene: Scene, near: str) -> IntArray:
-    """Rows of `scene.traffic` that vehicles are to be near to: av, focal, scored, a track id, else moving traffic.
-
-    Errors: ScenarioError where a target that was named is not in the scene.
-    """
-    if near in ("traffic", "anywhere"):
-        return moving_vehicles(scene)
-    rows = named_rows(scene, near)
-    if not rows.size:
-        ids = scene.traffic.ids
-        raise ScenarioError(
-            f"near {near!r}: the scene has no such track; expected av, focal, scored, traffic, anywhere or one of its "
-            f"{len(ids)} track ids ({', '.join(ids[:5])}, ...)"
-        )
-    return rows
+    """Rows of `scene.traffic` that vehicles are to be near to: av, focal, scored, a track id, else moving traffic."""
+    return moving_vehicles(scene) if near in ("traffic", "anywhere") else named_rows(scene, near)
 
 
 def named_rows(scene: Scene, name: str) -> IntArray:
@@ -142,6 +128,11 @@ class Meetings:
         """Whether vehicles are to be near to somebody in particular."""
         return self.scene.config.request.near not in ("traffic", "anywhere")
 
+    @property
+    def is_target_missing(self) -> bool:
+        """Whether the scene lacks the track that vehicles are to be near to."""
+        return self.is_target_named and not self._targets.size
+
     def _crossings(self, moving: IntArray) -> tuple[IntArray, FloatArray]:
         """Times, s, at which moving recorded vehicles cross cells: those of cell c from first[c] to first[c + 1]."""
         boxes, traffic = self.scene.boxes, self.scene.traffic
@@ -203,20 +194,6 @@ class Meetings:
             if offer.route == route:
                 return int(self._of_offer(cell.lane_id, row).leader[cell.index])
         return -1
-
-    def met_by(self, vehicle: ExportedVehicle) -> int:
-        """What recorded moving traffic is to a vehicle that was driven: 2 a leader, 1 nearby, 0 far away."""
-        scene, path, box = self.scene, vehicle.driven.path, vehicle.driven.start.box
-        motion, span = vehicle.motion, vehicle.span
-        seen = scene.in_driving_width(path, box)[1]
-        gap = seen.low[:, span] - motion.s
-        follows = seen.same_direction[:, span] & (gap > 0.0) & (gap < FOLLOWS_S * motion.v) & (motion.v > MOVES_MPS)
-        if follows.any(axis=0).sum() >= scene.steps_in(FOLLOWS_FOR_S):
-            return 2
-        shown = (self._steps >= span.start) & (self._steps < span.stop)
-        xy = vehicle.trajectory.position[self._steps[shown] - span.start][None]
-        there = np.ones(xy.shape[:2], dtype=np.bool_)
-        return int(_any_within(xy, there, self._xy[:, shown], self._there[:, shown], NEAR_M).any())
 
     def pace_of(self, leader: int) -> float:
         """How fast a leader drives while it moves, m/s, as `Scene.lane_speed` has it; 0 for nobody."""
@@ -316,14 +293,3 @@ def _pace(traffic: Traffic, row: int) -> float:
     speed = np.hypot(*traffic.velocity[row, traffic.present[row]].T)
     moves = speed > MOVES_MPS
     return float(np.percentile(speed[moves], 90)) if moves.any() else 0.0
-
-
-def _any_within(
-    xy: FloatArray, there: BoolArray, others: FloatArray, others_there: BoolArray, within_m: float
-) -> BoolArray:
-    """(N, T) whether any of the others (A, T, 2) m is within a distance of points (N, T, 2) m at the same time."""
-    low, high = xy.reshape(-1, 2).min(axis=0) - within_m, xy.reshape(-1, 2).max(axis=0) + within_m
-    possible = (others_there & np.all((others >= low) & (others <= high), axis=2)).any(axis=1)
-    offset = xy[:, None] - others[possible]  # (N, A, T, 2)
-    near = np.square(offset).sum(axis=-1) < within_m * within_m
-    return np.asarray((near & others_there[possible]).any(axis=1) & there)

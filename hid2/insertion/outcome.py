@@ -1,23 +1,21 @@
-"""What became of the manoeuvre that a vehicle was asked for, by its exported motion."""
+"""What became of the manoeuvre that a vehicle was asked for: what the judge sees in its states, else why not."""
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from hid2.agents import FloatArray, Policy
+from hid2.agents import Policy
 from hid2.insertion.finalise import ExportedVehicle
-from hid2.measures.manoeuvres import LATERAL_SPEED_MPS, TURN_MARGIN_S
-from hid2.motion.lane_change_path import lateral_share
+from hid2.judge.claims import manoeuvres, overtake_of
+from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 from hid2.motion.route import first_turn
-from hid2.occupancy.traffic import Traffic
-from hid2.policy.behaviours import TURN_OF_POLICY
-from hid2.policy.observation import is_on_lane, returns_to
+from hid2.occupancy.agent_states import AgentStates
+from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
+from hid2.policy.observation import returns_to
 from hid2.policy.overtake import Stage
 from hid2.reasons import Reason
 from hid2.scene import Scene
-from netconvert.lane_graph import TURN_RAD
 
 Status = Literal["done", "aborted", "not_feasible", "not_triggered"]
 
@@ -43,38 +41,49 @@ class Outcome:
         return self.status == "done"
 
 
-def outcome_of(scene: Scene, vehicle: ExportedVehicle, traffic: Traffic) -> Outcome | None:
-    """Outcome of a vehicle's request; None for one that goes straight. traffic: everybody in the scene."""
+def outcome_of(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> Outcome | None:
+    """Outcome of a vehicle's request; None for one that goes straight. others: everything else in the scene."""
     policy = vehicle.driven.policy
     if policy in TURN_OF_POLICY:
         return _turn(scene, vehicle)
     if policy is Policy.LANE_CHANGE:
         return _lane_change(vehicle)
     if policy is Policy.OVERTAKE:
-        return _overtake(scene, vehicle, traffic)
+        return _overtake(scene, vehicle, others)
     return None
 
 
+def _done(vehicle: ExportedVehicle, seen: Maneuver, **more: object) -> Outcome:
+    """A manoeuvre as it is seen. It starts with its decision at the earliest."""
+    driven = vehicle.driven
+    decided_s = driven.shifts[0].requested_step * vehicle.motion.step_s if driven.shifts else 0.0
+    return Outcome(
+        driven.policy, "done", start_s=round(max(seen.start_s, decided_s), 6), crossing_s=round(seen.crossing_s, 6),
+        end_s=round(seen.end_s, 6), source_lane=seen.source_lane, target_lane=seen.target_lane, **more,  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
 def _turn(scene: Scene, vehicle: ExportedVehicle) -> Outcome:
-    """Done where the lane is driven to its end and the heading turns by 30 degrees, as a detector sees it."""
+    """Done where the lane is driven to its end and the direction turns by 30 degrees."""
     driven, s = vehicle.driven, vehicle.motion.s
-    kind, step_s = TURN_OF_POLICY[driven.policy], scene.step_s
-    turn = first_turn(scene.grid.graph, driven.path, kind, after=driven.start.start_s)
-    if turn is None:
+    kind = BEHAVIOURS[driven.policy].seen_as[0]
+    seen = next((one for one in manoeuvres(vehicle.states) if one.kind is kind and one.complete), None)
+    turn = first_turn(scene.grid.graph, driven.path, TURN_OF_POLICY[driven.policy], after=driven.start.start_s)
+    before = driven.path.segments.index(turn) - 1 if turn is not None else -1
+    if seen is not None:
+        source = driven.path.segments[before].lane_id if before >= 0 else None
+        return replace(_done(vehicle, seen), start_s=round(seen.start_s, 6), crossing_s=None, source_lane=source)
+    if turn is None or s[-1] >= turn.end:
         return Outcome(driven.policy, "not_feasible", Reason.TURN_NOT_SEEN)
-    row = driven.path.segments.index(turn)
-    source = driven.path.segments[row - 1].lane_id if row else None
-    start, end = _step(s, turn.start), _step(s, turn.end)
-    common = {"start_s": _time(start, step_s), "source_lane": source, "target_lane": turn.lane_id}
-    if start is None:
-        return Outcome(driven.policy, "not_feasible", Reason.SCENE_ENDED, **common)  # type: ignore[arg-type]
-    if end is None:
-        return Outcome(driven.policy, "aborted", Reason.SCENE_ENDED, **common)  # type: ignore[arg-type]
-    heading, around = np.unwrap(vehicle.trajectory.heading), scene.steps_in(TURN_MARGIN_S)
-    turned = heading[min(end + around, s.size - 1)] - heading[max(start - around, 0)]
-    if (turned if driven.policy is Policy.LEFT_TURN else -turned) < TURN_RAD:
-        return Outcome(driven.policy, "not_feasible", Reason.TURN_NOT_SEEN, **common)  # type: ignore[arg-type]
-    return Outcome(driven.policy, "done", end_s=_time(end, step_s), **common)  # type: ignore[arg-type]
+    if s[-1] < turn.start:
+        return Outcome(driven.policy, "not_feasible", Reason.SCENE_ENDED)
+    start_s = (driven.start.step + int(np.searchsorted(s, turn.start))) * vehicle.motion.step_s
+    return Outcome(driven.policy, "aborted", Reason.SCENE_ENDED, start_s=round(start_s, 6), target_lane=turn.lane_id)
+
+
+def _cut_off(outcome: Outcome) -> Outcome:
+    """The same, of which the track does not show the end."""
+    return replace(outcome, status="aborted", reason=Reason.SCENE_ENDED, end_s=None)
 
 
 def _missed(vehicle: ExportedVehicle) -> Outcome:
@@ -84,105 +93,60 @@ def _missed(vehicle: ExportedVehicle) -> Outcome:
     return Outcome(driven.policy, "not_triggered" if late else "not_feasible", reason)
 
 
+def _changes(vehicle: ExportedVehicle) -> list[Maneuver]:
+    """Lane changes that are seen since the first one was decided, by the time of their crossing."""
+    decided_s = vehicle.driven.shifts[0].requested_step * vehicle.motion.step_s
+    found = [one for one in manoeuvres(vehicle.states) if one.kind is ManeuverKind.LANE_CHANGE]
+    return sorted((one for one in found if one.crossing_s >= decided_s), key=lambda one: one.crossing_s)
+
+
 def _lane_change(vehicle: ExportedVehicle) -> Outcome:
-    driven = vehicle.driven
-    if not driven.shifts:
+    if not vehicle.driven.shifts:
         return _missed(vehicle)
-    start, crossing, end = _times_since_decision(vehicle)
-    done = end is not None
+    seen = next(iter(_changes(vehicle)), None)
+    if seen is None:
+        return _begun(vehicle, Reason.SCENE_ENDED)
+    return _done(vehicle, seen) if seen.complete else _cut_off(_done(vehicle, seen))
+
+
+def _begun(vehicle: ExportedVehicle, reason: Reason, **more: object) -> Outcome:
+    """A manoeuvre that SUMO began and that the states do not show to its end."""
+    driven = vehicle.driven
+    shift = driven.shifts[0]
+    start_s = round(shift.requested_step * vehicle.motion.step_s, 6)
     return Outcome(
-        driven.policy, "done" if done else "aborted", None if done else Reason.SCENE_ENDED, start_s=start,
-        crossing_s=crossing, end_s=end, source_lane=driven.shifts[0].source_lane,
-        target_lane=driven.shifts[0].target_lane,
+        driven.policy, "aborted", reason, start_s=start_s, source_lane=shift.source_lane, target_lane=shift.target_lane,
+        **more,  # type: ignore[arg-type]
     )  # fmt: skip
 
 
-def _overtake(scene: Scene, vehicle: ExportedVehicle, traffic: Traffic) -> Outcome:
-    """Done where the vehicle is back in its lane ahead of the leader, by the exported motion of both."""
+def _overtake(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> Outcome:
+    """Done where the vehicle is behind its leader, beside it, ahead of it and back, by the states of both."""
     driven = vehicle.driven
     if not driven.shifts:
         return _missed(vehicle)
-    enter = driven.shifts[0]
-    start, crossing, entered = _times_since_decision(vehicle)
-    _, back_s, end = shift_times(vehicle, 1) if len(driven.shifts) > 1 else (None, None, None)
-    leader_id = driven.leader_id if driven.leader_id in traffic.ids else None
-    reason: Reason | None = None
-    detail: str | None = None
+    ids = others.arrays.track_ids
+    leader_id = driven.leader_id if driven.leader_id in ids else None
+    changes, begun = _changes(vehicle), {"leader_id": leader_id}
     if leader_id is None:
-        reason = Reason.LEADER_NOT_KEPT
-    elif entered is None:
+        return _begun(vehicle, Reason.LEADER_NOT_KEPT, **begun)
+    pair = others.joined(vehicle.states)
+    seen = overtake_of(pair, len(ids), ids.index(leader_id))
+    if seen is not None and seen[1].complete:
+        stood = seen[0].kind is ManeuverKind.OBSTACLE_AVOIDANCE
+        found = _done(vehicle, seen[0], **begun)
+        return replace(
+            found, crossing_s=round(changes[0].crossing_s, 6), reason=Reason.OBSTACLE_AVOIDANCE if stood else None
+        )
+    reason, detail = Reason.SCENE_ENDED_RETURNING, None
+    if not changes or not changes[0].complete:
         reason = Reason.SCENE_ENDED_ENTERING
     elif len(driven.shifts) == 1 and driven.stage is Stage.PASS and driven.reason is Reason.NOT_AHEAD:
         reason = Reason.NOT_PASSED
     elif len(driven.shifts) == 1:
-        reason, detail = Reason.PASSED_WITHOUT_RETURN, driven.reason or Reason.SCENE_ENDED
-    elif end is None or back_s is None:
-        reason = Reason.SCENE_ENDED_RETURNING
+        reason, detail = Reason.PASSED_WITHOUT_RETURN, str(driven.reason or Reason.SCENE_ENDED)
     elif not returns_to(driven.start.path, driven.path):
         reason = Reason.RETURNED_ELSEWHERE
-    elif not _is_ahead(vehicle, round(back_s / scene.step_s), leader_id, traffic):
+    elif len(changes) > 1:
         reason = Reason.RETURNED_BEHIND
-    done = reason is None
-    if done and leader_id is not None and _stands(leader_id, traffic, scene.config.overtake.parked_mps):
-        reason = Reason.OBSTACLE_AVOIDANCE
-    return Outcome(
-        driven.policy, "done" if done else "aborted", reason, detail, start_s=start, crossing_s=crossing,
-        end_s=end if done else None, source_lane=enter.source_lane, target_lane=enter.target_lane, leader_id=leader_id,
-    )  # fmt: skip
-
-
-def _is_ahead(vehicle: ExportedVehicle, step: int, leader_id: str, traffic: Traffic) -> bool:
-    """Whether the whole box is ahead of the leader's at a step, along the own heading; or was when it was last there.
-
-    A leader that left the lane path on which it was followed has not been overtaken.
-    """
-    row = traffic.ids.index(leader_id)
-    there = np.flatnonzero(traffic.present[row, : step + 1])
-    if there.size == 0:
-        return False
-    seen = int(there[-1])
-    if not is_on_lane(vehicle.driven.start.path, traffic.position[row, seen]):
-        return False
-    offset = vehicle.trajectory.position[seen] - traffic.position[row, seen]
-    heading = float(vehicle.trajectory.heading[seen])
-    along = float(offset[0] * math.cos(heading) + offset[1] * math.sin(heading))
-    return along > 0.5 * (vehicle.driven.start.size.length_m + float(traffic.length_m[row]))
-
-
-def _stands(track_id: str, traffic: Traffic, parked_mps: float) -> bool:
-    row = traffic.ids.index(track_id)
-    speed = np.hypot(*traffic.velocity[row, traffic.present[row]].T)
-    return bool(np.all(speed < parked_mps))
-
-
-def _times_since_decision(vehicle: ExportedVehicle) -> tuple[float | None, float | None, float | None]:
-    """Times of the first lateral motion of a vehicle that is there from step 0 on.
-
-    It starts with its decision at the earliest: differences of positions and the smoothing show it a step before.
-    """
-    start, crossing, end = shift_times(vehicle, 0)
-    decided_s = _time(vehicle.driven.shifts[0].requested_step, vehicle.motion.step_s)
-    return None if start is None or decided_s is None else max(start, decided_s), crossing, end
-
-
-def shift_times(vehicle: ExportedVehicle, index: int) -> tuple[float | None, float | None, float | None]:
-    """Start, crossing and end of a lateral motion, s: where |d'| passes 0.1 m/s, and half way between the lanes."""
-    start_m, end_m = vehicle.driven.path.shifts[index]
-    s, step_s = vehicle.motion.s, vehicle.motion.step_s
-    share = lateral_share((s - start_m) / max(end_m - start_m, 1e-9))
-    lateral_mps = np.abs(np.gradient(share * 3.5, step_s))
-    moving = np.flatnonzero(lateral_mps > LATERAL_SPEED_MPS)
-    start = _time(int(moving[0]), step_s) if moving.size else None
-    finished = float(share[-1]) > 0.98
-    end = _time(min(int(moving[-1]) + 1, s.size - 1), step_s) if finished and moving.size else None
-    return start, _time(_step(s, 0.5 * (start_m + end_m)), step_s), end
-
-
-def _step(s: FloatArray, place: float) -> int | None:
-    """First step at which s(t) has passed a place; None where it never does."""
-    passed = np.flatnonzero(s >= place)
-    return int(passed[0]) if passed.size else None
-
-
-def _time(step: int | None, step_s: float) -> float | None:
-    return None if step is None else round(step * step_s, 6)
+    return _begun(vehicle, reason, detail=detail, **begun)

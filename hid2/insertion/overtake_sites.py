@@ -10,6 +10,8 @@ from hid2.insertion.overtakes import ForeseenOvertake, Overtakes, Way
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.starts import Starts
 from hid2.insertion.surroundings import Surroundings
+from hid2.occupancy.gaps import gaps_on_path
+from hid2.policy.rules import free_lane_reason
 from hid2.reasons import Reason
 from hid2.scene import clearance_box
 from hid2.vehicle import Start, VehicleRequest
@@ -36,9 +38,9 @@ class OvertakeSites:
         """A start where an overtake from the trigger on fits into what is known, and its leader where one is added."""
         scene, rng, config = self.here.scene, self.starts.rng, self.here.scene.config
         adds = slow_leader is not None and config.request.spawn_leaders
-        rivals = [start for start in self.starts.taken if start.request.policy is Policy.OVERTAKE]
-        rivals_on = {lane for start in rivals for lane in start.route}
-        ways = [way for way in self.here.routes.ways_past() if rivals_on.isdisjoint(way[0].route)]
+        others = [start for start in self.starts.taken if start.request.policy is Policy.OVERTAKE]
+        others_on = {lane for start in others for lane in start.route}
+        ways = [way for way in self.here.routes.ways_past() if others_on.isdisjoint(way[0].route)]
         tried, self.foresees_none = 0, True
         for place in rng.permutation(len(ways)).tolist():
             if tried == config.sites.overtake_ways:
@@ -52,6 +54,10 @@ class OvertakeSites:
                 *ways[place], reach_m=driver.desired_mps * (request.trigger_s + config.foresight.waits_s)
             )
             if way is None:
+                continue
+            refused = free_lane_reason(driver, config.lane_change, speed_mps=driver.desired_mps)
+            if refused is not None:
+                self.starts.rejected[refused] += 1
                 continue
             tried += 1
             found = self._foresight.foresee(way, driver, rng, trigger_s=request.trigger_s, lead=adds)
@@ -83,19 +89,14 @@ class OvertakeSites:
         return [] if leader is None else [leader, found]
 
     def has_slower_leader(self, start: Start) -> bool:
-        """Whether somebody recorded is ahead of a start, near enough, and slower than its driver wants to be."""
+        """Whether the recorded vehicle ahead of a start is near enough, and slower than its driver wants to be."""
         scene, overtake, sites = self.here.scene, self.here.scene.config.overtake, self.here.scene.config.sites
-        found = scene.recorded_on(start.path, start.box)
-        low, along = found.low[:, 0], found.along[:, 0]
-        rows = np.isin(scene.rows_on(start.path, start.box), scene.vehicle_rows)
-        near = (
-            rows
-            & found.same_direction[:, 0]
-            & (low > start.start_s)
-            & (low - start.start_s < overtake.d_obs_m + sites.leader_beyond_m)
-        )
-        slower = along < start.driver.desired_mps - sites.leader_advantage_ratio * overtake.speed_advantage_mps
-        return bool(np.any(near & slower & (along > overtake.parked_mps)))
+        seen = scene.recorded_on(start.path, start.box)
+        vehicles = seen.same_direction & np.isin(seen.agents, scene.vehicle_rows)[:, None]
+        found = gaps_on_path(seen, np.array([start.start_s]), 0, among=vehicles)
+        near_m = overtake.d_obs_m + sites.leader_beyond_m
+        most_mps = start.driver.desired_mps - sites.leader_advantage_ratio * overtake.speed_advantage_mps
+        return bool(found.lead_m[0] < near_m and overtake.parked_mps < found.lead_mps[0] < most_mps)
 
     def slow_place(self, start: Start) -> tuple[float, float]:
         """Where a slow vehicle begins that is caught up with at the trigger, m on the path, and its speed, m/s."""

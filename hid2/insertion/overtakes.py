@@ -220,9 +220,7 @@ class Overtakes:
         """
         overtake, foresight, looks = self.scene.config.overtake, self.scene.config.foresight, self._looks()
         known, at = self.scene.recorded_on(way.path, self.box), self.scene.steps_in(trigger_s)
-        vehicles = np.isin(
-            self.scene.rows_on(way.path, self.box), self.scene.vehicle_rows if leader is None else [leader]
-        )
+        vehicles = np.isin(known.agents, self.scene.vehicle_rows if leader is None else [leader])
         speed = known.along[:, at]
         rows = np.flatnonzero(
             vehicles & known.same_direction[:, 0] & np.isfinite(known.low[:, 0]) & np.isfinite(known.low[:, at])

@@ -9,6 +9,7 @@ import numpy as np
 
 from hid2.agents import FloatArray, IntArray, Policy
 from hid2.conflicts.guard import Guard
+from hid2.drivers.driver import usual_driver
 from hid2.insertion.entry_sites import EntrySites
 from hid2.insertion.overtake_sites import OvertakeSites
 from hid2.insertion.routes import RouteOffer
@@ -16,9 +17,13 @@ from hid2.insertion.spread import Spread, by_weight
 from hid2.insertion.starts import Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.policy.behaviours import TURN_OF_POLICY
+from hid2.policy.rules import free_lane_reason
 from hid2.reasons import Reason
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.cells import Cell
+
+#: Vehicles that could not begin on a cell, by its row, for a policy and whether what it is to do had to be likely.
+TurnedDown = defaultdict[tuple[Policy, bool], Counter[int]]
 
 
 @dataclass(slots=True)
@@ -26,7 +31,8 @@ class InsertionSites:
     """Sites of one scene for the requests of a round; what was proposed in this round is kept clear of.
 
     avoided: lanes and arc lengths, m, at which vehicles of rounds before began that could not be kept; asked: how many
-    vehicles of each policy the scene is asked for, which share its sites; kept: starts of vehicles of rounds before.
+    vehicles of each policy the scene is asked for, which share its sites; kept: starts of vehicles of rounds before;
+    turned_down: what was found out in rounds before, and in this one.
     """
 
     here: Surroundings
@@ -37,11 +43,11 @@ class InsertionSites:
     avoided: Sequence[tuple[int, float]] = ()
     kept: Sequence[Start] = ()
     asked: Counter[Policy] = field(default_factory=Counter)
+    turned_down: TurnedDown = field(default_factory=lambda: defaultdict(Counter))
     starts: Starts = field(init=False)
     overtakes: OvertakeSites = field(init=False)
     entering: EntrySites = field(init=False)
     _looked: Counter[Policy] = field(default_factory=Counter)
-    _turned_down: dict[tuple[Policy, bool], Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
 
     def __post_init__(self) -> None:
         """Sites of all kinds share the starts of the round."""
@@ -57,6 +63,9 @@ class InsertionSites:
 
         slow_leader: the request that such a leader would meet.
         """
+        if self.here.meetings.is_target_missing:
+            self.starts.rejected[Reason.NEAR_NO_TRACK] += 1
+            return []
         if request.policy is Policy.OVERTAKE:
             return self._propose_overtake(request, slow_leader)
         found = next(self._starts_for(request), None)
@@ -93,15 +102,8 @@ class InsertionSites:
         self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool], *, likely: bool
     ) -> Iterator[Start]:
         tried = 0
-        rivals_on = {
-            start.path.segment_at(start.start_s).lane_id
-            for start in self.starts.taken
-            if start.request.number == request.number
-        }
-        turned_down = self._turned_down[request.policy, likely and request.policy is not Policy.STRAIGHT]
+        turned_down = self.turned_down[request.policy, likely and request.policy is not Policy.STRAIGHT]
         for row, lane_id, lane_s in self._places(request, turned_down):
-            if lane_id in rivals_on:  # of two on one lane the one behind would wait for the other
-                continue
             for offer in self._order(request, self.here.scene.grid.cell_at(lane_id, lane_s)):
                 s = offer.start_m + lane_s
                 usual_mps = self.here.meetings.usual_speed(lane_id)
@@ -113,7 +115,7 @@ class InsertionSites:
                     yield start
                 else:
                     self.starts.rejected[start] += 1
-                    turned_down[row] += 1
+                    turned_down[row] += start is not Reason.NO_SITE  # another one of this round may be in the way
                 break
             if tried >= self.here.scene.config.sites.tries:
                 return
@@ -135,7 +137,7 @@ class InsertionSites:
         """Row, lane and arc length, m, of free cells at step 0; first where more is met, intersections last or never.
 
         The order is that of `Spread`, by the number of this vehicle among those of its policy. turned_down: vehicles of
-        this round that could not begin on a cell, by row.
+        this policy that could not begin on a cell, by row.
         """
         scene, policy = self.here.scene, request.policy
         grid, promising = scene.grid, scene.config.request.sites == "promising"
@@ -219,7 +221,10 @@ class InsertionSites:
     def _offers_change(
         self, request: VehicleRequest, offer: RouteOffer, at: float, speed_mps: float, *, strict: bool
     ) -> bool:
-        """Whether a route has a lane beside, long enough, about where a vehicle is at its trigger, before any turn."""
+        """Whether a route has a lane beside, long enough, about where a vehicle is at its trigger, before any turn.
+
+        And the configured rule would take it with nobody on it.
+        """
         change, sites, drivers = (
             self.here.scene.config.lane_change,
             self.here.scene.config.sites,
@@ -235,12 +240,13 @@ class InsertionSites:
         over = at + change.min_duration_s * speed_mps
         if any(at < end and begin < over for _, begin, end in offer.turns):
             return False
-        return any(
+        is_beside = any(
             beside.start <= at + waits_m + 1.0 and beside.end > at + 1.0
             and not (strict and beside.in_intersection)
             and beside.remaining_m - max(0.0, at - beside.start) > needed
             for beside in offer.beside
         )  # fmt: skip
+        return is_beside and free_lane_reason(usual_driver(speed_mps), change, speed_mps=speed_mps) is None
 
     def _meets_junction(self, offer: RouteOffer, begin: float, end: float) -> bool:
         """Whether a stretch of a route, m along its lanes, touches an intersection."""

@@ -16,13 +16,15 @@ from hid2.insertion.sizes import draw_size
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.along_path import PathOccupancy
+from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Sites
 from hid2.policy.behaviours import TURN_OF_POLICY
-from hid2.policy.decision import Side
-from hid2.policy.lane_change import lane_change_reason, safe_gap_m
-from hid2.policy.observation import lane_options, lay_across
+from hid2.policy.decision import Side, gap_view
+from hid2.policy.lane_change import safe_gap_m
+from hid2.policy.observation import lane_options, lay_across, own_gaps
 from hid2.policy.roads import Roads
+from hid2.policy.rules import foreseen_reason
 from hid2.reasons import Reason
 from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
@@ -123,20 +125,19 @@ class Starts:
             who, config, rng, num_steps=scene.num_steps - step, step_s=scene.step_s, at_least_mps=speed
         )
         return Start(
-            vehicle_id=self._name(request), request=request, object_type=object_type, size=size,
+            vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=object_type, size=size,
             box=box, route=offer.route, path=path, start_s=start_s, start_mps=speed, driver=who,
             desired=np.concatenate([np.full(step, wished[0]), wished]),
             offset=lane_offset(who, config, rng, length_m=path.line.length_m), sides=sides, step=step,
         )  # fmt: skip
 
-    def _name(self, request: VehicleRequest) -> str:
-        rivals = sum(start.request.number == request.number for start in self.taken)
-        return f"v{request.number}_{self.round_number}" + (f"_{rivals}" if rivals else "")
-
     def _gap_likely(
         self, path: DrivenPath, box: BoxSize, s: float, speed_mps: float, request: VehicleRequest, driver: Driver
     ) -> bool:
-        """Whether a vehicle that drives on finds a gap beside it soon after its trigger, and a way into it in time."""
+        """Whether a vehicle that drives on finds a gap beside it soon after its trigger, and a way into it in time.
+
+        A gap that the rule of the configuration takes.
+        """
         scene, change = self.scene, self.scene.config.lane_change
         for wait_s in self.scene.config.sites.gap_waits_s:
             at_s = request.trigger_s + wait_s
@@ -150,12 +151,14 @@ class Starts:
                 scene, path, box, s=at, step=step, sides=("left", "right"), fixed=self.guard.fixed,
                 fleet=self._taken_at(at_s), speed_mps=v, desired_mps=driver.desired_mps,
             )  # fmt: skip
+            own = own_gaps(
+                scene, path, box, s=at, step=step, fixed=self.guard.fixed, fleet=self._taken_at(at_s)
+            )  # fmt: skip
             for option, target in options:
-                reason = lane_change_reason(
-                    speed_mps=v, cells_free=option.cells_free, front=option.front, rear=option.rear,
-                    remaining_m=option.remaining_m, params=change,
+                view = gap_view(
+                    option, driver, time_s=at_s, waited_s=wait_s, speed_mps=v, length_m=box.length_m, own=own
                 )  # fmt: skip
-                if reason is not None:
+                if foreseen_reason(view, change) is not None:
                     continue
                 across = lay_across(
                     scene, path, target, s=at, step=step, pace_mps=v, remaining_m=option.remaining_m,
@@ -170,13 +173,11 @@ class Starts:
     ) -> tuple[float, float]:
         """Where a vehicle is after some time, m on its path, and how fast, m/s: as before, or behind who is ahead."""
         known, step = self._known_on(path, box), round(time_s / self.scene.step_s)
-        at, low, along = s + speed_mps * time_s, known.low[:, step], known.along[:, step]
-        leads = known.same_direction[:, step] & np.isfinite(low) & (known.low[:, 0] >= s) & np.isfinite(known.low[:, 0])
-        behind = np.where(leads, low - driver.min_gap_m - driver.tau_s * np.maximum(along, 0.0), np.inf)
-        if behind.size == 0 or behind.min() >= at:
-            return at, speed_mps
-        first = int(np.argmin(behind))
-        return max(s, float(behind[first])), max(0.0, float(along[first]))
+        at, led = s + speed_mps * time_s, np.isfinite(known.low[:, :1]) & (known.low[:, :1] >= s)
+        found = gaps_on_path(known, np.array([s]), step, among=known.same_direction & led)
+        leader_mps = float(found.lead_mps[0])
+        behind = s + float(found.lead_m[0]) - driver.min_gap_m - driver.tau_s * leader_mps
+        return (at, speed_mps) if behind >= at else (max(s, behind), leader_mps)
 
     def _taken_at(self, time_s: float) -> Traffic:
         """The other starts of this round after some time, each at its start speed (one step)."""
@@ -228,13 +229,8 @@ class Starts:
 
     def _is_taken(self, path: DrivenPath, box: BoxSize, s: float, step: int) -> bool:
         """Whether somebody recorded or kept is at a place at the start, or too near to it."""
-        clear = self.scene.config.spawn.clear_gap_m
-        known = self._known_at(path, box, step)
-        return bool(np.any((known.low[:, 0] - clear < s) & (s < known.high[:, 0] + clear)))
-
-    def _known_at(self, path: DrivenPath, box: BoxSize, step: int) -> PathOccupancy:
-        """Everybody known on a path at a step, (A, 1)."""
-        return self.guard.at_start(path, box) if step == 0 else self._known_on(path, box).at(step)
+        near = gaps_on_path(self._known_on(path, box), np.array([s]), step)
+        return bool(min(near.lead_m[0], near.lag_m[0]) < self.scene.config.spawn.clear_gap_m)
 
     def _known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         return self._obstacles_on(path, box).known
@@ -250,7 +246,7 @@ class Starts:
     ) -> float | Reason:
         """Speed that who is ahead allows, m/s, at most the one wished for; or why nobody can begin there."""
         conflict, spawn, sites = self.scene.config.conflict, self.scene.config.spawn, self.scene.config.sites
-        known, wished = self._known_at(path, box, step), speed
+        known, wished = self._known_on(path, box).at(step), speed
         low, along = known.low[:, 0], known.along[:, 0]
         ahead = np.isfinite(low) & (low >= s)
         for gap, leader_mps in zip((low - s)[ahead].tolist(), along[ahead].tolist(), strict=True):
@@ -310,14 +306,12 @@ class Starts:
         config = self.scene.config
         here = self.scene.traffic.at(step)
         here = here.joined(self.guard.fixed.at(step)) if self.guard.fixed.ids else here
-        (x, y), (tx, ty) = own
-        offset = here.position[:, 0] - (x, y)
-        behind_m = -(offset @ (tx, ty)) - 0.5 * (here.length_m + box.length_m)
-        across_m = np.abs(offset @ (-ty, tx)) - 0.5 * (here.width_m + box.width_m)
-        closing = here.velocity[:, 0] @ (tx, ty) - speed_mps
-        least_m = np.maximum(config.spawn.clear_gap_m, config.conflict.follower_ttc_min_s * closing)
-        near = (across_m < config.conflict.margin_lateral_m) & (behind_m > -box.length_m) & (behind_m < least_m)
-        return bool(np.any(near & here.present[:, 0] & (offset @ (tx, ty) < 0.0)))
+        seen = gaps_from_pose(np.array(own[0]), np.array(own[1]), box, here)
+        least_m = np.maximum(
+            config.spawn.clear_gap_m, config.conflict.follower_ttc_min_s * (seen.along_mps - speed_mps)
+        )  # fmt: skip
+        near = (seen.aside_m < config.conflict.margin_lateral_m) & (seen.gap_m > -box.length_m)
+        return bool(np.any(near & (seen.gap_m < least_m) & here.present[:, 0] & (seen.along_m < 0.0)))
 
     def _beside_start(
         self, own: _Pose, box: BoxSize, driver: Driver, other: Start, speed: float, pose: _Pose | None = None

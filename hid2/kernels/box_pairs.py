@@ -12,6 +12,9 @@ from hid2.kernels.boxes import contact_time, overlap
 from hid2.kernels.compiled import inner, kernel
 from netconvert.geometry import FloatArray, IntArray
 
+#: No tunable: between two steps a position that moves less, m, is noise, which has no course.
+_COURSE_M = 0.1
+
 
 @inner
 def _corners(x: float, y: float, heading: float, length: float, width: float, out: FloatArray) -> None:
@@ -198,7 +201,7 @@ def time_to_collision(
 def _paths_cross(
     xy_a: FloatArray, heading_a: FloatArray, xy_b: FloatArray, heading_b: FloatArray, min_sine: float
 ) -> bool:
-    """Whether the paths of two centres cut each other where the headings differ by the given angle at least."""
+    """Whether the paths of two centres cut each other where headings or courses differ by the given angle at least."""
     longest = 1e-9  # step of b; nothing is cut before b can have come near, and so many steps are passed over
     for j in range(len(xy_b) - 1):
         longest = max(longest, math.hypot(xy_b[j + 1, 0] - xy_b[j, 0], xy_b[j + 1, 1] - xy_b[j, 1]))
@@ -220,7 +223,11 @@ def _paths_cross(
                 continue
             r = (dx * vy - dy * vx) / across
             q = (dx * uy - dy * ux) / across
-            if 0.0 <= r <= 1.0 and 0.0 <= q <= 1.0 and abs(math.sin(heading_a[i] - heading_b[j])) >= min_sine:
+            if not (0.0 <= r <= 1.0 and 0.0 <= q <= 1.0):
+                continue
+            driven_a, driven_b = math.hypot(ux, uy), math.hypot(vx, vy)
+            by_course = min(driven_a, driven_b) > _COURSE_M and abs(across) >= min_sine * driven_a * driven_b
+            if by_course or abs(math.sin(heading_a[i] - heading_b[j])) >= min_sine:
                 return True
     return False
 
@@ -255,7 +262,7 @@ def _encroachment(
         return -1
     long_a, long_b = _swept_lengths(xy_a, length_a), _swept_lengths(xy_b, length_b)
     reach = (math.hypot(length_a, width_a) + math.hypot(length_b, width_b)) / 2
-    best = cap_steps + 1
+    best, least_cosine = cap_steps + 1, math.sqrt(1.0 - min_sine * min_sine)
     for i in range(len(step_a)):
         for j in range(len(step_b)):
             apart = abs(step_a[i] - step_b[j])
@@ -264,7 +271,7 @@ def _encroachment(
             dx, dy = xy_b[j, 0] - xy_a[i, 0], xy_b[j, 1] - xy_a[i, 1]
             if math.hypot(dx, dy) > reach + (long_a[i] - length_a + long_b[j] - length_b) / 2:
                 continue
-            if abs(math.sin(heading_a[i] - heading_b[j])) < min_sine:
+            if math.cos(heading_a[i] - heading_b[j]) > least_cosine:
                 continue
             if overlap(
                 0.0, 0.0, math.cos(heading_a[i]), math.sin(heading_a[i]), long_a[i] / 2, width_a / 2,
@@ -293,8 +300,9 @@ def post_encroachment(
 
     Paths cross where the centres' paths cut each other at `min_angle` at least (and at most pi - min_angle: meeting
     head-on is no crossing). PET is then the smallest |t1 - t2| at which the box of one at t1 covers ground of the box
-    of the other at t2 while their headings differ that much. Each box is longer by what its vehicle drives in a step,
-    so that the boxes of all steps cover the swept path: right to a step.
+    of the other at t2 while their headings differ by `min_angle` at least, so also before one of them has turned. Each
+    box is longer by what its vehicle drives in a step, so that the boxes of all steps cover the swept path: right to a
+    step.
     """
     count = len(agents)
     bounds = np.empty((count, 4))
@@ -316,37 +324,3 @@ def post_encroachment(
                 cap_steps, math.sin(min_angle),
             )  # fmt: skip
     return out
-
-
-@kernel(
-    "(i8[::1], f8[:,::1], f8[::1], f8[::1], f8[::1], i8[::1], i8[::1], i8[::1], f8[:,::1], f8[::1], f8, f8, i8, f8,)"
-)
-def encroaches(
-    agents: IntArray,
-    position: FloatArray,
-    heading: FloatArray,
-    length: FloatArray,
-    width: FloatArray,
-    first: IntArray,
-    step: IntArray,
-    own_step: IntArray,
-    own_position: FloatArray,
-    own_heading: FloatArray,
-    own_length: float,
-    own_width: float,
-    cap_steps: int,
-    min_angle: float,
-) -> bool:
-    """Whether another track crosses the path of any of `agents` at a PET below cap_steps, as `post_encroachment`."""
-    own_bounds = _bounds(own_position, own_length)
-    for a in agents:
-        rows = slice(first[a], first[a + 1])
-        if _never_nearer(_bounds(position[rows], length[a]), own_bounds) > 0.0:
-            continue
-        found = _encroachment(
-            step[rows], position[rows], heading[rows], length[a], width[a],
-            own_step, own_position, own_heading, own_length, own_width, cap_steps - 1, math.sin(min_angle),
-        )  # fmt: skip
-        if found >= 0:
-            return True
-    return False

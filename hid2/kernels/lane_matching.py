@@ -23,13 +23,13 @@ _TO_OFF_LANE = 2.0
 @kernel("(f8[:,::1], f8[::1], i8[::1], i8, f8,)")
 def motion_directions(
     position: FloatArray, heading: FloatArray, first: IntArray, half: int, min_chord: float
-) -> tuple[FloatArray, BoolArray]:
-    """Direction of motion (N,) rad from the chord `half` steps either side, and whether it is at least min_chord m.
+) -> FloatArray:
+    """Direction of motion (N,) rad from the chord `half` steps either side.
 
-    Rows first[a]:first[a + 1] are agent a's. Shorter chords take the direction before them; who stands has its heading.
+    Rows first[a]:first[a + 1] are agent a's. Chords shorter than min_chord m take the direction before them; an agent
+    that stands has its heading.
     """
     out = np.empty(len(position))
-    known = np.zeros(len(position), dtype=np.bool_)
     for a in range(len(first) - 1):
         start, end = first[a], first[a + 1] - 1
         last = -1
@@ -38,7 +38,6 @@ def motion_directions(
             dx, dy = position[k, 0] - position[j, 0], position[k, 1] - position[j, 1]
             if dx * dx + dy * dy >= min_chord * min_chord:
                 out[i] = math.atan2(dy, dx)
-                known[i] = True
                 if last < 0:
                     for m in range(start, i):
                         out[m] = out[i]
@@ -47,7 +46,7 @@ def motion_directions(
                 out[i] = out[last]
         if last < 0:
             out[start : end + 1] = heading[start : end + 1]
-    return out, known
+    return out
 
 
 @kernel("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8[::1], f8[::1], f8[:,::1], b1[::1], f8, f8, i8,)")
@@ -63,8 +62,8 @@ def lane_candidates(
     beyond_m: float,
     agree: float,
     most: int,
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray, BoolArray]:
-    """Lane, s, d, cost (N, most) of the lanes near each wanted row, their number (N,), rows against all of them (N,).
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray]:
+    """Lane, s, d, cost (N, most) of the lanes near each wanted row, and their number (N,).
 
     points, s, first, half_width, box: as of `FlatLanes`. agree: largest angle to the direction of motion, rad.
     """
@@ -74,12 +73,10 @@ def lane_candidates(
     at_d = np.zeros((rows, most))
     cost = np.full((rows, most), math.inf)
     count = np.zeros(rows, dtype=np.int64)
-    against = np.zeros(rows, dtype=np.bool_)
     for i in range(rows):
         if not wanted[i]:
             continue
         x, y = position[i, 0], position[i, 1]
-        with_lane = False
         for k in range(len(half_width)):
             if x < box[k, 0] or y < box[k, 1] or x > box[k, 2] or y > box[k, 3]:
                 continue
@@ -88,12 +85,8 @@ def lane_candidates(
                 continue
             turn = abs(direction[i] - angle) % (2 * math.pi)
             turn = min(turn, 2 * math.pi - turn)
-            inside = distance <= half_width[k]
             if turn > agree:
-                if inside and turn > math.pi / 2:
-                    against[i] = True
                 continue
-            with_lane = with_lane or distance <= half_width[k] + SLIVER_M
             value = 0.5 * (distance / _OFFSET_SIGMA_M) ** 2 + 0.5 * (turn / _HEADING_SIGMA_RAD) ** 2
             slot = count[i]
             if slot == most:
@@ -103,8 +96,7 @@ def lane_candidates(
             else:
                 count[i] += 1
             lane[i, slot], at_s[i, slot], at_d[i, slot], cost[i, slot] = k, along, offset, value
-        against[i] = against[i] and not with_lane
-    return lane, at_s, at_d, cost, count, against
+    return lane, at_s, at_d, cost, count
 
 
 @inner

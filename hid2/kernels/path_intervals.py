@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hid2.kernels.boxes import apart, overlap
+from hid2.kernels.boxes import apart
 from hid2.kernels.compiled import inner, kernel
 from hid2.kernels.raster import IndexTable
 from netconvert.geometry import BoolArray, FloatArray, IntArray
@@ -13,44 +13,6 @@ _WIDER_M = 1.0
 #: Cosines of the largest angle (45 degrees) to a path of who moves with it, and of the smallest (30) of who crosses it.
 #: No tunables: what the words mean. Between the two somebody does both.
 SAME_WAY, _CROSSES = 0.7, 0.87
-
-
-@kernel("(f8[:,::1], f8[::1], f8[::1], f8, i8, f8[:,:,::1], f8[:,::1], b1[:,::1], f8[::1], f8[::1])")
-def boxes_met(
-    center: FloatArray, direction: FloatArray, length: FloatArray, width: float, step: int, position: FloatArray,
-    heading: FloatArray, present: BoolArray, lengths: FloatArray, widths: FloatArray,
-) -> BoolArray:  # fmt: skip
-    """Which of many boxes, centres (B, 2), directions and lengths (B,), touch any agent (A,) at a step."""
-    found = np.empty(length.size, dtype=np.bool_)
-    for b in range(length.size):
-        found[b] = meets(
-            center[b, 0], center[b, 1], direction[b], length[b], width, step, position, heading, present, lengths,
-            widths,
-        )  # fmt: skip
-    return found
-
-
-@inner
-def meets(
-    x: float, y: float, direction: float, length: float, width: float, step: int, position: FloatArray,
-    heading: FloatArray, present: BoolArray, lengths: FloatArray, widths: FloatArray,
-) -> bool:  # fmt: skip
-    """Whether a box touches any agent at a step, for compiled loops."""
-    cosine, sine = np.cos(direction), np.sin(direction)
-    reach = np.hypot(length, width) / 2
-    for a in range(present.shape[0]):
-        if not present[a, step]:
-            continue
-        dx, dy = position[a, step, 0] - x, position[a, step, 1] - y
-        if dx * dx + dy * dy > (reach + np.hypot(lengths[a], widths[a]) / 2) ** 2:
-            continue
-        angle = heading[a, step]
-        if overlap(
-            x, y, cosine, sine, length / 2, width / 2,
-            x + dx, y + dy, np.cos(angle), np.sin(angle), lengths[a] / 2, widths[a] / 2,
-        ):  # fmt: skip
-            return True
-    return False
 
 
 @kernel("(f8[:,::1], f8[:,::1], b1[:,::1], b1[:,::1], i8, f8)")

@@ -32,6 +32,11 @@ def _counts_as_moving(extent_m: Any, steps: Any, step_s: float) -> Any:  # noqa:
     return (extent_m > MOVING_EXTENT_M) & (steps > round(MOVING_S / step_s))
 
 
+#: Fields of `SceneArrays` by agent, and by row; the others number agents and rows.
+_BY_AGENT = ("category", "generated", "vehicle", "fragment", "moving", "length", "width")
+_BY_ROW = ("step", "position", "heading", "velocity")
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class SceneArrays:
     """All tracks of a scene, row by row (N rows, sorted by agent and step; A agents; T steps).
@@ -74,28 +79,38 @@ class SceneArrays:
         """(A,) steps at which each agent is present."""
         return np.diff(self.first)
 
-    def joined(self, other: "SceneArrays") -> "SceneArrays":
-        """The agents of both, of the same scene: T is the same. Those of `other` come last."""
-        rows, agents = len(self.step), self.num_agents
+    @classmethod
+    def joined(cls, every: Sequence["SceneArrays"]) -> "SceneArrays":
+        """The agents of all, of the same scene, in this order: T is the same."""
+        agents = np.cumsum([0, *(one.num_agents for one in every)])[:-1].tolist()
+        rows = np.cumsum([0, *(len(one.step) for one in every)])[:-1].tolist()
+        parts = {name: np.concatenate([getattr(one, name) for one in every]) for name in (*_BY_AGENT, *_BY_ROW)}
+        return cls(
+            track_ids=tuple(name for one in every for name in one.track_ids),
+            object_types=tuple(kind for one in every for kind in one.object_types),
+            first=np.concatenate([[0], *(one.first[1:] + at for one, at in zip(every, rows, strict=True))]),
+            agent=np.concatenate([one.agent + at for one, at in zip(every, agents, strict=True)]),
+            row_of=np.concatenate([
+                np.where(one.row_of < 0, -1, one.row_of + at) for one, at in zip(every, rows, strict=True)
+            ]),
+            step_s=every[0].step_s, **parts,
+        )  # fmt: skip
+
+    def agents(self, chosen: Sequence[int]) -> "SceneArrays":
+        """Some of the agents, in the order given."""
+        rows = np.concatenate([np.arange(self.first[agent], self.first[agent + 1]) for agent in chosen])
+        counts = self.rows_per_agent[list(chosen)]
+        first = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
+        agent = np.repeat(np.arange(len(chosen)), counts)
+        row_of = np.full((len(chosen), self.num_steps), -1, dtype=np.int64)
+        row_of[agent, self.step[rows]] = np.arange(len(rows))
         return SceneArrays(
-            track_ids=self.track_ids + other.track_ids,
-            object_types=self.object_types + other.object_types,
-            category=np.concatenate([self.category, other.category]),
-            generated=np.concatenate([self.generated, other.generated]),
-            vehicle=np.concatenate([self.vehicle, other.vehicle]),
-            fragment=np.concatenate([self.fragment, other.fragment]),
-            moving=np.concatenate([self.moving, other.moving]),
-            length=np.concatenate([self.length, other.length]),
-            width=np.concatenate([self.width, other.width]),
-            first=np.concatenate([self.first, other.first[1:] + rows]),
-            agent=np.concatenate([self.agent, other.agent + agents]),
-            step=np.concatenate([self.step, other.step]),
-            position=np.concatenate([self.position, other.position]),
-            heading=np.concatenate([self.heading, other.heading]),
-            velocity=np.concatenate([self.velocity, other.velocity]),
-            row_of=np.concatenate([self.row_of, np.where(other.row_of < 0, -1, other.row_of + rows)]),
-            step_s=self.step_s,
-        )
+            track_ids=tuple(self.track_ids[one] for one in chosen),
+            object_types=tuple(self.object_types[one] for one in chosen),
+            first=first, agent=agent, row_of=row_of, step_s=self.step_s,
+            **{name: getattr(self, name)[list(chosen)] for name in _BY_AGENT},
+            **{name: np.ascontiguousarray(getattr(self, name)[rows]) for name in _BY_ROW},
+        )  # fmt: skip
 
     def mean_per_agent(self, values: FloatArray) -> FloatArray:
         """Mean of a row-wise quantity (N,) over each agent's rows: (A,)."""

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hid2.agents import FloatArray
 from hid2.measures.arrays import SceneArrays
 from hid2.measures.lane_matching import FlatLanes, Matches
 from netconvert.geometry import Polyline
@@ -77,6 +78,30 @@ def target_path(view: LaneView, runs: list[Run], k: int) -> tuple[Polyline, tupl
         chain.insert(0, int(before[0]))
     own = {run.lane for run in runs[k:]}
     return _path(view, chain, own)
+
+
+def path_driven(view: LaneView, runs: list[Run], k: int) -> tuple[Polyline, tuple[int, ...]]:
+    """The lane path of run k as the vehicle has it then: lanes so far, then its own until it changes, then ahead."""
+    own: set[int] = set()
+    for before, after in pairwise(runs[k:]):
+        if after.lane < 0 or view.lanes.link[before.lane, after.lane] != 0:
+            break
+        own.add(after.lane)
+    return _path(view, _chain_back(view, runs, k), own)
+
+
+def points_ahead(lanes: FlatLanes, lane: int, s: float, d: float, ahead_m: float, *, beyond_m: float) -> FloatArray:
+    """(M, 2) m along a lane and its straightest successors, d to the left: from beyond_m to ahead_m behind s."""
+    if lane < 0:
+        return np.zeros((0, 2))
+    chain, length = [lane], float(lanes.length_m[lane]) - s
+    while length < ahead_m and (following := int(lanes.straight[chain[-1]])) >= 0 and following not in chain:
+        chain.append(following)
+        length += float(lanes.length_m[following])
+    if length <= beyond_m:
+        return np.zeros((0, 2))
+    along = Polyline(np.concatenate([lanes.lane_points(one) for one in chain]))
+    return along.xy(np.arange(s + beyond_m, s + min(length, ahead_m), beyond_m), d)
 
 
 def _chain_back(view: LaneView, runs: list[Run], k: int) -> list[int]:

@@ -9,14 +9,11 @@ from hid2.agents import FloatArray, Track
 from hid2.kernels.box_pairs import post_encroachment, time_to_collision
 from hid2.measures.arrays import stack
 from hid2.measures.encounters import CROSSING_RAD
-from netconvert.geometry import Polyline
 
 #: TTC and PET above this are not told apart, s.
 CAP_S = 10.0
 #: Drivers brake before this TTC, s: 90 % of the followers of lane changes (see method.md).
 HUMAN_BRAKES_S = 4.7
-#: Positions nearer than this to the one before say nothing of a way, m. No tunable, against rounding.
-_MOVES_M = 0.05
 #: Slower than this a target has no closing speed, m/s. No tunable, against rounding.
 _CLOSES_MPS = 0.05
 
@@ -73,45 +70,9 @@ def post_encroachment_of(own: Track, target: Track, *, step_s: float) -> float |
     return float(steps[0, 1] * step_s) if steps[0, 1] >= 0 else None
 
 
-def crossing_steps(own: Track, target: Track) -> tuple[int, int] | None:
-    """Steps at which the centres of two tracks are where their paths cross, own and target's; None where they do not.
-
-    Paths cross where they cut each other at CROSSING_RAD at least.
-    """
-    a, b = own.position[:-1], target.position[:-1]
-    u, w = np.diff(own.position, axis=0), np.diff(target.position, axis=0)
-    cross = u[:, None, 0] * w[None, :, 1] - u[:, None, 1] * w[None, :, 0]
-    lengths = np.hypot(u[:, 0], u[:, 1])[:, None] * np.hypot(w[:, 0], w[:, 1])
-    offset = b[None] - a[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = (offset[..., 0] * w[None, :, 1] - offset[..., 1] * w[None, :, 0]) / cross
-        r = (offset[..., 0] * u[:, None, 1] - offset[..., 1] * u[:, None, 0]) / cross
-        steep = np.abs(cross) > math.sin(CROSSING_RAD) * lengths
-    hit = np.argwhere(steep & (t >= 0.0) & (t < 1.0) & (r >= 0.0) & (r < 1.0))
-    if not hit.size:
-        return None
-    return int(own.timesteps[hit[0, 0]]), int(target.timesteps[hit[0, 1]])
-
-
 def _braking(own: Track, at_step: int, step_s: float) -> float:
     speed = np.hypot(*own.velocity[own.timesteps >= at_step].T)
     return float(max(0.0, -np.gradient(speed, step_s).min())) if speed.size > 1 else 0.0
-
-
-def is_in_the_way(leader: Track, follower: Track, *, at_step: int) -> bool:
-    """Whether the leader's box is at a step on the way that the follower's box drives from then on.
-
-    True beyond the end of that way, and where the follower stands: nothing is known of it there. Errors: ValueError
-    where the leader is not there at that step.
-    """
-    way = follower.position[follower.timesteps >= at_step]
-    if len(way):
-        way = way[np.concatenate([[True], np.hypot(*np.diff(way, axis=0).T) > _MOVES_M])]
-    if len(way) < 2:
-        return True
-    line = Polyline(way)
-    (along,), (across,) = line.frenet(_pose(leader, at_step)[None, :2])
-    return bool(along >= line.length_m or abs(across) < 0.5 * (leader.size.width_m + follower.size.width_m))
 
 
 def _closing(own: Track, target: Track, since_step: int, step_s: float) -> tuple[float | None, float]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hid2.agents import FloatArray, IntArray
 from hid2.kernels.lane_matching import lane_candidates, likeliest_lanes, motion_directions
-from hid2.measures.arrays import BoolArray, SceneArrays
+from hid2.measures.arrays import SceneArrays
 from netconvert.lane_graph import MOTOR_TYPES, LaneGraph, TurnType
 
 #: Candidates are lanes at most this far beyond their own edge.
@@ -54,6 +54,16 @@ class FlatLanes:
     def length_m(self) -> FloatArray:
         """(L,) arc lengths."""
         return self.s[self.first[1:] - 1]
+
+    def heading(self, lane: IntArray, s: FloatArray) -> FloatArray:
+        """(M,) rad, direction of lanes at arc lengths on them; that of lane 0 where there is none (-1)."""
+        lane = np.maximum(lane, 0)
+        offset = np.concatenate([[0.0], np.cumsum(self.length_m + 1.0)])  # lanes one behind the other
+        along = self.s + np.repeat(offset[:-1], np.diff(self.first))
+        at = np.searchsorted(along, np.clip(s, 0.0, self.length_m[lane]) + offset[lane], side="right") - 1
+        at = np.clip(at, self.first[lane], self.first[lane + 1] - 2)
+        step = self.points[at + 1] - self.points[at]
+        return np.asarray(np.arctan2(step[:, 1], step[:, 0]))
 
     def lane_points(self, lane: int) -> FloatArray:
         """(M, 2) centreline of lane number `lane`."""
@@ -149,16 +159,12 @@ def _reached(lane: int, successors: tuple[tuple[int, ...], ...], length: FloatAr
     return found
 
 
-def match_lanes(arrays: SceneArrays, lanes: FlatLanes) -> tuple[Matches, BoolArray]:
-    """Lanes of every vehicle's rows, and the rows (N,) that go against the only lanes that hold them.
-
-    Rows of other agents have lane -1. Going against: the centre is on a lane that points more than 90 degrees away from
-    the motion, and not on, nor within SLIVER_M of, one that points less than 60 degrees away.
-    """
+def match_lanes(arrays: SceneArrays, lanes: FlatLanes) -> Matches:
+    """Lanes of every vehicle's rows; those of other agents have lane -1."""
     half = max(1, round(HALF_WINDOW_S / arrays.step_s))
-    direction, known = motion_directions(arrays.position, arrays.heading, arrays.first, half, MIN_CHORD_M)
+    direction = motion_directions(arrays.position, arrays.heading, arrays.first, half, MIN_CHORD_M)
     wanted = arrays.vehicle[arrays.agent] if arrays.num_agents else np.zeros(0, dtype=bool)
-    lane, s, d, cost, count, against = lane_candidates(
+    lane, s, d, cost, count = lane_candidates(
         arrays.position,
         direction,
         lanes.points,
@@ -175,10 +181,9 @@ def match_lanes(arrays: SceneArrays, lanes: FlatLanes) -> tuple[Matches, BoolArr
     rows = np.arange(len(chosen))
     on = chosen >= 0
     slot = np.where(on, chosen, 0)
-    matches = Matches(
+    return Matches(
         lane=np.where(on, lane[rows, slot], -1),
         s=np.where(on, s[rows, slot], 0.0),
         d=np.where(on, d[rows, slot], 0.0),
         direction=direction,
     )
-    return matches, against & known

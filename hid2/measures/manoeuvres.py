@@ -93,11 +93,17 @@ class _Change:
     path_lanes: tuple[int, ...]
 
 
-def detect(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> list[Maneuver]:
-    """Every manoeuvre of every moving vehicle, in the order of the tracks and of their start."""
+def detect(
+    arrays: SceneArrays, lanes: FlatLanes, matches: Matches, *, among: BoolArray | None = None
+) -> list[Maneuver]:
+    """Every manoeuvre of every moving vehicle, in the order of the tracks and of their start.
+
+    among (A,): the vehicles that are looked at, all unless told.
+    """
     view = LaneView(arrays, lanes, matches)
     found: list[Maneuver] = []
-    for agent in np.flatnonzero(arrays.vehicle & arrays.moving):
+    vehicles = arrays.vehicle & arrays.moving
+    for agent in np.flatnonzero(vehicles if among is None else vehicles & among):
         runs = runs_of(view, int(agent))
         changes = list(_lane_changes(view, int(agent), runs))
         overtakes, changes = _overtakes(view, int(agent), changes)
@@ -128,7 +134,7 @@ def _lane_change(view: LaneView, agent: int, runs: list[Run], k: int) -> _Change
     start, stop = int(arrays.first[agent]), int(arrays.first[agent + 1])
     position = arrays.position[start:stop]
     time = np.asarray(arrays.step[start:stop] * arrays.step_s, dtype=np.float64)
-    side, lateral, known = _lateral(position, left, joined, lanes.half_width[[source, target]].sum())
+    side, lateral, known = _lateral(position, left, joined, *lanes.half_width[[source, target]].tolist())
     switch = runs[k].first - start
     if not known[max(0, switch - 1)] or not known[switch]:
         return None
@@ -158,23 +164,24 @@ def _lane_change(view: LaneView, agent: int, runs: list[Run], k: int) -> _Change
 
 
 def _lateral(
-    position: FloatArray, source: Polyline, target: Polyline, default_width: float
+    position: FloatArray, source: Polyline, target: Polyline, source_half_m: float, target_half_m: float
 ) -> tuple[int, FloatArray, BoolArray]:
-    """Side of the target lane, offset (T,) m from half-way between the two lanes, and where it is known (T,).
+    """Side of the target lane, offset (T,) m from the line between the two lanes, and where it is known (T,).
 
-    Half-way is the mean of the offsets to both centrelines; where only one of the lanes lies beside the vehicle it is
-    half the distance between them away from that one.
+    The line divides the distance of the centrelines as the lanes' widths do; where only one of the lanes lies beside
+    the vehicle it is that part of the distance away from that one.
     """
     s_source, d_source = source.frenet(position)
     s_target, d_target = target.frenet(position)
     by_source = (s_source > -2.0) & (s_source < source.length_m + 2.0)
     by_target = (s_target > -2.0) & (s_target < target.length_m + 2.0)
-    both = by_source & by_target
+    both, whole_m = by_source & by_target, source_half_m + target_half_m
     apart = d_source - d_target
     side = 1 if (np.median(apart[both]) if both.any() else d_source.mean()) > 0 else -1
     rows = np.arange(len(position))
-    width = np.interp(rows, rows[both], apart[both]) if both.any() else np.full(len(rows), side * default_width)
-    lateral = np.where(both, (d_source + d_target) / 2, np.where(by_source, d_source - width / 2, d_target + width / 2))
+    width = np.interp(rows, rows[both], apart[both]) if both.any() else np.full(len(rows), side * whole_m)
+    from_source = width * (source_half_m / whole_m if whole_m > 0.0 else 0.5)
+    lateral = np.where(by_source, d_source - from_source, d_target + width - from_source)
     return side, lateral, by_source | by_target
 
 

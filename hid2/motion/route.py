@@ -1,7 +1,7 @@
 """Routes through the lane graph, and the path that a vehicle drives along one (with its lane changes)."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -34,17 +34,25 @@ class Segment:
         share = (s - self.start) / max(self.end - self.start, 1e-9)
         return self.lane_start + min(max(share, 0.0), 1.0) * (self.lane_end - self.lane_start)
 
+    def s_at(self, lane_s: float) -> float:
+        """Arc length on the path at an arc length of the lane; also beyond the stretch."""
+        pace = (self.end - self.start) / max(self.lane_end - self.lane_start, 1e-9)
+        return self.start + pace * (lane_s - self.lane_start)
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DrivenPath:
     """Where a vehicle goes: the smoothed line, the polyline below it, and the lanes along it.
 
-    raw (N, 2) m; shifts: (start, end) of each lateral motion, m on the line; exit_s: the end of the last lane.
+    raw (N, 2) m; segments: by the lane that the centre is on, which changes half way across; followed: by the lane on
+    which the simulation has the vehicle, which is in the new one at once; shifts: (start, end) of each lateral motion,
+    m on the line; exit_s: the end of the last lane.
     """
 
     line: ReferenceLine
     raw: FloatArray
     segments: tuple[Segment, ...]
+    followed: tuple[Segment, ...]
     shifts: tuple[tuple[float, float], ...] = ()
     raw_s: FloatArray = field(init=False, repr=False)
     """Arc length on raw of each of the line's points, m."""
@@ -80,6 +88,16 @@ class DrivenPath:
                 return segment
         return self.segments[-1]
 
+    def s_on(self, lane_id: int, lane_s: float, *, after: float) -> float | None:
+        """Arc length at arc length lane_s of the lane on which the simulation has a vehicle; None off the path.
+
+        after: where the vehicle was; of a lane that is left and entered again, the stretch there.
+        """
+        for segment in self.followed:
+            if segment.lane_id == lane_id and segment.end > after:
+                return segment.s_at(lane_s)
+        return None
+
     def to_line(self, raw_s: float) -> float:
         """Arc length on the line of an arc length on the raw polyline."""
         return float(np.interp(raw_s, self.raw_s, self.line.points_s))
@@ -114,14 +132,14 @@ def path_along(
     line = build_reference_line(
         raw, step_m=smoothing.path_step_m, min_radius_m=limits.min_radius_m, max_offset_m=smoothing.max_offset_m
     )
-    bare = DrivenPath(line=line, raw=raw, segments=())
+    bare = DrivenPath(line=line, raw=raw, segments=(), followed=())
     lengths = [graph.lanes[lane_id].length_m for lane_id in route]
     ends = bare.all_to_line(np.concatenate([[0.0], np.cumsum(lengths)])).tolist()
     segments = tuple(
         Segment(lane_id, start, end, 0.0, length)
         for lane_id, start, end, length in zip(route, ends[:-1], ends[1:], lengths, strict=True)
     )
-    return DrivenPath(line=line, raw=raw, segments=segments)
+    return DrivenPath(line=line, raw=raw, segments=segments, followed=segments)
 
 
 def shifted_path(
@@ -134,24 +152,28 @@ def shifted_path(
         min_radius_m=limits.min_radius_m,
         max_offset_m=smoothing.max_offset_m,
     )
-    bare = DrivenPath(line=line, raw=blend.points, segments=())
-    middle = bare.to_line(0.5 * (blend.start_m + blend.end_m))
-    segments: list[Segment] = []
-    for segment in path.segments:
-        if segment.start >= middle:
-            break
-        end = min(segment.end, middle)
-        segments.append(Segment(segment.lane_id, segment.start, end, segment.lane_start, segment.lane_s(end)))
-    for segment in target.segments:
-        start = bare.to_line(target.to_raw(segment.start) - blend.target_offset_m)
-        end = bare.to_line(target.to_raw(segment.end) - blend.target_offset_m)
-        if end <= middle:
-            continue
-        share = max(0.0, (middle - start) / max(end - start, 1e-9))
-        lane_start = segment.lane_start + share * (segment.lane_end - segment.lane_start)
-        segments.append(Segment(segment.lane_id, max(start, middle), end, lane_start, segment.lane_end))
-    shift = (bare.to_line(blend.start_m), bare.to_line(blend.end_m))
-    return DrivenPath(line=line, raw=blend.points, segments=tuple(segments), shifts=(*path.shifts, shift))
+    bare = DrivenPath(line=line, raw=blend.points, segments=(), followed=())
+    start, end = bare.to_line(blend.start_m), bare.to_line(blend.end_m)
+
+    def beside(s: float) -> float:  # the target may begin before the path: straight on there
+        raw = target.to_raw(s) - blend.target_offset_m
+        return bare.to_line(raw) + min(raw, 0.0)
+
+    onto = [replace(segment, start=beside(segment.start), end=beside(segment.end)) for segment in target.segments]
+    return DrivenPath(
+        line=line,
+        raw=blend.points,
+        segments=_joined(path.segments, onto, at=bare.to_line(0.5 * (blend.start_m + blend.end_m))),
+        followed=_joined(path.followed, onto, at=start),
+        shifts=(*path.shifts, (start, end)),
+    )
+
+
+def _joined(own: Iterable[Segment], beside: Iterable[Segment], *, at: float) -> tuple[Segment, ...]:
+    """Stretches of a path up to an arc length, m, and those of another one from there on."""
+    before = [replace(one, end=min(one.end, at), lane_end=one.lane_s(at)) for one in own if one.start < at]
+    behind = [replace(one, start=max(one.start, at), lane_start=one.lane_s(at)) for one in beside if one.end > at]
+    return (*before, *behind)
 
 
 def turn_segments(graph: LaneGraph, path: DrivenPath) -> list[tuple[float, float, TurnType]]:

@@ -42,15 +42,16 @@ class Trajectory:
 
 
 def smooth_motion(
-    s_driven: FloatArray, v_driven: FloatArray, *, filter_s: float, step_s: float, end_jerk_mps3: float | None = None
+    s_driven: FloatArray, *, filter_s: float, step_s: float, end_jerk_mps3: float | None = None
 ) -> Motion:
-    """s(t) nearest to a driven one (T,) m, (T,) m/s whose speed has passed a Gaussian of standard deviation filter_s.
+    """s(t) nearest to a driven one (T,) m whose speed has passed a Gaussian of standard deviation filter_s.
 
     end_jerk_mps3: bound on the jerk that differences of positions show at both ends; None: the ends are left as driven.
 
     Beyond both ends the speed goes on as it changes there. s between two steps is the cubic through position, speed and
     acceleration at both (paper: coefficients from position, speed, and acceleration by differences of speed).
     """
+    v_driven = np.gradient(s_driven, step_s, edge_order=2)
     reach = math.ceil(_TRUNCATED_AT * filter_s / step_s)
     before = 2.0 * v_driven[0] - v_driven[reach:0:-1]
     after = 2.0 * v_driven[-1] - v_driven[-2 : -reach - 2 : -1]

@@ -133,12 +133,12 @@ def traffic_of(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> Tra
         heading=heading,
         velocity=velocity,
         present=present,
-        length_m=np.array([_covering(track).length_m for track in tracks]),
-        width_m=np.array([_covering(track).width_m for track in tracks]),
+        length_m=np.array([covering(track).length_m for track in tracks]),
+        width_m=np.array([covering(track).width_m for track in tracks]),
     )
 
 
-def _covering(track: Track) -> BoxSize:
+def covering(track: Track) -> BoxSize:
     """Box that covers the labelled one and the one that readers assume, to whom the format gives no sizes."""
     assumed = DEFAULT_SIZES[track.object_type]
     return BoxSize(max(track.size.length_m, assumed.length_m), max(track.size.width_m, assumed.width_m))

@@ -11,10 +11,11 @@ from hid2.kernels.polyline import frenet
 from hid2.motion.lane_change_path import blend_paths
 from hid2.motion.route import DrivenPath, shifted_path
 from hid2.occupancy.along_path import look_along, path_occupancy
+from hid2.occupancy.gaps import gaps_on_path
 from hid2.occupancy.sigma import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Side
-from hid2.policy.lane_change import Gap
+from hid2.policy.lane_change import NOBODY, Gap
 from hid2.policy.overtake import Leader
 from hid2.reasons import Reason
 from hid2.scene import DRIVABLE_TYPES, Scene
@@ -65,7 +66,7 @@ def lane_options(
         lane_s = float(frenet(xy, lane.points, lane.s)[0][0])
         lane_s = min(max(lane_s, 0.0), graph.lanes[lane_id].length_m)
         target = target_path(scene, path, lane_id, s=s)
-        at = _place_on(target, lane_id, lane_s)
+        at = next(one for one in target.segments if one.lane_id == lane_id).s_at(lane_s)
         cell = scene.grid.cell_at(lane_id, lane_s)
         remaining = target.exit_s - at
         free = _cells_free(scene, cell, step=step, fixed=fixed, fleet=fleet) and not transition_rejected(
@@ -89,40 +90,29 @@ def gaps_on(
     scene: Scene, target: DrivenPath, box: BoxSize, *, at: float, step: int, fixed: Traffic, fleet: Traffic
 ) -> tuple[Gap, Gap]:
     """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres."""
-    known = scene.recorded_on(target, box)
-    columns = [(known.low[:, step], known.high[:, step], known.along[:, step])]
-    sources = [(scene.traffic, step)] * known.low.shape[0]
+    seen = scene.recorded_on(target, box).at(step)
+    ids = [scene.traffic.ids[row] for row in seen.agents]
     for traffic, column in ((fixed, step), (fleet, 0)):
         if traffic.ids:
             more = path_occupancy(
                 target.line, traffic, length_m=box.length_m, width_m=box.width_m, margin_lateral_m=0.1
-            )
-            columns.append((more.low[:, column], more.high[:, column], more.along[:, column]))
-            sources += [(traffic, column)] * more.low.shape[0]
-    low, high, along = (np.concatenate(one) for one in zip(*columns, strict=True))
-    touched = np.isfinite(low)
-    places = np.flatnonzero(touched)
-    low, high, along = low[touched], high[touched], along[touched]
-    front, rear = Gap.none(), Gap.none()
-    middle = 0.5 * (low + high)
-    ahead = np.where(middle >= at, low - at, np.inf)
-    if ahead.size and np.isfinite(ahead.min()):
-        row = int(np.argmin(ahead))
-        who = _agent_at(target, middle[row], *sources[places[row]])
-        front = Gap(float(ahead[row]), max(0.0, float(along[row])), who)
-    behind = np.where(middle < at, at - high, np.inf)
-    if behind.size and np.isfinite(behind.min()):
-        row = int(np.argmin(behind))
-        who = _agent_at(target, middle[row], *sources[places[row]])
-        rear = Gap(float(behind[row]), max(0.0, float(along[row])), who)
-    return front, rear
+            ).at(column)
+            seen, ids = seen.joined(more), [*ids, *(traffic.ids[row] for row in more.agents)]
+    found = gaps_on_path(seen, np.array([at]), 0)
+    front, rear = int(found.leader[0]), int(found.follower[0])
+    return (
+        Gap(float(found.lead_m[0]), float(found.lead_mps[0]), ids[front]) if front >= 0 else NOBODY,
+        Gap(float(found.lag_m[0]), float(found.lag_mps[0]), ids[rear]) if rear >= 0 else NOBODY,
+    )
 
 
-def _agent_at(path: DrivenPath, s: float, traffic: Traffic, column: int) -> str:
-    """Id of the agent of `traffic` that is nearest to a place on a path, m, at a step."""
-    offset = traffic.position[:, column] - path.line.position(np.array([s]))[0]
-    apart = np.where(traffic.present[:, column], np.hypot(offset[:, 0], offset[:, 1]), np.inf)
-    return traffic.ids[int(np.argmin(apart))]
+def own_gaps(
+    scene: Scene, path: DrivenPath, box: BoxSize, *, s: float, step: int, fixed: Traffic, fleet: Traffic
+) -> tuple[Gap, Gap]:
+    """`gaps_on` the own path where the configured rule is told of them; none for the paper's and SUMO's."""
+    if scene.config.lane_change.rule in ("paper", "LC2013"):
+        return NOBODY, NOBODY
+    return gaps_on(scene, path, box, at=s, step=step, fixed=fixed, fleet=fleet)
 
 
 def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here: Traffic) -> Leader | None:
@@ -130,14 +120,12 @@ def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here
     own = path.line.position(np.array([s]))[0]
     near = here.present[:, 0] & (np.abs(here.position[:, 0] - own).max(axis=1) < d_obs_m + 15.0)
     here = here.rows(np.flatnonzero(near).tolist())
-    rows, found = look_along(path.line, here, size.length_m, size.width_m)
-    gap = np.where(found.same_direction[:, 0], found.low[:, 0] - s, np.inf)
-    gap[gap <= -1.0] = np.inf
-    if not np.any(gap < d_obs_m):
+    seen = look_along(path.line, here, size.length_m, size.width_m)
+    found = gaps_on_path(seen, np.array([s]), 0, among=seen.same_direction)
+    if not found.lead_m[0] < d_obs_m:
         return None
-    first = int(np.argmin(gap))
-    row = int(rows[first])
-    return Leader(here.ids[row], float(gap[first]), max(0.0, float(found.along[first, 0])), float(here.length_m[row]))
+    row = int(seen.agents[found.leader[0]])
+    return Leader(here.ids[row], float(found.lead_m[0]), float(found.lead_mps[0]), float(here.length_m[row]))
 
 
 def is_on_lane(lane: DrivenPath, position: FloatArray) -> bool:
@@ -190,12 +178,6 @@ def lay_across(
     if blend is None:
         return Reason.LANES_NOT_SIDE_BY_SIDE
     return shifted_path(path, target, blend, smoothing=smoothing, limits=scene.config.limits)
-
-
-def _place_on(target: DrivenPath, lane_id: int, lane_s: float) -> float:
-    segment = next(segment for segment in target.segments if segment.lane_id == lane_id)
-    share = (lane_s - segment.lane_start) / max(segment.lane_end - segment.lane_start, 1e-9)
-    return segment.start + share * (segment.end - segment.start)
 
 
 def _next_sigma(scene: Scene, cell: Cell, *, step: int, speed_mps: float) -> int:

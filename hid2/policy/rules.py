@@ -6,10 +6,12 @@ can be changed in at all (speed, length of lane left); the paper's cells and gap
 
 import importlib
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+import sys
+import traceback
+from dataclasses import dataclass, replace
 from typing import Literal
 
+from hid2.drivers.driver import Driver
 from hid2.params import LaneChange
 from hid2.policy.lane_change import Gap, lane_change_reason
 from hid2.reasons import Reason
@@ -53,8 +55,13 @@ class GapView:
     sumo: SumoAnswer | None = None
 
 
-#: A user's rule: whether the gap is taken.
-UserRule = Callable[[GapView], bool]
+#: What a user's rule is tried with before any scene is driven: a free road, and a gap between two vehicles.
+_FREE = GapView(
+    time_s=2.0, waited_s=0.5, side="left", speed_mps=10.0, desired_mps=12.0, length_m=4.5, tau_s=1.2, accel_mps2=1.5,
+    decel_mps2=2.0, min_gap_m=2.0, cells_free=True, front=Gap.none(), rear=Gap.none(), own_front=Gap.none(),
+    own_rear=Gap.none(), remaining_m=150.0,
+)  # fmt: skip
+_BETWEEN = replace(_FREE, front=Gap(20.0, 9.0), rear=Gap(15.0, 11.0), own_front=Gap(12.0, 8.0), own_rear=Gap(9.0, 10.0))
 
 
 def rule_reason(view: GapView, params: LaneChange) -> Reason | None:
@@ -75,22 +82,81 @@ def rule_reason(view: GapView, params: LaneChange) -> Reason | None:
         return mobil_reason(view, params)
     if params.rule == "LC2013":
         return _lc2013_reason(view)
-    answer = user_rule(params.rule)(view)
-    if not isinstance(answer, bool):
-        raise ConfigError(f"lane_change.rule = {params.rule!r}: it answered {answer!r}, expected True or False")
-    return None if answer else Reason.RULE_REFUSES
+    return None if _answer(params.rule, view) else Reason.RULE_REFUSES
 
 
-def user_rule(name: str) -> UserRule:
-    """The function that "module:function" names. Errors: ConfigError."""
+def foreseen_reason(view: GapView, params: LaneChange) -> Reason | None:
+    """`rule_reason` of a gap that is foreseen, before SUMO drives anybody.
+
+    LC2013 is SUMO's and cannot be asked then: of it the preconditions on the map alone, speed, length of lane left and
+    free cells. Whether it wants the lane shows when it is driven.
+    """
+    if params.rule == "LC2013":
+        wanted = SumoAnswer(frozenset({"foreseen"}), blocked_ahead=not view.cells_free, blocked_behind=False)
+        view = replace(view, sumo=wanted)
+    return rule_reason(view, params)
+
+
+def free_lane_reason(driver: Driver, params: LaneChange, *, speed_mps: float) -> Reason | None:
+    """Why a rule would not even leave a slower leader for a lane with nobody on it; None where it would.
+
+    Sites and plans whose gap is not foreseen ask this before they expect a change of lanes. At the rule's least speed
+    or faster, after all the waiting that there is, behind a leader half as fast.
+    """
+    v = max(speed_mps, params.min_speed_mps)
+    behind = Gap(driver.min_gap_m + driver.tau_s * v, 0.5 * v)
+    view = replace(
+        _FREE, time_s=params.give_up_s, waited_s=params.give_up_s, speed_mps=v,
+        desired_mps=max(v, driver.desired_mps), tau_s=driver.tau_s, accel_mps2=driver.accel_mps2,
+        decel_mps2=driver.decel_mps2, min_gap_m=driver.min_gap_m,
+        remaining_m=params.min_remaining_m + _FREE.remaining_m, own_front=behind,
+    )  # fmt: skip
+    return foreseen_reason(view, params)
+
+
+def check_user_rule(name: str) -> str:
+    """Import the function that "module:function" names, try it, and return the file of its module.
+
+    Errors: ConfigError with file and line where it cannot be imported, takes no `GapView`, raises, or answers otherwise
+    than True or False.
+    """
+    for view in (_FREE, _BETWEEN):
+        _answer(name, view)
+    file = getattr(sys.modules[name.partition(":")[0]], "__file__", None)
+    if file is None:
+        raise ConfigError(f"lane_change.rule = {name!r}: its module has no file, expected one of your own")
+    return str(file)
+
+
+def _answer(name: str, view: GapView) -> bool:
+    """What the user's rule "module:function" says to a gap. Errors: ConfigError with file and line."""
     module, _, function = name.partition(":")
+    rule, wanted = None, "a module that Python finds here"
     try:
-        found = getattr(importlib.import_module(module), function)
-    except (ImportError, AttributeError) as error:
-        raise ConfigError(f"lane_change.rule = {name!r}: {error}; expected a module that Python finds here") from error
-    if not callable(found):
-        raise ConfigError(f"lane_change.rule = {name!r}: no function, expected module:function")
-    return found  # type: ignore[no-any-return]
+        rule = getattr(importlib.import_module(module), function)
+        wanted = "a function of a GapView that answers True or False"
+        answer = rule(view)
+        if isinstance(answer, bool):
+            return answer
+        said = f"{_place_of(None, rule)}it answered {answer!r:.100}"
+    except (Exception, SystemExit) as error:  # whatever a user's code may raise
+        said = f"{_place_of(error, rule)}{type(error).__name__}: {getattr(error, 'msg', error)!s:.200}"
+        raise ConfigError(f"lane_change.rule = {name!r}: {said}; expected {wanted}") from error
+    raise ConfigError(f"lane_change.rule = {name!r}: {said}, expected True or False")
+
+
+def _place_of(error: BaseException | None, rule: object) -> str:
+    """File and line in the user's code that an error comes from, else of the function; nothing where there is none."""
+    if isinstance(error, SyntaxError):
+        return f"{error.filename}:{error.lineno}: "
+    passed_on = (__file__, importlib.__file__)
+    frames = traceback.extract_tb(error.__traceback__) if error is not None else []
+    own = [one for one in frames if one.filename not in passed_on and not one.filename.startswith("<frozen")]
+    code = getattr(rule, "__code__", None)
+    if own:
+        last = next(one for one in reversed(own) if one.filename == own[0].filename)
+        return f"{last.filename}:{last.lineno}: "
+    return f"{code.co_filename}:{code.co_firstlineno}: " if code is not None else ""
 
 
 def idm_mps2(speed_mps: float, ahead: Gap, view: GapView) -> float:

@@ -25,12 +25,12 @@ from bridge.batch.manifest import (
     QUARANTINED,
     Manifest,
     ManifestRow,
-    code_version,
     files_sha256,
     output_files,
     read_manifest,
 )
 from bridge.config import load_config
+from bridge.generation.program import code_version
 from bridge.recordings.scenario import find_scenarios
 from bridge.recordings.sources import find_sources
 from hid2.params import Config
@@ -183,10 +183,10 @@ class TestFullDisk:
         self, make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
     ) -> None:
         opened, calls = Path.open, []
-        name, mode = ("manifest.csv", "a") if what == "add" else (".manifest.csv", "w")
+        name, mode = ("manifest.csv", "a") if what == "add" else (".hid2-*.csv", "w")
 
         def full(path: Path, *arguments: object, **named: object) -> object:
-            if path.name == name and (arguments or (named.get("mode"),))[0] == mode:
+            if path.match(name) and (arguments or (named.get("mode"),))[0] == mode:
                 calls.append(path)
                 if len(calls) > 1:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -212,7 +212,7 @@ def test_reason_without_end_does_not_keep_a_batch_from_being_resumed(
         (_, bad) = run_batch(plan(folders, Config()), out, Options(function=COPIES, resume=resume))
         assert len(bad.reason) == MAX_TEXT
         assert read_manifest(out / "manifest.csv")[1] == 0
-    bundle, _ = reproduce(out / bad.bundle, tmp_path / "again", function=COPIES)
+    bundle, _ = reproduce(out / bad.bundle, tmp_path / "again", functions=[COPIES])
     assert len(bundle.failure.details) > 100_000
 
 
@@ -225,7 +225,9 @@ def test_folder_with_any_bytes_in_its_name_is_a_scene_like_others(make_data_set:
         assert [row.failure or row.status for row in rows] == [DONE, "exception", DONE]
         assert sorted(row.scenario for row in rows) == ["s0\\udcff ,\\x1b[2J", "s1\\udcff ,\\x1b[2J", "scene-002"]
     assert rows[1].bundle
-    assert reproduce(tmp_path / "out" / rows[1].bundle, tmp_path / "again", function=COPIES)[1].failure == "exception"
+    assert (
+        reproduce(tmp_path / "out" / rows[1].bundle, tmp_path / "again", functions=[COPIES])[1].failure == "exception"
+    )
 
 
 def test_pipes_and_folders_in_the_place_of_files_do_not_hold_a_batch_up(
@@ -281,7 +283,7 @@ def test_bundle_reproduces_its_failure(make_data_set: MakeDataSet, tmp_path: Pat
     folders = make_data_set(1, {0: fault})
     (row,) = run_batch(plan(folders, Config()), tmp_path / "out", Options(timeout_s=20, function=COPIES))
     shutil.rmtree(tmp_path / "source")  # the bundle holds all that is needed
-    bundle, again = reproduce(tmp_path / "out" / row.bundle, tmp_path / "again", function=COPIES)
+    bundle, again = reproduce(tmp_path / "out" / row.bundle, tmp_path / "again", functions=[COPIES])
     assert (again.failure, again.reason) == (row.failure, row.reason.replace(str(folders[0]), str(bundle.folder)))
     assert bundle.failure.kind == row.failure
     assert bundle.variant == 0
@@ -383,7 +385,7 @@ class TestResume:
 
     def test_half_written_folder_is_removed(self, first: tuple[list[Path], Path]) -> None:
         folders, out = first
-        half = out / "val" / ".b8b7a5f0-8a0e-5c2e-9a52-0e4b5a1c2d3e-x1y2z3"
+        half = out / "val" / ".hid2-0123456789abcdef"
         half.mkdir()
         (half / "scenario.parquet").write_bytes(b"half")
         assert self.redone(folders, out) == []

@@ -13,7 +13,6 @@ from processes import still_running
 
 from bridge.batch.batch import GENERATE
 from bridge.batch.engine import Settings, Task, execute_here, run_task, work_on_each
-from bridge.batch.execution import execute
 from bridge.batch.isolation import Failure, FailureKind, WorkFailedError
 from netconvert.errors import BatchError
 
@@ -75,7 +74,7 @@ def test_work_that_cannot_be_imported_ends_the_batch_with_its_cause_at_once() ->
     with pytest.raises(
         BatchError, match=r"no scene process can begin .*ModuleNotFoundError: No module named 'nowhere'"
     ):
-        list(execute([Task("t", "nowhere:work", "", (1, 2))]))
+        list(execute_here([Task("t", "nowhere:work", "", (1, 2))]))
     assert time.monotonic() - began < 60
 
 
@@ -84,7 +83,7 @@ def test_a_file_in_the_place_of_libsumo_is_named(tmp_path: Path, monkeypatch: py
     (tmp_path / "libsumo.py").write_text("TraCIException = FatalTraCIError = Exception\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(BatchError, match=r"libsumo\.py: not SUMO's libsumo, rename it or move it away"):
-        list(execute([Task("t", GENERATE, "", (1,))], jobs=jobs))
+        list(execute_here([Task("t", GENERATE, "", (1,))], jobs=jobs))
 
 
 def test_work_that_ends_its_process_on_import_is_told_by_its_last_words(
@@ -96,7 +95,7 @@ def test_work_that_ends_its_process_on_import_is_told_by_its_last_words(
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(BatchError, match=r"no scene process can begin .*status 127: undefined symbol: f\)"):
-        list(execute([Task("t", "broken_library:work", "", (1,))]))
+        list(execute_here([Task("t", "broken_library:work", "", (1,))]))
 
 
 @pytest.mark.parametrize(
@@ -105,12 +104,12 @@ def test_work_that_ends_its_process_on_import_is_told_by_its_last_words(
 def test_process_that_does_not_start_ends_the_batch(monkeypatch: pytest.MonkeyPatch, program: str, said: str) -> None:
     monkeypatch.setattr(sys, "executable", program)
     with pytest.raises(BatchError, match=f"no scene process can begin .*{said}"):
-        list(execute(TASKS))
+        list(execute_here(TASKS))
 
 
 def test_nothing_listens_for_local_work() -> None:
     """Neither this process nor its children: they talk over pairs of sockets that have no name."""
-    with contextlib.closing(execute([*TASKS, Task("t", "faults:numbers", "", ("hang",))], jobs=2)) as results:
+    with contextlib.closing(execute_here([*TASKS, Task("t", "faults:numbers", "", ("hang",))], jobs=2)) as results:
         next(results)
         family = [psutil.Process(), *psutil.Process().children(recursive=True)]
         assert len(family) >= 3
@@ -121,7 +120,9 @@ def test_nothing_listens_for_local_work() -> None:
 def test_temporary_files_of_a_process_go_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where it ran out of time in the middle, and had no chance to remove them itself."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    (result,) = execute([Task("t", "faults:leaves_files", "", ("hang",))], settings=Settings(timeout_s=1.0, retries=0))
+    (result,) = execute_here(
+        [Task("t", "faults:leaves_files", "", ("hang",))], settings=Settings(timeout_s=1.0, retries=0)
+    )
     assert result.outcomes[0].failure is not None
     assert result.outcomes[0].failure.kind == "timeout"
     assert list(tmp_path.rglob("*")) == []

@@ -126,8 +126,8 @@ class Figures:
             print(f"{name:10s} accelerations at every step 5/95 {low:.2f} {high:.2f}")
         for d in self.realism.distances():
             if d.jensen_shannon is not None and d.jensen_shannon_floor:
-                ratio = d.jensen_shannon / d.jensen_shannon_floor
-                print(f"JS {d.feature.name:20s} {d.jensen_shannon:.3f} ratio {ratio:.2f} n {d.generated} {d.recorded}")
+                ratio, n = d.jensen_shannon / d.jensen_shannon_floor, f"{d.generated_samples} {d.recorded_samples}"
+                print(f"JS {d.feature:20s} {d.jensen_shannon:.3f} ratio {ratio:.2f} n {n}")
         print(f"lane changes {len(self.durations)}, median duration {np.median(self.durations):.2f} s")
 
 

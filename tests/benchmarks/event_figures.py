@@ -7,7 +7,7 @@ Targets: av, focal, track ids, or `moving` for every recorded vehicle that moves
 offered  the map has room for it, whoever is there (`offers`); beside: for a cut_in, the same whatever the marking
 came     it came about, and is seen again in the exported positions by the rules below, which share nothing with the
          search
-floors   processor time of the event alone, over that of the bare libsumo floor (test_generate_ratio.py)
+floors   processor time of the event alone, over that of SUMO replaying the recorded agents alone
 """
 
 import argparse
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
-from test_generate_ratio import run_floor
+from test_time_over_limit import simulate_unsteered
 
 from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare
 from bridge.recordings.folders import find_scenarios
@@ -252,7 +252,7 @@ def floor_s(prepared: PreparedScene, scene: Scene) -> float:
         taken = []
         for _ in range(3):
             begun = time.process_time()
-            run_floor(net, scene.traffic, front, angle, [])
+            simulate_unsteered(net, scene.traffic, front, angle, [])
             taken.append(time.process_time() - begun)
     return min(taken)
 

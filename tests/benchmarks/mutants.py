@@ -58,16 +58,16 @@ MUTANTS = {
         (f"{UNIT}/policy/test_decision.py",),
     ),
     "end of the scene: half the time is enough": Mutant(
-        "hid2/insertion/finalise.py", "contact.ttc_s < conflict.end_ttc_min_s",
-        "contact.ttc_s < 0.5 * conflict.end_ttc_min_s", (f"{UNIT}/insertion/test_finalise.py",),
+        "hid2/judge/states.py", "contact.ttc_s < critical_s + bounds.spare_end_s",
+        "contact.ttc_s < 0.5 * critical_s", (f"{UNIT}/judge/test_states.py",),
     ),
     "critical TTC: four fifths are enough": Mutant(
-        "hid2/insertion/finalise.py", "if ttc_s < config.conflict.ttc_min_s",
-        "if ttc_s < 0.8 * config.conflict.ttc_min_s", (f"{UNIT}/insertion/test_finalise.py",),
+        "hid2/judge/states.py", "ttc_s, critical_s = led.ttc_s, bounds.conflict.ttc_min_s",
+        "ttc_s, critical_s = led.ttc_s, 0.8 * bounds.conflict.ttc_min_s", (f"{UNIT}/insertion/test_finalise.py",),
     ),
     "critical PET: four fifths are enough": Mutant(
-        "hid2/insertion/finalise.py", "pet_s=config.conflict.pet_min_s", "pet_s=0.8 * config.conflict.pet_min_s",
-        (f"{UNIT}/insertion/test_finalise.py",),
+        "hid2/judge/states.py", "arrays, critical_s = states.arrays, bounds.conflict.pet_min_s",
+        "arrays, critical_s = states.arrays, 0.8 * bounds.conflict.pet_min_s", (f"{UNIT}/insertion/test_finalise.py",),
     ),
     "smoothing: the line may stray three times as far": Mutant(
         "hid2/motion/reference_line.py", ".max() > max_offset_m:", ".max() > 3.0 * max_offset_m:",
@@ -78,11 +78,12 @@ MUTANTS = {
         "offset, upto, before = 0.5, 0.0, 0", (f"{UNIT}/insertion/test_requests.py",),
     ),
     "order of kept vehicles: the earlier one goes": Mutant(
-        "hid2/insertion/finalise.py", "found.setdefault(max(row, leader),", "found.setdefault(min(row, leader),",
+        "hid2/insertion/finalise.py", "max(row_of[one.track_id], row_of.get(one.other or \"\", -1))",
+        "row_of[one.track_id]",
         (f"{UNIT}/insertion/test_finalise.py",),
     ),
     "resume: an edited source is taken as done": Mutant(
-        "bridge/batch/batch.py", "== (base.version, source_sha256)", "== (base.version, row.source_sha256)",
+        "bridge/batch/batch.py", "== (base.version, source_sha256,", "== (base.version, row.source_sha256,",
         ("tests/batch/test_batch.py::TestResume",),
     ),
     "seeds: variants look for sites at one place": Mutant(

@@ -1,8 +1,9 @@
 """The command, run as a user runs it."""
 
+import json
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -19,5 +20,35 @@ def hid2() -> Callable[..., Result]:
         result = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=300, check=False)
         assert "Traceback" not in result.stderr, result.stderr
         return result
+
+    return run
+
+
+_EACH = """
+import contextlib, io, json, sys
+from bridge.cli import main
+for arguments in json.load(sys.stdin):
+    out, err = io.StringIO(), io.StringIO()
+    sys.argv = ["hid2", *arguments]
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main()
+        except SystemExit as ended:
+            code = ended.code
+    print(json.dumps([code, out.getvalue(), err.getvalue()]))
+"""
+
+
+@pytest.fixture(scope="session")
+def hid2_each() -> Callable[[Sequence[Sequence[str]], Path], list[tuple[int, str, str]]]:
+    """hid2_each(commands, cwd): run commands in one process; exit code, stdout and stderr of each."""
+
+    def run(commands: Sequence[Sequence[str]], cwd: Path) -> list[tuple[int, str, str]]:
+        done = subprocess.run(
+            [sys.executable, "-c", _EACH], input=json.dumps(commands), capture_output=True, text=True, cwd=cwd,
+            timeout=300, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        return [tuple(json.loads(line)) for line in done.stdout.splitlines()]
 
     return run

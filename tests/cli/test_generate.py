@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -41,7 +42,7 @@ def test_request_ends_up_in_the_sidecar(hid2: Run, data_scenes: dict[str, Path],
         "generate", data_scenes["arterial"], "-o", tmp_path / "out", "--config", file, "--agents", 4,
         "--behaviours", "lane_change=0.5,straight=0.5", "--trigger-time", "1:2", "--seed", 7, "--variants", 2,
         "--focal", "generated", "--set", "overtake.d_obs_m=50", "--no-spawn-leaders", "--without", "smoothing",
-        "--entering", 0.3,
+        "--entering", 0.3, "--check-replay",
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
     rows = rows_of(tmp_path / "out")
@@ -56,20 +57,42 @@ def test_request_ends_up_in_the_sidecar(hid2: Run, data_scenes: dict[str, Path],
         assert config["lane_change"]["min_gap_m"] == 3.0
         assert config["overtake"]["d_obs_m"] == 50
         assert config["without"] == ["smoothing"]
+        assert config["driving"]["check_replay"] is True
 
 
-def test_event_that_does_not_come_about_is_in_the_table_with_its_reason(
+def test_event_that_comes_about_in_no_scene_is_in_the_table_with_its_reason_and_exit_code_1(
     hid2: Run, data_scenes: dict[str, Path], tmp_path: Path
 ) -> None:
+    """No lane of the curve is 500 m long."""
     out = tmp_path / "out"
-    result = hid2("generate", data_scenes["curve"], "-o", out, "--agents", 0, "--event", "cut_in", "--target", "nobody")
-    assert result.returncode == 0, result.stderr
+    result = hid2("generate", data_scenes["curve"], "-o", out, "--agents", 0, "--event", "cut_in", "--gap", "500:600")
+    assert result.returncode == 1
     (row,) = rows_of(out)
     assert (row["events_requested"], row["events_done"]) == ("1", "0")
-    assert row["not_done"] == "cut_in with nobody: event_no_target (1)"
-    assert "cut_in with nobody: event_no_target (1)" in result.stdout
+    assert re.fullmatch(r"cut_in with av: event_\w+ \(1\)", row["not_done"])
+    assert row["not_done"] in result.stdout
     assert result.stdout.splitlines()[1].split()[-3:] == ["events", "s", "remarks"]
     assert "\nevents done: 0 of 1\n" in result.stdout
+    wanted = f"hid2: error: cut_in with av: asked for, and came about in no scene; {out}/manifest.csv has the reasons"
+    assert wanted in result.stderr.splitlines()
+
+
+def test_what_only_some_scenes_can_meet_is_a_reason_in_the_others(
+    hid2: Run, data_scenes: dict[str, Path], data_root: Path, tmp_path: Path
+) -> None:
+    """A track of the arterial is in none of the other two scenes, whose scenes are written all the same."""
+    from bridge.recordings.scenario import read_scenario
+
+    track = next(t.track_id for t in read_scenario(data_scenes["arterial"]).tracks if t.track_id != "AV")
+    result = hid2("generate", data_root, "-o", tmp_path / "out", "--agents", 2, "--near", track)
+    assert result.returncode == 0, result.stderr
+    rows = rows_of(tmp_path / "out")
+    assert [row["status"] for row in rows] == ["done"] * 3
+    lacking = [row for row in rows if row["scenario"] != data_scenes["arterial"].name]
+    assert all(row["placed"] == "0" and row["rejected"].startswith("near_no_track (") for row in lacking)
+    assert sum(int(row["placed"]) for row in rows) > 0
+    assert {entry.reason for entry in sidecar_of(tmp_path / "out", lacking[0]).rejected} == {"near_no_track"}
+    assert "near_no_track" in result.stdout
 
 
 def test_same_request_gives_the_same_bytes(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
@@ -113,13 +136,12 @@ def test_zero_agents_is_a_scene_like_any_other(hid2: Run, data_scenes: dict[str,
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--agents", "some"], "--agents 'some': expected a number or max"),
+        (["--agents", "some"], "request.agents = 'some', expected integer >= 0, <= 500, or max"),
         (["--agents", "-1"], "request.agents = -1, expected"),
         (["--set", "lane_change.gap=1"], "unknown key 'lane_change.gap'"),
         (["--set", "limits.min_radius_m=0"], "limits.min_radius_m = 0, expected"),
         (["--behaviours", "fly=1"], "behaviours: 'fly=1'"),
         (["--trigger-time", "soon"], "trigger-time: 'soon'"),
-        (["--trigger-time", "12"], "the 3 scenes looked at ends at 10.9 s; expected an earlier time"),
         (["--focal", "nobody"], "'nobody' is not one of 'recorded', 'generated'"),
         (["--without", "brakes"], "'brakes' is not one of 'topology'"),
         (["--config", "missing.toml"], "missing.toml: no such file"),

@@ -51,7 +51,7 @@ def craft(path: Path, **changes: Any) -> None:
     ("changes", "said"),
     [
         ({"split": "../../outside"}, "split: Input should be 'train', 'val' or 'test'"),
-        ({"function": "owned:work"}, "which is none of hid2's: if you trust the bundle, add --function owned:work"),
+        ({"function": "owned:work"}, "which is none of hid2's: if you trust it, add --function owned:work"),
         ({"config": []}, "config: Input should be"),
         ({"timeout_s": float("nan")}, "timeout_s: "),
     ],
@@ -146,7 +146,7 @@ def test_sigterm_leaves_no_process_and_no_temporary_file(data_root: Path, tmp_pa
     command = [str(Path(sys.executable).parent / "hid2"), "generate", str(data_root), "-o", str(tmp_path / "out")]
     command += ["--variants", "50", "--jobs", str(jobs), "-q"]
     process = subprocess.Popen(command, env=os.environ | {"TMPDIR": str(scratch)}, stderr=subprocess.PIPE, text=True)
-    while len(list(scratch.glob("hid2-scene-*"))) < jobs:
+    while len(list(scratch.glob("*/hid2-scene-*"))) < jobs:
         assert process.poll() is None
         time.sleep(0.05)
     time.sleep(1.0)
@@ -154,7 +154,7 @@ def test_sigterm_leaves_no_process_and_no_temporary_file(data_root: Path, tmp_pa
     assert len(children) >= jobs
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode == 143
     assert len(errors.splitlines()) == 1, errors
     assert still_running(children, timeout_s=10) == []
     assert list(scratch.iterdir()) == []

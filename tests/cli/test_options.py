@@ -17,8 +17,9 @@ from typer.main import get_command
 
 from bridge.batch.batch import GENERATE_WITH_GAPS
 from bridge.batch.scan import EVENT_TARGETS
-from bridge.cli import app, options
-from bridge.cli.forecasting import CountIn, Layout, SplitBy
+from bridge.cli import options
+from bridge.cli.commands import application
+from bridge.cli.forecasting import compose
 from bridge.config import config_to_dict, describe_config, load_config, parse_behaviours
 from bridge.evaluation.experiments import EXPERIMENTS
 from bridge.forecasting.composition import Composition, Draw, Split
@@ -32,33 +33,32 @@ Run = Callable[..., Any]
 
 
 def option(name: str) -> Any:
-    (found,) = [parameter for parameter in get_command(app).commands["generate"].params if name in parameter.opts]  # type: ignore[attr-defined]
+    commands = get_command(application("generate")).commands  # type: ignore[attr-defined]
+    (found,) = [parameter for parameter in commands["generate"].params if name in parameter.opts]
     return found
 
 
 def test_choices_are_those_of_the_package() -> None:
     kinds = get_args(Event.model_fields["kind"].annotation)
     events = [f"{kind}:{target}" for kind in kinds for target in EVENT_TARGETS]
-    assert [str(name) for name in options.EventName] == list(kinds)
-    assert [str(name) for name in options.CanName][:5] == [policy.value for policy in Policy]
-    assert sorted(str(name) for name in list(options.CanName)[5:]) == sorted(events)
-    assert tuple(options.SplitName) == SPLITS
-    assert [f"generate_and_record_{name}" for name in options.RecordName] == [GENERATE_WITH_GAPS.partition(":")[2]]
+    assert kinds == options.EVENTS
+    assert tuple(policy.value for policy in Policy) == options.BEHAVIOURS
+    assert (*options.BEHAVIOURS, *events) == options.CAN
+    assert options.SPLITS == SPLITS
+    assert [f"generate_and_record_{name}" for name in ("gaps",)] == [GENERATE_WITH_GAPS.partition(":")[2]]
     assert get_args(options.ExperimentName) == (*EXPERIMENTS, "prediction")
     assert get_args(options.ReadingName) == get_args(Reading)
-    split = Split.model_fields["by"].annotation, [str(name) for name in SplitBy]
-    layout = Composition.model_fields["layout"].annotation, [str(name) for name in Layout]
-    counted = Draw.model_fields["min_agents_in"].annotation, [str(name) for name in CountIn]
-    for annotation, names in (split, layout, counted):
-        assert list(get_args(annotation)) == names
-    assert get_args(options.FocalName) == get_args(Request.model_fields["focal"].annotation)
+    hints = compose.__annotations__
+    assert hints["split_by"] == Split.model_fields["by"].annotation
+    assert hints["layout"] == Composition.model_fields["layout"].annotation | None
+    assert hints["min_agents_in"] == Draw.model_fields["min_agents_in"].annotation
     components = {row.key: row.range for row in describe_config()}["without"]
-    assert components == f"any of {', '.join(options.ComponentName)}"
+    assert components == f"any of {', '.join(options.COMPONENTS)}"
 
 
 def test_defaults_of_the_forecaster_in_the_help_are_those_of_the_parameters() -> None:
     for command, names in (("forecast", ("updates",)), ("paper", ("updates", "variants", "val"))):
-        found = get_command(app).commands[command].params  # type: ignore[attr-defined]
+        found = get_command(application()).commands[command].params  # type: ignore[attr-defined]
         shown = {p.name: p.show_default for p in found if p.name in names}
         params = Forecasting()
         wanted = {"updates": params.updates, "variants": params.variants, "val": params.val_share}

@@ -1,7 +1,7 @@
 """Paths of the command line that cannot be what they are given as, and results that would lie among the sources."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -10,6 +10,7 @@ from bridge.cli.places import check_one_scene, check_out, check_out_file, check_
 from netconvert.errors import ConfigError
 
 Run = Callable[..., object]
+Each = Callable[[Sequence[Sequence[str]], Path], list[tuple[int, str, str]]]
 
 
 @pytest.fixture
@@ -50,10 +51,10 @@ def test_a_folder_with_a_single_scene_may_be_that_of_the_user(
         check_out(tmp_path / "out")
 
 
-def test_a_picture_may_lie_among_scenes_but_not_in_one(data_set: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_is_refused_where_a_folder_is(data_set: Path) -> None:
     scene = next((data_set / "train").iterdir())
-    check_out_file(data_set / "train" / "picture.png")
-    assert capsys.readouterr().err == ""
+    with pytest.raises(ConfigError, match="inside the split folder"):
+        check_out_file(data_set / "train" / "picture.png")
     with pytest.raises(ConfigError, match="inside the scene"):
         check_out_file(scene / "pictures" / "picture.png")
     (data_set / "file").touch()
@@ -76,6 +77,51 @@ def test_out_that_is_a_link_into_a_split_is_refused(data_set: Path, tmp_path: Pa
     (tmp_path / "link").symlink_to(data_set / "train")
     with pytest.raises(ConfigError, match="inside the split folder"):
         check_out(tmp_path / "link" / "out")
+
+
+def test_out_beside_sequences_of_argoverse_1_is_refused_unless_hid2_wrote_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Tables of other people that are called by numbers are no sequences."""
+    written = tmp_path / "out" / "argoverse1" / "val" / "data"
+    for folder, head in (
+        (tmp_path / "data", "TIMESTAMP,TRACK_ID"),
+        (written, "TIMESTAMP,TRACK_ID"),
+        (tmp_path / "b", "x,y"),
+    ):
+        folder.mkdir(parents=True)
+        for number in (1, 2):
+            (folder / f"{number}.csv").write_text(f"{head}\n")
+    (tmp_path / "out" / "manifest.csv").touch()
+    with pytest.raises(ConfigError, match=r"inside the split folder .*data, beside the scene [12]\.csv; choose"):
+        check_out(tmp_path / "data" / "report")
+    for taken in (written, tmp_path / "b"):
+        check_out(taken / "report")
+    assert capsys.readouterr().err == ""
+
+
+WRITING = (
+    "generate {scene} -o {out}", "generate {scene} -o elsewhere --sumo {out}", "evaluate {scene} -o {out}",
+    "calibrate {scene} -o {out}/drivers.toml", "scan {scene} -o {out}/scan.csv", "net {scene} -o {out}",
+    "render {scene} -o {out}/a.png", "plot {scene} --agent AV -o {out}/a.png", "compose {scene} -o {out}",
+    "gui {scene} --screenshot {out}/a.png", "forecast {scene} -o {out}", "paper table1 --scenes {scene} -o {out}",
+    "study study.toml --scenes {scene} -o {out}", "make corridor -o {out}",
+)  # fmt: skip
+
+
+def test_no_command_writes_into_a_scene_or_beside_recorded_ones(
+    hid2_each: Each, data_set: Path, tmp_path: Path
+) -> None:
+    scene = next((data_set / "train").iterdir())
+    before = sorted(data_set.rglob("*"))
+    places = {data_set / "train" / "out": "inside the split folder", scene / "out": "inside the scene"}
+    commands = [(command.format(scene=scene, out=out).split(), out) for command in WRITING for out in places]
+    for (code, _, said), (command, out) in zip(hid2_each([c for c, _ in commands], tmp_path), commands, strict=True):
+        assert (code, len(said.splitlines())) == (2, 1), command
+        assert said.startswith(f"hid2: error: {out}"), command
+        assert places[out] in said, command
+    assert sorted(data_set.rglob("*")) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["root"]
 
 
 def test_file_where_a_folder_is_wanted_is_named_with_what_to_give(data_set: Path, tmp_path: Path) -> None:

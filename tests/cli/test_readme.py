@@ -22,7 +22,9 @@ def test_python_example_runs(tmp_path: Path) -> None:
 
 
 def test_every_command_is_in_the_table() -> None:
-    from bridge.cli import app
+    from bridge.cli.commands import application
 
-    named = {command.name or command.callback.__name__ for command in app.registered_commands if command.callback}
+    named = {
+        command.name or command.callback.__name__ for command in application().registered_commands if command.callback
+    }
     assert {name for name in named if f"`hid2 {name}" not in README} == set()

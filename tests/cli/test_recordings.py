@@ -2,12 +2,14 @@
 
 import csv
 import json
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from implausible import FAULTS, plant
 from recordings import LOG_ID, make_argoverse1, make_log
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -29,6 +31,53 @@ def mixed(data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
 def rows(out: Path) -> dict[str, dict[str, str]]:
     with (out / "manifest.csv").open() as file:
         return {row["scenario"]: row for row in csv.DictReader(file)}
+
+
+def test_implausible_scenes_are_refused_before_anything_is_driven_and_the_others_are_done(
+    hid2: Run, data_scenes: dict[str, Path], real_scenes: list[Path], tmp_path: Path
+) -> None:
+    """Every fault in a synthetic scene and two real ones, and a scene as it is."""
+    sources = [data_scenes["curve"], *(path for path in real_scenes if path.name[:4] in {"00a0", "3b35"})]
+    planted = {}
+    for scene, other in zip(sources, [*sources[1:], sources[0]], strict=True):
+        for change, said in FAULTS.values():
+            new_id = f"{len(planted):08d}-0000-4000-8000-000000000000"
+            plant(scene, tmp_path / "train", change, other=other, new_id=new_id)
+            planted[new_id] = said
+    shutil.copytree(sources[0], tmp_path / "train" / sources[0].name)
+    out = tmp_path / "out"
+    result = hid2("generate", tmp_path / "train", "-o", out, "--agents", 1)
+    assert result.returncode == 1
+    assert f"1 of {len(planted) + 1} scenes done" in result.stdout
+    found = rows(out)
+    for new_id, said in planted.items():
+        assert found[new_id]["folder"] == ""
+        assert re.search(said, found[new_id]["reason"]), found[new_id]["reason"]
+    assert found[sources[0].name]["placed"] == "1"
+    assert len(list(out.rglob("*.parquet"))) == 1
+
+
+def test_an_implausible_scene_is_driven_where_that_is_asked_for(
+    hid2: Run, data_scenes: dict[str, Path], tmp_path: Path
+) -> None:
+    scene = plant(data_scenes["curve"], tmp_path / "in", FAULTS["end before start"][0])
+    refused = hid2("generate", scene, "-o", tmp_path / "refused", "--agents", 1)
+    assert refused.returncode == 1
+    assert not list((tmp_path / "refused").rglob("*.parquet"))
+    (line,) = (line for line in refused.stderr.splitlines() if "end_timestamp" in line)
+    (option,) = re.findall("--set ([a-z.=]+) goes on all the same", line)
+    done = hid2("generate", scene, "-o", tmp_path / "done", "--agents", 1, "--set", option)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", ["town.net.xml", "scene.db", "part.tfrecord", "forecasts.csv"])
+def test_files_of_other_data_sets_are_named(hid2: Run, tmp_path: Path, name: str) -> None:
+    (tmp_path / name).touch()
+    for path in (tmp_path, tmp_path / name):
+        result = hid2("generate", path, "-o", tmp_path.parent / "out", "-q")
+        assert result.returncode == 2
+        assert "which hid2 does not read; expected Argoverse 2 scenes" in result.stderr
+        assert not (tmp_path.parent / "out").exists()
 
 
 @pytest.mark.slow

@@ -10,10 +10,10 @@ def test_page_says_what_the_help_says() -> None:
 def test_every_option_of_every_command_is_on_the_page() -> None:
     from typer.main import get_command
 
-    from bridge.cli import app
+    from bridge.cli.commands import application
 
     text = PAGE.read_text(encoding="utf-8")
-    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
+    for name, command in get_command(application()).commands.items():  # type: ignore[attr-defined]
         section = text.split(f"## hid2 {name}\n")[1].split("\n## ")[0]
         assert [
             option

@@ -15,11 +15,12 @@ from hid2.insertion.requests import draw_requests
 from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
 from hid2.insertion.surroundings import Surroundings
+from hid2.kernels.trajectory import derivatives_of_motion
+from hid2.measures.motion_limits import MotionProfile
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M, build_reference_line
 from hid2.motion.route import DrivenPath
 from hid2.motion.smoothing import Motion, smooth_motion, trajectory
-from hid2.motion.verify import motion_profile
 from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL, cell_boxes, dwell_steps, original_occupancy
 from hid2.occupancy.traffic import Traffic, traffic_of
 from hid2.params import Config, LaneChange, Limits, Overtake, Request, Turn
@@ -374,12 +375,12 @@ def test_s_of_t_is_a_cubic_from_position_speed_and_acceleration() -> None:
     """Between steps s is the cubic with v and a at both ends: its increment is dt (v0 + v1) / 2 - dt^2 (a1 - a0) / 12.
 
     v = 8 + 0.6 t^2 (a = 1.2 t) is kept by a narrow filter inside; over 1 s from t = 2: 8 + 0.2 (3^3 - 2^3) = 11.8 m.
+    Differences over two steps make of v what is 0.2 delta^2 = 0.002 m/s faster.
     """
     t = np.arange(51) * DELTA
-    v = 8.0 + 0.6 * t**2
-    s = 5.0 + np.concatenate([[0.0], np.cumsum(DELTA * v[1:])])
-    motion = smooth_motion(s, v, filter_s=0.02, step_s=DELTA)
-    assert motion.s[30] - motion.s[20] == pytest.approx(11.8, abs=1e-3)
+    s = 5.0 + 8.0 * t + 0.2 * t**3
+    motion = smooth_motion(s, filter_s=0.02, step_s=DELTA)
+    assert motion.s[30] - motion.s[20] == pytest.approx(11.802, abs=1e-3)
     assert motion.a[20] == pytest.approx(2.4, abs=1e-2)
     step = 0.5 * DELTA * (motion.v[1:] + motion.v[:-1]) - DELTA**2 / 12.0 * np.diff(motion.a)
     assert np.diff(motion.s) == pytest.approx(step)
@@ -422,6 +423,6 @@ def test_lateral_acceleration_is_curvature_times_speed_squared() -> None:
     """R = 20 m at 8 m/s: 0.05 * 64 = 3.2 m/s2, below a_y,max = 4.89."""
     angle = 8.0 / 20.0 * DELTA * np.arange(40)
     velocity = 8.0 * np.column_stack([np.cos(angle), np.sin(angle)])
-    profile = motion_profile(velocity, angle, step_s=DELTA)
+    profile = MotionProfile(*derivatives_of_motion(velocity, angle, DELTA))
     assert profile.lateral_accel_mps2[1:-1] == pytest.approx(np.full(38, 3.2), rel=2e-3)
     assert Limits().lateral_accel_mps2 == 4.89

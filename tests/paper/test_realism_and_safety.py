@@ -27,9 +27,9 @@ def test_constant_acceleration_along_the_heading_is_all_longitudinal():
     time = 0.1 * np.arange(60)
     arrays = stack([make_track(1.5 * time**2)], step_s=0.1)
     moved = motion(arrays)
-    np.testing.assert_allclose(moved.longitudinal_accel[2:-2], 3.0, atol=1e-9)
-    np.testing.assert_allclose(moved.lateral_accel, 0.0, atol=1e-12)
-    np.testing.assert_allclose(moved.jerk_norm[3:-3], 0.0, atol=1e-7)
+    np.testing.assert_allclose(moved.accel_mps2[2:-2], 3.0, atol=1e-9)
+    np.testing.assert_allclose(moved.lateral_accel_mps2, 0.0, atol=1e-12)
+    np.testing.assert_allclose(moved.jerk_mps3[3:-3], 0.0, atol=1e-7)
 
 
 def test_the_same_acceleration_seen_from_a_turned_heading():
@@ -37,8 +37,8 @@ def test_the_same_acceleration_seen_from_a_turned_heading():
     time = 0.1 * np.arange(60)
     arrays = stack([make_track(1.5 * time**2, heading=np.pi / 6)], step_s=0.1)
     moved = motion(arrays)
-    np.testing.assert_allclose(moved.longitudinal_accel[2:-2], 3 * np.cos(np.pi / 6), atol=1e-9)
-    np.testing.assert_allclose(moved.lateral_accel[2:-2], -1.5, atol=1e-9)
+    np.testing.assert_allclose(moved.accel_mps2[2:-2], 3 * np.cos(np.pi / 6), atol=1e-9)
+    np.testing.assert_allclose(moved.lateral_accel_mps2[2:-2], -1.5, atol=1e-9)
 
 
 def test_circle_has_lateral_acceleration_v_squared_over_r():
@@ -46,22 +46,22 @@ def test_circle_has_lateral_acceleration_v_squared_over_r():
     angle = 0.5 * 0.1 * np.arange(80)
     track = make_track(20 * np.sin(angle), 20 * (1 - np.cos(angle)), angle)
     moved = motion(stack([track], step_s=0.1))
-    np.testing.assert_allclose(moved.lateral_accel[2:-2], 5.0, rtol=2e-3)
-    np.testing.assert_allclose(moved.longitudinal_accel[2:-2], 0.0, atol=1e-9)
-    np.testing.assert_allclose(moved.jerk_norm[3:-3], 2.5, rtol=3e-3)
-    np.testing.assert_allclose(moved.yaw_rate, 0.5, rtol=1e-9)
+    np.testing.assert_allclose(moved.lateral_accel_mps2[2:-2], 5.0, rtol=2e-3)
+    np.testing.assert_allclose(moved.accel_mps2[2:-2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(moved.jerk_mps3[3:-3], 2.5, rtol=3e-3)
+    np.testing.assert_allclose(moved.yaw_rate_radps, 0.5, rtol=1e-9)
 
 
 def test_cubic_has_constant_jerk():
     """x = 2 t^3 / 6: jerk 2."""
     time = 0.1 * np.arange(60)
     moved = motion(stack([make_track(2 * time**3 / 6)], step_s=0.1))
-    np.testing.assert_allclose(moved.jerk_norm[4:-4], 2.0, atol=1e-7)
+    np.testing.assert_allclose(moved.jerk_mps3[4:-4], 2.0, atol=1e-7)
 
 
 def test_headings_across_pi_are_no_turn():
     moved = motion(stack([make_track(np.arange(6.0), heading=[3.1, 3.14, -3.13, -3.1, -3.08, -3.05])], step_s=0.1))
-    assert np.abs(moved.yaw_rate).max() < 1.0
+    assert np.abs(moved.yaw_rate_radps).max() < 1.0
 
 
 def test_tracks_of_less_than_five_steps_are_not_counted():
@@ -88,7 +88,7 @@ def test_missing_steps_keep_their_time():
     track = Track("t", "vehicle", 1, steps, position, np.zeros(8), np.zeros((8, 2)), BoxSize(4, 2))
     found = measured(track)
     assert found.lo[0] == pytest.approx(0.0, abs=1e-9)
-    np.testing.assert_allclose(motion(stack([track], step_s=0.1)).speed, 10.0)
+    np.testing.assert_allclose(motion(stack([track], step_s=0.1)).speed_mps, 10.0)
 
 
 def test_scr_is_the_share_of_vehicles_that_collide_at_any_step():

@@ -115,7 +115,8 @@ def test_orr_and_footprint_equal_shapely_point_by_point(real_scene):
     for row in vehicles.itertuples():
         outside += not area.intersects(shapely.Point(row.position_x, row.position_y))
         box = corners(row.position_x, row.position_y, row.heading, *sizes[row.track_id])
-        footprint += any(not area.contains(p) and area.distance(p) > 0.3 for p in map(shapely.Point, box))
+        outline = shapely.segmentize(shapely.LinearRing(box), 0.5)
+        footprint += any(not area.contains(p) and area.distance(p) > 0.3 for p in map(shapely.Point, outline.coords))
     scenario = read_scenario(real_scene)
     arrays = stack(scenario.tracks, step_s=0.1)
     members = arrays.vehicle[arrays.agent]
@@ -213,7 +214,7 @@ def seen_by_scene(real_scenes):
         scenario = read_scenario(folder)
         arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=0.1)
         lanes = flatten_lanes(scenario.graph)
-        matches, _ = match_lanes(arrays, lanes)
+        matches = match_lanes(arrays, lanes)
         found[folder.name[:8]] = detect(arrays, lanes, matches)
     return found
 

@@ -21,7 +21,7 @@ from scene_checker import check_scene
 from bridge.generation.generate import GeneratedScene, generate, prepare
 from bridge.recordings.scenario import Scenario, read_scenario
 from hid2.agents import VEHICLE_TYPES, Policy, Track
-from hid2.params import Config, Request
+from hid2.params import Config, Driving, Request
 from hid2.reasons import Reason
 
 Make = Callable[[Path, int, int], GeneratedScene]
@@ -41,7 +41,8 @@ def make() -> Make:
         if key not in scenes:
             if folder not in scenarios:
                 scenarios[folder] = read_scenario(folder)
-            scenes[key] = generate(scenarios[folder], Config(request=Request(agents=agents, seed=seed)))
+            config = Config(request=Request(agents=agents, seed=seed), driving=Driving(check_replay=True))
+            scenes[key] = generate(scenarios[folder], config)
         return scenes[key]
 
     return once
@@ -144,15 +145,16 @@ def test_algorithm_1_decides_at_every_step_of_every_vehicle(real_scene: Path, se
 
 
 def test_exported_way_is_the_simulated_one(real_scenes: list[Path], make: Make) -> None:
-    """Exported s(t) within 0.5 m of SUMO's in the median vehicle, 1.5 m at the 95th percentile."""
+    """Exported s(t) within 0.3 m of SUMO's in the median vehicle, 0.8 m at the 95th percentile, 2 m in all."""
     off = [
         float(np.abs(vehicle.simulated_off_m).max())
         for folder in real_scenes
         for seed in (0, 1)
         for vehicle in make(folder, 10, seed).vehicles
     ]
-    assert statistics.median(off) <= 0.5
-    assert np.percentile(off, 95) <= 1.5
+    assert statistics.median(off) <= 0.3
+    assert np.percentile(off, 95) <= 0.8
+    assert max(off) <= 2.0
 
 
 @pytest.mark.slow
@@ -241,7 +243,8 @@ def test_second_scene_of_a_process_is_that_of_a_process_of_its_own(real_scenes: 
     """Nothing of a scene is left behind for the next one: the same vehicles whatever was generated before."""
     first = make(real_scenes[1], 10, 0)
     generate(read_scenario(real_scenes[5]), Config(request=Request(agents=3)))
-    again = generate(first.scenario, Config(request=Request(agents=10, seed=0)))
+    config = Config(request=Request(agents=10, seed=0), driving=Driving(check_replay=True))
+    again = generate(first.scenario, config)
     assert again.sidecar == first.sidecar
     for one, other in zip(first.generated, again.generated, strict=True):
         assert np.array_equal(one.position, other.position)

@@ -18,7 +18,7 @@ from bridge.recordings.map_rules import read_source_map
 from bridge.sumo.net import convert
 from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.lane_graph import LaneGraph
-from netconvert.net_xml import write_net
+from netconvert.net_xml import net_bytes
 
 # libsumo allows one simulation a process and prints its warnings past Python: each net gets a process of its own.
 DUMP = """
@@ -155,7 +155,7 @@ ODD_MAPS = {
 def test_sumo_loads_an_odd_map_without_a_word(name: str, tmp_path: Path) -> None:
     grid = build_cell_grid(LaneGraph({lane.lane_id: lane for lane in ODD_MAPS[name]}), max_skew_m=4.0)
     net = tmp_path / "odd.net.xml"
-    write_net(grid, net)
+    net.write_bytes(net_bytes(grid))
     schema = _schema("net_file.xsd")
     assert schema.validate(etree.parse(net)), schema.error_log.last_error
     assert _messages("-n", str(net)) == ""

@@ -71,7 +71,8 @@ def driven(start: Start, v: npt.ArrayLike, **changes: Any) -> DrivenVehicle:
     """A vehicle with the speeds v (T,) m/s, as SUMO moves it: by the new speed of every step."""
     speed = np.asarray(v, dtype=np.float64)
     s = start.start_s + np.concatenate([[0.0], np.cumsum(0.1 * speed[1:])])
-    return DrivenVehicle(**{"start": start, "path": start.path, "s": s.tolist(), "v": speed.tolist(), **changes})
+    where = {"s": s.tolist(), "v": speed.tolist(), "jumped_m": [0.0] * s.size}
+    return DrivenVehicle(**{"start": start, "path": start.path, **where, **changes})
 
 
 def changing(scene: Scene, start: Start, v: npt.ArrayLike, *, to: int, at_step: int, lasting_s: float) -> DrivenVehicle:

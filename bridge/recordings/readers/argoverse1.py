@@ -20,47 +20,29 @@ _VECTOR_MAPS = "pruned_argoverse_*_vector_map.xml"
 _ABOVE = 4
 
 
-class Argoverse1(Reader):
-    """Sequences: CSV files named by a number. Their maps are files of the whole city, or one chosen by the user."""
+def _find(path: Path, names: frozenset[str], choices: Choices) -> list[Address]:
+    """By number. Errors: NoSceneError where there are no map files for them."""
+    numbers = {name: int(named[1]) for name in names if (named := _SEQUENCE.fullmatch(name))}
+    folder = path if numbers else path.parent
+    split = next((_SPLITS[place.name] for place in _above(folder) if place.name in _SPLITS), None)
+    map_path = _chosen_map(choices.map_path) if choices.map_path is not None else _city_maps(folder)
+    places = [folder / name for name in sorted(numbers, key=lambda name: (numbers[name], name)) or [path.name]]
+    name = ARGOVERSE1.name
+    return [Source(place, name, _scenario_id(place, split, map_path), split, 0, map_path) for place in places]
 
-    name = "argoverse1"
-    one, many = "Argoverse 1 sequence", "Argoverse 1 sequences"
-    lacks = (
-        "Argoverse 1 tells no types, sizes and headings: every track is taken for a vehicle of 4.5 x 1.9 m, headings "
-        "and velocities come from smoothed positions, who stands keeps the heading or has that of the lane; its maps "
-        "tell no lane boundaries: lanes are 3.8 m wide"
-    )
-    is_folder = False
 
-    def sniff(self, path: Path, names: frozenset[str]) -> bool:
-        """A file of such a name, or a folder with one."""
-        return _is_sequence(path) or any(_SEQUENCE.fullmatch(name) for name in names)
+def _files(source: Source) -> list[Path]:
+    """Sequence and map; all maps of a folder, as the sequence tells its city."""
+    found = [source.path]
+    if source.map_path is not None:
+        found += [source.map_path] if source.map_path.is_file() else sorted(source.map_path.iterdir())
+    return [path for path in found if path.is_file()]
 
-    def find(self, path: Path, names: frozenset[str], choices: Choices) -> list[Address]:
-        """By number. Errors: NoSceneError where there are no map files for them."""
-        numbers = {name: int(named[1]) for name in names if (named := _SEQUENCE.fullmatch(name))}
-        folder = path if numbers else path.parent
-        split = next((_SPLITS[place.name] for place in _above(folder) if place.name in _SPLITS), None)
-        map_path = _chosen_map(choices.map_path) if choices.map_path is not None else _city_maps(folder)
-        found: list[Address] = []
-        for name in sorted(numbers, key=lambda name: (numbers[name], name)) or [path.name]:
-            place = folder / name
-            found.append(Source(place, self.name, _scenario_id(place, split, map_path), split, 0, map_path))
-        return found
 
-    def files(self, source: Source) -> list[Path]:
-        """Sequence and map; all maps of a folder, as the sequence tells its city."""
-        found = [source.path]
-        if source.map_path is not None:
-            is_file = source.map_path.is_file()
-            found += [source.map_path] if is_file else sorted(entry for entry in source.map_path.iterdir())
-        return [path for path in found if path.is_file()]
+def _read(source: Source) -> "Recording":
+    from bridge.recordings.argoverse1 import read
 
-    def read(self, source: Source) -> "Recording":
-        """Errors: ScenarioError, MapError."""
-        from bridge.recordings.argoverse1 import read
-
-        return read(source)
+    return read(source)
 
 
 def _is_sequence(path: Path) -> bool:
@@ -107,3 +89,19 @@ def _scenario_id(path: Path, split: str | None, map_path: Path) -> str:
     if map_path.is_file():
         parts += ["on", map_path.stem.removeprefix(MAP_PATTERN.split("*")[0])]
     return "-".join(parts)
+
+
+#: CSV files named by a number. Their maps are files of the whole city, or one chosen by the user.
+ARGOVERSE1 = Reader(
+    name="argoverse1",
+    one="Argoverse 1 sequence",
+    many="Argoverse 1 sequences",
+    sniff=lambda path, names: _is_sequence(path) or any(_SEQUENCE.fullmatch(name) for name in names),
+    find=_find,
+    files=_files,
+    read=_read,
+    lacks="Argoverse 1 tells no types, sizes and headings: every track is taken for a vehicle of 4.5 x 1.9 m, headings "
+    "and velocities come from smoothed positions, who stands keeps the heading or has that of the lane; its maps "
+    "tell no lane boundaries: lanes are 3.8 m wide",
+    is_folder=False,
+)

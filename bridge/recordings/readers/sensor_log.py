@@ -21,41 +21,26 @@ if TYPE_CHECKING:
     from bridge.recordings.recording import Recording
 
 
-class SensorLog(Reader):
-    """Windows of sensor logs. An id is the log's for the first window, of log and first sweep for any other."""
+def _find(path: Path, _: frozenset[str], choices: Choices) -> list[Address]:
+    """The window that was chosen, and with a stride all from there on that fit."""
+    starts = [choices.window]
+    if choices.stride is not None:
+        from bridge.recordings.sensor_log import last_start
 
-    name = "sensor_log"
-    one, many = "window of an Argoverse 2 sensor log", "windows of Argoverse 2 sensor logs"
-    lacks = (
-        "Sensor logs have no focal and scored tracks and no centrelines of lanes: the longest path of a vehicle that "
-        "is seen throughout is focal, centrelines run midway between the boundaries"
-    )
-    is_folder = True
+        starts = list(range(choices.window, max(last_start(path), choices.window) + 1, choices.stride))
+    log_id, split = _log_id(path), split_of(path)
+    return [Source(path, SENSOR_LOG.name, window_id(log_id, start), split, start) for start in starts]
 
-    def sniff(self, path: Path, names: frozenset[str]) -> bool:
-        """By the names of annotations or poses."""
-        return POSES in names or bool(fnmatch.filter(names, ANNOTATIONS))
 
-    def find(self, path: Path, names: frozenset[str], choices: Choices) -> list[Address]:
-        """The window that was chosen, and with a stride all from there on that fit."""
-        starts = [choices.window]
-        if choices.stride is not None:
-            from bridge.recordings.sensor_log import last_start
+def _files(source: Source) -> list[Path]:
+    found = [*sorted(source.path.glob(ANNOTATIONS))[:1], source.path / POSES, *log_maps(source.path)]
+    return [path for path in found if path.is_file()]
 
-            starts = list(range(choices.window, max(last_start(path), choices.window) + 1, choices.stride))
-        log_id, split = _log_id(path), split_of(path)
-        return [Source(path, self.name, window_id(log_id, start), split, start) for start in starts]
 
-    def files(self, source: Source) -> list[Path]:
-        """Annotations, poses, map."""
-        found = [*sorted(source.path.glob(ANNOTATIONS))[:1], source.path / POSES, *log_maps(source.path)]
-        return [path for path in found if path.is_file()]
+def _read(source: Source) -> "Recording":
+    from bridge.recordings.sensor_log import read
 
-    def read(self, source: Source) -> "Recording":
-        """Errors: ScenarioError, MapError."""
-        from bridge.recordings.sensor_log import read
-
-        return read(source)
+    return read(source)
 
 
 def window_id(log_id: str, start: int) -> str:
@@ -73,3 +58,17 @@ def _log_id(log: Path) -> str:
     maps = log_maps(log)
     named = LOG_MAP_NAME.fullmatch(maps[0].stem) if len(maps) == 1 else None
     return named[1] if named is not None else log.absolute().name
+
+
+#: Windows of sensor logs. An id is the log's for the first window, of log and first sweep for any other.
+SENSOR_LOG = Reader(
+    name="sensor_log",
+    one="window of an Argoverse 2 sensor log",
+    many="windows of Argoverse 2 sensor logs",
+    sniff=lambda _, names: POSES in names or bool(fnmatch.filter(names, ANNOTATIONS)),
+    find=_find,
+    files=_files,
+    read=_read,
+    lacks="Sensor logs have no focal and scored tracks and no centrelines of lanes: the longest path of a vehicle that "
+    "is seen throughout is focal, centrelines run midway between the boundaries",
+)

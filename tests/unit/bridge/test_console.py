@@ -5,7 +5,7 @@ import time
 import pytest
 
 from bridge import console
-from bridge.console import Activity, duration, fail, print_json, warn
+from bridge.console import Activity, duration, fail, print_json, say, warn
 
 
 @pytest.fixture
@@ -40,6 +40,22 @@ def test_counted_work_says_how_much_is_done_and_left(impatient: None, capsys: py
     assert capsys.readouterr().err.splitlines()[0] == "generating: 3 of 12 (1 quarantined), 30.0/min, 18 s left"
 
 
+def test_terminal_has_one_line_that_is_written_anew_and_cleared_for_messages_and_in_the_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On a terminal of 20 columns, cut to 19; a message stands above it."""
+    monkeypatch.setattr(console.sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "20")
+    with Activity("generating", quiet=False) as activity:
+        activity.show(1, 2, 0.0, " (3 complete before)")
+        time.sleep(0.5)
+        say("a message")
+    *lines, end = capsys.readouterr().err.split("\r\x1b[K")
+    assert set(lines) == {"", "generating: 1 of 2 ", "a message\n"}
+    assert end == ""
+
+
 def test_nothing_done_yet_has_no_rate(impatient: None, capsys: pytest.CaptureFixture[str]) -> None:
     with Activity("generating", quiet=False) as activity:
         activity.show(0, 3)
@@ -65,7 +81,7 @@ def test_quiet_says_messages_only(impatient: None, capsys: pytest.CaptureFixture
     with Activity("starting", quiet=True) as activity:
         activity.show(1, 2)
         activity.note("not needed")
-        activity.message("needed")
+        say("needed")
         time.sleep(0.7)
     assert capsys.readouterr().err == "needed\n"
 

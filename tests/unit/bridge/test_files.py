@@ -1,12 +1,25 @@
 """Files are there whole or not at all; those of others may be anything."""
 
+import csv
 import errno
+import io
 import os
 from pathlib import Path
 
 import pytest
 
-from bridge.files import beside, disk_error, explained, make_folder, one_line, read_regular, write_text
+from bridge.files import (
+    append_rows,
+    beside,
+    disk_error,
+    explained,
+    make_folder,
+    one_line,
+    read_regular,
+    untabled,
+    write_rows,
+    write_text,
+)
 from netconvert.errors import DiskFullError, ExportError
 
 
@@ -74,3 +87,32 @@ def test_full_disk_is_told_from_other_failures() -> None:
     assert disk_error(raised(errno.EDQUOT)) is not None
     assert not isinstance(raised(errno.ENOTDIR), DiskFullError)
     assert disk_error(raised(errno.ENOTDIR)) is None
+
+
+@pytest.mark.parametrize("text", ["=cmd", "+cmd|' /C calc'!A0", "-2+3", "@SUM(A1)", "\t=1", "'=cmd", "-gen_0", "--"])
+def test_text_that_a_spreadsheet_would_run_goes_behind_an_apostrophe_and_comes_back(text: str) -> None:
+    stream = io.StringIO()
+    append_rows(stream, [[text]])
+    ((cell,),) = csv.reader(io.StringIO(stream.getvalue()))
+    assert cell == f"'{text}"
+    assert untabled(cell) == text
+
+
+@pytest.mark.parametrize("value", [-1, -2.5, "-2.5", "+1e-07", "-inf", "-", "", "gen_0", "'quoted'", "a=b", None])
+def test_numbers_and_other_texts_stay_as_they_are(value: object) -> None:
+    stream = io.StringIO()
+    append_rows(stream, [["first", value]])
+    ((_, cell),) = csv.reader(io.StringIO(stream.getvalue()))
+    assert cell == ("" if value is None else str(value))
+    assert untabled(cell) == cell
+
+
+def test_table_without_rows_has_its_header(tmp_path: Path) -> None:
+    write_rows(tmp_path / "table.csv", ("a", "=b"), [])
+    assert (tmp_path / "table.csv").read_text() == "a,'=b\n"
+
+
+def test_long_value_in_a_message_leaves_what_is_expected_to_be_read() -> None:
+    shown = one_line(f"key = {'x' * 100_000}, expected a number", most=100)
+    assert len(shown) == 100
+    assert (shown[:10], shown[-19:]) == ("key = xxxx", ", expected a number")

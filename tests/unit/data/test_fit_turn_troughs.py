@@ -25,12 +25,11 @@ def script(data_root: Path) -> Iterator[ModuleType]:
 
 def _turns(script: ModuleType, *, left: int, right: int, left_trough: float = 0.6, right_trough: float = 0.8):
     """Turns of a shape, half of them 0.05 above it and half as much below: their median is the shape."""
-    turns = script.Turns()
-    for side, count, trough in (("left", left, left_trough), ("right", right, right_trough)):
-        for k in range(count):
-            turns.profiles[side].append(turn_shape(script.ALPHA, trough, 0.35) + (0.05 if k % 2 else -0.05))
-            turns.entry_mps[side].append(7.0)
-    return turns
+    return [
+        script.Pass(side, turn_shape(script.ALPHA, trough, 0.35) + (0.05 if k % 2 else -0.05), 7.0)
+        for side, count, trough in (("left", left, left_trough), ("right", right, right_trough))
+        for k in range(count)
+    ]
 
 
 def test_troughs_of_both_sides_and_their_place_are_recovered(script: ModuleType) -> None:

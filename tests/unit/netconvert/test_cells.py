@@ -52,7 +52,7 @@ def test_cells_come_by_lane_and_index(two_lanes: CellGrid) -> None:
 
 
 def test_the_center_of_a_cell_is_the_middle_of_its_centreline(two_lanes: CellGrid) -> None:
-    assert two_lanes.center(Cell(2, 1)).tolist() == [3.75, 4.0]
+    assert two_lanes.centers[two_lanes.index_of[Cell(2, 1)]].tolist() == [3.75, 4.0]
     assert two_lanes.length_m(Cell(1, 0)) == 3.125
 
 
@@ -84,7 +84,7 @@ def test_facing_cells_are_lanes_of_one_edge_counted_from_the_right(two_lanes: Ce
     assert two_lanes.edge_id(Cell(2, 2)) == "1#2"
     assert two_lanes.lane_index(Cell(2, 2)) == 1
     assert two_lanes.cell_of_sumo_lane["1#2_1"] == Cell(2, 2)
-    assert two_lanes.row(Cell(2, 2)) == (Cell(1, 2), Cell(2, 2))
+    assert (Cell(1, 2), Cell(2, 2)) in two_lanes.rows()
     assert [len(row) for row in two_lanes.rows()] == [2, 2, 2, 2, 1, 1]
 
 
@@ -130,30 +130,6 @@ def test_a_split_of_three_lanes_keeps_the_pair_that_is_not_skewed(lane: Lane, gr
 def test_links_that_the_graph_dropped_are_lost_in_the_grid(lane: Lane, graph: Graph) -> None:
     grid = build_cell_grid(graph(lane(1, [(0, 0), (10, 0)], successors=(7,))))
     assert grid.lost_links == (("successor", 1, 7, "the other lane is outside the map"),)
-
-
-def test_crossing_cells_overlap_and_touching_ones_do_not(lane: Lane, graph: Graph) -> None:
-    """
-                 |   | lane 2, northbound, x in 8 .. 12
-         --------+---+--------
-    lane 1   0   | 2 |            cells of 4 m: (1, 2) is x in 8 .. 12
-         --------+---+--------
-                 |   |
-    Lane 3 lies beside lane 1 and touches it along its whole length.
-    """
-    grid = build_cell_grid(
-        graph(
-            lane(1, [(0, 0), (20, 0)], left=3, successors=(4,)),
-            lane(2, [(10, -10), (10, 2)]),
-            lane(3, [(0, 4), (20, 4)], right=1),
-            lane(4, [(20, 0), (28, 0)]),
-        )
-    )
-    assert grid.overlaps(Cell(1, 2)) == (Cell(2, 2),)
-    assert grid.overlaps(Cell(2, 2)) == (Cell(1, 2),)
-    assert grid.overlaps(Cell(1, 1)) == ()
-    assert grid.overlaps(Cell(3, 2)) == ()
-    assert grid.overlaps(Cell(1, 4)) == ()
 
 
 def test_a_cell_covers_its_part_of_the_lane_between_the_boundaries(lane: Lane, graph: Graph) -> None:

@@ -1,13 +1,11 @@
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 from lxml import etree
 
 from netconvert.cells import build_cell_grid
-from netconvert.errors import NetError
 from netconvert.lane_graph import LaneGraph, LaneSegment
-from netconvert.net_xml import net_bytes, write_net
+from netconvert.net_xml import net_bytes
 
 Lane = Callable[..., LaneSegment]
 Graph = Callable[..., LaneGraph]
@@ -117,11 +115,3 @@ def test_the_net_has_a_version_and_no_offset(fork: LaneGraph) -> None:
 
 def test_equal_grids_give_equal_bytes(fork: LaneGraph) -> None:
     assert net_bytes(build_cell_grid(fork)) == net_bytes(build_cell_grid(LaneGraph(fork.lanes)))
-
-
-def test_a_net_that_cannot_be_written_is_an_error_that_names_the_file(fork: LaneGraph, tmp_path: Path) -> None:
-    grid = build_cell_grid(fork)
-    write_net(grid, tmp_path / "x.net.xml")
-    assert (tmp_path / "x.net.xml").read_bytes() == net_bytes(grid)
-    with pytest.raises(NetError, match=r"missing/x\.net\.xml: cannot write the net"):
-        write_net(grid, tmp_path / "missing" / "x.net.xml")

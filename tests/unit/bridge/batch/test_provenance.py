@@ -10,6 +10,7 @@ from recordings import make_argoverse1
 from bridge.batch.batch import Options, plan, run_batch
 from bridge.batch.provenance import make_again
 from bridge.config import load_config
+from bridge.recordings.sidecar import read_sidecar
 from bridge.recordings.sources import find_sources
 from netconvert.errors import ConfigError, NoSceneError, ScenarioError
 
@@ -40,6 +41,46 @@ def test_a_scene_of_another_format_is_made_again(tmp_path: Path) -> None:
     folder = tmp_path / "first" / row.folder
     made = make_again(sidecar_of(folder), root / "train", tmp_path / "again")
     assert (made.folder.name, made.differences, made.compared) == (folder.name, (), True)
+
+
+def edited(folder: Path, **values: object) -> str:
+    """Edit a sidecar; returns its former text."""
+    before = sidecar_of(folder).read_text()
+    sidecar_of(folder).write_text(json.dumps(json.loads(before) | values))
+    return before
+
+
+def test_what_another_program_made_is_compared_but_for_the_program(
+    scene: Path, data_root: Path, tmp_path: Path
+) -> None:
+    """Scenes of schema 1 say neither code nor libraries, others what differs; the scene itself is compared as ever."""
+    here = read_sidecar(sidecar_of(scene)).program
+    before = edited(scene, schema_version="1", generator={"name": "hid2-sumo", "version": "0.1.9"})
+    made = make_again(sidecar_of(scene), data_root, tmp_path / "first-schema")
+    assert made.differences == ()
+    assert made.program == ", ".join(
+        [f"hid2-sumo 0.1.9 then and {here['hid2-sumo']} now"]
+        + [f"{name} not said then and {here[name]} now" for name in ("code", "numpy", "numba", "geos")]
+    )
+    sidecar_of(scene).write_text(before)
+    generator = json.loads(before)["generator"]
+    edited(scene, generator=generator | {"code_sha256": "0" * 64})
+    made = make_again(sidecar_of(scene), data_root, tmp_path / "other-code")
+    assert (made.differences, made.program) == ((), f"code {'0' * 12} then and {here['code']} now")
+    edited(scene, rejected=[{"reason": "spare", "count": 999}])
+    (line,) = make_again(sidecar_of(scene), data_root, tmp_path / "other-scene").differences
+    assert line.endswith(f"differs from {sidecar_of(scene)}; {made.program}")
+
+
+def test_configuration_of_another_program_is_an_error_that_names_it(
+    scene: Path, data_root: Path, tmp_path: Path
+) -> None:
+    config = json.loads(sidecar_of(scene).read_text())["config"]
+    edited(scene, config=config | {"later": {"value": 1}})
+    with pytest.raises(
+        ConfigError, match=r"later.*; made by hid2-sumo .*, code [0-9a-f]{12}, SUMO .*: use that program$"
+    ):
+        make_again(sidecar_of(scene), data_root, tmp_path / "again")
 
 
 def test_a_file_that_differs_is_named(scene: Path, data_root: Path, tmp_path: Path) -> None:

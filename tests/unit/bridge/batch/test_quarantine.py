@@ -174,14 +174,14 @@ def test_crafted_archive_is_refused_in_one_line(tmp_path: Path, name: str) -> No
 def test_own_function_is_agreed_to_by_name(tmp_path: Path) -> None:
     path = craft(tmp_path / "b.zip", members(function="mine:work"))
     refused(path, "--function mine:work")
-    assert read_bundle(path, tmp_path / "again", function="mine:work").function == "mine:work"
+    assert read_bundle(path, tmp_path / "again", functions={"mine:work"}).function == "mine:work"
     with pytest.raises(BatchError):
-        read_bundle(path, tmp_path / "third", function="mine:other")
+        read_bundle(path, tmp_path / "third", functions={"mine:other"})
 
 
 def test_rule_of_a_configuration_is_agreed_to_by_name(tmp_path: Path) -> None:
     """A configuration may name a function too: nothing of a bundle is imported without a word of who runs it."""
     path = craft(tmp_path / "b.zip", members(config={"lane_change": {"rule": "mine:accept"}}))
     refused(path, "--function mine:accept")
-    agreed = read_bundle(path, tmp_path / "again", function="mine:accept")
+    agreed = read_bundle(path, tmp_path / "again", functions={"mine:accept"})
     assert agreed.config.lane_change.rule == "mine:accept"

@@ -9,6 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from breaches import breaches
 
 from bridge.forecasting.compose import check_leaks, compose
 from bridge.forecasting.composition import (
@@ -19,11 +20,10 @@ from bridge.forecasting.composition import (
     composition_of_sources,
     read_composition,
 )
-from bridge.forecasting.places import SceneFacts, groups_of, leaks_between, overlapping, split_by_place
+from bridge.forecasting.places import SceneFacts, groups_of, leaks_between, split_by_place
 from bridge.recordings.export import write_scene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
-from bridge.recordings.validate import validate_folder
 from netconvert.errors import ConfigError, NoSceneError
 
 
@@ -76,7 +76,7 @@ def test_a_mix_is_split_by_place_and_readers_find_it(data_root, generated, tmp_p
     assert not sources["train"] & sources["val"]
     assert [row["kind"] for row in origins(root) if row["split"] == "val"] == ["recorded"]
     assert check_leaks(root) == []
-    assert [finding for finding in validate_folder(root, source=data_root) if not finding.is_note] == []
+    assert [finding for finding in breaches(root, source=data_root) if not finding.is_note] == []
 
 
 def test_folders_are_real_and_files_are_links(data_root, generated, tmp_path):
@@ -116,7 +116,7 @@ def test_qcnet_finds_its_scenes_in_raw(data_root, generated, tmp_path):
     root = composed(mixed(data_root, generated, layout="qcnet"), tmp_path / "root").root
     assert {path.parent.name for path in find_scenarios(root)} == {"raw"}
     assert len(find_scenarios(root / "train")) == 4
-    assert [finding for finding in validate_folder(root) if not finding.is_note] == []
+    assert [finding for finding in breaches(root) if not finding.is_note] == []
     assert {read_scenario(path).split for path in find_scenarios(root)} == {"train", "val"}
 
 
@@ -241,8 +241,8 @@ def test_groups_join_blocks_sources_and_logs():
 
 def test_ground_is_of_a_city():
     facts = [fact("a", cells=(1, 2)), fact("b", cells=(2, 3)), fact("c", cells=(2,), city="austin")]
-    assert overlapping(facts, [0, 2], [1]) == {0: 1}
-    assert [leak.why for leak in leaks_between(facts, [0, 2], [1])] == ["lies where there is"]
+    (leak,) = leaks_between(facts, [0, 2], [1])
+    assert (leak.folder, leak.other, leak.why) == (Path("a"), Path("b"), "lies where there is")
 
 
 def test_cities_and_densities_are_on_both_sides_in_proportion():

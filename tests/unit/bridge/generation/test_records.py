@@ -6,7 +6,7 @@ import pytest
 from bridge.generation.generate import GeneratedScene, generate, prepare
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import Policy, Track
-from hid2.params import Config, Request, Spawn
+from hid2.params import Config, Driving, Request, Spawn
 from netconvert.geometry import Polyline
 
 OVERTAKES = {"straight": 0.7, "left_turn": 0.0, "right_turn": 0.0, "lane_change": 0.0, "overtake": 0.3}
@@ -98,3 +98,19 @@ def test_failed_manoeuvres_are_given_to_other_vehicles(arterial):
         return sum(record.status != "done" for _, _, record in records)
 
     assert failed(2) < failed(0)
+
+
+def test_replay_of_every_recorded_agent_is_measured_where_that_is_asked_for(arterial):
+    """The vehicles drive alike: agents that are near no path of theirs are nothing to them."""
+    request = Request(agents=4, seed=3)
+    scenes = [
+        generate(arterial, Config(request=request, driving=Driving(check_replay=check))) for check in (False, True)
+    ]
+    without, measured = (scene.sidecar.replay for scene in scenes)
+    assert (without.checked, without.states) == (False, 0)
+    assert measured.checked
+    assert measured.states == sum(track.timesteps.size for track in scenes[1].scenario.tracks)
+    assert measured.max_position_error_m <= 0.001
+    assert measured.max_heading_error_rad <= 0.001
+    for one, other in zip(*(scene.generated for scene in scenes), strict=True):
+        np.testing.assert_array_equal(one.position, other.position)

@@ -174,7 +174,7 @@ def test_unknown_ending_step_or_agent_is_explained(data_scenes, tmp_path):
 
 
 def test_film_that_fails_half_way_leaves_nothing(data_scenes, tmp_path, monkeypatch):
-    def fail(self, steps):
+    def fail(self, steps, on_frame):
         yield np.zeros((64, 64, 3), dtype=np.uint8)
         raise OSError("no more memory")
 
@@ -226,6 +226,16 @@ def test_plot_marks_the_moments_of_the_sidecar(made_scene, tmp_path, monkeypatch
     maneuver = next(m for m in agent.maneuvers if m.crossing_s)
     assert {round(t, 6) for t in (maneuver.trigger_s, maneuver.start_s, maneuver.crossing_s) if t is not None} <= lines
     plt.close(kept[0])
+
+
+def test_film_without_ffmpeg_is_an_error_that_says_where_to_look(data_scenes, tmp_path, monkeypatch):
+    monkeypatch.setattr("imageio_ffmpeg._utils._get_ffmpeg_exe", lambda: None)  # its own removed, none installed
+    monkeypatch.delenv("IMAGEIO_FFMPEG_EXE", raising=False)
+    with pytest.raises(
+        ExportError, match=r"found no program ffmpeg, which writes \.mp4: see INSTALL\.md, or ask for \.gif"
+    ):
+        render_scene(data_scenes["arterial"], tmp_path / "scene.mp4")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_plot_of_a_recorded_track_is_written(data_scenes, tmp_path):

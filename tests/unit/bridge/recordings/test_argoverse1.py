@@ -1,4 +1,4 @@
-"""Argoverse 1 in: sequences and city maps; the synthetic data set of data/make_argoverse1.py has the format."""
+"""Argoverse 1 in: sequences and city maps; the synthetic data set of support/recordings.py has the format."""
 
 import csv
 import shutil

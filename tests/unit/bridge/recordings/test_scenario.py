@@ -136,7 +136,10 @@ def test_sources_are_recorded_scenes_each_once(
     (tmp_path / "link").symlink_to(root / "val" / data_scenes["intersection"].name)
     found = find_sources([root, tmp_path / "link", root / "train"])
     assert found == [root / scene.relative_to(data_root) for scene in sorted(data_scenes.values())]
-    assert caplog.messages == [f"{root}: 1 of 4 scenes passed over, which hid2 wrote"]
+    assert caplog.messages == [
+        f"{root}: 1 of 4 scenes passed over, which hid2 wrote",
+        f"{tmp_path / 'link'} (and 2 more): given more than once, done once",
+    ]
     with pytest.raises(ScenarioError, match=r"generated: holds generated scenes only .*; give recorded ones"):
         find_sources([root, generated])
 

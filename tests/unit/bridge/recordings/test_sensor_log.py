@@ -14,9 +14,8 @@ from recordings import LOG_ID, make_log, write_feather
 
 from bridge.recordings.folders import Choices, Source
 from bridge.recordings.readers.sensor_log import window_id
-from bridge.recordings.recording import Recording
+from bridge.recordings.recording import Recording, velocity_of
 from bridge.recordings.scenario import read_scenario
-from bridge.recordings.sensor_log import velocity_of
 from bridge.recordings.sources import described, find_recordings, read_recording
 from netconvert.errors import Hid2Error, MapError, ScenarioError
 
@@ -89,9 +88,9 @@ def test_velocity_is_the_derivative_of_a_run() -> None:
     """x = t^2 in steps of 0.1 s: v = 2 t, also of runs of one, two and three samples as far as they tell."""
     t = 0.1 * np.arange(12)
     xy = np.column_stack([t**2, 3 * t])
-    assert velocity_of(xy) == pytest.approx(np.column_stack([2 * t, np.full(12, 3.0)]))
-    assert velocity_of(xy[:1]) == pytest.approx(np.zeros((1, 2)))
-    assert velocity_of(xy[:2]) == pytest.approx(np.array([[0.1, 3.0], [0.1, 3.0]]))
+    assert velocity_of(xy, 7, step_s=0.1) == pytest.approx(np.column_stack([2 * t, np.full(12, 3.0)]))
+    assert velocity_of(xy[:1], 7, step_s=0.1) == pytest.approx(np.zeros((1, 2)))
+    assert velocity_of(xy[:2], 7, step_s=0.1) == pytest.approx(np.array([[0.1, 3.0], [0.1, 3.0]]))
 
 
 # What is wrong

@@ -1,16 +1,18 @@
 """Designs of studies and their tables."""
 
+import gzip
 from pathlib import Path
 
 import pytest
 
-from bridge.config import load_config
+from bridge.batch.manifest import DONE, ManifestRow
+from bridge.config import config_sha256, load_config
 from bridge.generation.generate import generate
 from bridge.recordings.corridor import write_corridor
 from bridge.recordings.scenario import read_scenario
-from bridge.studies.study import _counts, read_study
+from bridge.studies.study import RUN_FILE, _counts, read_study, tables
 from hid2.reasons import Reason
-from netconvert.errors import ConfigError
+from netconvert.errors import BatchError, ConfigError
 
 ROOT = Path(__file__).parents[4]
 
@@ -19,6 +21,28 @@ def study_file(tmp_path: Path, text: str, scenes: Path) -> Path:
     path = tmp_path / "s.toml"
     path.write_text(f'scenes = ["{scenes}"]\n{text}')
     return path
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (gzip.compress(bytes(40_000_000)), "unpacks to more than 32 MB"),
+        (b"no gzip", "gzip"),
+        (gzip.compress(b'{"requests": [], "flow": []}')[:-9], "gzip"),
+        (gzip.compress(b"[" * 5_000), "run of a study"),
+        (gzip.compress(b'{"requests": [{"kind": "lane_change"}], "flow": []}'), "requests without accepted"),
+        (gzip.compress(b"[]"), "run of a study"),
+    ],
+)
+def test_run_in_a_folder_that_is_continued_is_read_up_to_its_limits(
+    tmp_path: Path, data_root: Path, content: bytes, said: str
+) -> None:
+    study = read_study(study_file(tmp_path, "seeds = [0]\n[vary]\ntrigger_s = [1.0]\n", data_root))
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / RUN_FILE).write_bytes(content)
+    row = ManifestRow("a", "val", 0, 0, DONE, folder="run", config_sha256=config_sha256(study.configs[0][0]))
+    with pytest.raises(BatchError, match=said):
+        tables(study, [row], tmp_path)
 
 
 def test_grid_is_every_combination_with_every_seed(tmp_path: Path, data_root: Path) -> None:

@@ -160,7 +160,7 @@ def test_conflict_that_no_timing_solves_is_answered_by_another_way_at_the_next_s
     assert [segment.lane_id for segment in one.path.segments] == [1, 3]
     assert one.left_at is None
     assert np.diff(one.s) == pytest.approx(0.1 * np.array(one.v[1:]), abs=0.02)
-    assert isinstance(finalise(scene, one, nobody(scene.future.num_steps)), ExportedVehicle)
+    assert isinstance(finalise(scene, one, []), ExportedVehicle)
 
 
 @pytest.mark.parametrize("stays", [{"is_held": True}, {"policy": Policy.LANE_CHANGE}])
@@ -236,15 +236,13 @@ def test_who_crosses_is_the_guards_business_not_sumos(drive: Callable[..., Drivi
     scene = scene_on(_two_lanes(), crossing)
     (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).fleet.vehicles
     assert one.limited["conflict"] > 3
-    exported = finalise(scene, one, nobody(scene.future.num_steps))
+    exported = finalise(scene, one, [])
     assert isinstance(exported, ExportedVehicle), exported
 
 
 def test_kept_vehicles_of_rounds_before_are_followed_too(drive: Callable[..., Driving]) -> None:
     scene = scene_on(_two_lanes())
-    ahead = finalise(
-        scene, driven(start_on(scene, (1,), 85.0, 5.0, number=9), np.full(110, 5.0)), nobody(scene.future.num_steps)
-    )
+    ahead = finalise(scene, driven(start_on(scene, (1,), 85.0, 5.0, number=9), np.full(110, 5.0)), [])
     assert isinstance(ahead, ExportedVehicle)
     (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0), fixed=traffic_of_exported([ahead], scene)).fleet.vehicles
     assert (ahead.motion.s - np.array(one.s) - 4.5).min() > 1.0
@@ -279,6 +277,38 @@ def test_lane_change_is_asked_for_at_the_trigger_and_carried_out(drive: Callable
     assert one.stage is Stage.DONE
     assert [(look.step, look.rule, look.sumo) for look in one.gaps] == [(20, None, True)]
     assert one.path.line.position(np.array([one.s[-1]]))[0, 1] == pytest.approx(3.5, abs=0.1)
+
+
+def test_vehicle_is_where_sumo_has_it_also_behind_a_lane_change(drive: Callable[..., Driving]) -> None:
+    """Lane 2 begins 6 m before lane 1 and ends 6 m behind it: cells that face each other at 60 m are 2.4 m apart.
+
+        -6 |-------------- 2 --------------| 206
+            0 |----------- 1 -----------| 200
+
+    SUMO falls back by so much as it changes lanes; the vehicle drives slower for a while, and is there in the end (the
+    way across is .16 m longer than the lane).
+    """
+    ring = np.array([(-20.0, -3.0), (220.0, -3.0), (220.0, 7.0), (-20.0, 7.0), (-20.0, -3.0)])
+    right, left = draw_lane(1, [(0.0, 0.0), (200.0, 0.0)], left=2), draw_lane(2, [(-6.0, 3.5), (206.0, 3.5)], right=1)
+    scene, fronts = scene_on(LaneGraph({1: right, 2: left}, drivable_areas=(ring,))), []
+
+    def watch(simulation: Simulation) -> None:
+        read = simulation.driven
+
+        def and_note() -> frozenset[str]:
+            fronts.append(simulation.poses(["v0_0"])[0])
+            return read()
+
+        simulation.driven = and_note  # type: ignore[method-assign]
+
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)
+    (one,) = drive(scene, start, patch=watch).fleet.vehicles
+    own = np.array(one.s) - np.array(one.jumped_m)
+    assert max(one.jumped_m) == pytest.approx(2.4, abs=0.3)
+    assert one.jumped_m[-1] == 0.0
+    assert np.diff(one.s) == pytest.approx(0.1 * np.array(one.v[1:]), rel=0.06, abs=0.01)
+    seen = np.array([pose[0] for pose in fronts if pose is not None])
+    assert one.path.line.position(own + 2.25)[:, 0] == pytest.approx(seen, abs=0.2)
 
 
 EASY = Config(
@@ -505,7 +535,7 @@ def test_vehicle_that_enters_keeps_clear_of_who_crosses(drive: Callable[..., Dri
     crosses = recorded(60.0, -40.0, 5.0, heading=UP)
     scene = scene_on(_two_lanes(), crosses)
     (one,) = drive(scene, start_on(scene, (1,), 3.0, 10.0, step=22)).fleet.vehicles
-    found = finalise(scene, one, nobody(scene.future.num_steps))
+    found = finalise(scene, one, [])
     assert isinstance(found, ExportedVehicle), found
     assert one.limited["conflict"] > 0
 
@@ -519,7 +549,7 @@ def test_nobody_enters_where_another_one_is(drive: Callable[..., Driving]) -> No
     assert later.objection is Reason.NO_ROOM_AT_EDGE
     assert later.s == []
     assert len(first.s) == 110
-    assert finalise(scene, later, nobody(scene.future.num_steps)) is Reason.NO_ROOM_AT_EDGE
+    assert finalise(scene, later, []) is Reason.NO_ROOM_AT_EDGE
 
 
 def test_those_that_are_driven_see_who_has_entered(drive: Callable[..., Driving]) -> None:

@@ -48,7 +48,7 @@ def test_vehicle_without_anybody_ahead_drives_as_recorded_to_the_last_bit() -> N
 
 
 def test_leader_is_told_with_its_gap_and_its_speed() -> None:
-    """Centres 30 m apart, both 4.5 m long: 25.5 m bumper to bumper, found on boxes a quarter of a metre apart."""
+    """Centres 30 m apart, both 4.5 m long: 25.5 m bumper to bumper, to half a metre."""
     asked = []
 
     def follow(row: int, speed: float, gap: float, leader: float) -> float:
@@ -59,7 +59,7 @@ def test_leader_is_told_with_its_gap_and_its_speed() -> None:
     ((row, speed, gap, leader),) = asked
     assert (row, leader) == (0, 6.0)
     assert speed == pytest.approx(10.0)
-    assert gap == pytest.approx(25.5, abs=0.3)
+    assert gap == pytest.approx(25.5, abs=0.6)
 
 
 def test_leader_farther_away_than_is_looked_is_none() -> None:
@@ -75,7 +75,7 @@ def test_leader_farther_away_than_is_looked_is_none() -> None:
     Reactions(scene, follow).advance(1, _ahead(131.0))
     assert asked == []
     Reactions(scene, follow).advance(1, _ahead(129.0))
-    assert asked == [pytest.approx(74.5, abs=0.3)]
+    assert asked == [pytest.approx(74.5, abs=0.6)]
 
 
 def test_half_the_speed_is_half_a_step_later_and_all_that_follows_so_much_later() -> None:
@@ -149,7 +149,7 @@ def test_track_that_ends_in_the_scene_is_driven_to_its_end_later() -> None:
 
 
 def test_what_is_known_of_the_scene_is_that_of_the_late_vehicle() -> None:
-    """Cells, future and stated velocity: 5 s after a standstill of one step all is 1 m behind."""
+    """Cells and future: 5 s after a standstill of one step all is 1 m behind."""
     track = recorded(50.0, 0.0, 10.0)
     scene = _scene(track)
     reactions = Reactions(scene, _at(0.0))
@@ -157,7 +157,6 @@ def test_what_is_known_of_the_scene_is_that_of_the_late_vehicle() -> None:
     new = reactions.scene
     assert new.traffic.position[0, 50, 0] == pytest.approx(99.0)
     assert new.future.position[0, -1, 0] == pytest.approx(scene.future.position[0, -1, 0] - 1.0)
-    assert new.stated_velocity[0, 50] == pytest.approx([10.0, 0.0])
     assert scene.traffic.position[0, 50, 0] == 100.0  # the recorded scene is as it was
     moved = np.flatnonzero(new.occupancy.sigma[52] != scene.occupancy.sigma[52])
     assert moved.size > 0

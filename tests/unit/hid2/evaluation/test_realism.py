@@ -105,17 +105,15 @@ def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_n
             values = scene_values(arrays, safe, found_windows, {"gen_0": [4.0], "r0": [3.0]})
             kinds = {"generated": arrays.generated, "recorded": ~arrays.generated}
             total.add(count_scene(f"s{scene}", arrays, values, **kinds))
-        found[name] = {distance.feature.name: distance for distance in total.distances()}
+        found[name] = {distance.feature: distance for distance in total.distances()}
     assert found["equal"]["speed"].jensen_shannon < 2 * found["equal"]["speed"].jensen_shannon_floor
     assert found["faster"]["speed"].jensen_shannon > 4 * found["faster"]["speed"].jensen_shannon_floor
     assert found["faster"]["speed"].wasserstein == pytest.approx(7.0, abs=0.5)
-    assert found["equal"]["lane_change_duration"].generated == 30
-    assert (
-        found["equal"]["speed"].recorded == 30 * 8 * 2
-    )  # windows of 41 steps within 70, a second less at both ends, every half second
+    assert found["equal"]["lane_change_duration"].generated_samples == 30
+    # windows of 41 steps within 70, a second less at both ends, every half second
+    assert found["equal"]["speed"].recorded_samples == 30 * 8 * 2
 
 
 def test_scene_without_tracks_has_derivatives_without_rows():
     moved = motion(stack([], step_s=0.1))
-    assert moved.velocity.shape == (0, 2)
-    assert moved.speed.shape == moved.yaw_accel.shape == (0,)
+    assert moved.speed_mps.shape == moved.yaw_accel_radps2.shape == (0,)

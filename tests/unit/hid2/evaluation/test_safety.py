@@ -117,6 +117,25 @@ def test_pet_is_the_time_between_leaving_and_reaching_the_shared_ground():
     assert found.pet_s == pytest.approx(2.4)
 
 
+def test_oncoming_car_that_has_not_turned_yet_counts_where_its_path_crosses_later():
+    """a drives along y = 0 and reaches to y = 1. b is there from 3.0 s on, 160 degrees against a, and turns later.
+
+    Its front left corner is at x = 20 - 2 cos 20 + sin 20 = 18.46, y = 2.2 - 2 sin 20 - cos 20 = 0.58; its side is
+    below y = 1 up to x = 18.46 + 0.42 / tan 20 = 19.61. a's rear, half a step's way longer, leaves that with its centre
+    at 22.1, after 2.2 s: PET 0.8 s.
+    """
+    a = drive(0, 0, 0.0, speed=10.0, name="a")
+    time = 0.1 * np.arange(80)
+    heading = np.where(time < 5.0, math.radians(-160.0), math.radians(-110.0))
+    driven = np.maximum(time - 5.0, 0.0)[:, None] * 5.0 * np.column_stack([np.cos(heading), np.sin(heading)])
+    velocity = np.gradient(driven, 0.1, axis=0)
+    b = Track(
+        "b", "vehicle", 1, 30 + np.arange(80), np.array([20.0, 2.2]) + driven, heading, velocity, BoxSize(4.0, 2.0)
+    )
+    (found,) = encroachments(stack([a, b], step_s=0.1))
+    assert found.pet_s == pytest.approx(0.8)
+
+
 def test_following_and_meeting_are_no_crossings():
     follower, leader = drive(0, speed=10.0, name="a"), drive(12, speed=10.0, name="b")
     oncoming = drive(60, 0.5, math.pi, speed=10.0, name="c")
@@ -157,7 +176,7 @@ def test_leader_gap_time_gap_headway_and_ttc(road):
     ]
     arrays = stack(tracks, step_s=0.1)
     lanes = flatten_lanes(road())
-    matches, _ = match_lanes(arrays, lanes)
+    matches = match_lanes(arrays, lanes)
     found = leaders(arrays, lanes, matches)
     assert found.agent[0] == 1
     assert found.agent[20] == found.agent[40] == -1
@@ -191,7 +210,7 @@ def test_leader_is_found_through_successors_and_on_the_way_driven(lane):
     tracks = [a, drive(*end, 0.6, steps=80, name="b"), drive(62, 0, steps=80, name="c")]
     arrays = stack(tracks, step_s=0.1)
     lanes = flatten_lanes(graph)
-    matches, _ = match_lanes(arrays, lanes)
+    matches = match_lanes(arrays, lanes)
     assert leaders(arrays, lanes, matches).agent[20] == 1
 
 
@@ -231,7 +250,7 @@ def test_lane_of_a_vehicle_near_the_marking_does_not_flicker(road):
         "a", "vehicle", 1, np.arange(60), np.column_stack([x, y]), np.zeros(60), np.zeros((60, 2)), BoxSize(4, 2)
     )
     lanes = flatten_lanes(road())
-    matches, _ = match_lanes(stack([track], step_s=0.1), lanes)
+    matches = match_lanes(stack([track], step_s=0.1), lanes)
     assert set(matches.lane.tolist()) == {0}
 
 
@@ -256,10 +275,11 @@ def test_scene_with_one_more_track_is_the_scene_of_all_tracks():
     tracks = [drive(0, -20, math.pi / 2, speed=10.0, name="a"), drive(9, steps=3, name="b")]
     more = drive(-50, 0, 0.0, speed=10.0, name="gen_0")
     whole = stack([*tracks, more], step_s=0.1)
-    one = stack(tracks, num_steps=whole.num_steps, step_s=0.1).joined(
-        stack([more], num_steps=whole.num_steps, step_s=0.1)
-    )
+    parts = [stack(some, num_steps=whole.num_steps, step_s=0.1) for some in (tracks, [more])]
+    one = SceneArrays.joined(parts)
     for name in SceneArrays.__dataclass_fields__:
         got, wanted = getattr(one, name), getattr(whole, name)
         assert np.array_equal(got, wanted), name
         assert getattr(got, "dtype", None) == getattr(wanted, "dtype", None), name
+    for name in SceneArrays.__dataclass_fields__:
+        assert np.array_equal(getattr(whole.agents([0, 1]), name), getattr(parts[0], name)), name

@@ -18,7 +18,7 @@ def along(*others: tuple[float, float], own: bool = False, cap: float = 20.0) ->
     low = np.array([[s + STEP_S * v * step for step in range(STEPS)] for s, v in others]).reshape(-1, STEPS)
     speed = np.array([[v] * STEPS for _, v in others]).reshape(-1, STEPS)
     with_it = np.ones(low.shape, dtype=np.bool_)
-    taken = PathOccupancy(low, low + 5.0, speed, with_it, ~with_it)
+    taken = PathOccupancy(np.arange(len(others)), low, low + 5.0, speed, with_it, ~with_it)
     return Along(np.full(3001, cap), taken, np.full(len(others), own), 300.0, 0.0)
 
 

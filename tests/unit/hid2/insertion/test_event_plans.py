@@ -1,6 +1,8 @@
 """Plans, courses and paths of events: gap, speed and moment are those asked for, and nobody else is met."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from hid2.insertion.event_paths import EventPaths
 from hid2.insertion.event_plans import Plan, Planner
 from hid2.insertion.event_targets import target_of
 from hid2.insertion.routes import Routes
-from hid2.params import Event
+from hid2.params import Event, LaneChange
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -79,6 +81,24 @@ def test_overtake_is_foreseen_of_the_target_alone_and_back_at_the_time_asked_for
         assert plan.driver is not None
         assert 4.0 + 1.5 <= plan.driver.desired_mps <= 4.0 + 6.0
     assert not _plans(scene, kind="overtake", at_s=(2.0, 2.0))  # out and back alone take longer
+
+
+@pytest.mark.parametrize(("kind", "left"), [("cut_in", False), ("overtake", False), ("lead", True)])
+def test_no_plan_expects_a_change_of_lanes_that_the_configured_rule_never_begins(
+    scene_of: Callable[..., Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, left: bool
+) -> None:
+    """By the paper's rule each kind has plans beside a target at 5 m/s; those that change no lane are left."""
+    (tmp_path / "refusing_rule.py").write_text("def never(view):\n    return False\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    usual = scene_of(recorded(150.0, 0.0, 5.0))
+    never = replace(
+        usual, config=usual.config.model_copy(update={"lane_change": LaneChange(rule="refusing_rule:never")})
+    )
+    asked = {"kind": kind, "at_s": (4.0, 10.0), "speed_difference_mps": (-6.0, 6.0)}
+    planner = _planner(never)
+    assert _plans(usual, **asked)
+    assert bool(_plans(never, planner, **asked)) == left
+    assert (planner.turned_down[Reason.RULE_REFUSES] == 0) == left
 
 
 def test_no_overtake_is_foreseen_beside_a_queue(scene_of: Callable[..., Scene]) -> None:

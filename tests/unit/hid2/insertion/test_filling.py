@@ -1,8 +1,10 @@
 """Rounds of filling a scene; in SUMO's place a function says how the starts were driven."""
 
 import logging
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,14 +12,14 @@ from inserted import changing, driven, scene_on
 
 from hid2.agents import Policy
 from hid2.insertion.filling import Filling
-from hid2.insertion.finalise import ExportedVehicle
-from hid2.insertion.outcome import Outcome
+from hid2.insertion.routes import RouteOffer
+from hid2.insertion.starts import Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.traffic import Traffic
-from hid2.params import Config, Request, Spawn
+from hid2.params import Config, Request, Sites, Spawn
 from hid2.reasons import Reason
 from hid2.scene import Scene
-from hid2.vehicle import DrivenVehicle, Start
+from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 from netconvert.lane_graph import LaneGraph
 
 NOTHING = {"straight": 0.0, "left_turn": 0.0, "right_turn": 0.0, "lane_change": 0.0, "overtake": 0.0}
@@ -47,14 +49,11 @@ def _as_driven(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
 def scene_for(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
     """scene_for(agents=4, **request) -> two empty lanes of 500 m; everybody goes straight unless told."""
 
-    def make(
-        *, agents: int = 4, rounds: int = 6, spare: float = 0.5, rivals: int = 0, reseeds: int = 3, **request: object
-    ) -> Scene:
+    def make(*, agents: int | str = 4, rounds: int = 6, reseeds: int = 3, **request: object) -> Scene:
         mix = {**NOTHING, "straight": 1.0, **request}
         config = Config(
-            request=Request(agents=agents, **mix),
-            spawn=Spawn(rounds=rounds, reseed_rounds=reseeds, spare_share=spare, rivals=rivals),
-        )
+            request=Request(agents=agents, **mix), spawn=Spawn(rounds=rounds, reseed_rounds=reseeds)
+        )  # fmt: skip
         return scene_on(road(length_m=500.0), config=config)
 
     return make
@@ -66,31 +65,13 @@ def _fill(scene: Scene, spoil: Spoil = _as_driven, *, seed: int = 0) -> tuple[Fi
     return filling, drive
 
 
-def test_count_is_reached_in_one_round_and_spare_ones_go(scene_for: Callable[..., Scene]) -> None:
-    """Four asked for, two spare ones driven with them; nothing goes wrong."""
+def test_count_is_reached_in_one_round_and_no_vehicle_is_driven_beyond_it(scene_for: Callable[..., Scene]) -> None:
     filling, drive = _fill(scene_for())
     assert len(filling.kept) == 4
     assert filling.rounds == len(drive.rounds) == 1
-    assert len(drive.rounds[0]) == 6
-    assert [one.reason for one in filling.rejected] == [Reason.SPARE] * 2
+    assert len(drive.rounds[0]) == 4
+    assert filling.rejected == []
     assert filling.unmet == []
-
-
-def test_spare_vehicle_that_meets_traffic_takes_the_place_of_one_that_meets_nobody(
-    scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Four asked for, six driven; those who begin on lane 2 are said to follow somebody recorded, the others nobody."""
-
-    def met_by(_meetings: object, one: ExportedVehicle) -> int:
-        return 2 if one.driven.start.route[0] == 2 else 0
-
-    monkeypatch.setattr("hid2.insertion.meetings.Meetings.met_by", met_by)
-    filling, drive = _fill(scene_for())
-    driven_there = sum(start.route[0] == 2 for start in drive.rounds[0])
-    kept_there = sum(one.driven.start.route[0] == 2 for one in filling.kept)
-    assert 0 < driven_there < 6
-    assert kept_there == min(4, driven_there)
-    assert len(filling.kept) == 4
 
 
 def test_failed_vehicle_is_replaced_elsewhere_and_counted_with_its_reason(scene_for: Callable[..., Scene]) -> None:
@@ -99,7 +80,7 @@ def test_failed_vehicle_is_replaced_elsewhere_and_counted_with_its_reason(scene_
             vehicle.objection = Reason.SUMO_REFUSES_INSERTION
         return vehicle
 
-    filling, drive = _fill(scene_for(spare=0.0), spoil, seed=1)
+    filling, drive = _fill(scene_for(), spoil, seed=1)
     assert len(filling.kept) == 4
     assert [(one.vehicle_id, one.reason, one.round_number) for one in filling.rejected] == [
         ("v0_0", Reason.SUMO_REFUSES_INSERTION, 0), ("v1_0", Reason.SUMO_REFUSES_INSERTION, 0),
@@ -117,7 +98,7 @@ def test_who_cannot_enter_is_replaced_and_its_lane_stays_open(scene_for: Callabl
             vehicle.objection, vehicle.s[:], vehicle.v[:] = Reason.NO_ROOM_AT_EDGE, [], []
         return vehicle
 
-    filling, drive = _fill(scene_for(agents=2, spare=0.0, entering=1.0, near="anywhere"), spoil)
+    filling, drive = _fill(scene_for(agents=2, entering=1.0, near="anywhere"), spoil)
     first, second = drive.rounds
     assert [start.step > 0 for start in (*first, *second)] == [True] * 4
     assert [(one.reason, one.last_step) for one in filling.rejected] == [
@@ -128,21 +109,19 @@ def test_who_cannot_enter_is_replaced_and_its_lane_stays_open(scene_for: Callabl
 
 
 def test_places_that_failed_are_tried_again_where_no_other_is_left(scene_for: Callable[..., Scene]) -> None:
-    """Whoever fails in the first round may have failed because of others who are gone: a round without a site later
-    the place is open again.
-    """
+    """All vehicles of the first round fail, perhaps because of each other: as no other place is left, all are open."""
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if number == 0:
             vehicle.objection = Reason.SUMO_REFUSES_INSERTION
         return vehicle
 
-    scene = scene_for(agents=4, spare=0.0)
+    scene = scene_for(agents=4)
     config = scene.config.model_copy(update={"sites": scene.config.sites.model_copy(update={"avoided_m": 600.0})})
     filling, drive = _fill(replace(scene, config=config), spoil)
     assert {start.route[0] for start in drive.rounds[0]} == {1, 2}  # both lanes are avoided, whole
     assert len(filling.kept) == 4
-    assert filling.rounds == 3
+    assert filling.rounds == 2
 
 
 def test_rounds_come_to_an_end_with_fewer_than_asked_for(scene_for: Callable[..., Scene]) -> None:
@@ -150,35 +129,102 @@ def test_rounds_come_to_an_end_with_fewer_than_asked_for(scene_for: Callable[...
         vehicle.objection = Reason.SUMO_REFUSES_INSERTION
         return vehicle
 
-    filling, drive = _fill(scene_for(rounds=3), refuse)
+    filling, drive = _fill(scene_for(rounds=1), refuse)
     assert filling.kept == []
-    assert len(drive.rounds) == filling.rounds == 3
+    assert len(drive.rounds) == filling.rounds == 1
     assert {one.reason for one in filling.rejected} == {Reason.SUMO_REFUSES_INSERTION}
 
 
-def test_of_rivals_for_one_manoeuvre_one_is_kept(
+def test_safe_vehicle_whose_manoeuvre_did_not_come_about_takes_an_open_request_to_go_straight(
+    scene_for: Callable[..., Scene],
+) -> None:
+    """Two lane changes, v2 and v3, do not come about; v0, which was to go straight, is refused. One of the two takes
+    its place and has no record of a manoeuvre; the other one goes. Both lane changes stay open for round 1.
+    """
+
+    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
+        if vehicle.vehicle_id == "v0_0":
+            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+        return vehicle
+
+    scene = scene_for(straight=0.5, lane_change=0.5, trigger_min_s=1.0, trigger_max_s=1.0)
+    filling, drive = _fill(scene, spoil)
+    assert {start.vehicle_id for start in drive.rounds[0]} == {"v0_0", "v1_0", "v2_0", "v3_0"}
+    assert drive.kept_before[:2] == [0, 2]
+    stayed = [one.driven for one in filling.kept if one.driven.vehicle_id in ("v2_0", "v3_0")]
+    assert [(one.policy, one.start.request.number) for one in stayed] == [(Policy.STRAIGHT, 0)]
+    assert not {one.vehicle_id for one in stayed} & filling.outcomes.keys()
+    gone = {one.vehicle_id: one.reason for one in filling.rejected if one.round_number == 0}
+    assert set(gone.values()) == {Reason.SUMO_REFUSES_INSERTION, Reason.DID_NOT_DO_IT}
+    assert len(gone) == 2
+    assert {start.vehicle_id for start in drive.rounds[1]} == {"v2_1", "v3_1"}
+
+
+def test_vehicle_that_another_one_needs_stays_before_one_that_none_needs(scene_for: Callable[..., Scene]) -> None:
+    """As above, and v1 had braked for v3."""
+
+    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
+        if vehicle.vehicle_id == "v0_0":
+            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+        if vehicle.vehicle_id == "v1_0":
+            vehicle.waited_for = {needed}
+        return vehicle
+
+    for needed in ("v2_0", "v3_0"):
+        scene = scene_for(straight=0.5, lane_change=0.5, trigger_min_s=1.0, trigger_max_s=1.0)
+        filling, _ = _fill(scene, spoil)
+        kept = {one.driven.vehicle_id for one in filling.kept}
+        assert {"v1_0", needed} < kept
+        assert not {"v2_0", "v3_0"} - {needed} & kept
+
+
+def test_four_rounds_that_add_no_vehicle_are_the_last(scene_for: Callable[..., Scene]) -> None:
+    """Round 0 keeps v0 to v2; v3 fails in this one and in all that follow, which are four instead of eleven."""
+
+    def spoil(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
+        if vehicle.start.request.number == 3:
+            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+        return vehicle
+
+    filling, drive = _fill(scene_for(rounds=12), spoil)
+    assert [len(starts) for starts in drive.rounds] == [4, 1, 1, 1, 1]
+    assert len(filling.kept) == 3
+
+
+def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(
     scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Everybody does it: of the vehicles driven for the one lane change, on lanes of their own, one is exported."""
+    """Cells of lane 1 admit no start. Each round adds three vehicles of twelve, and in none is a cell looked at once
+    more that was turned down `sites.cell_tries` times in those before.
+    """
+    make, looked = Starts.make, Counter[tuple[int, int]]()
 
-    def done(_scene: Scene, vehicle: ExportedVehicle, _traffic: Traffic) -> Outcome | None:
-        policy = vehicle.driven.policy
-        return None if policy is Policy.STRAIGHT else Outcome(policy, "done")
+    def only_lane_2(
+        starts: Starts, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float | None, **more: Any
+    ) -> Start | Reason:
+        if lane_id == 2:
+            return make(starts, request, offer, lane_id, s, **more)
+        assert s is not None
+        cell = starts.scene.grid.cell_at(lane_id, s - offer.start_m)
+        looked[cell.lane_id, cell.index] += 1
+        return Reason.CONFLICT_PREDICTED
 
-    monkeypatch.setattr("hid2.insertion.filling.outcome_of", done)
-    scene = scene_for(agents=2, straight=0.5, lane_change=0.5, trigger_min_s=1.0, trigger_max_s=1.0, rivals=2, spare=0)
-    filling, drive = _fill(scene)
-    rivals = [start for start in drive.rounds[0] if start.request.policy is Policy.LANE_CHANGE]
-    assert len(rivals) == 2, "as many as there are lanes"
-    assert len({start.path.segments[0].lane_id for start in rivals}) == 2
-    kept = [one.driven.start for one in filling.kept if one.driven.policy is Policy.LANE_CHANGE]
-    assert len(kept) == 1
-    assert [one.reason for one in filling.rejected if one.policy is Policy.LANE_CHANGE] == [Reason.SPARE]
+    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
+        if vehicle.start.request.number >= 3 * (number + 1):
+            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+        return vehicle
+
+    monkeypatch.setattr("hid2.insertion.starts.Starts.make", only_lane_2)
+    filling, drive = _fill(scene_for(agents=12), spoil)
+    assert len(drive.rounds) >= 4
+    assert len(looked) > 100
+    assert max(looked.values()) == Sites().cell_tries
+    assert len(filling.kept) == 12
 
 
 def test_vehicle_whose_manoeuvre_nobody_else_may_try_is_kept_with_its_record(scene_for: Callable[..., Scene]) -> None:
     """No lane change comes about, and spawn.reseed_rounds is 0: those who were to do one stay."""
-    scene = scene_for(agents=3, straight=0.0, lane_change=1.0, trigger_min_s=1.0, trigger_max_s=1.0, spare=0, reseeds=0)
+    scene = scene_for(agents=3, straight=0.0, lane_change=1.0, trigger_min_s=1.0, trigger_max_s=1.0, reseeds=0)
     filling, drive = _fill(scene)
     assert len(drive.rounds) == 1
     assert filling.rejected == []
@@ -187,7 +233,7 @@ def test_vehicle_whose_manoeuvre_nobody_else_may_try_is_kept_with_its_record(sce
 
 
 def test_request_keeps_its_trigger_when_its_vehicle_is_replaced(scene_for: Callable[..., Scene]) -> None:
-    """Lane changes at 1 to 8 s, of which none comes about: three rounds try each, with one trigger."""
+    """Lane changes at 1 to 8 s, of which none comes about: four rounds try each, with one trigger."""
     scene = scene_for(agents=3, straight=0.0, lane_change=1.0, trigger_min_s=1.0, trigger_max_s=8.0)
     filling, drive = _fill(scene)
     triggers: dict[int, set[float]] = {}
@@ -202,21 +248,39 @@ def test_request_keeps_its_trigger_when_its_vehicle_is_replaced(scene_for: Calla
 def test_unmet_manoeuvres_are_told_with_their_last_reason_and_the_count_is_reached(
     scene_for: Callable[..., Scene],
 ) -> None:
-    """Nobody changes lanes: SUMO refused. After three rounds straight ones take the places; each request is told of."""
+    """Vehicles that are to change lanes are not safe. After four rounds straight ones take the places; each request is
+    told of.
+    """
 
     def refuse(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
-        vehicle.reason = Reason.SUMO_REFUSES
+        if vehicle.policy is Policy.LANE_CHANGE:
+            vehicle.objection = Reason.MEETS_RECORDED
         return vehicle
 
     scene = scene_for(agents=4, straight=0.5, lane_change=0.5, trigger_min_s=1.0, trigger_max_s=1.0)
     filling, _ = _fill(scene, refuse)
     assert len(filling.kept) == 4
     assert [(one.request.policy, one.reason) for one in filling.unmet] == [
-        (Policy.LANE_CHANGE, Reason.SUMO_REFUSES), (Policy.LANE_CHANGE, Reason.SUMO_REFUSES),
+        (Policy.LANE_CHANGE, Reason.MEETS_RECORDED), (Policy.LANE_CHANGE, Reason.MEETS_RECORDED),
     ]  # fmt: skip
-    assert all(
-        one.driven.policy is Policy.STRAIGHT or one.driven.vehicle_id in filling.outcomes for one in filling.kept
-    )
+    assert {one.driven.policy for one in filling.kept} == {Policy.STRAIGHT}
+
+
+def test_vehicle_that_tries_a_manoeuvre_last_stays_with_its_reason(scene_for: Callable[..., Scene]) -> None:
+    """No lane change comes about: four rounds try, and the vehicles of the last one are in the scene."""
+
+    def refuse(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
+        vehicle.reason = Reason.SUMO_REFUSES
+        return vehicle
+
+    scene = scene_for(agents=4, straight=0.5, lane_change=0.5, trigger_min_s=1.0, trigger_max_s=1.0)
+    filling, drive = _fill(scene, refuse)
+    assert len(drive.rounds) == 4
+    assert len(filling.kept) == 4
+    assert filling.unmet == []
+    assert [(one.status, one.reason) for one in filling.outcomes.values()] == [
+        ("not_feasible", Reason.SUMO_REFUSES)
+    ] * 2
 
 
 def test_what_the_map_or_the_scene_does_not_offer_is_told_at_once(scene_for: Callable[..., Scene]) -> None:
@@ -239,7 +303,7 @@ def test_who_braked_for_a_vehicle_that_is_gone_is_driven_again(scene_for: Callab
             vehicle.waited_for |= {"v1_0": {"v0_0"}, "v2_0": {"v1_0"}}.get(vehicle.vehicle_id, set())
         return vehicle
 
-    filling, drive = _fill(scene_for(spare=0.0), spoil, seed=1)
+    filling, drive = _fill(scene_for(), spoil, seed=1)
     reasons = {one.vehicle_id: one.reason for one in filling.rejected}
     assert reasons == {
         "v0_0": Reason.SUMO_REFUSES_INSERTION, "v1_0": Reason.WAITED_FOR_GONE, "v2_0": Reason.WAITED_FOR_GONE,
@@ -263,7 +327,7 @@ def test_nobody_is_driven_again_twice(scene_for: Callable[..., Scene]) -> None:
                 vehicle.waited_for = {f"v0_{number}"}
         return vehicle
 
-    filling, drive = _fill(scene_for(spare=0.0), spoil, seed=1)
+    filling, drive = _fill(scene_for(), spoil, seed=1)
     assert [one.round_number for one in filling.rejected if one.vehicle_id == "v1_0"] == [0, 1]
     assert "v1_0" not in {start.vehicle_id for start in drive.rounds[2]}
     assert "v1_2" in {start.vehicle_id for start in drive.rounds[2]}
@@ -327,7 +391,7 @@ def test_debug_log_tells_what_became_of_every_vehicle_that_was_tried(
         return vehicle
 
     with caplog.at_level(logging.DEBUG, logger="hid2.insertion.filling"):
-        filling, drive = _fill(scene_for(agents=2, spare=0.0, straight=0.5, lane_change=0.5), spoil)
+        filling, drive = _fill(scene_for(agents=2, straight=0.5, lane_change=0.5), spoil)
     told = [record.getMessage() for record in caplog.records]
     tried = [start.vehicle_id for starts in drive.rounds for start in starts]
     assert [sum(f"vehicle {vehicle_id}," in line for line in told) for vehicle_id in tried] == [1] * len(tried)
@@ -338,7 +402,7 @@ def test_debug_log_tells_what_became_of_every_vehicle_that_was_tried(
             f"last step {one.last_step}: {one.reason}{detail}"
         ) in told
     assert {one.reason for one in filling.rejected} == {Reason.SUMO_REFUSES_INSERTION, Reason.DID_NOT_DO_IT}
-    assert sum(line.endswith(": kept") for line in told) == len(filling.kept) == 2
+    assert sum(": kept" in line for line in told) == len(filling.kept) == 2
 
 
 def test_vehicle_that_conflicts_with_others_together_is_replaced_and_kept_ones_stay(
@@ -346,7 +410,7 @@ def test_vehicle_that_conflicts_with_others_together_is_replaced_and_kept_ones_s
 ) -> None:
     """Row 0 is said to conflict in both rounds: in the first it is new, in the second it was kept before."""
     monkeypatch.setattr("hid2.insertion.filling.conflicting", lambda _scene, _exported: [(0, Reason.PET)])
-    filling, drive = _fill(scene_for(spare=0.0))
+    filling, drive = _fill(scene_for())
     assert [(one.reason, one.round_number) for one in filling.rejected] == [(Reason.PET, 0)]
     assert drive.kept_before == [0, 3]
     assert len(filling.kept) == 4

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hand_drawn import draw_lane
-from inserted import CAR, driven, nobody, recorded, scene_on, start_on
+from inserted import CAR, driven, recorded, scene_on, start_on
 
 from hid2.agents import Track
 from hid2.drivers.driver import LaneOffset
@@ -35,12 +35,12 @@ def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
 
 def _alone(scene: Scene, v: Any, s: float = 40.0, **changes: Any) -> ExportedVehicle | Reason:
     start = start_on(scene, (1,), s, float(np.asarray(v)[0]), **changes)
-    return finalise(scene, driven(start, v), nobody(scene.future.num_steps))
+    return finalise(scene, driven(start, v), [])
 
 
 def _kept(scene: Scene, v: Any, s: float = 40.0, *, lane: int = 1, number: int = 0) -> ExportedVehicle:
     start = start_on(scene, (lane,), s, float(np.asarray(v)[0]), number=number)
-    found = finalise(scene, driven(start, v), nobody(scene.future.num_steps))
+    found = finalise(scene, driven(start, v), [])
     assert isinstance(found, ExportedVehicle), found
     return found
 
@@ -61,7 +61,7 @@ def test_what_sumo_objected_to_is_the_reason(scene_of: Callable[..., Scene]) -> 
     scene = scene_of()
     vehicle = DrivenVehicle(start=start_on(scene, (1,), 40.0, 9.0), path=scene.path((1,)))
     vehicle.objection = Reason.SUMO_REFUSES_INSERTION
-    assert finalise(scene, vehicle, nobody(scene.future.num_steps)) is Reason.SUMO_REFUSES_INSERTION
+    assert finalise(scene, vehicle, []) is Reason.SUMO_REFUSES_INSERTION
 
 
 def test_track_ends_where_the_rear_of_the_map_is_not_left_behind(scene_of: Callable[..., Scene]) -> None:
@@ -132,8 +132,7 @@ def test_box_of_another_inserted_vehicle_is_met(scene_of: Callable[..., Scene]) 
     scene = scene_of()
     slow = _kept(scene, np.full(110, 5.0), 60.0)
     start = start_on(scene, (1,), 40.0, 10.0, number=1)
-    others = traffic_of_exported([slow], scene)
-    assert finalise(scene, driven(start, np.full(110, 10.0)), others) is Reason.MEETS_GENERATED
+    assert finalise(scene, driven(start, np.full(110, 10.0)), [slow]) is Reason.MEETS_GENERATED
 
 
 def test_ttc_to_the_leader_may_not_be_critical(scene_of: Callable[..., Scene]) -> None:
@@ -160,7 +159,10 @@ def test_recorded_follower_may_not_close_in_critically(scene_of: Callable[..., S
     """
     slows = 10.0 - 2.5 * np.clip(T - 2.0, 0.0, 2.0)
     v = np.minimum(slows + 2.0 * np.clip(T - 4.0, 0.0, None), np.where(T < 4.0, slows, 12.0))
-    assert _alone(scene_of(recorded(23.0, 0.0, 10.0)), v) is Reason.TTC_RECORDED_FOLLOWER
+    scene = scene_of(recorded(23.0, 0.0, 10.0))
+    found = _alone(scene, v)
+    assert isinstance(found, ExportedVehicle)
+    assert conflicting(scene, [found]) == [(0, Reason.TTC_RECORDED_FOLLOWER)]
 
 
 @pytest.mark.parametrize(("at_s", "is_critical"), [(5.8, True), (6.1, True), (6.6, False)])
@@ -256,7 +258,7 @@ def test_who_drives_aside_in_its_lane_closes_in_on_who_is_aside_ahead(
     slow = driven(start_on(scene, (2,), 60.0, 5.0, offset=right), np.full(110, 5.0))
     left = LaneOffset(bounds, np.full(2, aside_m), np.zeros(2))
     fast = driven(start_on(scene, (1,), 40.0, 10.0, offset=left, number=1), np.full(110, 10.0))
-    found = [finalise(scene, one, nobody(scene.future.num_steps)) for one in (slow, fast)]
+    found = [finalise(scene, one, []) for one in (slow, fast)]
     both = [one for one in found if isinstance(one, ExportedVehicle)]
     assert len(both) == 2, found
     assert [row for row, _ in conflicting(scene, both)] == rows
@@ -271,7 +273,7 @@ def test_the_same_with_a_recorded_one_aside_in_the_next_lane(
     aside = LaneOffset(np.array([0.0, 1000.0]), np.full(2, aside_m), np.zeros(2))
     v = np.concatenate([np.full(18, 10.0), np.linspace(10.0, 5.0, 20), np.full(72, 5.0)])
     found = finalise(
-        scene, driven(start_on(scene, (1,), 40.0, 10.0, offset=aside), v), nobody(scene.future.num_steps)
+        scene, driven(start_on(scene, (1,), 40.0, 10.0, offset=aside), v), []
     )  # fmt: skip
     assert (found is Reason.TTC_LANE_LEADER) is is_too_near
     assert isinstance(found, ExportedVehicle) is not is_too_near
@@ -329,7 +331,7 @@ def test_who_is_started_ahead_of_a_kept_vehicle_that_comes_into_its_lane_is_no_l
         scene, scene.path((1,)), scene.path((2,)), s=60.0, step=20, pace_mps=10.0, remaining_m=200.0, lasting_s=5.0
     )
     assert isinstance(across, DrivenPath)
-    changer = finalise(scene, replace(driven(start, np.full(110, 10.0)), path=across), nobody(scene.future.num_steps))
+    changer = finalise(scene, replace(driven(start, np.full(110, 10.0)), path=across), [])
     assert isinstance(changer, ExportedVehicle)
     near, far = (_kept(scene, np.full(110, 6.0), s, lane=2, number=1) for s in (93.0, 100.0))
     assert conflicting(scene, [changer, near]) == [(1, Reason.TTC_LANE_LEADER)]

@@ -6,12 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hand_drawn import draw_lane
-from inserted import driven, nobody, recorded, scene_on, start_on
+from inserted import nobody, recorded, scene_on, start_on
 
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
-from hid2.insertion.finalise import ExportedVehicle, finalise
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import Routes
 from hid2.insertion.sites import InsertionSites
@@ -121,19 +120,6 @@ def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site(scene
     sites.kept = [start_on(scene, meetings.routes.offers(1)[0].route, 80.0, 9.0)]
     taken, _ = sites._weights(Policy.STRAIGHT, rows)
     assert free[0] == pytest.approx(Spawn().leader_weight * taken[0])
-
-
-@pytest.mark.parametrize(("start_m", "lane_id", "expected"), [(80.0, 1, 2), (88.0, 2, 1), (20.0, 2, 0)])
-def test_what_a_driven_vehicle_met(scene_of: Callable[..., Scene], start_m: float, lane_id: int, expected: int) -> None:
-    """Behind one at 9 m/s from 100 m on: 2 m/s slower from 20 m behind, within 3 s for a second and more; on the lane
-    beside, near; 80 m behind it, far away.
-    """
-    scene = scene_of(recorded(100.0, 0.0, 9.0))
-    meetings = _meetings(scene)
-    start = start_on(scene, (lane_id,), start_m, 8.0)
-    exported = finalise(scene, driven(start, np.full(110, 8.0)), nobody(scene.future.num_steps))
-    assert isinstance(exported, ExportedVehicle), exported
-    assert meetings.met_by(exported) == expected
 
 
 def test_pace_of_a_leader_is_what_it_drives_while_it_moves(scene_of: Callable[..., Scene]) -> None:

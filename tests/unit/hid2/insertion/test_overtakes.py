@@ -106,9 +106,10 @@ def test_scan_and_generation_agree_on_what_the_map_offers(road: Callable[..., La
     """70 m of two lanes are 7.5 m more than 62.5 m from each of them; 60 m, or one lane, are none."""
     for lanes, length_m, room_m in ((2, 70.0, 15.0), (2, 60.0, 0.0), (1, 300.0, 0.0)):
         graph = road(lanes=lanes, length_m=length_m)
-        found = _room_to_pass(graph, list(graph.lanes.values()), needed_m=stretch_m(Config()))
+        routes = Routes(scene_on(graph, config=Config()))
+        found = _room_to_pass(routes, list(graph.lanes.values()), needed_m=stretch_m(Config()))
         assert found == pytest.approx(room_m)
-        assert Routes(scene_on(graph, config=Config())).map_offers(Policy.OVERTAKE) == (found > 0)
+        assert routes.map_offers(Policy.OVERTAKE) == (found > 0)
 
 
 def test_usual_trigger_of_an_overtake_is_earlier_and_what_is_asked_for_stays() -> None:

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from hid2.insertion.spread import Spread
 from hid2.insertion.starts import speed_behind
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.sigma import FREE
-from hid2.params import Config, Request, Sites, Spawn
+from hid2.params import Config, LaneChange, Request, Sites, Spawn
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
@@ -154,6 +155,59 @@ def test_lane_changes_start_where_a_lane_is_beside_at_the_trigger(lane: Callable
     assert max(start.start_s for start in own) < 56.0
 
 
+@pytest.fixture
+def refusing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A rule of a user's that takes no gap, ever."""
+    (tmp_path / "refusing_rule.py").write_text("def never(view):\n    return False\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    return "refusing_rule:never"
+
+
+@pytest.mark.parametrize(("policy", "slow_leader"), [(Policy.LANE_CHANGE, None), (Policy.OVERTAKE, 1)])
+def test_no_site_is_proposed_for_a_manoeuvre_that_the_configured_rule_never_begins(
+    scene_of: Callable[..., Scene], refusing: str, policy: Policy, slow_leader: int | None
+) -> None:
+    """By the paper's, MOBIL's and SUMO's rules sites are found on two empty lanes; `any` asks no rule."""
+    usual = scene_of(length_m=500.0)
+
+    def found(rule: str, sites: str = "promising") -> int:
+        config = usual.config.model_copy(
+            update={
+                "lane_change": LaneChange(rule=rule), "request": Request(sites=sites, near="anywhere"),
+            }
+        )  # fmt: skip
+        slow = None if slow_leader is None else _request(slow_leader)
+        scene = replace(usual, config=config)
+        return sum(bool(_sites(scene, seed).propose(_request(0, policy, 1.0), slow)) for seed in range(4))
+
+    assert min(found(rule) for rule in ("paper", "MOBIL", "LC2013")) > 0
+    assert found(refusing) == 0
+    assert found(refusing, "any") > 0
+
+
+def test_gap_beside_is_foreseen_by_the_configured_rule(
+    scene_of: Callable[..., Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rule that leaves slow leaders alone: behind one at 5 m/s no gap is foreseen, by the paper's rule one is.
+
+    A driver who wishes 10 m/s is behind it when the trigger comes.
+    """
+    (tmp_path / "patient_rule.py").write_text("def follows(view):\n    return view.own_front.distance_m > 80.0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    usual = scene_of(recorded(130.0, 0.0, 5.0))
+    request = _request(0, Policy.LANE_CHANGE, 2.0)
+
+    def begins(rule: str) -> bool:
+        scene = replace(usual, config=usual.config.model_copy(update={"lane_change": LaneChange(rule=rule)}))
+        sites = _sites(scene)
+        offer = sites.here.routes.offers(1)[0]
+        found = sites.starts.make(request, offer, 1, 90.0, driver=DRIVER, speed_mps=8.0, likely=True)
+        return isinstance(found, Start)
+
+    assert begins("paper")
+    assert not begins("patient_rule:follows")
+
+
 def test_starts_of_a_round_keep_clear_of_each_other(scene_of: Callable[..., Scene]) -> None:
     """Twelve on 2 x 300 m: 2.5 m at least from bumper to bumper on one lane."""
     sites = _sites(scene_of())
@@ -245,7 +299,7 @@ def test_cell_that_was_turned_down_twice_is_left_alone_in_a_round(
 
     def turn_down(_starts: object, _request: object, offer: Any, lane_id: int, s: float, **_more: object) -> Reason:
         tried[lane_id, int((s - offer.start_m) / 4.0)] += 1
-        return Reason.NO_SITE
+        return Reason.MEETS_RECORDED  # NO_SITE: another vehicle of the round may be in the way, not the place's fault
 
     monkeypatch.setattr("hid2.insertion.starts.Starts.make", turn_down)
     here = _sites(scene_of(recorded(200.0, 30.0, 20.0), sites=sites))

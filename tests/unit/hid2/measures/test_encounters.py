@@ -35,7 +35,7 @@ def met(road: Callable[..., LaneGraph]) -> Callable[..., Encounters]:
     def measure(*tracks: Track) -> Encounters:
         lanes = flatten_lanes(road(lanes=2, length_m=300.0))
         arrays = stack(tracks, num_steps=STEPS, step_s=0.1)
-        matches, _ = match_lanes(arrays, lanes)
+        matches = match_lanes(arrays, lanes)
         return encounters(arrays, lanes, matches, leaders(arrays, lanes, matches))
 
     return measure

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hid2.agents import BoxSize, Track
-from hid2.measures.events import crossing_steps, is_in_the_way, measure_event, post_encroachment_of
+from hid2.measures.events import measure_event, post_encroachment_of
 
 CAR = BoxSize(4.0, 2.0)
 
@@ -40,7 +40,7 @@ def test_target_that_falls_back_needs_no_braking() -> None:
     assert (found.min_ttc_s, found.drac_mps2, found.human_brakes) == (None, 0.0, False)
 
 
-def test_crossing_has_a_moment_for_each_and_a_pet() -> None:
+def test_crossing_has_a_pet() -> None:
     """From the south at 10 m/s, 20 m before the crossing: there at step 20. From the west, 40 m before: at step 40.
 
     Between the rear bumper of the first, 2 m + 1 m (half the other's width) behind the point, and the front of the
@@ -48,15 +48,11 @@ def test_crossing_has_a_moment_for_each_and_a_pet() -> None:
     """
     first = _drive(0.0, -20.0, 10.0, heading=np.pi / 2)
     second = _drive(-40.0, 0.0, 10.0)
-    found = crossing_steps(first, second)
-    assert found is not None
-    assert found == (pytest.approx(20, abs=1), pytest.approx(40, abs=1))
     assert post_encroachment_of(first, second, step_s=0.1) == pytest.approx(1.4, abs=0.21)
 
 
 def test_paths_that_do_not_meet_have_no_crossing() -> None:
     """Two cars side by side."""
-    assert crossing_steps(_drive(0.0, 0.0, 10.0), _drive(0.0, 4.0, 10.0)) is None
     assert post_encroachment_of(_drive(0.0, 0.0, 10.0), _drive(0.0, 4.0, 10.0), step_s=0.1) is None
 
 
@@ -64,12 +60,3 @@ def test_moment_without_a_state_is_an_error() -> None:
     """Step 70 of a track of 60 steps."""
     with pytest.raises(ValueError, match="no state at step 70"):
         measure_event(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0), at_step=70, since_step=0, step_s=0.1)
-
-
-def test_vehicle_is_in_the_way_where_its_box_is_on_the_way_that_the_other_drives_later() -> None:
-    """Cars of 2 m width: 1.9 m aside they overlap across, 2.1 m aside not; beyond the end of a way all is open."""
-    follower = _drive(0.0, 0.0, 10.0)
-    assert is_in_the_way(_drive(20.0, 1.9, 10.0), follower, at_step=10)
-    assert not is_in_the_way(_drive(20.0, 2.1, 10.0), follower, at_step=10)
-    assert is_in_the_way(_drive(60.0, 3.0, 10.0), follower, at_step=10)
-    assert is_in_the_way(_drive(20.0, 3.0, 10.0), _drive(0.0, 0.0, 0.0), at_step=10)

@@ -36,7 +36,7 @@ def shift(start, duration, *, width=3.5, time=TIME):
 def seen(graph, *tracks):
     arrays = stack(tracks, step_s=0.1)
     lanes = flatten_lanes(graph)
-    matches, _ = match_lanes(arrays, lanes)
+    matches = match_lanes(arrays, lanes)
     return detect(arrays, lanes, matches)
 
 
@@ -55,6 +55,18 @@ def test_lane_change_is_found_with_its_crossing_in_the_middle(road):
     assert found.start_s == pytest.approx(3.26, abs=0.35)
     assert found.end_s == pytest.approx(6.74, abs=0.35)
     assert (found.source_lane, found.target_lane, found.side, found.complete) == (1, 2, 1, True)
+
+
+def test_crossing_is_at_the_line_between_lanes_of_different_widths(lane):
+    """Lanes of 3 and 5 m, centrelines 4 m apart: the line is at y = 1.5, not at 2.
+
+    d = 4 (10 r^3 - 15 r^4 + 6 r^5) = 1.5 at r = 0.4325: 3.0 + 0.4325 * 6 = 5.60 s; it would be at 2 m at 6.0 s.
+    """
+    graph = LaneGraph(
+        {1: lane(1, [(0, 0), (200, 0)], left=2, width_m=3.0), 2: lane(2, [(0, 4), (200, 4)], right=1, width_m=5.0)}
+    )
+    (found,) = seen(graph, along(20 + 10 * TIME, shift(3.0, 6.0, width=4.0)))
+    assert found.crossing_s == pytest.approx(5.60, abs=0.02)
 
 
 def test_lane_change_to_the_right(road):

@@ -68,6 +68,14 @@ def test_place_on_the_path_is_a_place_on_a_lane(forked: LaneGraph) -> None:
     assert path.segment_at(0.0).lane_id == 1
 
 
+def test_place_on_a_lane_is_a_place_on_the_path(forked: LaneGraph) -> None:
+    path = _path(forked, 1, 3, 4)
+    for s in (0.0, 20.0, 60.0, 90.0, 130.0):
+        segment = path.segment_at(s)
+        assert path.s_on(segment.lane_id, segment.lane_s(s), after=s - 1.0) == pytest.approx(s)
+    assert path.s_on(2, 10.0, after=0.0) is None
+
+
 def test_lane_position_outside_a_segment_is_its_nearer_end() -> None:
     segment = Segment(lane_id=1, start=10.0, end=30.0, lane_start=5.0, lane_end=25.0)
     assert [segment.lane_s(s) for s in (0.0, 10.0, 20.0, 30.0, 99.0)] == [5.0, 5.0, 15.0, 25.0, 25.0]
@@ -162,6 +170,19 @@ def test_second_shift_leaves_the_first_as_it_is(road: Callable[..., LaneGraph]) 
     assert [segment.lane_id for segment in path.segments] == [1, 2, 1]
     assert len(path.shifts) == 2
     assert path.line.position(np.array([20.0, 90.0, 170.0]))[:, 1] == pytest.approx([0.0, 3.5, 0.0], abs=0.05)
+
+
+def test_lane_that_is_followed_is_the_new_one_from_the_beginning_of_a_shift_on(road: Callable[..., LaneGraph]) -> None:
+    """Out at 40 and back at 110 m: places on lane 1 are those before 40 m or behind 110 m, by where the vehicle is."""
+    graph = road()
+    right, left = _path(graph, 1), _path(graph, 2)
+    entered = _shifted(right, left, start_m=40.0, length_m=30.0)
+    path = _shifted(entered, right, start_m=110.0, length_m=30.0)
+    assert [segment.lane_id for segment in path.followed] == [1, 2, 1]
+    assert [segment.end for segment in path.followed[:2]] == pytest.approx([40.0, 110.4], abs=1.0)
+    assert path.s_on(1, 30.0, after=25.0) == pytest.approx(30.0, abs=0.01)
+    assert path.s_on(2, 60.0, after=42.0) == pytest.approx(60.2, abs=0.2)
+    assert path.s_on(1, 130.0, after=112.0) == pytest.approx(130.4, abs=0.3)
 
 
 def test_first_turn_is_one_that_the_path_makes(forked: LaneGraph) -> None:

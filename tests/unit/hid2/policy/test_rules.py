@@ -7,7 +7,7 @@ import pytest
 
 from hid2.params import LaneChange
 from hid2.policy.lane_change import Gap
-from hid2.policy.rules import GapView, SumoAnswer, idm_mps2, mobil_reason, rule_reason
+from hid2.policy.rules import GapView, SumoAnswer, check_user_rule, idm_mps2, mobil_reason, rule_reason
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 
@@ -92,7 +92,9 @@ def test_users_function_is_asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     params = LaneChange(rule="own_rule:patient")
     assert rule_reason(VIEW, params) == Reason.RULE_REFUSES
     assert rule_reason(replace(VIEW, waited_s=2.0), params) is None
-    with pytest.raises(ConfigError, match="own_rule:unsure': it answered 'yes', expected True or False"):
+    with pytest.raises(
+        ConfigError, match=r"own_rule:unsure': .*own_rule.py:3: it answered 'yes', expected True or False"
+    ):
         rule_reason(VIEW, LaneChange(rule="own_rule:unsure"))
 
 
@@ -100,3 +102,49 @@ def test_users_function_is_asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 def test_rule_that_is_not_there_is_named(name: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         rule_reason(VIEW, LaneChange(rule=name))
+
+
+#: Files of a rule `accept` that no scene may be driven with: the text, the line that is to blame, and what is said.
+UNSOUND = {
+    "syntax": ("def accept(view):\n    return (\n", 2, "SyntaxError: '(' was never closed"),
+    "import": ("import math\nmath.nothing\n", 2, "AttributeError: module 'math' has no attribute 'nothing'"),
+    "missing": ("import nowhere_to_find\n", 1, "ModuleNotFoundError: No module named 'nowhere_to_find'"),
+    "exit": ("import sys\nsys.exit('bye')\n", 2, "SystemExit: bye"),
+    "raises": (
+        "def help(v):\n    return 1 / 0\ndef accept(v):\n    return help(v)\n",
+        2,
+        "ZeroDivisionError: division",
+    ),
+    "raises elsewhere": (
+        "import json\ndef accept(v):\n    return json.loads('x')\n",
+        3,
+        "JSONDecodeError: Expecting value",
+    ),
+    "behind a vehicle": ("def accept(v):\n    return v.front.distance_m > 99 or v.no\n", 2, "has no attribute 'no'"),
+    "signature": ("\ndef accept(a, b):\n    return True\n", 2, "TypeError: accept() missing 1 required positional"),
+    "answer": ("def accept(view):\n    return 1\n", 1, "it answered 1, expected True or False"),
+    "long answer": ("def accept(view):\n    return 'x' * 10**6\n", 1, "it answered 'xxx"),
+}
+
+
+@pytest.mark.parametrize("name", UNSOUND)
+def test_unsound_rule_is_refused_with_file_and_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str) -> None:
+    text, line, said = UNSOUND[name]
+    module = f"unsound_{list(UNSOUND).index(name)}"
+    (tmp_path / f"{module}.py").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(ConfigError) as caught:
+        check_user_rule(f"{module}:accept")
+    assert f"lane_change.rule = '{module}:accept': {tmp_path / module}.py:{line}: " in str(caught.value)
+    assert said in str(caught.value)
+    assert len(str(caught.value)) < 600
+
+
+def test_sound_rule_is_told_by_its_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "sound_rule.py").write_text("def accept(view):\n    return view.rear.distance_m > 10.0\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert check_user_rule("sound_rule:accept") == str(tmp_path / "sound_rule.py")
+    with pytest.raises(ConfigError, match="'builtins:bool': its module has no file"):
+        check_user_rule("builtins:bool")
+    with pytest.raises(ConfigError, match="'math:pi': TypeError: 'float' object is not callable; expected a function"):
+        check_user_rule("math:pi")

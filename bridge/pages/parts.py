@@ -24,7 +24,13 @@ class Section(NamedTuple):
 @functools.cache
 def _templates() -> jinja2.Environment:
     loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
-    return jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
+    escaped = jinja2.select_autoescape(("html.j2",))  # all but Markdown
+    return jinja2.Environment(loader=loader, autoescape=escaped, undefined=jinja2.StrictUndefined)  # noqa: S701
+
+
+def text(file: str, **values: object) -> str:
+    """A page of text, such as Markdown, that a template makes of values."""
+    return _templates().get_template(file).render(**values)
 
 
 def macro(file: str, name: str, *arguments: object) -> Markup:
@@ -76,7 +82,7 @@ _LINKED = {
     "yaw rate": "smooth", "offset": "smooth", "speed": "smooth", "touch": "contact", "contact": "contact",
     "lane change": "manoeuvre", "left turn": "manoeuvre", "right turn": "manoeuvre", "overtake": "overtake",
     "obstacle avoidance": "overtake", "pass": "overtake", "AUC": "auc", "Jensen-Shannon": "js",
-    "Wasserstein": "wasserstein",
+    "Wasserstein": "wasserstein", "finding": "judge",
 }  # fmt: skip
 
 

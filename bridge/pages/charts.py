@@ -7,11 +7,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from bridge.evaluation.aggregate import Estimate
 from bridge.pictures import figures
 from hid2.agents import Policy
 from hid2.evaluation.realism import FEATURES, FINE, RealismCounts
 from hid2.policy.behaviours import BEHAVIOURS
+from hid2.resampling import Estimate
 
 
 def distribution_figure(counts: RealismCounts) -> Figure:
@@ -87,17 +87,13 @@ def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[float, Estim
     for ax, (metric, groups) in zip(axes, series.items(), strict=True):
         for group, points in groups.items():
             color, line, marker = looks[group]
-            known = [(x, e) for x, e in points if e.value is not None]
-            x = [x for x, _ in known]
+            known = [(x, *e) for x, e in points if e.value is not None]
             name = "recorded and generated" if group == "combined" else "generated alone"
-            ax.plot(
-                x, [e.value for _, e in known], color=color, linestyle=line, marker=marker, markersize=4, label=name
-            )
-            band = [(x, e.low, e.high) for x, e in known if e.low is not None and e.high is not None]
+            x, values = [x for x, *_ in known], [value for _, value, *_ in known]
+            ax.plot(x, values, color=color, linestyle=line, marker=marker, markersize=4, label=name)
+            band = [(x, low, high) for x, _, low, high in known if low is not None and high is not None]
             if band and group == "combined":
-                ax.fill_between(
-                    [b[0] for b in band], [b[1] for b in band], [b[2] for b in band], color=color, alpha=0.15
-                )
+                ax.fill_between(*zip(*band, strict=True), color=color, alpha=0.15)
         ax.set_xlabel("vehicles placed, mean")
         ax.set_title(labels[metric])
         ax.set_ylim(bottom=0)

@@ -1,0 +1,113 @@
+"""What a command asks for: whether any of its scenes can meet it, before the first is driven, and whether one did."""
+
+import contextlib
+import re
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bridge.batch.engine import work_on_each
+from bridge.batch.isolation import Failure, attempt_each
+from bridge.batch.manifest import DONE, MANIFEST_NAME, ManifestRow, read_manifest
+from bridge.config import config_sha256, config_to_dict
+from bridge.files import one_line
+from bridge.recordings.folders import SIDECAR_PATTERN, Address
+from hid2.params import Config, Request
+from hid2.policies import Policy
+from netconvert.errors import ConfigError, Hid2Error
+
+#: Scenes that are looked at for one that can meet what is asked for.
+_LOOKED_AT = 100
+#: No scene is looked at for a trigger before this time, s: the shortest recordings last longer.
+_SHORTEST_S = 4.9
+
+
+def named_behaviours(request: Request, *, by_option: bool) -> tuple[Policy, ...]:
+    """Behaviours asked for by name: all in --behaviours, else those with another share than the usual; not straight."""
+    usual = Request().behaviours
+    return tuple(
+        policy
+        for policy, share in request.behaviours.items()
+        if share > 0 and policy is not Policy.STRAIGHT and (by_option or share != usual[policy])
+    )
+
+
+def check_request(folders: Sequence[Address], config: Config, named: Sequence[Policy], *, jobs: int) -> None:
+    """Look at the first scenes until each thing asked for can come about in one of those looked at.
+
+    Scenes that cannot be read are passed over: rows of their own say why. Errors: ConfigError for what none can meet.
+    """
+    request = config.request
+    anywhere = request.near in ("traffic", "anywhere")
+    if anywhere and not config.event and not named and request.first_trigger_s <= _SHORTEST_S:
+        return
+    never: dict[str, str] | None = None
+    looked_at = 0
+    first = folders[:_LOOKED_AT]
+    each = work_on_each(look_at_scenes, first, shared=(config, named), jobs=jobs, chunk=1, timeout_s=60.0)
+    with contextlib.closing(each):
+        for folder, found in each:
+            if isinstance(found, Failure):
+                continue
+            looked_at += 1
+            here = {asked: f"{folder}: {why}" for asked, why in found.items()}
+            never = here if never is None else {asked: why for asked, why in never.items() if asked in here}
+            if not never:
+                return
+    for asked, why in (never or {}).items():
+        raise ConfigError(f"{asked}: can come about in none of the scenes looked at ({looked_at}); {why}")
+
+
+def look_at_scenes(
+    shared: tuple[Config, Collection[Policy]], folders: Sequence[Address]
+) -> Iterator[dict[str, str] | Failure]:
+    """The work of a process: what can never come about in each scene."""
+    from bridge.batch.scan import scene_of
+    from bridge.recordings.sources import read_recording
+    from hid2.insertion.feasible import impossible
+
+    config, named = shared
+    return attempt_each(lambda folder: impossible(scene_of(read_recording(folder), config), named), folders)
+
+
+def check_same_request(out: Path, config: Config) -> None:
+    """Errors: ConfigError where a folder holds scenes, and none of this request."""
+    rows = [row for row in read_manifest(out / MANIFEST_NAME)[0] if row.folder and (out / row.folder).is_dir()]
+    if not rows or config_sha256(config) in {row.config_sha256 for row in rows}:
+        return
+    from bridge.recordings.sidecar import read_sidecar
+
+    before, now = dict[str, Any](), _flat(config_to_dict(config))
+    with contextlib.suppress(Hid2Error, StopIteration):
+        before = _flat(read_sidecar(next((out / rows[-1].folder).glob(SIDECAR_PATTERN))).config)
+    changed = [f"{key} was {before[key]}, is {now[key]}" for key in now if before.get(key, now[key]) != now[key]]
+    said = one_line(", ".join(changed), most=300) or "its configuration has another digest"
+    raise ConfigError(
+        f"{out}: holds scenes of another request ({said}); expected another OUT, the same request, or --append to add "
+        "scenes to those there"
+    )
+
+
+def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
+    parts = {key: value if isinstance(value, dict) else {"": value} for key, value in values.items()}
+    return {f"{part}.{key}".rstrip("."): value for part, found in parts.items() for key, value in found.items()}
+
+
+def came_about_nowhere(rows: Sequence[ManifestRow], config: Config, named: Sequence[Policy]) -> list[str]:
+    """What was asked for and came about in none of the scenes that are done."""
+    done = [row for row in rows if row.status == DONE]
+    asked = Counter[str]()
+    for event in config.event:
+        asked[f"{event.kind} with {event.target}"] += event.count * len(done)
+    nowhere = [name for name, count in asked.items() if 0 < count <= _not_done(done, name)]
+    in_vain = (policy.value for policy in named if _not_done(done, policy.value))
+    nowhere += [name for name in in_vain if not any(getattr(row, name) for row in done)]
+    is_empty = done and config.request.agents != 0 and not any(row.placed for row in done)
+    return [*nowhere, *(["any vehicle"] if is_empty else [])]
+
+
+def _not_done(rows: Sequence[ManifestRow], name: str) -> int:
+    """How often something did not come about, by the texts "name: reason (count); ..."."""
+    entry = re.compile(rf"(?:^|; ){re.escape(name)}: .*? \((\d+)\)(?=; |$)")
+    return sum(int(count) for row in rows for count in entry.findall(row.not_done))

@@ -1,0 +1,40 @@
+"""`hid2 validate` over many scenes: each is checked in a process of its own, in the order of the folders."""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from bridge.batch.engine import work_on_each
+from bridge.batch.isolation import Failure, attempt_each
+from bridge.recordings.folders import find_scenarios
+from bridge.recordings.validate import Against, Finding, check_tree, held_against, validate_scene
+
+#: Scenes that a process gets at a time; no tunable: starting one takes as long as checking so many.
+_CHUNK = 50
+
+
+def validate_scenes(
+    out: Path,
+    *,
+    sources: Sequence[Path] = (),
+    map_path: Path | None = None,
+    inserted: Sequence[str] = (),
+    jobs: int = 1,
+    on_scene: Callable[[int, int], None] | None = None,
+) -> tuple[int, list[Finding]]:
+    """How many scenes there are, and the findings of `bridge.recordings.validate.validate_folder`.
+
+    A scene whose check fails or takes too long is a finding. Errors: ScenarioError.
+    """
+    folders, against = find_scenarios(out), held_against(out, sources, map_path, inserted)
+    findings = check_tree(out, folders)
+    each = work_on_each(
+        check, folders, shared=against, jobs=jobs, chunk=_CHUNK, timeout_s=120, isolated=jobs > 1, on_item=on_scene
+    )
+    for folder, found in each:
+        findings += [Finding(folder, "folder", found.message)] if isinstance(found, Failure) else found
+    return len(folders), findings
+
+
+def check(against: Against, folders: Sequence[Path]) -> Iterator[list[Finding] | Failure]:
+    """The work of a process: check each folder."""
+    return attempt_each(lambda folder: validate_scene(folder, against), folders)

@@ -1,0 +1,1 @@
+"""Pages and charts: one shell, one form of tables and figures, and the prose of every page as a template."""

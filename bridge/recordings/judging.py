@@ -1,0 +1,67 @@
+"""A scene as it lies on disk before the judge: its tracks with their boxes, its map, what its sidecar claims."""
+
+from collections.abc import Collection, Mapping, Sequence
+
+from bridge.recordings.sidecar import Sidecar
+from hid2.agents import Track
+from hid2.judge.claims import Claim, EventClaim, judge_claims
+from hid2.judge.findings import Bounds, Finding, Quantity
+from hid2.judge.states import judge
+from hid2.measures.lane_matching import FlatLanes
+from hid2.measures.manoeuvres import ManeuverKind
+from hid2.occupancy.agent_states import AgentStates, agent_states
+from netconvert.lane_graph import LaneGraph
+
+#: What a band of criticality that was asked for allows: the quantities that it is about.
+_BANDS = {"ttc_s": (Quantity.TTC_LEADER, Quantity.TTC_FOLLOWER), "pet_s": (Quantity.PET,)}
+
+
+def states_of(
+    tracks: Sequence[Track], lanes: FlatLanes, inserted: Collection[str], *, num_steps: int, step_s: float
+) -> AgentStates:
+    """The states of a scene's tracks, inserted ones last."""
+    ordered = sorted(tracks, key=lambda track: track.track_id in inserted)
+    return agent_states(ordered, lanes, num_steps=num_steps, step_s=step_s, is_inserted=inserted.__contains__)
+
+
+def findings_of(states: AgentStates, graph: LaneGraph, sidecar: Sidecar | None) -> list[Finding]:
+    """What the judge finds in a scene and in what its sidecar claims, by the limits that hold for every scene.
+
+    A criticality that was asked for is no finding: of the vehicle of an event with its band.
+    """
+    found = judge(states, graph, Bounds())
+    if sidecar is None:
+        return found
+    allowed = _allowed(sidecar)
+    found = [one for one in found if one.value < allowed.get((one.track_id, one.quantity), float("inf"))]
+    return found + judge_claims(states, *claims_of(sidecar))
+
+
+def claims_of(sidecar: Sidecar) -> tuple[list[Claim], list[EventClaim]]:
+    """Manoeuvres and events that a sidecar tells as done."""
+    claims = []
+    for agent in sidecar.agents:
+        for record in agent.maneuvers:
+            kind = ManeuverKind(record.kind)
+            at_s = record.start_s if record.crossing_s is None else record.crossing_s
+            if record.status == "done" and at_s is not None:
+                claims.append(Claim(agent.track_id, kind, at_s))
+    events = [
+        EventClaim(one.kind, one.track_id, one.target_track_id, one.at_s, ahead=bool(one.ahead))
+        for one in sidecar.events
+        if one.status == "done" and one.track_id and one.target_track_id and one.at_s is not None
+    ]
+    return claims, events
+
+
+def _allowed(sidecar: Sidecar) -> Mapping[tuple[str, Quantity], float]:
+    """Least values that an event's band of criticality allows its vehicle."""
+    asked = [one for one in sidecar.config.get("event", ()) for _ in range(int(one.get("count", 1)))]
+    return {
+        (record.track_id, quantity): float(event[band][0])
+        for event, record in zip(asked, sidecar.events, strict=False)
+        if record.track_id is not None
+        for band, quantities in _BANDS.items()
+        if event.get(band)
+        for quantity in quantities
+    }

@@ -1,0 +1,191 @@
+"""Whether what is claimed of inserted vehicles can be seen in their states: manoeuvres, and events with a target.
+
+A manoeuvre is what `measures.manoeuvres` detects. An event is seen from where its target is at that moment: in the lane
+that it drives then, not in one that it changes to later (method.md, ordered events).
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from hid2.judge.findings import CLAIM_S, Finding, Quantity
+from hid2.measures.arrays import BoolArray
+from hid2.measures.driven_lanes import path_driven, runs_of
+from hid2.measures.encounters import CROSSING_RAD
+from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
+from hid2.occupancy.agent_states import AgentStates
+
+#: What counts as an overtake: that of a vehicle that stands is told as one, with its reason.
+_PASSED = (ManeuverKind.OVERTAKE, ManeuverKind.OBSTACLE_AVOIDANCE)
+
+
+class Claim(NamedTuple):
+    """A manoeuvre that is told as done. at_s: when the centre first crosses a line, or of a turn when it begins."""
+
+    track_id: str
+    kind: ManeuverKind
+    at_s: float
+
+
+class EventClaim(NamedTuple):
+    """An event that is told as done. ahead: whether the vehicle is ahead of its target, or crosses first."""
+
+    kind: str
+    track_id: str
+    target_id: str
+    at_s: float
+    ahead: bool
+
+
+def manoeuvres(states: AgentStates) -> list[Maneuver]:
+    """All manoeuvres of the inserted vehicles of a scene."""
+    return detect(states.arrays, states.lanes, states.matches, among=states.arrays.generated)
+
+
+def moment_s(maneuver: Maneuver) -> float:
+    """The time by which a manoeuvre is told: of a lane change, also of an overtake, the crossing, else the start."""
+    return maneuver.crossing_s if maneuver.kind is ManeuverKind.LANE_CHANGE else maneuver.start_s
+
+
+def seen(claim: Claim, among: Sequence[Maneuver]) -> Maneuver | None:
+    """The manoeuvre of that kind and track that is nearest to the time claimed; None where there is none."""
+    own = [one for one in among if one.track_id == claim.track_id]
+    if claim.kind is ManeuverKind.OVERTAKE:
+        same = [one for one in own if one.kind is ManeuverKind.LANE_CHANGE and one.part_of in _PASSED]
+    else:
+        same = [one for one in own if one.kind is claim.kind]
+    return min(same, key=lambda one: abs(moment_s(one) - claim.at_s), default=None)
+
+
+def judge_claims(states: AgentStates, claims: Sequence[Claim], events: Sequence[EventClaim]) -> list[Finding]:
+    """Claims that the states do not show within CLAIM_S of the time claimed; inf where they show nothing like it."""
+    found, every = [], manoeuvres(states) if claims else []
+    for claim in claims:
+        shown = seen(claim, every)
+        off_s = math.inf if shown is None else abs(moment_s(shown) - claim.at_s)
+        if off_s > CLAIM_S:
+            found.append(_finding(states, claim.track_id, claim.at_s, off_s, None))
+    for event in events:
+        step = event_step(states, event)
+        off_s = math.inf if step is None else abs(step * states.arrays.step_s - event.at_s)
+        if off_s > CLAIM_S + 1e-9:
+            found.append(_finding(states, event.track_id, event.at_s, off_s, event.target_id))
+    return found
+
+
+def _finding(states: AgentStates, track_id: str, at_s: float, off_s: float, other: str | None) -> Finding:
+    return Finding(track_id, round(at_s / states.arrays.step_s), Quantity.CLAIM, off_s, CLAIM_S, other)
+
+
+def event_step(states: AgentStates, claim: EventClaim) -> int | None:
+    """The step at which an event is seen, the nearest to the time claimed; None where it is not."""
+    ids = states.arrays.track_ids
+    if claim.track_id not in ids or claim.target_id not in ids:
+        return None
+    own, target = ids.index(claim.track_id), ids.index(claim.target_id)
+    near = round(claim.at_s / states.arrays.step_s)
+    match claim.kind:
+        case "cut_in":
+            return _cut_in(states, own, target, near)
+        case "overtake":
+            return _overtaken(states, own, target, near)
+        case "merge":
+            return _merged(states, own, target)
+        case "cross":
+            steps = crossing_steps(states, own, target)
+            return None if steps is None or (steps[0] < steps[1]) is not claim.ahead else steps[0]
+        case _:  # lead, follow
+            return near if _leads(states, *((own, target) if claim.ahead else (target, own)), near) else None
+
+
+def _nearest(steps: Sequence[int], near: int) -> int | None:
+    return min(steps, key=lambda step: abs(step - near), default=None)
+
+
+def _of(states: AgentStates, agent: int) -> BoolArray:
+    return np.asarray(np.arange(states.arrays.num_agents) == agent)
+
+
+def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None:
+    """The vehicle crosses from a lane beside the target's path into it, ahead of the target."""
+    arrays, view = states.arrays, states.view
+    changes = detect(arrays, states.lanes, states.matches, among=_of(states, own))
+    runs, steps = runs_of(view, target), []
+    for change in (one for one in changes if one.kind is ManeuverKind.LANE_CHANGE):
+        step = round(change.crossing_s / arrays.step_s)
+        row, there = arrays.row_of[own, step], arrays.row_of[target, step]
+        k = next((k for k, run in enumerate(runs) if run.first <= there <= run.last), None)
+        if there < 0 or k is None or runs[k].lane < 0:
+            continue
+        path, lanes = path_driven(view, runs, k)
+        on_path = {int(states.lanes.lane_ids[lane]) for lane in lanes}
+        if change.target_lane not in on_path or change.source_lane in on_path:
+            continue
+        (own_s, target_s), _ = path.frenet(arrays.position[[row, there]])
+        if own_s - target_s > (arrays.length[own] + arrays.length[target]) / 2:
+            steps.append(step)
+    return _nearest(steps, near)
+
+
+def _overtaken(states: AgentStates, own: int, target: int, near: int) -> int | None:
+    """The vehicle overtakes the target, and crosses back into its lane."""
+    found = overtake_of(states, own, target)
+    return None if found is None else _nearest([round(found[1].crossing_s / states.arrays.step_s)], near)
+
+
+def overtake_of(states: AgentStates, own: int, other: int) -> tuple[Maneuver, Maneuver] | None:
+    """The overtake of one vehicle by another and its change back; None where there is none."""
+    pair = states.rows([own, other])
+    every = detect(pair.arrays, pair.lanes, pair.matches, among=_of(pair, 0))
+    for passed in (one for one in every if one.kind in _PASSED):
+        back = [one for one in every if one.part_of is passed.kind and one.side == -passed.side]
+        if back:
+            return passed, back[-1]
+    return None
+
+
+def _merged(states: AgentStates, own: int, target: int) -> int | None:
+    """The vehicle comes onto a lane that the target drives too, from a lane that the target does not drive."""
+    view = states.view
+    common = {run.lane for run in runs_of(view, target) if run.lane >= 0}
+    runs = runs_of(view, own)
+    for before, after in pairwise(runs):
+        if after.lane in common and before.lane not in common and before.lane >= 0:
+            if states.lanes.link[before.lane, after.lane] != 0:
+                continue
+            return int(states.arrays.step[after.first])
+    return None
+
+
+def crossing_steps(states: AgentStates, own: int, target: int) -> tuple[int, int] | None:
+    """Steps at which the centres of two agents are where their paths cross, own and target's; None where they do not.
+
+    Paths cross where they cut each other at CROSSING_RAD at least.
+    """
+    arrays = states.arrays
+    spans = [slice(int(arrays.first[agent]), int(arrays.first[agent + 1])) for agent in (own, target)]
+    a, b = (arrays.position[span] for span in spans)
+    u, w = np.diff(a, axis=0), np.diff(b, axis=0)
+    a, b = a[:-1], b[:-1]
+    cross = u[:, None, 0] * w[None, :, 1] - u[:, None, 1] * w[None, :, 0]
+    lengths = np.hypot(u[:, 0], u[:, 1])[:, None] * np.hypot(w[:, 0], w[:, 1])
+    offset = b[None] - a[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (offset[..., 0] * w[None, :, 1] - offset[..., 1] * w[None, :, 0]) / cross
+        r = (offset[..., 0] * u[:, None, 1] - offset[..., 1] * u[:, None, 0]) / cross
+        steep = np.abs(cross) > math.sin(CROSSING_RAD) * lengths
+    hit = np.argwhere(steep & (t >= 0.0) & (t < 1.0) & (r >= 0.0) & (r < 1.0))
+    if not hit.size:
+        return None
+    return int(arrays.step[spans[0]][hit[0, 0]]), int(arrays.step[spans[1]][hit[0, 1]])
+
+
+def _leads(states: AgentStates, leader: int, follower: int, step: int) -> bool:
+    """Whether one agent is ahead of another at a step, on the path that the other drives."""
+    if states.arrays.row_of[follower, step] < 0 or states.arrays.row_of[leader, step] < 0:
+        return False
+    led = states.leading(follower, np.array([leader]))
+    return bool(led.rows.size and np.isfinite(led.gap_m[0, step]))

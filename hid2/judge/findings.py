@@ -1,0 +1,108 @@
+"""What the judge holds the states of inserted vehicles to: each quantity with its limit, and what it finds."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+from hid2.params import Config, Conflict, Limits
+
+#: What is claimed is seen in the states within so long of the time claimed, s.
+CLAIM_S = 0.5
+#: A recorded follower keeps this time headway, s, unless it kept less to its own leader; shorter ones count above this
+#: speed, m/s, when they last so long, s.
+FOLLOWER_HEADWAY_S, FOLLOWER_MPS, FOLLOWER_FOR_S = 0.8, 3.0, 1.0
+#: After the last step a driver brakes so hard, m/s2, after so long, s.
+END_DECEL_MPS2, END_REACTION_S = 3.0, 1.0
+#: Share of 1 / R_min above which a curve cannot be driven.
+CURVATURE_SHARE = 1.1
+#: Largest angle between a vehicle and the lane below it, degrees: outside of intersections, and in them.
+LANE_DEG, INTERSECTION_DEG = 60.0, 90.0
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What states are held to, and what the last word keeps beyond it; `last_word` has those of the last word.
+
+    spare_*: added to each side of a box, m; to each side of the path driven, m; to the TTC at the end, s.
+    drivable_share, curvature_share: of limits.drivable_tolerance_m, and of 1 / limits.min_radius_m; end_rows: states
+    left out at both ends of a track, whose derivatives are one-sided; by_stated: whether the velocities that a file
+    states are held to the limits of motion too.
+    """
+
+    limits: Limits = Limits()  # noqa: RUF009  # frozen
+    conflict: Conflict = Conflict()  # noqa: RUF009  # frozen
+    spare_box_m: float = 0.0
+    spare_aside_m: float = 0.0
+    spare_end_s: float = 0.0
+    drivable_share: float = 1.0
+    curvature_share: float = CURVATURE_SHARE
+    end_rows: int = 2
+    by_stated: bool = False
+
+
+def last_word(config: Config) -> Bounds:
+    """The bounds of what is exported: a little inside those of a reader, so that no rounding brings it beyond them."""
+    export, conflict = config.export, config.conflict
+    return Bounds(
+        config.limits, conflict, export.box_margin_m, conflict.margin_lateral_m, export.end_spare_s,
+        export.drivable_share, export.limit_share, end_rows=0, by_stated=True,
+    )  # fmt: skip
+
+
+class Quantity(StrEnum):
+    """What is judged, by the name that findings have; unit and what is said of it."""
+
+    unit: str
+    sentence: str
+
+    def __new__(cls, value: str, unit: str = "", sentence: str = "") -> "Quantity":
+        """A member with its unit and sentence."""
+        member = str.__new__(cls, value)
+        member._value_, member.unit, member.sentence = value, unit, sentence
+        return member
+
+    ACCEL = "accel", "m/s2", "acceleration along the heading"
+    DECEL = "decel", "m/s2", "deceleration along the heading"
+    LATERAL_ACCEL = "lateral_accel", "m/s2", "acceleration across the heading"
+    LONGITUDINAL_JERK = "longitudinal_jerk", "m/s3", "change of the acceleration along the heading"
+    JERK = "jerk", "m/s3", "change of the acceleration"
+    YAW_RATE = "yaw_rate", "rad/s", "change of the heading"
+    YAW_ACCEL = "yaw_accel", "rad/s2", "change of the yaw rate"
+    CURVATURE = "curvature", "1/m", "yaw rate over speed"
+    AGAINST_LANE = "against_lane", "deg", "angle to every lane below the centre"
+    OFF_ROAD = "off_road", "m", "distance of the box's outline from the drivable area"
+    OVERLAP = "overlap", "m2", "ground shared with another box"
+    TTC_LEADER = "ttc_leader", "s", "time to collision with what leads on the path driven"
+    TTC_FOLLOWER = "ttc_recorded_follower", "s", "time to collision of a recorded follower"
+    PET = "pet", "s", "post-encroachment time where paths cross"
+    END_TTC = "end_ttc", "s", "time to collision after the last step, all at constant velocity"
+    END_CONTACT = "end_contact", "s", "contact after the last step that braking does not avoid"
+    CLAIM = "claim", "s", "time between what is claimed and what the states show"
+    FOLLOWER_HEADWAY = "follower_headway", "s", "time headway that a recorded follower is left with"
+
+
+#: Quantities that are noted and are no errors.
+NOTES = frozenset({Quantity.FOLLOWER_HEADWAY})
+
+
+#: Quantities whose limit is a least value.
+LEAST = frozenset({
+    Quantity.TTC_LEADER, Quantity.TTC_FOLLOWER, Quantity.PET, Quantity.END_TTC, Quantity.END_CONTACT,
+    Quantity.FOLLOWER_HEADWAY,
+})  # fmt: skip
+
+
+class Finding(NamedTuple):
+    """One breach: track and step (of the worst value), the value and its limit, and the other track it is about."""
+
+    track_id: str
+    step: int
+    quantity: Quantity
+    value: float
+    limit: float
+    other: str | None = None
+
+    @property
+    def is_note(self) -> bool:
+        """Whether it is told and is no error."""
+        return self.quantity in NOTES

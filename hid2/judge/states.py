@@ -1,0 +1,381 @@
+"""Whether the states of inserted vehicles are safe and can be driven: positions, headings, velocities, boxes, the map.
+
+`judge` takes all of a scene, as `hid2 validate` and `hid2 evaluate` do; the last word asks its parts while vehicles are
+tried: what a vehicle does by itself (`of_motion`, `of_road`), what it does to others (`of_others`), and what lanes and
+crossing paths show of all together (`of_lanes`, `of_crossings`).
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import shapely
+
+from hid2.agents import BoxSize, FloatArray, IntArray
+from hid2.judge.findings import (
+    END_DECEL_MPS2,
+    END_REACTION_S,
+    FOLLOWER_FOR_S,
+    FOLLOWER_HEADWAY_S,
+    FOLLOWER_MPS,
+    INTERSECTION_DEG,
+    LANE_DEG,
+    LEAST,
+    Bounds,
+    Finding,
+    Quantity,
+)
+from hid2.kernels.box_pairs import post_encroachment
+from hid2.kernels.lane_matching import SLIVER_M
+from hid2.kernels.path_intervals import SAME_WAY
+from hid2.kernels.trajectory import derivatives_of_motion, first_overlapping
+from hid2.measures.arrays import BoolArray
+from hid2.measures.driven_lanes import LaneView
+from hid2.measures.following import Leaders, leaders
+from hid2.measures.motion_limits import MOTION_LIMITS, MotionProfile
+from hid2.measures.post_encroachment import CROSSING_RAD
+from hid2.measures.scene_end import BoxesAtStep, first_contact
+from hid2.occupancy.agent_states import AgentStates, Leading
+from netconvert.geometry import box_corners, differences, wrap_angle
+from netconvert.lane_graph import LaneGraph
+
+#: Slower vehicles have neither a curvature nor a direction of motion, m/s.
+MOVES_MPS = 1.0
+_OUTLINE_STEP_M = 0.5  # no tunable: between two points a side leaves the road by less than the tolerance spares
+
+
+def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding]:
+    """All findings on the inserted vehicles of a scene, which come last in the states."""
+    arrays = states.arrays
+    inserted = np.flatnonzero(arrays.generated)
+    found: list[Finding] = []
+    for row in inserted.tolist():
+        found += of_motion(states, row, bounds)
+        found += of_road(states, row, BoxSize(arrays.length[row], arrays.width[row]), graph, bounds)
+        found += of_others(states, row, bounds)
+    led = leaders(arrays, states.lanes, states.matches)
+    found += of_lanes(states, led, bounds)
+    found += of_followers(states, inserted, bounds)
+    found += of_crossings(states, bounds, since=int(inserted[0]) if inserted.size else arrays.num_agents)
+    found += headways(states, led)
+    worst = {(one.track_id, one.quantity, one.other): one for one in sorted(found, key=_how_bad)}
+    return sorted(worst.values(), key=lambda one: (one.track_id, one.step, one.quantity, one.other or ""))
+
+
+def _how_bad(one: Finding) -> float:
+    """Larger for the worse of two findings of one quantity: those of times are worse the shorter they are."""
+    return -one.value if one.quantity in LEAST else one.value
+
+
+# what a vehicle does by itself
+
+
+def of_motion(states: AgentStates, row: int, bounds: Bounds) -> Iterator[Finding]:
+    """Limits of motion, by central differences of position and heading, each at its worst step."""
+    arrays, rows = states.arrays, states.row_span(row)
+    moved = differences(arrays.position[rows], arrays.step_s)
+    for velocity in (moved, arrays.velocity[rows])[: 1 + bounds.by_stated]:
+        yield from _of_velocity(states, row, velocity, bounds)
+
+
+def _of_velocity(states: AgentStates, row: int, velocity: FloatArray, bounds: Bounds) -> Iterator[Finding]:
+    step_s, heading = states.arrays.step_s, np.ascontiguousarray(states.arrays.heading[states.row_span(row)])
+    profile = MotionProfile(*derivatives_of_motion(np.ascontiguousarray(velocity), heading, step_s))
+    inside = slice(bounds.end_rows, len(heading) - bounds.end_rows)
+    quantities = [(limit.name, limit.value(profile), limit.bound(bounds.limits)) for limit in MOTION_LIMITS]
+    fast = profile.speed_mps > MOVES_MPS
+    curvature = np.where(fast, np.abs(profile.yaw_rate_radps) / np.where(fast, profile.speed_mps, 1.0), 0.0)
+    quantities.append(("curvature", curvature, bounds.curvature_share / bounds.limits.min_radius_m))
+    for name, values, bound in quantities:
+        beyond = values[inside]
+        if beyond.size and beyond.max() > bound:
+            worst = int(np.argmax(beyond)) + bounds.end_rows
+            yield _of_one(states, row, worst, Quantity(name), float(values[worst]), bound)
+
+
+def of_road(states: AgentStates, row: int, size: BoxSize, graph: LaneGraph, bounds: Bounds) -> Iterator[Finding]:
+    """The footprint of a vehicle of a size on the drivable area, its heading with the lane."""
+    rows = states.row_span(row)
+    tolerance_m = bounds.drivable_share * bounds.limits.drivable_tolerance_m
+    position, heading = states.arrays.position[rows], states.arrays.heading[rows]
+    outside = outside_m(position, heading, *size, graph, tolerance_m=tolerance_m)
+    if outside.max(initial=0.0) > tolerance_m:
+        worst = int(np.argmax(outside))
+        yield _of_one(states, row, worst, Quantity.OFF_ROAD, float(outside[worst]), tolerance_m)
+    angle, limit = against_lane_deg(states.view, np.arange(rows.start, rows.stop), graph)
+    over = angle - limit
+    if over.max(initial=0.0) > 0.0:
+        worst = int(np.argmax(over))
+        yield _of_one(states, row, worst, Quantity.AGAINST_LANE, float(angle[worst]), float(limit[worst]))
+
+
+def _of_one(states: AgentStates, row: int, at: int, quantity: Quantity, value: float, limit: float) -> Finding:
+    """A finding on one row of states alone, at a place among its own."""
+    step = int(states.arrays.step[states.arrays.first[row] + at])
+    return Finding(states.arrays.track_ids[row], step, quantity, value, limit)
+
+
+def outside_m(
+    position: FloatArray, heading: FloatArray, length_m: FloatArray | float, width_m: FloatArray | float,
+    graph: LaneGraph, *, tolerance_m: float,
+) -> FloatArray:  # fmt: skip
+    """How far the outlines of boxes (N,) reach out of the drivable area, m; 0 up to tolerance_m.
+
+    Corners, and points along the sides: where the road's edge has a corner, a side reaches farther out than its ends.
+    """
+    corners = box_corners(position, heading, length_m=length_m, width_m=width_m)
+    out = np.zeros(len(corners))
+    off = np.flatnonzero(~shapely.contains(graph.drivable, shapely.polygons(corners)))
+    if not off.size:
+        return out
+    rings = shapely.linearrings(corners[off])
+    points = shapely.get_coordinates(shapely.segmentize(rings, _OUTLINE_STEP_M), return_index=True)
+    xy, box = points
+    far = ~shapely.contains_xy(graph.drivable, xy[:, 0], xy[:, 1])
+    far[far] = ~shapely.dwithin(graph.drivable, shapely.points(xy[far]), tolerance_m)
+    away = shapely.distance(graph.drivable, shapely.points(xy[far]))
+    np.maximum.at(out, off[box[far]], np.where(np.isnan(away), np.inf, away))  # inf where there is no area at all
+    return out
+
+
+def against_lane_deg(view: LaneView, rows: IntArray, graph: LaneGraph) -> tuple[FloatArray, FloatArray]:
+    """Least angle (R,) to the lanes that hold the centres, degrees, 0 off every lane; and its limit.
+
+    rows: of the arrays, those of one agent. The angle is that of the heading, or of the motion where it is larger. A
+    vehicle that keeps to the lane matched to it is looked at no further.
+    """
+    arrays, lanes, matches = view.arrays, view.lanes, view.matches
+    if not lanes.lane_ids.size:
+        return np.zeros(len(rows)), np.full(len(rows), LANE_DEG)
+    lane, position, heading = matches.lane[rows], arrays.position[rows], arrays.heading[rows]
+    turned = np.degrees(np.abs(wrap_angle(heading - lanes.heading(lane, matches.s[rows]))))
+    keeps = (lane >= 0) & (np.abs(matches.d[rows]) <= lanes.half_width[lane] + SLIVER_M) & (turned <= LANE_DEG)
+    angle, limit = np.where(keeps, turned, 0.0), np.full(len(rows), LANE_DEG)
+    doubtful = np.flatnonzero(~keeps)
+    if not doubtful.size:
+        return angle, limit
+    position, heading, direction = position[doubtful], heading[doubtful], matches.direction[rows][doubtful]
+    least, held = np.full(doubtful.size, np.inf), np.zeros(doubtful.size, dtype=np.bool_)
+    low, high, box = position.min(axis=0), position.max(axis=0), lanes.box
+    near = (box[:, 0] <= high[0]) & (box[:, 1] <= high[1]) & (box[:, 2] >= low[0]) & (box[:, 3] >= low[1])
+    for k in np.flatnonzero(near).tolist():
+        one = graph.lanes[int(lanes.lane_ids[k])]
+        s, d = one.path.frenet(position)
+        beside = (s >= 0.0) & (s <= one.path.length_m) & (np.abs(d) <= lanes.half_width[k] + SLIVER_M)
+        inside = beside & (np.abs(d) <= lanes.half_width[k])
+        off = np.abs(wrap_angle(np.stack([heading, direction]) - one.path.heading(s)))
+        turned = np.degrees(off.max(axis=0))
+        least[beside] = np.minimum(least[beside], turned[beside])
+        held |= inside
+        if one.is_intersection:
+            limit[doubtful[inside]] = INTERSECTION_DEG
+    angle[doubtful] = np.where(held, least, 0.0)
+    return angle, limit
+
+
+# what a vehicle does to others
+
+
+def of_others(states: AgentStates, row: int, bounds: Bounds) -> Iterator[Finding]:
+    """Boxes that a vehicle meets, what leads it on the path that it drives, and what follows its last step."""
+    others = np.delete(np.arange(states.arrays.num_agents), row)
+    yield from of_boxes(states, row, others, spare_m=bounds.spare_box_m)
+    yield from of_leaders(states, row, states.leading(row, others, aside_m=bounds.spare_aside_m), bounds)
+    yield from of_end(states, row, others, bounds)
+
+
+def of_boxes(states: AgentStates, row: int, others: IntArray, *, spare_m: float) -> Iterator[Finding]:
+    """Every other box that a vehicle's own meets, at the steps and halfway between them, at the first time."""
+    traffic, span, left = states.traffic, states.span(row), others
+    own, heading = traffic.position[row, span], traffic.heading[row, span]
+    length, width = traffic.length_m[row] + 2 * spare_m, traffic.width_m[row] + 2 * spare_m
+    while left.size:
+        agent, step = first_overlapping(
+            own, heading, length, width, np.ascontiguousarray(traffic.position[left, span]),
+            np.ascontiguousarray(traffic.heading[left, span]), np.ascontiguousarray(traffic.present[left, span]),
+            traffic.length_m[left], traffic.width_m[left],
+        )  # fmt: skip
+        if agent < 0:
+            return
+        other = int(left[agent])
+        shared_m2 = _shared_m2(states, (row, length, width), other, span.start + step)
+        yield _finding(states, (row, other), span.start + step, Quantity.OVERLAP, shared_m2, 0.0)
+        left = np.delete(left, agent)
+
+
+def _shared_m2(states: AgentStates, own: tuple[int, float, float], other: int, step: int) -> float:
+    """Ground that two boxes share at a step or halfway to the next, m2."""
+    traffic, (row, length_m, width_m) = states.traffic, own
+    most = 0.0
+    following = min(step + 1, traffic.num_steps - 1)
+    for share in (0.0, 0.5):
+        boxes = []
+        for agent, box_length_m, box_width_m in (
+            (row, length_m, width_m), (other, traffic.length_m[other], traffic.width_m[other])
+        ):  # fmt: skip
+            now, then = traffic.position[agent, step], traffic.position[agent, following]
+            turn = float(wrap_angle(traffic.heading[agent, following] - traffic.heading[agent, step]))
+            there = traffic.present[agent, following]
+            at = now + share * (then - now) if there else now
+            angle = traffic.heading[agent, step] + (share * turn if there else 0.0)
+            boxes.append(shapely.Polygon(box_corners(at, angle, length_m=box_length_m, width_m=box_width_m)))
+        most = max(most, float(boxes[0].intersection(boxes[1]).area))
+    return most
+
+
+def of_leaders(states: AgentStates, row: int, led: Leading, bounds: Bounds) -> Iterator[Finding]:
+    """The least TTC of a vehicle to anything that leads on the path that it drives."""
+    ttc_s, critical_s = led.ttc_s, bounds.conflict.ttc_min_s
+    if ttc_s.min(initial=np.inf) < critical_s:
+        agent, step = np.unravel_index(int(np.argmin(ttc_s)), ttc_s.shape)
+        other = int(led.rows[agent])
+        yield _finding(states, (row, other), int(step), Quantity.TTC_LEADER, float(ttc_s[agent, step]), critical_s)
+
+
+def of_end(states: AgentStates, row: int, others: IntArray, bounds: Bounds) -> Iterator[Finding]:
+    """Contacts after a vehicle's last step, all at the velocities stated then: too soon, or not to be avoided.
+
+    Not avoided is a contact within the horizon that comes about as the vehicle drives, and also when it brakes with
+    END_DECEL_MPS2 after END_REACTION_S. A vehicle that comes from behind brakes itself: it counts for the TTC alone.
+    """
+    conflict, last = bounds.conflict, states.span(row).stop - 1
+    rows = np.append(row, others[states.traffic.present[others, last]])
+    boxes = _boxes_at(states, rows, last)
+    critical_s = conflict.end_ttc_min_s
+    contact = first_contact(0, boxes, horizon_s=conflict.end_horizon_s)
+    if contact is None:
+        return
+    if contact.ttc_s < critical_s + bounds.spare_end_s:
+        yield _finding(states, (row, int(rows[contact.other])), last, Quantity.END_TTC, contact.ttc_s, critical_s)
+    offset, angle = boxes.position - boxes.position[0], boxes.heading - boxes.heading[0]
+    behind = offset[:, 0] * math.cos(boxes.heading[0]) + offset[:, 1] * math.sin(boxes.heading[0]) < 0.0
+    keep = np.flatnonzero(~(behind & (np.cos(angle) > SAME_WAY)))
+    ahead = _boxes_at(states, rows[keep], last)
+    contact = first_contact(0, ahead, horizon_s=conflict.end_horizon_s)
+    if contact is not None and _meets_braking(ahead, conflict.end_horizon_s, states.arrays.step_s):
+        other = int(rows[keep][contact.other])
+        yield _finding(states, (row, other), last, Quantity.END_CONTACT, contact.ttc_s, conflict.end_horizon_s)
+
+
+def _boxes_at(states: AgentStates, rows: IntArray, step: int) -> BoxesAtStep:
+    """Boxes at a step with the velocities stated there; those of the positions where a track has no state."""
+    traffic, at = states.traffic, states.arrays.row_of[rows, step]
+    velocity = np.where((at >= 0)[:, None], states.arrays.velocity[at], traffic.velocity[rows, step])
+    sizes = np.column_stack([traffic.length_m[rows], traffic.width_m[rows]])
+    return BoxesAtStep(traffic.position[rows, step], traffic.heading[rows, step], velocity, sizes)
+
+
+def _meets_braking(boxes: BoxesAtStep, horizon_s: float, step_s: float) -> bool:
+    """Whether the first of some boxes, which brakes after a while, meets another one that keeps its velocity."""
+    time_s = step_s * np.arange(1, round(horizon_s / step_s) + 1)
+    speed = math.hypot(*boxes.velocity[0])
+    braking_s = np.minimum(np.maximum(time_s - END_REACTION_S, 0.0), speed / END_DECEL_MPS2)
+    rolling_s = np.minimum(time_s, END_REACTION_S) + braking_s - 0.5 * END_DECEL_MPS2 * braking_s**2 / max(speed, 1e-9)
+    own = boxes.position[0] + rolling_s[:, None] * boxes.velocity[0]
+    others = boxes.position[1:, None] + time_s[:, None] * boxes.velocity[1:, None]
+    headings = np.repeat(boxes.heading[:, None], time_s.size, axis=1)
+    agent, _ = first_overlapping(
+        own, headings[0], boxes.size[0, 0], boxes.size[0, 1], others, headings[1:],
+        np.ones(others.shape[:2], dtype=np.bool_),
+        np.ascontiguousarray(boxes.size[1:, 0]), np.ascontiguousarray(boxes.size[1:, 1]),
+    )  # fmt: skip
+    return bool(agent >= 0)
+
+
+# what lanes and crossing paths show of all
+
+
+def of_lanes(states: AgentStates, led: Leaders, bounds: Bounds) -> Iterator[Finding]:
+    """TTC on the lane path: of inserted vehicles to their leaders, of recorded followers to inserted leaders."""
+    arrays, conflict = states.arrays, bounds.conflict
+    inserted = arrays.generated[arrays.agent]
+    follows = ~inserted & arrays.moving[arrays.agent] & (led.agent >= 0) & arrays.generated[np.maximum(led.agent, 0)]
+    for rows, critical_s, quantity in (
+        (inserted, conflict.ttc_min_s, Quantity.TTC_LEADER),
+        (follows, conflict.follower_ttc_min_s, Quantity.TTC_FOLLOWER),
+    ):
+        beyond = np.flatnonzero(rows & (led.ttc_s < critical_s))
+        worst: dict[tuple[int, int], int] = {}
+        for at in beyond[np.argsort(-led.ttc_s[beyond], kind="stable")].tolist():  # the worst comes last
+            worst[int(arrays.agent[at]), int(led.agent[at])] = at
+        for (follower, leader), at in worst.items():
+            own, other = (follower, leader) if quantity is Quantity.TTC_LEADER else (leader, follower)
+            yield _finding(states, (own, other), int(arrays.step[at]), quantity, float(led.ttc_s[at]), critical_s)
+
+
+def of_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) -> Iterator[Finding]:
+    """The least TTC of each recorded follower to each inserted vehicle, on the path that the follower drives.
+
+    A vehicle that turns off ahead of it is still in its way, though on another lane.
+    """
+    arrays, critical_s = states.arrays, bounds.conflict.follower_ttc_min_s
+    for follower in np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.generated).tolist():
+        led = states.leading(follower, inserted)
+        for leader, ttc_s in zip(led.rows.tolist(), led.ttc_s, strict=True):
+            step = int(np.argmin(ttc_s))
+            if ttc_s[step] < critical_s:
+                pair = leader, follower
+                yield _finding(states, pair, step, Quantity.TTC_FOLLOWER, float(ttc_s[step]), critical_s)
+
+
+def of_crossings(states: AgentStates, bounds: Bounds, *, since: int) -> Iterator[Finding]:
+    """PET of moving vehicles whose swept paths cross; of each pair the later agent is one of `since` and later."""
+    arrays, critical_s = states.arrays, bounds.conflict.pet_min_s
+    moving = np.flatnonzero(arrays.vehicle & arrays.moving)
+    steps = post_encroachment(
+        moving, arrays.position, arrays.heading, arrays.length, arrays.width, arrays.first, arrays.step,
+        math.ceil(critical_s / arrays.step_s), CROSSING_RAD, int(np.searchsorted(moving, since)),
+    )  # fmt: skip
+    for p, q in np.argwhere((steps >= 0) & (steps * arrays.step_s < critical_s - 1e-9)).tolist():
+        first, second = int(moving[p]), int(moving[q])
+        pet_s = float(steps[p, q] * arrays.step_s)
+        step = int(arrays.step[arrays.first[second]])
+        yield _finding(states, (second, first), step, Quantity.PET, pet_s, critical_s)
+
+
+def headways(states: AgentStates, led: Leaders) -> Iterator[Finding]:
+    """Recorded followers that inserted leaders leave less time headway than they kept to leaders in the recording."""
+    arrays = states.arrays
+    follower = ~arrays.generated[arrays.agent] & arrays.moving[arrays.agent]
+    least = _sustained_headway(states, led, follower & arrays.generated[np.maximum(led.agent, 0)] & (led.agent >= 0))
+    if not least:
+        return
+    alone = replace(states.matches, lane=np.where(arrays.generated[arrays.agent], -1, states.matches.lane))
+    kept = _sustained_headway(states, leaders(arrays, states.lanes, alone), follower)
+    for agent, (headway_s, at) in least.items():
+        if kept.get(agent, (math.inf, 0))[0] > headway_s:
+            leader, step = int(led.agent[at]), int(arrays.step[at])
+            yield _finding(states, (leader, agent), step, Quantity.FOLLOWER_HEADWAY, headway_s, FOLLOWER_HEADWAY_S)
+
+
+def _sustained_headway(states: AgentStates, led: Leaders, rows: BoolArray) -> dict[int, tuple[float, int]]:
+    """Least time headway, front to front, that lasts FOLLOWER_FOR_S, if it is too short, and its last row; by agent.
+
+    rows (N,): of followers; above FOLLOWER_MPS alone.
+    """
+    arrays = states.arrays
+    speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
+    front_m = led.gap_m + arrays.length[np.maximum(led.agent, 0)]
+    counts = rows & (led.agent >= 0) & (speed > FOLLOWER_MPS)
+    headway_s = np.where(counts, front_m / np.maximum(speed, FOLLOWER_MPS), np.inf)
+    found: dict[int, tuple[float, int]] = {}
+    lasts = round(FOLLOWER_FOR_S / arrays.step_s)
+    for agent in np.unique(arrays.agent[headway_s < FOLLOWER_HEADWAY_S]).tolist():
+        first = int(arrays.first[agent])
+        own = headway_s[first : arrays.first[agent + 1]]
+        if own.size < lasts:
+            continue
+        longest = np.lib.stride_tricks.sliding_window_view(own, lasts).max(axis=1)
+        at = int(np.argmin(longest))
+        if longest[at] < FOLLOWER_HEADWAY_S:
+            found[agent] = float(longest[at]), first + at + lasts - 1
+    return found
+
+
+def _finding(
+    states: AgentStates, pair: tuple[int, int], step: int, quantity: Quantity, value: float, limit: float
+) -> Finding:
+    """A finding on the first of a pair of rows, about the second."""
+    ids = states.arrays.track_ids
+    return Finding(ids[pair[0]], step, quantity, value, limit, ids[pair[1]])

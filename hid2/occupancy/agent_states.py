@@ -1,0 +1,155 @@
+"""The states of agents as a file has them, the lanes that they drive, and what is ahead of them on the path driven."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hid2.agents import FloatArray, IntArray, Track
+from hid2.measures.arrays import BoolArray, SceneArrays, is_generated_id, stack
+from hid2.measures.driven_lanes import LaneView, points_ahead
+from hid2.measures.lane_matching import FlatLanes, Matches, match_lanes
+from hid2.motion.reference_line import ReferenceLine, build_reference_line
+from hid2.occupancy.along_path import look_along
+from hid2.occupancy.traffic import Traffic, traffic_of
+from netconvert.geometry import Polyline, arc_length
+
+#: A vehicle ahead on a path leads up to this distance, m (evaluation.md).
+LEADS_WITHIN_M = 100.0
+#: Boxes that overlap along a path by more than this are side by side, m: neither leads the other.
+SIDE_BY_SIDE_M = 1.0
+#: No tunables, the shape of a driven line: its points are so far apart, m, its curves have at least this radius, m, and
+#: it stays this near to the positions, m.
+_POINTS_M, _RADIUS_M, _STRAYS_M = 1.0, 3.0, 0.2
+
+
+class DrivenLine(NamedTuple):
+    """The path that an agent drives. s (T,): its arc length at the steps of the scene, m, NaN where it is absent."""
+
+    line: ReferenceLine
+    s: FloatArray
+
+
+class Leading(NamedTuple):
+    """Agents that lead on a driven path: rows (R,); gap (R, T) m, inf where one does not lead; closing (R, T) m/s."""
+
+    rows: IntArray
+    gap_m: FloatArray
+    closing_mps: FloatArray
+
+    @property
+    def ttc_s(self) -> FloatArray:
+        """(R, T) s, inf where the gap does not close."""
+        closes = np.isfinite(self.gap_m) & (self.closing_mps > 1e-3)
+        return np.where(closes, np.maximum(self.gap_m, 0.0) / np.where(closes, self.closing_mps, 1.0), np.inf)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class AgentStates:
+    """Agents of a scene: row by row in `arrays`, as stated, step by step in `traffic`, velocities by the positions."""
+
+    arrays: SceneArrays
+    traffic: Traffic
+    matches: Matches
+    lanes: FlatLanes
+    _lines: dict[int, DrivenLine | None] = field(default_factory=dict, repr=False)
+
+    def joined(self, *others: "AgentStates") -> "AgentStates":
+        """The agents of all, of the same scene, in this order."""
+        every = [self, *(other for other in others if other.arrays.num_agents)]
+        if len(every) == 1:
+            return self
+        first = np.cumsum([0, *(one.arrays.num_agents for one in every)]).tolist()
+        matches = Matches(*(
+            np.concatenate([getattr(one.matches, part.name) for one in every]) for part in fields(Matches)
+        ))  # fmt: skip
+        known = {row + at: line for at, one in zip(first, every, strict=False) for row, line in one._lines.items()}
+        return AgentStates(
+            SceneArrays.joined([one.arrays for one in every]),
+            self.traffic.joined(*(one.traffic for one in every[1:])), matches, self.lanes, known,
+        )  # fmt: skip
+
+    @property
+    def view(self) -> LaneView:
+        """What lanes are measured by."""
+        return LaneView(self.arrays, self.lanes, self.matches)
+
+    def rows(self, agents: Sequence[int]) -> "AgentStates":
+        """Some of the agents, in the order given."""
+        arrays, matches = self.arrays, self.matches
+        index = np.concatenate([np.arange(arrays.first[agent], arrays.first[agent + 1]) for agent in agents])
+        chosen = Matches(*(getattr(matches, part.name)[index] for part in fields(Matches)))
+        return AgentStates(arrays.agents(agents), self.traffic.rows(agents), chosen, self.lanes)
+
+    def span(self, row: int) -> slice:
+        """The steps of an agent, from its first to its last."""
+        steps = self.arrays.step[self.row_span(row)]
+        return slice(int(steps[0]), int(steps[-1]) + 1)
+
+    def row_span(self, row: int) -> slice:
+        """The rows of an agent in `arrays`."""
+        return slice(int(self.arrays.first[row]), int(self.arrays.first[row + 1]))
+
+    def line(self, row: int) -> DrivenLine | None:
+        """The path that a vehicle drives and, behind its last position, its lane; None where it has neither."""
+        if row not in self._lines:
+            self._lines[row] = self._line(row)
+        return self._lines[row]
+
+    def _line(self, row: int) -> DrivenLine | None:
+        rows = self.row_span(row)
+        position, last = self.arrays.position[rows], rows.stop - 1
+        place = np.floor(arc_length(position) / _POINTS_M)
+        points = position[np.flatnonzero(np.diff(place, prepend=-1.0) > 0)]
+        ahead = points_ahead(
+            self.lanes, int(self.matches.lane[last]), float(self.matches.s[last]), float(self.matches.d[last]),
+            LEADS_WITHIN_M, beyond_m=_POINTS_M,
+        )  # fmt: skip
+        points = np.concatenate([points, ahead])
+        if len(points) < 2:
+            return None
+        line = build_reference_line(points, step_m=_POINTS_M, min_radius_m=_RADIUS_M, max_offset_m=_STRAYS_M)
+        chords = Polyline(line.points)
+        s = np.full(self.arrays.num_steps, np.nan)
+        s[self.arrays.step[rows]] = np.interp(chords.frenet(position)[0], chords.s, line.points_s)
+        return DrivenLine(line, s)
+
+    def leading(self, row: int, others: IntArray, *, aside_m: float = 0.0) -> Leading:
+        """Which of the agents `others` lead a vehicle on the path that it drives, whatever their object type.
+
+        aside_m: added to each side of the own box. An agent leads where it heads along the path, ahead of the vehicle
+        by at most LEADS_WITHIN_M and not beside it; one that rolls back, or that a tracker shifts back, stands.
+        """
+        driven, steps = self.line(row), self.arrays.num_steps
+        if driven is None or not others.size:
+            return Leading(others[:0], np.zeros((0, steps)), np.zeros((0, steps)))
+        traffic = self.traffic
+        seen = look_along(
+            driven.line, traffic.rows(others.tolist()), float(traffic.length_m[row]),
+            float(traffic.width_m[row]) + 2 * aside_m,
+        )  # fmt: skip
+        gap = seen.low - driven.s
+        own = self.row_span(row)
+        speed = np.zeros(steps)
+        speed[self.arrays.step[own]] = np.hypot(self.arrays.velocity[own, 0], self.arrays.velocity[own, 1])
+        with np.errstate(invalid="ignore"):
+            leads = seen.same_direction & np.isfinite(gap) & (gap > -SIDE_BY_SIDE_M) & (gap < LEADS_WITHIN_M)
+        return Leading(others[seen.agents], np.where(leads, gap, np.inf), speed - np.maximum(seen.along, 0.0))
+
+
+def agent_states(
+    tracks: Sequence[Track], lanes: FlatLanes, *, num_steps: int, step_s: float,
+    is_inserted: Callable[[str], bool] = is_generated_id,
+) -> AgentStates:  # fmt: skip
+    """The states of tracks, with the boxes that the tracks have. is_inserted: tells inserted tracks by their id."""
+    arrays = stack(tracks, num_steps=num_steps, step_s=step_s, is_generated=is_inserted)
+    present = [track for track in tracks if track.timesteps.size]
+    traffic = traffic_of(present, arrays.num_steps, step_s=step_s)
+    traffic = replace(traffic, length_m=arrays.length, width_m=arrays.width)
+    return AgentStates(arrays, traffic, match_lanes(arrays, lanes), lanes)
+
+
+def moving_vehicles(arrays: SceneArrays) -> BoolArray:
+    """(A,) vehicles that move at some time."""
+    return np.asarray(arrays.vehicle & arrays.moving)

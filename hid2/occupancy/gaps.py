@@ -1,0 +1,74 @@
+"""The gap function: which agents are next ahead and behind on a path at a step, how far, and how fast.
+
+      [ follower ]<-- lag -->[  own  ]<-- lead -->[ leader ]        bumper to bumper, along the path
+
+Of places on a path (`gaps_on_path`); where there is no path, as before the map's edge, of a pose (`gaps_from_pose`).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hid2.agents import BoxSize, FloatArray, IntArray
+from hid2.kernels.gaps import next_on_path
+from hid2.occupancy.along_path import PathOccupancy
+from hid2.occupancy.traffic import BoolArray, Traffic
+
+
+class Gaps(NamedTuple):
+    """Leaders and followers of places (N,) on a path.
+
+    leader, follower (N,): rows of the intervals, -1 for none; lead_m, lag_m (N,) m: bumper to bumper, negative side by
+    side, inf for none; lead_mps, lag_mps (N,) m/s: their speeds along the path, 0 for one that comes back or none.
+    """
+
+    leader: IntArray
+    lead_m: FloatArray
+    lead_mps: FloatArray
+    follower: IntArray
+    lag_m: FloatArray
+    lag_mps: FloatArray
+
+
+def gaps_on_path(seen: PathOccupancy, s: FloatArray, steps: IntArray | int, *, among: BoolArray | None = None) -> Gaps:
+    """Leaders and followers at places (N,) m on a path, all at one step or each at its own (N,).
+
+    An agent is ahead where the middle of its interval is, and behind otherwise. among (R, T): which agents
+    count at which steps; all that touch the path unless told, as `seen.same_direction` those that move along it.
+    """
+    column = np.full(s.size, steps) if isinstance(steps, int) else steps
+    counts = np.ones(seen.low.shape, dtype=np.bool_) if among is None else among
+    leader, lead_m, follower, lag_m = next_on_path(
+        np.ascontiguousarray(seen.low), np.ascontiguousarray(seen.high), np.ascontiguousarray(counts),
+        np.ascontiguousarray(s), column,
+    )  # fmt: skip
+    return Gaps(leader, lead_m, _speed(seen, leader, column), follower, lag_m, _speed(seen, follower, column))
+
+
+def _speed(seen: PathOccupancy, rows: IntArray, column: IntArray) -> FloatArray:
+    if not seen.low.shape[0]:
+        return np.zeros(rows.size)
+    return np.where(rows >= 0, np.maximum(seen.along[rows, column], 0.0), 0.0)
+
+
+class PoseGaps(NamedTuple):
+    """Agents (A,) as seen from a pose whose path is taken as straight.
+
+    along_m: their centres ahead of its own, negative behind; gap_m: bumper to bumper; aside_m: between the sides,
+    negative where they overlap across; along_mps: their speeds in its direction.
+    """
+
+    along_m: FloatArray
+    gap_m: FloatArray
+    aside_m: FloatArray
+    along_mps: FloatArray
+
+
+def gaps_from_pose(xy: FloatArray, forward: FloatArray, box: BoxSize, here: Traffic) -> PoseGaps:
+    """Gaps from a box at xy (2,) m heading along the unit vector forward (2,) to the agents of one step."""
+    offset = here.position[:, 0] - xy
+    along, aside = offset @ forward, np.abs(offset @ np.array([-forward[1], forward[0]]))
+    return PoseGaps(
+        along, np.abs(along) - 0.5 * (here.length_m + box.length_m), aside - 0.5 * (here.width_m + box.width_m),
+        here.velocity[:, 0] @ forward,
+    )  # fmt: skip

@@ -1,0 +1,324 @@
+"""Files that were received are data: whatever they name, no command imports anything for them."""
+
+import hashlib
+import io
+import json
+import re
+import resource
+import shutil
+import struct
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import pytest
+from typer.main import get_command
+
+from bridge.batch.batch import plan, run_batch
+from bridge.batch.manifest import read_manifest
+from bridge.cli import main
+from bridge.cli.commands import application
+from bridge.config import config_from_dict, config_sha256, config_to_dict
+from bridge.recordings.folders import SIDECAR_PATTERN
+from hid2.params import Config, LaneChange
+from netconvert.errors import ConfigError
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+#: What is written where it is imported: in the working folder, as are the received files.
+PAYLOAD = "from pathlib import Path\nPath(__file__).with_name('ran').touch()\n\ndef accept(view):\n    return True\n"
+RULE = "owned:accept"
+REFUSED = f"lane_change.rule: asks for the function '{RULE}', which is none of hid2's: if you trust it, add --function"
+#: Every command that reads a path, with the exit code and what it says: {received} is a generated scene whose sidecar
+#: names the payload as its rule, in the root {root}; all other names are files and folders of the working folder.
+#: code None: as the machine has a screen, or torch.
+READERS: tuple[tuple[str, int | None, str], ...] = (
+    ("generate --from {sidecar} --source {recorded} -o again", 2, REFUSED),
+    ("generate --repro bundle.zip -o again", 1, REFUSED),
+    ("generate {recorded} -o again --drivers drivers.toml", 2, "section or key lane_change, expected [drivers] alone"),
+    ("generate {recorded} -o continued --resume --agents 1 --map {received} --sumo sumo", 0, ""),
+    ("generate {received} -o again --config sound.toml", 2, "holds generated scenes only"),
+    ("study sound_study.toml -o . --scenes {received}", 2, "holds generated scenes only"),
+    ("compose composition.toml -o composed", 2, "unknown key 'config'"),
+    ("compose . {recorded} -o composed", 2, "leave one out"),
+    ("compose --check .", 0, ""),
+    ("config --config drivers.toml", 0, ""),
+    ("evaluate . -o report --source {recorded} --control {recorded} --map {received}", 0, ""),
+    ("evaluate . -o report --predictions forecasts.parquet", 2, "forecasts.parquet"),
+    ("validate . --source {recorded} --map {received} --csv findings.csv", 1, ""),
+    ("calibrate . -o measured.toml", 2, "holds generated scenes only"),
+    ("scan . -o facts.csv --map {received}", 0, ""),
+    ("net {received} -o net --map {received}", 0, ""),
+    ("render {received} -o scene.png --source {recorded} --map {received}", 0, ""),
+    ("plot {received} -o agent.png --agent AV --map {received}", 0, ""),
+    ("gui {received} --screenshot shot.png --map {received}", None, ""),
+    ("paper table1 -o again --scenes {received} --map {received}", 2, "holds generated scenes only"),
+    ("paper prediction -o again --scenes . --composed . --predictions .", None, ""),
+    ("forecast . -o . --scenes . --resume", None, ""),
+    ("make corridor -o again --seconds 12", 0, ""),
+)
+
+
+@pytest.fixture(scope="module")
+def made(hid2: Run, data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of received files that name the payload wherever a configuration can stand, beside the payload."""
+    root = tmp_path_factory.mktemp("received")
+    assert hid2("generate", data_scenes["curve"], "-o", root, "--agents", 1, "-q").returncode == 0
+    (sidecar,) = root.glob(f"*/*/{SIDECAR_PATTERN}")
+    document = json.loads(sidecar.read_text())
+    document["config"]["lane_change"]["rule"] = RULE
+    document["config_sha256"] = config_sha256(config_from_dict(document["config"]))
+    sidecar.write_text(json.dumps(document))
+    shutil.copytree(root, root / "continued")
+    (root / "bundle.zip").write_bytes(bundle(config=document["config"]))
+    (root / "drivers.toml").write_text(f'[lane_change]\nrule = "{RULE}"\n')
+    (root / "sound.toml").write_text("[request]\nstraight = 1.0\n")
+    (root / "sound_study.toml").write_text(STUDY)
+    (root / "composition.toml").write_text(f'[sources]\na = "."\n[sets.b]\n[config.lane_change]\nrule = "{RULE}"\n')
+    (root / "forecasts.parquet").write_bytes(b"PAR1")
+    for name in ("owned", "sitecustomize", "usercustomize", "numpy", "torch"):
+        (root / f"{name}.py").write_text(PAYLOAD)
+    return root
+
+
+#: Runs commands one after the other, each in its own folder, which is not where Python looks for modules.
+RUNNER = """
+import contextlib, io, json, os, sys
+from bridge.cli import main
+ended = []
+for folder, arguments in json.load(sys.stdin):
+    os.chdir(folder)
+    sys.argv = ["hid2", *arguments]
+    with contextlib.redirect_stderr(io.StringIO()) as said, contextlib.redirect_stdout(io.StringIO()):
+        try:
+            main()
+        except BaseException as error:
+            code = error.code if isinstance(error, SystemExit) else repr(error)
+    ended.append((code, said.getvalue(), os.path.exists("ran")))
+json.dump(ended, sys.stdout)
+"""
+Ended = dict[str, tuple[int, str, bool]]
+
+
+@pytest.fixture(scope="module")
+def ended(made: Path, data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Ended:
+    """By reader its exit code, what it said, and whether the payload was imported; one process, as that is fast."""
+    lines = [line for line, _, _ in READERS]
+    copies = [shutil.copytree(made, tmp_path_factory.mktemp("reader") / "received") for _ in lines]
+    calls = [(str(copy), filled(line, copy, data_scenes)) for line, copy in zip(lines, copies, strict=True)]
+    result = subprocess.run(
+        [sys.executable, "-P", "-c", RUNNER],
+        input=json.dumps(calls), capture_output=True, text=True, cwd=made, timeout=600, check=False,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    return dict(zip(lines, json.loads(result.stdout), strict=True))
+
+
+STUDY = """scenes = ["x"]
+[vary]
+"lane_change.give_up_s" = [5.0]
+[config.request]
+agents = 0
+"""
+
+
+def bundle(members: dict[str, bytes] | None = None, **changes: Any) -> bytes:
+    """A bundle whose request, or whole members, are changed."""
+    request = {"format": 1, "version": "1", "python": "3", "platform": "x", "scenario": "scene", "split": "val"}
+    request |= {"variant": 0, "timeout_s": 5.0, "function": "bridge.batch.scene_work:generate_runs", "left_out": []}
+    request |= {"config": config_to_dict(Config())} | changes
+    failure = {"kind": "error", "message": "m"}
+    held = {"request.json": json.dumps(request).encode(), "failure.json": json.dumps(failure).encode()}
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, value in (held | {"details.txt": b"", "scene/x": b""} | (members or {})).items():
+            archive.writestr(name, value)
+    return content.getvalue()
+
+
+def filled(line: str, root: Path, data_scenes: dict[str, Path]) -> list[str]:
+    (sidecar,) = root.glob(f"*/*/{SIDECAR_PATTERN}")
+    names = {"sidecar": sidecar, "received": sidecar.parent, "recorded": data_scenes["curve"]}
+    return line.format(**{name: str(path) for name, path in names.items()}).split(" ")
+
+
+def test_every_path_that_a_command_reads_is_among_the_readers() -> None:
+    """A command or an option that is added joins: all parameters that are paths are given in some line."""
+    commands = get_command(application()).commands  # type: ignore[attr-defined]
+    paths = {
+        (command.name or command.callback.__name__, name)
+        for command in application().registered_commands
+        for name, hint in get_type_hints(command.callback).items()
+        if "Path" in str(hint)
+    }
+    given = set()
+    for line, _, _ in READERS:
+        name, *arguments = line.split(" ")
+        context = commands[name].make_context(name, arguments)
+        given |= {(name, key) for key, value in context.params.items() if value not in (None, [], ())}
+    assert paths - given == set()
+
+
+@pytest.mark.parametrize(("line", "code", "said"), READERS, ids=[line for line, _, _ in READERS])
+def test_received_file_imports_nothing(ended: Ended, line: str, code: int | None, said: str) -> None:
+    ended_with, errors, ran = ended[line]
+    assert not ran, "the payload was imported"
+    assert said in errors
+    assert code in (None, ended_with), errors
+
+
+@pytest.mark.parametrize("named", ["--set", "--config", "--function"])
+def test_rule_that_the_command_line_names_is_run_and_its_file_is_said_and_kept(
+    hid2: Run, made: Path, data_scenes: dict[str, Path], tmp_path: Path, named: str
+) -> None:
+    """The same function, found in the working folder; the manifest has the digest of its file."""
+    (tmp_path / "owned.py").write_text(PAYLOAD)
+    (tmp_path / "own.toml").write_text(f'[lane_change]\nrule = "{RULE}"\n')
+    scene = "generate {recorded} -o out --agents 0 "
+    line = {
+        "--set": scene + f"--set lane_change.rule={RULE}",
+        "--config": scene + "--config own.toml",
+        "--function": f"generate --from {{sidecar}} --source {{recorded}} -o out --function {RULE}",
+    }[named]
+    result = hid2(*filled(line, made, data_scenes), cwd=tmp_path)
+    assert (tmp_path / "ran").exists()
+    assert f"lane_change.rule = {RULE} is imported from {tmp_path / 'owned.py'} and run" in result.stderr
+    ((row,), unread) = read_manifest(tmp_path / "out" / "manifest.csv")
+    assert (row.rule_sha256, unread) == (hashlib.sha256(PAYLOAD.encode()).hexdigest(), 0)
+
+
+def test_rule_of_a_study_is_tried_before_its_first_run(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    """It is imported, as the study on the command line names it, and answers what no rule may: nothing is written."""
+    (tmp_path / "owned.py").write_text("def accept(view):\n    return 1\n")
+    (tmp_path / "own.toml").write_text(f'{STUDY}[config.lane_change]\nrule = "{RULE}"\n')
+    result = hid2("study", "own.toml", "-o", "out", "--scenes", data_scenes["curve"], cwd=tmp_path)
+    assert (result.returncode, "owned.py:1: it answered 1, expected True or False" in result.stderr) == (2, True)
+    assert not (tmp_path / "out").exists()
+
+
+def test_rule_that_raises_in_a_scene_only_is_the_error_of_that_scene(
+    hid2: Run, data_scenes: dict[str, Path], tmp_path: Path
+) -> None:
+    """It is sound when it is tried, at 2 s, and raises at any other time."""
+    (tmp_path / "owned.py").write_text("def accept(view):\n    return view.time_s == 2.0 or bool(1 / 0)\n")
+    command = ["-o", "out", "--agents", 6, "--behaviours", "lane_change=1", "--set", f"lane_change.rule={RULE}"]
+    result = hid2("generate", data_scenes["arterial"], *command, cwd=tmp_path)
+    ((row,), _) = read_manifest(tmp_path / "out" / "manifest.csv")
+    assert (result.returncode, row.failure) == (1, "error")
+    assert f"{tmp_path / 'owned.py'}:2: ZeroDivisionError: division by zero" in row.reason
+
+
+def test_batch_imports_no_rule_that_its_options_do_not_name(data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    """The last door, for callers in Python: whatever a configuration was read from."""
+    jobs = plan([data_scenes["curve"]], Config(lane_change=LaneChange(rule=RULE)))
+    with pytest.raises(ConfigError, match=REFUSED):
+        run_batch(jobs, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+ZEROS = bytes(120_000_000)
+
+
+def lying_bundle() -> bytes:
+    """120 MB whose size is said to be 1,000 bytes, in its own header and in the directory."""
+    raw = bytearray(bundle({"details.txt": ZEROS}))
+    size = struct.pack("<I", len(ZEROS))
+    assert raw.count(size) == 2
+    return bytes(raw).replace(size, struct.pack("<I", 1000))
+
+
+def bundle_of_entries() -> bytes:
+    """A directory of 300,000 files and nothing else, 15 MB: each would be an object of its own."""
+    one = struct.pack("<4s4B4HL2L5H2L", b"PK\1\2", 20, 3, 20, 0, 0, 0, 0, 33, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0) + b"x"
+    many = one * 300_000
+    return many + struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 65535, 65535, len(many), 0, 0)
+
+
+#: Bundles that are small, and large once they are unpacked.
+BOMBS: dict[str, tuple[Callable[[], bytes], str]] = {
+    "details": (lambda: bundle({"details.txt": ZEROS}), "file 'details.txt' unpacks to more than 4 MB"),
+    "request": (lambda: bundle({"request.json": ZEROS}), "file 'request.json' unpacks to more than 1 MB"),
+    "failure": (lambda: bundle({"failure.json": ZEROS}), "file 'failure.json' unpacks to more than 1 MB"),
+    "scene": (lambda: bundle({"scene/x": ZEROS}), "file 'scene/x' unpacks to more than 32 MB"),
+    "lying": (lying_bundle, "Bad CRC-32 for file 'details.txt'"),
+    "entries": (bundle_of_entries, "more than 128 files in it, expected at most 64"),
+    "texts": (lambda: bundle(platform="x" * 900_000), "platform: String should have at most 1000 characters"),
+    "names": (lambda: bundle(left_out=["x"] * 60_000), "left_out: List should have at most 64 items"),
+    "config": (lambda: bundle(config={"x" * 900_000: 1}), "unknown key 'xxxx"),
+    "values": (lambda: bundle(config={"request": {"near": "x" * 900_000}}), "request.near = 'xxxx"),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_bundle_that_unpacks_to_much_is_refused_within_bounds(tmp_path: Path, name: str) -> None:
+    make, said = BOMBS[name]
+    (tmp_path / "b.zip").write_bytes(make())
+    line = said_within_bounds(["generate", "--repro", "b.zip"], tmp_path, memory_mb=700)
+    assert said in line
+
+
+@pytest.mark.parametrize(
+    "content", ['{"agents":[' + "{}," * 660_000 + "{}]}", '{"config":{"a":[' + "[]," * 660_000 + "1]}}"]
+)
+def test_sidecar_of_many_wrong_entries_is_refused_within_bounds(
+    data_scenes: dict[str, Path], tmp_path: Path, content: str
+) -> None:
+    """2 MB, of which hundreds of thousands of errors could be told: the first is."""
+    (tmp_path / "hid2_x.json").write_text(content)
+    command = ["generate", "--from", "hid2_x.json", "--source", str(data_scenes["curve"]), "-o", "out"]
+    assert "hid2_x.json: source_scenario_id: Field required" in said_within_bounds(command, tmp_path, memory_mb=1000)
+
+
+def said_within_bounds(command: list[str], folder: Path, *, memory_mb: int) -> str:
+    """The one line in which a command refuses a file; the system ends it beyond the memory or 20 s of processor."""
+
+    def bound() -> None:
+        resource.setrlimit(resource.RLIMIT_DATA, (memory_mb * 1_000_000, memory_mb * 1_000_000))
+        resource.setrlimit(resource.RLIMIT_CPU, (20, 20))
+
+    result = subprocess.run(
+        [str(Path(sys.executable).parent / "hid2"), *command],
+        capture_output=True, text=True, cwd=folder, timeout=300, preexec_fn=bound,
+    )  # fmt: skip
+    (line,) = [line for line in result.stderr.splitlines() if "so far" not in line]
+    assert (result.returncode, line[:11]) == (1, "hid2: error"), line[:500]
+    assert len(line) < 2100
+    return line
+
+
+#: The readers that read TOML, with a file that a test writes.
+TOML_READERS = [re.sub(r"(?<!-o )\b\w+\.toml", "x.toml", line) for line, _, _ in READERS if ".toml" in line]
+WILD = {
+    "brackets": ("a = " + "[" * 5000 + "]" * 5000, "nested too deeply"),
+    "tables": ("a = " + "{a=" * 5000 + "1" + "}" * 5000, "nested too deeply"),
+    "dots": (".".join("a" * 5000) + " = 1", "a key of more than 20 parts"),
+    "digits": ("a = 0x" + "f" * 100_000, "an integer of more than 64 bit"),
+    "text": (f'a = "{"x" * 100_000}"', "expected"),
+    "key": (f"{'x' * 100_000} = 1", "expected"),
+    "giant": ("#" + "x" * 2_000_000, "larger than 1 MB"),
+}
+
+
+def test_toml_is_read_in_one_place() -> None:
+    root = Path(__file__).parents[2]
+    product = [path for package in ("bridge", "hid2", "netconvert") for path in (root / package).rglob("*.py")]
+    assert [path.name for path in product if "tomllib.load" in path.read_text()] == ["config.py"]
+
+
+@pytest.mark.parametrize("line", [line for line in TOML_READERS if "x.toml" in line])
+def test_wild_toml_is_one_line_that_says_what_is_expected(
+    made: Path, data_scenes: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str], line: str,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["hid2", *filled(line, made, data_scenes)])
+    for name, (text, words) in WILD.items():
+        (tmp_path / "x.toml").write_text(text)
+        with pytest.raises(SystemExit) as ended:
+            main()
+        (said,) = [line for line in capsys.readouterr().err.splitlines() if "so far" not in line]
+        assert (ended.value.code, said.startswith("hid2: error: x.toml: "), words in said) == (2, True, True), name
+        assert len(said) < 2100
+        assert [path.name for path in tmp_path.iterdir()] == ["x.toml"]

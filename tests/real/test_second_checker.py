@@ -1,0 +1,122 @@
+"""The second checker finds nothing in scenes that hid2 writes, and every fault that is planted into them."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from planted_faults import GROSS, INSIDE, KINDS, PlantedFault, planted, planted_in
+from second_checker import Finding, check_folder
+from second_scene import read_scene
+
+from bridge.recordings.validate import Against, validate_scene
+from hid2.judge.findings import Quantity
+
+ROOT = Path(__file__).parents[2]
+#: Kinds that a real scene with a straight road has room for, most of the time.
+LEAST_KINDS = 10
+
+
+def generated(out: Path, *args: object) -> list[tuple[Path, Path]]:
+    """Scenes written by the command, each with the folder of its recording."""
+    command = [sys.executable, "-m", "bridge.cli", "generate", *map(str, args), "-o", str(out)]
+    subprocess.run(command, check=True, capture_output=True, cwd=ROOT)
+    roots = [Path(str(arg)) for arg in args if Path(str(arg)).is_dir()]
+    sources = {folder.name: folder for root in roots for folder in (root, *root.glob("*/*")) if folder.is_dir()}
+    sidecars = sorted(out.glob("**/hid2_*.json"))
+    return [(path.parent, sources[json.loads(path.read_text())["source_scenario_id"]]) for path in sidecars]
+
+
+def errors(folder: Path, source: Path) -> list[Finding]:
+    return [one for one in check_folder(folder, source) if not one.is_note]
+
+
+def wrong(fault: PlantedFault) -> str | None:
+    """What the second checker makes of a planted fault, if it is not what it should be."""
+    found = errors(fault.folder, fault.source)
+    if fault.strength == INSIDE:
+        return f"{fault.name}: {found}" if found else None
+    told = {one.quantity for one in found if one.vehicle == fault.vehicle}
+    return None if fault.quantity in told else f"{fault.name}: no {fault.quantity} in {told}"
+
+
+@pytest.fixture(scope="module")
+def quiet_scenes(tmp_path_factory: pytest.TempPathFactory, data_root: Path) -> list[tuple[Path, Path]]:
+    """The synthetic scenes with two vehicles that go straight: there is room for faults."""
+    out = tmp_path_factory.mktemp("quiet")
+    return generated(out, data_root, "--agents", 2, "--behaviours", "straight=1")
+
+
+def test_the_second_checker_imports_nothing_of_the_product() -> None:
+    """In a process of its own, with the faults that it is tested by."""
+    code = "import sys, planted_faults; print({'hid2', 'bridge', 'netconvert'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, cwd=ROOT / "tests" / "support")
+    assert done.stdout.decode().strip() == "set()"
+
+
+def test_scenes_as_written_have_no_error(quiet_scenes: list[tuple[Path, Path]]) -> None:
+    for folder, source in quiet_scenes:
+        assert len(read_scene(folder, source).inserted) == 2
+        assert errors(folder, source) == []
+
+
+def misjudged(fault: PlantedFault) -> str | None:
+    """What `hid2 validate --source` makes of a planted fault, if it is not what it should be.
+
+    Its rule on headings and motion is of the format; faults of the heading alone break that inside their limits too.
+    """
+    against = Against(sources={fault.source.name: fault.source})
+    found = [one for one in validate_scene(fault.folder, against) if one.rule in list(Quantity) and not one.is_note]
+    if fault.strength == INSIDE:
+        return f"{fault.name}: {found}" if found else None
+    told = {one.rule for one in found if one.vehicle == fault.vehicle}
+    return None if fault.quantity in told or (fault.strength == GROSS and told) else f"{fault.name}: {told}"
+
+
+@pytest.fixture(scope="module")
+def faults(quiet_scenes: list[tuple[Path, Path]], tmp_path_factory: pytest.TempPathFactory) -> list[PlantedFault]:
+    return list(planted_in(quiet_scenes, tmp_path_factory.mktemp("planted")))
+
+
+def test_every_planted_fault_is_found_and_passes_inside_its_limit(faults: list[PlantedFault]) -> None:
+    """All kinds find room in three synthetic scenes; the one that is 20 % inside its limit passes in every quantity."""
+    assert {(one.kind, one.strength) for one in faults} == {(one.name, s) for one in KINDS for s in one.strengths}
+    assert [text for text in map(wrong, faults) if text] == []
+
+
+def test_judge_and_second_checker_agree_on_every_planted_fault(faults: list[PlantedFault]) -> None:
+    assert [text for text in map(misjudged, faults) if text] == []
+
+
+def test_without_a_sidecar_the_tracks_gen_are_the_inserted_ones(
+    quiet_scenes: list[tuple[Path, Path]], tmp_path: Path
+) -> None:
+    kinds = tuple(one for one in KINDS if one.name == "500 m aside")
+    fault = next(one for scene in quiet_scenes for one in planted(*scene, tmp_path, kinds=kinds))
+    (sidecar,) = fault.folder.glob("hid2_*.json")
+    sidecar.unlink()
+    assert {(one.vehicle, one.quantity) for one in errors(fault.folder, fault.source)} == {(fault.vehicle, "off_road")}
+
+
+@pytest.mark.slow
+def test_real_scenes_as_written_have_no_error(shared_data: Path, tmp_path: Path) -> None:
+    scenes = generated(tmp_path / "out", shared_data / "av2", shared_data / "wide", "--agents", 10)
+    assert len(scenes) == 14
+    assert [one for folder, source in scenes for one in errors(folder, source)] == []
+
+
+@pytest.mark.slow
+def test_faults_planted_into_real_scenes_are_found(shared_data: Path, tmp_path: Path) -> None:
+    """Real scenes have room for some kinds each; over all of them for ten at least."""
+    args = ("--agents", 2, "--behaviours", "straight=1")
+    kinds = set()
+    bad = []
+    for scene in generated(tmp_path / "out", shared_data / "av2", *args):
+        if errors(*scene):  # what is wrong before a fault is planted is for the test above
+            continue
+        for fault in planted(*scene, tmp_path / "planted", tries=10):
+            kinds.add(fault.kind)
+            bad += [text for text in (wrong(fault), misjudged(fault)) if text]
+    assert bad == []
+    assert len(kinds) >= LEAST_KINDS

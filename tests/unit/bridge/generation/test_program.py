@@ -1,0 +1,65 @@
+"""What a scene's bytes depend on beside its request, as sidecars and manifests say it."""
+
+import platform
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+import shapely
+
+import bridge
+import hid2
+import netconvert
+from bridge.generation import program
+
+
+@pytest.fixture
+def code(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
+    """A folder with three packages of a module each, which are taken for the program's."""
+    for package in (netconvert, hid2, bridge):
+        place = tmp_path / "code" / package.__name__
+        place.mkdir(parents=True)
+        (place / "module.py").write_bytes(b"A = 1\nB = 2\n")
+        monkeypatch.setattr(package, "__path__", [str(place)])
+    program.code_sha256.cache_clear()
+    yield tmp_path / "code"
+    program.code_sha256.cache_clear()
+
+
+def digest() -> str:
+    program.code_sha256.cache_clear()
+    return program.code_sha256()
+
+
+def test_digest_of_the_code_is_of_its_names_and_contents(code: Path) -> None:
+    before = digest()
+    (code / "hid2" / "module.py").write_bytes(b"A = 1\nB = 3\n")
+    edited = digest()
+    (code / "hid2" / "module.py").rename(code / "hid2" / "other.py")
+    assert len({before, edited, digest()}) == 3
+
+
+def test_digest_of_the_code_does_not_tell_places_line_ends_and_what_was_compiled(
+    code: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = digest()
+    (code / "bridge" / "module.py").write_bytes(b"A = 1\r\nB = 2\r\n")
+    (code / "bridge" / "__pycache__").mkdir()
+    (code / "bridge" / "__pycache__" / "module.cpython-311.pyc").write_bytes(b"compiled")
+    shutil.move(code / "hid2", code.parent / "elsewhere")
+    monkeypatch.setattr(hid2, "__path__", [str(code.parent / "elsewhere")])
+    assert digest() == before
+
+
+def test_libraries_are_those_that_compute() -> None:
+    geos = ".".join(map(str, shapely.geos_version))
+    assert program.libraries() == {"numpy": np.__version__, "numba": numba.__version__, "geos": geos}
+
+
+def test_processor_has_a_name() -> None:
+    assert program.processor().strip() == program.processor() != ""
+    if platform.system() == "Linux" and platform.machine() == "x86_64":
+        assert program.processor() in Path("/proc/cpuinfo").read_text()

@@ -1,0 +1,142 @@
+"""Claims: what is told of a vehicle is seen in its states at the time told, or it is a finding."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hid2.agents import BoxSize, Track
+from hid2.judge.claims import Claim, EventClaim, crossing_steps, event_step, judge_claims, manoeuvres
+from hid2.measures.lane_matching import flatten_lanes
+from hid2.measures.manoeuvres import ManeuverKind
+from hid2.occupancy.agent_states import AgentStates, agent_states
+from netconvert.lane_graph import LaneGraph
+
+STEPS = 110
+TIME = 0.1 * np.arange(STEPS)
+
+
+def _drive(name: str, x: float, v: float, y: np.ndarray | float = 0.0, *, heading: float = 0.0) -> Track:
+    """A car of 4.5 m x 1.9 m along x at v m/s, at y (T,) m, turned by a heading about the origin."""
+    position = np.column_stack([x + v * TIME, np.broadcast_to(y, STEPS)])
+    velocity = np.gradient(position, 0.1, axis=0)
+    own = np.arctan2(velocity[:, 1], velocity[:, 0]) if v else np.zeros(STEPS)
+    turn = np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
+    return Track(
+        name, "vehicle", 1, np.arange(STEPS), position @ turn.T, own + heading, velocity @ turn.T, BoxSize(4.5, 1.9)
+    )
+
+
+def _across(at_s: float, *, start: float = 0.0, to: float = 3.5, lasting_s: float = 4.0) -> np.ndarray:
+    """Lateral place (T,) m: from one lane to another, half way at a time."""
+    share = np.clip((TIME - at_s) / lasting_s + 0.5, 0.0, 1.0)
+    return start + (to - start) * (3 * share**2 - 2 * share**3)
+
+
+@pytest.fixture
+def states(road: Callable[..., LaneGraph]) -> Callable[..., AgentStates]:
+    """Two lanes of 300 m at y = 0 (lane 1) and y = 3.5 (lane 2)."""
+    lanes = flatten_lanes(road())
+    return lambda *tracks: agent_states(tracks, lanes, num_steps=STEPS, step_s=0.1)
+
+
+@pytest.mark.parametrize(("at_s", "found"), [(5.0, 0), (5.4, 0), (5.6, 1), (2.0, 1)])
+def test_lane_change_is_claimed_at_its_crossing(states: Callable[..., AgentStates], at_s: float, found: int) -> None:
+    """The centre is between the lanes, at y = 1.75, after 5 s; half a second is allowed."""
+    scene = states(_drive("gen_0", 20.0, 10.0, _across(5.0)))
+    seen = judge_claims(scene, [Claim("gen_0", ManeuverKind.LANE_CHANGE, at_s)], [])
+    assert len(seen) == found
+    assert all(one.value == pytest.approx(abs(at_s - 5.0), abs=0.02) for one in seen)
+
+
+def test_manoeuvre_of_another_kind_or_of_none_is_not_seen(states: Callable[..., AgentStates]) -> None:
+    scene = states(_drive("gen_0", 20.0, 10.0))
+    (one,) = judge_claims(scene, [Claim("gen_0", ManeuverKind.LANE_CHANGE, 5.0)], [])
+    assert (one.track_id, one.step, one.value, one.limit) == ("gen_0", 50, math.inf, 0.5)
+
+
+def test_manoeuvres_are_those_of_inserted_vehicles(states: Callable[..., AgentStates]) -> None:
+    changing = _across(5.0)
+    scene = states(_drive("a", 120.0, 10.0, changing), _drive("gen_0", 20.0, 10.0, changing))
+    assert [one.track_id for one in manoeuvres(scene)] == ["gen_0"]
+
+
+def _cut_in(target_y: np.ndarray | float, own_y: np.ndarray | float, *, ahead_m: float = 15.0):
+    return (
+        _drive("t", 20.0, 10.0, target_y),
+        _drive("gen_0", 20.0 + ahead_m, 10.0, own_y),
+        EventClaim("cut_in", "gen_0", "t", 5.0, ahead=True),
+    )
+
+
+def test_cut_in_comes_from_beside_into_the_lane_of_the_target_ahead_of_it(states: Callable[..., AgentStates]) -> None:
+    target, own, claim = _cut_in(0.0, _across(5.0, start=3.5, to=0.0))
+    assert event_step(states(target, own), claim) == pytest.approx(50, abs=1)
+    assert judge_claims(states(target, own), [], [claim]) == []
+
+
+def test_vehicle_that_is_in_the_lane_all_the_time_cuts_into_nothing(states: Callable[..., AgentStates]) -> None:
+    """The target comes into the vehicle's lane; or the vehicle changes to a lane that the target comes to later."""
+    for target_y, own_y in ((_across(5.0, start=3.5, to=0.0), 0.0), (_across(8.0), _across(3.0))):
+        target, own, claim = _cut_in(target_y, own_y)
+        (found,) = judge_claims(states(target, own), [], [claim])
+        assert (found.track_id, found.other, found.value) == ("gen_0", "t", math.inf)
+
+
+def test_change_behind_the_target_or_out_of_its_lane_is_no_cut_in(states: Callable[..., AgentStates]) -> None:
+    target, own, claim = _cut_in(0.0, _across(5.0, start=3.5, to=0.0), ahead_m=-15.0)
+    assert event_step(states(target, own), claim) is None
+    target, own, claim = _cut_in(0.0, _across(5.0))
+    assert event_step(states(target, own), claim) is None
+
+
+def test_target_that_changes_itself_is_cut_in_where_it_is_at_that_moment(states: Callable[..., AgentStates]) -> None:
+    """The vehicle comes in at 3 s, the target leaves that lane at 8 s: it was there when the vehicle came."""
+    target, own, claim = _cut_in(_across(8.0), _across(3.0, start=3.5, to=0.0))
+    assert event_step(states(target, own), claim) == pytest.approx(30, abs=1)
+
+
+def test_overtake_is_seen_from_its_way_back(states: Callable[..., AgentStates]) -> None:
+    """At 16 m/s past one at 4 m/s: out at 2 s, level after 30 / 12 = 2.5 s, back at 7 s."""
+    y = _across(2.0, lasting_s=3.0) + _across(7.0, to=-3.5, lasting_s=3.0)
+    slow, own = _drive("t", 50.0, 4.0), _drive("gen_0", 20.0, 16.0, y)
+    claim = EventClaim("overtake", "gen_0", "t", 7.0, ahead=True)
+    assert event_step(states(slow, own), claim) == pytest.approx(70, abs=1)
+    passes = _drive("gen_0", 20.0, 16.0, _across(2.0, lasting_s=3.0))
+    assert event_step(states(slow, passes), claim) is None
+
+
+@pytest.mark.parametrize(("kind", "ahead"), [("lead", True), ("follow", False)])
+def test_lead_and_follow_are_seen_on_the_path_that_the_rear_one_drives(
+    states: Callable[..., AgentStates], kind: str, ahead: bool
+) -> None:
+    claim = EventClaim(kind, "gen_0", "t", 4.0, ahead=ahead)
+    x = 40.0 if ahead else 5.0
+    target = _drive("t", 20.0, 10.0)
+    assert event_step(states(target, _drive("gen_0", x, 10.0)), claim) == 40
+    assert event_step(states(target, _drive("gen_0", x, 10.0, 3.5)), claim) is None
+    assert event_step(states(target, _drive("gen_0", 45.0 - x, 10.0)), claim) is None
+
+
+def test_crossing_is_seen_in_the_order_that_is_claimed(states: Callable[..., AgentStates]) -> None:
+    """From the south, 20 m before the crossing at 10 m/s: there at step 20. From the west, 40 m before: at step 40."""
+    south = replace(_drive("gen_0", -20.0, 10.0, heading=math.pi / 2), track_id="gen_0")
+    south = replace(south, position=south.position + np.array([60.0, 0.0]))
+    target = _drive("t", 20.0, 10.0)
+    scene = states(target, south)
+    assert crossing_steps(scene, 1, 0) == (pytest.approx(20, abs=1), pytest.approx(40, abs=1))
+    assert event_step(scene, EventClaim("cross", "gen_0", "t", 2.0, ahead=True)) == pytest.approx(20, abs=1)
+    assert event_step(scene, EventClaim("cross", "gen_0", "t", 2.0, ahead=False)) is None
+
+
+def test_paths_side_by_side_do_not_cross(states: Callable[..., AgentStates]) -> None:
+    scene = states(_drive("t", 20.0, 10.0), _drive("gen_0", 20.0, 10.0, 3.5))
+    assert crossing_steps(scene, 1, 0) is None
+
+
+def test_event_with_a_track_that_is_not_there_is_not_seen(states: Callable[..., AgentStates]) -> None:
+    scene = states(_drive("gen_0", 20.0, 10.0))
+    (found,) = judge_claims(scene, [], [EventClaim("lead", "gen_0", "t", 4.0, ahead=True)])
+    assert found.value == math.inf

@@ -1,0 +1,275 @@
+"""The judge of states: each limit is found a little beyond it, and not a little inside it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hid2.agents import BoxSize, Track
+from hid2.judge.findings import Bounds, Quantity
+from hid2.judge.states import judge, of_boxes
+from hid2.measures.lane_matching import flatten_lanes
+from hid2.occupancy.agent_states import AgentStates, agent_states
+from netconvert.lane_graph import LaneGraph, LaneSegment
+
+CAR = BoxSize(4.5, 1.9)
+STEPS = 60
+Judged = Callable[..., list[tuple[str, Quantity, str | None]]]
+
+
+def _along(
+    name: str, s: Any, *, y: float = 0.0, heading: float = 0.0, first: int = 0, kind: str = "vehicle",
+    size: BoxSize = CAR,
+) -> Track:  # fmt: skip
+    """A box that is at x = s (T,) m, y at the steps from `first` on; velocity by differences, heading as it is told."""
+    x = np.asarray(s, dtype=np.float64)
+    speed = np.gradient(x, 0.1) if x.size > 1 else np.zeros(1)
+    flat = np.zeros(x.size)
+    return Track(
+        name, kind, 1, first + np.arange(x.size), np.column_stack([x, flat + y]), flat + heading,
+        np.column_stack([speed, flat]), size,
+    )  # fmt: skip
+
+
+def _at(
+    name: str, x: float, speed: float, *, y: float = 0.0, aside: float = 0.0, steps: int = STEPS, **more: Any
+) -> Track:
+    """The same at constant speed, moving aside evenly."""
+    time = 0.1 * np.arange(steps)
+    track = _along(name, x + speed * time, y=y, **more)
+    position = track.position + np.column_stack([np.zeros(steps), aside * time])
+    heading = np.full(steps, np.arctan2(aside, speed)) if aside else track.heading
+    return replace(track, position=position, heading=heading, velocity=np.tile([speed, aside], (steps, 1)))
+
+
+def _circle(name: str, radius: float, speed: float) -> Track:
+    angle = speed / radius * 0.1 * np.arange(STEPS)
+    return Track(
+        name, "vehicle", 1, np.arange(STEPS), radius * np.column_stack([np.sin(angle), 1 - np.cos(angle)]),
+        (angle + np.pi) % (2 * np.pi) - np.pi, speed * np.column_stack([np.cos(angle), np.sin(angle)]), CAR,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def states_on() -> Callable[..., AgentStates]:
+    def make(graph: LaneGraph, *tracks: Track) -> AgentStates:
+        return agent_states(tracks, flatten_lanes(graph), num_steps=STEPS, step_s=0.1)
+
+    return make
+
+
+@pytest.fixture
+def judged(road: Callable[..., LaneGraph], states_on: Callable[..., AgentStates]) -> Judged:
+    """judged(tracks...) -> (track, quantity, other) of each finding on two lanes of 300 m at y = 0 and y = 3.5."""
+    graph = road()
+
+    def judge_them(*tracks: Track) -> list[tuple[str, Quantity, str | None]]:
+        return [(one.track_id, one.quantity, one.other) for one in judge(states_on(graph, *tracks), graph, Bounds())]
+
+    return judge_them
+
+
+def test_quiet_driving_has_no_finding(judged: Judged) -> None:
+    assert judged(_at("a", 60.0, 10.0), _at("gen_0", 20.0, 10.0), _at("gen_1", 10.0, 12.0, y=3.5)) == []
+
+
+def _speeds(v: Any, x: float = 20.0) -> np.ndarray:
+    """Positions at the steps of speeds (T,) m/s."""
+    return x + np.concatenate([[0.0], np.cumsum(0.1 * np.asarray(v)[:-1])])
+
+
+@pytest.mark.parametrize(("accel", "found"), [(2.0, []), (2.8, ["accel"]), (-3.5, []), (-4.8, ["decel"])])
+def test_acceleration_along_the_heading(judged: Judged, accel: float, found: list[str]) -> None:
+    """From 10 m/s over 2 s, built up at 3 m/s3; 2.4 and -4.05 m/s2 are the limits."""
+    time = 0.1 * np.arange(STEPS)
+    a = np.sign(accel) * np.clip(3.0 * np.minimum(time - 1.0, 4.5 - time), 0.0, abs(accel))
+    seen = judged(_along("gen_0", _speeds(11.0 + np.cumsum(0.1 * a))))
+    assert [one[1].value for one in seen] == found
+
+
+@pytest.mark.parametrize(
+    ("radius", "speed", "found"),
+    [
+        (40.0, 10.0, set()),  # 2.5 m/s2 across, .25 rad/s
+        (15.0, 9.5, {"lateral_accel"}),  # 6 m/s2 across, .63 rad/s
+        (5.0, 4.9, {"yaw_rate"}),  # 4.8 m/s2 across, .98 rad/s; a curvature of 0.2, which 10 % more would break
+        (4.0, 3.0, {"curvature"}),  # 2.25 m/s2 across, .75 rad/s, 0.25 1/m
+    ],
+)  # fmt: skip
+def test_curves(states_on: Callable[..., AgentStates], radius: float, speed: float, found: set[str]) -> None:
+    """Motion alone: the map is far away, and ground everywhere. Jerk on a circle: v w^2, at most 4.7 m/s3 here."""
+    ring = np.array([(-500.0, -500.0), (500.0, -500.0), (500.0, 500.0), (-500.0, 500.0), (-500.0, -500.0)])
+    graph = LaneGraph({}, drivable_areas=(ring,))
+    seen = judge(states_on(graph, _circle("gen_0", radius, speed)), graph, Bounds())
+    assert {one.quantity.value for one in seen} == found
+
+
+def test_leap_of_the_positions_is_found_though_the_velocity_does_not_show_it(judged: Judged) -> None:
+    x = 20.0 + 10.0 * 0.1 * np.arange(STEPS)
+    quiet = _along("gen_0", x)
+    leap = replace(quiet, position=quiet.position + np.where(np.arange(STEPS) > 30, 0.5, 0.0)[:, None] * [1.0, 0.0])
+    assert "jerk" in {one[1].value for one in judged(leap)}
+
+
+@pytest.mark.parametrize(("y", "found"), [(-7.4, []), (-7.6, ["off_road"])])
+def test_footprint_beyond_the_edge(road: Callable[..., LaneGraph], states_on: Any, y: float, found: list[str]) -> None:
+    """The ground ends at y = -8.25 (6 m of asphalt beside the lane): 0.95 m of box reach 0.1 and 0.3 m over it.
+
+    At y = -7.6 it is 0.3 m and what is lost to rounding: 0.02 m more, at the judge's limit.
+    """
+    graph = road()
+    bottom = min(ring[:, 1].min() for ring in graph.drivable_areas)
+    track = _at("gen_0", 20.0, 10.0, y=bottom + 0.95 - (0.25 if not found else 0.35))
+    assert [one.quantity.value for one in judge(states_on(graph, track), graph, Bounds())] == found
+
+
+@pytest.mark.parametrize(
+    ("degrees", "inside", "found"), [(50, False, 0), (70, False, 1), (70, True, 0), (100, True, 1)]
+)
+def test_heading_against_the_lane(
+    lane: Callable[..., LaneSegment], states_on: Any, degrees: float, inside: bool, found: int
+) -> None:
+    """A box that stands across its lane: 60 degrees are the limit outside of intersections, 90 in them."""
+    ring = np.array([(-50.0, -50.0), (350.0, -50.0), (350.0, 50.0), (-50.0, 50.0), (-50.0, -50.0)])
+    graph = LaneGraph({1: lane(1, [(0.0, 0.0), (300.0, 0.0)], is_intersection=inside)}, drivable_areas=(ring,))
+    stands = _at("gen_0", 50.0, 0.0, heading=np.radians(degrees))
+    seen = judge(states_on(graph, stands), graph, Bounds())
+    assert [one.quantity for one in seen] == [Quantity.AGAINST_LANE] * found
+    assert all(one.value == pytest.approx(degrees) for one in seen)
+
+
+def test_driving_against_the_lane_is_found(judged: Judged) -> None:
+    """Turned round, and in reverse."""
+    for heading in (np.pi, 0.0):
+        seen = judged(_at("gen_0", 200.0, -10.0, heading=heading))
+        assert Quantity.AGAINST_LANE in {one[1] for one in seen}
+
+
+@pytest.mark.parametrize(("aside", "found"), [(1.95, 0), (1.85, 1)])
+def test_boxes_that_share_ground(judged: Judged, aside: float, found: int) -> None:
+    """Side by side, 1.9 m wide both: 0.05 m between them, and 0.05 m of each other."""
+    seen = judged(_at("a", 20.0, 10.0), _at("gen_0", 20.0, 10.0, y=aside))
+    assert seen.count(("gen_0", Quantity.OVERLAP, "a")) == found
+
+
+def test_every_box_that_is_met_is_told_and_recorded_ones_among_themselves_are_not(judged: Judged) -> None:
+    through = judged(_at("a", 40.0, 0.0), _at("b", 40.5, 0.0), _at("c", 55.0, 0.0), _at("gen_0", 20.0, 10.0))
+    assert {one[2] for one in through if one[1] is Quantity.OVERLAP} == {"a", "b", "c"}
+    assert {one[0] for one in through} == {"gen_0"}
+
+
+def test_overlap_between_two_steps_is_found(road: Callable[..., LaneGraph], states_on: Any) -> None:
+    """A box of 0.6 m leaps over a standing car within a step: from y = -2 to +2, and at y = 0 half way.
+
+    step 0   x         y = -2       half the car is 0.95 m wide, half the box 0.3 m: clear at both steps
+    half    [x]        y =  0
+    step 1   x         y = +2
+    """
+    leap = _at("gen_0", 20.0, 0.0, y=-2.0, steps=2, size=BoxSize(0.6, 0.6))
+    leap = replace(leap, position=np.array([[20.0, -2.0], [20.0, 2.0]]))
+    states = states_on(road(), _at("a", 20.0, 0.0), leap)
+    assert [one.step for one in of_boxes(states, 1, np.array([0]), spare_m=0.0)] == [0]
+    gone = states_on(road(), _at("a", 20.0, 0.0, steps=1), leap)
+    assert list(of_boxes(gone, 1, np.array([0]), spare_m=0.0)) == []
+
+
+def test_spare_widens_the_own_box(road: Callable[..., LaneGraph], states_on: Any) -> None:
+    """1.95 m apart sideways, 1.9 m wide both: 0.05 m between; 0.06 m more closes it."""
+    states = states_on(road(), _at("a", 20.0, 0.0), _at("gen_0", 20.0, 0.0, y=1.95))
+    assert list(of_boxes(states, 1, np.array([0]), spare_m=0.04)) == []
+    assert len(list(of_boxes(states, 1, np.array([0]), spare_m=0.06))) == 1
+
+
+@pytest.mark.parametrize("kind", ["vehicle", "cyclist"])
+@pytest.mark.parametrize(("gap", "found"), [(15.6, 0), (14.6, 1)])
+def test_time_to_collision_with_a_leader_of_any_type(judged: Judged, kind: str, gap: float, found: int) -> None:
+    """2 m/s faster than what is ahead, for 5.9 s: 11.8 m of the gap go, 3.8 m are left, 1.9 s, or 2.8 m, 1.4 s.
+
+    Places along a path are looked at every half a metre: a gap is told too small by as much at most.
+    """
+    leader = _at("a", 20.0 + gap + 4.5, 8.0, kind=kind, size=CAR)
+    seen = judged(leader, _at("gen_0", 20.0, 10.0))
+    assert len([one for one in seen if one[1] is Quantity.TTC_LEADER]) == found
+
+
+def test_leader_in_the_lane_that_is_left_counts_until_it_is_left(judged: Judged) -> None:
+    """A car at 10 m/s moves out at 1 m/s behind one that stands 30 m ahead.
+
+    Boxes overlap across the lane until it is 1.9 m aside, at 1.9 s; by then the gap is 30 - 4.5 - 19 = 6.5 m: 0.65 s.
+    From 45 m the gap is 21.5 m then: 2.15 s.
+    """
+    leaves = _at("gen_0", 20.0, 10.0, aside=0.6, steps=STEPS)
+    assert ("gen_0", Quantity.TTC_LEADER, "a") in judged(_at("a", 50.0, 0.0), leaves)
+    assert ("gen_0", Quantity.TTC_LEADER, "a") not in judged(_at("a", 85.0, 0.0), leaves)
+
+
+def test_what_stands_in_the_next_lane_leads_nothing(judged: Judged) -> None:
+    assert judged(_at("a", 40.0, 0.0, y=3.5), _at("gen_0", 10.0, 10.0)) == []
+
+
+def test_leader_that_rolls_back_is_met_as_if_it_stood(judged: Judged) -> None:
+    """10 m/s towards a car 50 m ahead that comes back at 0.5 m/s all the time, for 3.9 s: 4.5 m of the gap are left."""
+    seen = judged(_at("a", 50.0, -0.5, heading=0.0, steps=40), _at("gen_0", 0.0, 10.0, steps=40))
+    assert ("gen_0", Quantity.TTC_LEADER, "a") in seen
+
+
+@pytest.mark.parametrize(("ahead", "found"), [(45.7, 1), (70.0, 0)])
+def test_recorded_follower_that_will_not_brake(judged: Judged, ahead: float, found: int) -> None:
+    """A recorded car at 10 m/s comes up behind one at 2 m/s, for 3.9 s: 45.7 - 4.5 - 31.2 = 10 m, 1.25 s."""
+    follows = _at("a", 0.0, 10.0, steps=40)
+    seen = judged(follows, _at("gen_0", ahead, 2.0, steps=40))
+    assert seen.count(("gen_0", Quantity.TTC_FOLLOWER, "a")) == found
+    assert judged(follows, _at("b", ahead, 2.0, steps=40)) == []  # recorded ones among themselves
+
+
+def _crosses(name: str, y: float) -> Track:
+    """Northwards along x = 40 at 10 m/s."""
+    north = _at(name, y, 10.0, heading=np.pi / 2)
+    turned = np.column_stack([np.full(STEPS, 40.0), north.position[:, 0]])
+    return replace(north, position=turned, velocity=np.tile([0.0, 10.0], (STEPS, 1)))
+
+
+@pytest.mark.parametrize(("y", "found"), [(-33.2, 1), (-37.2, 0)])
+def test_crossing_too_soon_behind_another_one(judged: Judged, y: float, found: int) -> None:
+    """One that drives along y = 0 at 10 m/s from x = 20 leaves x = 40.95 with its rear after 2.32 s. One that starts at
+    y = -33.2 reaches y = -0.95 with its front after 3.0 s: PET 0.7 s. From y = -37.2 it is 0.4 s more.
+    """
+    pets = [one for one in judged(_at("a", 20.0, 10.0), _crosses("gen_0", y)) if one[1] is Quantity.PET]
+    assert pets == [("gen_0", Quantity.PET, "a")] * found
+    both = [one for one in judged(_at("gen_0", 20.0, 10.0), _crosses("gen_1", y)) if one[1] is Quantity.PET]
+    assert both == [("gen_1", Quantity.PET, "gen_0")] * found
+
+
+@pytest.mark.parametrize(("ahead", "found"), [(24.0, ["end_contact", "end_ttc"]), (30.0, ["end_contact"]), (90.0, [])])
+def test_oncoming_vehicle_after_the_last_step(judged: Judged, ahead: float, found: list[str]) -> None:
+    """Both at 10 m/s, 4.5 m long: (24 - 4.5) m / 20 m/s = 0.975 s, then 1.275 s, which braking does not avoid."""
+    own = _at("gen_0", 20.0, 10.0)
+    comes = _at("a", own.position[-1, 0] + ahead + 59.0, -10.0)
+    assert sorted(one[1].value for one in judged(comes, own) if one[1].startswith("end")) == found
+
+
+def test_contact_after_the_end_that_braking_avoids_is_no_finding(judged: Judged) -> None:
+    """10 m/s towards something that stands across the lane: in 3 s 10 + 20 - 3 * 2^2 / 2 = 24 m are driven.
+
+    From centre to centre 2.25 m + 0.95 m more: 27.2 m.
+    """
+    own = _at("gen_0", 20.0, 10.0)
+    for ahead, found in ((27.5, 0), (26.9, 1)):
+        stands = _at("a", own.position[-1, 0] + ahead, 0.0, heading=np.pi / 2)
+        assert [one[1] for one in judged(stands, own)].count(Quantity.END_CONTACT) == found
+
+
+@pytest.mark.parametrize(("gap", "found"), [(3.0, 1), (6.0, 0)])
+def test_headway_of_a_recorded_follower_is_noted(judged: Judged, gap: float, found: int) -> None:
+    """At 10 m/s, front to front 4.5 m + 3 m is 0.75 s, 4.5 m + 6 m is 1.05 s; 0.8 s is the limit."""
+    noted = judged(_at("a", 20.0, 10.0), _at("gen_0", 24.5 + gap, 10.0))
+    assert noted == [("gen_0", Quantity.FOLLOWER_HEADWAY, "a")] * found
+
+
+def test_follower_that_kept_as_little_in_the_recording_is_exempt(judged: Judged) -> None:
+    """For 3 s it follows a recorded one at 0.7 s, which turns off; then an inserted one at 0.75 s."""
+    recorded = _at("b", 27.0, 10.0, steps=30)
+    later = _at("gen_0", 27.5 + 30.0, 10.0, steps=30, first=30)
+    assert judged(_at("a", 20.0, 10.0), recorded, later) == []

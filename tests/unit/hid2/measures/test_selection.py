@@ -1,0 +1,29 @@
+"""How vehicles drive, by their speeds."""
+
+import numpy as np
+import pytest
+
+from hid2.measures.selection import Drives, drives
+
+
+def test_vehicles_that_brake_hard_and_that_stand_are_counted() -> None:
+    """Steps of 0.1 s. The first brakes with 4 m/s2 for 1 s, the second with 2 m/s2 for 5 s and stands then for 1 s, the
+    third loses 1 m/s in one step, as a tracker has it, and the fourth has one state.
+    """
+    hard = np.concatenate([np.full(20, 10.0), 10.0 - 0.4 * np.arange(1, 11), np.full(20, 6.0)])
+    soft = np.concatenate([10.0 - 0.2 * np.arange(51), np.zeros(10)])
+    noisy = np.concatenate([np.full(20, 10.0), np.full(20, 9.0)])
+    found = drives([hard, soft, noisy, np.array([5.0])], step_s=0.1, limited=7)
+    assert found == Drives(vehicles=4, braking=1, standing=1, steps=49 + 60 + 39, limited=7)
+
+
+@pytest.mark.parametrize(("decel", "expected"), [(2.9, 0), (3.1, 1)])
+def test_hard_braking_is_harder_than_three(decel: float, expected: int) -> None:
+    """Half a second of it, at steps of 0.1 s and of 0.25 s."""
+    for step_s in (0.1, 0.25):
+        speed = np.concatenate([[12.0, 12.0], 12.0 - decel * step_s * np.arange(1, 1 + round(0.5 / step_s))])
+        assert drives([speed], step_s=step_s).braking == expected
+
+
+def test_no_vehicle_drives_at_all() -> None:
+    assert drives([], step_s=0.1) == Drives(0, 0, 0, 0, 0)

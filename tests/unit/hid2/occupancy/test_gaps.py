@@ -1,0 +1,74 @@
+"""The gap function: who is next ahead and behind on a path, how far bumper to bumper, how fast."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from inserted import CAR
+
+from hid2.motion.route import DrivenPath
+from hid2.occupancy.along_path import PathOccupancy, look_along
+from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path
+from hid2.occupancy.traffic import Traffic
+
+BoxOf = Callable[..., Traffic]
+
+
+@pytest.fixture
+def seen(straight_path: DrivenPath, box: BoxOf) -> PathOccupancy:
+    """Four cars of 4.5 m along x, at 20 (9 m/s), 60 (6 m/s) and 90 m (5 m/s) at step 0; one stands across at 75 m."""
+    cars = box(20.0, 0.0, 0.0, 9.0, name="a").joined(
+        box(60.0, 0.0, 0.0, 6.0, name="b"), box(90.0, 0.0, 0.0, 5.0, name="c"), box(75.0, 0.0, np.pi / 2, name="x")
+    )
+    return look_along(straight_path.line, cars, CAR.length_m, CAR.width_m)
+
+
+def test_leader_and_follower_are_the_next_ones_bumper_to_bumper_with_their_speeds(seen: PathOccupancy) -> None:
+    """At 40 m: 20 m of centres each way, less 4.5 m of two halves, to half a metre."""
+    found = gaps_on_path(seen, np.array([40.0]), 0)
+    assert (seen.agents[found.leader[0]], seen.agents[found.follower[0]]) == (1, 0)
+    assert (found.lead_m[0], found.lag_m[0]) == pytest.approx((15.5, 15.5), abs=0.6)
+    assert (found.lead_mps[0], found.lag_mps[0]) == pytest.approx((6.0, 9.0))
+
+
+def test_each_place_is_asked_at_its_own_step(seen: PathOccupancy) -> None:
+    """After 1 s the one from 60 m is at 66 m, ahead of 65 m and behind 67 m."""
+    found = gaps_on_path(seen, np.array([65.0, 65.0, 67.0]), np.array([0, 10, 10]))
+    assert seen.agents[found.follower].tolist() == [1, 0, 1]
+    assert seen.agents[found.leader].tolist() == [3, 1, 3]
+
+
+def test_only_those_asked_for_count(seen: PathOccupancy) -> None:
+    """Who stands across at 75 m is next on the path, and leads nobody: the one at 90 m does."""
+    at = np.array([70.0])
+    assert seen.agents[gaps_on_path(seen, at, 0).leader[0]] == 3
+    assert seen.agents[gaps_on_path(seen, at, 0, among=seen.same_direction).leader[0]] == 2
+
+
+def test_nobody_is_infinitely_far_away_and_stands(seen: PathOccupancy) -> None:
+    for nobody in (PathOccupancy.nobody(1), seen.rows(np.zeros(4, dtype=np.bool_))):
+        found = gaps_on_path(nobody, np.array([40.0]), 0)
+        assert (found.leader[0], found.follower[0]) == (-1, -1)
+        assert (found.lead_m[0], found.lag_m[0], found.lead_mps[0], found.lag_mps[0]) == (np.inf, np.inf, 0.0, 0.0)
+
+
+def test_side_by_side_is_a_negative_gap_to_the_one_whose_middle_is_ahead(seen: PathOccupancy) -> None:
+    """At 59 m one at 60 m is the leader, 1 - 4.5 m away; at 61 m it is the follower."""
+    found = gaps_on_path(seen, np.array([59.0, 61.0]), 0)
+    assert (seen.agents[found.leader[0]], seen.agents[found.follower[1]]) == (1, 1)
+    assert (found.lead_m[0], found.lag_m[1]) == pytest.approx((-3.5, -3.5), abs=0.6)
+
+
+def test_one_that_comes_back_along_the_path_has_no_speed_along_it(straight_path: DrivenPath, box: BoxOf) -> None:
+    oncoming = look_along(straight_path.line, box(80.0, 0.0, np.pi, 5.0), CAR.length_m, CAR.width_m)
+    assert gaps_on_path(oncoming, np.array([40.0]), 0).lead_mps[0] == 0.0
+
+
+def test_gaps_from_a_pose_need_no_path(box: BoxOf) -> None:
+    """Heading up from (0, 0): 10 m ahead and 3 m aside at 4 m/s, and 20 m behind; cars of 4.5 x 1.9 m."""
+    here = box(3.0, 10.0, np.pi / 2, 4.0, name="ahead").joined(box(0.0, -20.0, np.pi / 2, name="behind")).at(0)
+    found = gaps_from_pose(np.zeros(2), np.array([0.0, 1.0]), CAR, here)
+    assert found.along_m == pytest.approx([10.0, -20.0])
+    assert found.gap_m == pytest.approx([5.5, 15.5])
+    assert found.aside_m == pytest.approx([1.1, -1.9])
+    assert found.along_mps == pytest.approx([4.0, 0.0], abs=1e-9)
