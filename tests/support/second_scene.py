@@ -48,6 +48,15 @@ class SecondTrack:
         return {int(step): row for row, step in enumerate(self.steps)}
 
     @cached_property
+    def moved(self) -> Floats:
+        """(T, 2) m/s by differences of the positions, central but at the ends; as stated where there is one alone."""
+        velocity = self.velocity.copy()
+        for rows in self.runs:
+            if rows.stop - rows.start > 1:
+                velocity[rows] = np.gradient(self.xy[rows], DT_S, axis=0)
+        return velocity
+
+    @cached_property
     def corners(self) -> Floats:
         """(T, 4, 2) m."""
         return box_corners(self.xy, self.heading, self.length_m, self.width_m)
@@ -119,7 +128,8 @@ class SecondScene:
 
     @cached_property
     def velocity_all(self) -> Floats:
-        return np.concatenate([track.velocity for track in self.tracks])
+        """By the positions."""
+        return np.concatenate([track.moved for track in self.tracks])
 
     @cached_property
     def boxes_all(self) -> npt.NDArray[np.object_]:
