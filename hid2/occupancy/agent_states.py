@@ -47,7 +47,7 @@ class Leading(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class AgentStates:
-    """Agents of a scene: row by row in `arrays`, as stated, step by step in `traffic`, velocities by central differences."""
+    """Agents of a scene: row by row in `arrays`, as stated, step by step in `traffic`, velocities by differences."""
 
     arrays: SceneArrays
     traffic: Traffic
