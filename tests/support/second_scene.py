@@ -25,8 +25,8 @@ TYPE_SIZES = {
 SMALL_THING = (0.8, 0.8)
 #: What drives in lanes: leaders, followers, and both sides of a PET.
 DRIVEN_TYPES = ("vehicle", "bus", "motorcyclist", "cyclist")
-#: A track with a shorter path than this stands, m.
-MOVES_M = 5.0
+#: A track moves that has a longer path than this, m, and is seen at more steps than that.
+MOVES_M, MOVES_STEPS = 5.0, 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +67,11 @@ class SecondTrack:
 
     @cached_property
     def moves(self) -> bool:
-        """Whether it drives over 5 m, straight from its first to its farthest place: noise of a tracker adds up."""
-        return float(np.hypot(*(self.xy - self.xy[0]).T).max()) > MOVES_M
+        """Whether it drives over 5 m, straight from its first to its farthest place: noise of a tracker adds up.
+
+        Pieces of a second or less are none, as in the definition of moving tracks beside the data.
+        """
+        return len(self.steps) > MOVES_STEPS and float(np.hypot(*(self.xy - self.xy[0]).T).max()) > MOVES_M
 
     @property
     def runs(self) -> list[slice]:
