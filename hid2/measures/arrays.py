@@ -75,6 +75,11 @@ class SceneArrays:
         return int(self.row_of.shape[1])
 
     @property
+    def clean(self) -> BoolArray:
+        """(A,) moving vehicles that are no tracker fragments."""
+        return np.asarray(self.vehicle & self.moving & ~self.fragment)
+
+    @property
     def rows_per_agent(self) -> IntArray:
         """(A,) steps at which each agent is present."""
         return np.diff(self.first)
