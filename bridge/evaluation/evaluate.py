@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from bridge.batch.engine import work_on_each
-from bridge.batch.isolation import Failure
-from bridge.evaluation.scene_metrics import TABLES, Labelled, Row, SceneMeasures, measure_folders
+from bridge.batch.isolation import Failure, attempt_each
+from bridge.evaluation.scene_metrics import TABLES, Labelled, Maps, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
 from bridge.files import append_rows, explained, table_file, write_json
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Source, find_scenarios, source_id
@@ -139,8 +139,12 @@ def _measured(
 def measure(shared: tuple[Limits, Labelled], folders: Sequence[Address]) -> Iterator[bytes | Failure]:
     """The work of a process: measure each folder. A scene is packed, to a tenth: many may wait for one before them."""
     limits, labelled = shared
-    for measures in measure_folders(limits, folders, labelled):
-        yield measures if isinstance(measures, Failure) else zlib.compress(pickle.dumps(measures), 1)
+    maps = Maps()
+
+    def packed(folder: Address) -> bytes:
+        return zlib.compress(pickle.dumps(measure_folder(folder, limits, maps, labelled)), 1)
+
+    return attempt_each(packed, folders)
 
 
 def _map_size(folder: Address) -> int:
