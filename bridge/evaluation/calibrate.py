@@ -18,9 +18,9 @@ from bridge.pictures import figures
 from bridge.recordings.scenario import read_scenario, source_id
 from bridge.recordings.sources import find_sources
 from hid2.agents import FloatArray, IntArray
-from hid2.drivers.calibration import Extra, Observed, Quantity, calibrate, drivers_of
+from hid2.evaluation.calibration import Extra, Quantity, calibrate, drivers_of
 from hid2.evaluation.safety import Safety, prepare_map, safety
-from hid2.evaluation.windows import windows
+from hid2.evaluation.windows import Windows, windows
 from hid2.measures.arrays import BoolArray, SceneArrays, stack
 from hid2.measures.manoeuvres import ManeuverKind, detect
 from hid2.params import Drivers
@@ -38,8 +38,13 @@ class SceneDriving(NamedTuple):
     name: str
     city: str
     labelled: bool
-    seen: Observed
+    seen: Windows
     extra: Extra
+
+    def rows(self, chosen: BoolArray) -> "SceneDriving":
+        """Some of the windows."""
+        usual_mps = self.extra.usual_mps[chosen]
+        return self._replace(seen=self.seen.rows(chosen), extra=self.extra._replace(usual_mps=usual_mps))
 
 
 class Calibration(NamedTuple):
@@ -96,21 +101,7 @@ def observe_scene(folder: Path) -> SceneDriving:
     arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)
     safe = safety(arrays, prepare_map(scenario.graph))
     clean = arrays.clean & ~arrays.generated
-    found = windows(arrays, safe, clean)
-    seen = Observed(
-        driver=found.agent,
-        speed_mps=found.speed_mps,
-        accel_mps2=found.accel_mps2,
-        jerk_mps3=found.jerk_mps3,
-        offset_m=found.d_parabola[:, 0],
-        drift_mps=found.d_parabola[:, 1],
-        bend_mps2=found.d_parabola[:, 2],
-        lateral_mps2=np.abs(found.lateral_accel_mps2),
-        gap_m=found.gap_m,
-        closing_mps=found.closing_mps,
-        usual_mps=_usual_speed(found.agent, found.speed_mps, found.turning),
-        turning=found.turning,
-    )
+    seen = windows(arrays, safe, clean)
     done = detect(arrays, safe.lanes, safe.matches)
     durations = [one.duration_s for one in done if one.kind is ManeuverKind.LANE_CHANGE and one.complete]
     return SceneDriving(
@@ -118,7 +109,11 @@ def observe_scene(folder: Path) -> SceneDriving:
         city=scenario.city,
         labelled=scenario.provenance == "human",
         seen=seen,
-        extra=Extra(_standing_gaps(arrays, safe, clean), np.array(durations, dtype=np.float64)),
+        extra=Extra(
+            _usual_speed(seen.agent, seen.speed_mps, seen.turning),
+            _standing_gaps(arrays, safe, clean),
+            np.array(durations, dtype=np.float64),
+        ),
     )
 
 
@@ -155,16 +150,16 @@ def _groups(scenes: Sequence[SceneDriving]) -> Iterator[tuple[str, list[SceneDri
         if part:
             yield f"recordings {name}", part
     for name, turning in (("straight", False), ("turning", True)):
-        yield f"lane {name}", [scene._replace(seen=scene.seen.rows(scene.seen.turning == turning)) for scene in scenes]
+        yield f"lane {name}", [scene.rows(scene.seen.turning == turning) for scene in scenes]
 
 
-def pooled(scenes: Sequence[SceneDriving]) -> tuple[Observed, Extra]:
+def pooled(scenes: Sequence[SceneDriving]) -> tuple[Windows, Extra]:
     """Windows and extras of several scenes; drivers get numbers of their own."""
     parts, before = [], 0
     for scene in scenes:
-        parts.append(scene.seen._replace(driver=scene.seen.driver + before))
-        before += int(scene.seen.driver.max(initial=-1)) + 1
-    seen = Observed(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+        parts.append(scene.seen._replace(agent=scene.seen.agent + before))
+        before += int(scene.seen.agent.max(initial=-1)) + 1
+    seen = Windows(*(np.concatenate(values) for values in zip(*parts, strict=True)))
     extra = Extra(*(np.concatenate(values) for values in zip(*(scene.extra for scene in scenes), strict=True)))
     return seen, extra
 

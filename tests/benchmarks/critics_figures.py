@@ -17,7 +17,7 @@ from bridge.evaluation.calibrate import observe_scene, pooled
 from bridge.generation.generate import generate, prepare
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
-from hid2.drivers.calibration import calibrate, drivers_of
+from hid2.evaluation.calibration import calibrate, drivers_of
 from hid2.evaluation.critics import (
     JUDGED,
     WIDTH,

@@ -9,13 +9,14 @@ documented prior and says so.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
 
 from hid2.agents import FloatArray, IntArray
 from hid2.drivers.driver import Driver, desired_speeds, lane_offset
+from hid2.evaluation.windows import Windows
 from hid2.params import Config, Drivers
 from hid2.resampling import Estimate, interval, redrawn
 
@@ -40,35 +41,14 @@ _TIMES_S = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 _SPREADS = (0.0, 0.3, 0.6, 0.9, 1.2)
 
 
-class Observed(NamedTuple):
-    """Windows (M,) of recorded driving: driver number, middle speed, acceleration, jerk, fits of the offset, and more.
+class Extra(NamedTuple):
+    """What windows do not show.
 
-    speed_mps, accel_mps2, jerk_mps3, offset_m, drift_mps, bend_mps2: at the middle; lateral_mps2: size of the lateral
-    acceleration; gap_m inf without a leader; closing_mps; usual_mps: what the traffic of its lane drives; turning.
+    usual_mps (M,): of each window, what the traffic of its lane drives; standing_gap_m: gaps to standing leaders, one a
+    driver; lane_change_s: durations of lane changes.
     """
 
-    driver: IntArray
-    speed_mps: FloatArray
-    accel_mps2: FloatArray
-    jerk_mps3: FloatArray
-    offset_m: FloatArray
-    drift_mps: FloatArray
-    bend_mps2: FloatArray
-    lateral_mps2: FloatArray
-    gap_m: FloatArray
-    closing_mps: FloatArray
     usual_mps: FloatArray
-    turning: np.ndarray[tuple[int], np.dtype[np.bool_]]
-
-    def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.bool_]] | IntArray) -> "Observed":
-        """Some of the windows."""
-        some: list[Any] = [values[chosen] for values in self]
-        return Observed(*some)
-
-
-class Extra(NamedTuple):
-    """What windows do not show, one value a driver or manoeuvre: gaps to standing leaders, m; lane changes, s."""
-
     standing_gap_m: FloatArray
     lane_change_s: FloatArray
 
@@ -93,22 +73,23 @@ class Quantity:
     ks: float | None
 
 
-def calibrate(seen: Observed, extra: Extra, *, prior: Drivers) -> list[Quantity]:
-    """Every parameter that recordings can tell, in the order of `params.Drivers`."""
-    straight = seen.rows(~seen.turning)
-    free = straight.rows(np.isinf(straight.gap_m) | (straight.gap_m > 4.0 * straight.speed_mps))
-    cruising = (free.speed_mps > _CRUISES * free.usual_mps) & (np.abs(free.accel_mps2) < _CRUISES_MPS2)
-    ratio = _by_driver(free.driver, np.log(free.speed_mps / free.usual_mps), np.median)
+def calibrate(seen: Windows, extra: Extra, *, prior: Drivers) -> list[Quantity]:
+    """Every parameter that recordings can tell, in the order of `params.Drivers`. seen: each agent is a driver."""
+    straight, usual_mps = seen.rows(~seen.turning), extra.usual_mps[~seen.turning]
+    alone = np.isinf(straight.gap_m) | (straight.gap_m > 4.0 * straight.speed_mps)
+    free, usual_mps = straight.rows(alone), usual_mps[alone]
+    cruising = (free.speed_mps > _CRUISES * usual_mps) & (np.abs(free.accel_mps2) < _CRUISES_MPS2)
+    ratio = _by_driver(free.agent, np.log(free.speed_mps / usual_mps), np.median)
     time_gap = (seen.gap_m - prior.min_gap_mean_m) / np.maximum(seen.speed_mps, 1.0)
     steady = (
         (np.abs(seen.closing_mps) < _STEADY_MPS) & (np.abs(seen.accel_mps2) < _STEADY_MPS2) & (time_gap > 0.0)
         & (seen.speed_mps > _FOLLOWS_MPS) & (time_gap < _FOLLOWS_S)
     )  # fmt: skip
-    gaps = _by_driver(seen.driver[steady], time_gap[steady], np.median)
-    strongest = _by_driver(seen.driver, seen.accel_mps2, np.max)
-    hardest = -_by_driver(seen.driver, seen.accel_mps2, np.min)
-    turning = _by_driver(seen.driver[seen.turning], seen.lateral_mps2[seen.turning], np.max)
-    offsets = _by_driver(straight.driver, straight.offset_m, np.median)
+    gaps = _by_driver(seen.agent[steady], time_gap[steady], np.median)
+    strongest = _by_driver(seen.agent, seen.accel_mps2, np.max)
+    hardest = -_by_driver(seen.agent, seen.accel_mps2, np.min)
+    turning = _by_driver(seen.agent[seen.turning], np.abs(seen.lateral_accel_mps2[seen.turning]), np.max)
+    offsets = _by_driver(straight.agent, straight.d_parabola[:, 0], np.median)
     found = [
         *_normal("desired", "desired speed over the traffic's, logarithm", ratio, prior, sd_only=True),
         *_speed_wander(free.rows(cruising), prior),
@@ -282,11 +263,11 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
     return _moments(_rms(np.array(driver), np.array(drift)), _rms(np.array(driver), np.array(bend)))
 
 
-def _speed_wander(free: Observed, prior: Drivers) -> list[Quantity]:
+def _speed_wander(free: Windows, prior: Drivers) -> list[Quantity]:
     """SD and time of the wandering of the desired speed, from who drives freely."""
     what = "wandering of the desired speed: acceleration in windows, m/s2"
     names = ("wander_sd_mps", "wander_time_s")
-    values, changes = _rms(free.driver, free.accel_mps2), _rms(free.driver, free.jerk_mps3)
+    values, changes = _rms(free.agent, free.accel_mps2), _rms(free.agent, free.jerk_mps3)
 
     def found(drivers: IntArray) -> tuple[float, float]:
         table, moments = [speed_moments(time_s) for time_s in _TIMES_S], _moments(values[drivers], changes[drivers])
@@ -296,11 +277,12 @@ def _speed_wander(free: Observed, prior: Drivers) -> list[Quantity]:
     return _quantities(names, what, values, prior, found, lambda p: _lognormal_quantile(values, p))
 
 
-def _lateral_wander(straight: Observed, prior: Drivers) -> list[Quantity]:
+def _lateral_wander(straight: Windows, prior: Drivers) -> list[Quantity]:
     """SD, spread and time of the wandering about the place in the lane."""
     what = "wandering about the place in the lane: drift in windows, m/s"
     names = ("lateral_wander_sd_m", "lateral_wander_time_s", "lateral_wander_spread")
-    values, changes = _rms(straight.driver, straight.drift_mps), _rms(straight.driver, straight.bend_mps2)
+    drift_mps, bend_mps2 = straight.d_parabola[:, 1], straight.d_parabola[:, 2]
+    values, changes = _rms(straight.agent, drift_mps), _rms(straight.agent, bend_mps2)
 
     def found(drivers: IntArray) -> tuple[float, float, float]:
         moments = _moments(values[drivers], changes[drivers])
