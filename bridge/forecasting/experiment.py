@@ -240,27 +240,20 @@ def _files(folder: Path, name: str) -> list[Path]:
     return found
 
 
-class _Line(NamedTuple):
-    label: str
-    cells: Sequence[Estimate]
-
-    def estimates(self) -> list[dict[str, float | None]]:
-        return [cell._asdict() for cell in self.cells]
-
-    def as_dict(self, names: Sequence[str]) -> dict[str, Any]:
-        return {"row": self.label, **dict(zip(names, self.estimates(), strict=True))}
-
-
 def _table(
-    paper: Mapping[str, Sequence[float]], ours: Mapping[str, Sequence[Runs]], source_of: Mapping[str, str],
-    params: Forecasting,
-) -> list[_Line]:  # fmt: skip
-    """The paper's rows and ours, by label: every metric of each of a row's runs."""
-    lines = [_Line(label, [Estimate(value) for value in values]) for label, values in paper.items()]
-    for label, row in ours.items():
-        cells = [mean_of(runs, source_of, metric, params) for runs in row for metric in _COLUMNS]
-        lines.append(_Line(f"ours: {label}", cells))
-    return lines
+    paper: Mapping[str, Sequence[float]], ours: Mapping[str, Sequence[Runs]], names: Sequence[str],
+    source_of: Mapping[str, str], params: Forecasting,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """The paper's rows and ours, by label: every metric of each of a row's runs, by name, ready for JSON."""
+    rows = [(label, [Estimate(value) for value in values]) for label, values in paper.items()]
+    rows += [
+        (f"ours: {label}", [mean_of(one, source_of, metric, params) for one in runs for metric in _COLUMNS])
+        for label, runs in ours.items()
+    ]
+    return [
+        {"row": label, **{name: cell._asdict() for name, cell in zip(names, cells, strict=True)}}
+        for label, cells in rows
+    ]
 
 
 def _differences(
@@ -299,15 +292,18 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
     ours2 = {label: [runs[on][name] for on in (RECORDED, HID2)] for label, name in trained.items()}
     above_bounds = [above("agents", bound) for bound in BOUNDS]
     ours3 = {label: [in_band(runs[RECORDED][name], one) for one in above_bounds] for name, label in CONTROLS.items()}
-    table2, table3 = _table(PAPER_TABLE2, ours2, source_of, params), _table(PAPER_TABLE3, ours3, source_of, params)
+    names2 = [f"{on}_{key}" for on in (RECORDED, HID2) for key in _COLUMNS]
+    names3 = [f"{key}_{bound}" for bound in BOUNDS for key in _COLUMNS]
+    table2 = _table(PAPER_TABLE2, ours2, names2, source_of, params)
+    table3 = _table(PAPER_TABLE3, ours3, names3, source_of, params)
     differences = _differences(runs, source_of, params)
     seeds = {name: len(found) for name, found in runs[RECORDED].items()}
     content: dict[str, Any] = {
         "experiment": "prediction",
         "seeds": seeds,
         "reading": None if brought else plan.reading,
-        "table2": [line.as_dict([f"{on}_{key}" for on in (RECORDED, HID2) for key in _COLUMNS]) for line in table2],
-        "table3": [line.as_dict([f"{key}_{bound}" for bound in BOUNDS for key in _COLUMNS]) for line in table3],
+        "table2": table2,
+        "table3": table3,
         "differences": as_dicts(differences),
     }
     shown = {
