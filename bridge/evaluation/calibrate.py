@@ -1,8 +1,7 @@
-"""`hid2 calibrate`: recorded scenes to drivers.toml, with a table and a figure for each quantity, and manoeuvres."""
+"""`hid2 calibrate`: recorded scenes to drivers.toml, with a table and a figure for each quantity."""
 
 import json
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,42 +13,38 @@ from bridge.batch.engine import sorted_out, work_on_each
 from bridge.batch.isolation import Failure, attempt_each
 from bridge.evaluation.evaluate import write_table
 from bridge.files import explained, write_text
-from bridge.pages.parts import Section, macro, number, page, picture, table
+from bridge.pages.parts import Section, macro, page
 from bridge.pictures import figures
 from bridge.recordings.scenario import read_scenario, source_id
 from bridge.recordings.sources import find_sources
 from hid2.agents import FloatArray, IntArray
-from hid2.drivers.calibration import Extra, Observed, Quantity, calibrate, drivers_of
+from hid2.evaluation.calibration import Extra, Quantity, calibrate, drivers_of
 from hid2.evaluation.safety import Safety, prepare_map, safety
-from hid2.evaluation.windows import is_labelled, windows
+from hid2.evaluation.windows import Windows, windows
 from hid2.measures.arrays import BoolArray, SceneArrays, stack
-from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
+from hid2.measures.manoeuvres import ManeuverKind, detect
 from hid2.params import Drivers
 from netconvert.errors import ConfigError, ScenarioError
 
 #: Speed below which a vehicle stands, m/s, and gap to a leader in a queue, m.
 _STANDS_MPS, _QUEUE_M = 0.3, 8.0
-#: A leader or follower farther away than this, m, did not matter for a manoeuvre.
-_MATTERS_M = 60.0
-_SHARES = {"5 %": 0.05, "50 %": 0.5, "95 %": 0.95}
 _CHUNK = 20
-
-#: Quantities of a recorded manoeuvre, with their units.
-MANOEUVRE_COLUMNS = {
-    "duration_s": "s", "lead_gap_m": "m", "lag_gap_m": "m", "lateral_peak_mps": "m/s", "speed_gain_mps": "m/s",
-    "ttc_s": "s", "pet_s": "s",
-}  # fmt: skip
+_TEMPLATE = "calibration.html.j2"
 
 
 class SceneDriving(NamedTuple):
-    """What calibration keeps of a scene: drivers are numbered within it; manoeuvres are rows of MANOEUVRE_COLUMNS."""
+    """What calibration keeps of a scene: drivers are numbered within it."""
 
     name: str
     city: str
-    labelled: bool | None
-    seen: Observed
+    labelled: bool
+    seen: Windows
     extra: Extra
-    manoeuvres: list[dict[str, Any]]
+
+    def rows(self, chosen: BoolArray) -> "SceneDriving":
+        """Some of the windows."""
+        usual_mps = self.extra.usual_mps[chosen]
+        return self._replace(seen=self.seen.rows(chosen), extra=self.extra._replace(usual_mps=usual_mps))
 
 
 class Calibration(NamedTuple):
@@ -66,8 +61,8 @@ def calibrate_folder(
 ) -> Calibration:  # fmt: skip
     """Measure how people drive in the recorded scenes below `root`, and write what was found.
 
-    Writes `out` (TOML, the section [drivers] of a configuration) and, beside it, STEM.csv (quantities), STEM.html (the
-    same with figures) and STEM_manoeuvres.csv. without: ids of scenes to leave out, such as those to be generated from.
+    Writes `out` (TOML, the section [drivers] of a configuration) and, beside it, STEM.csv (quantities) and STEM.html
+    (the same with figures). without: ids of scenes to leave out, such as those to be generated from.
     Scenes that hid2 wrote are passed over. Errors: ConfigError where no scene is left, ScenarioError where none can be
     read; ExportError where something cannot be written.
     """
@@ -105,31 +100,20 @@ def observe_scene(folder: Path) -> SceneDriving:
     scenario = read_scenario(folder)
     arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)
     safe = safety(arrays, prepare_map(scenario.graph))
-    clean = arrays.vehicle & arrays.moving & ~arrays.fragment & ~arrays.generated
-    found = windows(arrays, safe, clean)
-    seen = Observed(
-        driver=found.agent,
-        speed_mps=found.speed_mps,
-        accel_mps2=found.accel_mps2,
-        jerk_mps3=found.jerk_mps3,
-        offset_m=found.d_parabola[:, 0],
-        drift_mps=found.d_parabola[:, 1],
-        bend_mps2=found.d_parabola[:, 2],
-        lateral_mps2=np.abs(found.lateral_accel_mps2),
-        gap_m=found.gap_m,
-        closing_mps=found.closing_mps,
-        usual_mps=_usual_speed(found.agent, found.speed_mps, found.turning),
-        turning=found.turning,
-    )
-    changes = [m for m in detect(arrays, safe.lanes, safe.matches) if not m.track_id.startswith("gen_")]
-    durations = [m.duration_s for m in changes if m.kind is ManeuverKind.LANE_CHANGE and m.complete]
+    clean = arrays.clean & ~arrays.generated
+    seen = windows(arrays, safe, clean)
+    done = detect(arrays, safe.lanes, safe.matches)
+    durations = [one.duration_s for one in done if one.kind is ManeuverKind.LANE_CHANGE and one.complete]
     return SceneDriving(
         name=scenario.scenario_id,
         city=scenario.city,
-        labelled=is_labelled(arrays),
+        labelled=scenario.provenance == "human",
         seen=seen,
-        extra=Extra(_standing_gaps(arrays, safe, clean), np.array(durations, dtype=np.float64)),
-        manoeuvres=[_manoeuvre_row(arrays, safe, m) for m in changes],
+        extra=Extra(
+            _usual_speed(seen.agent, seen.speed_mps, seen.turning),
+            _standing_gaps(arrays, safe, clean),
+            np.array(durations, dtype=np.float64),
+        ),
     )
 
 
@@ -157,46 +141,6 @@ def _standing_gaps(arrays: SceneArrays, safe: Safety, clean: BoolArray) -> Float
     )
 
 
-def _manoeuvre_row(arrays: SceneArrays, safe: Safety, seen: Maneuver) -> dict[str, Any]:
-    """One recorded manoeuvre; None for what it does not have or the track does not show."""
-    agent = arrays.track_ids.index(seen.track_id)
-    rows = np.arange(arrays.first[agent], arrays.first[agent + 1])
-    time = arrays.step[rows] * arrays.step_s
-    inside = rows[(time >= seen.start_s - 1e-9) & (time <= seen.end_s + 1e-9)]
-    after = rows[min(int(np.searchsorted(time, seen.crossing_s)) + 2, len(rows) - 1)]
-    speed = np.hypot(*arrays.velocity.T)
-    changes = seen.kind is ManeuverKind.LANE_CHANGE
-    lead = float(safe.leaders.gap_m[after]) if safe.leaders.agent[after] >= 0 else None
-    same_step = np.flatnonzero((safe.leaders.agent == agent) & (arrays.step == arrays.step[after]))
-    lag = min((float(safe.leaders.gap_m[row]) for row in same_step), default=None)
-    ttc = safe.leaders.ttc_s[inside]
-    pets = [one.pet_s for one in safe.encroachments if agent in (one.first, one.second)]
-    return {
-        "kind": str(seen.kind),
-        "duration_s": seen.duration_s if seen.complete else None,
-        "lead_gap_m": lead if changes and lead is not None and lead < _MATTERS_M else None,
-        "lag_gap_m": lag if changes and lag is not None and lag < _MATTERS_M else None,
-        "lateral_peak_mps": _lateral_peak(arrays, safe, inside) if changes else None,
-        "speed_gain_mps": float(speed[inside[-1]] - speed[inside[0]]) if seen.complete and len(inside) else None,
-        "ttc_s": float(ttc.min()) if len(ttc) and np.isfinite(ttc.min()) else None,
-        "pet_s": min(pets, default=None),
-    }
-
-
-def _lateral_peak(arrays: SceneArrays, safe: Safety, rows: IntArray) -> float | None:
-    """Largest speed across the lane, m/s: velocity across the direction at the begin, of lines fitted over 1 s."""
-    size = round(1.0 / arrays.step_s) + 1
-    if len(rows) < size:
-        return None
-    heading = np.unwrap(safe.matches.direction[rows])
-    chord = arrays.position[rows[-1]] - arrays.position[rows[0]]
-    middle = float(np.median(heading[[0, -1]])) if np.hypot(*chord) < 1.0 else float(heading[[0, -1]].mean())
-    across = arrays.position[rows] @ np.array([-np.sin(middle), np.cos(middle)])
-    time = arrays.step_s * (np.arange(size) - size // 2)
-    slopes = np.lib.stride_tricks.sliding_window_view(across, size) @ (time / (time @ time))
-    return float(np.abs(slopes).max())
-
-
 def _groups(scenes: Sequence[SceneDriving]) -> Iterator[tuple[str, list[SceneDriving]]]:
     yield "all", list(scenes)
     for city in sorted({scene.city for scene in scenes}):
@@ -206,33 +150,18 @@ def _groups(scenes: Sequence[SceneDriving]) -> Iterator[tuple[str, list[SceneDri
         if part:
             yield f"recordings {name}", part
     for name, turning in (("straight", False), ("turning", True)):
-        yield f"lane {name}", [scene._replace(seen=scene.seen.rows(scene.seen.turning == turning)) for scene in scenes]
+        yield f"lane {name}", [scene.rows(scene.seen.turning == turning) for scene in scenes]
 
 
-def pooled(scenes: Sequence[SceneDriving]) -> tuple[Observed, Extra]:
+def pooled(scenes: Sequence[SceneDriving]) -> tuple[Windows, Extra]:
     """Windows and extras of several scenes; drivers get numbers of their own."""
     parts, before = [], 0
     for scene in scenes:
-        parts.append(scene.seen._replace(driver=scene.seen.driver + before))
-        before += int(scene.seen.driver.max(initial=-1)) + 1
-    seen = Observed(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+        parts.append(scene.seen._replace(agent=scene.seen.agent + before))
+        before += int(scene.seen.agent.max(initial=-1)) + 1
+    seen = Windows(*(np.concatenate(values) for values in zip(*parts, strict=True)))
     extra = Extra(*(np.concatenate(values) for values in zip(*(scene.extra for scene in scenes), strict=True)))
     return seen, extra
-
-
-def manoeuvre_table(scenes: Iterable[SceneDriving]) -> list[dict[str, Any]]:
-    """5, 50 and 95 % of each quantity of recorded manoeuvres, by kind, with the number that shows it."""
-    values: dict[tuple[str, str], list[float]] = defaultdict(list)
-    for scene in scenes:
-        for row in scene.manoeuvres:
-            for name in MANOEUVRE_COLUMNS:
-                if row[name] is not None:
-                    values[row["kind"], name].append(row[name])
-    rows = []
-    for (kind, name), known in sorted(values.items()):
-        row = {"kind": kind, "quantity": name, "unit": MANOEUVRE_COLUMNS[name], "number": len(known)}
-        rows.append(row | dict(zip(_SHARES, np.quantile(known, list(_SHARES.values())), strict=True)))
-    return rows
 
 
 def drivers_toml(found: Sequence[Quantity], prior: Drivers, scenes: Sequence[SceneDriving]) -> str:
@@ -271,41 +200,21 @@ def quantity_rows(groups: Mapping[str, Sequence[Quantity]]) -> list[dict[str, An
 
 
 def _write(result: Calibration, out: Path, prior: Drivers) -> None:
-    rows, manoeuvres = quantity_rows(result.groups), manoeuvre_table(result.scenes)
+    rows = quantity_rows(result.groups)
     write_table(out.with_name(f"{out.stem}.csv"), rows)
-    if manoeuvres:
-        write_table(out.with_name(f"{out.stem}_manoeuvres.csv"), manoeuvres)
-    write_text(out.with_name(f"{out.stem}.html"), _page(result, rows, manoeuvres))
+    write_text(out.with_name(f"{out.stem}.html"), _page(result, rows))
     write_text(out, drivers_toml(result.groups["all"], prior, result.scenes))
 
 
-def _page(result: Calibration, rows: Sequence[Mapping[str, Any]], manoeuvres: Sequence[Mapping[str, Any]]) -> str:
+def _page(result: Calibration, rows: Sequence[Mapping[str, Any]]) -> str:
     figures.style()
-    head = ("group", "parameter", "value", "95 % interval", "drivers", "source", "KS")
-    cells = [
-        (
-            row["group"], row["parameter"], number(row["value"]),
-            f"{number(row['low'])} to {number(row['high'])}" if row["source"] == "measured" else "–",
-            str(row["drivers"]), row["source"], number(row["ks"], 2),
-        )
-        for row in rows
-    ]  # fmt: skip
     shown = {quantity.what: quantity for quantity in reversed(result.groups["all"]) if quantity.measured}
-    drawn = [
-        picture(_distribution(quantity), f"{quantity.what}: {quantity.drivers} drivers.", _fit_in_words(quantity))
-        for quantity in reversed(shown.values())
-    ]
-    kinds = [
-        (row["kind"].replace("_", " "), row["quantity"], str(row["number"]), *(number(row[k], 2) for k in _SHARES))
-        for row in manoeuvres
-    ]
+    drawn = [(quantity, figures.data_uri(_distribution(quantity))) for quantity in reversed(shown.values())]
     sections = [
-        Section("quantities", "Quantities", table(head, cells, numbers=6)),
-        Section("figures", "Recorded and fitted distributions", "".join(drawn)),
-        Section("manoeuvres", "Recorded manoeuvres", table(("manoeuvre", "quantity", "number", *_SHARES), kinds)),
+        Section("quantities", "Quantities", macro(_TEMPLATE, "quantities", rows)),
+        Section("figures", "Recorded and fitted distributions", macro(_TEMPLATE, "distributions", drawn)),
     ]
-    intro = macro("calibration.html.j2", "intro", len(result.scenes))
-    return page("How people drive in these recordings", [intro], sections)
+    return page("How people drive in these recordings", [macro(_TEMPLATE, "intro", len(result.scenes))], sections)
 
 
 def _distribution(quantity: Quantity) -> Figure:
@@ -320,11 +229,3 @@ def _distribution(quantity: Quantity) -> Figure:
     ax.set_ylabel("share of drivers below")
     ax.legend(fontsize=8)
     return figure
-
-
-def _fit_in_words(quantity: Quantity) -> str:
-    # 1.36 / sqrt(n): the distance that chance exceeds in 5 of 100 samples (Smirnov 1948)
-    critical = 1.36 / np.sqrt(max(quantity.drivers, 1))
-    fits = quantity.ks is not None and quantity.ks < critical
-    verdict = "the fitted law is not told from the recorded drivers" if fits else "the fitted law misses some of them"
-    return f"{verdict} (KS {number(quantity.ks, 2)}, by chance up to {critical:.2f})."

@@ -9,11 +9,11 @@ import pickle
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from bridge.batch.engine import work_on_each
-from bridge.batch.isolation import Failure
-from bridge.evaluation.scene_metrics import TABLES, Labelled, Row, SceneMeasures, measure_folders
+from bridge.batch.isolation import Failure, attempt_each
+from bridge.evaluation.scene_metrics import TABLES, Labelled, Maps, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
 from bridge.files import append_rows, explained, table_file, write_json
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Source, find_scenarios, source_id
@@ -78,10 +78,10 @@ def evaluate_folder(
                     totals.add_source(measures)
                 else:
                     totals.add(measures)
-                    for table, rows in zip(
+                    for append, rows in zip(
                         tables, ([measures.scene], measures.tracks, measures.maneuvers, measures.events), strict=True
                     ):
-                        table.write(rows)
+                        append(rows)
             if set(folders) <= {folder for folder, _ in evaluation.failures}:
                 (first, reason), many = evaluation.failures[0], len(folders)
                 raise ScenarioError(
@@ -92,12 +92,6 @@ def evaluate_folder(
         write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
         write_report(evaluation, report_dir / "report.html")
     return evaluation
-
-
-@contextlib.contextmanager
-def _table(path: Path, columns: Sequence[str] = ()) -> Iterator["_Table"]:
-    with table_file(path) as stream:
-        yield _Table(stream, columns)
 
 
 def _sources_of(folders: Sequence[Address], source: Path, choices: Choices | None) -> dict[str, Address]:
@@ -139,8 +133,12 @@ def _measured(
 def measure(shared: tuple[Limits, Labelled], folders: Sequence[Address]) -> Iterator[bytes | Failure]:
     """The work of a process: measure each folder. A scene is packed, to a tenth: many may wait for one before them."""
     limits, labelled = shared
-    for measures in measure_folders(limits, folders, labelled):
-        yield measures if isinstance(measures, Failure) else zlib.compress(pickle.dumps(measures), 1)
+    maps = Maps()
+
+    def packed(folder: Address) -> bytes:
+        return zlib.compress(pickle.dumps(measure_folder(folder, limits, maps, labelled)), 1)
+
+    return attempt_each(packed, folders)
 
 
 def _map_size(folder: Address) -> int:
@@ -149,25 +147,27 @@ def _map_size(folder: Address) -> int:
     return sum(path.stat().st_size for path in maps)
 
 
-class _Table:
-    """A CSV file that grows row by row; columns are those named, else those of its first row."""
+@contextlib.contextmanager
+def _table(path: Path, columns: Sequence[str] = ()) -> Iterator[Callable[[Iterable[Row]], None]]:
+    """A CSV file that grows as rows are given to it; its columns are those named, else those of its first row."""
+    with table_file(path) as stream:
+        head = list(columns)
+        append_rows(stream, [head] if head else [])
 
-    def __init__(self, stream: IO[str], columns: Sequence[str]) -> None:
-        self._stream, self._columns = stream, columns
-        append_rows(stream, [columns] if columns else [])
+        def append(rows: Iterable[Row]) -> None:
+            for row in rows:
+                if not head:
+                    head.extend(row)
+                    append_rows(stream, [head])
+                append_rows(stream, [[_cell(row[column]) for column in head]])
 
-    def write(self, rows: Iterable[Row]) -> None:
-        for row in rows:
-            if not self._columns:
-                self._columns = tuple(row)
-                append_rows(self._stream, [self._columns])
-            append_rows(self._stream, [[_cell(row[column]) for column in self._columns]])
+        yield append
 
 
 def write_table(path: Path, rows: Iterable[Row]) -> None:
     """Rows as a CSV file. Errors: OSError."""
-    with _table(path) as table:
-        table.write(rows)
+    with _table(path) as append:
+        append(rows)
 
 
 def _cell(value: object) -> object:

@@ -15,6 +15,7 @@ from scipy.signal import savgol_filter
 from bridge.batch.engine import Settings, Task, execute_here
 from bridge.batch.isolation import Failure, describe_error
 from bridge.evaluation.scene_metrics import Row, measure
+from bridge.recordings.export import recording_record_of
 from bridge.recordings.folders import Address, Source
 from bridge.recordings.sidecar import Sidecar
 from bridge.recordings.sources import read_recording
@@ -144,17 +145,15 @@ def generate_and_measure(
                 tracks,
                 ground,
                 sidecar,
+                recording_record_of(scenario),
                 limits=Limits(),
                 num_steps=scenario.num_steps,
                 source=scenario.scenario_id,
-                observed_steps=scenario.observed_steps,
-                step_s=scenario.step_s,
             )
         except Exception as error:  # noqa: BLE001  # listed with its reason
             yield describe_error(error)
         else:
-            which = {"format": scenario.format, "provenance": scenario.provenance}
-            row = {"setting": settings[number].name, "city": scenario.city, "seed_run": seed} | which
+            row = {"setting": settings[number].name, "city": scenario.city, "seed_run": seed}
             yield row | _asked(sidecar) | measures.scene
 
 

@@ -6,14 +6,15 @@ from typing import Any
 
 from markupsafe import Markup
 
-from bridge.evaluation import report
 from bridge.evaluation.aggregate import SourceSums, estimate
 from bridge.evaluation.diversity import Diversity
 from bridge.evaluation.experiments import ADDED, EXPERIMENTS, Experiment, Outcome, run_settings, settings_of
-from bridge.evaluation.paper_tables import COLUMNS, flat, html_table, lines_of
+from bridge.evaluation.paper_tables import COLUMNS, SHOWN, flat, lines_of
 from bridge.evaluation.scene_metrics import Row
 from bridge.files import explained, make_folder, write_json, write_rows, write_text
+from bridge.pages import charts
 from bridge.pages import parts as pages
+from bridge.pictures import figures
 from bridge.recordings.folders import Choices
 from bridge.recordings.sources import find_sources
 from hid2.measures.manoeuvres import ManeuverKind
@@ -69,14 +70,11 @@ _TITLES: Mapping[str, str] = {
 def _write(
     name: Experiment, outcomes: Sequence[Outcome], out_dir: Path, *, seeds: int, sources: int, agents: int
 ) -> Path:
-    from bridge.pages import charts
-    from bridge.pictures import figures
-
     figures.style()
     _write_rows([row for outcome in outcomes for row in outcome.rows], out_dir / f"{name}_scenes.csv")
     made = [row for outcome in outcomes if _generates(outcome) for row in outcome.rows]
     counts = {"made": len(made), "sources": sources, "vehicles": sum(row["generated"] for row in made)}
-    parts: list[str] = [_about(name, outcomes, counts, seeds=seeds, agents=agents)]
+    parts: list[Markup] = [_about(name, outcomes, counts, seeds=seeds, agents=agents)]
     content: dict[str, Any] = {"experiment": name, "seeds": seeds, "scenes": sources}
     if name == "diversity":
         content |= _diversity(outcomes, parts)
@@ -87,12 +85,12 @@ def _write(
         content["lines"] = [
             {"row": line.label, **{key: dict(value) for key, value in line.values.items()}} for line in lines
         ]
-        parts.append(html_table(lines))
+        parts.append(_prose("table_of", lines, SHOWN))
         _write_rows([flat(line) for line in lines], out_dir / f"{name}.csv")
     if name == "density":
         points = _density(outcomes)
         shown = charts.density_figure(points, of=str(_prose("of", counts)))
-        parts += [pages.picture(shown, _prose("density_caption", counts)), _prose("directions", _differing(points))]
+        parts.append(_prose("density", counts, figures.data_uri(shown), _differing(points)))
         figures.save(shown, out_dir / f"{name}.png")
     write_json(out_dir / f"{name}.json", content)
     path = out_dir / f"{name}.html"
@@ -162,7 +160,7 @@ def _differing(points: _Points) -> list[str]:
 # Diversity ------------------------------------------------------------------------------------------------------------
 
 
-def _diversity(outcomes: Sequence[Outcome], parts: list[str]) -> dict[str, Any]:
+def _diversity(outcomes: Sequence[Outcome], parts: list[Markup]) -> dict[str, Any]:
     """What the first setting, without generation, and all others say; the parts of the page are added."""
     before, after = outcomes[0].rows, [row for outcome in outcomes[1:] for row in outcome.rows]
     content = Diversity.of(after, before).content()
@@ -170,18 +168,19 @@ def _diversity(outcomes: Sequence[Outcome], parts: list[str]) -> dict[str, Any]:
         kind.value: {what: sum(row[f"{what}_{kind.value}"] for row in after) / max(1, len(after)) for what in _ASKED}
         for kind in ManeuverKind
     }
-    asked = [
-        (kind.replace("_", " "), *(pages.number(part[what], 2) for what in _ASKED))
-        for kind, part in content["asked_and_done"].items()
-    ]
-    parts += report.diversity_parts(content)
-    parts.append(_prose("asked", pages.table(("manoeuvre", "asked for", "done"), asked)))
+    parts += [_diversity_part(content), _prose("asked", content["asked_and_done"])]
     templates = {row["source"] for row in before if row["tracks"] > TEMPLATE_AGENTS}
     if templates and len(templates) < len(before):
         chosen = [[row for row in rows if row["source"] in templates] for rows in (after, before)]
         content["templates"] = Diversity.of(*chosen).content()
-        parts += [_prose("templates", len(templates)), *report.diversity_parts(content["templates"])]
+        parts += [_prose("templates", len(templates)), _diversity_part(content["templates"])]
     return content
+
+
+def _diversity_part(content: Mapping[str, Any]) -> Markup:
+    """Figure and tables of scenes by density and behaviour, as the report has them."""
+    shown = {"diversity": figures.data_uri(charts.diversity_figure(content))}
+    return pages.macro("report.html.j2", "diversity", {"diversity": content}, shown)
 
 
 _ASKED = ("asked", "done")

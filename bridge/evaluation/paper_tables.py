@@ -7,8 +7,8 @@ from bridge.evaluation import report
 from bridge.evaluation.aggregate import SourceSums, estimate
 from bridge.evaluation.experiments import Experiment, Outcome
 from bridge.evaluation.scene_metrics import Row
-from bridge.pages import parts as pages
 from hid2.evaluation.metrics import METRICS, Metric
+from hid2.resampling import Estimate
 
 #: LO, LA, JE, SCR, ORR: what the paper reports.
 COLUMNS: tuple[Metric, ...] = tuple(metric for metric in METRICS if metric.key in report.PAPER_ORIGINAL)
@@ -39,7 +39,7 @@ def _ours(label: str, rows: Sequence[Row], group: str) -> Line:
 
 
 def _papers(label: str, figures: Mapping[str, float]) -> Line:
-    return Line(label, {key: {"value": value, "low": None, "high": None} for key, value in figures.items()})
+    return Line(label, {key: Estimate(value)._asdict() for key, value in figures.items()})
 
 
 def lines_of(name: Experiment, outcomes: Sequence[Outcome]) -> list[Line]:
@@ -110,20 +110,10 @@ def _table1_argoverse1_lines(rows: Sequence[Row], filtered: Sequence[Row], whole
     ]
 
 
-_EMPTY: Mapping[str, float | None] = {"value": None, "low": None, "high": None}
-
-
-def html_table(lines: Sequence[Line]) -> str:
-    """The table for the page."""
-    rows = [(line.label, *(pages.with_interval(line.values.get(m.key, _EMPTY)) for m in SHOWN)) for line in lines]
-    head = ("", *(m.label.split(":")[0] + (f", {m.unit}" if m.unit != "share" else "") for m in SHOWN))
-    return pages.table(head, rows)
-
-
 def flat(line: Line) -> Row:
     """A line for the CSV file."""
     row: Row = {"row": line.label}
     for metric in SHOWN:
-        value, low, high = line.values.get(metric.key, _EMPTY).values()
+        value, low, high = line.values.get(metric.key, Estimate(None)._asdict()).values()
         row |= {metric.key: value, f"{metric.key}_low": low, f"{metric.key}_high": high}
     return row

@@ -289,8 +289,7 @@ _MEANS = {"min_ade_m": "min_ade_m", "min_fde_m": "min_fde_m", "miss_rate": "miss
 
 def _write(result: PredictionScores, report_dir: Path) -> None:
     content = {"bands": list(result.bands), "left_out": list(result.left_out)}
-    reasons = pages.macro("predictions.html.j2", "left_out", result.left_out)
-    parts = [pages.macro("predictions.html.j2", "about"), pages.table(TABLE_HEAD, result.rows()), reasons]
+    parts = [pages.macro("forecasts.html.j2", "scored", TABLE_HEAD, result.rows(), result.left_out)]
     with explained(report_dir):
         write_rows(report_dir / "predictions.csv", Score._fields, result.scores)
         write_json(report_dir / "predictions.json", content)

@@ -1,14 +1,13 @@
 """Every measure of one scene folder: a row for the scene, one per track, one per manoeuvre, and histograms."""
 
 from collections import Counter
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bridge.batch.isolation import Failure, attempt_each
 from bridge.files import read_regular
 from bridge.recordings.export import recording_record_of
 from bridge.recordings.folders import Address, Source
@@ -33,7 +32,7 @@ from hid2.evaluation.kinematics import Kinematics, beyond_limits, kinematics, mo
 from hid2.evaluation.metrics import CRITICAL, Group, last_step_counts, measure_group
 from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
 from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, PreparedMap, Safety, prepare_map, safety
-from hid2.evaluation.windows import is_labelled, windows
+from hid2.evaluation.windows import windows
 from hid2.judge.findings import Finding
 from hid2.measures.arrays import BoolArray, SceneArrays, is_generated_id
 from hid2.measures.encounters import encounters
@@ -69,14 +68,6 @@ class SceneMeasures:
     sample_generated: BoolArray
 
 
-def measure_folders(
-    limits: Limits, folders: Sequence[Address], labelled: Labelled | None = None
-) -> Iterator[SceneMeasures | Failure]:
-    """The work of a process: measure each folder; a folder that cannot be read gives its failure."""
-    maps = Maps()
-    return attempt_each(lambda folder: measure_folder(folder, limits, maps, labelled), folders)
-
-
 class Maps:
     """The last maps read, by their content: scenes made from one share its map, and reading it takes longest."""
 
@@ -109,12 +100,10 @@ def measure_folder(folder: Address, limits: Limits, maps: Maps, labelled: Labell
     sizes = (labelled or {}).get(source, {}) if sidecar else {}
     measures = measure(
         [replace(t, size=sizes.get(t.track_id, t.size)) for t in rows.tracks] if sizes else rows.tracks, ground,
-        sidecar, limits=limits, num_steps=rows.num_steps, source=source, observed_steps=known.observed_steps,
-        step_s=known.step_s,
+        sidecar, known, limits=limits, num_steps=rows.num_steps, source=source,
     )  # fmt: skip
     name: Row = {"scenario_id": rows.scenario_id}
     place: Row = {"split": split_of(folder) or "", "city": rows.city, "folder": str(folder)}
-    place |= {"format": known.format, "provenance": known.provenance}
     return replace(
         measures,
         scene=name | place | measures.scene,
@@ -150,18 +139,17 @@ def measure(
     tracks: Sequence[Track],
     ground: PreparedMap,
     sidecar: Sidecar | None,
+    known: RecordingRecord,
     *,
     limits: Limits,
     num_steps: int,
     source: str,
-    observed_steps: int,
-    step_s: float,
 ) -> SceneMeasures:
-    """Measure tracks on a map. `source`: id of the recorded scene; observed_steps, step_s: of its data set."""
+    """Measure tracks on a map. known: what is known of the recording; `source`: id of the recorded scene."""
     generated_ids = {track.track_id for track in tracks if is_generated_id(track.track_id)}
-    states = states_of(tracks, ground.lanes, generated_ids, num_steps=num_steps, step_s=step_s)
+    states = states_of(tracks, ground.lanes, generated_ids, num_steps=num_steps, step_s=known.step_s)
     arrays = states.arrays
-    last_observed = min(observed_steps, num_steps) - 1
+    last_observed = min(known.observed_steps, num_steps) - 1
     moved = motion(arrays)
     safe = safety(arrays, ground, states.matches)
     maneuvers = detect(arrays, safe.lanes, safe.matches)
@@ -169,6 +157,8 @@ def measure(
     policy_of = policies(arrays, maneuvers)
     groups = _groups(arrays, kinematics(arrays, moved), safe, beyond_limits(moved, limits))
     scene: Row = {
+        "format": known.format,
+        "provenance": known.provenance,
         "source": source,
         "steps": arrays.num_steps,
         "tracks": arrays.num_agents,
@@ -185,7 +175,7 @@ def measure(
         if maneuver.kind is ManeuverKind.LANE_CHANGE and maneuver.complete:
             durations.setdefault(maneuver.track_id, []).append(maneuver.duration_s)
     vehicles = arrays.vehicle & arrays.moving
-    generated, recorded = vehicles & arrays.generated, vehicles & ~arrays.generated & ~arrays.fragment
+    generated, recorded = vehicles & arrays.generated, arrays.clean & ~arrays.generated
     driving = windows(arrays, safe, generated | recorded)
     halves = np.array([half_number(source, arrays.track_ids[a]) for a in driving.agent], dtype=np.int64)
     return SceneMeasures(
@@ -196,7 +186,7 @@ def measure(
         realism=count_scene(
             source, arrays, scene_values(arrays, safe, driving, durations), generated=generated, recorded=recorded
         ),
-        samples=pack(driving, halves, labelled=is_labelled(arrays)),
+        samples=pack(driving, halves, labelled=known.provenance == "human"),
         sample_generated=arrays.generated[driving.agent],
     )
 

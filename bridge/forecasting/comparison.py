@@ -4,7 +4,6 @@ A model is one file of predictions for each seed it was trained with. Scenes are
 was made of one, and seeds of each model on its own: what is left is what other scenes and another seed would give.
 """
 
-import html
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -234,21 +233,6 @@ def as_dicts(differences: Sequence[Difference]) -> list[dict[str, Any]]:
     return [{**one._asdict(), "estimate": one.estimate._asdict(), "seeds": list(one.seeds)} for one in differences]
 
 
-_ABOUT = (
-    "<p>Each difference is over the same tracks, pair by pair; below 0 the first model is better. 95 % interval: "
-    "bootstrap over recorded scenes, with all that was generated from one, and over the seeds of each model; with one "
-    "seed it tells nothing of other seeds, and with fewer than some twenty recorded scenes it is too narrow. "
-    "Detectable: the least true difference that a comparison like this one finds four times in five. A metric counts "
-    "the six most probable futures of each track.</p>"
-)
-
-
-def page_parts(differences: Sequence[Difference]) -> list[str]:
-    """What a page says of differences, as HTML."""
-    rows = [tuple(html.escape(cell) for cell in row) for row in rows_of(differences)]
-    return [_ABOUT, pages.table(HEAD, rows)]
-
-
 def _write(differences: Sequence[Difference], report_dir: Path) -> None:
     with explained(report_dir):
         write_rows(
@@ -258,4 +242,5 @@ def _write(differences: Sequence[Difference], report_dir: Path) -> None:
              for one in differences),
         )  # fmt: skip
         write_json(report_dir / "comparison.json", as_dicts(differences))
-        write_text(report_dir / "comparison.html", pages.page("Forecasts, compared", page_parts(differences)))
+        part = pages.macro("forecasts.html.j2", "differences", HEAD, rows_of(differences))
+        write_text(report_dir / "comparison.html", pages.page("Forecasts, compared", [part]))

@@ -5,7 +5,6 @@ forecaster is trained on each with every seed, the same number of updates each; 
 are scored and compared in pairs. Forecasts from elsewhere on a composed root take the place of the first three steps.
 """
 
-import html
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,6 +18,7 @@ from bridge.batch.manifest import DONE, ManifestRow
 from bridge.evaluation.predictions import BOUNDS, Score, above, score_predictions, write_forecasts
 from bridge.files import explained, make_folder, write_json, write_rows, write_text
 from bridge.forecasting.comparison import (
+    HEAD,
     METRICS,
     Difference,
     Estimate,
@@ -28,7 +28,7 @@ from bridge.forecasting.comparison import (
     differences_of,
     in_band,
     mean_of,
-    page_parts,
+    rows_of,
     sources_of,
 )
 from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose, origins_of
@@ -63,10 +63,6 @@ PAPER_TABLE3: Mapping[str, Sequence[float]] = {
 }
 #: The paper's smallest gain of minFDE, m: QCNet, more than 50 agents.
 PAPER_GAIN_M = 0.023
-#: With fewer recorded scenes behind a comparison the page says that it shows nothing about the claim.
-_FEW_SCENES = 1000
-#: With fewer recorded scenes an interval by bootstrap is too narrow to be taken at its word.
-_TRUSTED_SCENES = 20
 #: Memory that a training may take: torch reserves more than it uses.
 _TRAINING_MB = 32_000
 
@@ -244,27 +240,20 @@ def _files(folder: Path, name: str) -> list[Path]:
     return found
 
 
-class _Line(NamedTuple):
-    label: str
-    cells: Sequence[Estimate]
-
-    def as_row(self) -> tuple[str, ...]:
-        return html.escape(self.label), *(pages.with_interval(cell._asdict()) for cell in self.cells)
-
-    def as_dict(self, names: Sequence[str]) -> dict[str, Any]:
-        return {"row": self.label, **{name: cell._asdict() for name, cell in zip(names, self.cells, strict=True)}}
-
-
 def _table(
-    paper: Mapping[str, Sequence[float]], ours: Mapping[str, Sequence[Runs]], source_of: Mapping[str, str],
-    params: Forecasting,
-) -> list[_Line]:  # fmt: skip
-    """The paper's rows and ours, by label: every metric of each of a row's runs."""
-    lines = [_Line(label, [Estimate(value) for value in values]) for label, values in paper.items()]
-    for label, row in ours.items():
-        cells = [mean_of(runs, source_of, metric, params) for runs in row for metric in _COLUMNS]
-        lines.append(_Line(f"ours: {label}", cells))
-    return lines
+    paper: Mapping[str, Sequence[float]], ours: Mapping[str, Sequence[Runs]], names: Sequence[str],
+    source_of: Mapping[str, str], params: Forecasting,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """The paper's rows and ours, by label: every metric of each of a row's runs, by name, ready for JSON."""
+    rows = [(label, [Estimate(value) for value in values]) for label, values in paper.items()]
+    rows += [
+        (f"ours: {label}", [mean_of(one, source_of, metric, params) for one in runs for metric in _COLUMNS])
+        for label, runs in ours.items()
+    ]
+    return [
+        {"row": label, **{name: cell._asdict() for name, cell in zip(names, cells, strict=True)}}
+        for label, cells in rows
+    ]
 
 
 def _differences(
@@ -282,46 +271,13 @@ def _differences(
     return found
 
 
-def power_text(differences: Sequence[Difference]) -> str:
-    """What the comparison of hid2 with recorded scenes can show and what not, as HTML."""
+def _powered(differences: Sequence[Difference]) -> Difference:
+    """The comparison of hid2 with recorded scenes, by which the page says what its numbers can show."""
     wanted = ("hid2", "recorded", "all scenes", "min_fde_m")
-    one = next(d for d in differences if (d.model, d.other, d.band, d.metric) == wanted)
-    low, high = one.estimate.low, one.estimate.high
-    start = (
-        f"<p><b>What these numbers can show.</b> {one.tracks} tracks of {one.sources} recorded "
-        f"scene{'' if one.sources == 1 else 's'} are forecast, "
-        f"with {one.seeds[0]} seed{'' if one.seeds[0] == 1 else 's'}. "
-    )
-    end = (
-        f"The paper’s smallest gain of minFDE is {PAPER_GAIN_M} m: about one standard error of a mean over 5,000 "
-        "scenes, whose minFDE has a standard deviation of some 1.6 m. Compared in pairs it is less, but it has to be "
-        "shown with an interval, with several seeds, and against the same number of dense recorded scenes.</p>"
-    )
-    if one.sources < _FEW_SCENES:
-        end = f"So few scenes show that the way works from end to end, and nothing about the claim. {end}"
-    if one.detectable is None or low is None or high is None:
-        return f"{start}There is no interval to go by. {end}"
-    verdict = "The interval of the difference does not hold 0."
-    if one.sources < _TRUSTED_SCENES:
-        verdict = (
-            f"The interval of the difference, {low:+.2f} to {high:+.2f} m, is drawn from so few scenes that it is too "
-            "narrow: whether it holds 0 says nothing."
-        )
-    elif low <= 0 <= high:
-        verdict = "The interval of the difference holds 0: no difference is shown."
-    return (
-        f"{start}A true difference of minFDE between hid2 and recorded would be found four times in five if it were "
-        f"{one.detectable:.2f} m or more; to find the paper’s {PAPER_GAIN_M} m some {one.sources_for(PAPER_GAIN_M):,} "
-        f"recorded scenes would be needed, other things equal. {verdict} {end}"
-    )
+    return next(d for d in differences if (d.model, d.other, d.band, d.metric) == wanted)
 
 
-_ABOUT = (
-    "<p>The small forecaster is an instrument, no state of the art: what counts is the change from row to row. Every "
-    "training has the same number of updates, whatever the number of scenes. Validation scenes share neither ground "
-    "nor source nor log with training scenes. Best of six futures: the one that ends nearest, as av2, QCNet and SIMPL "
-    "have it (DeMo and forecast-mae take the least ADE, so that their minADE is lower).</p>"
-)
+_TITLE = "Tables 2 and 3: forecasters trained with generated scenes"
 _READINGS: Mapping[Reading, str] = {
     "recorded": "the recorded focal track, among more vehicles",
     "generated": "an inserted vehicle that does its manoeuvre among many neighbours",
@@ -336,34 +292,33 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
     ours2 = {label: [runs[on][name] for on in (RECORDED, HID2)] for label, name in trained.items()}
     above_bounds = [above("agents", bound) for bound in BOUNDS]
     ours3 = {label: [in_band(runs[RECORDED][name], one) for one in above_bounds] for name, label in CONTROLS.items()}
-    table2, table3 = _table(PAPER_TABLE2, ours2, source_of, params), _table(PAPER_TABLE3, ours3, source_of, params)
+    names2 = [f"{on}_{key}" for on in (RECORDED, HID2) for key in _COLUMNS]
+    names3 = [f"{key}_{bound}" for bound in BOUNDS for key in _COLUMNS]
+    table2 = _table(PAPER_TABLE2, ours2, names2, source_of, params)
+    table3 = _table(PAPER_TABLE3, ours3, names3, source_of, params)
     differences = _differences(runs, source_of, params)
     seeds = {name: len(found) for name, found in runs[RECORDED].items()}
     content: dict[str, Any] = {
         "experiment": "prediction",
         "seeds": seeds,
         "reading": None if brought else plan.reading,
-        "table2": [line.as_dict([f"{on}_{key}" for on in (RECORDED, HID2) for key in _COLUMNS]) for line in table2],
-        "table3": [line.as_dict([f"{key}_{bound}" for bound in BOUNDS for key in _COLUMNS]) for line in table3],
+        "table2": table2,
+        "table3": table3,
         "differences": as_dicts(differences),
     }
-    head2 = ("trained on", *(f"{METRICS[key]}<br>{on}" for on in ("recorded", "HiD2") for key in _COLUMNS))
-    head3 = ("trained on", *(f"{METRICS[key]}<br>&gt; {bound}" for bound in BOUNDS for key in _COLUMNS))
-    focal = "" if brought else f" Forecast in generated scenes: {_READINGS[plan.reading]}."
-    who = "Forecasts brought from elsewhere." if brought else f"The small forecaster, {params.updates} updates."
-    parts = [
-        f"<p>{who} Seeds: {', '.join(f'{html.escape(k)} {v}' for k, v in seeds.items())}.{focal}</p>",
-        power_text(differences),
-        "<h2>What the forecasters were trained on, and scored on</h2>",
-        pages.table(_SETS_HEAD, _sets(composed)),
-        "<h2>Table 2: trained on recorded scenes or on generated ones</h2>",
-        pages.table(head2, [line.as_row() for line in table2]),
-        "<h2>Table 3: recorded validation scenes of more than 50, 70 and 90 agents</h2>",
-        pages.table(head3, [line.as_row() for line in table3]),
-        "<h2>Differences, in pairs</h2>",
-        *page_parts(differences),
-        _ABOUT,
-    ]
+    shown = {
+        "updates": None if brought else params.updates,
+        "seeds": seeds,
+        "reading": _READINGS[plan.reading],
+        "power": _powered(differences),
+        "gain_m": PAPER_GAIN_M,
+        "sets": _sets(composed),
+        "metrics": [METRICS[key] for key in _COLUMNS],
+        "table2": table2,
+        "table3": table3,
+        "head": HEAD,
+        "differences": rows_of(differences),
+    }
     with explained(out):
         every = (
             (on, name, number, *score)
@@ -375,11 +330,8 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
         write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *Score._fields), every)
         write_json(out / "prediction.json", content)
         page = out / "prediction.html"
-        write_text(page, pages.page("Tables 2 and 3: forecasters trained with generated scenes", parts))
+        write_text(page, pages.page(_TITLE, [pages.macro("forecasts.html.j2", "prediction", shown)]))
     return page
-
-
-_SETS_HEAD = ("scenes", "recorded", "generated", "copies", "tracks, mean", "at the observation’s end")
 
 
 def _sets(composed: Path) -> list[tuple[str, ...]]:

@@ -1,16 +1,14 @@
-"""What pages are made of: HTML without outside references, its tables, figures and numbers."""
+"""Pages of the templates beside: what they are filled with, and how figures, metrics and reasons look in them."""
 
 import functools
-import html
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import jinja2
-from markupsafe import Markup
-from matplotlib.figure import Figure
+from markupsafe import Markup, escape
 
-from bridge.pictures import figures
+from hid2.reasons import Reason
 
 
 class Section(NamedTuple):
@@ -18,14 +16,19 @@ class Section(NamedTuple):
 
     key: str
     title: str
-    body: str
+    body: Markup
 
 
 @functools.cache
 def _templates() -> jinja2.Environment:
     loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
     escaped = jinja2.select_autoescape(("html.j2",))  # all but Markdown
-    return jinja2.Environment(loader=loader, autoescape=escaped, undefined=jinja2.StrictUndefined)  # noqa: S701
+    made = jinja2.Environment(
+        loader=loader, undefined=jinja2.StrictUndefined, extensions=["jinja2.ext.do"],
+        autoescape=escaped,  # noqa: S701
+    )  # fmt: skip
+    made.filters |= {"number": number, "interval": with_interval, "linked": linked, "reason": reason}
+    return made
 
 
 def text(file: str, **values: object) -> str:
@@ -38,40 +41,26 @@ def macro(file: str, name: str, *arguments: object) -> Markup:
     return Markup(getattr(_templates().get_template(file).module, name)(*arguments))  # noqa: S704  # of our templates
 
 
-def page(title: str, parts: Iterable[str], sections: Sequence[Section] = ()) -> str:
-    """A whole HTML page without outside references; parts are HTML, above the sections."""
-    template = _templates().get_template("page.html.j2")
-    marked = [section._replace(body=Markup(section.body)) for section in sections]  # noqa: S704
-    return template.render(title=title, parts=[Markup(part) for part in parts], sections=marked) + "\n"  # noqa: S704
+def page(title: str, parts: Iterable[Markup], sections: Sequence[Section] = ()) -> str:
+    """A whole HTML page without outside references: parts, then sections."""
+    return text("page.html.j2", title=title, parts=parts, sections=sections) + "\n"
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: int | None = None) -> Markup:
-    """An HTML table: the first column is text, the `numbers` next ones (None: all) are numbers. Cells are HTML."""
-    cells = [[Markup(cell) for cell in row] for row in rows]  # noqa: S704
-    last = len(head) if numbers is None else numbers
-    return macro("parts.html.j2", "table", [Markup(cell) for cell in head], cells, last)  # noqa: S704
-
-
-def picture(figure: Figure, caption: str, see: str = "") -> Markup:
-    """A figure with a caption, inside the page. see: a sentence that says what there is to see in it."""
-    marked = Markup(caption), Markup(see)  # noqa: S704
-    return macro("parts.html.j2", "figure", Markup(figures.data_uri(figure)), *marked)  # noqa: S704
-
-
-def number(value: float | None, digits: int = 3) -> str:
+def number(value: float | None, digits: int = 3) -> Markup:
     """A figure for a table; a dash where there is none. What is more than 0 does not look like 0."""
     if value is None:
-        return "–"
+        return Markup("–")
     least = 10.0**-digits
-    return f"&lt; {least:.{digits}f}" if 0 < value < least / 2 else f"{value:.{digits}f}"
+    return escape(f"< {least:.{digits}f}" if 0 < value < least / 2 else f"{value:.{digits}f}")
 
 
-def with_interval(entry: Mapping[str, float | None], digits: int = 3) -> str:
+def with_interval(entry: Mapping[str, float | None], digits: int = 3) -> Markup:
     """A value with its 95 % interval in small print."""
     text = number(entry["value"], digits)
     if entry["low"] is None or entry["high"] is None:
         return text
-    return f"{text}<br><small>{number(entry['low'], digits)} to {number(entry['high'], digits)}</small>"
+    low, high = number(entry["low"], digits), number(entry["high"], digits)
+    return Markup("{}<br><small>{} to {}</small>").format(text, low, high)
 
 
 #: Words in the names of metrics, and the definitions that they lead to; longer ones first.
@@ -86,8 +75,19 @@ _LINKED = {
 }  # fmt: skip
 
 
-def linked(label: str) -> str:
+def linked(label: str) -> Markup:
     """The name of a metric as HTML, its first known word linked to the definition."""
-    text = html.escape(label)
+    text = escape(label)
     word = next((word for word in _LINKED if word in text), None)
-    return text if word is None else text.replace(word, f'<a href="#word-{_LINKED[word]}">{word}</a>', 1)
+    return text if word is None else text.replace(word, _link(f"word-{_LINKED[word]}", word), 1)
+
+
+def reason(text: str) -> Markup:
+    """A reason of a sidecar in words, as HTML that leads to its sentence."""
+    words = text.replace("_", " ")
+    known = next((one for one in Reason if one.value in text.split(": ")), None)
+    return escape(words) if known is None else _link(f"reason-{known}", words)
+
+
+def _link(anchor: str, words: str) -> Markup:
+    return Markup('<a href="#{}">{}</a>').format(anchor, words)

@@ -222,14 +222,12 @@ def acceptance_curve(gaps: pd.DataFrame) -> dict[str, Any] | None:
 
 def curve_at(curve: dict[str, Any], lag_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Probability (K,) of acceptance by lag time gap at the median lead time gap, with its 95 % band."""
+    from scipy.special import expit
+
     x = np.column_stack([np.ones(lag_s.size), lag_s, np.full(lag_s.size, curve["lead_s"])])
     level = x @ np.array([curve["intercept"], curve["lag"], curve["lead"]])
     error = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", x, curve["covariance"], x), 0.0))
-
-    def share(eta: FloatArray) -> FloatArray:
-        return np.asarray(1.0 / (1.0 + np.exp(-np.clip(eta, -50, 50))))
-
-    return share(level), share(level - 1.96 * error), share(level + 1.96 * error)
+    return expit(level), expit(level - 1.96 * error), expit(level + 1.96 * error)
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,6 +264,7 @@ def troutbeck(rejected_s: FloatArray, accepted_s: FloatArray) -> tuple[Estimate,
     """
     from scipy.optimize import minimize
     from scipy.stats import norm
+    from statsmodels.tools.numdiff import approx_hess
 
     log_a = np.log(accepted_s)
     log_r = np.where(rejected_s > 0.0, np.log(np.maximum(rejected_s, 1e-9)), -np.inf)
@@ -278,13 +277,7 @@ def troutbeck(rejected_s: FloatArray, accepted_s: FloatArray) -> tuple[Estimate,
     middle = np.log(np.where(rejected_s > 0.0, np.sqrt(np.maximum(rejected_s, 1e-9) * accepted_s), 0.7 * accepted_s))
     start = np.array([float(middle.mean()), math.log(max(float(middle.std()), 0.1))])
     best = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-8, "maxiter": 4000}).x
-    shift = 1e-3
-    hessian = np.empty((2, 2))
-    for i in range(2):
-        for j in range(2):
-            a, b = shift * np.eye(2)[i], shift * np.eye(2)[j]
-            second = loss(best + a + b) - loss(best + a - b) - loss(best - a + b) + loss(best - a - b)
-            hessian[i, j] = second / (4 * shift * shift)
+    hessian = approx_hess(best, loss, epsilon=1e-3)
 
     def moments(p: FloatArray) -> tuple[FloatArray, FloatArray]:
         variance = np.exp(2.0 * p[..., 1])

@@ -60,9 +60,12 @@ class Verdict(NamedTuple):
     scenes: int
 
 
-def pack(found: Windows, halves: IntArray, *, labelled: bool | None) -> FloatArray:
-    """Windows as rows (M, WIDTH) of numbers; halves (M,): in which halves of the recorded tracks each one's is."""
-    kind = np.full(len(found.agent), -1.0 if labelled is None else float(labelled))
+def pack(found: Windows, halves: IntArray, *, labelled: bool) -> FloatArray:
+    """Windows as rows (M, WIDTH) of numbers; halves (M,): in which halves of the recorded tracks each one's is.
+
+    labelled: whether people labelled the recording; else it is a tracker's, whose noise is larger.
+    """
+    kind = np.full(len(found.agent), float(labelled))
     return np.column_stack([
         found.s_cubic, found.s_quartic, found.d_parabola, found.d_cubic, found.yaw,
         np.minimum(found.gap_m, _FAR_M), found.closing_mps, found.turning, found.led, kind, halves,
@@ -82,7 +85,7 @@ class Packed(NamedTuple):
 
     @property
     def labelled(self) -> FloatArray:
-        """(M,) 1 human-labelled, 0 tracker, -1 unknown."""
+        """(M,) 1 human-labelled, 0 tracker."""
         return self.rows[:, 20]
 
     @property

@@ -10,7 +10,7 @@ import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.kernels.derivative import track_derivative
-from hid2.measures.arrays import FRAGMENT, BoolArray, SceneArrays
+from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.motion_limits import MotionProfile, exceeded
 from hid2.params import Limits
 
@@ -78,11 +78,6 @@ def kinematics(arrays: SceneArrays, moved: MotionProfile) -> Kinematics:
         je=arrays.mean_per_agent(moved.jerk_mps3),
         counted=arrays.rows_per_agent >= MIN_STEPS,
     )
-
-
-def clean(arrays: SceneArrays) -> BoolArray:
-    """(A,) moving vehicles that are no tracker fragments: the "clean" row."""
-    return np.asarray(arrays.vehicle & arrays.moving & (arrays.category != FRAGMENT))
 
 
 def beyond_limits(moved: MotionProfile, limits: Limits) -> dict[str, BoolArray]:

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hid2.evaluation.kinematics import Kinematics, clean
+from hid2.evaluation.kinematics import Kinematics
 from hid2.evaluation.safety import Safety, colliding
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.encounters import (
@@ -78,7 +78,7 @@ class Group:
     @property
     def clean_tracks(self) -> BoolArray:
         """(A,) those of `tracks` that are moving vehicles and no fragments."""
-        return np.asarray(self.tracks & clean(self.arrays))
+        return np.asarray(self.tracks & self.arrays.clean)
 
     @property
     def ends(self) -> BoolArray:
@@ -88,8 +88,7 @@ class Group:
     @property
     def meeting(self) -> BoolArray:
         """(A,) vehicles that may meet somebody: all inserted ones, recorded ones that move and are no fragments."""
-        moving = self.arrays.moving & ~self.arrays.fragment
-        return np.asarray(self.vehicles & (self.arrays.generated | moving))
+        return np.asarray(self.vehicles & (self.arrays.generated | self.arrays.clean))
 
     @property
     def rows(self) -> BoolArray:
@@ -133,7 +132,7 @@ class Metric(NamedTuple):
 
 def last_step_counts(arrays: SceneArrays) -> BoolArray:
     """(A,) vehicles whose last step counts: all inserted ones, recorded ones that move and are no fragments."""
-    return np.asarray(arrays.vehicle & (arrays.generated | clean(arrays)))
+    return np.asarray(arrays.vehicle & (arrays.generated | arrays.clean))
 
 
 TRACKS = Column("paper_tracks", lambda g: int(g.tracks.sum()))

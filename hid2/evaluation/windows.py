@@ -24,8 +24,6 @@ _JUMP_M = 1.5
 _LED_SHARE, _LED_M = 0.8, 60.0
 #: A window turns where the path's direction changes by more than this, rad.
 _TURNS_RAD = 0.35
-#: Human labels and smoothed recordings: the 99th percentile of the change of velocity between steps, m/s, is below.
-LABELLED_MPS = 0.6
 
 
 class Windows(NamedTuple):
@@ -84,13 +82,11 @@ def windows(arrays: SceneArrays, safe: Safety, members: BoolArray) -> Windows:
         degree: np.asarray(np.linalg.pinv(np.vander(time, degree + 1, increasing=True)), dtype=np.float64)
         for degree in (2, 3, 4)
     }
-    found = [
-        _of_track(arrays, safe, rows, time, fits)
-        for agent in np.flatnonzero(members)
-        if len(rows := _windows_of(arrays, int(agent), size, trimmed, stride))
+    each = [_windows_of(arrays, int(agent), size, trimmed, stride) for agent in np.flatnonzero(members)]
+    none = np.zeros((0, size), dtype=np.int64)
+    found = [_of_track(arrays, safe, rows, time, fits) for rows in each if len(rows)] or [
+        _of_track(arrays, safe, none, time, fits)
     ]
-    if not found:
-        return _none()
     return Windows(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
@@ -152,28 +148,3 @@ def _weighted_lines(values: FloatArray, known: BoolArray, time: FloatArray) -> F
     spread = (weight * offset * offset).sum(axis=1)
     slope = (weight * offset * values).sum(axis=1) / np.where(spread > 0, spread, 1.0)
     return np.column_stack([mean - slope * centre, slope])
-
-
-def _none() -> Windows:
-    empty, flags = np.zeros(0), np.zeros(0, dtype=bool)
-    return Windows(
-        np.zeros(0, dtype=np.int64), empty, np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros((0, 4)),
-        np.zeros((0, 2)), empty, empty, flags, flags,
-    )  # fmt: skip
-
-
-def is_labelled(arrays: SceneArrays) -> bool | None:
-    """Whether recorded vehicles were labelled by people (or smoothed), by their noise; None without moving ones.
-
-    The 99th percentile over their steps of the change of velocity, by position, from one step to the next.
-    """
-    members = np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.generated & ~arrays.fragment)
-    if not len(members):
-        return None
-    changes = []
-    for agent in members:
-        rows = slice(int(arrays.first[agent]), int(arrays.first[agent + 1]))
-        if int(arrays.step[rows][-1] - arrays.step[rows][0]) + 1 != arrays.rows_per_agent[agent]:
-            continue
-        changes.append(np.hypot(*np.diff(arrays.position[rows], n=2, axis=0).T) / arrays.step_s)
-    return bool(np.percentile(np.concatenate(changes), 99) < LABELLED_MPS) if changes else None

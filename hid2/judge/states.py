@@ -26,7 +26,6 @@ from hid2.judge.findings import (
     Finding,
     Quantity,
 )
-from hid2.kernels.box_pairs import post_encroachment
 from hid2.kernels.lane_matching import SLIVER_M
 from hid2.kernels.path_intervals import SAME_WAY
 from hid2.kernels.trajectory import derivatives_of_motion, first_overlapping
@@ -34,7 +33,7 @@ from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import Leaders, leaders
 from hid2.measures.motion_limits import MOTION_LIMITS, MotionProfile
-from hid2.measures.post_encroachment import CROSSING_RAD
+from hid2.measures.post_encroachment import encroachments
 from hid2.measures.scene_end import BoxesAtStep, first_contact
 from hid2.occupancy.agent_states import AgentStates, Leading
 from netconvert.geometry import box_corners, differences, wrap_angle
@@ -326,16 +325,10 @@ def of_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) -> Ite
 def of_crossings(states: AgentStates, bounds: Bounds, *, since: int) -> Iterator[Finding]:
     """PET of moving vehicles whose swept paths cross; of each pair the later agent is one of `since` and later."""
     arrays, critical_s = states.arrays, bounds.conflict.pet_min_s
-    moving = np.flatnonzero(arrays.vehicle & arrays.moving)
-    steps = post_encroachment(
-        moving, arrays.position, arrays.heading, arrays.length, arrays.width, arrays.first, arrays.step,
-        math.ceil(critical_s / arrays.step_s), CROSSING_RAD, int(np.searchsorted(moving, since)),
-    )  # fmt: skip
-    for p, q in np.argwhere((steps >= 0) & (steps * arrays.step_s < critical_s - 1e-9)).tolist():
-        first, second = int(moving[p]), int(moving[q])
-        pet_s = float(steps[p, q] * arrays.step_s)
-        step = int(arrays.step[arrays.first[second]])
-        yield _finding(states, (second, first), step, Quantity.PET, pet_s, critical_s)
+    for first, second, pet_s in encroachments(arrays, since=since, cap_s=critical_s):
+        if pet_s < critical_s - 1e-9:
+            step = int(arrays.step[arrays.first[second]])
+            yield _finding(states, (second, first), step, Quantity.PET, pet_s, critical_s)
 
 
 def headways(states: AgentStates, led: Leaders) -> Iterator[Finding]:

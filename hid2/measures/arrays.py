@@ -75,6 +75,11 @@ class SceneArrays:
         return int(self.row_of.shape[1])
 
     @property
+    def clean(self) -> BoolArray:
+        """(A,) moving vehicles that are no tracker fragments."""
+        return np.asarray(self.vehicle & self.moving & ~self.fragment)
+
+    @property
     def rows_per_agent(self) -> IntArray:
         """(A,) steps at which each agent is present."""
         return np.diff(self.first)
@@ -135,26 +140,18 @@ def stack(
     tracks = [track for track in tracks if len(track.timesteps)]
     counts = np.array([len(track.timesteps) for track in tracks], dtype=np.int64)
     first = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
-    if tracks:
-        step = np.concatenate([track.timesteps for track in tracks]).astype(np.int64)
-        position = np.concatenate([track.position for track in tracks])
-        heading = np.concatenate([track.heading for track in tracks])
-        velocity = np.concatenate([track.velocity for track in tracks])
-    else:
-        step, position = np.zeros(0, np.int64), np.zeros((0, 2))
-        heading, velocity = np.zeros(0), np.zeros((0, 2))
-    steps = int(step.max()) + 1 if len(step) else 0
-    steps = max(steps, num_steps or 0)
+    # joined with nothing, so that no tracks are no special case
+    step = np.concatenate([np.zeros(0, np.int64), *(track.timesteps for track in tracks)]).astype(np.int64)
+    position = np.concatenate([np.zeros((0, 2)), *(track.position for track in tracks)])
+    heading = np.concatenate([np.zeros(0), *(track.heading for track in tracks)])
+    velocity = np.concatenate([np.zeros((0, 2)), *(track.velocity for track in tracks)])
+    steps = max(int(step.max(initial=-1)) + 1, num_steps or 0)
     agent = np.repeat(np.arange(len(tracks)), counts)
     row_of = np.full((len(tracks), steps), -1, dtype=np.int64)
     row_of[agent, step] = np.arange(len(step))
     vehicle = np.array([track.object_type in VEHICLE_TYPES for track in tracks], dtype=bool)
-    if tracks:
-        low = np.minimum.reduceat(position, first[:-1], axis=0)
-        high = np.maximum.reduceat(position, first[:-1], axis=0)
-        extent = np.hypot(*(high - low).T)
-    else:
-        extent = np.zeros(0)
+    low, high = (ends.reduceat(position, first[:-1], axis=0) for ends in (np.minimum, np.maximum))
+    extent = np.hypot(*(high - low).T)
     category = np.array([track.category for track in tracks], dtype=np.int64)
     return SceneArrays(
         track_ids=tuple(track.track_id for track in tracks),
@@ -169,9 +166,9 @@ def stack(
         first=first,
         agent=agent,
         step=step,
-        position=np.ascontiguousarray(position, dtype=np.float64),
-        heading=np.ascontiguousarray(heading, dtype=np.float64),
-        velocity=np.ascontiguousarray(velocity, dtype=np.float64),
+        position=position,
+        heading=heading,
+        velocity=velocity,
         row_of=row_of,
         step_s=step_s,
     )

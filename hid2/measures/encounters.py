@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 
 from hid2.agents import FloatArray, IntArray
-from hid2.kernels.box_pairs import post_encroachment
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView, Run, runs_of
 from hid2.measures.following import Leaders
 from hid2.measures.lane_matching import FlatLanes, Matches
+from hid2.measures.post_encroachment import encroachments
 
 #: A vehicle whose centre never comes this near to that of a moving recorded one meets no traffic, m.
 NEAR_M = 30.0
@@ -145,13 +145,12 @@ def _crosses(arrays: SceneArrays, masks: dict[Partner, BoolArray]) -> dict[Partn
     """(A,) vehicles whose swept path crosses that of a moving agent of a kind at a PET below WITHIN_S."""
     anybody = np.logical_or.reduce(list(masks.values()))
     agents = np.flatnonzero(arrays.moving & anybody)
-    steps = post_encroachment(
-        agents, arrays.position, arrays.heading, arrays.length, arrays.width, arrays.first, arrays.step,
-        math.ceil(WITHIN_S / arrays.step_s) - 1, CROSSING_RAD, 0,
-    )  # fmt: skip
+    crossings = encroachments(arrays, cap_s=WITHIN_S, agents=agents, crossing_rad=CROSSING_RAD)
     out = {kind: np.zeros(arrays.num_agents, dtype=bool) for kind in Partner}
-    for p, q in np.argwhere(steps >= 0):
-        for one, other in ((agents[p], agents[q]), (agents[q], agents[p])):
+    for first, second, pet_s in crossings:
+        if pet_s > WITHIN_S - 1e-9:
+            continue
+        for one, other in ((first, second), (second, first)):
             for kind in Partner:
                 out[kind][one] |= bool(masks[kind][other] and arrays.vehicle[one])
     return out
@@ -170,7 +169,7 @@ class _Entry:
 def _merges(arrays: SceneArrays, view: LaneView, masks: dict[Partner, BoolArray]) -> dict[Partner, BoolArray]:
     """(A,) vehicles that come onto a lane within WITHIN_S before or behind somebody who came onto it from elsewhere."""
     out = {kind: np.zeros(arrays.num_agents, dtype=bool) for kind in Partner}
-    vehicles = np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.fragment).tolist()
+    vehicles = np.flatnonzero(arrays.clean).tolist()
     runs = {agent: [run for run in runs_of(view, agent) if run.lane >= 0] for agent in vehicles}
     entries = [
         _Entry(agent, after.lane, before.lane, after.first)

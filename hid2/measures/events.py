@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hid2.agents import FloatArray, Track
-from hid2.kernels.box_pairs import post_encroachment, time_to_collision
 from hid2.measures.arrays import stack
 from hid2.measures.encounters import CROSSING_RAD
+from hid2.measures.post_encroachment import encroachments
+from hid2.measures.time_to_collision import ttc_to_anything
 
 #: TTC and PET above this are not told apart, s.
 CAP_S = 10.0
@@ -63,11 +64,8 @@ def measure_event(own: Track, target: Track, *, at_step: int, since_step: int, s
 def post_encroachment_of(own: Track, target: Track, *, step_s: float) -> float | None:
     """PET of two tracks, s; None where their paths do not cross within CAP_S."""
     arrays = stack([own, target], step_s=step_s)
-    steps = post_encroachment(
-        np.arange(2), arrays.position, arrays.heading, arrays.length, arrays.width, arrays.first, arrays.step,
-        round(CAP_S / step_s), CROSSING_RAD, 0,
-    )  # fmt: skip
-    return float(steps[0, 1] * step_s) if steps[0, 1] >= 0 else None
+    found = encroachments(arrays, cap_s=CAP_S, agents=np.arange(2), crossing_rad=CROSSING_RAD)
+    return found[0].pet_s if found else None
 
 
 def _braking(own: Track, at_step: int, step_s: float) -> float:
@@ -78,9 +76,7 @@ def _braking(own: Track, at_step: int, step_s: float) -> float:
 def _closing(own: Track, target: Track, since_step: int, step_s: float) -> tuple[float | None, float]:
     """Smallest TTC of the pair, s, and the target's largest DRAC, m/s2, from a step on."""
     arrays = stack([own, target], step_s=step_s)
-    ttc_s, _ = time_to_collision(
-        arrays.position, arrays.heading, arrays.velocity, arrays.length, arrays.width, arrays.row_of, CAP_S
-    )
+    ttc_s = ttc_to_anything(arrays, cap_s=CAP_S)
     rows = np.flatnonzero((arrays.agent == 1) & (arrays.step >= since_step) & (arrays.row_of[0, arrays.step] >= 0))
     if not rows.size or ttc_s[rows].min() >= CAP_S:
         return None, 0.0

@@ -87,19 +87,15 @@ def flatten_lanes(graph: LaneGraph) -> FlatLanes:
     index_of = {lane.lane_id: k for k, lane in enumerate(lanes)}
     counts = np.array([len(lane.centerline) for lane in lanes], dtype=np.int64)
     first = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
-    points = np.concatenate([lane.centerline[:, :2] for lane in lanes]) if lanes else np.zeros((0, 2))
-    s = np.zeros(len(points))
-    if lanes:
-        step = np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T)
-        step[first[:-1]] = 0.0
-        total = np.cumsum(step)
-        s = total - np.repeat(total[first[:-1]], counts)
+    points = np.concatenate([np.zeros((0, 2)), *(lane.centerline[:, :2] for lane in lanes)])
+    step = np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T)
+    step[first[:-1]] = 0.0
+    total = np.cumsum(step)
+    s = total - np.repeat(total[first[:-1]], counts)
     half_width = np.array([lane.width_m / 2 for lane in lanes], dtype=np.float64)
     margin = half_width + BEYOND_EDGE_M
-    box = np.zeros((len(lanes), 4))
-    if lanes:
-        box[:, :2] = np.minimum.reduceat(points, first[:-1], axis=0) - margin[:, None]
-        box[:, 2:] = np.maximum.reduceat(points, first[:-1], axis=0) + margin[:, None]
+    low, high = (ends.reduceat(points, first[:-1], axis=0) for ends in (np.minimum, np.maximum))
+    box = np.column_stack([low - margin[:, None], high + margin[:, None]])
     successors = tuple(tuple(index_of[n] for n in graph.successors(lane.lane_id) if n in index_of) for lane in lanes)
     side = {"left": np.full(len(lanes), -1, np.int64), "right": np.full(len(lanes), -1, np.int64)}
     for k, lane in enumerate(lanes):
@@ -108,7 +104,6 @@ def flatten_lanes(graph: LaneGraph) -> FlatLanes:
             if neighbor is not None and neighbor in index_of:
                 side[name][k] = index_of[neighbor]
     sign = {TurnType.STRAIGHT: 0, TurnType.LEFT: 1, TurnType.RIGHT: -1}
-    length = s[first[1:] - 1] if lanes else np.zeros(0)
     straightest = (graph.straightest_successor(lane.lane_id) for lane in lanes)
     return FlatLanes(
         lane_ids=np.array([lane.lane_id for lane in lanes], dtype=np.int64),
@@ -117,7 +112,7 @@ def flatten_lanes(graph: LaneGraph) -> FlatLanes:
         first=first,
         half_width=half_width,
         box=box,
-        link=_links(successors, side["left"], side["right"], length),
+        link=_links(successors, side["left"], side["right"], s[first[1:] - 1]),
         left=side["left"],
         right=side["right"],
         turn=np.array([sign[lane.turn] for lane in lanes], dtype=np.int64),

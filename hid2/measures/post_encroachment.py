@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hid2.agents import IntArray
 from hid2.kernels.box_pairs import post_encroachment
 from hid2.measures.arrays import SceneArrays
 from hid2.measures.time_to_collision import CAP_S
@@ -21,24 +22,20 @@ class Encroachment(NamedTuple):
     pet_s: float
 
 
-def encroachments(arrays: SceneArrays, *, since: int = 0, cap_s: float = CAP_S) -> tuple[Encroachment, ...]:
+def encroachments(
+    arrays: SceneArrays, *, since: int = 0, cap_s: float = CAP_S, agents: IntArray | None = None,
+    crossing_rad: float = CROSSING_RAD,
+) -> tuple[Encroachment, ...]:  # fmt: skip
     """PET of every pair of moving vehicles whose swept paths cross within cap_s of each other.
 
-    since: only pairs whose second agent is this one or a later one.
+    since: only pairs whose second agent is this one or a later one; agents (K,), ascending: those that are looked at,
+    instead of moving vehicles; crossing_rad: paths that meet at less do not cross.
     """
-    moving = np.flatnonzero(arrays.vehicle & arrays.moving)
+    moving = np.flatnonzero(arrays.vehicle & arrays.moving) if agents is None else agents
     steps = post_encroachment(
-        moving,
-        arrays.position,
-        arrays.heading,
-        arrays.length,
-        arrays.width,
-        arrays.first,
-        arrays.step,
-        round(cap_s / arrays.step_s),
-        CROSSING_RAD,
-        int(np.searchsorted(moving, since)),
-    )
+        moving, arrays.position, arrays.heading, arrays.length, arrays.width, arrays.first, arrays.step,
+        round(cap_s / arrays.step_s), crossing_rad, int(np.searchsorted(moving, since)),
+    )  # fmt: skip
     return tuple(
         Encroachment(int(moving[p]), int(moving[q]), float(steps[p, q] * arrays.step_s))
         for p, q in np.argwhere(steps >= 0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hid2.agents import FloatArray, IntArray
+from hid2.agents import FloatArray
 from hid2.kernels.constant_velocity import earliest_contact
 from hid2.measures.arrays import BoolArray, SceneArrays
 
@@ -57,20 +57,12 @@ def contacts_after_last_step(
         present = counted & (arrays.row_of[:, step] >= 0)
         present[agent] = True
         agents = np.flatnonzero(present)
-        contact = first_contact(
-            int(np.searchsorted(agents, agent)), boxes_at(arrays, agents, step), horizon_s=horizon_s
-        )
+        rows = arrays.row_of[agents, step]
+        boxes = BoxesAtStep(
+            arrays.position[rows], arrays.heading[rows], arrays.velocity[rows],
+            np.column_stack([arrays.length[agents], arrays.width[agents]]),
+        )  # fmt: skip
+        contact = first_contact(int(np.searchsorted(agents, agent)), boxes, horizon_s=horizon_s)
         if contact is not None:
             found[agent] = Contact(contact.ttc_s, int(agents[contact.other]))
     return found
-
-
-def boxes_at(arrays: SceneArrays, agents: IntArray, step: int) -> BoxesAtStep:
-    """The boxes of agents (K,) that are present at a step."""
-    rows = arrays.row_of[agents, step]
-    return BoxesAtStep(
-        position=arrays.position[rows],
-        heading=arrays.heading[rows],
-        velocity=arrays.velocity[rows],
-        size=np.column_stack([arrays.length[agents], arrays.width[agents]]),
-    )

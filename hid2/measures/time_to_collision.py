@@ -8,9 +8,9 @@ from hid2.measures.arrays import SceneArrays
 CAP_S = 5.0
 
 
-def ttc_to_anything(arrays: SceneArrays) -> FloatArray:
-    """(N,) s, smallest TTC of every row to any other agent present at its step, at most CAP_S."""
+def ttc_to_anything(arrays: SceneArrays, *, cap_s: float = CAP_S) -> FloatArray:
+    """(N,) s, smallest TTC of every row to any other agent present at its step, at most cap_s."""
     ttc_s, _ = time_to_collision(
-        arrays.position, arrays.heading, arrays.velocity, arrays.length, arrays.width, arrays.row_of, CAP_S
+        arrays.position, arrays.heading, arrays.velocity, arrays.length, arrays.width, arrays.row_of, cap_s
     )
     return ttc_s

@@ -17,7 +17,7 @@ from bridge.evaluation.calibrate import observe_scene, pooled
 from bridge.generation.generate import generate, prepare
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
-from hid2.drivers.calibration import calibrate, drivers_of
+from hid2.evaluation.calibration import calibrate, drivers_of
 from hid2.evaluation.critics import (
     JUDGED,
     WIDTH,
@@ -30,7 +30,7 @@ from hid2.evaluation.critics import (
 )
 from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
 from hid2.evaluation.safety import prepare_map, safety
-from hid2.evaluation.windows import is_labelled, windows
+from hid2.evaluation.windows import windows
 from hid2.measures.arrays import stack
 from hid2.measures.manoeuvres import ManeuverKind, detect
 from hid2.params import Drivers
@@ -59,7 +59,7 @@ class Figures:
         self.durations: list[float] = []
         self.accelerations: dict[bool, list[np.ndarray]] = {False: [], True: []}
 
-    def add(self, number: int, name: str, tracks, *, graph, num_steps: int, first: bool) -> None:
+    def add(self, number: int, name: str, tracks, *, graph, num_steps: int, labelled: bool, first: bool) -> None:
         """Take the recorded tracks of a source in (first), or the generated ones of a scene made from it."""
         arrays = stack(tracks, num_steps=num_steps, step_s=0.1)
         ground = prepare_map(graph)
@@ -69,7 +69,7 @@ class Figures:
         halves = np.array([half_number(name, arrays.track_ids[a]) for a in found.agent], dtype=np.int64)
         generated = arrays.generated[found.agent]
         kept = generated | first
-        packed = pack(found, halves, labelled=is_labelled(arrays))
+        packed = pack(found, halves, labelled=labelled)
         self.rows.append(packed[kept])
         self.generated.append(generated[kept])
         self.scene.append(np.full(int(kept.sum()), number))
@@ -154,7 +154,7 @@ def main() -> None:
         config = load_config(options.config, options.settings, flags)
         prepared = prepare(read_scenario(folder), config)
         recorded = prepared.scenario
-        common = {"graph": recorded.graph, "num_steps": recorded.num_steps}
+        common = {"graph": recorded.graph, "num_steps": recorded.num_steps, "labelled": recorded.provenance == "human"}
         figures.add(number, recorded.scenario_id, recorded.tracks, first=True, **common)
         for variant in range(options.variants):
             scene = generate(prepared, config, variant=variant)

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from hid2.drivers.calibration import Extra, Observed
 from hid2.drivers.driver import desired_speeds, draw_driver, lane_offset
+from hid2.evaluation.calibration import Extra
+from hid2.evaluation.windows import Windows
 from hid2.params import Config, Drivers
 
 KNOWN = Drivers(
@@ -13,7 +14,7 @@ KNOWN = Drivers(
 )  # fmt: skip
 
 
-def synthetic_driving(known: Drivers, *, drivers: int, seed: int) -> tuple[Observed, Extra]:
+def synthetic_driving(known: Drivers, *, drivers: int, seed: int) -> tuple[Windows, Extra]:
     """Drivers of `known` alone on a lane whose traffic drives 9 m/s, and half as many behind a leader."""
     config, rng = Config(drivers=known), np.random.default_rng(seed)
     time = 0.1 * np.arange(41) - 2.0
@@ -31,11 +32,12 @@ def synthetic_driving(known: Drivers, *, drivers: int, seed: int) -> tuple[Obser
             part = slice(begin, begin + 41)
             along, across = cubic @ s[part], parabola @ d[part]
             gap = known.min_gap_mean_m + who.tau_s * along[1] if led else np.inf
-            rows.append((number, along[1], 2 * along[2], 6 * along[3], *across, 0.1, gap, 0.0, 9.0, False))
-    columns = list(zip(*rows, strict=True))
-    seen = Observed(
-        np.array(columns[0]), *(np.array(column, dtype=np.float64) for column in columns[1:11]), np.array(columns[11])
-    )
+            rows.append((number, along[1:], across, gap, led))
+    agents, along, across, gaps, led = (np.array(column) for column in zip(*rows, strict=True))
+    zeros, flags = np.zeros(len(rows)), np.zeros(len(rows), dtype=bool)
+    quartic, cubics, yaw = np.zeros((len(rows), 4)), np.zeros((len(rows), 4)), np.zeros((len(rows), 2))
+    seen = Windows(agents, zeros, along, quartic, across, cubics, yaw, gaps, zeros, flags, led)
     return seen, Extra(
-        np.array([who.min_gap_m for who in people]), np.array([who.lane_change_s for who in people[: drivers // 2]])
-    )
+        np.full(len(rows), 9.0), np.array([who.min_gap_m for who in people]),
+        np.array([who.lane_change_s for who in people[: drivers // 2]]),
+    )  # fmt: skip

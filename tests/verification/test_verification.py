@@ -16,7 +16,7 @@ from synthetic_driving import KNOWN, synthetic_driving
 from bridge.generation.generate import generate, prepare
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.simulation import Simulation
-from hid2.drivers.calibration import calibrate
+from hid2.evaluation.calibration import calibrate
 from hid2.evaluation.realism import FEATURES, histogram, quantiles
 from hid2.params import Config, Drivers, Request
 from hid2.policies import Policy

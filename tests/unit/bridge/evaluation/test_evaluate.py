@@ -15,6 +15,7 @@ from bridge.evaluation.evaluate import evaluate_folder
 from bridge.evaluation.report import write_report
 from bridge.evaluation.scene_metrics import Maps, measure, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
+from bridge.recordings.export import recording_record_of
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics
@@ -279,11 +280,10 @@ def test_a_scene_in_which_nothing_moves_is_measured(made_scene):
         parked,
         prepare_map(scenario.graph),
         None,
+        recording_record_of(scenario),
         limits=Limits(),
         num_steps=110,
         source="parked",
-        observed_steps=50,
-        step_s=0.1,
     )
     assert measures.samples.shape == (0, WIDTH)
     assert measures.scene["combined_moving"] == 0

@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from bridge.evaluation.critique import critique
-from bridge.evaluation.realism_page import plain_words
-from hid2.evaluation.critics import WIDTH, Packed
+from bridge.pages.parts import macro
+from hid2.evaluation.critics import FEATURE_NAMES, WIDTH, Packed
+
+
+def plain_words(critics, tails):
+    """The sentences, a line each."""
+    return [line for line in macro("report.html.j2", "plain", critics, tails, len(FEATURE_NAMES)).splitlines() if line]
 
 
 def verdict(auc, *, critic="trees", view="all", recordings="all", low=0.5, high=0.7):

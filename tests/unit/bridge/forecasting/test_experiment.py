@@ -17,8 +17,9 @@ from bridge.forecasting import experiment
 from bridge.forecasting.comparison import Difference, Estimate
 from bridge.forecasting.compose import compose
 from bridge.forecasting.composition import composition_of
-from bridge.forecasting.experiment import PAPER_TABLE2, PAPER_TABLE3, SETS, Plan, power_text, run_prediction
+from bridge.forecasting.experiment import PAPER_GAIN_M, PAPER_TABLE2, PAPER_TABLE3, SETS, Plan, run_prediction
 from bridge.forecasting.features import targets_of
+from bridge.pages.parts import macro
 from bridge.recordings.export import write_scene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_rows, read_scenario
@@ -195,7 +196,7 @@ def test_an_interval_is_taken_at_its_word_from_many_scenes_only(sources, says, n
     one = Difference(
         "hid2", "recorded", "all scenes", "min_fde_m", Estimate(-0.5, -0.9, -0.1, 0.2), sources, sources, (3, 3), 0.57
     )
-    text = power_text([one])
+    text = " ".join(macro("forecasts.html.j2", "power", one, PAPER_GAIN_M).split())
     assert says in text
     assert not_says not in text
     assert f"{sources} tracks of {sources} recorded scenes" in text

@@ -20,7 +20,7 @@ from hid2.evaluation.critics import (
     weighted_auc,
 )
 from hid2.evaluation.safety import prepare_map, safety
-from hid2.evaluation.windows import is_labelled, windows
+from hid2.evaluation.windows import windows
 from hid2.measures.arrays import stack
 
 CRITICS = [(critic, View.ALL) for critic in Critic]
@@ -155,20 +155,12 @@ def test_windows_know_the_leader(road):
         ahead.velocity,
         ahead.size,
     )
-    arrays, found = windows_of([drive(8.0, 0.0, 0.0), ahead], road)
+    _, found = windows_of([drive(8.0, 0.0, 0.0), ahead], road)
     own = found.rows(found.agent == 0)
     assert own.led.all()
     assert own.gap_m[0] == pytest.approx(13.0, abs=0.1)
     assert own.closing_mps == pytest.approx(1.0, abs=0.02)
-    rows = pack(own, np.zeros(len(own.agent), dtype=np.int64), labelled=is_labelled(arrays))
+    rows = pack(own, np.zeros(len(own.agent), dtype=np.int64), labelled=True)
     assert rows.shape == (len(own.agent), WIDTH)
     shown = dict(zip(FEATURE_NAMES, features(rows)[0], strict=True))
     assert shown["time gap"] == pytest.approx(13.0 / 8.0, abs=0.02)
-
-
-def test_noise_tells_trackers_from_people(road):
-    """5 cm of noise from step to step change the velocity by decimetres per second; labels of people do not."""
-    rng = np.random.default_rng(0)
-    assert is_labelled(stack([drive(6.0, 0.3, 0.0)], step_s=0.1)) is True
-    assert is_labelled(stack([drive(6.0, 0.3, 0.0, rng=rng)], step_s=0.1)) is False
-    assert is_labelled(stack([], step_s=0.1)) is None

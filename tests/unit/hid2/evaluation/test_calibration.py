@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic_driving import KNOWN, synthetic_driving
 
-from hid2.drivers.calibration import LEAST, Extra, calibrate, drivers_of, ks_distance, robust_sd
+from hid2.evaluation.calibration import LEAST, calibrate, drivers_of, ks_distance, robust_sd
 from hid2.params import Drivers
 
 
@@ -39,8 +39,8 @@ def test_what_the_data_cannot_tell_keeps_its_prior(found):
 
 
 def test_too_few_drivers_tell_nothing():
-    seen, _ = synthetic_driving(KNOWN, drivers=LEAST - 1, seed=0)
-    few = calibrate(seen, Extra(np.zeros(0), np.array([4.0])), prior=Drivers())
+    seen, extra = synthetic_driving(KNOWN, drivers=LEAST - 1, seed=0)
+    few = calibrate(seen, extra._replace(standing_gap_m=np.zeros(0), lane_change_s=np.array([4.0])), prior=Drivers())
     assert not any(quantity.measured for quantity in few)
 
 

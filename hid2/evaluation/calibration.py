@@ -9,13 +9,14 @@ documented prior and says so.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from statistics import NormalDist
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtri
 
 from hid2.agents import FloatArray, IntArray
 from hid2.drivers.driver import Driver, desired_speeds, lane_offset
+from hid2.evaluation.windows import Windows
 from hid2.params import Config, Drivers
 from hid2.resampling import Estimate, interval, redrawn
 
@@ -40,35 +41,14 @@ _TIMES_S = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 _SPREADS = (0.0, 0.3, 0.6, 0.9, 1.2)
 
 
-class Observed(NamedTuple):
-    """Windows (M,) of recorded driving: driver number, middle speed, acceleration, jerk, fits of the offset, and more.
+class Extra(NamedTuple):
+    """What windows do not show.
 
-    speed_mps, accel_mps2, jerk_mps3, offset_m, drift_mps, bend_mps2: at the middle; lateral_mps2: size of the lateral
-    acceleration; gap_m inf without a leader; closing_mps; usual_mps: what the traffic of its lane drives; turning.
+    usual_mps (M,): of each window, what the traffic of its lane drives; standing_gap_m: gaps to standing leaders, one a
+    driver; lane_change_s: durations of lane changes.
     """
 
-    driver: IntArray
-    speed_mps: FloatArray
-    accel_mps2: FloatArray
-    jerk_mps3: FloatArray
-    offset_m: FloatArray
-    drift_mps: FloatArray
-    bend_mps2: FloatArray
-    lateral_mps2: FloatArray
-    gap_m: FloatArray
-    closing_mps: FloatArray
     usual_mps: FloatArray
-    turning: np.ndarray[tuple[int], np.dtype[np.bool_]]
-
-    def rows(self, chosen: np.ndarray[tuple[int], np.dtype[np.bool_]] | IntArray) -> "Observed":
-        """Some of the windows."""
-        some: list[Any] = [values[chosen] for values in self]
-        return Observed(*some)
-
-
-class Extra(NamedTuple):
-    """What windows do not show, one value a driver or manoeuvre: gaps to standing leaders, m; lane changes, s."""
-
     standing_gap_m: FloatArray
     lane_change_s: FloatArray
 
@@ -93,22 +73,23 @@ class Quantity:
     ks: float | None
 
 
-def calibrate(seen: Observed, extra: Extra, *, prior: Drivers) -> list[Quantity]:
-    """Every parameter that recordings can tell, in the order of `params.Drivers`."""
-    straight = seen.rows(~seen.turning)
-    free = straight.rows(np.isinf(straight.gap_m) | (straight.gap_m > 4.0 * straight.speed_mps))
-    cruising = (free.speed_mps > _CRUISES * free.usual_mps) & (np.abs(free.accel_mps2) < _CRUISES_MPS2)
-    ratio = _by_driver(free.driver, np.log(free.speed_mps / free.usual_mps), np.median)
+def calibrate(seen: Windows, extra: Extra, *, prior: Drivers) -> list[Quantity]:
+    """Every parameter that recordings can tell, in the order of `params.Drivers`. seen: each agent is a driver."""
+    straight, usual_mps = seen.rows(~seen.turning), extra.usual_mps[~seen.turning]
+    alone = np.isinf(straight.gap_m) | (straight.gap_m > 4.0 * straight.speed_mps)
+    free, usual_mps = straight.rows(alone), usual_mps[alone]
+    cruising = (free.speed_mps > _CRUISES * usual_mps) & (np.abs(free.accel_mps2) < _CRUISES_MPS2)
+    ratio = _by_driver(free.agent, np.log(free.speed_mps / usual_mps), np.median)
     time_gap = (seen.gap_m - prior.min_gap_mean_m) / np.maximum(seen.speed_mps, 1.0)
     steady = (
         (np.abs(seen.closing_mps) < _STEADY_MPS) & (np.abs(seen.accel_mps2) < _STEADY_MPS2) & (time_gap > 0.0)
         & (seen.speed_mps > _FOLLOWS_MPS) & (time_gap < _FOLLOWS_S)
     )  # fmt: skip
-    gaps = _by_driver(seen.driver[steady], time_gap[steady], np.median)
-    strongest = _by_driver(seen.driver, seen.accel_mps2, np.max)
-    hardest = -_by_driver(seen.driver, seen.accel_mps2, np.min)
-    turning = _by_driver(seen.driver[seen.turning], seen.lateral_mps2[seen.turning], np.max)
-    offsets = _by_driver(straight.driver, straight.offset_m, np.median)
+    gaps = _by_driver(seen.agent[steady], time_gap[steady], np.median)
+    strongest = _by_driver(seen.agent, seen.accel_mps2, np.max)
+    hardest = -_by_driver(seen.agent, seen.accel_mps2, np.min)
+    turning = _by_driver(seen.agent[seen.turning], np.abs(seen.lateral_accel_mps2[seen.turning]), np.max)
+    offsets = _by_driver(straight.agent, straight.d_parabola[:, 0], np.median)
     found = [
         *_normal("desired", "desired speed over the traffic's, logarithm", ratio, prior, sd_only=True),
         *_speed_wander(free.rows(cruising), prior),
@@ -171,36 +152,42 @@ def _normal(
     """Median and robust SD of one value a driver."""
     names = [f"{name}_mean_{unit}", f"{name}_sd_{unit}".rstrip("_")]
     first = 1 if sd_only else 0
-    if len(values) < LEAST:
-        return [_kept(one, what, prior, values) for one in names[first:]]
-    found = _intervals(lambda drivers: (float(np.median(values[drivers])), robust_sd(values[drivers])), len(values))
-    centre, spread = float(np.median(values)), max(robust_sd(values), 1e-6)
-    return _quantities(names[first:], what, found[first:], values, lambda p: centre + spread * _normal_quantile(p))
+
+    def found(drivers: IntArray) -> Sequence[float]:
+        return (float(np.median(values[drivers])), robust_sd(values[drivers]))[first:]
+
+    return _quantities(names[first:], what, values, prior, found, lambda p: _normal_quantile(values, p))
 
 
 def _range_of_turns(values: FloatArray, prior: Drivers) -> list[Quantity]:
     """Lateral acceleration in turns: uniform between the 10th and 90th percentile, widened to the whole."""
     what, names = "lateral acceleration in turns, m/s2", ("turn_lateral_min_mps2", "turn_lateral_max_mps2")
-    if len(values) < LEAST:
-        return [_kept(name, what, prior, values) for name in names]
 
     def ends(drivers: IntArray) -> tuple[float, float]:
         low, high = np.percentile(values[drivers], [10, 90])
         return float(low - (high - low) / 8.0), float(high + (high - low) / 8.0)
 
-    first, last = ends(np.arange(len(values)))
-    return _quantities(names, what, _intervals(ends, len(values)), values, lambda p: first + (last - first) * p)
+    def law(share: FloatArray) -> FloatArray:
+        first, last = ends(np.arange(len(values)))
+        return first + (last - first) * share
+
+    return _quantities(names, what, values, prior, ends, law)
 
 
 def _quantities(
-    names: Sequence[str], what: str, found: Sequence[Estimate], values: FloatArray,
-    law: Callable[[FloatArray], FloatArray],
+    names: Sequence[str], what: str, values: FloatArray, prior: Drivers,
+    found: Callable[[IntArray], Sequence[float]], law: Callable[[FloatArray], FloatArray],
 ) -> list[Quantity]:  # fmt: skip
-    """Parameters that were measured together, by one value a driver and the law that was fitted to them."""
+    """Parameters that are measured together, by one value a driver; of too few drivers they keep their prior.
+
+    found: their values from the drivers of these numbers; law: the quantile function that is fitted to all.
+    """
+    if len(values) < LEAST:
+        return [_kept(name, what, prior, values) for name in names]
     ks = ks_distance(values, law)
     return [
         Quantity(name, what, _bounded(name, one.value or 0.0), one.low, one.high, len(values), True, values, law, ks)
-        for name, one in zip(names, found, strict=True)
+        for name, one in zip(names, _intervals(found, len(values)), strict=True)
     ]
 
 
@@ -276,48 +263,41 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
     return _moments(_rms(np.array(driver), np.array(drift)), _rms(np.array(driver), np.array(bend)))
 
 
-def _speed_wander(free: Observed, prior: Drivers) -> list[Quantity]:
+def _speed_wander(free: Windows, prior: Drivers) -> list[Quantity]:
     """SD and time of the wandering of the desired speed, from who drives freely."""
     what = "wandering of the desired speed: acceleration in windows, m/s2"
     names = ("wander_sd_mps", "wander_time_s")
-    values, changes = _rms(free.driver, free.accel_mps2), _rms(free.driver, free.jerk_mps3)
-    if len(values) < LEAST:
-        return [_kept(name, what, prior, values) for name in names]
-    table = [speed_moments(time_s) for time_s in _TIMES_S]
-    ratios = np.array([one.ratio for one in table])
-    sizes = np.array([one.size for one in table]) / _UNIT_MPS
+    values, changes = _rms(free.agent, free.accel_mps2), _rms(free.agent, free.jerk_mps3)
 
     def found(drivers: IntArray) -> tuple[float, float]:
-        moments = _moments(values[drivers], changes[drivers])
-        time_s = _time_of(moments.ratio, ratios)
-        return moments.size / float(np.interp(time_s, _TIMES_S, sizes)), time_s
+        table, moments = [speed_moments(time_s) for time_s in _TIMES_S], _moments(values[drivers], changes[drivers])
+        time_s = _time_of(moments.ratio, np.array([one.ratio for one in table]))
+        return moments.size / float(np.interp(time_s, _TIMES_S, [one.size / _UNIT_MPS for one in table])), time_s
 
-    return _wandering(names, what, values, found)
+    return _quantities(names, what, values, prior, found, lambda p: _lognormal_quantile(values, p))
 
 
-def _lateral_wander(straight: Observed, prior: Drivers) -> list[Quantity]:
+def _lateral_wander(straight: Windows, prior: Drivers) -> list[Quantity]:
     """SD, spread and time of the wandering about the place in the lane."""
     what = "wandering about the place in the lane: drift in windows, m/s"
     names = ("lateral_wander_sd_m", "lateral_wander_time_s", "lateral_wander_spread")
-    values, changes = _rms(straight.driver, straight.drift_mps), _rms(straight.driver, straight.bend_mps2)
-    if len(values) < LEAST:
-        return [_kept(name, what, prior, values) for name in names]
-    table = {(t, w): lateral_moments(t, w) for t in _TIMES_S for w in _SPREADS}
+    drift_mps, bend_mps2 = straight.d_parabola[:, 1], straight.d_parabola[:, 2]
+    values, changes = _rms(straight.agent, drift_mps), _rms(straight.agent, bend_mps2)
 
     def found(drivers: IntArray) -> tuple[float, float, float]:
         moments = _moments(values[drivers], changes[drivers])
         spread = 0.6
         for _ in range(3):
             near = min(_SPREADS, key=lambda w: abs(w - spread))
-            time_s = _time_of(moments.ratio, np.array([table[t, near].ratio for t in _TIMES_S]))
+            time_s = _time_of(moments.ratio, np.array([lateral_moments(t, near).ratio for t in _TIMES_S]))
             nearest = min(_TIMES_S, key=lambda t: abs(t - time_s))
-            spreads = np.maximum.accumulate([table[nearest, w].spread for w in _SPREADS])
+            spreads = np.maximum.accumulate([lateral_moments(nearest, w).spread for w in _SPREADS])
             spread = float(np.interp(moments.spread, spreads, _SPREADS))
         near = min(_SPREADS, key=lambda w: abs(w - spread))
-        size = float(np.interp(time_s, _TIMES_S, [table[t, near].size for t in _TIMES_S]))
+        size = float(np.interp(time_s, _TIMES_S, [lateral_moments(t, near).size for t in _TIMES_S]))
         return moments.size / size, time_s, spread
 
-    return _wandering(names, what, values, found)
+    return _quantities(names, what, values, prior, found, lambda p: _lognormal_quantile(values, p))
 
 
 def _time_of(ratio: float, ratios: FloatArray) -> float:
@@ -326,19 +306,13 @@ def _time_of(ratio: float, ratios: FloatArray) -> float:
     return float(np.interp(-ratio, -falling, _TIMES_S))
 
 
-def _wandering(
-    names: Sequence[str], what: str, values: FloatArray, found: Callable[[IntArray], Sequence[float]]
-) -> list[Quantity]:
-    """Parameters of a wandering; the values of the drivers are shown beside a lognormal law."""
-    logs = np.log(values)
-    centre, spread = float(np.median(logs)), max(robust_sd(logs), 1e-6)
-    return _quantities(
-        names, what, _intervals(found, len(values)), values, lambda p: np.exp(centre + spread * _normal_quantile(p))
-    )
+def _normal_quantile(values: FloatArray, share: FloatArray) -> FloatArray:
+    """Quantiles of the normal law with the median and the robust SD of some values."""
+    return np.asarray(np.median(values) + max(robust_sd(values), 1e-6) * ndtri(share))
 
 
-def _normal_quantile(share: FloatArray) -> FloatArray:
-    return np.array([NormalDist().inv_cdf(float(p)) for p in np.atleast_1d(share)])
+def _lognormal_quantile(values: FloatArray, share: FloatArray) -> FloatArray:
+    return np.asarray(np.exp(_normal_quantile(np.log(values), share)))
 
 
 def ks_distance(values: FloatArray, law: Callable[[FloatArray], FloatArray]) -> float:
