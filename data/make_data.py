@@ -16,7 +16,9 @@ from pathlib import Path
 
 import numpy as np
 from exact_paths import FloatArray, Path2d, bend, cos, line, norm, sideways, sin, smoothstep, turn
-from synthetic_scene import LANE_M, STEP_S, STEPS, Scene, map_json, scenario_parquet
+from synthetic_scene import LANE_M, STEPS, Scene, map_json, scenario_parquet
+
+from bridge.recordings.scenario import STEP_S
 
 
 def arterial() -> Scene:

@@ -6,19 +6,21 @@ Local frame of a scene: metres, x east, y north; it is turned and moved into the
 import json
 import uuid
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 from exact_paths import FloatArray, Path2d, cos, direction, norm, sin, smoothstep
 
 from bridge.recordings.export import parquet_bytes
+from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY
+from bridge.recordings.scenario import OBSERVED_STEPS, STEP_S, table_of
+from hid2.agents import DEFAULT_SIZES, IntArray, Track
 from netconvert.geometry import wrap_angle
 
-STEPS, OBSERVED, STEP_S, FINE_S = 110, 50, 0.1, 0.01
+STEPS, FINE_S = 110, 0.01
 LANE_M = 3.5
 START_NS = 315_970_000_000_000_000.0
 
@@ -38,21 +40,12 @@ class Lane:
     right_neighbor: str | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Agent:
-    """A recorded agent: timesteps (T,), position (T, 2) m, heading (T,) rad, velocity (T, 2) m/s, local."""
-
-    object_type: str
-    category: int
-    timesteps: npt.NDArray[np.int64]
-    position: FloatArray
-    heading: FloatArray
-    velocity: FloatArray
-
-
 @dataclass
 class Scene:
-    """A scene in the making. height_m: ground height at local points (N, 2); turn and origin lead to the city frame."""
+    """A scene in the making. height_m: ground height at local points (N, 2); turn and origin lead to the city frame.
+
+    agents: in local coordinates.
+    """
 
     name: str
     split: str
@@ -64,7 +57,7 @@ class Scene:
     lanes: dict[str, Lane] = field(default_factory=dict)
     areas: list[FloatArray] = field(default_factory=list)
     crossings: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
-    agents: list[Agent] = field(default_factory=list)
+    agents: list[Track] = field(default_factory=list)
 
     @property
     def scenario_id(self) -> str:
@@ -139,19 +132,25 @@ class Scene:
         heading = np.where(moving, heading + wrap_angle(course - heading), heading)
         timesteps = np.arange(*steps)
         fine = 10 + 10 * timesteps
-        self.agents.append(Agent(object_type, category, timesteps, xy[fine], wrap_angle(heading[fine]), velocity[fine]))
+        self._add(object_type, category, timesteps, xy[fine], wrap_angle(heading[fine]), velocity[fine])
 
     def stand(self, xy: Sequence[float], heading: float, *, object_type: str = "vehicle", category: int = 1) -> None:
         """An agent that does not move."""
         position = np.tile(np.asarray(xy, dtype=np.float64), (STEPS, 1))
-        still = np.full(STEPS, heading), np.zeros((STEPS, 2))
-        self.agents.append(Agent(object_type, category, np.arange(STEPS), position, *still))
+        self._add(object_type, category, np.arange(STEPS), position, np.full(STEPS, heading), np.zeros((STEPS, 2)))
+
+    def _add(self, object_type: str, category: int, timesteps: IntArray, *motion: FloatArray) -> None:
+        track_id = str(self.first_id // 1000 + 7 * len(self.agents))
+        self.agents.append(Track(track_id, object_type, category, timesteps, *motion, size=DEFAULT_SIZES[object_type]))
+
+    def turned(self, xy: FloatArray) -> FloatArray:
+        """Local vectors in the city frame."""
+        c, s = float(cos(self.turn_rad)), float(sin(self.turn_rad))
+        return np.column_stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]])
 
     def city_xy(self, xy: FloatArray) -> FloatArray:
-        """Local points or, less the origin, vectors in the city frame."""
-        c, s = float(cos(self.turn_rad)), float(sin(self.turn_rad))
-        turned = np.column_stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]])
-        return turned + np.asarray(self.origin)
+        """Local points in the city frame."""
+        return self.turned(xy) + np.asarray(self.origin)
 
 
 def _uuid(name: str) -> str:
@@ -201,41 +200,20 @@ def map_json(scene: Scene) -> bytes:
 
 def scenario_parquet(scene: Scene) -> bytes:
     """scenario_<id>.parquet; the last agent is the AV, the one of category 3 is focal."""
-    count = len(scene.agents)
-    track_ids = [*(str(scene.first_id // 1000 + 7 * i) for i in range(count - 1)), "AV"]
-    focal = [track for track, agent in zip(track_ids, scene.agents, strict=True) if agent.category == 3]
-    lengths = [len(agent.timesteps) for agent in scene.agents]
-
-    def each(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
-        return pa.array([value for value, length in zip(values, lengths, strict=True) for _ in range(length)], kind)
-
-    def same(value: object, kind: pa.DataType) -> pa.Array:
-        return pa.array([value] * sum(lengths), kind)
-
-    c, s = float(cos(scene.turn_rad)), float(sin(scene.turn_rad))
-    timestep = np.concatenate([agent.timesteps for agent in scene.agents])
-    position = scene.city_xy(np.vstack([agent.position for agent in scene.agents])).round(6)
-    velocity = np.vstack([agent.velocity for agent in scene.agents])
-    velocity = np.column_stack([c * velocity[:, 0] - s * velocity[:, 1], s * velocity[:, 0] + c * velocity[:, 1]])
-    heading = wrap_angle(np.concatenate([agent.heading for agent in scene.agents]) + scene.turn_rad)
-    columns = {
-        "observed": pa.array(timestep < OBSERVED),
-        "track_id": each(track_ids, pa.string()),
-        "object_type": each([agent.object_type for agent in scene.agents], pa.string()),
-        "object_category": each([agent.category for agent in scene.agents], pa.int64()),
-        "timestep": pa.array(timestep, pa.int64()),
-        "position_x": pa.array(position[:, 0]),
-        "position_y": pa.array(position[:, 1]),
-        "heading": pa.array(heading.round(6)),
-        "velocity_x": pa.array(velocity[:, 0].round(6) + 0.0),
-        "velocity_y": pa.array(velocity[:, 1].round(6) + 0.0),
-        "scenario_id": same(scene.scenario_id, pa.string()),
-        "start_timestamp": same(START_NS, pa.float64()),
-        "end_timestamp": same(START_NS + (STEPS - 1) * 1e8, pa.float64()),
-        "num_timestamps": same(STEPS, pa.int64()),
-        "focal_track_id": same(*focal, pa.string()),
-        "city": same(scene.city, pa.string()),
-        "map_id": same(scene.first_id // 1000, pa.uint64()),
-        "slice_id": same(_uuid(f"{scene.name}/slice"), pa.string()),
-    }
-    return parquet_bytes(pa.table(columns))
+    tracks = [
+        replace(
+            agent,
+            position=scene.city_xy(agent.position).round(6),
+            heading=wrap_angle(agent.heading + scene.turn_rad).round(6),
+            velocity=scene.turned(agent.velocity).round(6) + 0.0,
+        )
+        for agent in scene.agents
+    ]
+    tracks[-1] = replace(tracks[-1], track_id=AV_ID)
+    (focal,) = (track.track_id for track in tracks if track.category == FOCAL_CATEGORY)
+    same = {"scenario_id": scene.scenario_id, "start_timestamp": START_NS, "num_timestamps": STEPS}
+    same |= {"end_timestamp": START_NS + (STEPS - 1) * 1e8, "focal_track_id": focal, "city": scene.city}
+    table = table_of(tracks, same, observed_steps=OBSERVED_STEPS)
+    table = table.append_column("map_id", pa.repeat(pa.scalar(scene.first_id // 1000, pa.uint64()), len(table)))
+    table = table.append_column("slice_id", pa.repeat(_uuid(f"{scene.name}/slice"), len(table)))
+    return parquet_bytes(table)

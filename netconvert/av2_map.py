@@ -18,6 +18,12 @@ _LINES = ("DASHED", "SOLID", "DASH_SOLID", "SOLID_DASH", "DOUBLE_DASH", "DOUBLE_
 MARK_TYPES = frozenset(
     {f"{line}_{color}" for line in _LINES for color in ("WHITE", "YELLOW")} | {"SOLID_BLUE", "NONE", "UNKNOWN"}
 )
+#: The parts of a map, and how what is in them is called.
+_PARTS = {
+    "lane_segments": "lane",
+    "drivable_areas": "drivable area",
+    "pedestrian_crossings": "pedestrian crossing",
+}
 #: A rule of the format that is broken, by its name, and what is said of it.
 Breach = tuple[str, str]
 #: Reads one value of a map. Errors: _RefusedError.
@@ -37,44 +43,58 @@ def lane_graph_from_json(data: Any, *, name: str) -> LaneGraph:  # noqa: ANN401
 
 
 def read_map(data: Any) -> tuple[LaneGraph | None, list[Breach]]:  # noqa: ANN401
-    """The lane graph of a decoded map, and all that is wrong with the map, of which there is no graph then."""
-    optional: dict[str, Any] = {"pedestrian_crossings": {}}
-    document = {**optional, **data} if isinstance(data, dict) else {}
-    for part in ("lane_segments", "drivable_areas", *optional):
-        if not isinstance(document.get(part), dict):
-            return None, [("map", f"no object {part!r}, expected an Argoverse 2 vector map")]
+    """The lane graph of a decoded map, and all that is wrong with the map, of which there is no graph then.
+
+    Demanded is what readers of the format demand, also where a lane graph needs less; only centrelines may be missing.
+    """
+    said = lacks_a_part(data)
+    if said:
+        return None, [("map", said)]
     found: list[Breach] = []
     lanes: dict[int, LaneSegment] = {}
-    for key, segment in document["lane_segments"].items():
+    for key, segment in data["lane_segments"].items():
         lane = _lane_segment(segment, f"lane {key}", found)
-        if lane is not None and lanes.setdefault(lane.lane_id, lane) is not lane:
-            found.append(("map", f"lane {key}: id {lane.lane_id} appears twice, expected one segment an id"))
+        if lane is not None and str(lane.lane_id) != key:
+            found.append(("map", f"lane {key}: id {lane.lane_id}, expected its key"))
+        elif lane is not None:
+            lanes[lane.lane_id] = lane
     if not found and not any(lane.lane_type == "VEHICLE" for lane in lanes.values()):
         said = f"no lane of type VEHICLE among {len(lanes)} lane segments, expected at least one"
         found.append(("map", said))
-    areas = [_values(one, _AREA, f"drivable area {key}", found) for key, one in document["drivable_areas"].items()]
+    if not data["drivable_areas"]:
+        said = "no drivable area, expected at least one: where there is none, nothing tells what is off the road"
+        found.append(("map", said))
+    areas = [_values(one, _AREA, f"drivable area {key}", found) for key, one in data["drivable_areas"].items()]
     crossings = [
         _values(one, _CROSSING, f"pedestrian crossing {key}", found)
-        for key, one in document["pedestrian_crossings"].items()
+        for key, one in data["pedestrian_crossings"].items()
     ]
     if found:
         return None, found
-    rings = (np.vstack([ring, ring[:1]]) for (ring,) in map(dict.values, areas))
+    rings = (np.vstack([ring, ring[:1]])[:, :2] for (ring,) in map(dict.values, areas))
     return LaneGraph(lanes, tuple(rings), tuple(_corners(*edges.values()) for edges in crossings)), []
+
+
+def lacks_a_part(data: object) -> str:
+    """What of its parts a decoded map lacks; "" where each is an object of objects."""
+    for part, name in _PARTS.items():
+        if not isinstance(data, dict) or not isinstance(data.get(part), dict):
+            return f"no object {part!r}, expected {', '.join(_PARTS)} of an Argoverse 2 vector map"
+        for key, one in data[part].items():
+            if not isinstance(one, dict):
+                return f"{name} {key}: {type(one).__name__}, expected an object"
+    return ""
 
 
 def _corners(first: FloatArray, second: FloatArray) -> FloatArray:
     """Corners of a pedestrian crossing, along its first edge and back along the second; (4, 2) m."""
-    first, second = first[[0, -1]], second[[0, -1]]
+    first, second = first[[0, -1], :2], second[[0, -1], :2]
     is_along = np.dot(first[1] - first[0], second[1] - second[0]) > 0
     return np.concatenate([first, second[::-1] if is_along else second])
 
 
-def _lane_segment(segment: Any, where: str, found: list[Breach]) -> LaneSegment | None:  # noqa: ANN401
+def _lane_segment(segment: Mapping[str, Any], where: str, found: list[Breach]) -> LaneSegment | None:
     """One lane; None where something is wrong, which is appended to `found`."""
-    if not isinstance(segment, dict):
-        found.append(("map", f"{where}: {type(segment).__name__}, expected an object"))
-        return None
     before = len(found)
     values = _values({"centerline": None, **segment}, _LANE, where, found)
     if len(found) > before:
@@ -82,7 +102,8 @@ def _lane_segment(segment: Any, where: str, found: list[Breach]) -> LaneSegment 
     left, right, centerline = (values.pop(line) for line in ("left_lane_boundary", "right_lane_boundary", "centerline"))
     rungs = _rungs(left), _rungs(right)
     if centerline is None:
-        centerline = (rungs[0][:, :2] + rungs[1][:, :2]) / 2.0
+        centerline = (rungs[0] + rungs[1]) / 2.0
+    centerline = centerline[:, :2]
     centerline = centerline[np.append(True, np.any(centerline[1:] != centerline[:-1], axis=1))]
     length_m = float(arc_length(centerline)[-1])
     if length_m < MIN_LENGTH_M:
@@ -117,9 +138,9 @@ def _rungs(boundary: FloatArray) -> FloatArray:
     return np.column_stack([np.interp(at, s, axis) for axis in boundary.T])
 
 
-def _values(owner: Any, fields: Mapping[str, _Read], where: str, found: list[Breach]) -> dict[str, Any]:  # noqa: ANN401
+def _values(owner: Mapping[str, Any], fields: Mapping[str, _Read], where: str, found: list[Breach]) -> dict[str, Any]:
     """The fields of an object as they are read; what is wrong with them is appended to `found`."""
-    missing = [field for field in fields if not isinstance(owner, dict) or field not in owner]
+    missing = [field for field in fields if field not in owner]
     if missing:
         found.append(("map", f"{where}: {_LACKS.get(missing[-1], _LACKS_FIELDS).format(', '.join(missing))}"))
         return {}
@@ -133,25 +154,30 @@ def _values(owner: Any, fields: Mapping[str, _Read], where: str, found: list[Bre
     return values
 
 
-def _points(axes: str, *, at_least: int = 2) -> _Read:
-    """Reads the coordinates of a list of {x, y, z}; (N, len(axes)) m."""
+def _points(at_least: int = 2) -> _Read:
+    """Reads the coordinates of a list of {x, y, z}; (N, 3) m."""
 
     def read(value: Any) -> FloatArray:  # noqa: ANN401
         if not isinstance(value, list) or len(value) < at_least:
             have = f"{len(value)} points" if isinstance(value, list) else reprlib.repr(value)
             raise _RefusedError("boundary", f": {have}, expected at least {at_least} points")
-        try:
-            points = np.array([[point[axis] for axis in axes] for point in value], dtype=np.float64)
-        except KeyError as error:
-            raise _RefusedError("map", f": a point has no {error}, expected x, y and z") from error
-        except (TypeError, ValueError, OverflowError) as error:
-            raise _RefusedError("map", f": a point is not made of numbers ({error}), expected x, y and z") from error
-        if not np.isfinite(points).all():
-            bad = points[~np.isfinite(points).all(axis=1)][0]
-            raise _RefusedError("map", f": point {bad}, expected finite coordinates")
+        points = _coordinates(value)
+        if points is None:
+            i, point = next((i, point) for i, point in enumerate(value) if _coordinates([point]) is None)
+            raise _RefusedError("map", f"[{i}] is {reprlib.repr(point)}, expected finite x, y and z")
         return points
 
     return read
+
+
+def _coordinates(points: list[Any]) -> FloatArray | None:
+    """(N, 3) m; None where a point is not made of finite numbers."""
+    try:
+        values = [point[axis] for point in points for axis in "xyz"]
+        numbers = np.array(values, dtype=np.float64).reshape(-1, 3)
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError):  # the last: an integer that no double holds
+        return None
+    return numbers if {*map(type, values)} <= {float, int} and bool(np.isfinite(numbers).all()) else None
 
 
 def _integer(value: Any) -> int:  # noqa: ANN401
@@ -187,20 +213,21 @@ def _one_of(allowed: frozenset[str], rule: str) -> _Read:
 
 #: What reads each field, by name.
 _LANE: Mapping[str, _Read] = {
-    "left_lane_boundary": _points("xyz"),
-    "right_lane_boundary": _points("xyz"),
-    "centerline": _optional(_points("xy")),
+    "left_lane_boundary": _points(),
+    "right_lane_boundary": _points(),
+    "centerline": _optional(_points()),
     "id": _integer,
     "lane_type": _one_of(LANE_TYPES, "lane-type"),
     "is_intersection": _boolean,
+    "predecessors": _lane_ids,
     "successors": _lane_ids,
     "left_neighbor_id": _optional(_integer),
     "right_neighbor_id": _optional(_integer),
     "left_lane_mark_type": _one_of(MARK_TYPES, "mark-type"),
     "right_lane_mark_type": _one_of(MARK_TYPES, "mark-type"),
 }
-_AREA: Mapping[str, _Read] = {"area_boundary": _points("xy", at_least=3)}
-_CROSSING: Mapping[str, _Read] = {"edge1": _points("xy"), "edge2": _points("xy")}
+_AREA: Mapping[str, _Read] = {"area_boundary": _points(at_least=3)}
+_CROSSING: Mapping[str, _Read] = {"edge1": _points(), "edge2": _points()}
 #: What is said where a field is missing.
 _LACKS_FIELDS = "no {}, expected the fields of an Argoverse 2 lane segment"
 _LACKS_EDGE = "no edge1 or no edge2, expected two lists of points"

@@ -38,7 +38,7 @@ import shapely
 from bridge.files import one_line, read_regular
 from bridge.recordings import limits
 from bridge.recordings.folders import Source
-from bridge.recordings.map_rules import graph_of, read_document
+from bridge.recordings.map_rules import graph_of, read_source_map
 from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY, Recording, velocity_of
 from bridge.recordings.scenario import recording_of, split_rows, table_of
 from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray, Track
@@ -264,7 +264,7 @@ def motion_of(position: FloatArray, timestep: IntArray, lines: LaneLines) -> tup
 def _map(path: Path, rows: SequenceRows, name: str) -> tuple[LaneGraph, bytes | None]:
     """Lane graph, and the document that is written for it; None for a map of Argoverse 2, which is copied."""
     if path.is_file():
-        return graph_of(read_document(path), name=str(path)), None
+        return read_source_map(path), None
     vector, pixels, se2 = map_files(path, rows.city)
     city = _city(vector, pixels, se2, tuple(_stamp(file) for file in (vector, pixels, se2)))
     low, high = rows.position.min(axis=0) - _MARGIN_M, rows.position.max(axis=0) + _MARGIN_M
