@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hid2.agents import FloatArray, IntArray
-from hid2.kernels.leaders import lane_leaders
+from hid2.kernels.gaps import lane_leaders
 from hid2.measures.arrays import SceneArrays
 from hid2.measures.lane_matching import FlatLanes, Matches
 

@@ -12,6 +12,7 @@ from hid2.measures.driven_lanes import LaneView, points_ahead
 from hid2.measures.lane_matching import FlatLanes, Matches, match_lanes
 from hid2.motion.reference_line import ReferenceLine, build_reference_line
 from hid2.occupancy.along_path import look_along
+from hid2.occupancy.gaps import gaps_to_all
 from hid2.occupancy.traffic import Traffic, traffic_of
 from netconvert.geometry import Polyline, arc_length
 
@@ -129,13 +130,12 @@ class AgentStates:
             driven.line, traffic.rows(others.tolist()), float(traffic.length_m[row]),
             float(traffic.width_m[row]) + 2 * aside_m,
         )  # fmt: skip
-        gap = seen.low - driven.s
+        found = gaps_to_all(seen, driven.s, np.arange(steps))
         own = self.row_span(row)
         speed = np.zeros(steps)
         speed[self.arrays.step[own]] = np.hypot(self.arrays.velocity[own, 0], self.arrays.velocity[own, 1])
-        with np.errstate(invalid="ignore"):
-            leads = seen.same_direction & np.isfinite(gap) & (gap > -SIDE_BY_SIDE_M) & (gap < LEADS_WITHIN_M)
-        return Leading(others[seen.agents], np.where(leads, gap, np.inf), speed - np.maximum(seen.along, 0.0))
+        leads = seen.same_direction & (found.lead_m > -SIDE_BY_SIDE_M) & (found.lead_m < LEADS_WITHIN_M)
+        return Leading(others[seen.agents], np.where(leads, found.lead_m, np.inf), speed - found.along_mps)
 
 
 def agent_states(
