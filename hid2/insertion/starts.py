@@ -22,10 +22,10 @@ from hid2.occupancy.traffic import Traffic
 from hid2.params import Sites
 from hid2.policy.behaviours import TURN_OF_POLICY
 from hid2.policy.decision import Side, gap_view
-from hid2.policy.lane_change import safe_gap_m
+from hid2.policy.lane_change import NOBODY, Gap
 from hid2.policy.observation import lane_options, lay_across, own_gaps
 from hid2.policy.roads import Roads
-from hid2.policy.rules import foreseen_reason
+from hid2.policy.rules import expected_reason, foreseen_reason
 from hid2.reasons import Reason
 from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
@@ -325,14 +325,15 @@ class Starts:
         return speed
 
     def _in_the_gap(self, changes: Start, ahead_m: float, speed_mps: float, box: BoxSize) -> bool:
-        """Whether a vehicle ahead_m ahead on a lane beside is where another one is to change lanes, at its trigger."""
+        """Whether a vehicle ahead_m ahead on a lane beside is in the way of another one's change, at its trigger."""
         if changes.request.policy is not Policy.LANE_CHANGE:
             return False
-        params, apart = self.scene.config.lane_change, 0.5 * (changes.box.length_m + box.length_m)
         at_m = ahead_m + (speed_mps - changes.start_mps) * changes.request.trigger_s
-        front_m = safe_gap_m(changes.start_mps, speed_mps, time_gap_s=params.time_gap_front_s, params=params)
-        rear_m = safe_gap_m(speed_mps, changes.start_mps, time_gap_s=params.time_gap_rear_s, params=params)
-        return -rear_m < at_m + apart and at_m - apart < front_m
+        gap = Gap(abs(at_m) - 0.5 * (changes.box.length_m + box.length_m), speed_mps)
+        front, rear = (gap, NOBODY) if at_m > 0.0 else (NOBODY, gap)
+        change = self.scene.config.lane_change
+        found = expected_reason(changes.driver, change, speed_mps=changes.start_mps, front=front, rear=rear)
+        return found is not None
 
     def _meets_taken_roughly(self, lane_id: int, lane_s: float, box: BoxSize) -> bool:
         point, there = self.scene.grid.graph.lanes[lane_id].path.point(np.array([lane_s])), self._taken_at(0.0)

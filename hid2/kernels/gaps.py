@@ -67,21 +67,11 @@ def all_on_path(
     return lead, lag, speed
 
 
-@kernel("(i8[::1], f8[::1], f8[::1], i8[::1], i8[:,::1], i8[::1], f8[::1], f8[::1], f8[::1], i8[:,::1], i8[::1], f8,)")
+@kernel("(i8[::1], f8[::1], f8[::1], i8[:,::1], i8[::1], f8[::1], f8[::1], f8[::1], i8[:,::1], i8[::1], f8,)")
 def lane_leaders(
-    lane: IntArray,
-    s: FloatArray,
-    d: FloatArray,
-    agent: IntArray,
-    row_of: IntArray,
-    next_row: IntArray,
-    length: FloatArray,
-    width: FloatArray,
-    lane_length: FloatArray,
-    successors: IntArray,
-    straight: IntArray,
-    horizon: float,
-) -> tuple[IntArray, FloatArray]:
+    lane: IntArray, s: FloatArray, d: FloatArray, row_of: IntArray, next_row: IntArray, length: FloatArray,
+    width: FloatArray, lane_length: FloatArray, successors: IntArray, straight: IntArray, horizon: float,
+) -> tuple[IntArray, FloatArray]:  # fmt: skip
     """Agent ahead (N,), -1 for none, and the gap to it (N,) m, inf for none.
 
     lane, s, d (N,): matches; next_row (N,): the next row of the same agent on another lane, -1 for none; successors

@@ -9,6 +9,7 @@ import numpy as np
 from hid2.agents import FloatArray, IntArray, Track
 from hid2.measures.arrays import BoolArray, SceneArrays, is_generated_id, stack
 from hid2.measures.driven_lanes import LaneView, points_ahead
+from hid2.measures.following import HORIZON_M
 from hid2.measures.lane_matching import FlatLanes, Matches, match_lanes
 from hid2.motion.reference_line import ReferenceLine, build_reference_line
 from hid2.occupancy.along_path import look_along
@@ -16,8 +17,6 @@ from hid2.occupancy.gaps import gaps_to_all
 from hid2.occupancy.traffic import Traffic, traffic_of
 from netconvert.geometry import Polyline, arc_length
 
-#: A vehicle ahead on a path leads up to this distance, m (evaluation.md).
-LEADS_WITHIN_M = 100.0
 #: Boxes that overlap along a path by more than this are side by side, m: neither leads the other.
 SIDE_BY_SIDE_M = 1.0
 #: No tunables, the shape of a driven line: its points are so far apart, m, its curves have at least this radius, m, and
@@ -105,7 +104,7 @@ class AgentStates:
         points = position[np.flatnonzero(np.diff(place, prepend=-1.0) > 0)]
         ahead = points_ahead(
             self.lanes, int(self.matches.lane[last]), float(self.matches.s[last]), float(self.matches.d[last]),
-            LEADS_WITHIN_M, beyond_m=_POINTS_M,
+            HORIZON_M, beyond_m=_POINTS_M,
         )  # fmt: skip
         points = np.concatenate([points, ahead])
         if len(points) < 2:
@@ -120,7 +119,7 @@ class AgentStates:
         """Which of the agents `others` lead a vehicle on the path that it drives, whatever their object type.
 
         aside_m: added to each side of the own box. An agent leads where it heads along the path, ahead of the vehicle
-        by at most LEADS_WITHIN_M and not beside it; one that rolls back, or that a tracker shifts back, stands.
+        by at most HORIZON_M and not beside it; one that rolls back, or that a tracker shifts back, stands.
         """
         driven, steps = self.line(row), self.arrays.num_steps
         if driven is None or not others.size:
@@ -134,7 +133,7 @@ class AgentStates:
         own = self.row_span(row)
         speed = np.zeros(steps)
         speed[self.arrays.step[own]] = np.hypot(self.arrays.velocity[own, 0], self.arrays.velocity[own, 1])
-        leads = seen.same_direction & (found.lead_m > -SIDE_BY_SIDE_M) & (found.lead_m < LEADS_WITHIN_M)
+        leads = seen.same_direction & (found.lead_m > -SIDE_BY_SIDE_M) & (found.lead_m < HORIZON_M)
         return Leading(others[seen.agents], np.where(leads, found.lead_m, np.inf), speed - found.along_mps)
 
 

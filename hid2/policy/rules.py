@@ -97,8 +97,10 @@ def foreseen_reason(view: GapView, params: LaneChange) -> Reason | None:
     return rule_reason(view, params)
 
 
-def free_lane_reason(driver: Driver, params: LaneChange, *, speed_mps: float) -> Reason | None:
-    """Why a rule would not even leave a slower leader for a lane with nobody on it; None where it would.
+def expected_reason(
+    driver: Driver, params: LaneChange, *, speed_mps: float, front: Gap = NOBODY, rear: Gap = NOBODY
+) -> Reason | None:
+    """Why a rule would not leave a slower leader for a lane with these on it, or with nobody; None where it would.
 
     Sites and plans whose gap is not foreseen ask this before they expect a change of lanes. At the rule's least speed
     or faster, after all the waiting that there is, behind a leader half as fast.
@@ -109,7 +111,8 @@ def free_lane_reason(driver: Driver, params: LaneChange, *, speed_mps: float) ->
         _FREE, time_s=params.give_up_s, waited_s=params.give_up_s, speed_mps=v,
         desired_mps=max(v, driver.desired_mps), tau_s=driver.tau_s, accel_mps2=driver.accel_mps2,
         decel_mps2=driver.decel_mps2, min_gap_m=driver.min_gap_m,
-        remaining_m=params.min_remaining_m + _FREE.remaining_m, own_front=behind,
+        remaining_m=params.min_remaining_m + _FREE.remaining_m, own_front=behind, front=front, rear=rear,
+        cells_free=min(front.distance_m, rear.distance_m) > 0.0,
     )  # fmt: skip
     return foreseen_reason(view, params)
 

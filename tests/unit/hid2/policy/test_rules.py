@@ -5,9 +5,18 @@ from pathlib import Path
 
 import pytest
 
+from hid2.drivers.driver import usual_driver
 from hid2.params import LaneChange
 from hid2.policy.lane_change import NOBODY, Gap
-from hid2.policy.rules import GapView, SumoAnswer, check_user_rule, idm_mps2, mobil_reason, rule_reason
+from hid2.policy.rules import (
+    GapView,
+    SumoAnswer,
+    check_user_rule,
+    expected_reason,
+    idm_mps2,
+    mobil_reason,
+    rule_reason,
+)
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 
@@ -148,3 +157,13 @@ def test_sound_rule_is_told_by_its_file(monkeypatch: pytest.MonkeyPatch, tmp_pat
         check_user_rule("builtins:bool")
     with pytest.raises(ConfigError, match="'math:pi': TypeError: 'float' object is not callable; expected a function"):
         check_user_rule("math:pi")
+
+
+def test_change_that_is_expected_depends_on_the_rule_that_is_set() -> None:
+    """Behind a leader half as fast. 3 m ahead the paper's rule wants more; LC2013 asks SUMO, unless beside."""
+    driver, near, beside = usual_driver(10.0), Gap(3.0, 10.0), Gap(-1.0, 10.0)
+    for rule, reasons in (("paper", ("front_gap", "cells_occupied")), ("LC2013", (None, "front_gap"))):
+        params = LaneChange(rule=rule)
+        assert expected_reason(driver, params, speed_mps=10.0) is None
+        found = [expected_reason(driver, params, speed_mps=10.0, front=one) for one in (near, beside)]
+        assert tuple(found) == reasons
