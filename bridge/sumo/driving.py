@@ -15,7 +15,7 @@ from bridge.sumo.simulation import Simulation
 from bridge.sumo.speed_limits import Limit, speed_limit
 from hid2.conflicts.reaction import Reactions
 from hid2.insertion.entry_sites import entry_speed
-from hid2.kernels.leaders import deep_inside
+from hid2.kernels.gaps import deep_inside
 from hid2.occupancy.traffic import Traffic
 from hid2.reasons import Reason
 from hid2.scene import Scene

@@ -13,7 +13,7 @@ import numpy as np
 from hid2.agents import FloatArray, IntArray
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.along_path import PathOccupancy
-from hid2.occupancy.gaps import gaps_on_path
+from hid2.occupancy.gaps import gaps_on_path, gaps_to_all
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import EventSearch
 
@@ -278,22 +278,12 @@ def _kept_to(half: Half, rules: Rules, there: BoolArray) -> tuple[FloatArray, Fl
 
 def _is_met(along: Along, s: FloatArray, v: FloatArray, step: int, rules: Rules, *, up_to_event: bool) -> BoolArray:
     """(N,) whether somebody is touched, or closed in on, at a step."""
-    taken, search = along.taken, rules.search
-    rows = np.isfinite(taken.low[:, step])
-    if not rows.any():
-        return np.zeros(s.size, dtype=np.bool_)
-    low, high = taken.low[rows, step, None], taken.high[rows, step, None]
-    own, same_direction, speed = (
-        along.own[rows, None],
-        taken.same_direction[rows, step, None],
-        taken.along[rows, step, None],
-    )
-    bad = (s > low - search.margin_m) & (s < high + search.margin_m)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ahead, behind = low - s, s - high
-        leads = same_direction & ~own & (ahead > 0)
-        bad |= leads & (v > speed + _FASTER_MPS) & (ahead < rules.ttc_s * (v - speed))
-        if up_to_event:
-            bad |= leads & (ahead < search.min_gap_m + rules.tau_s * v)
-        bad |= same_direction & ~own & (behind > 0) & (speed > v + _FASTER_MPS) & (behind < rules.ttc_s * (speed - v))
+    search, near = rules.search, gaps_to_all(along.taken, s, step)
+    others = (along.taken.same_direction[:, step] & ~along.own)[:, None]
+    closing = v - near.along_mps
+    bad = np.minimum(near.lead_m, near.lag_m) < search.margin_m
+    bad |= others & (closing > _FASTER_MPS) & (near.lead_m < rules.ttc_s * closing)
+    bad |= others & (closing < -_FASTER_MPS) & (near.lag_m < -rules.ttc_s * closing)
+    if up_to_event:
+        bad |= others & (near.lead_m < search.min_gap_m + rules.tau_s * v)
     return np.asarray(bad.any(axis=0))

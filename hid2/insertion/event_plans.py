@@ -30,7 +30,7 @@ from hid2.params import Config, Event, EventSearch
 from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.roads import Roads
-from hid2.policy.rules import free_lane_reason
+from hid2.policy.rules import expected_reason
 from hid2.reasons import Reason
 from hid2.scene import Scene
 
@@ -128,7 +128,7 @@ class Planner:
             return True
         speed_mps = float(plan.speeds[min(self.scene.steps_in(plan.trigger_s), plan.speeds.size - 1)])
         driver = plan.driver or usual_driver(plan.desired_mps)
-        reason = free_lane_reason(driver, self.scene.config.lane_change, speed_mps=speed_mps)
+        reason = expected_reason(driver, self.scene.config.lane_change, speed_mps=speed_mps)
         if reason is not None:
             self.turned_down[reason] += 1
         return reason is None

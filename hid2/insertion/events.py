@@ -25,7 +25,8 @@ from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.routes import Routes
 from hid2.insertion.sizes import draw_size
 from hid2.judge.claims import EventClaim, crossing_steps, event_step
-from hid2.measures.events import EventMeasures, measure_event
+from hid2.judge.events import EventMeasures, measure_event
+from hid2.occupancy.agent_states import agent_states
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Event
 from hid2.policy.roads import Roads
@@ -276,10 +277,12 @@ class EventSearch:
 
     def _seen(self, scene: Scene, plan: Plan, vehicle: ExportedVehicle) -> _Seen | None:
         """The event as the judge sees it in the states of the vehicle and its target; None where it does not."""
-        kind, target = plan.event.kind, plan.target
-        pair = scene.states.rows([target.row]).joined(vehicle.states)
-        at_s = plan.at_step * scene.step_s
-        claim = EventClaim(kind, vehicle.driven.vehicle_id, target.track.track_id, at_s, ahead=plan.order > 0)
+        kind, target, name = plan.event.kind, plan.target, vehicle.driven.vehicle_id
+        pair = agent_states(
+            [target.track, vehicle.track(name, 1)], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s,
+            is_inserted=name.__eq__,
+        )  # fmt: skip
+        claim = EventClaim(kind, name, target.track.track_id, plan.at_step * scene.step_s, ahead=plan.order > 0)
         at = event_step(pair, claim)
         if at is None or at not in target.track.timesteps or not vehicle.span.start <= at < vehicle.span.stop:
             return None
@@ -288,7 +291,7 @@ class EventSearch:
             since = max(0, at - round(0.5 * scene.config.event_search.change_s / scene.step_s))
         elif kind == "cross":
             since = 0
-        found = measure_event(vehicle.track("own", 1), target.track, at_step=at, since_step=since, step_s=scene.step_s)
+        found = measure_event(pair, 1, 0, at_step=at, since_step=since)
         if kind == "cross" and (steps := crossing_steps(pair, 1, 0)) is not None:
             # from the target's bumper to the conflict point
             way = abs(float(target.way[steps[1]] - target.way[steps[0]]))

@@ -238,8 +238,7 @@ def _grid_path(scene: Scene, vehicle: DrivenVehicle, s: FloatArray, v: FloatArra
         borders = scene.grid.edges_s(segment.lane_id)
         middles = 0.5 * (borders[1:] + borders[:-1])
         inside = middles[(middles >= segment.lane_start) & (middles <= segment.lane_end)]
-        share = (inside - segment.lane_start) / max(segment.lane_end - segment.lane_start, 1e-9)
-        knots += (segment.start + share * (segment.end - segment.start)).tolist()
+        knots += [segment.s_at(middle) for middle in inside.tolist()]
     if len(knots) < 2:
         return None
     at = np.array(knots)

@@ -11,7 +11,7 @@ from hid2.insertion.routes import RouteOffer
 from hid2.insertion.starts import Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.gaps import gaps_on_path
-from hid2.policy.rules import free_lane_reason
+from hid2.policy.rules import expected_reason
 from hid2.reasons import Reason
 from hid2.scene import clearance_box
 from hid2.vehicle import Start, VehicleRequest
@@ -55,7 +55,7 @@ class OvertakeSites:
             )
             if way is None:
                 continue
-            refused = free_lane_reason(driver, config.lane_change, speed_mps=driver.desired_mps)
+            refused = expected_reason(driver, config.lane_change, speed_mps=driver.desired_mps)
             if refused is not None:
                 self.starts.rejected[refused] += 1
                 continue

@@ -17,7 +17,7 @@ from hid2.insertion.spread import Spread, by_weight
 from hid2.insertion.starts import Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.policy.behaviours import TURN_OF_POLICY
-from hid2.policy.rules import free_lane_reason
+from hid2.policy.rules import expected_reason
 from hid2.reasons import Reason
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.cells import Cell
@@ -246,7 +246,7 @@ class InsertionSites:
             and beside.remaining_m - max(0.0, at - beside.start) > needed
             for beside in offer.beside
         )  # fmt: skip
-        return is_beside and free_lane_reason(usual_driver(speed_mps), change, speed_mps=speed_mps) is None
+        return is_beside and expected_reason(usual_driver(speed_mps), change, speed_mps=speed_mps) is None
 
     def _meets_junction(self, offer: RouteOffer, begin: float, end: float) -> bool:
         """Whether a stretch of a route, m along its lanes, touches an intersection."""

@@ -13,18 +13,19 @@ from hid2.drivers.driver import Driver, desired_speeds, draw_driver, lane_offset
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.sizes import draw_size
+from hid2.kernels.path_intervals import SAME_WAY
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.along_path import PathOccupancy
-from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path
+from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path, gaps_to_all
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Sites
 from hid2.policy.behaviours import TURN_OF_POLICY
 from hid2.policy.decision import Side, gap_view
-from hid2.policy.lane_change import safe_gap_m
+from hid2.policy.lane_change import NOBODY, Gap
 from hid2.policy.observation import lane_options, lay_across, own_gaps
 from hid2.policy.roads import Roads
-from hid2.policy.rules import foreseen_reason
+from hid2.policy.rules import expected_reason, foreseen_reason
 from hid2.reasons import Reason
 from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
@@ -32,9 +33,6 @@ from hid2.vehicle import Start, VehicleRequest
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.LEAVES_TOO_EARLY})
 _BESIDE_MOST_M = 80.0  # no tunable, spares time: two starts farther apart have nothing to do with each other
-
-#: Centre (x, y), m, and unit vector of the direction, of one vehicle.
-_Pose = tuple[list[float], list[float]]
 
 
 @dataclass(slots=True)
@@ -50,7 +48,6 @@ class Starts:
     round_number: int
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
-    _poses: dict[str, _Pose] = field(default_factory=dict)
     _obstacles: dict[tuple[DrivenPath, BoxSize], Obstacles] = field(default_factory=dict)
     _foreseen: dict[tuple[float, int], Traffic] = field(default_factory=dict)
 
@@ -173,7 +170,7 @@ class Starts:
     ) -> tuple[float, float]:
         """Where a vehicle is after some time, m on its path, and how fast, m/s: as before, or behind who is ahead."""
         known, step = self._known_on(path, box), round(time_s / self.scene.step_s)
-        at, led = s + speed_mps * time_s, np.isfinite(known.low[:, :1]) & (known.low[:, :1] >= s)
+        at, led = s + speed_mps * time_s, np.isfinite(gaps_to_all(known, np.array([s]), 0).lead_m)
         found = gaps_on_path(known, np.array([s]), step, among=known.same_direction & led)
         leader_mps = float(found.lead_mps[0])
         behind = s + float(found.lead_m[0]) - driver.min_gap_m - driver.tau_s * leader_mps
@@ -246,28 +243,20 @@ class Starts:
     ) -> float | Reason:
         """Speed that who is ahead allows, m/s, at most the one wished for; or why nobody can begin there."""
         conflict, spawn, sites = self.scene.config.conflict, self.scene.config.spawn, self.scene.config.sites
-        known, wished = self._known_on(path, box).at(step), speed
-        low, along = known.low[:, 0], known.along[:, 0]
-        ahead = np.isfinite(low) & (low >= s)
-        for gap, leader_mps in zip((low - s)[ahead].tolist(), along[ahead].tolist(), strict=True):
-            speed = min(speed, speed_behind(gap, max(0.0, leader_mps), driver, sites))
+        seen, wished = gaps_to_all(self._known_on(path, box), np.array([s]), step), speed
+        for row in np.flatnonzero(np.isfinite(seen.lead_m[:, 0])).tolist():
+            speed = min(speed, speed_behind(float(seen.lead_m[row, 0]), float(seen.along_mps[row, 0]), driver, sites))
         stop = self.stop_lines.arrays(path, box).braking(driver, s=s, speed_mps=speed, step=step)
         if stop is not None and stop[0] < -driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
-        own_xy, own_t, _ = path.line.motion(np.array([s]))
-        own = own_xy[0].tolist(), own_t[0].tolist()
-        for other in self.taken:
-            verdict = self._beside_start(
-                self._later(path, s, speed, other.step - step) or own, box, driver, other, speed,
-                self._later(other.path, other.start_s, other.start_mps, step - other.step),
-            )  # fmt: skip
-            if verdict is None:
-                return Reason.NO_SITE
-            speed = min(speed, verdict)
-        if step > 0 and (speed < sites.standing_mps or self._follower_is_near(own, box, speed, step)):
+        beside = self._beside_taken(path, box, s, speed, driver, step)
+        if beside is None:
+            return Reason.NO_SITE
+        speed = beside
+        if step > 0 and (speed < sites.standing_mps or self._follower_is_near(path, s, box, speed, step)):
             return Reason.NO_SITE
         if speed < max(sites.standing_mps, sites.slowest_share * wished):
-            if not np.any(ahead & (low - s < sites.queue_m) & (along < sites.standing_mps)):
+            if not np.any((seen.lead_m < sites.queue_m) & (seen.along_mps < sites.standing_mps)):
                 return Reason.NO_SITE  # nobody drives so slowly with so much room ahead
             speed = 0.0
         fleet = np.array([[s, speed, 0.0, 0.0, 1.0]])
@@ -287,82 +276,69 @@ class Starts:
             return Reason.CONFLICT_PREDICTED
         return speed
 
-    def _pose_of(self, start: Start) -> _Pose:
-        """Where another start of this round is, m, and its direction."""
-        if start.vehicle_id not in self._poses:
-            xy, tangent, _ = start.path.line.motion(np.array([start.start_s]))
-            self._poses[start.vehicle_id] = xy[0].tolist(), tangent[0].tolist()
-        return self._poses[start.vehicle_id]
-
-    def _later(self, path: DrivenPath, s: float, speed_mps: float, steps: int) -> _Pose | None:
-        """Where a vehicle is so many steps after its start at its start speed; None for no step after it."""
-        if steps <= 0:
-            return None
-        xy, tangent, _ = path.line.motion(np.array([s + speed_mps * steps * self.scene.step_s]))
-        return xy[0].tolist(), tangent[0].tolist()
-
-    def _follower_is_near(self, own: _Pose, box: BoxSize, speed_mps: float, step: int) -> bool:
+    def _follower_is_near(self, path: DrivenPath, s: float, box: BoxSize, speed_mps: float, step: int) -> bool:
         """Whether somebody comes from behind at a step, as recorded or kept, on the lane or before the map's edge."""
         config = self.scene.config
         here = self.scene.traffic.at(step)
         here = here.joined(self.guard.fixed.at(step)) if self.guard.fixed.ids else here
-        seen = gaps_from_pose(np.array(own[0]), np.array(own[1]), box, here)
+        xy, forward, _ = path.line.motion(np.array([s]))
+        seen = gaps_from_pose(xy, forward, box, here)
         least_m = np.maximum(
             config.spawn.clear_gap_m, config.conflict.follower_ttc_min_s * (seen.along_mps - speed_mps)
         )  # fmt: skip
         near = (seen.aside_m < config.conflict.margin_lateral_m) & (seen.gap_m > -box.length_m)
         return bool(np.any(near & (seen.gap_m < least_m) & here.present[:, 0] & (seen.along_m < 0.0)))
 
-    def _beside_start(
-        self, own: _Pose, box: BoxSize, driver: Driver, other: Start, speed: float, pose: _Pose | None = None
+    def _beside_taken(
+        self, path: DrivenPath, box: BoxSize, s: float, speed: float, driver: Driver, step: int
     ) -> float | None:
-        """Fastest start speed beside another start of this round; None where the two are too near.
+        """Fastest start speed beside the other starts of this round, m/s; None where one of them is too near.
 
-        pose: of the other one when the later of the two begins, where that is not at its own start.
+        As they are when the later of the two begins, each at its start speed.
         """
-        sites = self.scene.config.sites
-        (own_x, own_y), (own_tx, own_ty) = own
-        (x, y), (tx, ty) = pose or self._pose_of(other)
-        dx, dy = x - own_x, y - own_y
-        if math.hypot(dx, dy) > _BESIDE_MOST_M:
+        if not self.taken:
             return speed
-        same_way = own_tx * tx + own_ty * ty
-        along = dx * own_tx + dy * own_ty
-        across = abs(dy * own_tx - dx * own_ty)
-        gap = abs(along) - (box.length_m + other.box.length_m) / 2
-        beside = across > (box.width_m + other.box.width_m) / 2 + 0.5
-        ahead_of_other = -(dx * tx + dy * ty)
-        near = -sites.pass_behind_m < ahead_of_other < sites.pass_ahead_m and across <= sites.pass_beside_m
-        if other.request.policy is Policy.OVERTAKE and near and same_way >= 0.7:
-            return None  # nor between it and its leader
-        if beside:
-            if same_way < 0.7 or across > sites.pass_beside_m:
-                return speed
-            return None if self._in_the_gap(other, ahead_of_other, speed, box) else speed
-        if same_way < 0.7:
-            return speed if gap > sites.crossing_gap_m else None
-        if along > 0:
-            fits = speed_behind(gap, other.start_mps, driver, sites)
-            return min(speed, fits) if gap > self.scene.config.spawn.clear_gap_m else None
-        return speed if speed_behind(gap, speed, other.driver, sites) >= other.start_mps else None
+        sites, step_s, there = self.scene.config.sites, self.scene.step_s, self._taken_at(step * self.scene.step_s)
+        waits_s = np.array([step_s * max(0, other.step - step) for other in self.taken])
+        xy, forward, _ = path.line.motion(s + speed * waits_s)
+        seen, offset = gaps_from_pose(xy, forward, box, there), xy - there.position[:, 0]
+        ways = np.stack([np.cos(there.heading[:, 0]), np.sin(there.heading[:, 0])], axis=1)
+        same_way, ahead_of_other = (ways * forward).sum(axis=1) >= SAME_WAY, (ways * offset).sum(axis=1)
+        for row in np.flatnonzero(np.hypot(*offset.T) <= _BESIDE_MOST_M).tolist():
+            other, gap, ahead_m = self.taken[row], float(seen.gap_m[row]), float(ahead_of_other[row])
+            aside = seen.aside_m[row] + 0.5 * (box.width_m + other.box.width_m) <= sites.pass_beside_m
+            near = -sites.pass_behind_m < ahead_m < sites.pass_ahead_m and aside
+            if other.request.policy is Policy.OVERTAKE and near and same_way[row]:
+                return None  # nor between it and its leader
+            if seen.aside_m[row] > 0.5:
+                if same_way[row] and aside and self._in_the_gap(other, ahead_m, speed, box):
+                    return None
+            elif not same_way[row]:
+                if gap <= sites.crossing_gap_m:
+                    return None
+            elif seen.along_m[row] > 0:
+                if gap <= self.scene.config.spawn.clear_gap_m:
+                    return None
+                speed = min(speed, speed_behind(gap, other.start_mps, driver, sites))
+            elif speed_behind(gap, speed, other.driver, sites) < other.start_mps:
+                return None
+        return speed
 
     def _in_the_gap(self, changes: Start, ahead_m: float, speed_mps: float, box: BoxSize) -> bool:
-        """Whether a vehicle ahead_m ahead on a lane beside is where another one is to change lanes, at its trigger."""
+        """Whether a vehicle ahead_m ahead on a lane beside is in the way of another one's change, at its trigger."""
         if changes.request.policy is not Policy.LANE_CHANGE:
             return False
-        params, apart = self.scene.config.lane_change, 0.5 * (changes.box.length_m + box.length_m)
         at_m = ahead_m + (speed_mps - changes.start_mps) * changes.request.trigger_s
-        front_m = safe_gap_m(changes.start_mps, speed_mps, time_gap_s=params.time_gap_front_s, params=params)
-        rear_m = safe_gap_m(speed_mps, changes.start_mps, time_gap_s=params.time_gap_rear_s, params=params)
-        return -rear_m < at_m + apart and at_m - apart < front_m
+        gap = Gap(abs(at_m) - 0.5 * (changes.box.length_m + box.length_m), speed_mps)
+        front, rear = (gap, NOBODY) if at_m > 0.0 else (NOBODY, gap)
+        change = self.scene.config.lane_change
+        found = expected_reason(changes.driver, change, speed_mps=changes.start_mps, front=front, rear=rear)
+        return found is not None
 
     def _meets_taken_roughly(self, lane_id: int, lane_s: float, box: BoxSize) -> bool:
-        point = self.scene.grid.graph.lanes[lane_id].path.point(np.array([lane_s]))[0]
-        for other in self.taken:
-            x, y = self._pose_of(other)[0]
-            if math.hypot(x - point[0], y - point[1]) < min(box.width_m, other.box.width_m):
-                return True
-        return False
+        point, there = self.scene.grid.graph.lanes[lane_id].path.point(np.array([lane_s])), self._taken_at(0.0)
+        apart = np.hypot(*(there.position[:, 0] - point).T)
+        return bool((apart < np.minimum(box.width_m, there.width_m)).any())
 
 
 def speed_behind(gap_m: float, leader_mps: float, driver: Driver, sites: Sites) -> float:

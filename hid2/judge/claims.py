@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hid2.judge.findings import CLAIM_S, Finding, Quantity
+from hid2.kernels.box_pairs import paths_cross
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import path_driven, runs_of
 from hid2.measures.encounters import CROSSING_RAD
@@ -167,26 +168,12 @@ def _merged(states: AgentStates, own: int, target: int) -> int | None:
 
 
 def crossing_steps(states: AgentStates, own: int, target: int) -> tuple[int, int] | None:
-    """Steps at which the centres of two agents are where their paths cross, own and target's; None where they do not.
-
-    Paths cross where they cut each other at CROSSING_RAD at least.
-    """
-    arrays = states.arrays
-    spans = [slice(int(arrays.first[agent]), int(arrays.first[agent + 1])) for agent in (own, target)]
-    a, b = (arrays.position[span] for span in spans)
-    u, w = np.diff(a, axis=0), np.diff(b, axis=0)
-    a, b = a[:-1], b[:-1]
-    cross = u[:, None, 0] * w[None, :, 1] - u[:, None, 1] * w[None, :, 0]
-    lengths = np.hypot(u[:, 0], u[:, 1])[:, None] * np.hypot(w[:, 0], w[:, 1])
-    offset = b[None] - a[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = (offset[..., 0] * w[None, :, 1] - offset[..., 1] * w[None, :, 0]) / cross
-        r = (offset[..., 0] * u[:, None, 1] - offset[..., 1] * u[:, None, 0]) / cross
-        steep = np.abs(cross) > math.sin(CROSSING_RAD) * lengths
-    hit = np.argwhere(steep & (t >= 0.0) & (t < 1.0) & (r >= 0.0) & (r < 1.0))
-    if not hit.size:
-        return None
-    return int(arrays.step[spans[0]][hit[0, 0]]), int(arrays.step[spans[1]][hit[0, 1]])
+    """Steps at which the centres of two agents are where their paths cross, own and target's; None if they do not."""
+    arrays, (a, b) = states.arrays, (states.row_span(agent) for agent in (own, target))
+    at, there = paths_cross(
+        arrays.position[a], arrays.heading[a], arrays.position[b], arrays.heading[b], math.sin(CROSSING_RAD)
+    )
+    return None if at < 0 else (int(arrays.step[a][at]), int(arrays.step[b][there]))
 
 
 def _leads(states: AgentStates, leader: int, follower: int, step: int) -> bool:

@@ -36,6 +36,7 @@ from hid2.measures.motion_limits import MOTION_LIMITS, MotionProfile
 from hid2.measures.post_encroachment import encroachments
 from hid2.measures.scene_end import BoxesAtStep, first_contact
 from hid2.occupancy.agent_states import AgentStates, Leading
+from hid2.occupancy.gaps import gaps_from_pose
 from netconvert.geometry import box_corners, differences, wrap_angle
 from netconvert.lane_graph import LaneGraph
 
@@ -248,9 +249,11 @@ def of_end(states: AgentStates, row: int, others: IntArray, bounds: Bounds) -> I
         return
     if contact.ttc_s < critical_s + bounds.spare_end_s:
         yield _finding(states, (row, int(rows[contact.other])), last, Quantity.END_TTC, contact.ttc_s, critical_s)
-    offset, angle = boxes.position - boxes.position[0], boxes.heading - boxes.heading[0]
-    behind = offset[:, 0] * math.cos(boxes.heading[0]) + offset[:, 1] * math.sin(boxes.heading[0]) < 0.0
-    ahead = rows[~(behind & (np.cos(angle) > SAME_WAY))]
+    forward = np.array([math.cos(boxes.heading[0]), math.sin(boxes.heading[0])])
+    seen = gaps_from_pose(
+        boxes.position[0], forward, BoxSize(*boxes.size[0]), states.traffic.rows(rows.tolist()).at(last)
+    )
+    ahead = rows[~((seen.along_m < 0.0) & (np.cos(boxes.heading - boxes.heading[0]) > SAME_WAY))]
     horizon_s, step_s = conflict.end_horizon_s, states.arrays.step_s
     if not _meets_braking(_boxes_at(states, ahead, last), horizon_s, step_s):
         return

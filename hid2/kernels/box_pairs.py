@@ -197,11 +197,14 @@ def time_to_collision(
     return ttc, other
 
 
-@inner
-def _paths_cross(
+@kernel("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8)")
+def paths_cross(
     xy_a: FloatArray, heading_a: FloatArray, xy_b: FloatArray, heading_b: FloatArray, min_sine: float
-) -> bool:
-    """Whether the paths of two centres cut each other where headings or courses differ by the given angle at least."""
+) -> tuple[int, int]:
+    """Rows before which the paths of two centres first cut each other, -1 twice where they do not.
+
+    Headings or courses differ there by the given angle at least.
+    """
     longest = 1e-9  # step of b; nothing is cut before b can have come near, and so many steps are passed over
     for j in range(len(xy_b) - 1):
         longest = max(longest, math.hypot(xy_b[j + 1, 0] - xy_b[j, 0], xy_b[j + 1, 1] - xy_b[j, 1]))
@@ -228,8 +231,8 @@ def _paths_cross(
             driven_a, driven_b = math.hypot(ux, uy), math.hypot(vx, vy)
             by_course = min(driven_a, driven_b) > _COURSE_M and abs(across) >= min_sine * driven_a * driven_b
             if by_course or abs(math.sin(heading_a[i] - heading_b[j])) >= min_sine:
-                return True
-    return False
+                return i, j
+    return -1, -1
 
 
 @inner
@@ -258,7 +261,7 @@ def _encroachment(
     cap_steps: int, min_sine: float,
 ) -> int:  # fmt: skip
     """PET of two tracks in steps, -1 where it is above cap_steps or their paths do not cross."""
-    if not _paths_cross(xy_a, heading_a, xy_b, heading_b, min_sine):
+    if paths_cross(xy_a, heading_a, xy_b, heading_b, min_sine)[0] < 0:
         return -1
     long_a, long_b = _swept_lengths(xy_a, length_a), _swept_lengths(xy_b, length_b)
     reach = (math.hypot(length_a, width_a) + math.hypot(length_b, width_b)) / 2

@@ -3,6 +3,7 @@
 import numpy as np
 
 from hid2.kernels.compiled import inner, kernel
+from hid2.kernels.gaps import gap_to
 from hid2.kernels.path_intervals import SAME_WAY
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
@@ -155,16 +156,17 @@ def needed_braking(
                 if lo == np.inf:
                     continue
                 hi = high[a, now]
+                gap, leads = gap_to(lo, hi, s)
                 if (lo < s < hi and k > 0) or (lo - margin < s < hi and k > 0 and not same_direction[a, now]):
-                    if (same_direction[a, now] or along[a, now] > 1.0) and s > 0.5 * (lo + hi):
+                    if (same_direction[a, now] or along[a, now] > 1.0) and not leads:
                         struck = True
                         continue
                     met = True
                     behind_leader = abs(along[a, now]) < 0.5  # it stands: brake as hard as is allowed
                     break
-                if same_direction[a, now] and s <= 0.5 * (lo + hi) and lo - s < gap_least:
-                    gap_least, closing = lo - s, v - along[a, now]
-                    seen = same_direction[a, t] and low[a, t] != np.inf and s0 <= 0.5 * (low[a, t] + high[a, t])
+                if same_direction[a, now] and leads and gap < gap_least:
+                    gap_least, closing = gap, v - along[a, now]
+                    seen = same_direction[a, t] and gap_to(low[a, t], high[a, t], s0)[1]
             if not met:
                 for g in range(rows.size):
                     j = rows[g]
@@ -175,13 +177,14 @@ def needed_braking(
                         continue
                     lo, hi = g_low[g, at], g_high[g, at]
                     if g_cos[g, at] > SAME_WAY:
-                        if s > 0.5 * (lo + hi):
+                        gap, leads = gap_to(lo, hi, s)
+                        if not leads:
                             continue  # it follows: its driver's business
-                        if lo - s < gap_least and _goes_first(first, g, g_low[g], fleet, j, own, s0, table_step):
-                            gap_least, closing = lo - s, v - fleet[j, 1] * g_cos[g, at]
+                        if gap < gap_least and _goes_first(first, g, g_low[g], fleet, j, own, s0, table_step):
+                            gap_least, closing = gap, v - fleet[j, 1] * g_cos[g, at]
                             seen = _is_on(g_low[g], g_cos[g], fleet[j, 0], table_step)
                             if k == 0 and row == 0:
-                                leader, leader_gap = j, lo - s
+                                leader, leader_gap = j, gap
                     elif (
                         lo - margin < s < hi + margin
                         and k > 0

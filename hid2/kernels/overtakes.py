@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from hid2.kernels.compiled import inner, kernel
+from hid2.kernels.gaps import gap_to
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 # No tunables: half widths of usual cars and of lanes, on the curve of `motion/lane_change_path.py`, with some to spare.
@@ -22,15 +23,11 @@ def _is_free(
     """Whether a box at s, m, with v, m/s, touches nobody, closes in on nobody, and can stop where it has to."""
     margin, headway, ttc, stops = keeps[0], keeps[1], keeps[2], keeps[3]
     for row in range(first[look], first[look + 1]):
-        low, high, along = spans[row, 0], spans[row, 1], spans[row, 2]
-        ahead, behind = low - s, s - high
-        if ahead <= margin and behind <= margin:
+        gap, leads = gap_to(spans[row, 0], spans[row, 1], s)
+        closing = v - spans[row, 2] if leads else spans[row, 2] - v
+        kept = margin + headway * v if leads else margin
+        if gap <= margin or (same_direction[row] and gap < max(kept, ttc * closing)):
             return False
-        if same_direction[row]:
-            if 0.0 < ahead < max(margin + headway * v, ttc * (v - along)):
-                return False
-            if 0.0 < behind < max(margin, ttc * (along - v)):
-                return False
     for line in range(stop_s.size):
         room = stop_s[line] - s
         if closed[line, look] and room > 0.0 and v * v > 2.0 * stops * room:
@@ -47,11 +44,8 @@ def _may_enter(
     if exit_s - at < corridor:
         return False
     for row in range(first[look], first[look + 1]):
-        low, high, along = spans[row, 0], spans[row, 1], spans[row, 2]
-        if 0.5 * (low + high) >= at:
-            if low - at < (front if along >= desired else corridor):
-                return False
-        elif at - high < rear:
+        gap, leads = gap_to(spans[row, 0], spans[row, 1], at)
+        if gap < ((front if spans[row, 2] >= desired else corridor) if leads else rear):
             return False
     return True
 

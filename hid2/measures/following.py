@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hid2.agents import FloatArray, IntArray
-from hid2.kernels.leaders import lane_leaders
+from hid2.kernels.gaps import lane_leaders
 from hid2.measures.arrays import SceneArrays
 from hid2.measures.lane_matching import FlatLanes, Matches
 
-#: Vehicles further ahead on the lane path lead nobody.
+#: Agents further ahead on a path lead nobody, m (evaluation.md).
 HORIZON_M = 100.0
 #: Slower followers have no time gap.
 MIN_SPEED_MPS = 1.0
@@ -37,19 +37,9 @@ def leaders(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> Leaders:
     for k, targets in enumerate(lanes.successors):
         successors[k, : len(targets)] = targets
     agent, gap = lane_leaders(
-        matches.lane,
-        matches.s,
-        matches.d,
-        arrays.agent,
-        arrays.row_of,
-        _next_lane_row(arrays, matches),
-        arrays.length,
-        arrays.width,
-        lanes.length_m,
-        successors,
-        lanes.straight,
-        HORIZON_M,
-    )
+        matches.lane, matches.s, matches.d, arrays.row_of, _next_lane_row(arrays, matches), arrays.length, arrays.width,
+        lanes.length_m, successors, lanes.straight, HORIZON_M,
+    )  # fmt: skip
     speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
     led = agent >= 0
     leader_row = np.where(led, arrays.row_of[np.where(led, agent, 0), arrays.step], 0) if len(agent) else agent

@@ -9,14 +9,14 @@ import numpy as np
 from hid2.agents import FloatArray, IntArray, Track
 from hid2.measures.arrays import BoolArray, SceneArrays, is_generated_id, stack
 from hid2.measures.driven_lanes import LaneView, points_ahead
+from hid2.measures.following import HORIZON_M
 from hid2.measures.lane_matching import FlatLanes, Matches, lane_along, match_lanes
 from hid2.motion.reference_line import ReferenceLine, build_reference_line
 from hid2.occupancy.along_path import look_along
+from hid2.occupancy.gaps import gaps_to_all
 from hid2.occupancy.traffic import Traffic, traffic_of
 from netconvert.geometry import Polyline, arc_length, differences
 
-#: A vehicle ahead on a path leads up to this distance, m (evaluation.md).
-LEADS_WITHIN_M = 100.0
 #: Boxes that overlap along a path by more than this are side by side, m: neither leads the other.
 SIDE_BY_SIDE_M = 1.0
 #: No tunables, the shape of a driven line: its points are so far apart, m, its curves have at least this radius, m, and
@@ -106,7 +106,7 @@ class AgentStates:
         if goes_on[0] >= 0:
             along = lane_along(self.lanes, position[-1], float(self.matches.direction[last]))
             goes_on = goes_on if along[0] < 0 else along
-        ahead = points_ahead(self.lanes, *goes_on, LEADS_WITHIN_M, beyond_m=_POINTS_M)
+        ahead = points_ahead(self.lanes, *goes_on, HORIZON_M, beyond_m=_POINTS_M)
         points = np.concatenate([points, ahead])
         if len(points) < 2:
             return None
@@ -120,7 +120,7 @@ class AgentStates:
         """Which of the agents `others` lead a vehicle on the path that it drives, whatever their object type.
 
         aside_m: added to each side of the own box. An agent leads where it heads along the path, ahead of the vehicle
-        by at most LEADS_WITHIN_M and not beside it; one that rolls back, or that a tracker shifts back, stands.
+        by at most HORIZON_M and not beside it; one that rolls back, or that a tracker shifts back, stands.
         """
         driven, steps = self.line(row), self.arrays.num_steps
         if driven is None or not others.size:
@@ -130,10 +130,10 @@ class AgentStates:
             driven.line, traffic.rows(others.tolist()), float(traffic.length_m[row]),
             float(traffic.width_m[row]) + 2 * aside_m,
         )  # fmt: skip
-        gap, speed = seen.low - driven.s, np.hypot(traffic.velocity[row, :, 0], traffic.velocity[row, :, 1])
-        with np.errstate(invalid="ignore"):
-            leads = seen.same_direction & np.isfinite(gap) & (gap > -SIDE_BY_SIDE_M) & (gap < LEADS_WITHIN_M)
-        return Leading(others[seen.agents], np.where(leads, gap, np.inf), speed - np.maximum(seen.along, 0.0))
+        found = gaps_to_all(seen, driven.s, np.arange(steps))
+        speed = np.hypot(traffic.velocity[row, :, 0], traffic.velocity[row, :, 1])
+        leads = seen.same_direction & (found.lead_m > -SIDE_BY_SIDE_M) & (found.lead_m < HORIZON_M)
+        return Leading(others[seen.agents], np.where(leads, found.lead_m, np.inf), speed - found.along_mps)
 
 
 def agent_states(

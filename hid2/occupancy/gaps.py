@@ -2,7 +2,8 @@
 
       [ follower ]<-- lag -->[  own  ]<-- lead -->[ leader ]        bumper to bumper, along the path
 
-Of places on a path (`gaps_on_path`); where there is no path, as before the map's edge, of a pose (`gaps_from_pose`).
+Of places on a path, to the next ones (`gaps_on_path`) or to all (`gaps_to_all`); where there is no path, as before the
+map's edge, of a pose (`gaps_from_pose`).
 """
 
 from typing import NamedTuple
@@ -10,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, IntArray
-from hid2.kernels.gaps import next_on_path
+from hid2.kernels.gaps import all_on_path, next_on_path
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray, Traffic
 
@@ -36,19 +37,33 @@ def gaps_on_path(seen: PathOccupancy, s: FloatArray, steps: IntArray | int, *, a
     An agent is ahead where the middle of its interval is, and behind otherwise. among (R, T): which agents
     count at which steps; all that touch the path unless told, as `seen.same_direction` those that move along it.
     """
-    column = np.full(s.size, steps) if isinstance(steps, int) else steps
     counts = np.ones(seen.low.shape, dtype=np.bool_) if among is None else among
-    leader, lead_m, follower, lag_m = next_on_path(
-        np.ascontiguousarray(seen.low), np.ascontiguousarray(seen.high), np.ascontiguousarray(counts),
-        np.ascontiguousarray(s), column,
-    )  # fmt: skip
-    return Gaps(leader, lead_m, _speed(seen, leader, column), follower, lag_m, _speed(seen, follower, column))
+    return Gaps(*next_on_path(*_where(seen), np.ascontiguousarray(counts), *_places(s, steps)))
 
 
-def _speed(seen: PathOccupancy, rows: IntArray, column: IntArray) -> FloatArray:
-    if not seen.low.shape[0]:
-        return np.zeros(rows.size)
-    return np.where(rows >= 0, np.maximum(seen.along[rows, column], 0.0), 0.0)
+class AllGaps(NamedTuple):
+    """Every agent on a path as seen from places (N,) on it.
+
+    lead_m, lag_m (R, N) m: bumper to bumper to those ahead and to those behind, negative side by side, inf for others;
+    along_mps (R, N) m/s: speeds along the path, 0 for one that comes back.
+    """
+
+    lead_m: FloatArray
+    lag_m: FloatArray
+    along_mps: FloatArray
+
+
+def gaps_to_all(seen: PathOccupancy, s: FloatArray, steps: IntArray | int) -> AllGaps:
+    """Gaps of places (N,) m on a path to all agents on it, as in `gaps_on_path`."""
+    return AllGaps(*all_on_path(*_where(seen), *_places(s, steps)))
+
+
+def _where(seen: PathOccupancy) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return np.ascontiguousarray(seen.low), np.ascontiguousarray(seen.high), np.ascontiguousarray(seen.along)
+
+
+def _places(s: FloatArray, steps: IntArray | int) -> tuple[FloatArray, IntArray]:
+    return np.ascontiguousarray(s), np.full(s.size, steps) if isinstance(steps, int) else steps
 
 
 class PoseGaps(NamedTuple):
@@ -65,10 +80,14 @@ class PoseGaps(NamedTuple):
 
 
 def gaps_from_pose(xy: FloatArray, forward: FloatArray, box: BoxSize, here: Traffic) -> PoseGaps:
-    """Gaps from a box at xy (2,) m heading along the unit vector forward (2,) to the agents of one step."""
+    """Gaps from a box at xy (2,) m heading along the unit vector forward (2,) to the agents of one step.
+
+    Also of a box that is elsewhere for each of them: xy, forward (A, 2).
+    """
     offset = here.position[:, 0] - xy
-    along, aside = offset @ forward, np.abs(offset @ np.array([-forward[1], forward[0]]))
+    along = (offset * forward).sum(axis=1)
+    aside = np.abs(offset[:, 1] * forward[..., 0] - offset[:, 0] * forward[..., 1])
     return PoseGaps(
         along, np.abs(along) - 0.5 * (here.length_m + box.length_m), aside - 0.5 * (here.width_m + box.width_m),
-        here.velocity[:, 0] @ forward,
+        (here.velocity[:, 0] * forward).sum(axis=1),
     )  # fmt: skip

@@ -9,19 +9,15 @@ from hid2.reasons import Reason
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A neighbour on a lane path: bumper gap in m, its speed in m/s, its id. No neighbour: gap inf."""
+    """A neighbour on a lane path: bumper gap in m, its speed in m/s, its id."""
 
     distance_m: float
     speed_mps: float
     track_id: str | None = field(default=None, compare=False)
 
-    @staticmethod
-    def none() -> "Gap":
-        """Nobody there."""
-        return Gap(math.inf, 0.0)
 
-
-NOBODY = Gap.none()
+#: No neighbour.
+NOBODY = Gap(math.inf, 0.0)
 
 
 def safe_gap_m(follower_mps: float, leader_mps: float, *, time_gap_s: float, params: LaneChange) -> float:

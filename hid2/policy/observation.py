@@ -11,7 +11,7 @@ from hid2.kernels.polyline import frenet
 from hid2.motion.lane_change_path import blend_paths
 from hid2.motion.route import DrivenPath, shifted_path
 from hid2.occupancy.along_path import look_along, path_occupancy
-from hid2.occupancy.gaps import gaps_on_path
+from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path
 from hid2.occupancy.sigma import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Side
@@ -144,19 +144,17 @@ def gap_ahead_of(
 ) -> float:
     """Own rear bumper to the passed vehicle's front now, m, along the own heading; s m on the path.
 
-    lane: the lane path that both were on. inf where it has left the map; -inf where it is not on that lane path any
-    more: it turned off, and nobody is passed.
+    lane: the lane path that both were on. inf where it has left the map; -inf where it is not passed: it is not behind,
+    or not on that lane path any more, as it turned off.
     """
     row = here.ids.index(passed_id) if passed_id in here.ids else -1
     if row < 0 or not here.present[row, 0]:
         return math.inf
     if not is_on_lane(lane, here.position[row, 0]):
         return -math.inf
-    at = np.array([s])
-    offset = path.line.position(at)[0] - here.position[row, 0]
-    heading = float(path.line.heading(at)[0])
-    along = float(offset[0] * math.cos(heading) + offset[1] * math.sin(heading))
-    return along - size.length_m / 2 - float(here.length_m[row]) / 2
+    xy, forward, _ = path.line.motion(np.array([s]))
+    seen = gaps_from_pose(xy[0], forward[0], size, here.rows([row]))
+    return float(seen.gap_m[0]) if seen.along_m[0] < 0.0 else -math.inf
 
 
 def lay_across(

@@ -13,7 +13,7 @@ from typing import Literal
 
 from hid2.drivers.driver import Driver
 from hid2.params import LaneChange
-from hid2.policy.lane_change import Gap, lane_change_reason
+from hid2.policy.lane_change import NOBODY, Gap, lane_change_reason
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 
@@ -58,8 +58,8 @@ class GapView:
 #: What a user's rule is tried with before any scene is driven: a free road, and a gap between two vehicles.
 _FREE = GapView(
     time_s=2.0, waited_s=0.5, side="left", speed_mps=10.0, desired_mps=12.0, length_m=4.5, tau_s=1.2, accel_mps2=1.5,
-    decel_mps2=2.0, min_gap_m=2.0, cells_free=True, front=Gap.none(), rear=Gap.none(), own_front=Gap.none(),
-    own_rear=Gap.none(), remaining_m=150.0,
+    decel_mps2=2.0, min_gap_m=2.0, cells_free=True, front=NOBODY, rear=NOBODY, own_front=NOBODY, own_rear=NOBODY,
+    remaining_m=150.0,
 )  # fmt: skip
 _BETWEEN = replace(_FREE, front=Gap(20.0, 9.0), rear=Gap(15.0, 11.0), own_front=Gap(12.0, 8.0), own_rear=Gap(9.0, 10.0))
 
@@ -97,8 +97,10 @@ def foreseen_reason(view: GapView, params: LaneChange) -> Reason | None:
     return rule_reason(view, params)
 
 
-def free_lane_reason(driver: Driver, params: LaneChange, *, speed_mps: float) -> Reason | None:
-    """Why a rule would not even leave a slower leader for a lane with nobody on it; None where it would.
+def expected_reason(
+    driver: Driver, params: LaneChange, *, speed_mps: float, front: Gap = NOBODY, rear: Gap = NOBODY
+) -> Reason | None:
+    """Why a rule would not leave a slower leader for a lane with these on it, or with nobody; None where it would.
 
     Sites and plans whose gap is not foreseen ask this before they expect a change of lanes. At the rule's least speed
     or faster, after all the waiting that there is, behind a leader half as fast.
@@ -109,7 +111,8 @@ def free_lane_reason(driver: Driver, params: LaneChange, *, speed_mps: float) ->
         _FREE, time_s=params.give_up_s, waited_s=params.give_up_s, speed_mps=v,
         desired_mps=max(v, driver.desired_mps), tau_s=driver.tau_s, accel_mps2=driver.accel_mps2,
         decel_mps2=driver.decel_mps2, min_gap_m=driver.min_gap_m,
-        remaining_m=params.min_remaining_m + _FREE.remaining_m, own_front=behind,
+        remaining_m=params.min_remaining_m + _FREE.remaining_m, own_front=behind, front=front, rear=rear,
+        cells_free=min(front.distance_m, rear.distance_m) > 0.0,
     )  # fmt: skip
     return foreseen_reason(view, params)
 

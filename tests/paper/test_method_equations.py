@@ -25,6 +25,7 @@ from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL, cell_boxes, dwell_st
 from hid2.occupancy.traffic import Traffic, traffic_of
 from hid2.params import Config, LaneChange, Limits, Overtake, Request, Turn
 from hid2.policy.decision import LaneOption, Observation, decide
+from hid2.policy.lane_change import NOBODY as NO_GAP
 from hid2.policy.lane_change import Gap
 from hid2.policy.observation import lane_options
 from hid2.policy.overtake import Leader, Stage, enter_reason
@@ -180,7 +181,7 @@ def test_lane_change_needs_sigma_0_in_cells_j_minus_1_to_j_plus_1_of_the_target_
     assert option.cells_free is (abs(k) > 1)
 
 
-OPTION = LaneOption("left", Cell(2, 10), True, Gap.none(), Gap.none(), 150.0, 150.0)
+OPTION = LaneOption("left", Cell(2, 10), True, NO_GAP, NO_GAP, 150.0, 150.0)
 SEEN: dict[str, Any] = {
     "time_s": 2.0, "cell": Cell(1, 10), "next_cell": Cell(1, 11), "lane_turn": TurnType.STRAIGHT, "speed_mps": 10.0,
     "desired_mps": 10.0, "request": Policy.LANE_CHANGE, "trigger_s": 2.0, "stage": Stage.WAITING, "leader": None,
@@ -197,7 +198,7 @@ def _decide(**changes: Any) -> Any:
 
 
 def test_next_cell_is_g_l_prime_j_when_feasible_else_g_l_j_plus_1() -> None:
-    blocked = LaneOption("left", Cell(2, 10), False, Gap.none(), Gap.none(), 150.0, 150.0)
+    blocked = LaneOption("left", Cell(2, 10), False, NO_GAP, NO_GAP, 150.0, 150.0)
     assert _decide().target == Cell(2, 10)
     assert _decide(options=(blocked,)).target == Cell(1, 11)
 
@@ -211,14 +212,14 @@ def test_trigger_holds_from_t_trigger_on() -> None:
 
 def test_remaining_length_of_the_target_lane_exceeds_a_threshold() -> None:
     """25 m are asked for: 24 m are too few."""
-    short = LaneOption("left", Cell(2, 44), True, Gap.none(), Gap.none(), 24.0, 24.0)
+    short = LaneOption("left", Cell(2, 44), True, NO_GAP, NO_GAP, 24.0, 24.0)
     assert _decide(options=(short,)).reason == "lane_ends"
 
 
 # Agent policy: overtaking ---------------------------------------------------------------------------------------------
 
 FREE_LANE: dict[str, Any] = {
-    "desired_mps": 12.0, "lane_available": True, "ahead": Gap.none(), "behind": Gap.none(), "free_corridor_m": 100.0,
+    "desired_mps": 12.0, "lane_available": True, "ahead": NO_GAP, "behind": NO_GAP, "free_corridor_m": 100.0,
     "params": Overtake(d_obs_m=40.0, safe_front_m=6.0, safe_rear_m=8.0, d_overtake_m=40.0),
 }  # fmt: skip
 
@@ -248,7 +249,7 @@ def test_overtake_enters_passes_and_returns_ahead_of_where_it_left() -> None:
     leader = Leader("1", 20.0, 5.0, 4.5)
     enter = _decide(request=Policy.OVERTAKE, leader=leader, desired_mps=12.0)
     assert (enter.policy, enter.target) == (Policy.OVERTAKE, Cell(2, 10))
-    back = LaneOption("right", Cell(1, 25), True, Gap.none(), Gap.none(), 100.0, 100.0)
+    back = LaneOption("right", Cell(1, 25), True, NO_GAP, NO_GAP, 100.0, 100.0)
     passing = {"request": Policy.OVERTAKE, "stage": Stage.PASS, "options": (back,), "cell": Cell(2, 25)}
     assert _decide(**passing, passed_gap_m=-2.0).policy is Policy.STRAIGHT
     assert _decide(**passing, passed_gap_m=6.0).target == Cell(1, 25)

@@ -8,7 +8,7 @@ from inserted import CAR
 
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along
-from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path
+from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path, gaps_to_all
 from hid2.occupancy.traffic import Traffic
 
 BoxOf = Callable[..., Traffic]
@@ -64,6 +64,18 @@ def test_one_that_comes_back_along_the_path_has_no_speed_along_it(straight_path:
     assert gaps_on_path(oncoming, np.array([40.0]), 0).lead_mps[0] == 0.0
 
 
+def test_gaps_to_all_have_the_next_ones_and_those_beyond(seen: PathOccupancy) -> None:
+    """At 40 m those at 60, 75 and 90 m are ahead and the one at 20 m behind; after 1 s it is at 29 m, at 9 m/s."""
+    found, next_ones = gaps_to_all(seen, np.array([40.0]), 0), gaps_on_path(seen, np.array([40.0]), 0)
+    assert np.isfinite(found.lead_m[:, 0]).tolist() == [False, True, True, True]
+    assert np.isfinite(found.lag_m[:, 0]).tolist() == [True, False, False, False]
+    assert found.lead_m.min() == next_ones.lead_m[0]
+    assert found.lag_m.min() == next_ones.lag_m[0]
+    later = gaps_to_all(seen, np.array([40.0, 40.0]), np.array([0, 10]))
+    assert later.lag_m[0, 0] - later.lag_m[0, 1] == pytest.approx(9.0, abs=0.6)
+    assert later.along_mps[0] == pytest.approx([9.0, 9.0])
+
+
 def test_gaps_from_a_pose_need_no_path(box: BoxOf) -> None:
     """Heading up from (0, 0): 10 m ahead and 3 m aside at 4 m/s, and 20 m behind; cars of 4.5 x 1.9 m."""
     here = box(3.0, 10.0, np.pi / 2, 4.0, name="ahead").joined(box(0.0, -20.0, np.pi / 2, name="behind")).at(0)
@@ -72,3 +84,5 @@ def test_gaps_from_a_pose_need_no_path(box: BoxOf) -> None:
     assert found.gap_m == pytest.approx([5.5, 15.5])
     assert found.aside_m == pytest.approx([1.1, -1.9])
     assert found.along_mps == pytest.approx([4.0, 0.0], abs=1e-9)
+    elsewhere = gaps_from_pose(np.array([[0.0, 1.0], [0.0, 2.0]]), np.array([[0.0, 1.0], [0.0, 1.0]]), CAR, here)
+    assert elsewhere.along_m == pytest.approx([9.0, -22.0])

@@ -1,10 +1,9 @@
-import math
 from typing import Any
 
 import pytest
 
 from hid2.params import LaneChange
-from hid2.policy.lane_change import Gap, lane_change_reason, safe_gap_m
+from hid2.policy.lane_change import NOBODY, Gap, lane_change_reason, safe_gap_m
 
 #: Every value that a number below is worked from; the defaults may be tuned.
 PARAMS = LaneChange(
@@ -37,7 +36,7 @@ def test_safe_gap_at_a_crawl_is_the_smallest_gap() -> None:
 
 def test_lane_change_into_an_open_lane_is_feasible() -> None:
     assert lane_change_reason(**OPEN, params=PARAMS) is None
-    assert lane_change_reason(**{**OPEN, "front": Gap.none(), "rear": Gap.none()}, params=PARAMS) is None
+    assert lane_change_reason(**{**OPEN, "front": NOBODY, "rear": NOBODY}, params=PARAMS) is None
 
 
 @pytest.mark.parametrize(
@@ -62,7 +61,3 @@ def test_lane_change_waits_for_the_first_condition_that_fails(changed: dict[str,
 def test_end_of_the_lane_is_named_before_who_is_on_it() -> None:
     closed = {**OPEN, "cells_free": False, "front": Gap(0.0, 0.0), "remaining_m": 0.0}
     assert lane_change_reason(**closed, params=PARAMS) == "lane_ends"
-
-
-def test_no_gap_is_an_infinite_one() -> None:
-    assert Gap.none().distance_m == math.inf

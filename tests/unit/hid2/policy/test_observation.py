@@ -9,7 +9,7 @@ from hid2.agents import BoxSize, Track
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
-from hid2.policy.lane_change import Gap
+from hid2.policy.lane_change import NOBODY as NO_GAP
 from hid2.policy.observation import (
     admissible_neighbor,
     gap_ahead_of,
@@ -75,7 +75,7 @@ def test_option_is_the_facing_cell_with_what_is_left_of_its_lane(scene_of: Calla
         speed_mps=10.0, desired_mps=10.0,
     )  # fmt: skip
     assert (option.side, option.target, option.cells_free) == ("left", Cell(2, 10), True)
-    assert option.front == option.rear == Gap.none()
+    assert option.front == option.rear == NO_GAP
     assert option.remaining_m == option.corridor_m == pytest.approx(159.0, abs=0.1)
     assert [segment.lane_id for segment in target.segments] == [2]
 
@@ -122,7 +122,7 @@ def test_gaps_are_those_of_the_step(scene_of: Callable[..., Scene], track: Calla
     scene = scene_of(_drive(track, 60.0, 3.5, 9.0))
     front, rear = gaps_on(scene, scene.path((2,)), CAR, at=80.0, step=50, fixed=NOBODY, fleet=NOBODY)
     assert front.distance_m == pytest.approx(20.5, abs=0.6)
-    assert rear == Gap.none()
+    assert rear == NO_GAP
 
 
 def test_kept_and_driven_vehicles_count_like_recorded_ones(
@@ -236,13 +236,14 @@ def gap_to(straight_path: DrivenPath) -> Callable[..., float]:
     return find
 
 
-def test_gap_ahead_of_the_passed_vehicle_grows_from_negative(
+def test_gap_ahead_of_the_passed_vehicle_begins_when_it_is_behind(
     gap_to: Callable[..., float], box: Callable[..., Traffic]
 ) -> None:
-    """It stands at 50: own centre at 50 is 4.5 m short of clear, ten steps of 1 m later 10 - 4.5 = 5.5 m ahead."""
-    passed = box(50.0, 0.0, name="p")
-    assert gap_to(passed, 0) == pytest.approx(-4.5, abs=0.01)
-    assert gap_to(passed, 10) == pytest.approx(5.5, abs=0.01)
+    """It stands at 51, ahead; two steps of 1 m later it is 3.5 m short of clear, ten later 9 - 4.5 = 4.5 m behind."""
+    passed = box(51.0, 0.0, name="p")
+    assert gap_to(passed, 0) == -np.inf
+    assert gap_to(passed, 2) == pytest.approx(-3.5, abs=0.01)
+    assert gap_to(passed, 10) == pytest.approx(4.5, abs=0.01)
 
 
 def test_who_turned_off_is_never_passed(gap_to: Callable[..., float], box: Callable[..., Traffic]) -> None:

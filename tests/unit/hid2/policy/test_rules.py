@@ -5,24 +5,33 @@ from pathlib import Path
 
 import pytest
 
+from hid2.drivers.driver import usual_driver
 from hid2.params import LaneChange
-from hid2.policy.lane_change import Gap
-from hid2.policy.rules import GapView, SumoAnswer, check_user_rule, idm_mps2, mobil_reason, rule_reason
+from hid2.policy.lane_change import NOBODY, Gap
+from hid2.policy.rules import (
+    GapView,
+    SumoAnswer,
+    check_user_rule,
+    expected_reason,
+    idm_mps2,
+    mobil_reason,
+    rule_reason,
+)
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 
 #: 10 m/s of 10 wished for; IDM with a = 1, b = 1, T = 1 s, s0 = 2 m.
 VIEW = GapView(
     time_s=3.0, waited_s=1.0, side="left", speed_mps=10.0, desired_mps=10.0, length_m=4.0, tau_s=1.0, accel_mps2=1.0,
-    decel_mps2=1.0, min_gap_m=2.0, cells_free=True, front=Gap.none(), rear=Gap.none(), own_front=Gap.none(),
-    own_rear=Gap.none(), remaining_m=200.0,
+    decel_mps2=1.0, min_gap_m=2.0, cells_free=True, front=NOBODY, rear=NOBODY, own_front=NOBODY, own_rear=NOBODY,
+    remaining_m=200.0,
 )  # fmt: skip
 MOBIL = LaneChange(rule="MOBIL", mobil_bias_mps2=0.0, mobil_threshold_mps2=0.1, mobil_safe_mps2=2.0)
 
 
 def test_idm_by_hand() -> None:
     """At the desired speed 1 - 1 = 0; behind 12 m at the same speed s* = 2 + 10 = 12: another -1."""
-    assert idm_mps2(10.0, Gap.none(), VIEW) == pytest.approx(0.0)
+    assert idm_mps2(10.0, NOBODY, VIEW) == pytest.approx(0.0)
     assert idm_mps2(10.0, Gap(12.0, 10.0), VIEW) == pytest.approx(-1.0)
     # closing in by 2 m/s: s* = 2 + 10 + 10 * 2 / 2 = 22, over 22 m
     assert idm_mps2(10.0, Gap(22.0, 8.0), VIEW) == pytest.approx(-1.0)
@@ -148,3 +157,13 @@ def test_sound_rule_is_told_by_its_file(monkeypatch: pytest.MonkeyPatch, tmp_pat
         check_user_rule("builtins:bool")
     with pytest.raises(ConfigError, match="'math:pi': TypeError: 'float' object is not callable; expected a function"):
         check_user_rule("math:pi")
+
+
+def test_change_that_is_expected_depends_on_the_rule_that_is_set() -> None:
+    """Behind a leader half as fast. 3 m ahead the paper's rule wants more; LC2013 asks SUMO, unless beside."""
+    driver, near, beside = usual_driver(10.0), Gap(3.0, 10.0), Gap(-1.0, 10.0)
+    for rule, reasons in (("paper", ("front_gap", "cells_occupied")), ("LC2013", (None, "front_gap"))):
+        params = LaneChange(rule=rule)
+        assert expected_reason(driver, params, speed_mps=10.0) is None
+        found = [expected_reason(driver, params, speed_mps=10.0, front=one) for one in (near, beside)]
+        assert tuple(found) == reasons

@@ -1,10 +1,15 @@
-"""Measures of an event between two tracks: gap, TTC, DRAC, PET."""
+"""Measures of an event between a vehicle and its target: gap, TTC, DRAC, PET."""
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from hid2.agents import BoxSize, Track
-from hid2.measures.events import measure_event, post_encroachment_of
+from hid2.judge.events import measure_event, post_encroachment_of
+from hid2.measures.lane_matching import flatten_lanes
+from hid2.occupancy.agent_states import AgentStates, agent_states
+from netconvert.lane_graph import LaneGraph
 
 CAR = BoxSize(4.0, 2.0)
 
@@ -19,13 +24,20 @@ def _drive(x_m: float, y_m: float, speed_mps: float, *, heading: float = 0.0, st
     )  # fmt: skip
 
 
-def test_target_that_closes_in_has_gap_ttc_and_drac() -> None:
+@pytest.fixture
+def pair(road: Callable[..., LaneGraph]) -> Callable[..., AgentStates]:
+    """A vehicle and its target."""
+    lanes = flatten_lanes(road())
+    return lambda *tracks: agent_states(tracks, lanes, num_steps=80, step_s=0.1)
+
+
+def test_target_that_closes_in_has_gap_ttc_and_drac(pair: Callable[..., AgentStates]) -> None:
     """Target at 10 m/s, vehicle 20 m ahead (16 m bumper to bumper) at 8 m/s: 2 m/s closing, TTC 8 s at step 0.
 
     A step later the gap is 0.2 m less. At step 30 it is 10 m: TTC 5 s, DRAC 2 * 2 / (2 * 10) = 0.2 m/s2. Up to step 59
     the gap falls to 16 - 5.9 * 2 = 4.2 m: TTC 2.1 s, DRAC 4 / 8.4.
     """
-    found = measure_event(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0), at_step=30, since_step=30, step_s=0.1)
+    found = measure_event(pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0)), 0, 1, at_step=30, since_step=30)
     assert found.gap_m == pytest.approx(10.0)
     assert found.speed_difference_mps == pytest.approx(-2.0)
     assert found.min_ttc_s == pytest.approx(2.1, abs=1e-6)
@@ -34,13 +46,13 @@ def test_target_that_closes_in_has_gap_ttc_and_drac() -> None:
     assert found.pet_s is None
 
 
-def test_target_that_falls_back_needs_no_braking() -> None:
+def test_target_that_falls_back_needs_no_braking(pair: Callable[..., AgentStates]) -> None:
     """The vehicle ahead is faster: never closing in, no TTC, DRAC 0, and nobody brakes."""
-    found = measure_event(_drive(20.0, 0.0, 12.0), _drive(0.0, 0.0, 10.0), at_step=10, since_step=0, step_s=0.1)
+    found = measure_event(pair(_drive(20.0, 0.0, 12.0), _drive(0.0, 0.0, 10.0)), 0, 1, at_step=10, since_step=0)
     assert (found.min_ttc_s, found.drac_mps2, found.human_brakes) == (None, 0.0, False)
 
 
-def test_crossing_has_a_pet() -> None:
+def test_crossing_has_a_pet(pair: Callable[..., AgentStates]) -> None:
     """From the south at 10 m/s, 20 m before the crossing: there at step 20. From the west, 40 m before: at step 40.
 
     Between the rear bumper of the first, 2 m + 1 m (half the other's width) behind the point, and the front of the
@@ -48,15 +60,15 @@ def test_crossing_has_a_pet() -> None:
     """
     first = _drive(0.0, -20.0, 10.0, heading=np.pi / 2)
     second = _drive(-40.0, 0.0, 10.0)
-    assert post_encroachment_of(first, second, step_s=0.1) == pytest.approx(1.4, abs=0.21)
+    assert post_encroachment_of(pair(first, second), 0, 1) == pytest.approx(1.4, abs=0.21)
 
 
-def test_paths_that_do_not_meet_have_no_crossing() -> None:
+def test_paths_that_do_not_meet_have_no_crossing(pair: Callable[..., AgentStates]) -> None:
     """Two cars side by side."""
-    assert post_encroachment_of(_drive(0.0, 0.0, 10.0), _drive(0.0, 4.0, 10.0), step_s=0.1) is None
+    assert post_encroachment_of(pair(_drive(0.0, 0.0, 10.0), _drive(0.0, 4.0, 10.0)), 0, 1) is None
 
 
-def test_moment_without_a_state_is_an_error() -> None:
+def test_moment_without_a_state_is_an_error(pair: Callable[..., AgentStates]) -> None:
     """Step 70 of a track of 60 steps."""
     with pytest.raises(ValueError, match="no state at step 70"):
-        measure_event(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0), at_step=70, since_step=0, step_s=0.1)
+        measure_event(pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0)), 0, 1, at_step=70, since_step=0)
