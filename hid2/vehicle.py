@@ -109,7 +109,6 @@ class DrivenVehicle:
     limited: Counter[str] = field(default_factory=Counter)
     policies: Counter[Policy] = field(default_factory=Counter)
     waited_for: set[str] = field(default_factory=set)
-    yielding: bool = False
 
     @property
     def vehicle_id(self) -> str:

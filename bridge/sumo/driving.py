@@ -5,21 +5,26 @@ from functools import cache
 
 import numpy as np
 
-from bridge.sumo.fleet import Fleet
+from bridge.sumo.fleet import POLICIES, Fleet
 from bridge.sumo.lane_changes import Attempt, apply_policy, conclude
 from bridge.sumo.poses import front_arc_m
 from bridge.sumo.replay import Replay, ReplayErrors
-from bridge.sumo.routes import edges_along
+from bridge.sumo.routes import edges_along, take_another_way
 from bridge.sumo.shown import ever_shown, shown_at
 from bridge.sumo.simulation import Simulation
-from bridge.sumo.speed_limits import Limit, speed_limit
+from bridge.sumo.speed_limits import Limits, let_pass, limits_of
+from hid2.agents import IntArray
 from hid2.conflicts.reaction import Reactions
 from hid2.insertion.entry_sites import entry_speed
 from hid2.kernels.gaps import deep_inside
+from hid2.kernels.steering import CAUSES
 from hid2.occupancy.traffic import Traffic
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
+
+#: m/s, and its cause.
+Limit = tuple[float, str]
 
 _BINDS_MPS = 0.05  # book-keeping: a limit this close to the speed driven is what decided it
 #: No tunable, spares time: how often it is looked who is in a recorded agent's box, s, and so deep, m, that the last
@@ -73,7 +78,7 @@ class Driving:
         self.replay_errors = recorded.errors
         return fleet.vehicles
 
-    def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, Limit | None]]:
+    def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, Limit]]:
         """Observe, decide and act before a step; returns what SUMO was asked for, and limits of speed, by vehicle."""
         fleet, now = self.fleet, step - 1
         traffic = cache(fleet.traffic)  # put together when somebody first asks
@@ -85,18 +90,22 @@ class Driving:
         elif "collision" not in fleet.scene.config.without and step % fleet.scene.steps_in(_STRUCK_EVERY_S) == 0:
             self._take_out_struck(now)
         attempts: dict[int, Attempt] = {}
-        limits: dict[int, Limit | None] = {}
-        for row, vehicle in enumerate(fleet.vehicles):
-            if not vehicle.running or step <= vehicle.start.step:
-                continue
-            attempt = apply_policy(fleet, self.simulation, row, now, traffic)
+        rows = fleet.here
+        if not rows.size:
+            return attempts, {}
+        limits = limits_of(fleet, rows, now)
+        for place, row in enumerate(rows.tolist()):
+            attempt = apply_policy(fleet, self.simulation, row, now, traffic, POLICIES[limits.policy[place]])
             if attempt is not None:
                 attempts[row] = attempt
-            limits[row] = self._drive(row, now)
-            if vehicle.rerouted_at == now:  # others may have to be shown on this way
-                self._recorded.take(fleet.scene.traffic)
+            if limits.seeks[place] and take_another_way(fleet, self.simulation, row, now):
+                for found, renewed in zip(limits, limits_of(fleet, rows[place:], now), strict=True):
+                    found[place:] = renewed  # those after it see where it goes
+                self._recorded.take(fleet.scene.traffic)  # others may have to be shown on this way
                 self._kept.take(fleet.fixed)
-        return attempts, limits
+            let_pass(fleet, row, now, limits, place)
+        fleet.yielding[rows] = limits.yields
+        return attempts, self._drive(rows, limits, now)
 
     def _replayed(self) -> tuple[Traffic, Traffic]:
         """Recorded agents and those kept, as they are put into SUMO."""
@@ -115,17 +124,24 @@ class Driving:
 
         return Reactions(self.fleet.scene, follow_mps)
 
-    def _drive(self, row: int, now: int) -> Limit | None:
-        """Tell SUMO how fast a vehicle wishes to drive and may drive at the coming step; returns limit and cause."""
-        start = self.fleet.vehicles[row].start
-        desired = float(start.desired[now])
-        limit = speed_limit(self.fleet, self.simulation, row, now, desired)
-        limit_mps = None if limit is None else max(0.0, limit[0])
-        if start.is_held:  # it would like to drive faster, so that a leader at a usual gap does not slow it
-            limit_mps = desired if limit_mps is None else min(limit_mps, desired)
-            desired += self.fleet.scene.config.event_search.held_more_mps
-        self.simulation.drive(start.vehicle_id, desired_mps=desired, limit_mps=limit_mps)
-        return limit
+    def _drive(self, rows: IntArray, limits: Limits, now: int) -> dict[int, Limit]:
+        """Tell SUMO how fast vehicles wish to drive and may drive at the coming step; returns the limits by vehicle."""
+        fleet, told = self.fleet, {}
+        for row, desired, mps, cause, leader in zip(
+            *(column.tolist() for column in (rows, fleet.desired_mps[rows, now], *limits[:2], limits.waits_for)),
+            strict=True,
+        ):
+            vehicle, limit_mps = fleet.vehicles[row], None
+            if cause >= 0:
+                told[row] = mps, CAUSES[cause]
+                limit_mps = max(0.0, mps)
+            if leader >= 0:
+                vehicle.waited_for.add(fleet.vehicles[leader].vehicle_id)
+            if vehicle.start.is_held:  # it would like to drive faster, so that a leader at a usual gap does not slow it
+                limit_mps = desired if limit_mps is None else min(limit_mps, desired)
+                desired += fleet.scene.config.event_search.held_more_mps
+            self.simulation.drive(vehicle.vehicle_id, desired_mps=desired, limit_mps=limit_mps)
+        return told
 
     def _enter(self, step: int) -> None:
         """Insert whoever begins; after the step, so that the state of its first step is the start."""
@@ -145,7 +161,7 @@ class Driving:
             if vehicle.objection is not None:
                 self.fleet.place[row] = np.nan
 
-    def _read(self, step: int, attempts: dict[int, Attempt], limits: dict[int, Limit | None]) -> None:
+    def _read(self, step: int, attempts: dict[int, Attempt], limits: dict[int, Limit]) -> None:
         """Take down what SUMO did, what came of what it was asked for, and which of the limits decided the speed."""
         inside = self.simulation.driven()
         for row, vehicle in enumerate(self.fleet.vehicles):
@@ -158,9 +174,9 @@ class Driving:
                     vehicle.left_at = step
                 self.fleet.leave(row)
             elif not vehicle.s:
-                self.fleet.move(row, vehicle.start.start_s, vehicle.start.start_mps)
+                self.fleet.begin(row)
             else:
-                speed, limit = self.simulation.speed(vehicle.vehicle_id), limits[row]
+                speed, limit = self.simulation.speed(vehicle.vehicle_id), limits.get(row)
                 lane, front_m = self.simulation.lane(vehicle.vehicle_id)
                 if limit is not None and speed > limit[0] - _BINDS_MPS:
                     vehicle.limited[limit[1]] += 1
@@ -175,7 +191,7 @@ class Driving:
         """
         fleet, here, scene, traffic = self.fleet, self.fleet.on_ways, self.fleet.scene, self.fleet.scene.traffic
         low, high, count = here.intervals.low, here.intervals.high, len(traffic.ids)
-        struck = deep_inside(low, high, here.agents, here.first, count, step, fleet.place, _STRUCK_M)
+        struck = deep_inside(low, high, here.intervals.agents, here.first, count, step, fleet.place, _STRUCK_M)
         for row, agent in zip(*(column.tolist() for column in struck), strict=True):
             vehicle = fleet.vehicles[row]
             xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))

@@ -1,11 +1,12 @@
 """The vehicles that are driven together: where they are, the ways they are on, and whom they will meet there."""
 
 import math
-from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from bridge.sumo.poses import center_on_path
 from hid2.agents import BoxSize, FloatArray, IntArray, Policy
@@ -13,15 +14,19 @@ from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S
 from hid2.conflicts.reaction import yielding
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver
+from hid2.kernels.steering import CAUSES
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along
-from hid2.occupancy.traffic import Traffic
+from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.decision import policy_on
 from hid2.policy.roads import Roads
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
 
+#: By their numbers in arrays.
+POLICIES = tuple(Policy)
+STRAIGHT = POLICIES.index(Policy.STRAIGHT)
 _GIVEN_BACK = 0.05  # no tunable, not seen: share of its speed by which a vehicle gives back at most what SUMO jumped
 
 
@@ -29,37 +34,36 @@ _GIVEN_BACK = 0.05  # no tunable, not seen: share of its speed by which a vehicl
 class Way:
     """What is known of a vehicle's present path; a vehicle that takes another path gets a new one.
 
-    road (S,): m/s at the table of the path's line, what the road allows the driver; lane_ends: where its lanes end, m;
-    policies: what Algorithm 1 comes to on each of them without a manoeuvre, only: the one of all, None where they
-    differ; known: intervals of everybody whose future is known, and their rows (recorded, then kept), None as long as
-    nobody asked; obstacles: the guard's, likewise; reroute_tried: whether another way has been looked for; jump: how
-    far SUMO is behind, m, where the vehicle comes on the path, and from where to where that is given back; None before.
+    road (S,): m/s at the table of the path's line, what the road allows the driver; lane_ends (L,): where its lanes
+    end, m; policies (L,): numbers of what Algorithm 1 comes to on each of them without a manoeuvre; known: intervals of
+    everybody whose future is known, with rows (recorded, then kept), None as long as nobody asked; obstacles: the
+    guard's, likewise; reroute_tried: whether another way has been looked for; jump: how far SUMO is behind, m, where
+    the vehicle comes on the path, and from where to where that is given back; None before.
     """
 
     road: FloatArray
-    lane_ends: list[float]
-    policies: list[Policy]
-    only: Policy | None
-    known: tuple[PathOccupancy, IntArray] | None = None
+    lane_ends: FloatArray
+    policies: IntArray
+    known: PathOccupancy | None = None
     obstacles: Obstacles | None = None
     reroute_tried: bool = False
     jump: tuple[float, float, float] | None = None
 
-    def policy_at(self, s: float) -> Policy:
-        """Of the lane at an arc length, m."""
-        return self.only or self.policies[min(bisect_right(self.lane_ends, s), len(self.lane_ends) - 1)]
+    def is_turn(self, s: float) -> bool:
+        """Whether the lane at an arc length, m, is one."""
+        lane = min(int(np.searchsorted(self.lane_ends, s, side="right")), self.policies.size - 1)
+        return bool(self.policies[lane] != STRAIGHT)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OnWays:
     """Everybody whose future is known on the ways of all vehicles, those of one after those of another.
 
-    intervals (R, T); agents (R,): recorded, then kept ones, length_m (A,) of all of them; first (N + 1,): rows by
+    intervals (R, T) of agents, recorded, then kept ones; length_m (A,) of all of them; first (N + 1,): rows by
     vehicle.
     """
 
     intervals: PathOccupancy
-    agents: IntArray
     length_m: FloatArray
     first: IntArray
 
@@ -71,7 +75,8 @@ class Fleet:
     scene: where recorded vehicles react, each that yields is elsewhere in a scene to come (`look_anew`); near_m: who is
     farther than this from another one on either axis does not look at it. By vehicle: state (N, 5), the guard's
     columns; place (N,) m of the centre on the path, from its first step on, NaN for who is nowhere; centre (N, 2) m,
-    inf for who is nowhere yet; length_m (N,) of the box.
+    inf for who is nowhere yet; length_m (N,) of the box; desired_mps (N, T); drivers (N, 4), the guard's columns;
+    yielding (N,): whether a vehicle brakes for a conflict by now.
     """
 
     scene: Scene
@@ -86,18 +91,26 @@ class Fleet:
     place: FloatArray = field(init=False)
     centre: FloatArray = field(init=False)
     length_m: FloatArray = field(init=False)
-    _guard: Guard = field(init=False)
+    desired_mps: FloatArray = field(init=False)
+    drivers: FloatArray = field(init=False)
+    yielding: BoolArray = field(init=False)
+    guard: Guard = field(init=False)
     _on_ways: OnWays | None = field(init=False, default=None)
+    _along: tuple[npt.NDArray[Any], ...] | None = field(init=False, default=None)
 
     def __post_init__(self, starts: Sequence[Start]) -> None:
         """Nobody has moved yet."""
-        self._guard = Guard(self.scene, self.fixed, self.stop_lines)
+        self.guard = Guard(self.scene, self.fixed, self.stop_lines)
         self.state, self.centre = np.zeros((0, 5)), np.zeros((0, 2))
         self.place, self.length_m = np.zeros(0), np.zeros(0)
+        self.desired_mps, self.drivers = np.zeros((0, self.scene.num_steps)), np.zeros((0, 4))
+        self.yielding = np.zeros(0, dtype=np.bool_)
         self.add(starts)
 
     def add(self, starts: Sequence[Start]) -> None:
         """Vehicles that have not moved yet."""
+        if not starts:
+            return
         count = len(starts)
         self.vehicles += [DrivenVehicle(start=start, path=start.path) for start in starts]
         self.ways += [self._way(start.path, start.driver) for start in starts]
@@ -106,7 +119,26 @@ class Fleet:
         places = [np.nan if start.step > 0 else start.start_s for start in starts]
         self.place = np.concatenate([self.place, places])
         self.length_m = np.concatenate([self.length_m, [start.box.length_m for start in starts]])
+        self.desired_mps = np.concatenate(
+            [self.desired_mps, [start.desired[: self.scene.num_steps] for start in starts]]
+        )
+        self.drivers = np.concatenate(
+            [
+                self.drivers,
+                [
+                    (one.tau_s, one.accel_mps2, one.decel_mps2, one.min_gap_m)
+                    for one in (start.driver for start in starts)
+                ],
+            ]
+        )
+        self.yielding = np.concatenate([self.yielding, np.zeros(count, dtype=np.bool_)])
         self._forget_obstacles()  # everybody sees who is new
+
+    def begin(self, row: int) -> None:
+        """A vehicle is at its start now."""
+        start = self.vehicles[row].start
+        self.move(row, start.start_s, start.start_mps)
+        self._along = None
 
     def move(self, row: int, s: float, speed_mps: float, *, jumped_m: float = 0.0) -> None:
         """A vehicle is at an arc length, m, of its path now, so far ahead of where SUMO has it."""
@@ -117,7 +149,7 @@ class Fleet:
         vehicle.jumped_m.append(jumped_m)
         shifts, table = vehicle.path.shifts, vehicle.path.line.table_xy
         # Case 2, executing goes before pending: in a change of lanes or in a turn.
-        executing = (shifts and shifts[-1][0] < s < shifts[-1][1]) or way.policy_at(s) is not Policy.STRAIGHT
+        executing = (shifts and shifts[-1][0] < s < shifts[-1][1]) or way.is_turn(s)
         self.place[row], self.centre[row] = s, table[min(int(s / TABLE_STEP_M), len(table) - 1)]
         self.state[row] = s, speed_mps, (speed_mps - before) / self.scene.step_s, executing, 1.0
 
@@ -144,6 +176,7 @@ class Fleet:
     def leave(self, row: int) -> None:
         """A vehicle is nowhere any more."""
         self.state[row, PRESENT], self.centre[row], self.place[row] = 0.0, np.inf, np.nan
+        self._along = None
 
     def motion(self, row: int) -> tuple[float, float, float]:
         """A vehicle's s m, v m/s and a m/s2."""
@@ -167,9 +200,9 @@ class Fleet:
 
     def _way(self, path: DrivenPath, driver: Driver) -> Way:
         lanes = self.scene.grid.graph.lanes
-        policies = [policy_on(lanes[segment.lane_id].turn) for segment in path.segments]
-        only = policies[0] if len(set(policies)) == 1 else None
-        return Way(self.roads.speeds(path, driver), [segment.end for segment in path.segments], policies, only)
+        policies = [POLICIES.index(policy_on(lanes[segment.lane_id].turn)) for segment in path.segments]
+        lane_ends = np.array([segment.end for segment in path.segments])
+        return Way(self.roads.speeds(path, driver), lane_ends, np.array(policies, dtype=np.int64))
 
     def take_path(self, row: int, path: DrivenPath, s: FloatArray | None = None) -> None:
         """A vehicle is on another path from now on. s (T,) m: where it has been on it, None: as far as on the old."""
@@ -182,19 +215,19 @@ class Fleet:
 
     def look_anew(self, scene: Scene) -> None:
         """Recorded vehicles will be elsewhere than was known: nothing that was worked out of it holds any more."""
-        self.scene = self._guard.scene = scene
+        self.scene = self.guard.scene = scene
         for way in self.ways:
             way.known = None
         self._forget_obstacles()
 
     def _forget_obstacles(self) -> None:
         """What is on the ways is worked out anew when somebody asks."""
-        self._on_ways = None
+        self._on_ways = self._along = None
         for way in self.ways:
             way.obstacles = None
 
-    def known_on_way(self, row: int) -> tuple[PathOccupancy, IntArray]:
-        """Intervals of everybody whose future is known on a vehicle's path, and rows (recorded, then kept)."""
+    def known_on_way(self, row: int) -> PathOccupancy:
+        """Intervals of everybody whose future is known on a vehicle's path, with rows (recorded, then kept)."""
         way = self.ways[row]
         if way.known is None:
             path, box = self.vehicles[row].path, self.vehicles[row].start.box
@@ -202,7 +235,7 @@ class Fleet:
             if self.fixed.ids:
                 more = look_along(path.line, self.fixed, box.length_m, box.width_m)
                 found = found.joined(replace(more, agents=more.agents + len(self.scene.traffic.ids)))
-            way.known = found, found.agents
+            way.known = found
         return way.known
 
     @property
@@ -210,12 +243,33 @@ class Fleet:
         """Everybody known on the present ways of all."""
         if self._on_ways is None:
             known = [self.known_on_way(row) for row in range(len(self.vehicles))]
-            every = PathOccupancy.nobody(self.scene.future.num_steps).joined(*(found for found, _ in known))
-            first = np.concatenate([[0], np.cumsum([rows.size for _, rows in known])]).astype(np.int64)
-            agents = np.concatenate([np.zeros(0, dtype=np.int64), *(rows for _, rows in known)])
+            every = PathOccupancy.nobody(self.scene.future.num_steps).joined(*known)
             length_m = np.concatenate([self.scene.traffic.length_m, self.fixed.length_m])
-            self._on_ways = OnWays(every, agents, length_m, first)
+            self._on_ways = OnWays(every, length_m, np.cumsum([0, *(found.agents.size for found in known)]))
         return self._on_ways
+
+    @property
+    def here(self) -> IntArray:
+        """Rows of the vehicles that have a place on the road now."""
+        return np.flatnonzero(self.state[:, PRESENT])
+
+    def along_ways(self, now: int) -> tuple[npt.NDArray[Any], ...]:
+        """What is on the ways of the vehicles that are `here`, by vehicle, as the kernel `speed_limits` takes it."""
+        if self._along is None or self.scene.config.driving.replay != "fixed":
+            ways = [self._on_way(row, now) for row in self.here.tolist()]
+            first = _first([[len(one[column]) for column in (0, 1, 3, 7, 10, 11)] for one in ways])
+            self._along = first, *(np.concatenate(column) for column in zip(*ways, strict=True))
+        return self._along
+
+    def _on_way(self, row: int, now: int) -> tuple[npt.NDArray[Any], ...]:
+        way, path = self.ways[row], self.vehicles[row].path
+        seen = self._who_does_not_yield(self.obstacles(row, path), row, path, now)
+        known, lines = seen.known, seen.lines
+        return (
+            way.road, way.lane_ends, way.policies, known.low, known.high, known.along, known.same_direction,
+            lines.stop_s, lines.closed, np.array([CAUSES.index(cause) for cause in lines.causes], dtype=np.int64),
+            seen.rows, seen.swept.ravel(),
+        )  # fmt: skip
 
     def braking(
         self, row: int, path: DrivenPath, now: int, *, state: tuple[float, float, float], desired_mps: float,
@@ -228,7 +282,7 @@ class Fleet:
         driver = self.vehicles[row].start.driver
         obstacles = self._who_does_not_yield(self.obstacles(row, path), row, path, now)
         road = self.ways[row].road if path is self.vehicles[row].path else self.roads.speeds(path, driver)
-        return self._guard.braking(
+        return self.guard.braking(
             obstacles, own=row, step=now, fleet=self.state, state=state, desired_mps=desired_mps, road=road,
             driver=driver, horizon_s=horizon_s,
         )  # fmt: skip
@@ -238,7 +292,7 @@ class Fleet:
         way, own = self.ways[row], path is self.vehicles[row].path
         if own and way.obstacles is not None:
             return way.obstacles
-        found = self._guard.obstacles(path, self.vehicles[row].start.box, self._others(row))
+        found = self.guard.obstacles(path, self.vehicles[row].start.box, self._others(row))
         if own:
             way.obstacles = found
         return found
@@ -266,6 +320,11 @@ class Fleet:
         low = known.low.copy()
         low[: rows.size][yields] = np.inf
         return replace(obstacles, known=replace(known, low=low))
+
+
+def _first(counts: Sequence[Sequence[int]]) -> IntArray:
+    """Where so many of each begin, and where the last ones end: (N + 1, K) of (N, K)."""
+    return np.cumsum([[0] * len(counts[0]), *counts], axis=0, dtype=np.int64)
 
 
 def _xy(vehicle: DrivenVehicle) -> FloatArray:

@@ -36,11 +36,12 @@ class Attempt:
 
 
 def apply_policy(
-    fleet: Fleet, simulation: Simulation, row: int, now: int, traffic: Callable[[], Traffic]
+    fleet: Fleet, simulation: Simulation, row: int, now: int, traffic: Callable[[], Traffic], on_lane: Policy
 ) -> Attempt | None:
     """Algorithm 1 for one vehicle at step `now`; returns the lane change that SUMO is asked for, None for none.
 
-    traffic: the fleet as it is now (one step); only who has a manoeuvre due asks for it.
+    traffic: the fleet as it is now (one step); only who has a manoeuvre due asks for it. on_lane: what Algorithm 1
+    comes to on its lane without one.
     """
     vehicle, config = fleet.vehicles[row], fleet.scene.config
     request, shifts = vehicle.start.request, vehicle.path.shifts
@@ -53,7 +54,7 @@ def apply_policy(
     if due and vehicle.stage is Stage.WAITING and time_s > request.trigger_s + config.lane_change.give_up_s:
         vehicle.stage, due = Stage.ABORTED, False
     if not due:  # nothing to be asked: it keeps to its lane, as `decide` says
-        vehicle.policies[fleet.ways[row].policy_at(vehicle.s[-1])] += 1
+        vehicle.policies[on_lane] += 1
         return None
     everybody = traffic()
     others = everybody.rows([other for other, one in enumerate(everybody.ids) if one != vehicle.vehicle_id])

@@ -5,7 +5,6 @@ import numpy as np
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
-from hid2.conflicts.guard import Braking
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.policy.reroute import places_on, ways_at_next_split
@@ -31,30 +30,31 @@ def edges_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[str, ...] |
     return tuple(edges)
 
 
-def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int, desired_mps: float) -> Braking | None:
-    """Send a vehicle another way at the next split if nobody is met there (conflict case 3).
+def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int) -> bool:
+    """Send a vehicle another way at the next split if nobody is met there (conflict case 3); whether it goes there.
 
-    Returns what the guard predicts there; None where there is no such way. Only who is to go straight: another way is
-    no longer the turn or the change of lanes that was asked for.
+    Only who is to go straight: another way is no longer the turn or the change of lanes that was asked for.
     """
     vehicle, way, scene = fleet.vehicles[row], fleet.ways[row], fleet.scene
     if vehicle.start.is_held or vehicle.policy is not Policy.STRAIGHT or way.reroute_tried:
-        return None
+        return False
     way.reroute_tried = True
     s, v, a = fleet.motion(row)
     cell = scene.grid.cell_of_sumo_lane.get(simulation.lane(vehicle.vehicle_id)[0])
     if cell is None:
-        return None
+        return False
     for path in ways_at_next_split(scene, vehicle.path, s=s, from_m=s + vehicle.start.box.length_m):
         at = places_on(path, vehicle.path, np.array(vehicle.s))
         road = fleet.roads.speeds(path, vehicle.start.driver)
         if v > road[min(int(at[-1] / TABLE_STEP_M), road.size - 1)] + scene.config.driving.reroute_over_mps:
             continue
-        found = fleet.braking(row, path, now, state=(float(at[-1]), v, a), desired_mps=desired_mps)
+        found = fleet.braking(
+            row, path, now, state=(float(at[-1]), v, a), desired_mps=float(vehicle.start.desired[now])
+        )
         edges = edges_along(scene, path, cell)
         if found.conflict_s is None and found.decel_mps2 < scene.config.conflict.act_mps2 and edges:
             simulation.set_route(vehicle.vehicle_id, edges)
             fleet.take_path(row, path, at)
             vehicle.rerouted_at = now
-            return found
-    return None
+            return True
+    return False

@@ -7,7 +7,6 @@ import numpy as np
 
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.replay import UNSEEN_STEPS
-from hid2.agents import IntArray
 from hid2.kernels.gaps import shown_ahead
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.along_path import PathOccupancy
@@ -41,7 +40,7 @@ def shown_at(fleet: Fleet, step: int) -> tuple[dict[int, tuple[str, int]], dict[
         return recorded, kept
     here, known = fleet.on_ways, fleet.on_ways.intervals
     found = shown_ahead(
-        known.low, known.high, known.along, known.same_direction, known.crossing, here.agents, here.first,
+        known.low, known.high, known.along, known.same_direction, known.crossing, known.agents, here.first,
         here.length_m, scene.traffic.position, fleet.fixed.position, step, fleet.place, fleet.centre, fleet.length_m,
         (driving.standing_mps, driving.leads_from_m, driving.shown_m),
     )  # fmt: skip
@@ -62,26 +61,25 @@ def ever_shown(fleet: Fleet) -> tuple[Traffic, Traffic]:
             shown.append(traffic)
             continue
         last, known = first + len(traffic.ids), []
-        for found, rows in everybody:
-            here = (rows >= first) & (rows < last)
-            known.append((rows[here] - first, found.rows(here)))
+        for found in everybody:
+            here = found.rows((found.agents >= first) & (found.agents < last))
+            known.append(replace(here, agents=here.agents - first))
         present = shown_when(traffic, starts, known, step_s=scene.step_s, driving=scene.config.driving)
         shown.append(replace(traffic, present=present))
     return shown[0], shown[1]
 
 
 def shown_when(
-    traffic: Traffic, starts: Sequence[Start], known: Sequence[tuple[IntArray, PathOccupancy]], *, step_s: float,
-    driving: Driving,
+    traffic: Traffic, starts: Sequence[Start], known: Sequence[PathOccupancy], *, step_s: float, driving: Driving,
 ) -> BoolArray:  # fmt: skip
     """(A, T) when agents have to be in SUMO, each from once to once, so that whoever starts is shown who is ahead.
 
-    known: of each start rows of those in its driving width, and their intervals on its path. Who may change lanes may
-    leave that path: shown are those near to it, on its lanes or those beside.
+    known: of each start intervals of those in its driving width, on its path. Who may change lanes may leave that path:
+    shown are those near to it, on its lanes or those beside.
     """
     num_steps = traffic.num_steps
     needed = np.zeros((len(traffic.ids), num_steps), dtype=np.bool_)
-    for start, (rows, found) in zip(starts, known, strict=True):
+    for start, found in zip(starts, known, strict=True):
         if may_change(start):
             needed |= _near(traffic, start, num_steps, max(1, round(_EVERY_S / step_s)))
             continue
@@ -89,7 +87,7 @@ def shown_when(
         lasting_s = step_s * (np.arange(num_steps) - start.step)
         reach_m = start.start_s + start.box.length_m + driving.shown_m + fastest_mps * lasting_s
         low, high = found.low[:, :num_steps], found.high[:, :num_steps]
-        needed[rows] |= np.isfinite(low) & (high > start.start_s) & (low < reach_m) & (lasting_s >= 0.0)
+        needed[found.agents] |= np.isfinite(low) & (high > start.start_s) & (low < reach_m) & (lasting_s >= 0.0)
     needed &= traffic.present
     steps = np.arange(num_steps)
     first = needed.argmax(axis=1) - UNSEEN_STEPS - 1

@@ -81,12 +81,17 @@ class Guard:
         field(default_factory=dict)
     )
     _on_its_own: dict[tuple[DrivenPath, BoxSize], Traffic] = field(default_factory=dict)
-    _brakes: FloatArray = field(init=False)
+    brakes: FloatArray = field(init=False)
+    predicted: tuple[float, float, float, float] = field(init=False)
 
     def __post_init__(self) -> None:
-        """The decelerations that are tried."""
+        """The decelerations that are tried, and how others are predicted, as in the kernel `needed_braking`."""
         conflict = self.scene.config.conflict
-        self._brakes = np.array([brake for brake in conflict.brakes_mps2 if brake <= conflict.brake_max_mps2])
+        self.brakes = np.array([brake for brake in conflict.brakes_mps2 if brake <= conflict.brake_max_mps2])
+        self.predicted = (
+            conflict.predicted_jerk_mps3, 0.5 * conflict.margin_front_m, conflict.braking_lasts_s,
+            conflict.hardest_ratio,
+        )  # fmt: skip
 
     def obstacles(self, path: DrivenPath, box: BoxSize, others: list[tuple[int, DrivenPath, BoxSize]]) -> Obstacles:
         """Everybody on a path for a box; others: fleet rows with the paths and boxes of those driven together."""
@@ -154,14 +159,11 @@ class Guard:
             known.low, known.high, known.along, known.same_direction, obstacles.lines.stop_s, obstacles.lines.closed,
             obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
             round((conflict.horizon_s if horizon_s is None else horizon_s) / step_s), conflict.stride, step_s,
-            (driver.tau_s, driver.accel_mps2, driver.decel_mps2, driver.min_gap_m), self._brakes,
-            (
-                conflict.predicted_jerk_mps3, 0.5 * conflict.margin_front_m, conflict.braking_lasts_s,
-                conflict.hardest_ratio,
-            ), obstacles.lines.stops,
+            (driver.tau_s, driver.accel_mps2, driver.decel_mps2, driver.min_gap_m), self.brakes, self.predicted,
+            obstacles.lines.stops,
         )  # fmt: skip
         return Braking(
-            decel_mps2=float(self._brakes[row]),
+            decel_mps2=float(self.brakes[row]),
             conflict_s=None if hit < 0 else hit * step_s,
             free_conflict_s=None if free < 0 else free * step_s,
             leader=int(leader),

@@ -90,7 +90,11 @@ class StopLines:
             for row, line in enumerate(lines):
                 closed[row] = line.closed
             stop_s = np.array([line.stop_s for line in lines], dtype=np.float64)
-            driving = self.scene.config.driving
-            stops = driving.stop_ahead_m, driving.stop_share, driving.stop_takes_s, driving.stop_hardest_ratio
-            self._arrays[key] = ClosedLines(stop_s, closed, tuple(line.cause for line in lines), stops)
+            self._arrays[key] = ClosedLines(stop_s, closed, tuple(line.cause for line in lines), self.stops)
         return self._arrays[key]
+
+    @property
+    def stops(self) -> tuple[float, float, float, float]:
+        """How drivers stop at them, as in the kernel `stop_ahead`."""
+        driving = self.scene.config.driving
+        return driving.stop_ahead_m, driving.stop_share, driving.stop_takes_s, driving.stop_hardest_ratio

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hid2.agents import FloatArray, IntArray, Track
+from hid2.kernels.polyline import frenet
 from hid2.measures.arrays import BoolArray, SceneArrays, is_generated_id, stack
 from hid2.measures.driven_lanes import LaneView, points_ahead
 from hid2.measures.following import HORIZON_M
@@ -47,27 +48,30 @@ class Leading(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class AgentStates:
-    """Agents of a scene: row by row in `arrays`, as stated, step by step in `traffic`, velocities by differences."""
+    """Agents of a scene: row by row in `arrays`, as stated, step by step in `traffic`, velocities by differences.
+
+    joined_of: the parts in their order, each of which keeps the lines of its agents.
+    """
 
     arrays: SceneArrays
     traffic: Traffic
     matches: Matches
     lanes: FlatLanes
-    _lines: dict[int, DrivenLine | None] = field(default_factory=dict, repr=False)
+    joined_of: tuple["AgentStates", ...] = field(default=(), repr=False)
+    _lines: dict[int, DrivenLine | None] = field(default_factory=dict, init=False, repr=False)
 
     def joined(self, *others: "AgentStates") -> "AgentStates":
         """The agents of all, of the same scene, in this order."""
         every = [self, *(other for other in others if other.arrays.num_agents)]
         if len(every) == 1:
             return self
-        first = np.cumsum([0, *(one.arrays.num_agents for one in every)]).tolist()
         matches = Matches(*(
             np.concatenate([getattr(one.matches, part.name) for one in every]) for part in fields(Matches)
         ))  # fmt: skip
-        known = {row + at: line for at, one in zip(first, every, strict=False) for row, line in one._lines.items()}
         return AgentStates(
             SceneArrays.joined([one.arrays for one in every]),
-            self.traffic.joined(*(one.traffic for one in every[1:])), matches, self.lanes, known,
+            self.traffic.joined(*(one.traffic for one in every[1:])), matches, self.lanes,
+            tuple(every),
         )  # fmt: skip
 
     @property
@@ -93,6 +97,10 @@ class AgentStates:
 
     def line(self, row: int) -> DrivenLine | None:
         """The path that a vehicle drives and, behind its last position, its lane; None where it has neither."""
+        for part in self.joined_of:
+            if row < part.arrays.num_agents:
+                return part.line(row)
+            row -= part.arrays.num_agents
         if row not in self._lines:
             self._lines[row] = self._line(row)
         return self._lines[row]
@@ -113,7 +121,8 @@ class AgentStates:
         line = build_reference_line(points, step_m=_POINTS_M, min_radius_m=_RADIUS_M, max_offset_m=_STRAYS_M)
         chords = Polyline(line.points)
         s = np.full(self.arrays.num_steps, np.nan)
-        s[self.arrays.step[rows]] = np.interp(chords.frenet(position)[0], chords.s, line.points_s)
+        along, _ = frenet(np.ascontiguousarray(position), chords.points, chords.s)
+        s[self.arrays.step[rows]] = np.interp(along, chords.s, line.points_s)
         return DrivenLine(line, s)
 
     def leading(self, row: int, others: IntArray, *, aside_m: float = 0.0) -> Leading:

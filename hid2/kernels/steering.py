@@ -1,0 +1,86 @@
+"""How fast vehicles that are driven together may drive, all of them in one compiled call."""
+
+import numpy as np
+
+from hid2.kernels.compiled import inner, kernel
+from hid2.kernels.guard import needed_braking, stop_ahead
+from netconvert.geometry import BoolArray, FloatArray, IntArray
+
+#: What limits a speed, by its number. In alphabetical order: of two equal limits the first one is named.
+CAUSES = ("conflict", "crossing", "curve", "gap", "signal", "turn")
+_CONFLICT, _CURVE, _TURN = CAUSES.index("conflict"), CAUSES.index("curve"), CAUSES.index("turn")
+NO_LIMIT_MPS = 1e-3  # tolerance: a limit so near below the speed that is wished is none
+
+
+@inner
+def _lane_at(ends: FloatArray, s: float) -> int:
+    """Which of the lanes along a path holds an arc length, by where they end, m."""
+    return min(int(np.searchsorted(ends, s, side="right")), ends.size - 1)
+
+
+@kernel(
+    "(i8[::1], i8, f8[:,::1], f8[:,::1], f8[:,::1], b1[::1], i8, i8, i8, f8, f8, f8[::1], UniTuple(f8, 4),"
+    " UniTuple(f8, 4), UniTuple(f8, 10), i8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,::1], f8[:,::1], f8[:,::1],"
+    " b1[:,::1], f8[::1], b1[:,::1], i8[::1], i8[::1], f8[::1])"
+)
+def speed_limits(
+    rows: IntArray, t: int, fleet: FloatArray, desired_mps: FloatArray, drivers: FloatArray, yielding: BoolArray,
+    straight: int, horizon: int, stride: int, step_s: float, table_step: float, brakes: FloatArray,
+    predicted: tuple[float, float, float, float], stops: tuple[float, float, float, float],
+    rules: tuple[float, float, float, float, float, float, float, float, float, float],
+    first: IntArray, road: FloatArray, lane_ends: FloatArray, lane_policies: IntArray, low: FloatArray,
+    high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray,
+    causes: IntArray, others: IntArray, swept: FloatArray,
+) -> tuple[FloatArray, IntArray, IntArray, IntArray, BoolArray, BoolArray]:  # fmt: skip
+    """The lowest limits on the speeds of rows (M,) of fleet (N, 5) for the step after t, and what else is found.
+
+    As in `needed_braking`: fleet, low .. closed, stride, brakes, predicted, stops, and horizon, which is 0 where
+    conflicts and stop lines do not count. desired_mps (N, T); drivers (N, 4); yielding (N,): whether a vehicle brakes
+    for a conflict by now. What is on a vehicle's way is from first[m] to first[m + 1] (M + 1, 6) of: road, m/s every
+    table_step m; lanes (where they end, m, and their policies, of which `straight` is no turn); low ..; stop lines with
+    their causes; others, rows of the fleet; and what they sweep, raveled (3, G, K) of each vehicle.
+    rules: time ahead to turns, s; of who waits for its leader: ratio of the gap, m/s2; braking to go on yielding, and
+    to begin, m/s2; time to a conflict that is soon, s; ratio of urgent braking; how braking builds up, m/s3, and ends,
+    m/s2 and 1/s. Returns, each (M,): limits m/s, inf where a vehicle wishes to go no faster anyway; numbers of their
+    causes; policies of the lanes; rows of leaders for whom a vehicle waits, -1 for none; whether it yields; and
+    whether usual braking is not enough.
+    """
+    turn_ahead_s, behind_ratio, slows, keeps, begins, soon_s, urgent_ratio, jerk, last_brake, last_per_s = rules
+    limits, caused = np.full(rows.size, np.inf), np.full(rows.size, -1)
+    policies, waits_for = np.empty(rows.size, dtype=np.int64), np.full(rows.size, -1)
+    yields, seeks = np.zeros(rows.size, dtype=np.bool_), np.zeros(rows.size, dtype=np.bool_)
+    for m in range(rows.size):
+        i, at, to = rows[m], first[m], first[m + 1]
+        s, v, a = fleet[i, 0], fleet[i, 1], fleet[i, 2]
+        own_road, ends, lanes = road[at[0] : to[0]], lane_ends[at[1] : to[1]], lane_policies[at[1] : to[1]]
+        policies[m] = lanes[_lane_at(ends, s)]
+        turns = policies[m] != straight or lanes[_lane_at(ends, s + turn_ahead_s * v)] != straight
+        limit = own_road[min(int((s + v * step_s) / table_step), own_road.size - 1)]
+        cause = _TURN if turns else _CURVE
+        if horizon > 0:
+            tau, accel, decel, min_gap = drivers[i]
+            stop, is_closed, rivals = stop_s[at[3] : to[3]], closed[at[3] : to[3]], others[at[4] : to[4]]
+            reach = (to[5] - at[5]) // max(1, 3 * rivals.size)
+            row, hit, free, leader, gap, _, _ = needed_braking(
+                low[at[2] : to[2]], high[at[2] : to[2]], along[at[2] : to[2]], same_direction[at[2] : to[2]], stop,
+                is_closed, swept[at[5] : to[5]].reshape(3, rivals.size, reach), rivals, fleet, i, t, (s, v, a),
+                desired_mps[i, t], own_road, table_step, 1.0, horizon, stride, step_s, (tau, accel, decel, min_gap),
+                brakes, predicted, stops,
+            )  # fmt: skip
+            needed = brakes[row]
+            seeks[m] = hit >= 0 or needed > decel
+            if leader >= 0 and gap < behind_ratio * (tau * v + min_gap) and a < -slows:
+                waits_for[m] = leader
+            act = keeps if yielding[i] else begins
+            soon = free >= 0 and free * step_s <= soon_s
+            yields[m] = needed >= act and (yielding[i] or soon or needed >= urgent_ratio * act)
+            gentlest = max(min(a, 0.0) - jerk * step_s, -max(last_brake, last_per_s * v))  # nobody stops with a jerk
+            if yields[m] and v + max(-needed, gentlest) * step_s <= limit:
+                limit, cause = v + max(-needed, gentlest) * step_s, _CONFLICT
+            line, slowing = stop_ahead(stop, is_closed, s, v, t, accel, decel, stops)
+            slower = v + max(slowing, gentlest) * step_s
+            if line >= 0 and (slower < limit or (slower == limit and causes[at[3] + line] < cause)):
+                limit, cause = slower, causes[at[3] + line]
+        if limit < desired_mps[i, t] - NO_LIMIT_MPS:
+            limits[m], caused[m] = limit, cause
+    return limits, caused, policies, waits_for, yields, seeks
