@@ -112,8 +112,8 @@ class AgentStates:
         points = position[np.flatnonzero(np.diff(place, prepend=-1.0) > 0)]
         goes_on = int(self.matches.lane[last]), float(self.matches.s[last]), float(self.matches.d[last])
         if goes_on[0] >= 0:
-            along = lane_along(self.lanes, position[-1], float(self.matches.direction[last]))
-            goes_on = goes_on if along[0] < 0 else along
+            held = lane_along(self.lanes, position[-1], float(self.matches.direction[last]))
+            goes_on = goes_on if held[0] < 0 else held
         ahead = points_ahead(self.lanes, *goes_on, HORIZON_M, beyond_m=_POINTS_M)
         points = np.concatenate([points, ahead])
         if len(points) < 2:
