@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hid2.agents import FloatArray, Track
+from hid2.agents import Track
 from hid2.measures.arrays import stack
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.measures.post_encroachment import encroachments
@@ -48,10 +48,10 @@ def measure_event(own: Track, target: Track, *, at_step: int, since_step: int, s
 
     Errors: ValueError where one of the two is not there at that step.
     """
-    pose, speed = _pose(own, at_step), _speed(own, at_step)
-    other, other_speed = _pose(target, at_step), _speed(target, at_step)
-    offset = pose[:2] - other[:2]
-    along = offset[0] * math.cos(other[2]) + offset[1] * math.sin(other[2])
+    mine, theirs = _row(own, at_step), _row(target, at_step)
+    offset, heading = own.position[mine] - target.position[theirs], target.heading[theirs]
+    along = offset[0] * math.cos(heading) + offset[1] * math.sin(heading)
+    speed, other_speed = np.hypot(*own.velocity[mine]), np.hypot(*target.velocity[theirs])
     gap = abs(along) - 0.5 * (own.size.length_m + target.size.length_m)
     min_ttc_s, drac = _closing(own, target, since_step, step_s)
     return EventMeasures(
@@ -87,15 +87,6 @@ def _closing(own: Track, target: Track, since_step: int, step_s: float) -> tuple
     counts = (closing > _CLOSES_MPS) & (ttc_s[rows] < CAP_S)
     drac = closing[counts] / (2.0 * np.maximum(ttc_s[rows][counts], 1e-3))
     return float(ttc_s[rows].min()), float(drac.max(initial=0.0))
-
-
-def _pose(track: Track, step: int) -> FloatArray:
-    row = _row(track, step)
-    return np.array([*track.position[row], track.heading[row]])
-
-
-def _speed(track: Track, step: int) -> float:
-    return float(np.hypot(*track.velocity[_row(track, step)]))
 
 
 def _row(track: Track, step: int) -> int:
