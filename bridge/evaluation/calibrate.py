@@ -19,9 +19,10 @@ from bridge.recordings.scenario import read_scenario, source_id
 from bridge.recordings.sources import find_sources
 from hid2.agents import FloatArray, IntArray
 from hid2.evaluation.calibration import Extra, Quantity, calibrate, drivers_of
-from hid2.evaluation.safety import Safety, prepare_map, safety
+from hid2.evaluation.safety import Safety, safety
 from hid2.evaluation.windows import Windows, windows
 from hid2.measures.arrays import BoolArray, SceneArrays, stack
+from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import ManeuverKind, detect
 from hid2.params import Drivers
 from netconvert.errors import ConfigError, ScenarioError
@@ -99,7 +100,7 @@ def observe_scene(folder: Path) -> SceneDriving:
     """What one recorded scene shows of driving: clean tracks of moving vehicles. Errors: ScenarioError, MapError."""
     scenario = read_scenario(folder)
     arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)
-    safe = safety(arrays, prepare_map(scenario.graph))
+    safe = safety(arrays, flatten_lanes(scenario.graph))
     clean = arrays.clean & ~arrays.generated
     seen = windows(arrays, safe, clean)
     done = detect(arrays, safe.lanes, safe.matches)

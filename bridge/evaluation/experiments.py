@@ -20,7 +20,7 @@ from bridge.recordings.folders import Address, Source
 from bridge.recordings.sidecar import Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import Track
-from hid2.evaluation.safety import prepare_map
+from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.params import Config, Limits, Request
 
@@ -124,7 +124,7 @@ def generate_and_measure(
 
     folder, settings = shared
     scenario = read_recording(folder)
-    ground = prepare_map(scenario.graph)
+    lanes = flatten_lanes(scenario.graph)
     prepared = prepare(scenario, next((s.config for s in settings if s.config), Config()))
     made: dict[tuple[int, int], GeneratedScene] = {}  # a scene that is measured twice is generated once
     for number, seed in items:
@@ -143,7 +143,7 @@ def generate_and_measure(
                 tracks, sidecar = (*recorded, *made[key].generated), made[key].sidecar
             measures = measure(
                 tracks,
-                ground,
+                lanes,
                 sidecar,
                 recording_record_of(scenario),
                 limits=Limits(),

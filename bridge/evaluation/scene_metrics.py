@@ -31,11 +31,12 @@ from hid2.evaluation.critics import pack
 from hid2.evaluation.kinematics import Kinematics, beyond_limits, kinematics, motion
 from hid2.evaluation.metrics import CRITICAL, Group, last_step_counts, measure_group
 from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
-from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, PreparedMap, Safety, prepare_map, safety
+from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety
 from hid2.evaluation.windows import windows
 from hid2.judge.findings import Finding
 from hid2.measures.arrays import BoolArray, SceneArrays, is_generated_id
 from hid2.measures.encounters import encounters
+from hid2.measures.lane_matching import FlatLanes, flatten_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.post_encroachment import Encroachment
 from hid2.measures.scene_end import contacts_after_last_step
@@ -72,19 +73,19 @@ class Maps:
     """The last maps read, by their content: scenes made from one share its map, and reading it takes longest."""
 
     def __init__(self) -> None:
-        self._known: dict[bytes, PreparedMap] = {}
+        self._known: dict[bytes, FlatLanes] = {}
 
-    def read(self, path: Path) -> PreparedMap:
+    def read(self, path: Path) -> FlatLanes:
         """The map in a file, which keeps the rules and limits of a source's. Errors: MapError."""
         try:
             content = read_regular(path, most_mb=MAX_FILE_MB)
         except OSError:
             content = b""  # what is wrong is said below
-        ground = self._known.pop(content, None) or prepare_map(read_source_map(path))
-        self._known[content] = ground  # the last one used comes last
+        lanes = self._known.pop(content, None) or flatten_lanes(read_source_map(path))
+        self._known[content] = lanes  # the last one used comes last
         while len(self._known) > _MOST_MAPS:
             self._known.pop(next(iter(self._known)))
-        return ground
+        return lanes
 
 
 def measure_folder(folder: Address, limits: Limits, maps: Maps, labelled: Labelled | None = None) -> SceneMeasures:
@@ -92,14 +93,14 @@ def measure_folder(folder: Address, limits: Limits, maps: Maps, labelled: Labell
 
     labelled: sizes of the recorded tracks of source scenes, for generated ones whose sidecar does not have them.
     """
-    rows, ground, known = _read(folder, maps)
+    rows, lanes, known = _read(folder, maps)
     sidecar = sidecar_in(folder, rows.scenario_id) if isinstance(folder, Path) else None
     if sidecar is not None and sidecar.replay.mode == "reactive":
         raise ScenarioError(f"{folder}: {REACTIVE}")
     source = sidecar.source_scenario_id if sidecar else rows.scenario_id
     sizes = (labelled or {}).get(source, {}) if sidecar else {}
     measures = measure(
-        [replace(t, size=sizes.get(t.track_id, t.size)) for t in rows.tracks] if sizes else rows.tracks, ground,
+        [replace(t, size=sizes.get(t.track_id, t.size)) for t in rows.tracks] if sizes else rows.tracks, lanes,
         sidecar, known, limits=limits, num_steps=rows.num_steps, source=source,
     )  # fmt: skip
     name: Row = {"scenario_id": rows.scenario_id}
@@ -113,7 +114,7 @@ def measure_folder(folder: Address, limits: Limits, maps: Maps, labelled: Labell
     )
 
 
-def _read(folder: Address, maps: Maps) -> tuple[Rows, PreparedMap, RecordingRecord]:
+def _read(folder: Address, maps: Maps) -> tuple[Rows, FlatLanes, RecordingRecord]:
     """As read_recording, but the map of a folder that is known is not read again."""
     if isinstance(folder, Source):
         scenario = read_recording(folder)
@@ -121,7 +122,7 @@ def _read(folder: Address, maps: Maps) -> tuple[Rows, PreparedMap, RecordingReco
             scenario.scenario_id, scenario.city, scenario.focal_track_id, scenario.num_steps, scenario.tracks,
             scenario.observed_steps, scenario.step_s,
         )  # fmt: skip
-        return rows, prepare_map(scenario.graph), recording_record_of(scenario)
+        return rows, flatten_lanes(scenario.graph), recording_record_of(scenario)
     tables, files = list(folder.glob("scenario_*.parquet")), list(folder.glob("log_map_archive_*.json"))
     if len(tables) != 1 or len(files) != 1:
         read_scenario(folder)  # says what is wrong
@@ -130,14 +131,14 @@ def _read(folder: Address, maps: Maps) -> tuple[Rows, PreparedMap, RecordingReco
     rows = split_rows(
         read_table(tables[0]), name=str(tables[0]), sizes=read_sizes(folder), observed_steps=known.observed_steps
     )
-    ground = maps.read(files[0])
-    check_ground(rows.tracks, ground.graph, str(folder))
-    return rows, ground, known
+    lanes = maps.read(files[0])
+    check_ground(rows.tracks, lanes.graph, str(folder))
+    return rows, lanes, known
 
 
 def measure(
     tracks: Sequence[Track],
-    ground: PreparedMap,
+    lanes: FlatLanes,
     sidecar: Sidecar | None,
     known: RecordingRecord,
     *,
@@ -147,13 +148,13 @@ def measure(
 ) -> SceneMeasures:
     """Measure tracks on a map. known: what is known of the recording; `source`: id of the recorded scene."""
     generated_ids = {track.track_id for track in tracks if is_generated_id(track.track_id)}
-    states = states_of(tracks, ground.lanes, generated_ids, num_steps=num_steps, step_s=known.step_s)
+    states = states_of(tracks, lanes, generated_ids, num_steps=num_steps, step_s=known.step_s)
     arrays = states.arrays
     last_observed = min(known.observed_steps, num_steps) - 1
     moved = motion(arrays)
-    safe = safety(arrays, ground, states.matches)
+    safe = safety(arrays, lanes, states.matches)
     maneuvers = detect(arrays, safe.lanes, safe.matches)
-    findings = findings_of(states, ground.graph, sidecar)
+    findings = findings_of(states, lanes.graph, sidecar)
     policy_of = policies(arrays, maneuvers)
     groups = _groups(arrays, kinematics(arrays, moved), safe, beyond_limits(moved, limits))
     scene: Row = {

@@ -16,7 +16,7 @@ from hid2.kernels.box_pairs import pairwise_overlap
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import Leaders, leaders
-from hid2.measures.lane_matching import FlatLanes, Matches, flatten_lanes, match_lanes
+from hid2.measures.lane_matching import FlatLanes, Matches, match_lanes
 from hid2.measures.post_encroachment import Encroachment, encroachments
 from hid2.measures.time_to_collision import ttc_to_anything
 from hid2.params import Limits
@@ -84,49 +84,36 @@ def off_road(position: FloatArray, graph: LaneGraph) -> BoolArray:
     return np.asarray(~shapely.intersects_xy(area, position[:, 0], position[:, 1]))
 
 
-class PreparedMap(NamedTuple):
-    """What the measures need of a map, worked out once for all scenes on it."""
-
-    graph: LaneGraph
-    lanes: FlatLanes
-
-
-def prepare_map(graph: LaneGraph) -> PreparedMap:
-    """Work out what the measures need of a map."""
-    return PreparedMap(graph, flatten_lanes(graph))
-
-
-def off_footprint(arrays: SceneArrays, ground: PreparedMap) -> BoolArray:
+def off_footprint(arrays: SceneArrays, graph: LaneGraph) -> BoolArray:
     """Rows (N,) whose box reaches more than FOOTPRINT_TOLERANCE_M out of the drivable area, as the judge sees it."""
     length, width = arrays.length[arrays.agent], arrays.width[arrays.agent]
     outside = outside_m(
-        arrays.position, arrays.heading, length, width, ground.graph, tolerance_m=FOOTPRINT_TOLERANCE_M
+        arrays.position, arrays.heading, length, width, graph, tolerance_m=FOOTPRINT_TOLERANCE_M
     )  # fmt: skip
     return np.asarray(outside > 0.0)
 
 
-def _against_lane(view: LaneView, graph: LaneGraph) -> BoolArray:
+def _against_lane(view: LaneView) -> BoolArray:
     """Rows (N,) of moving vehicles that drive against their lanes, as the judge sees it."""
     arrays = view.arrays
     against = np.zeros(len(arrays.agent), dtype=bool)
     for agent in np.flatnonzero(arrays.vehicle & arrays.moving).tolist():
         rows = np.arange(arrays.first[agent], arrays.first[agent + 1])
-        angle, limit = against_lane_deg(view, rows, graph)
+        angle, limit = against_lane_deg(view, rows, view.lanes.graph)
         against[rows] = angle > limit
     fast = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1]) > WRONG_WAY_SPEED_MPS
     return np.asarray(against & fast)
 
 
-def safety(arrays: SceneArrays, ground: PreparedMap, matches: Matches | None = None) -> Safety:
+def safety(arrays: SceneArrays, lanes: FlatLanes, matches: Matches | None = None) -> Safety:
     """Every measure of safety of a scene. matches: of its rows, where they are known."""
-    lanes = ground.lanes
     matches = match_lanes(arrays, lanes) if matches is None else matches
     return Safety(
         overlaps=overlaps(arrays),
         encroachments=encroachments(arrays),
-        off_road=off_road(arrays.position, ground.graph),
-        off_footprint=off_footprint(arrays, ground),
-        against_lane=_against_lane(LaneView(arrays, lanes, matches), ground.graph),
+        off_road=off_road(arrays.position, lanes.graph),
+        off_footprint=off_footprint(arrays, lanes.graph),
+        against_lane=_against_lane(LaneView(arrays, lanes, matches)),
         ttc_s=ttc_to_anything(arrays),
         leaders=leaders(arrays, lanes, matches),
         matches=matches,

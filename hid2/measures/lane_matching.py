@@ -29,7 +29,7 @@ _SHORT_M = 6.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class FlatLanes:
-    """The lanes of a map for compiled code: lane k has points first[k]:first[k + 1].
+    """The lanes of a map, `graph`, for compiled code: lane k has points first[k]:first[k + 1].
 
     lane_ids (L,); points (P, 2) m; s (P,) m along each lane; half_width (L,) m; box (L, 4) bounds, m;
     link (L, L): 0 the same lane or a successor, 1 a lane change (neighbour, or the successor of one), 2 neither;
@@ -37,6 +37,7 @@ class FlatLanes:
     straight (L,): `LaneGraph.straightest_successor`, -1 where there is none.
     """
 
+    graph: LaneGraph
     lane_ids: IntArray
     points: FloatArray
     s: FloatArray
@@ -106,6 +107,7 @@ def flatten_lanes(graph: LaneGraph) -> FlatLanes:
     sign = {TurnType.STRAIGHT: 0, TurnType.LEFT: 1, TurnType.RIGHT: -1}
     straightest = (graph.straightest_successor(lane.lane_id) for lane in lanes)
     return FlatLanes(
+        graph=graph,
         lane_ids=np.array([lane.lane_id for lane in lanes], dtype=np.int64),
         points=np.ascontiguousarray(points, dtype=np.float64),
         s=s,

@@ -29,9 +29,10 @@ from hid2.evaluation.critics import (
     pack,
 )
 from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
-from hid2.evaluation.safety import prepare_map, safety
+from hid2.evaluation.safety import safety
 from hid2.evaluation.windows import windows
 from hid2.measures.arrays import stack
+from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import ManeuverKind, detect
 from hid2.params import Drivers
 
@@ -62,8 +63,8 @@ class Figures:
     def add(self, number: int, name: str, tracks, *, graph, num_steps: int, labelled: bool, first: bool) -> None:
         """Take the recorded tracks of a source in (first), or the generated ones of a scene made from it."""
         arrays = stack(tracks, num_steps=num_steps, step_s=0.1)
-        ground = prepare_map(graph)
-        safe = safety(arrays, ground)
+        lanes = flatten_lanes(graph)
+        safe = safety(arrays, lanes)
         members = arrays.vehicle & arrays.moving & ~(arrays.fragment & ~arrays.generated)
         found = windows(arrays, safe, members)
         halves = np.array([half_number(name, arrays.track_ids[a]) for a in found.agent], dtype=np.int64)

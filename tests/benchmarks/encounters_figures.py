@@ -16,9 +16,10 @@ from bridge.config import load_config
 from bridge.generation.generate import GeneratedScene, generate, prepare
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
-from hid2.evaluation.safety import PreparedMap, Safety, prepare_map, safety
+from hid2.evaluation.safety import Safety, safety
 from hid2.measures.arrays import SceneArrays, stack
 from hid2.measures.encounters import NEAR_M, Encounters, Partner, encounters
+from hid2.measures.lane_matching import FlatLanes, flatten_lanes
 from hid2.measures.manoeuvres import ManeuverKind, detect
 
 #: Vehicles of two variants are twins where they start and are 5 s later this near to each other, m.
@@ -49,17 +50,17 @@ class Figures:
         self.offered: dict[str, int] = {}
         self.near: dict[str, list[int]] = defaultdict(list)
 
-    def add_recorded(self, name: str, tracks, ground: PreparedMap, *, num_steps: int, step_s: float) -> None:
+    def add_recorded(self, name: str, tracks, lanes: FlatLanes, *, num_steps: int, step_s: float) -> None:
         arrays = stack(tracks, num_steps=num_steps, step_s=step_s)
-        found = met_of(_met(arrays, safety(arrays, ground)))
+        found = met_of(_met(arrays, safety(arrays, lanes)))
         members = arrays.vehicle & arrays.moving & ~arrays.fragment
         self.met["recorded"].append(found[members])
         self.met[f"recorded, {name}"].append(found[members])
 
-    def add(self, name: str, scene: GeneratedScene, ground: PreparedMap, target: str | None, within_m: float) -> None:
+    def add(self, name: str, scene: GeneratedScene, lanes: FlatLanes, target: str | None, within_m: float) -> None:
         recording = scene.scenario
         arrays = stack([*recording.tracks, *scene.generated], num_steps=recording.num_steps, step_s=recording.step_s)
-        safe = safety(arrays, ground)
+        safe = safety(arrays, lanes)
         found = met_of(_met(arrays, safe))
         self.met["inserted"].append(found[arrays.generated])
         self.met["inserted, moving"].append(found[arrays.generated & arrays.moving])
@@ -152,16 +153,16 @@ def main() -> None:
     for folder in find_scenarios(options.root or shared / "av2"):
         config = load_config(None, options.settings, asked)
         recording = read_scenario(folder)
-        prepared, ground, name = prepare(recording, config), prepare_map(recording.graph), folder.name[:8]
+        prepared, lanes, name = prepare(recording, config), flatten_lanes(recording.graph), folder.name[:8]
         figures.cells[name], figures.offered[name] = len(prepared.grid.cells), offered(recording.graph)
         figures.add_recorded(
-            name, recording.tracks, ground, num_steps=recording.num_steps, step_s=recording.step_s
+            name, recording.tracks, lanes, num_steps=recording.num_steps, step_s=recording.step_s
         )  # fmt: skip
         for variant in range(options.variants):
             began = time.process_time()
             scene = generate(prepared, config, variant=variant)
             seconds, scenes = seconds + time.process_time() - began, scenes + 1
-            figures.add(name, scene, ground, target, options.within)
+            figures.add(name, scene, lanes, target, options.within)
     print(f"{seconds / scenes:.2f} s of processor time a scene, {scenes} scenes")
     print("\n".join(figures.lines()))
 

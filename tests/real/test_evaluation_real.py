@@ -15,7 +15,7 @@ import shapely
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import DEFAULT_SIZES
 from hid2.evaluation.kinematics import kinematics, motion
-from hid2.evaluation.safety import colliding, off_footprint, off_road, overlaps, prepare_map
+from hid2.evaluation.safety import colliding, off_footprint, off_road, overlaps
 from hid2.measures.arrays import stack
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.manoeuvres import detect
@@ -122,7 +122,7 @@ def test_orr_and_footprint_equal_shapely_point_by_point(real_scene):
     members = arrays.vehicle[arrays.agent]
     rate = off_road(arrays.position, scenario.graph)[members].mean()
     assert rate == pytest.approx(outside / len(vehicles), abs=1e-9)
-    rate = off_footprint(arrays, prepare_map(scenario.graph))[members].mean()
+    rate = off_footprint(arrays, scenario.graph)[members].mean()
     assert rate == pytest.approx(footprint / len(vehicles), abs=1e-9)
 
 

@@ -21,7 +21,7 @@ from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics
 from hid2.evaluation.critics import WIDTH
 from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric, Section
-from hid2.evaluation.safety import prepare_map
+from hid2.measures.lane_matching import flatten_lanes
 from hid2.params import Limits
 from netconvert.errors import ExportError, MapError, ScenarioError
 
@@ -278,7 +278,7 @@ def test_a_scene_in_which_nothing_moves_is_measured(made_scene):
     ]
     measures = measure(
         parked,
-        prepare_map(scenario.graph),
+        flatten_lanes(scenario.graph),
         None,
         recording_record_of(scenario),
         limits=Limits(),

@@ -19,9 +19,10 @@ from hid2.evaluation.critics import (
     pack,
     weighted_auc,
 )
-from hid2.evaluation.safety import prepare_map, safety
+from hid2.evaluation.safety import safety
 from hid2.evaluation.windows import windows
 from hid2.measures.arrays import stack
+from hid2.measures.lane_matching import flatten_lanes
 
 CRITICS = [(critic, View.ALL) for critic in Critic]
 
@@ -127,7 +128,7 @@ def drive(speed, accel, offset, *, steps=80, rng=None, track_id="r1"):
 
 def windows_of(tracks, road):
     arrays = stack(tracks, step_s=0.1)
-    safe = safety(arrays, prepare_map(road(length_m=250)))
+    safe = safety(arrays, flatten_lanes(road(length_m=250)))
     return arrays, windows(arrays, safe, arrays.vehicle)
 
 

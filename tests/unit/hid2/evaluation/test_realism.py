@@ -20,9 +20,10 @@ from hid2.evaluation.realism import (
     scene_values,
     wasserstein,
 )
-from hid2.evaluation.safety import prepare_map, safety
+from hid2.evaluation.safety import safety
 from hid2.evaluation.windows import windows
 from hid2.measures.arrays import stack
+from hid2.measures.lane_matching import flatten_lanes
 
 SPEED = FEATURES[0]
 
@@ -100,7 +101,7 @@ def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_n
             recorded = _lanes_full(rng, "r", rng.uniform(5, 12, 8))
             generated = _lanes_full(rng, "gen_", rng.uniform(low, low + 7, 8))
             arrays = stack([*recorded, *generated], step_s=0.1)
-            safe = safety(arrays, prepare_map(road(length_m=200)))
+            safe = safety(arrays, flatten_lanes(road(length_m=200)))
             found_windows = windows(arrays, safe, arrays.vehicle)
             values = scene_values(arrays, safe, found_windows, {"gen_0": [4.0], "r0": [3.0]})
             kinds = {"generated": arrays.generated, "recorded": ~arrays.generated}

@@ -10,7 +10,7 @@ from shapely.affinity import rotate, translate
 from shapely.geometry import box as rectangle
 
 from hid2.agents import BoxSize, Track
-from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, off_footprint, prepare_map, safety
+from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, off_footprint, safety
 from hid2.kernels.box_pairs import pairwise_overlap
 from hid2.kernels.boxes import contact_time
 from hid2.measures.arrays import SceneArrays, stack
@@ -80,7 +80,7 @@ def test_ttc_of_a_car_that_closes_on_a_standing_one(road):
         [drive(0, speed=8.0, steps=10, name="a"), drive(20, steps=10, name="b"), drive(100, 3.5, steps=10, name="c")],
         step_s=0.1,
     )
-    safe = safety(arrays, prepare_map(road()))
+    safe = safety(arrays, flatten_lanes(road()))
     np.testing.assert_allclose(safe.ttc_s[:10], 2.0 - 0.1 * np.arange(10), atol=1e-9)
     np.testing.assert_allclose(safe.ttc_s[10:20], safe.ttc_s[:10])
     np.testing.assert_allclose(safe.ttc_s[20:], 5.0)
@@ -96,12 +96,12 @@ def test_ttc_sees_a_crossing_vehicle_that_no_lane_leads_to(road):
         [drive(0, speed=10.0, steps=2, name="a"), drive(30, -30, math.pi / 2, speed=10.0, steps=2, name="b")],
         step_s=0.1,
     )
-    assert safety(arrays, prepare_map(road())).ttc_s[0] == pytest.approx(2.7)
+    assert safety(arrays, flatten_lanes(road())).ttc_s[0] == pytest.approx(2.7)
 
 
 def test_overlapping_boxes_have_ttc_zero(road):
     arrays = stack([drive(0, speed=5.0, steps=2, name="a"), drive(1, steps=2, name="b")], step_s=0.1)
-    assert safety(arrays, prepare_map(road())).ttc_s.max() == 0.0
+    assert safety(arrays, flatten_lanes(road())).ttc_s.max() == 0.0
 
 
 def test_pet_is_the_time_between_leaving_and_reaching_the_shared_ground():
@@ -145,7 +145,7 @@ def test_following_and_meeting_are_no_crossings():
 def test_footprint_allows_thirty_centimetres(road):
     """Right edge of the area at y = -1.75. A box of 2 m width at y = -1.0 reaches -2.0 (0.25 m out), at -1.1 0.35 m."""
     arrays = stack([drive(50, -1.0, steps=1, name="a"), drive(80, -1.1, steps=1, name="b")], step_s=0.1)
-    assert off_footprint(arrays, prepare_map(road())).tolist() == [False, True]
+    assert off_footprint(arrays, road()).tolist() == [False, True]
 
 
 @pytest.mark.parametrize("beyond_m", [-1e-3, -1e-5, 1e-5, 1e-3])
@@ -161,7 +161,7 @@ def test_footprint_round_a_convex_corner_is_measured_by_distance(road, beyond_m)
     arrays = stack(
         [drive(x, y, steps=1, name=f"{k}", size=(1e-9, 1e-9)) for k, (x, y) in enumerate(places)], step_s=0.1
     )
-    assert (off_footprint(arrays, prepare_map(graph)) == (beyond_m > 0)).all()
+    assert (off_footprint(arrays, graph) == (beyond_m > 0)).all()
 
 
 def test_leader_gap_time_gap_headway_and_ttc(road):
@@ -220,7 +220,7 @@ def test_driving_against_the_lane_is_seen_and_parking_across_it_is_not(road):
     right = drive(50, 3.5, 0.0, speed=8.0, name="right")
     parked = drive(180, 0, math.pi, name="parked")
     arrays = stack([wrong, right, parked], step_s=0.1)
-    share = arrays.mean_per_agent(safety(arrays, prepare_map(graph)).against_lane.astype(float))
+    share = arrays.mean_per_agent(safety(arrays, flatten_lanes(graph)).against_lane.astype(float))
     assert share.tolist() == [1.0, 0.0, 0.0]
 
 
@@ -238,7 +238,7 @@ def test_a_sliver_between_two_lanes_is_not_driving_against_one_that_crosses_them
     )
     for y, expected in ((0.0, False), (1.95, False), (-2.2, True)):
         arrays = stack([drive(60, y, 0.0, speed=8.0, name="x")], step_s=0.1)
-        assert safety(arrays, prepare_map(graph)).against_lane.any() == expected, y
+        assert safety(arrays, flatten_lanes(graph)).against_lane.any() == expected, y
 
 
 def test_lane_of_a_vehicle_near_the_marking_does_not_flicker(road):
@@ -256,7 +256,7 @@ def test_lane_of_a_vehicle_near_the_marking_does_not_flicker(road):
 
 def test_a_scene_without_agents_has_nothing_to_report(road):
     arrays = stack([], num_steps=110, step_s=0.1)
-    safe = safety(arrays, prepare_map(road()))
+    safe = safety(arrays, flatten_lanes(road()))
     assert safe.overlaps == ()
     assert len(safe.ttc_s) == 0
 
