@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from bridge.batch.batch import Options as Options
     from bridge.batch.batch import plan as plan
     from bridge.batch.batch import run_batch as run_batch
+    from bridge.batch.validation import validate_folder as validate_folder
     from bridge.config import load_config as load_config
     from bridge.config import parse_behaviours as parse_behaviours
     from bridge.evaluation.evaluate import evaluate_folder as evaluate_folder
@@ -28,41 +29,32 @@ if TYPE_CHECKING:
     from bridge.recordings.scenario import Scenario as Scenario
     from bridge.recordings.scenario import read_scenario as read_scenario
     from bridge.recordings.sidecar import sidecar_in as sidecar_in
-    from bridge.recordings.validate import validate_folder as validate_folder
     from bridge.studies.run import run_study as run_study
     from bridge.studies.study import read_study as read_study
     from hid2.params import Config as Config
     from hid2.reasons import Reason as Reason
     from netconvert.errors import Hid2Error as Hid2Error
 
-#: Where each public name is.
-_HOMES = {
-    "Config": "hid2.params",
-    "Conflict": "bridge.pictures.conflicts",
-    "Hid2Error": "netconvert.errors",
-    "Options": "bridge.batch.batch",
-    "Reason": "hid2.reasons",
-    "Scenario": "bridge.recordings.scenario",
-    "draw_conflicts": "bridge.pictures.conflicts",
-    "draw_scene": "bridge.pictures.render",
-    "evaluate_folder": "bridge.evaluation.evaluate",
-    "find_conflicts": "bridge.pictures.conflicts",
-    "find_scenarios": "bridge.recordings.folders",
-    "generate": "bridge.generation.generate",
-    "load_config": "bridge.config",
-    "parse_behaviours": "bridge.config",
-    "plan": "bridge.batch.batch",
-    "plot_agent": "bridge.pictures.plot",
-    "prepare": "bridge.generation.generate",
-    "read_scenario": "bridge.recordings.scenario",
-    "read_study": "bridge.studies.study",
-    "render_scene": "bridge.pictures.render",
-    "run_batch": "bridge.batch.batch",
-    "run_study": "bridge.studies.run",
-    "sidecar_in": "bridge.recordings.sidecar",
-    "validate_folder": "bridge.recordings.validate",
-    "write": "bridge.generation.generate",
+#: The public names of each module.
+_NAMES = {
+    "bridge.batch.batch": "Options plan run_batch",
+    "bridge.config": "load_config parse_behaviours",
+    "bridge.evaluation.evaluate": "evaluate_folder",
+    "bridge.generation.generate": "generate prepare write",
+    "bridge.pictures.conflicts": "Conflict draw_conflicts find_conflicts",
+    "bridge.pictures.plot": "plot_agent",
+    "bridge.pictures.render": "draw_scene render_scene",
+    "bridge.recordings.folders": "find_scenarios",
+    "bridge.recordings.scenario": "Scenario read_scenario",
+    "bridge.recordings.sidecar": "sidecar_in",
+    "bridge.batch.validation": "validate_folder",
+    "bridge.studies.run": "run_study",
+    "bridge.studies.study": "read_study",
+    "hid2.params": "Config",
+    "hid2.reasons": "Reason",
+    "netconvert.errors": "Hid2Error",
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 __all__ = sorted(_HOMES)  # noqa: PLE0605  # one list
 
 

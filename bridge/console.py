@@ -11,7 +11,7 @@ import textwrap
 import threading
 import time
 from collections.abc import Sequence
-from types import TracebackType
+from contextlib import ExitStack
 from typing import Self
 
 from bridge.files import one_line
@@ -90,13 +90,14 @@ def print_json(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None
     print(json.dumps(values, indent=1, default=str))
 
 
-class Activity:
+class Activity(ExitStack):
     """What is being done, from the start: one line on a terminal, a line every few seconds elsewhere, none when quiet.
 
     `doing` names the next piece of work, `show` counts within it.
     """
 
     def __init__(self, what: str = "starting", *, quiet: bool) -> None:
+        super().__init__()
         self._what, self._quiet = what, quiet
         self._began = self._named = time.monotonic()
         self._next_line = self._began + _FIRST_S
@@ -105,16 +106,10 @@ class Activity:
         self._ticker = threading.Thread(target=self._tick, daemon=True)
 
     def __enter__(self) -> Self:
-        self._tidied = tidied(self.end)
-        self._tidied.__enter__()
+        self.enter_context(tidied(self.end))
         if not self._quiet:
             self._ticker.start()
         return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._tidied.__exit__(kind, error, trace)
 
     def end(self) -> None:
         """Say nothing more; safe to call twice."""
@@ -140,10 +135,10 @@ class Activity:
             self.doing(what)
         self.show(done, total)
 
-    def note(self, text: str) -> None:
-        """A message that nobody needs: none when quiet."""
-        if not self._quiet:
-            say(text)
+    def note(self, *messages: str) -> None:
+        """Messages that nobody needs: none when quiet."""
+        for message in () if self._quiet else messages:
+            say(message)
 
     def _tick(self) -> None:
         while not self._over.wait(_LOOK_S):

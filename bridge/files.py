@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO
 
 from bridge.interruption import hidden_file
-from netconvert.errors import DiskFullError, ExportError
+from netconvert.errors import DiskFullError, ExportError, Hid2Error
 
 #: What the system says when nothing more can be written: full, over the quota or the size, read-only.
 _DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
@@ -24,25 +24,6 @@ MAX_FILE_MB = 32
 _SHORTENED = " ...(shortened)... "
 #: A text that a spreadsheet runs as a formula, behind apostrophes or not; a number is none, nor is a sign alone.
 _FORMULA = re.compile(r"'*(?:[=@\t\r]|[+-](?!(?:\d*\.?\d+(?:e[+-]?\d+)?|inf|nan)$)).", re.DOTALL | re.IGNORECASE)
-
-
-@contextlib.contextmanager
-def beside(path: Path) -> Iterator[Path]:
-    """A hidden file beside a file, to write to: at the end it takes the file's place, and it is gone if all fails.
-
-    The folder is made. Errors: OSError, for the caller to explain.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with hidden_file(path.parent, path.suffix) as hidden:
-        yield hidden
-        hidden.replace(path)
-
-
-@contextlib.contextmanager
-def table_file(path: Path) -> Iterator[IO[str]]:
-    """A file for `append_rows`, `beside` its place. Errors: OSError."""
-    with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as stream:
-        yield stream
 
 
 @contextlib.contextmanager
@@ -55,6 +36,26 @@ def explained(path: Path) -> Iterator[None]:
         raise kind(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
+@contextlib.contextmanager
+def beside(path: Path) -> Iterator[Path]:
+    """A hidden file beside a file, to write to: at the end it takes the file's place, and it is gone if all fails.
+
+    The folder is made. Errors: ExportError.
+    """
+    with explained(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with hidden_file(path.parent, path.suffix) as hidden:
+            yield hidden
+            hidden.replace(path)
+
+
+@contextlib.contextmanager
+def table_file(path: Path) -> Iterator[IO[str]]:
+    """A file for `append_rows`, `beside` its place. Errors: ExportError."""
+    with beside(path) as hidden, hidden.open("w", newline="", encoding="utf-8") as stream:
+        yield stream
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder for what takes long to work out. Errors: ExportError."""
     with explained(folder):
@@ -62,18 +63,18 @@ def make_folder(folder: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write UTF-8. Errors: OSError."""
+    """Write UTF-8. Errors: ExportError."""
     with beside(path) as hidden:
         hidden.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write what a reader may also look at: a line for each value. Errors: OSError."""
+    """Write what a reader may also look at: a line for each value. Errors: ExportError."""
     write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def write_rows(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write a CSV table. Errors: OSError."""
+    """Write a CSV table. Errors: ExportError."""
     with table_file(path) as stream:
         append_rows(stream, [head])
         append_rows(stream, rows)
@@ -120,6 +121,15 @@ def read_regular(path: Path, *, most_mb: int) -> bytes:
     if len(content) > most_mb * 1_000_000:
         raise OSError(errno.EINVAL, f"larger than {most_mb} MB", str(path))
     return content
+
+
+def read_received(path: Path, kind: type[Hid2Error], *, wanted: str, most_mb: int = MAX_FILE_MB) -> bytes:
+    """As `read_regular`, of a file that may come from anywhere. Errors: of that kind, with what was wanted."""
+    try:
+        return read_regular(path, most_mb=most_mb)
+    except OSError as error:
+        said = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
+        raise kind(f"{path}: {said}, expected {wanted}") from error
 
 
 def read_packed(path: Path, *, most_mb: int) -> bytes:

@@ -1,8 +1,7 @@
-"""Tables as lines of text that crop no value: columns wrap between words, or rows are stacked."""
+"""Tables as lines of text that crop no value: the last column wraps between words, or rows are stacked."""
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 #: Between two columns, or two fields of a stacked row.
 _GAP = "  "
@@ -11,31 +10,31 @@ _INDENT = "    "
 _PROSE = 16
 
 
-@dataclass(frozen=True, slots=True)
-class _Column:
-    """Lines of one column. least: the longest piece that is not broken; most: the longest text."""
-
-    head: str
-    texts: tuple[str, ...]
-    numeric: bool
-    least: int
-    most: int
-
-
 def table_lines(columns: Sequence[str], rows: Sequence[Sequence[object]], *, width: int | None) -> list[str]:
     """Lines of a table with a head, at most `width` wide where no single word is wider; None: as wide as it needs.
 
-    Numbers are aligned right. Text is wrapped between words, heads also at underscores. What does not fit so is
-    stacked: for each row its first value, and below it every other one with its name.
+    Numbers are aligned right. Text of the last column is wrapped between words. What does not fit so is stacked: for
+    each row its first value, and below it every other one with its name.
     """
     texts = [[cell_text(cell) for cell in row] for row in rows]
-    described = [
-        _column(head, [row[k] for row in texts], numeric=bool(rows) and all(_is_number(row[k]) for row in rows))
-        for k, head in enumerate(columns)
-    ]
-    room = None if width is None else width - len(_GAP) * (len(columns) - 1)
-    widths = _widths(described, room)
-    return _stacked(columns, texts, width or 0) if widths is None else _side_by_side(described, widths)
+    numeric = [bool(rows) and all(_is_number(row[k]) for row in rows) for k in range(len(columns))]
+    widths = [max(map(len, column)) for column in zip(columns, *texts, strict=True)]
+    before = sum(widths[:-1]) + len(_GAP) * (len(widths) - 1)
+    if width is not None and before + widths[-1] > width:
+        words = [columns[-1], *(word for row in texts for word in row[-1].split())]
+        widths[-1] = width - before
+        if widths[-1] < max(_PROSE, *map(len, words)):
+            return _stacked(columns, texts, width)
+    lines = []
+    for row in (columns, *texts):
+        *cells, last = (
+            text.rjust(room) if right else text.ljust(room)
+            for text, room, right in zip(row, widths, numeric, strict=True)
+        )
+        first, *more = _wrapped(last, widths[-1])
+        lines += [_GAP.join([*cells, first]).rstrip(), *(" " * before + part for part in more)]
+    lines.insert(1, "-" * (before + widths[-1]))
+    return lines
 
 
 def cell_text(cell: object) -> str:
@@ -45,69 +44,6 @@ def cell_text(cell: object) -> str:
 
 def _is_number(cell: object) -> bool:
     return isinstance(cell, int | float) and not isinstance(cell, bool)
-
-
-def _column(head: str, texts: Sequence[str], *, numeric: bool) -> _Column:
-    words = [word for text in texts for word in ([text] if numeric else text.split())]
-    longest = max(map(len, texts), default=0)
-    least = max(map(len, [*_head_words(head), *words]), default=0)
-    return _Column(head, tuple(texts), numeric, max(least, min(longest, _PROSE)), max(longest, len(head)))
-
-
-def _head_words(head: str) -> list[str]:
-    """Pieces that a head may be broken into: at spaces, and behind underscores."""
-    return head.replace("_", "_ ").split()
-
-
-def _widths(columns: Sequence[_Column], room: int | None) -> list[int] | None:
-    """Width of each column: what it wants, or less for those that can be wrapped; None where that is not enough."""
-    wanted = [column.most for column in columns]
-    if room is None or sum(wanted) <= room:
-        return wanted
-    widths = [column.least for column in columns]
-    if sum(widths) > room:
-        return None
-    for _ in range(room - sum(widths)):  # a character at a time to the narrowest that lacks some: short ones stay whole
-        lacking = [k for k, width in enumerate(widths) if width < wanted[k]]
-        widths[min(lacking, key=lambda k: widths[k])] += 1
-    return widths
-
-
-def _side_by_side(columns: Sequence[_Column], widths: Sequence[int]) -> list[str]:
-    heads = [_head_lines(column.head, width) for column, width in zip(columns, widths, strict=True)]
-    deep = max(map(len, heads), default=0)
-    blocks = [[[""] * (deep - len(head)) + head for head in heads]]
-    blocks += [
-        [_wrapped(text, width) for text, width in zip(row, widths, strict=True)]
-        for row in zip(*(column.texts for column in columns), strict=True)
-    ]
-    lines = [line for block in blocks for line in _block(block, columns, widths)]
-    lines.insert(deep, "-" * (sum(widths) + len(_GAP) * (len(widths) - 1)))
-    return lines
-
-
-def _block(cells: Sequence[Sequence[str]], columns: Sequence[_Column], widths: Sequence[int]) -> list[str]:
-    """The lines of one row whose cells have several."""
-    lines = []
-    for number in range(max(map(len, cells), default=0)):
-        parts = [cell[number] if number < len(cell) else "" for cell in cells]
-        aligned = [
-            part.rjust(width) if column.numeric else part.ljust(width)
-            for part, column, width in zip(parts, columns, widths, strict=True)
-        ]
-        lines.append(_GAP.join(aligned).rstrip())
-    return lines
-
-
-def _head_lines(head: str, width: int) -> list[str]:
-    lines = [""]
-    for word in _head_words(head):
-        joint = "" if not lines[-1] or lines[-1].endswith("_") else " "
-        if lines[-1] and len(lines[-1] + joint + word) > width:
-            lines.append(word)
-        else:
-            lines[-1] += joint + word
-    return lines
 
 
 def _wrapped(text: str, width: int) -> list[str]:

@@ -24,7 +24,7 @@ LANE_WIDTH_M = 3.8
 _MITRE = 2.0
 #: Limits of what is read: elements of the XML, nodes of a lane, pixels of the raster. Real: 170,000, 12 and 6 million.
 MAX_ELEMENTS, MAX_NODES, MAX_PIXELS = 5_000_000, 5_000, 100_000_000
-_UNIQUE = ("has_traffic_control", "turn_direction", "is_intersection", "l_neighbor_id", "r_neighbor_id")
+_UNIQUE = ("is_intersection", "l_neighbor_id", "r_neighbor_id")
 #: Farthest coordinate, m.
 _MOST_M = 1e7
 
@@ -155,9 +155,6 @@ def _lane(way: etree._Element, nodes: Mapping[int, tuple[float, float]], name: s
     line = line[np.concatenate([[True], np.any(np.diff(line, axis=0) != 0, axis=1)])] if len(line) else line
     if not 2 <= len(line) <= MAX_NODES:
         raise MapError(f"{where}: {len(line)} different nodes, expected 2 to {MAX_NODES}")
-    if tags["turn_direction"] not in ("LEFT", "RIGHT", "NONE"):
-        raise MapError(f"{where}: turn_direction {_shown(tags['turn_direction'])}, expected LEFT, RIGHT or NONE")
-    _boolean(tags["has_traffic_control"], f"{where}: has_traffic_control")
     return CityLane(
         lane_id=lane_id,
         centerline=line,

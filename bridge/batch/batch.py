@@ -38,9 +38,6 @@ GENERATE = "bridge.batch.scene_work:generate_runs"
 #: Most runs on a recording that one process does before they are in the manifest: a power cut costs no more, and the
 #: runs on one recording are spread over all processes. Reading it and building its net is a small part of so many.
 RUNS_OF_A_TASK = 24
-GENERATE_WITH_GAPS = "bridge.batch.scene_work:generate_and_record_gaps"
-#: By function, the file that a complete folder holds beside the usual ones.
-_EXTRA_FILES = {GENERATE_WITH_GAPS: "gaps_*.csv.gz"}
 
 _LOG = logging.getLogger(__name__)
 
@@ -64,12 +61,13 @@ class SceneJob:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a recording is read and where its results are written, beside out in other formats that were asked for."""
+    """Where a recording is read and where its results are written, with what was asked for beside (see `Options`)."""
 
     folder: Address
     out: Path
     argoverse1: bool = False
     sumo: Path | None = None
+    gaps: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +75,8 @@ class Options(Settings):
     """How a batch, and each scene of it, runs. Errors: ConfigError.
 
     scheduler: address of a Dask scheduler; resume: skip what is complete and unchanged; argoverse1: write sequences of
-    Argoverse 1 as well; sumo: folder for files of SUMO; functions: lane-change rules module:function that may be
-    imported.
+    Argoverse 1 as well; sumo: folder for files of SUMO; gaps: write every look at a gap beside each scene; functions:
+    lane-change rules module:function that may be imported.
     """
 
     recycle_after: int = 200
@@ -88,6 +86,7 @@ class Options(Settings):
     function: str = GENERATE
     argoverse1: bool = False
     sumo: Path | None = None
+    gaps: bool = False
     functions: Collection[str] = ()
 
     def __post_init__(self) -> None:
@@ -310,17 +309,13 @@ def _tasks(
 ) -> Iterator[Task]:
     """Yield tasks for every job that has something to do; called as workers become free."""
     for job in jobs:
-        place = Place(job.folder.absolute(), out_dir, options.argoverse1, options.sumo)
+        place = Place(job.folder.absolute(), out_dir, options.argoverse1, options.sumo, options.gaps)
         source_sha256 = _digest(place.folder)
         wanted = []
         for run in job.runs:
             base = base_row(place, run)
             row = manifest.get(base.key) if options.resume else None
-            if (
-                row is not None
-                and _is_complete(row, base, out_dir, source_sha256, options)
-                and _has_formats(row, place)
-            ):
+            if row is not None and _is_complete(row, base, place, source_sha256):
                 skip(row)
             else:
                 wanted.append(run)
@@ -345,23 +340,18 @@ def _digest(folder: Address) -> str:
         return ""
 
 
-def _is_complete(row: ManifestRow, base: ManifestRow, out_dir: Path, source_sha256: str, options: Options) -> bool:
-    folder, extra = out_dir / row.folder, _EXTRA_FILES.get(options.function)
+def _is_complete(row: ManifestRow, base: ManifestRow, place: Place, source_sha256: str) -> bool:
+    """Whether all that was asked for is there, as it was written, and would be written again."""
+    folder, split = place.out / row.folder, row.split or None
     return (
         row.status == DONE
         and source_sha256 != ""
         and (row.version, row.source_sha256, row.rule_sha256) == (base.version, source_sha256, base.rule_sha256)
         and row.output_sha256 != ""
         and row.output_sha256 == files_sha256(output_files(folder))
-        and (extra is None or any(folder.glob(extra)))
-    )
-
-
-def _has_formats(row: ManifestRow, place: Place) -> bool:
-    """Whether what was asked for in other formats is there."""
-    new_id, split = Path(row.folder).name, row.split or None
-    return (not place.argoverse1 or sequence_path(place.out, split, new_id).is_file()) and (
-        place.sumo is None or sumo_folder(place.sumo, split, new_id).is_dir()
+        and (not place.gaps or any(folder.glob("gaps_*.csv.gz")))
+        and (not place.argoverse1 or sequence_path(place.out, split, folder.name).is_file())
+        and (place.sumo is None or sumo_folder(place.sumo, split, folder.name).is_dir())
     )
 
 
@@ -385,7 +375,6 @@ def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options
         return row
     bundle = Bundle(
         folder=place.folder,
-        split=row.split or None,
         config=run.config,
         variant=run.variant,
         timeout_s=options.timeout_s,
@@ -393,8 +382,7 @@ def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options
         failure=failure,
         version=row.version,
     )
-    with explained(path):
-        write_bundle(bundle, path)
+    write_bundle(bundle, path)
     return row._replace(
         status=QUARANTINED,
         failure=failure.kind,

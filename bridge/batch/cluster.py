@@ -8,12 +8,10 @@ What goes to a scheduler and comes back are pickles: scheduler and workers are t
 import contextlib
 import itertools
 import logging
-import pickle
 import queue
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import CancelledError
-from dataclasses import fields, replace
 from typing import Any, cast
 
 from distributed import Client, KilledWorker, Security, Worker, get_worker
@@ -54,8 +52,7 @@ def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings
     waiting = iter(tasks)
     number = itertools.count()
     with _client(scheduler) as client:
-        values = (getattr(settings, field.name) for field in fields(Settings))  # no more than workers need import
-        client.register_plugin(SceneProcesses(Settings(*values)), name=_PLUGIN)
+        client.register_plugin(SceneProcesses(settings), name=_PLUGIN)
         completed: queue.SimpleQueue[Any] = queue.SimpleQueue()
         running: dict[object, Task] = {}
         room, looked_up, staffed = 0, -_LOOK_UP_S, time.monotonic()
@@ -71,9 +68,8 @@ def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings
                 staffed = now if threads else staffed
                 room, looked_up = _AHEAD * max(1, threads), now
             while len(running) < room and (task := next(waiting, None)) is not None:
-                packed, key = _packed(task), f"{task.key}-{next(number)}-{time.time_ns()}"
                 with _lost(scheduler):
-                    future = client.submit(_run_on_worker, packed, key=key)
+                    future = client.submit(_run_on_worker, task, key=f"{task.key}-{next(number)}-{time.time_ns()}")
                 running[future.key] = task
                 future.add_done_callback(completed.put)
             if not running:
@@ -88,8 +84,8 @@ def _result(future: Any, task: Task, where: str) -> Result:  # noqa: ANN401  # a
     error = future.exception() if future.status == "error" else None
     if future.status == "finished":
         with _lost(where):  # it may go away between the end of a task and its result
-            packed: Result = future.result()
-        return Result(task, tuple(map(_unpacked, task.items, packed.outcomes)))
+            found: Result = future.result()
+        return found
     if isinstance(error, KilledWorker):
         failure = Failure("killed", "its Dask worker died again and again", str(error))
         return Result(task, tuple(Outcome(item, None, failure, 1, 0.0) for item in task.items))
@@ -106,17 +102,6 @@ def _lost(where: str) -> Iterator[None]:
         yield
     except (OSError, CancelledError, RuntimeError) as error:
         raise BatchError(f"scheduler {where}: lost ({type(error).__name__}: {error})") from error
-
-
-def _packed(task: Task) -> Task:
-    """The task as bytes: a Dask worker passes it on and need not import what is in it, which halves its memory."""
-    items = tuple(pickle.dumps(item) for item in task.items)
-    return Task(task.key, "bridge.batch.engine:run_packed", (task.function, pickle.dumps(task.shared)), items)
-
-
-def _unpacked(item: Any, outcome: Outcome) -> Outcome:  # noqa: ANN401  # whatever the task's items are
-    value = pickle.loads(outcome.value) if outcome.value is not None else None  # noqa: S301  # our own worker
-    return replace(outcome, item=item, value=value)
 
 
 def _run_on_worker(task: Task) -> Result:

@@ -8,7 +8,6 @@ would fail no less.
 """
 
 import itertools
-import pickle
 import queue
 import threading
 import time
@@ -23,7 +22,6 @@ from bridge.batch.isolation import (
     IsolatedProcess,
     StartFailedError,
     WorkFailedError,
-    resolve,
 )
 from bridge.files import one_line
 from bridge.interruption import tidied
@@ -255,10 +253,3 @@ def _outcome(
     task: Task, done: list[Outcome], value: object, failure: Failure | None, attempts: int, began: float
 ) -> Outcome:
     return Outcome(task.items[len(done)], value, failure, attempts, time.monotonic() - began)
-
-
-def run_packed(shared: tuple[str, bytes], items: Sequence[bytes]) -> Iterator[bytes]:
-    """The work of an isolated process under a caller that passes bytes on: unpack, run, pack what comes."""
-    function, packed = shared
-    values = resolve(function)(pickle.loads(packed), tuple(map(pickle.loads, items)))  # noqa: S301  # our own caller
-    return map(pickle.dumps, values)

@@ -167,7 +167,7 @@ def read_manifest(path: Path) -> tuple[list[ManifestRow], int]:
 
 def write_rows(path: Path, rows: Iterable[ManifestRow]) -> None:
     """Write rows with a header. Errors: ExportError."""
-    with explained(path), table_file(path) as file:
+    with table_file(path) as file:
         file.write(_header())
         file.writelines(map(_line, rows))
 

@@ -1,5 +1,6 @@
 """A generated scene made again from its sidecar and its recorded scene, and compared bit for bit."""
 
+import filecmp
 from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
@@ -7,7 +8,6 @@ from typing import NamedTuple
 from bridge.batch.batch import Options, Run, SceneJob, run_batch
 from bridge.batch.manifest import DONE
 from bridge.config import check_function, config_from_dict, config_sha256
-from bridge.recordings.export import sha256_of
 from bridge.recordings.folders import (
     PARQUET_PATTERN,
     SIDECAR_PATTERN,
@@ -83,6 +83,6 @@ def make_again(
             continue
         if not old.is_file():
             differences.append(f"{old}: no such file, to compare {path} with")
-        elif sha256_of(old) != sha256_of(path):
+        elif not filecmp.cmp(old, path, shallow=False):
             differences.append(f"{path}: differs from {old}; {program or 'code and libraries were the same'}")
     return MadeAgain(folder, tuple(differences), compared=True, program=program)

@@ -12,32 +12,28 @@ import zlib
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeGuard
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bridge.batch.isolation import Failure, FailureKind
 from bridge.config import check_function, config_from_dict, config_to_dict
 from bridge.files import MAX_FILE_MB, beside, one_line, printable, read_regular
-from bridge.recordings.folders import Address, Choices, Source
+from bridge.recordings.folders import Address, Choices, Source, split_of
 from bridge.recordings.sources import find_one, source_files
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, NoSceneError
 
 #: Functions that a bundle may ask for: any other has to be named by the person who runs it.
-OWN_WORK = frozenset(
-    {
-        "bridge.batch.scene_work:generate_runs",
-        "bridge.batch.scene_work:generate_and_record_gaps",
-        "bridge.studies.study_work:measure_runs",
-    }
-)
+OWN_WORK = frozenset({"bridge.batch.scene_work:generate_runs", "bridge.studies.study_work:measure_runs"})
 #: Longest time a scene may be given, s.
 MAX_TIMEOUT_S = 86_400.0
 #: A bundle: size of the file and of what it unpacks to, MB; files in it. A real one has 1 MB and five files.
 MAX_BUNDLE_MB, MAX_UNPACKED_MB, MAX_MEMBERS = 64, 128, 64
 
 _REQUEST, _FAILURE, _DETAILS, _SCENE = "request.json", "failure.json", "details.txt", "scene/"
+#: What comes of a file that is no bundle, besides wrong values.
+_REFUSED = (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, ConfigError)
 #: How the entry of a file in the directory of an archive begins.
 _ENTRY = b"PK\1\2"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -77,10 +73,9 @@ class _Seen(_Strict):
 
 @dataclass(frozen=True, slots=True)
 class Bundle:
-    """A failed run. folder: of the recording; function: what ran it; split: of the source, None without one."""
+    """A failed run. folder: of the recording; function: what ran it."""
 
     folder: Address
-    split: str | None
     config: Config
     variant: int
     timeout_s: float
@@ -92,7 +87,7 @@ class Bundle:
 def write_bundle(bundle: Bundle, path: Path) -> None:
     """Write a bundle, beside and then renamed. The same failure gives the same bytes.
 
-    Files of the scene that are no regular files, or larger than a reader takes, are named instead. Errors: OSError.
+    Files of the scene that are no regular files, or larger than a reader takes, are named instead. Errors: ExportError.
     """
     files: dict[str, bytes] = {}
     left_out: list[str] = []
@@ -111,10 +106,10 @@ def write_bundle(bundle: Bundle, path: Path) -> None:
         python=platform.python_version(),
         platform=platform.platform(),
         scenario=one_line(bundle.folder.name, most=200),
-        split=bundle.split,  # type: ignore[arg-type]  # of split_of
+        split=split_of(bundle.folder),  # type: ignore[arg-type]  # one of these
         variant=bundle.variant,
         start=source.start if source is not None else 0,
-        map=source.map_path.name if source is not None and _is_file(source.map_path) else None,
+        map=source.map_path.name if source and source.map_path and source.map_path.is_file() else None,
         timeout_s=bundle.timeout_s,
         function=bundle.function,
         config=config_to_dict(bundle.config),
@@ -159,21 +154,11 @@ def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> B
         field = ".".join(str(part) for part in first["loc"]) or "the file"
         said = f"{field}: {first['msg']}, have {first['input']!r}"
         raise BatchError(_no_bundle(path, said)) from error
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        EOFError,
-        RuntimeError,
-        zipfile.BadZipFile,
-        zlib.error,
-        ConfigError,
-    ) as error:
+    except _REFUSED as error:
         said = f"no {error} in it" if isinstance(error, KeyError) else getattr(error, "strerror", None) or str(error)
         raise BatchError(_no_bundle(path, said)) from error
     return Bundle(
         folder=address,
-        split=request.split,
         config=config,
         variant=request.variant,
         timeout_s=request.timeout_s,
@@ -188,10 +173,6 @@ def _entries(address: Address) -> list[Path]:
     if isinstance(address, Source):
         return source_files(address)
     return sorted(address.iterdir()) if address.is_dir() else []
-
-
-def _is_file(path: Path | None) -> TypeGuard[Path]:
-    return path is not None and path.is_file()
 
 
 def _unpacked(folder: Path, request: _Request) -> Address:

@@ -3,12 +3,10 @@
 import logging
 import random
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import NamedTuple, get_args
 
 from bridge.batch.engine import sorted_out, work_on_each
 from bridge.batch.isolation import Failure, attempt_each
-from bridge.files import explained, write_rows
 from bridge.recordings.folders import Address
 from bridge.recordings.plausibility import figures_of
 from bridge.recordings.recording import Recording
@@ -21,7 +19,7 @@ from hid2.policy.overtake import stretch_m
 from hid2.scene import Scene, build_scene
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ConfigError
-from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment, Side, TurnType
+from netconvert.lane_graph import SIDES, LaneSegment, TurnType
 
 _LOG = logging.getLogger(__name__)
 #: Most scenes that a process gets at a time.
@@ -112,6 +110,7 @@ def describe_scene(folder: Address, config: Config) -> SceneFacts:
     graph, routes = scenario.graph, Routes(scene_of(scenario, config))
     vehicles = [track for track in scenario.tracks if track.object_type in VEHICLE_TYPES]
     lanes = [lane for lane in graph.lanes.values() if lane.lane_type == "VEHICLE"]
+    own = {lane.lane_id for lane in lanes}
     turns = [lane for lane in lanes if lane.turn is not TurnType.STRAIGHT and graph.predecessors(lane.lane_id)]
     short = round(_MOVING_S / scenario.step_s)
     return SceneFacts(
@@ -126,7 +125,7 @@ def describe_scene(folder: Address, config: Config) -> SceneFacts:
         moving=sum(track.path_m > _MOVING_M and len(track.timesteps) > short for track in vehicles),
         lanes=len(graph.lanes),
         vehicle_lanes=len(lanes),
-        same_direction=sum(_beside(graph, lane.lane_id, side) is not None for lane in lanes for side in SIDES),
+        same_direction=sum(graph.neighbor(lane.lane_id, side) in own for lane in lanes for side in SIDES),
         straight_m=round(sum(lane.length_m for lane in lanes), 1),
         lane_change_m=_room_beside(routes, lanes, needed_m=config.lane_change.min_remaining_m),
         overtake_m=_room_to_pass(routes, lanes, needed_m=stretch_m(config)),
@@ -187,18 +186,6 @@ def wanted(
     if selection.sample is None:
         chosen |= {folder for folder, _ in unread}
     return [folder for folder in folders if folder in chosen]
-
-
-def write_facts(path: Path, facts: Sequence[SceneFacts]) -> None:
-    """Write a CSV table, one row per scene. Errors: ExportError."""
-    with explained(path):
-        write_rows(path, SceneFacts._fields, facts)
-
-
-def _beside(graph: LaneGraph, lane_id: int, side: Side) -> int | None:
-    """The same-direction VEHICLE neighbour on a side."""
-    neighbor = graph.neighbor(lane_id, side)
-    return neighbor if neighbor is not None and graph.lanes[neighbor].lane_type == "VEHICLE" else None
 
 
 def _room_beside(routes: Routes, lanes: Sequence[LaneSegment], *, needed_m: float) -> float:

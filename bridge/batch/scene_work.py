@@ -28,17 +28,13 @@ def _check_libsumo() -> None:
 _check_libsumo()
 
 
-def generate_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
-    """Generate and write each run, in the other formats that were asked for as well."""
-    return run_each(place, runs, lambda scene: _write(scene, place))
-
-
-def _write(scene: GeneratedScene, place: Place) -> Path:
+def write_all(scene: GeneratedScene, place: Place) -> Path:
+    """Write a scene, with what was asked for beside; returns its folder. Errors: ExportError."""
     if place.argoverse1:
         from bridge.recordings.sequence import write_sequence
 
         write_sequence(scene.scenario, scene.generated, place.out, new_id=scene.new_id)
-    folder = write(scene, place.out)
+    folder = write(scene, place.out, record=("gaps",) if place.gaps else ())
     if place.sumo is not None:
         from bridge.sumo.exchange import write_sumo  # with matplotlib, twice as slow as all else
 
@@ -46,13 +42,8 @@ def _write(scene: GeneratedScene, place: Place) -> Path:
     return folder
 
 
-def generate_and_record_gaps(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
-    """The same, with every look at a gap in a file beside each scene."""
-    return run_each(place, runs, lambda scene: write(scene, place.out, record=("gaps",)))
-
-
-def run_each(
-    place: Place, runs: Sequence[Run], finish: Callable[[GeneratedScene], Path]
+def generate_runs(
+    place: Place, runs: Sequence[Run], finish: Callable[[GeneratedScene, Place], Path] = write_all
 ) -> Iterator[ManifestRow | Failure]:
     """Read the scene and build its net once, generate each run, let `finish` write it to a folder."""
     scenario, unreadable = None, None
@@ -73,7 +64,7 @@ def run_each(
             if grid not in prepared:
                 prepared[grid] = prepare(scenario, run.config)
             scene = generate(prepared[grid], run.config, variant=run.variant)
-            folder = finish(scene)
+            folder = finish(scene, place)
             yield summarise(scene.sidecar, base_row(place, run))._replace(
                 city=scenario.city,
                 recorded=len(scenario.tracks),

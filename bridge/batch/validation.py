@@ -1,4 +1,4 @@
-"""`hid2 validate` over many scenes: each is checked in a process of its own, in the order of the folders."""
+"""`hid2 validate`: scenes are checked in the order of their folders, with several jobs in processes of their own."""
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -12,19 +12,23 @@ from bridge.recordings.validate import Against, Finding, check_tree, held_agains
 _CHUNK = 50
 
 
-def validate_scenes(
+def validate_folder(
     out: Path,
     *,
-    sources: Sequence[Path] = (),
+    source: Path | Sequence[Path] = (),
     map_path: Path | None = None,
     inserted: Sequence[str] = (),
     jobs: int = 1,
     on_scene: Callable[[int, int], None] | None = None,
-) -> tuple[int, list[Finding]]:
-    """How many scenes there are, and the findings of `bridge.recordings.validate.validate_folder`.
+) -> list[Finding]:
+    """Check every scenario under a data set that was generated, or mixed; source: where its recordings lie.
 
-    A scene whose check fails or takes too long is a finding. Errors: ScenarioError.
+    out: a scenario folder, a split folder or a data-set root; source: recordings of any format; map_path: the map that
+    was chosen for them; inserted: ids of the tracks that are judged, those that hid2 inserted unless told. Returns what
+    is wrong, and notes; nothing if all is well. A scene whose check fails or takes too long is a finding.
+    Errors: ScenarioError where out or source is no folder or holds no scenario.
     """
+    sources = (source,) if isinstance(source, Path) else source
     folders, against = find_scenarios(out), held_against(out, sources, map_path, inserted)
     findings = check_tree(out, folders)
     each = work_on_each(
@@ -32,7 +36,7 @@ def validate_scenes(
     )
     for folder, found in each:
         findings += [Finding(folder, "folder", found.message)] if isinstance(found, Failure) else found
-    return len(folders), findings
+    return findings
 
 
 def check(against: Against, folders: Sequence[Path]) -> Iterator[list[Finding] | Failure]:

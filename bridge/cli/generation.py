@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from bridge.cli import options
 from bridge.cli.app import command
 from bridge.cli.places import check_out, check_scenes
-from bridge.cli.session import select_scenes, tell_formats
+from bridge.cli.session import select_scenes
 from bridge.console import Activity, fail, print_json, say, warn
 from netconvert.errors import ConfigError
 
@@ -112,7 +112,7 @@ def generate(  # noqa: PLR0913  # one for each option
             parse_value,
             read_drivers,
         )
-        from bridge.recordings.sources import find_sources
+        from bridge.recordings.sources import described, find_sources
 
         flags: dict[str, Any] = {f"request.{key}": value for key, value in request.items() if value is not None}
         if "request.agents" in flags:
@@ -127,13 +127,13 @@ def generate(  # noqa: PLR0913  # one for each option
         check_reactive(resolved)
         activity.doing("looking for scenes")
         folders = find_sources(scenes, windows.choices())
-        tell_formats(folders, activity)
+        activity.note(*described(folders))
         if formats:
             _check_sequences(folders, resolved)
         if any(which):  # else nothing need be imported that reads scenes
             folders = select_scenes(folders, which.selection(resolved.request.seed), activity, jobs=batch.jobs)
 
-        from bridge.batch.batch import GENERATE, GENERATE_WITH_GAPS, Options, plan, run_batch
+        from bridge.batch.batch import Options, plan, run_batch
         from bridge.batch.requested import came_about_nowhere, check_request, check_same_request, named_behaviours
         from bridge.cli.batch_display import BatchNotes, print_batch
 
@@ -145,9 +145,8 @@ def generate(  # noqa: PLR0913  # one for each option
         check_request(folders, resolved, named, jobs=batch.jobs)
         how = Options(
             jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout, resume=resume,
-            memory_mb=scene_memory, function=GENERATE_WITH_GAPS if record else GENERATE,
-            argoverse1=bool(formats), sumo=sumo.resolve() if sumo is not None else None,
-            functions={resolved.lane_change.rule}
+            memory_mb=scene_memory, argoverse1=bool(formats), sumo=sumo.resolve() if sumo is not None else None,
+            gaps=bool(record), functions={resolved.lane_change.rule},
         )  # fmt: skip
         notes = BatchNotes(activity, out, go_on="continue with --resume", verbose=tell.verbose > 0)
         activity.doing("generating")

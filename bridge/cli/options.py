@@ -15,21 +15,21 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_origin, get_type
 import typer
 
 from bridge.cli.session import set_up
+from bridge.recordings.folders import SPLITS, Choices
+from hid2.policies import Policy
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
     from bridge.batch.scan import Selection
-    from bridge.recordings.folders import Choices
 
 ALL_DONE, SOME_FAILED, USAGE = 0, 1, 2
 
 # Choices, written out because what they mirror is slow to import; tests/cli/test_options.py compares them.
 EVENTS = ("cut_in", "overtake", "lead", "follow", "merge", "cross")
-BEHAVIOURS = ("straight", "left_turn", "right_turn", "lane_change", "overtake")
+BEHAVIOURS = tuple(policy.value for policy in Policy)
 CAN = (*BEHAVIOURS, *(f"{event}:{target}" for event in EVENTS for target in ("av", "focal")))
 COMPONENTS = ("topology", "collision", "smoothing")
-SPLITS = ("train", "val", "test")
 ExperimentName = Literal["table1", "ablation", "density", "diversity", "prediction"]
 ReadingName = Literal["recorded", "generated", "both"]
 
@@ -193,10 +193,8 @@ class Windows(NamedTuple):
     window: int = selection("First sweep of a sensor log that is taken.", 0, "N", min=0)
     stride: int | None = STRIDE
 
-    def choices(self) -> "Choices":
+    def choices(self) -> Choices:
         """As readers take it."""
-        from bridge.recordings.folders import Choices
-
         return Choices(*self)
 
 

@@ -4,8 +4,7 @@ from pathlib import Path
 
 from bridge.cli import options
 from bridge.cli.app import command
-from bridge.cli.places import check_one_scene, check_out_file
-from bridge.cli.session import one_scene
+from bridge.cli.places import check_out_file, one_scene
 from bridge.console import Activity, say
 
 STEP = options.option("Timestep of a picture.", None, "N", min=0, show_default="the last observed one")
@@ -26,16 +25,13 @@ def render(
     tell: options.Tell,
 ) -> None:
     """Draw a scene from above, before and after: a picture or a film."""
-    check_one_scene(scene)
-    if source is not None:
-        check_one_scene(source)
+    found = one_scene(scene, window)
+    before = None if source is None else one_scene(source, window)
     check_out_file(out)
     with Activity(quiet=tell.quiet) as activity:
         from bridge.pictures.render import render_scene
 
         activity.doing("drawing")
-        found = one_scene(scene, window)
-        before = None if source is None else one_scene(source, window)
         written = render_scene(found, out, source=before, agent=agent, cells=cells, step=step, on_frame=activity.show)
     if not tell.quiet:
         print(written)
@@ -51,12 +47,12 @@ def plot(
     tell: options.Tell,
 ) -> None:
     """Draw one track over time: speed, acceleration, jerk, lateral offset and cells, with its manoeuvres marked."""
-    check_one_scene(scene)
+    found = one_scene(scene, window)
     check_out_file(out)
     with Activity("drawing", quiet=tell.quiet):
         from bridge.pictures.plot import plot_agent
 
-        written = plot_agent(one_scene(scene, window), agent, out)
+        written = plot_agent(found, agent, out)
     if not tell.quiet:
         print(written)
 
@@ -72,13 +68,11 @@ def gui(
     tell: options.Tell,
 ) -> None:
     """Play a scene in sumo-gui at its exact positions, paused at first (needs the extra `gui` and a screen)."""
-    check_one_scene(scene)
+    found = one_scene(scene, window)
     if screenshot is not None:
         check_out_file(screenshot)
     with Activity("starting sumo-gui", quiet=tell.quiet) as activity:
         from bridge.sumo.gui import play_scene
-
-        found = one_scene(scene, window)
 
         def shown() -> None:
             activity.end()

@@ -4,10 +4,10 @@ from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
-from bridge.cli.options import SPLITS
 from bridge.console import warn
 from bridge.interruption import remove_abandoned
-from bridge.recordings.folders import SEQUENCES, is_generated, other_data
+from bridge.recordings.folders import SEQUENCES, SPLITS, Address, Choices, is_generated, other_data
+from bridge.recordings.sources import find_one, nothing_at
 from netconvert.errors import ConfigError
 
 _SCENE_FILES = ("scenario_*.parquet", "log_map_archive_*.json", "annotations*.feather", "city_SE3_egovehicle.feather")
@@ -22,27 +22,16 @@ def check_scenes(paths: Sequence[Path]) -> None:
     """Errors: ConfigError for a path that is not there, or a file and no recording, with what to give instead."""
     for path in paths:
         if not path.exists():
-            raise ConfigError(f"{path}: no such folder, expected a scenario folder, a split folder or a data-set root")
+            raise nothing_at(path)
         if path.is_file() and path.suffix != ".csv":
             said = other_data(path) or f"is a file, expected a folder; {_instead_of_file(path)}"
             raise ConfigError(f"{path}: {said}")
 
 
-def check_one_scene(path: Path, *, map_file: bool = False) -> None:
-    """Errors: ConfigError where a path is not a single scene. map_file: a map alone will do."""
-    if map_file and path.is_file() and path.suffix == ".json":
-        return
-    if not path.exists():
-        raise ConfigError(f"{path}: no such folder, expected a scenario folder")
+def one_scene(path: Path, window: tuple[Path | None, int]) -> Address:
+    """The one recording at a path. window: map and first sweep. Errors: ConfigError, with what to give instead."""
     check_scenes([path])
-    if path.is_file():
-        return
-    if not _is_scene(path):
-        inside = next(_scenes_below(path), None)
-        if inside is not None:
-            raise ConfigError(f"{path}: holds several scenes, this command takes one; for example {inside}")
-        what = "scenario_<id>.parquet or log_map_archive_<id>.json" if map_file else "scenario_<id>.parquet"
-        raise ConfigError(f"{path}: no {what} in it, expected a scenario folder, a sensor log or a sequence's CSV file")
+    return find_one(path, Choices(*window))
 
 
 def check_out(out: Path) -> None:
@@ -120,16 +109,6 @@ def _folders(folder: Path) -> Iterator[Path]:
         yield from (entry for entry in folder.iterdir() if not entry.name.startswith(".") and entry.is_dir())
     except OSError:  # a folder on the way that may not be read
         return
-
-
-def _scenes_below(path: Path) -> Iterator[Path]:
-    yield from islice(_sequences(path), 1)
-    for child in _folders(path):
-        if _is_scene(child):
-            yield child
-        else:
-            yield from islice(_sequences(child), 1)
-            yield from (folder for folder in islice(_folders(child), _LOOKED_AT) if _is_scene(folder))
 
 
 def _sequences(folder: Path) -> Iterator[Path]:

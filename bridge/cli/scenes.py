@@ -4,8 +4,8 @@ from pathlib import Path
 
 from bridge.cli import options
 from bridge.cli.app import command
-from bridge.cli.places import check_one_scene, check_out, check_out_file, check_scenes
-from bridge.cli.session import one_scene, read_facts, tell_formats, with_cities_of
+from bridge.cli.places import check_out, check_out_file, check_scenes, one_scene
+from bridge.cli.session import read_facts, with_cities_of
 from bridge.console import Activity, counted, print_json, print_table, say
 
 
@@ -31,16 +31,16 @@ def validate(
     if csv is not None:
         check_out_file(csv)
     with Activity("checking scenes", quiet=tell.quiet) as activity:
-        from bridge.batch.validation import validate_scenes
+        from bridge.batch.validation import validate_folder
+        from bridge.recordings.folders import find_scenarios
         from bridge.recordings.validate import Finding
 
-        scenes, findings = validate_scenes(
-            out, sources=source, map_path=map_path, inserted=inserted, jobs=jobs, on_scene=activity.show
+        findings = validate_folder(
+            out, source=source, map_path=map_path, inserted=inserted, jobs=jobs, on_scene=activity.show
         )
         if csv is not None:
-            from bridge.files import make_folder, write_rows
+            from bridge.files import write_rows
 
-            make_folder(csv.parent)
             write_rows(csv, Finding._fields, findings)
     if as_json:
         print_json(Finding._fields, findings)
@@ -51,7 +51,7 @@ def validate(
     if not tell.quiet:
         noted = len(findings) - wrong
         notes = f", {counted(noted, 'note')}" if noted else ""
-        say(f"{out}: {counted(scenes, 'scene')}, {counted(wrong, 'finding')}{notes}")
+        say(f"{out}: {counted(len(find_scenarios(out)), 'scene')}, {counted(wrong, 'finding')}{notes}")
     return options.SOME_FAILED if wrong else options.ALL_DONE
 
 
@@ -72,19 +72,19 @@ def scan(
     if out is not None:
         check_out_file(out)
     with Activity(quiet=tell.quiet) as activity:
-        from bridge.batch.scan import SceneFacts, select, write_facts
-        from bridge.files import make_folder
-        from bridge.recordings.sources import find_recordings
+        from bridge.batch.scan import SceneFacts, select
+        from bridge.files import make_folder, write_rows
+        from bridge.recordings.sources import described, find_recordings
 
         folders = find_recordings(scenes, windows.choices())
-        tell_formats(folders, activity)
+        activity.note(*described(folders))
         if out is not None:
             make_folder(out.parent)
         activity.doing("reading scenes")
         facts, failures = read_facts(folders, activity, jobs=jobs)
         chosen = select(facts, with_cities_of(facts, which.selection(seed)))
     if out is not None:
-        write_facts(out, chosen)
+        write_rows(out, SceneFacts._fields, chosen)
         print(out)
     elif as_json:
         print_json(SceneFacts._fields, chosen)
@@ -107,10 +107,10 @@ def net(
 
     The net is for simulating and looking at, not for editing: every cell ends in a junction, which netedit draws large.
     """
-    check_one_scene(scene, map_file=True)
+    found = scene if scene.is_file() and scene.suffix == ".json" else one_scene(scene, window)
     check_out(out)
     with Activity("converting the map", quiet=tell.quiet):
-        found, playable = one_scene(scene, window), None
+        playable = None
         if isinstance(found, Path) and not any(found.glob("scenario_*.parquet")):
             from bridge.sumo.net import convert
 

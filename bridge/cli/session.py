@@ -5,7 +5,6 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bridge.console import Activity, say
@@ -43,22 +42,6 @@ def tell_unread(failures: Sequence[tuple["Address", str]]) -> None:
     for folder, reason in failures:
         said = reason if reason.startswith(str(folder)) else f"{folder}: {reason}"
         say(f"hid2: warning: {said}")
-
-
-def tell_formats(found: Sequence["Address"], activity: Activity) -> None:
-    """Say what was found that is no Argoverse 2 scene, and what its format lacks, once."""
-    from bridge.recordings.sources import described
-
-    for line in described(found):
-        activity.note(line)
-
-
-def one_scene(place: Path, window: tuple[Path | None, int]) -> "Address":
-    """The one recording at a place. window: map and first sweep. Errors: ScenarioError."""
-    from bridge.recordings.folders import Choices
-    from bridge.recordings.sources import find_one
-
-    return find_one(place, Choices(*window))
 
 
 def read_facts(

@@ -35,7 +35,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import shapely
 
-from bridge.files import one_line, read_regular
+from bridge.files import one_line, read_received
 from bridge.recordings import limits
 from bridge.recordings.folders import Source
 from bridge.recordings.map_rules import graph_of, read_source_map
@@ -67,13 +67,6 @@ _NOT_AN_ARRAY = (
 )  # fmt: skip
 
 
-class CityMap(NamedTuple):
-    """The map of a city."""
-
-    lanes: dict[int, CityLane]
-    raster: DrivableRaster
-
-
 class SequenceRows(NamedTuple):
     """The rows of a sequence by track, in the order of first appearance; position (N, 2) m."""
 
@@ -89,10 +82,7 @@ class SequenceRows(NamedTuple):
 def read(source: Source) -> Recording:
     """Read one sequence. Errors: ScenarioError, MapError with file, id, value and what was expected."""
     path, name = source.path, str(source.path)
-    try:
-        content = read_regular(path, most_mb=limits.MAX_FILE_MB)
-    except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read ({error.strerror}), expected an Argoverse 1 sequence") from error
+    content = read_received(path, ScenarioError, wanted="an Argoverse 1 sequence")
     rows = check_sequence(content, name)
     assert source.map_path is not None
     graph, map_json = _map(source.map_path, rows, name)
@@ -266,12 +256,12 @@ def _map(path: Path, rows: SequenceRows, name: str) -> tuple[LaneGraph, bytes | 
     if path.is_file():
         return read_source_map(path), None
     vector, pixels, se2 = map_files(path, rows.city)
-    city = _city(vector, pixels, se2, tuple(_stamp(file) for file in (vector, pixels, se2)))
+    lanes, raster = _city(vector, pixels, se2, tuple(_stamp(file) for file in (vector, pixels, se2)))
     low, high = rows.position.min(axis=0) - _MARGIN_M, rows.position.max(axis=0) + _MARGIN_M
     if not (high - low).max() <= limits.MAX_EXTENT_M:
         spread = (high - low).max() - 2 * _MARGIN_M
         raise ScenarioError(f"{name}: tracks spread over {spread:.6g} m, expected at most {limits.MAX_EXTENT_M:.0f} m")
-    document = cut_city(city.lanes, city.raster, low=low, high=high, name=str(vector))
+    document = cut_city(lanes, raster, low=low, high=high, name=str(vector))
     return graph_of(document, name=str(vector)), json.dumps(document).encode()
 
 
@@ -302,24 +292,21 @@ def _stamp(path: Path) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=2)  # a city-wide map is read once by each process
-def _city(vector: Path, pixels: Path, se2: Path, stamps: tuple[tuple[int, int], ...]) -> CityMap:
+def _city(
+    vector: Path, pixels: Path, se2: Path, stamps: tuple[tuple[int, int], ...]
+) -> tuple[dict[int, CityLane], DrivableRaster]:
     del stamps  # part of the key
-    try:
-        content = read_regular(vector, most_mb=limits.MAX_CITY_MB)
-    except OSError as error:
-        raise MapError(f"{vector}: cannot be read ({error.strerror})") from error
+    content = read_received(vector, MapError, wanted="the map of a city", most_mb=limits.MAX_CITY_MB)
     raster = drivable_raster(_array(pixels), _array(se2), name=str(pixels), se2_name=str(se2))
-    return CityMap(read_city_lanes(content, name=str(vector)), raster)
+    return read_city_lanes(content, name=str(vector)), raster
 
 
 def _array(path: Path) -> npt.NDArray[np.generic]:
     """The array of an npy file; objects, which could be anything, are refused. Errors: MapError."""
     try:
-        content = io.BytesIO(read_regular(path, most_mb=limits.MAX_CITY_MB))
+        content = io.BytesIO(read_received(path, MapError, wanted="an npy file", most_mb=limits.MAX_CITY_MB))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of headers that Python 2 wrote
             return np.asarray(np.lib.format.read_array(content, allow_pickle=False))
-    except OSError as error:
-        raise MapError(f"{path}: cannot be read ({error.strerror or error})") from error
     except _NOT_AN_ARRAY as error:
         raise MapError(f"{path}: not an npy file of numbers ({one_line(str(error), most=200)})") from error

@@ -13,7 +13,6 @@ import numpy as np
 import pyarrow as pa
 
 from bridge.config import CORRIDOR_PREFIX
-from bridge.files import explained
 from bridge.recordings.export import parquet_bytes, write_folder
 from bridge.recordings.limits import MAX_CORRIDOR_STEPS, MAX_LANE_M
 from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, OBSERVED_STEPS, STEP_S, table_of
@@ -41,14 +40,11 @@ def write_corridor(out_dir: Path, *, length_m: float, lanes: int, seconds: float
     steps = round(seconds / STEP_S)
     scenario_id = f"{CORRIDOR_PREFIX}{length_m:g}m-{lanes}lanes-{seconds:g}s"
     folder = out_dir / scenario_id
-    with explained(folder):
-        write_folder(
-            folder,
-            {
-                f"scenario_{scenario_id}.parquet": parquet_bytes(_table(scenario_id, steps)),
-                f"log_map_archive_{scenario_id}.json": json.dumps(_map(length_m, lanes)).encode(),
-            },
-        )
+    files = {
+        f"scenario_{scenario_id}.parquet": parquet_bytes(_table(scenario_id, steps)),
+        f"log_map_archive_{scenario_id}.json": json.dumps(_map(length_m, lanes)).encode(),
+    }
+    write_folder(folder, files)
     return folder
 
 

@@ -1,6 +1,5 @@
 """A generated scene on disk: parquet as av2's own serializer writes it, the source's map, the sidecar."""
 
-import hashlib
 import io
 import json
 import re
@@ -53,8 +52,7 @@ def write_scene(
         **(extra or {}),
     }
     folder = (out_dir / scenario.split if scenario.split else out_dir) / new_id
-    with explained(folder):
-        write_folder(folder, files)
+    write_folder(folder, files)
     return folder
 
 
@@ -205,22 +203,23 @@ def map_bytes(scenario: Recording) -> bytes:
 
 
 def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a hidden folder beside, then put it in the place of folder."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with hidden_folder(folder.parent) as beside:
-        new, old = beside / "new", beside / "old"
-        new.mkdir()
-        for name, content in files.items():
-            (new / name).write_bytes(content)
+    """Write files into a hidden folder beside, then put it in the place of folder. Errors: ExportError."""
+    with explained(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with hidden_folder(folder.parent) as beside:
+            new, old = beside / "new", beside / "old"
+            new.mkdir()
+            for name, content in files.items():
+                (new / name).write_bytes(content)
 
-        def put_back() -> None:
-            if old.exists() and not folder.exists():
-                old.rename(folder)
+            def put_back() -> None:
+                if old.exists() and not folder.exists():
+                    old.rename(folder)
 
-        with tidied(put_back):
-            if folder.exists():
-                folder.rename(old)
-            new.rename(folder)
+            with tidied(put_back):
+                if folder.exists():
+                    folder.rename(old)
+                new.rename(folder)
 
 
 def recording_record_of(scenario: Recording) -> RecordingRecord:
@@ -236,8 +235,3 @@ def recording_record_of(scenario: Recording) -> RecordingRecord:
         map=scenario.map_path.name if chosen else None,
         sizes=measured,
     )
-
-
-def sha256_of(path: Path) -> str:
-    """Hexadecimal digest of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -7,12 +7,9 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from netconvert.errors import MapError, NoSceneError, ScenarioError
-
-if TYPE_CHECKING:
-    from bridge.recordings.recording import Recording
 
 _LOG = logging.getLogger(__name__)
 #: Names of the two files of a scenario folder.
@@ -99,11 +96,12 @@ class Choices:
 class Reader:
     """A format of recordings.
 
-    name: as in sidecars and in Source.format; one, many: what a recording is called; sniff: whether a file, or a folder
-    with these names in it, holds recordings; find: the recordings there, sorted (NoSceneError where something that all
-    of them need is missing); files: those that a recording is read from, as far as they are there; read: reads one
-    (ScenarioError, MapError with file, id, value and what was expected); lacks: what the format does not tell and how
-    it is made up for, a sentence; is_folder: whether a recording is a folder, which then holds nothing else.
+    name: as in sidecars and in Source.format, and of the module in `bridge.recordings` whose `read` reads a Source
+    (ScenarioError, MapError with file, id, value and what was expected); one, many: what a recording is called; sniff:
+    whether a file, or a folder with these names in it, holds recordings; find: the recordings there, sorted
+    (NoSceneError where something that all of them need is missing); files: those that a recording is read from, as far
+    as they are there; lacks: what the format does not tell and how it is made up for, a sentence; is_folder: whether a
+    recording is a folder, which then holds nothing else.
     """
 
     name: str
@@ -112,7 +110,6 @@ class Reader:
     sniff: Callable[[Path, frozenset[str]], bool]
     find: Callable[[Path, frozenset[str], Choices], list[Address]]
     files: Callable[[Source], list[Path]]
-    read: Callable[[Source], "Recording"]
     lacks: str = ""
     is_folder: bool = True
 

@@ -1,20 +1,18 @@
-"""The rules on the map of a scenario: what every reader of Argoverse 2 maps demands, and the source's map.
+"""The rules on the map of a scenario: what every reader of Argoverse 2 maps demands.
 
 They hold for maps that are read as much as for those that are written: a source that breaks one is refused.
 """
 
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic_core import from_json
 
-from bridge.files import read_regular
-from bridge.recordings.limits import MAX_FILE_MB, check_map_size
-from bridge.recordings.recording import Recording
-from bridge.recordings.rules import Breach
+from bridge.files import read_received
+from bridge.recordings.limits import check_map_size
 from netconvert import av2_map
+from netconvert.av2_map import Breach
 from netconvert.errors import MapError
 from netconvert.lane_graph import LaneGraph
 
@@ -61,31 +59,6 @@ def read_map(path: Path) -> tuple[dict[str, Any] | None, list[Breach]]:
 
 def _decoded(path: Path) -> Any:  # noqa: ANN401  # whatever JSON holds
     try:
-        return from_json(read_regular(path, most_mb=MAX_FILE_MB))
-    except OSError as error:
-        raise MapError(f"{path}: cannot read the map: {error.strerror}") from error
+        return from_json(read_received(path, MapError, wanted="an Argoverse 2 map"))
     except ValueError as error:
         raise MapError(f"{path}: not JSON: {error}") from error
-
-
-def compare_map(path: Path, document: Mapping[str, Any], source: Recording) -> Iterator[str]:
-    """The map against the bytes of the source's; only centrelines may have been added."""
-    name = source.map_path.name
-    try:
-        raw = source.map_path.read_bytes() if source.map_json is None else source.map_json
-        if path.read_bytes() == raw:
-            return
-    except OSError as error:
-        yield f"{name}: cannot be read ({error})"
-        return
-    wanted = from_json(raw)
-    lacking = {key for key, lane in wanted["lane_segments"].items() if not lane.get("centerline")}
-    if not lacking:
-        yield f"not the bytes of {name}"
-        return
-    ours = {**document, "lane_segments": {key: {**lane} for key, lane in document["lane_segments"].items()}}
-    for lanes in (ours["lane_segments"], wanted["lane_segments"]):
-        for key in lacking & lanes.keys():
-            lanes[key].pop("centerline", None)
-    if ours != wanted:
-        yield f"differs from {name} in more than added centrelines"

@@ -10,10 +10,12 @@ import pyarrow.compute as pc
 from pydantic_core import from_json
 
 from bridge.recordings.recording import FOCAL_CATEGORY, SCORED_CATEGORY
-from bridge.recordings.rules import RECORDED, Breach
 from bridge.recordings.scenario import RowArrays, row_breaches
 from hid2.agents import VEHICLE_TYPES
+from netconvert.av2_map import Breach
 
+#: The rule on recorded rows, which are kept as they are.
+RECORDED = "recorded"
 CITIES = frozenset({"austin", "dearborn", "miami", "palo-alto", "pittsburgh", "washington-dc"})
 #: Between central differences of positions 0.2 s apart and the velocity, m/s: 8.37 m/s3 of jerk make 0.014.
 VELOCITY_TOLERANCE_MPS = 0.05

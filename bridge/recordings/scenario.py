@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from pyarrow._compute import call_function  # pyarrow.compute takes longer to import than a scene to read
 
 from bridge.config import is_corridor
-from bridge.files import one_line, read_regular
+from bridge.files import one_line, read_received
 from bridge.recordings import limits
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIZES_FILE, Source, only_file
 from bridge.recordings.folders import SPLITS as SPLITS
@@ -110,18 +110,12 @@ def recording_of(
     limits.check_ground(rows.tracks, graph, str(source.path))
     assert source.map_path is not None
     return Recording(
-        scenario_id=source.scenario_id,
-        city=rows.city,
-        focal_track_id=rows.focal_track_id,
-        num_steps=rows.num_steps,
-        tracks=rows.tracks,
+        **rows._asdict(),
         graph=graph,
         table=table,
         folder=source.path,
         map_path=source.map_path,
         split=source.split,
-        observed_steps=rows.observed_steps,
-        step_s=rows.step_s,
         format=source.format,
         provenance=provenance,
         sizes=sizes,
@@ -209,10 +203,8 @@ def read_table(path: Path) -> pa.Table:
 def read_arrow(path: Path, read: Callable[[io.BytesIO], pa.Table], *, kind: str, wanted: str) -> pa.Table:
     """A file of Arrow's, as `read` makes a table of its bytes. kind, wanted: for messages. Errors: ScenarioError."""
     try:
-        table = read(io.BytesIO(read_regular(path, most_mb=limits.MAX_FILE_MB)))
+        table = read(io.BytesIO(read_received(path, ScenarioError, wanted=wanted)))
         table.validate(full=True)
-    except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such file, expected {wanted}") from None
     except MemoryError:
         raise
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
@@ -427,11 +419,9 @@ def read_sizes(folder: Path) -> dict[str, BoxSize]:
     path = folder / SIZES_FILE
     if path.exists():
         try:
-            text = read_regular(path, most_mb=limits.MAX_FILE_MB).decode()
+            text = read_received(path, ScenarioError, wanted="sizes of tracks").decode()
             for number, row in enumerate(csv.DictReader(text.splitlines()), start=2):
                 sizes[row["track_id"]] = _size(row, f"{path} line {number}")
-        except OSError as error:
-            raise ScenarioError(f"{path}: cannot be read ({error.strerror})") from error
         except (KeyError, UnicodeDecodeError, csv.Error) as error:
             raise ScenarioError(
                 f"{path}: expected columns track_id, length_m, width_m ({_first_line(error)})"

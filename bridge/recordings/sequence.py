@@ -9,7 +9,7 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
-from bridge.files import beside, explained
+from bridge.files import beside
 from bridge.recordings.argoverse1 import COLUMNS, OTHERS
 from bridge.recordings.folders import sequence_path
 from bridge.recordings.recording import Recording
@@ -21,7 +21,7 @@ def write_sequence(scenario: Recording, generated: Sequence[Track], out_dir: Pat
     """Write the sequence of a scene that was made from one; returns its path. Errors: ExportError."""
     path = sequence_path(out_dir, scenario.split, new_id)
     content = sequence_bytes(scenario, generated)
-    with explained(path), beside(path) as hidden:
+    with beside(path) as hidden:
         hidden.write_bytes(content)
     return path
 

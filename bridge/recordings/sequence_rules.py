@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from bridge.files import one_line, read_regular
+from bridge.files import one_line, read_received
 from bridge.recordings.argoverse1 import OTHERS, check_sequence
-from bridge.recordings.limits import MAX_FILE_MB
 from bridge.recordings.recording import Recording
-from bridge.recordings.rules import Breach
 from bridge.recordings.scenario import RowArrays
 from bridge.recordings.sequence import inserted_id
+from netconvert.av2_map import Breach
 from netconvert.errors import ScenarioError
 
 
@@ -21,11 +20,8 @@ def check_written_sequence(
 ) -> Iterator[Breach]:
     """A sequence against the rows of its scene, and its recorded lines against those of the source."""
     try:
-        content = read_regular(path, most_mb=MAX_FILE_MB)
+        content = read_received(path, ScenarioError, wanted="an Argoverse 1 sequence")
         found = check_sequence(content, str(path))
-    except OSError as error:
-        yield "sequence", f"cannot be read ({error.strerror})"
-        return
     except ScenarioError as error:
         yield "sequence", str(error)
         return

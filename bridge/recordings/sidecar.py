@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError
 
-from bridge.files import read_regular
+from bridge.files import read_received
 from bridge.recordings.limits import MAX_SIDECAR_MB
 from bridge.recordings.recording import Provenance
 from hid2.agents import BoxSize, Policy
@@ -284,11 +284,8 @@ def sidecar_bytes(sidecar: Sidecar) -> bytes:
 def read_sidecar(path: Path) -> Sidecar:
     """Read a sidecar. Errors: ScenarioError with the file, the first field that is wrong and its value."""
     try:
-        return Sidecar.model_validate_json(read_regular(path, most_mb=MAX_SIDECAR_MB))
-    except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such file, expected a sidecar") from None
-    except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read ({error.strerror})") from error
+        content = read_received(path, ScenarioError, wanted="a sidecar", most_mb=MAX_SIDECAR_MB)
+        return Sidecar.model_validate_json(content)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         if first["type"] == "json_invalid":

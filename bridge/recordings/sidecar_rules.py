@@ -5,9 +5,9 @@ from collections.abc import Iterator, Mapping, Set
 
 from bridge.config import config_from_dict, config_sha256, config_to_dict
 from bridge.recordings.export import new_scenario_id
-from bridge.recordings.rules import Breach
 from bridge.recordings.sidecar import AgentRecord, Sidecar
 from hid2.agents import Policy
+from netconvert.av2_map import Breach
 from netconvert.errors import ConfigError
 
 

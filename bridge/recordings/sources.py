@@ -3,6 +3,8 @@
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,24 +58,33 @@ def find_sources(paths: Sequence[Path], choices: Choices | None = None) -> list[
 
 
 def find_one(path: Path, choices: Choices | None = None) -> Address:
-    """The recording or generated scene that a path is; the path itself where it is none: reading it says why.
-
-    Errors: NoSceneError where something that all recordings of the format need is missing; ConfigError for several.
-    """
-    found = list(_walk(path, choices or Choices(), 0))
+    """The one recording or generated scene at a path. Errors: ConfigError for several; NoSceneError for none."""
+    found = list(islice(_walk(path, choices or Choices(), DEPTH), 2))
     if len(found) > 1:
-        raise ConfigError(f"{path}: holds {len(found)} recordings, expected one; for example {found[0]}")
-    other = "" if found else other_data(path, depth=DEPTH)
-    if other:
-        raise NoSceneError(f"{path}: {other}")
-    return found[0] if found else path
+        raise ConfigError(f"{path}: holds several scenes, this command takes one; for example {found[0]}")
+    if not found:
+        raise nothing_at(path)
+    return found[0]
+
+
+def nothing_at(path: Path) -> NoSceneError:
+    """The error that a path is not there or holds no recording: what it is instead, or what is expected."""
+    if not path.exists():
+        said = "no such folder, expected a scenario folder, a split folder or a data-set root"
+    else:
+        files = "scenario_<id>.parquet (Argoverse 2), <number>.csv (Argoverse 1) or annotations.feather (sensor log)"
+        said = other_data(path, depth=DEPTH) or f"no scenario; expected {files} in it or one to three folders below"
+    return NoSceneError(f"{path}: {said}")
 
 
 def read_recording(address: Address) -> "Recording":
     """Read a recording, or a generated scene; a path is that of one. Errors: ScenarioError, MapError."""
     if isinstance(address, Path):
-        address = Source(address, ARGOVERSE2.name, address.name)
-    return _reader(address).read(address)
+        from bridge.recordings.scenario import read_scenario
+
+        return read_scenario(address)
+    recording: Recording = import_module(f"bridge.recordings.{_reader(address).name}").read(address)
+    return recording
 
 
 def source_files(address: Address) -> list[Path]:
@@ -107,15 +118,7 @@ def _find(paths: Sequence[Path], choices: Choices, is_wanted: Callable[[Address]
         except OSError as error:  # a name that the system refuses, or a folder that may not be read
             raise NoSceneError(f"{one_line(str(path), most=200)}: cannot be looked into ({error.strerror})") from error
         if not there:
-            if not path.exists():
-                raise NoSceneError(
-                    f"{path}: no such folder, expected a scenario folder, a split folder or a data-set root"
-                )
-            wanted = (
-                "scenario_<id>.parquet (Argoverse 2), <number>.csv (Argoverse 1) or annotations.feather (sensor log)"
-            )
-            said = f"no scenario; expected {wanted} in it or one to three folders below"
-            raise NoSceneError(f"{path}: {other_data(path, depth=DEPTH) or said}")
+            raise nothing_at(path)
         wanted_there = [address for address in there if is_wanted(address)]
         if not wanted_there:
             raise NoSceneError(f"{path}: holds generated scenes only (with hid2_<id>.json); give recorded ones")

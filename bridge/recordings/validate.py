@@ -1,6 +1,6 @@
 """`hid2 validate`: everything that readers of a generated data set demand, also what they would not complain about.
 
-The rules are in `rules`; what is checked of rows, map and sidecar in `row_rules`, `map_rules`, `sidecar_rules`.
+README.md lists the rules; what is checked of rows, map and sidecar is in `row_rules`, `map_rules`, `sidecar_rules`.
 """
 
 import math
@@ -11,24 +11,21 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bridge.config import REACTIVE_PREFIX
-from bridge.recordings.export import recording_record_of
+from bridge.recordings.export import map_bytes, recording_record_of
 from bridge.recordings.folders import (
     RAW,
     SPLITS,
     Address,
     Choices,
-    find_scenarios,
     sequence_path,
     source_id,
     split_of,
 )
 from bridge.recordings.judging import findings_of, states_of
-from bridge.recordings.map_rules import compare_map, graph_of, read_map
+from bridge.recordings.map_rules import graph_of, read_map
 from bridge.recordings.plausibility import implausible
 from bridge.recordings.readers.argoverse2 import ARGOVERSE2
-from bridge.recordings.recording import Recording
-from bridge.recordings.row_rules import check_generated, check_rows, compare_rows
-from bridge.recordings.rules import NOTED, RECORDED, RULES
+from bridge.recordings.row_rules import RECORDED, check_generated, check_rows, compare_rows
 from bridge.recordings.scenario import (
     RowArrays,
     read_scenario,
@@ -43,9 +40,14 @@ from bridge.recordings.sidecar_rules import check_sidecar
 from bridge.recordings.sources import find_recordings, read_recording
 from hid2.agents import BoxSize
 from hid2.evaluation.safety import overlaps
+from hid2.judge.findings import NOTES
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import AgentStates
 from netconvert.errors import Hid2Error, ScenarioError
+
+#: Rules whose breaches are told and are no faults.
+_NOTED = frozenset({RECORDED, *(quantity.value for quantity in NOTES)})
+_OTHER = "no other parquet file anywhere under OUT: readers take every one they find"
 
 
 class Finding(NamedTuple):
@@ -63,7 +65,7 @@ class Finding(NamedTuple):
     @property
     def is_note(self) -> bool:
         """Whether it is told and is no fault of the scene."""
-        return self.rule in NOTED
+        return self.rule in _NOTED
 
     def line(self) -> str:
         """As it is printed."""
@@ -82,28 +84,13 @@ class Against:
     inserted: frozenset[str] | None = None
 
 
-def validate_folder(
-    out: Path, *, source: Path | None = None, map_path: Path | None = None, inserted: Sequence[str] = ()
-) -> list[Finding]:
-    """Check every scenario under a data set that was generated, or mixed; source: where its recordings lie.
-
-    out: a scenario folder, a split folder or a data-set root; source: recordings of any format; map_path: the map that
-    was chosen for them; inserted: ids of the tracks that are judged, those that hid2 inserted unless told. Returns what
-    is wrong, and notes; nothing if all is well.
-    Errors: ScenarioError where out or source is no folder or holds no scenario.
-    """
-    sources = () if source is None else (source,)
-    folders, against = find_scenarios(out), held_against(out, sources, map_path, inserted)
-    findings = check_tree(out, folders)
-    for folder in folders:
-        findings += validate_scene(folder, against)
-    return findings
-
-
 def held_against(
     out: Path, sources: Sequence[Path] = (), map_path: Path | None = None, inserted: Sequence[str] = ()
 ) -> Against:
-    """What the scenes of a data set are held against, as in `validate_folder`. Errors: ScenarioError."""
+    """What the scenes of a data set are held against, see `Against`; map_path: the map that was chosen for the sources.
+
+    Errors: ScenarioError.
+    """
     known = None
     if sources:  # recordings by id, every window of a log among them
         known = {source_id(address): address for address in find_recordings(sources, Choices(map_path, stride=1))}
@@ -178,8 +165,11 @@ def _compared(
     """A scene against its source, and its sequence of Argoverse 1 where there is one."""
     source = None
     if against.sources is not None:
+        wanted = sidecar.source_scenario_id
         try:
-            source = _source(against.sources, sidecar.source_scenario_id)
+            if wanted not in against.sources:
+                raise ScenarioError(f"source scenario {wanted} is not among the {len(against.sources)} given")
+            source = read_recording(against.sources[wanted])
         except Hid2Error as error:
             yield Finding(sidecar_path(folder, folder.name), "source", str(error))
             return
@@ -187,8 +177,8 @@ def _compared(
         for message in compare_rows(rows.table, source.table, generated_ids) if rows is not None else ():
             yield Finding(path, "source", message)
         path = folder / f"log_map_archive_{folder.name}.json"
-        for message in compare_map(path, document, source) if document is not None else ():
-            yield Finding(path, "source", message)
+        if document is not None and path.read_bytes() != map_bytes(source):
+            yield Finding(path, "source", f"not the bytes that are written for {source.map_path.name}")
         if source.format != ARGOVERSE2.name and sidecar.recording != recording_record_of(source):
             yield Finding(sidecar_path(folder, folder.name), "source", "recording: not that of the source")
     if against.out is not None and rows is not None:
@@ -196,14 +186,6 @@ def _compared(
         if path.is_file():
             for breach in check_written_sequence(path, rows, generated_ids, source=source):
                 yield Finding(path, *breach)
-
-
-def _source(sources: Mapping[str, Address], scenario_id: str) -> Recording:
-    """The source of a scene. Errors: ScenarioError, MapError."""
-    address = sources.get(scenario_id)
-    if address is None:
-        raise ScenarioError(f"source scenario {scenario_id} is not among the {len(sources)} given")
-    return read_recording(address)
 
 
 def _missing_sidecar(folder: Path, rows: RowArrays | None) -> list[Finding]:
@@ -267,7 +249,7 @@ def check_tree(out: Path, folders: Sequence[Path]) -> list[Finding]:
     """What is wrong with the places of files in a data set."""
     expected = {folder / f"scenario_{folder.name}.parquet" for folder in folders}
     others = [path for path in sorted(out.rglob("*.parquet")) if path not in expected]
-    findings = [Finding(path, "other-parquet", RULES["other-parquet"]) for path in others]
+    findings = [Finding(path, "other-parquet", _OTHER) for path in others]
     for folder in folders:
         depth = len(folder.relative_to(out).parts)
         split = folder.parent.parent.name if depth == 3 and folder.parent.name == RAW else folder.parent.name

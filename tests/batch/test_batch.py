@@ -170,7 +170,7 @@ class TestFullDisk:
             run_batch(plan(folders, Config()), out, Options(function=COPIES))
         monkeypatch.undo()
         assert_nothing_half_written(out)
-        assert list((out / "quarantine").rglob("*")) == [] or not (out / "quarantine").exists()
+        assert [path for path in (out / "quarantine").rglob("*") if not path.is_dir()] == []
         rows = run_batch(plan(folders, Config()), out, Options(function=COPIES, resume=True))
         assert {row.status for row in rows} <= {DONE, QUARANTINED}
         assert len(rows) == len(folders)
@@ -200,7 +200,7 @@ class TestFullDisk:
         def full(*_: object) -> None:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-        monkeypatch.setattr("bridge.batch.batch.write_bundle", full)
+        monkeypatch.setattr("bridge.batch.quarantine._add", full)
         self.check(make_data_set(3, {1: "raise"}), tmp_path / "out", monkeypatch)
 
 
@@ -398,6 +398,15 @@ class TestResume:
         (folders[1] / "FAULT").unlink()
         assert self.redone(folders, out) == ["scene-001"]
         assert not (out / bad.bundle).exists(), "a scene that is done leaves no bundle"
+
+
+def test_what_is_asked_for_beside_a_scene_is_written_with_all_else(synthetic: list[Path], tmp_path: Path) -> None:
+    """Gaps and files for SUMO; where the first are asked for later, the scene is made again."""
+    jobs, out = plan(synthetic[:1], load_config(flags={"request.agents": 1})), tmp_path / "out"
+    run_batch(jobs, out)
+    (row,) = run_batch(jobs, out, Options(resume=True, gaps=True, sumo=tmp_path / "sumo"))
+    assert len(list((out / row.folder).glob("gaps_*.csv.gz"))) == 1
+    assert len(list((tmp_path / "sumo").rglob("*_scene.net.xml"))) == 1
 
 
 def test_second_batch_on_the_same_folder_is_refused(make_data_set: MakeDataSet, tmp_path: Path, monkeypatch) -> None:

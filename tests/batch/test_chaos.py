@@ -20,8 +20,8 @@ import pytest
 
 from bridge.batch.batch import Options, plan, run_batch
 from bridge.batch.manifest import DONE, files_sha256, output_files
+from bridge.batch.validation import validate_folder
 from bridge.config import load_config
-from bridge.recordings.validate import validate_folder
 from netconvert.errors import BatchError, ConfigError
 
 MakeDataSet = Callable[..., list[Path]]

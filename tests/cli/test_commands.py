@@ -66,7 +66,7 @@ def test_net_writes_its_files_and_reports(hid2: Run, data_scenes: dict[str, Path
 def test_net_of_a_folder_without_map_is_one_line(hid2: Run, tmp_path: Path) -> None:
     result = hid2("net", tmp_path, "-o", tmp_path / "out")
     assert result.returncode == 2
-    assert "no scenario_<id>.parquet or log_map_archive_<id>.json in it" in last_message(result)
+    assert "no scenario; expected scenario_<id>.parquet (Argoverse 2)" in last_message(result)
 
 
 def test_validate_names_file_and_rule(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:

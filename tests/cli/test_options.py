@@ -15,7 +15,6 @@ from typing import Any, get_args
 import pytest
 from typer.main import get_command
 
-from bridge.batch.batch import GENERATE_WITH_GAPS
 from bridge.batch.scan import EVENT_TARGETS
 from bridge.cli import options
 from bridge.cli.commands import application
@@ -24,8 +23,6 @@ from bridge.config import config_to_dict, describe_config, load_config, parse_be
 from bridge.evaluation.experiments import EXPERIMENTS
 from bridge.forecasting.composition import Composition, Draw, Split
 from bridge.forecasting.experiment import Reading
-from bridge.recordings.scenario import SPLITS
-from hid2.agents import Policy
 from hid2.params import Config, Event, Forecasting, Request
 
 ROOT = Path(__file__).parents[2]
@@ -42,10 +39,7 @@ def test_choices_are_those_of_the_package() -> None:
     kinds = get_args(Event.model_fields["kind"].annotation)
     events = [f"{kind}:{target}" for kind in kinds for target in EVENT_TARGETS]
     assert kinds == options.EVENTS
-    assert tuple(policy.value for policy in Policy) == options.BEHAVIOURS
     assert (*options.BEHAVIOURS, *events) == options.CAN
-    assert options.SPLITS == SPLITS
-    assert [f"generate_and_record_{name}" for name in ("gaps",)] == [GENERATE_WITH_GAPS.partition(":")[2]]
     assert get_args(options.ExperimentName) == (*EXPERIMENTS, "prediction")
     assert get_args(options.ReadingName) == get_args(Reading)
     hints = compose.__annotations__

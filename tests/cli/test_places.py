@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.cli.places import check_one_scene, check_out, check_out_file, check_scenes
+from bridge.cli.places import check_out, check_out_file, check_scenes, one_scene
 from netconvert.errors import ConfigError
 
 Run = Callable[..., object]
@@ -157,9 +157,15 @@ def test_data_set_for_a_command_of_one_scene_is_refused_with_an_example(
 
 def test_folder_of_sequences_for_a_command_of_one_scene_is_refused_with_an_example(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
-    (tmp_path / "data" / "7.csv").touch()
+    for number in (7, 8):
+        (tmp_path / "data" / f"{number}.csv").touch()
+    (tmp_path / "map.json").touch()
     with pytest.raises(ConfigError, match=r"holds several scenes, this command takes one; for example .*data/7\.csv"):
-        check_one_scene(tmp_path)
+        one_scene(tmp_path, (tmp_path / "map.json", 0))
+
+
+def test_the_only_scene_of_a_data_set_is_that_of_the_command(data_set: Path) -> None:
+    assert one_scene(data_set, (None, 0)) == next((data_set / "train").iterdir())
 
 
 def test_what_is_not_there_is_said_before_anything_slow_is_loaded(tmp_path: Path) -> None:
@@ -167,7 +173,6 @@ def test_what_is_not_there_is_said_before_anything_slow_is_loaded(tmp_path: Path
         check_scenes([tmp_path / "nowhere"])
 
 
-@pytest.mark.parametrize("map_file", [False, True])
-def test_folder_without_a_scene_is_refused_with_what_is_missing(tmp_path: Path, map_file: bool) -> None:
-    with pytest.raises(ConfigError, match=r"no scenario_<id>\.parquet.* in it, expected a scenario folder"):
-        check_one_scene(tmp_path, map_file=map_file)
+def test_folder_without_a_scene_is_refused_with_what_is_missing(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"no scenario; expected scenario_<id>\.parquet .* in it or"):
+        one_scene(tmp_path, (None, 0))

@@ -15,11 +15,11 @@ from mutations import mutate_bytes, mutate_scene
 from bridge.batch.isolation import Failure
 from bridge.batch.manifest import QUARANTINED, Manifest, ManifestRow, read_manifest
 from bridge.batch.quarantine import Bundle, read_bundle, write_bundle
+from bridge.batch.validation import validate_folder
 from bridge.config import config_sha256, config_to_dict
 from bridge.recordings.export import new_scenario_id, write_scene
 from bridge.recordings.scenario import Scenario, read_scenario
 from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
-from bridge.recordings.validate import validate_folder
 from hid2.params import Config
 from netconvert.errors import BatchError, Hid2Error
 
@@ -90,7 +90,7 @@ def test_damaged_output_is_judged_and_not_stumbled_over(data_scenes: dict[str, P
 
 def test_damaged_bundle_is_refused_in_one_line_or_read(data_scenes: dict[str, Path], tmp_path: Path) -> None:
     failure = Failure("error", "reason", "details")
-    values = {"split": None, "config": Config(), "variant": 0, "timeout_s": 5.0, "failure": failure, "version": "1"}
+    values = {"config": Config(), "variant": 0, "timeout_s": 5.0, "failure": failure, "version": "1"}
     function = "bridge.batch.scene_work:generate_runs"
     write_bundle(Bundle(folder=data_scenes["curve"], function=function, **values), tmp_path / "b.zip")
     raw = (tmp_path / "b.zip").read_bytes()

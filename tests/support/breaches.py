@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from bridge.recordings.validate import Finding, validate_folder
+from bridge.batch.validation import validate_folder
+from bridge.recordings.validate import Finding
 from hid2.judge.findings import Quantity
 
 

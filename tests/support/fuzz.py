@@ -22,9 +22,9 @@ from mutations import mutate_scene
 
 from bridge.batch.batch import Options, plan, run_batch
 from bridge.batch.manifest import DONE
+from bridge.batch.validation import validate_folder
 from bridge.config import load_config
 from bridge.recordings.scenario import find_scenarios
-from bridge.recordings.validate import validate_folder
 
 ROOT = Path(__file__).parents[2]
 #: Below OUT: what the checker found in a scene, a file for each that has something.

@@ -3,13 +3,9 @@
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Reader, Source
 from netconvert.errors import NoSceneError
-
-if TYPE_CHECKING:
-    from bridge.recordings.recording import Recording
 
 _SEQUENCE = re.compile(r"(\d{1,15})\.csv")
 #: Split by the name of a folder above a sequence.
@@ -37,12 +33,6 @@ def _files(source: Source) -> list[Path]:
     if source.map_path is not None:
         found += [source.map_path] if source.map_path.is_file() else sorted(source.map_path.iterdir())
     return [path for path in found if path.is_file()]
-
-
-def _read(source: Source) -> "Recording":
-    from bridge.recordings.argoverse1 import read
-
-    return read(source)
 
 
 def _is_sequence(path: Path) -> bool:
@@ -99,7 +89,6 @@ ARGOVERSE1 = Reader(
     sniff=lambda path, names: _is_sequence(path) or any(_SEQUENCE.fullmatch(name) for name in names),
     find=_find,
     files=_files,
-    read=_read,
     lacks="Argoverse 1 tells no types, sizes and headings: every track is taken for a vehicle of 4.5 x 1.9 m, headings "
     "and velocities come from smoothed positions, who stands keeps the heading or has that of the lane; its maps "
     "tell no lane boundaries: lanes are 3.8 m wide",

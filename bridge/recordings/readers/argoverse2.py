@@ -1,18 +1,6 @@
 """Argoverse 2 motion-forecasting scenes: a folder with parquet and map. Those that hid2 writes are in this format."""
 
-from typing import TYPE_CHECKING
-
-from bridge.recordings.folders import Reader, Source, has_scenario
-
-if TYPE_CHECKING:
-    from bridge.recordings.recording import Recording
-
-
-def _read(source: Source) -> "Recording":
-    from bridge.recordings.scenario import read_scenario
-
-    return read_scenario(source.path)
-
+from bridge.recordings.folders import Reader, has_scenario
 
 #: `bridge.recordings.scenario` reads them, by their folder.
 ARGOVERSE2 = Reader(
@@ -22,5 +10,4 @@ ARGOVERSE2 = Reader(
     sniff=lambda _, names: has_scenario(names),
     find=lambda path, _, choices: [path],
     files=lambda _: [],
-    read=_read,
 )

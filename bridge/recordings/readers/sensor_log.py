@@ -3,7 +3,6 @@
 import fnmatch
 import uuid
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bridge.recordings.folders import (
     ANNOTATIONS,
@@ -16,9 +15,6 @@ from bridge.recordings.folders import (
     log_maps,
     split_of,
 )
-
-if TYPE_CHECKING:
-    from bridge.recordings.recording import Recording
 
 
 def _find(path: Path, _: frozenset[str], choices: Choices) -> list[Address]:
@@ -35,12 +31,6 @@ def _find(path: Path, _: frozenset[str], choices: Choices) -> list[Address]:
 def _files(source: Source) -> list[Path]:
     found = [*sorted(source.path.glob(ANNOTATIONS))[:1], source.path / POSES, *log_maps(source.path)]
     return [path for path in found if path.is_file()]
-
-
-def _read(source: Source) -> "Recording":
-    from bridge.recordings.sensor_log import read
-
-    return read(source)
 
 
 def window_id(log_id: str, start: int) -> str:
@@ -68,7 +58,6 @@ SENSOR_LOG = Reader(
     sniff=lambda _, names: POSES in names or bool(fnmatch.filter(names, ANNOTATIONS)),
     find=_find,
     files=_files,
-    read=_read,
     lacks="Sensor logs have no focal and scored tracks and no centrelines of lanes: the longest path of a vehicle that "
     "is seen throughout is focal, centrelines run midway between the boundaries",
 )

@@ -29,7 +29,7 @@ def scene(tmp_path: Path) -> Path:
 
 
 def bundle_of(scene: Path, **changes: Any) -> Bundle:
-    values = {"folder": scene, "split": "val", "config": Config(), "variant": 1, "timeout_s": 5.0, "function": OWN}
+    values = {"folder": scene, "config": Config(), "variant": 1, "timeout_s": 5.0, "function": OWN}
     return Bundle(**(values | {"failure": FAILURE, "version": "1"} | changes))
 
 

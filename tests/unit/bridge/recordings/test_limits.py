@@ -200,7 +200,7 @@ def test_real_scenes_are_far_below_every_limit(real_scene: Path) -> None:
 
 def test_a_missing_file_is_refused_by_name(tmp_path: Path) -> None:
     path = tmp_path / "log_map_archive_x.json"
-    with pytest.raises(MapError, match=r"log_map_archive_x\.json: cannot read the map"):
+    with pytest.raises(MapError, match=r"log_map_archive_x\.json: no such file, expected an Argoverse 2 map"):
         read_source_map(path)
 
 

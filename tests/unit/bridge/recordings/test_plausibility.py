@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from implausible import FAULTS, moved, plant, shifted
 
+from bridge.batch.validation import validate_folder
 from bridge.config import load_config
 from bridge.generation.generate import prepare
 from bridge.recordings.folders import Choices
@@ -21,7 +22,6 @@ from bridge.recordings.plausibility import (
 )
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sources import find_one, find_recordings, read_recording
-from bridge.recordings.validate import validate_folder
 from hid2.measures.arrays import is_moving
 from netconvert.errors import NoSceneError, ScenarioError
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from recordings import make_argoverse1
 
+from bridge.batch.validation import validate_folder
 from bridge.config import config_sha256, config_to_dict
 from bridge.recordings.export import new_scenario_id, recording_record_of, write_scene
 from bridge.recordings.folders import sequence_path
@@ -24,7 +25,6 @@ from bridge.recordings.sidecar import (
     SpawnRecord,
 )
 from bridge.recordings.sources import find_recordings, read_recording
-from bridge.recordings.validate import validate_folder
 from hid2.agents import BoxSize, Policy, Track
 from hid2.params import Config
 from netconvert.errors import ExportError

@@ -11,12 +11,12 @@ import pytest
 from hand_drawn import draw_lane
 from inserted import nobody, recorded, scene_on, start_on
 
+from bridge.batch.validation import validate_folder
 from bridge.evaluation.scene_metrics import Maps, measure_folder
 from bridge.forecasting.places import recorded_source
 from bridge.generation.generate import generate, write
 from bridge.pictures.render import _panels
 from bridge.recordings.scenario import read_scenario
-from bridge.recordings.validate import validate_folder
 from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.playback import paints
