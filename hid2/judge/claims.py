@@ -111,7 +111,10 @@ def _of(states: AgentStates, agent: int) -> BoolArray:
 
 
 def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None:
-    """The vehicle crosses from a lane beside the target's path into it, ahead of the target."""
+    """The vehicle crosses from a lane beside the target's path into it, ahead of the target.
+
+    The target is on that path since CLAIM_S at least: where it changes into the lane itself, nobody cuts in on it.
+    """
     arrays, view = states.arrays, states.view
     changes = detect(arrays, states.lanes, states.matches, among=_of(states, own))
     runs, steps = runs_of(view, target), []
@@ -122,6 +125,9 @@ def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None
         if there < 0 or k is None or runs[k].lane < 0:
             continue
         path, lanes = path_driven(view, runs, k)
+        before = max(there - round(CLAIM_S / arrays.step_s), int(arrays.first[target]))
+        if states.matches.lane[before] not in lanes:
+            continue
         on_path = {int(states.lanes.lane_ids[lane]) for lane in lanes}
         if change.target_lane not in on_path or change.source_lane in on_path:
             continue

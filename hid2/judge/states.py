@@ -237,8 +237,9 @@ def of_leaders(states: AgentStates, row: int, led: Leading, bounds: Bounds) -> I
 def of_end(states: AgentStates, row: int, others: IntArray, bounds: Bounds) -> Iterator[Finding]:
     """Contacts after a vehicle's last step, all at the velocities stated then: too soon, or not to be avoided.
 
-    Not avoided is a contact within the horizon that comes about as the vehicle drives, and also when it brakes with
-    END_DECEL_MPS2 after END_REACTION_S. A vehicle that comes from behind brakes itself: it counts for the TTC alone.
+    Not avoided is a contact within the horizon with an agent that the vehicle meets as it drives, and also when it
+    brakes with END_DECEL_MPS2 after END_REACTION_S. A vehicle that comes from behind brakes itself: it counts for the
+    TTC alone.
     """
     conflict, last = bounds.conflict, states.span(row).stop - 1
     rows = np.append(row, others[states.traffic.present[others, last]])
@@ -250,15 +251,17 @@ def of_end(states: AgentStates, row: int, others: IntArray, bounds: Bounds) -> I
     if contact.ttc_s < critical_s + bounds.spare_end_s:
         yield _finding(states, (row, int(rows[contact.other])), last, Quantity.END_TTC, contact.ttc_s, critical_s)
     forward = np.array([math.cos(boxes.heading[0]), math.sin(boxes.heading[0])])
-    seen = gaps_from_pose(
-        boxes.position[0], forward, BoxSize(*boxes.size[0]), states.traffic.rows(rows.tolist()).at(last)
-    )
-    keep = np.flatnonzero(~((seen.along_m < 0.0) & (np.cos(boxes.heading - boxes.heading[0]) > SAME_WAY)))
-    ahead = _boxes_at(states, rows[keep], last)
-    contact = first_contact(0, ahead, horizon_s=conflict.end_horizon_s)
-    if contact is not None and _meets_braking(ahead, conflict.end_horizon_s, states.arrays.step_s):
-        other = int(rows[keep][contact.other])
-        yield _finding(states, (row, other), last, Quantity.END_CONTACT, contact.ttc_s, conflict.end_horizon_s)
+    here = states.traffic.rows(rows.tolist()).at(last)
+    behind = gaps_from_pose(boxes.position[0], forward, BoxSize(*boxes.size[0]), here).along_m < 0.0
+    ahead = rows[~(behind & (np.cos(boxes.heading - boxes.heading[0]) > SAME_WAY))]
+    horizon_s, step_s = conflict.end_horizon_s, states.arrays.step_s
+    if not _meets_braking(_boxes_at(states, ahead, last), horizon_s, step_s):
+        return
+    for other in ahead[1:].tolist():  # each by itself: an agent that it would pass sees it brake
+        pair = _boxes_at(states, np.array([row, other]), last)
+        contact = first_contact(0, pair, horizon_s=horizon_s)
+        if contact is not None and _meets_braking(pair, horizon_s, step_s):
+            yield _finding(states, (row, other), last, Quantity.END_CONTACT, contact.ttc_s, horizon_s)
 
 
 def _boxes_at(states: AgentStates, rows: IntArray, step: int) -> BoxesAtStep:

@@ -11,7 +11,8 @@ import numpy as np
 
 from hid2.agents import FloatArray, IntArray
 from hid2.kernels.lane_matching import lane_candidates, likeliest_lanes, motion_directions
-from hid2.measures.arrays import SceneArrays
+from hid2.measures.arrays import BoolArray, SceneArrays
+from netconvert.geometry import wrap_angle
 from netconvert.lane_graph import MOTOR_TYPES, LaneGraph, TurnType
 
 #: Candidates are lanes at most this far beyond their own edge.
@@ -159,24 +160,36 @@ def _reached(lane: int, successors: tuple[tuple[int, ...], ...], length: FloatAr
     return found
 
 
+def lanes_near(
+    lanes: FlatLanes, position: FloatArray, direction: FloatArray, wanted: BoolArray
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray]:
+    """Lane, s, d, cost (N, K) of the lanes near places (N, 2) m that agree with directions (N,) rad; numbers (N,)."""
+    return lane_candidates(
+        position, direction, lanes.points, lanes.s, lanes.first, lanes.half_width, lanes.box, wanted, BEYOND_EDGE_M,
+        AGREE_RAD, _CANDIDATES,
+    )  # fmt: skip
+
+
+def lane_along(lanes: FlatLanes, position: FloatArray, direction: float) -> tuple[int, float, float]:
+    """Of the lanes that hold a place (2,) m the one that runs most nearly in a direction, rad; its s and d, m.
+
+    Lane -1 where none holds it. Where lanes part, it tells which one an agent follows; its offset does not.
+    """
+    lane, s, d, _, (count,) = lanes_near(lanes, position[None], np.array([direction]), np.ones(1, dtype=np.bool_))
+    held = np.flatnonzero(np.abs(d[0, :count]) <= lanes.half_width[lane[0, :count]])
+    if not held.size:
+        return -1, 0.0, 0.0
+    turned = np.abs(wrap_angle(lanes.heading(lane[0, held], s[0, held]) - direction))
+    best = int(held[np.argmin(turned)])
+    return int(lane[0, best]), float(s[0, best]), float(d[0, best])
+
+
 def match_lanes(arrays: SceneArrays, lanes: FlatLanes) -> Matches:
     """Lanes of every vehicle's rows; those of other agents have lane -1."""
     half = max(1, round(HALF_WINDOW_S / arrays.step_s))
     direction = motion_directions(arrays.position, arrays.heading, arrays.first, half, MIN_CHORD_M)
     wanted = arrays.vehicle[arrays.agent] if arrays.num_agents else np.zeros(0, dtype=bool)
-    lane, s, d, cost, count = lane_candidates(
-        arrays.position,
-        direction,
-        lanes.points,
-        lanes.s,
-        lanes.first,
-        lanes.half_width,
-        lanes.box,
-        wanted,
-        BEYOND_EDGE_M,
-        AGREE_RAD,
-        _CANDIDATES,
-    )
+    lane, s, d, cost, count = lanes_near(lanes, arrays.position, direction, wanted)
     chosen = likeliest_lanes(np.flatnonzero(arrays.vehicle), arrays.first, lane, s, cost, count, lanes.link)
     rows = np.arange(len(chosen))
     on = chosen >= 0

@@ -10,12 +10,12 @@ from hid2.agents import FloatArray, IntArray, Track
 from hid2.measures.arrays import BoolArray, SceneArrays, is_generated_id, stack
 from hid2.measures.driven_lanes import LaneView, points_ahead
 from hid2.measures.following import HORIZON_M
-from hid2.measures.lane_matching import FlatLanes, Matches, match_lanes
+from hid2.measures.lane_matching import FlatLanes, Matches, lane_along, match_lanes
 from hid2.motion.reference_line import ReferenceLine, build_reference_line
 from hid2.occupancy.along_path import look_along
 from hid2.occupancy.gaps import gaps_to_all
 from hid2.occupancy.traffic import Traffic, traffic_of
-from netconvert.geometry import Polyline, arc_length
+from netconvert.geometry import Polyline, arc_length, differences
 
 #: Boxes that overlap along a path by more than this are side by side, m: neither leads the other.
 SIDE_BY_SIDE_M = 1.0
@@ -47,7 +47,7 @@ class Leading(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class AgentStates:
-    """Agents of a scene: row by row in `arrays`, as stated, step by step in `traffic`, velocities by the positions."""
+    """Agents of a scene: row by row in `arrays`, as stated, step by step in `traffic`, velocities by differences."""
 
     arrays: SceneArrays
     traffic: Traffic
@@ -102,10 +102,11 @@ class AgentStates:
         position, last = self.arrays.position[rows], rows.stop - 1
         place = np.floor(arc_length(position) / _POINTS_M)
         points = position[np.flatnonzero(np.diff(place, prepend=-1.0) > 0)]
-        ahead = points_ahead(
-            self.lanes, int(self.matches.lane[last]), float(self.matches.s[last]), float(self.matches.d[last]),
-            HORIZON_M, beyond_m=_POINTS_M,
-        )  # fmt: skip
+        goes_on = int(self.matches.lane[last]), float(self.matches.s[last]), float(self.matches.d[last])
+        if goes_on[0] >= 0:
+            along = lane_along(self.lanes, position[-1], float(self.matches.direction[last]))
+            goes_on = goes_on if along[0] < 0 else along
+        ahead = points_ahead(self.lanes, *goes_on, HORIZON_M, beyond_m=_POINTS_M)
         points = np.concatenate([points, ahead])
         if len(points) < 2:
             return None
@@ -129,10 +130,8 @@ class AgentStates:
             driven.line, traffic.rows(others.tolist()), float(traffic.length_m[row]),
             float(traffic.width_m[row]) + 2 * aside_m,
         )  # fmt: skip
+        speed = np.hypot(traffic.velocity[row, :, 0], traffic.velocity[row, :, 1])
         found = gaps_to_all(seen, driven.s, np.arange(steps))
-        own = self.row_span(row)
-        speed = np.zeros(steps)
-        speed[self.arrays.step[own]] = np.hypot(self.arrays.velocity[own, 0], self.arrays.velocity[own, 1])
         leads = seen.same_direction & (found.lead_m > -SIDE_BY_SIDE_M) & (found.lead_m < HORIZON_M)
         return Leading(others[seen.agents], np.where(leads, found.lead_m, np.inf), speed - found.along_mps)
 
@@ -145,7 +144,10 @@ def agent_states(
     arrays = stack(tracks, num_steps=num_steps, step_s=step_s, is_generated=is_inserted)
     present = [track for track in tracks if track.timesteps.size]
     traffic = traffic_of(present, arrays.num_steps, step_s=step_s)
-    traffic = replace(traffic, length_m=arrays.length, width_m=arrays.width)
+    velocity = np.zeros_like(traffic.velocity)
+    for row, there in enumerate(traffic.present):
+        velocity[row, there] = differences(traffic.position[row, there], step_s)
+    traffic = replace(traffic, velocity=velocity, length_m=arrays.length, width_m=arrays.width)
     return AgentStates(arrays, traffic, match_lanes(arrays, lanes), lanes)
 
 

@@ -262,7 +262,7 @@ def _least_ttc(scene: SecondScene, track: SecondTrack) -> dict[int, tuple[float,
     if path is None:
         return {}
     ahead = _ahead(scene, track, path)
-    speed = np.hypot(*track.velocity.T)[ahead["own"]]
+    speed = np.hypot(*track.moved.T)[ahead["own"]]
     closing = speed - np.maximum(ahead["along"], 0.0)
     worst: dict[int, tuple[float, int]] = {}
     for k in np.flatnonzero((closing > 0.05) & (ahead["gap"] < TTC_S * closing)):
@@ -388,7 +388,7 @@ def _meet(one: SecondTrack, other: SecondTrack, *, within_m: float = 25.0) -> bo
 def _least_headways(scene: SecondScene, track: SecondTrack, path: DrivenLine) -> dict[str, tuple[float, int]]:
     """By leader: the least headway that was not exceeded for a second above 3 m/s, and the step at which it begins."""
     ahead = _ahead(scene, track, path, within_m=FOLLOWED_M)
-    speed = np.hypot(*track.velocity.T)[ahead["own"]]
+    speed = np.hypot(*track.moved.T)[ahead["own"]]
     leader = np.full(int(track.steps[-1]) + 1, -1)
     headway = np.full(len(leader), math.inf)
     for k in np.argsort(-ahead["fronts"]):  # the nearest one last

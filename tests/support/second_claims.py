@@ -68,9 +68,9 @@ def crossings(scene: SecondScene, track: SecondTrack) -> list[tuple[float, int, 
     found = []
     lanes = set().union(*held) if held else set()
     for first in lanes:
-        source = scene.ground.chain([first], hops=2)
+        source = scene.ground.chain([first])
         for second in scene.ground.beside(first) & scene.ground.lanes.keys():
-            target = scene.ground.chain([second], hops=2)
+            target = scene.ground.chain([second])
             common = source & target
             on_source = np.array([bool(one & (source - common)) for one in held])
             on_target = np.array([bool(one & (target - common)) for one in held])

@@ -25,8 +25,8 @@ TYPE_SIZES = {
 SMALL_THING = (0.8, 0.8)
 #: What drives in lanes: leaders, followers, and both sides of a PET.
 DRIVEN_TYPES = ("vehicle", "bus", "motorcyclist", "cyclist")
-#: A track with a shorter path than this stands, m.
-MOVES_M = 5.0
+#: A track moves that has a longer path than this, m, and is seen at more steps than that.
+MOVES_M, MOVES_STEPS = 5.0, 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +48,15 @@ class SecondTrack:
         return {int(step): row for row, step in enumerate(self.steps)}
 
     @cached_property
+    def moved(self) -> Floats:
+        """(T, 2) m/s by differences of the positions, central but at the ends; as stated where there is one alone."""
+        velocity = self.velocity.copy()
+        for rows in self.runs:
+            if rows.stop - rows.start > 1:
+                velocity[rows] = np.gradient(self.xy[rows], DT_S, axis=0)
+        return velocity
+
+    @cached_property
     def corners(self) -> Floats:
         """(T, 4, 2) m."""
         return box_corners(self.xy, self.heading, self.length_m, self.width_m)
@@ -58,8 +67,11 @@ class SecondTrack:
 
     @cached_property
     def moves(self) -> bool:
-        """Whether it drives over 5 m, straight from its first to its farthest place: noise of a tracker adds up."""
-        return float(np.hypot(*(self.xy - self.xy[0]).T).max()) > MOVES_M
+        """Whether it drives over 5 m, straight from its first to its farthest place: noise of a tracker adds up.
+
+        Pieces of a second or less are none, as in the definition of moving tracks beside the data.
+        """
+        return len(self.steps) > MOVES_STEPS and float(np.hypot(*(self.xy - self.xy[0]).T).max()) > MOVES_M
 
     @property
     def runs(self) -> list[slice]:
@@ -119,7 +131,8 @@ class SecondScene:
 
     @cached_property
     def velocity_all(self) -> Floats:
-        return np.concatenate([track.velocity for track in self.tracks])
+        """By the positions."""
+        return np.concatenate([track.moved for track in self.tracks])
 
     @cached_property
     def boxes_all(self) -> npt.NDArray[np.object_]:
