@@ -250,10 +250,9 @@ def of_end(states: AgentStates, row: int, others: IntArray, bounds: Bounds) -> I
     if contact.ttc_s < critical_s + bounds.spare_end_s:
         yield _finding(states, (row, int(rows[contact.other])), last, Quantity.END_TTC, contact.ttc_s, critical_s)
     forward = np.array([math.cos(boxes.heading[0]), math.sin(boxes.heading[0])])
-    seen = gaps_from_pose(
-        boxes.position[0], forward, BoxSize(*boxes.size[0]), states.traffic.rows(rows.tolist()).at(last)
-    )
-    ahead = rows[~((seen.along_m < 0.0) & (np.cos(boxes.heading - boxes.heading[0]) > SAME_WAY))]
+    here = states.traffic.rows(rows.tolist()).at(last)
+    behind = gaps_from_pose(boxes.position[0], forward, BoxSize(*boxes.size[0]), here).along_m < 0.0
+    ahead = rows[~(behind & (np.cos(boxes.heading - boxes.heading[0]) > SAME_WAY))]
     horizon_s, step_s = conflict.end_horizon_s, states.arrays.step_s
     if not _meets_braking(_boxes_at(states, ahead, last), horizon_s, step_s):
         return

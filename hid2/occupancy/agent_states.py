@@ -139,8 +139,8 @@ class AgentStates:
             driven.line, traffic.rows(others.tolist()), float(traffic.length_m[row]),
             float(traffic.width_m[row]) + 2 * aside_m,
         )  # fmt: skip
-        found = gaps_to_all(seen, driven.s, np.arange(steps))
         speed = np.hypot(traffic.velocity[row, :, 0], traffic.velocity[row, :, 1])
+        found = gaps_to_all(seen, driven.s, np.arange(steps))
         leads = seen.same_direction & (found.lead_m > -SIDE_BY_SIDE_M) & (found.lead_m < HORIZON_M)
         return Leading(others[seen.agents], np.where(leads, found.lead_m, np.inf), speed - found.along_mps)
 
