@@ -222,7 +222,7 @@ def _outcome(
     scene: Scene, vehicle: ExportedVehicle, others: Sequence[ExportedVehicle]
 ) -> dict[str, Any]:  # fmt: skip
     """Status and times of a manoeuvre by the simulated motion."""
-    outcome = outcome_of(scene, vehicle, scene.states.joined(*(other.states for other in others)))
+    outcome = outcome_of(scene, vehicle, others)
     if outcome is None or not vehicle.driven.shifts:
         return {}
     return {

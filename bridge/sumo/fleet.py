@@ -1,6 +1,7 @@
 """The vehicles that are driven together: where they are, the ways they are on, and whom they will meet there."""
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from typing import Any
@@ -34,16 +35,16 @@ _GIVEN_BACK = 0.05  # no tunable, not seen: share of its speed by which a vehicl
 class Way:
     """What is known of a vehicle's present path; a vehicle that takes another path gets a new one.
 
-    road (S,): m/s at the table of the path's line, what the road allows the driver; lane_ends (L,): where its lanes
-    end, m; policies (L,): numbers of what Algorithm 1 comes to on each of them without a manoeuvre; known: intervals of
-    everybody whose future is known, with rows (recorded, then kept), None as long as nobody asked; obstacles: the
-    guard's, likewise; reroute_tried: whether another way has been looked for; jump: how far SUMO is behind, m, where
-    the vehicle comes on the path, and from where to where that is given back; None before.
+    road (S,): m/s at the table of the path's line, what the road allows the driver; lane_ends: where its lanes end, m;
+    policies: numbers of what Algorithm 1 comes to on each of them without a manoeuvre; known: intervals of everybody
+    whose future is known, with rows (recorded, then kept), None as long as nobody asked; obstacles: the guard's,
+    likewise; reroute_tried: whether another way has been looked for; jump: how far SUMO is behind, m, where the vehicle
+    comes on the path, and from where to where that is given back; None before.
     """
 
     road: FloatArray
-    lane_ends: FloatArray
-    policies: IntArray
+    lane_ends: list[float]
+    policies: list[int]
     known: PathOccupancy | None = None
     obstacles: Obstacles | None = None
     reroute_tried: bool = False
@@ -51,8 +52,7 @@ class Way:
 
     def is_turn(self, s: float) -> bool:
         """Whether the lane at an arc length, m, is one."""
-        lane = min(int(np.searchsorted(self.lane_ends, s, side="right")), self.policies.size - 1)
-        return bool(self.policies[lane] != STRAIGHT)
+        return self.policies[min(bisect_right(self.lane_ends, s), len(self.lane_ends) - 1)] != STRAIGHT
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -119,18 +119,8 @@ class Fleet:
         places = [np.nan if start.step > 0 else start.start_s for start in starts]
         self.place = np.concatenate([self.place, places])
         self.length_m = np.concatenate([self.length_m, [start.box.length_m for start in starts]])
-        self.desired_mps = np.concatenate(
-            [self.desired_mps, [start.desired[: self.scene.num_steps] for start in starts]]
-        )
-        self.drivers = np.concatenate(
-            [
-                self.drivers,
-                [
-                    (one.tau_s, one.accel_mps2, one.decel_mps2, one.min_gap_m)
-                    for one in (start.driver for start in starts)
-                ],
-            ]
-        )
+        self.desired_mps = np.concatenate([self.desired_mps, [one.desired[: self.scene.num_steps] for one in starts]])
+        self.drivers = np.concatenate([self.drivers, [start.driver.following for start in starts]])
         self.yielding = np.concatenate([self.yielding, np.zeros(count, dtype=np.bool_)])
         self._forget_obstacles()  # everybody sees who is new
 
@@ -201,8 +191,7 @@ class Fleet:
     def _way(self, path: DrivenPath, driver: Driver) -> Way:
         lanes = self.scene.grid.graph.lanes
         policies = [POLICIES.index(policy_on(lanes[segment.lane_id].turn)) for segment in path.segments]
-        lane_ends = np.array([segment.end for segment in path.segments])
-        return Way(self.roads.speeds(path, driver), lane_ends, np.array(policies, dtype=np.int64))
+        return Way(self.roads.speeds(path, driver), [segment.end for segment in path.segments], policies)
 
     def take_path(self, row: int, path: DrivenPath, s: FloatArray | None = None) -> None:
         """A vehicle is on another path from now on. s (T,) m: where it has been on it, None: as far as on the old."""
@@ -265,10 +254,10 @@ class Fleet:
         way, path = self.ways[row], self.vehicles[row].path
         seen = self._who_does_not_yield(self.obstacles(row, path), row, path, now)
         known, lines = seen.known, seen.lines
+        causes = np.array([CAUSES.index(cause) for cause in lines.causes], dtype=np.int64)
         return (
-            way.road, way.lane_ends, way.policies, known.low, known.high, known.along, known.same_direction,
-            lines.stop_s, lines.closed, np.array([CAUSES.index(cause) for cause in lines.causes], dtype=np.int64),
-            seen.rows, seen.swept.ravel(),
+            way.road, np.array(way.lane_ends), np.array(way.policies), known.low, known.high, known.along,
+            known.same_direction, lines.stop_s, lines.closed, causes, seen.rows, seen.swept.ravel(),
         )  # fmt: skip
 
     def braking(

@@ -159,7 +159,7 @@ class Guard:
             known.low, known.high, known.along, known.same_direction, obstacles.lines.stop_s, obstacles.lines.closed,
             obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
             round((conflict.horizon_s if horizon_s is None else horizon_s) / step_s), conflict.stride, step_s,
-            (driver.tau_s, driver.accel_mps2, driver.decel_mps2, driver.min_gap_m), self.brakes, self.predicted,
+            driver.following, self.brakes, self.predicted,
             obstacles.lines.stops,
         )  # fmt: skip
         return Braking(

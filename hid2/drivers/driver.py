@@ -28,6 +28,11 @@ class Driver:
     lane_change_s: float
     wander_m: float = 0.0
 
+    @property
+    def following(self) -> tuple[float, float, float, float]:
+        """What the guard predicts it by: tau s, acceleration and deceleration m/s2, gap at standstill m."""
+        return self.tau_s, self.accel_mps2, self.decel_mps2, self.min_gap_m
+
 
 #: The distributions by default.
 _USUAL = Drivers()

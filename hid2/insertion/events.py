@@ -260,9 +260,8 @@ class EventSearch:
         if any(row >= len(self.kept) for row, _ in conflicting(scene, [*self.kept, vehicle])):
             self._tell(plan, start, Reason.TTC_LANE_LEADER, None)
             return None, None
-        others = scene.states.joined(*(one.states for one in self.kept))
         found = EventOutcome(
-            event, None, target.track.track_id, vehicle, outcome_of(scene, vehicle, others),
+            event, None, target.track.track_id, vehicle, outcome_of(scene, vehicle, self.kept),
             seen.at_step * scene.step_s, seen.measures, plan.order,
         )  # fmt: skip
         return found, None

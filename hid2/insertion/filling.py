@@ -274,10 +274,8 @@ class Filling:
                 driven = new[row - len(self.kept)].driven
                 gone[driven.vehicle_id] = driven, reason, None
         new = [one for one in new if one.driven.vehicle_id not in gone]
-        together = [*self.kept, *new]
         for one in new:
-            others = self.scene.states.joined(*(other.states for other in together if other is not one))
-            outcome = outcome_of(self.scene, one, others)
+            outcome = outcome_of(self.scene, one, [*self.kept, *new])
             if outcome is not None:
                 self.outcomes[one.driven.vehicle_id] = outcome
         return new, gone

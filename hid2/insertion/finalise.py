@@ -107,15 +107,15 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
         return Reason.LEAVES_TOO_EARLY
     if s[steps - 1] - s[0] < config.export.moves_m and "collision" not in config.without:
         return Reason.STANDS_THROUGHOUT
-    others = _together(scene, kept)
+    others = together(scene, kept)
     if "smoothing" in config.without:
         path = _grid_path(scene, vehicle, s[:steps], v[:steps])
         if path is None:
             return Reason.NO_SITE
         motion = Motion(s=s[:steps], v=v[:steps], a=np.gradient(v[:steps], scene.step_s), step_s=scene.step_s)
         found = as_exported(scene, vehicle, motion, path, np.zeros(steps))
-        return _boxes(scene, found, others) or found
-    verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK
+        return _boxes(scene, others.joined(found.states)) or found
+    verdict: tuple[ExportedVehicle, AgentStates] | Reason = Reason.LIMIT_JERK
     ratios = config.export.filter_ratios
     for ratio, eased in [(ratios[0], False), *((ratio, True) for ratio in ratios)]:  # ends are eased where they must be
         motion = smooth_motion(
@@ -125,11 +125,11 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
         for share in config.export.offset_shares:
             path = trajectory(vehicle.path.line, motion, start.offset.scaled(share))
             verdict = _smoothed(scene, vehicle, motion, path, motion.s - own[:steps], others)
-            if isinstance(verdict, ExportedVehicle) or verdict not in _LATERAL:
+            if not isinstance(verdict, Reason) or verdict not in _LATERAL:
                 break
-        if isinstance(verdict, ExportedVehicle) or verdict not in _STEEP:
+        if not isinstance(verdict, Reason) or verdict not in _STEEP:
             break
-    return _beside_others(scene, verdict, others) if isinstance(verdict, ExportedVehicle) else verdict
+    return verdict if isinstance(verdict, Reason) else _beside_others(scene, *verdict)
 
 
 #: Verdicts that another place in the lane, or a wider filter, may change.
@@ -142,7 +142,7 @@ _STEEP = frozenset({
 })  # fmt: skip
 
 
-def _together(scene: Scene, vehicles: Iterable[ExportedVehicle]) -> AgentStates:
+def together(scene: Scene, vehicles: Iterable[ExportedVehicle]) -> AgentStates:
     """Recorded agents and exported vehicles, in this order."""
     return scene.states.joined(*(one.states for one in vehicles))
 
@@ -158,14 +158,17 @@ def _reason(scene: Scene, findings: Iterable[Finding]) -> Reason | None:
 
 def _smoothed(
     scene: Scene, vehicle: DrivenVehicle, motion: Motion, path: Trajectory, off_m: FloatArray, others: AgentStates
-) -> ExportedVehicle | Reason:
-    """What the choice of filter and place in the lane decides: motion, road, boxes."""
+) -> tuple[ExportedVehicle, AgentStates] | Reason:
+    """What the choice of filter and place in the lane decides: motion, road, boxes. Returned with all others, too."""
     bounds, without = last_word(scene.config), scene.config.without
     found = as_exported(scene, vehicle, motion, path, off_m)
     verdict = _reason(scene, of_motion(found.states, 0, bounds))
     if verdict is None and not {"collision", "topology"} & without:
         verdict = _reason(scene, of_road(found.states, 0, vehicle.start.size, scene.grid.graph, bounds))
-    return verdict or _boxes(scene, found, others) or found
+    if verdict is not None:
+        return verdict
+    states = others.joined(found.states)
+    return _boxes(scene, states) or (found, states)
 
 
 def as_exported(
@@ -179,26 +182,26 @@ def as_exported(
     return ExportedVehicle(vehicle, motion, path, off_m, float("inf"), states)
 
 
-def _boxes(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> Reason | None:
-    """Whether the vehicle's box meets another one."""
+def _boxes(scene: Scene, states: AgentStates) -> Reason | None:
+    """Whether the box of the last vehicle meets another one."""
     if "collision" in scene.config.without:
         return None
-    together, row = others.joined(vehicle.states), others.arrays.num_agents
-    return _reason(scene, of_boxes(together, row, np.arange(row), spare_m=last_word(scene.config).spare_box_m))
+    row = states.arrays.num_agents - 1
+    return _reason(scene, of_boxes(states, row, np.arange(row), spare_m=last_word(scene.config).spare_box_m))
 
 
-def _beside_others(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> ExportedVehicle | Reason:
+def _beside_others(scene: Scene, vehicle: ExportedVehicle, states: AgentStates) -> ExportedVehicle | Reason:
     """What a vehicle does to others on the path that it drives, and what follows its last step."""
     config, bounds = scene.config, last_word(scene.config)
     if "collision" in config.without:
         return vehicle
-    together, row = others.joined(vehicle.states), others.arrays.num_agents
+    row = states.arrays.num_agents - 1
     every = np.arange(row)
-    led = together.leading(row, every, aside_m=bounds.spare_aside_m)
-    verdict = _reason(scene, of_leaders(together, row, led, bounds))
-    verdict = verdict or _reason(scene, of_end(together, row, every, bounds))
+    led = states.leading(row, every, aside_m=bounds.spare_aside_m)
+    verdict = _reason(scene, of_leaders(states, row, led, bounds))
+    verdict = verdict or _reason(scene, of_end(states, row, every, bounds))
     if verdict is None and "topology" not in config.without:
-        verdict = _reason(scene, of_crossings(together, bounds, since=row))
+        verdict = _reason(scene, of_crossings(states, bounds, since=row))
     return verdict or replace(vehicle, min_ttc_s=float(led.ttc_s.min(initial=np.inf)))
 
 
@@ -210,16 +213,16 @@ def conflicting(scene: Scene, exported: Sequence[ExportedVehicle]) -> list[tuple
     config, bounds = scene.config, last_word(scene.config)
     if not exported or {"collision", "topology"} & config.without:
         return []
-    together, first = _together(scene, exported), scene.states.arrays.num_agents
-    findings = [*of_lanes(together, leaders(together.arrays, together.lanes, together.matches), bounds)]
+    states, first = together(scene, exported), scene.states.arrays.num_agents
+    findings = [*of_lanes(states, leaders(states.arrays, states.lanes, states.matches), bounds)]
     rows = first + np.arange(len(exported))
-    findings += of_followers(together, rows, bounds)
+    findings += of_followers(states, rows, bounds)
     for row in rows.tolist():
         others = rows[rows != row]
-        findings += of_leaders(together, row, together.leading(row, others, aside_m=bounds.spare_aside_m), bounds)
-        findings += of_end(together, row, others, bounds)
-    findings += of_crossings(together, bounds, since=first)
-    row_of = {name: row for row, name in enumerate(together.arrays.track_ids[first:])}
+        findings += of_leaders(states, row, states.leading(row, others, aside_m=bounds.spare_aside_m), bounds)
+        findings += of_end(states, row, others, bounds)
+    findings += of_crossings(states, bounds, since=first)
+    row_of = {name: row for row, name in enumerate(states.arrays.track_ids[first:])}
     found: dict[int, Reason] = {}
     for one in findings:
         found.setdefault(max(row_of[one.track_id], row_of.get(one.other or "", -1)), _REASONS[one.quantity])

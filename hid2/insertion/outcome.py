@@ -1,12 +1,13 @@
 """What became of the manoeuvre that a vehicle was asked for: what the judge sees in its states, else why not."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from hid2.agents import Policy
-from hid2.insertion.finalise import ExportedVehicle
+from hid2.insertion.finalise import ExportedVehicle, together
 from hid2.judge.claims import manoeuvres, overtake_of
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 from hid2.motion.route import first_turn
@@ -41,15 +42,15 @@ class Outcome:
         return self.status == "done"
 
 
-def outcome_of(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> Outcome | None:
-    """Outcome of a vehicle's request; None for one that goes straight. others: everything else in the scene."""
+def outcome_of(scene: Scene, vehicle: ExportedVehicle, kept: Iterable[ExportedVehicle]) -> Outcome | None:
+    """Outcome of a vehicle's request beside what is recorded and kept; None for one that goes straight."""
     policy = vehicle.driven.policy
     if policy in TURN_OF_POLICY:
         return _turn(scene, vehicle)
     if policy is Policy.LANE_CHANGE:
         return _lane_change(vehicle)
     if policy is Policy.OVERTAKE:
-        return _overtake(scene, vehicle, others)
+        return _overtake(scene, vehicle, together(scene, (one for one in kept if one is not vehicle)))
     return None
 
 

@@ -14,6 +14,7 @@ from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.routes import edges_along
 from bridge.sumo.simulation import Simulation
+from bridge.sumo.speed_limits import limits_of
 from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.finalise import ExportedVehicle, finalise, traffic_of_exported
@@ -238,6 +239,21 @@ def test_who_crosses_is_the_guards_business_not_sumos(drive: Callable[..., Drivi
     assert one.limited["conflict"] > 3
     exported = finalise(scene, one, [])
     assert isinstance(exported, ExportedVehicle), exported
+
+
+def test_limits_of_one_call_are_those_of_each_vehicle() -> None:
+    """Somebody stands across x = 90: the vehicle at 76 m has to brake harder than usual, the one at 5 m not."""
+    scene = scene_on(_two_lanes(), recorded(90.0, 0.0, heading=UP))
+    starts = [start_on(scene, (1,), s, 10.0, number=number) for number, s in enumerate((5.0, 76.0))]
+    fleet = Fleet(scene, starts, nobody(scene.future.num_steps), Roads(scene), StopLines(scene))
+    for row in (0, 1):
+        fleet.begin(row)
+    every, last = limits_of(fleet, fleet.here, 0), limits_of(fleet, fleet.here[1:], 0)
+    assert [column[1:].tolist() for column in every] == [column.tolist() for column in last]
+    for row, vehicle in enumerate(fleet.vehicles):
+        found = fleet.braking(row, vehicle.path, 0, state=fleet.motion(row), desired_mps=vehicle.start.desired[0])
+        assert every.seeks[row] == (found.conflict_s is not None or found.decel_mps2 > DRIVER.decel_mps2)
+    assert every.seeks.tolist() == [False, True]
 
 
 def test_kept_vehicles_of_rounds_before_are_followed_too(drive: Callable[..., Driving]) -> None:
