@@ -264,7 +264,7 @@ class Foresight(_Section):
         2.0, "s", "after the trigger, in which a lane beside that may be used is come to", ge=0, le=10
     )
     bend_share: float = _param(
-        1.25, "ratio", "speed in a lateral motion over what its sharpest bend allows: smoothing rounds it", gt=0, le=5
+        1.4, "ratio", "speed in a lateral motion over what its sharpest bend allows: smoothing rounds it", gt=0, le=5
     )
     spare_s: float = _param(0.4, "s", "left of the scene after the return", ge=0, le=5)
     ttc_s: float = _param(1.7, "s", "TTC kept to everybody known; a little over the critical one", ge=0, le=10)
@@ -328,7 +328,11 @@ class Drivers(_Section):
         2.2, "s", "its correlation time at the desired speed; measured (hid2 calibrate): 1.5 to 3.4", gt=0, le=30
     )
     lane_change_mean_s: float = _param(
-        5.5, "s", "duration of a lane change (highD: 5.5 cars, 6.1 heavy)", ge=1.5, le=15
+        5.0,
+        "s",
+        "duration of a lane change, between the moments at which |d'| passes .1 m/s; as recorded",
+        ge=1.5,
+        le=15,
     )
     lane_change_sd_s: float = _param(0.9, "s", "its SD between drivers", ge=0, le=4)
     reaction_s: float = _param(0.5, "s", "EIDM treaction", ge=0.1, le=3)
@@ -349,8 +353,15 @@ class LaneChange(_Section):
     braking_mps2: float = _param(2.0, "m/s2", "deceleration that the follower in a pair may need", gt=0, le=9)
     min_remaining_m: float = _param(25.0, "m", "length of l' left, through its successors", ge=0, le=500)
     give_up_s: float = _param(6.0, "s", "from the trigger on, the request ends after this", ge=0, le=60)
-    min_duration_s: float = _param(2.5, "s", "shortest lateral motion (11 s scenes)", ge=1.5, le=10)
-    max_duration_s: float = _param(6.0, "s", "longest lateral motion", ge=1.5, le=15)
+    min_duration_s: float = _param(2.5, "s", "shortest lane change, as lane_change_mean_s (11 s scenes)", ge=1.5, le=10)
+    max_duration_s: float = _param(6.0, "s", "longest lane change", ge=1.5, le=15)
+    ramp_share: float = _param(
+        0.27, "share", "of its time, in which the lateral speed rises, and falls: recorded ones peak at .87 m/s", gt=0,
+        le=0.5,
+    )  # fmt: skip
+    heading_deg: float = _param(
+        9.5, "deg", "to the lane at most, so that slow vehicles take longer; smoothing adds half a degree", gt=0, le=45
+    )
     min_speed_mps: float = _param(2.0, "m/s", "slower vehicles cannot shift a lane in time", ge=0, le=20)
     rule: Literal["paper", "MOBIL", "LC2013"] | Annotated[str, Field(pattern=_FUNCTION)] = _param(
         "paper", "-", "what decides whether a gap is taken; module:function names one of your own"
@@ -683,9 +694,9 @@ class EventSearch(_Section):
     slowest_mps: float = _param(2.5, "m/s", "at the event", ge=0, le=20)
     held_more_mps: float = _param(5.0, "m/s", "beyond a held speed, wished: no usual gap slows it", ge=0, le=20)
     across_more_s: float = _param(0.5, "s", "beyond a change of lanes; conflicts are looked for", ge=0, le=10)
-    change_s: float = _param(3.4, "s", "duration of the change of lanes of a cut-in", ge=1.5, le=15)
+    change_s: float = _param(3.0, "s", "duration of the lane change of a cut-in", ge=1.5, le=15)
     overtake_changes_s: tuple[Annotated[float, Field(ge=1.5, le=15)], ...] = _param(
-        (6.8, 3.4), "s", "durations of a usual change of lanes tried for who overtakes; `overtake.shift_ratio` counts",
+        (6.0, 3.4), "s", "durations of a usual lane change tried for who overtakes; `overtake.shift_ratio` counts",
         min_length=1,
     )  # fmt: skip
     cross_apart_s: Band = _param((1.4, 5.0), "s", "apart at the conflict point, where no PET is asked for")
@@ -749,6 +760,9 @@ class EventSearch(_Section):
         9.0, "m/s2", "lane_change.braking_mps2 of a cut-in: the event's band counts alone", gt=0, le=9
     )
     cut_in_gap_s: float = _param(0.3, "s", "lane_change.time_gap_front_s of a cut-in", ge=0, le=5)
+    cut_in_heading_deg: float = _param(
+        20.0, "deg", "lane_change.heading_deg of a cut-in: those before slow and standing targets need it", gt=0, le=45
+    )
     cut_in_gap_m: float = _param(1.0, "m", "lane_change.min_gap_m of a cut-in", ge=0, le=50)
 
 

@@ -3,19 +3,26 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.routes import edges_along
 from bridge.sumo.simulation import Simulation
-from hid2.agents import Policy
+from hid2.agents import FloatArray, Policy
+from hid2.drivers.driver import free_speeds
+from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.decision import LaneOption, Observation, Side, decide
-from hid2.policy.observation import gap_ahead_of, lane_options, lay_across, leader_on, own_gaps, returns_to
+from hid2.policy.observation import gap_ahead_of, lane_options, lay, lay_across, leader_on, own_gaps, returns_to
 from hid2.policy.overtake import Leader, Stage
 from hid2.policy.rules import SumoAnswer
 from hid2.reasons import Reason
+from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, GapLook, Shift
+
+_OFF_SHARE = 0.03  # no tunable: a tenth of a metre of a lane's width, before a way across is laid anew
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -45,9 +52,12 @@ def apply_policy(
     """
     vehicle, config = fleet.vehicles[row], fleet.scene.config
     request, shifts = vehicle.start.request, vehicle.path.shifts
-    if shifts and vehicle.stage in (Stage.ENTER, Stage.RETURN) and vehicle.s[-1] >= shifts[-1][1]:
-        passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
-        vehicle.stage = Stage.PASS if passing else Stage.DONE
+    if shifts and vehicle.stage in (Stage.ENTER, Stage.RETURN):
+        if vehicle.s[-1] >= shifts[-1][1]:
+            passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
+            vehicle.stage = Stage.PASS if passing else Stage.DONE
+        else:
+            _keep_time(fleet, row, now)
     time_s = now * fleet.scene.step_s
     asks = BEHAVIOURS[vehicle.policy].changes_lanes
     due = asks and time_s >= request.trigger_s and vehicle.stage in (Stage.WAITING, Stage.PASS)
@@ -59,6 +69,31 @@ def apply_policy(
     everybody = traffic()
     others = everybody.rows([other for other, one in enumerate(everybody.ids) if one != vehicle.vehicle_id])
     return _Due(fleet, simulation, row, vehicle, now, others).decided()
+
+
+def _keep_time(fleet: Fleet, row: int, now: int) -> None:
+    """Lay the way across anew where a vehicle is farther, or less far, than its driver would be by now."""
+    vehicle, step_s = fleet.vehicles[row], fleet.scene.step_s
+    motion = vehicle.path.lateral
+    assert motion is not None
+    since = vehicle.shifts[-1].requested_step - vehicle.start.step
+    tau = np.concatenate([[0.0], np.cumsum(motion.timing.gained(np.array(vehicle.v[since + 1 :]), step_s))])
+    share = lateral_share(tau[-1:], motion.timing.ramp)[0]
+    if tau[-1] >= 1.0 or abs(share - motion.share_at(vehicle.s[-1])) < _OFF_SHARE:
+        return
+    driven = replace(motion, along_m=np.array(vehicle.s[since:]), tau=tau)
+    path = lay(fleet.scene, driven.foreseen(_foreseen_speeds(vehicle, fleet.scene, now), step_s))
+    if path is not None:
+        fleet.take_path(row, path)
+
+
+def _foreseen_speeds(vehicle: DrivenVehicle, scene: Scene, now: int) -> FloatArray:
+    """(M,) m/s of a vehicle at the steps to come: as it is held to, else up to its wish on a free road."""
+    start = vehicle.start
+    wished = start.desired[now:]
+    if not start.is_held:
+        wished = free_speeds(start.driver, wished, speed_mps=vehicle.v[-1], step_s=scene.step_s)
+    return np.maximum(wished, scene.config.lane_change.min_speed_mps)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -157,19 +192,16 @@ class _Due:
     def _attempt(self, option: LaneOption, target: DrivenPath, leader: Leader | None) -> Attempt | Reason:
         """Lay the path across, look along it (conflict case 3), and ask SUMO; or the reason not to."""
         vehicle, scene, now, start = self.vehicle, self.fleet.scene, self.now, self.vehicle.start
-        s, v, driver, grid = vehicle.s[-1], vehicle.v[-1], start.driver, scene.grid
-        overtakes = vehicle.policy is Policy.OVERTAKE
+        s, grid, overtakes = vehicle.s[-1], scene.grid, vehicle.policy is Policy.OVERTAKE
         path = lay_across(
-            scene, vehicle.path, target, s=s, step=now, pace_mps=0.5 * (v + max(v, driver.desired_mps)),
-            remaining_m=option.remaining_m,
-            lasting_s=driver.lane_change_s * (scene.config.overtake.shift_ratio if overtakes else 1.0),
+            scene, vehicle.path, target, s=s, step=now, speed_mps=_foreseen_speeds(vehicle, scene, now),
+            remaining_m=option.remaining_m, driver=start.driver,
+            ratio=scene.config.overtake.shift_ratio if overtakes else 1.0,
         )  # fmt: skip
         if isinstance(path, Reason):
             return path
         if vehicle.stage is Stage.PASS and not returns_to(start.path, path):
             return Reason.LANES_PART
-        if s + v * (scene.num_steps - 2 - now) * scene.step_s < path.shifts[-1][1]:
-            return Reason.SCENE_ENDS
         if "collision" not in scene.config.without and self._meets_on(path):
             return Reason.CONFLICT_PREDICTED
         cell = grid.cell_of_sumo_lane.get(self.simulation.lane(vehicle.vehicle_id)[0])

@@ -98,6 +98,16 @@ def desired_speeds(
     return np.maximum(driver.desired_mps + np.array(wander), 0.5 * driver.desired_mps)
 
 
+def free_speeds(driver: Driver, wished_mps: FloatArray, *, speed_mps: float, step_s: float) -> FloatArray:
+    """(M,) m/s at the steps to come from a speed towards wished ones (M,) with nobody ahead, as the IDM has it."""
+    found = []
+    for wished in wished_mps.tolist():
+        gained = driver.accel_mps2 * max(1.0 - (speed_mps / wished) ** 4, -1.0) * step_s
+        speed_mps = max(speed_mps + gained, 0.0)
+        found.append(speed_mps)
+    return np.array(found, dtype=np.float64)
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class LaneOffset:
     """d(s), the place in the lane along a path: cubic between knots (K,) m with values and slopes (K,).
@@ -128,6 +138,18 @@ class LaneOffset:
     def scaled(self, share: float) -> "LaneOffset":
         """The same with a share of the offset."""
         return LaneOffset(self.knots_m, share * self.offset_m, share * self.slope)
+
+    def held(self, start_m: float, end_m: float) -> "LaneOffset":
+        """The same, waiting over a stretch: who changes lanes does not weave besides, and goes on where it stopped."""
+        row = max(int(np.searchsorted(self.knots_m, start_m, side="right")) - 1, 0)
+        waits_m = max(end_m - float(self.knots_m[row]), 0.0)
+        slope = np.insert(self.slope, row + 1, 0.0)
+        slope[row] = 0.0
+        return LaneOffset(
+            np.concatenate([self.knots_m[: row + 1], self.knots_m[row:] + waits_m]),
+            np.insert(self.offset_m, row + 1, self.offset_m[row]),
+            slope,
+        )
 
 
 def lane_offset(driver: Driver, config: Config, rng: np.random.Generator, *, length_m: float) -> LaneOffset:

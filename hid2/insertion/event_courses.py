@@ -32,7 +32,7 @@ class Course:
     """Motions that are wanted along one route, with what they have to do with.
 
     off (N,): their scores, how far from the middle of what is asked; desired_mps: what the driver drives at most; side:
-    of the change of lanes.
+    of the change of lanes; apart_m: between the two lanes at its moment.
     """
 
     route: Route
@@ -43,6 +43,7 @@ class Course:
     after: Along
     desired_mps: float
     side: Side | None = None
+    apart_m: float = 0.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -113,7 +114,13 @@ class Courses:
                 desired = min(self._fastest_mps, float(wanted.speed_mps.max(initial=self._search.slowest_mps)) + 1.0)
                 first = self.paths.along(route, target, desired)
                 second = self.paths.along(joined, target, desired, from_m=float(there[at] - ahead[at]))
-                yield Course(route, wanted, off, self._rules(ahead, 1, changes=True), first, second, desired, side)
+                own_xy, over_xy = (
+                    scene.path(one).line.position(along[at : at + 1])
+                    for one, along in ((route, ahead), (joined, there))
+                )
+                apart_m = float(np.hypot(*(own_xy - over_xy)[0]))
+                rules = self._rules(ahead, 1, changes=True)
+                yield Course(route, wanted, off, rules, first, second, desired, side, apart_m)
 
     def _merges(self) -> Iterator[Course]:
         """Onto a lane that the target comes onto from another one, before or behind it."""

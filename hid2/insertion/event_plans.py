@@ -18,11 +18,12 @@ from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import Driver, draw_driver, usual_driver
 from hid2.insertion.event_courses import Course, Courses
-from hid2.insertion.event_motions import Fan, Wanted, first_met_s, kept_to, motions
+from hid2.insertion.event_motions import Fan, first_met_s, kept_to, motions
 from hid2.insertion.event_paths import EventPaths
 from hid2.insertion.event_targets import Target
 from hid2.insertion.overtakes import Overtakes
 from hid2.insertion.routes import Routes
+from hid2.motion.lane_change_path import LateralTiming
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import Route
 from hid2.occupancy.traffic import BoolArray
@@ -42,7 +43,7 @@ _MANY_ROUTES = 9973  # a prime: routes are told apart by the sum of their lane i
 class Plan:
     """How an event may come about.
 
-    speeds (T,) m/s as planned; at_step: the moment of the event; trigger_s, side, change_s: of the change of lanes;
+    speeds (T,) m/s as planned; at_step: the moment of the event; trigger_s, side: of the change of lanes;
     order: -1 where the vehicle is behind the target, or crosses second, else 1; score: how far from the middle of what
     is asked; desired_mps, tau_s: what its driver drives at most, and its time gap; traits: what it shares with plans
     that are like it; driver: of an overtake that is foreseen, who drives freely: speeds are what it starts with and
@@ -59,7 +60,6 @@ class Plan:
     score: float
     desired_mps: float
     traits: tuple[float, ...]
-    change_s: float
     tau_s: float
     trigger_s: float = 0.0
     side: Side | None = None
@@ -143,14 +143,9 @@ class Planner:
         """Who drives a plan."""
         if plan.driver is not None:
             return plan.driver
-        config = self.scene.config
-        # a path across is laid out at a pace between its speed and the one that it likes
-        v = max(float(plan.speeds[self.scene.steps_in(plan.trigger_s)]), config.lane_change.min_speed_mps)
-        change_s = plan.change_s * v / (0.5 * (v + max(v, plan.desired_mps)))
         driver = hurried_driver(
-            config, rng, desired_mps=plan.desired_mps, tau_s=plan.tau_s,
-            lane_change_s=change_s if plan.side is not None else self._search.change_s,
-        )  # fmt: skip
+            self.scene.config, rng, desired_mps=plan.desired_mps, tau_s=plan.tau_s, lane_change_s=self._search.change_s
+        )
         return replace(driver, decel_mps2=max(driver.decel_mps2, plan.event.brakes_mps2))
 
     def objection(self, plan: Plan, driver: Driver, box: BoxSize) -> Reason | None:
@@ -210,7 +205,7 @@ class Planner:
             for (number, driver), trigger_s in product(enumerate(drivers), triggers):
                 # whoever asks for it, scan or generate, at whatever time, looks at the same motions
                 rng = np.random.default_rng([target.row, lane_id, number, scene.steps_in(trigger_s)])
-                back_s = 0.5 * foresight.lasting_s(driver)
+                back_s = 0.5 * foresight.timing(way, driver).lasting_s
                 found = foresight.foresee(way, driver, rng, trigger_s=trigger_s, lead=False, leader=target.row)
                 self.turned_down[Reason.NO_OVERTAKE_FORESEEN] += not found
                 for one in found[:: math.ceil(len(found) / search.overtake_starts) or 1]:
@@ -226,7 +221,7 @@ class Planner:
                     yield Plan(
                         event, target, offer.route, one.start_s, speeds, round(at_s / scene.step_s), 1,
                         search.off_moment * off + search.off_difference * (driver.desired_mps - pace),
-                        driver.desired_mps, traits, driver.lane_change_s, driver.tau_s, trigger_s=trigger_s, side=side,
+                        driver.desired_mps, traits, driver.tau_s, trigger_s=trigger_s, side=side,
                         driver=driver,
                     )  # fmt: skip
 
@@ -243,14 +238,15 @@ class Planner:
         fast = (wanted.speed_mps >= search.slowest_mps) & (difference >= low) & (difference <= high)
         keep = self._still(fast, np.ones(fast.size, dtype=np.bool_), Reason.TOO_SLOW)
         fan = motions(wanted, rules, course.before, course.after)
-        keep = self._still(self._has_room(course, fan), keep, Reason.NO_SITE)
-        keep = self._still(self._may_change(course, fan), keep, Reason.NO_ADJACENT_LANE)
+        begins = self._begins(course, fan)
+        keep = self._still(self._has_room(course, fan, begins), keep, Reason.NO_SITE)
+        keep = self._still(self._may_change(course, fan, begins), keep, Reason.NO_ADJACENT_LANE)
         if rules.ahead is not None:
             least, drac = kept_to(fan, rules, course.after.is_own_there[: target.present.size])
             keep = self._still(self._is_critical(event, least, drac), keep, Reason.EVENT_NOT_AS_ASKED)
         if not keep.any():
             return []
-        wanted, off, fan = wanted.rows(keep), off[keep], fan.rows(keep)
+        wanted, off, fan, begins = wanted.rows(keep), off[keep], fan.rows(keep), begins[keep]
         until = first_met_s(fan, rules, course.before, course.after)
         late = until - wanted.at * step_s
         rows = np.flatnonzero(
@@ -266,8 +262,6 @@ class Planner:
         for place in np.argsort(score, kind="stable")[: search.route_plans].tolist():
             row = int(rows[place])
             speeds, way = fan.motion(row)
-            at_s = float(wanted.at[row]) * step_s
-            change_s = min(search.change_s, 2.0 * at_s)
             traits = (
                 float(sum(course.route) % _MANY_ROUTES), float(wanted.at[row]), float(wanted.gap_m[row]),
                 float(wanted.speed_mps[row]), float(np.nan_to_num(wanted.before_mps2[row], nan=9.0)),
@@ -275,10 +269,10 @@ class Planner:
             )  # fmt: skip
             plan = Plan(
                 event, target, course.route, float(way[0]), speeds, int(wanted.at[row]), rules.order,
-                float(score[place]), course.desired_mps, traits, change_s, tau_s,
+                float(score[place]), course.desired_mps, traits, tau_s,
             )  # fmt: skip
             if course.side is not None:
-                plan = replace(plan, trigger_s=max(0.0, at_s - 0.5 * change_s), side=course.side)
+                plan = replace(plan, trigger_s=float(begins[row]) * step_s, side=course.side)
             found.append(plan)
         return found
 
@@ -287,7 +281,7 @@ class Planner:
         self.turned_down[reason] += int((before & ~holds).sum())
         return before & holds
 
-    def _has_room(self, course: Course, fan: Fan) -> BoolArray:
+    def _has_room(self, course: Course, fan: Fan, begins: IntArray) -> BoolArray:
         """(N,) whether motions begin and go on, after the moment, on the map."""
         scene, at, half_m = self.scene, course.wanted.at, 0.5 * self.box.length_m
         needed = np.minimum(
@@ -296,20 +290,24 @@ class Planner:
         end = course.after.exit_m - course.after.from_m - half_m - 1.0
         found = (fan.way_at(np.zeros_like(at)) >= half_m + 0.5) & (fan.way_at(needed) < end)
         if course.side is not None:
-            begins, change = self._begins(course.wanted), self.scene.config.lane_change
+            change = self.scene.config.lane_change
             left = course.after.exit_m - course.after.from_m - fan.way_at(begins)
             pace = 0.5 * (course.wanted.speed_mps + course.desired_mps)
             found &= left > np.maximum(change.min_remaining_m, change.min_duration_s * pace / change.length_share) + 1.0
             found &= fan.way_at(at) < course.before.exit_m - half_m - 1.0
         return found
 
-    def _begins(self, wanted: Wanted) -> IntArray:
-        """(N,) steps at which changes of lanes begin."""
-        step_s = self.scene.step_s
-        change_s = np.minimum(self._search.change_s, 2.0 * wanted.at * step_s)
-        return np.asarray(np.maximum(wanted.at - np.round(0.5 * change_s / step_s).astype(np.int64), 0))
+    def _begins(self, course: Course, fan: Fan) -> IntArray:
+        """(N,) steps at which changes of lanes begin that are half done at the moments; -1 where that is too early."""
+        half = fan.until
+        if course.side is None:
+            return np.zeros(fan.at.size, dtype=np.int64)
+        timing = LateralTiming.of(self._search.change_s, course.apart_m, self.scene.config.lane_change)
+        gained = timing.gained(half.speeds, self.scene.step_s)  # 0 behind the moment
+        done = np.cumsum(gained[:, ::-1], axis=1)[:, ::-1] - gained  # from the end of each step on
+        return np.asarray((done >= 0.5).sum(axis=1) - 1)[half.of]
 
-    def _may_change(self, course: Course, fan: Fan) -> BoolArray:
+    def _may_change(self, course: Course, fan: Fan, begins: IntArray) -> BoolArray:
         """(N,) whether the marking lets a vehicle over when it begins to change lanes and when it crosses."""
         wanted, side, path = course.wanted, course.side, self.scene.path(course.route)
         found = np.ones(wanted.at.size, dtype=np.bool_)
@@ -317,8 +315,7 @@ class Planner:
             return found
         ends = np.array([segment.end for segment in path.segments])
         may = np.array([admissible_neighbor(self.scene, one.lane_id, side) is not None for one in path.segments])
-        found &= 2.0 * wanted.at * self.scene.step_s >= self.scene.config.lane_change.min_duration_s
-        begins = self._begins(wanted)
+        found &= begins >= 0
         front_m = 0.5 * self.size.length_m  # SUMO has the front bumper on a lane, and it goes on for the coming step
         asked = fan.way_at(np.minimum(begins + 1, self.scene.num_steps - 1)) + front_m
         for s in (fan.way_at(begins), asked, fan.way_at(wanted.at)):

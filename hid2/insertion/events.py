@@ -95,7 +95,7 @@ def scene_for(scene: Scene, event: Event) -> Scene:
         search = config.event_search
         change = {  # behind the vehicle the event's band counts alone
             "time_gap_front_s": search.cut_in_gap_s, "min_gap_m": search.cut_in_gap_m, "time_gap_rear_s": 0.0,
-            "braking_mps2": search.cut_in_braking_mps2,
+            "braking_mps2": search.cut_in_braking_mps2, "heading_deg": search.cut_in_heading_deg,
         }  # fmt: skip
         update["lane_change"] = config.lane_change.model_copy(update=change)
     changed: Config = config.model_copy(update=update)

@@ -115,6 +115,9 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
         motion = Motion(s=s[:steps], v=v[:steps], a=np.gradient(v[:steps], scene.step_s), step_s=scene.step_s)
         found = as_exported(scene, vehicle, motion, path, np.zeros(steps))
         return _boxes(scene, others.joined(found.states)) or found
+    offset = start.offset
+    for begin, finish in vehicle.path.shifts:
+        offset = offset.held(begin, finish)
     verdict: tuple[ExportedVehicle, AgentStates] | Reason = Reason.LIMIT_JERK
     ratios = config.export.filter_ratios
     for ratio, eased in [(ratios[0], False), *((ratio, True) for ratio in ratios)]:  # ends are eased where they must be
@@ -123,7 +126,7 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
             end_jerk_mps3=config.limits.longitudinal_jerk_mps3 if eased else None,
         )  # fmt: skip
         for share in config.export.offset_shares:
-            path = trajectory(vehicle.path.line, motion, start.offset.scaled(share))
+            path = trajectory(vehicle.path.line, motion, offset.scaled(share))
             verdict = _smoothed(scene, vehicle, motion, path, motion.s - own[:steps], others)
             if not isinstance(verdict, Reason) or verdict not in _LATERAL:
                 break

@@ -19,6 +19,7 @@ from hid2.drivers.driver import Driver
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.kernels.overtakes import drives_on, overtakes_done
 from hid2.kernels.polyline import frenet
+from hid2.motion.lane_change_path import LateralTiming
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import BoolArray
@@ -159,10 +160,11 @@ class Overtakes:
                 break
         return found
 
-    def lasting_s(self, driver: Driver) -> float:
-        """Duration of the lateral motion out, and of that back, s."""
-        config = self.scene.config
-        return max(config.lane_change.min_duration_s, config.overtake.shift_ratio * driver.lane_change_s)
+    def timing(self, way: Way, driver: Driver) -> LateralTiming:
+        """Of the lateral motion out, and of that back."""
+        change = self.scene.config.lane_change
+        wanted_s = max(change.min_duration_s, self.scene.config.overtake.shift_ratio * driver.lane_change_s)
+        return LateralTiming.of(wanted_s, way.apart_m, change)
 
     def _lane_end(self, way: Way) -> float:
         return way.path.to_line(way.offer.start_m + self.scene.grid.graph.lanes[way.lane_id].length_m)
@@ -244,13 +246,14 @@ class Overtakes:
     def _done_s(self, way: Way, driver: Driver, trigger_s: float, tried: _Tried) -> FloatArray:
         """(N,) time, s, at which each is back in its lane; inf where it does not fit."""
         config, overtake = self.scene.config, self.scene.config.overtake
-        # v2 kappa of a lateral motion is what the driver takes: its curvature is 9 D / L2 at most (`lateral_share`)
-        bend = config.foresight.bend_share * math.sqrt(driver.turn_lateral_mps2 / (9.0 * way.apart_m))
+        timing = self.timing(way, driver)
+        # v2 kappa of a lateral motion is what the driver takes: of `lateral_share`, D over the square of its length
+        sharpest = 2.0 * way.apart_m / (timing.ramp * (1.0 - timing.ramp))
+        bend = config.foresight.bend_share * math.sqrt(driver.turn_lateral_mps2 / sharpest)
         who = (
-            driver.desired_mps, driver.accel_mps2, driver.decel_mps2, driver.tau_s, driver.min_gap_m, bend,
-            self.box.length_m,
+            driver.desired_mps, driver.accel_mps2, driver.decel_mps2, driver.tau_s, driver.min_gap_m,
+            bend * timing.lasting_s, timing.slow_mps, self.box.length_m,
         )  # fmt: skip
-        lasting_s = self.lasting_s(driver)
         latest_s = self.scene.last_s - config.foresight.spare_s
         gaps = (
             overtake.d_obs_m, overtake.return_gap_m, overtake.d_overtake_m, overtake.safe_front_m, overtake.safe_rear_m
@@ -258,7 +261,7 @@ class Overtakes:
         return overtakes_done(
             tried.start_s, tried.start_mps, tried.leader, self._look_s(), np.array(who),
             np.array([way.begin, way.end, way.path.exit_s, way.beside.exit_s]),
-            np.array([trigger_s, config.foresight.waits_s, lasting_s, latest_s, *self._keeps()]), np.array(gaps),
+            np.array([trigger_s, config.foresight.waits_s, timing.lasting_s, latest_s, *self._keeps()]), np.array(gaps),
             self.roads.speeds(way.path, driver), TABLE_STEP_M, way.beside_s, _GRID_M, *self._on(way.path),
             *self._on(way.beside),
         )  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
 from hid2.conflicts.guard import Guard, Obstacles
 from hid2.conflicts.stop_lines import StopLines
-from hid2.drivers.driver import Driver, desired_speeds, draw_driver, lane_offset
+from hid2.drivers.driver import Driver, desired_speeds, draw_driver, free_speeds, lane_offset
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.sizes import draw_size
@@ -151,6 +151,8 @@ class Starts:
             own = own_gaps(
                 scene, path, box, s=at, step=step, fixed=self.guard.fixed, fleet=self._taken_at(at_s)
             )  # fmt: skip
+            wished = np.full(scene.num_steps - step, driver.desired_mps)
+            foreseen = free_speeds(driver, wished, speed_mps=v, step_s=scene.step_s)
             for option, target in options:
                 view = gap_view(
                     option, driver, time_s=at_s, waited_s=wait_s, speed_mps=v, length_m=box.length_m, own=own
@@ -158,10 +160,10 @@ class Starts:
                 if foreseen_reason(view, change) is not None:
                     continue
                 across = lay_across(
-                    scene, path, target, s=at, step=step, pace_mps=v, remaining_m=option.remaining_m,
-                    lasting_s=driver.lane_change_s,
+                    scene, path, target, s=at, step=step, speed_mps=foreseen, remaining_m=option.remaining_m,
+                    driver=driver,
                 )  # fmt: skip
-                if isinstance(across, DrivenPath) and (across.shifts[-1][1] - at) < v * (scene.last_s - at_s):
+                if isinstance(across, DrivenPath):
                     return True
         return False
 

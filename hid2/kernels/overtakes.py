@@ -104,13 +104,14 @@ def overtakes_done(
     """(N,) time, s, at which vehicles are back in their lane ahead of their leader; inf where somebody is met before.
 
     start_s, m, and start_mps of each; leader (N, K) m: centres at each look, -inf where there is none. driver: desired
-    speed, acceleration, deceleration, time gap, gap at a standstill, m/s in a lateral motion for each m of its length,
-    length of a box. stretch: begin and end side by side, and the ends of both paths, m. times: trigger, how long it may
-    wait, lasting of a lateral motion, latest end, s; then what `drives_on` keeps. gaps: d_obs, gap of the return,
+    speed, acceleration, deceleration, time gap, gap at a standstill, m/s in a lateral motion for each m/s at which it
+    is laid out, speed below which one goes with the length driven, length of a box. stretch: begin and end side by
+    side, and the ends of both paths, m. times: trigger, how long it may wait, lasting of a lateral motion, latest end,
+    s; then what `drives_on` keeps. gaps: d_obs, gap of the return,
     corridor, front and rear, m. road (S,) m/s at each road_step of the path, beside_s (G,) m at each beside_step.
     Then everybody and the stop lines on both paths, as in `drives_on`.
     """
-    desired, bend, length = driver[0], driver[5], driver[6]
+    desired, bend, slow, length = driver[0], driver[5], driver[6], driver[7]
     begin, end, exit_s, beside_exit = stretch
     trigger, waits, lasting, latest = times[:4]
     keeps, ttc = times[4:], times[6]
@@ -118,7 +119,8 @@ def overtakes_done(
     done = np.full(start_s.size, np.inf)
     for n in range(start_s.size):
         s, v = start_s[n], start_mps[n]
-        out, out_m, back, back_m, back_in_lane = -1.0, 0.0, -1.0, 0.0, np.inf
+        laid = 0.0
+        out, back, back_in_lane = -1.0, -1.0, np.inf  # of the lateral motions: their clocks, -1 before they begin
         for look in range(looks):
             time_s, ahead = look * look_s, leader[n, look]
             there = math.isfinite(ahead)
@@ -129,19 +131,18 @@ def overtakes_done(
             place = min(s / beside_step, beside_s.size - 1.0)
             knot = min(int(place), beside_s.size - 2)
             beside = beside_s[knot] + (place - knot) * (beside_s[knot + 1] - beside_s[knot])
-            pace = 0.5 * (v + max(v, desired))
             if out < 0.0 and time_s >= trigger - 1e-9:
                 if (
                     s >= begin
                     and gap < gaps[0]
                     and _may_enter(beside, look, beside_spans, beside_first, desired, beside_exit, gaps)
                 ):
-                    out, out_m = s, pace * lasting
+                    out, laid = 0.0, max(0.5 * (v + max(v, desired)), slow)
                 elif time_s > trigger + waits:
                     break
-            if out >= 0.0 and back < 0.0 and s >= out + out_m and -gap - 2.0 * length > gaps[1]:
-                back, back_m = s, pace * lasting
-            if back >= 0.0 and s >= back + back_m:
+            if out >= 1.0 and back < 0.0 and -gap - 2.0 * length > gaps[1]:
+                back, laid = 0.0, max(0.5 * (v + max(v, desired)), slow)
+            if back >= 1.0:
                 back_in_lane = min(back_in_lane, time_s)
             if not math.isfinite(back_in_lane) and (s >= end or time_s > latest):
                 break
@@ -149,26 +150,27 @@ def overtakes_done(
             leads = there and math.isfinite(before) and math.isfinite(after)
             span_s = look_s * (min(look + 1, looks - 1) - max(look - 1, 0))
             closing = v - (after - before) / span_s if leads else v
-            behind = out < 0.0 or s < out + _OUT_OF_THE_WAY * out_m
+            behind = out < _OUT_OF_THE_WAY
             if behind and gap <= max(_TOUCHES_M, ttc * closing):
                 back_in_lane = np.inf
                 break
-            on_own = out < 0.0 or s < out + _LEAVES * out_m or (back >= 0.0 and s > back + _ENTERS * back_m)
+            on_own = out < _LEAVES or back > _ENTERS
             if on_own and s <= exit_s and not _is_free(s, v, look, spans, same_direction, first, stop_s, closed, keeps):
                 back_in_lane = np.inf
                 break
-            on_beside = out >= 0.0 and s > out + _ENTERS * out_m and (back < 0.0 or s < back + _LEAVES * back_m)
+            on_beside = out > _ENTERS and back < _LEAVES
             if on_beside and not _is_free(
                 beside, v, look, beside_spans, beside_same_direction, beside_first, beside_stop_s, beside_closed, keeps
             ):
                 back_in_lane = np.inf
                 break
-            lateral_m = out_m if back < 0.0 else back_m
-            moves = lateral_m > 0.0 and s < (out if back < 0.0 else back) + lateral_m
+            moves = 0.0 <= out < 1.0 or 0.0 <= back < 1.0
             most = road[min(int(s / road_step), road.size - 1)]
             faster = _next_speed(
-                v, gap if out < 0.0 else np.inf, closing, look_s, driver, bend * lateral_m if moves else np.inf, most
+                v, gap if out < 0.0 else np.inf, closing, look_s, driver, bend * laid if moves else np.inf, most
             )
+            gained = min(v / slow, 1.0) * look_s / lasting
+            out, back = out + gained if out >= 0.0 else out, back + gained if back >= 0.0 else back
             s, v = s + 0.5 * (v + faster) * look_s, faster
         if back_in_lane <= latest:
             done[n] = back_in_lane

@@ -1,12 +1,13 @@
 """Routes through the lane graph, and the path that a vehicle drives along one (with its lane changes)."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from hid2.agents import FloatArray
-from hid2.motion.lane_change_path import Blend, even_line
+from hid2.motion.lane_change_path import LateralTiming, blend_paths, even_line, lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
 from hid2.params import Limits, Smoothing
 from netconvert.geometry import Polyline, arc_length
@@ -46,7 +47,7 @@ class DrivenPath:
 
     raw (N, 2) m; segments: by the lane that the centre is on, which changes half way across; followed: by the lane on
     which the simulation has the vehicle, which is in the new one at once; shifts: (start, end) of each lateral motion,
-    m on the line; exit_s: the end of the last lane.
+    m on the line; lateral: the last of them; exit_s: the end of the last lane.
     """
 
     line: ReferenceLine
@@ -54,6 +55,7 @@ class DrivenPath:
     segments: tuple[Segment, ...]
     followed: tuple[Segment, ...]
     shifts: tuple[tuple[float, float], ...] = ()
+    lateral: "LateralMotion | None" = None
     raw_s: FloatArray = field(init=False, repr=False)
     """Arc length on raw of each of the line's points, m."""
     _even: dict[float, tuple[FloatArray, FloatArray]] = field(init=False, repr=False, default_factory=dict)
@@ -108,7 +110,42 @@ class DrivenPath:
 
     def to_raw(self, s: float) -> float:
         """Arc length on the raw polyline of an arc length on the line."""
-        return float(np.interp(s, self.line.points_s, self.raw_s))
+        return float(self.all_to_raw(np.array(s)))
+
+    def all_to_raw(self, s: FloatArray) -> FloatArray:
+        """The same for many, (M,) m."""
+        return np.interp(s, self.line.points_s, self.raw_s)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LateralMotion:
+    """From one path to one beside, by the clock of its driver.
+
+    along_m, tau (K,): arc length on the path that is left, and the clock, at steps that were driven, then foreseen.
+    """
+
+    source: DrivenPath
+    target: DrivenPath
+    timing: LateralTiming
+    along_m: FloatArray
+    tau: FloatArray
+
+    def foreseen(self, speed_mps: FloatArray, step_s: float) -> "LateralMotion":
+        """With the steps to come at speeds (M,) m/s, of which the last one goes on, up to the end of the motion."""
+        last = float(speed_mps[-1])
+        left = math.ceil((1.0 - float(self.tau[-1])) / float(self.timing.gained(speed_mps[-1:], step_s)[0]))
+        speeds = np.concatenate([speed_mps, np.full(max(left, 0), last)])
+        tau = self.tau[-1] + np.cumsum(self.timing.gained(speeds, step_s))
+        count = int(np.searchsorted(tau, 1.0)) + 1
+        along = self.along_m[-1] + step_s * np.cumsum(speeds)
+        return replace(
+            self, along_m=np.concatenate([self.along_m, along[:count]]), tau=np.concatenate([self.tau, tau[:count]])
+        )
+
+    def share_at(self, s: float) -> float:
+        """Of the way across, at an arc length, m."""
+        tau = np.interp([s], self.along_m, self.tau)
+        return float(lateral_share(tau, self.timing.ramp)[0])
 
 
 def route_points(graph: LaneGraph, route: Route) -> FloatArray:
@@ -143,9 +180,16 @@ def path_along(
 
 
 def shifted_path(
-    path: DrivenPath, target: DrivenPath, blend: Blend, *, smoothing: Smoothing, limits: Limits
-) -> DrivenPath:
-    """Path that changes from the lanes of `path` to those of `target` along `blend`; the lane changes half way."""
+    motion: LateralMotion, *, max_shift_m: float, smoothing: Smoothing, limits: Limits
+) -> DrivenPath | None:
+    """Path of a lateral motion, on the target's lanes from half way across on; None as of `blend_paths`."""
+    path, target = motion.source, motion.target
+    blend = blend_paths(
+        path.even(smoothing.path_step_m), target.raw_line, along_m=path.all_to_raw(motion.along_m), tau=motion.tau,
+        ramp=motion.timing.ramp, step_m=smoothing.path_step_m, max_shift_m=max_shift_m,
+    )  # fmt: skip
+    if blend is None:
+        return None
     line = build_reference_line(
         blend.points,
         step_m=smoothing.path_step_m,
@@ -163,9 +207,10 @@ def shifted_path(
     return DrivenPath(
         line=line,
         raw=blend.points,
-        segments=_joined(path.segments, onto, at=bare.to_line(0.5 * (blend.start_m + blend.end_m))),
+        segments=_joined(path.segments, onto, at=bare.to_line(blend.middle_m)),
         followed=_joined(path.followed, onto, at=start),
         shifts=(*path.shifts, (start, end)),
+        lateral=motion,
     )
 
 

@@ -7,9 +7,10 @@ import numpy as np
 
 from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import transition_rejected
+from hid2.drivers.driver import Driver
 from hid2.kernels.polyline import frenet
-from hid2.motion.lane_change_path import blend_paths
-from hid2.motion.route import DrivenPath, shifted_path
+from hid2.motion.lane_change_path import LateralTiming
+from hid2.motion.route import DrivenPath, LateralMotion, shifted_path
 from hid2.occupancy.along_path import look_along, path_occupancy
 from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path
 from hid2.occupancy.sigma import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
@@ -158,24 +159,47 @@ def gap_ahead_of(
 
 
 def lay_across(
-    scene: Scene, path: DrivenPath, target: DrivenPath, *, s: float, step: int, pace_mps: float, remaining_m: float,
-    lasting_s: float,
+    scene: Scene, path: DrivenPath, target: DrivenPath, *, s: float, step: int, speed_mps: FloatArray,
+    remaining_m: float, driver: Driver, ratio: float = 1.0,
 ) -> DrivenPath | Reason:  # fmt: skip
-    """Path that shifts to `target` from arc length s on within lasting_s at about pace_mps; or why there is none.
+    """Path that shifts to `target` from arc length s on, in the driver's time; or why there is none.
 
-    The shift is no longer than the lane and the scene have room for, and no shorter than the shortest duration.
+    speed_mps (M,): foreseen at the steps to come, of which the last one goes on; ratio: of the driver's usual duration.
+    The motion is no longer than the lane and the scene have room for, and no shorter than the shortest duration.
     """
-    change, smoothing = scene.config.lane_change, scene.config.smoothing
-    pace = max(pace_mps, change.min_speed_mps)
-    time_left_s = change.time_share * (scene.num_steps - 1 - step) * scene.step_s - change.spare_s
-    lasting_s = max(change.min_duration_s, min(lasting_s, time_left_s, change.length_share * remaining_m / pace))
-    blend = blend_paths(
-        path.even(smoothing.path_step_m), target.raw_line, start_m=path.to_raw(s), length_m=pace * lasting_s,
-        step_m=smoothing.path_step_m, max_shift_m=change.max_shift_m,
-    )  # fmt: skip
-    if blend is None:
-        return Reason.LANES_NOT_SIDE_BY_SIDE
-    return shifted_path(path, target, blend, smoothing=smoothing, limits=scene.config.limits)
+    change, step_s = scene.config.lane_change, scene.step_s
+    speeds = np.maximum(speed_mps, change.min_speed_mps)
+    driven = step_s * np.cumsum(speeds)
+    beyond = max(0.0, change.length_share * remaining_m - float(driven[-1])) / float(speeds[-1])
+    room_s = step_s * float(np.searchsorted(driven, change.length_share * remaining_m)) + beyond
+    time_left_s = change.time_share * (scene.num_steps - 1 - step) * step_s - change.spare_s
+    motion, apart_m, along_m = None, 0.0, np.array([s])
+    for _ in range(2):  # lanes may part: it is as far to the other one as it gets on the way
+        apart_m = max(apart_m, _farthest_m(path, target, along_m))
+        wanted_s = ratio * driver.lane_change_s
+        timing = LateralTiming.of(max(wanted_s, change.min_duration_s), apart_m, change)
+        over_s = timing.lasting_s - min(time_left_s, room_s)
+        if over_s > 0.0:
+            timing = LateralTiming.of(max(wanted_s - over_s, change.min_duration_s), apart_m, change)
+        motion = LateralMotion(path, target, timing, np.array([s]), np.zeros(1)).foreseen(speeds, step_s)
+        along_m = motion.along_m
+    assert motion is not None
+    if motion.tau.size - 1 > scene.num_steps - 2 - step:
+        return Reason.SCENE_ENDS
+    return lay(scene, motion) or Reason.LANES_NOT_SIDE_BY_SIDE
+
+
+def _farthest_m(path: DrivenPath, target: DrivenPath, s: FloatArray) -> float:
+    """Largest distance of places (M,) m on a path from another one, m."""
+    return float(np.abs(frenet(path.line.position(s), target.raw_line.points, target.raw_line.s)[1]).max())
+
+
+def lay(scene: Scene, motion: LateralMotion) -> DrivenPath | None:
+    """Path of a lateral motion; None where the lanes are not side by side."""
+    config = scene.config
+    return shifted_path(
+        motion, max_shift_m=config.lane_change.max_shift_m, smoothing=config.smoothing, limits=config.limits
+    )
 
 
 def _next_sigma(scene: Scene, cell: Cell, *, step: int, speed_mps: float) -> int:

@@ -388,11 +388,14 @@ def test_s_of_t_is_a_cubic_from_position_speed_and_acceleration() -> None:
 
 
 def test_d_of_t_is_piecewise_cubic_with_continuous_acceleration() -> None:
-    """d(t) = b0 + b1 t + b2 t2 + b3 t3 in each sixth: fourth differences vanish inside, the jerk is 54 D / T^3 or 0."""
+    """d(t) = b0 + b1 t + b2 t2 + b3 t3 between its knots, here in eighths: fourth differences vanish inside.
+
+    With ramps of a quarter the jerk is 256 / 3 D / T^3 in the outer eighths and 0 between.
+    """
     lateral_m, duration = 3.5, 4.0
-    for sixth, share in enumerate((54, 54, 0, 0, 54, 54)):
-        tau = sixth / 6 + np.linspace(0.01, 0.15, 12)
-        d = lateral_m * lateral_share(tau)
+    for eighth, share in enumerate((256 / 3, 256 / 3, 0, 0, 0, 0, 256 / 3, 256 / 3)):
+        tau = eighth / 8 + np.linspace(0.01, 0.11, 12)
+        d = lateral_m * lateral_share(tau, 0.25)
         step = float(tau[1] - tau[0]) * duration
         assert np.abs(np.diff(d, 4)).max() < 1e-9
         assert abs(np.diff(d, 3)[0]) / step**3 == pytest.approx(share * lateral_m / duration**3, rel=1e-6, abs=1e-6)

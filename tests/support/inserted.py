@@ -1,5 +1,6 @@
 """Inserted vehicles by hand: a driver, a start on a route, a vehicle that SUMO is said to have driven."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -75,13 +76,14 @@ def driven(start: Start, v: npt.ArrayLike, **changes: Any) -> DrivenVehicle:
     return DrivenVehicle(**{"start": start, "path": start.path, **where, **changes})
 
 
-def changing(scene: Scene, start: Start, v: npt.ArrayLike, *, to: int, at_step: int, lasting_s: float) -> DrivenVehicle:
+def changing(scene: Scene, start: Start, v: npt.ArrayLike, *, to: int, at_step: int, wanted_s: float) -> DrivenVehicle:
     """The same, changing to a lane beside from a step on, as SUMO carried it out."""
     vehicle = driven(start, v)
     s = vehicle.s[at_step]
     path = lay_across(
-        scene, start.path, target_path(scene, start.path, to, s=s), s=s, step=at_step, pace_mps=vehicle.v[at_step],
-        remaining_m=200.0, lasting_s=lasting_s,
+        scene, start.path, target_path(scene, start.path, to, s=s), s=s, step=at_step,
+        speed_mps=np.array([vehicle.v[at_step]]), remaining_m=200.0,
+        driver=replace(start.driver, lane_change_s=wanted_s),
     )  # fmt: skip
     assert isinstance(path, DrivenPath), path
     side = "left" if path.line.position(np.array([path.shifts[0][1]]))[0, 1] > 0.0 else "right"

@@ -80,7 +80,7 @@ def test_vehicles_are_placed_and_drive_as_far_as_their_speeds_say(made):
     assert len(made.generated) == AGENTS
     for vehicle, track in zip(made.vehicles, made.generated, strict=True):
         s, v = np.array(vehicle.driven.s), np.array(vehicle.driven.v)
-        np.testing.assert_allclose(np.diff(s), v[1:] * step_s, rtol=0.06, atol=0.001)
+        np.testing.assert_allclose(np.diff(s), v[1:] * step_s, rtol=0.07, atol=0.001)
         way = np.hypot(*np.diff(track.position, axis=0).T).sum()
         assert way == pytest.approx(track.speed.sum() * step_s, abs=0.1 + track.speed.max() * step_s)
         assert way == pytest.approx(s[track.timesteps[-1]] - s[0], abs=1.0)

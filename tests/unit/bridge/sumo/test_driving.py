@@ -295,6 +295,20 @@ def test_lane_change_is_asked_for_at_the_trigger_and_carried_out(drive: Callable
     assert one.path.line.position(np.array([one.s[-1]]))[0, 1] == pytest.approx(3.5, abs=0.1)
 
 
+def test_who_slows_down_on_the_way_across_does_not_take_longer_for_it(drive: Callable[..., Driving]) -> None:
+    """5 s as wanted are 5.5 s from end to end: half way, at 1.75 m, after 2.75 s, at 6 as at 10 m/s.
+
+    By the length driven it would be a second later.
+    """
+    scene = scene_on(_two_lanes())
+    desired = np.where(np.arange(110) < 25, 10.0, 6.0)
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0, desired=desired)
+    (one,) = drive(scene, start).fleet.vehicles
+    assert np.array(one.v)[47] < 8.0
+    y = one.path.line.position(np.array(one.s))[:, 1]
+    assert [y[20], y[47], y[48], y[76]] == pytest.approx([0.0, 1.7, 1.8, 3.5], abs=0.15)
+
+
 def test_vehicle_is_where_sumo_has_it_also_behind_a_lane_change(drive: Callable[..., Driving]) -> None:
     """Lane 2 begins 6 m before lane 1 and ends 6 m behind it: cells that face each other at 60 m are 2.4 m apart.
 

@@ -125,6 +125,17 @@ def test_cubic_between_two_knots_by_hand() -> None:
     assert offset.scaled(0.5).at(np.array([10.0]))[0] == pytest.approx([0.1])
 
 
+def test_wandering_waits_over_a_lane_change() -> None:
+    """Knots at 0, 20, 40 m with 0, .4, .2 m: held over 30 to 60 m it stays at .4 from 20 m on, and is at .2 at 80 m."""
+    offset = LaneOffset(np.array([0.0, 20.0, 40.0]), np.array([0.0, 0.4, 0.2]), np.array([0.0, 0.01, 0.0]))
+    held = offset.held(30.0, 60.0)
+    d, slope, _ = held.at(np.array([20.0, 30.0, 45.0, 60.0, 80.0]))
+    assert d == pytest.approx([0.4, 0.4, 0.4, 0.4, 0.2])
+    assert slope == pytest.approx(np.zeros(5))
+    before = np.linspace(0.0, 20.0, 9)
+    assert np.ptp(np.diff(held.at(before)[0])) < 0.06
+
+
 def test_nobody_is_farther_from_the_middle_than_the_bound() -> None:
     """Place 0.8 m to the left and a wandering of 0.4 m: cut off at 0.9 m."""
     wide = replace(DRIVER, offset_m=0.8, wander_m=0.4)

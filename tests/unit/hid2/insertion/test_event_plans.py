@@ -61,10 +61,13 @@ def test_plan_has_the_gap_asked_for_at_the_moment_asked_for(
 
 
 def test_cut_in_comes_from_the_lane_beside_half_its_duration_before_the_moment(scene_of: Callable[..., Scene]) -> None:
-    """3.4 s: from 1.7 s before; the target is on lane 1, so from lane 2 to the right."""
+    """3.0 s at 9.6 m/s, where its heading is 9.5 degrees, so 3.6 s at 8 m/s: from 1.8 s before.
+
+    The target is on lane 1, so from lane 2 to the right.
+    """
     plan = _plans(scene_of(recorded(100.0, 0.0, 8.0)), kind="cut_in")[0]
     assert (plan.route, plan.side) == ((2,), "right")
-    assert plan.trigger_s == pytest.approx(plan.at_step * 0.1 - 1.7)
+    assert plan.trigger_s == pytest.approx(plan.at_step * 0.1 - 1.8)
 
 
 def test_overtake_is_foreseen_of_the_target_alone_and_back_at_the_time_asked_for(

@@ -349,7 +349,7 @@ def test_count_is_never_exceeded_nor_a_request_met_twice(seed: int, scene_for: C
         elif vehicle.policy is Policy.LANE_CHANGE and number > 0:
             (own,) = {segment.lane_id for segment in vehicle.path.segments}
             vehicle = changing(
-                scene, vehicle.start, vehicle.v, to={1: 2, 2: 1}[own], at_step=10, lasting_s=4.0
+                scene, vehicle.start, vehicle.v, to={1: 2, 2: 1}[own], at_step=10, wanted_s=4.0
             )  # fmt: skip
         if rng.random() < 0.3:
             vehicle.waited_for = {f"v{int(rng.integers(6))}_{number}"} - {vehicle.vehicle_id}

@@ -46,7 +46,7 @@ def test_lane_change_is_done_with_its_times(scene: Scene) -> None:
     lateral speed is that of a parabola over 1.1 s, which shows the motion up to .5 s before.
     """
     start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)
-    found = _outcome(scene, changing(scene, start, np.full(110, 10.0), to=2, at_step=20, lasting_s=4.0))
+    found = _outcome(scene, changing(scene, start, np.full(110, 10.0), to=2, at_step=20, wanted_s=4.0))
     assert (found.status, found.reason, found.done) == ("done", None, True)
     assert (found.start_s, found.crossing_s, found.end_s) == (
         pytest.approx(2.1, abs=0.21), pytest.approx(4.0, abs=0.05), pytest.approx(5.9, abs=0.21),
@@ -57,16 +57,16 @@ def test_lane_change_is_done_with_its_times(scene: Scene) -> None:
 def test_lane_change_starts_with_its_decision_at_the_earliest(scene: Scene) -> None:
     """Decided at 3 s, as SUMO tells, of a motion aside that the states show from about 2.3 s on."""
     start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)
-    vehicle = changing(scene, start, np.full(110, 10.0), to=2, at_step=20, lasting_s=4.0)
+    vehicle = changing(scene, start, np.full(110, 10.0), to=2, at_step=20, wanted_s=4.0)
     vehicle.shifts[0] = replace(vehicle.shifts[0], requested_step=30)
     assert _outcome(scene, vehicle).start_s == 3.0
 
 
 def test_lane_change_that_the_scene_cuts_off_is_aborted(scene: Scene) -> None:
-    """Begun at 8 s at 10 m/s and slowed to 4: after 10.9 s it is still on its way across."""
-    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=8.0)
-    v = np.where(np.arange(110) < 70, 10.0, np.clip(10.0 - 0.2 * (np.arange(110) - 70), 4.0, None))
-    found = _outcome(scene, changing(scene, start, v, to=2, at_step=78, lasting_s=2.5))
+    """Begun at 7.2 s at 10 m/s and slowed to 4: after 10.9 s it is still on its way across."""
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=7.2)
+    v = np.where(np.arange(110) < 72, 10.0, np.clip(10.0 - 0.2 * (np.arange(110) - 72), 4.0, None))
+    found = _outcome(scene, changing(scene, start, v, to=2, at_step=72, wanted_s=2.5))
     assert (found.status, found.reason, found.end_s) == ("aborted", Reason.SCENE_ENDED, None)
 
 

@@ -3,9 +3,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hid2.motion.lane_change_path import blend_paths, even_line
+from hid2.motion.lane_change_path import LateralTiming
 from hid2.motion.route import (
     DrivenPath,
+    LateralMotion,
     Segment,
     first_turn,
     path_along,
@@ -16,7 +17,6 @@ from hid2.motion.route import (
     turn_segments,
 )
 from hid2.params import Limits, Smoothing
-from netconvert.geometry import Polyline
 from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
 
 
@@ -141,10 +141,12 @@ def test_circle_of_lanes_is_driven_once(lane: Callable[..., LaneSegment]) -> Non
 
 
 def _shifted(own: DrivenPath, target: DrivenPath, *, start_m: float, length_m: float) -> DrivenPath:
-    line = even_line(own.raw, step_m=1.0)
-    blend = blend_paths(line, Polyline(target.raw), start_m=start_m, length_m=length_m, step_m=1.0, max_shift_m=5.5)
-    assert blend is not None
-    return shifted_path(own, target, blend, smoothing=Smoothing(), limits=Limits())
+    timing = LateralTiming(lasting_s=4.0, ramp=0.27, slow_mps=5.0)
+    begun = LateralMotion(own, target, timing, np.array([start_m]), np.zeros(1))
+    motion = begun.foreseen(np.array([length_m / 4.0]), 0.1)
+    path = shifted_path(motion, max_shift_m=5.5, smoothing=Smoothing(), limits=Limits())
+    assert path is not None
+    return path
 
 
 def test_shifted_path_changes_its_lane_half_way(road: Callable[..., LaneGraph]) -> None:
@@ -159,6 +161,23 @@ def test_shifted_path_changes_its_lane_half_way(road: Callable[..., LaneGraph]) 
     assert path.shifts == (pytest.approx((60.0, 100.0), abs=1.5),)
     assert path.line.position(np.array([0.0, 80.0, 150.0]))[:, 1] == pytest.approx([0.0, 1.75, 3.5], abs=0.05)
     assert path.exit_s == pytest.approx(200.2, abs=0.2)
+
+
+def test_steps_to_come_are_foreseen_up_to_the_end_of_the_motion(road: Callable[..., LaneGraph]) -> None:
+    """4 s: .5 s are over, at 8 m/s; then .2 s at 4 m/s, slower than 5 m/s and so worth .16 s, and at 10 m/s the rest.
+
+    Left: 3.34 s, 34 steps; all in all 4 + 4 * .2 + 34 = 38.8 m.
+    """
+    graph = road()
+    timing = LateralTiming(lasting_s=4.0, ramp=0.27, slow_mps=5.0)
+    begun = LateralMotion(_path(graph, 1), _path(graph, 2), timing, np.array([60.0, 64.0]), np.array([0.0, 0.125]))
+    motion = begun.foreseen(np.array([4.0, 4.0, 10.0]), 0.1)
+    assert motion.tau[:4] == pytest.approx([0.0, 0.125, 0.145, 0.165])
+    assert motion.tau.size == motion.along_m.size == 2 + 2 + 34
+    assert motion.tau[-2] < 1.0 <= motion.tau[-1]
+    assert motion.along_m[-1] == pytest.approx(60.0 + 4.0 + 0.8 + 34.0)
+    assert motion.share_at(60.0) == 0.0
+    assert motion.share_at(99.0) == 1.0
 
 
 def test_second_shift_leaves_the_first_as_it_is(road: Callable[..., LaneGraph]) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hid2.agents import BoxSize, Track
+from hid2.drivers.driver import usual_driver
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
@@ -259,7 +260,8 @@ def test_who_has_left_the_map_is_passed_for_good(gap_to: Callable[..., float], b
 def test_path_across_ends_in_the_middle_of_the_other_lane(scene_of: Callable[..., Scene]) -> None:
     scene = scene_of()
     path = lay_across(
-        scene, scene.path((1,)), scene.path((2,)), s=40.0, step=10, pace_mps=10.0, remaining_m=160.0, lasting_s=4.0,
+        scene, scene.path((1,)), scene.path((2,)), s=40.0, step=10, speed_mps=np.array([10.0]), remaining_m=160.0,
+        driver=replace(usual_driver(10.0), lane_change_s=4.0),
     )  # fmt: skip
     assert isinstance(path, DrivenPath)
     ((start, end),) = path.shifts
@@ -275,6 +277,7 @@ def test_no_path_across_to_a_lane_that_ends(scene_of: Callable[..., Scene], lane
     })  # fmt: skip
     scene = scene_of(graph=graph)
     path = lay_across(
-        scene, scene.path((1,)), scene.path((2,)), s=50.0, step=10, pace_mps=10.0, remaining_m=10.0, lasting_s=4.0,
+        scene, scene.path((1,)), scene.path((2,)), s=50.0, step=10, speed_mps=np.array([10.0]), remaining_m=10.0,
+        driver=usual_driver(10.0),
     )  # fmt: skip
     assert isinstance(path, str)
