@@ -696,7 +696,7 @@ class EventSearch(_Section):
     across_more_s: float = _param(0.5, "s", "beyond a change of lanes; conflicts are looked for", ge=0, le=10)
     change_s: float = _param(3.0, "s", "duration of the lane change of a cut-in", ge=1.5, le=15)
     overtake_changes_s: tuple[Annotated[float, Field(ge=1.5, le=15)], ...] = _param(
-        (6.0, 3.4), "s", "durations of a usual lane change tried for who overtakes; `overtake.shift_ratio` counts",
+        (6.8, 3.4), "s", "durations of a usual lane change tried for who overtakes; `overtake.shift_ratio` counts",
         min_length=1,
     )  # fmt: skip
     cross_apart_s: Band = _param((1.4, 5.0), "s", "apart at the conflict point, where no PET is asked for")

@@ -76,7 +76,7 @@ def _keep_time(fleet: Fleet, row: int, now: int) -> None:
     vehicle, step_s = fleet.vehicles[row], fleet.scene.step_s
     motion = vehicle.path.lateral
     assert motion is not None
-    since = vehicle.shifts[-1].requested_step - vehicle.start.step
+    since = len(vehicle.s) - 1 - (now - vehicle.shifts[-1].requested_step)
     tau = np.concatenate([[0.0], np.cumsum(motion.timing.gained(np.array(vehicle.v[since + 1 :]), step_s))])
     share = lateral_share(tau[-1:], motion.timing.ramp)[0]
     if tau[-1] >= 1.0 or abs(share - motion.share_at(vehicle.s[-1])) < _OFF_SHARE:
