@@ -5,6 +5,7 @@ recording.sizes), else the one in agent_sizes.csv beside the source or the scene
 """
 
 import json
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +26,10 @@ TYPE_SIZES = {
 SMALL_THING = (0.8, 0.8)
 #: What drives in lanes: leaders, followers, and both sides of a PET.
 DRIVEN_TYPES = ("vehicle", "bus", "motorcyclist", "cyclist")
+#: A difference of positions that is so far off the stated velocity is a jump of the tracker, m/s.
+JUMP_MPS = 10.0
+#: A heading at a track's end that is so far off the course over the last steps is noise, degrees.
+END_DEG, END_STEPS = 20.0, 10
 #: A track moves that has a longer path than this, m, and is seen at more steps than that.
 MOVES_M, MOVES_STEPS = 5.0, 10
 
@@ -49,11 +54,16 @@ class SecondTrack:
 
     @cached_property
     def moved(self) -> Floats:
-        """(T, 2) m/s by differences of the positions, central but at the ends; as stated where there is one alone."""
+        """(T, 2) m/s by differences of the positions, central but at the ends.
+
+        As stated where there is one position alone, and where a tracker jumps by metres.
+        """
         velocity = self.velocity.copy()
         for rows in self.runs:
             if rows.stop - rows.start > 1:
-                velocity[rows] = np.gradient(self.xy[rows], DT_S, axis=0)
+                moved = np.gradient(self.xy[rows], DT_S, axis=0)
+                jumps = np.hypot(*(moved - velocity[rows]).T) > JUMP_MPS
+                velocity[rows] = np.where(jumps[:, None], velocity[rows], moved)
         return velocity
 
     @cached_property
@@ -154,16 +164,22 @@ class SecondScene:
         return self._lines[track.track_id]
 
     def _driven_line(self, track: SecondTrack) -> DrivenLine | None:
-        kept, rows = [track.xy[0]], [0]
-        for row, point in enumerate(track.xy[1:], start=1):
-            if np.hypot(*(point - kept[-1])) >= 0.2:
+        last = len(track.steps) - 1
+        half = np.minimum(np.minimum(np.arange(last + 1), np.arange(last + 1)[::-1]), 2)
+        sums = np.vstack([np.zeros(2), np.cumsum(track.xy - track.xy[0], axis=0)])
+        ends = np.arange(last + 1) + half + 1, np.arange(last + 1) - half
+        path = track.xy[0] + (sums[ends[0]] - sums[ends[1]]) / (2 * half + 1)[:, None]  # raw tracks jitter by metres
+        kept, rows = [path[0]], [0]
+        for row, point in enumerate(path[1:], start=1):
+            chord = path[min(row + 5, last)] - path[max(row - 5, 0)]
+            if (point - kept[-1]) @ chord >= 0.2 * np.hypot(*chord) and chord.any():
                 kept.append(point)
                 rows.append(row)
         lengths = (
             np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(kept, axis=0).T))]) if len(kept) > 1 else np.zeros(1)
         )
         place = np.searchsorted(rows, np.arange(len(track.steps)), side="right") - 1
-        since = np.hypot(*(track.xy - np.array(kept)[place]).T)
+        since = np.hypot(*(path - np.array(kept)[place]).T)
         most = np.append(np.diff(lengths), 0.2)[place]
         line = line_of(np.vstack([np.array(kept), self._way_on(track)]))
         return None if line is None else DrivenLine(line, lengths[place] + np.minimum(since, most), float(lengths[-1]))
@@ -171,6 +187,10 @@ class SecondScene:
     def _way_on(self, track: SecondTrack, *, ahead_m: float = 100.0) -> Floats:
         """Points beyond the last step: along its lane, its route and the straightest successors, at its own offset."""
         end, heading = track.xy[-1:], track.heading[-1:]
+        came = track.xy[-1] - track.xy[max(-1 - END_STEPS, -len(track.xy))]
+        course = np.arctan2(came[1:], came[:1])
+        if np.hypot(*came) >= 1.0 and np.cos(course - heading)[0] < np.cos(math.radians(END_DEG)):
+            heading = course
         route = [int(lane) for lane in self.agents.get(track.track_id, {}).get("route", ())]
         lanes = self.ground.agreeing(end, heading)[0]
         lane_id = max(lanes, key=lambda n: (n in route, -self.ground.off_lane_deg(n, end, heading)[0]), default=None)
