@@ -75,8 +75,8 @@ class Fleet:
     scene: where recorded vehicles react, each that yields is elsewhere in a scene to come (`look_anew`); near_m: who is
     farther than this from another one on either axis does not look at it. By vehicle: state (N, 5), the guard's
     columns; place (N,) m of the centre on the path, from its first step on, NaN for who is nowhere; centre (N, 2) m,
-    inf for who is nowhere yet; length_m (N,) of the box; desired_mps (N, T); drivers (N, 4), the guard's columns;
-    yielding (N,): whether a vehicle brakes for a conflict by now.
+    inf for a vehicle that is nowhere yet; length_m (N,) of the box; desired_mps (N, T); drivers (N, 4), the guard's
+    columns; yielding (N,): whether a vehicle brakes for a conflict by now.
     """
 
     scene: Scene
@@ -216,7 +216,7 @@ class Fleet:
             way.obstacles = None
 
     def known_on_way(self, row: int) -> PathOccupancy:
-        """Intervals of everybody whose future is known on a vehicle's path, with rows (recorded, then kept)."""
+        """Intervals of all agents whose future is known on a vehicle's path, with rows (recorded, then kept)."""
         way = self.ways[row]
         if way.known is None:
             path, box = self.vehicles[row].path, self.vehicles[row].start.box

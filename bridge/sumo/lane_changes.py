@@ -47,8 +47,8 @@ def apply_policy(
 ) -> Attempt | None:
     """Algorithm 1 for one vehicle at step `now`; returns the lane change that SUMO is asked for, None for none.
 
-    traffic: the fleet as it is now (one step); only who has a manoeuvre due asks for it. on_lane: what Algorithm 1
-    comes to on its lane without one.
+    traffic: the fleet as it is now (one step); only a vehicle with a manoeuvre due asks for it. on_lane: what
+    Algorithm 1 comes to on its lane without one.
     """
     vehicle, config = fleet.vehicles[row], fleet.scene.config
     request, shifts = vehicle.start.request, vehicle.path.shifts

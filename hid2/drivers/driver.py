@@ -140,7 +140,7 @@ class LaneOffset:
         return LaneOffset(self.knots_m, share * self.offset_m, share * self.slope)
 
     def held(self, start_m: float, end_m: float) -> "LaneOffset":
-        """The same, waiting over a stretch: who changes lanes does not weave besides, and goes on where it stopped."""
+        """The same, waiting over a stretch: a vehicle that changes lanes does not weave besides."""
         row = max(int(np.searchsorted(self.knots_m, start_m, side="right")) - 1, 0)
         waits_m = max(end_m - float(self.knots_m[row]), 0.0)
         slope = np.insert(self.slope, row + 1, 0.0)

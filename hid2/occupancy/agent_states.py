@@ -152,11 +152,8 @@ def agent_states(
     """The states of tracks, with the boxes that the tracks have. is_inserted: tells inserted tracks by their id."""
     arrays = stack(tracks, num_steps=num_steps, step_s=step_s, is_generated=is_inserted)
     present = [track for track in tracks if track.timesteps.size]
-    traffic = traffic_of(present, arrays.num_steps, step_s=step_s)
-    velocity = np.zeros_like(traffic.velocity)
-    for row, there in enumerate(traffic.present):
-        velocity[row, there] = differences(traffic.position[row, there], step_s)
-    traffic = replace(traffic, velocity=velocity, length_m=arrays.length, width_m=arrays.width)
+    traffic = traffic_of(present, arrays.num_steps, step_s=step_s, velocity_by=differences)
+    traffic = replace(traffic, length_m=arrays.length, width_m=arrays.width)
     return AgentStates(arrays, traffic, match_lanes(arrays, lanes), lanes)
 
 

@@ -1,6 +1,6 @@
 """Boxes of many agents over time, as dense arrays: what is known, or predicted, of everybody else."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -108,8 +108,15 @@ class Traffic:
         )
 
 
-def traffic_of(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> Traffic:
-    """Dense arrays of recorded tracks; gaps inside a track are interpolated, headings the short way round."""
+def traffic_of(
+    tracks: Sequence[Track], num_steps: int, *, step_s: float,
+    velocity_by: Callable[[FloatArray, float], FloatArray] | None = None,
+) -> Traffic:  # fmt: skip
+    """Dense arrays of recorded tracks; gaps inside a track are interpolated, headings the short way round.
+
+    velocity_by: velocities (N, 2) m/s of positions (N, 2) m so many s apart; `velocity_of` unless given.
+    """
+    speeds_of = velocity_of if velocity_by is None else velocity_by
     count = len(tracks)
     position = np.zeros((count, num_steps, 2))
     heading = np.zeros((count, num_steps))
@@ -126,7 +133,7 @@ def traffic_of(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> Tra
         position[row, first : last + 1] = xy
         heading[row, first : last + 1] = angle
         present[row, first : last + 1] = True
-        velocity[row, first : last + 1] = velocity_of(xy, step_s)
+        velocity[row, first : last + 1] = speeds_of(xy, step_s)
     return Traffic(
         ids=tuple(track.track_id for track in tracks),
         position=position,

@@ -180,12 +180,16 @@ def test_steps_to_come_are_foreseen_up_to_the_end_of_the_motion(road: Callable[.
     assert motion.share_at(99.0) == 1.0
 
 
+def _out_and_back(graph: LaneGraph) -> DrivenPath:
+    """Out of lane 1 at 40 m and back at 110 m, as an overtake does."""
+    right = _path(graph, 1)
+    entered = _shifted(right, _path(graph, 2), start_m=40.0, length_m=30.0)
+    return _shifted(entered, right, start_m=110.0, length_m=30.0)
+
+
 def test_second_shift_leaves_the_first_as_it_is(road: Callable[..., LaneGraph]) -> None:
     """Out at 40 and back at 110 m, as an overtake does."""
-    graph = road()
-    right, left = _path(graph, 1), _path(graph, 2)
-    entered = _shifted(right, left, start_m=40.0, length_m=30.0)
-    path = _shifted(entered, right, start_m=110.0, length_m=30.0)
+    path = _out_and_back(road())
     assert [segment.lane_id for segment in path.segments] == [1, 2, 1]
     assert len(path.shifts) == 2
     assert path.line.position(np.array([20.0, 90.0, 170.0]))[:, 1] == pytest.approx([0.0, 3.5, 0.0], abs=0.05)
@@ -193,10 +197,7 @@ def test_second_shift_leaves_the_first_as_it_is(road: Callable[..., LaneGraph]) 
 
 def test_lane_that_is_followed_is_the_new_one_from_the_beginning_of_a_shift_on(road: Callable[..., LaneGraph]) -> None:
     """Out at 40 and back at 110 m: places on lane 1 are those before 40 m or behind 110 m, by where the vehicle is."""
-    graph = road()
-    right, left = _path(graph, 1), _path(graph, 2)
-    entered = _shifted(right, left, start_m=40.0, length_m=30.0)
-    path = _shifted(entered, right, start_m=110.0, length_m=30.0)
+    path = _out_and_back(road())
     assert [segment.lane_id for segment in path.followed] == [1, 2, 1]
     assert [segment.end for segment in path.followed[:2]] == pytest.approx([40.0, 110.4], abs=1.0)
     assert path.s_on(1, 30.0, after=25.0) == pytest.approx(30.0, abs=0.01)
