@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from bridge.sumo.fleet import POLICIES, Fleet
+from bridge.sumo.fleet import Fleet
 from bridge.sumo.lane_changes import Attempt, apply_policy, conclude
 from bridge.sumo.poses import front_arc_m
 from bridge.sumo.replay import Replay, ReplayErrors
@@ -19,6 +19,7 @@ from hid2.insertion.entry_sites import entry_speed
 from hid2.kernels.gaps import deep_inside
 from hid2.kernels.steering import CAUSES
 from hid2.occupancy.traffic import Traffic
+from hid2.policy.roads import POLICIES
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start

@@ -1,7 +1,6 @@
 """The vehicles that are driven together: where they are, the ways they are on, and whom they will meet there."""
 
 import math
-from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from typing import Any
@@ -10,24 +9,19 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.sumo.poses import center_on_path
-from hid2.agents import BoxSize, FloatArray, IntArray, Policy
+from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S
 from hid2.conflicts.reaction import yielding
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver
-from hid2.kernels.steering import CAUSES
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.traffic import BoolArray, Traffic
-from hid2.policy.decision import policy_on
-from hid2.policy.roads import Roads
+from hid2.policy.roads import STRAIGHT, Roads
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
 
-#: By their numbers in arrays.
-POLICIES = tuple(Policy)
-STRAIGHT = POLICIES.index(Policy.STRAIGHT)
 _GIVEN_BACK = 0.05  # no tunable, not seen: share of its speed by which a vehicle gives back at most what SUMO jumped
 
 
@@ -43,8 +37,8 @@ class Way:
     """
 
     road: FloatArray
-    lane_ends: list[float]
-    policies: list[int]
+    lane_ends: FloatArray
+    policies: IntArray
     known: PathOccupancy | None = None
     obstacles: Obstacles | None = None
     reroute_tried: bool = False
@@ -52,7 +46,8 @@ class Way:
 
     def is_turn(self, s: float) -> bool:
         """Whether the lane at an arc length, m, is one."""
-        return self.policies[min(bisect_right(self.lane_ends, s), len(self.lane_ends) - 1)] != STRAIGHT
+        at = int(np.searchsorted(self.lane_ends, s, side="right"))
+        return bool(self.policies[min(at, self.lane_ends.size - 1)] != STRAIGHT)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -189,9 +184,7 @@ class Fleet:
         )  # fmt: skip
 
     def _way(self, path: DrivenPath, driver: Driver) -> Way:
-        lanes = self.scene.grid.graph.lanes
-        policies = [POLICIES.index(policy_on(lanes[segment.lane_id].turn)) for segment in path.segments]
-        return Way(self.roads.speeds(path, driver), [segment.end for segment in path.segments], policies)
+        return Way(self.roads.speeds(path, driver), *self.roads.lanes(path))
 
     def take_path(self, row: int, path: DrivenPath, s: FloatArray | None = None) -> None:
         """A vehicle is on another path from now on. s (T,) m: where it has been on it, None: as far as on the old."""
@@ -254,10 +247,9 @@ class Fleet:
         way, path = self.ways[row], self.vehicles[row].path
         seen = self._who_does_not_yield(self.obstacles(row, path), row, path, now)
         known, lines = seen.known, seen.lines
-        causes = np.array([CAUSES.index(cause) for cause in lines.causes], dtype=np.int64)
         return (
-            way.road, np.array(way.lane_ends), np.array(way.policies), known.low, known.high, known.along,
-            known.same_direction, lines.stop_s, lines.closed, causes, seen.rows, seen.swept.ravel(),
+            way.road, way.lane_ends, way.policies, known.low, known.high, known.along,
+            known.same_direction, lines.stop_s, lines.closed, lines.cause, seen.rows, seen.swept.ravel(),
         )  # fmt: skip
 
     def braking(

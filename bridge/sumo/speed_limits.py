@@ -2,15 +2,15 @@
 
 from typing import NamedTuple
 
-from bridge.sumo.fleet import STRAIGHT, Fleet
+from bridge.sumo.fleet import Fleet
 from hid2.agents import FloatArray, IntArray
 from hid2.kernels.steering import CAUSES, NO_LIMIT_MPS, speed_limits
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.traffic import BoolArray
 from hid2.policy.overtake import Stage
+from hid2.policy.roads import STRAIGHT
 from hid2.reasons import Reason
 
-_TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
 _GAP = CAUSES.index("gap")
 #: Refusals of a gap in which waiting for those beside to go ahead helps.
 _LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
@@ -32,19 +32,12 @@ def limits_of(fleet: Fleet, rows: IntArray, now: int) -> Limits:
 
     The road's, the guard's (case 3, timing), and those of stop lines.
     """
-    config, step_s, guard = fleet.scene.config, fleet.scene.step_s, fleet.guard
-    conflict, driving = config.conflict, config.driving
+    guard = fleet.guard
     first, *along = fleet.along_ways(now)
     return Limits(*speed_limits(
         rows, now, fleet.state, fleet.desired_mps, fleet.drivers, fleet.yielding, STRAIGHT,
-        0 if "collision" in config.without else fleet.scene.steps_in(conflict.horizon_s), conflict.stride,
-        step_s, TABLE_STEP_M, guard.brakes, guard.predicted, fleet.stop_lines.stops,
-        (
-            _TURN_AHEAD_S, driving.behind_ratio, driving.slows_mps2, driving.keep_yielding_mps2, conflict.act_mps2,
-            driving.soon_s, driving.urgent_ratio, driving.brake_jerk_mps3, driving.last_brake_mps2,
-            driving.last_brake_per_s,
-        ),
-        first[-rows.size - 1 :], *along,
+        guard.horizon, fleet.scene.config.conflict.stride, fleet.scene.step_s, TABLE_STEP_M, guard.brakes,
+        guard.predicted, fleet.stop_lines.stops, guard.rules, first[-rows.size - 1 :], *along,
     ))  # fmt: skip
 
 

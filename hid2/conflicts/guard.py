@@ -24,6 +24,7 @@ from hid2.occupancy.traffic import Traffic
 from hid2.scene import Scene
 
 _MARGINS_M = 10.0  # no tunable, spares time: more than any lateral margin
+_TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
 #: Columns of the fleet's state.
 S, V, A, EXECUTING, PRESENT = range(5)
 
@@ -83,15 +84,30 @@ class Guard:
     _on_its_own: dict[tuple[DrivenPath, BoxSize], Traffic] = field(default_factory=dict)
     brakes: FloatArray = field(init=False)
     predicted: tuple[float, float, float, float] = field(init=False)
+    rules: tuple[float, float, float, float, float, float, float, float, float, float] = field(init=False)
 
     def __post_init__(self) -> None:
-        """The decelerations that are tried, and how others are predicted, as in the kernel `needed_braking`."""
-        conflict = self.scene.config.conflict
+        """As the kernels `needed_braking` and `speed_limits` take them.
+
+        The decelerations that are tried, how others are predicted, and when a driver begins and ends to brake.
+        """
+        conflict, driving = self.scene.config.conflict, self.scene.config.driving
+        self.rules = (
+            _TURN_AHEAD_S, driving.behind_ratio, driving.slows_mps2, driving.keep_yielding_mps2, conflict.act_mps2,
+            driving.soon_s, driving.urgent_ratio, driving.brake_jerk_mps3, driving.last_brake_mps2,
+            driving.last_brake_per_s,
+        )  # fmt: skip
         self.brakes = np.array([brake for brake in conflict.brakes_mps2 if brake <= conflict.brake_max_mps2])
         self.predicted = (
             conflict.predicted_jerk_mps3, 0.5 * conflict.margin_front_m, conflict.braking_lasts_s,
             conflict.hardest_ratio,
         )  # fmt: skip
+
+    @property
+    def horizon(self) -> int:
+        """Steps that are looked ahead; 0 where conflicts do not count."""
+        config = self.scene.config
+        return 0 if "collision" in config.without else self.scene.steps_in(config.conflict.horizon_s)
 
     def obstacles(self, path: DrivenPath, box: BoxSize, others: list[tuple[int, DrivenPath, BoxSize]]) -> Obstacles:
         """Everybody on a path for a box; others: fleet rows with the paths and boxes of those driven together."""

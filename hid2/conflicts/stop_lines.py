@@ -4,11 +4,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hid2.agents import BoxSize, FloatArray
+from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.conflicts.crossings import PedestrianCrossings, crossing_rows
 from hid2.conflicts.signals import InferredSignals, signalled_rows
 from hid2.drivers.driver import Driver
 from hid2.kernels.guard import stop_ahead
+from hid2.kernels.steering import CAUSES
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import BoolArray
 from hid2.scene import Scene
@@ -27,12 +28,13 @@ class StopLine:
 class ClosedLines:
     """The stop lines of one path, in their order: where (L,) m, whether they are closed (L, T), and why.
 
-    stops: how drivers stop at them, as in the kernel `stop_ahead`.
+    cause (L,): numbers of those; stops: how drivers stop at them, as in the kernel `stop_ahead`.
     """
 
     stop_s: FloatArray
     closed: BoolArray
     causes: tuple[str, ...]
+    cause: IntArray
     stops: tuple[float, float, float, float]
 
     def braking(self, driver: Driver, *, s: float, speed_mps: float, step: int) -> tuple[float, str] | None:
@@ -90,7 +92,8 @@ class StopLines:
             for row, line in enumerate(lines):
                 closed[row] = line.closed
             stop_s = np.array([line.stop_s for line in lines], dtype=np.float64)
-            self._arrays[key] = ClosedLines(stop_s, closed, tuple(line.cause for line in lines), self.stops)
+            cause = np.array([CAUSES.index(line.cause) for line in lines], dtype=np.int64)
+            self._arrays[key] = ClosedLines(stop_s, closed, tuple(line.cause for line in lines), cause, self.stops)
         return self._arrays[key]
 
     @property

@@ -1,4 +1,4 @@
-"""How fast vehicles that are driven together may drive, all of them in one compiled call."""
+"""How fast vehicles may drive where SUMO is blind: one by one in a rollout, all of a fleet in one compiled call."""
 
 import numpy as np
 
@@ -16,6 +16,51 @@ NO_LIMIT_MPS = 1e-3  # tolerance: a limit so near below the speed that is wished
 def _lane_at(ends: FloatArray, s: float) -> int:
     """Which of the lanes along a path holds an arc length, by where they end, m."""
     return min(int(np.searchsorted(ends, s, side="right")), ends.size - 1)
+
+
+@inner
+def limit_of(
+    i: int, t: int, fleet: FloatArray, desired_mps: float, driver: tuple[float, float, float, float],
+    is_yielding: bool,  # noqa: FBT001  # kernels have no keywords
+   
+    straight: int, horizon: int, stride: int, step_s: float, table_step: float, brakes: FloatArray,
+    predicted: tuple[float, float, float, float], stops: tuple[float, float, float, float],
+    rules: tuple[float, float, float, float, float, float, float, float, float, float],
+    road: FloatArray, ends: FloatArray, lanes: IntArray, low: FloatArray, high: FloatArray, along: FloatArray,
+    same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray, causes: IntArray, others: IntArray,
+    swept: FloatArray,
+) -> tuple[float, int, int, int, bool, bool]:  # fmt: skip
+    """The lowest limit on the speed of vehicle i for the step after t, as `speed_limits` has it for many."""
+    turn_ahead_s, behind_ratio, slows, keeps, begins, soon_s, urgent_ratio, jerk, last_brake, last_per_s = rules
+    s, v, a = fleet[i, 0], fleet[i, 1], fleet[i, 2]
+    waits_for, yields, seeks = -1, False, False
+    policy = lanes[_lane_at(ends, s)]
+    turns = policy != straight or lanes[_lane_at(ends, s + turn_ahead_s * v)] != straight
+    limit = road[min(int((s + v * step_s) / table_step), road.size - 1)]
+    cause = _TURN if turns else _CURVE
+    if horizon > 0:
+        tau, accel, decel, min_gap = driver
+        row, hit, free, leader, gap, _, _ = needed_braking(
+            low, high, along, same_direction, stop_s, closed, swept, others, fleet, i, t, (s, v, a), desired_mps, road,
+            table_step, 1.0, horizon, stride, step_s, driver, brakes, predicted, stops,
+        )  # fmt: skip
+        needed = brakes[row]
+        seeks = hit >= 0 or needed > decel
+        if leader >= 0 and gap < behind_ratio * (tau * v + min_gap) and a < -slows:
+            waits_for = leader
+        act = keeps if is_yielding else begins
+        soon = free >= 0 and free * step_s <= soon_s
+        yields = needed >= act and (is_yielding or soon or needed >= urgent_ratio * act)
+        gentlest = max(min(a, 0.0) - jerk * step_s, -max(last_brake, last_per_s * v))  # nobody stops with a jerk
+        if yields and v + max(-needed, gentlest) * step_s <= limit:
+            limit, cause = v + max(-needed, gentlest) * step_s, _CONFLICT
+        line, slowing = stop_ahead(stop_s, closed, s, v, t, accel, decel, stops)
+        slower = v + max(slowing, gentlest) * step_s
+        if line >= 0 and (slower < limit or (slower == limit and causes[line] < cause)):
+            limit, cause = slower, causes[line]
+    if limit < desired_mps - NO_LIMIT_MPS:
+        return limit, cause, policy, waits_for, yields, seeks
+    return np.inf, -1, policy, waits_for, yields, seeks
 
 
 @kernel(
@@ -45,42 +90,19 @@ def speed_limits(
     causes; policies of the lanes; rows of leaders for whom a vehicle waits, -1 for none; whether it yields; and
     whether usual braking is not enough.
     """
-    turn_ahead_s, behind_ratio, slows, keeps, begins, soon_s, urgent_ratio, jerk, last_brake, last_per_s = rules
     limits, caused = np.full(rows.size, np.inf), np.full(rows.size, -1)
     policies, waits_for = np.empty(rows.size, dtype=np.int64), np.full(rows.size, -1)
     yields, seeks = np.zeros(rows.size, dtype=np.bool_), np.zeros(rows.size, dtype=np.bool_)
     for m in range(rows.size):
         i, at, to = rows[m], first[m], first[m + 1]
-        s, v, a = fleet[i, 0], fleet[i, 1], fleet[i, 2]
-        own_road, ends, lanes = road[at[0] : to[0]], lane_ends[at[1] : to[1]], lane_policies[at[1] : to[1]]
-        policies[m] = lanes[_lane_at(ends, s)]
-        turns = policies[m] != straight or lanes[_lane_at(ends, s + turn_ahead_s * v)] != straight
-        limit = own_road[min(int((s + v * step_s) / table_step), own_road.size - 1)]
-        cause = _TURN if turns else _CURVE
-        if horizon > 0:
-            tau, accel, decel, min_gap = drivers[i]
-            stop, is_closed, rivals = stop_s[at[3] : to[3]], closed[at[3] : to[3]], others[at[4] : to[4]]
-            reach = (to[5] - at[5]) // max(1, 3 * rivals.size)
-            row, hit, free, leader, gap, _, _ = needed_braking(
-                low[at[2] : to[2]], high[at[2] : to[2]], along[at[2] : to[2]], same_direction[at[2] : to[2]], stop,
-                is_closed, swept[at[5] : to[5]].reshape(3, rivals.size, reach), rivals, fleet, i, t, (s, v, a),
-                desired_mps[i, t], own_road, table_step, 1.0, horizon, stride, step_s, (tau, accel, decel, min_gap),
-                brakes, predicted, stops,
-            )  # fmt: skip
-            needed = brakes[row]
-            seeks[m] = hit >= 0 or needed > decel
-            if leader >= 0 and gap < behind_ratio * (tau * v + min_gap) and a < -slows:
-                waits_for[m] = leader
-            act = keeps if yielding[i] else begins
-            soon = free >= 0 and free * step_s <= soon_s
-            yields[m] = needed >= act and (yielding[i] or soon or needed >= urgent_ratio * act)
-            gentlest = max(min(a, 0.0) - jerk * step_s, -max(last_brake, last_per_s * v))  # nobody stops with a jerk
-            if yields[m] and v + max(-needed, gentlest) * step_s <= limit:
-                limit, cause = v + max(-needed, gentlest) * step_s, _CONFLICT
-            line, slowing = stop_ahead(stop, is_closed, s, v, t, accel, decel, stops)
-            slower = v + max(slowing, gentlest) * step_s
-            if line >= 0 and (slower < limit or (slower == limit and causes[at[3] + line] < cause)):
-                limit, cause = slower, causes[at[3] + line]
-        if limit < desired_mps[i, t] - NO_LIMIT_MPS:
-            limits[m], caused[m] = limit, cause
+        tau, accel, decel, min_gap = drivers[i]
+        rivals = others[at[4] : to[4]]
+        reach = (to[5] - at[5]) // max(1, 3 * rivals.size)
+        limits[m], caused[m], policies[m], waits_for[m], yields[m], seeks[m] = limit_of(
+            i, t, fleet, desired_mps[i, t], (tau, accel, decel, min_gap), yielding[i], straight, horizon, stride,
+            step_s, table_step, brakes, predicted, stops, rules, road[at[0] : to[0]], lane_ends[at[1] : to[1]],
+            lane_policies[at[1] : to[1]], low[at[2] : to[2]], high[at[2] : to[2]], along[at[2] : to[2]],
+            same_direction[at[2] : to[2]], stop_s[at[3] : to[3]], closed[at[3] : to[3]], causes[at[3] : to[3]], rivals,
+            swept[at[5] : to[5]].reshape(3, rivals.size, reach),
+        )  # fmt: skip
     return limits, caused, policies, waits_for, yields, seeks

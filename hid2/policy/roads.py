@@ -1,14 +1,19 @@
-"""What the road asks of a driver's speed along a path: turns, bends, and slowing in time before both."""
+"""What the road asks along a path: speeds in turns, in bends and before both, and the policy on each lane."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from hid2.agents import FloatArray
+from hid2.agents import FloatArray, IntArray, Policy
 from hid2.drivers.driver import Driver
 from hid2.motion.route import DrivenPath, turn_segments
+from hid2.policy.decision import policy_on
 from hid2.policy.turns import RoadSpeeds, road_speeds
 from hid2.scene import Scene
+
+#: Policies by their numbers in arrays.
+POLICIES = tuple(Policy)
+STRAIGHT = POLICIES.index(Policy.STRAIGHT)
 
 
 @dataclass(eq=False, slots=True)
@@ -17,6 +22,7 @@ class Roads:
 
     scene: Scene
     _known: dict[DrivenPath, RoadSpeeds] = field(default_factory=dict)
+    _lanes: dict[DrivenPath, tuple[FloatArray, IntArray]] = field(default_factory=dict)
     _last: tuple[DrivenPath, Driver, FloatArray] | None = None
 
     def speeds(self, path: DrivenPath, driver: Driver) -> FloatArray:
@@ -34,3 +40,12 @@ class Roads:
         found = np.where(most < driver.desired_mps - 1e-6, most, np.inf)
         self._last = path, driver, found
         return found
+
+    def lanes(self, path: DrivenPath) -> tuple[FloatArray, IntArray]:
+        """Where the lanes of a path end, (L,) m, and numbers of what Algorithm 1 comes to on each without a request."""
+        if path not in self._lanes:
+            lanes = self.scene.grid.graph.lanes
+            policies = [POLICIES.index(policy_on(lanes[segment.lane_id].turn)) for segment in path.segments]
+            ends = np.array([segment.end for segment in path.segments])
+            self._lanes[path] = ends, np.array(policies, dtype=np.int64)
+        return self._lanes[path]

@@ -1,0 +1,165 @@
+"""The rollout of a candidate: how it would drive on among all whose motion is known, and what it would meet.
+
+    recorded agents by their true future, vehicles kept in rounds before, candidates chosen before it by their rollouts
+
+The loop is compiled (`kernels/rollout.py`) and is what SUMO, the guard and the road make of a driver, without noise. It
+chooses among candidates and decides nothing that happens.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hid2.agents import BoxSize, FloatArray
+from hid2.conflicts.guard import Guard
+from hid2.kernels.rollout import BRAKED, CONTACT, END, LAG_TTC, LEAD_TTC, met_by, roll
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.motion.route import DrivenPath
+from hid2.motion.smoothing import Motion, trajectory
+from hid2.occupancy.along_path import PathOccupancy, path_occupancy
+from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.policy.roads import STRAIGHT, Roads
+from hid2.reasons import Reason
+from hid2.scene import Scene
+from hid2.vehicle import Start
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Rollout:
+    """A motion on a path: s (K,) m and v (K,) m/s at the scene's steps from `step` on."""
+
+    path: DrivenPath
+    step: int
+    s: FloatArray
+    v: FloatArray
+
+    def until(self, step: int) -> "Rollout":
+        """The same up to a step, that one included."""
+        count = step - self.step + 1
+        return replace(self, s=self.s[:count], v=self.v[:count])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Shown:
+    """Those whom SUMO is shown on a path: their intervals in the width driven, whether each leads, lengths (R,) m."""
+
+    seen: PathOccupancy
+    leads: BoolArray
+    length_m: FloatArray
+
+
+@dataclass(eq=False, slots=True)
+class World:
+    """What candidates are rolled out against. guard: knows what is recorded, kept and chosen."""
+
+    scene: Scene
+    roads: Roads
+    guard: Guard
+    _shown: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, _Shown]] = field(default_factory=dict)
+    _known: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy]] = field(default_factory=dict)
+
+    def choose(self, start: Start, *parts: Rollout) -> None:
+        """Candidates after this one are rolled out against it. parts: its motion, one after the other."""
+        self.guard.fixed = self.guard.fixed.joined(self._as_traffic(start, parts))
+
+    def known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
+        """Intervals on a path of all whose motion is known, with margins and the critical PET: the guard's."""
+        fixed, key = self.guard.fixed, (path, box)
+        if key not in self._known or self._known[key][0] is not fixed:
+            self._known[key] = fixed, self.guard.obstacles(path, box, []).known
+        return self._known[key][1]
+
+    def roll(
+        self, start: Start, *, path: DrivenPath | None = None, step: int | None = None,
+        state: tuple[float, float, float] | None = None, last: int | None = None,
+    ) -> Rollout:  # fmt: skip
+        """How a vehicle drives on: from its start, or on another path from a state (s m, v m/s, a m/s2) at a step.
+
+        last: step of the scene at which to stop looking, its last one unless told.
+        """
+        scene, box, driver = self.scene, start.box, start.driver
+        path = path or start.path
+        first = start.step if step is None else step
+        known, lines, shown = (
+            self.known_on(path, box),
+            self.guard.stop_lines.arrays(path, box),
+            self._shown_on(path, box),
+        )
+        s, v = roll(
+            (first, scene.num_steps - 1 if last is None else min(last, scene.num_steps - 1)),
+            state or (start.start_s, start.start_mps, 0.0), start.desired, driver.following, start.size.length_m,
+            STRAIGHT, self.guard.horizon, scene.config.conflict.stride, scene.step_s, TABLE_STEP_M, self.guard.brakes,
+            self.guard.predicted, lines.stops, self.guard.rules, self.roads.speeds(path, driver),
+            *self.roads.lanes(path), known.low, known.high, known.along, known.same_direction, lines.stop_s,
+            lines.closed, lines.cause, shown.seen.low, shown.seen.high, shown.seen.along, shown.leads, shown.length_m,
+            (scene.config.driving.leads_from_m, scene.config.driving.shown_m),
+        )  # fmt: skip
+        return Rollout(path, first, s, v)
+
+    def objection(self, start: Start, rollout: Rollout, *, is_last: bool = True) -> Reason | None:
+        """Why a motion would not be exported: what it meets, or leaves too little time to; None for nothing.
+
+        is_last: whether the scene ends with it, so that what follows the last step counts.
+        """
+        scene, conflict = self.scene, self.scene.config.conflict
+        known = self.known_on(rollout.path, start.box)
+        inside = int((rollout.s <= rollout.path.exit_s - 0.5 * start.size.length_m).sum())
+        if not inside:
+            return Reason.LEAVES_TOO_EARLY
+        found = met_by(
+            rollout.s[:inside], rollout.v[:inside], rollout.step, known.low, known.high, known.along,
+            known.same_direction, 0.0, round(conflict.end_horizon_s / scene.step_s) if is_last else 0, scene.step_s,
+        )  # fmt: skip
+        hit = np.flatnonzero(found[:, CONTACT] < np.inf)
+        if hit.size:
+            recorded = known.agents.size - self._fixed_on(rollout.path, start.box)
+            first = hit[np.argmin(found[hit, CONTACT])]
+            return Reason.MEETS_RECORDED if first < recorded else Reason.MEETS_GENERATED
+        if found[:, LEAD_TTC].min(initial=math.inf) < conflict.ttc_min_s:
+            return Reason.TTC_LANE_LEADER
+        if found[:, LAG_TTC].min(initial=math.inf) < conflict.follower_ttc_min_s:
+            return Reason.TTC_RECORDED_FOLLOWER
+        end_s, braked_s = found[:, END], found[:, BRAKED]
+        if is_last and (end_s.min(initial=math.inf) < conflict.end_ttc_min_s or np.isfinite(braked_s).any()):
+            return Reason.TTC_AT_END
+        return None
+
+    def _fixed_on(self, path: DrivenPath, box: BoxSize) -> int:
+        """How many of those known on a path are inserted."""
+        return self.known_on(path, box).agents.size - self.scene.kept_clear_on(path, box).agents.size
+
+    def _shown_on(self, path: DrivenPath, box: BoxSize) -> _Shown:
+        fixed, key = self.guard.fixed, (path, box)
+        if key not in self._shown or self._shown[key][0] is not fixed:
+            scene = self.scene
+            seen, length_m = scene.in_driving_width(path, box), scene.traffic.length_m
+            lengths = length_m[seen.agents]
+            if fixed.ids:
+                more = path_occupancy(
+                    path.line, fixed, length_m=box.length_m, width_m=box.width_m, margin_lateral_m=0.0
+                )  # fmt: skip
+                seen, lengths = seen.joined(more), np.concatenate([lengths, fixed.length_m[more.agents]])
+            stands = ~seen.crossing & (np.abs(seen.along) < scene.config.driving.standing_mps)
+            leads = np.isfinite(seen.low) & (seen.same_direction | stands)
+            self._shown[key] = fixed, _Shown(seen, leads, lengths)
+        return self._shown[key][1]
+
+    def _as_traffic(self, start: Start, parts: tuple[Rollout, ...]) -> Traffic:
+        """A rolled-out vehicle as known traffic, beyond the scene's end at constant velocity (one agent)."""
+        scene = self.scene
+        shape = 1, scene.num_steps
+        position, velocity = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+        heading, present = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
+        for part in parts:
+            inside = int((part.s <= part.path.exit_s).sum())
+            motion = Motion(part.s[:inside], part.v[:inside], np.zeros(inside), scene.step_s)
+            where = slice(part.step, part.step + inside)
+            driven = trajectory(part.path.line, motion, start.offset)
+            position[0, where], velocity[0, where] = driven.position, driven.velocity
+            heading[0, where], present[0, where] = driven.heading, True
+        alone = Traffic(
+            ids=(start.vehicle_id,), position=position, heading=heading, velocity=velocity, present=present,
+            length_m=np.array([start.box.length_m]), width_m=np.array([start.box.width_m]),
+        )  # fmt: skip
+        return alone.extended(scene.future.num_steps - scene.num_steps, step_s=scene.step_s)

@@ -1,0 +1,133 @@
+"""The rollout: how a vehicle would drive on by SUMO's car following and the guard, and what it would meet.
+
+Each step is the one of the simulation: limits of speed as `steering` has them, the car-following law without its noise,
+the same step of Euler. What it meets is told by the intervals of those whose motion is known.
+"""
+
+import numpy as np
+
+from hid2.kernels.car_following import idm_speed
+from hid2.kernels.compiled import inner, kernel
+from hid2.kernels.gaps import gap_to
+from hid2.kernels.steering import limit_of
+from netconvert.geometry import BoolArray, FloatArray, IntArray
+
+#: Columns of what is met by each agent (`met_by`).
+CONTACT, LEAD_TTC, LAG_TTC, END, BRAKED = range(5)
+#: After the last step a driver may brake so hard, m/s2, after so long, s: as the judge has it (`judge/findings.py`).
+_END_DECEL, _END_REACTION = 3.0, 1.0
+
+
+@inner
+def _leader(
+    low: FloatArray, high: FloatArray, along: FloatArray, leads: BoolArray, lengths: FloatArray, t: int, s: float,
+    length: float, bounds: tuple[float, float],
+) -> tuple[float, float]:  # fmt: skip
+    """Gap, m, and speed, m/s, of the next agent ahead that SUMO is shown at a step; inf and 0 without one."""
+    nearest, farthest = bounds
+    least, speed = np.inf, 0.0
+    for row in range(low.shape[0]):
+        if not leads[row, t]:
+            continue
+        gap = 0.5 * (low[row, t] + high[row, t]) - s - 0.5 * (length + lengths[row])
+        if nearest < gap < farthest and gap < least:
+            least, speed = gap, max(along[row, t], 0.0)
+    return least, speed
+
+
+@kernel(
+    "(UniTuple(i8, 2), UniTuple(f8, 3), f8[::1], UniTuple(f8, 4), f8, i8, i8, i8, f8, f8, f8[::1], UniTuple(f8, 4),"
+    " UniTuple(f8, 4), UniTuple(f8, 10), f8[::1], f8[::1], i8[::1], f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1],"
+    " f8[::1], b1[:,::1], i8[::1], f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1], UniTuple(f8, 2))"
+)
+def roll(
+    span: tuple[int, int], start: tuple[float, float, float], desired_mps: FloatArray,
+    driver: tuple[float, float, float, float], length: float, straight: int, horizon: int, stride: int, step_s: float,
+    table_step: float, brakes: FloatArray, predicted: tuple[float, float, float, float],
+    stops: tuple[float, float, float, float],
+    rules: tuple[float, float, float, float, float, float, float, float, float, float],
+    road: FloatArray, lane_ends: FloatArray, lane_policies: IntArray, low: FloatArray, high: FloatArray,
+    along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray, causes: IntArray,
+    seen_low: FloatArray, seen_high: FloatArray, seen_along: FloatArray, seen_leads: BoolArray,
+    seen_lengths: FloatArray, shown: tuple[float, float],
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Place s and speed v at the steps of a span, first to last, (K,) each, from a start s m, v m/s, a m/s2.
+
+    desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle. seen_* (R, T): the
+    intervals in the width that is driven, of those that SUMO is shown, whether each leads, and their lengths (R,) m;
+    shown: gaps, m, between which an agent ahead is shown. length m: own, of the box that SUMO has.
+    """
+    first, last = span
+    s_at, v_at = np.empty(last - first + 1), np.empty(last - first + 1)
+    fleet = np.zeros((1, 5))
+    fleet[0, 0], fleet[0, 1], fleet[0, 2], fleet[0, 4] = start[0], start[1], start[2], 1.0
+    others, swept = np.zeros(0, dtype=np.int64), np.zeros((3, 0, 1))
+    s_at[0], v_at[0] = start[0], start[1]
+    yields = False
+    for k in range(1, last - first + 1):
+        t = first + k - 1
+        limit, _, _, _, yields, _ = limit_of(
+            0, t, fleet, desired_mps[t], driver, yields, straight, horizon, stride, step_s, table_step, brakes,
+            predicted, stops, rules, road, lane_ends, lane_policies, low, high, along, same_direction, stop_s, closed,
+            causes, others, swept,
+        )  # fmt: skip
+        s, v = fleet[0, 0], fleet[0, 1]
+        gap, lead_v = _leader(seen_low, seen_high, seen_along, seen_leads, seen_lengths, t + 1, s, length, shown)
+        v_next = min(idm_speed(v, desired_mps[t], gap, lead_v, driver, step_s), max(limit, 0.0))
+        fleet[0, 0], fleet[0, 1], fleet[0, 2] = s + v_next * step_s, v_next, (v_next - v) / step_s
+        s_at[k], v_at[k] = fleet[0, 0], v_next
+    return s_at, v_at
+
+
+@kernel("(f8[::1], f8[::1], i8, f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8, i8, f8)")
+def met_by(
+    s: FloatArray,
+    v: FloatArray,
+    first: int,
+    low: FloatArray,
+    high: FloatArray,
+    along: FloatArray,
+    same_direction: BoolArray,
+    margin: float,
+    beyond: int,
+    step_s: float,
+) -> FloatArray:
+    """What each of R agents is to a motion (K,) from a step on, (R, 5): contact, TTC ahead and behind, and the end.
+
+    CONTACT: s from the scene's begin to the first step at which the boxes meet; LEAD_TTC: least TTC, s, to it as a
+    leader; LAG_TTC: of it as a follower; END: s beyond the motion's last step, at constant speed, to a contact within
+    `beyond` steps; BRAKED: the same where braking avoids it no more; inf for none. low .. same_direction (R, T): as in
+    `PathOccupancy`, T beyond the motion's end as known; margin m: by which intervals are larger than the boxes.
+    """
+    found = np.full((low.shape[0], 5), np.inf)
+    last = s.size - 1
+    for row in range(low.shape[0]):
+        for k in range(s.size):
+            t = first + k
+            if low[row, t] == np.inf:
+                continue
+            lo, hi = low[row, t] + margin, high[row, t] - margin
+            if lo < s[k] < hi:
+                found[row, 0] = t * step_s
+                break
+            if same_direction[row, t]:
+                gap, leads = gap_to(lo, hi, s[k])
+                closing = v[k] - along[row, t] if leads else along[row, t] - v[k]
+                if closing > 0.0:
+                    column = 1 if leads else 2
+                    found[row, column] = min(found[row, column], max(gap, 0.0) / closing)
+        braked, v_end = s[last], v[last]
+        for k in range(1, beyond + 1):
+            t = first + last + k
+            if k * step_s > _END_REACTION:
+                v_end = max(0.0, v_end - _END_DECEL * step_s)
+            braked += v_end * step_s
+            if t >= low.shape[1] or low[row, t] == np.inf:
+                continue
+            lo, hi = low[row, t] + margin, high[row, t] - margin
+            if found[row, 3] == np.inf and lo < s[last] + v[last] * k * step_s < hi:
+                found[row, 3] = k * step_s
+            behind = same_direction[row, t] and not gap_to(lo, hi, braked)[1]
+            if found[row, 4] == np.inf and found[row, 3] < np.inf and lo < braked < hi and not behind:
+                found[row, 4] = k * step_s
+    return found
