@@ -22,7 +22,6 @@ def _lane_at(ends: FloatArray, s: float) -> int:
 def limit_of(
     i: int, t: int, fleet: FloatArray, desired_mps: float, driver: tuple[float, float, float, float],
     is_yielding: bool,  # noqa: FBT001  # kernels have no keywords
-   
     straight: int, horizon: int, stride: int, step_s: float, table_step: float, brakes: FloatArray,
     predicted: tuple[float, float, float, float], stops: tuple[float, float, float, float],
     rules: tuple[float, float, float, float, float, float, float, float, float, float],
