@@ -208,9 +208,7 @@ class Sites(_Section):
     under_way_share: float = _param(
         0.5, "share", "of the way at usual speed that is free ahead of who is to change lanes", ge=0, le=1
     )
-    gap_waits_s: tuple[Annotated[float, Field(ge=0, le=10)], ...] = _param(
-        (0.0, 0.7, 1.5), "s", "moments after the trigger at which a gap beside is looked for"
-    )
+    looks_s: float = _param(0.5, "s", "between two looks at gaps in a rollout", gt=0, le=10)
     before_turn_m: float = _param(5.0, "m", "who is to turn begins so far before the turn", ge=0, le=100)
     turn_approach_share: float = _param(0.75, "share", "mean speed up to a turn, over the usual one", gt=0, le=1)
     turn_pace_mps: float = _param(5.0, "m/s", "mean speed on a turn lane, to tell when it is left", gt=0, le=20)

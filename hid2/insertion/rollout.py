@@ -11,18 +11,23 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hid2.agents import BoxSize, FloatArray
+from hid2.agents import BoxSize, FloatArray, Policy
 from hid2.conflicts.guard import Guard
+from hid2.insertion.due import Due
 from hid2.kernels.rollout import BRAKED, CONTACT, END, LAG_TTC, LEAD_TTC, met_by, roll
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.along_path import PathOccupancy, path_occupancy
 from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.policy.overtake import Stage
 from hid2.policy.roads import STRAIGHT, Roads
+from hid2.policy.rules import FORESEEN
 from hid2.reasons import Reason
 from hid2.scene import Scene
-from hid2.vehicle import Start
+from hid2.vehicle import DrivenVehicle, Start
+
+_NONE = Traffic.none(1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -96,6 +101,38 @@ class World:
             (scene.config.driving.leads_from_m, scene.config.driving.shown_m),
         )  # fmt: skip
         return Rollout(path, first, s, v)
+
+    def act(self, start: Start) -> tuple[DrivenVehicle, tuple[Rollout, ...]]:
+        """The same with Algorithm 1, as the rule of the configuration decides: what becomes of it, and its motion.
+
+        A part of the motion ends with each lane change, and the next one begins with the state that it ended in.
+        """
+        scene, change = self.scene, self.scene.config.lane_change
+        vehicle, parts = DrivenVehicle(start, start.path), [self.roll(start)]
+        step = max(start.step, math.ceil(start.request.trigger_s / scene.step_s))
+        give_up = step + scene.steps_in(change.give_up_s)
+        foreseen = (lambda _: FORESEEN) if change.rule == "LC2013" else None
+        while step < scene.num_steps and vehicle.stage is not Stage.DONE:
+            part = parts[-1]
+            s, v = float(part.s[step - part.step]), float(part.v[step - part.step])
+            if vehicle.stage in (Stage.ENTER, Stage.RETURN):
+                end = vehicle.path.shifts[-1][1]
+                if s >= end:
+                    passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
+                    vehicle.stage = Stage.PASS if passing else Stage.DONE
+                else:
+                    step = part.step + int(np.searchsorted(part.s, end))
+                continue
+            if s > part.path.exit_s or (vehicle.stage is Stage.WAITING and step > give_up):
+                break
+            vehicle.s, vehicle.v = [s], [v]
+            across = Due(scene, vehicle, step, self.guard.fixed, _NONE).decided(foreseen)
+            if across is not None:
+                across.taken_by(vehicle)
+                vehicle.path, parts[-1] = across.path, part.until(step)
+                parts.append(self.roll(start, path=across.path, step=step, state=(s, v, 0.0)))
+            step += scene.steps_in(scene.config.sites.looks_s)
+        return vehicle, tuple(parts)
 
     def objection(self, start: Start, rollout: Rollout, *, is_last: bool = True) -> Reason | None:
         """Why a motion would not be exported: what it meets, or leaves too little time to; None for nothing.

@@ -94,9 +94,8 @@ class InsertionSites:
         if self.here.scene.config.request.sites == "any":
             yield from self._starts_where(request, _any_site, likely=False)
             return
-        tiers = ((True, True), (False, True), (False, False))
-        for strict, likely in tiers if request.policy is Policy.LANE_CHANGE else tiers[::2]:
-            yield from self._starts_where(request, partial(self._promises, request, strict=strict), likely=likely)
+        for strict in (False,) if request.policy in TURN_OF_POLICY else (True, False):
+            yield from self._starts_where(request, partial(self._promises, request, strict=strict), likely=True)
 
     def _starts_where(
         self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool], *, likely: bool
@@ -225,12 +224,8 @@ class InsertionSites:
 
         And the configured rule would take it with nobody on it.
         """
-        change, sites, drivers = (
-            self.here.scene.config.lane_change,
-            self.here.scene.config.sites,
-            self.here.scene.config.drivers,
-        )
-        waits_m = max(sites.gap_waits_s) * speed_mps
+        change, drivers = self.here.scene.config.lane_change, self.here.scene.config.drivers
+        waits_m = change.give_up_s * speed_mps
         needed = change.min_remaining_m + 0.3 * speed_mps
         if strict:  # it may be faster than usual
             slack_m = 0.3 * speed_mps * request.trigger_s

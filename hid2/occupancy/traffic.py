@@ -35,6 +35,12 @@ class Traffic:
     extends: "Traffic | None" = None
     known: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
+    @classmethod
+    def none(cls, steps: int) -> "Traffic":
+        """No agent at so many steps."""
+        empty = np.zeros((0, steps))
+        return cls((), np.zeros((0, steps, 2)), empty, np.zeros((0, steps, 2)), empty > 0.0, np.zeros(0), np.zeros(0))
+
     @property
     def num_steps(self) -> int:
         """T."""

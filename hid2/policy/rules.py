@@ -27,6 +27,10 @@ class SumoAnswer:
     blocked_behind: bool
 
 
+#: What SUMO is taken to answer before it drives: it wants the lane, and finds it free.
+FORESEEN = SumoAnswer(frozenset({"foreseen"}), blocked_ahead=False, blocked_behind=False)
+
+
 @dataclass(frozen=True, slots=True)
 class GapView:
     """One look at a gap: all that a rule is told. m, s, m/s, m/s2; Gap: bumper gap and speed, inf where nobody is.
@@ -92,8 +96,7 @@ def foreseen_reason(view: GapView, params: LaneChange) -> Reason | None:
     free cells. Whether it wants the lane shows when it is driven.
     """
     if params.rule == "LC2013":
-        wanted = SumoAnswer(frozenset({"foreseen"}), blocked_ahead=not view.cells_free, blocked_behind=False)
-        view = replace(view, sumo=wanted)
+        view = replace(view, sumo=replace(FORESEEN, blocked_ahead=not view.cells_free))
     return rule_reason(view, params)
 
 

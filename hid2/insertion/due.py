@@ -1,0 +1,166 @@
+"""Algorithm 1 for a vehicle at a step: what it observes, what it decides, and its path across; live and in rollouts."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hid2.agents import FloatArray, Policy
+from hid2.drivers.driver import free_speeds
+from hid2.motion.route import DrivenPath
+from hid2.occupancy.traffic import Traffic
+from hid2.policy.decision import LaneOption, Observation, Side, decide
+from hid2.policy.observation import gap_ahead_of, lane_options, lay_across, leader_on, own_gaps, returns_to
+from hid2.policy.overtake import Leader, Stage
+from hid2.policy.rules import SumoAnswer
+from hid2.reasons import Reason
+from hid2.scene import Scene
+from hid2.vehicle import DrivenVehicle, GapLook, Shift
+
+#: What SUMO's own model makes of a side, where that decides (`lane_change.rule = LC2013`).
+AskSumo = Callable[[Side], SumoAnswer]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Across:
+    """A lane change that is decided. path: the way across; target: that of the lane beside.
+
+    shift, stage: what becomes of the vehicle if it is carried out; leader_id: what it then overtakes.
+    """
+
+    path: DrivenPath
+    target: DrivenPath
+    shift: Shift
+    stage: Stage
+    leader_id: str | None
+
+    def taken_by(self, vehicle: DrivenVehicle) -> None:
+        """The vehicle changes lanes."""
+        vehicle.shifts.append(self.shift)
+        vehicle.stage, vehicle.reason, vehicle.leader_id = self.stage, None, self.leader_id
+
+
+def foreseen_speeds(vehicle: DrivenVehicle, scene: Scene, now: int) -> FloatArray:
+    """(M,) m/s of a vehicle at the steps to come: as it is held to, else up to its wish on a free road."""
+    start = vehicle.start
+    wished = start.desired[now:]
+    if not start.is_held:
+        wished = free_speeds(start.driver, wished, speed_mps=vehicle.v[-1], step_s=scene.step_s)
+    return np.maximum(wished, scene.config.lane_change.min_speed_mps)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Due:
+    """A vehicle at a step for which a manoeuvre is due.
+
+    fixed: vehicles whose motion is known (T steps); others: those driven with it, as they are now (one step).
+    """
+
+    scene: Scene
+    vehicle: DrivenVehicle
+    now: int
+    fixed: Traffic
+    others: Traffic
+
+    def decided(self, ask_sumo: AskSumo | None = None) -> Across | None:
+        """Observe and decide; the way across where the decision is a lane change. Each look at a gap is recorded."""
+        vehicle, config = self.vehicle, self.scene.config
+        options, leader = self._options(ask_sumo), self._leader()
+        seen = self._observation(tuple(option for option, _ in options.values()), leader)
+        decision = decide(seen, lane_change=config.lane_change, overtake=config.overtake)
+        vehicle.policies[decision.policy] += 1
+        for (option, _), answer in zip(options.values(), decision.answers, strict=False):  # those not looked at: none
+            vehicle.gaps.append(self._look(option, answer))
+        if decision.side is None:
+            vehicle.reason = decision.reason
+            return None
+        option, target = options[decision.side]
+        path = self._lay(option, target)
+        if isinstance(path, Reason):
+            self.refuse(path)
+            return None
+        shift = Shift(
+            side=option.side, source_lane=vehicle.path.segment_at(vehicle.s[-1]).lane_id,
+            target_lane=option.target.lane_id, requested_step=self.now, gap_front_m=option.front.distance_m,
+            gap_rear_m=option.rear.distance_m,
+        )  # fmt: skip
+        stage = Stage.RETURN if vehicle.stage is Stage.PASS else Stage.ENTER
+        overtakes = leader is not None and stage is Stage.ENTER
+        return Across(path, target, shift, stage, leader.track_id if overtakes and leader else vehicle.leader_id)
+
+    def refuse(self, reason: Reason) -> None:
+        """The last gap that the rule took has no way into it, or one that meets an agent."""
+        self.vehicle.reason = reason
+        self.vehicle.gaps[-1] = replace(self.vehicle.gaps[-1], guard=reason)
+
+    def _options(self, ask_sumo: AskSumo | None) -> dict[Side, tuple[LaneOption, DrivenPath]]:
+        """Adjacent lanes with their paths; with what SUMO's own model makes of them, where that decides."""
+        vehicle, start, scene = self.vehicle, self.vehicle.start, self.scene
+        sides = start.sides
+        if vehicle.stage is Stage.PASS:
+            sides = ("right",) if vehicle.shifts[-1].side == "left" else ("left",)
+        found = lane_options(
+            scene, vehicle.path, start.box, s=vehicle.s[-1], step=self.now, sides=sides, fixed=self.fixed,
+            fleet=self.others, speed_mps=vehicle.v[-1], desired_mps=start.driver.desired_mps,
+        )  # fmt: skip
+        if ask_sumo is not None:
+            found = [(replace(option, sumo=ask_sumo(option.side)), target) for option, target in found]
+        return {option.side: (option, target) for option, target in found}
+
+    def _leader(self) -> Leader | None:
+        """For an overtake the leader within d_obs."""
+        if self.vehicle.policy is not Policy.OVERTAKE:
+            return None
+        d_obs_m = self.scene.config.overtake.d_obs_m
+        path, box, s = self.vehicle.path, self.vehicle.start.box, self.vehicle.s[-1]
+        return leader_on(path, box, s=s, d_obs_m=d_obs_m, here=self._vehicles())
+
+    def _passed_gap_m(self) -> float:
+        """How far the overtaken vehicle is behind, m; -1 where there is none."""
+        vehicle = self.vehicle
+        if vehicle.stage is not Stage.PASS or vehicle.leader_id is None:
+            return -1.0
+        return gap_ahead_of(
+            vehicle.path, vehicle.start.box, s=vehicle.s[-1], lane=vehicle.start.path, passed_id=vehicle.leader_id,
+            here=self._vehicles(),
+        )  # fmt: skip
+
+    def _vehicles(self) -> Traffic:
+        """Vehicles that can be overtaken, as they are now (one step)."""
+        recorded = self.scene.traffic.at(self.now).rows(self.scene.vehicle_rows.tolist())
+        if self.fixed.ids:
+            return recorded.joined(self.fixed.at(self.now), self.others)
+        return recorded.joined(self.others)
+
+    def _observation(self, options: tuple[LaneOption, ...], leader: Leader | None) -> Observation:
+        vehicle, start, scene = self.vehicle, self.vehicle.start, self.scene
+        cell = scene.cell_at(vehicle.path, vehicle.s[-1])
+        own_front, own_rear = own_gaps(
+            scene, vehicle.path, start.box, s=vehicle.s[-1], step=self.now, fixed=self.fixed, fleet=self.others
+        )
+        return Observation(
+            time_s=self.now * scene.step_s, cell=cell, next_cell=scene.grid.longitudinal(cell),
+            lane_turn=scene.grid.graph.lanes[cell.lane_id].turn, speed_mps=vehicle.v[-1],
+            desired_mps=start.driver.desired_mps, request=vehicle.policy, trigger_s=start.request.trigger_s,
+            stage=vehicle.stage, leader=leader, options=options, passed_gap_m=self._passed_gap_m(),
+            length_m=start.box.length_m, driver=start.driver, own_front=own_front, own_rear=own_rear,
+        )  # fmt: skip
+
+    def _look(self, option: LaneOption, rule: Reason | None) -> GapLook:
+        """What is recorded of one look at a gap."""
+        return GapLook(
+            step=self.now, side=option.side, target=option.target, front=option.front, rear=option.rear,
+            own_mps=self.vehicle.v[-1], remaining_m=option.remaining_m, cells_free=option.cells_free, rule=rule,
+        )  # fmt: skip
+
+    def _lay(self, option: LaneOption, target: DrivenPath) -> DrivenPath | Reason:
+        """The path across to a lane beside; or why there is none."""
+        vehicle, scene, start = self.vehicle, self.scene, self.vehicle.start
+        path = lay_across(
+            scene, vehicle.path, target, s=vehicle.s[-1], step=self.now,
+            speed_mps=foreseen_speeds(vehicle, scene, self.now), remaining_m=option.remaining_m, driver=start.driver,
+            ratio=scene.config.overtake.shift_ratio if vehicle.policy is Policy.OVERTAKE else 1.0,
+        )  # fmt: skip
+        if isinstance(path, DrivenPath) and vehicle.stage is Stage.PASS and not returns_to(start.path, path):
+            return Reason.LANES_PART
+        return path
