@@ -121,11 +121,10 @@ def _meets_on(fleet: Fleet, row: int, now: int, path: DrivenPath) -> bool:
     if start.is_held:  # planned among all agents known: it will go as fast as it wishes
         across_s = min(across_s, start.driver.lane_change_s + scene.config.event_search.across_more_s)
         wished = min(now + scene.steps_in(across_s), start.desired.size - 1)
-    found = fleet.braking(
+    return fleet.braking(
         row, path, now, state=(vehicle.s[-1], vehicle.v[-1], 0.0), desired_mps=float(start.desired[wished]),
         horizon_s=across_s,
-    )  # fmt: skip
-    return found.conflict_s is not None or found.run_into or found.decel_mps2 > start.driver.decel_mps2
+    ).forbids(start.driver)  # fmt: skip
 
 
 def conclude(fleet: Fleet, simulation: Simulation, attempt: Attempt, lane: str) -> None:

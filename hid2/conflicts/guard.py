@@ -51,6 +51,10 @@ class Braking(NamedTuple):
     run_into: bool
     free_s: float
 
+    def forbids(self, driver: Driver) -> bool:
+        """Whether a way that a driver may or may not take has a conflict that its ordinary braking does not solve."""
+        return self.conflict_s is not None or self.run_into or self.decel_mps2 > driver.decel_mps2
+
 
 @dataclass(eq=False, slots=True)
 class Obstacles:

@@ -28,8 +28,8 @@ from netconvert.cells import Cell
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
 #: Vehicles of a round that are not exported, by id: reason and detail.
 _Gone = dict[str, tuple[DrivenVehicle, Reason, str | None]]
-#: Rounds in a row that add no vehicle, after which there are no more. No tunable: a few may have had bad luck.
-_IDLE = 4
+#: Rounds in a row that add no vehicle, after which there are no more. No tunable: one may have had bad luck.
+_IDLE = 2
 _LOG = logging.getLogger(__name__)
 
 
@@ -196,22 +196,25 @@ class Filling:
             asked=Counter(r.policy for r in self._open), turned_down=self._turned_down,
         )  # fmt: skip
         starts, self._again = sites.starts.take(self._again), []
-        waiting = sorted(self._open, key=lambda request: (BEHAVIOURS[request.policy].site_order, request.number))
         used = {start.request.number for start in starts}
+        waiting = sorted(self._open, key=lambda request: (BEHAVIOURS[request.policy].site_order, request.number))
+        waiting = [request for request in waiting if request.number not in used]
         failed: Counter[Policy] = Counter()
-        for request in waiting:
+        for request in waiting:  # those whose manoeuvre has no place go straight, and come last
             if request.number in used:
                 continue
-            straight = request.policy is Policy.STRAIGHT
+            policy, before = request.policy, sites.starts.rejected.copy()
+            straight = policy is Policy.STRAIGHT
             found: list[Start] = []
-            if failed[request.policy] < (spawn.failed_straight if straight else spawn.failed_manoeuvres):
+            if failed[policy] < (spawn.failed_straight if straight else spawn.failed_manoeuvres):
                 slow = next(
                     (r for r in waiting if r.policy is Policy.STRAIGHT and r.number not in used), None
-                ) if request.policy is Policy.OVERTAKE else None  # fmt: skip
+                ) if policy is Policy.OVERTAKE else None  # fmt: skip
                 found = sites.propose(request, slow)
-                failed[request.policy] += not found
-            if not found:
-                self._found_none(request, sites)
+                failed[policy] += not found
+            if not found and not straight:
+                self._found_none(request, sites, sites.starts.rejected - before)
+                waiting.append(self._gives_up(request))
             used.update(start.request.number for start in found)
             starts += found
         self.no_site.update(sites.starts.rejected)
@@ -219,25 +222,30 @@ class Filling:
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
         return starts
 
-    def _found_none(self, request: VehicleRequest, sites: InsertionSites) -> None:
-        """Why no site was found; of an overtake that was driven and did not come about, what became of it says more."""
-        if request.policy is not Policy.OVERTAKE:
-            self._last_reason[request.number] = Reason.NO_SITE
-        elif request.number not in self._last_reason:
-            seen = sites.overtakes.foresees_none
-            self._last_reason[request.number] = Reason.NO_OVERTAKE_FORESEEN if seen else Reason.NO_SITE
+    def _found_none(self, request: VehicleRequest, sites: InsertionSites, refused: Counter[Reason]) -> None:
+        """Why no site was found: what most of them were turned down for. What became of a vehicle driven says more."""
+        if request.number in self._last_reason:
+            return
+        reason = Reason.NO_SITE
+        if request.policy is Policy.OVERTAKE and sites.overtakes.foresees_none:
+            reason = Reason.NO_OVERTAKE_FORESEEN
+        elif refused:
+            reason = refused.most_common(1)[0][0]
+        self._last_reason[request.number] = reason
+
+    def _gives_up(self, request: VehicleRequest) -> VehicleRequest:
+        """A request whose manoeuvre is given up, with its reason, for one to go straight."""
+        self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
+        straight = replace(request, policy=Policy.STRAIGHT)
+        self._open = [straight if one is request else one for one in self._open]
+        return straight
 
     def _give_up_manoeuvres(self, met: Set[int] = frozenset()) -> bool:
         """Requests that no round met become vehicles that go straight; whether there was any. met: numbers."""
-        before = len(self.unmet)
-        still = []
-        for request in self._open:
-            if request.policy is not Policy.STRAIGHT and request.number not in met:
-                self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
-                request = replace(request, policy=Policy.STRAIGHT)
-            still.append(request)
-        self._open = still
-        return len(self.unmet) > before
+        left = [r for r in self._open if r.policy is not Policy.STRAIGHT and r.number not in met]
+        for request in left:
+            self._gives_up(request)
+        return bool(left)
 
     def _keep(self, vehicles: list[DrivenVehicle], number: int) -> None:
         """Keep what holds; what does not goes with its reason, and its request stays open."""

@@ -126,13 +126,25 @@ class World:
             if s > part.path.exit_s or (vehicle.stage is Stage.WAITING and step > give_up):
                 break
             vehicle.s, vehicle.v = [s], [v]
-            across = Due(scene, vehicle, step, self.guard.fixed, _NONE).decided(foreseen)
-            if across is not None:
+            due = Due(scene, vehicle, step, self.guard.fixed, _NONE)
+            across = due.decided(foreseen)
+            if across is not None and self._meets_on(vehicle, step, across.path):
+                due.refuse(Reason.CONFLICT_PREDICTED)
+            elif across is not None:
                 across.taken_by(vehicle)
                 vehicle.path, parts[-1] = across.path, part.until(step)
                 parts.append(self.roll(start, path=across.path, step=step, state=(s, v, 0.0)))
             step += scene.steps_in(scene.config.sites.looks_s)
         return vehicle, tuple(parts)
+
+    def _meets_on(self, vehicle: DrivenVehicle, step: int, path: DrivenPath) -> bool:
+        """Whether the guard would not let a vehicle go across on a path."""
+        scene, start, state = self.scene, vehicle.start, (vehicle.s[-1], vehicle.v[-1], 0.0)
+        return self.guard.braking(
+            self.guard.obstacles(path, start.box, []), own=0, step=step, fleet=np.array([[*state, 0.0, 1.0]]),
+            state=state, desired_mps=float(start.desired[step]), road=self.roads.speeds(path, start.driver),
+            driver=start.driver, horizon_s=scene.config.driving.across_s,
+        ).forbids(start.driver)  # fmt: skip
 
     def objection(self, start: Start, rollout: Rollout, *, is_last: bool = True) -> Reason | None:
         """Why a motion would not be exported: what it meets, or leaves too little time to; None for nothing.
@@ -142,6 +154,8 @@ class World:
         scene, conflict = self.scene, self.scene.config.conflict
         known = self.known_on(rollout.path, start.box)
         inside = int((rollout.s <= rollout.path.exit_s - 0.5 * start.size.length_m).sum())
+        if is_last and inside < rollout.s.size and rollout.step + inside < start.step + scene.steps_to_stay(start.step):
+            return Reason.LEAVES_TOO_EARLY
         if not inside:
             return Reason.LEAVES_TOO_EARLY
         found = met_by(
