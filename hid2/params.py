@@ -160,7 +160,7 @@ class Spawn(_Section):
     failed_manoeuvres: int = _param(
         2, "requests", "without a site, after which a round looks for no more for that manoeuvre", ge=1, le=500
     )
-    failed_straight: int = _param(3, "requests", "the same for those that go straight", ge=1, le=500)
+    failed_straight: int = _param(1, "requests", "the same for those that go straight", ge=1, le=500)
     driven_again: int = _param(
         1, "times", "a vehicle that had waited for one that is gone is driven again", ge=0, le=10
     )
@@ -172,7 +172,7 @@ class Sites(_Section):
     cell_tries: int = _param(
         2, "vehicles", "for which a cell was turned down, after which it is left alone", ge=1, le=1000
     )
-    tries: int = _param(150, "sites", "looked at in full for a request in a round", ge=1, le=10_000)
+    tries: int = _param(80, "sites", "looked at in full for a request in a round", ge=1, le=10_000)
     drivers: int = _param(3, "drivers", "drawn for a site before it is turned down", ge=1, le=50)
     routes: int = _param(16, "routes", "known from a lane", ge=1, le=1000)
     run_up_m: float = _param(40.0, "m", "of a route before the lane that it starts on: who follows is seen there", ge=0,
@@ -205,10 +205,10 @@ class Sites(_Section):
         1.4, "ratio", "of the comfortable deceleration, that a conflict soon after the start may ask for", ge=0, le=5
     )
     crossing_gap_m: float = _param(6.0, "m", "kept at the start to another one that heads elsewhere", ge=0, le=50)
-    under_way_share: float = _param(
-        0.5, "share", "of the way at usual speed that is free ahead of who is to change lanes", ge=0, le=1
+    looks_s: float = _param(1.0, "s", "between two looks at gaps in a rollout", gt=0, le=10)
+    hindered_s: float = _param(
+        4.0, "s", "TTC to a vehicle that begins ahead, below which one chosen before is rolled out anew", ge=0, le=20
     )
-    looks_s: float = _param(0.5, "s", "between two looks at gaps in a rollout", gt=0, le=10)
     before_turn_m: float = _param(5.0, "m", "who is to turn begins so far before the turn", ge=0, le=100)
     turn_approach_share: float = _param(0.75, "share", "mean speed up to a turn, over the usual one", gt=0, le=1)
     turn_pace_mps: float = _param(5.0, "m/s", "mean speed on a turn lane, to tell when it is left", gt=0, le=20)
@@ -537,7 +537,7 @@ class Driving(_Section):
     )
     let_pass_mps2: float = _param(0.7, "m/s2", "who waits for a gap slows down so for those beside", ge=0, le=4)
     let_pass_share: float = _param(0.8, "share", "of the desired speed, to which that goes", ge=0, le=1)
-    slows_mps2: float = _param(0.3, "m/s2", "who slows down more behind somebody near has waited for it", ge=0, le=4)
+    slows_mps2: float = _param(0.7, "m/s2", "who slows down more behind somebody near has waited for it", ge=0, le=4)
     behind_ratio: float = _param(2.0, "ratio", "near: the gap over that of time gap and jam gap", ge=0, le=10)
 
 

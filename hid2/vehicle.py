@@ -89,8 +89,8 @@ class DrivenVehicle:
 
     jumped_m (T,): how far SUMO has it behind s, which does not jump where SUMO changes lanes;
     limited: steps in which hid2 held it below SUMO's own choice of speed, by cause; policies: steps by the policy that
-    Algorithm 1 returned; rerouted_at: step at which it took another way at the next split; waited_for: vehicles of the
-    same run that it followed or yielded to while it slowed down.
+    Algorithm 1 returned; rerouted_at: step at which it took another way at the next split; waited_for: steps in which
+    it braked for a vehicle of the same run that it followed or yielded to.
     """
 
     start: Start
@@ -108,7 +108,7 @@ class DrivenVehicle:
     leader_id: str | None = None
     limited: Counter[str] = field(default_factory=Counter)
     policies: Counter[Policy] = field(default_factory=Counter)
-    waited_for: set[str] = field(default_factory=set)
+    waited_for: Counter[str] = field(default_factory=Counter)
 
     @property
     def vehicle_id(self) -> str:

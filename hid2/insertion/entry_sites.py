@@ -45,11 +45,10 @@ class EntrySites:
             of=round(scene.config.request.entering * self.asked),
         )  # fmt: skip
         self._looked += 1
-        likely = self.starts.round_number < scene.config.spawn.reseed_rounds  # the count matters more by then
         for row in order[: scene.config.sites.tries].tolist():
             start = self.starts.make(
                 request, entries.offer(row), int(table.lane[row]), None, step=entries.step(row, rng),
-                led_by=int(table.leader[row]), likely=likely,
+                led_by=int(table.leader[row]),
             )  # fmt: skip
             if isinstance(start, Start):
                 yield start

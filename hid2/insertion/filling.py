@@ -17,6 +17,7 @@ from hid2.insertion.requests import draw_requests
 from hid2.insertion.sites import InsertionSites, TurnedDown
 from hid2.insertion.spread import Spread
 from hid2.insertion.surroundings import Surroundings
+from hid2.measures.encounters import BRAKES_FOR_S
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.reasons import Reason
@@ -294,7 +295,7 @@ class Filling:
         The manoeuvre stays open. Vehicles that others need come first.
         """
         left = [one for one in new if one.driven.vehicle_id not in gone]
-        needed = set().union(*(_needs(one.driven) for one in left))
+        needed = set().union(*(_needs(one.driven, self._brakes_steps) for one in left))
         met = {start.request.number for start in (*self._again, *(one.driven.start for one in left))}
         straight = [r for r in self._open if r.policy is Policy.STRAIGHT and r.number not in met]
         found = {one.driven.vehicle_id: one for one in new}
@@ -318,13 +319,18 @@ class Filling:
             changed = False
             for one in new:
                 driven = one.driven
-                if driven.vehicle_id in gone or not _needs(driven) & gone.keys():
+                if driven.vehicle_id in gone or not _needs(driven, self._brakes_steps) & gone.keys():
                     continue
                 gone[driven.vehicle_id] = driven, Reason.WAITED_FOR_GONE, None
                 changed = True
                 if self._driven_again[driven.vehicle_id] < self.scene.config.spawn.driven_again:
                     self._driven_again[driven.vehicle_id] += 1
                     self._again.append(driven.start)
+
+    @property
+    def _brakes_steps(self) -> int:
+        """For how many steps a vehicle brakes that is seen to brake."""
+        return self.scene.steps_in(BRAKES_FOR_S)
 
     def _note(self, vehicle: DrivenVehicle, reason: Reason, detail: str | None, number: int) -> None:
         start, cell = vehicle.start, _site(self.scene, vehicle)
@@ -348,9 +354,10 @@ class Filling:
             self._avoided.append((segment.lane_id, segment.lane_s(start.start_s)))
 
 
-def _needs(vehicle: DrivenVehicle) -> set[str]:
-    """Vehicles without which a vehicle would have driven otherwise: those it braked for, and whom it overtook."""
-    return vehicle.waited_for | ({vehicle.leader_id} if vehicle.leader_id is not None else set())
+def _needs(vehicle: DrivenVehicle, least_steps: int) -> set[str]:
+    """Vehicles without which a vehicle would have driven otherwise: those it braked for so long, and overtook."""
+    waited_for = {name for name, steps in vehicle.waited_for.items() if steps >= least_steps}
+    return waited_for | ({vehicle.leader_id} if vehicle.leader_id is not None else set())
 
 
 def _site(scene: Scene, vehicle: DrivenVehicle) -> Cell:

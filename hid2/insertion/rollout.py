@@ -54,19 +54,68 @@ class _Shown:
     length_m: FloatArray
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Foreseen:
+    """A candidate with the parts of its motion, and as known traffic beyond the scene's end (one agent)."""
+
+    start: Start
+    parts: tuple[Rollout, ...]
+    traffic: Traffic
+
+
 @dataclass(eq=False, slots=True)
 class World:
-    """What candidates are rolled out against. guard: knows what is recorded, kept and chosen."""
+    """What candidates are rolled out against. guard: with those kept, whose motion is settled, and those chosen."""
 
     scene: Scene
     roads: Roads
     guard: Guard
+    _kept: Traffic = field(init=False)
+    _chosen: dict[str, Foreseen] = field(default_factory=dict)
+    _at_begin: tuple[Traffic, Traffic] | None = None
     _shown: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, _Shown]] = field(default_factory=dict)
     _known: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy]] = field(default_factory=dict)
 
-    def choose(self, start: Start, *parts: Rollout) -> None:
-        """Candidates after this one are rolled out against it. parts: its motion, one after the other."""
-        self.guard.fixed = self.guard.fixed.joined(self._as_traffic(start, parts))
+    def __post_init__(self) -> None:
+        """Nothing is chosen yet."""
+        self._kept = self.guard.fixed
+
+    @property
+    def at_begin(self) -> Traffic:
+        """All agents known at the scene's first step (one step)."""
+        if self._at_begin is None or self._at_begin[0] is not self.guard.fixed:
+            recorded, fixed = self.scene.traffic.at(0), self.guard.fixed
+            self._at_begin = fixed, recorded.joined(fixed.at(0)) if fixed.ids else recorded
+        return self._at_begin[1]
+
+    def choose(self, *candidates: Foreseen) -> None:
+        """Candidates after these are rolled out against them; one that was chosen before has another motion now."""
+        anew = any(one.start.vehicle_id in self._chosen for one in candidates)
+        self._chosen |= {one.start.vehicle_id: one for one in candidates}
+        if anew:
+            self.guard.fixed = self._kept.joined(*(one.traffic for one in self._chosen.values()))
+        else:
+            self.guard.fixed = self.guard.fixed.joined(*(one.traffic for one in candidates))
+
+    def beside(self, candidate: Foreseen, chosen_id: str) -> "World":
+        """The world of one that is chosen, with another candidate in it."""
+        others = [one.traffic for name, one in self._chosen.items() if name != chosen_id]
+        fixed = self._kept.joined(*others, candidate.traffic)
+        return World(self.scene, self.roads, Guard(self.scene, fixed, self.guard.stop_lines))
+
+    def foreseen(self, start: Start, parts: tuple[Rollout, ...]) -> Foreseen:
+        """A candidate with its motion."""
+        return Foreseen(start, parts, self._as_traffic(start, parts))
+
+    def hindered(self, candidate: Foreseen) -> list[Foreseen]:
+        """Those chosen that a candidate would make drive otherwise: they follow it, and close in."""
+        closing_s, found = self.scene.config.sites.hindered_s, set()
+        for part in candidate.parts:
+            met, known = self._met(candidate.start, part, is_last=False)
+            recorded = self._recorded_on(part.path, candidate.start.box)
+            rows = np.flatnonzero(met[:, LAG_TTC] < closing_s)
+            found |= {self.guard.fixed.ids[known.agents[row]] for row in rows.tolist() if row >= recorded}
+        return [one for name, one in self._chosen.items() if name in found]
 
     def known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         """Intervals on a path of all whose motion is known, with margins and the critical PET: the guard's."""
@@ -114,6 +163,8 @@ class World:
         foreseen = (lambda _: FORESEEN) if change.rule == "LC2013" else None
         while step < scene.num_steps and vehicle.stage is not Stage.DONE:
             part = parts[-1]
+            if step - part.step >= part.s.size:  # it meets an agent before
+                break
             s, v = float(part.s[step - part.step]), float(part.v[step - part.step])
             if vehicle.stage in (Stage.ENTER, Stage.RETURN):
                 end = vehicle.path.shifts[-1][1]
@@ -146,39 +197,60 @@ class World:
             driver=start.driver, horizon_s=scene.config.driving.across_s,
         ).forbids(start.driver)  # fmt: skip
 
-    def objection(self, start: Start, rollout: Rollout, *, is_last: bool = True) -> Reason | None:
+    def objection(self, start: Start, parts: tuple[Rollout, ...], *, ends: bool = True) -> Reason | None:
         """Why a motion would not be exported: what it meets, or leaves too little time to; None for nothing.
+
+        ends: whether the scene ends with the last part. Those chosen before that follow it are left out: they brake for
+        it (`hindered`).
+        """
+        for part in parts:
+            found = self._objection(start, part, is_last=ends and part is parts[-1])
+            if found is not None:
+                return found
+        return None
+
+    def _objection(self, start: Start, rollout: Rollout, *, is_last: bool) -> Reason | None:
+        scene, conflict = self.scene, self.scene.config.conflict
+        inside = self._inside(start, rollout)
+        if not inside or (
+            is_last and inside < rollout.s.size and rollout.step + inside < start.step + scene.steps_to_stay(start.step)
+        ):
+            return Reason.LEAVES_TOO_EARLY
+        met, known = self._met(start, rollout, is_last=is_last)
+        recorded = self._recorded_on(rollout.path, start.box)
+        hit = np.flatnonzero(met[:, CONTACT] < np.inf)
+        if hit.size:
+            first = hit[np.argmin(met[hit, CONTACT])]
+            return Reason.MEETS_RECORDED if first < recorded else Reason.MEETS_GENERATED
+        if met[:, LEAD_TTC].min(initial=math.inf) < conflict.ttc_min_s:
+            return Reason.TTC_LANE_LEADER
+        if met[:recorded, LAG_TTC].min(initial=math.inf) < conflict.follower_ttc_min_s:
+            return Reason.TTC_RECORDED_FOLLOWER
+        kept = known.agents[recorded:] < len(self._kept.ids)
+        if met[recorded:, LAG_TTC][kept].min(initial=math.inf) < conflict.ttc_min_s:
+            return Reason.MEETS_GENERATED
+        end_s, braked_s = met[:, END].min(initial=math.inf), met[:, BRAKED]
+        return Reason.TTC_AT_END if end_s < conflict.end_ttc_min_s or np.isfinite(braked_s).any() else None
+
+    def _inside(self, start: Start, rollout: Rollout) -> int:
+        """Steps of a motion before it leaves the map."""
+        return int((rollout.s <= rollout.path.exit_s - 0.5 * start.size.length_m).sum())
+
+    def _met(self, start: Start, rollout: Rollout, *, is_last: bool) -> tuple[FloatArray, PathOccupancy]:
+        """What each agent known on its path is to a motion (R, 5), as the kernel `met_by` has it, and those agents.
 
         is_last: whether the scene ends with it, so that what follows the last step counts.
         """
-        scene, conflict = self.scene, self.scene.config.conflict
-        known = self.known_on(rollout.path, start.box)
-        inside = int((rollout.s <= rollout.path.exit_s - 0.5 * start.size.length_m).sum())
-        if is_last and inside < rollout.s.size and rollout.step + inside < start.step + scene.steps_to_stay(start.step):
-            return Reason.LEAVES_TOO_EARLY
-        if not inside:
-            return Reason.LEAVES_TOO_EARLY
-        found = met_by(
+        scene, known, inside = self.scene, self.known_on(rollout.path, start.box), self._inside(start, rollout)
+        beyond = round(scene.config.conflict.end_horizon_s / scene.step_s) if is_last and inside else 0
+        return met_by(
             rollout.s[:inside], rollout.v[:inside], rollout.step, known.low, known.high, known.along,
-            known.same_direction, 0.0, round(conflict.end_horizon_s / scene.step_s) if is_last else 0, scene.step_s,
-        )  # fmt: skip
-        hit = np.flatnonzero(found[:, CONTACT] < np.inf)
-        if hit.size:
-            recorded = known.agents.size - self._fixed_on(rollout.path, start.box)
-            first = hit[np.argmin(found[hit, CONTACT])]
-            return Reason.MEETS_RECORDED if first < recorded else Reason.MEETS_GENERATED
-        if found[:, LEAD_TTC].min(initial=math.inf) < conflict.ttc_min_s:
-            return Reason.TTC_LANE_LEADER
-        if found[:, LAG_TTC].min(initial=math.inf) < conflict.follower_ttc_min_s:
-            return Reason.TTC_RECORDED_FOLLOWER
-        end_s, braked_s = found[:, END], found[:, BRAKED]
-        if is_last and (end_s.min(initial=math.inf) < conflict.end_ttc_min_s or np.isfinite(braked_s).any()):
-            return Reason.TTC_AT_END
-        return None
+            known.same_direction, 0.0, beyond, scene.step_s,
+        ), known  # fmt: skip
 
-    def _fixed_on(self, path: DrivenPath, box: BoxSize) -> int:
-        """How many of those known on a path are inserted."""
-        return self.known_on(path, box).agents.size - self.scene.kept_clear_on(path, box).agents.size
+    def _recorded_on(self, path: DrivenPath, box: BoxSize) -> int:
+        """How many of those known on a path are recorded; they come first."""
+        return self.scene.kept_clear_on(path, box).agents.size
 
     def _shown_on(self, path: DrivenPath, box: BoxSize) -> _Shown:
         fixed, key = self.guard.fixed, (path, box)
@@ -188,7 +260,8 @@ class World:
             lengths = length_m[seen.agents]
             if fixed.ids:
                 more = path_occupancy(
-                    path.line, fixed, length_m=box.length_m, width_m=box.width_m, margin_lateral_m=0.0
+                    path.line, fixed, length_m=box.length_m, width_m=box.width_m,
+                    margin_lateral_m=scene.config.conflict.margin_lateral_m,
                 )  # fmt: skip
                 seen, lengths = seen.joined(more), np.concatenate([lengths, fixed.length_m[more.agents]])
             stands = ~seen.crossing & (np.abs(seen.along) < scene.config.driving.standing_mps)

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from hid2.agents import FloatArray, IntArray, Policy
+from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import usual_driver
 from hid2.insertion.entry_sites import EntrySites
@@ -16,14 +16,15 @@ from hid2.insertion.routes import RouteOffer
 from hid2.insertion.spread import Spread, by_weight
 from hid2.insertion.starts import Starts
 from hid2.insertion.surroundings import Surroundings
+from hid2.occupancy.sigma import clear_places
 from hid2.policy.behaviours import TURN_OF_POLICY
 from hid2.policy.rules import expected_reason
 from hid2.reasons import Reason
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.cells import Cell
 
-#: Vehicles that could not begin on a cell, by its row, for a policy and whether what it is to do had to be likely.
-TurnedDown = defaultdict[tuple[Policy, bool], Counter[int]]
+#: Vehicles that could not begin on a cell, by its row, for a policy.
+TurnedDown = defaultdict[Policy, Counter[int]]
 
 
 @dataclass(slots=True)
@@ -92,23 +93,23 @@ class InsertionSites:
         if self.entering.is_to_enter(request):
             yield from self.entering.starts_of(request, self._followed())
         if self.here.scene.config.request.sites == "any":
-            yield from self._starts_where(request, _any_site, likely=False)
+            yield from self._starts_where(request, _any_site)
             return
         for strict in (False,) if request.policy in TURN_OF_POLICY else (True, False):
-            yield from self._starts_where(request, partial(self._promises, request, strict=strict), likely=True)
+            yield from self._starts_where(request, partial(self._promises, request, strict=strict))
 
     def _starts_where(
-        self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool], *, likely: bool
+        self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool]
     ) -> Iterator[Start]:
         tried = 0
-        turned_down = self.turned_down[request.policy, likely and request.policy is not Policy.STRAIGHT]
+        turned_down = self.turned_down[request.policy]
         for row, lane_id, lane_s in self._places(request, turned_down):
             for offer in self._order(request, self.here.scene.grid.cell_at(lane_id, lane_s)):
                 s = offer.start_m + lane_s
                 usual_mps = self.here.meetings.usual_speed(lane_id)
                 if self.starts.leaves_early(offer, s, 0.8 * usual_mps) or not promises(offer, s, usual_mps):
                     continue
-                start = self.starts.make(request, offer, lane_id, s, likely=likely)
+                start = self.starts.make(request, offer, lane_id, s)
                 tried += start is not Reason.NO_SITE
                 if isinstance(start, Start):
                     yield start
@@ -162,11 +163,17 @@ class InsertionSites:
                 kind=list(Policy).index(policy), round_number=self.round_number,
             )  # fmt: skip
         self._looked[policy] += 1
+        clear = np.ones(rows.size, dtype=np.bool_)
+        if "collision" not in scene.config.without:  # most places of a full road; what is left is looked at on its path
+            usual, gap_m = DEFAULT_SIZES["vehicle"], scene.config.spawn.clear_gap_m
+            clear = clear_places(scene.boxes, rows, share, self.starts.world.at_begin, box=usual, gap_m=gap_m)
         all_inside = bool(inside.all())
         for place in order[np.lexsort((tier[order], inside[order]))].tolist():
             if inside[place] and promising and not all_inside:
                 return
             row = int(rows[place])
+            if not clear[place]:
+                continue
             if promising and turned_down[row] >= scene.config.sites.cell_tries:
                 continue
             cell = grid.cells[row]

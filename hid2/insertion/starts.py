@@ -2,16 +2,16 @@
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
-from hid2.drivers.driver import Driver, desired_speeds, draw_driver, lane_offset
+from hid2.drivers.driver import Driver, LaneOffset, desired_speeds, draw_driver, lane_offset
 from hid2.insertion.meetings import Meetings
-from hid2.insertion.rollout import Rollout, World
+from hid2.insertion.rollout import Foreseen, Rollout, World
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.sizes import draw_size
 from hid2.kernels.path_intervals import SAME_WAY
@@ -29,6 +29,8 @@ from hid2.vehicle import Start, VehicleRequest
 
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.LEAVES_TOO_EARLY})
+#: Of candidates, whose place in the lane is drawn when they are chosen.
+_MIDDLE = LaneOffset(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2))
 
 
 @dataclass(slots=True)
@@ -48,7 +50,7 @@ class Starts:
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
     world: World = field(init=False)
-    _rolled: dict[str, tuple[Rollout, ...]] = field(default_factory=dict)
+    _rolled: dict[str, tuple[Foreseen, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Nothing is chosen yet."""
@@ -59,19 +61,19 @@ class Starts:
         self.taken += starts
         if "collision" not in self.scene.config.without:
             for start in starts:
-                parts = self._rolled.pop(start.vehicle_id, None) or (self.world.roll(start),)
-                self.world.choose(start, *parts)
+                rolled = self._rolled.pop(start.vehicle_id, None)
+                self.world.choose(*(rolled or (self.world.foreseen(start, (self.world.roll(start),)),)))
         return starts
 
     def make(
         self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float | None, *,
-        driver: Driver | None = None, speed_mps: float | None = None, likely: bool = False, step: int = 0,
+        driver: Driver | None = None, speed_mps: float | None = None, step: int = 0,
         led_by: int = -1,
     ) -> Start | Reason:  # fmt: skip
         """A vehicle with a driver at a site, with a start speed, m/s, or why it cannot begin there.
 
-        s: along the route's lanes, m; None: at their beginning, all of it on them. likely: whether its rollout must
-        show the manoeuvre that is asked for; step: from which on it is there; led_by: whom it would follow then.
+        s: along the route's lanes, m; None: at their beginning, all of it on them. step: from which on it is there;
+        led_by: what it would follow then, as `Meetings` numbers them.
         """
         scene, config, rng = self.scene, self.scene.config, self.rng
         object_type, size = draw_size(config.request, rng)
@@ -115,52 +117,68 @@ class Starts:
                 start = Start(
                     vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=object_type,
                     size=size, box=box, route=offer.route, path=path, start_s=start_s, start_mps=admitted,
-                    driver=drawn, desired=np.concatenate([np.full(step, wished[0]), wished]),
-                    offset=lane_offset(drawn, config, rng, length_m=path.line.length_m), sides=sides, step=step,
+                    driver=drawn, desired=np.concatenate([np.full(step, wished[0]), wished]), offset=_MIDDLE,
+                    sides=sides, step=step,
                 )  # fmt: skip
-                objection = self._objection(start, likely=likely)
-                if objection is None:
-                    return start
-                verdict = objection
+                rolled = self._does(self.world, start)
+                if not isinstance(rolled, Reason):
+                    start = replace(start, offset=lane_offset(drawn, config, rng, length_m=path.line.length_m))
+                    if self._lets_others(start, rolled):
+                        return start
+                    rolled = Reason.MEETS_GENERATED
+                verdict = rolled
             if verdict not in _ANOTHER_DRIVER:
                 break
         return verdict
 
-    def _objection(self, start: Start, *, likely: bool) -> Reason | None:
-        """What a rollout has against a start; None for nothing. What is rolled out is kept for `take`.
+    def _does(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:
+        """The rollout of a vehicle that does what it is asked for, and meets nothing; or why it does not.
 
         With `request.sites = any` nothing is looked ahead, but that no vehicle begins where it is met at once.
         """
-        scene, config, world = self.scene, self.scene.config, self.world
-        if "collision" in config.without or start.request.policy is Policy.OVERTAKE:
-            return None
+        scene, config, policy = self.scene, self.scene.config, start.request.policy
+        if "collision" in config.without or policy is Policy.OVERTAKE:
+            return ()
         if config.request.sites == "any":
-            rolled = world.roll(start, last=start.step + scene.steps_in(config.spawn.settle_s))
-            return world.objection(start, rolled, is_last=False)
-        policy = start.request.policy
-        if likely and policy is Policy.LANE_CHANGE:
-            return self._changes(start)
-        rolled = world.roll(start)
-        self._rolled[start.vehicle_id] = (rolled,)
-        found = world.objection(start, rolled)
-        if found is None and policy in TURN_OF_POLICY:
+            soon = (world.roll(start, last=start.step + scene.steps_in(config.spawn.settle_s)),)
+            return world.objection(start, soon, ends=False) or ()
+        if policy is Policy.LANE_CHANGE:
+            vehicle, parts = world.act(start)
+            if not vehicle.shifts:
+                return vehicle.reason or Reason.SCENE_ENDED
+        else:
+            vehicle, parts = None, (world.roll(start),)
+        found = world.objection(start, parts)
+        if found is not None:
+            return found
+        if vehicle is not None and parts[-1].s[-1] < vehicle.path.shifts[-1][1]:
+            return Reason.SCENE_ENDED
+        if policy in TURN_OF_POLICY:
             turn = first_turn(scene.grid.graph, start.path, TURN_OF_POLICY[policy], after=start.start_s)
             if turn is None:
                 return Reason.TURN_NOT_SEEN
-            if likely and rolled.s[-1] < turn.end + 1.0:
+            if parts[-1].s[-1] < turn.end + 1.0:
                 return Reason.SCENE_ENDED
-        return found
+        return parts
 
-    def _changes(self, start: Start) -> Reason | None:
-        """Why a rollout shows no lane change done in time that meets nothing; None where it does."""
-        vehicle, parts = self.world.act(start)
-        if not vehicle.shifts:
-            return vehicle.reason or Reason.SCENE_ENDED
-        if parts[-1].s[-1] < vehicle.path.shifts[-1][1]:
-            return Reason.SCENE_ENDED
-        self._rolled[start.vehicle_id] = parts
-        met = [self.world.objection(start, part, is_last=part is parts[-1]) for part in parts]
-        return next((reason for reason in met if reason is not None), None)
+    def _lets_others(self, start: Start, parts: tuple[Rollout, ...]) -> bool:
+        """Whether those chosen before still do what they are asked for with a candidate ahead of them.
+
+        What is rolled out is kept for `take`.
+        """
+        if not parts:
+            return True
+        candidate = self.world.foreseen(start, parts)
+        anew = [candidate]
+        for one in self.world.hindered(candidate):
+            around = self.world.beside(candidate, one.start.vehicle_id)
+            still = self._does(around, one.start)
+            if isinstance(still, Reason):
+                return False
+            if still:
+                anew.append(around.foreseen(one.start, still))
+        self._rolled[start.vehicle_id] = tuple(anew)
+        return True
 
     def _follower_mps(self, path: DrivenPath, box: BoxSize, s: float, step: int) -> float:
         """Pace of the recorded follower that the place gives a vehicle, m/s, over the scene; 0 without one near."""

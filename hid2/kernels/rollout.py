@@ -35,6 +35,17 @@ def _leader(
     return least, speed
 
 
+@inner
+def _is_met(low: FloatArray, high: FloatArray, same_direction: BoolArray, t: int, s: float, before_s: float) -> bool:
+    """Whether boxes meet at the step after t, but for an agent that runs in from behind."""
+    for row in range(low.shape[0]):
+        if low[row, t + 1] < s < high[row, t + 1]:
+            behind = same_direction[row, t] and not gap_to(low[row, t], high[row, t], before_s)[1]
+            if low[row, t] == np.inf or not behind:
+                return True
+    return False
+
+
 @kernel(
     "(UniTuple(i8, 2), UniTuple(f8, 3), f8[::1], UniTuple(f8, 4), f8, i8, i8, i8, f8, f8, f8[::1], UniTuple(f8, 4),"
     " UniTuple(f8, 4), UniTuple(f8, 10), f8[::1], f8[::1], i8[::1], f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1],"
@@ -52,6 +63,8 @@ def roll(
     seen_lengths: FloatArray, shown: tuple[float, float],
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Place s and speed v at the steps of a span, first to last, (K,) each, from a start s m, v m/s, a m/s2.
+
+    No further than to where the boxes of the vehicle and another agent meet.
 
     desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle. seen_* (R, T): the
     intervals in the width that is driven, of those that SUMO is shown, whether each leads, and their lengths (R,) m;
@@ -76,6 +89,8 @@ def roll(
         v_next = min(idm_speed(v, desired_mps[t], gap, lead_v, driver, step_s), max(limit, 0.0))
         fleet[0, 0], fleet[0, 1], fleet[0, 2] = s + v_next * step_s, v_next, (v_next - v) / step_s
         s_at[k], v_at[k] = fleet[0, 0], v_next
+        if _is_met(low, high, same_direction, t, fleet[0, 0], s):
+            return s_at[: k + 1].copy(), v_at[: k + 1].copy()
     return s_at, v_at
 
 
@@ -95,27 +110,32 @@ def met_by(
     """What each of R agents is to a motion (K,) from a step on, (R, 5): contact, TTC ahead and behind, and the end.
 
     CONTACT: s from the scene's begin to the first step at which the boxes meet; LEAD_TTC: least TTC, s, to it as a
-    leader; LAG_TTC: of it as a follower; END: s beyond the motion's last step, at constant speed, to a contact within
-    `beyond` steps; BRAKED: the same where braking avoids it no more; inf for none. low .. same_direction (R, T): as in
-    `PathOccupancy`, T beyond the motion's end as known; margin m: by which intervals are larger than the boxes.
+    leader; LAG_TTC: of it as a follower, 0 where it runs in from behind; END: s beyond the motion's last step, at
+    constant speed, to a contact within `beyond` steps; BRAKED: the same where braking avoids it no more; inf for none.
+    low .. same_direction (R, T): as in `PathOccupancy`, T beyond the motion's end as known; margin m: by which
+    intervals are larger than the boxes.
     """
     found = np.full((low.shape[0], 5), np.inf)
     last = s.size - 1
     for row in range(low.shape[0]):
+        from_behind = False
         for k in range(s.size):
             t = first + k
             if low[row, t] == np.inf:
                 continue
             lo, hi = low[row, t] + margin, high[row, t] - margin
             if lo < s[k] < hi:
-                found[row, 0] = t * step_s
+                found[row, 2 if from_behind else 0] = 0.0 if from_behind else t * step_s
                 break
             if same_direction[row, t]:
                 gap, leads = gap_to(lo, hi, s[k])
+                from_behind = not leads
                 closing = v[k] - along[row, t] if leads else along[row, t] - v[k]
                 if closing > 0.0:
                     column = 1 if leads else 2
                     found[row, column] = min(found[row, column], max(gap, 0.0) / closing)
+            else:
+                from_behind = False
         braked, v_end = s[last], v[last]
         for k in range(1, beyond + 1):
             t = first + last + k

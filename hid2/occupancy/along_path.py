@@ -101,9 +101,13 @@ def path_occupancy(
         while before is not None and key not in before.known:
             before = before.extends
         since = 0 if before is None else len(before.ids)
-        new = look_along(line, traffic, length_m, width_m + 2 * margin_lateral_m, since)
         if clear_steps > 0:
-            new = new.kept_clear(clear_steps, margin_m=clear_margin_m)
+            plain = path_occupancy(
+                line, traffic, length_m=length_m, width_m=width_m, margin_lateral_m=margin_lateral_m
+            )  # fmt: skip
+            new = plain.rows(plain.agents >= since).kept_clear(clear_steps, margin_m=clear_margin_m)
+        else:
+            new = look_along(line, traffic, length_m, width_m + 2 * margin_lateral_m, since)
         traffic.known[key] = new if before is None else before.known[key].joined(new)
     found: PathOccupancy = traffic.known[key]
     return found

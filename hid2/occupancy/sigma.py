@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hid2.agents import FloatArray
+from hid2.agents import BoxSize, FloatArray
+from hid2.kernels import cells as kernels
 from hid2.kernels.cells import anybody_on, original_cells
 from hid2.occupancy.traffic import Traffic
 from netconvert.cells import CellGrid
@@ -81,6 +82,24 @@ def is_anybody_on(boxes: CellBoxes, cells: Sequence[int], traffic: Traffic, step
         anybody_on(
             boxes.center, boxes.heading, boxes.length_m, boxes.width_m, np.asarray(cells), step, width_share,
             traffic.position, traffic.heading, traffic.present, traffic.length_m, traffic.width_m,
+        )
+    )  # fmt: skip
+
+
+def clear_places(
+    boxes: CellBoxes, cells: npt.NDArray[np.int64], share: FloatArray, here: Traffic, *, box: BoxSize, gap_m: float
+) -> npt.NDArray[np.bool_]:
+    """Whether a box that stands a share (N,) along each cell (N,) is clear, by a gap ahead and behind, of all agents.
+
+    here: the agents (one step).
+    """
+    heading = boxes.heading[cells]
+    forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    place = boxes.center[cells] + ((share - 0.5) * boxes.length_m[cells])[:, None] * forward
+    return np.asarray(
+        kernels.clear_places(
+            place, heading, 0.5 * box.length_m + gap_m, 0.5 * box.width_m, here.position, here.heading, here.present,
+            here.length_m, here.width_m,
         )
     )  # fmt: skip
 

@@ -96,8 +96,9 @@ def gaps_on(
     for traffic, column in ((fixed, step), (fleet, 0)):
         if traffic.ids:
             more = path_occupancy(
-                target.line, traffic, length_m=box.length_m, width_m=box.width_m, margin_lateral_m=0.1
-            ).at(column)
+                target.line, traffic, length_m=box.length_m, width_m=box.width_m,
+                margin_lateral_m=scene.config.conflict.margin_lateral_m,
+            ).at(column)  # fmt: skip
             seen, ids = seen.joined(more), [*ids, *(traffic.ids[row] for row in more.agents)]
     found = gaps_on_path(seen, np.array([at]), 0)
     front, rear = int(found.leader[0]), int(found.follower[0])
