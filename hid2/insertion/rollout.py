@@ -18,6 +18,7 @@ from hid2.kernels.rollout import BRAKED, CONTACT, END, LAG_TTC, LEAD_TTC, met_by
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.motion.smoothing import Motion, trajectory
+from hid2.occupancy.agent_states import moving_vehicles
 from hid2.occupancy.along_path import PathOccupancy, path_occupancy
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.overtake import Stage
@@ -28,6 +29,8 @@ from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
 
 _NONE = Traffic.none(1)
+#: No tunable, spares time: no follower that is farther away on either axis has a critical TTC.
+_FOLLOWS_M = 40.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -106,6 +109,15 @@ class World:
     def foreseen(self, start: Start, parts: tuple[Rollout, ...]) -> Foreseen:
         """A candidate with its motion."""
         return Foreseen(start, parts, self._as_traffic(start, parts))
+
+    def is_run_into(self, candidate: Foreseen) -> bool:
+        """Whether a recorded vehicle comes too near from behind, on the path that it drives itself."""
+        scene, own = self.scene, candidate.traffic.first(self.scene.num_steps)
+        recorded, critical_s = scene.traffic, scene.config.conflict.follower_ttc_min_s
+        apart = np.abs(recorded.position[:, : scene.num_steps] - own.position).max(axis=-1)
+        near = (apart < _FOLLOWS_M) & own.present & recorded.present[:, : scene.num_steps]
+        rows = np.flatnonzero(near.any(axis=1) & moving_vehicles(scene.states.arrays))
+        return any(scene.states.led_by(row, own).ttc_s.min(initial=math.inf) < critical_s for row in rows.tolist())
 
     def hindered(self, candidate: Foreseen) -> list[Foreseen]:
         """Those chosen that a candidate would make drive otherwise: they follow it, and close in."""
@@ -229,6 +241,8 @@ class World:
         kept = known.agents[recorded:] < len(self._kept.ids)
         if met[recorded:, LAG_TTC][kept].min(initial=math.inf) < conflict.ttc_min_s:
             return Reason.MEETS_GENERATED
+        if is_last and rollout.s[inside - 1] - start.start_s < scene.config.export.moves_m:
+            return Reason.STANDS_THROUGHOUT
         end_s, braked_s = met[:, END].min(initial=math.inf), met[:, BRAKED]
         return Reason.TTC_AT_END if end_s < conflict.end_ttc_min_s or np.isfinite(braked_s).any() else None
 

@@ -123,9 +123,10 @@ class Starts:
                 rolled = self._does(self.world, start)
                 if not isinstance(rolled, Reason):
                     start = replace(start, offset=lane_offset(drawn, config, rng, length_m=path.line.length_m))
-                    if self._lets_others(start, rolled):
+                    hinders = self._hinders(start, rolled)
+                    if hinders is None:
                         return start
-                    rolled = Reason.MEETS_GENERATED
+                    rolled = hinders
                 verdict = rolled
             if verdict not in _ANOTHER_DRIVER:
                 break
@@ -161,24 +162,26 @@ class Starts:
                 return Reason.SCENE_ENDED
         return parts
 
-    def _lets_others(self, start: Start, parts: tuple[Rollout, ...]) -> bool:
-        """Whether those chosen before still do what they are asked for with a candidate ahead of them.
+    def _hinders(self, start: Start, parts: tuple[Rollout, ...]) -> Reason | None:
+        """Why others cannot go on with a candidate ahead of them: recorded ones, and those chosen before.
 
-        What is rolled out is kept for `take`.
+        None where these do what they are asked for all the same. What is rolled out is kept for `take`.
         """
         if not parts:
-            return True
+            return None
         candidate = self.world.foreseen(start, parts)
+        if self.world.is_run_into(candidate):
+            return Reason.TTC_RECORDED_FOLLOWER
         anew = [candidate]
         for one in self.world.hindered(candidate):
             around = self.world.beside(candidate, one.start.vehicle_id)
             still = self._does(around, one.start)
             if isinstance(still, Reason):
-                return False
+                return Reason.MEETS_GENERATED
             if still:
                 anew.append(around.foreseen(one.start, still))
         self._rolled[start.vehicle_id] = tuple(anew)
-        return True
+        return None
 
     def _follower_mps(self, path: DrivenPath, box: BoxSize, s: float, step: int) -> float:
         """Pace of the recorded follower that the place gives a vehicle, m/s, over the scene; 0 without one near."""

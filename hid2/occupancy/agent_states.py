@@ -131,18 +131,22 @@ class AgentStates:
         aside_m: added to each side of the own box. An agent leads where it heads along the path, ahead of the vehicle
         by at most HORIZON_M and not beside it; one that rolls back, or that a tracker shifts back, stands.
         """
+        found = self.led_by(row, self.traffic.rows(others.tolist()), aside_m=aside_m)
+        return found._replace(rows=others[found.rows])
+
+    def led_by(self, row: int, others: Traffic, *, aside_m: float = 0.0) -> Leading:
+        """The same of other agents than these, whose rows are those of their traffic (T steps)."""
         driven, steps = self.line(row), self.arrays.num_steps
-        if driven is None or not others.size:
-            return Leading(others[:0], np.zeros((0, steps)), np.zeros((0, steps)))
+        if driven is None or not others.ids:
+            return Leading(np.zeros(0, dtype=np.int64), np.zeros((0, steps)), np.zeros((0, steps)))
         traffic = self.traffic
         seen = look_along(
-            driven.line, traffic.rows(others.tolist()), float(traffic.length_m[row]),
-            float(traffic.width_m[row]) + 2 * aside_m,
+            driven.line, others, float(traffic.length_m[row]), float(traffic.width_m[row]) + 2 * aside_m
         )  # fmt: skip
         speed = np.hypot(traffic.velocity[row, :, 0], traffic.velocity[row, :, 1])
         found = gaps_to_all(seen, driven.s, np.arange(steps))
         leads = seen.same_direction & (found.lead_m > -SIDE_BY_SIDE_M) & (found.lead_m < HORIZON_M)
-        return Leading(others[seen.agents], np.where(leads, found.lead_m, np.inf), speed - found.along_mps)
+        return Leading(seen.agents, np.where(leads, found.lead_m, np.inf), speed - found.along_mps)
 
 
 def agent_states(
