@@ -152,7 +152,7 @@ class Spawn(_Section):
     )  # fmt: skip
     rounds: int = _param(12, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(
-        3, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
+        2, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
     )
     most_agents: int = _param(400, "vehicles", "most that `agents = max` asks for", ge=1, le=500)
     spacing_m: float = _param(25.0, "m", "lane that a vehicle takes on a full road; `agents = max`", ge=5, le=200)

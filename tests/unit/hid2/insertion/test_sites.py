@@ -201,7 +201,7 @@ def test_gap_beside_is_foreseen_by_the_configured_rule(
         scene = replace(usual, config=usual.config.model_copy(update={"lane_change": LaneChange(rule=rule)}))
         sites = _sites(scene)
         offer = sites.here.routes.offers(1)[0]
-        found = sites.starts.make(request, offer, 1, 90.0, driver=DRIVER, speed_mps=8.0, likely=True)
+        found = sites.starts.make(request, offer, 1, 90.0, driver=DRIVER, speed_mps=8.0)
         return isinstance(found, Start)
 
     assert begins("paper")
@@ -269,7 +269,11 @@ def test_route_that_ends_too_early_is_no_site(scene_of: Callable[..., Scene]) ->
 
 def test_who_begins_close_behind_a_standing_one_stands(scene_of: Callable[..., Scene]) -> None:
     """Some 4 m from bumper to bumper behind one that stands at 100 m; at 3 m/s it would have to brake at once."""
-    scene = scene_of(recorded(100.0, 0.0), lanes=1)
+    moved_m = (
+        0.5 * np.maximum(0.1 * np.arange(110) - 3.0, 0.0) ** 2
+    )  # it drives off: a vehicle behind does not stand on
+    leader = replace(recorded(100.0, 0.0), position=np.stack([100.0 + moved_m, np.zeros(110)], axis=1))
+    scene = scene_of(leader, lanes=1)
     for seed in range(10):
         sites = _sites(scene, seed)
         start = sites.starts.make(_request(), sites.here.routes.offers(1)[0], 1, 91.5)
@@ -290,11 +294,14 @@ def test_nobody_begins_in_an_intersection_where_there_is_anything_else() -> None
     assert begun[2] == 0
 
 
-@pytest.mark.parametrize(("sites", "most"), [("promising", 2), ("any", 30)])
+@pytest.mark.parametrize(("sites", "least", "most"), [("promising", 2, 2), ("any", 20, 30)])
 def test_cell_that_was_turned_down_twice_is_left_alone_in_a_round(
-    scene_of: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch, sites: str, most: int
+    scene_of: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch, sites: str, least: int, most: int
 ) -> None:
-    """Two lanes of cells on which nobody can begin. Drawn from all that is admissible, a cell is tried for each."""
+    """Two lanes of cells on which nobody can begin. Drawn from all that is admissible, a cell is tried again and again:
+
+    80 of 150 cells for each of 30.
+    """
     tried: Counter[tuple[int, int]] = Counter()
 
     def turn_down(_starts: object, _request: object, offer: Any, lane_id: int, s: float, **_more: object) -> Reason:
@@ -304,7 +311,7 @@ def test_cell_that_was_turned_down_twice_is_left_alone_in_a_round(
     monkeypatch.setattr("hid2.insertion.starts.Starts.make", turn_down)
     here = _sites(scene_of(recorded(200.0, 30.0, 20.0), sites=sites))
     assert [here.propose(_request(number)) for number in range(30)] == [[]] * 30
-    assert max(tried.values()) == most
+    assert least <= max(tried.values()) <= most
 
 
 def test_rear_bumper_is_at_least_so_far_from_the_beginning_of_the_way(scene_of: Callable[..., Scene]) -> None:
