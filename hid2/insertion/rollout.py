@@ -27,10 +27,14 @@ from hid2.policy.rules import FORESEEN
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
+from netconvert.lane_graph import TurnType
+from netconvert.net_xml import SPEED_LIMIT_MPS
 
 _NONE = Traffic.none(1)
 #: No tunable, spares time: no follower that is farther away on either axis has a critical TTC.
 _FOLLOWS_M = 40.0
+#: Desired speeds, m/s, that SUMO's EIDM has at most for a link of the net, by its direction; speed limit of every lane.
+_TURN_MPS = {TurnType.STRAIGHT: SPEED_LIMIT_MPS, TurnType.LEFT: 8.0, TurnType.RIGHT: 6.0}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,6 +81,7 @@ class World:
     _chosen: dict[str, Foreseen] = field(default_factory=dict)
     _at_begin: tuple[Traffic, Traffic] | None = None
     _shown: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, _Shown]] = field(default_factory=dict)
+    _links: dict[DrivenPath, tuple[FloatArray, FloatArray, FloatArray]] = field(default_factory=dict)
     _known: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -154,12 +159,13 @@ class World:
         )
         s, v = roll(
             (first, scene.num_steps - 1 if last is None else min(last, scene.num_steps - 1)),
-            state or (start.start_s, start.start_mps, 0.0), start.desired, driver.following, start.size.length_m,
-            STRAIGHT, self.guard.horizon, scene.config.conflict.stride, scene.step_s, TABLE_STEP_M, self.guard.brakes,
-            self.guard.predicted, lines.stops, self.guard.rules, self.roads.speeds(path, driver),
-            *self.roads.lanes(path), known.low, known.high, known.along, known.same_direction, lines.stop_s,
-            lines.closed, lines.cause, shown.seen.low, shown.seen.high, shown.seen.along, shown.leads, shown.length_m,
-            (scene.config.driving.leads_from_m, scene.config.driving.shown_m),
+            state or (start.start_s, start.start_mps, 0.0), start.desired, driver.following,
+            scene.config.drivers.reaction_s, start.size.length_m, STRAIGHT, self.guard.horizon,
+            scene.config.conflict.stride, scene.step_s, TABLE_STEP_M, self.guard.brakes, self.guard.predicted,
+            lines.stops, self.guard.rules, self.roads.speeds(path, driver), *self.roads.lanes(path),
+            known.low, known.high, known.along, known.same_direction, lines.stop_s, lines.closed, lines.cause,
+            shown.seen.low, shown.seen.high, shown.seen.along, shown.leads, shown.length_m,
+            (scene.config.driving.leads_from_m, scene.config.driving.shown_m), *self._links_on(path),
         )  # fmt: skip
         return Rollout(path, first, s, v)
 
@@ -265,6 +271,15 @@ class World:
     def _recorded_on(self, path: DrivenPath, box: BoxSize) -> int:
         """How many of those known on a path are recorded; they come first."""
         return self.scene.kept_clear_on(path, box).agents.size
+
+    def _links_on(self, path: DrivenPath) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of the lanes that SUMO has along a path: ends m, metres on the path for one on the lane, m/s for turns."""
+        if path not in self._links:
+            lanes, along = self.scene.grid.graph.lanes, path.followed
+            ends = np.array([one.end for one in along])
+            paces = np.array([(one.end - one.start) / max(one.lane_end - one.lane_start, 1e-9) for one in along])
+            self._links[path] = ends, paces, np.array([_TURN_MPS[lanes[one.lane_id].turn] for one in along])
+        return self._links[path]
 
     def _shown_on(self, path: DrivenPath, box: BoxSize) -> _Shown:
         fixed, key = self.guard.fixed, (path, box)

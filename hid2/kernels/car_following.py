@@ -1,21 +1,201 @@
-"""SUMO's car-following laws, without their noise: what a driver makes of a leader and of its wish in one step."""
+"""SUMO's car-following law without its noise: EIDM, the Extended Intelligent Driver Model (Salles et al. 2020).
+
+    v_next = what SUMO 1.28 makes of a speed, a wish, a leader and a limit that is set for the step
+
+IIDM (Treiber, Kesting) with coolness, action points (the driver looks anew each `reaction`, and at once before hard
+braking), a desired speed that is taken up within seconds, and a slow start. The constants are SUMO's defaults, the
+random errors of perception are left out. SUMO takes ballistic steps as soon as a type of vehicle has an action step of
+its own, as the replayed ones have, and EIDM then bounds no jerk and has no driving error.
+"""
 
 import numpy as np
 
 from hid2.kernels.compiled import inner
+from netconvert.geometry import FloatArray
+
+#: What a driver keeps from step to step: steps since its last look; speed, leader's speed and gap seen then; what it
+#: wanted then, m/s2, the least it would want by now, what it did, and the leader; the desired speed it is at and the
+#: one it left, m/s; when it drove off, s. Within a step: the least that is wanted, what is done, and the leader's part.
+(
+    _SINCE, _SEEN_V, _SEEN_LEAD_V, _SEEN_GAP, _WANTED, _WOULD, _DID, _LEAD_DID, _WISH, _WISH_LEFT, _OFF_S, _WANTS,
+    _DOES, _LEAD_DOES,
+) = range(14)  # fmt: skip
+DRIVER_STATE = 14  # their number
+_EPS = 0.001  # tolerance of numbers, whatever their unit
+_NOTHING = 100.0  # m/s2, wanted so far
+_COOLNESS = 0.99
+_SUDDEN_MPS2 = 1.0  # a driver who would want so much less looks anew
+PREVIEW_S = 4.0  # in which a desired speed is taken up
+_FREE_GAP_M = 500.0  # to the leader that a free road is taken for
+_EMERGENCY_MPS2 = 9.0
+_HALTING_MPS, _SLOW_MPS = 0.1, 3.0
+_GAP_MORE_M, _GAP_LESS_M = 0.05, 0.25  # what the gap at standstill is more, and less
+_OFF_S_LONG, _OFF_FLAT, _OFF_BEGINS, _OFF_AGAIN_S, _OFF_BELOW_MPS = 1.2, 2.0, 0.7, 4.0, 0.5
 
 
 @inner
-def idm_speed(
-    v: float, wished: float, gap: float, lead_v: float, driver: tuple[float, float, float, float], step_s: float
-) -> float:
-    """Speed after a step by the IDM, m/s: own speed, wished speed, bumper gap (inf: no leader) and leader's speed.
+def new_driver(state: FloatArray, desired_mps: float) -> None:
+    """Set the state of a driver who has just come."""
+    state[:] = 0.0
+    state[_WISH] = state[_WISH_LEFT] = max(desired_mps, _EPS)
+    state[_WOULD] = state[_WANTS] = state[_DOES] = state[_LEAD_DOES] = _NOTHING
+    state[_OFF_S] = -10.0
 
-    driver: tau s, acceleration and deceleration m/s2, gap at standstill m.
+
+@inner
+def _iidm(v: float, desired: float, star: float, gap: float, accel: float, decel: float) -> float:
+    """Acceleration by the Improved IDM, m/s2; star m: the gap that is desired."""
+    near: float = accel * (1.0 - (star / gap) ** 2)
+    if v > desired:
+        slower: float = -decel * (1.0 - (desired / v) ** (4.0 * accel / decel))
+        return slower + near if star >= gap else slower
+    if star >= gap:
+        return near
+    free: float = accel * (1.0 - (v / desired) ** 4)
+    less: float = (star / gap) ** (2.0 * accel / max(free, 1e-12))
+    return free * (1.0 - less)
+
+
+@inner
+def _cool(a: float, v: float, lead_v: float, lead_a: float, gap: float, decel: float) -> float:
+    """An acceleration blended with that of the constant-acceleration heuristic (CAH), m/s2."""
+    if lead_v * (v - lead_v) <= -2.0 * gap * lead_a:
+        cah = v * v * lead_a / (lead_v * lead_v - 2.0 * gap * lead_a)
+    elif v >= lead_v:
+        cah = lead_a - (v - lead_v) ** 2 / (2.0 * gap)
+    else:
+        cah = lead_a
+    if a >= cah:
+        return a
+    cool: float = cah + decel * np.tanh((a - cah) / decel)
+    return (1.0 - _COOLNESS) * a + _COOLNESS * cool
+
+
+@inner
+def _response(
+    state: FloatArray, v: float, most: float, gap: float, lead_v: float, lead_a: float,
+    is_limit: bool,  # noqa: FBT001  # kernels have no keywords
+    driver: tuple[float, float, float, float], reaction: float, step_s: float, time_s: float,
+) -> float:  # fmt: skip
+    """Speed after the step for one leader, m/s; the least acceleration wanted for any of them is kept, as in SUMO.
+
+    gap m: beyond the one at standstill; lead_a m/s2, inf where nobody leads; most m/s: highest speed after the step;
+    is_limit: it stands for a lower desired speed.
     """
     tau, accel, decel, min_gap = driver
-    a: float = accel * (1.0 - (v / max(wished, 0.1)) ** 4)
+    gap = max(_EPS, gap + max(_EPS, min_gap - _GAP_LESS_M))
+    since = state[_SINCE] * step_s
+    seen_v, seen_lead_v, seen_gap = v, lead_v, gap
+    if since > 0.0:  # extrapolated from the last look
+        seen_v = max(state[_SEEN_V] + state[_DID] * since, 0.0)
+        seen_lead_v = max(state[_SEEN_LEAD_V] + state[_LEAD_DID] * since, 0.0)
+        if not is_limit:
+            seen_gap = state[_SEEN_GAP] - 0.5 * (state[_SEEN_V] + seen_v - state[_SEEN_LEAD_V] - seen_lead_v) * since
+    root, standing = 2.0 * np.sqrt(accel * decel), min_gap + _GAP_MORE_M
+    star = max(0.0, seen_v * tau + seen_v * (seen_v - seen_lead_v) / root) + standing
+    if seen_gap < min_gap + (step_s * 10.0 + 1.0) * _GAP_MORE_M and seen_v < _SLOW_MPS:  # no creeping
+        star = max(star, seen_gap * np.sqrt(1.0 + 2.0 * _GAP_MORE_M / accel))
+    a = _iidm(seen_v, state[_WISH], star, seen_gap, accel, decel)
+    wants = (max(0.0, seen_v + a * step_s) - seen_v) / step_s
+    star_now = max(0.0, v * tau + v * (v - lead_v) / root) + standing
+    would = _iidm(v, state[_WISH], star_now, gap, accel, decel)
+    state[_WOULD] = min(state[_WOULD], (max(0.0, v + would * step_s) - v) / step_s)
+    decides, follows = state[_WANTS] > wants - _EPS, _EPS
+    if decides:
+        if lead_a < np.inf and seen_lead_v >= _HALTING_MPS:
+            follows = min(lead_a, accel) * min(1.0, 1.5 * star / seen_gap)
+        if state[_OFF_S] + _OFF_S_LONG + _EPS < time_s and v > _HALTING_MPS:
+            a = _cool(a, seen_v, max(seen_lead_v, _HALTING_MPS), follows, seen_gap, decel)
+    v_next = max(0.0, v + a * step_s)
+    does = (min(v_next, most) - v) / step_s
+    if not decides:
+        return max(0.0, v + state[_DOES] * step_s) if state[_DOES] > does else v_next
+    if since == 0.0:
+        state[_SEEN_V], state[_SEEN_LEAD_V] = v, lead_v
+        state[_SEEN_GAP] = gap + reaction * v if is_limit else gap
+    state[_WANTS], state[_DOES], state[_LEAD_DOES] = wants, min(state[_DOES], does), follows
+    return v_next
+
+
+@inner
+def _gap_for_limit(
+    state: FloatArray, v: float, limit: float, driver: tuple[float, float, float, float], reaction: float, step_s: float
+) -> float:
+    """Gap to a standing leader, m, at which a driver brakes as for a lower desired speed from the next cell on."""
+    tau, accel, decel, _ = driver
+    seen = v + (state[_SEEN_V] - v + state[_DID] * state[_SINCE] * step_s if state[_SINCE] > 0.0 else 0.0)
+    ratio = 1.0 + (v - limit) / (accel * max(0.5 * reaction, step_s))
+    if seen > state[_WISH]:
+        ratio -= decel * (1.0 - (state[_WISH] / seen) ** (4.0 * accel / decel)) / accel
+    star = max(0.0, seen * tau + seen * seen / (2.0 * np.sqrt(accel * decel)))
+    gap: float = star / np.sqrt(max(ratio, 1.0))
+    return gap
+
+
+@inner
+def _take_up(state: FloatArray, desired: float, step_s: float) -> None:
+    """The desired speed that a driver is at comes nearer to the one it has, m/s."""
+    wish, left = state[_WISH], state[_WISH_LEFT]
+    if abs(left - desired) < _EPS and abs(left - wish) < _EPS:
+        return
+    fell = wish < left + _EPS and wish < desired + _EPS and left > desired - _EPS
+    rose = wish > left - _EPS and wish > desired - _EPS and left < desired + _EPS
+    if fell or rose:  # it went beyond and turns round
+        state[_WISH_LEFT] = wish
+    else:
+        eased = wish - (left - desired) * step_s / PREVIEW_S
+        wish = max(desired, eased) if wish >= desired - _EPS else min(desired, eased)
+    state[_WISH] = wish
+    if abs(wish - desired) < _EPS:
+        state[_WISH] = state[_WISH_LEFT] = desired
+
+
+@inner
+def _driven_off(state: FloatArray, v: float, a: float, v_next: float, accel: float, time_s: float) -> float:
+    """Speed after a step of a driver who would gain speed, m/s: less of it while it drives off."""
+    again = state[_OFF_S] + _OFF_AGAIN_S - _EPS < time_s and state[_SINCE] == 0.0
+    if v < _OFF_BELOW_MPS and again and a < min(0.25 * accel, 0.2):
+        state[_OFF_S] = time_s
+    if state[_OFF_S] + _OFF_S_LONG + _EPS <= time_s:
+        return v_next
+    passed = 2.0 * (time_s - state[_OFF_S]) / _OFF_S_LONG
+    share: float = 0.5 * (np.tanh((passed - _OFF_BEGINS) * _OFF_FLAT) + 1.0)
+    return v + (v_next - v) * share
+
+
+@inner
+def eidm_speed(
+    state: FloatArray, v: float, a: float, desired: tuple[float, float], leader: tuple[float, float, float],
+    limit: float, driver: tuple[float, float, float, float], reaction: float, step_s: float, time_s: float,
+) -> float:  # fmt: skip
+    """Speed after a step, m/s, of a driver with speed v m/s, acceleration a m/s2 and the state that it keeps.
+
+    desired m/s: the highest speed now, and the one that is taken up for what is ahead; leader: bumper gap m, inf for
+    none, its speed m/s and acceleration m/s2; limit m/s: what setSpeed allows, inf for none; driver: tau s,
+    acceleration, deceleration m/s2 and gap at standstill m, as SUMO has them; reaction s; time_s: since some moment.
+    """
+    _, accel, decel, min_gap = driver
+    gap, lead_v, lead_a = leader
+    most = min(v + accel * step_s, desired[0])
+    if desired[0] < v:
+        ahead = _gap_for_limit(state, v, desired[0], driver, reaction, step_s)
+        free = _response(state, v, most, ahead, 0.0, lead_a, True, driver, reaction, step_s, time_s)
+    else:
+        free = _response(state, v, most, _FREE_GAP_M, desired[0], lead_a, False, driver, reaction, step_s, time_s)
+    safe = min(most, limit, max(free, v - decel * step_s))
     if gap < np.inf:
-        star = min_gap + max(0.0, v * tau + v * (v - lead_v) / (2.0 * np.sqrt(accel * decel)))
-        a -= accel * (star / max(gap, 0.1)) ** 2
-    return max(0.0, v + max(a, -9.0) * step_s)
+        follow = _response(state, v, most, gap - min_gap, lead_v, lead_a, False, driver, reaction, step_s, time_s)
+        safe = min(safe, follow)
+    v_next = max(min(max(v - decel * step_s, 0.0), max(safe, v - _EMERGENCY_MPS2 * step_s)), safe)
+    if v_next > v:
+        v_next = _driven_off(state, v, a, v_next, accel, time_s)
+    _take_up(state, desired[1], step_s)
+    if state[_SINCE] == 0.0:
+        state[_WANTED] = state[_WOULD] = state[_WANTS]
+        state[_DID], state[_LEAD_DID] = state[_DOES], state[_LEAD_DOES]
+    state[_SINCE] = 0.0 if state[_SINCE] >= reaction / step_s - 1.0 - _EPS else state[_SINCE] + 1.0
+    suddenly = state[_WOULD] - state[_WANTED] < -_SUDDEN_MPS2 or state[_WOULD] < -_EMERGENCY_MPS2
+    if suddenly or (v < _SLOW_MPS and v_next < v):
+        state[_SINCE] = 0.0
+    state[_WANTS] = state[_DOES] = state[_LEAD_DOES] = _NOTHING
+    return safe if limit < np.inf else v_next  # a limit that is set overrides how SUMO drives off

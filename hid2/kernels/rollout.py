@@ -1,12 +1,12 @@
 """The rollout: how a vehicle would drive on by SUMO's car following and the guard, and what it would meet.
 
 Each step is the one of the simulation: limits of speed as `steering` has them, the car-following law without its noise,
-the same step of Euler. What it meets is told by the intervals of those whose motion is known.
+the same ballistic step. What it meets is told by the intervals of those whose motion is known.
 """
 
 import numpy as np
 
-from hid2.kernels.car_following import idm_speed
+from hid2.kernels.car_following import DRIVER_STATE, PREVIEW_S, eidm_speed, new_driver
 from hid2.kernels.compiled import inner, kernel
 from hid2.kernels.gaps import gap_to
 from hid2.kernels.steering import limit_of
@@ -21,18 +21,30 @@ _END_DECEL, _END_REACTION = 3.0, 1.0
 @inner
 def _leader(
     low: FloatArray, high: FloatArray, along: FloatArray, leads: BoolArray, lengths: FloatArray, t: int, s: float,
-    length: float, bounds: tuple[float, float],
-) -> tuple[float, float]:  # fmt: skip
-    """Gap, m, and speed, m/s, of the next agent ahead that SUMO is shown at a step; inf and 0 without one."""
+    length: float, bounds: tuple[float, float], step_s: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Gap, m, speed, m/s, and acceleration, m/s2, of the next agent ahead that SUMO is shown; inf, 0, inf for none."""
     nearest, farthest = bounds
-    least, speed = np.inf, 0.0
+    least, speed, change = np.inf, 0.0, np.inf
     for row in range(low.shape[0]):
         if not leads[row, t]:
             continue
         gap = 0.5 * (low[row, t] + high[row, t]) - s - 0.5 * (length + lengths[row])
         if nearest < gap < farthest and gap < least:
-            least, speed = gap, max(along[row, t], 0.0)
-    return least, speed
+            least, speed, change = gap, max(along[row, t], 0.0), 0.0
+            if t > 0:
+                change = (speed - max(along[row, t - 1], 0.0)) / step_s
+    return least, speed, change
+
+
+@inner
+def _wished(desired: float, v: float, front: float, lane: int, ends: FloatArray, turns: FloatArray) -> float:
+    """Desired speed that SUMO's driver takes up, m/s: for the links of turns ahead a lower one."""
+    for link in range(lane, ends.size - 1):
+        if ends[link] - front >= max(PREVIEW_S * v, 0.5 * PREVIEW_S * desired):
+            break
+        desired = min(desired, turns[link + 1])
+    return desired
 
 
 @inner
@@ -47,20 +59,21 @@ def _is_met(low: FloatArray, high: FloatArray, same_direction: BoolArray, t: int
 
 
 @kernel(
-    "(UniTuple(i8, 2), UniTuple(f8, 3), f8[::1], UniTuple(f8, 4), f8, i8, i8, i8, f8, f8, f8[::1], UniTuple(f8, 4),"
-    " UniTuple(f8, 4), UniTuple(f8, 10), f8[::1], f8[::1], i8[::1], f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1],"
-    " f8[::1], b1[:,::1], i8[::1], f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1], UniTuple(f8, 2))"
+    "(UniTuple(i8, 2), UniTuple(f8, 3), f8[::1], UniTuple(f8, 4), f8, f8, i8, i8, i8, f8, f8, f8[::1],"
+    " UniTuple(f8, 4), UniTuple(f8, 4), UniTuple(f8, 10), f8[::1], f8[::1], i8[::1], f8[:,::1], f8[:,::1],"
+    " f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], i8[::1], f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1],"
+    " UniTuple(f8, 2), f8[::1], f8[::1], f8[::1])"
 )
 def roll(
     span: tuple[int, int], start: tuple[float, float, float], desired_mps: FloatArray,
-    driver: tuple[float, float, float, float], length: float, straight: int, horizon: int, stride: int, step_s: float,
-    table_step: float, brakes: FloatArray, predicted: tuple[float, float, float, float],
+    driver: tuple[float, float, float, float], reaction: float, length: float, straight: int, horizon: int, stride: int,
+    step_s: float, table_step: float, brakes: FloatArray, predicted: tuple[float, float, float, float],
     stops: tuple[float, float, float, float],
     rules: tuple[float, float, float, float, float, float, float, float, float, float],
     road: FloatArray, lane_ends: FloatArray, lane_policies: IntArray, low: FloatArray, high: FloatArray,
     along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray, causes: IntArray,
     seen_low: FloatArray, seen_high: FloatArray, seen_along: FloatArray, seen_leads: BoolArray,
-    seen_lengths: FloatArray, shown: tuple[float, float],
+    seen_lengths: FloatArray, shown: tuple[float, float], link_s: FloatArray, paces: FloatArray, turns: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Place s and speed v at the steps of a span, first to last, (K,) each, from a start s m, v m/s, a m/s2.
 
@@ -69,6 +82,11 @@ def roll(
     desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle. seen_* (R, T): the
     intervals in the width that is driven, of those that SUMO is shown, whether each leads, and their lengths (R,) m;
     shown: gaps, m, between which an agent ahead is shown. length m: own, of the box that SUMO has.
+    desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle; reaction s. seen_*
+    (R, T): the intervals in the width that is driven, of those that SUMO is shown, whether each leads, and their
+    lengths (R,) m; shown: gaps, m, between which an agent ahead is shown. length m: own, of the box that SUMO has.
+    Of SUMO's lanes along the path (L,): link_s m, where they end; paces, metres on the path for one on the lane; turns
+    m/s, at most desired for the link to each.
     """
     first, last = span
     s_at, v_at = np.empty(last - first + 1), np.empty(last - first + 1)
@@ -76,13 +94,17 @@ def roll(
     fleet[0, 0], fleet[0, 1], fleet[0, 2], fleet[0, 4] = start[0], start[1], start[2], 1.0
     others, swept = np.zeros(0, dtype=np.int64), np.zeros((3, 0, 1))
     s_at[0], v_at[0] = start[0], start[1]
-    yields = False
+    yields, state = False, np.empty(DRIVER_STATE)
+    new_driver(state, desired_mps[first])
+    tau, accel, decel, min_gap = driver
+    in_sumo = round(tau, 2), round(accel, 2), round(decel, 2), min_gap  # it keeps two digits of these
     for k in range(1, last - first + 1):
         t = first + k - 1
+        desired = desired_mps[t]
         limit, _, _, _, yields, _ = limit_of(
-            0, t, fleet, desired_mps[t], driver, yields, straight, horizon, stride, step_s, table_step, brakes,
-            predicted, stops, rules, road, lane_ends, lane_policies, low, high, along, same_direction, stop_s, closed,
-            causes, others, swept,
+            0, t, fleet, desired, driver, yields, straight, horizon, stride, step_s, table_step, brakes, predicted,
+            stops, rules, road, lane_ends, lane_policies, low, high, along, same_direction, stop_s, closed, causes,
+            others, swept,
         )  # fmt: skip
         s, v = fleet[0, 0], fleet[0, 1]
         gap, lead_v = _leader(seen_low, seen_high, seen_along, seen_leads, seen_lengths, t + 1, s, length, shown)
@@ -91,22 +113,28 @@ def roll(
         s_at[k], v_at[k] = fleet[0, 0], v_next
         if _is_met(low, high, same_direction, t, fleet[0, 0], s):
             return s_at[: k + 1].copy(), v_at[: k + 1].copy()
+        s, v, a = fleet[0, 0], fleet[0, 1], fleet[0, 2]
+        front = s + 0.5 * length
+        lane = min(int(np.searchsorted(link_s, front, side="right")), link_s.size - 1)
+        leader = _leader(seen_low, seen_high, seen_along, seen_leads, seen_lengths, t, s, length, shown, step_s)
+        wished = _wished(desired, v, front, lane, link_s, turns)
+        v_next = eidm_speed(
+            state, v, a, (desired, wished), leader, max(limit, 0.0), in_sumo, reaction, step_s, t * step_s
+        )
+        before_s = s
+        s += 0.5 * (v + v_next) * step_s * paces[lane]
+        fleet[0, 0], fleet[0, 1], fleet[0, 2] = s, v_next, (v_next - v) / step_s
+        s_at[k], v_at[k] = s, v_next
+        if _is_met(low, high, same_direction, t, s, before_s):
+            return s_at[: k + 1].copy(), v_at[: k + 1].copy()
     return s_at, v_at
 
 
 @kernel("(f8[::1], f8[::1], i8, f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8, i8, f8)")
 def met_by(
-    s: FloatArray,
-    v: FloatArray,
-    first: int,
-    low: FloatArray,
-    high: FloatArray,
-    along: FloatArray,
-    same_direction: BoolArray,
-    margin: float,
-    beyond: int,
-    step_s: float,
-) -> FloatArray:
+    s: FloatArray, v: FloatArray, first: int, low: FloatArray, high: FloatArray, along: FloatArray,
+    same_direction: BoolArray, margin: float, beyond: int, step_s: float,
+) -> FloatArray:  # fmt: skip
     """What each of R agents is to a motion (K,) from a step on, (R, 5): contact, TTC ahead and behind, and the end.
 
     CONTACT: s from the scene's begin to the first step at which the boxes meet; LEAD_TTC: least TTC, s, to it as a

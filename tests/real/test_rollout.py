@@ -1,0 +1,76 @@
+"""The rollout against SUMO itself: the same vehicles alone, without noise, by the law that is the default.
+
+The default run takes three scenes; `pytest -m slow tests/real/test_rollout.py` takes all fourteen.
+"""
+
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bridge.generation.generate import model_parameters, prepare, sumo_seed
+from bridge.recordings.scenario import find_scenarios, read_scenario
+from bridge.sumo.driving import Driving
+from bridge.sumo.fleet import Fleet
+from bridge.sumo.simulation import Simulation
+from hid2.agents import FloatArray
+from hid2.conflicts.guard import Guard
+from hid2.insertion.filling import Filling
+from hid2.insertion.finalise import traffic_of_exported
+from hid2.insertion.rollout import World
+from hid2.params import Config, Drivers, Request
+
+#: Requests of a scene, of which some find no start; SUMO's errors of perception, which have no field of their own.
+ASKED, NO_NOISE = 80, {"sigmaleader": 0.0, "sigmagap": 0.0}
+#: Least number of vehicles in so many scenes; and how far they may be apart after so many steps, m, in the median and
+#: at 95 %. What was asked for is .5 and 1.5, 1 and 4; found is .003 and .5, .02 and 1.6.
+ENOUGH = {3: 100, 14: 500}
+TARGETS_M = {50: (0.05, 1.0), 100: (0.2, 3.0)}
+
+
+def apart(folder: Path) -> list[FloatArray]:
+    """Distance along the path, m, at each step from the start on, of each vehicle as long as both have it on it."""
+    config = Config(
+        request=Request(sites="any", straight=0.6, left_turn=0.2, right_turn=0.2, lane_change=0.0, overtake=0.0),
+        drivers=Drivers(error=0.0),
+    )
+    prepared = prepare(read_scenario(folder), config)
+    seed = [0, 0, zlib.crc32(folder.name.encode())]
+    here = prepared.surroundings(config)
+    scene, nobody = here.scene, traffic_of_exported([], here.scene)
+    world = World(scene, here.roads, Guard(scene, nobody, here.stop_lines))
+    found = []
+    with Simulation(
+        prepared.net, seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
+        parameters=model_parameters(config) | NO_NOISE,
+    ) as simulation:  # fmt: skip
+        for start in Filling(here, seed).first_starts(ASKED):
+            fleet = Fleet(scene, [start], nobody, here.roads, here.stop_lines)
+            driven = Driving(fleet, simulation, checked=False).run()[0]
+            rolled = world.roll(start)
+            count = min(len(driven.s), rolled.s.size)
+            if driven.rerouted_at is not None:  # on another path
+                count = min(count, driven.rerouted_at - start.step + 1)
+            found.append(np.abs(rolled.s[:count] - np.array(driven.s[:count])))
+    return found
+
+
+def check(folders: Sequence[Path]) -> None:
+    """Hold distances to the targets."""
+    every = [distance for folder in folders for distance in apart(folder)]
+    assert len(every) >= ENOUGH[len(folders)]
+    for step, (median_m, most_m) in TARGETS_M.items():
+        at = np.array([distance[step] for distance in every if distance.size > step])
+        assert np.median(at) <= median_m, f"step {step}: median {np.median(at):.3f} m"
+        assert np.quantile(at, 0.95) <= most_m, f"step {step}: 95 % {np.quantile(at, 0.95):.2f} m"
+
+
+def test_rollouts_are_where_sumo_drives_without_its_noise(real_scenes: list[Path]) -> None:
+    check([real_scenes[1], real_scenes[3], real_scenes[4]])
+
+
+@pytest.mark.slow
+def test_rollouts_are_where_sumo_drives_without_its_noise_in_fourteen_scenes(shared_data: Path) -> None:
+    check([folder for part in ("av2", "wide") for folder in find_scenarios(shared_data / part)])
