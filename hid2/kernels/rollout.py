@@ -106,13 +106,6 @@ def roll(
             stops, rules, road, lane_ends, lane_policies, low, high, along, same_direction, stop_s, closed, causes,
             others, swept,
         )  # fmt: skip
-        s, v = fleet[0, 0], fleet[0, 1]
-        gap, lead_v = _leader(seen_low, seen_high, seen_along, seen_leads, seen_lengths, t + 1, s, length, shown)
-        v_next = min(idm_speed(v, desired_mps[t], gap, lead_v, driver, step_s), max(limit, 0.0))
-        fleet[0, 0], fleet[0, 1], fleet[0, 2] = s + v_next * step_s, v_next, (v_next - v) / step_s
-        s_at[k], v_at[k] = fleet[0, 0], v_next
-        if _is_met(low, high, same_direction, t, fleet[0, 0], s):
-            return s_at[: k + 1].copy(), v_at[: k + 1].copy()
         s, v, a = fleet[0, 0], fleet[0, 1], fleet[0, 2]
         front = s + 0.5 * length
         lane = min(int(np.searchsorted(link_s, front, side="right")), link_s.size - 1)
