@@ -113,12 +113,12 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
         if path is None:
             return Reason.NO_SITE
         motion = Motion(s=s[:steps], v=v[:steps], a=np.gradient(v[:steps], scene.step_s), step_s=scene.step_s)
-        found = as_exported(scene, vehicle, motion, path, np.zeros(steps))
-        return _boxes(scene, others.joined(found.states)) or found
+        cell_by_cell = as_exported(scene, vehicle, motion, path, np.zeros(steps))
+        return _boxes(scene, others.joined(cell_by_cell.states)) or cell_by_cell
     offset = start.offset
     for begin, finish in vehicle.path.shifts:
         offset = offset.held(begin, finish)
-    verdict: tuple[ExportedVehicle, AgentStates] | Reason = Reason.LIMIT_JERK
+    verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK
     ratios = config.export.filter_ratios
     for ratio, eased in [(ratios[0], False), *((ratio, True) for ratio in ratios)]:  # ends are eased where they must be
         motion = smooth_motion(
@@ -127,18 +127,19 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
         )  # fmt: skip
         for share in config.export.offset_shares:
             path = trajectory(vehicle.path.line, motion, offset.scaled(share))
-            verdict = _smoothed(scene, vehicle, motion, path, motion.s - own[:steps], others)
+            found = _smoothed(scene, vehicle, motion, path, motion.s - own[:steps], others)
+            verdict = found if isinstance(found, Reason) else _beside_others(scene, *found)
             if not isinstance(verdict, Reason) or verdict not in _LATERAL:
                 break
         if not isinstance(verdict, Reason) or verdict not in _STEEP:
             break
-    return verdict if isinstance(verdict, Reason) else _beside_others(scene, *verdict)
+    return verdict
 
 
 #: Verdicts that another place in the lane, or a wider filter, may change.
 _LATERAL = frozenset({
     Reason.OFF_ROAD, Reason.MEETS_RECORDED, Reason.MEETS_GENERATED, Reason.LIMIT_JERK, Reason.LIMIT_YAW_ACCEL,
-    Reason.LIMIT_YAW_RATE,
+    Reason.LIMIT_YAW_RATE, Reason.TTC_LANE_LEADER, Reason.TTC_AT_END, Reason.PET,
 })  # fmt: skip
 _STEEP = frozenset({
     Reason.LIMIT_ACCEL, Reason.LIMIT_DECEL, Reason.LIMIT_LONGITUDINAL_JERK, Reason.LIMIT_JERK, Reason.LIMIT_YAW_ACCEL,

@@ -14,7 +14,10 @@ import numpy as np
 from hid2.agents import BoxSize, FloatArray, Policy
 from hid2.conflicts.guard import Guard
 from hid2.insertion.due import Due
-from hid2.kernels.rollout import BRAKED, CONTACT, END, LAG_TTC, LEAD_TTC, met_by, roll
+from hid2.judge.findings import last_word
+from hid2.judge.states import contacts_at_end
+from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
+from hid2.measures.scene_end import BoxesAtStep
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.motion.smoothing import Motion, trajectory
@@ -124,11 +127,21 @@ class World:
         rows = np.flatnonzero(near.any(axis=1) & moving_vehicles(scene.states.arrays))
         return any(scene.states.led_by(row, own).ttc_s.min(initial=math.inf) < critical_s for row in rows.tolist())
 
+    def meets_after(self, candidate: Foreseen) -> bool:
+        """Whether a candidate has a critical contact after its last step, all at constant velocity."""
+        own = candidate.traffic
+        last = int(np.flatnonzero(own.present[0, : self.scene.num_steps])[-1])
+        here = self.scene.traffic.at(last).joined(self.guard.fixed.at(last))
+        here = own.at(last).joined(here.rows(np.flatnonzero(here.present[:, 0]).tolist()))
+        sizes = np.column_stack([here.length_m, here.width_m])
+        boxes = BoxesAtStep(here.position[:, 0], here.heading[:, 0], here.velocity[:, 0], sizes)
+        return any(True for _ in contacts_at_end(boxes, last_word(self.scene.config), step_s=self.scene.step_s))
+
     def hindered(self, candidate: Foreseen) -> list[Foreseen]:
         """Those chosen that a candidate would make drive otherwise: they follow it, and close in."""
         closing_s, found = self.scene.config.sites.hindered_s, set()
         for part in candidate.parts:
-            met, known = self._met(candidate.start, part, is_last=False)
+            met, known = self._met(candidate.start, part)
             recorded = self._recorded_on(part.path, candidate.start.box)
             rows = np.flatnonzero(met[:, LAG_TTC] < closing_s)
             found |= {self.guard.fixed.ids[known.agents[row]] for row in rows.tolist() if row >= recorded}
@@ -234,7 +247,7 @@ class World:
             is_last and inside < rollout.s.size and rollout.step + inside < start.step + scene.steps_to_stay(start.step)
         ):
             return Reason.LEAVES_TOO_EARLY
-        met, known = self._met(start, rollout, is_last=is_last)
+        met, known = self._met(start, rollout)
         recorded = self._recorded_on(rollout.path, start.box)
         hit = np.flatnonzero(met[:, CONTACT] < np.inf)
         if hit.size:
@@ -249,23 +262,18 @@ class World:
             return Reason.MEETS_GENERATED
         if is_last and rollout.s[inside - 1] - start.start_s < scene.config.export.moves_m:
             return Reason.STANDS_THROUGHOUT
-        end_s, braked_s = met[:, END].min(initial=math.inf), met[:, BRAKED]
-        return Reason.TTC_AT_END if end_s < conflict.end_ttc_min_s or np.isfinite(braked_s).any() else None
+        return None
 
     def _inside(self, start: Start, rollout: Rollout) -> int:
         """Steps of a motion before it leaves the map."""
         return int((rollout.s <= rollout.path.exit_s - 0.5 * start.size.length_m).sum())
 
-    def _met(self, start: Start, rollout: Rollout, *, is_last: bool) -> tuple[FloatArray, PathOccupancy]:
-        """What each agent known on its path is to a motion (R, 5), as the kernel `met_by` has it, and those agents.
-
-        is_last: whether the scene ends with it, so that what follows the last step counts.
-        """
-        scene, known, inside = self.scene, self.known_on(rollout.path, start.box), self._inside(start, rollout)
-        beyond = round(scene.config.conflict.end_horizon_s / scene.step_s) if is_last and inside else 0
+    def _met(self, start: Start, rollout: Rollout) -> tuple[FloatArray, PathOccupancy]:
+        """What each agent known on its path is to a motion (R, 3), as the kernel `met_by` has it, and those agents."""
+        known, inside = self.known_on(rollout.path, start.box), self._inside(start, rollout)
         return met_by(
             rollout.s[:inside], rollout.v[:inside], rollout.step, known.low, known.high, known.along,
-            known.same_direction, 0.0, beyond, scene.step_s,
+            known.same_direction, self.scene.step_s,
         ), known  # fmt: skip
 
     def _recorded_on(self, path: DrivenPath, box: BoxSize) -> int:

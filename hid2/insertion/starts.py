@@ -172,6 +172,8 @@ class Starts:
         candidate = self.world.foreseen(start, parts)
         if self.world.is_run_into(candidate):
             return Reason.TTC_RECORDED_FOLLOWER
+        if self.world.meets_after(candidate):
+            return Reason.TTC_AT_END
         anew = [candidate]
         for one in self.world.hindered(candidate):
             around = self.world.beside(candidate, one.start.vehicle_id)

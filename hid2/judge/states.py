@@ -36,7 +36,6 @@ from hid2.measures.motion_limits import MOTION_LIMITS, MotionProfile
 from hid2.measures.post_encroachment import encroachments
 from hid2.measures.scene_end import BoxesAtStep, first_contact
 from hid2.occupancy.agent_states import AgentStates, Leading
-from hid2.occupancy.gaps import gaps_from_pose
 from netconvert.geometry import box_corners, differences, wrap_angle
 from netconvert.lane_graph import LaneGraph
 
@@ -240,27 +239,32 @@ def of_end(states: AgentStates, row: int, others: IntArray, bounds: Bounds) -> I
     brakes with END_DECEL_MPS2 after END_REACTION_S. A vehicle that comes from behind brakes itself: it counts for the
     TTC alone.
     """
-    conflict, last = bounds.conflict, states.span(row).stop - 1
+    last = states.span(row).stop - 1
     rows = np.append(row, others[states.traffic.present[others, last]])
-    boxes = _boxes_at(states, rows, last)
-    critical_s = conflict.end_ttc_min_s
-    contact = first_contact(0, boxes, horizon_s=conflict.end_horizon_s)
+    found = contacts_at_end(_boxes_at(states, rows, last), bounds, step_s=states.arrays.step_s)
+    for quantity, other, ttc_s in found:
+        limit = bounds.conflict.end_ttc_min_s if quantity is Quantity.END_TTC else bounds.conflict.end_horizon_s
+        yield _finding(states, (row, int(rows[other])), last, quantity, ttc_s, limit)
+
+
+def contacts_at_end(boxes: BoxesAtStep, bounds: Bounds, *, step_s: float) -> Iterator[tuple[Quantity, int, float]]:
+    """What follows the last step of the first of some boxes, as `of_end` has it: quantity, row of the other, s."""
+    horizon_s = bounds.conflict.end_horizon_s
+    contact = first_contact(0, boxes, horizon_s=horizon_s)
     if contact is None:
         return
-    if contact.ttc_s < critical_s + bounds.spare_end_s:
-        yield _finding(states, (row, int(rows[contact.other])), last, Quantity.END_TTC, contact.ttc_s, critical_s)
+    if contact.ttc_s < bounds.conflict.end_ttc_min_s + bounds.spare_end_s:
+        yield Quantity.END_TTC, contact.other, contact.ttc_s
     forward = np.array([math.cos(boxes.heading[0]), math.sin(boxes.heading[0])])
-    here = states.traffic.rows(rows.tolist()).at(last)
-    behind = gaps_from_pose(boxes.position[0], forward, BoxSize(*boxes.size[0]), here).along_m < 0.0
-    ahead = rows[~(behind & (np.cos(boxes.heading - boxes.heading[0]) > SAME_WAY))]
-    horizon_s, step_s = conflict.end_horizon_s, states.arrays.step_s
-    if not _meets_braking(_boxes_at(states, ahead, last), horizon_s, step_s):
+    behind = (boxes.position - boxes.position[0]) @ forward < 0.0
+    ahead = np.flatnonzero(~(behind & (np.cos(boxes.heading - boxes.heading[0]) > SAME_WAY)))
+    if not _meets_braking(boxes.rows(ahead), horizon_s, step_s):
         return
     for other in ahead[1:].tolist():  # each by itself: an agent that it would pass sees it brake
-        pair = _boxes_at(states, np.array([row, other]), last)
+        pair = boxes.rows(np.array([0, other]))
         contact = first_contact(0, pair, horizon_s=horizon_s)
         if contact is not None and _meets_braking(pair, horizon_s, step_s):
-            yield _finding(states, (row, other), last, Quantity.END_CONTACT, contact.ttc_s, horizon_s)
+            yield Quantity.END_CONTACT, other, contact.ttc_s
 
 
 def _boxes_at(states: AgentStates, rows: IntArray, step: int) -> BoxesAtStep:

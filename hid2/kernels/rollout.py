@@ -13,9 +13,7 @@ from hid2.kernels.steering import limit_of
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 #: Columns of what is met by each agent (`met_by`).
-CONTACT, LEAD_TTC, LAG_TTC, END, BRAKED = range(5)
-#: After the last step a driver may brake so hard, m/s2, after so long, s: as the judge has it (`judge/findings.py`).
-_END_DECEL, _END_REACTION = 3.0, 1.0
+CONTACT, LEAD_TTC, LAG_TTC = range(3)
 
 
 @inner
@@ -123,52 +121,34 @@ def roll(
     return s_at, v_at
 
 
-@kernel("(f8[::1], f8[::1], i8, f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8, i8, f8)")
+@kernel("(f8[::1], f8[::1], i8, f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8)")
 def met_by(
     s: FloatArray, v: FloatArray, first: int, low: FloatArray, high: FloatArray, along: FloatArray,
-    same_direction: BoolArray, margin: float, beyond: int, step_s: float,
+    same_direction: BoolArray, step_s: float,
 ) -> FloatArray:  # fmt: skip
-    """What each of R agents is to a motion (K,) from a step on, (R, 5): contact, TTC ahead and behind, and the end.
+    """What each of R agents is to a motion (K,) from a step on, (R, 3): contact, TTC ahead and behind; inf for none.
 
     CONTACT: s from the scene's begin to the first step at which the boxes meet; LEAD_TTC: least TTC, s, to it as a
-    leader; LAG_TTC: of it as a follower, 0 where it runs in from behind; END: s beyond the motion's last step, at
-    constant speed, to a contact within `beyond` steps; BRAKED: the same where braking avoids it no more; inf for none.
-    low .. same_direction (R, T): as in `PathOccupancy`, T beyond the motion's end as known; margin m: by which
-    intervals are larger than the boxes.
+    leader; LAG_TTC: of it as a follower, 0 where it runs in from behind. low .. same_direction (R, T): as in
+    `PathOccupancy`.
     """
-    found = np.full((low.shape[0], 5), np.inf)
-    last = s.size - 1
+    found = np.full((low.shape[0], 3), np.inf)
     for row in range(low.shape[0]):
         from_behind = False
         for k in range(s.size):
             t = first + k
             if low[row, t] == np.inf:
                 continue
-            lo, hi = low[row, t] + margin, high[row, t] - margin
-            if lo < s[k] < hi:
+            if low[row, t] < s[k] < high[row, t]:
                 found[row, 2 if from_behind else 0] = 0.0 if from_behind else t * step_s
                 break
-            if same_direction[row, t]:
-                gap, leads = gap_to(lo, hi, s[k])
-                from_behind = not leads
-                closing = v[k] - along[row, t] if leads else along[row, t] - v[k]
-                if closing > 0.0:
-                    column = 1 if leads else 2
-                    found[row, column] = min(found[row, column], max(gap, 0.0) / closing)
-            else:
+            if not same_direction[row, t]:
                 from_behind = False
-        braked, v_end = s[last], v[last]
-        for k in range(1, beyond + 1):
-            t = first + last + k
-            if k * step_s > _END_REACTION:
-                v_end = max(0.0, v_end - _END_DECEL * step_s)
-            braked += v_end * step_s
-            if t >= low.shape[1] or low[row, t] == np.inf:
                 continue
-            lo, hi = low[row, t] + margin, high[row, t] - margin
-            if found[row, 3] == np.inf and lo < s[last] + v[last] * k * step_s < hi:
-                found[row, 3] = k * step_s
-            behind = same_direction[row, t] and not gap_to(lo, hi, braked)[1]
-            if found[row, 4] == np.inf and found[row, 3] < np.inf and lo < braked < hi and not behind:
-                found[row, 4] = k * step_s
+            gap, leads = gap_to(low[row, t], high[row, t], s[k])
+            from_behind = not leads
+            closing = v[k] - along[row, t] if leads else along[row, t] - v[k]
+            if closing > 0.0:
+                column = 1 if leads else 2
+                found[row, column] = min(found[row, column], max(gap, 0.0) / closing)
     return found

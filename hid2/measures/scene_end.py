@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hid2.agents import FloatArray
+from hid2.agents import FloatArray, IntArray
 from hid2.kernels.constant_velocity import earliest_contact
 from hid2.measures.arrays import BoolArray, SceneArrays
 
@@ -32,6 +32,10 @@ class BoxesAtStep:
     """(A, 2) m/s."""
     size: FloatArray
     """(A, 2) m, length and width."""
+
+    def rows(self, rows: IntArray) -> "BoxesAtStep":
+        """Some of them."""
+        return BoxesAtStep(self.position[rows], self.heading[rows], self.velocity[rows], self.size[rows])
 
 
 def first_contact(own: int, boxes: BoxesAtStep, *, horizon_s: float) -> Contact | None:
