@@ -115,15 +115,7 @@ class Guard:
 
     def obstacles(self, path: DrivenPath, box: BoxSize, others: list[tuple[int, DrivenPath, BoxSize]]) -> Obstacles:
         """Everybody on a path for a box; others: fleet rows with the paths and boxes of those driven together."""
-        margin = self.scene.config.conflict.margin_lateral_m
-        known = self.scene.kept_clear_on(path, box)
-        if self.fixed.ids:
-            known = known.joined(
-                path_occupancy(
-                    path.line, self.fixed, length_m=box.length_m, width_m=box.width_m, margin_lateral_m=margin,
-                    clear_steps=self.scene.pet_steps, clear_margin_m=self.scene.pet_margin_m,
-                )
-            )  # fmt: skip
+        known = self.scene.kept_clear_on(path, box).joined(self.fixed_on(path, box))
         found = [
             (row, swept)
             for row, other, other_box in others
@@ -136,6 +128,14 @@ class Guard:
             every[:, place, : swept[0].size] = swept
         rows = np.array([row for row, _ in found], dtype=np.int64)
         return Obstacles(known=known, swept=every, rows=rows, lines=self.stop_lines.arrays(path, box))
+
+    def fixed_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
+        """Intervals of those kept on a path, with margins and the critical PET; the same object while none comes."""
+        return path_occupancy(
+            path.line, self.fixed, length_m=box.length_m, width_m=box.width_m,
+            margin_lateral_m=self.scene.config.conflict.margin_lateral_m, clear_steps=self.scene.pet_steps,
+            clear_margin_m=self.scene.pet_margin_m,
+        )  # fmt: skip
 
     def _swept_on(
         self, path: DrivenPath, box: BoxSize, other: DrivenPath, other_box: BoxSize

@@ -65,7 +65,8 @@ class Due:
     def decided(self, ask_sumo: AskSumo | None = None) -> Across | None:
         """Observe and decide; the way across where the decision is a lane change. Each look at a gap is recorded."""
         vehicle, config = self.vehicle, self.scene.config
-        options, leader = self._options(ask_sumo), self._leader()
+        options = self._options(ask_sumo)
+        leader = self._leader() if options else None
         seen = self._observation(tuple(option for option, _ in options.values()), leader)
         decision = decide(seen, lane_change=config.lane_change, overtake=config.overtake)
         vehicle.policies[decision.policy] += 1

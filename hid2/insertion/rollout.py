@@ -34,8 +34,9 @@ from netconvert.lane_graph import TurnType
 from netconvert.net_xml import SPEED_LIMIT_MPS
 
 _NONE = Traffic.none(1)
-#: No tunable, spares time: no follower that is farther away on either axis has a critical TTC.
-_FOLLOWS_M = 40.0
+#: No tunables, spare time: no follower has a critical TTC on the path that it drives that has so much more room ahead,
+#: or is so far aside.
+_FOLLOWS_M, _ASIDE_M = 3.0, 12.0
 #: Desired speeds, m/s, that SUMO's EIDM has at most for a link of the net, by its direction; speed limit of every lane.
 _TURN_MPS = {TurnType.STRAIGHT: SPEED_LIMIT_MPS, TurnType.LEFT: 8.0, TurnType.RIGHT: 6.0}
 
@@ -83,9 +84,9 @@ class World:
     _kept: Traffic = field(init=False)
     _chosen: dict[str, Foreseen] = field(default_factory=dict)
     _at_begin: tuple[Traffic, Traffic] | None = None
-    _shown: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, _Shown]] = field(default_factory=dict)
+    _shown: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, _Shown]] = field(default_factory=dict)
     _links: dict[DrivenPath, tuple[FloatArray, FloatArray, FloatArray]] = field(default_factory=dict)
-    _known: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy]] = field(default_factory=dict)
+    _known: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, PathOccupancy]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Nothing is chosen yet."""
@@ -121,9 +122,14 @@ class World:
     def is_run_into(self, candidate: Foreseen) -> bool:
         """Whether a recorded vehicle comes too near from behind, on the path that it drives itself."""
         scene, own = self.scene, candidate.traffic.first(self.scene.num_steps)
-        recorded, critical_s = scene.traffic, scene.config.conflict.follower_ttc_min_s
-        apart = np.abs(recorded.position[:, : scene.num_steps] - own.position).max(axis=-1)
-        near = (apart < _FOLLOWS_M) & own.present & recorded.present[:, : scene.num_steps]
+        recorded, critical_s = scene.traffic.first(scene.num_steps), scene.config.conflict.follower_ttc_min_s
+        forward = np.stack([np.cos(recorded.heading), np.sin(recorded.heading)], axis=-1)
+        offset = own.position - recorded.position
+        gap_m = (offset * forward).sum(axis=-1) - 0.5 * (own.length_m + recorded.length_m)[:, None]
+        aside_m = np.abs(offset[..., 1] * forward[..., 0] - offset[..., 0] * forward[..., 1])
+        closing = ((recorded.velocity - own.velocity) * forward).sum(axis=-1)
+        near = (gap_m > -own.length_m) & (gap_m < _FOLLOWS_M + critical_s * closing) & (aside_m < _ASIDE_M)
+        near &= own.present & recorded.present
         rows = np.flatnonzero(near.any(axis=1) & moving_vehicles(scene.states.arrays))
         return any(scene.states.led_by(row, own).ttc_s.min(initial=math.inf) < critical_s for row in rows.tolist())
 
@@ -150,9 +156,14 @@ class World:
     def known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         """Intervals on a path of all whose motion is known, with margins and the critical PET: the guard's."""
         fixed, key = self.guard.fixed, (path, box)
-        if key not in self._known or self._known[key][0] is not fixed:
-            self._known[key] = fixed, self.guard.obstacles(path, box, []).known
-        return self._known[key][1]
+        before = self._known.get(key)
+        if before is None or before[0] is not fixed:
+            inserted = self.guard.fixed_on(path, box)
+            if before is not None and before[1] is inserted:  # none of those that came touches the path
+                self._known[key] = fixed, *before[1:]
+            else:
+                self._known[key] = fixed, inserted, self.scene.kept_clear_on(path, box).joined(inserted)
+        return self._known[key][2]
 
     def roll(
         self, start: Start, *, path: DrivenPath | None = None, step: int | None = None,
@@ -208,6 +219,10 @@ class World:
             if s > part.path.exit_s or (vehicle.stage is Stage.WAITING and step > give_up):
                 break
             vehicle.s, vehicle.v = [s], [v]
+            if vehicle.stage is Stage.WAITING and v < change.min_speed_mps:  # no rule takes a gap
+                vehicle.reason = Reason.TOO_SLOW
+                step += scene.steps_in(scene.config.sites.looks_s)
+                continue
             due = Due(scene, vehicle, step, self.guard.fixed, _NONE)
             across = due.decided(foreseen)
             if across is not None and self._meets_on(vehicle, step, across.path):
@@ -291,20 +306,25 @@ class World:
 
     def _shown_on(self, path: DrivenPath, box: BoxSize) -> _Shown:
         fixed, key = self.guard.fixed, (path, box)
-        if key not in self._shown or self._shown[key][0] is not fixed:
+        before = self._shown.get(key)
+        if before is None or before[0] is not fixed:
             scene = self.scene
-            seen, length_m = scene.in_driving_width(path, box), scene.traffic.length_m
-            lengths = length_m[seen.agents]
-            if fixed.ids:
-                more = path_occupancy(
-                    path.line, fixed, length_m=box.length_m, width_m=box.width_m,
-                    margin_lateral_m=scene.config.conflict.margin_lateral_m,
-                )  # fmt: skip
-                seen, lengths = seen.joined(more), np.concatenate([lengths, fixed.length_m[more.agents]])
+            inserted = path_occupancy(
+                path.line, fixed, length_m=box.length_m, width_m=box.width_m,
+                margin_lateral_m=scene.config.conflict.margin_lateral_m,
+            )  # fmt: skip
+            if before is not None and before[1] is inserted:
+                self._shown[key] = fixed, *before[1:]
+                return before[2]
+            recorded = scene.in_driving_width(path, box)
+            seen = recorded.joined(inserted)
+            lengths = np.concatenate([
+                scene.traffic.length_m[recorded.agents], fixed.length_m[inserted.agents]
+            ])  # fmt: skip
             stands = ~seen.crossing & (np.abs(seen.along) < scene.config.driving.standing_mps)
             leads = np.isfinite(seen.low) & (seen.same_direction | stands)
-            self._shown[key] = fixed, _Shown(seen, leads, lengths)
-        return self._shown[key][1]
+            self._shown[key] = fixed, inserted, _Shown(seen, leads, lengths)
+        return self._shown[key][2]
 
     def _as_traffic(self, start: Start, parts: tuple[Rollout, ...]) -> Traffic:
         """A rolled-out vehicle as known traffic, beyond the scene's end at constant velocity (one agent)."""
