@@ -95,16 +95,20 @@ class Driving:
         if not rows.size:
             return attempts, {}
         limits = limits_of(fleet, rows, now)
-        for place, row in enumerate(rows.tolist()):
-            attempt = apply_policy(fleet, self.simulation, row, now, traffic, POLICIES[limits.policy[place]])
-            if attempt is not None:
-                attempts[row] = attempt
+        for place, (row, may_change) in enumerate(zip(rows.tolist(), fleet.may_change[rows].tolist(), strict=True)):
+            on_lane = POLICIES[limits.policy[place]]
+            if may_change:
+                attempt = apply_policy(fleet, self.simulation, row, now, traffic, on_lane)
+                if attempt is not None:
+                    attempts[row] = attempt
+                let_pass(fleet, row, now, limits, place)
+            else:  # nothing to be asked: it keeps to its lane, as `decide` says
+                fleet.vehicles[row].policies[on_lane] += 1
             if limits.seeks[place] and take_another_way(fleet, self.simulation, row, now):
                 for found, renewed in zip(limits, limits_of(fleet, rows[place:], now), strict=True):
                     found[place:] = renewed  # those after it see where it goes
                 self._recorded.take(fleet.scene.traffic)  # others may have to be shown on this way
                 self._kept.take(fleet.fixed)
-            let_pass(fleet, row, now, limits, place)
         fleet.yielding[rows] = limits.yields
         return attempts, self._drive(rows, limits, now)
 

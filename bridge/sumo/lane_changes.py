@@ -13,7 +13,6 @@ from hid2.insertion.due import Across, Due, foreseen_speeds
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
-from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.observation import lay
 from hid2.policy.overtake import Stage
 from hid2.policy.rules import SumoAnswer
@@ -38,7 +37,7 @@ class Attempt:
 def apply_policy(
     fleet: Fleet, simulation: Simulation, row: int, now: int, traffic: Callable[[], Traffic], on_lane: Policy
 ) -> Attempt | None:
-    """Algorithm 1 for one vehicle at step `now`; returns the lane change that SUMO is asked for, None for none.
+    """Algorithm 1 for one vehicle that may change lanes; returns the change that SUMO is asked for, None for none.
 
     traffic: the fleet as it is now (one step); only a vehicle with a manoeuvre due asks for it. on_lane: what
     Algorithm 1 comes to on its lane without one.
@@ -52,8 +51,7 @@ def apply_policy(
         else:
             _keep_time(fleet, row, now)
     time_s = now * fleet.scene.step_s
-    asks = BEHAVIOURS[vehicle.policy].changes_lanes
-    due = asks and time_s >= request.trigger_s and vehicle.stage in (Stage.WAITING, Stage.PASS)
+    due = time_s >= request.trigger_s and vehicle.stage in (Stage.WAITING, Stage.PASS)
     if due and vehicle.stage is Stage.WAITING and time_s > request.trigger_s + config.lane_change.give_up_s:
         vehicle.stage, due = Stage.ABORTED, False
     if not due:  # nothing to be asked: it keeps to its lane, as `decide` says

@@ -113,6 +113,19 @@ def _is_on(low: FloatArray, cosine: FloatArray, s: float, step_m: float) -> bool
     return bool(0 <= at < low.size and low[at] != np.inf and cosine[at] > SAME_WAY)
 
 
+@inner
+def _on_path_within(low: FloatArray, begin: int, end: int) -> IntArray:
+    """Agents that are on the path at some of the steps from `begin` to before `end`; low (A, T) as in `gap_to`."""
+    found, count = np.empty(low.shape[0], dtype=np.int64), 0
+    for a in range(low.shape[0]):
+        for t in range(begin, end):
+            if low[a, t] != np.inf:
+                found[count] = a
+                count += 1
+                break
+    return found[:count]
+
+
 @kernel(
     "(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], f8[:,:,::1], i8[::1], f8[:,::1], i8, i8,"
     " UniTuple(f8, 3), f8, f8[::1], f8, f8, i8, i8, f8, UniTuple(f8, 4), f8[::1], UniTuple(f8, 4), UniTuple(f8, 4))"
@@ -140,10 +153,11 @@ def needed_braking(
     tau, accel, decel, min_gap = driver
     jerk, margin, lasts, hardest_ratio = predicted
     hardest = hardest_ratio * decel
-    agents, steps = low.shape
+    steps = low.shape[1]
     best, best_step, free_step = 0, 0, -1
     leader, leader_gap, run_into, free_s = -1, np.inf, False, s0
     last = horizon // stride
+    agents = _on_path_within(low, min(t, steps - 1), min(t + last * stride, steps - 1) + 1)
     first = np.full(rows.size, -1, dtype=np.int64)  # who goes first is the same for every braking
     for row in range(brakes.size):
         s, v, a_cmd, hit, behind_leader, struck = s0, v0, a0, -1, False, False
@@ -151,7 +165,7 @@ def needed_braking(
             now = min(t + k * stride, steps - 1)
             ahead_s = k * stride * step_s
             gap_least, closing, met, seen = np.inf, 0.0, False, False
-            for a in range(agents):
+            for a in agents:
                 lo = low[a, now]
                 if lo == np.inf:
                     continue
