@@ -170,10 +170,10 @@ class Starts:
         if not parts:
             return None
         candidate = self.world.foreseen(start, parts)
-        if self.world.is_run_into(candidate):
-            return Reason.TTC_RECORDED_FOLLOWER
         if self.world.meets_after(candidate):
             return Reason.TTC_AT_END
+        if self.world.is_run_into(candidate):
+            return Reason.TTC_RECORDED_FOLLOWER
         anew = [candidate]
         for one in self.world.hindered(candidate):
             around = self.world.beside(candidate, one.start.vehicle_id)
