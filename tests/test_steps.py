@@ -28,7 +28,7 @@ OF_ARGOVERSE_2 = {
 #: Steps that are no time: samples that a derivative needs, steps that SUMO's own code takes, rounds of a display.
 COUNTS = {
     ("hid2/evaluation/kinematics.py", "MIN_STEPS"),
-    ("bridge/sumo/replay.py", "UNSEEN_STEPS"),
+    ("hid2/occupancy/shown.py", "UNSEEN_STEPS"),
 }
 FORMAT_NAMES = frozenset({"STEP_S", "OBSERVED_STEPS", "MAX_STEPS", "NUM_STEPS"})
 _CONSTANT = re.compile(r"_?(?:[A-Z0-9]+_)*(?:STEPS?|STEP_S|DT|DT_S|HZ|FPS|FRAMES_PER_SECOND|LAST_OBSERVED|RATE_HZ)")

@@ -8,11 +8,9 @@ import numpy as np
 from bridge.sumo.poses import box_poses, sumo_poses
 from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray
+from hid2.occupancy.shown import UNSEEN_STEPS
 from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import wrap_angle
-
-#: Steps for which a new vehicle is seen by nobody: until then SUMO takes it for one that stands.
-UNSEEN_STEPS = 2
 
 
 @dataclass(frozen=True, slots=True)

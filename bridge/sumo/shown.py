@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from bridge.sumo.fleet import Fleet
-from bridge.sumo.replay import UNSEEN_STEPS
 from hid2.kernels.gaps import shown_ahead
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.along_path import PathOccupancy
+from hid2.occupancy.shown import UNSEEN_STEPS
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.params import Driving
 from hid2.policy.behaviours import BEHAVIOURS

@@ -11,6 +11,7 @@ os.environ.setdefault("LIBSUMO_AS_TRACI", "quiet")  # read on import: silences a
 
 import libsumo
 
+from hid2.occupancy.shown import ASIDE_M
 from netconvert.errors import SimulationError
 
 #: TraCI lane-change mode: no change of SUMO's own; one asked for is refused where speeds and brake gaps forbid it.
@@ -20,7 +21,6 @@ _SAFE_SPEED = 1 + 2 + 8 + 16
 #: Motives of SUMO's lane-change model, as it names them.
 _MOTIVES = frozenset({"strategic", "cooperative", "speedGain", "keepRight"})
 _REPLAY_KEEP_ROUTE = 6  # TraCI moveToXY: exactly there, on a road or off it
-_REPLAY_MATCH_M = 2.0  # no tunable, half a lane and a little: farther aside nobody is ahead of anybody
 _ASIDE_MATCH_M = 0.01  # no tunable: so little that it is on no lane
 _NEVER_S = 1000.0  # longer than any scene
 _NET, _START, _TYPES = "scene.net.xml", "start.xml", "types.add.xml"
@@ -110,7 +110,7 @@ class Simulation:
     def place(self, vehicle_id: str, x: float, y: float, angle_deg: float) -> None:
         """Put a replayed vehicle's front bumper at its exact pose for the coming step."""
         libsumo.vehicle.moveToXY(
-            vehicle_id, "", -1, x, y, angle_deg, keepRoute=_REPLAY_KEEP_ROUTE, matchThreshold=_REPLAY_MATCH_M
+            vehicle_id, "", -1, x, y, angle_deg, keepRoute=_REPLAY_KEEP_ROUTE, matchThreshold=ASIDE_M
         )
 
     def place_all(self, poses: Sequence[tuple[str, float, float, float, tuple[str, int] | None]]) -> None:
@@ -123,7 +123,7 @@ class Simulation:
             if lane is None:
                 move(vehicle_id, "", -1, x, y, angle_deg, _REPLAY_KEEP_ROUTE, _ASIDE_MATCH_M)
             else:
-                move(vehicle_id, lane[0], lane[1], x, y, angle_deg, _REPLAY_KEEP_ROUTE, _REPLAY_MATCH_M)
+                move(vehicle_id, lane[0], lane[1], x, y, angle_deg, _REPLAY_KEEP_ROUTE, ASIDE_M)
 
     def poses(self, vehicle_ids: Sequence[str]) -> list[tuple[float, float, float] | None]:
         """Front bumper x, y in m and angle in degrees, as SUMO has them now; None for vehicles not in the net."""

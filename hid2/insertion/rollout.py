@@ -23,7 +23,8 @@ from hid2.motion.route import DrivenPath
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.agent_states import moving_vehicles
 from hid2.occupancy.along_path import PathOccupancy, path_occupancy
-from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.occupancy.shown import Shown, shown_on
+from hid2.occupancy.traffic import Traffic
 from hid2.policy.overtake import Stage
 from hid2.policy.roads import STRAIGHT, Roads
 from hid2.policy.rules import FORESEEN
@@ -57,15 +58,6 @@ class Rollout:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Shown:
-    """Those whom SUMO is shown on a path: their intervals in the width driven, whether each leads, lengths (R,) m."""
-
-    seen: PathOccupancy
-    leads: BoolArray
-    length_m: FloatArray
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class Foreseen:
     """A candidate with the parts of its motion, and as known traffic beyond the scene's end (one agent)."""
 
@@ -84,7 +76,7 @@ class World:
     _kept: Traffic = field(init=False)
     _chosen: dict[str, Foreseen] = field(default_factory=dict)
     _at_begin: tuple[Traffic, Traffic] | None = None
-    _shown: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, _Shown]] = field(default_factory=dict)
+    _shown: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, Shown]] = field(default_factory=dict)
     _links: dict[DrivenPath, tuple[FloatArray, FloatArray, FloatArray]] = field(default_factory=dict)
     _known: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, PathOccupancy]] = field(default_factory=dict)
 
@@ -188,7 +180,7 @@ class World:
             scene.config.conflict.stride, scene.step_s, TABLE_STEP_M, self.guard.brakes, self.guard.predicted,
             lines.stops, self.guard.rules, self.roads.speeds(path, driver), *self.roads.lanes(path),
             known.low, known.high, known.along, known.same_direction, lines.stop_s, lines.closed, lines.cause,
-            shown.seen.low, shown.seen.high, shown.seen.along, shown.leads, shown.length_m,
+            shown.middle, shown.speed, shown.leads, shown.length_m,
             (scene.config.driving.leads_from_m, scene.config.driving.shown_m), *self._links_on(path),
         )  # fmt: skip
         return Rollout(path, first, s, v)
@@ -304,7 +296,7 @@ class World:
             self._links[path] = ends, paces, np.array([_TURN_MPS[lanes[one.lane_id].turn] for one in along])
         return self._links[path]
 
-    def _shown_on(self, path: DrivenPath, box: BoxSize) -> _Shown:
+    def _shown_on(self, path: DrivenPath, box: BoxSize) -> Shown:
         fixed, key = self.guard.fixed, (path, box)
         before = self._shown.get(key)
         if before is None or before[0] is not fixed:
@@ -316,14 +308,10 @@ class World:
             if before is not None and before[1] is inserted:
                 self._shown[key] = fixed, *before[1:]
                 return before[2]
-            recorded = scene.in_driving_width(path, box)
-            seen = recorded.joined(inserted)
-            lengths = np.concatenate([
-                scene.traffic.length_m[recorded.agents], fixed.length_m[inserted.agents]
-            ])  # fmt: skip
-            stands = ~seen.crossing & (np.abs(seen.along) < scene.config.driving.standing_mps)
-            leads = np.isfinite(seen.low) & (seen.same_direction | stands)
-            self._shown[key] = fixed, inserted, _Shown(seen, leads, lengths)
+            slow, step_s = scene.config.driving.standing_mps, scene.step_s
+            recorded = shown_on(path, scene.future, scene.in_driving_width(path, box), standing_mps=slow, step_s=step_s)
+            found = recorded.joined(shown_on(path, fixed, inserted, standing_mps=slow, step_s=step_s))
+            self._shown[key] = fixed, inserted, found
         return self._shown[key][2]
 
     def _as_traffic(self, start: Start, parts: tuple[Rollout, ...]) -> Traffic:

@@ -14,25 +14,36 @@ from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 #: Columns of what is met by each agent (`met_by`).
 CONTACT, LEAD_TTC, LAG_TTC = range(3)
+_CELL_M = 4.0  # about the length of one of SUMO's lanes
 
 
 @inner
 def _leader(
-    low: FloatArray, high: FloatArray, along: FloatArray, leads: BoolArray, lengths: FloatArray, t: int, s: float,
+    middle: FloatArray, speed: FloatArray, leads: BoolArray, lengths: FloatArray, t: int, s: float, moved: float,
     length: float, bounds: tuple[float, float], step_s: float,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Gap, m, speed, m/s, and acceleration, m/s2, of the next agent ahead that SUMO is shown; inf, 0, inf for none."""
+    """Gap, m, speed, m/s, and acceleration, m/s2, of the next agent ahead that SUMO is shown; inf, 0, inf for none.
+
+    moved m: since the step before, by whose place those are chosen that are shown.
+    """
     nearest, farthest = bounds
-    least, speed, change = np.inf, 0.0, np.inf
-    for row in range(low.shape[0]):
+    least, lead_v, lead_a = np.inf, 0.0, np.inf
+    for row in range(lengths.size):
         if not leads[row, t]:
             continue
-        gap = 0.5 * (low[row, t] + high[row, t]) - s - 0.5 * (length + lengths[row])
-        if nearest < gap < farthest and gap < least:
-            least, speed, change = gap, max(along[row, t], 0.0), 0.0
+        gap = middle[row, t] - s - 0.5 * (length + lengths[row])
+        if nearest < gap + moved < farthest and gap < least:
+            least, lead_v, lead_a = gap, speed[row, t], 0.0
             if t > 0:
-                change = (speed - max(along[row, t - 1], 0.0)) / step_s
-    return least, speed, change
+                lead_a = (speed[row, t] - speed[row, t - 1]) / step_s
+    return least, lead_v, lead_a
+
+
+@inner
+def _looks_m(v: float, length: float, driver: tuple[float, float, float, float]) -> float:
+    """How far ahead SUMO looks for a leader, m: to where it could stop, five lengths at least, to the end of a cell."""
+    tau, _, decel, _ = driver
+    return max(v * (tau + 0.5 * v / (decel + 1.0)), 5.0 * length + 0.5 * _CELL_M) + 0.5 * _CELL_M
 
 
 @inner
@@ -59,7 +70,7 @@ def _is_met(low: FloatArray, high: FloatArray, same_direction: BoolArray, t: int
 @kernel(
     "(UniTuple(i8, 2), UniTuple(f8, 3), f8[::1], UniTuple(f8, 4), f8, f8, i8, i8, i8, f8, f8, f8[::1],"
     " UniTuple(f8, 4), UniTuple(f8, 4), UniTuple(f8, 10), f8[::1], f8[::1], i8[::1], f8[:,::1], f8[:,::1],"
-    " f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], i8[::1], f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1],"
+    " f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], i8[::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1],"
     " UniTuple(f8, 2), f8[::1], f8[::1], f8[::1])"
 )
 def roll(
@@ -70,19 +81,14 @@ def roll(
     rules: tuple[float, float, float, float, float, float, float, float, float, float],
     road: FloatArray, lane_ends: FloatArray, lane_policies: IntArray, low: FloatArray, high: FloatArray,
     along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray, causes: IntArray,
-    seen_low: FloatArray, seen_high: FloatArray, seen_along: FloatArray, seen_leads: BoolArray,
-    seen_lengths: FloatArray, shown: tuple[float, float], link_s: FloatArray, paces: FloatArray, turns: FloatArray,
+    seen_middle: FloatArray, seen_speed: FloatArray, seen_leads: BoolArray, seen_lengths: FloatArray,
+    shown: tuple[float, float], link_s: FloatArray, paces: FloatArray, turns: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Place s and speed v at the steps of a span, first to last, (K,) each, from a start s m, v m/s, a m/s2.
 
-    No further than to where the boxes of the vehicle and another agent meet.
-
-    desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle. seen_* (R, T): the
-    intervals in the width that is driven, of those that SUMO is shown, whether each leads, and their lengths (R,) m;
-    shown: gaps, m, between which an agent ahead is shown. length m: own, of the box that SUMO has.
-    desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle; reaction s. seen_*
-    (R, T): the intervals in the width that is driven, of those that SUMO is shown, whether each leads, and their
-    lengths (R,) m; shown: gaps, m, between which an agent ahead is shown. length m: own, of the box that SUMO has.
+    No further than to where the boxes of the vehicle and another agent meet. desired_mps (T,) by the scene's steps;
+    driver .. causes: as in `speed_limits`, of one vehicle; reaction s; length m: own, of the box that SUMO has. seen_*
+    (R, T): the agents that SUMO is shown, as in `Shown`; shown: gaps, m, between which an agent ahead is shown.
     Of SUMO's lanes along the path (L,): link_s m, where they end; paces, metres on the path for one on the lane; turns
     m/s, at most desired for the link to each.
     """
@@ -94,6 +100,7 @@ def roll(
     s_at[0], v_at[0] = start[0], start[1]
     yields, state = False, np.empty(DRIVER_STATE)
     new_driver(state, desired_mps[first])
+    before_s = start[0]
     tau, accel, decel, min_gap = driver
     in_sumo = round(tau, 2), round(accel, 2), round(decel, 2), min_gap  # it keeps two digits of these
     for k in range(1, last - first + 1):
@@ -107,11 +114,16 @@ def roll(
         s, v, a = fleet[0, 0], fleet[0, 1], fleet[0, 2]
         front = s + 0.5 * length
         lane = min(int(np.searchsorted(link_s, front, side="right")), link_s.size - 1)
-        leader = _leader(seen_low, seen_high, seen_along, seen_leads, seen_lengths, t, s, length, shown, step_s)
+        gap, lead_v, lead_a = _leader(
+            seen_middle, seen_speed, seen_leads, seen_lengths, t, s, s - before_s, length, shown, step_s
+        )
+        if gap > _looks_m(v, length, in_sumo):
+            gap = np.inf
         wished = _wished(desired, v, front, lane, link_s, turns)
         v_next = eidm_speed(
-            state, v, a, (desired, wished), leader, max(limit, 0.0), in_sumo, reaction, step_s, t * step_s
-        )
+            state, v, a, (desired, wished), (gap, lead_v, lead_a), max(limit, 0.0), in_sumo, reaction, step_s,
+            t * step_s,
+        )  # fmt: skip
         before_s = s
         s += 0.5 * (v + v_next) * step_s * paces[lane]
         fleet[0, 0], fleet[0, 1], fleet[0, 2] = s, v_next, (v_next - v) / step_s
