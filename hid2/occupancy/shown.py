@@ -27,8 +27,6 @@ class Shown:
 
     def joined(self, other: "Shown") -> "Shown":
         """Agents of both."""
-        if not other.length_m.size:
-            return self
         return Shown(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in self.__slots__))
 
 
@@ -37,20 +35,31 @@ def shown_on(path: DrivenPath, traffic: Traffic, seen: PathOccupancy, *, standin
 
     It knows the speed of a vehicle's front from where that was a step before, and puts it on the lane below its front.
     """
-    rows, line = seen.agents, path.line
-    heading, half_m = traffic.heading[rows], 0.5 * traffic.length_m[rows, None]
-    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    front = traffic.position[rows] + half_m[..., None] * ahead
-    speed = np.hypot(*traffic.velocity[rows].transpose(2, 0, 1))
-    speed[:, 1:] = np.hypot(*np.diff(front, axis=1).transpose(2, 0, 1)) / step_s
-    on = np.isfinite(seen.low)
-    middle = 0.5 * (np.where(on, seen.low, 0.0) + np.where(on, seen.high, 0.0))
-    at = np.clip(((middle + half_m) / TABLE_STEP_M).astype(np.int64), 0, len(line.table_xy) - 1)
-    (dx, dy), angle = (front - line.table_xy[at]).transpose(2, 0, 1), line.table_heading[at]
-    aside = np.abs(np.cos(angle) * dy - np.sin(angle) * dx)
-    present = traffic.present[rows]
-    first = np.maximum(np.arange(present.shape[1]) - UNSEEN_STEPS, 0)  # those of the first step come in before it
-    known = present & present[:, first]
+    front, speed, known = _fronts(traffic, step_s)
+    rows, length_m, line = seen.agents, traffic.length_m[seen.agents], path.line
     moves = seen.same_direction | (~seen.crossing & (np.abs(seen.along) < standing_mps))
-    leads = on & moves & known & (aside < ASIDE_M) & (middle + half_m < path.exit_s)
-    return Shown(middle, speed, leads, traffic.length_m[rows])
+    leads = np.isfinite(seen.low) & moves & known[rows]
+    row, step = np.nonzero(leads)
+    middle = np.zeros(leads.shape)
+    middle[row, step] = 0.5 * (seen.low[row, step] + seen.high[row, step])
+    front_s = middle[row, step] + 0.5 * length_m[row]
+    at = np.clip((front_s / TABLE_STEP_M).astype(np.int64), 0, len(line.table_xy) - 1)
+    (dx, dy), angle = (front[rows[row], step] - line.table_xy[at]).T, line.table_heading[at]
+    aside = np.abs(np.cos(angle) * dy - np.sin(angle) * dx)
+    leads[row, step] = (aside < ASIDE_M) & (front_s < path.exit_s)
+    return Shown(middle, speed[rows], leads, length_m)
+
+
+def _fronts(traffic: Traffic, step_s: float) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Fronts (A, T, 2) m, their speeds (A, T) m/s, and whether SUMO knows these (A, T); kept with the traffic."""
+    key = _fronts, step_s
+    if key not in traffic.known:
+        ahead = np.stack([np.cos(traffic.heading), np.sin(traffic.heading)], axis=-1)
+        front = traffic.position + 0.5 * traffic.length_m[:, None, None] * ahead
+        speed = np.hypot(traffic.velocity[..., 0], traffic.velocity[..., 1])
+        moved = np.diff(front, axis=1)
+        speed[:, 1:] = np.hypot(moved[..., 0], moved[..., 1]) / step_s
+        first = np.maximum(np.arange(traffic.num_steps) - UNSEEN_STEPS, 0)  # those of step 0 come in before it
+        traffic.known[key] = front, speed, traffic.present & traffic.present[:, first]
+    found: tuple[FloatArray, FloatArray, BoolArray] = traffic.known[key]
+    return found
