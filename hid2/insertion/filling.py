@@ -278,10 +278,9 @@ class Filling:
                 new.append(found)
             else:
                 gone[vehicle.vehicle_id] = vehicle, found, None
-        for row, reason in conflicting(self.scene, [*self.kept, *new]):
-            if row >= len(self.kept):
-                driven = new[row - len(self.kept)].driven
-                gone[driven.vehicle_id] = driven, reason, None
+        for row, reason in conflicting(self.scene, [*self.kept, *new], since=len(self.kept)):
+            driven = new[row - len(self.kept)].driven
+            gone[driven.vehicle_id] = driven, reason, None
         new = [one for one in new if one.driven.vehicle_id not in gone]
         for one in new:
             outcome = outcome_of(self.scene, one, [*self.kept, *new])
