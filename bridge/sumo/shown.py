@@ -15,16 +15,11 @@ from hid2.params import Driving
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.vehicle import Start
 
-#: Who is farther than this from the way of a vehicle that may change lanes need not be shown; how finely that is told.
-#: No tunables, spare time: lanes beside are nearer, and SUMO brakes for nobody who is farther aside.
-_NEAR_M, _EVERY_M, _EVERY_S = 12.0, 6.0, 0.5
+#: Agents farther than this from the way of a vehicle that may change lanes need not be shown. No tunable, spares time:
+#: lanes beside are nearer, and SUMO brakes for nobody who is farther aside.
+_NEAR_M = 12.0
 #: No vehicle is faster than its desired speed by more than this ratio: no tunable, a bound that spares time.
 _PACE_MOST = 1.1
-
-
-def may_change(start: Start) -> bool:
-    """Whether a vehicle may leave its path for that of a lane beside, wherever that goes."""
-    return BEHAVIOURS[start.request.policy].changes_lanes
 
 
 def shown_at(fleet: Fleet, step: int) -> tuple[dict[int, tuple[str, int]], dict[int, tuple[str, int]]]:
@@ -57,7 +52,7 @@ def ever_shown(fleet: Fleet) -> tuple[Traffic, Traffic]:
     starts = [vehicle.start for vehicle in fleet.vehicles]
     everybody = [fleet.known_on_way(row) for row in range(len(starts))]
     for traffic, first in ((scene.traffic.first(scene.num_steps), 0), (fleet.fixed.first(scene.num_steps), count)):
-        if first == count and any(may_change(start) for start in starts):  # few, and any may come to lead
+        if first == count and fleet.may_change.any():  # few, and any may come to lead
             shown.append(traffic)
             continue
         last, known = first + len(traffic.ids), []
@@ -80,8 +75,9 @@ def shown_when(
     num_steps = traffic.num_steps
     needed = np.zeros((len(traffic.ids), num_steps), dtype=np.bool_)
     for start, found in zip(starts, known, strict=True):
-        if may_change(start):
-            needed |= _near(traffic, start, num_steps, max(1, round(_EVERY_S / step_s)))
+        if BEHAVIOURS[start.request.policy].changes_lanes:
+            ahead = max(0, int((start.start_s - _NEAR_M) / TABLE_STEP_M))
+            needed |= start.path.line.near(_NEAR_M)[0].last_near(traffic.position) >= ahead
             continue
         fastest_mps = _PACE_MOST * max(float(start.desired.max()), start.start_mps)
         lasting_s = step_s * (np.arange(num_steps) - start.step)
@@ -95,16 +91,3 @@ def shown_when(
     ever = np.asarray(needed.any(axis=1)).reshape(-1, 1)
     once = ever & (steps >= first[:, None]) & (steps <= last[:, None])
     return np.asarray(once & traffic.present)
-
-
-def _near(traffic: Traffic, start: Start, num_steps: int, every: int) -> BoolArray:
-    """(A, T) agents near to what of a start's path is ahead of it, looked at every so many steps."""
-    looks = slice(0, num_steps, every)
-    begin = max(0, int((start.start_s - _NEAR_M) / TABLE_STEP_M))
-    points = start.path.line.table_xy[begin :: round(_EVERY_M / TABLE_STEP_M)]
-    apart = np.square(traffic.position[:, looks, None] - points).sum(axis=-1)
-    near = traffic.present[:, looks] & (apart < _NEAR_M * _NEAR_M).any(axis=-1)
-    spread = np.zeros((len(traffic.ids), num_steps), dtype=np.bool_)
-    for look in range(near.shape[1]):
-        spread[near[:, look], max(0, (look - 1) * every) : (look + 1) * every + 1] = True
-    return spread

@@ -80,10 +80,13 @@ class Filling:
     _last_reason: dict[int, Reason] = field(default_factory=dict)
     _avoided: list[tuple[int, float]] = field(default_factory=list)
     _turned_down: TurnedDown = field(default_factory=lambda: defaultdict(Counter))
+    _fixed: Traffic = field(init=False)
+    """Those kept: what is known of those of a round goes on being known in the rounds after."""
 
     def __post_init__(self) -> None:
         """Recorded vehicles are where they were; those that react may be elsewhere later."""
         self.scene = self.surroundings.scene
+        self._fixed = traffic_of_exported([], self.scene)
 
     def take_events(self, found: Sequence[EventOutcome]) -> None:
         """Vehicles of events are kept before all others, which have to do with them; they count among the vehicles."""
@@ -93,6 +96,7 @@ class Filling:
                 self.kept.append(one.vehicle)
                 if one.outcome is not None:
                     self.outcomes[one.vehicle.driven.vehicle_id] = one.outcome
+        self._fixed = traffic_of_exported(self.kept, self.scene)
 
     def fill(self, drive: Drive) -> None:
         """All rounds. The count is a wish: a full road ends with fewer, and says so."""
@@ -108,7 +112,7 @@ class Filling:
                 starts = self._starts(number)
             if starts or number == 0:
                 self.rounds = number + 1
-                self._keep(drive(starts, self._fixed(), number), number)
+                self._keep(drive(starts, self._fixed, number), number)
             if not self._open:
                 break
             added = len(self.kept) - before
@@ -131,7 +135,7 @@ class Filling:
         scene is the one that it has become.
         """
         starts = sorted(self._starts_of(self._target()), key=lambda start: start.request.number)
-        nobody = self._fixed()
+        nobody = self._fixed
         while True:
             vehicles = drive(starts, nobody, self.rounds)
             self.rounds += 1
@@ -166,9 +170,6 @@ class Filling:
         length_m = sum(lanes[lane_id].length_m for lane_id in self.surroundings.routes.lanes)
         return min(spawn.most_agents, math.ceil(length_m / spawn.spacing_m))
 
-    def _fixed(self) -> Traffic:
-        return traffic_of_exported(self.kept, self.scene)
-
     def _requests(self, count: int) -> list[VehicleRequest]:
         """What is asked for; what map or scene's length do not allow is noted, and a vehicle goes straight."""
         last_s = self.scene.last_s
@@ -191,7 +192,7 @@ class Filling:
         spawn = self.scene.config.spawn
         rng = np.random.default_rng([*self.seed, 1 + number])
         here = self.surroundings
-        guard = Guard(self.scene, self._fixed(), here.stop_lines)
+        guard = Guard(self.scene, self._fixed, here.stop_lines)
         sites = InsertionSites(
             here, guard, rng, number, Spread.of(self.seed), self._avoided, [one.driven.start for one in self.kept],
             asked=Counter(r.policy for r in self._open), turned_down=self._turned_down,
@@ -265,6 +266,7 @@ class Filling:
             became = None if outcome is None else " ".join(filter(None, (outcome.status, outcome.reason)))
             _tell(one.driven, _site(self.scene, one.driven), number, "kept", became)
         self.kept += kept_now
+        self._fixed = self._fixed.joined(traffic_of_exported(kept_now, self.scene))
         met = {one.driven.start.request.number for one in kept_now}
         self._open = [request for request in self._open if request.number not in met]
 
@@ -278,10 +280,9 @@ class Filling:
                 new.append(found)
             else:
                 gone[vehicle.vehicle_id] = vehicle, found, None
-        for row, reason in conflicting(self.scene, [*self.kept, *new]):
-            if row >= len(self.kept):
-                driven = new[row - len(self.kept)].driven
-                gone[driven.vehicle_id] = driven, reason, None
+        for row, reason in conflicting(self.scene, [*self.kept, *new], since=len(self.kept)):
+            driven = new[row - len(self.kept)].driven
+            gone[driven.vehicle_id] = driven, reason, None
         new = [one for one in new if one.driven.vehicle_id not in gone]
         for one in new:
             outcome = outcome_of(self.scene, one, [*self.kept, *new])

@@ -209,28 +209,29 @@ def _beside_others(scene: Scene, vehicle: ExportedVehicle, states: AgentStates) 
     return verdict or replace(vehicle, min_ttc_s=float(led.ttc_s.min(initial=np.inf)))
 
 
-def conflicting(scene: Scene, exported: Sequence[ExportedVehicle]) -> list[tuple[int, Reason]]:
+def conflicting(scene: Scene, exported: Sequence[ExportedVehicle], *, since: int = 0) -> list[tuple[int, Reason]]:
     """Rows of exported vehicles that are in conflict with others when all are looked at together, with the reason.
 
     Of two exported vehicles the later row: one that was kept before another one was driven did not react to that one.
+    since: the first row that is asked about; vehicles before it have been looked at together.
     """
     config, bounds = scene.config, last_word(scene.config)
-    if not exported or {"collision", "topology"} & config.without:
+    if len(exported) <= since or {"collision", "topology"} & config.without:
         return []
     states, first = together(scene, exported), scene.states.arrays.num_agents
     findings = [*of_lanes(states, leaders(states.arrays, states.lanes, states.matches), bounds)]
     rows = first + np.arange(len(exported))
-    findings += of_followers(states, rows, bounds)
+    findings += of_followers(states, rows[since:], bounds)
     for row in rows.tolist():
-        others = rows[rows != row]
+        others = rows[rows != row] if row >= first + since else rows[since:]
         findings += of_leaders(states, row, states.leading(row, others, aside_m=bounds.spare_aside_m), bounds)
         findings += of_end(states, row, others, bounds)
-    findings += of_crossings(states, bounds, since=first)
+    findings += of_crossings(states, bounds, since=first + since)
     row_of = {name: row for row, name in enumerate(states.arrays.track_ids[first:])}
     found: dict[int, Reason] = {}
     for one in findings:
         found.setdefault(max(row_of[one.track_id], row_of.get(one.other or "", -1)), _REASONS[one.quantity])
-    return sorted(found.items())
+    return sorted((row, reason) for row, reason in found.items() if row >= since)
 
 
 def _grid_path(scene: Scene, vehicle: DrivenVehicle, s: FloatArray, v: FloatArray) -> Trajectory | None:

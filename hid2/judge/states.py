@@ -319,9 +319,10 @@ def of_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) -> Ite
     A vehicle that turns off ahead of it is still in its way, though on another lane.
     """
     arrays, critical_s = states.arrays, bounds.conflict.follower_ttc_min_s
+    leaders_of = states.traffic.rows(inserted.tolist())
     for follower in np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.generated).tolist():
-        led = states.leading(follower, inserted)
-        for leader, ttc_s in zip(led.rows.tolist(), led.ttc_s, strict=True):
+        led = states.led_by(follower, leaders_of)
+        for leader, ttc_s in zip(inserted[led.rows].tolist(), led.ttc_s, strict=True):
             step = int(np.argmin(ttc_s))
             if ttc_s[step] < critical_s:
                 pair = leader, follower

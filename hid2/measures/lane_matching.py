@@ -5,7 +5,7 @@ picks the sequence that is near the centrelines and follows the map's links (New
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -51,18 +51,24 @@ class FlatLanes:
     straight: IntArray
     successors: tuple[tuple[int, ...], ...]
     index_of: dict[int, int]
+    length_m: FloatArray = field(init=False)
+    """(L,) arc lengths."""
+    _offset: FloatArray = field(init=False, repr=False)
+    """(L + 1,) m, where each lane begins when all lie one behind the other, 1 m apart."""
+    _along: FloatArray = field(init=False, repr=False)
+    """(P,) m, where the points are then."""
 
-    @property
-    def length_m(self) -> FloatArray:
-        """(L,) arc lengths."""
-        return self.s[self.first[1:] - 1]
+    def __post_init__(self) -> None:
+        length_m = self.s[self.first[1:] - 1]
+        offset = np.concatenate([[0.0], np.cumsum(length_m + 1.0)])
+        object.__setattr__(self, "length_m", length_m)
+        object.__setattr__(self, "_offset", offset)
+        object.__setattr__(self, "_along", self.s + np.repeat(offset[:-1], np.diff(self.first)))
 
     def heading(self, lane: IntArray, s: FloatArray) -> FloatArray:
         """(M,) rad, direction of lanes at arc lengths on them; that of lane 0 where there is none (-1)."""
         lane = np.maximum(lane, 0)
-        offset = np.concatenate([[0.0], np.cumsum(self.length_m + 1.0)])  # lanes one behind the other
-        along = self.s + np.repeat(offset[:-1], np.diff(self.first))
-        at = np.searchsorted(along, np.clip(s, 0.0, self.length_m[lane]) + offset[lane], side="right") - 1
+        at = np.searchsorted(self._along, np.clip(s, 0.0, self.length_m[lane]) + self._offset[lane], side="right") - 1
         at = np.clip(at, self.first[lane], self.first[lane + 1] - 2)
         step = self.points[at + 1] - self.points[at]
         return np.asarray(np.arctan2(step[:, 1], step[:, 0]))

@@ -13,7 +13,7 @@ from hid2.measures.driven_lanes import LaneView, points_ahead
 from hid2.measures.following import HORIZON_M
 from hid2.measures.lane_matching import FlatLanes, Matches, lane_along, match_lanes
 from hid2.motion.reference_line import ReferenceLine, build_reference_line
-from hid2.occupancy.along_path import look_along
+from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.gaps import gaps_to_all
 from hid2.occupancy.traffic import Traffic, traffic_of
 from netconvert.geometry import Polyline, arc_length, differences
@@ -136,13 +136,13 @@ class AgentStates:
 
     def led_by(self, row: int, others: Traffic, *, aside_m: float = 0.0) -> Leading:
         """The same of other agents than these, whose rows are those of their traffic (T steps)."""
-        driven, steps = self.line(row), self.arrays.num_steps
-        if driven is None or not others.ids:
-            return Leading(np.zeros(0, dtype=np.int64), np.zeros((0, steps)), np.zeros((0, steps)))
-        traffic = self.traffic
-        seen = look_along(
-            driven.line, others, float(traffic.length_m[row]), float(traffic.width_m[row]) + 2 * aside_m
-        )  # fmt: skip
+        driven, steps, traffic = self.line(row), self.arrays.num_steps, self.traffic
+        seen = PathOccupancy.nobody(steps)
+        if driven is not None and others.ids:
+            length_m, width_m = float(traffic.length_m[row]), float(traffic.width_m[row]) + 2 * aside_m
+            seen = look_along(driven.line, others, length_m, width_m)
+        if driven is None or not seen.agents.size:
+            return Leading(seen.agents, seen.low, seen.along)
         speed = np.hypot(traffic.velocity[row, :, 0], traffic.velocity[row, :, 1])
         found = gaps_to_all(seen, driven.s, np.arange(steps))
         leads = seen.same_direction & (found.lead_m > -SIDE_BY_SIDE_M) & (found.lead_m < HORIZON_M)

@@ -12,6 +12,7 @@ from inserted import changing, driven, scene_on
 
 from hid2.agents import Policy
 from hid2.insertion.filling import Filling
+from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.starts import Starts
 from hid2.insertion.surroundings import Surroundings
@@ -411,8 +412,12 @@ def test_debug_log_tells_what_became_of_every_vehicle_that_was_tried(
 def test_vehicle_that_conflicts_with_others_together_is_replaced_and_kept_ones_stay(
     scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Row 0 is said to conflict in both rounds: in the first it is new, in the second it was kept before."""
-    monkeypatch.setattr("hid2.insertion.filling.conflicting", lambda _scene, _exported: [(0, Reason.PET)])
+    """Row 0 is said to conflict while it is new, in the first round; in the second only those since row 3 are asked."""
+
+    def said(_scene: Scene, exported: Sequence[ExportedVehicle], *, since: int) -> list[tuple[int, Reason]]:
+        return [(0, Reason.PET)] if since == 0 else []
+
+    monkeypatch.setattr("hid2.insertion.filling.conflicting", said)
     filling, drive = _fill(scene_for())
     assert [(one.reason, one.round_number) for one in filling.rejected] == [(Reason.PET, 0)]
     assert drive.kept_before == [0, 3]

@@ -243,6 +243,8 @@ def test_of_two_that_come_too_near_together_the_later_one_goes(scene_of: Callabl
     scene = scene_of()
     slow, fast = _kept(scene, np.full(110, 5.0), 60.0), _kept(scene, np.full(110, 10.0), 40.0, number=1)
     assert [row for row, _ in conflicting(scene, [slow, fast])] == [1]
+    assert [row for row, _ in conflicting(scene, [slow, fast], since=1)] == [1]
+    assert conflicting(scene, [slow, fast], since=2) == []
     assert conflicting(scene, [slow, _kept(scene, np.full(110, 10.0), 40.0, lane=2, number=1)]) == []
 
 
