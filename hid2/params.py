@@ -233,15 +233,16 @@ class Sites(_Section):
         1.0, "s", "nobody enters at the map's edge in less than this ahead of another inserted vehicle", ge=0, le=5
     )
     slow_leader_min: float = _param(
-        0.25, "share", "desired speed of an added leader over that of who overtakes it, uniform from here", gt=0, le=1
+        0.5, "share", "desired speed of an added leader over the usual one of its lane, uniform from here", gt=0, le=1
     )
-    slow_leader_max: float = _param(0.65, "share", "to here", gt=0, le=1)
-    slow_leader_mps: float = _param(2.0, "m/s", "slowest desired speed of an added leader", gt=0, le=20)
-    overtake_ways: int = _param(
-        120, "routes", "along which an overtake is foreseen for a request in a round", ge=1, le=10_000
+    slow_leader_max: float = _param(0.7, "share", "to here", gt=0, le=1)
+    slow_leader_mps: float = _param(3.0, "m/s", "slowest desired speed of an added leader", gt=0, le=20)
+    overtake_ways: int = _param(60, "routes", "on which a place to overtake is looked for in a round", ge=1, le=10_000)
+    overtake_draws: int = _param(40, "places", "with an added leader that are drawn on each", ge=1, le=10_000)
+    overtake_tries: int = _param(6, "places", "rolled out for an overtake in a round, at most", ge=1, le=1000)
+    overtake_gap_s: tuple[Annotated[float, Field(ge=0, le=20)], Annotated[float, Field(ge=0, le=20)]] = _param(
+        (1.0, 2.5), "s", "of the speed difference, from the leader at the trigger, beyond the gap at standstill"
     )
-    slow_leader_gap_m: float = _param(12.0, "m", "to an added leader when the overtake is due", ge=0, le=100)
-    slow_leader_gap_s: float = _param(0.8, "s", "and so much more by the start speed", ge=0, le=5)
 
     @model_validator(mode="after")
     def _check(self) -> "Sites":

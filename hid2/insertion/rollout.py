@@ -115,6 +115,13 @@ class World:
         fixed = self._kept.joined(*others, candidate.traffic)
         return World(self.scene, self.roads, Guard(self.scene, fixed, self.guard.stop_lines))
 
+    def joined_by(self, candidate: Foreseen) -> "World":
+        """The same with a candidate chosen, which need not be taken in the end."""
+        found = World(self.scene, self.roads, Guard(self.scene, self._kept, self.guard.stop_lines))
+        found._chosen, found.guard.fixed = dict(self._chosen), self.guard.fixed
+        found.choose(candidate)
+        return found
+
     def foreseen(self, start: Start, parts: tuple[Rollout, ...]) -> Foreseen:
         """A candidate with its motion."""
         return Foreseen(start, parts, self._as_traffic(start, parts))

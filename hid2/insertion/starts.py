@@ -20,7 +20,7 @@ from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path, gaps_to_all
 from hid2.params import Sites
-from hid2.policy.behaviours import TURN_OF_POLICY
+from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
 from hid2.policy.decision import Side
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
@@ -65,15 +65,19 @@ class Starts:
                 self.world.choose(*(rolled or (self.world.foreseen(start, (self.world.roll(start),)),)))
         return starts
 
+    def rolled(self, start: Start) -> Foreseen:
+        """The rollout of a start that was made last."""
+        return self._rolled[start.vehicle_id][0]
+
     def make(
         self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float | None, *,
         driver: Driver | None = None, speed_mps: float | None = None, step: int = 0,
-        led_by: int = -1,
+        led_by: int = -1, sides: tuple[Side, ...] | None = None,
     ) -> Start | Reason:  # fmt: skip
         """A vehicle with a driver at a site, with a start speed, m/s, or why it cannot begin there.
 
         s: along the route's lanes, m; None: at their beginning, all of it on them. step: from which on it is there;
-        led_by: what it would follow then, as `Meetings` numbers them.
+        led_by: what it would follow then, as `Meetings` numbers them; sides: where it looks for a lane, None: drawn.
         """
         scene, config, rng = self.scene, self.scene.config, self.rng
         object_type, size = draw_size(config.request, rng)
@@ -113,12 +117,12 @@ class Starts:
                 wished = desired_speeds(
                     drawn, config, rng, num_steps=scene.num_steps - step, step_s=scene.step_s, at_least_mps=admitted
                 )
-                sides: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
+                order: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
                 start = Start(
                     vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=object_type,
                     size=size, box=box, route=offer.route, path=path, start_s=start_s, start_mps=admitted,
                     driver=drawn, desired=np.concatenate([np.full(step, wished[0]), wished]), offset=_MIDDLE,
-                    sides=sides, step=step,
+                    sides=sides or order, step=step,
                 )  # fmt: skip
                 rolled = self._does(self.world, start)
                 if not isinstance(rolled, Reason):
@@ -138,14 +142,14 @@ class Starts:
         With `request.sites = any` nothing is looked ahead, but that no vehicle begins where it is met at once.
         """
         scene, config, policy = self.scene, self.scene.config, start.request.policy
-        if "collision" in config.without or policy is Policy.OVERTAKE:
+        if "collision" in config.without:
             return ()
         if config.request.sites == "any":
             soon = (world.roll(start, last=start.step + scene.steps_in(config.spawn.settle_s)),)
             return world.objection(start, soon, ends=False) or ()
-        if policy is Policy.LANE_CHANGE:
+        if BEHAVIOURS[policy].changes_lanes:
             vehicle, parts = world.act(start)
-            if not vehicle.shifts:
+            if len(vehicle.shifts) < (2 if policy is Policy.OVERTAKE else 1):
                 return vehicle.reason or Reason.SCENE_ENDED
         else:
             vehicle, parts = None, (world.roll(start),)
