@@ -1,4 +1,4 @@
-"""Overtakes: where one may fit, by straight lines over time; whether it comes about, by rollouts with Algorithm 1.
+"""Overtakes: where one may fit, by lines over time; whether it comes about, by rollouts with Algorithm 1.
 
 closing in on a slower leader, recorded, inserted before, or added for it | trigger: out | past | back | to the end
 """
@@ -10,7 +10,7 @@ import numpy as np
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray
 from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.routes import RouteOffer
-from hid2.insertion.starts import Starts
+from hid2.insertion.starts import Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
 from hid2.kernels.polyline import frenet
 from hid2.motion.lane_change_path import LateralTiming
@@ -23,19 +23,18 @@ from hid2.reasons import Reason
 from hid2.scene import clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
-#: Starts (N,) m on the path, leaders' centres there at each look (N, K) m, inf where gone, and speeds (N,) m/s.
-_Drawn = tuple[FloatArray, FloatArray, FloatArray]
-#: No tunable: places tried on one way.
-_TRIED = 2
-#: Shares of a lateral motion after which two usual cars do not overlap any more, and up to which they do not yet.
-_OUT, _BACK = 0.6, 0.4
+#: No tunables, spare time: s between two looks at places, and places tried on one way.
+_LOOKS_S, _TRIED = 0.5, 2
+#: No tunables, spare rollouts: shares of a lateral motion after which two usual cars do not overlap any more, and up to
+#: which they do not yet; and the time gap to a leader, s, that slows nobody who passes.
+_OUT, _BACK, _HEADWAY_S = 0.7, 0.4, 1.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Way:
-    """A route past: its vehicle begins on lane_id; beside: the path on a side's lane, begin to end m on the own path.
+    """A route past: its vehicle begins at first to last m on the path, and has the lane of `beside` up to end m.
 
-    shift_m: arc length on the path beside minus that on the own one.
+    apart_m: of the two lanes; shift_m: arc length on the path beside minus that on the own one.
     """
 
     offer: RouteOffer
@@ -43,18 +42,49 @@ class _Way:
     side: Side
     path: DrivenPath
     beside: DrivenPath
-    begin: float
+    first: float
+    last: float
     end: float
+    apart_m: float
     shift_m: float
 
 
-@dataclass(frozen=True, slots=True)
-class _Likely:
-    """Where an overtaker begins, m on its path, and its leader where one is added (else None), with its speed, m/s."""
+@dataclass(frozen=True, eq=False, slots=True)
+class _Drawn:
+    """Gaps (N,) m at the start to leaders: speeds m/s, and how far they are from their starts at looks (N, K) m.
 
-    start_s: float
-    leader_s: float | None
-    leader_mps: float
+    start_s (N,) m on the path, of those behind known leaders; None: anywhere, behind added ones.
+    """
+
+    gap_m: FloatArray
+    leader_mps: FloatArray
+    leader_m: FloatArray
+    start_s: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Motions:
+    """Starts (N,) m on the path and m/s with places (N, K) m at looks; those out (N, K) m since the trigger, m.
+
+    back_s (N, 1): where the way back begins; across_m: how far a lateral motion goes; leader (N, K) m, leader_mps (N,).
+    """
+
+    start_s: FloatArray
+    start_mps: FloatArray
+    s: FloatArray
+    out_m: FloatArray
+    back_s: FloatArray
+    across_m: float
+    leader: FloatArray
+    leader_mps: FloatArray
+    added: bool
+
+    def rows(self, rows: IntArray) -> "_Motions":
+        """Some of them, in this order."""
+        every = (self.start_s, self.start_mps, self.s, self.out_m, self.back_s)
+        return _Motions(
+            *(one[rows] for one in every), self.across_m, self.leader[rows], self.leader_mps[rows], self.added
+        )
 
 
 @dataclass(slots=True)
@@ -78,6 +108,8 @@ class OvertakeStarts:
         scene, rng, sites = self.here.scene, self.starts.rng, self.here.scene.config.sites
         ways, tried, looked = self.here.routes.ways_past(), 0, 0
         self.found_none = Reason.NO_OVERTAKE_FORESEEN if slow is not None else Reason.NO_SLOW_LEADER
+        if request.trigger_s + 2.0 * scene.config.lane_change.min_duration_s > scene.last_s:
+            return []  # out and back alone take longer
         for place in rng.permutation(len(ways)).tolist():
             drivers = [
                 draw_driver(scene.config, rng, lane_speed_mps=scene.lane_speed(ways[place][1], rng))
@@ -88,11 +120,13 @@ class OvertakeStarts:
             if way is None:
                 continue
             looked += 1
-            for one in self._likely(way, driver, request.trigger_s, adds=slow is not None):
-                self.found_none, tried = None, tried + 1
-                found = self._starts(request, slow, way, one, driver)
-                if found or tried == sites.overtake_tries:
-                    return found
+            for drawn in (self._behind_known, self._behind_added)[: 2 if slow is not None else 1]:
+                likely = self._likely(way, driver, request.trigger_s, drawn(way, driver))
+                for row in range(min(_TRIED, likely.start_s.size)):
+                    self.found_none, tried = None, tried + 1
+                    found = self._starts(request, slow, way, driver, likely.rows(np.array([row])))
+                    if found or tried == sites.overtake_tries:
+                        return found
             if looked == sites.overtake_ways:
                 break
         return []
@@ -101,7 +135,8 @@ class OvertakeStarts:
         """A way past with its paths; None where it begins farther than reach_m from the lane."""
         scene, stretch = self.here.scene, self.here.routes.together(offer, side)
         lanes, row, at = scene.grid.graph.lanes, 0, 0.0
-        if stretch is None or stretch[0] - offer.start_m - lanes[lane_id].length_m > reach_m:
+        lane_end = offer.start_m + lanes[lane_id].length_m
+        if stretch is None or stretch[0] - reach_m > lane_end:
             return None
         while at + lanes[offer.route[row]].length_m <= stretch[0] + 0.5:
             at, row = at + lanes[offer.route[row]].length_m, row + 1
@@ -109,109 +144,131 @@ class OvertakeStarts:
         if neighbor is None:
             return None
         path, beside = scene.path(offer.route), scene.path_beside(offer.route[row:], neighbor)
-        begin, end = path.to_line(stretch[0]), path.to_line(stretch[1])
-        there = frenet(path.line.position(np.array([begin])), beside.raw_line.points, beside.raw_line.s)[0]
-        return _Way(offer, lane_id, side, path, beside, begin, end, float(beside.all_to_line(there)[0]) - begin)
-
-    def _likely(self, way: _Way, driver: Driver, trigger_s: float, *, adds: bool) -> list[_Likely]:
-        """Places on a way from which straight lines over time lead past a known leader; else past an added one."""
-        looks = np.arange(0, self.here.scene.num_steps, self.here.scene.config.conflict.stride)
-        known = self.starts.world.known_on(way.path, self._box)
-        start, leader, leader_mps = self._behind_known(way, driver, trigger_s, known, looks)
-        fits = np.flatnonzero(self._fits(way, driver, trigger_s, known, looks, start, leader))
-        if fits.size or not adds:
-            return [_Likely(float(start[n]), None, 0.0) for n in fits[:_TRIED].tolist()]
-        start, leader, leader_mps = self._behind_added(way, driver, trigger_s, looks)
-        fits = np.flatnonzero(
-            self._fits(way, driver, trigger_s, known, looks, start, leader)
-            & ~_taken(known, looks, leader).any(axis=1) & (leader_mps < driver.desired_mps)
-        )  # fmt: skip
-        return [_Likely(float(start[n]), float(leader[n, 0]), float(leader_mps[n])) for n in fits[:_TRIED].tolist()]
-
-    def _gap_m(self, driver: Driver, closing_mps: FloatArray) -> FloatArray:
-        """Bumper gaps to leaders at the trigger, m (N,): as short as they may be with so much closed until out."""
-        low, high = self.here.scene.config.sites.overtake_gap_s
-        return driver.min_gap_m + closing_mps * self.starts.rng.uniform(low, high, size=closing_mps.size)
-
-    def _behind_known(
-        self, way: _Way, driver: Driver, trigger_s: float, known: PathOccupancy, looks: IntArray
-    ) -> _Drawn:
-        """Behind recorded cars and buses, and inserted vehicles, that are slower at the trigger."""
-        scene, overtake = self.here.scene, self.here.scene.config.overtake
-        recorded = scene.kept_clear_on(way.path, self._box).agents.size
-        at = min(round(trigger_s / scene.step_s), scene.num_steps - 1)
-        usable = np.isin(known.agents, scene.vehicle_rows) | (np.arange(known.agents.size) >= recorded)
-        usable &= (
-            known.same_direction[:, at] & np.isfinite(known.low[:, at]) & (known.along[:, at] > overtake.parked_mps)
+        first, last, end = (
+            path.to_line(raw) for raw in (max(offer.start_m, stretch[0] - reach_m), lane_end, stretch[1])
         )
-        slower = known.along[:, at] < driver.desired_mps - overtake.speed_advantage_mps
-        rows = np.repeat(np.flatnonzero(usable & slower), _TRIED)
-        there = np.isfinite(known.low[rows][:, looks])
-        low, high = (np.where(there, one[rows][:, looks], np.inf) for one in (known.low, known.high))
-        gap_m = self._gap_m(driver, driver.desired_mps - known.along[rows, at])
-        return known.low[rows, at] - gap_m - driver.desired_mps * trigger_s, 0.5 * (low + high), known.along[rows, at]
+        here_s = np.array([max(first, path.to_line(stretch[0]))])
+        there, aside = frenet(path.line.position(here_s), beside.raw_line.points, beside.raw_line.s)
+        shift_m = float((beside.all_to_line(there) - here_s)[0])
+        return _Way(offer, lane_id, side, path, beside, first, last, end, abs(float(aside[0])), shift_m)
 
-    def _behind_added(self, way: _Way, driver: Driver, trigger_s: float, looks: IntArray) -> _Drawn:
-        """Anywhere on the lane behind leaders at 50 to 70 % of its usual speed, or as `sites` has it."""
+    def _behind_known(self, way: _Way, driver: Driver) -> _Drawn:
+        """Behind recorded cars and buses, and inserted vehicles, that are slower at the start."""
+        scene, overtake = self.here.scene, self.here.scene.config.overtake
+        known = self.starts.world.known_on(way.path, self._box)
+        recorded, along = scene.kept_clear_on(way.path, self._box).agents.size, known.along[:, 0]
+        usable = np.isin(known.agents, scene.vehicle_rows) | (np.arange(along.size) >= recorded)
+        usable &= known.same_direction[:, 0] & np.isfinite(known.low[:, 0]) & (along > overtake.parked_mps)
+        usable &= along < driver.desired_mps - overtake.speed_advantage_mps
+        rows = np.repeat(np.flatnonzero(usable), 2 * _TRIED)
+        gap_m = self._gap_m(driver, along[rows])
+        start = known.low[rows, 0] - gap_m
+        near = (start > way.first) & (start < way.last)
+        rows, start, gap_m = rows[near], start[near], gap_m[near]
+        high = known.high[rows][:, self._looks()]  # -inf where it is gone: nothing to be passed
+        leader_m = np.where(np.isfinite(high), high - self._box.length_m, np.inf) - start[:, None]
+        return _Drawn(gap_m, along[rows], leader_m, start)
+
+    def _behind_added(self, way: _Way, driver: Driver) -> _Drawn:
+        """Behind leaders at some share of the lane's usual speed."""
         scene, sites, rng = self.here.scene, self.here.scene.config.sites, self.starts.rng
-        begin, end = self._between(way, driver, trigger_s)
-        usual_mps = self.here.meetings.usual_speed(way.lane_id)
         share = rng.uniform(sites.slow_leader_min, sites.slow_leader_max, size=sites.overtake_draws)
-        slow_mps = np.maximum(sites.slow_leader_mps, share * usual_mps)
-        closing_mps = np.maximum(driver.desired_mps - slow_mps, 0.0)
-        start = begin + max(0.0, end - begin) * rng.random(slow_mps.size)
-        leader = start + self._box.length_m + self._gap_m(driver, closing_mps) + closing_mps * trigger_s
-        return start, leader[:, None] + slow_mps[:, None] * looks * scene.step_s, slow_mps
+        slow_mps = np.maximum(sites.slow_leader_mps, share * self.here.meetings.usual_speed(way.lane_id))
+        slow_mps = slow_mps[slow_mps < driver.desired_mps - scene.config.overtake.speed_advantage_mps]
+        gap_m = self._gap_m(driver, slow_mps)
+        leader_m = (self._box.length_m + gap_m)[:, None] + slow_mps[:, None] * self._looks() * scene.step_s
+        return _Drawn(gap_m, slow_mps, leader_m)
 
-    def _between(self, way: _Way, driver: Driver, trigger_s: float) -> tuple[float, float]:
-        """From where to where on its lane, m on the path, a vehicle begins that has a lane beside at the trigger."""
-        lane_m = self.here.scene.grid.graph.lanes[way.lane_id].length_m
-        first, last = (way.path.to_line(way.offer.start_m + more) for more in (0.0, lane_m))
-        return max(first, way.begin - driver.desired_mps * trigger_s), last
+    def _looks(self) -> IntArray:
+        """Steps (K,) at which places are looked at."""
+        return np.arange(0, self.here.scene.num_steps, self.here.scene.steps_in(_LOOKS_S))
 
-    def _fits(
-        self, way: _Way, driver: Driver, trigger_s: float, known: PathOccupancy, looks: IntArray, start: FloatArray,
-        leader: FloatArray,
-    ) -> BoolArray:  # fmt: skip
-        """Which of N starts at the desired speed are past their leaders, (N, K) m, and back in time, and meet none.
+    def _gap_m(self, driver: Driver, leader_mps: FloatArray) -> FloatArray:
+        """Bumper gaps (N,) m at the start, by the speed at which the driver closes in."""
+        share = self.starts.rng.uniform(*self.here.scene.config.sites.overtake_gap_s, size=leader_mps.size)
+        return np.asarray(driver.min_gap_m + share * (driver.desired_mps - leader_mps))
 
-        known: on the own path; looks (K,): steps.
+    def _likely(self, way: _Way, driver: Driver, trigger_s: float, drawn: _Drawn) -> _Motions:
+        """Motions that are past their leaders and back in time, and touch none; the soonest first."""
+        motions, looks = self._in_time(way, driver, trigger_s, drawn), self._looks()
+        if self.here.scene.config.request.sites == "any" or not motions.start_s.size:
+            return motions
+        s, out_m, across_m = motions.s, motions.out_m, motions.across_m
+        own, beside = (self.starts.world.known_on(path, self._box) for path in (way.path, way.beside))
+        met = _taken(own, looks, s) & ((out_m < _OUT * across_m) | (s > motions.back_s))
+        if motions.added:
+            met |= _taken(own, looks, motions.leader, room_m=_HEADWAY_S * float(motions.leader_mps.max()))
+        is_off = (out_m > 0.0) & (s < motions.back_s + _BACK * across_m)
+        met |= is_off & _taken(beside, looks, s + way.shift_m, room_m=_HEADWAY_S * driver.desired_mps)
+        first = out_m.shape[1] - (out_m > 0.0).sum(axis=1).max(initial=1)  # the first look at which it may be out
+        enters = self._may_enter(beside, driver, int(looks[first]), s[:, first] + way.shift_m)
+        return motions.rows(np.flatnonzero(enters & ~met.any(axis=1)))
+
+    def _in_time(self, way: _Way, driver: Driver, trigger_s: float, drawn: _Drawn) -> _Motions:
+        """Motions that come past and back in the time and on the stretch that there is; the soonest first.
+
+        As a driver begins who is behind a leader, slower by the trigger, then towards the desired speed as the IDM
+        does near to it. A lateral motion takes its time, or its length where the vehicle is slow.
         """
         scene, change, overtake = self.here.scene, self.here.scene.config.lane_change, self.here.scene.config.overtake
-        if not start.size or self.here.scene.config.request.sites == "any":
-            return np.ones(start.size, dtype=np.bool_)
+        sites, desired, length_m = scene.config.sites, driver.desired_mps, self._box.length_m
+        pairs = zip(drawn.gap_m.tolist(), drawn.leader_mps.tolist(), strict=True)
+        start_mps = np.array([min(desired, speed_behind(gap, mps, driver, sites)) for gap, mps in pairs])
         wanted_s = max(change.min_duration_s, overtake.shift_ratio * driver.lane_change_s)
-        across_s = LateralTiming.of(wanted_s, scene.config.grid.cell_m, change).lasting_s
-        times, desired = looks * scene.step_s, driver.desired_mps
-        s = start[:, None] + desired * times
-        past = (s > leader + self._box.length_m + overtake.return_gap_m) & (times > trigger_s + across_s)
-        back_s = np.where(past.any(axis=1), times[past.argmax(axis=1)], np.inf)
-        begin, end = self._between(way, driver, trigger_s)
-        fits = (back_s + across_s < scene.last_s) & (start >= begin) & (start <= end)
-        fits &= start + desired * np.minimum(back_s + across_s, scene.last_s) < way.end
-        out = (times > trigger_s + _OUT * across_s) & (times < back_s[:, None] + _BACK * across_s)
-        beside = self.starts.world.known_on(way.beside, self._box)
-        return fits & ~np.where(out, _taken(beside, looks, s + way.shift_m), _taken(known, looks, s)).any(axis=1)
+        timing = LateralTiming.of(wanted_s, way.apart_m, change)
+        across_m = timing.lasting_s * max(timing.slow_mps, desired)
+        times, settles_s = self._looks() * scene.step_s, desired / (3.0 * driver.accel_mps2)
+        free = np.maximum(times - trigger_s, 0.0)
+        slow_s = settles_s * (1.0 - np.exp(-free / settles_s))
+        out_mps = np.maximum(start_mps - sites.begin_braking_mps2 * trigger_s, drawn.leader_mps)[:, None]
+        out_m = out_mps * slow_s + desired * (free - slow_s)
+        m = 0.5 * (start_mps[:, None] + out_mps) * np.minimum(times, trigger_s) + out_m
+        past = (m > drawn.leader_m + length_m + overtake.return_gap_m) & (out_m > across_m)
+        back_m = np.where(past.any(axis=1), m[np.arange(len(m)), past.argmax(axis=1)], 1e9)
+        done = (m > back_m[:, None] + across_m) & (times < scene.last_s - change.spare_s)
+        last = np.minimum(way.last, way.end - back_m - across_m)
+        start = drawn.start_s
+        if start is None:
+            start = np.minimum(way.first, last) + np.maximum(last - way.first, 0.0) * self.starts.rng.random(last.size)
+        is_behind = (m < drawn.leader_m - length_m) | (out_m > _OUT * across_m)
+        fits = done.any(axis=1) & is_behind.all(axis=1) & (start >= way.first) & (start <= last)
+        fits &= start_mps > drawn.leader_mps
+        if scene.config.request.sites == "any":
+            fits = (start >= way.first) & (start <= way.last)
+        rows = np.flatnonzero(fits)
+        rows = rows[np.argsort(done[rows].argmax(axis=1), kind="stable")]
+        leader, place = start[:, None] + drawn.leader_m, start[:, None]
+        return _Motions(
+            start, start_mps, place + m, out_m, place + back_m[:, None], across_m, leader, drawn.leader_mps,
+            drawn.start_s is None,
+        ).rows(rows)  # fmt: skip
+
+    def _may_enter(self, beside: PathOccupancy, driver: Driver, at: int, s: FloatArray) -> BoolArray:
+        """Whether Algorithm 1 finds its gaps and its corridor at a step at places (N,) m on the lane beside."""
+        overtake = self.here.scene.config.overtake
+        low, high, along = beside.low[:, at], beside.high[:, at], beside.along[:, at]
+        free_m = np.where(along < driver.desired_mps, overtake.d_overtake_m, overtake.safe_front_m)
+        return ~((high > s[:, None] - overtake.safe_rear_m) & (low < s[:, None] + free_m)).any(axis=1)
 
     def _starts(
-        self, request: VehicleRequest, slow: VehicleRequest | None, way: _Way, likely: _Likely, driver: Driver
+        self, request: VehicleRequest, slow: VehicleRequest | None, way: _Way, driver: Driver, one: _Motions
     ) -> list[Start]:
         """The vehicle, after its leader where one is added; empty where a rollout speaks against one of them."""
-        starts, raw = self.starts, way.path.to_raw
-        world, leaders = starts.world, list[Start]()
-        if likely.leader_s is not None and slow is not None:
-            base = draw_driver(self.here.scene.config, starts.rng, lane_speed_mps=likely.leader_mps)
+        starts, world, leaders, raw = self.starts, self.starts.world, list[Start](), way.path.to_raw
+        if one.added and slow is not None:
+            mps = float(one.leader_mps[0])
+            base = draw_driver(self.here.scene.config, starts.rng, lane_speed_mps=mps)
             leader = starts.make(
-                slow, way.offer, way.lane_id, raw(likely.leader_s), driver=replace(base, desired_mps=likely.leader_mps),
-                speed_mps=likely.leader_mps,
+                slow, way.offer, way.lane_id, raw(float(one.leader[0, 0])), driver=replace(base, desired_mps=mps),
+                speed_mps=mps,
             )  # fmt: skip
             if not isinstance(leader, Start):
                 starts.rejected[leader] += 1
                 return []
-            leaders, starts.world = [leader], world.joined_by(starts.rolled(leader))
+            leaders, starts.world = [leader], world.joined_by(*starts.rolled(leader))
         found = starts.make(
-            request, way.offer, way.lane_id, raw(likely.start_s), driver=driver, speed_mps=driver.desired_mps,
-            sides=(way.side,),
+            request, way.offer, way.lane_id, raw(float(one.start_s[0])), driver=driver,
+            speed_mps=float(one.start_mps[0]), sides=(way.side,),
         )  # fmt: skip
         starts.world = world
         if isinstance(found, Start):
@@ -220,7 +277,7 @@ class OvertakeStarts:
         return []
 
 
-def _taken(known: PathOccupancy, looks: IntArray, s: FloatArray) -> BoolArray:
-    """Whether a box at places (N, K) m at looks (K,) touches any of those known on a path, (N, K)."""
-    low, high = known.low[None, :, looks], known.high[None, :, looks]
-    return np.asarray(((low < s[:, None]) & (s[:, None] < high)).any(axis=1))
+def _taken(known: PathOccupancy, looks: IntArray, s: FloatArray, *, room_m: float = 0.0) -> BoolArray:
+    """Whether a box at places (N, K) m at looks (K,), with so much room, touches any known on a path, (N, K)."""
+    low, high = known.low[:, looks] - room_m, known.high[:, looks] + room_m
+    return np.asarray(((low[None] < s[:, None]) & (s[:, None] < high[None])).any(axis=1))

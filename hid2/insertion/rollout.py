@@ -16,6 +16,7 @@ from hid2.conflicts.guard import Guard
 from hid2.insertion.due import Due
 from hid2.judge.findings import last_word
 from hid2.judge.states import contacts_at_end
+from hid2.kernels.polyline import frenet
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
 from hid2.measures.scene_end import BoxesAtStep
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -37,6 +38,8 @@ _NONE = Traffic.none(1)
 #: No tunables, spare time: no follower has a critical TTC on the path that it drives that has so much more room ahead,
 #: or is so far aside.
 _FOLLOWS_M, _ASIDE_M = 3.0, 12.0
+#: No tunable: of the time between two looks of a vehicle that waits for a gap, while it passes another one.
+_PASSING_SHARE = 0.3
 #: Desired speeds, m/s, that SUMO's EIDM has at most for a link of the net, by its direction; speed limit of every lane.
 _TURN_MPS = {TurnType.STRAIGHT: SPEED_LIMIT_MPS, TurnType.LEFT: 8.0, TurnType.RIGHT: 6.0}
 
@@ -63,6 +66,13 @@ class _Shown:
     seen: PathOccupancy
     leads: BoolArray
     length_m: FloatArray
+
+    def seen_from(self, path: DrivenPath, target: DrivenPath) -> "_Shown":
+        """Those on a target's path, by the arc length of a path that leads across to it."""
+        over = path.shifts[-1][1]
+        there = frenet(path.line.position(np.array([over])), target.raw_line.points, target.raw_line.s)[0]
+        ahead_m = float(target.all_to_line(there)[0]) - over
+        return replace(self, seen=replace(self.seen, low=self.seen.low - ahead_m, high=self.seen.high - ahead_m))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -115,11 +125,11 @@ class World:
         fixed = self._kept.joined(*others, candidate.traffic)
         return World(self.scene, self.roads, Guard(self.scene, fixed, self.guard.stop_lines))
 
-    def joined_by(self, candidate: Foreseen) -> "World":
-        """The same with a candidate chosen, which need not be taken in the end."""
+    def joined_by(self, *candidates: Foreseen) -> "World":
+        """The same with candidates chosen, which need not be taken in the end."""
         found = World(self.scene, self.roads, Guard(self.scene, self._kept, self.guard.stop_lines))
         found._chosen, found.guard.fixed = dict(self._chosen), self.guard.fixed
-        found.choose(candidate)
+        found.choose(*candidates)
         return found
 
     def foreseen(self, start: Start, parts: tuple[Rollout, ...]) -> Foreseen:
@@ -174,11 +184,12 @@ class World:
 
     def roll(
         self, start: Start, *, path: DrivenPath | None = None, step: int | None = None,
-        state: tuple[float, float, float] | None = None, last: int | None = None,
+        state: tuple[float, float, float] | None = None, last: int | None = None, target: DrivenPath | None = None,
     ) -> Rollout:  # fmt: skip
         """How a vehicle drives on: from its start, or on another path from a state (s m, v m/s, a m/s2) at a step.
 
-        last: step of the scene at which to stop looking, its last one unless told.
+        last: step of the scene at which to stop looking, its last one unless told; target: that of the lane on which
+        SUMO has it from the beginning of the way across on.
         """
         scene, box, driver = self.scene, start.box, start.driver
         path = path or start.path
@@ -186,7 +197,7 @@ class World:
         known, lines, shown = (
             self.known_on(path, box),
             self.guard.stop_lines.arrays(path, box),
-            self._shown_on(path, box),
+            self._shown_on(path, box) if target is None else self._shown_on(target, box).seen_from(path, target),
         )
         s, v = roll(
             (first, scene.num_steps - 1 if last is None else min(last, scene.num_steps - 1)),
@@ -231,14 +242,21 @@ class World:
                 step += scene.steps_in(scene.config.sites.looks_s)
                 continue
             due = Due(scene, vehicle, step, self.guard.fixed, _NONE)
+            if vehicle.stage is Stage.PASS and due.passed_gap_m() < scene.config.overtake.return_gap_m:
+                vehicle.reason = Reason.NOT_AHEAD  # what it would be told, sooner
+                step += scene.steps_in(_PASSING_SHARE * scene.config.sites.looks_s)
+                continue
             across = due.decided(foreseen)
+            if vehicle.reason is Reason.SCENE_ENDS:
+                break
             if across is not None and self._meets_on(vehicle, step, across.path):
                 due.refuse(Reason.CONFLICT_PREDICTED)
             elif across is not None:
                 across.taken_by(vehicle)
                 vehicle.path, parts[-1] = across.path, part.until(step)
-                parts.append(self.roll(start, path=across.path, step=step, state=(s, v, 0.0)))
-            step += scene.steps_in(scene.config.sites.looks_s)
+                parts.append(self.roll(start, path=across.path, step=step, state=(s, v, 0.0), target=across.target))
+            looks_s = scene.config.sites.looks_s  # it is soon past, and looks for a gap for long
+            step += scene.steps_in(_PASSING_SHARE * looks_s if vehicle.stage is Stage.PASS else looks_s)
         return vehicle, tuple(parts)
 
     def _meets_on(self, vehicle: DrivenVehicle, step: int, path: DrivenPath) -> bool:

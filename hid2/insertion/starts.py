@@ -65,9 +65,9 @@ class Starts:
                 self.world.choose(*(rolled or (self.world.foreseen(start, (self.world.roll(start),)),)))
         return starts
 
-    def rolled(self, start: Start) -> Foreseen:
-        """The rollout of a start that was made last."""
-        return self._rolled[start.vehicle_id][0]
+    def rolled(self, start: Start) -> tuple[Foreseen, ...]:
+        """The rollout of a start that was made, and those anew of vehicles that it makes drive otherwise."""
+        return self._rolled.get(start.vehicle_id, ())
 
     def make(
         self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float | None, *,
