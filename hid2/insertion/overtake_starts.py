@@ -25,9 +25,9 @@ from hid2.vehicle import Start, VehicleRequest
 
 #: No tunables, spare time: s between two looks at places, and places tried on one way.
 _LOOKS_S, _TRIED = 0.5, 2
-#: No tunables, spare rollouts: shares of a lateral motion after which two usual cars do not overlap any more, and up to
-#: which they do not yet; and the time gap to a leader, s, that slows nobody who passes.
-_OUT, _BACK, _HEADWAY_S = 0.7, 0.4, 1.0
+#: No tunables, spare rollouts: shares of a lateral motion at which the centre has crossed the line, and up to which the
+#: lane left is not yet entered again; and the time gap to others, s, at which none slows down.
+_CROSSED, _BACK, _HEADWAY_S = 0.5, 0.4, 1.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -110,7 +110,7 @@ class OvertakeStarts:
         self.found_none = Reason.NO_OVERTAKE_FORESEEN if slow is not None else Reason.NO_SLOW_LEADER
         if request.trigger_s + 2.0 * scene.config.lane_change.min_duration_s > scene.last_s:
             return []  # out and back alone take longer
-        for place in rng.permutation(len(ways)).tolist():
+        for place in np.resize(rng.permutation(len(ways)), min(2 * sites.overtake_ways, 4 * len(ways))).tolist():
             drivers = [
                 draw_driver(scene.config, rng, lane_speed_mps=scene.lane_speed(ways[place][1], rng))
                 for _ in range(sites.drivers)
@@ -195,7 +195,7 @@ class OvertakeStarts:
             return motions
         s, out_m, across_m = motions.s, motions.out_m, motions.across_m
         own, beside = (self.starts.world.known_on(path, self._box) for path in (way.path, way.beside))
-        met = _taken(own, looks, s) & ((out_m < _OUT * across_m) | (s > motions.back_s))
+        met = _taken(own, looks, s) & ((out_m < _CROSSED * across_m) | (s > motions.back_s))
         if motions.added:
             met |= _taken(own, looks, motions.leader, room_m=_HEADWAY_S * float(motions.leader_mps.max()))
         is_off = (out_m > 0.0) & (s < motions.back_s + _BACK * across_m)
@@ -212,8 +212,7 @@ class OvertakeStarts:
         """
         scene, change, overtake = self.here.scene, self.here.scene.config.lane_change, self.here.scene.config.overtake
         sites, desired, length_m = scene.config.sites, driver.desired_mps, self._box.length_m
-        pairs = zip(drawn.gap_m.tolist(), drawn.leader_mps.tolist(), strict=True)
-        start_mps = np.array([min(desired, speed_behind(gap, mps, driver, sites)) for gap, mps in pairs])
+        start_mps = np.minimum(desired, speed_behind(drawn.gap_m, drawn.leader_mps, driver, sites))
         wanted_s = max(change.min_duration_s, overtake.shift_ratio * driver.lane_change_s)
         timing = LateralTiming.of(wanted_s, way.apart_m, change)
         across_m = timing.lasting_s * max(timing.slow_mps, desired)
@@ -230,7 +229,8 @@ class OvertakeStarts:
         start = drawn.start_s
         if start is None:
             start = np.minimum(way.first, last) + np.maximum(last - way.first, 0.0) * self.starts.rng.random(last.size)
-        is_behind = (m < drawn.leader_m - length_m) | (out_m > _OUT * across_m)
+        room_m = scene.config.conflict.ttc_min_s * (desired - drawn.leader_mps)[:, None]
+        is_behind = (m + room_m < drawn.leader_m - length_m) | (out_m > _CROSSED * across_m)
         fits = done.any(axis=1) & is_behind.all(axis=1) & (start >= way.first) & (start <= last)
         fits &= start_mps > drawn.leader_mps
         if scene.config.request.sites == "any":

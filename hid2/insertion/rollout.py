@@ -46,17 +46,21 @@ _TURN_MPS = {TurnType.STRAIGHT: SPEED_LIMIT_MPS, TurnType.LEFT: 8.0, TurnType.RI
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Rollout:
-    """A motion on a path: s (K,) m and v (K,) m/s at the scene's steps from `step` on."""
+    """A motion on a path: s (K,) m and v (K,) m/s at the scene's steps from `step` on.
+
+    memory (K, M): what the driver keeps in mind, as the kernel has it.
+    """
 
     path: DrivenPath
     step: int
     s: FloatArray
     v: FloatArray
+    memory: FloatArray
 
     def until(self, step: int) -> "Rollout":
         """The same up to a step, that one included."""
         count = step - self.step + 1
-        return replace(self, s=self.s[:count], v=self.v[:count])
+        return replace(self, s=self.s[:count], v=self.v[:count], memory=self.memory[:count])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -184,9 +188,9 @@ class World:
 
     def roll(
         self, start: Start, *, path: DrivenPath | None = None, step: int | None = None,
-        state: tuple[float, float, float] | None = None, last: int | None = None, target: DrivenPath | None = None,
+        before: Rollout | None = None, last: int | None = None, target: DrivenPath | None = None,
     ) -> Rollout:  # fmt: skip
-        """How a vehicle drives on: from its start, or on another path from a state (s m, v m/s, a m/s2) at a step.
+        """How a vehicle drives on: from its start, or from a step of the motion before on another path.
 
         last: step of the scene at which to stop looking, its last one unless told; target: that of the lane on which
         SUMO has it from the beginning of the way across on.
@@ -199,17 +203,24 @@ class World:
             self.guard.stop_lines.arrays(path, box),
             self._shown_on(path, box) if target is None else self._shown_on(target, box).seen_from(path, target),
         )
-        s, v = roll(
+        state, memory = (start.start_s, start.start_mps, 0.0), np.zeros(0)
+        if before is not None:
+            k = first - before.step
+            gained_mps = float(before.v[k] - before.v[max(k - 1, 0)])
+            state = float(before.s[k]), float(before.v[k]), gained_mps / scene.step_s
+            memory = before.memory[k].copy()
+        s, v, kept = roll(
             (first, scene.num_steps - 1 if last is None else min(last, scene.num_steps - 1)),
-            state or (start.start_s, start.start_mps, 0.0), start.desired, driver.following,
+            state, start.desired, driver.following,
             scene.config.drivers.reaction_s, start.size.length_m, STRAIGHT, self.guard.horizon,
             scene.config.conflict.stride, scene.step_s, TABLE_STEP_M, self.guard.brakes, self.guard.predicted,
             lines.stops, self.guard.rules, self.roads.speeds(path, driver), *self.roads.lanes(path),
             known.low, known.high, known.along, known.same_direction, lines.stop_s, lines.closed, lines.cause,
             shown.seen.low, shown.seen.high, shown.seen.along, shown.leads, shown.length_m,
             (scene.config.driving.leads_from_m, scene.config.driving.shown_m), *self._links_on(path),
+            memory,
         )  # fmt: skip
-        return Rollout(path, first, s, v)
+        return Rollout(path, first, s, v, kept)
 
     def act(self, start: Start) -> tuple[DrivenVehicle, tuple[Rollout, ...]]:
         """The same with Algorithm 1, as the rule of the configuration decides: what becomes of it, and its motion.
@@ -254,7 +265,7 @@ class World:
             elif across is not None:
                 across.taken_by(vehicle)
                 vehicle.path, parts[-1] = across.path, part.until(step)
-                parts.append(self.roll(start, path=across.path, step=step, state=(s, v, 0.0), target=across.target))
+                parts.append(self.roll(start, path=across.path, step=step, before=part, target=across.target))
             looks_s = scene.config.sites.looks_s  # it is soon past, and looks for a gap for long
             step += scene.steps_in(_PASSING_SHARE * looks_s if vehicle.stage is Stage.PASS else looks_s)
         return vehicle, tuple(parts)
@@ -274,11 +285,19 @@ class World:
         ends: whether the scene ends with the last part. Those chosen before that follow it are left out: they brake for
         it (`hindered`).
         """
-        for part in parts:
+        for number, part in enumerate(parts):
             found = self._objection(start, part, is_last=ends and part is parts[-1])
+            if found is None and number > 0 and self._leaves_late(start, parts[number - 1].path, part):
+                found = Reason.TTC_LANE_LEADER
             if found is not None:
                 return found
         return None
+
+    def _leaves_late(self, start: Start, left: DrivenPath, part: Rollout) -> bool:
+        """Whether a vehicle closes in on its leader before its centre has crossed the line, as the judge has it."""
+        crossed = int(np.searchsorted(part.s, 0.5 * sum(part.path.shifts[-1])))
+        met = self._met(start, replace(part, path=left, s=part.s[:crossed], v=part.v[:crossed]))[0]
+        return bool(met[:, LEAD_TTC].min(initial=math.inf) < self.scene.config.conflict.ttc_min_s)
 
     def _objection(self, start: Start, rollout: Rollout, *, is_last: bool) -> Reason | None:
         scene, conflict = self.scene, self.scene.config.conflict

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver, LaneOffset, desired_speeds, draw_driver, lane_offset
@@ -156,7 +156,8 @@ class Starts:
         found = world.objection(start, parts)
         if found is not None:
             return found
-        if vehicle is not None and parts[-1].s[-1] < vehicle.path.shifts[-1][1]:
+        spare_m = config.lane_change.spare_s * parts[-1].v[-1] if policy is Policy.OVERTAKE else 0.0
+        if vehicle is not None and parts[-1].s[-1] < vehicle.path.shifts[-1][1] + spare_m:
             return Reason.SCENE_ENDED
         if policy in TURN_OF_POLICY:
             turn = first_turn(scene.grid.graph, start.path, TURN_OF_POLICY[policy], after=start.start_s)
@@ -232,7 +233,8 @@ class Starts:
         known = self.world.known_on(path, box)
         seen, wished = gaps_to_all(known, np.array([s]), step), speed
         for row in np.flatnonzero(np.isfinite(seen.lead_m[:, 0])).tolist():
-            speed = min(speed, speed_behind(float(seen.lead_m[row, 0]), float(seen.along_mps[row, 0]), driver, sites))
+            behind = speed_behind(float(seen.lead_m[row, 0]), float(seen.along_mps[row, 0]), driver, sites)
+            speed = min(speed, float(behind))
         closing = seen.along_mps[:, 0] - speed
         if (known.same_direction[:, step] & (seen.lag_m[:, 0] < conflict.follower_ttc_min_s * closing)).any():
             return Reason.TTC_RECORDED_FOLLOWER
@@ -278,12 +280,12 @@ class Starts:
         return False
 
 
-def speed_behind(gap_m: float, leader_mps: float, driver: Driver, sites: Sites) -> float:
-    """Fastest speed at which a driver may begin behind a leader without having to brake (IDM), m/s."""
-    room = math.sqrt(1.0 + sites.begin_braking_mps2 / driver.accel_mps2) * gap_m - driver.min_gap_m
-    if room <= 0.0:
-        return 0.0
+def speed_behind(
+    gap_m: FloatArray | float, leader_mps: FloatArray | float, driver: Driver, sites: Sites
+) -> FloatArray:
+    """Fastest speeds, m/s, at which a driver may begin behind leaders without having to brake (IDM)."""
+    room = math.sqrt(1.0 + sites.begin_braking_mps2 / driver.accel_mps2) * np.maximum(gap_m, 0.0) - driver.min_gap_m
     # v tau + v max(0, v - v_l) / (2 sqrt(a b)) = room
     c = 2.0 * math.sqrt(driver.accel_mps2 * driver.decel_mps2)
-    b = driver.tau_s * c - leader_mps
-    return min(room / driver.tau_s, 0.5 * (-b + math.sqrt(b * b + 4.0 * c * room)))
+    b, room = driver.tau_s * c - leader_mps, np.maximum(room, 0.0)
+    return np.asarray(np.minimum(room / driver.tau_s, 0.5 * (-b + np.sqrt(b * b + 4.0 * c * room))))

@@ -60,7 +60,7 @@ def _is_met(low: FloatArray, high: FloatArray, same_direction: BoolArray, t: int
     "(UniTuple(i8, 2), UniTuple(f8, 3), f8[::1], UniTuple(f8, 4), f8, f8, i8, i8, i8, f8, f8, f8[::1],"
     " UniTuple(f8, 4), UniTuple(f8, 4), UniTuple(f8, 10), f8[::1], f8[::1], i8[::1], f8[:,::1], f8[:,::1],"
     " f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], i8[::1], f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1],"
-    " UniTuple(f8, 2), f8[::1], f8[::1], f8[::1])"
+    " UniTuple(f8, 2), f8[::1], f8[::1], f8[::1], f8[::1])"
 )
 def roll(
     span: tuple[int, int], start: tuple[float, float, float], desired_mps: FloatArray,
@@ -72,14 +72,13 @@ def roll(
     along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray, causes: IntArray,
     seen_low: FloatArray, seen_high: FloatArray, seen_along: FloatArray, seen_leads: BoolArray,
     seen_lengths: FloatArray, shown: tuple[float, float], link_s: FloatArray, paces: FloatArray, turns: FloatArray,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    memory: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Place s and speed v at the steps of a span, first to last, (K,) each, from a start s m, v m/s, a m/s2.
 
-    No further than to where the boxes of the vehicle and another agent meet.
+    No further than to where the boxes of the vehicle and another agent meet. Third, what the driver keeps in mind at
+    each step (K, M); memory (M,): at the first one, none for a driver who has just come.
 
-    desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle. seen_* (R, T): the
-    intervals in the width that is driven, of those that SUMO is shown, whether each leads, and their lengths (R,) m;
-    shown: gaps, m, between which an agent ahead is shown. length m: own, of the box that SUMO has.
     desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle; reaction s. seen_*
     (R, T): the intervals in the width that is driven, of those that SUMO is shown, whether each leads, and their
     lengths (R,) m; shown: gaps, m, between which an agent ahead is shown. length m: own, of the box that SUMO has.
@@ -94,6 +93,10 @@ def roll(
     s_at[0], v_at[0] = start[0], start[1]
     yields, state = False, np.empty(DRIVER_STATE)
     new_driver(state, desired_mps[first])
+    if memory.size:
+        state[:] = memory
+    kept = np.empty((last - first + 1, DRIVER_STATE))
+    kept[0] = state
     tau, accel, decel, min_gap = driver
     in_sumo = round(tau, 2), round(accel, 2), round(decel, 2), min_gap  # it keeps two digits of these
     for k in range(1, last - first + 1):
@@ -115,10 +118,10 @@ def roll(
         before_s = s
         s += 0.5 * (v + v_next) * step_s * paces[lane]
         fleet[0, 0], fleet[0, 1], fleet[0, 2] = s, v_next, (v_next - v) / step_s
-        s_at[k], v_at[k] = s, v_next
+        s_at[k], v_at[k], kept[k] = s, v_next, state
         if _is_met(low, high, same_direction, t, s, before_s):
-            return s_at[: k + 1].copy(), v_at[: k + 1].copy()
-    return s_at, v_at
+            return s_at[: k + 1].copy(), v_at[: k + 1].copy(), kept[: k + 1].copy()
+    return s_at, v_at, kept
 
 
 @kernel("(f8[::1], f8[::1], i8, f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8)")
