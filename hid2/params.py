@@ -213,17 +213,6 @@ class Sites(_Section):
     turn_approach_share: float = _param(0.75, "share", "mean speed up to a turn, over the usual one", gt=0, le=1)
     turn_pace_mps: float = _param(5.0, "m/s", "mean speed on a turn lane, to tell when it is left", gt=0, le=20)
     turn_spare_s: float = _param(2.0, "s", "left of the scene after a turn", ge=0, le=10)
-    pass_behind_m: float = _param(
-        15.0, "m", "nobody else begins beside a vehicle that is to overtake, from so far behind it", ge=0, le=200
-    )
-    pass_ahead_m: float = _param(70.0, "m", "to so far ahead of it", ge=0, le=300)
-    pass_beside_m: float = _param(5.5, "m", "and so near beside it", ge=0, le=20)
-    leader_beyond_m: float = _param(
-        20.0, "m", "beyond d_obs, where a leader to be overtaken may be at the start", ge=0, le=100
-    )
-    leader_advantage_ratio: float = _param(
-        2.0, "ratio", "over speed_advantage_mps, by which that leader is slower at the start", ge=0, le=10
-    )
     entry_stays_s: float = _param(3.0, "s", "who enters at the map's edge is there at least so long", ge=0.5, le=10)
     entry_edge_m: float = _param(
         15.0, "m", "a lane that begins so near to the hull of all lanes begins at the map's edge; farther inside it is "

@@ -81,10 +81,10 @@ class _Motions:
 
     def rows(self, rows: IntArray) -> "_Motions":
         """Some of them, in this order."""
-        every = (self.start_s, self.start_mps, self.s, self.out_m, self.back_s)
-        return _Motions(
-            *(one[rows] for one in every), self.across_m, self.leader[rows], self.leader_mps[rows], self.added
-        )
+        return replace(
+            self, start_s=self.start_s[rows], start_mps=self.start_mps[rows], s=self.s[rows], out_m=self.out_m[rows],
+            back_s=self.back_s[rows], leader=self.leader[rows], leader_mps=self.leader_mps[rows],
+        )  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -248,7 +248,8 @@ class OvertakeStarts:
         overtake = self.here.scene.config.overtake
         low, high, along = beside.low[:, at], beside.high[:, at], beside.along[:, at]
         free_m = np.where(along < driver.desired_mps, overtake.d_overtake_m, overtake.safe_front_m)
-        return ~((high > s[:, None] - overtake.safe_rear_m) & (low < s[:, None] + free_m)).any(axis=1)
+        in_the_way = (high > s[:, None] - overtake.safe_rear_m) & (low < s[:, None] + free_m)
+        return np.asarray(~in_the_way.any(axis=1))
 
     def _starts(
         self, request: VehicleRequest, slow: VehicleRequest | None, way: _Way, driver: Driver, one: _Motions

@@ -38,6 +38,8 @@ _NONE = Traffic.none(1)
 #: No tunables, spare time: no follower has a critical TTC on the path that it drives that has so much more room ahead,
 #: or is so far aside.
 _FOLLOWS_M, _ASIDE_M = 3.0, 12.0
+#: No tunable, spares time: beyond it, on either axis, an agent is in none of the gaps that a vehicle looks at.
+_NEAR_GAPS_M = 40.0
 #: No tunable: of the time between two looks of a vehicle that waits for a gap, while it passes another one.
 _PASSING_SHARE = 0.3
 #: Desired speeds, m/s, that SUMO's EIDM has at most for a link of the net, by its direction; speed limit of every lane.
@@ -165,8 +167,12 @@ class World:
         return any(True for _ in contacts_at_end(boxes, last_word(self.scene.config), step_s=self.scene.step_s))
 
     def hindered(self, candidate: Foreseen) -> list[Foreseen]:
-        """Those chosen that a candidate would make drive otherwise: they follow it, and close in."""
-        closing_s, found = self.scene.config.sites.hindered_s, set()
+        """Those chosen that a candidate may make drive otherwise: they follow it, and close in, or look for gaps near it."""
+        closing_s, own = self.scene.config.sites.hindered_s, candidate.traffic.position
+        found = {
+            name for name, one in self._chosen.items()
+            if len(one.parts) > 1 and np.abs(one.traffic.position - own).max(axis=-1).min() < _NEAR_GAPS_M
+        }  # fmt: skip
         for part in candidate.parts:
             met, known = self._met(candidate.start, part)
             recorded = self._recorded_on(part.path, candidate.start.box)

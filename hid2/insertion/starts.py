@@ -241,8 +241,6 @@ class Starts:
         stop = self.stop_lines.arrays(path, box).braking(driver, s=s, speed_mps=speed, step=step)
         if stop is not None and stop[0] < -driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
-        if self._is_beside_overtake(path, box, s, step):
-            return Reason.NO_SITE
         if step > 0 and (speed < sites.standing_mps or self._follower_is_near(path, s, box, speed, step)):
             return Reason.NO_SITE
         if speed < max(sites.standing_mps, sites.slowest_share * wished):
@@ -264,25 +262,8 @@ class Starts:
         near = (seen.aside_m < config.conflict.margin_lateral_m) & (seen.gap_m > -box.length_m)
         return bool(np.any(near & (seen.gap_m < least_m) & here.present[:, 0] & (seen.along_m < 0.0)))
 
-    def _is_beside_overtake(self, path: DrivenPath, box: BoxSize, s: float, step: int) -> bool:
-        """Whether a place is beside a vehicle of this round that is to overtake, or between it and its leader."""
-        sites = self.scene.config.sites
-        xy, forward, _ = path.line.motion(np.array([s]))
-        for other in self.taken if step == 0 else ():
-            if other.request.policy is not Policy.OVERTAKE:
-                continue
-            there, way, _ = other.path.line.motion(np.array([other.start_s]))
-            ahead_m = float(((xy - there) * way).sum())
-            aside_m = abs(float((xy - there)[0, 1] * way[0, 0] - (xy - there)[0, 0] * way[0, 1]))
-            same_way = float((forward * way).sum()) >= SAME_WAY
-            if same_way and -sites.pass_behind_m < ahead_m < sites.pass_ahead_m and aside_m <= sites.pass_beside_m:
-                return True
-        return False
 
-
-def speed_behind(
-    gap_m: FloatArray | float, leader_mps: FloatArray | float, driver: Driver, sites: Sites
-) -> FloatArray:
+def speed_behind(gap_m: FloatArray | float, leader_mps: FloatArray | float, driver: Driver, sites: Sites) -> FloatArray:
     """Fastest speeds, m/s, at which a driver may begin behind leaders without having to brake (IDM)."""
     room = math.sqrt(1.0 + sites.begin_braking_mps2 / driver.accel_mps2) * np.maximum(gap_m, 0.0) - driver.min_gap_m
     # v tau + v max(0, v - v_l) / (2 sqrt(a b)) = room
