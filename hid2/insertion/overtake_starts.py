@@ -1,6 +1,8 @@
 """Overtakes: where one may fit, by lines over time; whether it comes about, by rollouts with Algorithm 1.
 
-closing in on a slower leader, recorded, inserted before, or added for it | trigger: out | past | back | to the end
+    closing in on a slower leader, recorded, inserted before, or added for it | trigger: out | past | back | to the end
+
+An added leader is rolled out first, and is known traffic for the vehicle that overtakes it.
 """
 
 from dataclasses import dataclass, field, replace
@@ -23,11 +25,12 @@ from hid2.reasons import Reason
 from hid2.scene import clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
-#: No tunables, spare time: s between two looks at places, and places tried on one way.
-_LOOKS_S, _TRIED = 0.5, 2
+#: No tunables, spare time: s between two looks at places, places tried on one way, and how many there are to choose
+#: among for each that is tried.
+_LOOKS_S, _TRIED, _ENOUGH = 0.5, 2, 3
 #: No tunables, spare rollouts: shares of a lateral motion at which the centre has crossed the line, and up to which the
-#: lane left is not yet entered again; and the time gap to others, s, at which none slows down.
-_CROSSED, _BACK, _HEADWAY_S = 0.5, 0.4, 1.0
+#: lane left is not yet entered again; the time gap to others, s, at which none slows down; and s kept above a TTC.
+_CROSSED, _BACK, _HEADWAY_S, _SPARE_S = 0.5, 0.4, 0.7, 0.2
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -66,7 +69,8 @@ class _Drawn:
 class _Motions:
     """Starts (N,) m on the path and m/s with places (N, K) m at looks; those out (N, K) m since the trigger, m.
 
-    back_s (N, 1): where the way back begins; across_m: how far a lateral motion goes; leader (N, K) m, leader_mps (N,).
+    back_s (N, 1): where the way back begins; across_m: how far a lateral motion goes; leader (N, K) m, leader_mps (N,);
+    spare_m (N,): driven after the way back.
     """
 
     start_s: FloatArray
@@ -77,6 +81,7 @@ class _Motions:
     across_m: float
     leader: FloatArray
     leader_mps: FloatArray
+    spare_m: FloatArray
     added: bool
 
     def rows(self, rows: IntArray) -> "_Motions":
@@ -84,7 +89,11 @@ class _Motions:
         return replace(
             self, start_s=self.start_s[rows], start_mps=self.start_mps[rows], s=self.s[rows], out_m=self.out_m[rows],
             back_s=self.back_s[rows], leader=self.leader[rows], leader_mps=self.leader_mps[rows],
+            spare_m=self.spare_m[rows],
         )  # fmt: skip
+
+
+_NO_MOTIONS = _Motions(*(np.zeros(0),) * 5, 0.0, *(np.zeros(0),) * 3, False)
 
 
 @dataclass(slots=True)
@@ -95,6 +104,7 @@ class OvertakeStarts:
     starts: Starts
     found_none: Reason | None = None
     _box: BoxSize = field(init=False)
+    _slow: dict[DrivenPath, tuple[PathOccupancy, IntArray, FloatArray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Places are looked for with a usual vehicle."""
@@ -106,11 +116,12 @@ class OvertakeStarts:
         slow: the request that an added leader would meet; None: only vehicles that are known may be overtaken.
         """
         scene, rng, sites = self.here.scene, self.starts.rng, self.here.scene.config.sites
-        ways, tried, looked = self.here.routes.ways_past(), 0, 0
         self.found_none = Reason.NO_OVERTAKE_FORESEEN if slow is not None else Reason.NO_SLOW_LEADER
         if request.trigger_s + 2.0 * scene.config.lane_change.min_duration_s > scene.last_s:
             return []  # out and back alone take longer
-        for place in np.resize(rng.permutation(len(ways)), min(2 * sites.overtake_ways, 4 * len(ways))).tolist():
+        ways, likely = self.here.routes.ways_past(), list[tuple[_Way, Driver, _Motions]]()
+        looked = 0
+        for place in np.resize(rng.permutation(len(ways)), 6 * len(ways)).tolist():
             drivers = [
                 draw_driver(scene.config, rng, lane_speed_mps=scene.lane_speed(ways[place][1], rng))
                 for _ in range(sites.drivers)
@@ -121,14 +132,18 @@ class OvertakeStarts:
                 continue
             looked += 1
             for drawn in (self._behind_known, self._behind_added)[: 2 if slow is not None else 1]:
-                likely = self._likely(way, driver, request.trigger_s, drawn(way, driver))
-                for row in range(min(_TRIED, likely.start_s.size)):
-                    self.found_none, tried = None, tried + 1
-                    found = self._starts(request, slow, way, driver, likely.rows(np.array([row])))
-                    if found or tried == sites.overtake_tries:
-                        return found
-            if looked == sites.overtake_ways:
+                motions = self._likely(way, driver, request.trigger_s, drawn(way, driver))
+                likely += [(way, driver, motions.rows(np.array([n]))) for n in range(motions.start_s.size)[:_TRIED]]
+            if looked == sites.overtake_ways or len(likely) >= _ENOUGH * sites.overtake_tries:
                 break
+        likely.sort(key=lambda one: -float(one[2].spare_m[0]))
+        first = {one[0].lane_id: one for one in reversed(likely)}
+        likely = sorted(first.values(), key=lambda one: -float(one[2].spare_m[0]))
+        for way, driver, motion in likely[: sites.overtake_tries]:
+            self.found_none = None
+            found = self._starts(request, slow, way, driver, motion)
+            if found:
+                return found
         return []
 
     def _way(self, offer: RouteOffer, lane_id: int, side: Side, *, reach_m: float) -> _Way | None:
@@ -154,20 +169,28 @@ class OvertakeStarts:
 
     def _behind_known(self, way: _Way, driver: Driver) -> _Drawn:
         """Behind recorded cars and buses, and inserted vehicles, that are slower at the start."""
-        scene, overtake = self.here.scene, self.here.scene.config.overtake
-        known = self.starts.world.known_on(way.path, self._box)
-        recorded, along = scene.kept_clear_on(way.path, self._box).agents.size, known.along[:, 0]
-        usable = np.isin(known.agents, scene.vehicle_rows) | (np.arange(along.size) >= recorded)
-        usable &= known.same_direction[:, 0] & np.isfinite(known.low[:, 0]) & (along > overtake.parked_mps)
-        usable &= along < driver.desired_mps - overtake.speed_advantage_mps
-        rows = np.repeat(np.flatnonzero(usable), 2 * _TRIED)
-        gap_m = self._gap_m(driver, along[rows])
+        overtake, length_m = self.here.scene.config.overtake, self._box.length_m
+        known, slow, driven_m = self._slow_on(way.path)
+        can = known.along[slow, 0] < driver.desired_mps - overtake.speed_advantage_mps
+        can &= driven_m + length_m + overtake.return_gap_m < driver.desired_mps * self.here.scene.last_s
+        rows = np.repeat(slow[can], 2 * _TRIED)
+        gap_m = self._gap_m(driver, known.along[rows, 0])
         start = known.low[rows, 0] - gap_m
         near = (start > way.first) & (start < way.last)
         rows, start, gap_m = rows[near], start[near], gap_m[near]
-        high = known.high[rows][:, self._looks()]  # -inf where it is gone: nothing to be passed
-        leader_m = np.where(np.isfinite(high), high - self._box.length_m, np.inf) - start[:, None]
-        return _Drawn(gap_m, along[rows], leader_m, start)
+        leader_m = known.high[rows][:, self._looks()] - length_m - start[:, None]
+        return _Drawn(gap_m, known.along[rows, 0], leader_m, start)
+
+    def _slow_on(self, path: DrivenPath) -> tuple[PathOccupancy, IntArray, FloatArray]:
+        """Those known on a path, rows of those that may be overtaken, and how far these drive, m; found out once."""
+        scene, known = self.here.scene, self.starts.world.known_on(path, self._box)
+        if path not in self._slow or self._slow[path][0] is not known:
+            recorded, last = scene.kept_clear_on(path, self._box).agents.size, scene.num_steps - 1
+            usable = np.isin(known.agents, scene.vehicle_rows) | (np.arange(known.agents.size) >= recorded)
+            usable &= known.same_direction[:, 0] & (known.along[:, 0] > scene.config.overtake.parked_mps)
+            rows = np.flatnonzero(usable & np.isfinite(known.low[:, : last + 1]).all(axis=1))
+            self._slow[path] = known, rows, known.high[rows, last] - known.low[rows, 0]
+        return self._slow[path]
 
     def _behind_added(self, way: _Way, driver: Driver) -> _Drawn:
         """Behind leaders at some share of the lane's usual speed."""
@@ -190,6 +213,8 @@ class OvertakeStarts:
 
     def _likely(self, way: _Way, driver: Driver, trigger_s: float, drawn: _Drawn) -> _Motions:
         """Motions that are past their leaders and back in time, and touch none; the soonest first."""
+        if not drawn.gap_m.size:
+            return _NO_MOTIONS
         motions, looks = self._in_time(way, driver, trigger_s, drawn), self._looks()
         if self.here.scene.config.request.sites == "any" or not motions.start_s.size:
             return motions
@@ -224,22 +249,22 @@ class OvertakeStarts:
         m = 0.5 * (start_mps[:, None] + out_mps) * np.minimum(times, trigger_s) + out_m
         past = (m > drawn.leader_m + length_m + overtake.return_gap_m) & (out_m > across_m)
         back_m = np.where(past.any(axis=1), m[np.arange(len(m)), past.argmax(axis=1)], 1e9)
-        done = (m > back_m[:, None] + across_m) & (times < scene.last_s - change.spare_s)
+        spare_m = m[:, -1] - back_m - across_m
         last = np.minimum(way.last, way.end - back_m - across_m)
         start = drawn.start_s
         if start is None:
             start = np.minimum(way.first, last) + np.maximum(last - way.first, 0.0) * self.starts.rng.random(last.size)
-        room_m = scene.config.conflict.ttc_min_s * (desired - drawn.leader_mps)[:, None]
+        room_m = (scene.config.conflict.ttc_min_s + _SPARE_S) * (desired - drawn.leader_mps)[:, None]
         is_behind = (m + room_m < drawn.leader_m - length_m) | (out_m > _CROSSED * across_m)
-        fits = done.any(axis=1) & is_behind.all(axis=1) & (start >= way.first) & (start <= last)
+        fits = (spare_m > 0.0) & is_behind.all(axis=1) & (start >= way.first) & (start <= last)
         fits &= start_mps > drawn.leader_mps
         if scene.config.request.sites == "any":
             fits = (start >= way.first) & (start <= way.last)
         rows = np.flatnonzero(fits)
-        rows = rows[np.argsort(done[rows].argmax(axis=1), kind="stable")]
+        rows = rows[np.argsort(-spare_m[rows], kind="stable")]
         leader, place = start[:, None] + drawn.leader_m, start[:, None]
         return _Motions(
-            start, start_mps, place + m, out_m, place + back_m[:, None], across_m, leader, drawn.leader_mps,
+            start, start_mps, place + m, out_m, place + back_m[:, None], across_m, leader, drawn.leader_mps, spare_m,
             drawn.start_s is None,
         ).rows(rows)  # fmt: skip
 

@@ -167,7 +167,7 @@ class World:
         return any(True for _ in contacts_at_end(boxes, last_word(self.scene.config), step_s=self.scene.step_s))
 
     def hindered(self, candidate: Foreseen) -> list[Foreseen]:
-        """Those chosen that a candidate may make drive otherwise: they follow it, and close in, or look for gaps near it."""
+        """Those chosen that a candidate may make drive otherwise: they close in on it, or look for gaps near it."""
         closing_s, own = self.scene.config.sites.hindered_s, candidate.traffic.position
         found = {
             name for name, one in self._chosen.items()

@@ -14,7 +14,6 @@ from hid2.insertion.meetings import Meetings
 from hid2.insertion.rollout import Foreseen, Rollout, World
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.sizes import draw_size
-from hid2.kernels.path_intervals import SAME_WAY
 from hid2.measures.encounters import FOLLOWS_S
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
@@ -29,6 +28,8 @@ from hid2.vehicle import Start, VehicleRequest
 
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.LEAVES_TOO_EARLY})
+#: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
+_SPARE_S = 0.2
 #: Of candidates, whose place in the lane is drawn when they are chosen.
 _MIDDLE = LaneOffset(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2))
 
@@ -156,7 +157,7 @@ class Starts:
         found = world.objection(start, parts)
         if found is not None:
             return found
-        spare_m = config.lane_change.spare_s * parts[-1].v[-1] if policy is Policy.OVERTAKE else 0.0
+        spare_m = _SPARE_S * parts[-1].v[-1] if policy is Policy.OVERTAKE else 0.0
         if vehicle is not None and parts[-1].s[-1] < vehicle.path.shifts[-1][1] + spare_m:
             return Reason.SCENE_ENDED
         if policy in TURN_OF_POLICY:
