@@ -213,17 +213,6 @@ class Sites(_Section):
     turn_approach_share: float = _param(0.75, "share", "mean speed up to a turn, over the usual one", gt=0, le=1)
     turn_pace_mps: float = _param(5.0, "m/s", "mean speed on a turn lane, to tell when it is left", gt=0, le=20)
     turn_spare_s: float = _param(2.0, "s", "left of the scene after a turn", ge=0, le=10)
-    pass_behind_m: float = _param(
-        15.0, "m", "nobody else begins beside a vehicle that is to overtake, from so far behind it", ge=0, le=200
-    )
-    pass_ahead_m: float = _param(70.0, "m", "to so far ahead of it", ge=0, le=300)
-    pass_beside_m: float = _param(5.5, "m", "and so near beside it", ge=0, le=20)
-    leader_beyond_m: float = _param(
-        20.0, "m", "beyond d_obs, where a leader to be overtaken may be at the start", ge=0, le=100
-    )
-    leader_advantage_ratio: float = _param(
-        2.0, "ratio", "over speed_advantage_mps, by which that leader is slower at the start", ge=0, le=10
-    )
     entry_stays_s: float = _param(3.0, "s", "who enters at the map's edge is there at least so long", ge=0.5, le=10)
     entry_edge_m: float = _param(
         15.0, "m", "a lane that begins so near to the hull of all lanes begins at the map's edge; farther inside it is "
@@ -233,15 +222,16 @@ class Sites(_Section):
         1.0, "s", "nobody enters at the map's edge in less than this ahead of another inserted vehicle", ge=0, le=5
     )
     slow_leader_min: float = _param(
-        0.25, "share", "desired speed of an added leader over that of who overtakes it, uniform from here", gt=0, le=1
+        0.5, "share", "desired speed of an added leader over the usual one of its lane, uniform from here", gt=0, le=1
     )
-    slow_leader_max: float = _param(0.65, "share", "to here", gt=0, le=1)
-    slow_leader_mps: float = _param(2.0, "m/s", "slowest desired speed of an added leader", gt=0, le=20)
-    overtake_ways: int = _param(
-        120, "routes", "along which an overtake is foreseen for a request in a round", ge=1, le=10_000
+    slow_leader_max: float = _param(0.7, "share", "to here", gt=0, le=1)
+    slow_leader_mps: float = _param(3.0, "m/s", "slowest desired speed of an added leader", gt=0, le=20)
+    overtake_ways: int = _param(120, "routes", "on which a place to overtake is looked for in a round", ge=1, le=10_000)
+    overtake_draws: int = _param(120, "places", "with an added leader that are drawn on each", ge=1, le=10_000)
+    overtake_tries: int = _param(6, "places", "rolled out for an overtake in a round, at most", ge=1, le=1000)
+    overtake_gap_s: tuple[Annotated[float, Field(ge=0, le=20)], Annotated[float, Field(ge=0, le=20)]] = _param(
+        (1.0, 4.0), "s", "of the speed difference, from the leader at the start, beyond the gap at standstill"
     )
-    slow_leader_gap_m: float = _param(12.0, "m", "to an added leader when the overtake is due", ge=0, le=100)
-    slow_leader_gap_s: float = _param(0.8, "s", "and so much more by the start speed", ge=0, le=5)
 
     @model_validator(mode="after")
     def _check(self) -> "Sites":

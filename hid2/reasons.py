@@ -27,6 +27,14 @@ class Reason(StrEnum):
         "no_overtake_foreseen",
         "The recorded traffic leaves no place where a slower vehicle can be passed in time, out and back.",
     )
+    NO_SLOW_LEADER = (
+        "no_slow_leader",
+        "No known vehicle is slow enough to be overtaken, and no other request is open that a slow leader could meet.",
+    )
+    LEADS_AN_OVERTAKE = (
+        "leads_an_overtake",
+        "The vehicle became the slow leader of another overtake, as no request to go straight was open.",
+    )
     MAP_OFFERS_NO_LANE = "map_offers_no_straight", "The map has no lane for general motor traffic."
     TRIGGER_AFTER_SCENE = "trigger_after_scene", "The trigger time lies beyond the end of the scene."
     NO_SITE = (

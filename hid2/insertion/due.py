@@ -116,7 +116,7 @@ class Due:
         path, box, s = self.vehicle.path, self.vehicle.start.box, self.vehicle.s[-1]
         return leader_on(path, box, s=s, d_obs_m=d_obs_m, here=self._vehicles())
 
-    def _passed_gap_m(self) -> float:
+    def passed_gap_m(self) -> float:
         """How far the overtaken vehicle is behind, m; -1 where there is none."""
         vehicle = self.vehicle
         if vehicle.stage is not Stage.PASS or vehicle.leader_id is None:
@@ -143,7 +143,7 @@ class Due:
             time_s=self.now * scene.step_s, cell=cell, next_cell=scene.grid.longitudinal(cell),
             lane_turn=scene.grid.graph.lanes[cell.lane_id].turn, speed_mps=vehicle.v[-1],
             desired_mps=start.driver.desired_mps, request=vehicle.policy, trigger_s=start.request.trigger_s,
-            stage=vehicle.stage, leader=leader, options=options, passed_gap_m=self._passed_gap_m(),
+            stage=vehicle.stage, leader=leader, options=options, passed_gap_m=self.passed_gap_m(),
             length_m=start.box.length_m, driver=start.driver, own_front=own_front, own_rear=own_rear,
         )  # fmt: skip
 

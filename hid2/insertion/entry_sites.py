@@ -71,6 +71,6 @@ def entry_speed(start: Start, fleet: Traffic, config: Config, *, step_s: float) 
         if gap < config.spawn.clear_gap_m or (not leads and gap < config.sites.entry_gap_s * other_mps):
             return None
         if leads:
-            speed = min(speed, speed_behind(gap, max(0.0, other_mps), start.driver, config.sites))
+            speed = min(speed, float(speed_behind(gap, max(0.0, other_mps), start.driver, config.sites)))
     slowest_mps = max(config.sites.standing_mps, config.sites.slowest_share * start.driver.desired_mps)
     return speed if speed >= slowest_mps else None

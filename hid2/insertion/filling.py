@@ -209,10 +209,11 @@ class Filling:
             straight = policy is Policy.STRAIGHT
             found: list[Start] = []
             if failed[policy] < (spawn.failed_straight if straight else spawn.failed_manoeuvres):
-                slow = next(
-                    (r for r in waiting if r.policy is Policy.STRAIGHT and r.number not in used), None
-                ) if policy is Policy.OVERTAKE else None  # fmt: skip
-                found = sites.propose(request, slow)
+                slow = self._to_lead(request, [r for r in waiting if r.number not in used])
+                found = sites.propose(request, slow and replace(slow, policy=Policy.STRAIGHT))
+                if slow is not None and slow.policy is not Policy.STRAIGHT and len(found) > 1:
+                    self._last_reason[slow.number] = Reason.LEADS_AN_OVERTAKE
+                    self._gives_up(slow)
                 failed[policy] += not found
             if not found and not straight:
                 self._found_none(request, sites, sites.starts.rejected - before)
@@ -224,13 +225,23 @@ class Filling:
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
         return starts
 
+    def _to_lead(self, request: VehicleRequest, others: list[VehicleRequest]) -> VehicleRequest | None:
+        """The request that a slow leader of an overtake would meet: one to go straight, else another overtake."""
+        if request.policy is not Policy.OVERTAKE or not self.scene.config.request.spawn_leaders:
+            return None
+        for policy in (Policy.STRAIGHT, Policy.OVERTAKE):
+            found = [one for one in others if one.policy is policy and one.number != request.number]
+            if found:
+                return found[0 if policy is Policy.STRAIGHT else -1]
+        return None
+
     def _found_none(self, request: VehicleRequest, sites: InsertionSites, refused: Counter[Reason]) -> None:
         """Why no site was found: what most of them were turned down for. What became of a vehicle driven says more."""
         if request.number in self._last_reason:
             return
         reason = Reason.NO_SITE
-        if request.policy is Policy.OVERTAKE and sites.overtakes.foresees_none:
-            reason = Reason.NO_OVERTAKE_FORESEEN
+        if request.policy is Policy.OVERTAKE and sites.overtakes.found_none is not None:
+            reason = sites.overtakes.found_none
         elif refused:
             reason = refused.most_common(1)[0][0]
         self._last_reason[request.number] = reason

@@ -16,6 +16,7 @@ from hid2.conflicts.guard import Guard
 from hid2.insertion.due import Due
 from hid2.judge.findings import last_word
 from hid2.judge.states import contacts_at_end
+from hid2.kernels.polyline import frenet
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
 from hid2.measures.scene_end import BoxesAtStep
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -38,23 +39,31 @@ _NONE = Traffic.none(1)
 #: No tunables, spare time: no follower has a critical TTC on the path that it drives that has so much more room ahead,
 #: or is so far aside.
 _FOLLOWS_M, _ASIDE_M = 3.0, 12.0
+#: No tunable, spares time: beyond it, on either axis, an agent is in none of the gaps that a vehicle looks at.
+_NEAR_GAPS_M = 40.0
+#: No tunable: of the time between two looks of a vehicle that waits for a gap, while it passes another one.
+_PASSING_SHARE = 0.3
 #: Desired speeds, m/s, that SUMO's EIDM has at most for a link of the net, by its direction; speed limit of every lane.
 _TURN_MPS = {TurnType.STRAIGHT: SPEED_LIMIT_MPS, TurnType.LEFT: 8.0, TurnType.RIGHT: 6.0}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Rollout:
-    """A motion on a path: s (K,) m and v (K,) m/s at the scene's steps from `step` on."""
+    """A motion on a path: s (K,) m and v (K,) m/s at the scene's steps from `step` on.
+
+    memory (K, M): what the driver keeps in mind, as the kernel has it.
+    """
 
     path: DrivenPath
     step: int
     s: FloatArray
     v: FloatArray
+    memory: FloatArray
 
     def until(self, step: int) -> "Rollout":
         """The same up to a step, that one included."""
         count = step - self.step + 1
-        return replace(self, s=self.s[:count], v=self.v[:count])
+        return replace(self, s=self.s[:count], v=self.v[:count], memory=self.memory[:count])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -107,6 +116,13 @@ class World:
         fixed = self._kept.joined(*others, candidate.traffic)
         return World(self.scene, self.roads, Guard(self.scene, fixed, self.guard.stop_lines))
 
+    def joined_by(self, *candidates: Foreseen) -> "World":
+        """The same with candidates chosen, which need not be taken in the end."""
+        found = World(self.scene, self.roads, Guard(self.scene, self._kept, self.guard.stop_lines))
+        found._chosen, found.guard.fixed = dict(self._chosen), self.guard.fixed
+        found.choose(*candidates)
+        return found
+
     def foreseen(self, start: Start, parts: tuple[Rollout, ...]) -> Foreseen:
         """A candidate with its motion."""
         return Foreseen(start, parts, self._as_traffic(start, parts))
@@ -136,8 +152,12 @@ class World:
         return any(True for _ in contacts_at_end(boxes, last_word(self.scene.config), step_s=self.scene.step_s))
 
     def hindered(self, candidate: Foreseen) -> list[Foreseen]:
-        """Those chosen that a candidate would make drive otherwise: they follow it, and close in."""
-        closing_s, found = self.scene.config.sites.hindered_s, set()
+        """Those chosen that a candidate may make drive otherwise: they close in on it, or look for gaps near it."""
+        closing_s, own = self.scene.config.sites.hindered_s, candidate.traffic.position
+        found = {
+            name for name, one in self._chosen.items()
+            if len(one.parts) > 1 and np.abs(one.traffic.position - own).max(axis=-1).min() < _NEAR_GAPS_M
+        }  # fmt: skip
         for part in candidate.parts:
             met, known = self._met(candidate.start, part)
             recorded = self._recorded_on(part.path, candidate.start.box)
@@ -159,11 +179,12 @@ class World:
 
     def roll(
         self, start: Start, *, path: DrivenPath | None = None, step: int | None = None,
-        state: tuple[float, float, float] | None = None, last: int | None = None,
+        before: Rollout | None = None, last: int | None = None, target: DrivenPath | None = None,
     ) -> Rollout:  # fmt: skip
-        """How a vehicle drives on: from its start, or on another path from a state (s m, v m/s, a m/s2) at a step.
+        """How a vehicle drives on: from its start, or from a step of the motion before on another path.
 
-        last: step of the scene at which to stop looking, its last one unless told.
+        last: step of the scene at which to stop looking, its last one unless told; target: that of the lane on which
+        SUMO has it from the beginning of the way across on.
         """
         scene, box, driver = self.scene, start.box, start.driver
         path = path or start.path
@@ -171,19 +192,26 @@ class World:
         known, lines, shown = (
             self.known_on(path, box),
             self.guard.stop_lines.arrays(path, box),
-            self._shown_on(path, box),
+            self._shown_on(path, box) if target is None else self._shown_beside(path, target, box),
         )
-        s, v = roll(
+        state, memory = (start.start_s, start.start_mps, 0.0), np.zeros(0)
+        if before is not None:
+            k = first - before.step
+            gained_mps = float(before.v[k] - before.v[max(k - 1, 0)])
+            state = float(before.s[k]), float(before.v[k]), gained_mps / scene.step_s
+            memory = before.memory[k].copy()
+        s, v, kept = roll(
             (first, scene.num_steps - 1 if last is None else min(last, scene.num_steps - 1)),
-            state or (start.start_s, start.start_mps, 0.0), start.desired, driver.following,
+            state, start.desired, driver.following,
             scene.config.drivers.reaction_s, start.size.length_m, STRAIGHT, self.guard.horizon,
             scene.config.conflict.stride, scene.step_s, TABLE_STEP_M, self.guard.brakes, self.guard.predicted,
             lines.stops, self.guard.rules, self.roads.speeds(path, driver), *self.roads.lanes(path),
             known.low, known.high, known.along, known.same_direction, lines.stop_s, lines.closed, lines.cause,
             shown.middle, shown.speed, shown.leads, shown.length_m,
             (scene.config.driving.leads_from_m, scene.config.driving.shown_m), *self._links_on(path),
+            memory,
         )  # fmt: skip
-        return Rollout(path, first, s, v)
+        return Rollout(path, first, s, v, kept)
 
     def act(self, start: Start) -> tuple[DrivenVehicle, tuple[Rollout, ...]]:
         """The same with Algorithm 1, as the rule of the configuration decides: what becomes of it, and its motion.
@@ -216,14 +244,21 @@ class World:
                 step += scene.steps_in(scene.config.sites.looks_s)
                 continue
             due = Due(scene, vehicle, step, self.guard.fixed, _NONE)
+            if vehicle.stage is Stage.PASS and due.passed_gap_m() < scene.config.overtake.return_gap_m:
+                vehicle.reason = Reason.NOT_AHEAD  # what it would be told, sooner
+                step += scene.steps_in(_PASSING_SHARE * scene.config.sites.looks_s)
+                continue
             across = due.decided(foreseen)
+            if vehicle.reason is Reason.SCENE_ENDS:
+                break
             if across is not None and self._meets_on(vehicle, step, across.path):
                 due.refuse(Reason.CONFLICT_PREDICTED)
             elif across is not None:
                 across.taken_by(vehicle)
                 vehicle.path, parts[-1] = across.path, part.until(step)
-                parts.append(self.roll(start, path=across.path, step=step, state=(s, v, 0.0)))
-            step += scene.steps_in(scene.config.sites.looks_s)
+                parts.append(self.roll(start, path=across.path, step=step, before=part, target=across.target))
+            looks_s = scene.config.sites.looks_s  # it is soon past, and looks for a gap for long
+            step += scene.steps_in(_PASSING_SHARE * looks_s if vehicle.stage is Stage.PASS else looks_s)
         return vehicle, tuple(parts)
 
     def _meets_on(self, vehicle: DrivenVehicle, step: int, path: DrivenPath) -> bool:
@@ -241,11 +276,19 @@ class World:
         ends: whether the scene ends with the last part. Those chosen before that follow it are left out: they brake for
         it (`hindered`).
         """
-        for part in parts:
+        for number, part in enumerate(parts):
             found = self._objection(start, part, is_last=ends and part is parts[-1])
+            if found is None and number > 0 and self._leaves_late(start, parts[number - 1].path, part):
+                found = Reason.TTC_LANE_LEADER
             if found is not None:
                 return found
         return None
+
+    def _leaves_late(self, start: Start, left: DrivenPath, part: Rollout) -> bool:
+        """Whether a vehicle closes in on its leader before its centre has crossed the line, as the judge has it."""
+        crossed = int(np.searchsorted(part.s, 0.5 * sum(part.path.shifts[-1])))
+        met = self._met(start, replace(part, path=left, s=part.s[:crossed], v=part.v[:crossed]))[0]
+        return bool(met[:, LEAD_TTC].min(initial=math.inf) < self.scene.config.conflict.ttc_min_s)
 
     def _objection(self, start: Start, rollout: Rollout, *, is_last: bool) -> Reason | None:
         scene, conflict = self.scene, self.scene.config.conflict
@@ -313,6 +356,13 @@ class World:
             found = recorded.joined(shown_on(path, fixed, inserted, standing_mps=slow, step_s=step_s))
             self._shown[key] = fixed, inserted, found
         return self._shown[key][2]
+
+    def _shown_beside(self, path: DrivenPath, target: DrivenPath, box: BoxSize) -> Shown:
+        """Those on the path of a lane, by the arc length of a path that leads across to it."""
+        over = path.shifts[-1][1]
+        there = frenet(path.line.position(np.array([over])), target.raw_line.points, target.raw_line.s)[0]
+        seen = self._shown_on(target, box)
+        return replace(seen, middle=seen.middle - (float(target.all_to_line(there)[0]) - over))
 
     def _as_traffic(self, start: Start, parts: tuple[Rollout, ...]) -> Traffic:
         """A rolled-out vehicle as known traffic, beyond the scene's end at constant velocity (one agent)."""

@@ -11,7 +11,7 @@ from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import usual_driver
 from hid2.insertion.entry_sites import EntrySites
-from hid2.insertion.overtake_sites import OvertakeSites
+from hid2.insertion.overtake_starts import OvertakeStarts
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.spread import Spread, by_weight
 from hid2.insertion.starts import Starts
@@ -46,7 +46,7 @@ class InsertionSites:
     asked: Counter[Policy] = field(default_factory=Counter)
     turned_down: TurnedDown = field(default_factory=lambda: defaultdict(Counter))
     starts: Starts = field(init=False)
-    overtakes: OvertakeSites = field(init=False)
+    overtakes: OvertakeStarts = field(init=False)
     entering: EntrySites = field(init=False)
     _looked: Counter[Policy] = field(default_factory=Counter)
 
@@ -56,7 +56,7 @@ class InsertionSites:
         self.starts = Starts(
             here.scene, here.roads, here.stop_lines, here.meetings, self.guard, self.rng, self.round_number
         )
-        self.overtakes = OvertakeSites(here, self.starts)
+        self.overtakes = OvertakeStarts(here, self.starts)
         self.entering = EntrySites(here, self.starts, self.spread, self.asked[Policy.STRAIGHT])
 
     def propose(self, request: VehicleRequest, slow_leader: VehicleRequest | None = None) -> list[Start]:
@@ -73,16 +73,7 @@ class InsertionSites:
         return [] if found is None else self.starts.take([found])
 
     def _propose_overtake(self, request: VehicleRequest, slow_leader: VehicleRequest | None) -> list[Start]:
-        if self.here.scene.config.request.sites == "promising":
-            return self.starts.take(self.overtakes.foreseen(request, slow_leader))
-        for start in self._starts_for(request):
-            if self.overtakes.has_slower_leader(start):
-                return self.starts.take([start])
-            if slow_leader is not None and self.here.scene.config.request.spawn_leaders:
-                leader = self.overtakes.slow_leader(start, slow_leader, *self.overtakes.slow_place(start))
-                if leader is not None:
-                    return self.starts.take([leader, start])
-        return []
+        return self.overtakes.propose(request, slow_leader)
 
     def _starts_for(self, request: VehicleRequest) -> Iterator[Start]:
         """Starts at sites in weighted random order; first where more speaks for them.

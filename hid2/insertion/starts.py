@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, BoxSize, Policy
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver, LaneOffset, desired_speeds, draw_driver, lane_offset
@@ -14,13 +14,12 @@ from hid2.insertion.meetings import Meetings
 from hid2.insertion.rollout import Foreseen, Rollout, World
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.sizes import draw_size
-from hid2.kernels.path_intervals import SAME_WAY
 from hid2.measures.encounters import FOLLOWS_S
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path, gaps_to_all
 from hid2.params import Sites
-from hid2.policy.behaviours import TURN_OF_POLICY
+from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
 from hid2.policy.decision import Side
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
@@ -29,6 +28,8 @@ from hid2.vehicle import Start, VehicleRequest
 
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.LEAVES_TOO_EARLY})
+#: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
+_SPARE_S = 0.2
 #: Of candidates, whose place in the lane is drawn when they are chosen.
 _MIDDLE = LaneOffset(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2))
 
@@ -65,15 +66,19 @@ class Starts:
                 self.world.choose(*(rolled or (self.world.foreseen(start, (self.world.roll(start),)),)))
         return starts
 
+    def rolled(self, start: Start) -> tuple[Foreseen, ...]:
+        """The rollout of a start that was made, and those anew of vehicles that it makes drive otherwise."""
+        return self._rolled.get(start.vehicle_id, ())
+
     def make(
         self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float | None, *,
         driver: Driver | None = None, speed_mps: float | None = None, step: int = 0,
-        led_by: int = -1,
+        led_by: int = -1, sides: tuple[Side, ...] | None = None,
     ) -> Start | Reason:  # fmt: skip
         """A vehicle with a driver at a site, with a start speed, m/s, or why it cannot begin there.
 
         s: along the route's lanes, m; None: at their beginning, all of it on them. step: from which on it is there;
-        led_by: what it would follow then, as `Meetings` numbers them.
+        led_by: what it would follow then, as `Meetings` numbers them; sides: where it looks for a lane, None: drawn.
         """
         scene, config, rng = self.scene, self.scene.config, self.rng
         object_type, size = draw_size(config.request, rng)
@@ -113,12 +118,12 @@ class Starts:
                 wished = desired_speeds(
                     drawn, config, rng, num_steps=scene.num_steps - step, step_s=scene.step_s, at_least_mps=admitted
                 )
-                sides: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
+                order: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
                 start = Start(
                     vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=object_type,
                     size=size, box=box, route=offer.route, path=path, start_s=start_s, start_mps=admitted,
                     driver=drawn, desired=np.concatenate([np.full(step, wished[0]), wished]), offset=_MIDDLE,
-                    sides=sides, step=step,
+                    sides=sides or order, step=step,
                 )  # fmt: skip
                 rolled = self._does(self.world, start)
                 if not isinstance(rolled, Reason):
@@ -138,21 +143,22 @@ class Starts:
         With `request.sites = any` nothing is looked ahead, but that no vehicle begins where it is met at once.
         """
         scene, config, policy = self.scene, self.scene.config, start.request.policy
-        if "collision" in config.without or policy is Policy.OVERTAKE:
+        if "collision" in config.without:
             return ()
         if config.request.sites == "any":
             soon = (world.roll(start, last=start.step + scene.steps_in(config.spawn.settle_s)),)
             return world.objection(start, soon, ends=False) or ()
-        if policy is Policy.LANE_CHANGE:
+        if BEHAVIOURS[policy].changes_lanes:
             vehicle, parts = world.act(start)
-            if not vehicle.shifts:
+            if len(vehicle.shifts) < (2 if policy is Policy.OVERTAKE else 1):
                 return vehicle.reason or Reason.SCENE_ENDED
         else:
             vehicle, parts = None, (world.roll(start),)
         found = world.objection(start, parts)
         if found is not None:
             return found
-        if vehicle is not None and parts[-1].s[-1] < vehicle.path.shifts[-1][1]:
+        spare_m = _SPARE_S * parts[-1].v[-1] if policy is Policy.OVERTAKE else 0.0
+        if vehicle is not None and parts[-1].s[-1] < vehicle.path.shifts[-1][1] + spare_m:
             return Reason.SCENE_ENDED
         if policy in TURN_OF_POLICY:
             turn = first_turn(scene.grid.graph, start.path, TURN_OF_POLICY[policy], after=start.start_s)
@@ -228,15 +234,14 @@ class Starts:
         known = self.world.known_on(path, box)
         seen, wished = gaps_to_all(known, np.array([s]), step), speed
         for row in np.flatnonzero(np.isfinite(seen.lead_m[:, 0])).tolist():
-            speed = min(speed, speed_behind(float(seen.lead_m[row, 0]), float(seen.along_mps[row, 0]), driver, sites))
+            behind = speed_behind(float(seen.lead_m[row, 0]), float(seen.along_mps[row, 0]), driver, sites)
+            speed = min(speed, float(behind))
         closing = seen.along_mps[:, 0] - speed
         if (known.same_direction[:, step] & (seen.lag_m[:, 0] < conflict.follower_ttc_min_s * closing)).any():
             return Reason.TTC_RECORDED_FOLLOWER
         stop = self.stop_lines.arrays(path, box).braking(driver, s=s, speed_mps=speed, step=step)
         if stop is not None and stop[0] < -driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
-        if self._is_beside_overtake(path, box, s, step):
-            return Reason.NO_SITE
         if step > 0 and (speed < sites.standing_mps or self._follower_is_near(path, s, box, speed, step)):
             return Reason.NO_SITE
         if speed < max(sites.standing_mps, sites.slowest_share * wished):
@@ -258,28 +263,11 @@ class Starts:
         near = (seen.aside_m < config.conflict.margin_lateral_m) & (seen.gap_m > -box.length_m)
         return bool(np.any(near & (seen.gap_m < least_m) & here.present[:, 0] & (seen.along_m < 0.0)))
 
-    def _is_beside_overtake(self, path: DrivenPath, box: BoxSize, s: float, step: int) -> bool:
-        """Whether a place is beside a vehicle of this round that is to overtake, or between it and its leader."""
-        sites = self.scene.config.sites
-        xy, forward, _ = path.line.motion(np.array([s]))
-        for other in self.taken if step == 0 else ():
-            if other.request.policy is not Policy.OVERTAKE:
-                continue
-            there, way, _ = other.path.line.motion(np.array([other.start_s]))
-            ahead_m = float(((xy - there) * way).sum())
-            aside_m = abs(float((xy - there)[0, 1] * way[0, 0] - (xy - there)[0, 0] * way[0, 1]))
-            same_way = float((forward * way).sum()) >= SAME_WAY
-            if same_way and -sites.pass_behind_m < ahead_m < sites.pass_ahead_m and aside_m <= sites.pass_beside_m:
-                return True
-        return False
 
-
-def speed_behind(gap_m: float, leader_mps: float, driver: Driver, sites: Sites) -> float:
-    """Fastest speed at which a driver may begin behind a leader without having to brake (IDM), m/s."""
-    room = math.sqrt(1.0 + sites.begin_braking_mps2 / driver.accel_mps2) * gap_m - driver.min_gap_m
-    if room <= 0.0:
-        return 0.0
+def speed_behind(gap_m: FloatArray | float, leader_mps: FloatArray | float, driver: Driver, sites: Sites) -> FloatArray:
+    """Fastest speeds, m/s, at which a driver may begin behind leaders without having to brake (IDM)."""
+    room = math.sqrt(1.0 + sites.begin_braking_mps2 / driver.accel_mps2) * np.maximum(gap_m, 0.0) - driver.min_gap_m
     # v tau + v max(0, v - v_l) / (2 sqrt(a b)) = room
     c = 2.0 * math.sqrt(driver.accel_mps2 * driver.decel_mps2)
-    b = driver.tau_s * c - leader_mps
-    return min(room / driver.tau_s, 0.5 * (-b + math.sqrt(b * b + 4.0 * c * room)))
+    b, room = driver.tau_s * c - leader_mps, np.maximum(room, 0.0)
+    return np.asarray(np.minimum(room / driver.tau_s, 0.5 * (-b + np.sqrt(b * b + 4.0 * c * room))))

@@ -71,7 +71,7 @@ def _is_met(low: FloatArray, high: FloatArray, same_direction: BoolArray, t: int
     "(UniTuple(i8, 2), UniTuple(f8, 3), f8[::1], UniTuple(f8, 4), f8, f8, i8, i8, i8, f8, f8, f8[::1],"
     " UniTuple(f8, 4), UniTuple(f8, 4), UniTuple(f8, 10), f8[::1], f8[::1], i8[::1], f8[:,::1], f8[:,::1],"
     " f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], i8[::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1],"
-    " UniTuple(f8, 2), f8[::1], f8[::1], f8[::1])"
+    " UniTuple(f8, 2), f8[::1], f8[::1], f8[::1], f8[::1])"
 )
 def roll(
     span: tuple[int, int], start: tuple[float, float, float], desired_mps: FloatArray,
@@ -82,13 +82,16 @@ def roll(
     road: FloatArray, lane_ends: FloatArray, lane_policies: IntArray, low: FloatArray, high: FloatArray,
     along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray, causes: IntArray,
     seen_middle: FloatArray, seen_speed: FloatArray, seen_leads: BoolArray, seen_lengths: FloatArray,
-    shown: tuple[float, float], link_s: FloatArray, paces: FloatArray, turns: FloatArray,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    shown: tuple[float, float], link_s: FloatArray, paces: FloatArray, turns: FloatArray, memory: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Place s and speed v at the steps of a span, first to last, (K,) each, from a start s m, v m/s, a m/s2.
 
-    No further than to where the boxes of the vehicle and another agent meet. desired_mps (T,) by the scene's steps;
-    driver .. causes: as in `speed_limits`, of one vehicle; reaction s; length m: own, of the box that SUMO has. seen_*
-    (R, T): the agents that SUMO is shown, as in `Shown`; shown: gaps, m, between which an agent ahead is shown.
+    No further than to where the boxes of the vehicle and another agent meet. Third, what the driver keeps in mind at
+    each step (K, M); memory (M,): at the first one, none for a driver who has just come.
+
+    desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle; reaction s; length m:
+    own, of the box that SUMO has. seen_* (R, T): the agents that SUMO is shown, as in `Shown`; shown: gaps, m, between
+    which an agent ahead is shown.
     Of SUMO's lanes along the path (L,): link_s m, where they end; paces, metres on the path for one on the lane; turns
     m/s, at most desired for the link to each.
     """
@@ -100,7 +103,10 @@ def roll(
     s_at[0], v_at[0] = start[0], start[1]
     yields, state = False, np.empty(DRIVER_STATE)
     new_driver(state, desired_mps[first])
-    before_s = start[0]
+    if memory.size:
+        state[:] = memory
+    before_s, kept = start[0], np.empty((last - first + 1, DRIVER_STATE))
+    kept[0] = state
     tau, accel, decel, min_gap = driver
     in_sumo = round(tau, 2), round(accel, 2), round(decel, 2), min_gap  # it keeps two digits of these
     for k in range(1, last - first + 1):
@@ -127,10 +133,10 @@ def roll(
         before_s = s
         s += 0.5 * (v + v_next) * step_s * paces[lane]
         fleet[0, 0], fleet[0, 1], fleet[0, 2] = s, v_next, (v_next - v) / step_s
-        s_at[k], v_at[k] = s, v_next
+        s_at[k], v_at[k], kept[k] = s, v_next, state
         if _is_met(low, high, same_direction, t, s, before_s):
-            return s_at[: k + 1].copy(), v_at[: k + 1].copy()
-    return s_at, v_at
+            return s_at[: k + 1].copy(), v_at[: k + 1].copy(), kept[: k + 1].copy()
+    return s_at, v_at, kept
 
 
 @kernel("(f8[::1], f8[::1], i8, f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8)")

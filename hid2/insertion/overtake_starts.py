@@ -1,0 +1,309 @@
+"""Overtakes: where one may fit, by lines over time; whether it comes about, by rollouts with Algorithm 1.
+
+    closing in on a slower leader, recorded, inserted before, or added for it | trigger: out | past | back | to the end
+
+An added leader is rolled out first, and is known traffic for the vehicle that overtakes it.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray
+from hid2.drivers.driver import Driver, draw_driver
+from hid2.insertion.routes import RouteOffer
+from hid2.insertion.starts import Starts, speed_behind
+from hid2.insertion.surroundings import Surroundings
+from hid2.kernels.polyline import frenet
+from hid2.motion.lane_change_path import LateralTiming
+from hid2.motion.route import DrivenPath
+from hid2.occupancy.along_path import PathOccupancy
+from hid2.occupancy.traffic import BoolArray
+from hid2.policy.decision import Side
+from hid2.policy.observation import admissible_neighbor
+from hid2.reasons import Reason
+from hid2.scene import clearance_box
+from hid2.vehicle import Start, VehicleRequest
+
+#: No tunables, spare time: s between two looks at places, places tried on one way, and how many there are to choose
+#: among for each that is tried.
+_LOOKS_S, _TRIED, _ENOUGH = 0.5, 2, 3
+#: No tunables, spare rollouts: shares of a lateral motion at which the centre has crossed the line, and up to which the
+#: lane left is not yet entered again; the time gap to others, s, at which none slows down; and s kept above a TTC.
+_CROSSED, _BACK, _HEADWAY_S, _SPARE_S = 0.5, 0.4, 0.7, 0.2
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Way:
+    """A route past: its vehicle begins at first to last m on the path, and has the lane of `beside` up to end m.
+
+    apart_m: of the two lanes; shift_m: arc length on the path beside minus that on the own one.
+    """
+
+    offer: RouteOffer
+    lane_id: int
+    side: Side
+    path: DrivenPath
+    beside: DrivenPath
+    first: float
+    last: float
+    end: float
+    apart_m: float
+    shift_m: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Drawn:
+    """Gaps (N,) m at the start to leaders: speeds m/s, and how far they are from their starts at looks (N, K) m.
+
+    start_s (N,) m on the path, of those behind known leaders; None: anywhere, behind added ones.
+    """
+
+    gap_m: FloatArray
+    leader_mps: FloatArray
+    leader_m: FloatArray
+    start_s: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Motions:
+    """Starts (N,) m on the path and m/s with places (N, K) m at looks; those out (N, K) m since the trigger, m.
+
+    back_s (N, 1): where the way back begins; across_m: how far a lateral motion goes; leader (N, K) m, leader_mps (N,);
+    spare_m (N,): driven after the way back.
+    """
+
+    start_s: FloatArray
+    start_mps: FloatArray
+    s: FloatArray
+    out_m: FloatArray
+    back_s: FloatArray
+    across_m: float
+    leader: FloatArray
+    leader_mps: FloatArray
+    spare_m: FloatArray
+    added: bool
+
+    def rows(self, rows: IntArray) -> "_Motions":
+        """Some of them, in this order."""
+        return replace(
+            self, start_s=self.start_s[rows], start_mps=self.start_mps[rows], s=self.s[rows], out_m=self.out_m[rows],
+            back_s=self.back_s[rows], leader=self.leader[rows], leader_mps=self.leader_mps[rows],
+            spare_m=self.spare_m[rows],
+        )  # fmt: skip
+
+
+_NO_MOTIONS = _Motions(*(np.zeros(0),) * 5, 0.0, *(np.zeros(0),) * 3, False)
+
+
+@dataclass(slots=True)
+class OvertakeStarts:
+    """Starts of the overtakes of one round. found_none: why the one looked for last has no place to be tried at."""
+
+    here: Surroundings
+    starts: Starts
+    found_none: Reason | None = None
+    _box: BoxSize = field(init=False)
+    _slow: dict[DrivenPath, tuple[PathOccupancy, IntArray, FloatArray]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Places are looked for with a usual vehicle."""
+        self._box = clearance_box(DEFAULT_SIZES["vehicle"], DEFAULT_SIZES["vehicle"])
+
+    def propose(self, request: VehicleRequest, slow: VehicleRequest | None) -> list[Start]:
+        """A start from which an overtake comes about, after its leader where one is added; empty where none does.
+
+        slow: the request that an added leader would meet; None: only vehicles that are known may be overtaken.
+        """
+        scene, rng, sites = self.here.scene, self.starts.rng, self.here.scene.config.sites
+        self.found_none = Reason.NO_OVERTAKE_FORESEEN if slow is not None else Reason.NO_SLOW_LEADER
+        if request.trigger_s + 2.0 * scene.config.lane_change.min_duration_s > scene.last_s:
+            return []  # out and back alone take longer
+        ways, likely = self.here.routes.ways_past(), list[tuple[_Way, Driver, _Motions]]()
+        looked = 0
+        for place in np.resize(rng.permutation(len(ways)), 6 * len(ways)).tolist():
+            drivers = [
+                draw_driver(scene.config, rng, lane_speed_mps=scene.lane_speed(ways[place][1], rng))
+                for _ in range(sites.drivers)
+            ]
+            driver = max(drivers, key=lambda one: one.desired_mps)  # that of an overtaker is in a hurry
+            way = self._way(*ways[place], reach_m=driver.desired_mps * request.trigger_s)
+            if way is None:
+                continue
+            looked += 1
+            for drawn in (self._behind_known, self._behind_added)[: 2 if slow is not None else 1]:
+                motions = self._likely(way, driver, request.trigger_s, drawn(way, driver))
+                likely += [(way, driver, motions.rows(np.array([n]))) for n in range(motions.start_s.size)[:_TRIED]]
+            if looked == sites.overtake_ways or len(likely) >= _ENOUGH * sites.overtake_tries:
+                break
+        likely.sort(key=lambda one: -float(one[2].spare_m[0]))
+        first = {one[0].lane_id: one for one in reversed(likely)}
+        likely = sorted(first.values(), key=lambda one: -float(one[2].spare_m[0]))
+        for way, driver, motion in likely[: sites.overtake_tries]:
+            self.found_none = None
+            found = self._starts(request, slow, way, driver, motion)
+            if found:
+                return found
+        return []
+
+    def _way(self, offer: RouteOffer, lane_id: int, side: Side, *, reach_m: float) -> _Way | None:
+        """A way past with its paths; None where it begins farther than reach_m from the lane."""
+        scene, stretch = self.here.scene, self.here.routes.together(offer, side)
+        lanes, row, at = scene.grid.graph.lanes, 0, 0.0
+        lane_end = offer.start_m + lanes[lane_id].length_m
+        if stretch is None or stretch[0] - reach_m > lane_end:
+            return None
+        while at + lanes[offer.route[row]].length_m <= stretch[0] + 0.5:
+            at, row = at + lanes[offer.route[row]].length_m, row + 1
+        neighbor = admissible_neighbor(scene, offer.route[row], side)
+        if neighbor is None:
+            return None
+        path, beside = scene.path(offer.route), scene.path_beside(offer.route[row:], neighbor)
+        first, last, end = (
+            path.to_line(raw) for raw in (max(offer.start_m, stretch[0] - reach_m), lane_end, stretch[1])
+        )
+        here_s = np.array([max(first, path.to_line(stretch[0]))])
+        there, aside = frenet(path.line.position(here_s), beside.raw_line.points, beside.raw_line.s)
+        shift_m = float((beside.all_to_line(there) - here_s)[0])
+        return _Way(offer, lane_id, side, path, beside, first, last, end, abs(float(aside[0])), shift_m)
+
+    def _behind_known(self, way: _Way, driver: Driver) -> _Drawn:
+        """Behind recorded cars and buses, and inserted vehicles, that are slower at the start."""
+        overtake, length_m = self.here.scene.config.overtake, self._box.length_m
+        known, slow, driven_m = self._slow_on(way.path)
+        can = known.along[slow, 0] < driver.desired_mps - overtake.speed_advantage_mps
+        can &= driven_m + length_m + overtake.return_gap_m < driver.desired_mps * self.here.scene.last_s
+        rows = np.repeat(slow[can], 2 * _TRIED)
+        gap_m = self._gap_m(driver, known.along[rows, 0])
+        start = known.low[rows, 0] - gap_m
+        near = (start > way.first) & (start < way.last)
+        rows, start, gap_m = rows[near], start[near], gap_m[near]
+        leader_m = known.high[rows][:, self._looks()] - length_m - start[:, None]
+        return _Drawn(gap_m, known.along[rows, 0], leader_m, start)
+
+    def _slow_on(self, path: DrivenPath) -> tuple[PathOccupancy, IntArray, FloatArray]:
+        """Those known on a path, rows of those that may be overtaken, and how far these drive, m; found out once."""
+        scene, known = self.here.scene, self.starts.world.known_on(path, self._box)
+        if path not in self._slow or self._slow[path][0] is not known:
+            recorded, last = scene.kept_clear_on(path, self._box).agents.size, scene.num_steps - 1
+            usable = np.isin(known.agents, scene.vehicle_rows) | (np.arange(known.agents.size) >= recorded)
+            usable &= known.same_direction[:, 0] & (known.along[:, 0] > scene.config.overtake.parked_mps)
+            rows = np.flatnonzero(usable & np.isfinite(known.low[:, : last + 1]).all(axis=1))
+            self._slow[path] = known, rows, known.high[rows, last] - known.low[rows, 0]
+        return self._slow[path]
+
+    def _behind_added(self, way: _Way, driver: Driver) -> _Drawn:
+        """Behind leaders at some share of the lane's usual speed."""
+        scene, sites, rng = self.here.scene, self.here.scene.config.sites, self.starts.rng
+        share = rng.uniform(sites.slow_leader_min, sites.slow_leader_max, size=sites.overtake_draws)
+        slow_mps = np.maximum(sites.slow_leader_mps, share * self.here.meetings.usual_speed(way.lane_id))
+        slow_mps = slow_mps[slow_mps < driver.desired_mps - scene.config.overtake.speed_advantage_mps]
+        gap_m = self._gap_m(driver, slow_mps)
+        leader_m = (self._box.length_m + gap_m)[:, None] + slow_mps[:, None] * self._looks() * scene.step_s
+        return _Drawn(gap_m, slow_mps, leader_m)
+
+    def _looks(self) -> IntArray:
+        """Steps (K,) at which places are looked at."""
+        return np.arange(0, self.here.scene.num_steps, self.here.scene.steps_in(_LOOKS_S))
+
+    def _gap_m(self, driver: Driver, leader_mps: FloatArray) -> FloatArray:
+        """Bumper gaps (N,) m at the start, by the speed at which the driver closes in."""
+        share = self.starts.rng.uniform(*self.here.scene.config.sites.overtake_gap_s, size=leader_mps.size)
+        return np.asarray(driver.min_gap_m + share * (driver.desired_mps - leader_mps))
+
+    def _likely(self, way: _Way, driver: Driver, trigger_s: float, drawn: _Drawn) -> _Motions:
+        """Motions that are past their leaders and back in time, and touch none; the soonest first."""
+        if not drawn.gap_m.size:
+            return _NO_MOTIONS
+        motions, looks = self._in_time(way, driver, trigger_s, drawn), self._looks()
+        if self.here.scene.config.request.sites == "any" or not motions.start_s.size:
+            return motions
+        s, out_m, across_m = motions.s, motions.out_m, motions.across_m
+        own, beside = (self.starts.world.known_on(path, self._box) for path in (way.path, way.beside))
+        met = _taken(own, looks, s) & ((out_m < _CROSSED * across_m) | (s > motions.back_s))
+        if motions.added:
+            met |= _taken(own, looks, motions.leader, room_m=_HEADWAY_S * float(motions.leader_mps.max()))
+        is_off = (out_m > 0.0) & (s < motions.back_s + _BACK * across_m)
+        met |= is_off & _taken(beside, looks, s + way.shift_m, room_m=_HEADWAY_S * driver.desired_mps)
+        first = out_m.shape[1] - (out_m > 0.0).sum(axis=1).max(initial=1)  # the first look at which it may be out
+        enters = self._may_enter(beside, driver, int(looks[first]), s[:, first] + way.shift_m)
+        return motions.rows(np.flatnonzero(enters & ~met.any(axis=1)))
+
+    def _in_time(self, way: _Way, driver: Driver, trigger_s: float, drawn: _Drawn) -> _Motions:
+        """Motions that come past and back in the time and on the stretch that there is; the soonest first.
+
+        As a driver begins who is behind a leader, slower by the trigger, then towards the desired speed as the IDM
+        does near to it. A lateral motion takes its time, or its length where the vehicle is slow.
+        """
+        scene, change, overtake = self.here.scene, self.here.scene.config.lane_change, self.here.scene.config.overtake
+        sites, desired, length_m = scene.config.sites, driver.desired_mps, self._box.length_m
+        start_mps = np.minimum(desired, speed_behind(drawn.gap_m, drawn.leader_mps, driver, sites))
+        wanted_s = max(change.min_duration_s, overtake.shift_ratio * driver.lane_change_s)
+        timing = LateralTiming.of(wanted_s, way.apart_m, change)
+        across_m = timing.lasting_s * max(timing.slow_mps, desired)
+        times, settles_s = self._looks() * scene.step_s, desired / (3.0 * driver.accel_mps2)
+        free = np.maximum(times - trigger_s, 0.0)
+        slow_s = settles_s * (1.0 - np.exp(-free / settles_s))
+        out_mps = np.maximum(start_mps - sites.begin_braking_mps2 * trigger_s, drawn.leader_mps)[:, None]
+        out_m = out_mps * slow_s + desired * (free - slow_s)
+        m = 0.5 * (start_mps[:, None] + out_mps) * np.minimum(times, trigger_s) + out_m
+        past = (m > drawn.leader_m + length_m + overtake.return_gap_m) & (out_m > across_m)
+        back_m = np.where(past.any(axis=1), m[np.arange(len(m)), past.argmax(axis=1)], 1e9)
+        spare_m = m[:, -1] - back_m - across_m
+        last = np.minimum(way.last, way.end - back_m - across_m)
+        start = drawn.start_s
+        if start is None:
+            start = np.minimum(way.first, last) + np.maximum(last - way.first, 0.0) * self.starts.rng.random(last.size)
+        room_m = (scene.config.conflict.ttc_min_s + _SPARE_S) * (desired - drawn.leader_mps)[:, None]
+        is_behind = (m + room_m < drawn.leader_m - length_m) | (out_m > _CROSSED * across_m)
+        fits = (spare_m > 0.0) & is_behind.all(axis=1) & (start >= way.first) & (start <= last)
+        fits &= start_mps > drawn.leader_mps
+        if scene.config.request.sites == "any":
+            fits = (start >= way.first) & (start <= way.last)
+        rows = np.flatnonzero(fits)
+        rows = rows[np.argsort(-spare_m[rows], kind="stable")]
+        leader, place = start[:, None] + drawn.leader_m, start[:, None]
+        return _Motions(
+            start, start_mps, place + m, out_m, place + back_m[:, None], across_m, leader, drawn.leader_mps, spare_m,
+            drawn.start_s is None,
+        ).rows(rows)  # fmt: skip
+
+    def _may_enter(self, beside: PathOccupancy, driver: Driver, at: int, s: FloatArray) -> BoolArray:
+        """Whether Algorithm 1 finds its gaps and its corridor at a step at places (N,) m on the lane beside."""
+        overtake = self.here.scene.config.overtake
+        low, high, along = beside.low[:, at], beside.high[:, at], beside.along[:, at]
+        free_m = np.where(along < driver.desired_mps, overtake.d_overtake_m, overtake.safe_front_m)
+        in_the_way = (high > s[:, None] - overtake.safe_rear_m) & (low < s[:, None] + free_m)
+        return np.asarray(~in_the_way.any(axis=1))
+
+    def _starts(
+        self, request: VehicleRequest, slow: VehicleRequest | None, way: _Way, driver: Driver, one: _Motions
+    ) -> list[Start]:
+        """The vehicle, after its leader where one is added; empty where a rollout speaks against one of them."""
+        starts, world, leaders, raw = self.starts, self.starts.world, list[Start](), way.path.to_raw
+        if one.added and slow is not None:
+            mps = float(one.leader_mps[0])
+            base = draw_driver(self.here.scene.config, starts.rng, lane_speed_mps=mps)
+            leader = starts.make(
+                slow, way.offer, way.lane_id, raw(float(one.leader[0, 0])), driver=replace(base, desired_mps=mps),
+                speed_mps=mps,
+            )  # fmt: skip
+            if not isinstance(leader, Start):
+                starts.rejected[leader] += 1
+                return []
+            leaders, starts.world = [leader], world.joined_by(*starts.rolled(leader))
+        found = starts.make(
+            request, way.offer, way.lane_id, raw(float(one.start_s[0])), driver=driver,
+            speed_mps=float(one.start_mps[0]), sides=(way.side,),
+        )  # fmt: skip
+        starts.world = world
+        if isinstance(found, Start):
+            return starts.take([*leaders, found])
+        starts.rejected[found] += 1
+        return []
+
+
+def _taken(known: PathOccupancy, looks: IntArray, s: FloatArray, *, room_m: float = 0.0) -> BoolArray:
+    """Whether a box at places (N, K) m at looks (K,), with so much room, touches any known on a path, (N, K)."""
+    low, high = known.low[:, looks] - room_m, known.high[:, looks] + room_m
+    return np.asarray(((low[None] < s[:, None]) & (s[:, None] < high[None])).any(axis=1))
