@@ -18,6 +18,7 @@ from hid2.conflicts.reaction import Reactions
 from hid2.insertion.entry_sites import entry_speed
 from hid2.kernels.gaps import deep_inside
 from hid2.kernels.steering import CAUSES
+from hid2.occupancy.shown import UNSEEN_STEPS
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.roads import POLICIES
 from hid2.reasons import Reason
@@ -57,7 +58,7 @@ class Driving:
         there, there_kept = self._replayed()
         recorded = self._recorded = Replay(simulation, there, "r", step_s=step_s, checked=self.checked)
         kept = self._kept = Replay(simulation, there_kept, "k", step_s=step_s, checked=False)
-        for back in (2, 1):
+        for back in range(UNSEEN_STEPS, 0, -1):
             recorded.warm_up(back)
             if fleet.fixed.ids:
                 kept.warm_up(back)

@@ -63,7 +63,7 @@ class Replay:
     def warm_up(self, back: int) -> None:
         """Place those of step 0 where they were `back` steps before, seen by nobody.
 
-        SUMO knows the speed of a vehicle that it is shown only after it has moved it for UNSEEN_STEPS.
+        SUMO knows speed and acceleration of a vehicle that it is shown only after it has moved it for UNSEEN_STEPS.
         """
         rows = self._here[0]
         xy, angle = sumo_poses(

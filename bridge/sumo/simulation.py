@@ -21,7 +21,7 @@ _SAFE_SPEED = 1 + 2 + 8 + 16
 #: Motives of SUMO's lane-change model, as it names them.
 _MOTIVES = frozenset({"strategic", "cooperative", "speedGain", "keepRight"})
 _REPLAY_KEEP_ROUTE = 6  # TraCI moveToXY: exactly there, on a road or off it
-_ASIDE_MATCH_M = 0.01  # no tunable: so little that it is on no lane
+_ASIDE_MATCH_M = 1e-9  # no tunable: so little that it is on no lane
 _NEVER_S = 1000.0  # longer than any scene
 _NET, _START, _TYPES = "scene.net.xml", "start.xml", "types.add.xml"
 _DRIVEN = "driven"

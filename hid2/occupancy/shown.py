@@ -10,8 +10,8 @@ from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray, Traffic
 
-#: Steps for which SUMO takes a new vehicle for one that stands: until then it is seen by none.
-UNSEEN_STEPS = 2
+#: Steps after which SUMO knows speed and acceleration of a vehicle that is new to it: until then it is seen by none.
+UNSEEN_STEPS = 3
 #: No tunable, half a lane and a little: an agent whose front is farther aside is ahead of none.
 ASIDE_M = 2.0
 
