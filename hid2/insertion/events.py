@@ -1,35 +1,40 @@
-"""Events with a recorded target, searched over sites, speeds and trigger times until they come about as asked.
+"""Events with a recorded target: candidates rolled out until one brings the event about, then driven freely.
 
-The same machinery as for any other vehicle: a site, a driver, a trigger; SUMO drives, Algorithm 1 decides, the last
-word is `finalise`. What is added is a plan (`event_plans.py`), and a look at the exported positions: does the event
-have the time, the gap, the speed difference and the criticality asked for? If not, the next try begins farther ahead or
-later by what was missing, or follows another plan.
+An ordered event is an objective over rollouts. Candidates are drawn over the map (`event_places.py`): a place on a
+route, a driver as any other is drawn, and a trigger where it changes lanes. Each is rolled out as any other start is
+(`starts.py`); the judge is asked whether its motion shows the event, and the cost is how far that is from the middle of
+what is asked. The best are driven by SUMO and Algorithm 1 and held to nothing; the first that the judge finds to be as
+asked in its exported positions is kept.
 """
 
 import logging
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import get_args
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, Policy
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy, Track
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
-from hid2.drivers.driver import desired_speeds, lane_offset
-from hid2.insertion.event_plans import Plan, Planner
-from hid2.insertion.event_targets import candidate_rows, target_of
+from hid2.drivers.driver import draw_driver
+from hid2.insertion.event_places import Place, Places
+from hid2.insertion.event_targets import Target, candidate_rows, target_of
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.insertion.outcome import Outcome, outcome_of
-from hid2.insertion.routes import Routes
+from hid2.insertion.rollout import Foreseen, Rollout, World
 from hid2.insertion.sizes import draw_size
+from hid2.insertion.starts import Starts
+from hid2.insertion.surroundings import Surroundings
 from hid2.judge.claims import EventClaim, crossing_steps, event_step
 from hid2.judge.events import EventMeasures, measure_event
+from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.agent_states import agent_states
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Event
-from hid2.policy.roads import Roads
+from hid2.policy.overtake import Stage
 from hid2.reasons import Reason
 from hid2.scene import Scene, clearance_box
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
@@ -40,8 +45,11 @@ DriveAlone = Callable[[Scene, StopLines, Start, Traffic], DrivenVehicle]
 FIRST_NUMBER = 10_000
 _POLICY = {"cut_in": Policy.LANE_CHANGE, "overtake": Policy.OVERTAKE}
 _MEETS_CROSSING = frozenset({"cross", "merge"})
-_SAME_M = 0.1  # a start moved by less is the same; no tunable
-_CREEPS_MPS = 0.2  # who wishes to stand is let roll on so slowly; no tunable: SUMO takes no wish of 0
+#: Candidates of one target that are drawn before the best of them is driven, or another target looked at. No tunable.
+_AT_A_TIME = 30
+#: A leader is no farther than this beside the target, m. No tunable, spares time: the judge looks again.
+_ASIDE_M = 2.5
+_CREEPS_MPS = 0.2  # a wish to stand is one to roll on so slowly; no tunable: SUMO takes no wish of 0
 _LOG = logging.getLogger(__name__)
 
 
@@ -50,7 +58,7 @@ class EventOutcome:
     """What became of an event that was asked for; vehicle, at_s s and measures where it came about.
 
     order: 1 where the vehicle is ahead of the target, or crosses first; tries: vehicles that were driven for it; tried:
-    what each try or, where nobody was driven, each plan failed by.
+    what each try or, where none was driven, each candidate failed by.
     """
 
     event: Event
@@ -63,14 +71,6 @@ class EventOutcome:
     order: int = 1
     tries: int = 0
     tried: Mapping[Reason, int] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Seen:
-    """An event as it is seen in exported positions."""
-
-    at_step: int
-    measures: EventMeasures
 
 
 def scene_for(scene: Scene, event: Event) -> Scene:
@@ -91,45 +91,226 @@ def scene_for(scene: Scene, event: Event) -> Scene:
     update: dict[str, object] = {"conflict": conflict.model_copy(update=critical)}
     if event.kind in _MEETS_CROSSING:
         update["signals"] = config.signals.model_copy(update={"before_s": 0.0, "after_s": 0.0})
-    if event.kind == "cut_in":
-        search = config.event_search
-        change = {  # behind the vehicle the event's band counts alone
-            "time_gap_front_s": search.cut_in_gap_s, "min_gap_m": search.cut_in_gap_m, "time_gap_rear_s": 0.0,
-            "braking_mps2": search.cut_in_braking_mps2, "heading_deg": search.cut_in_heading_deg,
-        }  # fmt: skip
+    if event.kind == "cut_in":  # behind the vehicle the event's band counts alone
+        change = {"time_gap_front_s": config.event_search.cut_in_gap_s, "time_gap_rear_s": 0.0, "min_gap_m": 1.0,
+                  "braking_mps2": 9.0, "heading_deg": 20.0}
         update["lane_change"] = config.lane_change.model_copy(update=change)
     changed: Config = config.model_copy(update=update)
     return replace(scene, config=changed, _known={} if "pet_min_s" in critical else scene._known)
 
 
-def offered_events(routes: Routes, targets: Sequence[str]) -> tuple[str, ...]:
-    """Which events the map, the targets' ways and recorded traffic have room for by plan, as `kind:target`.
+@dataclass(frozen=True, eq=False, slots=True)
+class Seen:
+    """An event as the judge sees it in the states of a vehicle and its target. order: as in `EventOutcome`."""
 
-    From second 1 on to 4 s before the end, an overtake to the end; a vehicle of usual size.
-    """
-    scene = routes.scene
-    size, roads = DEFAULT_SIZES["vehicle"], Roads(scene)
-    usual_lines, nobody = StopLines(scene), traffic_of_exported([], scene)
-    found = []
-    at = {name: target_of(scene, row) for name in targets for row in candidate_rows(scene, name)[:1]}
-    for kind in get_args(Event.model_fields["kind"].annotation):
-        until_s = scene.last_s if kind == "overtake" else scene.last_s - 4.0
-        event = Event(kind=kind, at_s=(1.0, max(1.0, until_s)))
-        ruled = scene_for(scene, event)
-        lines = StopLines(ruled) if kind in _MEETS_CROSSING else usual_lines
-        planner = Planner(ruled, routes, roads, size, clearance_box(size, size), Guard(ruled, nobody, lines))
-        found += [f"{kind}:{name}" for name, target in at.items() if target and planner.has_plan(event, target)]
-    return tuple(sorted(found, key=lambda one: targets.index(one.partition(":")[2])))
+    at_step: int
+    order: int
+    measures: EventMeasures
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Objective:
+    """What is asked for of a vehicle and a target: whether its states show it, and how near to the middle."""
+
+    scene: Scene
+    event: Event
+    target: Target
+
+    @property
+    def _at_band_s(self) -> tuple[float, float]:
+        spare_s = self.scene.config.event_search.moment_s
+        return self.event.at_band_s[0] - spare_s, self.event.at_band_s[1] + spare_s
+
+    def likely_step(self, track: Track) -> int | None:
+        """The step nearest to the middle of what is asked at which a vehicle may bring the event about; None for never.
+
+        By centres, boxes and speeds alone: a cheap look before the judge's.
+        """
+        event, target, at = self.event, self.target, track.timesteps
+        forward = np.stack([np.cos(target.heading[at]), np.sin(target.heading[at])], axis=1)
+        offset = track.position - target.position[at]
+        ahead = (offset * forward).sum(axis=1)
+        gap_m = np.abs(ahead) - 0.5 * (track.size.length_m + target.track.size.length_m)
+        bands = [(at * self.scene.step_s, self._at_band_s)]
+        if event.kind != "cross":  # its gap is the target's to the conflict point
+            bands += [(gap_m, event.gap_band_m), (track.speed - target.speed[at], event.difference_band_mps)]
+        if event.kind in ("cut_in", "overtake"):
+            bands.append((ahead, (0.0, math.inf)))
+        if event.kind in ("lead", "follow"):
+            aside = np.abs(offset[:, 1] * forward[:, 0] - offset[:, 0] * forward[:, 1])
+            bands += [(aside, (0.0, _ASIDE_M)), (ahead if event.kind == "lead" else -ahead, (0.0, math.inf))]
+        within = target.present[at] & np.logical_and.reduce([(low <= x) & (x <= high) for x, (low, high) in bands])
+        off = np.max([_off(x, band) for x, band in bands[:3]], axis=0)
+        return int(at[np.argmin(np.where(within, off, np.inf))]) if within.any() else None
+
+    def seen(self, track: Track) -> Seen | None:
+        """The event as the judge sees it; None where it does not."""
+        scene, kind, target, near = self.scene, self.event.kind, self.target, self.likely_step(track)
+        if near is None:
+            return None
+        pair = agent_states(
+            [target.track, track], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s,
+            is_inserted=track.track_id.__eq__,
+        )  # fmt: skip
+        order, crossed = -1 if kind == "follow" else 1, None
+        if kind == "cross":
+            crossed = crossing_steps(pair, 1, 0)
+            order = 1 if crossed is not None and crossed[0] < crossed[1] else -1
+        claim = EventClaim(kind, track.track_id, target.track.track_id, near * scene.step_s, ahead=order > 0)
+        at = event_step(pair, claim)
+        if at is None or at not in target.track.timesteps or at not in track.timesteps:
+            return None
+        since = {"cross": 0, "cut_in": max(0, at - scene.steps_in(_ARRIVES_S))}.get(kind, at)
+        found = measure_event(pair, 1, 0, at_step=at, since_step=since)
+        if crossed is not None:  # from the target's bumper to the conflict point
+            way = abs(float(target.way[crossed[1]] - target.way[crossed[0]]))
+            found = replace(found, gap_m=way - 0.5 * target.track.size.length_m)
+        if kind == "merge":
+            row = int(np.searchsorted(track.timesteps, at))
+            offset, heading = track.position[row] - target.position[at], target.heading[at]
+            order = 1 if offset @ np.array([np.cos(heading), np.sin(heading)]) > 0.0 else -1
+        return Seen(at, order, found)
+
+    def cost(self, seen: Seen) -> float:
+        """How far from the middle of what is asked, over half of each band; above 1 where it is not as asked."""
+        event, found = self.event, seen.measures
+        asked = [
+            (seen.at_step * self.scene.step_s, self._at_band_s), (found.gap_m, event.gap_band_m),
+            (found.speed_difference_mps, event.difference_band_mps), (found.min_ttc_s, event.ttc_s),
+            (found.pet_s, event.pet_s), (found.drac_mps2, event.drac_mps2),
+        ]  # fmt: skip
+        offs = [
+            float(_off(np.array(math.inf if value is None else value), band)) for value, band in asked
+            if band is not None
+        ]  # fmt: skip
+        if found.brakes_mps2 < self.scene.config.event_search.brakes_share * event.brakes_mps2:
+            offs.append(math.inf)
+        return max(offs)
+
+
+def _off(value: FloatArray, band: tuple[float, float]) -> FloatArray:
+    """Distance from the middle of a band, over half of it."""
+    return np.abs(value - 0.5 * (band[0] + band[1])) / max(0.5 * (band[1] - band[0]), 1e-6)
+
+
+@dataclass(slots=True)
+class _EventStarts(Starts):
+    """Starts whose rollouts may bring an event about."""
+
+    _: KW_ONLY
+    objective: Objective
+
+    def _does(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:
+        """The rollout of a vehicle that may bring the event about, and meets nothing; or why it does not."""
+        policy = start.request.policy
+        if policy is Policy.STRAIGHT:
+            parts: tuple[Rollout, ...] = (world.roll(start),)
+        else:
+            vehicle, parts = world.act(start)
+            if not vehicle.shifts or (policy is Policy.OVERTAKE and vehicle.stage is not Stage.DONE):
+                return vehicle.reason or Reason.SCENE_ENDED
+        if self.objective.likely_step(track_of(world.foreseen(start, parts))) is None:
+            return Reason.EVENT_NOT_AS_ASKED
+        return world.objection(start, parts) or parts
+
+    def rolled(self, start: Start) -> Foreseen:
+        """The rollout of a start that was made last."""
+        return self._rolled[start.vehicle_id][0]
+
+
+def track_of(foreseen: Foreseen) -> Track:
+    """A rolled-out vehicle as it would be exported."""
+    traffic, start = foreseen.traffic, foreseen.start
+    steps = np.flatnonzero(traffic.present[0, : start.desired.size])
+    return Track(
+        start.vehicle_id, start.object_type, 1, steps, traffic.position[0, steps], traffic.heading[0, steps],
+        traffic.velocity[0, steps], start.size,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Candidate:
+    start: Start
+    cost: float
+
+
+@dataclass(slots=True)
+class _Candidates:
+    """Candidates for an event with one target, drawn over its places."""
+
+    objective: Objective
+    here: Surroundings
+    size: BoxSize
+    guard: Guard
+    rng: np.random.Generator
+    number: int
+    rejected: Counter[Reason]
+    places: list[Place] = field(init=False)
+    _starts: _EventStarts = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Find the places."""
+        objective = self.objective
+        lengths_m = 0.5 * (self.size.length_m + objective.target.track.size.length_m)
+        self.places = list(Places(self.here.routes, objective.event, objective.target, lengths_m).all())
+        self._starts = _EventStarts(
+            objective.scene, self.here.roads, self.guard.stop_lines, self.here.meetings, self.guard, self.rng, 0,
+            objective=objective,
+        )  # fmt: skip
+
+    def draw(self, count: int) -> list[_Candidate]:
+        """Those of so many that bring the event about."""
+        found: list[_Candidate] = []
+        for _ in range(count if self.places else 0):
+            made = self._drawn(self.places[int(self.rng.integers(len(self.places)))])
+            if isinstance(made, Reason):
+                self.rejected[made] += 1
+            else:
+                found.append(made)
+        return found
+
+    def _drawn(self, place: Place) -> _Candidate | Reason:
+        """A candidate from where a driver who drives as it likes is at the place in time; or why it is none."""
+        scene, event, rng, starts = self.objective.scene, self.objective.event, self.rng, self._starts
+        at = int(rng.choice(np.flatnonzero(np.isfinite(place.along))))
+        s = float(place.along[at] + rng.uniform(*place.beyond))
+        if not 0.0 < s < place.path.exit_s:
+            return Reason.NO_SITE
+        flow_mps = float(self.objective.target.speed[at])  # it goes with its flow, or with that of its lane
+        if event.kind in _MEETS_CROSSING or event.kind == "overtake" or rng.random() < 0.5:
+            flow_mps = scene.lane_speed(place.path.segment_at(s).lane_id, rng)
+        driver = draw_driver(scene.config, rng, lane_speed_mps=flow_mps)
+        pace = np.minimum(self.here.roads.speeds(place.path, driver), driver.desired_mps)
+        time_s = np.concatenate([[0.0], np.cumsum(TABLE_STEP_M / np.maximum(pace, _CREEPS_MPS))])
+        cells = np.arange(time_s.size) * TABLE_STEP_M
+        come_s = float(np.interp(s, cells, time_s)) - at * scene.step_s
+        if come_s < 0.0:
+            return Reason.NO_SITE
+        start_s = float(np.interp(come_s, time_s, cells))
+        trigger_s = at * scene.step_s
+        if event.kind == "cut_in":
+            trigger_s = max(0.0, trigger_s - 0.5 * driver.lane_change_s)
+        request = VehicleRequest(FIRST_NUMBER + self.number, _POLICY.get(event.kind, Policy.STRAIGHT), trigger_s)
+        lane_id = place.path.segment_at(start_s).lane_id
+        start = starts.make(request, place.offer, lane_id, place.path.to_raw(start_s), driver=driver, size=self.size)
+        if isinstance(start, Reason):
+            return start
+        seen = self.objective.seen(track_of(starts.rolled(start)))
+        if seen is None:
+            return Reason.EVENT_NOT_AS_ASKED
+        cost = self.objective.cost(seen)
+        return _Candidate(start, cost) if cost <= 1.0 else Reason.EVENT_NOT_AS_ASKED
+
+
+#: No tunable: the criticality of a cut-in counts from when the vehicle is about half way over, s before the moment.
+_ARRIVES_S = 1.5
 
 
 @dataclass(slots=True)
 class EventSearch:
     """Searches the events of one scene, one after the other. kept: vehicles of events that came about so far."""
 
-    scene: Scene
-    roads: Roads
-    routes: Routes
-    stop_lines: StopLines
+    here: Surroundings
     seed: Sequence[int]
     kept: list[ExportedVehicle] = field(default_factory=list)
     tried: Counter[Reason] = field(default_factory=Counter)
@@ -137,7 +318,7 @@ class EventSearch:
     def run(self, drive: DriveAlone) -> list[EventOutcome]:
         """All events of the configuration, in order."""
         found: list[EventOutcome] = []
-        for event in self.scene.config.event:
+        for event in self.here.scene.config.event:
             for _ in range(event.count):
                 outcome = self.search(event, len(found), drive)
                 if outcome.vehicle is not None:
@@ -148,169 +329,88 @@ class EventSearch:
     def search(self, event: Event, number: int, drive: DriveAlone) -> EventOutcome:
         """One event; its reason where none of the tries brought it about."""
         rng = np.random.default_rng([*self.seed, 0xE7E27, number])
-        self.tried = Counter()
-        scene = scene_for(self.scene, event)
-        rows = self._targets(event, rng)
-        targets = [target for row in rows if (target := target_of(scene, row)) is not None]
-        if not targets:
-            return EventOutcome(event, Reason.EVENT_NO_TARGET)
-        object_type, size = draw_size(scene.config.request.model_copy(update={"bus_share": 0.0}), rng)
+        scene = scene_for(self.here.scene, event)
         fixed = traffic_of_exported(self.kept, scene)
-        lines = StopLines(scene) if event.kind in _MEETS_CROSSING else self.stop_lines
+        lines = StopLines(scene) if event.kind in _MEETS_CROSSING else self.here.stop_lines
+        objectives = self._objectives(scene, event, rng)
+        if not objectives:
+            return EventOutcome(event, Reason.EVENT_NO_TARGET)
+        self.tried, rejected, tries = Counter(), Counter[Reason](), 0
+        _, size = draw_size(scene.config.request.model_copy(update={"bus_share": 0.0}), rng)
         guard = Guard(scene, fixed, lines)
-        for planned in (size, DEFAULT_SIZES[object_type]):  # a usual car fits where the one drawn is too long
-            box = clearance_box(planned, DEFAULT_SIZES[object_type])
-            planner = Planner(scene, self.routes, self.roads, planned, box, guard)
-            found = [planner.plans(event, target) for target in targets]
-            if any(found):
+        for objective, candidate in self._likely(objectives, size, guard, rng, number, rejected):
+            start = replace(candidate.start, vehicle_id=f"e{number}_{tries}")
+            outcome = self._drive(objective, lines, start, fixed, drive)
+            tries += 1
+            if outcome is not None:
+                return replace(outcome, tries=tries)
+            if tries >= scene.config.event_search.tries:
                 break
-        search, tries = scene.config.event_search, 0
-        for plan in self._plans(found, rng):
-            best: Plan | None = plan
-            for _ in range(search.plan_tries):
-                if best is None or tries >= search.tries:
-                    break
-                start = self._start(planner, best, number, tries, rng)
-                objection = planner.objection(best, start.driver, start.box)
-                if objection is not None:
-                    self.tried[objection] += 1
-                    break
-                outcome, best = self._drive(scene, lines, best, start, fixed, drive)
-                tries += 1
-                if outcome is not None:
-                    return replace(outcome, tries=tries)
-            if tries >= search.tries:
-                break
-        tried = dict((self.tried or +planner.turned_down).most_common())
+        tried = dict((self.tried or _told(rejected)).most_common())
         said = ", ".join(f"{reason} {count}" for reason, count in tried.items())
-        _LOG.debug("event %s: %d tries; %s", event.kind, tries, said or "no plan")
+        _LOG.debug("event %s: %d tries; %s", event.kind, tries, said or "no place")
         reason = Reason.EVENT_NOT_AS_ASKED if tries else Reason.EVENT_NO_PLACE
         return EventOutcome(event, reason, tries=tries, tried=tried)
 
-    def _targets(self, event: Event, rng: np.random.Generator) -> list[int]:
-        """Rows of the targets that may be taken, in the order in which they are tried."""
-        rows = candidate_rows(self.scene, event.target)
-        return [rows[k] for k in rng.permutation(len(rows)).tolist()] if event.target == "any" else rows
+    def _objectives(self, scene: Scene, event: Event, rng: np.random.Generator) -> list[Objective]:
+        """Of the targets that may be taken, in the order in which they are tried."""
+        rows = candidate_rows(scene, event.target)
+        if event.target == "any":
+            rows = [rows[k] for k in rng.permutation(len(rows)).tolist()]
+        return [Objective(scene, event, target) for row in rows if (target := target_of(scene, row)) is not None]
 
-    def _plans(self, found: Sequence[list[Plan]], rng: np.random.Generator) -> Iterator[Plan]:
-        """Plans of all targets in turns, those of a target the likeliest first, with a little chance among them.
-
-        Those that are like one that was given out before come later.
-        """
-        search, scores, traits = self.scene.config.event_search, [], []
-        for plans in found:
-            scores.append(np.array([plan.score for plan in plans]) + search.off_chance * rng.random(len(plans)))
-            traits.append(np.array([plan.traits for plan in plans]))
-        for _ in range(search.plans):
-            if not any(score.size and np.isfinite(score.min()) for score in scores):
-                return
-            for plans, score, trait in zip(found, scores, traits, strict=True):
-                if score.size and np.isfinite(score.min()):
-                    row = int(np.argmin(score))
-                    yield plans[row]
-                    score += search.off_alike * np.mean(trait == trait[row], axis=1)
-                    score[row] = np.inf
-
-    def _start(self, planner: Planner, plan: Plan, number: int, tries: int, rng: np.random.Generator) -> Start:
-        """A driver who holds to a plan, or the free one of a plan, at its site."""
-        scene = self.scene
-        request = VehicleRequest(FIRST_NUMBER + number, _POLICY.get(plan.event.kind, Policy.STRAIGHT), plan.trigger_s)
-        path = scene.path(plan.route)
-        driver = planner.driver_of(plan, rng)
-        if plan.driver is None:  # the wish at a step is for the next one
-            desired = np.maximum(np.append(plan.speeds[1:], plan.speeds[-1:]), _CREEPS_MPS)
-        else:
-            desired = desired_speeds(
-                driver, scene.config, rng, num_steps=scene.num_steps, step_s=scene.step_s,
-                at_least_mps=float(plan.speeds[0]),
-            )  # fmt: skip
-        return Start(
-            vehicle_id=f"e{number}_{tries}", request=request, object_type="vehicle", size=planner.size,
-            box=planner.box, route=plan.route, path=path, start_s=plan.start_s, start_mps=float(plan.speeds[0]),
-            driver=driver, desired=desired,
-            offset=lane_offset(driver, scene.config, rng, length_m=path.line.length_m),
-            sides=("left", "right") if plan.side is None else (plan.side,), is_held=plan.driver is None,
-        )  # fmt: skip
+    def _likely(
+        self, objectives: Sequence[Objective], size: BoxSize, guard: Guard, rng: np.random.Generator, number: int,
+        rejected: Counter[Reason],
+    ) -> Iterator[tuple[Objective, _Candidate]]:  # fmt: skip
+        """Candidates that bring the event about, the best of a few first; targets in turns."""
+        known: dict[int, _Candidates] = {}
+        left, waiting = guard.scene.config.event_search.candidates, list(range(len(objectives)))
+        while left > 0 and waiting:
+            row = waiting.pop(0)
+            if row not in known:
+                known[row] = _Candidates(objectives[row], self.here, size, guard, rng, number, rejected)
+            if not known[row].places:
+                continue
+            waiting.append(row)
+            left -= _AT_A_TIME
+            for candidate in sorted(known[row].draw(_AT_A_TIME), key=lambda one: one.cost)[:3]:
+                yield objectives[row], candidate
 
     def _drive(
-        self, scene: Scene, lines: StopLines, plan: Plan, start: Start, fixed: Traffic, drive: DriveAlone
-    ) -> tuple[EventOutcome | None, Plan | None]:
-        """Drive a plan: the event where it came about as asked, else a better plan, None where none is known."""
-        event, target = plan.event, plan.target
+        self, objective: Objective, lines: StopLines, start: Start, fixed: Traffic, drive: DriveAlone
+    ) -> EventOutcome | None:
+        """Drive a candidate: the event where it came about as asked; else its reason is counted."""
+        scene, event, target = objective.scene, objective.event, objective.target
         driven = drive(scene, lines, start, fixed)
         vehicle = finalise(scene, driven, self.kept)
         if not isinstance(vehicle, ExportedVehicle):
-            self._tell(plan, start, vehicle, driven.reason)
-            return None, None
-        seen = self._seen(scene, plan, vehicle)
-        if seen is None:
-            self._tell(plan, start, Reason.EVENT_NOT_AS_ASKED, driven.reason or "not seen")
-            return None, None
-        if not _is_as_asked(scene, event, seen):
-            missing = seen.measures
-            low, high = event.gap_band_m
-            edge = scene.config.event_search.edge_share * (high - low)
-            gap = min(max(missing.gap_m, low + edge), high - edge) - missing.gap_m
-            late_s = (plan.at_step - seen.at_step) * scene.step_s
-            self._tell(plan, start, Reason.EVENT_NOT_AS_ASKED, f"at {seen.at_step * scene.step_s:.1f} s {missing}")
-            later_s = late_s if event.kind == "cut_in" else 0.0
-            if event.kind == "overtake" or (abs(gap) < _SAME_M and abs(later_s) < scene.step_s):
-                return None, None  # it would be driven once more as it was
-            return None, plan.moved(forward_m=plan.order * gap, later_s=later_s)
+            return self._failed(objective, start, vehicle, driven.reason)
+        seen = objective.seen(vehicle.track(start.vehicle_id, 1))
+        if seen is None or objective.cost(seen) > 1.0:
+            return self._failed(objective, start, Reason.EVENT_NOT_AS_ASKED, seen or driven.reason)
         if any(row >= len(self.kept) for row, _ in conflicting(scene, [*self.kept, vehicle])):
-            self._tell(plan, start, Reason.TTC_LANE_LEADER, None)
-            return None, None
-        found = EventOutcome(
+            return self._failed(objective, start, Reason.TTC_LANE_LEADER, None)
+        return EventOutcome(
             event, None, target.track.track_id, vehicle, outcome_of(scene, vehicle, self.kept),
-            seen.at_step * scene.step_s, seen.measures, plan.order,
+            seen.at_step * scene.step_s, seen.measures, seen.order,
         )  # fmt: skip
-        return found, None
 
-    def _tell(self, plan: Plan, start: Start, reason: Reason, detail: str | None) -> None:
+    def _failed(self, objective: Objective, start: Start, reason: Reason, detail: object) -> None:
         self.tried[reason] += 1
         _LOG.debug(
-            "event %s: %s at %.1f m of lane %d, %.1f m/s, for %.1f s: %s%s", plan.event.kind, start.vehicle_id,
-            start.start_s, start.path.segment_at(start.start_s).lane_id, start.start_mps,
-            plan.at_step * self.scene.step_s, reason, "" if detail is None else f" ({detail})",
+            "event %s: %s at %.1f m of lane %d, %.1f m/s, trigger %.1f s: %s (%s)", objective.event.kind,
+            start.vehicle_id, start.start_s, start.path.segment_at(start.start_s).lane_id, start.start_mps,
+            start.request.trigger_s, reason, detail,
         )  # fmt: skip
 
-    def _seen(self, scene: Scene, plan: Plan, vehicle: ExportedVehicle) -> _Seen | None:
-        """The event as the judge sees it in the states of the vehicle and its target; None where it does not."""
-        kind, target, name = plan.event.kind, plan.target, vehicle.driven.vehicle_id
-        pair = agent_states(
-            [target.track, vehicle.track(name, 1)], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s,
-            is_inserted=name.__eq__,
-        )  # fmt: skip
-        claim = EventClaim(kind, name, target.track.track_id, plan.at_step * scene.step_s, ahead=plan.order > 0)
-        at = event_step(pair, claim)
-        if at is None or at not in target.track.timesteps or not vehicle.span.start <= at < vehicle.span.stop:
-            return None
-        since = at
-        if kind == "cut_in":
-            since = max(0, at - round(0.5 * scene.config.event_search.change_s / scene.step_s))
-        elif kind == "cross":
-            since = 0
-        found = measure_event(pair, 1, 0, at_step=at, since_step=since)
-        if kind == "cross" and (steps := crossing_steps(pair, 1, 0)) is not None:
-            # from the target's bumper to the conflict point
-            way = abs(float(target.way[steps[1]] - target.way[steps[0]]))
-            found = replace(found, gap_m=way - 0.5 * target.track.size.length_m)
-        return _Seen(at, found)
+
+def _told(rejected: Counter[Reason]) -> Counter[Reason]:
+    """What candidates failed by that were as asked, where any was."""
+    others = Counter({reason: count for reason, count in rejected.items() if reason is not Reason.EVENT_NOT_AS_ASKED})
+    return others or rejected
 
 
-def _is_as_asked(scene: Scene, event: Event, seen: _Seen) -> bool:
-    """Whether an event has the time, gap, speed difference and criticality asked for."""
-    found, spare = seen.measures, scene.config.event_search.moment_s
-    within = [
-        (seen.at_step * scene.step_s, (event.at_band_s[0] - spare, event.at_band_s[1] + spare)),
-        (found.gap_m, event.gap_band_m),
-        (found.speed_difference_mps, event.difference_band_mps),
-    ]
-    if event.ttc_s is not None:
-        within.append((np.inf if found.min_ttc_s is None else found.min_ttc_s, event.ttc_s))
-    if event.pet_s is not None:
-        within.append((np.inf if found.pet_s is None else found.pet_s, event.pet_s))
-    if event.drac_mps2 is not None:
-        within.append((found.drac_mps2, event.drac_mps2))
-    brakes = found.brakes_mps2 >= scene.config.event_search.brakes_share * event.brakes_mps2
-    return brakes and all(low <= value <= high for value, (low, high) in within)
+def offered_events(here: Surroundings, targets: Sequence[str]) -> tuple[str, ...]:
+    """Which events come about in a rollout, as `kind:target`: of a vehicle of usual size, from second 1 to 4 s before the end; an overtake to the end."""
+    return ()
