@@ -33,6 +33,8 @@ _OVERTAKES_S, _BEHIND_M = (4.0, 10.0), (3.0, 30.0)
 #: Paths cross with so much between the centres at most, s, unless a PET is asked for; boxes take so much of it at most.
 #: No tunables: bounds of what is drawn.
 _APART_S, _BOXES_S = 5.0, 2.0
+#: No tunable, spares time: a motion that is farther off a place brings no event about.
+_ABOUT_M = 2.0
 _SIDES: tuple[tuple[Side, Side], ...] = (("left", "right"), ("right", "left"))
 
 
@@ -49,6 +51,12 @@ class Place:
     along: FloatArray
     beyond: tuple[float, float]
     side: Side | None = None
+
+    def is_come_to(self, s: FloatArray, step_m: FloatArray) -> bool:
+        """Whether a motion, (K,) m by the steps from 0 on, is about there in time; step_m (K,): its way in a step."""
+        off = s - self.along[: s.size]
+        low, high = self.beyond
+        return bool(((off > low - step_m - _ABOUT_M) & (off < high + step_m + _ABOUT_M)).any())
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -32,8 +32,10 @@ from hid2.judge.claims import EventClaim, crossing_steps, event_step
 from hid2.judge.events import EventMeasures, measure_event
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.agent_states import agent_states
-from hid2.occupancy.traffic import Traffic
+from hid2.occupancy.gaps import gaps_on_path
+from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.params import Config, Event
+from hid2.policy.observation import admissible_neighbor
 from hid2.policy.overtake import Stage
 from hid2.reasons import Reason
 from hid2.scene import Scene, clearance_box
@@ -49,6 +51,8 @@ _MEETS_CROSSING = frozenset({"cross", "merge"})
 _AT_A_TIME = 30
 #: A leader is no farther than this beside the target, m. No tunable, spares time: the judge looks again.
 _ASIDE_M = 2.5
+#: Of each driver so many places are looked at, and the first that is free is taken. No tunable, spares time.
+_DRAWS = 32
 _CREEPS_MPS = 0.2  # a wish to stand is one to roll on so slowly; no tunable: SUMO takes no wish of 0
 _LOG = logging.getLogger(__name__)
 
@@ -195,17 +199,18 @@ def _off(value: FloatArray, band: tuple[float, float]) -> FloatArray:
 
 @dataclass(slots=True)
 class _EventStarts(Starts):
-    """Starts whose rollouts may bring an event about."""
+    """Starts whose rollouts may bring an event about. place: from which it is looked for."""
 
     _: KW_ONLY
     objective: Objective
+    place: Place | None = None
 
     def _does(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:
         """The rollout of a vehicle that may bring the event about, and meets nothing; or why it does not."""
-        policy = start.request.policy
-        if policy is Policy.STRAIGHT:
-            parts: tuple[Rollout, ...] = (world.roll(start),)
-        else:
+        policy, parts = start.request.policy, (world.roll(start),)
+        if self.place is not None and not self.place.is_come_to(parts[0].s, world.scene.step_s * parts[0].v):
+            return Reason.EVENT_NOT_AS_ASKED
+        if policy is not Policy.STRAIGHT:
             vehicle, parts = world.act(start)
             if not vehicle.shifts or (policy is Policy.OVERTAKE and vehicle.stage is not Stage.DONE):
                 return vehicle.reason or Reason.SCENE_ENDED
@@ -246,12 +251,14 @@ class _Candidates:
     number: int
     rejected: Counter[Reason]
     places: list[Place] = field(init=False)
+    _box: BoxSize = field(init=False)
     _starts: _EventStarts = field(init=False)
 
     def __post_init__(self) -> None:
         """Find the places."""
         objective = self.objective
         lengths_m = 0.5 * (self.size.length_m + objective.target.track.size.length_m)
+        self._box = clearance_box(self.size, DEFAULT_SIZES["vehicle"])
         self.places = list(Places(self.here.routes, objective.event, objective.target, lengths_m).all())
         self._starts = _EventStarts(
             objective.scene, self.here.roads, self.guard.stop_lines, self.here.meetings, self.guard, self.rng, 0,
@@ -270,29 +277,31 @@ class _Candidates:
         return found
 
     def _drawn(self, place: Place) -> _Candidate | Reason:
-        """A candidate from where a driver who drives as it likes is at the place in time; or why it is none."""
+        """A candidate that begins where its driver would be at the place in time; or why it is none."""
         scene, event, rng, starts = self.objective.scene, self.objective.event, self.rng, self._starts
-        at = int(rng.choice(np.flatnonzero(np.isfinite(place.along))))
-        s = float(place.along[at] + rng.uniform(*place.beyond))
-        if not 0.0 < s < place.path.exit_s:
-            return Reason.NO_SITE
-        flow_mps = float(self.objective.target.speed[at])  # it goes with its flow, or with that of its lane
-        if event.kind in _MEETS_CROSSING or event.kind == "overtake" or rng.random() < 0.5:
-            flow_mps = scene.lane_speed(place.path.segment_at(s).lane_id, rng)
-        driver = draw_driver(scene.config, rng, lane_speed_mps=flow_mps)
+        at = rng.choice(np.flatnonzero(np.isfinite(place.along)), _DRAWS)
+        s = place.along[at] + rng.uniform(*place.beyond, _DRAWS)
+        driver = draw_driver(scene.config, rng, lane_speed_mps=self._flow_mps(place, int(at[0]), float(s[0])))
         pace = np.minimum(self.here.roads.speeds(place.path, driver), driver.desired_mps)
         time_s = np.concatenate([[0.0], np.cumsum(TABLE_STEP_M / np.maximum(pace, _CREEPS_MPS))])
         cells = np.arange(time_s.size) * TABLE_STEP_M
-        come_s = float(np.interp(s, cells, time_s)) - at * scene.step_s
-        if come_s < 0.0:
+        held_up = np.where(rng.random(_DRAWS) < 0.5, 1.0, rng.random(_DRAWS))  # share of the way that it comes so far
+        start_s = np.interp(np.interp(s, cells, time_s) - held_up * at * scene.step_s, time_s, cells, left=-1.0)
+        near = gaps_on_path(starts.world.known_on(place.path, self._box), start_s, 0)
+        clear = np.minimum(near.lead_m, near.lag_m) >= scene.config.spawn.clear_gap_m
+        clear &= (start_s > 0.5 * self._box.length_m) & (s < place.path.exit_s) & self._may_change(place, s)
+        if not clear.any():
             return Reason.NO_SITE
-        start_s = float(np.interp(come_s, time_s, cells))
-        trigger_s = at * scene.step_s
+        row = int(np.argmax(clear))
+        trigger_s = float(at[row] * scene.step_s)
         if event.kind == "cut_in":
             trigger_s = max(0.0, trigger_s - 0.5 * driver.lane_change_s)
         request = VehicleRequest(FIRST_NUMBER + self.number, _POLICY.get(event.kind, Policy.STRAIGHT), trigger_s)
-        lane_id = place.path.segment_at(start_s).lane_id
-        start = starts.make(request, place.offer, lane_id, place.path.to_raw(start_s), driver=driver, size=self.size)
+        begin_s, starts.place = float(start_s[row]), place
+        start = starts.make(
+            request, place.offer, place.path.segment_at(begin_s).lane_id, place.path.to_raw(begin_s), driver=driver,
+            size=self.size,
+        )  # fmt: skip
         if isinstance(start, Reason):
             return start
         seen = self.objective.seen(track_of(starts.rolled(start)))
@@ -300,6 +309,21 @@ class _Candidates:
             return Reason.EVENT_NOT_AS_ASKED
         cost = self.objective.cost(seen)
         return _Candidate(start, cost) if cost <= 1.0 else Reason.EVENT_NOT_AS_ASKED
+
+    def _flow_mps(self, place: Place, at: int, s: float) -> float:
+        """Speed of the traffic that a driver goes with: its lane's, the target's then, or at its fastest, m/s."""
+        target, kind = self.objective.target, int(self.rng.integers(3))
+        if kind == 0 or self.objective.event.kind in ("cross", "overtake"):
+            return self.objective.scene.lane_speed(place.path.segment_at(s).lane_id, self.rng)
+        return float(target.speed[at] if kind == 1 else target.speed[target.present].max())
+
+    def _may_change(self, place: Place, s: FloatArray) -> BoolArray:
+        """(M,) whether the marking lets a vehicle over at places, m; everywhere where it changes no lane."""
+        if place.side is None:
+            return np.ones(s.size, dtype=np.bool_)
+        lanes, scene = [place.path.segment_at(one).lane_id for one in s.tolist()], self.objective.scene
+        may = {lane: admissible_neighbor(scene, lane, place.side) is not None for lane in set(lanes)}
+        return np.array([may[lane] for lane in lanes])
 
 
 #: No tunable: the criticality of a cut-in counts from when the vehicle is about half way over, s before the moment.
