@@ -8,8 +8,9 @@ cross          where the paths cross
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -17,13 +18,14 @@ from hid2.agents import FloatArray
 from hid2.insertion.event_targets import Target
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.measures.encounters import CROSSING_RAD
-from hid2.motion.route import ROUTE_LONGEST_M, DrivenPath, Route, routes_from
+from hid2.motion.route import ROUTE_LONGEST_M, DrivenPath, Route
+from hid2.occupancy.traffic import BoolArray
 from hid2.params import Event
 from hid2.policy.decision import Side
 from netconvert.lane_graph import TurnType
 
-#: Routes over a lane, from as many ways onto it. No tunable, spares time: a path takes as long as fifty rollouts.
-_ROUTES = 4
+#: Other ways onto a lane, and on from it. No tunable, spares time: a path takes as long as twenty rollouts.
+_OTHER_WAYS = 2
 #: A target is beside a path up to this distance, m, and this cosine of the angle to it; a path that it crosses comes
 #: this near to its positions, m. No tunables: a lane and a half, 37 degrees, more than a car drives in a step.
 _BESIDE_M, _ALONG, _NEAR_M = 6.0, 0.8, 3.0
@@ -52,11 +54,11 @@ class Place:
     beyond: tuple[float, float]
     side: Side | None = None
 
-    def is_come_to(self, s: FloatArray, step_m: FloatArray) -> bool:
-        """Whether a motion, (K,) m by the steps from 0 on, is about there in time; step_m (K,): its way in a step."""
+    def is_come_to(self, s: FloatArray, step_m: FloatArray) -> BoolArray:
+        """(K,) whether a motion, m by the steps from 0 on, is about there in time; step_m (K,): its way in a step."""
         off = s - self.along[: s.size]
         low, high = self.beyond
-        return bool(((off > low - step_m - _ABOUT_M) & (off < high + step_m + _ABOUT_M)).any())
+        return np.asarray((off > low - step_m - _ABOUT_M) & (off < high + step_m + _ABOUT_M))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -159,7 +161,7 @@ class Places:
         there = self._within(*self.event.at_band_s) & (gap_m >= low) & (gap_m <= high)
         return Place(self.routes.offer_of(route), self._path(route), np.where(there, s, np.nan), (0.0, 0.0))
 
-    def _within(self, low_s: float, high_s: float) -> np.ndarray:
+    def _within(self, low_s: float, high_s: float) -> BoolArray:
         """(T,) steps within a band of times at which the target is there; of a band that is a moment, half a second."""
         time_s = np.arange(self.target.present.size) * self.target.step_s
         spare_s = 0.25 if high_s - low_s < 0.5 else 0.0
@@ -195,26 +197,39 @@ class Places:
         return found
 
     def _over(self, lane_id: int, ahead: tuple[int, ...] = (), before: tuple[int, ...] = ()) -> list[Route]:
-        """Routes over a lane: on along the lanes ahead where they can, else straight on; back to the map's edge.
+        """Routes over a lane: on along the lanes ahead where they can, else straight on; from along the lanes before.
 
-        First those that come along the lanes before.
+        Then those that come onto it from elsewhere, and those that go on elsewhere, the nearest ones first.
         """
-        usable, graph, lanes = self.routes.usable, self.routes.scene.grid.graph, self.routes.scene.grid.graph.lanes
-        if not usable(lane_id):
+        graph, lanes = self.routes.scene.grid.graph, self.routes.scene.grid.graph.lanes
+        if not self.routes.usable(lane_id):
             return []
 
-        def choose(onward: tuple[int, ...]) -> tuple[int, ...]:
-            return tuple(sorted(onward, key=lambda n: (n not in ahead, lanes[n].turn is not TurnType.STRAIGHT, n)))
+        def rank(known: tuple[int, ...]) -> Callable[[int], tuple[bool, bool, int]]:
+            return lambda n: (n not in known, lanes[n].turn is not TurnType.STRAIGHT, n)
 
-        onward = routes_from(graph, lane_id, choose=choose, usable=usable, most=1, longest_m=ROUTE_LONGEST_M)
-        found: list[Route] = []
-        open_: list[tuple[Route, float]] = [(next(onward, (lane_id,)), 0.0)]
-        while open_ and len(found) < _ROUTES:
-            route, back_m = open_.pop()
-            back = [n for n in graph.predecessors(route[0]) if usable(n) and n not in route]
-            if not back or back_m > 0.5 * ROUTE_LONGEST_M:
-                found.append(route)
-                continue
-            back.sort(key=lambda n: (n in before, lanes[n].turn is TurnType.STRAIGHT, -n))  # the best one last
-            open_.extend(((n, *route), back_m + lanes[n].length_m) for n in back)
-        return found
+        onward = self._ways(lane_id, graph.successors, rank(ahead), ROUTE_LONGEST_M)
+        back = self._ways(lane_id, graph.predecessors, rank(before), 0.5 * ROUTE_LONGEST_M)
+        pairs = [(0, 0), *((0, row) for row in range(1, len(onward))), *((row, 0) for row in range(1, len(back)))]
+        found = [(*back[one][:0:-1], *onward[other]) for one, other in pairs]
+        return [route for route in found if len(set(route)) == len(route)]
+
+    def _ways(
+        self, lane_id: int, onto: Callable[[int], Iterable[int]], rank: Callable[[int], tuple[bool, bool, int]],
+        longest_m: float,
+    ) -> list[Route]:  # fmt: skip
+        """Lanes from a lane on, by what is best at each split; then with another one at a split, the nearest first."""
+        lanes = self.routes.scene.grid.graph.lanes
+
+        def beyond(way: Route) -> list[int]:
+            far = sum(lanes[n].length_m for n in way[1:]) > longest_m
+            return [] if far else sorted((n for n in onto(way[-1]) if self.routes.usable(n) and n not in way), key=rank)
+
+        def goes_on(way: Route) -> Route:
+            while options := beyond(way):
+                way = (*way, options[0])
+            return way
+
+        best = goes_on((lane_id,))
+        others = (goes_on((*best[:k], n)) for k in range(1, len(best)) for n in beyond(best[:k])[1:])
+        return [best, *islice(others, _OTHER_WAYS)]

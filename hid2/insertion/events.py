@@ -12,6 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
+from itertools import pairwise
 from typing import get_args
 
 import numpy as np
@@ -35,6 +36,7 @@ from hid2.occupancy.agent_states import agent_states
 from hid2.occupancy.gaps import gaps_on_path
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.params import Config, Event
+from hid2.params import EventSearch as EventSearchParams
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.overtake import Stage
 from hid2.reasons import Reason
@@ -49,6 +51,10 @@ _POLICY = {"cut_in": Policy.LANE_CHANGE, "overtake": Policy.OVERTAKE}
 _MEETS_CROSSING = frozenset({"cross", "merge"})
 #: Candidates of one target that are drawn before the best of them is driven, or another target looked at. No tunable.
 _AT_A_TIME = 30
+#: A place is left out where so many drivers in a row cannot begin. No tunable, spares time.
+_NOT_BEGUN = 20
+#: Of those that bring it about so many are judged and driven. No tunable.
+_BEST = 5
 #: A leader is no farther than this beside the target, m. No tunable, spares time: the judge looks again.
 _ASIDE_M = 2.5
 #: Of each driver so many places are looked at, and the first that is free is taken. No tunable, spares time.
@@ -96,8 +102,9 @@ def scene_for(scene: Scene, event: Event) -> Scene:
     if event.kind in _MEETS_CROSSING:
         update["signals"] = config.signals.model_copy(update={"before_s": 0.0, "after_s": 0.0})
     if event.kind == "cut_in":  # behind the vehicle the event's band counts alone
+        waits_s = min(config.lane_change.give_up_s, float(np.ptp(event.at_band_s)) + 2 * config.event_search.moment_s)
         change = {"time_gap_front_s": config.event_search.cut_in_gap_s, "time_gap_rear_s": 0.0, "min_gap_m": 1.0,
-                  "braking_mps2": 9.0, "heading_deg": 20.0}
+                  "braking_mps2": 9.0, "heading_deg": 20.0, "give_up_s": waits_s}
         update["lane_change"] = config.lane_change.model_copy(update=change)
     changed: Config = config.model_copy(update=update)
     return replace(scene, config=changed, _known={} if "pet_min_s" in critical else scene._known)
@@ -121,8 +128,13 @@ class Objective:
     target: Target
 
     @property
+    def search(self) -> EventSearchParams:
+        """Of the configuration."""
+        return self.scene.config.event_search
+
+    @property
     def _at_band_s(self) -> tuple[float, float]:
-        spare_s = self.scene.config.event_search.moment_s
+        spare_s = self.search.moment_s
         return self.event.at_band_s[0] - spare_s, self.event.at_band_s[1] + spare_s
 
     def likely_step(self, track: Track) -> int | None:
@@ -187,8 +199,8 @@ class Objective:
             float(_off(np.array(math.inf if value is None else value), band)) for value, band in asked
             if band is not None
         ]  # fmt: skip
-        if found.brakes_mps2 < self.scene.config.event_search.brakes_share * event.brakes_mps2:
-            offs.append(math.inf)
+        if event.brakes_mps2:
+            offs.append(abs(found.brakes_mps2 / event.brakes_mps2 - 1.0) / (1.0 - self.search.brakes_share))
         return max(offs)
 
 
@@ -199,28 +211,76 @@ def _off(value: FloatArray, band: tuple[float, float]) -> FloatArray:
 
 @dataclass(slots=True)
 class _EventStarts(Starts):
-    """Starts whose rollouts may bring an event about. place: from which it is looked for."""
+    """Starts whose rollouts may bring an event about.
+
+    place: at which; made: what was rolled out last; rolls: how often that has been done.
+    """
 
     _: KW_ONLY
     objective: Objective
     place: Place | None = None
+    made: Start | None = None
+    rolls: int = 0
 
     def _does(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:
-        """The rollout of a vehicle that may bring the event about, and meets nothing; or why it does not."""
-        policy, parts = start.request.policy, (world.roll(start),)
-        if self.place is not None and not self.place.is_come_to(parts[0].s, world.scene.step_s * parts[0].v):
+        """The rollout of a vehicle that may bring the event about, and meets nothing; or why it does not.
+
+        What is to change lanes does so when it would be at the place half a change later, or now for an overtake.
+        """
+        place, parts, policy = self.place, (world.roll(start),), start.request.policy
+        assert place is not None
+        self.rolls += 1
+        there = place.is_come_to(parts[0].s, world.scene.step_s * parts[0].v)
+        if place.side is not None:
+            half = world.scene.steps_in(0.5 * start.driver.lane_change_s) if policy is Policy.LANE_CHANGE else 0
+            there &= self._may_change(place, parts[0].s)
+            there = np.concatenate([there[half:], np.zeros(min(half, there.size), dtype=np.bool_)])
+            there &= self._may_change(place, parts[0].s)
+        if not there.any():
             return Reason.EVENT_NOT_AS_ASKED
-        if policy is not Policy.STRAIGHT:
-            vehicle, parts = world.act(start)
+        self.made = start
+        if place.side is not None:
+            step = int(self.rng.choice(np.flatnonzero(there)))
+            request = replace(start.request, trigger_s=step * world.scene.step_s)
+            self.made = replace(start, request=request, sides=(place.side,))
+            vehicle, parts = world.act(self.made)
             if not vehicle.shifts or (policy is Policy.OVERTAKE and vehicle.stage is not Stage.DONE):
                 return vehicle.reason or Reason.SCENE_ENDED
-        if self.objective.likely_step(track_of(world.foreseen(start, parts))) is None:
+            trigger_s = vehicle.shifts[0].requested_step * world.scene.step_s
+            self.made = replace(self.made, request=replace(request, trigger_s=trigger_s))
+        step = self.objective.likely_step(track_of(world.foreseen(start, parts)))
+        if step is None:
             return Reason.EVENT_NOT_AS_ASKED
-        return world.objection(start, parts) or parts
+        if self.objective.event.brakes_mps2:
+            self.made = self._braking(self.made, step, float(parts[-1].v[step]))
+            parts = (world.roll(self.made),)
+        return world.objection(self.made, parts) or parts
+
+    def _braking(self, start: Start, step: int, speed_mps: float) -> Start:
+        """A driver whose wish falls from a step on, so that it brakes as hard as is asked for, and then drives on.
+
+        By the IDM a (1 - (v / v0)^4) = -b, so v0 = v / (1 + b / a)^(1/4).
+        """
+        scene, brakes_mps2 = self.scene, self.objective.event.brakes_mps2
+        braked_s = scene.step_s * np.arange(start.desired.size - step)
+        speed = speed_mps - brakes_mps2 * np.minimum(braked_s, scene.config.event_search.brakes_s)
+        ratio = (1.0 + brakes_mps2 / start.driver.accel_mps2) ** 0.25
+        wish = np.where(braked_s < scene.config.event_search.brakes_s, speed / ratio, speed)
+        desired = np.concatenate([start.desired[:step], np.maximum(wish, _CREEPS_MPS)])
+        driver = replace(start.driver, decel_mps2=max(start.driver.decel_mps2, brakes_mps2))
+        return replace(start, desired=desired, driver=driver)
+
+    def _may_change(self, place: Place, s: FloatArray) -> BoolArray:
+        """(K,) whether the marking lets a vehicle over at places, m."""
+        assert place.side is not None
+        may = [admissible_neighbor(self.scene, one.lane_id, place.side) is not None for one in place.path.segments]
+        ends = np.array([segment.end for segment in place.path.segments])
+        return np.array(may)[np.minimum(np.searchsorted(ends, s, side="right"), ends.size - 1)]
 
     def rolled(self, start: Start) -> Foreseen:
         """The rollout of a start that was made last."""
-        return self._rolled[start.vehicle_id][0]
+        assert self.made is not None
+        return replace(self._rolled[start.vehicle_id][0], start=replace(self.made, offset=start.offset))
 
 
 def track_of(foreseen: Foreseen) -> Track:
@@ -235,8 +295,21 @@ def track_of(foreseen: Foreseen) -> Track:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Candidate:
-    start: Start
+    """A rolled-out vehicle that brings an event about. cost: as in `Objective.cost`."""
+
+    rolled: Foreseen
     cost: float
+
+    def as_driven(self) -> DrivenVehicle:
+        """As if SUMO had driven it, for the last word."""
+        *before, last = self.rolled.parts
+        ends = [later.step - part.step for part, later in pairwise(self.rolled.parts)]
+        s, v = (
+            np.concatenate([*(getattr(part, name)[:end] for part, end in zip(before, ends, strict=True)),
+                            getattr(last, name)]).tolist()
+            for name in ("s", "v")
+        )  # fmt: skip
+        return DrivenVehicle(self.rolled.start, last.path, s, v, [0.0] * len(s))
 
 
 @dataclass(slots=True)
@@ -253,6 +326,7 @@ class _Candidates:
     places: list[Place] = field(init=False)
     _box: BoxSize = field(init=False)
     _starts: _EventStarts = field(init=False)
+    _begun: list[int] = field(init=False)
 
     def __post_init__(self) -> None:
         """Find the places."""
@@ -260,20 +334,26 @@ class _Candidates:
         lengths_m = 0.5 * (self.size.length_m + objective.target.track.size.length_m)
         self._box = clearance_box(self.size, DEFAULT_SIZES["vehicle"])
         self.places = list(Places(self.here.routes, objective.event, objective.target, lengths_m).all())
+        self._begun = [0] * len(self.places)
         self._starts = _EventStarts(
             objective.scene, self.here.roads, self.guard.stop_lines, self.here.meetings, self.guard, self.rng, 0,
             objective=objective,
         )  # fmt: skip
 
     def draw(self, count: int) -> list[_Candidate]:
-        """Those of so many that bring the event about."""
+        """Those of so many rolled out that bring the event about; places where none can begin are left out from then on."""
         found: list[_Candidate] = []
-        for _ in range(count if self.places else 0):
-            made = self._drawn(self.places[int(self.rng.integers(len(self.places)))])
-            if isinstance(made, Reason):
-                self.rejected[made] += 1
-            else:
+        rolled = self._starts.rolls
+        while self.places and self._starts.rolls - rolled < count:
+            row, before = int(self.rng.integers(len(self.places))), self._starts.rolls
+            made = self._drawn(self.places[row])
+            if not isinstance(made, Reason):
                 found.append(made)
+                continue
+            self.rejected[made] += 1
+            self._begun[row] += 1 if self._starts.rolls == before else -self._begun[row]
+            if self._begun[row] >= _NOT_BEGUN:
+                del self.places[row], self._begun[row]
         return found
 
     def _drawn(self, place: Place) -> _Candidate | Reason:
@@ -289,14 +369,11 @@ class _Candidates:
         start_s = np.interp(np.interp(s, cells, time_s) - held_up * at * scene.step_s, time_s, cells, left=-1.0)
         near = gaps_on_path(starts.world.known_on(place.path, self._box), start_s, 0)
         clear = np.minimum(near.lead_m, near.lag_m) >= scene.config.spawn.clear_gap_m
-        clear &= (start_s > 0.5 * self._box.length_m) & (s < place.path.exit_s) & self._may_change(place, s)
+        clear &= (start_s > 0.5 * self._box.length_m) & (s < place.path.exit_s)
         if not clear.any():
             return Reason.NO_SITE
         row = int(np.argmax(clear))
-        trigger_s = float(at[row] * scene.step_s)
-        if event.kind == "cut_in":
-            trigger_s = max(0.0, trigger_s - 0.5 * driver.lane_change_s)
-        request = VehicleRequest(FIRST_NUMBER + self.number, _POLICY.get(event.kind, Policy.STRAIGHT), trigger_s)
+        request = VehicleRequest(FIRST_NUMBER + self.number, _POLICY.get(event.kind, Policy.STRAIGHT), 0.0)
         begin_s, starts.place = float(start_s[row]), place
         start = starts.make(
             request, place.offer, place.path.segment_at(begin_s).lane_id, place.path.to_raw(begin_s), driver=driver,
@@ -304,11 +381,12 @@ class _Candidates:
         )  # fmt: skip
         if isinstance(start, Reason):
             return start
-        seen = self.objective.seen(track_of(starts.rolled(start)))
+        rolled = starts.rolled(start)
+        seen = self.objective.seen(track_of(rolled))
         if seen is None:
             return Reason.EVENT_NOT_AS_ASKED
         cost = self.objective.cost(seen)
-        return _Candidate(start, cost) if cost <= 1.0 else Reason.EVENT_NOT_AS_ASKED
+        return _Candidate(rolled, cost) if cost <= 1.0 else Reason.EVENT_NOT_AS_ASKED
 
     def _flow_mps(self, place: Place, at: int, s: float) -> float:
         """Speed of the traffic that a driver goes with: its lane's, the target's then, or at its fastest, m/s."""
@@ -316,14 +394,6 @@ class _Candidates:
         if kind == 0 or self.objective.event.kind in ("cross", "overtake"):
             return self.objective.scene.lane_speed(place.path.segment_at(s).lane_id, self.rng)
         return float(target.speed[at] if kind == 1 else target.speed[target.present].max())
-
-    def _may_change(self, place: Place, s: FloatArray) -> BoolArray:
-        """(M,) whether the marking lets a vehicle over at places, m; everywhere where it changes no lane."""
-        if place.side is None:
-            return np.ones(s.size, dtype=np.bool_)
-        lanes, scene = [place.path.segment_at(one).lane_id for one in s.tolist()], self.objective.scene
-        may = {lane: admissible_neighbor(scene, lane, place.side) is not None for lane in set(lanes)}
-        return np.array([may[lane] for lane in lanes])
 
 
 #: No tunable: the criticality of a cut-in counts from when the vehicle is about half way over, s before the moment.
@@ -363,7 +433,7 @@ class EventSearch:
         _, size = draw_size(scene.config.request.model_copy(update={"bus_share": 0.0}), rng)
         guard = Guard(scene, fixed, lines)
         for objective, candidate in self._likely(objectives, size, guard, rng, number, rejected):
-            start = replace(candidate.start, vehicle_id=f"e{number}_{tries}")
+            start = replace(candidate.rolled.start, vehicle_id=f"e{number}_{tries}")
             outcome = self._drive(objective, lines, start, fixed, drive)
             tries += 1
             if outcome is not None:
@@ -394,39 +464,48 @@ class EventSearch:
             row = waiting.pop(0)
             if row not in known:
                 known[row] = _Candidates(objectives[row], self.here, size, guard, rng, number, rejected)
-            if not known[row].places:
-                continue
-            waiting.append(row)
+            likely = sorted(known[row].draw(_AT_A_TIME), key=lambda one: one.cost)
             left -= _AT_A_TIME
-            for candidate in sorted(known[row].draw(_AT_A_TIME), key=lambda one: one.cost)[:3]:
-                yield objectives[row], candidate
+            if known[row].places:
+                waiting.append(row)
+            for candidate in likely[:_BEST]:
+                judged = self._judged(objectives[row], candidate.as_driven())
+                if isinstance(judged, Reason):
+                    rejected[judged] += 1
+                else:
+                    yield objectives[row], candidate
 
     def _drive(
         self, objective: Objective, lines: StopLines, start: Start, fixed: Traffic, drive: DriveAlone
     ) -> EventOutcome | None:
         """Drive a candidate: the event where it came about as asked; else its reason is counted."""
         scene, event, target = objective.scene, objective.event, objective.target
-        driven = drive(scene, lines, start, fixed)
-        vehicle = finalise(scene, driven, self.kept)
-        if not isinstance(vehicle, ExportedVehicle):
-            return self._failed(objective, start, vehicle, driven.reason)
-        seen = objective.seen(vehicle.track(start.vehicle_id, 1))
-        if seen is None or objective.cost(seen) > 1.0:
-            return self._failed(objective, start, Reason.EVENT_NOT_AS_ASKED, seen or driven.reason)
-        if any(row >= len(self.kept) for row, _ in conflicting(scene, [*self.kept, vehicle])):
-            return self._failed(objective, start, Reason.TTC_LANE_LEADER, None)
+        judged = self._judged(objective, drive(scene, lines, start, fixed))
+        if isinstance(judged, Reason):
+            self.tried[judged] += 1
+            _LOG.debug(
+                "event %s: %s at %.1f m of lane %d, %.1f m/s, trigger %.1f s: %s", event.kind, start.vehicle_id,
+                start.start_s, start.path.segment_at(start.start_s).lane_id, start.start_mps, start.request.trigger_s,
+                judged,
+            )  # fmt: skip
+            return None
+        vehicle, seen = judged
         return EventOutcome(
             event, None, target.track.track_id, vehicle, outcome_of(scene, vehicle, self.kept),
             seen.at_step * scene.step_s, seen.measures, seen.order,
         )  # fmt: skip
 
-    def _failed(self, objective: Objective, start: Start, reason: Reason, detail: object) -> None:
-        self.tried[reason] += 1
-        _LOG.debug(
-            "event %s: %s at %.1f m of lane %d, %.1f m/s, trigger %.1f s: %s (%s)", objective.event.kind,
-            start.vehicle_id, start.start_s, start.path.segment_at(start.start_s).lane_id, start.start_mps,
-            start.request.trigger_s, reason, detail,
-        )  # fmt: skip
+    def _judged(self, objective: Objective, driven: DrivenVehicle) -> tuple[ExportedVehicle, Seen] | Reason:
+        """A vehicle that is exported and brings the event about as asked, beside those kept; or why it is not."""
+        vehicle = finalise(objective.scene, driven, self.kept)
+        if isinstance(vehicle, Reason):
+            return vehicle
+        seen = objective.seen(vehicle.track(driven.vehicle_id, 1))
+        if seen is None or objective.cost(seen) > 1.0:
+            return driven.reason or Reason.EVENT_NOT_AS_ASKED
+        conflicts = conflicting(objective.scene, [*self.kept, vehicle])
+        own = next((reason for row, reason in conflicts if row >= len(self.kept)), None)
+        return own or (vehicle, seen)
 
 
 def _told(rejected: Counter[Reason]) -> Counter[Reason]:
