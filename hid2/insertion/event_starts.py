@@ -170,19 +170,15 @@ class EventStarts(Starts):
         return np.array(may)[np.minimum(np.searchsorted(ends, s, side="right"), ends.size - 1)]
 
     def _braking(self, start: Start, step: int, speed_mps: float) -> Start:
-        """A driver whose wish falls from a step on, so that it brakes as hard as is asked for, and then drives on.
+        """A driver whose wish falls from a step on, as fast as it is to brake, and stays where it is then.
 
-        By the IDM a (1 - (v / v0)^4) = -b, so v0 = v / (1 + b / a)^(1/4).
+        SUMO takes a wish for the most that a vehicle may drive, and brakes for one that falls.
         """
         search, brakes_mps2 = self.scene.config.event_search, self.objective.event.brakes_mps2
         since_s = self.scene.step_s * np.arange(start.desired.size - step)
-        speed = speed_mps - brakes_mps2 * np.minimum(since_s, search.brakes_s)
-        ratio = (1.0 + brakes_mps2 / start.driver.accel_mps2) ** 0.25
-        wish = np.where(since_s < search.brakes_s, speed / ratio, speed)
+        wish = np.maximum(speed_mps - brakes_mps2 * np.minimum(since_s, search.brakes_s), _CREEPS_MPS)
         driver = replace(start.driver, decel_mps2=max(start.driver.decel_mps2, brakes_mps2))
-        return replace(
-            start, desired=np.concatenate([start.desired[:step], np.maximum(wish, _CREEPS_MPS)]), driver=driver
-        )  # fmt: skip
+        return replace(start, desired=np.concatenate([start.desired[:step], wish]), driver=driver)
 
 
 def track_of(foreseen: Foreseen) -> Track:

@@ -40,9 +40,8 @@ DriveAlone = Callable[[Scene, StopLines, Start, Traffic], DrivenVehicle]
 FIRST_NUMBER = 10_000
 _POLICY = {"cut_in": Policy.LANE_CHANGE, "overtake": Policy.OVERTAKE}
 _MEETS_CROSSING = frozenset({"cross", "merge"})
-#: Candidates of one target that are rolled out before the best of them are driven, and another target is looked at.
-#: No tunables, spare time.
-_AT_A_TIME, _BEST = 30, 3
+#: Candidates of one target that are rolled out before another target is looked at. No tunable, spares time.
+_AT_A_TIME = 30
 _LOG = logging.getLogger(__name__)
 
 
@@ -177,7 +176,7 @@ class EventSearch:
                     places=list(Places(self.here.routes, event, starts.target, lengths_m).all()),
                 )  # fmt: skip
             before = starts.rolls
-            for candidate in starts.draw(_AT_A_TIME)[:_BEST]:
+            for candidate in starts.draw(_AT_A_TIME):
                 judged = self._judged(starts.objective, candidate.as_driven())
                 if isinstance(judged, Reason):
                     rejected[judged] += 1
