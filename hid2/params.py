@@ -240,27 +240,6 @@ class Sites(_Section):
         return self
 
 
-class Foresight(_Section):
-    """What motions keep to by which an overtake is foreseen. Chosen on the scenes of tests/real."""
-
-    motions: int = _param(600, "motions", "drawn along a way: places, speeds, leaders", ge=1, le=100_000)
-    gap_m: float = _param(2.0, "m", "to an added leader at the least when the overtake is due", ge=0, le=50)
-    gap_s: tuple[Annotated[float, Field(ge=0, le=20)], Annotated[float, Field(ge=0, le=20)]] = _param(
-        (1.0, 4.0), "s", "and so much more of the speed difference, uniform"
-    )
-    waits_s: float = _param(
-        2.0, "s", "after the trigger, in which a lane beside that may be used is come to", ge=0, le=10
-    )
-    bend_share: float = _param(
-        1.4, "ratio", "speed in a lateral motion over what its sharpest bend allows: smoothing rounds it", gt=0, le=5
-    )
-    spare_s: float = _param(0.4, "s", "left of the scene after the return", ge=0, le=5)
-    ttc_s: float = _param(1.7, "s", "TTC kept to everybody known; a little over the critical one", ge=0, le=10)
-    margin_m: float = _param(1.0, "m", "kept to boxes", ge=0, le=10)
-    headway_s: float = _param(0.3, "s", "and to who is ahead so much more by the own speed", ge=0, le=5)
-    stops_mps2: float = _param(1.0, "m/s2", "no closed stop line asks for more braking", ge=0, le=4)
-
-
 class Drivers(_Section):
     """How people drive: what each inserted vehicle's driver is drawn from."""
 
@@ -647,80 +626,12 @@ class Event(_Section):
 
 
 class EventSearch(_Section):
-    """The search for a site, a speed and a trigger time with which an event comes about: plans, motions, tries.
+    """The search for a vehicle that brings an event about."""
 
-    Chosen on the scenes of tests/real unless another source is named. Plans are tried in the order of their scores,
-    the least first: the sum of the fields `off_*`.
-    """
-
-    tries: int = _param(20, "vehicles", "driven for one event before it is given up", ge=1, le=200)
+    candidates: int = _param(600, "vehicles", "rolled out for one event before it is given up", ge=1, le=100_000)
+    tries: int = _param(10, "vehicles", "driven for one event before it is given up", ge=1, le=200)
     moment_s: float = _param(0.5, "s", "an event counts so much before or after the time asked for", ge=0, le=5)
-    plans: int = _param(600, "plans", "of a target that are looked at closely", ge=1, le=100_000)
-    plan_tries: int = _param(3, "vehicles", "driven for one plan, each with a better start", ge=1, le=50)
-    route_plans: int = _param(150, "plans", "kept of those of one course and time gap", ge=1, le=10_000)
-    overtake_starts: int = _param(
-        4, "plans", "of an overtake, kept of those of one route, driver and trigger", ge=1, le=1000
-    )
-    routes: int = _param(4, "routes", "that lead to a lane", ge=1, le=100)
-
-    band_shares: tuple[Annotated[float, Field(ge=0, le=1)], ...] = _param(
-        (0.5, 0.3, 0.7, 0.12, 0.88, 0.02, 0.4, 0.6, 0.2),
-        "share",
-        "of a band of times, gaps, differences: the middle first",
-        min_length=2,
-    )
-    differences_mps: tuple[float, ...] = _param(
-        (-1.0, 0.0, 1.0, -2.0, 2.0, -3.5, 3.5, -5.0), "m/s", "speed differences tried where no criticality is"
-    )
-    critical_differences: int = _param(21, "-", "speed differences tried where one is", ge=2, le=1000)
-    accelerations_mps2: tuple[float, ...] = _param(
-        (0.5, -0.5, 1.1, -1.1), "m/s2", "tried before the event, beside none and the target's"
-    )
-    later_mps: tuple[float, ...] = _param(
-        (3.0, -2.0), "m/s", "faster afterwards; tried beside the same speed and keeping to the target"
-    )
-    slowest_mps: float = _param(2.5, "m/s", "at the event", ge=0, le=20)
-    held_more_mps: float = _param(5.0, "m/s", "beyond a held speed, wished: no usual gap slows it", ge=0, le=20)
-    across_more_s: float = _param(0.5, "s", "beyond a change of lanes; conflicts are looked for", ge=0, le=10)
-    change_s: float = _param(3.0, "s", "duration of the lane change of a cut-in", ge=1.5, le=15)
-    overtake_changes_s: tuple[Annotated[float, Field(ge=1.5, le=15)], ...] = _param(
-        (6.8, 3.4), "s", "durations of a usual lane change tried for who overtakes; `overtake.shift_ratio` counts",
-        min_length=1,
-    )  # fmt: skip
-    cross_apart_s: Band = _param((1.4, 5.0), "s", "apart at the conflict point, where no PET is asked for")
-    pet_apart_s: Band = _param((0.2, 1.5), "s", "the same over the ends of a PET asked for, between the centres")
-    cross_usual_s: float = _param(2.4, "s", "the best of those", ge=0, le=10)
-    cross_speeds: tuple[Annotated[float, Field(gt=0, le=3)], ...] = _param(
-        (1.0, 0.8, 0.6, 1.2, 0.45, 0.3, 1.4), "ratio", "speeds tried across, over the lane's usual one", min_length=1
-    )
-
-    off_moment: float = _param(0.2, "score", "at the ends of the time asked for", ge=0, le=10)
-    off_gap: float = _param(0.3, "score", "by the distance from the middle of the gaps, over their range", ge=0, le=10)
-    off_difference: float = _param(0.03, "score per m/s", "speed difference", ge=0, le=10)
-    off_merging_difference: float = _param(0.02, "score per m/s", "the same where lanes merge", ge=0, le=10)
-    off_acceleration: float = _param(0.1, "score per m/s2", "acceleration before the event", ge=0, le=10)
-    off_as_target: float = _param(0.02, "score", "for moving as the target does before", ge=0, le=10)
-    off_later: float = _param(0.05, "score", "for not keeping to the target afterwards", ge=0, le=10)
-    off_apart: float = _param(0.1, "score per s", "from cross_usual_s", ge=0, le=10)
-    off_tau: float = _param(0.5, "score per s", "of the driver's time gap below the longest", ge=0, le=10)
-    off_met: float = _param(0.5, "score", "somebody is met in the end: a driver may see to it", ge=0, le=10)
-    off_alike: float = _param(0.12, "score", "shares all its traits with a plan that failed before", ge=0, le=10)
-    off_chance: float = _param(0.02, "score", "uniform from 0 to here", ge=0, le=10)
-
-    after_s: float = _param(2.0, "s", "after an event nobody is met by plan, nor the map left", ge=0, le=10)
-    road_spare_mps: float = _param(0.4, "m/s", "a plan may be so much faster than its driver on the road", ge=0, le=5)
-    ttc_spare_s: float = _param(0.05, "s", "that plans keep above the critical TTC", ge=0, le=5)
-    margin_m: float = _param(0.35, "m", "kept to boxes by plan", ge=0, le=5)
-    leaves_s: float = _param(1.2, "s", "after the moment of a cut-in the lane left is still touched", ge=0, le=10)
-    arrives_s: float = _param(1.3, "s", "before it the lane entered is touched already", ge=0, le=10)
-
-    slows_mps2: float = _param(1.5, "m/s2", "deceleration after an event, by plan", ge=0, le=4)
-    speeds_up_mps2: float = _param(1.4, "m/s2", "and acceleration", ge=0, le=2.4)
-    speed_pull_per_s: float = _param(0.6, "1/s", "towards the speed wanted, or the target's", ge=0, le=5)
-    gap_pull_per_s2: float = _param(0.15, "1/s2", "towards the gap to the target", ge=0, le=5)
-    kept_gap_m: float = _param(12.0, "m", "a gap asked for is kept up to here", ge=0, le=100)
-    ahead_gap_m: float = _param(5.0, "m", "kept to the target at the least", ge=0, le=50)
-    ahead_gap_s: float = _param(0.3, "s", "and so much more by the own speed", ge=0, le=5)
+    cut_in_gap_s: float = _param(0.3, "s", "lane_change.time_gap_front_s of a cut-in", ge=0, le=5)
     brakes_s: float = _param(2.5, "s", "braking that is asked for lasts so long", ge=0, le=10)
     brakes_share: float = _param(
         0.8,
@@ -729,29 +640,6 @@ class EventSearch(_Section):
         ge=0,
         le=1,
     )
-    leader_speed_pull_per_s: float = _param(0.7, "1/s", "towards the speed of who is ahead, or behind", ge=0, le=5)
-    leader_gap_pull_per_s2: float = _param(0.25, "1/s2", "towards the gap to them", ge=0, le=5)
-    leader_gap_m: float = _param(1.0, "m", "that gap", ge=0, le=50)
-    leader_gap_s: float = _param(0.1, "s", "beyond the driver's time gap, by the speed of who is behind", ge=0, le=5)
-    leader_brakes_mps2: float = _param(2.4, "m/s2", "hardest braking for who is ahead, by plan", ge=0, le=4)
-
-    taus_s: tuple[Annotated[float, Field(ge=0.2, le=4)], ...] = _param(
-        (0.6, 0.25), "s", "time gaps tried of an event's driver, who holds to the plan", min_length=1
-    )
-    min_gap_m: float = _param(1.2, "m", "its gap to a standing leader", ge=0.5, le=10)
-    accel_mps2: float = _param(2.2, "m/s2", "its acceleration from standstill", gt=0, le=2.4)
-    decel_mps2: float = _param(2.6, "m/s2", "its deceleration, unless the event asks for more", gt=0, le=4.05)
-    gap_most_m: float = _param(30.0, "m", "gaps tried up to here where no gap is asked for", ge=0, le=200)
-    edge_share: float = _param(0.2, "share", "of a band asked for that is kept off its ends", ge=0, le=0.5)
-    ttc_edge_s: float = _param(0.1, "s", "and so much at most of a band of TTC", ge=0, le=2)
-    cut_in_braking_mps2: float = _param(
-        9.0, "m/s2", "lane_change.braking_mps2 of a cut-in: the event's band counts alone", gt=0, le=9
-    )
-    cut_in_gap_s: float = _param(0.3, "s", "lane_change.time_gap_front_s of a cut-in", ge=0, le=5)
-    cut_in_heading_deg: float = _param(
-        20.0, "deg", "lane_change.heading_deg of a cut-in: those before slow and standing targets need it", gt=0, le=45
-    )
-    cut_in_gap_m: float = _param(1.0, "m", "lane_change.min_gap_m of a cut-in", ge=0, le=50)
 
 
 class Export(_Section):
@@ -783,7 +671,6 @@ class Config(_Section):
     car_following: CarFollowing = CarFollowing()
     lane_change: LaneChange = LaneChange()
     overtake: Overtake = Overtake()
-    foresight: Foresight = Foresight()
     turn: Turn = Turn()
     conflict: Conflict = Conflict()
     signals: Signals = Signals()

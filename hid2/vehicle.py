@@ -27,9 +27,8 @@ class Start:
     """A request with a site and a driver: everything that decides how a vehicle begins.
 
     start_s m, of the box centre on the path; start_mps m/s; box: what is kept clear, size: what is exported; desired
-    (T,) m/s, by the scene's steps; sides: where it looks for a lane, in this order; is_held: whether its speed is the
-    desired one, unless somebody or the road is in the way, rather than what car following makes of it, and no conflict
-    makes it take another way; step: at which it is first there, later than 0 where it enters at the map's edge.
+    (T,) m/s, by the scene's steps; sides: where it looks for a lane, in this order; step: at which it is first there,
+    later than 0 where it enters at the map's edge.
     """
 
     vehicle_id: str
@@ -45,7 +44,6 @@ class Start:
     desired: FloatArray
     offset: LaneOffset
     sides: tuple[Side, ...]
-    is_held: bool = False
     step: int = 0
 
 

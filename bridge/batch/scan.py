@@ -14,6 +14,7 @@ from bridge.recordings.sources import read_recording
 from hid2.agents import VEHICLE_TYPES, Policy
 from hid2.insertion.events import offered_events
 from hid2.insertion.routes import Routes
+from hid2.insertion.surroundings import Surroundings
 from hid2.params import Config, Event
 from hid2.policy.overtake import stretch_m
 from hid2.scene import Scene, build_scene
@@ -107,7 +108,8 @@ def scan_folders(config: Config, folders: Sequence[Address]) -> Iterator[SceneFa
 def describe_scene(folder: Address, config: Config) -> SceneFacts:
     """Read one scene and count. Errors: ScenarioError, MapError."""
     scenario = read_recording(folder)
-    graph, routes = scenario.graph, Routes(scene_of(scenario, config))
+    here = Surroundings(scene_of(scenario, config))
+    graph, routes = scenario.graph, here.routes
     vehicles = [track for track in scenario.tracks if track.object_type in VEHICLE_TYPES]
     lanes = [lane for lane in graph.lanes.values() if lane.lane_type == "VEHICLE"]
     own = {lane.lane_id for lane in lanes}
@@ -131,7 +133,7 @@ def describe_scene(folder: Address, config: Config) -> SceneFacts:
         overtake_m=_room_to_pass(routes, lanes, needed_m=stretch_m(config)),
         left_turns=sum(lane.turn is TurnType.LEFT for lane in turns),
         right_turns=sum(lane.turn is TurnType.RIGHT for lane in turns),
-        events=" ".join(offered_events(routes, EVENT_TARGETS)),
+        events=" ".join(offered_events(here, EVENT_TARGETS)),
         shift_m=round(figures_of(scenario).shift_m, 1),
     )
 

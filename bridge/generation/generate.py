@@ -132,7 +132,7 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
             scenario, rounds = with_motion(scenario, reactive.late), reactive
         else:
             rounds = _Rounds(scene, simulation, filling)
-            search = EventSearch(scene, surroundings.roads, surroundings.routes, surroundings.stop_lines, seed)
+            search = EventSearch(surroundings, seed)
             events = search.run(rounds.drive_alone)
             filling.take_events(events)
             filling.fill(rounds.drive)

@@ -143,9 +143,6 @@ class Driving:
                 limit_mps = max(0.0, mps)
             if leader >= 0:
                 vehicle.waited_for[fleet.vehicles[leader].vehicle_id] += 1
-            if vehicle.start.is_held:  # it would like to drive faster, so that a leader at a usual gap does not slow it
-                limit_mps = desired if limit_mps is None else min(limit_mps, desired)
-                desired += fleet.scene.config.event_search.held_more_mps
             self.simulation.drive(vehicle.vehicle_id, desired_mps=desired, limit_mps=limit_mps)
         return told
 

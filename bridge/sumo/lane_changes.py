@@ -115,13 +115,10 @@ def _asked(fleet: Fleet, simulation: Simulation, row: int, now: int, across: Acr
 def _meets_on(fleet: Fleet, row: int, now: int, path: DrivenPath) -> bool:
     """Whether a path across has a predicted conflict that ordinary braking does not solve."""
     vehicle, scene = fleet.vehicles[row], fleet.scene
-    start, across_s, wished = vehicle.start, scene.config.driving.across_s, now
-    if start.is_held:  # planned among all agents known: it will go as fast as it wishes
-        across_s = min(across_s, start.driver.lane_change_s + scene.config.event_search.across_more_s)
-        wished = min(now + scene.steps_in(across_s), start.desired.size - 1)
+    start = vehicle.start
     return fleet.braking(
-        row, path, now, state=(vehicle.s[-1], vehicle.v[-1], 0.0), desired_mps=float(start.desired[wished]),
-        horizon_s=across_s,
+        row, path, now, state=(vehicle.s[-1], vehicle.v[-1], 0.0), desired_mps=float(start.desired[now]),
+        horizon_s=scene.config.driving.across_s,
     ).forbids(start.driver)  # fmt: skip
 
 

@@ -36,7 +36,7 @@ def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int) -
     Only who is to go straight: another way is no longer the turn or the change of lanes that was asked for.
     """
     vehicle, way, scene = fleet.vehicles[row], fleet.ways[row], fleet.scene
-    if vehicle.start.is_held or vehicle.policy is not Policy.STRAIGHT or way.reroute_tried:
+    if vehicle.policy is not Policy.STRAIGHT or way.reroute_tried:
         return False
     way.reroute_tried = True
     s, v, a = fleet.motion(row)

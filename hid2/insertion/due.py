@@ -41,12 +41,10 @@ class Across:
 
 
 def foreseen_speeds(vehicle: DrivenVehicle, scene: Scene, now: int) -> FloatArray:
-    """(M,) m/s of a vehicle at the steps to come: as it is held to, else up to its wish on a free road."""
+    """(M,) m/s of a vehicle at the steps to come: up to its wish on a free road."""
     start = vehicle.start
-    wished = start.desired[now:]
-    if not start.is_held:
-        wished = free_speeds(start.driver, wished, speed_mps=vehicle.v[-1], step_s=scene.step_s)
-    return np.maximum(wished, scene.config.lane_change.min_speed_mps)
+    free = free_speeds(start.driver, start.desired[now:], speed_mps=vehicle.v[-1], step_s=scene.step_s)
+    return np.maximum(free, scene.config.lane_change.min_speed_mps)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

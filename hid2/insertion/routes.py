@@ -161,6 +161,10 @@ class Routes:
             self._free[policy] = np.array(rows, dtype=np.int64), np.array(inside, dtype=np.bool_)
         return self._free[policy]
 
+    def offer_of(self, route: Route) -> RouteOffer:
+        """What a route offers from its beginning on."""
+        return self._offer((), route)
+
     def _offer(self, before: Route, route: Route) -> RouteOffer:
         lanes = self.scene.grid.graph.lanes
         whole = (*before, *route)

@@ -73,15 +73,16 @@ class Starts:
     def make(
         self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float | None, *,
         driver: Driver | None = None, speed_mps: float | None = None, step: int = 0,
-        led_by: int = -1, sides: tuple[Side, ...] | None = None,
+        led_by: int = -1, sides: tuple[Side, ...] | None = None, size: BoxSize | None = None,
     ) -> Start | Reason:  # fmt: skip
         """A vehicle with a driver at a site, with a start speed, m/s, or why it cannot begin there.
 
         s: along the route's lanes, m; None: at their beginning, all of it on them. step: from which on it is there;
-        led_by: what it would follow then, as `Meetings` numbers them; sides: where it looks for a lane, None: drawn.
+        led_by: what it would follow then, as `Meetings` numbers them; sides, size: where it looks for a lane, and its box,
+        None: drawn.
         """
         scene, config, rng = self.scene, self.scene.config, self.rng
-        object_type, size = draw_size(config.request, rng)
+        object_type, size = draw_size(config.request, rng) if size is None else ("vehicle", size)
         box = clearance_box(size, DEFAULT_SIZES[object_type])
         half_m, run_on = box.length_m / 2, "topology" in config.without
         first_m = half_m + config.sites.from_edge_m
@@ -96,7 +97,7 @@ class Starts:
             if min(near.lead_m[0], near.lag_m[0]) < config.spawn.clear_gap_m:
                 return Reason.NO_SITE
         flow_mps = 0.0
-        if config.request.sites == "promising":
+        if config.request.sites == "promising" and driver is None:
             flow_mps = max(
                 self.meetings.pace_of(
                     led_by if step else self.meetings.leader_of(scene.cell_at(path, start_s), offer.route)

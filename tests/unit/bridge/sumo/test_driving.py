@@ -164,12 +164,9 @@ def test_conflict_that_no_timing_solves_is_answered_by_another_way_at_the_next_s
     assert isinstance(finalise(scene, one, []), ExportedVehicle)
 
 
-@pytest.mark.parametrize("stays", [{"is_held": True}, {"policy": Policy.LANE_CHANGE}])
-def test_who_was_asked_for_more_than_to_go_straight_keeps_the_way(
-    stays: dict[str, Any], drive: Callable[..., Driving]
-) -> None:
+def test_who_was_asked_for_more_than_to_go_straight_keeps_the_way(drive: Callable[..., Driving]) -> None:
     scene = scene_on(_forks(), _oncoming())
-    (one,) = drive(scene, start_on(scene, (1, 2), 40.0, 9.0, **stays)).fleet.vehicles
+    (one,) = drive(scene, start_on(scene, (1, 2), 40.0, 9.0, policy=Policy.LANE_CHANGE)).fleet.vehicles
     assert one.rerouted_at is None
 
 

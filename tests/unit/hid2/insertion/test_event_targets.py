@@ -1,4 +1,4 @@
-"""Targets of events: where a recorded vehicle is along a path, which lanes it drives and which it crosses."""
+"""Targets of events: which lanes a recorded vehicle drives."""
 
 from collections.abc import Callable
 
@@ -7,7 +7,6 @@ import pytest
 from inserted import recorded, scene_on
 
 from hid2.insertion.event_targets import Target, target_of
-from hid2.insertion.routes import Routes
 from hid2.scene import Scene
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
@@ -25,23 +24,9 @@ def _target(scene: Scene) -> Target:
     return target
 
 
-def test_target_is_along_a_path_where_it_drives_and_not_along_one_across(scene: Scene) -> None:
-    """70.5 m at 2 s, 150.5 m at 10 s."""
-    ahead = _target(scene).along(scene.path((1,)), 20)
-    assert ahead is not None
-    assert ahead[[0, 20, 100]] == pytest.approx([50.5, 70.5, 150.5], abs=0.1)
-    assert _target(scene).along(scene.path((9,)), 100) is None
-
-
 def test_lanes_of_a_target_are_those_it_drives(scene: Scene) -> None:
     target = _target(scene)
     assert (target.lane_at(10), target.lanes_from(10), target.lanes_before(10)) == (1, (1,), ())
-
-
-def test_a_lane_is_crossed_at_the_step_and_place_where_the_two_meet(scene: Scene) -> None:
-    """150 m is passed within the tenth second from 50.5 m on, 60 m along the lane across."""
-    ((lane_id, at_m, step),) = _target(scene).crossed_lanes(Routes(scene))
-    assert (lane_id, at_m, step) == (9, pytest.approx(60.0), 100)
 
 
 def test_who_is_on_no_lane_is_no_target(scene: Scene) -> None:

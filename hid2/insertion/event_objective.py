@@ -1,0 +1,121 @@
+"""The objective of an event: whether the judge sees it in a vehicle's states, and how far from what is asked.
+
+Asked of candidates that are rolled out and of vehicles that SUMO has driven, in the same words.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hid2.agents import FloatArray, Track
+from hid2.insertion.event_targets import Target
+from hid2.judge.claims import EventClaim, crossing_steps, event_step
+from hid2.judge.events import EventMeasures, measure_event
+from hid2.occupancy.agent_states import agent_states
+from hid2.params import Event
+from hid2.scene import Scene
+
+#: A leader is no farther than this beside the target, m. No tunable, spares time: the judge looks again.
+_ASIDE_M = 2.5
+#: No tunable: the criticality of a cut-in counts from when the vehicle is about half way over, s before the moment.
+_ARRIVES_S = 1.5
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Seen:
+    """An event as the judge sees it in the states of a vehicle and its target. order: as in `EventOutcome`."""
+
+    at_step: int
+    order: int
+    measures: EventMeasures
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Objective:
+    """What is asked for of a vehicle and a target: whether its states show it, and how near to the middle."""
+
+    scene: Scene
+    event: Event
+    target: Target
+
+    @property
+    def _at_band_s(self) -> tuple[float, float]:
+        spare_s = self.scene.config.event_search.moment_s
+        return self.event.at_band_s[0] - spare_s, self.event.at_band_s[1] + spare_s
+
+    def likely_step(self, track: Track) -> int | None:
+        """The step nearest to the middle of what is asked at which a vehicle may bring the event about; None for never.
+
+        By centres, boxes and speeds alone: a cheap look before the judge's.
+        """
+        event, target, at = self.event, self.target, track.timesteps
+        forward = np.stack([np.cos(target.heading[at]), np.sin(target.heading[at])], axis=1)
+        offset = track.position - target.position[at]
+        ahead = (offset * forward).sum(axis=1)
+        gap_m = np.abs(ahead) - 0.5 * (track.size.length_m + target.track.size.length_m)
+        bands = [(np.asarray(at * self.scene.step_s, dtype=np.float64), self._at_band_s)]
+        if event.kind != "cross":  # its gap is the target's to the conflict point
+            bands += [
+                (gap_m, event.gap_band_m),
+                (np.asarray(track.speed - target.speed[at], dtype=np.float64), event.difference_band_mps),
+            ]
+        if event.kind in ("cut_in", "overtake"):
+            bands.append((ahead, (0.0, math.inf)))
+        if event.kind in ("lead", "follow"):
+            aside = np.abs(offset[:, 1] * forward[:, 0] - offset[:, 0] * forward[:, 1])
+            bands += [(aside, (0.0, _ASIDE_M)), (ahead if event.kind == "lead" else -ahead, (0.0, math.inf))]
+        within = target.present[at] & np.logical_and.reduce([(low <= x) & (x <= high) for x, (low, high) in bands])
+        off = np.max([_off(x, band) for x, band in bands[:3]], axis=0)
+        return int(at[np.argmin(np.where(within, off, np.inf))]) if within.any() else None
+
+    def seen(self, track: Track) -> Seen | None:
+        """The event as the judge sees it; None where it does not."""
+        scene, kind, target, near = self.scene, self.event.kind, self.target, self.likely_step(track)
+        if near is None:
+            return None
+        pair = agent_states(
+            [target.track, track], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s,
+            is_inserted=track.track_id.__eq__,
+        )  # fmt: skip
+        order, crossed = -1 if kind == "follow" else 1, None
+        if kind == "cross":
+            crossed = crossing_steps(pair, 1, 0)
+            order = 1 if crossed is not None and crossed[0] < crossed[1] else -1
+        claim = EventClaim(kind, track.track_id, target.track.track_id, near * scene.step_s, ahead=order > 0)
+        at = event_step(pair, claim)
+        if at is None or at not in target.track.timesteps or at not in track.timesteps:
+            return None
+        since = {"cross": 0, "cut_in": max(0, at - scene.steps_in(_ARRIVES_S))}.get(kind, at)
+        found = measure_event(pair, 1, 0, at_step=at, since_step=since)
+        if crossed is not None:  # from the target's bumper to the conflict point
+            way = abs(float(target.way[crossed[1]] - target.way[crossed[0]]))
+            found = replace(found, gap_m=way - 0.5 * target.track.size.length_m)
+        if kind == "merge":
+            row = int(np.searchsorted(track.timesteps, at))
+            offset, heading = track.position[row] - target.position[at], target.heading[at]
+            order = 1 if offset @ np.array([np.cos(heading), np.sin(heading)]) > 0.0 else -1
+        return Seen(at, order, found)
+
+    def cost(self, seen: Seen) -> float:
+        """How far from the middle of what is asked, over half of each band; above 1 where it is not as asked."""
+        event, found = self.event, seen.measures
+        asked = [
+            (seen.at_step * self.scene.step_s, self._at_band_s), (found.gap_m, event.gap_band_m),
+            (found.speed_difference_mps, event.difference_band_mps), (found.min_ttc_s, event.ttc_s),
+            (found.pet_s, event.pet_s), (found.drac_mps2, event.drac_mps2),
+        ]  # fmt: skip
+        offs = [
+            float(_off(np.array(math.inf if value is None else value), band)) for value, band in asked
+            if band is not None
+        ]  # fmt: skip
+        if event.brakes_mps2:
+            offs.append(
+                abs(found.brakes_mps2 / event.brakes_mps2 - 1.0) / (1.0 - self.scene.config.event_search.brakes_share)
+            )
+        return max(offs)
+
+
+def _off(value: FloatArray, band: tuple[float, float]) -> FloatArray:
+    """Distance from the middle of a band, over half of it."""
+    return np.abs(value - 0.5 * (band[0] + band[1])) / max(0.5 * (band[1] - band[0]), 1e-6)

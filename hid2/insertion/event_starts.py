@@ -1,0 +1,191 @@
+"""Candidates for an event: drawn over its places and rolled out; those count in which the judge sees the event."""
+
+from collections import Counter
+from dataclasses import KW_ONLY, dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy, Track
+from hid2.drivers.driver import Driver, draw_driver
+from hid2.insertion.event_objective import Objective
+from hid2.insertion.event_places import Place
+from hid2.insertion.rollout import Foreseen, Rollout, World
+from hid2.insertion.starts import Starts
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.occupancy.gaps import gaps_on_path
+from hid2.occupancy.traffic import BoolArray
+from hid2.policy.observation import admissible_neighbor
+from hid2.policy.overtake import Stage
+from hid2.reasons import Reason
+from hid2.scene import clearance_box
+from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
+
+#: Of each driver so many beginnings are looked at, and the first that is free is taken; a place is left out where so
+#: many drivers in a row cannot begin; of drivers so many are asked for one who would overtake. No tunables.
+_DRAWS, _NOT_BEGUN, _ASKED = 32, 20, 10
+#: Of so many that bring an event about the best are taken before more are drawn. No tunable, spares time.
+_ENOUGH = 8
+_CREEPS_MPS = 0.2  # a wish to stand is one to roll on so slowly; no tunable: SUMO takes no wish of 0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Candidate:
+    """A rolled-out vehicle that brings an event about. cost: as in `Objective.cost`."""
+
+    rolled: Foreseen
+    cost: float
+
+    def as_driven(self) -> DrivenVehicle:
+        """As if SUMO had driven it, for the last word."""
+        parts = self.rolled.parts
+        whole = [one.until(later.step - 1) for one, later in pairwise(parts)] + [parts[-1]]
+        s, v = np.concatenate([part.s for part in whole]).tolist(), np.concatenate([part.v for part in whole]).tolist()
+        return DrivenVehicle(self.rolled.start, parts[-1].path, s, v, [0.0] * len(s))
+
+
+@dataclass(slots=True)
+class EventStarts(Starts):
+    """Starts whose rollouts bring an event about.
+
+    request, size: of its vehicle; places: at which it may come about; rolls: how many were rolled out.
+    """
+
+    _: KW_ONLY
+    objective: Objective
+    request: VehicleRequest
+    size: BoxSize
+    places: list[Place]
+    rolls: int = 0
+    _box: BoxSize = field(init=False)
+    _not_begun: Counter[int] = field(default_factory=Counter)
+    _place: Place = field(init=False)
+    _made: Start = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Nothing is rolled out yet."""
+        Starts.__post_init__(self)
+        self._box = clearance_box(self.size, DEFAULT_SIZES["vehicle"])
+
+    def draw(self, count: int) -> list[Candidate]:
+        """Those of so many rolled out that bring the event about, the best first; no more than `_ENOUGH`."""
+        found: list[Candidate] = []
+        until = self.rolls + count
+        while (
+            self.rolls < until
+            and len(found) < _ENOUGH
+            and (places := [n for n in range(len(self.places)) if self._not_begun[n] < _NOT_BEGUN])
+        ):
+            number, before = places[int(self.rng.integers(len(places)))], self.rolls
+            made = self._drawn(self.places[number])
+            self._not_begun[number] = self._not_begun[number] + 1 if self.rolls == before else 0
+            if isinstance(made, Reason):
+                self.rejected[made] += 1
+            else:
+                found.append(made)
+        return sorted(found, key=lambda one: one.cost)
+
+    def _drawn(self, place: Place) -> Candidate | Reason:
+        """A candidate that begins where its driver would be at the place in time; or why it is none."""
+        scene, rng = self.scene, self.rng
+        at = rng.choice(np.flatnonzero(np.isfinite(place.along)), _DRAWS)
+        s = place.along[at] + rng.uniform(*place.beyond, _DRAWS)
+        driver = self._driver(place, int(at[0]), float(s[0]))
+        pace = np.minimum(self.roads.speeds(place.path, driver), driver.desired_mps)
+        time_s = np.concatenate([[0.0], np.cumsum(TABLE_STEP_M / np.maximum(pace, _CREEPS_MPS))])
+        cells = np.arange(time_s.size) * TABLE_STEP_M
+        freely = np.where(rng.random(_DRAWS) < 0.5, 1.0, rng.random(_DRAWS))  # share of the time in which it is held up
+        begin_s = np.interp(np.interp(s, cells, time_s) - freely * at * scene.step_s, time_s, cells, left=-1.0)
+        near = gaps_on_path(self.world.known_on(place.path, self._box), begin_s, 0)
+        clear = np.minimum(near.lead_m, near.lag_m) >= scene.config.spawn.clear_gap_m
+        clear &= (begin_s > 0.5 * self._box.length_m) & (s < place.path.exit_s)
+        if not clear.any():
+            return Reason.NO_SITE
+        first, self._place = float(begin_s[np.argmax(clear)]), place
+        lane_id, raw_s = place.path.segment_at(first).lane_id, place.path.to_raw(first)
+        start = self.make(self.request, place.offer, lane_id, raw_s, driver=driver, size=self.size)
+        if isinstance(start, Reason):
+            return start
+        rolled = replace(self._rolled[start.vehicle_id][0], start=replace(self._made, offset=start.offset))
+        seen = self.objective.seen(track_of(rolled))
+        cost = np.inf if seen is None else self.objective.cost(seen)
+        return Candidate(rolled, cost) if cost <= 1.0 else Reason.EVENT_NOT_AS_ASKED
+
+    def _driver(self, place: Place, at: int, s: float) -> Driver:
+        """A driver who goes with the traffic of its lane, with the target as it is then, or at its fastest.
+
+        What is to overtake the target is the first of some drawn on its lane that would.
+        """
+        target, config, kind = self.objective.target, self.scene.config, int(self.rng.integers(3))
+        lane_id, needed_mps = place.path.segment_at(s).lane_id, 0.0
+        if self.request.policy is Policy.OVERTAKE:
+            kind, needed_mps = 0, float(target.speed[at]) + config.overtake.speed_advantage_mps
+        for _ in range(_ASKED):
+            flow_mps = self.scene.lane_speed(lane_id, self.rng)
+            if kind > 0:
+                flow_mps = float(target.speed[at] if kind == 1 else target.speed[target.present].max())
+            driver = draw_driver(config, self.rng, lane_speed_mps=flow_mps)
+            if driver.desired_mps >= needed_mps:
+                break
+        return driver
+
+    def _does(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:
+        """The rollout of a vehicle that may bring the event about, and meets nothing; or why it does not.
+
+        The moment of a lane change is one at which the vehicle would be at the place half a change later, of an
+        overtake one at which it is there.
+        """
+        self.rolls, self._made, place = self.rolls + 1, start, self._place
+        parts: tuple[Rollout, ...] = (world.roll(start),)
+        there = place.is_come_to(parts[0].s, self.scene.step_s * parts[0].v)
+        if place.side is not None:
+            early = (
+                0 if start.request.policy is Policy.OVERTAKE else self.scene.steps_in(0.5 * start.driver.lane_change_s)
+            )
+            may = self._may_change(place, parts[0].s)
+            there = (there & may)[early:] & may[: max(may.size - early, 0)]
+        if not there.any():
+            return Reason.EVENT_NOT_AS_ASKED
+        if place.side is not None:
+            step = int(self.rng.choice(np.flatnonzero(there)))
+            request = replace(start.request, trigger_s=step * self.scene.step_s)
+            vehicle, parts = world.act(replace(start, request=request, sides=(place.side,)))
+            if not vehicle.shifts or (start.request.policy is Policy.OVERTAKE and vehicle.stage is not Stage.DONE):
+                return vehicle.reason or Reason.SCENE_ENDED
+            request = replace(request, trigger_s=vehicle.shifts[0].requested_step * self.scene.step_s)
+            self._made = replace(vehicle.start, request=request)
+        moment = self.objective.likely_step(track_of(world.foreseen(start, parts)))
+        if moment is None:
+            return Reason.EVENT_NOT_AS_ASKED
+        if self.objective.event.brakes_mps2:
+            self._made = self._braking(start, moment, float(parts[0].v[moment]))
+            parts = (world.roll(self._made),)
+        return world.objection(self._made, parts) or parts
+
+    def _may_change(self, place: Place, s: FloatArray) -> BoolArray:
+        """(K,) whether the marking lets a vehicle over at places, m."""
+        assert place.side is not None
+        may = [admissible_neighbor(self.scene, one.lane_id, place.side) is not None for one in place.path.segments]
+        ends = np.array([segment.end for segment in place.path.segments])
+        return np.array(may)[np.minimum(np.searchsorted(ends, s, side="right"), ends.size - 1)]
+
+    def _braking(self, start: Start, step: int, speed_mps: float) -> Start:
+        """A driver whose wish falls from a step on, as fast as it is to brake, and stays where it is then.
+
+        SUMO takes a wish for the most that a vehicle may drive, and brakes for one that falls.
+        """
+        search, brakes_mps2 = self.scene.config.event_search, self.objective.event.brakes_mps2
+        since_s = self.scene.step_s * np.arange(start.desired.size - step)
+        wish = np.maximum(speed_mps - brakes_mps2 * np.minimum(since_s, search.brakes_s), _CREEPS_MPS)
+        driver = replace(start.driver, decel_mps2=max(start.driver.decel_mps2, brakes_mps2))
+        return replace(start, desired=np.concatenate([start.desired[:step], wish]), driver=driver)
+
+
+def track_of(foreseen: Foreseen) -> Track:
+    """A rolled-out vehicle as it would be exported."""
+    traffic, start = foreseen.traffic, foreseen.start
+    steps = np.flatnonzero(traffic.present[0, : start.desired.size])
+    return Track(
+        start.vehicle_id, start.object_type, 1, steps, traffic.position[0, steps], traffic.heading[0, steps],
+        traffic.velocity[0, steps], start.size,
+    )  # fmt: skip

@@ -1,0 +1,84 @@
+"""The objective of an event: what the judge sees of it in states, and how far that is from the middle."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inserted import recorded, scene_on
+
+from hid2.agents import Track
+from hid2.insertion.event_objective import Objective
+from hid2.insertion.event_targets import target_of
+from hid2.params import Event
+from netconvert.lane_graph import LaneGraph
+
+
+def _objective(graph: LaneGraph, **asked: object) -> Objective:
+    """Of a target at 8 m/s from 100 m on lane 1, which is 4.5 m long."""
+    scene = scene_on(graph, recorded(100.0, 0.0, 8.0))
+    target = target_of(scene, 0)
+    assert target is not None
+    return Objective(scene, Event.model_validate({"kind": "lead", "target": "r", **asked}), target)
+
+
+@pytest.fixture
+def graph(road: Callable[..., LaneGraph]) -> LaneGraph:
+    return road(lanes=2, length_m=400.0)
+
+
+def test_a_leader_is_seen_at_the_step_nearest_to_the_middle_of_what_is_asked(graph: LaneGraph) -> None:
+    """At 6 m/s from 118.5 m the gap is 14 m at first, and 2 m/s less: 10 m, the middle of 8 to 12, at 2 s."""
+    objective = _objective(graph, at_s=(1.0, 3.0), gap_m=(8.0, 12.0), speed_difference_mps=(-3.0, -1.0))
+    seen = objective.seen(recorded(118.5, 0.0, 6.0, name="e"))
+    assert seen is not None
+    assert (seen.at_step, seen.order) == (20, 1)
+    assert seen.measures.gap_m == pytest.approx(10.0)
+    assert seen.measures.speed_difference_mps == pytest.approx(-2.0)
+    assert objective.cost(seen) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("gap_m", "cost"), [((10.0, 18.0), 0.0), ((12.0, 20.0), 0.5), ((14.0, 22.0), 1.0)])
+def test_cost_is_the_distance_from_the_middle_over_half_of_the_band(
+    graph: LaneGraph, gap_m: tuple[float, float], cost: float
+) -> None:
+    """A gap of 14 m at the target's speed: in the middle of 10 to 18, half way to the end of 12 to 20."""
+    objective = _objective(graph, at_s=(3.0, 3.0), gap_m=(0.0, 28.0))
+    seen = objective.seen(recorded(118.5, 0.0, 8.0, name="e"))
+    assert seen is not None
+    asked = Objective(objective.scene, objective.event.model_copy(update={"gap_m": gap_m}), objective.target)
+    assert asked.cost(seen) == pytest.approx(cost, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "track",
+    [
+        recorded(118.5, 3.5, 8.0, name="e"), recorded(81.5, 0.0, 8.0, name="e"), recorded(160.0, 0.0, 8.0, name="e"),
+        recorded(118.5, 0.0, 15.0, name="e"),
+    ],
+    ids=["beside", "behind", "too far", "too fast"],
+)  # fmt: skip
+def test_what_does_not_lead_as_asked_is_not_seen(graph: LaneGraph, track: Track) -> None:
+    assert _objective(graph, at_s=(1.0, 2.0)).seen(track) is None
+
+
+def test_a_leader_that_does_not_brake_as_asked_costs_more_than_one_that_does(graph: LaneGraph) -> None:
+    """Asked 2 m/s2, within a fifth: braking with 2 m/s2 costs nothing, with 1.6 it is at the end of what counts."""
+    objective = _objective(graph, at_s=(2.0, 2.0), gap_m=(0.0, 28.0), speed_difference_mps=(-9.0, 9.0), brakes_mps2=2.0)
+    steady = recorded(118.5, 0.0, 8.0, name="e")
+    seen = objective.seen(steady)
+    assert seen is not None
+    assert objective.cost(seen) > 1.0
+    for braked_mps2, cost in ((2.0, 0.0), (1.6, 1.0)):
+        measures = replace(seen.measures, brakes_mps2=braked_mps2)
+        asked = replace(seen, measures=measures)
+        assert objective.cost(asked) == pytest.approx(cost, abs=1e-6)
+
+
+def test_who_crosses_first_is_told(lane: Callable[..., object], graph: LaneGraph) -> None:
+    """The target is at x = 150 at 6.25 s; one along +y at 10 m/s from y = -40.5 is at y = 0 after 4 s, before it."""
+    across = recorded(150.0, -40.5, 10.0, heading=np.pi / 2, name="e")
+    seen = _objective(graph, kind="cross", at_s=(4.0, 4.0)).seen(across)
+    assert seen is not None
+    assert (seen.at_step, seen.order) == (40, 1)
+    assert seen.measures.gap_m == pytest.approx(0.1 * 8.0 * 22 - 2.25, abs=0.9)

@@ -1,0 +1,100 @@
+"""Places of events: on which routes, and where on them a vehicle has to be at which step."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from inserted import recorded, scene_on
+
+from hid2.agents import Track
+from hid2.insertion.event_places import Place, Places
+from hid2.insertion.event_targets import target_of
+from hid2.insertion.routes import Routes
+from hid2.params import Event
+from netconvert.lane_graph import LaneGraph, LaneSegment
+
+#: Half of both lengths: the target and the vehicle are 4.5 m long.
+LENGTHS_M = 4.5
+
+
+def _places(graph: LaneGraph, track: Track, **asked: object) -> list[Place]:
+    scene = scene_on(graph, track)
+    target = target_of(scene, 0)
+    assert target is not None
+    event = Event.model_validate({"target": "r", "at_s": (4.0, 4.0), **asked})
+    return list(Places(Routes(scene), event, target, LENGTHS_M).all())
+
+
+@pytest.mark.parametrize(("kind", "beyond"), [("lead", (6.0 + 4.5, 12.0 + 4.5)), ("follow", (-12.0 - 4.5, -6.0 - 4.5))])
+def test_leader_and_follower_are_a_gap_away_on_the_lane_of_the_target(
+    road: Callable[..., LaneGraph], kind: str, beyond: tuple[float, float]
+) -> None:
+    """A target at 8 m/s from 100.5 m is at 132.5 m at 4 s; gaps of 6 to 12 m, bumper to bumper."""
+    (place,) = _places(road(lanes=2, length_m=400.0), recorded(100.5, 0.0, 8.0), kind=kind, gap_m=(6.0, 12.0))
+    assert (place.offer.route, place.side) == ((1,), None)
+    assert place.along[40] == pytest.approx(132.5, abs=0.1)
+    assert np.flatnonzero(np.isfinite(place.along)).tolist() == [38, 39, 40, 41, 42]
+    assert place.beyond == beyond
+
+
+def test_cut_in_begins_on_the_lane_beside(road: Callable[..., LaneGraph]) -> None:
+    """The target is on lane 1, so from lane 2 to the right."""
+    (place,) = _places(road(lanes=2, length_m=400.0), recorded(100.5, 0.0, 8.0), kind="cut_in")
+    assert (place.offer.route, place.side) == ((2,), "right")
+    assert place.along[40] == pytest.approx(132.5, abs=0.1)
+
+
+def test_overtake_begins_behind_the_target_early_enough_to_be_back(road: Callable[..., LaneGraph]) -> None:
+    """To be back at 8 s it begins at 0 to 4 s, within 30 m behind."""
+    (place,) = _places(road(lanes=2, length_m=600.0), recorded(60.5, 0.0, 4.0), kind="overtake", at_s=(8.0, 8.0))
+    assert (place.offer.route, place.side) == ((1,), "left")
+    assert np.flatnonzero(np.isfinite(place.along)).tolist() == list(range(41))
+    assert place.beyond == (-30.0, -3.0)
+
+
+def test_ways_meet_where_the_common_lane_begins(lane: Callable[..., LaneSegment]) -> None:
+    """Lanes 1 and 2 lead to 3, which begins at 100 m; the target comes by lane 1 and is 30 to 10 m before it at 2 s.
+
+    At 10 m/s from 60 m it is at 80 m at 2 s, 20 m and half of both lengths before the lane.
+    """
+    lanes = [
+        lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(3,)), lane(2, [(20.0, 60.0), (100.0, 0.0)], successors=(3,)),
+        lane(3, [(100.0, 0.0), (300.0, 0.0)]),
+    ]  # fmt: skip
+    graph = LaneGraph({one.lane_id: one for one in lanes})
+    (place,) = _places(graph, recorded(60.0, 0.0, 10.0), kind="merge", at_s=(2.0, 2.0), gap_m=(10.0, 30.0))
+    assert place.offer.route == (2, 3)
+    begin = next(one.start for one in place.path.segments if one.lane_id == 3)
+    assert np.unique(place.along[np.isfinite(place.along)]).tolist() == [begin]
+    nearer = _places(graph, recorded(60.0, 0.0, 10.0), kind="merge", at_s=(2.0, 2.0), gap_m=(0.0, 10.0))
+    assert nearer == []
+
+
+def test_a_path_is_crossed_apart_from_the_target_by_the_critical_pet(lane: Callable[..., LaneSegment]) -> None:
+    """Lane 9 along +y crosses at x = 150, 60 m along it; the target at 10 m/s from 50.5 m is there at 10 s.
+
+    From 2 to 9 s a vehicle may cross before it, but by at least 1 s, and at most 5 s with 2 s for the boxes.
+    """
+    lanes = lane(1, [(0.0, 0.0), (300.0, 0.0)]), lane(9, [(150.0, -60.0), (150.0, 60.0)])
+    graph = LaneGraph({one.lane_id: one for one in lanes})
+    (place,) = _places(graph, recorded(50.5, 0.0, 10.0), kind="cross", at_s=(2.0, 10.9))
+    steps = np.flatnonzero(np.isfinite(place.along))
+    assert place.offer.route == (9,)
+    assert (steps[0], steps[-1]) == (30, 90)
+    assert place.along[50] == pytest.approx(60.0, abs=0.1)
+
+
+def test_routes_come_along_the_lanes_of_the_target_first_then_from_elsewhere_and_on_elsewhere(
+    lane: Callable[..., LaneSegment],
+) -> None:
+    """Lanes 1 and 2 lead to 3, which leads to 4 and 5; the target comes by 2 and goes on by 5."""
+    lanes = [
+        lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(3,)), lane(2, [(0.0, 40.0), (100.0, 0.0)], successors=(3,)),
+        lane(3, [(100.0, 0.0), (200.0, 0.0)], successors=(4, 5)), lane(4, [(200.0, 0.0), (300.0, 0.0)]),
+        lane(5, [(200.0, 0.0), (300.0, 20.0)]),
+    ]  # fmt: skip
+    scene = scene_on(LaneGraph({one.lane_id: one for one in lanes}), recorded(110.0, 0.0, 8.0))
+    target = target_of(scene, 0)
+    assert target is not None
+    places = Places(Routes(scene), Event(kind="lead", target="r"), target, LENGTHS_M)
+    assert places._over(3, (5,), (2,)) == [(2, 3, 5), (2, 3, 4), (1, 3, 5)]

@@ -1,0 +1,118 @@
+"""Candidates for events: rolled out on a road, and as the judge finds them in their rollouts."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from inserted import CAR, nobody, recorded, scene_on
+
+from hid2.agents import Policy, Track
+from hid2.conflicts.guard import Guard
+from hid2.insertion.event_objective import Objective
+from hid2.insertion.event_places import Places
+from hid2.insertion.event_starts import EventStarts, track_of
+from hid2.insertion.event_targets import target_of
+from hid2.insertion.events import scene_for
+from hid2.insertion.surroundings import Surroundings
+from hid2.params import Event, LaneChange
+from hid2.reasons import Reason
+from hid2.scene import Scene
+from hid2.vehicle import VehicleRequest
+from netconvert.lane_graph import LaneGraph
+
+
+@pytest.fixture
+def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
+    """scene_of(*recorded) -> two lanes of 400 m: lane 1 at y = 0, lane 2 at y = 3.5 m."""
+
+    def make(*tracks: Track) -> Scene:
+        return scene_on(road(lanes=2, length_m=400.0), *tracks)
+
+    return make
+
+
+def _starts(scene: Scene, **asked: object) -> EventStarts:
+    event = Event.model_validate({"kind": "lead", "target": "r", "at_s": (4.0, 4.0), **asked})
+    here, scene = Surroundings(scene), scene_for(scene, event)
+    target = target_of(scene, 0)
+    assert target is not None
+    policy = {"cut_in": Policy.LANE_CHANGE, "overtake": Policy.OVERTAKE}.get(event.kind, Policy.STRAIGHT)
+    guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
+    return EventStarts(
+        scene, here.roads, here.stop_lines, here.meetings, guard, np.random.default_rng(0), 0,
+        objective=Objective(scene, event, target), request=VehicleRequest(0, policy, 0.0), size=CAR,
+        places=list(Places(here.routes, event, target, 4.5).all()),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "sign"), [("lead", 1.0), ("follow", -1.0)])
+def test_candidates_have_the_gap_asked_for_in_their_rollouts(
+    scene_of: Callable[..., Scene], kind: str, sign: float
+) -> None:
+    """A target at 8 m/s from 150 m: about 4 s they are 6 to 14 m away, bumper to bumper; the best come first."""
+    found = _starts(scene_of(recorded(150.0, 0.0, 8.0)), kind=kind, gap_m=(6.0, 14.0)).draw(60)
+    assert found
+    for one in found:
+        gaps = [
+            sign * (float(track_of(one.rolled).position[step, 0]) - 150.0 - 0.8 * step) - 4.5 for step in range(35, 46)
+        ]
+        assert min(gaps) <= 14.0
+        assert max(gaps) >= 6.0
+        assert one.rolled.start.request.policy is Policy.STRAIGHT
+    assert [one.cost for one in found] == sorted(one.cost for one in found)
+
+
+def test_cut_ins_change_to_the_lane_of_the_target_and_are_told_when(scene_of: Callable[..., Scene]) -> None:
+    """From lane 2 to the right; over the line, at y = 1.75 m, at 4 s more or less, and the trigger before that."""
+    found = _starts(scene_of(recorded(100.0, 0.0, 8.0)), kind="cut_in").draw(60)
+    assert found
+    for one in found:
+        y = track_of(one.rolled).position[:, 1]
+        crossing_s = 0.1 * int(np.argmax(y < 1.75))
+        assert one.rolled.start.sides == ("right",)
+        assert 3.4 <= crossing_s <= 4.6
+        assert 1.0 <= crossing_s - one.rolled.start.request.trigger_s <= 4.0
+
+
+def test_a_motion_of_two_paths_is_one_for_the_last_word(scene_of: Callable[..., Scene]) -> None:
+    """One state a step, over the change of lanes, and no jump."""
+    candidate = _starts(scene_of(recorded(100.0, 0.0, 8.0)), kind="cut_in").draw(60)[0]
+    driven = candidate.as_driven()
+    assert len(driven.s) == len(driven.v) == 110
+    assert np.diff(driven.s) == pytest.approx(0.1 * np.array(driven.v[1:]), abs=0.1)
+
+
+def test_a_leader_that_is_to_brake_wishes_less_from_the_moment_on(scene_of: Callable[..., Scene]) -> None:
+    """A target at 6 m/s, 2 m/s2 from about 4 s on: within a fifth in the rollout, and not before."""
+    scene = scene_of(recorded(100.0, 0.0, 6.0))
+    found = _starts(scene, brakes_mps2=2.0, gap_m=(4.0, 40.0), speed_difference_mps=(-6.0, 10.0)).draw(200)
+    assert found
+    for one in found:
+        speed = np.hypot(*track_of(one.rolled).velocity.T)
+        assert 1.6 <= -np.diff(speed).min() / 0.1 <= 2.4
+        assert -np.diff(speed[:33]).min() / 0.1 < 1.0
+
+
+@pytest.mark.parametrize(("kind", "left"), [("cut_in", False), ("lead", True)])
+def test_no_candidate_changes_lanes_where_the_configured_rule_never_does(
+    scene_of: Callable[..., Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, left: bool
+) -> None:
+    """By the paper's rule each kind has candidates beside a target at 5 m/s; those that change no lane are left."""
+    (tmp_path / "refusing_rule.py").write_text("def never(view):\n    return False\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    usual = scene_of(recorded(150.0, 0.0, 5.0))
+    rule = LaneChange(rule="refusing_rule:never")
+    starts = _starts(replace(usual, config=usual.config.model_copy(update={"lane_change": rule})), kind=kind)
+    assert bool(starts.draw(30)) == left
+    assert (starts.rejected[Reason.RULE_REFUSES] == 0) == left
+
+
+def test_none_begins_where_others_stand_and_the_reason_is_counted(scene_of: Callable[..., Scene]) -> None:
+    """Ahead of a target there are others all the way, 8 m apart: no box with 2 m to both sides fits between."""
+    row = [recorded(60.0 + 8.0 * number, 0.0, 8.0, name=f"o{number}") for number in range(42)]
+    starts = _starts(scene_of(recorded(52.0, 0.0, 8.0), *row))
+    assert starts.draw(30) == []
+    assert (starts.rolls, starts.rejected) == (0, Counter({Reason.NO_SITE: 20}))
