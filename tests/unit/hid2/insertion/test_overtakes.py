@@ -52,20 +52,6 @@ def _foreseen(scene: Scene, *, trigger_s: float = 1.0, lead: bool = True) -> lis
     return found
 
 
-def test_empty_road_has_room_behind_an_added_slower_leader(scene_of: Callable[..., Scene]) -> None:
-    """Out and back take 2.5 s each, so that nobody is back before 1.0 + 5.0 s; the scene ends at 10.9 s."""
-    scene = scene_of()
-    found = _foreseen(scene)
-    assert len(found) > 20
-    sites = scene.config.sites
-    for _, seen in found:
-        assert 6.0 < seen.done_s < 10.9
-        assert seen.leader_s is not None
-        assert seen.leader_s - seen.start_s > 4.5
-        assert sites.slow_leader_mps <= seen.leader_mps <= sites.slow_leader_max * 12.0
-        assert seen.leader_mps <= seen.start_mps <= 12.0
-
-
 def test_later_trigger_leaves_no_time(scene_of: Callable[..., Scene]) -> None:
     """From 6.5 s on 4.4 s are left, and out and back alone take 5.0 s."""
     scene = scene_of()
