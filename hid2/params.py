@@ -226,7 +226,9 @@ class Sites(_Section):
     )
     slow_leader_max: float = _param(0.7, "share", "to here", gt=0, le=1)
     slow_leader_mps: float = _param(3.0, "m/s", "slowest desired speed of an added leader", gt=0, le=20)
-    overtake_ways: int = _param(120, "routes", "on which a place to overtake is looked for in a round", ge=1, le=10_000)
+    overtake_ways: int = _param(
+        120, "routes", "on which a place is looked for, for an overtake in a round", ge=1, le=10_000
+    )
     overtake_draws: int = _param(120, "places", "with an added leader that are drawn on each", ge=1, le=10_000)
     overtake_tries: int = _param(6, "places", "rolled out for an overtake in a round, at most", ge=1, le=1000)
     overtake_gap_s: tuple[Annotated[float, Field(ge=0, le=20)], Annotated[float, Field(ge=0, le=20)]] = _param(

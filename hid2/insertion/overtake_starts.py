@@ -5,6 +5,8 @@
 An added leader is rolled out first, and is known traffic for the vehicle that overtakes it.
 """
 
+import math
+from collections import Counter
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,6 +18,7 @@ from hid2.insertion.starts import Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
 from hid2.kernels.polyline import frenet
 from hid2.motion.lane_change_path import LateralTiming
+from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray
@@ -29,8 +32,12 @@ from hid2.vehicle import Start, VehicleRequest
 #: among for each that is tried.
 _LOOKS_S, _TRIED, _ENOUGH = 0.5, 2, 3
 #: No tunables, spare rollouts: shares of a lateral motion at which the centre has crossed the line, and up to which the
-#: lane left is not yet entered again; the time gap to others, s, at which none slows down; and s kept above a TTC.
-_CROSSED, _BACK, _HEADWAY_S, _SPARE_S = 0.5, 0.4, 0.7, 0.2
+#: lane left is not yet entered again; the time gap to others, s, at which none slows down; s kept above a TTC; and
+#: how fast a driver settles at the desired speed, over that speed and the acceleration; and the speed in a lateral
+#: motion over what its sharpest bend allows, as smoothing rounds it.
+_CROSSED, _BACK, _HEADWAY_S, _SPARE_S, _SETTLES, _BENDS = 0.5, 0.4, 1.2, 0.2, 2.5, 1.4
+#: No tunable, spares rollouts: of the speed, that bends on the way allow at least.
+_BEND_SHARE = 0.75
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -137,9 +144,12 @@ class OvertakeStarts:
             if looked == sites.overtake_ways or len(likely) >= _ENOUGH * sites.overtake_tries:
                 break
         likely.sort(key=lambda one: -float(one[2].spare_m[0]))
-        first = {one[0].lane_id: one for one in reversed(likely)}
-        likely = sorted(first.values(), key=lambda one: -float(one[2].spare_m[0]))
-        for way, driver, motion in likely[: sites.overtake_tries]:
+        ranks, on_lane = list[int](), Counter[int]()
+        for way, _, _ in likely:  # the best of each lane first: what is in the way is mostly in the way of all
+            ranks.append(on_lane[way.lane_id])
+            on_lane[way.lane_id] += 1
+        for n in np.argsort(ranks, kind="stable")[: sites.overtake_tries].tolist():
+            way, driver, motion = likely[n]
             self.found_none = None
             found = self._starts(request, slow, way, driver, motion)
             if found:
@@ -220,7 +230,9 @@ class OvertakeStarts:
             return motions
         s, out_m, across_m = motions.s, motions.out_m, motions.across_m
         own, beside = (self.starts.world.known_on(path, self._box) for path in (way.path, way.beside))
-        met = _taken(own, looks, s) & ((out_m < _CROSSED * across_m) | (s > motions.back_s))
+        met = _taken(own, looks, s, room_m=self.here.scene.config.spawn.clear_gap_m) & (
+            (out_m < _CROSSED * across_m) | (s > motions.back_s)
+        )
         if motions.added:
             met |= _taken(own, looks, motions.leader, room_m=_HEADWAY_S * float(motions.leader_mps.max()))
         is_off = (out_m > 0.0) & (s < motions.back_s + _BACK * across_m)
@@ -237,14 +249,18 @@ class OvertakeStarts:
         """
         scene, change, overtake = self.here.scene, self.here.scene.config.lane_change, self.here.scene.config.overtake
         sites, desired, length_m = scene.config.sites, driver.desired_mps, self._box.length_m
-        start_mps = np.minimum(desired, speed_behind(drawn.gap_m, drawn.leader_mps, driver, sites))
+        start_mps = np.minimum(driver.desired_mps, speed_behind(drawn.gap_m, drawn.leader_mps, driver, sites))
         wanted_s = max(change.min_duration_s, overtake.shift_ratio * driver.lane_change_s)
         timing = LateralTiming.of(wanted_s, way.apart_m, change)
+        # v2 kappa of a lateral motion is what the driver takes: of `lateral_share`, D over the square of its length
+        sharpest = 2.0 * way.apart_m / (timing.ramp * (1.0 - timing.ramp))
         across_m = timing.lasting_s * max(timing.slow_mps, desired)
-        times, settles_s = self._looks() * scene.step_s, desired / (3.0 * driver.accel_mps2)
-        free = np.maximum(times - trigger_s, 0.0)
-        slow_s = settles_s * (1.0 - np.exp(-free / settles_s))
+        desired = min(desired, _BENDS * math.sqrt(driver.turn_lateral_mps2 / sharpest) * across_m)
+        times, settles_s = self._looks() * scene.step_s, desired / (_SETTLES * driver.accel_mps2)
+        free, lag_s = np.maximum(times - trigger_s, 0.0), scene.config.drivers.reaction_s
+        slow_s = np.minimum(free, lag_s) + settles_s * (1.0 - np.exp(-np.maximum(free - lag_s, 0.0) / settles_s))
         out_mps = np.maximum(start_mps - sites.begin_braking_mps2 * trigger_s, drawn.leader_mps)[:, None]
+        out_mps = np.minimum(out_mps, desired)
         out_m = out_mps * slow_s + desired * (free - slow_s)
         m = 0.5 * (start_mps[:, None] + out_mps) * np.minimum(times, trigger_s) + out_m
         past = (m > drawn.leader_m + length_m + overtake.return_gap_m) & (out_m > across_m)
@@ -254,13 +270,16 @@ class OvertakeStarts:
         start = drawn.start_s
         if start is None:
             start = np.minimum(way.first, last) + np.maximum(last - way.first, 0.0) * self.starts.rng.random(last.size)
-        room_m = (scene.config.conflict.ttc_min_s + _SPARE_S) * (desired - drawn.leader_mps)[:, None]
+        room_m = (scene.config.conflict.ttc_min_s + _SPARE_S) * (driver.desired_mps - drawn.leader_mps)[:, None]
         is_behind = (m + room_m < drawn.leader_m - length_m) | (out_m > _CROSSED * across_m)
         fits = (spare_m > 0.0) & is_behind.all(axis=1) & (start >= way.first) & (start <= last)
         fits &= start_mps > drawn.leader_mps
         if scene.config.request.sites == "any":
             fits = (start >= way.first) & (start <= way.last)
         rows = np.flatnonzero(fits)
+        road = self.here.roads.speeds(way.path, driver)
+        at = np.minimum(((start[rows, None] + m[rows]) / TABLE_STEP_M).astype(np.int64), road.size - 1)
+        rows = rows[(road[at] >= _BEND_SHARE * start_mps[rows, None]).all(axis=1)]  # no bend slows it much
         rows = rows[np.argsort(-spare_m[rows], kind="stable")]
         leader, place = start[:, None] + drawn.leader_m, start[:, None]
         return _Motions(
@@ -304,6 +323,6 @@ class OvertakeStarts:
 
 
 def _taken(known: PathOccupancy, looks: IntArray, s: FloatArray, *, room_m: float = 0.0) -> BoolArray:
-    """Whether a box at places (N, K) m at looks (K,), with so much room, touches any known on a path, (N, K)."""
-    low, high = known.low[:, looks] - room_m, known.high[:, looks] + room_m
+    """Whether a box at places (N, K) m at looks (K,), with room ahead, half of it behind, touches any known, (N, K)."""
+    low, high = known.low[:, looks] - room_m, known.high[:, looks] + 0.5 * room_m
     return np.asarray(((low[None] < s[:, None]) & (s[:, None] < high[None])).any(axis=1))

@@ -237,31 +237,6 @@ def test_leader_who_is_followed_already_speaks_for_no_other_site(scene_of: Calla
     assert same <= 3
 
 
-def test_overtaker_without_a_slower_leader_gets_one(scene_of: Callable[..., Scene]) -> None:
-    """The leader is a straight request's, ahead on the same lane, and wants 30 to 50 % of the overtaker's speed."""
-    sites = _sites(scene_of(length_m=500.0))
-    found = sites.propose(_request(0, Policy.OVERTAKE, 1.0), _request(1))
-    leader, overtaker = found
-    assert (leader.request.number, overtaker.request.number) == (1, 0)
-    assert leader.route == overtaker.route
-    assert leader.start_s > overtaker.start_s + 10.0
-    assert leader.driver.desired_mps <= 0.5 * overtaker.driver.desired_mps + 1e-9
-
-
-def test_nobody_begins_between_an_overtaker_and_its_leader(scene_of: Callable[..., Scene]) -> None:
-    """Nor beside it: from 15 m behind it to 70 m ahead of it both lanes stay free for the others of its round."""
-    for seed in range(6):
-        sites = _sites(scene_of(length_m=500.0), seed)
-        leader, overtaker = sites.propose(_request(0, Policy.OVERTAKE, 1.0), _request(1))
-        x = float(overtaker.path.line.position(np.array([overtaker.start_s]))[0, 0])
-        assert float(leader.path.line.position(np.array([leader.start_s]))[0, 0]) > x
-        others = [start for number in range(2, 14) for start in sites.propose(_request(number))]
-        assert others
-        for start in others:
-            other_x = float(start.path.line.position(np.array([start.start_s]))[0, 0])
-            assert not x - 15.0 < other_x < x + 70.0
-
-
 def test_route_that_ends_too_early_is_no_site(scene_of: Callable[..., Scene]) -> None:
     """On 60 m of road nobody stays for 5 s at 9 m/s but from its first metres; at 20 m/s nobody does."""
     assert _many(scene_of(recorded(200.0, 30.0, 20.0), length_m=60.0, min_speed_mps=18.0), 10) == []

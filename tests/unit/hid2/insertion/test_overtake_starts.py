@@ -1,0 +1,149 @@
+"""Starts of overtakes: behind a recorded slower vehicle, or one that is added; alone, and what begins after them."""
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from inserted import nobody, recorded, scene_on
+
+from hid2.agents import Policy, Track
+from hid2.conflicts.guard import Guard
+from hid2.insertion.filling import Filling
+from hid2.insertion.rollout import World
+from hid2.insertion.sites import InsertionSites
+from hid2.insertion.spread import Spread
+from hid2.insertion.surroundings import Surroundings
+from hid2.params import Config, Request, Spawn
+from hid2.policy.overtake import Stage
+from hid2.reasons import Reason
+from hid2.scene import Scene
+from hid2.vehicle import Start, VehicleRequest
+from netconvert.lane_graph import LaneGraph
+
+OVERTAKE, SLOW = VehicleRequest(0, Policy.OVERTAKE, 1.0), VehicleRequest(1, Policy.STRAIGHT, 0.0)
+ALONE = {"straight": 0.0, "left_turn": 0.0, "right_turn": 0.0, "lane_change": 0.0, "overtake": 1.0}
+
+
+@pytest.fixture
+def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
+    """scene_of(*recorded, **request) -> two lanes of 500 m that run the same way, usual speed 9 m/s."""
+
+    def make(*tracks: Track, **request: Any) -> Scene:
+        config = Config(request=Request(near="anywhere", **request), spawn=Spawn(prior_speed_mps=9.0))
+        return scene_on(road(lanes=2, length_m=500.0), *tracks, config=config)
+
+    return make
+
+
+def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
+    here = Surroundings(scene)
+    guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
+    return InsertionSites(here, guard, np.random.default_rng(seed), 0, Spread.of((seed, 0)))
+
+
+def test_overtaker_without_a_slower_leader_gets_one(scene_of: Callable[..., Scene]) -> None:
+    """The leader is a straight request's, ahead on the same lane, and wants 50 to 70 % of 9 m/s: 4.5 to 6.3."""
+    for seed in range(4):
+        leader, overtaker = _sites(scene_of(), seed).propose(OVERTAKE, SLOW)
+        assert (leader.request, overtaker.request) == (SLOW, OVERTAKE)
+        assert leader.route == overtaker.route
+        assert leader.start_s - overtaker.start_s > leader.box.length_m
+        assert 4.5 <= leader.driver.desired_mps <= 6.3
+        assert leader.start_mps < overtaker.start_mps
+
+
+def test_rollout_of_an_overtaker_is_out_past_and_back_in_time(scene_of: Callable[..., Scene]) -> None:
+    """Out at 1.0 s or later, and back before 10.9 s: two lateral motions of 2.5 s at least, 5 m ahead of the leader."""
+    sites = _sites(scene_of())
+    leader, overtaker = sites.propose(OVERTAKE, SLOW)
+    alone = Guard(sites.here.scene, nobody(sites.here.scene.future.num_steps), sites.here.stop_lines)
+    world = World(sites.here.scene, sites.here.roads, alone)
+    slow = world.roll(leader)
+    world.choose(world.foreseen(leader, (slow,)))
+    vehicle, parts = world.act(overtaker)
+    assert vehicle.stage is Stage.DONE
+    assert vehicle.leader_id == leader.vehicle_id
+    out, back = (shift.requested_step for shift in vehicle.shifts)
+    assert 10 <= out <= back - 25
+    assert back + 25 <= 109
+    at = parts[1].s[back - out] - slow.s[back]
+    assert at >= 0.5 * (leader.box.length_m + overtaker.box.length_m) + 5.0 - 0.2
+
+
+def test_slower_recorded_vehicle_is_overtaken_where_none_can_be_added(scene_of: Callable[..., Scene]) -> None:
+    """It drives at 4 m/s from x = 150 m on lane 1, where another one far ahead tells 10 m/s as a usual speed too."""
+    scene = scene_of(recorded(150.0, 0.0, 4.0), recorded(350.0, 0.0, 10.0, name="usual"))
+    found = [start for seed in range(6) for start in _sites(scene, seed).propose(OVERTAKE, None)]
+    assert found
+    for start in found:
+        assert start.path.segments[0].lane_id == 1
+        assert 150.0 - 60.0 < start.start_s < 150.0 - 4.5
+
+
+def test_no_leader_and_no_request_for_one_is_the_reason(scene_of: Callable[..., Scene]) -> None:
+    sites = _sites(scene_of())
+    assert sites.propose(OVERTAKE, None) == []
+    assert sites.overtakes.found_none is Reason.NO_SLOW_LEADER
+
+
+def test_later_trigger_leaves_no_time(scene_of: Callable[..., Scene]) -> None:
+    """From 6.5 s on 4.4 s are left, and out and back alone take 5.0 s."""
+    sites = _sites(scene_of())
+    assert sites.propose(VehicleRequest(0, Policy.OVERTAKE, 6.5), SLOW) == []
+    assert sites.overtakes.found_none is Reason.NO_OVERTAKE_FORESEEN
+
+
+def test_queue_on_the_lane_beside_leaves_no_way_past(scene_of: Callable[..., Scene]) -> None:
+    """Parked ones every 15 m on lane 2 block it from lane 1, and on lane 2 itself nothing moves."""
+    queue = [recorded(10.0 + 15.0 * number, 3.5, 0.0, name=f"q{number}") for number in range(32)]
+    assert _sites(scene_of(*queue)).propose(OVERTAKE, SLOW) == []
+
+
+def test_what_begins_later_leaves_a_chosen_overtake_as_it_is(scene_of: Callable[..., Scene]) -> None:
+    """Twelve more on 1,000 m of lane: with all of them there the overtaker still comes out, past and back."""
+    for seed in range(3):
+        scene = scene_of()
+        sites = _sites(scene, seed)
+        leader, overtaker = sites.propose(OVERTAKE, SLOW)
+        others: list[Start] = []
+        for number in range(2, 14):
+            others += sites.propose(VehicleRequest(number, Policy.STRAIGHT, 0.0))
+        assert len(others) > 4
+        guard = Guard(scene, nobody(scene.future.num_steps), sites.here.stop_lines)
+        world = World(scene, sites.here.roads, guard)
+        for start in (leader, *others):
+            world.choose(world.foreseen(start, (world.roll(start),)))
+        assert world.act(overtaker)[0].stage is Stage.DONE
+
+
+def test_overtakes_asked_for_alone_lead_each_other(scene_of: Callable[..., Scene]) -> None:
+    """Of six requests the last ones become slow leaders, with that reason; each overtake has its leader ahead."""
+    scene = scene_of(agents=6, **ALONE)
+    filling = Filling(Surroundings(scene), (0, 0))
+    starts = filling.first_starts(6)
+    overtakers = [start for start in starts if start.request.policy is Policy.OVERTAKE]
+    reasons = Counter(unmet.reason for unmet in filling.unmet)
+    assert len(overtakers) >= 1
+    assert reasons[Reason.LEADS_AN_OVERTAKE] == len(overtakers)
+    assert next(one.request.number for one in filling.unmet if one.reason is Reason.LEADS_AN_OVERTAKE) == 5
+
+
+def test_single_overtake_says_that_there_is_none_to_lead(scene_of: Callable[..., Scene]) -> None:
+    filling = Filling(Surroundings(scene_of(agents=1, **ALONE)), (0, 0))
+    (start,) = filling.first_starts(1)
+    assert start.request.policy is Policy.STRAIGHT
+    assert [unmet.reason for unmet in filling.unmet] == [Reason.NO_SLOW_LEADER]
+
+
+def test_motion_continued_from_a_step_is_the_same_motion(scene_of: Callable[..., Scene]) -> None:
+    """What the driver keeps in mind goes on: cut at 2.0 s, the rest is driven as without the cut."""
+    sites = _sites(scene_of())
+    leader, _ = sites.propose(OVERTAKE, SLOW)
+    guard = Guard(sites.here.scene, nobody(sites.here.scene.future.num_steps), sites.here.stop_lines)
+    world = World(sites.here.scene, sites.here.roads, guard)
+    whole = world.roll(leader)
+    rest = world.roll(leader, path=leader.path, step=20, before=whole)
+    np.testing.assert_allclose(rest.s, whole.s[20:], atol=1e-9)
+    np.testing.assert_allclose(rest.v, whole.v[20:], atol=1e-9)
