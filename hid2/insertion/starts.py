@@ -78,8 +78,8 @@ class Starts:
         """A vehicle with a driver at a site, with a start speed, m/s, or why it cannot begin there.
 
         s: along the route's lanes, m; None: at their beginning, all of it on them. step: from which on it is there;
-        led_by: what it would follow then, as `Meetings` numbers them; sides, size: where it looks for a lane, its box; None:
-        drawn.
+        led_by: what it would follow then, as `Meetings` numbers them; sides, size: where it looks for a lane, and its
+        box, drawn unless given.
         """
         scene, config, rng = self.scene, self.scene.config, self.rng
         object_type, size = draw_size(config.request, rng) if size is None else ("vehicle", size)

@@ -26,12 +26,12 @@ def study_file(tmp_path: Path, text: str, scenes: Path) -> Path:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (gzip.compress(bytes(40_000_000)), "unpacks to more than 32 MB"),
+        (gzip.compress(bytes(40_000_000), mtime=0), "unpacks to more than 32 MB"),
         (b"no gzip", "gzip"),
-        (gzip.compress(b'{"requests": [], "flow": []}')[:-9], "gzip"),
-        (gzip.compress(b"[" * 5_000), "run of a study"),
-        (gzip.compress(b'{"requests": [{"kind": "lane_change"}], "flow": []}'), "requests without accepted"),
-        (gzip.compress(b"[]"), "run of a study"),
+        (gzip.compress(b'{"requests": [], "flow": []}', mtime=0)[:-9], "gzip"),
+        (gzip.compress(b"[" * 5_000, mtime=0), "run of a study"),
+        (gzip.compress(b'{"requests": [{"kind": "lane_change"}], "flow": []}', mtime=0), "requests without accepted"),
+        (gzip.compress(b"[]", mtime=0), "run of a study"),
     ],
 )
 def test_run_in_a_folder_that_is_continued_is_read_up_to_its_limits(

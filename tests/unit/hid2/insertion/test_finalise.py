@@ -266,19 +266,26 @@ def test_who_drives_aside_in_its_lane_closes_in_on_who_is_aside_ahead(
     assert [row for row, _ in conflicting(scene, both)] == rows
 
 
-@pytest.mark.parametrize(("aside_m", "is_too_near"), [(0.7, True), (0.0, False)])
+@pytest.mark.parametrize(("y", "aside_m", "kept_m"), [(2.5, 0.7, 0.35), (2.5, 0.0, 0.0), (1.5, 0.7, None)])
 def test_the_same_with_a_recorded_one_aside_in_the_next_lane(
-    scene_of: Callable[..., Scene], aside_m: float, is_too_near: bool
+    scene_of: Callable[..., Scene], y: float, aside_m: float, kept_m: float | None
 ) -> None:
-    """At y = 2.5, 5 m/s, from 60 m on; the vehicle comes from 40 m with 10 m/s and brakes 7 m behind it: 1.4 s."""
-    scene = scene_of(recorded(60.0, 2.5, 5.0))
+    """At y, 5 m/s, from 60 m on; the vehicle comes from 40 m with 10 m/s and brakes 7 m behind it: 1.4 s.
+
+    Boxes are 1.9 m wide with .1 m to the side. At y = 2.5 half of the place in the lane leaves .2 m between them, and
+    is taken; at y = 1.5 no place in the lane does.
+    """
+    scene = scene_of(recorded(60.0, y, 5.0))
     aside = LaneOffset(np.array([0.0, 1000.0]), np.full(2, aside_m), np.zeros(2))
     v = np.concatenate([np.full(18, 10.0), np.linspace(10.0, 5.0, 20), np.full(72, 5.0)])
     found = finalise(
         scene, driven(start_on(scene, (1,), 40.0, 10.0, offset=aside), v), []
     )  # fmt: skip
-    assert (found is Reason.TTC_LANE_LEADER) is is_too_near
-    assert isinstance(found, ExportedVehicle) is not is_too_near
+    if kept_m is None:
+        assert found is Reason.TTC_LANE_LEADER
+    else:
+        assert isinstance(found, ExportedVehicle)
+        assert found.trajectory.position[:, 1] == pytest.approx(kept_m, abs=0.01)
 
 
 @pytest.mark.parametrize(("x", "speed_mps"), [(60.0, 5.0), (157.0, 0.0)], ids=["closing in", "beyond the last step"])

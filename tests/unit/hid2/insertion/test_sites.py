@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hand_drawn import draw_lane
-from inserted import DRIVER, nobody, recorded, scene_on
+from inserted import CAR, DRIVER, nobody, recorded, scene_on
 from scipy.stats import chisquare
 
 from hid2.agents import Policy, Track
@@ -243,15 +243,16 @@ def test_route_that_ends_too_early_is_no_site(scene_of: Callable[..., Scene]) ->
 
 
 def test_who_begins_close_behind_a_standing_one_stands(scene_of: Callable[..., Scene]) -> None:
-    """Some 4 m from bumper to bumper behind one that stands at 100 m; at 3 m/s it would have to brake at once."""
-    moved_m = (
-        0.5 * np.maximum(0.1 * np.arange(110) - 3.0, 0.0) ** 2
-    )  # it drives off: a vehicle behind does not stand on
+    """Some 3 m from bumper to bumper behind one that stands at 100 m; at 2 m/s it would have to brake at once.
+
+    The leader drives off after 3 s, at 1 m/s2: a vehicle that stands throughout is no start.
+    """
+    moved_m = 0.5 * np.maximum(0.1 * np.arange(110) - 3.0, 0.0) ** 2
     leader = replace(recorded(100.0, 0.0), position=np.stack([100.0 + moved_m, np.zeros(110)], axis=1))
     scene = scene_of(leader, lanes=1)
     for seed in range(10):
         sites = _sites(scene, seed)
-        start = sites.starts.make(_request(), sites.here.routes.offers(1)[0], 1, 91.5)
+        start = sites.starts.make(_request(), sites.here.routes.offers(1)[0], 1, 92.5, size=CAR)
         assert isinstance(start, Start), start
         assert start.start_mps == 0.0
 
