@@ -37,6 +37,8 @@ _OVERTAKES_S, _BEHIND_M = (4.0, 10.0), (3.0, 30.0)
 _APART_S, _BOXES_S = 5.0, 2.0
 #: No tunable, spares time: a motion that is farther off a place brings no event about.
 _ABOUT_M = 2.0
+#: Of the time by which an event may be earlier or later. No tunable: SUMO's vehicle is not where its rollout is.
+_SPARE_SHARE = 0.8
 _SIDES: tuple[tuple[Side, Side], ...] = (("left", "right"), ("right", "left"))
 
 
@@ -123,8 +125,9 @@ class Places:
                 for route in self._over(other, (lane, *target.lanes_from(entered))):
                     begin = next((one.start for one in self._path(route).segments if one.lane_id == lane), None)
                     if begin is not None:
-                        gap = np.abs(target.way - target.way[entered]) - self.lengths_m
-                        yield self._fixed(route, begin, gap)
+                        offset = self._path(route).line.position(np.array([begin])) - target.position
+                        forward = np.stack([np.cos(target.heading), np.sin(target.heading)], axis=1)
+                        yield self._fixed(route, begin, np.abs((offset * forward).sum(axis=1)) - self.lengths_m)
 
     def _crossing(self) -> Iterator[Place]:
         target, scene = self.target, self.routes.scene
@@ -162,9 +165,9 @@ class Places:
         return Place(self.routes.offer_of(route), self._path(route), np.where(there, s, np.nan), (0.0, 0.0))
 
     def _within(self, low_s: float, high_s: float) -> BoolArray:
-        """(T,) steps within a band of times at which the target is there; of a band that is a moment, half a second."""
+        """(T,) steps within a band of times, or nearly, at which the target is there."""
         time_s = np.arange(self.target.present.size) * self.target.step_s
-        spare_s = 0.25 if high_s - low_s < 0.5 else 0.0
+        spare_s = _SPARE_SHARE * self.routes.scene.config.event_search.moment_s
         return self.target.present & (time_s >= low_s - spare_s) & (time_s <= high_s + spare_s)
 
     def _lanes(self, low_s: float, high_s: float) -> list[tuple[int, int]]:

@@ -22,7 +22,7 @@ from hid2.scene import clearance_box
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
 #: Of each driver so many beginnings are looked at, and the first that is free is taken; a place is left out where so
-#: many drivers in a row cannot begin; of drivers so many are asked for one who would overtake. No tunables.
+#: many drivers in a row cannot begin; the fastest of so many is to overtake. No tunables.
 _DRAWS, _NOT_BEGUN, _ASKED = 32, 20, 10
 #: Of so many that bring an event about the best are taken before more are drawn. No tunable, spares time.
 _ENOUGH = 8
@@ -114,20 +114,18 @@ class EventStarts(Starts):
     def _driver(self, place: Place, at: int, s: float) -> Driver:
         """A driver who goes with the traffic of its lane, with the target as it is then, or at its fastest.
 
-        What is to overtake the target is the first of some drawn on its lane that would.
+        What is to overtake the target is the fastest of some drawn on its lane: there is little time.
         """
         target, config, kind = self.objective.target, self.scene.config, int(self.rng.integers(3))
-        lane_id, needed_mps = place.path.segment_at(s).lane_id, 0.0
+        lane_id = place.path.segment_at(s).lane_id
         if self.request.policy is Policy.OVERTAKE:
-            kind, needed_mps = 0, float(target.speed[at]) + config.overtake.speed_advantage_mps
-        for _ in range(_ASKED):
-            flow_mps = self.scene.lane_speed(lane_id, self.rng)
-            if kind > 0:
-                flow_mps = float(target.speed[at] if kind == 1 else target.speed[target.present].max())
-            driver = draw_driver(config, self.rng, lane_speed_mps=flow_mps)
-            if driver.desired_mps >= needed_mps:
-                break
-        return driver
+            flows = [self.scene.lane_speed(lane_id, self.rng) for _ in range(_ASKED)]
+        elif kind == 0:
+            flows = [self.scene.lane_speed(lane_id, self.rng)]
+        else:
+            flows = [float(target.speed[at] if kind == 1 else target.speed[target.present].max())]
+        drawn = [draw_driver(config, self.rng, lane_speed_mps=flow_mps) for flow_mps in flows]
+        return max(drawn, key=lambda one: one.desired_mps)
 
     def _does(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:
         """The rollout of a vehicle that may bring the event about, and meets nothing; or why it does not.
@@ -170,13 +168,14 @@ class EventStarts(Starts):
         return np.array(may)[np.minimum(np.searchsorted(ends, s, side="right"), ends.size - 1)]
 
     def _braking(self, start: Start, step: int, speed_mps: float) -> Start:
-        """A driver whose wish falls from a step on, as fast as it is to brake, and stays where it is then.
+        """A driver whose wish falls from a step on, as fast as it is to brake, and afterwards is what it was.
 
         SUMO takes a wish for the most that a vehicle may drive, and brakes for one that falls.
         """
         search, brakes_mps2 = self.scene.config.event_search, self.objective.event.brakes_mps2
         since_s = self.scene.step_s * np.arange(start.desired.size - step)
-        wish = np.maximum(speed_mps - brakes_mps2 * np.minimum(since_s, search.brakes_s), _CREEPS_MPS)
+        falling = np.maximum(speed_mps - brakes_mps2 * since_s, _CREEPS_MPS)
+        wish = np.where(since_s < search.brakes_s, falling, start.desired[step:])
         driver = replace(start.driver, decel_mps2=max(start.driver.decel_mps2, brakes_mps2))
         return replace(start, desired=np.concatenate([start.desired[:step], wish]), driver=driver)
 
