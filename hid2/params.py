@@ -201,10 +201,6 @@ class Sites(_Section):
         0.25, "share", "of the desired speed; nobody begins moving more slowly, with so much room ahead", ge=0, le=1
     )
     begin_braking_mps2: float = _param(0.8, "m/s2", "a vehicle may begin by braking so hard for its leader", ge=0, le=4)
-    braking_ratio: float = _param(
-        1.4, "ratio", "of the comfortable deceleration, that a conflict soon after the start may ask for", ge=0, le=5
-    )
-    crossing_gap_m: float = _param(6.0, "m", "kept at the start to another one that heads elsewhere", ge=0, le=50)
     looks_s: float = _param(1.0, "s", "between two looks at gaps in a rollout", gt=0, le=10)
     hindered_s: float = _param(
         4.0, "s", "TTC to a vehicle that begins ahead, below which one chosen before is rolled out anew", ge=0, le=20

@@ -39,8 +39,7 @@ class Braking(NamedTuple):
 
     decel_mps2: least constant braking without a conflict, 0 for none; conflict_s: seconds to a conflict that remains
     even so, None where none does; free_conflict_s: to the one without braking; leader: fleet row of the generated
-    leader within leader_gap_m; run_into: a recorded vehicle comes up from behind; free_s: where it gets
-    without braking before a conflict or the horizon, m on the path.
+    leader within leader_gap_m; run_into: a recorded vehicle comes up from behind.
     """
 
     decel_mps2: float
@@ -49,7 +48,6 @@ class Braking(NamedTuple):
     leader: int
     leader_gap_m: float
     run_into: bool
-    free_s: float
 
     def forbids(self, driver: Driver) -> bool:
         """Whether a way that a driver may or may not take has a conflict that its ordinary braking does not solve."""
@@ -175,7 +173,7 @@ class Guard:
         horizon_s: another one than `conflict.horizon_s`.
         """
         conflict, known, step_s = self.scene.config.conflict, obstacles.known, self.scene.step_s
-        row, hit, free, leader, gap, run_into, free_s = needed_braking(
+        row, hit, free, leader, gap, run_into = needed_braking(
             known.low, known.high, known.along, known.same_direction, obstacles.lines.stop_s, obstacles.lines.closed,
             obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
             round((conflict.horizon_s if horizon_s is None else horizon_s) / step_s), conflict.stride, step_s,
@@ -189,5 +187,4 @@ class Guard:
             leader=int(leader),
             leader_gap_m=float(gap),
             run_into=bool(run_into),
-            free_s=float(free_s),
         )

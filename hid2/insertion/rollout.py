@@ -352,8 +352,9 @@ class World:
                 self._shown[key] = fixed, *before[1:]
                 return before[2]
             slow, step_s = scene.config.driving.standing_mps, scene.step_s
-            recorded = shown_on(path, scene.future, scene.in_driving_width(path, box), standing_mps=slow, step_s=step_s)
-            found = recorded.joined(shown_on(path, fixed, inserted, standing_mps=slow, step_s=step_s))
+            found = shown_on(path, scene.future, scene.in_driving_width(path, box), standing_mps=slow, step_s=step_s)
+            if inserted.agents.size:
+                found = found.joined(shown_on(path, fixed, inserted, standing_mps=slow, step_s=step_s))
             self._shown[key] = fixed, inserted, found
         return self._shown[key][2]
 

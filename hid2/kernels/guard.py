@@ -136,7 +136,7 @@ def needed_braking(
     start: tuple[float, float, float], desired_mps: float, road: FloatArray, road_step: float, table_step: float,
     horizon: int, stride: int, step_s: float, driver: tuple[float, float, float, float], brakes: FloatArray,
     predicted: tuple[float, float, float, float], stops: tuple[float, float, float, float],
-) -> tuple[int, int, int, int, float, bool, float]:  # fmt: skip
+) -> tuple[int, int, int, int, float, bool]:  # fmt: skip
     """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) whose predicted motion meets nobody.
 
     low, high, along, same_direction (A, T): agents whose future is known, as in `PathOccupancy`. stop_s (L,) m, closed
@@ -145,8 +145,7 @@ def needed_braking(
     gap at standstill m; predicted: rate at which braking builds up, m/s3, margin to boxes ahead, m, time for which who
     brakes brakes on, s, hardest braking for who appears ahead over the deceleration; stops: as in `stop_ahead`. Returns
     (row of brakes, step of its first conflict or -1, step of the first conflict without braking or -1, fleet row of
-    the nearest generated leader or -1, gap to it m, whether some known agent comes up from behind,
-    where the vehicle gets without braking before a conflict or the horizon, m).
+    the nearest generated leader or -1, gap to it m, whether some known agent comes up from behind).
     """
     g_low, g_high, g_cos = swept
     s0, v0, a0 = start
@@ -155,7 +154,7 @@ def needed_braking(
     hardest = hardest_ratio * decel
     steps = low.shape[1]
     best, best_step, free_step = 0, 0, -1
-    leader, leader_gap, run_into, free_s = -1, np.inf, False, s0
+    leader, leader_gap, run_into = -1, np.inf, False
     last = horizon // stride
     agents = _on_path_within(low, min(t, steps - 1), min(t + last * stride, steps - 1) + 1)
     first = np.full(rows.size, -1, dtype=np.int64)  # who goes first is the same for every braking
@@ -231,9 +230,9 @@ def needed_braking(
             s += 0.5 * (v + v_next) * dt
             v = v_next
         if row == 0:
-            free_step, free_s = hit, s
+            free_step = hit
         if hit < 0:
-            return row, -1, free_step, leader, leader_gap, struck, free_s
+            return row, -1, free_step, leader, leader_gap, struck
         if row == 0 or hit > best_step + stride or (hit >= best_step and behind_leader):
             best, best_step, run_into = row, hit, struck
-    return best, best_step, free_step, leader, leader_gap, run_into, free_s
+    return best, best_step, free_step, leader, leader_gap, run_into

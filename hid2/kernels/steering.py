@@ -39,7 +39,7 @@ def limit_of(
     cause = _TURN if turns else _CURVE
     if horizon > 0:
         tau, accel, decel, min_gap = driver
-        row, hit, free, leader, gap, _, _ = needed_braking(
+        row, hit, free, leader, gap, _ = needed_braking(
             low, high, along, same_direction, stop_s, closed, swept, others, fleet, i, t, (s, v, a), desired_mps, road,
             table_step, 1.0, horizon, stride, step_s, driver, brakes, predicted, stops,
         )  # fmt: skip
