@@ -626,7 +626,7 @@ class Event(_Section):
 class EventSearch(_Section):
     """The search for a vehicle that brings an event about."""
 
-    candidates: int = _param(600, "vehicles", "rolled out for one event before it is given up", ge=1, le=100_000)
+    candidates: int = _param(1500, "vehicles", "rolled out for one event before it is given up", ge=1, le=100_000)
     tries: int = _param(10, "vehicles", "driven for one event before it is given up", ge=1, le=200)
     moment_s: float = _param(0.5, "s", "an event counts so much before or after the time asked for", ge=0, le=5)
     cut_in_gap_s: float = _param(0.3, "s", "lane_change.time_gap_front_s of a cut-in", ge=0, le=5)

@@ -22,7 +22,7 @@ from hid2.scene import clearance_box
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
 #: Of each driver so many beginnings are looked at, and the first that is free is taken; a place is left out where so
-#: many drivers in a row cannot begin; the fastest of so many is to overtake. No tunables.
+#: many drivers in a row cannot begin; of so many the fastest is to overtake, the quickest to cut in. No tunables.
 _DRAWS, _NOT_BEGUN, _ASKED = 32, 20, 10
 #: Of so many that bring an event about the best are taken before more are drawn. No tunable, spares time.
 _ENOUGH = 8
@@ -114,7 +114,8 @@ class EventStarts(Starts):
     def _driver(self, place: Place, at: int, s: float) -> Driver:
         """A driver who goes with the traffic of its lane, with the target as it is then, or at its fastest.
 
-        What is to overtake the target is the fastest of some drawn on its lane: there is little time.
+        Of some drawn what is to overtake the target is the fastest, and what is to cut in the quickest across: there is
+        little time.
         """
         target, config, kind = self.objective.target, self.scene.config, int(self.rng.integers(3))
         lane_id = place.path.segment_at(s).lane_id
@@ -124,6 +125,9 @@ class EventStarts(Starts):
             flows = [self.scene.lane_speed(lane_id, self.rng)]
         else:
             flows = [float(target.speed[at] if kind == 1 else target.speed[target.present].max())]
+        if self.request.policy is Policy.LANE_CHANGE:
+            drawn = [draw_driver(config, self.rng, lane_speed_mps=flows[0]) for _ in range(_ASKED)]
+            return min(drawn, key=lambda one: one.lane_change_s)
         drawn = [draw_driver(config, self.rng, lane_speed_mps=flow_mps) for flow_mps in flows]
         return max(drawn, key=lambda one: one.desired_mps)
 

@@ -69,7 +69,7 @@ def test_overtaken_vehicle_is_ahead_before_and_behind_after_on_the_same_lane(wit
         assert abs(d[0] - d_leader[0]) < 1.8
         assert abs(d[-1] - d_leader[-1]) < 1.8
         level = int(np.flatnonzero(ahead > 0.0)[0])
-        assert abs(d[level] - d_leader[level]) > 2.5
+        assert abs(d[level] - d_leader[level]) > 2.2  # a lane of 3.5 m less both places in it; boxes are 1.9 m wide
         times = [record.trigger_s, record.requested_s, record.start_s, record.crossing_s, record.end_s]
         assert times == sorted(times)
 
