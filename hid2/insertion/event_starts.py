@@ -106,7 +106,7 @@ class EventStarts(Starts):
         start = self.make(self.request, place.offer, lane_id, raw_s, driver=driver, size=self.size)
         if isinstance(start, Reason):
             return start
-        rolled = replace(self._rolled[start.vehicle_id][0], start=replace(self._made, offset=start.offset))
+        rolled = replace(self.rolled(start)[0], start=replace(self._made, offset=start.offset))
         seen = self.objective.seen(track_of(rolled))
         cost = np.inf if seen is None else self.objective.cost(seen)
         return Candidate(rolled, cost) if cost <= 1.0 else Reason.EVENT_NOT_AS_ASKED
