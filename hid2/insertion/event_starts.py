@@ -162,7 +162,10 @@ class EventStarts(Starts):
         if self.objective.event.brakes_mps2:
             self._made = self._braking(start, moment, float(parts[0].v[moment]))
             parts = (world.roll(self._made),)
-        return world.objection(self._made, parts) or parts
+        found = world.objection(self._made, parts)
+        if found is Reason.TTC_LANE_LEADER and place.side is not None:
+            found = None  # one that stands aside on the lane left counts there: the judge tells before any is driven
+        return found or parts
 
     def _may_change(self, place: Place, s: FloatArray) -> BoolArray:
         """(K,) whether the marking lets a vehicle over at places, m."""
