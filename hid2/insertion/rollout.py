@@ -130,7 +130,7 @@ class World:
     def is_run_into(self, candidate: Foreseen) -> bool:
         """Whether a recorded vehicle comes too near from behind, on the path that it drives itself."""
         scene, own = self.scene, candidate.traffic.first(self.scene.num_steps)
-        recorded, critical_s = scene.traffic.first(scene.num_steps), scene.config.conflict.follower_ttc_min_s
+        recorded, critical_s = scene.traffic, scene.config.conflict.follower_ttc_min_s
         forward = np.stack([np.cos(recorded.heading), np.sin(recorded.heading)], axis=-1)
         offset = own.position - recorded.position
         gap_m = (offset * forward).sum(axis=-1) - 0.5 * (own.length_m + recorded.length_m)[:, None]
