@@ -16,7 +16,7 @@ MODULES = {
     "scenes": ("validate", "scan", "net"),
     "measuring": ("evaluate", "calibrate", "study", "make", "paper"),
     "forecasting": ("compose", "forecast"),
-    "pictures": ("render", "plot", "gui"),
+    "pictures": ("view", "render", "plot", "gui"),
     "configuration": ("config",),
 }
 

@@ -1,13 +1,43 @@
-"""`hid2 render`, `plot` and `gui`: scenes to look at."""
+"""`hid2 view`, `render`, `plot` and `gui`: scenes to look at."""
 
 from pathlib import Path
 
 from bridge.cli import options
 from bridge.cli.app import command
-from bridge.cli.places import check_out_file, one_scene
+from bridge.cli.places import check_out_file, check_scenes, one_scene
+from bridge.cli.session import select_scenes
 from bridge.console import Activity, say
 
 STEP = options.option("Timestep of a picture.", None, "N", min=0, show_default="the last observed one")
+
+
+@command()
+def view(
+    scenes: list[Path] = options.argument("SCENE", "Scenes, recorded or generated: folders of them, splits, roots."),
+    out: Path = options.output("Page to write: .html.", ..., "FILE", "-o"),
+    *,
+    which: options.Which,
+    seed: int = options.selection("Seed of --sample.", 0, "N", min=0),
+    windows: options.Windows,
+    tell: options.Tell,
+) -> None:
+    """Write scenes as one HTML file that a browser plays, without a network: what each vehicle did, and why."""
+    check_scenes(scenes)
+    check_out_file(out)
+    with Activity("looking for scenes", quiet=tell.quiet) as activity:
+        from bridge.pages.viewer import view_scenes
+        from bridge.pictures.figures import check_ending
+        from bridge.recordings.sources import described, find_recordings
+
+        check_ending(out, (".html",))
+        found = find_recordings(scenes, windows.choices())
+        activity.note(*described(found))
+        if any(which):
+            found = select_scenes(found, which.selection(seed), activity, jobs=1)
+        activity.doing("packing scenes")
+        written = view_scenes(found, out, on_scene=activity.show)
+    if not tell.quiet:
+        print(written)
 
 
 @command()

@@ -17,9 +17,10 @@ from matplotlib.path import Path as MplPath
 from matplotlib.ticker import MaxNLocator
 
 from bridge.files import beside, explained
-from bridge.recordings.scenario import Scenario
-from hid2.agents import FloatArray, Policy, Track
+from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario
+from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
+from hid2.policy.behaviours import BEHAVIOURS
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ConfigError
 from netconvert.lane_graph import LaneGraph
@@ -49,6 +50,43 @@ POLICY_COLORS = {
     Policy.LANE_CHANGE: BLUE,
     Policy.OVERTAKE: ORANGE,
 }
+#: Faces of agents by `kind_of`.
+FACES: Mapping[str, str] = {
+    "recorded": "#B4B4B4", "focal": DARK_GREY, "av": SKY, "other": "#B9A7C4", "generated": GENERATED,
+    **{policy.value: color for policy, color in POLICY_COLORS.items()},
+}  # fmt: skip
+#: The map, by what is drawn of it.
+MAP_COLORS: Mapping[str, str] = {
+    "ground": "#F1F1EF", "kerb": "#C9C9C4", "bike": "#E3EEF4", "edge": "#BDBDB8", "centre": "#CFCFCA",
+    "cell": "#A8C4D6", "crossing": "#DDD6C4",
+}  # fmt: skip
+
+
+def kind_of(track: Track, policy: Policy | None = None) -> str:
+    """What an agent is to a picture: a key of FACES. policy: of an inserted vehicle, where it is known."""
+    if is_generated_id(track.track_id):
+        return "generated" if policy is None else policy.value
+    if track.track_id == AV_ID:
+        return "av"
+    if track.object_type not in VEHICLE_TYPES:
+        return "other"
+    return "focal" if track.category == FOCAL_CATEGORY else "recorded"
+
+
+def kinds_in_words(word: str) -> dict[str, str]:
+    """What each key of FACES is called in a legend; word: of the tracks that are not inserted."""
+    return {
+        "recorded": f"{word} vehicle", "focal": f"{word} focal vehicle", "av": "recording vehicle (AV)",
+        "other": "other recorded agent", "generated": "generated vehicle",
+        **{policy.value: f"generated: {one.label} ({one.short})" for policy, one in BEHAVIOURS.items()},
+    }  # fmt: skip
+
+
+def origin_of(graph: LaneGraph) -> FloatArray:
+    """(2,) m, where the coordinates of every picture of a map begin: a round place south-west of it, city frame."""
+    points = [*graph.drivable_areas, *(lane.centerline for lane in graph.lanes.values())]
+    low: FloatArray = np.min([line[:, :2].min(axis=0) for line in points], axis=0)
+    return np.floor(low / 100) * 100
 
 
 def style() -> None:
@@ -72,29 +110,34 @@ def draw_map(axes: Axes, graph: LaneGraph, *, cells: bool = False) -> None:
     """The map from above, in city coordinates: drivable area, lane boundaries, centrelines, cells on request."""
     parts = shapely.get_parts(graph.drivable)
     areas = [_patch(part) for part in parts if isinstance(part, shapely.Polygon) and not part.is_empty]
-    axes.add_collection(PatchCollection(areas, facecolor="#F1F1EF", edgecolor="#C9C9C4", linewidth=0.6, zorder=0))
+    axes.add_collection(
+        PatchCollection(areas, facecolor=MAP_COLORS["ground"], edgecolor=MAP_COLORS["kerb"], linewidth=0.6, zorder=0)
+    )
     sides = [(lane, lane.left_boundary, lane.right_boundary) for lane in graph.lanes.values()]
     bike = [
         np.concatenate([left, right[::-1]])
         for lane, left, right in sides
         if lane.lane_type == "BIKE" and left is not None and right is not None
     ]
-    axes.add_collection(PolyCollection(bike, facecolor="#E3EEF4", edgecolor="none", zorder=1))
+    axes.add_collection(PolyCollection(bike, facecolor=MAP_COLORS["bike"], edgecolor="none", zorder=1))
+    crossings = PolyCollection(graph.pedestrian_crossings, facecolor=MAP_COLORS["crossing"], alpha=0.5, zorder=1)
+    axes.add_collection(crossings)
     edges = [line for _, *lines in sides for line in lines if line is not None]
-    axes.add_collection(LineCollection(edges, colors="#BDBDB8", linewidths=0.5, zorder=2))
+    axes.add_collection(LineCollection(edges, colors=MAP_COLORS["edge"], linewidths=0.5, zorder=2))
     centers = [lane.centerline for lane, *_ in sides if lane.lane_type != "BIKE"]
-    axes.add_collection(LineCollection(centers, colors="#CFCFCA", linewidths=0.5, linestyles=(0, (4, 4)), zorder=2))
+    axes.add_collection(
+        LineCollection(centers, colors=MAP_COLORS["centre"], linewidths=0.5, linestyles=(0, (4, 4)), zorder=2)
+    )
     if cells:
         outlines = [shapely.get_coordinates(p.exterior) for p in build_cell_grid(graph).polygons if not p.is_empty]
-        axes.add_collection(LineCollection(outlines, colors="#A8C4D6", linewidths=0.35, zorder=2))
+        axes.add_collection(LineCollection(outlines, colors=MAP_COLORS["cell"], linewidths=0.35, zorder=2))
 
 
-def frame(axes: Axes, low: FloatArray, high: FloatArray, *, aspect: float) -> None:
-    """Show the ground from `low` to `high` at the same scale both ways; ticks in m from a round place nearby.
+def frame(axes: Axes, low: FloatArray, high: FloatArray, *, origin: FloatArray, aspect: float) -> None:
+    """Show the ground from `low` to `high` at the same scale both ways; ticks in m from the origin (`origin_of`).
 
     aspect: width over height that the shown ground is widened to.
     """
-    origin = np.floor(low / 100) * 100
     middle, half = (low + high) / 2, (high - low) / 2
     half = np.array([max(half[0], half[1] * aspect), max(half[1], half[0] / aspect)])
     axes.set_xlim(middle[0] - half[0], middle[0] + half[0])

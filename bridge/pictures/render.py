@@ -25,13 +25,13 @@ from bridge.config import word_for_recorded
 from bridge.files import beside, explained
 from bridge.pictures import figures
 from bridge.recordings.folders import Address
-from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario
+from bridge.recordings.scenario import FOCAL_CATEGORY, Scenario
 from bridge.recordings.sidecar import ManeuverRecord, sidecar_in
 from bridge.recordings.sources import read_recording
-from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
+from hid2.agents import FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
 from hid2.measures.manoeuvres import ManeuverKind
-from hid2.policy.behaviours import BEHAVIOURS, behaviour_seen
+from hid2.policy.behaviours import behaviour_seen
 from netconvert.errors import ConfigError, ExportError
 from netconvert.geometry import box_corners
 
@@ -46,12 +46,13 @@ _GIF_COLORS = 128
 MARGIN_M = 15.0
 #: Ground shown around one agent's path.
 AGENT_MARGIN_M = 25.0
-_OTHER = "#B9A7C4"
-_RECORDED = "#B4B4B4"
-
 
 #: Manoeuvres with the ids of their tracks.
 _Done = tuple[tuple[str, ManeuverRecord], ...]
+
+
+#: Who is drawn above whom; inserted ones above all.
+_ORDER = {"other": 3, "recorded": 4, "focal": 4, "av": 5}
 
 
 class _Look(NamedTuple):
@@ -127,8 +128,8 @@ def draw_scene(
     """Draw a scene, recorded or generated, into axes of your own: map, vehicles in the colours of their policies, ids.
 
     step: a timestep (default: the last observed one). agent: a track to highlight, whose surroundings are shown. Axes
-    are in metres from a round place nearby, at the same scale both ways; more ground is shown where the axes are wider
-    or higher than the scene. Errors: ConfigError for an unknown step or track.
+    are in metres from `figures.origin_of` the map, at the same scale both ways; more ground is shown where the axes are
+    wider or higher than the scene. Errors: ConfigError for an unknown step or track.
     """
     shown = figures.check_step(scenario, step)
     panel = _panels(scenario, None)[-1]
@@ -136,7 +137,8 @@ def draw_scene(
     figures.draw_map(axes, scenario.graph, cells=cells)
     _put(panel, axes, shown, agent=agent, whole_paths=True)
     room = axes.get_window_extent()
-    figures.frame(axes, low, high, aspect=room.width / room.height)
+    origin = figures.origin_of(scenario.graph)
+    figures.frame(axes, low, high, origin=origin, aspect=room.width / room.height)
 
 
 def _panels(scenario: Scenario, source: Address | None) -> list[_Panel]:
@@ -176,14 +178,8 @@ def _panels(scenario: Scenario, source: Address | None) -> list[_Panel]:
 def _look(track: Track, policy: Policy | None) -> _Look:
     focal = track.category == FOCAL_CATEGORY
     edge, width = (figures.BLACK, 1.6) if focal else ("#333333", 0.4)
-    if is_generated_id(track.track_id):
-        face = figures.POLICY_COLORS[policy] if policy is not None else figures.GENERATED
-        return _Look(face, edge, width, 6)
-    if track.track_id == AV_ID:
-        return _Look(figures.SKY, edge, width, 5)
-    if track.object_type in VEHICLE_TYPES:
-        return _Look(_RECORDED if not focal else figures.DARK_GREY, edge, width, 4)
-    return _Look(_OTHER, edge, width, 3)
+    kind = figures.kind_of(track, policy)
+    return _Look(figures.FACES[kind], edge, width, _ORDER.get(kind, 6))
 
 
 def _window(scenario: Scenario, agent: str | None) -> tuple[FloatArray, FloatArray]:
@@ -297,7 +293,7 @@ class _Drawing:
         self.panels = list(zip(panels, axes[0], strict=True))
         for panel, ax in self.panels:
             figures.draw_map(ax, panel.scenario.graph, cells=cells)
-            figures.frame(ax, low, high, aspect=aspect)
+            figures.frame(ax, low, high, origin=figures.origin_of(panel.scenario.graph), aspect=aspect)
             ax.set_title(panel.title)
         self.legend()
         self.clock = self.figure.suptitle("0.0 s", x=0.01, ha="left", fontsize=11, fontweight="bold")
@@ -308,12 +304,7 @@ class _Drawing:
         panel = self.panels[-1][0]
         faces = {look.face for look in panel.looks.values()}
         word = word_for_recorded(panel.scenario.scenario_id)
-        names = [(f"{word} vehicle", _RECORDED), (f"{word} focal vehicle", figures.DARK_GREY)]
-        names += [("recording vehicle (AV)", figures.SKY), ("other recorded agent", _OTHER)]
-        names += [
-            (f"generated: {BEHAVIOURS[policy].label} ({BEHAVIOURS[policy].short})", color)
-            for policy, color in figures.POLICY_COLORS.items()
-        ]
+        names = [(says, figures.FACES[kind]) for kind, says in figures.kinds_in_words(word).items()]
         handles: list[Patch | Line2D] = [
             Patch(facecolor=color, edgecolor="#333333", linewidth=0.4, label=name)
             for name, color in names
@@ -410,7 +401,7 @@ def palette_of(picture: Image.Image, colors: int) -> Image.Image:
 
     Vehicles cover too little ground for theirs to be kept.
     """
-    kept = [*figures.POLICY_COLORS.values(), figures.SKY, figures.DARK_GREY, figures.HIGHLIGHT, _RECORDED, _OTHER]
+    kept = [*dict.fromkeys(figures.FACES.values()), figures.HIGHLIGHT]
     own = [int(color[k : k + 2], 16) for color in kept for k in (1, 3, 5)]
     palette = Image.new("P", (1, 1))
     palette.putpalette((picture.quantize(colors - len(kept)).getpalette() or []) + own)
