@@ -1,7 +1,7 @@
 #!/bin/sh
 # Makes .venv/ with the command hid2 and all that it needs, at the versions, and with the hashes, of requirements.txt.
-# "sh setup.sh tests" adds sumo-gui, a virtual screen for it, and the tools of the tests; "sh setup.sh forecast" the small
-# forecaster's torch, without CUDA unless UV_TORCH_BACKEND says so. Completed steps are skipped.
+# "sh setup.sh tests" adds sumo-gui, a virtual screen for it, a browser, and the tools of the tests; "sh setup.sh forecast"
+# the small forecaster's torch, without CUDA unless UV_TORCH_BACKEND says so. Completed steps are skipped.
 set -eu
 UV_VERSION=0.13.8
 cd "$(dirname "$0")"
@@ -36,7 +36,7 @@ for candidate in python3 python3.11 python3.12; do
 done
 [ -n "$python" ] || fail "found no Python 3.11 or 3.12 with pip: please install one"
 
-# Shared libraries that the SUMO wheels need, and the virtual screen: Debian's packages, where something is missing.
+# Shared libraries that the SUMO wheels need, virtual screen and browser: Debian's packages, where something is missing.
 missing_packages() {
     [ "$(uname)" = Linux ] || return 0
     "$python" - "$@" <<'PYTHON'
@@ -55,6 +55,8 @@ for library, package in WANTED.items():
         print(package)
 if "tests" in sys.argv and not shutil.which("Xvfb"):
     print("xvfb libgl1-mesa-dri")
+if "tests" in sys.argv and not shutil.which("chromium"):
+    print("chromium")
 PYTHON
 }
 # Root may install them; at a terminal of a machine of its own, where others may care what it has, when the answer is yes.
@@ -79,7 +81,7 @@ if [ -n "$packages" ]; then
     elif [ -n "$(missing_packages)" ]; then
         fail "please install, then call this again (Debian's names): apt-get install --no-install-recommends $packages"
     else
-        echo "setup.sh: the tests of sumo-gui need more, and may be skipped without:" \
+        echo "setup.sh: the tests of sumo-gui and of hid2 view need more, and are skipped without:" \
             "apt-get install --no-install-recommends $packages" >&2
     fi
 fi

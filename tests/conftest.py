@@ -5,13 +5,14 @@ spoil, and hand-made generated tracks, so that export and validation are tested 
 import json
 import os
 import shutil
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from browser import Page, chromium
 
 from bridge.config import config_sha256, config_to_dict, load_config
 from bridge.recordings.export import new_scenario_id
@@ -66,6 +67,13 @@ def tmp_path(tmp_path: Path) -> Path:
     folder = tmp_path / "work"
     folder.mkdir()
     return folder
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """A page of a browser. Without Chromium a test that needs it is skipped, which fails where CI is set."""
+    with chromium(tmp_path_factory.mktemp("browser")) as page:
+        yield page
 
 
 @pytest.fixture(scope="session")

@@ -180,7 +180,9 @@ class _Rounds:
     def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, fixed: Traffic) -> DrivenVehicle:
         """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
         roads = self._filling.surroundings.roads
-        return Driving(Fleet(scene, [start], fixed, roads, stop_lines), self._simulation, checked=False).run()[0]
+        (vehicle,) = Driving(Fleet(scene, [start], fixed, roads, stop_lines), self._simulation, checked=False).run()
+        self.driven.append((0, vehicle))
+        return vehicle
 
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
         """One simulation; in the first one the poses of all recorded agents are measured, where that is asked for."""

@@ -43,9 +43,9 @@ from netconvert.errors import ScenarioError
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
 #: Quantum of metres and of what is made of them, and of headings, rad.
-METRE, RADIAN = 0.01, 0.001
-#: A number that is not there, before differences are taken.
-NONE = -32768
+METRE, RADIAN = 0.001, 0.0001
+#: A number that is not there, before differences are taken: the least of 32 bits, in which they are summed.
+NONE = -(2**31)
 #: What of a look at a gap is shown, of the columns of gaps_<id>.csv.gz.
 LOOK_COLUMNS = (
     "time_s", "side", "lane_id", "cell", "cells_free", "lead_id", "lead_gap_m", "lag_id", "lag_gap_m", "remaining_m",

@@ -71,6 +71,10 @@ class Page:
             assert time.monotonic() < end, f"never true: {expression}; errors: {self.errors}"
             time.sleep(0.02)
 
+    def drawn(self) -> None:
+        """Wait until what was asked for is drawn: for two frames."""
+        self.js("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))).then(() => 0)")
+
     def size(self, width: int, height: int) -> None:
         """The size of the window, px."""
         self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
