@@ -12,7 +12,7 @@ import pytest
 
 Run = Callable[..., Any]
 COMMANDS = (
-    "generate", "net", "validate", "evaluate", "calibrate", "render", "plot", "config", "scan", "study", "make",
+    "generate", "net", "validate", "evaluate", "calibrate", "view", "render", "plot", "config", "scan", "study", "make",
     "paper", "gui", "compose", "forecast",
 )  # fmt: skip
 
@@ -51,6 +51,25 @@ def test_help_imports_neither_sumo_nor_pandas() -> None:
     heavy = ("libsumo", "pandas", "pyarrow", "distributed", "numpy", "rich", "matplotlib")
     code = f"import sys, bridge.cli.commands; sys.exit(any(name in sys.modules for name in {heavy}))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_view_writes_one_page_of_several_folders(hid2: Run, generated: Path, data_root: Path, tmp_path: Path) -> None:
+    result = hid2("view", generated, data_root, "-o", tmp_path / "page.html")
+    assert (result.returncode, result.stdout) == (0, f"{tmp_path / 'page.html'}\n")
+    assert (tmp_path / "page.html").read_text().count('class="packed"') == 4
+    few = hid2("view", data_root, "--city", "austin", "--sample", 1, "-o", tmp_path / "one.html", "-q")
+    assert (few.returncode, few.stdout, few.stderr) == (0, "", "")
+    assert (tmp_path / "one.html").read_text().count('class="packed"') == 1
+
+
+def test_view_of_nothing_or_into_another_ending_is_one_line(hid2: Run, data_root: Path, tmp_path: Path) -> None:
+    wrong = hid2("view", data_root, "-o", tmp_path / "page.pdf")
+    assert wrong.returncode == 2
+    assert last_message(wrong).endswith("page.pdf: ending '.pdf' is not supported; expected one of .html")
+    nothing = hid2("view", tmp_path, "-o", tmp_path / "page.html")
+    assert nothing.returncode == 2
+    assert "no scenario; expected" in last_message(nothing)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_net_writes_its_files_and_reports(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
