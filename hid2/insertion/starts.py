@@ -183,7 +183,7 @@ class Starts:
             return Reason.TTC_RECORDED_FOLLOWER
         anew = [candidate]
         for one in self.world.hindered(candidate):
-            around = self.world.beside(candidate, one.start.vehicle_id)
+            around = self.world.joined_by(candidate, without=one.start.vehicle_id)
             still = self._does(around, one.start)
             if isinstance(still, Reason):
                 return Reason.MEETS_GENERATED
