@@ -14,8 +14,8 @@ import numpy as np
 from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import Guard
 from hid2.insertion.due import Due, is_due
-from hid2.judge.findings import last_word
-from hid2.judge.states import contacts_at_end
+from hid2.judge.findings import FOLLOWER_HEADWAY_S, last_word
+from hid2.judge.states import contacts_at_end, kept_headways, sustained_headway
 from hid2.kernels.polyline import frenet
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
 from hid2.measures.scene_end import BoxesAtStep
@@ -77,16 +77,21 @@ class Foreseen:
 
 @dataclass(eq=False, slots=True)
 class World:
-    """What candidates are rolled out against. guard: with those kept, whose motion is settled, and those chosen."""
+    """What candidates are rolled out against. guard: with those kept, whose motion is settled, and those chosen.
+
+    target_id: of an event, which is about the gap that is left to it.
+    """
 
     scene: Scene
     roads: Roads
     guard: Guard
+    target_id: str | None = None
     _kept: Traffic = field(init=False)
     _chosen: dict[str, Foreseen] = field(default_factory=dict)
     _joined: dict[tuple[Traffic, Foreseen], Traffic] = field(default_factory=dict)
     _at_begin: tuple[Traffic, Traffic] | None = None
     _shown: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, Shown]] = field(default_factory=dict)
+    _kept_s: dict[int, float] | None = None
     _links: dict[DrivenPath, tuple[FloatArray, FloatArray, FloatArray]] = field(default_factory=dict)
     _known: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, PathOccupancy]] = field(default_factory=dict)
 
@@ -125,8 +130,11 @@ class World:
         """A candidate with its motion."""
         return Foreseen(start, parts, self._as_traffic(start, parts))
 
-    def is_run_into(self, candidate: Foreseen) -> bool:
-        """Whether a recorded vehicle comes too near from behind, on the path that it drives itself."""
+    def harries(self, candidate: Foreseen) -> Reason | None:
+        """What a recorded vehicle that comes up from behind suffers, on the path that it drives itself; None: nothing.
+
+        It is left with too little time to collision, or with a time headway that it never kept in the recording.
+        """
         scene, own = self.scene, candidate.traffic.first(self.scene.num_steps)
         recorded, critical_s = scene.traffic, scene.config.conflict.follower_ttc_min_s
         forward = np.stack([np.cos(recorded.heading), np.sin(recorded.heading)], axis=-1)
@@ -134,10 +142,31 @@ class World:
         gap_m = (offset * forward).sum(axis=-1) - 0.5 * (own.length_m + recorded.length_m)[:, None]
         aside_m = np.abs(offset[..., 1] * forward[..., 0] - offset[..., 0] * forward[..., 1])
         closing = ((recorded.velocity - own.velocity) * forward).sum(axis=-1)
-        near = (gap_m > -own.length_m) & (gap_m < _FOLLOWS_M + critical_s * closing) & (aside_m < _ASIDE_M)
+        speed = np.hypot(recorded.velocity[..., 0], recorded.velocity[..., 1])
+        room_m = np.maximum(_FOLLOWS_M + critical_s * closing, FOLLOWER_HEADWAY_S * speed)
+        near = (gap_m > -own.length_m) & (gap_m < room_m) & (aside_m < _ASIDE_M)
         near &= own.present & recorded.present
-        rows = np.flatnonzero(near.any(axis=1) & moving_vehicles(scene.states.arrays))
-        return any(scene.states.led_by(row, own).ttc_s.min(initial=math.inf) < critical_s for row in rows.tolist())
+        rows = np.flatnonzero(near.any(axis=1) & moving_vehicles(scene.states.arrays)).tolist()
+        for row in rows:
+            led = scene.states.led_by(row, own)
+            if led.ttc_s.min(initial=math.inf) < critical_s:
+                return Reason.TTC_RECORDED_FOLLOWER
+            if led.rows.size and self._tailgates(row, led.gap_m[0] + own.length_m[0]):
+                return Reason.FOLLOWER_HEADWAY
+        return None
+
+    def _tailgates(self, follower: int, front_m: FloatArray) -> bool:
+        """Whether a recorded vehicle has a time headway that it never kept. front_m (T,): from front to front."""
+        states = self.scene.states
+        if states.arrays.track_ids[follower] == self.target_id:
+            return False
+        speed = np.hypot(*states.traffic.velocity[follower].T)
+        headway_s, _ = sustained_headway(front_m, speed, self.scene.step_s)
+        if headway_s >= FOLLOWER_HEADWAY_S:
+            return False
+        if self._kept_s is None:
+            self._kept_s = kept_headways(states)
+        return self._kept_s.get(follower, math.inf) > headway_s
 
     def meets_after(self, candidate: Foreseen) -> bool:
         """Whether a candidate has a critical contact after its last step, all at constant velocity."""
