@@ -110,6 +110,10 @@ class Reason(StrEnum):
     LIMIT_YAW_ACCEL = "limit_yaw_accel", "It exceeds the yaw acceleration allowed."
     AGAINST_LANE = "against_lane", "It drives at too large an angle to every lane below it."
     TTC_LANE_LEADER = "ttc_lane_leader", "TTC to its leader on the path driven falls below the critical value."
+    FOLLOWER_HEADWAY = (
+        "follower_headway",
+        "A recorded follower, which does not react, would drive on its bumper: too short a time headway for a second.",
+    )
     TTC_RECORDED_FOLLOWER = (
         "ttc_recorded_follower",
         "A recorded vehicle closes in on it from behind below the critical TTC.",

@@ -15,7 +15,7 @@ from bridge.evaluation.scene_metrics import PAIR_GROUPS, PAIR_KINDS, SceneMeasur
 from bridge.recordings.folders import Address
 from hid2.evaluation.metrics import Section, metrics_in
 from hid2.evaluation.realism import FEATURES, TAIL_SHARES, TAILS, RealismCounts, quantiles
-from hid2.judge.findings import NOTES, Quantity
+from hid2.judge.findings import Quantity
 from hid2.measures.arrays import BoolArray
 
 #: Nets of at most this many different maps are measured.
@@ -173,7 +173,6 @@ class Totals:
                 quantity.value: {
                     "findings": self._findings[quantity.value],
                     "limit": quantity.sentence,
-                    "kind": "note" if quantity in NOTES else "error",
                 }
                 for quantity in Quantity
                 if self._findings[quantity.value]

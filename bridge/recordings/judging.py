@@ -27,14 +27,21 @@ def states_of(
 def findings_of(states: AgentStates, graph: LaneGraph, sidecar: Sidecar | None) -> list[Finding]:
     """What the judge finds in a scene and in what its sidecar claims, by the limits that hold for every scene.
 
-    A criticality that was asked for is no finding: of the vehicle of an event with its band.
+    A criticality that was asked for is no finding: of the vehicle of an event with its band, and the headway that it
+    leaves to its target, whose gap is what the event is about.
     """
     found = judge(states, graph, Bounds())
     if sidecar is None:
         return found
     allowed = _allowed(sidecar)
-    found = [one for one in found if one.value < allowed.get((one.track_id, one.quantity), float("inf"))]
-    return found + judge_claims(states, *claims_of(sidecar))
+    claims, events = claims_of(sidecar)
+    pairs = {(event.track_id, event.target_id) for event in events}
+    found = [
+        one for one in found
+        if one.value < allowed.get((one.track_id, one.quantity), float("inf"))
+        and not (one.quantity is Quantity.FOLLOWER_HEADWAY and (one.track_id, one.other) in pairs)
+    ]  # fmt: skip
+    return found + judge_claims(states, claims, events)
 
 
 def claims_of(sidecar: Sidecar) -> tuple[list[Claim], list[EventClaim]]:

@@ -40,13 +40,10 @@ from bridge.recordings.sidecar_rules import check_sidecar
 from bridge.recordings.sources import find_recordings, read_recording
 from hid2.agents import BoxSize
 from hid2.evaluation.safety import overlaps
-from hid2.judge.findings import NOTES
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import AgentStates
 from netconvert.errors import Hid2Error, ScenarioError
 
-#: Rules whose breaches are told and are no faults.
-_NOTED = frozenset({RECORDED, *(quantity.value for quantity in NOTES)})
 _OTHER = "no other parquet file anywhere under OUT: readers take every one they find"
 
 
@@ -65,7 +62,7 @@ class Finding(NamedTuple):
     @property
     def is_note(self) -> bool:
         """Whether it is told and is no fault of the scene."""
-        return self.rule in _NOTED
+        return self.rule == RECORDED
 
     def line(self) -> str:
         """As it is printed."""

@@ -9,7 +9,7 @@ from bridge.sumo.fleet import Fleet
 from bridge.sumo.routes import edges_along
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
-from hid2.insertion.due import Across, Due, foreseen_speeds
+from hid2.insertion.due import Across, Due, foreseen_speeds, is_due
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
@@ -42,18 +42,10 @@ def apply_policy(
     traffic: the fleet as it is now (one step); only a vehicle with a manoeuvre due asks for it. on_lane: what
     Algorithm 1 comes to on its lane without one.
     """
-    vehicle, config = fleet.vehicles[row], fleet.scene.config
-    request, shifts = vehicle.start.request, vehicle.path.shifts
-    if shifts and vehicle.stage in (Stage.ENTER, Stage.RETURN):
-        if vehicle.s[-1] >= shifts[-1][1]:
-            passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
-            vehicle.stage = Stage.PASS if passing else Stage.DONE
-        else:
-            _keep_time(fleet, row, now)
-    time_s = now * fleet.scene.step_s
-    due = time_s >= request.trigger_s and vehicle.stage in (Stage.WAITING, Stage.PASS)
-    if due and vehicle.stage is Stage.WAITING and time_s > request.trigger_s + config.lane_change.give_up_s:
-        vehicle.stage, due = Stage.ABORTED, False
+    vehicle = fleet.vehicles[row]
+    due = is_due(vehicle, fleet.scene, now)
+    if vehicle.stage in (Stage.ENTER, Stage.RETURN):
+        _keep_time(fleet, row, now)
     if not due:  # nothing to be asked: it keeps to its lane, as `decide` says
         vehicle.policies[on_lane] += 1
         return None

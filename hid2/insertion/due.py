@@ -40,6 +40,17 @@ class Across:
         vehicle.stage, vehicle.reason, vehicle.leader_id = self.stage, None, self.leader_id
 
 
+def is_due(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
+    """Take a manoeuvre on by where the vehicle is; whether Algorithm 1 is to be asked at this step."""
+    time_s, trigger_s = now * scene.step_s, vehicle.start.request.trigger_s
+    if vehicle.stage in (Stage.ENTER, Stage.RETURN) and vehicle.s[-1] >= vehicle.path.shifts[-1][1]:
+        passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
+        vehicle.stage = Stage.PASS if passing else Stage.DONE
+    if vehicle.stage is Stage.WAITING and time_s > trigger_s + scene.config.lane_change.give_up_s:
+        vehicle.stage = Stage.ABORTED
+    return time_s >= trigger_s and vehicle.stage in (Stage.WAITING, Stage.PASS)
+
+
 def foreseen_speeds(vehicle: DrivenVehicle, scene: Scene, now: int) -> FloatArray:
     """(M,) m/s of a vehicle at the steps to come: up to its wish on a free road."""
     start = vehicle.start

@@ -65,6 +65,7 @@ class EventStarts(Starts):
     def __post_init__(self) -> None:
         """Nothing is rolled out yet."""
         Starts.__post_init__(self)
+        self.world.target_id = self.objective.target.track.track_id
         self._box = clearance_box(self.size, DEFAULT_SIZES["vehicle"])
 
     def draw(self, count: int) -> list[Candidate]:

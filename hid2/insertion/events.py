@@ -194,7 +194,8 @@ class EventSearch:
         seen = objective.seen(vehicle.track(driven.vehicle_id, 1))
         if seen is None or objective.cost(seen) > 1.0:
             return driven.reason or Reason.EVENT_NOT_AS_ASKED
-        conflicts = conflicting(objective.scene, [*self.kept, vehicle])
+        target_id = objective.target.track.track_id
+        conflicts = conflicting(objective.scene, [*self.kept, vehicle], target_id=target_id)
         own = next((reason for row, reason in conflicts if row >= len(self.kept)), None)
         return own or (vehicle, seen)
 

@@ -7,7 +7,17 @@ import numpy as np
 
 from hid2.agents import FloatArray, Track
 from hid2.judge.findings import Finding, Quantity, last_word
-from hid2.judge.states import of_boxes, of_crossings, of_end, of_followers, of_lanes, of_leaders, of_motion, of_road
+from hid2.judge.states import (
+    headways,
+    of_boxes,
+    of_crossings,
+    of_end,
+    of_followers,
+    of_lanes,
+    of_leaders,
+    of_motion,
+    of_road,
+)
 from hid2.measures.following import leaders
 from hid2.measures.motion_limits import MOTION_LIMITS
 from hid2.motion.smoothing import Motion, Trajectory, smooth_motion, trajectory
@@ -24,6 +34,7 @@ _REASONS = {Quantity(limit.name): limit.reason for limit in MOTION_LIMITS} | {
     Quantity.OFF_ROAD: Reason.OFF_ROAD,
     Quantity.TTC_LEADER: Reason.TTC_LANE_LEADER,
     Quantity.TTC_FOLLOWER: Reason.TTC_RECORDED_FOLLOWER,
+    Quantity.FOLLOWER_HEADWAY: Reason.FOLLOWER_HEADWAY,
     Quantity.PET: Reason.PET,
     Quantity.END_TTC: Reason.TTC_AT_END,
     Quantity.END_CONTACT: Reason.TTC_AT_END,
@@ -209,17 +220,21 @@ def _beside_others(scene: Scene, vehicle: ExportedVehicle, states: AgentStates) 
     return verdict or replace(vehicle, min_ttc_s=float(led.ttc_s.min(initial=np.inf)))
 
 
-def conflicting(scene: Scene, exported: Sequence[ExportedVehicle], *, since: int = 0) -> list[tuple[int, Reason]]:
+def conflicting(
+    scene: Scene, exported: Sequence[ExportedVehicle], *, since: int = 0, target_id: str | None = None
+) -> list[tuple[int, Reason]]:
     """Rows of exported vehicles that are in conflict with others when all are looked at together, with the reason.
 
     Of two exported vehicles the later row: one that was kept before another one was driven did not react to that one.
-    since: the first row that is asked about; vehicles before it have been looked at together.
+    since: the first row that is asked about; vehicles before it have been looked at together; target_id: of an event,
+    which is about the gap that is left to it.
     """
     config, bounds = scene.config, last_word(scene.config)
     if len(exported) <= since or {"collision", "topology"} & config.without:
         return []
     states, first = together(scene, exported), scene.states.arrays.num_agents
-    findings = [*of_lanes(states, leaders(states.arrays, states.lanes, states.matches), bounds)]
+    led = leaders(states.arrays, states.lanes, states.matches)
+    findings = [*of_lanes(states, led, bounds), *(one for one in headways(states, led) if one.other != target_id)]
     rows = first + np.arange(len(exported))
     findings += of_followers(states, rows[since:], bounds)
     for row in rows.tolist():

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hid2.agents import BoxSize, FloatArray, Policy
+from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import Guard
-from hid2.insertion.due import Due
-from hid2.judge.findings import last_word
-from hid2.judge.states import contacts_at_end
+from hid2.insertion.due import Due, is_due
+from hid2.judge.findings import FOLLOWER_HEADWAY_S, last_word
+from hid2.judge.states import contacts_at_end, kept_headways, sustained_headway
 from hid2.kernels.polyline import frenet
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
 from hid2.measures.scene_end import BoxesAtStep
@@ -77,15 +77,21 @@ class Foreseen:
 
 @dataclass(eq=False, slots=True)
 class World:
-    """What candidates are rolled out against. guard: with those kept, whose motion is settled, and those chosen."""
+    """What candidates are rolled out against. guard: with those kept, whose motion is settled, and those chosen.
+
+    target_id: of an event, which is about the gap that is left to it.
+    """
 
     scene: Scene
     roads: Roads
     guard: Guard
+    target_id: str | None = None
     _kept: Traffic = field(init=False)
     _chosen: dict[str, Foreseen] = field(default_factory=dict)
+    _joined: dict[tuple[Traffic, Foreseen], Traffic] = field(default_factory=dict)
     _at_begin: tuple[Traffic, Traffic] | None = None
     _shown: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, Shown]] = field(default_factory=dict)
+    _kept_s: dict[int, float] | None = None
     _links: dict[DrivenPath, tuple[FloatArray, FloatArray, FloatArray]] = field(default_factory=dict)
     _known: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, PathOccupancy]] = field(default_factory=dict)
 
@@ -103,32 +109,32 @@ class World:
 
     def choose(self, *candidates: Foreseen) -> None:
         """Candidates after these are rolled out against them; one that was chosen before has another motion now."""
-        anew = any(one.start.vehicle_id in self._chosen for one in candidates)
         self._chosen |= {one.start.vehicle_id: one for one in candidates}
-        if anew:
-            self.guard.fixed = self._kept.joined(*(one.traffic for one in self._chosen.values()))
-        else:
-            self.guard.fixed = self.guard.fixed.joined(*(one.traffic for one in candidates))
+        fixed = self._kept
+        for one in self._chosen.values():  # one after the other: what is known of those before stays known
+            if (fixed, one) not in self._joined:
+                self._joined[fixed, one] = fixed.joined(one.traffic)
+            fixed = self._joined[fixed, one]
+        self.guard.fixed = fixed
 
-    def beside(self, candidate: Foreseen, chosen_id: str) -> "World":
-        """The world of one that is chosen, with another candidate in it."""
-        others = [one.traffic for name, one in self._chosen.items() if name != chosen_id]
-        fixed = self._kept.joined(*others, candidate.traffic)
-        return World(self.scene, self.roads, Guard(self.scene, fixed, self.guard.stop_lines))
-
-    def joined_by(self, *candidates: Foreseen) -> "World":
-        """The same with candidates chosen, which need not be taken in the end."""
+    def joined_by(self, *candidates: Foreseen, without: str | None = None) -> "World":
+        """The same with candidates chosen, which need not be taken in the end; to roll out anew one that is chosen."""
         found = World(self.scene, self.roads, Guard(self.scene, self._kept, self.guard.stop_lines))
-        found._chosen, found.guard.fixed = dict(self._chosen), self.guard.fixed
+        found._chosen, found._joined = dict(self._chosen), self._joined
         found.choose(*candidates)
+        if without is not None:
+            found.guard.fixed = found.guard.fixed.without(without)
         return found
 
     def foreseen(self, start: Start, parts: tuple[Rollout, ...]) -> Foreseen:
         """A candidate with its motion."""
         return Foreseen(start, parts, self._as_traffic(start, parts))
 
-    def is_run_into(self, candidate: Foreseen) -> bool:
-        """Whether a recorded vehicle comes too near from behind, on the path that it drives itself."""
+    def harries(self, candidate: Foreseen) -> Reason | None:
+        """What a recorded vehicle that comes up from behind suffers, on the path that it drives itself; None: nothing.
+
+        It is left with too little time to collision, or with a time headway that it never kept in the recording.
+        """
         scene, own = self.scene, candidate.traffic.first(self.scene.num_steps)
         recorded, critical_s = scene.traffic, scene.config.conflict.follower_ttc_min_s
         forward = np.stack([np.cos(recorded.heading), np.sin(recorded.heading)], axis=-1)
@@ -136,10 +142,31 @@ class World:
         gap_m = (offset * forward).sum(axis=-1) - 0.5 * (own.length_m + recorded.length_m)[:, None]
         aside_m = np.abs(offset[..., 1] * forward[..., 0] - offset[..., 0] * forward[..., 1])
         closing = ((recorded.velocity - own.velocity) * forward).sum(axis=-1)
-        near = (gap_m > -own.length_m) & (gap_m < _FOLLOWS_M + critical_s * closing) & (aside_m < _ASIDE_M)
+        speed = np.hypot(recorded.velocity[..., 0], recorded.velocity[..., 1])
+        room_m = np.maximum(_FOLLOWS_M + critical_s * closing, FOLLOWER_HEADWAY_S * speed)
+        near = (gap_m > -own.length_m) & (gap_m < room_m) & (aside_m < _ASIDE_M)
         near &= own.present & recorded.present
-        rows = np.flatnonzero(near.any(axis=1) & moving_vehicles(scene.states.arrays))
-        return any(scene.states.led_by(row, own).ttc_s.min(initial=math.inf) < critical_s for row in rows.tolist())
+        rows = np.flatnonzero(near.any(axis=1) & moving_vehicles(scene.states.arrays)).tolist()
+        for row in rows:
+            led = scene.states.led_by(row, own)
+            if led.ttc_s.min(initial=math.inf) < critical_s:
+                return Reason.TTC_RECORDED_FOLLOWER
+            if led.rows.size and self._tailgates(row, led.gap_m[0] + own.length_m[0]):
+                return Reason.FOLLOWER_HEADWAY
+        return None
+
+    def _tailgates(self, follower: int, front_m: FloatArray) -> bool:
+        """Whether a recorded vehicle has a time headway that it never kept. front_m (T,): from front to front."""
+        states = self.scene.states
+        if states.arrays.track_ids[follower] == self.target_id:
+            return False
+        speed = np.hypot(*states.traffic.velocity[follower].T)
+        headway_s, _ = sustained_headway(front_m, speed, self.scene.step_s)
+        if headway_s >= FOLLOWER_HEADWAY_S:
+            return False
+        if self._kept_s is None:
+            self._kept_s = kept_headways(states)
+        return self._kept_s.get(follower, math.inf) > headway_s
 
     def meets_after(self, candidate: Foreseen) -> bool:
         """Whether a candidate has a critical contact after its last step, all at constant velocity."""
@@ -153,17 +180,31 @@ class World:
 
     def hindered(self, candidate: Foreseen) -> list[Foreseen]:
         """Those chosen that a candidate may make drive otherwise: they close in on it, or look for gaps near it."""
-        closing_s, own = self.scene.config.sites.hindered_s, candidate.traffic.position
+        closing_s = self.scene.config.sites.hindered_s
         found = {
-            name for name, one in self._chosen.items()
-            if len(one.parts) > 1 and np.abs(one.traffic.position - own).max(axis=-1).min() < _NEAR_GAPS_M
-        }  # fmt: skip
+            name for name, one in self._chosen.items() if len(one.parts) > 1 and self._may_be_in_gap(candidate, one)
+        }
         for part in candidate.parts:
             met, known = self._met(candidate.start, part)
             recorded = self._recorded_on(part.path, candidate.start.box)
             rows = np.flatnonzero(met[:, LAG_TTC] < closing_s)
             found |= {self.guard.fixed.ids[known.agents[row]] for row in rows.tolist() if row >= recorded}
         return [one for name, one in self._chosen.items() if name in found]
+
+    def _may_be_in_gap(self, candidate: Foreseen, changer: Foreseen) -> bool:
+        """Whether a candidate comes near a vehicle that changes lanes, on one of the lanes that this drives on."""
+        own, other = candidate.traffic, changer.traffic
+        apart_m = np.abs(own.position - other.position).max(axis=-1)[own.present & other.present]
+        if apart_m.min(initial=math.inf) > _NEAR_GAPS_M:
+            return False
+        return bool(self._as_obstacle(own, changer.parts[-1].path, changer.start.box).agents.size)
+
+    def _as_obstacle(self, traffic: Traffic, path: DrivenPath, box: BoxSize) -> PathOccupancy:
+        """Intervals of vehicles that are inserted on a path, with margins."""
+        return path_occupancy(
+            path.line, traffic, length_m=box.length_m, width_m=box.width_m,
+            margin_lateral_m=self.scene.config.conflict.margin_lateral_m,
+        )  # fmt: skip
 
     def known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         """Intervals on a path of all whose motion is known, with margins and the critical PET: the guard's."""
@@ -221,38 +262,34 @@ class World:
         scene, change = self.scene, self.scene.config.lane_change
         vehicle, parts = DrivenVehicle(start, start.path), [self.roll(start)]
         step = max(start.step, math.ceil(start.request.trigger_s / scene.step_s))
-        give_up = step + scene.steps_in(change.give_up_s)
         foreseen = (lambda _: FORESEEN) if change.rule == "LC2013" else None
-        while step < scene.num_steps and vehicle.stage is not Stage.DONE:
+        while step < scene.num_steps:
             part = parts[-1]
-            if step - part.step >= part.s.size:  # it meets an agent before
+            if step - part.step >= part.s.size or part.s[step - part.step] > part.path.exit_s:  # met, or off the map
                 break
             s, v = float(part.s[step - part.step]), float(part.v[step - part.step])
-            if vehicle.stage in (Stage.ENTER, Stage.RETURN):
-                end = vehicle.path.shifts[-1][1]
-                if s >= end:
-                    passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
-                    vehicle.stage = Stage.PASS if passing else Stage.DONE
-                else:
-                    step = part.step + int(np.searchsorted(part.s, end))
-                continue
-            if s > part.path.exit_s or (vehicle.stage is Stage.WAITING and step > give_up):
-                break
             vehicle.s, vehicle.v = [s], [v]
+            due = is_due(vehicle, scene, step)
+            if vehicle.stage in (Stage.DONE, Stage.ABORTED):
+                break
+            if not due:  # on its way across
+                over_m = part.path.shifts[-1][1] if part.path.shifts else 0.0
+                step = max(step + 1, part.step + int(np.searchsorted(part.s, over_m)))
+                continue
             if vehicle.stage is Stage.WAITING and v < change.min_speed_mps:  # no rule takes a gap
                 vehicle.reason = Reason.TOO_SLOW
                 step += scene.steps_in(scene.config.sites.looks_s)
                 continue
-            due = Due(scene, vehicle, step, self.guard.fixed, _NONE)
-            if vehicle.stage is Stage.PASS and due.passed_gap_m() < scene.config.overtake.return_gap_m:
+            asked = Due(scene, vehicle, step, self.guard.fixed, _NONE)
+            if vehicle.stage is Stage.PASS and asked.passed_gap_m() < scene.config.overtake.return_gap_m:
                 vehicle.reason = Reason.NOT_AHEAD  # what it would be told, sooner
                 step += scene.steps_in(_PASSING_SHARE * scene.config.sites.looks_s)
                 continue
-            across = due.decided(foreseen)
+            across = asked.decided(foreseen)
             if vehicle.reason is Reason.SCENE_ENDS:
                 break
             if across is not None and self._meets_on(vehicle, step, across.path):
-                due.refuse(Reason.CONFLICT_PREDICTED)
+                asked.refuse(Reason.CONFLICT_PREDICTED)
             elif across is not None:
                 across.taken_by(vehicle)
                 vehicle.path, parts[-1] = across.path, part.until(step)
@@ -344,10 +381,7 @@ class World:
         before = self._shown.get(key)
         if before is None or before[0] is not fixed:
             scene = self.scene
-            inserted = path_occupancy(
-                path.line, fixed, length_m=box.length_m, width_m=box.width_m,
-                margin_lateral_m=scene.config.conflict.margin_lateral_m,
-            )  # fmt: skip
+            inserted = self._as_obstacle(fixed, path, box)
             if before is not None and before[1] is inserted:
                 self._shown[key] = fixed, *before[1:]
                 return before[2]

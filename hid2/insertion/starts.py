@@ -27,7 +27,7 @@ from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
 #: Verdicts that another driver may change.
-_ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.LEAVES_TOO_EARLY})
+_ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY})
 #: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
 _SPARE_S = 0.2
 #: Of candidates, whose place in the lane is drawn when they are chosen.
@@ -179,11 +179,11 @@ class Starts:
         candidate = self.world.foreseen(start, parts)
         if self.world.meets_after(candidate):
             return Reason.TTC_AT_END
-        if self.world.is_run_into(candidate):
-            return Reason.TTC_RECORDED_FOLLOWER
+        if (harried := self.world.harries(candidate)) is not None:
+            return harried
         anew = [candidate]
         for one in self.world.hindered(candidate):
-            around = self.world.beside(candidate, one.start.vehicle_id)
+            around = self.world.joined_by(candidate, without=one.start.vehicle_id)
             still = self._does(around, one.start)
             if isinstance(still, Reason):
                 return Reason.MEETS_GENERATED

@@ -81,10 +81,6 @@ class Quantity(StrEnum):
     FOLLOWER_HEADWAY = "follower_headway", "s", "time headway that a recorded follower is left with"
 
 
-#: Quantities that are noted and are no errors.
-NOTES = frozenset({Quantity.FOLLOWER_HEADWAY})
-
-
 #: Quantities whose limit is a least value.
 LEAST = frozenset({
     Quantity.TTC_LEADER, Quantity.TTC_FOLLOWER, Quantity.PET, Quantity.END_TTC, Quantity.END_CONTACT,
@@ -101,8 +97,3 @@ class Finding(NamedTuple):
     value: float
     limit: float
     other: str | None = None
-
-    @property
-    def is_note(self) -> bool:
-        """Whether it is told and is no error."""
-        return self.quantity in NOTES

@@ -343,14 +343,34 @@ def headways(states: AgentStates, led: Leaders) -> Iterator[Finding]:
     arrays = states.arrays
     follower = ~arrays.generated[arrays.agent] & arrays.moving[arrays.agent]
     least = _sustained_headway(states, led, follower & arrays.generated[np.maximum(led.agent, 0)] & (led.agent >= 0))
-    if not least:
-        return
-    alone = replace(states.matches, lane=np.where(arrays.generated[arrays.agent], -1, states.matches.lane))
-    kept = _sustained_headway(states, leaders(arrays, states.lanes, alone), follower)
+    kept = kept_headways(states) if least else {}
     for agent, (headway_s, at) in least.items():
-        if kept.get(agent, (math.inf, 0))[0] > headway_s:
+        if kept.get(agent, math.inf) > headway_s:
             leader, step = int(led.agent[at]), int(arrays.step[at])
             yield _finding(states, (leader, agent), step, Quantity.FOLLOWER_HEADWAY, headway_s, FOLLOWER_HEADWAY_S)
+
+
+def kept_headways(states: AgentStates) -> dict[int, float]:
+    """Time headways, s, below the limit that recorded followers kept to leaders in the recording, by agent."""
+    arrays = states.arrays
+    follower = ~arrays.generated[arrays.agent] & arrays.moving[arrays.agent]
+    alone = replace(states.matches, lane=np.where(arrays.generated[arrays.agent], -1, states.matches.lane))
+    kept = _sustained_headway(states, leaders(arrays, states.lanes, alone), follower)
+    return {agent: headway_s for agent, (headway_s, _) in kept.items()}
+
+
+def sustained_headway(front_m: FloatArray, speed_mps: FloatArray, step_s: float) -> tuple[float, int]:
+    """Least time headway that a follower has for FOLLOWER_FOR_S, s, and the last step of it; inf where never.
+
+    front_m (T,): from front to front, inf where it follows nothing; speed_mps (T,): its own, above FOLLOWER_MPS alone.
+    """
+    lasts = round(FOLLOWER_FOR_S / step_s)
+    if front_m.size < lasts:
+        return math.inf, 0
+    headway_s = np.where(speed_mps > FOLLOWER_MPS, front_m / np.maximum(speed_mps, FOLLOWER_MPS), np.inf)
+    longest = np.lib.stride_tricks.sliding_window_view(headway_s, lasts).max(axis=1)
+    at = int(np.argmin(longest))
+    return float(longest[at]), at + lasts - 1
 
 
 def _sustained_headway(states: AgentStates, led: Leaders, rows: BoolArray) -> dict[int, tuple[float, int]]:
@@ -360,20 +380,13 @@ def _sustained_headway(states: AgentStates, led: Leaders, rows: BoolArray) -> di
     """
     arrays = states.arrays
     speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
-    front_m = led.gap_m + arrays.length[np.maximum(led.agent, 0)]
-    counts = rows & (led.agent >= 0) & (speed > FOLLOWER_MPS)
-    headway_s = np.where(counts, front_m / np.maximum(speed, FOLLOWER_MPS), np.inf)
+    front_m = np.where(rows & (led.agent >= 0), led.gap_m + arrays.length[np.maximum(led.agent, 0)], np.inf)
     found: dict[int, tuple[float, int]] = {}
-    lasts = round(FOLLOWER_FOR_S / arrays.step_s)
-    for agent in np.unique(arrays.agent[headway_s < FOLLOWER_HEADWAY_S]).tolist():
-        first = int(arrays.first[agent])
-        own = headway_s[first : arrays.first[agent + 1]]
-        if own.size < lasts:
-            continue
-        longest = np.lib.stride_tricks.sliding_window_view(own, lasts).max(axis=1)
-        at = int(np.argmin(longest))
-        if longest[at] < FOLLOWER_HEADWAY_S:
-            found[agent] = float(longest[at]), first + at + lasts - 1
+    for agent in np.unique(arrays.agent[front_m < FOLLOWER_HEADWAY_S * speed]).tolist():
+        own = states.row_span(agent)
+        headway_s, at = sustained_headway(front_m[own], speed[own], arrays.step_s)
+        if headway_s < FOLLOWER_HEADWAY_S:
+            found[agent] = headway_s, own.start + at
     return found
 
 

@@ -50,6 +50,11 @@ class PathOccupancy:
         """Some of the agents."""
         return PathOccupancy(self.agents[which], *(one[which] for one in self._by_step()))
 
+    def without(self, row: int) -> "PathOccupancy":
+        """The same in a traffic that an agent, by its row, is not part of."""
+        others = self.rows(self.agents != row)
+        return replace(others, agents=others.agents - (others.agents > row))
+
     def at(self, step: int) -> "PathOccupancy":
         """The same agents at one step, T = 1."""
         return PathOccupancy(self.agents, *(one[:, step : step + 1] for one in self._by_step()))
@@ -96,7 +101,13 @@ def path_occupancy(
     if not traffic.ids:
         return PathOccupancy.nobody(traffic.num_steps)
     key = line, length_m, width_m, margin_lateral_m, clear_steps, clear_margin_m
-    if key not in traffic.known:
+    if key not in traffic.known and traffic.part_of is not None:
+        every, row = traffic.part_of
+        traffic.known[key] = path_occupancy(
+            line, every, length_m=length_m, width_m=width_m, margin_lateral_m=margin_lateral_m,
+            clear_steps=clear_steps, clear_margin_m=clear_margin_m,
+        ).without(row)  # fmt: skip
+    elif key not in traffic.known:
         before = traffic.extends
         while before is not None and key not in before.known:
             before = before.extends

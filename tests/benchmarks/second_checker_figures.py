@@ -40,9 +40,8 @@ def of_recorded(scene: SecondScene) -> tuple[int, dict[str, set[str]]]:
 
 
 def line(one: Finding) -> str:
-    kind = " (note)" if one.is_note else ""
     where = f"{one.scene} {one.vehicle} step {one.step}"
-    return f"{one.quantity}{kind}: {where}: {one.value:.3f}, limit {one.limit:g} {one.other}"
+    return f"{one.quantity}: {where}: {one.value:.3f}, limit {one.limit:g} {one.other}"
 
 
 def main() -> None:
@@ -59,7 +58,7 @@ def main() -> None:
         count, vehicles = count + 1, vehicles + len(made["agents"])
     if count:
         print(f"{count} scenes with {vehicles} inserted vehicles: {dict(Counter(one.quantity for one in findings))}")
-        for one in sorted(findings, key=lambda one: (one.is_note, one.quantity, one.scene, one.vehicle)):
+        for one in sorted(findings, key=lambda one: (one.quantity, one.scene, one.vehicle)):
             print(" ", line(one))
     movers, with_finding = 0, Counter()
     for folder in sources.values():

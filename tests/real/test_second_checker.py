@@ -28,13 +28,9 @@ def generated(out: Path, *args: object) -> list[tuple[Path, Path]]:
     return [(path.parent, sources[json.loads(path.read_text())["source_scenario_id"]]) for path in sidecars]
 
 
-def errors(folder: Path, source: Path) -> list[Finding]:
-    return [one for one in check_folder(folder, source) if not one.is_note]
-
-
 def wrong(fault: PlantedFault) -> str | None:
     """What the second checker makes of a planted fault, if it is not what it should be."""
-    found = errors(fault.folder, fault.source)
+    found = check_folder(fault.folder, fault.source)
     if fault.strength == INSIDE:
         return f"{fault.name}: {found}" if found else None
     told = {one.quantity for one in found if one.vehicle == fault.vehicle}
@@ -58,7 +54,7 @@ def test_the_second_checker_imports_nothing_of_the_product() -> None:
 def test_scenes_as_written_have_no_error(quiet_scenes: list[tuple[Path, Path]]) -> None:
     for folder, source in quiet_scenes:
         assert len(read_scene(folder, source).inserted) == 2
-        assert errors(folder, source) == []
+        assert check_folder(folder, source) == []
 
 
 def misjudged(fault: PlantedFault) -> str | None:
@@ -67,7 +63,7 @@ def misjudged(fault: PlantedFault) -> str | None:
     Its rule on headings and motion is of the format; faults of the heading alone break that inside their limits too.
     """
     against = Against(sources={fault.source.name: fault.source})
-    found = [one for one in validate_scene(fault.folder, against) if one.rule in list(Quantity) and not one.is_note]
+    found = [one for one in validate_scene(fault.folder, against) if one.rule in list(Quantity)]
     if fault.strength == INSIDE:
         return f"{fault.name}: {found}" if found else None
     told = {one.rule for one in found if one.vehicle == fault.vehicle}
@@ -96,14 +92,16 @@ def test_without_a_sidecar_the_tracks_gen_are_the_inserted_ones(
     fault = next(one for scene in quiet_scenes for one in planted(*scene, tmp_path, kinds=kinds))
     (sidecar,) = fault.folder.glob("hid2_*.json")
     sidecar.unlink()
-    assert {(one.vehicle, one.quantity) for one in errors(fault.folder, fault.source)} == {(fault.vehicle, "off_road")}
+    assert {(one.vehicle, one.quantity) for one in check_folder(fault.folder, fault.source)} == {
+        (fault.vehicle, "off_road")
+    }
 
 
 @pytest.mark.slow
 def test_real_scenes_as_written_have_no_error(shared_data: Path, tmp_path: Path) -> None:
     scenes = generated(tmp_path / "out", shared_data / "av2", shared_data / "wide", "--agents", 10)
     assert len(scenes) == 14
-    assert [one for folder, source in scenes for one in errors(folder, source)] == []
+    assert [one for folder, source in scenes for one in check_folder(folder, source)] == []
 
 
 @pytest.mark.slow
@@ -113,7 +111,7 @@ def test_faults_planted_into_real_scenes_are_found(shared_data: Path, tmp_path: 
     kinds = set()
     bad = []
     for scene in generated(tmp_path / "out", shared_data / "av2", *args):
-        if errors(*scene):  # what is wrong before a fault is planted is for the test above
+        if check_folder(*scene):  # what is wrong before a fault is planted is for the test above
             continue
         for fault in planted(*scene, tmp_path / "planted", tries=10):
             kinds.add(fault.kind)

@@ -55,7 +55,7 @@ EDGE_M = 0.25
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong with one inserted vehicle, or a note. step: the timestep at which it is worst."""
+    """One thing that is wrong with one inserted vehicle. step: the timestep at which it is worst."""
 
     scene: str
     vehicle: str
@@ -64,7 +64,6 @@ class Finding:
     value: float
     limit: float
     other: str = ""
-    is_note: bool = False
 
 
 def check_folder(scene_folder: Path, source: Path | None = None) -> list[Finding]:
@@ -361,7 +360,7 @@ def _contact_braking_s(track: SecondTrack, other: SecondTrack, row: int) -> floa
 
 
 def follower_headways(scene: SecondScene) -> Iterator[Finding]:
-    """Notes: a recorded vehicle that follows an inserted one nearer than any recorded one."""
+    """A recorded vehicle that follows an inserted one nearer than any recorded one."""
     if not scene.inserted:
         return
     for track in scene.tracks:
@@ -372,12 +371,16 @@ def follower_headways(scene: SecondScene) -> Iterator[Finding]:
             continue
         kept = _least_headways(scene, track, path)
         recorded = min((value for name, (value, _) in kept.items() if name not in scene.inserted_ids), default=math.inf)
-        for name in kept.keys() & set(scene.inserted_ids):
+        for name in kept.keys() & set(scene.inserted_ids) - _aimed_at(scene, track):
             least, step = kept[name]
             if least < min(HEADWAY_S, recorded):
-                yield Finding(
-                    scene.scenario_id, name, step, "follower_headway", least, HEADWAY_S, track.track_id, is_note=True
-                )
+                yield Finding(scene.scenario_id, name, step, "follower_headway", least, HEADWAY_S, track.track_id)
+
+
+def _aimed_at(scene: SecondScene, track: SecondTrack) -> set[str]:
+    """Vehicles of ordered events with a target: the gap that they leave to it was asked for."""
+    events = scene.sidecar.get("events", ())
+    return {one.get("track_id") for one in events if one.get("target_track_id") == track.track_id}
 
 
 def _meet(one: SecondTrack, other: SecondTrack, *, within_m: float = 25.0) -> bool:

@@ -262,7 +262,7 @@ def test_contact_after_the_end_that_braking_avoids_is_no_finding(judged: Judged)
 
 
 @pytest.mark.parametrize(("gap", "found"), [(3.0, 1), (6.0, 0)])
-def test_headway_of_a_recorded_follower_is_noted(judged: Judged, gap: float, found: int) -> None:
+def test_headway_of_a_recorded_follower(judged: Judged, gap: float, found: int) -> None:
     """At 10 m/s, front to front 4.5 m + 3 m is 0.75 s, 4.5 m + 6 m is 1.05 s; 0.8 s is the limit."""
     noted = judged(_at("a", 20.0, 10.0), _at("gen_0", 24.5 + gap, 10.0))
     assert noted == [("gen_0", Quantity.FOLLOWER_HEADWAY, "a")] * found
