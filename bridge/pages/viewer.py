@@ -29,7 +29,7 @@ from bridge.recordings.sidecar import sidecar_in
 from bridge.recordings.sources import read_recording
 from hid2.agents import FloatArray, Policy, Track
 from hid2.evaluation.kinematics import motion
-from hid2.judge.findings import NOTES, Quantity
+from hid2.judge.findings import Quantity
 from hid2.measures.arrays import is_generated_id
 from hid2.measures.driven_lanes import first_lane_path
 from hid2.measures.following import leaders
@@ -90,7 +90,7 @@ def _shared() -> dict[str, Any]:
         "label": {policy.value: one.label for policy, one in BEHAVIOURS.items()},
         "policy": {kind.value: policy.value for policy, one in BEHAVIOURS.items() for kind in one.seen_as},
         "reasons": {reason.value: reason.text for reason in Reason},
-        "quantities": {one.value: [one.sentence, one.unit, one in NOTES] for one in Quantity},
+        "quantities": {one.value: [one.sentence, one.unit] for one in Quantity},
     }  # fmt: skip
 
 
@@ -103,7 +103,7 @@ def facts_of(document: Mapping[str, Any]) -> dict[str, Any]:
         **{key: document[key] for key in ("id", "city", "split", "word")},
         "inserted": inserted, "recorded": len(document["tracks"]) - inserted,
         "seconds": round((document["steps"] - 1) * document["step_s"], 6),
-        "findings": sum(Quantity(quantity) not in NOTES for _, _, quantity, *_ in document["findings"]),
+        "findings": len(document["findings"]),
         "source": said.get("source_scenario_id", document["id"]), "asked": said.get("requested", {}).get("agents"),
         "behaviours": said.get("placed", {}).get("behaviours", {}),
         "reasons": sorted({one["reason"] for one in (*maneuvers, *events, *rejected) if one["reason"]}),

@@ -19,7 +19,7 @@ function atStep(step) {
   $("clock").textContent = `${fixed(step * scene.step_s)} s, ${step < scene.observed ? "observed" : "future"}`;
   for (const cursor of $("panel").querySelectorAll(".cursor")) for (const end of ["x1", "x2"]) cursor.setAttribute(end, chartX(scene, step));
   for (const row of $("panel").querySelectorAll("tr[data-step]")) row.classList.toggle("now", step >= row.dataset.step && step < row.dataset.until);
-  if ($("live")) $("live").innerHTML = escaped(now.agent ? agentNow(scene, now.agent, step) : cellNow(scene, now.cell, step));
+  if ($("live") && !$("live").matches(":active")) $("live").innerHTML = escaped(now.agent ? agentNow(scene, now.agent, step) : cellNow(scene, now.cell, step));
 }
 function redraw() { pending ||= requestAnimationFrame(frame); }
 function frame(stamp) {
@@ -53,14 +53,15 @@ function choose(agent, cell = null) {
 
 async function show(number, { time = 0, agent = null, beside = "" } = {}) {
   const scene = await open(number), { facts } = scene;
-  Object.assign(now, { scene, time: Math.min(time, scene.last * scene.step_s), playing: false, cell: null, step: -1 });
-  $("index").hidden = true, $("scene").hidden = $("tools").hidden = false, $("many").hidden = FACTS.length < 2;
+  Object.assign(now, { scene, time: Math.min(time, scene.last * scene.step_s), playing: false, agent: null, cell: null, step: -1 });
+  $("panel").replaceChildren(), $("index").hidden = true, $("scene").hidden = $("tools").hidden = false, $("many").hidden = FACTS.length < 2;
   $("play").textContent = "▶", $("slider").max = scene.last;
   $("title").textContent = document.title = `${scene.city} ${short(scene.id)}: ${facts.recorded} ${scene.word}, ${facts.inserted} inserted`;
   const same = FACTS.filter((one) => one.id !== scene.id && one.source === facts.source);
   $("beside").innerHTML = escaped(html`<option value="">nothing</option>
 ${facts.inserted && scene.word === "recorded" ? html`<option value="before">before, as recorded</option>` : ""}
 ${same.map((one) => html`<option value="${one.id}">${short(one.id)}, ${one.inserted} inserted</option>`)}`);
+  $("beside").parentNode.hidden = $("beside").options.length < 2;
   $("beside").value = beside, now.beside = $("beside").value ||= "";
   $("marks").innerHTML = escaped(scene.marks.map((one) => html`<button tabindex="-1" data-agent="${one.agent}" data-step="${one.step}"
 title="${fixed(one.step * scene.step_s)} s: ${one.says}" style="left:${(100 * one.step) / scene.last}%;top:${one.line * 16}px;color:${one.color}">${one.sign}</button>`));
@@ -77,10 +78,11 @@ async function split() { // one pane, or two of the same place
   const kinds = new Set(panes.flatMap((pane) => pane.scene.tracks.map((track) => track.kind)));
   $("legend").innerHTML = escaped(html`${Object.entries(scene.kinds).filter(([kind]) => kinds.has(kind)).map(([kind, says]) =>
     html`<span>${chip(kind)}${says}</span>`)}<span><i class="chip focal"></i>focal track</span>
-${scene.marks.length ? html`<span>◆ manoeuvre ✕ aborted ★ event ▲ finding △ note</span>` : ""}`);
+${scene.marks.length ? html`<span>◆ manoeuvre ✕ aborted ★ event ▲ finding</span>` : ""}`);
 }
 function resize() {
   for (const pane of panes) pane.setSize(pane.node.clientWidth, pane.node.clientHeight, window.devicePixelRatio || 1);
+  if (panes.length && view.fitted === looksAt()) fit(panes); // nobody looks elsewhere
   redraw();
 }
 
@@ -90,7 +92,7 @@ function showIndex() {
   Object.assign(now, { scene: null, playing: false, hash: "" }), panes = [];
   $("index").hidden = false, $("scene").hidden = $("tools").hidden = $("many").hidden = true;
   $("title").textContent = document.title = count(FACTS.length, "scene");
-  history.replaceState(null, "", location.pathname + location.search);
+  address("");
   if ($("cards").children.length) return;
   $("filters").innerHTML = escaped(html`${Object.entries(FILTERS).map(([name, of]) => {
     const values = FACTS.flatMap((one) => [...new Set(of(one))]), number = (value) => values.filter((one) => one === value).length;
@@ -112,7 +114,11 @@ function filter() {
 function remember() { // scene, agent and time stand in the address, as they are when nothing plays
   if (now.playing) return;
   const parts = { scene: now.scene.id, t: fixed(stepOf() * now.scene.step_s, 2), agent: now.agent, beside: now.beside };
-  now.hash = `#${new URLSearchParams(Object.entries(parts).filter(([, value]) => value))}`, history.replaceState(null, "", now.hash);
+  now.hash = `#${new URLSearchParams(Object.entries(parts).filter(([, value]) => value))}`;
+  address(now.hash);
+}
+function address(hash) {
+  try { history.replaceState(null, "", hash || location.pathname); } catch { now.hash = ""; } // a frame without an address
 }
 function followLink() {
   const parts = Object.fromEntries(new URLSearchParams(location.hash.slice(1))), number = FACTS.findIndex((one) => one.id === parts.scene);

@@ -1,6 +1,6 @@
 // A pane: the map and the vehicles of a scene, drawn where the shared `view` looks.
-const TRAIL_S = 2, LEAST_PX = 7, MIN_SCALE = 0.2, MAX_SCALE = 80, NAMES_FROM = 1.6;
-const view = { x: 0, y: 0, scale: 1 };
+const TRAIL_S = 2, LEAST_PX = 7, MIN_SCALE = 0.2, MAX_SCALE = 80, FIT_SCALE = 12, NAMES_FROM = 1.6;
+const view = { x: 0, y: 0, scale: 1, fitted: "" }, looksAt = () => [view.x, view.y, view.scale].join();
 
 class Pane {
   constructor(scene, title, { without = false } = {}) { // without: inserted ones
@@ -20,7 +20,7 @@ class Pane {
     context.setTransform(k, 0, 0, -k, (this.wide * this.ratio) / 2 - view.x * k, (this.high * this.ratio) / 2 + view.y * k);
   }
   drawGround({ cells, cell }) { // only where it would look otherwise
-    const key = [view.x, view.y, view.scale, cells, cell].join();
+    const key = [looksAt(), cells, cell].join();
     if (key === this.seen) return;
     this.seen = key;
     const context = this.ground.getContext("2d"), { paths } = this.scene, colors = SHARED.map, px = 1 / view.scale;
@@ -122,7 +122,8 @@ function fit([{ scene, wide, high }]) { // the ground on which something moves, 
   const moves = (_, k) => scene.tracks[k].focal || ends.some((axis) => axis[k][1] - axis[k][0] > 5);
   const [[west, east], [south, north]] = ends.map((axis) => axis.filter(moves).flat()).map((all) => [Math.min(...all), Math.max(...all)]);
   Object.assign(view, { x: (west + east) / 2, y: (south + north) / 2 });
-  view.scale = Math.min(MAX_SCALE, wide / (east - west + 30), high / (north - south + 30));
+  view.scale = Math.min(FIT_SCALE, wide / (east - west + 30), high / (north - south + 30));
+  view.fitted = looksAt();
 }
 function thumbnail(canvas, scene) { // whole paths on the ground
   const kept = { ...view }, pane = new Pane(scene, ""), context = canvas.getContext("2d");

@@ -32,7 +32,7 @@ ${table(["behaviour", "share asked", "placed"], Object.entries(behaviours).map((
   said.rejected.length ? section("Turned down", table(["reason", "vehicles and sites"], said.rejected.map((one) => [reasonOf(one.reason), one.count]))) : ""];
 }
 
-const findings = (scene, found) => found.map((one) => html`<p class="${SHARED.quantities[one[2]][2] ? "" : "bad"}">${linked(scene, one[0])}
+const findings = (scene, found) => found.map((one) => html`<p class="bad">${linked(scene, one[0])}
 ${findingText(one).slice(one[0].length)}, <button class="to" data-step="${one[1]}">${fixed(one[1] * scene.step_s)} s</button></p>`);
 
 function cellPanel(scene, number) {

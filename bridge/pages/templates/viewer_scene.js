@@ -6,7 +6,7 @@ const SHARED = JSON.parse($("shared").textContent), FACTS = JSON.parse($("facts"
 const PACKED = [...document.getElementsByClassName("packed")], OPENED = new Map();
 const words = (text) => String(text).replaceAll("_", " ");
 const fixed = (value, digits = 1) => (Number.isFinite(value) ? value.toFixed(digits) : "–");
-const short = (id) => id.slice(0, 8);
+const short = (id) => (id.length === 36 ? id.slice(0, 8) : id); // of a UUID
 
 function summed(values, order = 1) {
   const out = Int32Array.from(values);
@@ -126,8 +126,8 @@ function answerOf(look) { // what came of a look at a gap: a refusal with its re
 }
 
 function findingText([agent, step, quantity, value, limit, other]) {
-  const [sentence, unit, note] = SHARED.quantities[quantity];
-  return `${agent}: ${note ? "note, " : ""}${sentence}${other ? ` (${other})` : ""} ${fixed(value, 2)} ${unit}, limit ${fixed(limit, 2)}`;
+  const [sentence, unit] = SHARED.quantities[quantity];
+  return `${agent}: ${sentence}${other ? ` (${other})` : ""} ${fixed(value, 2)} ${unit}, limit ${fixed(limit, 2)}`;
 }
 
 function marksOf(scene) { // of the slider, in order of time
@@ -140,6 +140,6 @@ function marksOf(scene) { // of the slider, in order of time
   }
   for (const one of scene.said.events ?? []) if (one.at_s !== null)
     mark(one.at_s, one.track_id, "★", "#000", 0, `event ${words(one.kind)} of ${one.track_id} with ${one.target_track_id}`);
-  for (const one of scene.findings) mark(one[1] * scene.step_s, one[0], SHARED.quantities[one[2]][2] ? "△" : "▲", SHARED.highlight, 0, findingText(one));
+  for (const one of scene.findings) mark(one[1] * scene.step_s, one[0], "▲", SHARED.highlight, 0, findingText(one));
   return marks.sort((a, b) => a.step - b.step);
 }
