@@ -59,7 +59,7 @@ async function show(number, { time = 0, agent = null, beside = "" } = {}) {
   $("title").textContent = document.title = `${scene.city} ${short(scene.id)}: ${facts.recorded} ${scene.word}, ${facts.inserted} inserted`;
   const same = FACTS.filter((one) => one.id !== scene.id && one.source === facts.source);
   $("beside").innerHTML = escaped(html`<option value="">nothing</option>
-${facts.inserted && scene.word === "recorded" ? html`<option value="before">before, as recorded</option>` : ""}
+${facts.inserted && scene.word === "recorded" ? html`<option value="before">as recorded</option>` : ""}
 ${same.map((one) => html`<option value="${one.id}">${short(one.id)}, ${one.inserted} inserted</option>`)}`);
   $("beside").parentNode.hidden = $("beside").options.length < 2;
   $("beside").value = beside, now.beside = $("beside").value ||= "";

@@ -1,5 +1,5 @@
 // A pane: the map and the vehicles of a scene, drawn where the shared `view` looks.
-const TRAIL_S = 2, LEAST_PX = 7, MIN_SCALE = 0.2, MAX_SCALE = 80, FIT_SCALE = 12, NAMES_FROM = 1.6;
+const TRAIL_S = 2, LEAST_PX = 7, MIN_SCALE = 0.2, MAX_SCALE = 80, FIT_SCALE = 12, NAMES_FROM = 2.2;
 const view = { x: 0, y: 0, scale: 1, fitted: "" }, looksAt = () => [view.x, view.y, view.scale].join();
 
 class Pane {

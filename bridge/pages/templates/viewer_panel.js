@@ -134,7 +134,7 @@ const CARD = (one, k) => {
   const done = (rows) => `${rows.filter(([, status]) => status === "done").length} of ${rows.length} done`;
   const kinds = [...new Set(one.events.map(([kind]) => words(kind)))].join(", ");
   return html`<button class="card" data-scene="${k}"><canvas width="460" height="300"></canvas><strong>${one.city} ${short(one.id)}${one.split ? html` · ${one.split}` : ""}</strong>
-<span>${one.recorded} ${one.word}${one.asked === null ? "" : `, ${one.inserted} of ${one.asked} inserted`}, ${fixed(one.seconds)} s</span>
+<span>${one.recorded} ${one.word}${one.asked === null ? "" : `, ${one.inserted} of ${one.asked} inserted`}, ${fixed(one.seconds)}\u00a0s</span>
 <span>${Object.entries(one.behaviours).map(([kind, number]) => html`<label>${chip(kind)}${number} ${SHARED.label[kind]}</label> `)}</span>
 ${one.events.length ? html`<span>events (${kinds}): ${done(one.events)}</span>` : ""}
 ${one.maneuvers.length ? html`<span>manoeuvres: ${done(one.maneuvers)}</span>` : ""}${one.findings ? html`<span class="bad">${count(one.findings, "finding")}</span>` : ""}</button>`;
