@@ -65,7 +65,7 @@ ${same.map((one) => html`<option value="${one.id}">${short(one.id)}, ${one.inser
   $("beside").value = beside, now.beside = $("beside").value ||= "";
   $("marks").innerHTML = escaped(scene.marks.map((one) => html`<button tabindex="-1" data-agent="${one.agent}" data-step="${one.step}"
 title="${fixed(one.step * scene.step_s)} s: ${one.says}" style="left:${(100 * one.step) / scene.last}%;top:${one.line * 16}px;color:${one.color}">${one.sign}</button>`));
-  await split(), choose(scene.byId.has(agent) ? agent : null);
+  view.fitted = looksAt(), await split(), choose(scene.byId.has(agent) ? agent : null);
 }
 async function split() { // one pane, or two of the same place
   const { scene, beside } = now, number = FACTS.findIndex((one) => one.id === beside);
@@ -74,7 +74,7 @@ async function split() { // one pane, or two of the same place
   if (beside === "before") panes.unshift(new Pane(scene, "before, as recorded", { without: true }));
   if (number >= 0) panes.push(new Pane(await open(number), title(await open(number))));
   $("panes").replaceChildren(...panes.map((pane) => pane.node)), $("panes").classList.toggle("two", panes.length > 1);
-  panes.forEach(listen), resize(), fit(panes);
+  panes.forEach(listen), resize();
   const kinds = new Set(panes.flatMap((pane) => pane.scene.tracks.map((track) => track.kind)));
   $("legend").innerHTML = escaped(html`${Object.entries(scene.kinds).filter(([kind]) => kinds.has(kind)).map(([kind, says]) =>
     html`<span>${chip(kind)}${says}</span>`)}<span><i class="chip focal"></i>focal track</span>

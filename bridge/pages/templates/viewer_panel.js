@@ -15,14 +15,14 @@ const MOMENTS = { trigger: "2 3", start: "6 3", crossing: "", end: "8 3 2 3" };
 const EVENT = [["gap_m", "gap", "m"], ["min_ttc_s", "TTC", "s"], ["pet_s", "PET", "s"], ["drac_mps2", "DRAC", "m/s²"], ["brakes_mps2", "brakes with", "m/s²"]];
 
 function scenePanel(scene) {
-  const { said, facts } = scene, seconds = (s) => `${fixed(s)} s`;
+  const { said, facts } = scene;
   const head = html`<h2>${scene.city}: ${facts.recorded} ${scene.word}, ${facts.inserted} inserted</h2><p>${scene.id}</p>
 <p class="muted">Choose a vehicle for its story or, with cells shown, a cell for its occupancy.</p>`;
   if (!said.requested) return head;
   const { agents, behaviours } = said.requested, maneuvers = said.agents.flatMap((agent) => agent.maneuvers.map((one) =>
     [linked(scene, agent.track_id), words(one.kind), words(one.status), one.reason ? reasonOf(one.reason) : ""]));
   const events = said.events.map((one) => [words(one.kind), linked(scene, one.target_track_id ?? one.target), linked(scene, one.track_id),
-    one.at_s === null ? "–" : seconds(one.at_s), one.status === "done" ? "done" : reasonOf(one.reason ?? one.status)]);
+    one.at_s === null ? "–" : `${fixed(one.at_s)} s`, one.status === "done" ? "done" : reasonOf(one.reason ?? one.status)]);
   return [head, section("Asked for and placed", html`<p>${agents} asked for, ${said.placed.agents} placed; seed ${said.seed}, variant ${said.variant}</p>
 ${table(["behaviour", "share asked", "placed"], Object.entries(behaviours).map(([kind, share]) =>
     [html`${chip(kind)}${SHARED.label[kind]}`, fixed(share, 2), said.placed.behaviours[kind] ?? 0]))}`),
@@ -124,10 +124,10 @@ function looks(scene, id, record) {
 ${rows.length ? html`<div class="looks">${table(["s", "side", "lead, m", "lag, m", "answer"], rows)}</div>`
     : all ? html`<p class="muted">hid2 generate --record gaps writes down each of them.</p>` : ""}`);
 }
-function driver({ spawn, driver: { model, parameters } = {} }) {
+function driver({ spawn, driver: drawn }) { // older sidecars have none
   return html`<details><summary>Start and driver</summary><p>Began in cell ${spawn.cell} of lane ${spawn.lane_segment_id} at
-${fixed(spawn.speed_mps)} m/s, step ${spawn.timestep}; ${model}</p>
-${table(["parameter", "value"], Object.entries(parameters ?? {}).map(([name, value]) => [words(name), fixed(value, 2)]))}</details>`;
+${fixed(spawn.speed_mps)} m/s, step ${spawn.timestep}; ${drawn?.model}</p>
+${table(["parameter", "value"], Object.entries(drawn?.parameters ?? {}).map(([name, value]) => [words(name), fixed(value, 2)]))}</details>`;
 }
 
 const CARD = (one, k) => {

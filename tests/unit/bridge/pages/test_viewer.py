@@ -17,6 +17,7 @@ from bridge.config import load_config
 from bridge.generation.generate import generate, write
 from bridge.pages.viewer import NONE, coded, facts_of, pack, scene_document, view_scenes
 from bridge.pictures import figures
+from bridge.recordings.export import write_scene
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sources import read_recording
 from hid2.measures.lane_matching import flatten_lanes
@@ -280,6 +281,34 @@ def test_before_and_after_stand_side_by_side_as_do_two_outputs(opened: Page, dat
     opened.press("b")
     opened.until("panes.length === 1")
     assert opened.errors == []
+
+
+def test_what_was_zoomed_into_stays_when_a_second_picture_comes(opened: Page) -> None:
+    opened.press("+")
+    near = opened.js("looksAt()")
+    opened.press("b")
+    opened.until("panes.length === 2")
+    assert opened.js("looksAt()") == near
+    opened.js("show(0)")
+    assert opened.js("view.fitted === looksAt()") is True
+
+
+def test_sidecars_that_tell_less_are_shown(page: Page, data_scenes, fake_generated, tmp_path: Path) -> None:
+    """No driver, limits, looks or reasons, as in older ones; inserted vehicles that drive off the road."""
+    scenario = read_scenario(data_scenes["curve"])
+    tracks, sidecar, new_id = fake_generated(scenario)
+    focal = scenario.focal_track_id
+    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
+    page.errors.clear()
+    page.open(view_scenes([folder], tmp_path / "page.html"))
+    page.until("now.scene && now.frames > 0")
+    for name in (*(track.track_id for track in tracks), focal, "AV"):
+        page.js(f"choose('{name}')")
+        page.drawn()
+        assert page.js("$('panel').querySelector('h2').textContent") == name
+    assert page.js("$('many').hidden") is True
+    assert page.js("now.scene.findings.length") > 0
+    assert page.errors == []
 
 
 def test_picture_is_saved_with_its_legend(opened: Page, tmp_path: Path) -> None:
