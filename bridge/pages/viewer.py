@@ -238,7 +238,7 @@ def _looks(path: Path, exported: Collection[str]) -> dict[str, list[list[Any]]]:
             if row["track_id"] in exported:  # the others' ids in the simulation become those of exported tracks
                 values = [names.get(row[column], row[column]) or None for column in LOOK_COLUMNS]
                 found.setdefault(row["track_id"], []).append(
-                    [float(value) if column in _NUMBERS and value else value
+                    [_rounded(float(value)) if column in _NUMBERS and value else value
                      for column, value in zip(LOOK_COLUMNS, values, strict=True)]
                 )  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
