@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from planted_faults import GROSS, INSIDE, KINDS, PlantedFault, planted, planted_in
-from second_checker import Finding, check_folder
+from second_checker import check_folder
 from second_scene import read_scene
 
 from bridge.recordings.validate import Against, validate_scene
