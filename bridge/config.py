@@ -203,8 +203,13 @@ def check_function(name: str, named: Collection[str], *, where: str) -> None:
         )
 
 
-def check_no_flow(config: Config) -> None:
-    """Raise ConfigError where traffic is to enter at the map's edge: whoever does so is not exported, only studied."""
+def check_exportable(config: Config) -> None:
+    """Raise ConfigError for what studies alone may ask for: traffic that enters, lane changes that nothing guards."""
+    if config.lane_change.safety == "rule":
+        raise ConfigError(
+            "lane_change.safety = 'rule': nothing would guard a lane change of a data set, studies alone "
+            "(hid2 study) may ask for it; expected sumo, guard"
+        )
     if config.flow.veh_per_h_lane > 0.0:
         raise ConfigError(
             f"flow.veh_per_h_lane = {config.flow.veh_per_h_lane:g}: traffic enters in studies only (hid2 study), "

@@ -63,9 +63,9 @@ class Shift:
 class GapLook:
     """One look at a gap: what was seen at a step, and the answers.
 
-    target: cell g_{l',j}; front, rear: new leader and new follower; rule: reason of the lane-change rule, None for yes;
-    guard: reason found on the way across (path, conflict case 3), None for yes or where the rule said no; sumo: its
-    answer, None where it was not asked.
+    target: cell g_{l',j}; front, rear: new leader and new follower; refusals: conditions of the lane-change rule that
+    said no, none for yes; guard: reason found on the way across (path, conflict case 3), None for yes or where the rule
+    said no; sumo: its answer, None where it was not asked.
     """
 
     step: int
@@ -76,9 +76,24 @@ class GapLook:
     own_mps: float
     remaining_m: float
     cells_free: bool
-    rule: Reason | None
+    refusals: tuple[Reason, ...]
     guard: Reason | None = None
     sumo: bool | None = None
+
+    @property
+    def rule(self) -> Reason | None:
+        """The rule's answer: the first condition that said no, None for yes."""
+        return next(iter(self.refusals), None)
+
+    @property
+    def asked(self) -> dict[str, bool]:
+        """Each of what decides that was asked: cells, road, rule, guard, sumo; whether it said no."""
+        cells, road = self.rule is Reason.CELLS_OCCUPIED, self.rule is Reason.LANE_ENDS
+        way = self.guard is not None and self.guard is not Reason.CONFLICT_PREDICTED
+        found = {"cells": cells, "road": road or way, "rule": not (self.rule is None or cells or road)}
+        if self.rule is None and not way:
+            found["guard"] = self.guard is not None
+        return found | ({} if self.sumo is None else {"sumo": not self.sumo})
 
 
 @dataclass(eq=False, slots=True)

@@ -22,7 +22,7 @@ from tempfile import TemporaryDirectory
 from bridge.batch.engine import Outcome, Settings, Task, execute_here
 from bridge.batch.manifest import DONE, MAX_TEXT, QUARANTINED, Manifest, ManifestRow, files_sha256, output_files
 from bridge.batch.quarantine import MAX_TIMEOUT_S, Bundle, read_bundle, write_bundle
-from bridge.config import check_function, check_no_flow, config_sha256, new_scenario_id
+from bridge.config import check_exportable, check_function, config_sha256, new_scenario_id
 from bridge.files import explained, one_line
 from bridge.generation.program import code_version, processor
 from bridge.interruption import remove_abandoned, tidied
@@ -122,7 +122,7 @@ def plan(folders: Iterable[Address], config: Config) -> list[SceneJob]:
 
     The number of variants is taken out of each run's configuration: variant 0 is the same scene however many there are.
     """
-    check_no_flow(config)
+    check_exportable(config)
     request = config.request.model_copy(update={"variants": 1})
     single = config.model_copy(update={"request": request})
     runs = tuple(Run(single, variant) for variant in range(config.request.variants))
@@ -197,15 +197,17 @@ def _with_rules(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequenc
 
     functions: those that may be imported. They are looked for in the working folder last. Errors: ConfigError.
     """
-    rules = {run.config.lane_change.rule for job in jobs for run in job.runs}
-    digests = {}
-    for rule in sorted(rule for rule in rules if ":" in rule):
+    changes = [run.config.lane_change for job in jobs for run in job.runs if ":" in run.config.lane_change.rule]
+    digests: dict[str, str] = {}
+    for (rule, _), change in sorted({(one.rule, one.rule_with): one for one in changes}.items()):
         check_function(rule, functions, where="lane_change.rule")
         from hid2.policy.rules import check_user_rule  # only where there is one
 
         if str(Path.cwd()) not in sys.path:
             sys.path.append(str(Path.cwd()))  # processes of the batch get it from here
-        file = check_user_rule(rule)
+        file = check_user_rule(change)
+        if rule in digests:
+            continue
         digests[rule] = hashlib.sha256(Path(file).read_bytes()).hexdigest()
         _LOG.warning("lane_change.rule = %s is imported from %s and run", rule, file)
 

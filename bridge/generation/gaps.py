@@ -35,6 +35,7 @@ GAP_COLUMNS: Mapping[str, str] = {
     "lag_ttc_s": "time to collision of the new follower at constant speeds; empty: not closing in",
     "remaining_m": "length of the lane left, through its successors",
     "rule": "answer of the lane-change rule: yes, or a reason",
+    "refusals": "every condition of the rule that said no, parted by spaces; empty: none",
     "guard": "answer of conflict case 3 and of the path across: yes, a reason, or empty: not asked",
     "sumo": "answer of SUMO: yes, no, or empty: not asked",
 }
@@ -72,6 +73,7 @@ def _look_row(look: GapLook) -> dict[str, Any]:
         **_neighbour("lag", look.rear, follower_mps=look.rear.speed_mps, leader_mps=look.own_mps),
         "remaining_m": _number(look.remaining_m),
         "rule": str(look.rule or "yes"),
+        "refusals": " ".join(look.refusals) or None,
         "guard": str(look.guard or "yes") if asked else None,
         "sumo": None if look.sumo is None else "yes" if look.sumo else "no",
     }

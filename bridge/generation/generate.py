@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bridge.config import check_no_flow, check_reactive, config_sha256
+from bridge.config import check_exportable, check_reactive, config_sha256
 from bridge.generation.gaps import gaps_bytes
 from bridge.generation.program import code_sha256, libraries
 from bridge.generation.records import (
@@ -111,7 +111,7 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
     Same scenario, configuration and variant: the same result. Errors: MapError, NetError, SimulationError, ConfigError,
     ScenarioError where a generated focal track was asked for and no vehicle lives through the scene.
     """
-    check_no_flow(config)
+    check_exportable(config)
     check_reactive(config)
     prepared = source if isinstance(source, PreparedScene) else prepare(source, config)
     scenario = prepared.scenario
@@ -123,7 +123,7 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
     _LOG.debug("%s variant %d: %s vehicles asked for", scenario.scenario_id, variant, config.request.agents)
     with Simulation(
         prepared.net, seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
-        parameters=model_parameters(config),
+        parameters=model_parameters(config), checks_gaps=config.lane_change.safety == "sumo",
     ) as simulation:  # fmt: skip
         rounds: _Rounds
         if config.driving.replay == "reactive":

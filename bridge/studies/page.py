@@ -37,10 +37,15 @@ _TOLD = (
     "share_accepted_of_looking",
     "mean_wait_s",
     "gaps_accepted",
-    "looks_refused_by_sumo",
+    "refused_by_rule",
+    "refused_by_cells",
+    "refused_by_guard",
+    "refused_by_sumo",
     "lateral_s",
     "lag_time_gap_s",
     "share_ttc_below_critical",
+    "share_overlapping",
+    "lag_drac_mps2",
 )
 
 
@@ -66,8 +71,9 @@ def write_results(study: Study, tables: Tables, out_dir: Path) -> list[Path]:
             own = gaps[gaps[key] == value] if len(gaps) else gaps
             curves[value] = curve = acceptance_curve(own) if len(own) else None
             acceptance += [{"parameter": key, "value": value, **curve}] if curve is not None else []
-            found = critical_gap(own) if len(own) else None
-            critical += [_critical_row(key, value, found)] if found is not None else []
+            for side in ("lag", "lead"):
+                found = critical_gap(own, side) if len(own) else None
+                critical += [_critical_row(key, value, side, found)] if found is not None else []
         path = out_dir / f"{study.name}_{key.replace('.', '_')}.png"
         title = f"{_title(study, tables)}; bars: 95 % intervals, runs drawn again"
         draw_parameter(path, title, key, dose=dose, requests=requests, curves=curves, give_up_s=give_up_s)
@@ -129,9 +135,9 @@ def _title(study: Study, tables: Tables) -> str:
     ) + ("; recorded vehicles react" if set(tables.requests["replay"]) == {"reactive"} else "")
 
 
-def _critical_row(key: str, value: Any, found: CriticalGap) -> dict[str, Any]:  # noqa: ANN401
+def _critical_row(key: str, value: Any, side: str, found: CriticalGap) -> dict[str, Any]:  # noqa: ANN401
     return {
-        "parameter": key, "value": value, "mean_s": found.mean.value, "mean_low_s": found.mean.low,
+        "parameter": key, "value": value, "side": side, "mean_s": found.mean.value, "mean_low_s": found.mean.low,
         "mean_high_s": found.mean.high, "sd_s": found.sd.value, "raff_s": found.raff, "drivers": found.drivers,
         "inconsistent": found.inconsistent,
     }  # fmt: skip

@@ -109,7 +109,7 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
     comers = [replace(one, driver=_with_duration(one.driver, config.lane_change)) for one in drawn.arrivals]
     with Simulation(
         prepared.net, seed=sumo_seed(drawn.seed), step_s=scene.step_s, model=config.car_following.model,
-        parameters=model_parameters(config),
+        parameters=model_parameters(config), checks_gaps=config.lane_change.safety == "sumo",
     ) as simulation:  # fmt: skip
         nobody = traffic_of_exported([], scene)
         driving = FlowDriving(
@@ -162,6 +162,11 @@ def _measured(
             row["min_ttc_s"], row["min_pet_s"] = _conflicts(
                 everybody, vehicle.vehicle_id, first, last, step_s=scene.step_s
             )
+            row["overlaps"] = row["min_ttc_s"] == 0.0
+            lag_id = next((look.rear.track_id for look in vehicle.gaps if look.sumo), None)
+            row["lag_drac_mps2"], row["lag_headway_s"] = _lag_suffers(
+                everybody, vehicle.vehicle_id, lag_id, first, last
+            )
         if row["start_s"] is not None and row["end_s"] is not None:
             row["lateral_s"] = round(row["end_s"] - row["start_s"], 6)
         rows.append(row)
@@ -176,13 +181,16 @@ def _measured(
     return PairedRun(rows, _fundamental(scene, driving, moved), tuple(vehicles), count)
 
 
+#: What may refuse a gap, as `GapLook.asked` names it.
+DECIDES = ("cells", "road", "rule", "guard", "sumo")
 #: A row of the table of requests without anything in it: the order of its columns.
 _EMPTY: dict[str, Any] = dict.fromkeys(
     (
         "vehicle", "source", "kind", "status", "reason", "exported", "entered_s", "desired_mps", "trigger_s",
-        "counted", "observed_to_s", "accepted_s", "waited_s", "accepted", "looks", "refused_by_rule",
-        "refused_by_guard", "refused_by_sumo", "lead_gap_m", "lag_gap_m", "lead_time_gap_s", "lag_time_gap_s",
-        "speed_mps", "start_s", "crossing_s", "end_s", "lateral_s", "min_ttc_s", "min_pet_s",
+        "counted", "observed_to_s", "accepted_s", "waited_s", "accepted", "looks",
+        *(f"{what}_{name}" for name in DECIDES for what in ("asked", "refused_by")), "lead_gap_m", "lag_gap_m",
+        "lead_time_gap_s", "lag_time_gap_s", "speed_mps", "start_s", "crossing_s", "end_s", "lateral_s",
+        "min_ttc_s", "min_pet_s", "overlaps", "lag_drac_mps2", "lag_headway_s",
     )
 )  # fmt: skip
 
@@ -200,10 +208,12 @@ def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[st
         "desired_mps": _rounded(start.driver.desired_mps), "trigger_s": _rounded(trigger_s),
         "accepted": shift is not None, "accepted_s": _rounded(accepted_s), "observed_to_s": _rounded(until_s),
         "waited_s": None if until_s < trigger_s else _rounded(until_s - trigger_s),
-        "looks": len(vehicle.gaps), "refused_by_rule": sum(look.rule is not None for look in vehicle.gaps),
-        "refused_by_guard": sum(look.guard is not None for look in vehicle.gaps),
-        "refused_by_sumo": sum(look.sumo is False for look in vehicle.gaps),
+        "looks": len(vehicle.gaps),
     }  # fmt: skip
+    asked = [look.asked for look in vehicle.gaps]
+    for name in DECIDES:
+        said = [one[name] for one in asked if name in one]
+        row |= {f"asked_{name}": len(said), f"refused_by_{name}": sum(said)}
     took = next((look for look in vehicle.gaps if look.sumo), None)
     if took is not None:
         lead, lag = took.front, took.rear
@@ -288,6 +298,32 @@ def _conflicts(
     ttc = float(ttc_to_anything(arrays)[arrays.first[number] : arrays.first[number + 1]].min())
     pet = min((one.pet_s for one in encroachments(arrays) if number in (one.first, one.second)), default=CAP_S)
     return (None if ttc >= CAP_S else _rounded(ttc)), (None if pet >= CAP_S else _rounded(pet))
+
+
+def _lag_suffers(
+    everybody: Sequence[Track], own: str, lag_id: str | None, first: int, last: int
+) -> tuple[float | None, float | None]:
+    """Largest DRAC, m/s2, and least time headway, s, front to front, of the new follower from step first to last.
+
+    By bumpers along its heading, as the judge's; None where there is none.
+    """
+    pair = [next((track for track in everybody if track.track_id == name), None) for name in (own, lag_id)]
+    me, lag = pair
+    if me is None or lag is None:
+        return None, None
+    _, mine, its = np.intersect1d(me.timesteps, lag.timesteps, assume_unique=True, return_indices=True)
+    during = (me.timesteps[mine] >= first) & (me.timesteps[mine] <= last)
+    mine, its = mine[during], its[during]
+    if not mine.size:
+        return None, None
+    forward = np.stack([np.cos(lag.heading[its]), np.sin(lag.heading[its])], axis=1)
+    ahead = ((me.position[mine] - lag.position[its]) * forward).sum(axis=1)
+    gap = np.maximum(ahead - 0.5 * (me.size.length_m + lag.size.length_m), 1e-3)
+    speed = (lag.velocity[its] * forward).sum(axis=1)
+    closing = np.maximum(speed - (me.velocity[mine] * forward).sum(axis=1), 0.0)
+    front = ahead + 0.5 * (me.size.length_m - lag.size.length_m)
+    headway = front / np.maximum(speed, 0.1)
+    return _rounded(float((closing**2 / (2.0 * gap)).max())), _rounded(float(headway.min()))
 
 
 def _fundamental(scene: Scene, driving: FlowDriving, vehicles: Sequence[DrivenVehicle]) -> list[dict[str, Any]]:

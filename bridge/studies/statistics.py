@@ -24,24 +24,41 @@ _SEPARATED = 50.0
 _LONG_GAP_S = 10.0
 
 
+#: Columns of a gap's sizes; conditions of rules that are about one side of it.
+_SIZES = ["lag_time_gap_s", "lead_time_gap_s", "lag_gap_m", "lead_gap_m"]
+_CONDITIONS = {"lag": {"rear_gap", "mobil_unsafe", "rule_refuses"}, "lead": {"front_gap"}}
+
+
 def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     """One row for each gap that a vehicle looked at: the same new leader and follower on the same side.
 
-    Its size is that at the acceptance, and of a gap that was not taken the largest while it was looked at.
+    Its size is that at which the rule first took it, else the largest while it was looked at; beside it the largest
+    size that each side alone was refused at before the driver took any gap.
     """
     if looks.empty:
         return looks
-    same = ["scene", "city", "point", *keys, "seed", "replay", "vehicle", "side", "lead_id", "lag_id"]
-    frame = looks.assign(accepted=looks["sumo"] == "yes").sort_values("time_s", kind="stable")
+    driver = ["scene", "city", "point", *keys, "seed", "replay", "vehicle"]
+    same = [*driver, "side", "lead_id", "lag_id"]
+    frame = looks.sort_values("time_s", kind="stable")
+    frame = frame.assign(accepted=frame["rule"] == "yes", taken=frame["sumo"] == "yes")
     frame[["lead_id", "lag_id"]] = frame[["lead_id", "lag_id"]].fillna("")
+    waits = ~frame.groupby(driver, dropna=False)["accepted"].cummax()
+    refusals = frame["refusals"].fillna("").str.split()
+    for side, conditions in _CONDITIONS.items():
+        # where anything else says no too, that this side would do is never seen, and refusals alone would count
+        refused = waits & refusals.map(lambda said, conditions=conditions: bool(said) and conditions.issuperset(said))
+        frame[f"{side}_refused_s"] = frame[f"{side}_time_gap_s"].where(refused)
+    on_the_way = frame["guard"].where(frame["sumo"].isna(), "sumo_refuses").where(~frame["taken"], "taken")
+    frame["became"] = on_the_way.where(frame["accepted"], frame["rule"])
     grouped = frame.groupby(same, sort=False, dropna=False)
-    largest = grouped[["lag_time_gap_s", "lead_time_gap_s", "lag_gap_m", "lead_gap_m"]].max()
-    last = grouped[["lag_time_gap_s", "lead_time_gap_s", "lag_gap_m", "lead_gap_m"]].last()
     found = grouped.agg(
-        accepted=("accepted", "any"), from_s=("time_s", "min"), to_s=("time_s", "max"), looks=("time_s", "size"),
-        answer=("rule", "last"), trigger_s=("trigger_s", "first"),
+        accepted=("accepted", "any"), taken=("taken", "any"), from_s=("time_s", "min"), to_s=("time_s", "max"),
+        looks=("time_s", "size"), became=("became", "last"), trigger_s=("trigger_s", "first"),
+        lag_refused_s=("lag_refused_s", "max"), lead_refused_s=("lead_refused_s", "max"),
     )  # fmt: skip
-    sizes = last.where(found["accepted"], largest)
+    first = frame[frame["accepted"]].drop_duplicates(same).set_index(same)
+    found["accepted_s"] = first["time_s"].reindex(found.index)
+    sizes = grouped[_SIZES].max().where(~found["accepted"], first[_SIZES].reindex(found.index))
     return found.join(sizes).reset_index()
 
 
@@ -114,9 +131,15 @@ OUTCOMES = (
             "looked"),
     Outcome("mean_wait_s", "mean waiting time from the trigger, up to the longest allowed, s", "requests", None),
     Outcome("gaps_accepted", "share of the gaps looked at that were taken", "gaps", "accepted"),
-    Outcome("looks_refused_by_sumo", "share of the looks that SUMO refused", "requests", "refused_by_sumo", "looks"),
-    Outcome("looks_refused_by_rule", "share that the rule refused", "requests", "refused_by_rule", "looks"),
-    Outcome("looks_refused_by_guard", "share that the guard refused", "requests", "refused_by_guard", "looks"),
+    *(
+        Outcome(f"refused_by_{name}", f"share that {words} refused of what it was asked", "requests",
+                f"refused_by_{name}", f"asked_{name}")
+        for name, words in (("rule", "the rule"), ("cells", "taken cells"), ("road", "the road"),
+                            ("guard", "the guard"), ("sumo", "SUMO"))
+    ),
+    Outcome("share_overlapping", "share of the changes in which boxes meet", "requests", "overlaps"),
+    Outcome("lag_drac_mps2", "mean of the largest DRAC of the new follower, m/s2", "requests", "lag_drac_mps2"),
+    Outcome("lag_headway_s", "mean of the least time headway of the new follower, s", "requests", "lag_headway_s"),
     Outcome("lateral_s", "mean duration of the lateral motion, s", "requests", "lateral_s"),
     Outcome("lag_time_gap_s", "mean lag time gap taken (above 10 s: 10 s), s", "requests", "lag_time_gap_s"),
     Outcome("share_ttc_below_critical", "share of the changes with a TTC below 1.5 s", "requests", "ttc_critical"),
@@ -232,7 +255,10 @@ def curve_at(curve: dict[str, Any], lag_s: FloatArray) -> tuple[FloatArray, Floa
 
 @dataclass(frozen=True, slots=True)
 class CriticalGap:
-    """Critical gap of a group of drivers, s. mean and sd: lognormal, by maximum likelihood; raff: Raff's."""
+    """Critical time gap of a group of drivers on one side of a gap, s. mean and sd: lognormal, by maximum likelihood.
+
+    raff: Raff's.
+    """
 
     mean: Estimate
     sd: Estimate
@@ -241,26 +267,27 @@ class CriticalGap:
     inconsistent: int
 
 
-def largest_rejected(gaps: pd.DataFrame) -> tuple[FloatArray, FloatArray, int]:
-    """Largest rejected and accepted lag time gap, s, of each driver that accepted one; how many were left out.
+def largest_rejected(gaps: pd.DataFrame, side: str) -> tuple[FloatArray, FloatArray, int]:
+    """Largest time gap refused for this side and that taken, s, of each driver that looked; how many were left out.
 
-    A driver who refused a larger lag gap than the one taken refused it for another reason, and is left out. A gap that
-    the rule refused for anything but its lag gap is no refusal of its lag gap.
+    A gap that was refused for anything but this side of it is no refusal of it. inf: it took none, or one without a
+    vehicle on this side; where it refused none either it tells nothing. A driver that refused a larger one than it took
+    is left out: its rule asks for something else, too.
     """
-    for_lag = gaps["accepted"] | gaps["answer"].isin(["yes", "rear_gap", "mobil_unsafe", "rule_refuses"])
-    frame = gaps[for_lag & gaps["lag_time_gap_s"].notna()]
-    who = ["scene", "point", "seed", "vehicle"]
-    accepted = frame[frame["accepted"]].groupby(who)["lag_time_gap_s"].first()
-    rejected = frame[~frame["accepted"]].groupby(who)["lag_time_gap_s"].max().reindex(accepted.index).fillna(0.0)
-    a, r = accepted.to_numpy(float), rejected.to_numpy(float)
-    consistent = (a > r) & (a > 0.0)
-    return r[consistent], a[consistent], int((~consistent).sum())
+    driver = ["scene", "point", "seed", "vehicle"]
+    first = gaps[gaps["accepted"]].sort_values("accepted_s", kind="stable").drop_duplicates(driver).set_index(driver)
+    rejected = gaps.groupby(driver)[f"{side}_refused_s"].max().astype(float).fillna(0.0)
+    r = rejected.to_numpy(float)
+    a = first[f"{side}_time_gap_s"].reindex(rejected.index).fillna(np.inf).to_numpy(float)
+    tells, consistent = np.isfinite(a) | (r > 0.0), (a > r) & (a > 0.0)
+    return r[tells & consistent], a[tells & consistent], int((tells & ~consistent).sum())
 
 
 def troutbeck(rejected_s: FloatArray, accepted_s: FloatArray) -> tuple[Estimate, Estimate]:
     """Mean and SD of a lognormal critical gap, s, by maximum likelihood (Troutbeck 1992).
 
-    From each driver's largest rejected and accepted gap. Intervals: draws from the inverse information.
+    From each driver's largest rejected and accepted gap, inf where it took none: those that wait longest have the
+    largest critical gaps. Intervals: draws from the inverse information.
     """
     from scipy.optimize import minimize
     from scipy.stats import norm
@@ -274,7 +301,8 @@ def troutbeck(rejected_s: FloatArray, accepted_s: FloatArray) -> tuple[Estimate,
         share = norm.cdf((log_a - p[0]) / sd) - norm.cdf((log_r - p[0]) / sd)
         return -float(np.log(np.maximum(share, 1e-300)).sum())
 
-    middle = np.log(np.where(rejected_s > 0.0, np.sqrt(np.maximum(rejected_s, 1e-9) * accepted_s), 0.7 * accepted_s))
+    above_s = np.where(np.isfinite(accepted_s), accepted_s, 2.0 * rejected_s)
+    middle = np.log(np.where(rejected_s > 0.0, np.sqrt(np.maximum(rejected_s, 1e-9) * above_s), 0.7 * above_s))
     start = np.array([float(middle.mean()), math.log(max(float(middle.std()), 0.1))])
     best = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-8, "maxiter": 4000}).x
     hessian = approx_hess(best, loss, epsilon=1e-3)
@@ -306,16 +334,18 @@ def raff(rejected_s: FloatArray, accepted_s: FloatArray) -> float | None:
     return float(at[crossed[0]]) if crossed.size else None
 
 
-def critical_gap(gaps: pd.DataFrame) -> CriticalGap | None:
-    """Critical lag time gap of the drivers in a table of gaps; None where too few accepted one."""
-    rejected, accepted, inconsistent = largest_rejected(gaps)
-    if accepted.size < _FEWEST or (rejected > 0).sum() < _FEWEST // 2:
+def critical_gap(gaps: pd.DataFrame, side: str) -> CriticalGap | None:
+    """Critical time gap of the drivers in a table of gaps on one side, lag or lead; None where too few took one."""
+    rejected, accepted, inconsistent = largest_rejected(gaps, side)
+    taken = accepted[np.isfinite(accepted)]
+    if taken.size < _FEWEST or (rejected > 0).sum() < _FEWEST // 2:
         return None
+    refused = gaps[f"{side}_refused_s"].dropna().to_numpy(float)
+    if rejected.max() < taken.min():  # one gap parts all drivers: anything between the two is as likely
+        between = Estimate(float(0.5 * (rejected.max() + taken.min())), float(rejected.max()), float(taken.min()))
+        return CriticalGap(between, Estimate(0.0), raff(refused, taken), accepted.size, inconsistent)
     mean, sd = troutbeck(rejected, accepted)
-    refused = gaps[~gaps["accepted"] & gaps["answer"].isin(["yes", "rear_gap", "mobil_unsafe", "rule_refuses"])]
-    return CriticalGap(
-        mean, sd, raff(refused["lag_time_gap_s"].dropna().to_numpy(float), accepted), accepted.size, inconsistent
-    )
+    return CriticalGap(mean, sd, raff(refused, taken), accepted.size, inconsistent)
 
 
 # Effects --------------------------------------------------------------------------------------------------------------

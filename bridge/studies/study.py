@@ -27,6 +27,8 @@ from netconvert.errors import BatchError, ConfigError, ScenarioError
 
 #: Stands for request.trigger_min_s and request.trigger_max_s: a fixed trigger time.
 TRIGGER = "trigger_s"
+#: Before the name of an argument of a rule of a user's own: what `lane_change.rule_with` has of it.
+_RULE = "rule."
 #: Of each run, in a folder of its own below OUT/runs: what was measured, and every look at a gap.
 RUN_FILE, LOOKS_FILE = "run.json.gz", "looks.csv.gz"
 _REQUEST_KEYS = frozenset({"kind", "accepted", "waited_s", "source", "trigger_s"})
@@ -124,10 +126,11 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
         for point in points
     )
     for key in content.vary:
-        if key != TRIGGER and not key.startswith((*(f"{section}." for section in _DECIDES), *_CHANGES_TRAFFIC)):
+        if key != TRIGGER and not key.startswith((*(f"{section}." for section in _DECIDES), _RULE, *_CHANGES_TRAFFIC)):
             raise ConfigError(
                 f"{path}: vary.{key}: would choose other vehicles or sites, and nothing could be compared; "
-                f"expected {TRIGGER}, flow.veh_per_h_lane, or a key of {', '.join((*_DECIDES, 'drivers'))}"
+                f"expected {TRIGGER}, flow.veh_per_h_lane, rule.ARGUMENT, or a key of "
+                f"{', '.join((*_DECIDES, 'drivers'))}"
             )
     if any(config.request.agents == "max" for config in configs[0]):
         raise ConfigError(f"{path}: config.request.agents = 'max', expected a number of vehicles")
@@ -261,6 +264,11 @@ def _configured(base: Mapping[str, Any], changes: Mapping[str, Value], *, source
     expanded = dict(changes)
     if TRIGGER in expanded:
         expanded["request.trigger_min_s"] = expanded["request.trigger_max_s"] = expanded.pop(TRIGGER)
+    arguments = ", ".join(f"{key[5:]}={value}" for key, value in expanded.items() if key.startswith(_RULE))
+    expanded = {key: value for key, value in expanded.items() if not key.startswith(_RULE)}
+    if arguments:
+        given = values.get("lane_change", {}).get("rule_with")
+        expanded["lane_change.rule_with"] = f"{given}, {arguments}" if given else arguments
     for key, value in expanded.items():
         section, dot, name = key.partition(".")
         if not dot:

@@ -29,9 +29,10 @@ LABELS = {
     "flow.veh_per_h_lane": "flow asked for, veh/h per lane",
 }
 _REFUSALS = {
-    "looks_refused_by_rule": ("the rule", figures.ORANGE),
-    "looks_refused_by_guard": ("the guard", figures.GREEN),
-    "looks_refused_by_sumo": ("SUMO", figures.VERMILION),
+    "refused_by_cells": ("taken cells", figures.SKY),
+    "refused_by_rule": ("the rule", figures.ORANGE),
+    "refused_by_guard": ("the guard", figures.GREEN),
+    "refused_by_sumo": ("SUMO", figures.VERMILION),
 }
 
 

@@ -89,7 +89,8 @@ def _decided(fleet: Fleet, simulation: Simulation, row: int, now: int, others: T
 def _asked(fleet: Fleet, simulation: Simulation, row: int, now: int, across: Across) -> Attempt | Reason:
     """Look along the way across (conflict case 3), and ask SUMO; or the reason not to."""
     scene, vehicle = fleet.scene, fleet.vehicles[row]
-    if "collision" not in scene.config.without and _meets_on(fleet, row, now, across.path):
+    guarded = "collision" not in scene.config.without and scene.config.lane_change.safety != "rule"
+    if guarded and _meets_on(fleet, row, now, across.path):
         return Reason.CONFLICT_PREDICTED
     cell = scene.grid.cell_of_sumo_lane.get(simulation.lane(vehicle.vehicle_id)[0])
     if cell is None:

@@ -16,6 +16,7 @@ from netconvert.errors import SimulationError
 
 #: TraCI lane-change mode: no change of SUMO's own; one asked for is refused where speeds and brake gaps forbid it.
 _ONLY_ASKED_IF_SAFE = 512
+_ASKED_ANYHOW = 0  # the same, and one asked for is carried out
 #: TraCI speed mode: car following and the greatest acceleration hold; a limit may brake harder than is comfortable.
 _SAFE_SPEED = 1 + 2 + 8 + 16
 #: Motives of SUMO's lane-change model, as it names them.
@@ -32,6 +33,7 @@ class Simulation:
 
     net: a file, or its content. model: car-following model of the vehicles that SUMO drives, as it is named in SUMO;
     parameters: its attributes.
+    checks_gaps: whether SUMO refuses a lane change that its own gaps forbid.
     expected_decel_mps2: what those behind a replayed vehicle expect it to brake with at most.
     Errors: SimulationError for a net that SUMO refuses, and for a second simulation in one process.
     """
@@ -40,11 +42,12 @@ class Simulation:
 
     def __init__(
         self, net: Path | bytes, *, seed: int, step_s: float, expected_decel_mps2: float = 4.5, model: str = "EIDM",
-        parameters: Mapping[str, float] | None = None,
+        parameters: Mapping[str, float] | None = None, checks_gaps: bool = True,
     ) -> None:  # fmt: skip
         self._net = net
         self._model, self._parameters = model, dict(parameters or {})
         self._expected_decel_mps2 = expected_decel_mps2
+        self._change_mode = _ONLY_ASKED_IF_SAFE if checks_gaps else _ASKED_ANYHOW
         self._seed = seed
         self._step_s = step_s
         self._types: set[str] = set()
@@ -184,7 +187,7 @@ class Simulation:
             libsumo.vehicle.moveTo(vehicle_id, lane_id, front_m)
         except libsumo.TraCIException as error:
             return str(error)
-        libsumo.vehicle.setLaneChangeMode(vehicle_id, _ONLY_ASKED_IF_SAFE)
+        libsumo.vehicle.setLaneChangeMode(vehicle_id, self._change_mode)
         libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
         return None
 
@@ -201,7 +204,7 @@ class Simulation:
             vehicle_id, self._route(edges), typeID=type_id, depart="now", departLane=str(lane_index),
             departPos="base", departSpeed="avg",
         )  # fmt: skip
-        libsumo.vehicle.setLaneChangeMode(vehicle_id, _ONLY_ASKED_IF_SAFE)
+        libsumo.vehicle.setLaneChangeMode(vehicle_id, self._change_mode)
         libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
 
     def _driver_type(
@@ -228,7 +231,7 @@ class Simulation:
     def disregard_others(self, vehicle_id: str) -> None:
         """Switch SUMO's regard for others off, in following and in changing lanes."""
         libsumo.vehicle.setSpeedMode(vehicle_id, 0)
-        libsumo.vehicle.setLaneChangeMode(vehicle_id, 0)
+        libsumo.vehicle.setLaneChangeMode(vehicle_id, _ASKED_ANYHOW)
 
     def drive(self, vehicle_id: str, *, desired_mps: float, limit_mps: float | None) -> None:
         """Desired speed for the coming step, and a limit on what SUMO chooses; None for no limit."""

@@ -46,7 +46,8 @@ def is_due(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
     if vehicle.stage in (Stage.ENTER, Stage.RETURN) and vehicle.s[-1] >= vehicle.path.shifts[-1][1]:
         passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
         vehicle.stage = Stage.PASS if passing else Stage.DONE
-    if vehicle.stage is Stage.WAITING and time_s > trigger_s + scene.config.lane_change.give_up_s:
+    waits_s = max(scene.config.lane_change.give_up_s, scene.step_s)  # one look at least
+    if vehicle.stage is Stage.WAITING and time_s > trigger_s + waits_s:
         vehicle.stage = Stage.ABORTED
     return time_s >= trigger_s and vehicle.stage in (Stage.WAITING, Stage.PASS)
 
@@ -154,13 +155,14 @@ class Due:
             desired_mps=start.driver.desired_mps, request=vehicle.policy, trigger_s=start.request.trigger_s,
             stage=vehicle.stage, leader=leader, options=options, passed_gap_m=self.passed_gap_m(),
             length_m=start.box.length_m, driver=start.driver, own_front=own_front, own_rear=own_rear,
+            vehicle_id=vehicle.vehicle_id,
         )  # fmt: skip
 
-    def _look(self, option: LaneOption, rule: Reason | None) -> GapLook:
+    def _look(self, option: LaneOption, refusals: tuple[Reason, ...]) -> GapLook:
         """What is recorded of one look at a gap."""
         return GapLook(
             step=self.now, side=option.side, target=option.target, front=option.front, rear=option.rear,
-            own_mps=self.vehicle.v[-1], remaining_m=option.remaining_m, cells_free=option.cells_free, rule=rule,
+            own_mps=self.vehicle.v[-1], remaining_m=option.remaining_m, cells_free=option.cells_free, refusals=refusals,
         )  # fmt: skip
 
     def _lay(self, option: LaneOption, target: DrivenPath) -> DrivenPath | Reason:

@@ -9,7 +9,7 @@ from hid2.params import LaneChange, Overtake
 from hid2.policy.behaviours import POLICY_OF_TURN
 from hid2.policy.lane_change import NOBODY, Gap
 from hid2.policy.overtake import Leader, Stage, enter_reason, return_reason
-from hid2.policy.rules import GapView, SumoAnswer, rule_reason
+from hid2.policy.rules import GapView, SumoAnswer, rule_reason, rule_refusals
 from hid2.reasons import Reason
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
@@ -59,32 +59,33 @@ class Observation:
     driver: Driver | None = None
     own_front: Gap = NOBODY
     own_rear: Gap = NOBODY
+    vehicle_id: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
     """policy_i and g_i^{t+1}. reason: why a manoeuvre that is due was not begun; None where begun or not due.
 
-    answers: to each adjacent lane that was looked at, in order: a reason, None for yes.
+    answers: to each adjacent lane that was looked at, in order: the conditions that said no, none for yes.
     """
 
     policy: Policy
     target: Cell | None
     side: Side | None = None
     reason: Reason | None = None
-    answers: tuple[Reason | None, ...] = field(default=(), compare=False)
+    answers: tuple[tuple[Reason, ...], ...] = field(default=(), compare=False)
 
 
 def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) -> Decision:
     """Algorithm 1 (Agent Decision). "Not feasible" is a reason, never an exception."""
     reason: Reason | None = None
-    answers: list[Reason | None] = []
+    answers: list[tuple[Reason, ...]] = []
     due = seen.time_s >= seen.trigger_s and seen.stage is not Stage.DONE and seen.stage is not Stage.ABORTED
     if due and seen.request is Policy.LANE_CHANGE:
         reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
-            reason = rule_reason(_view(seen, option), lane_change)
-            answers.append(reason)
+            answers.append(rule_refusals(_view(seen, option), lane_change))
+            reason = next(iter(answers[-1]), None)
             if reason is None:
                 return Decision(Policy.LANE_CHANGE, option.target, option.side, answers=tuple(answers))
     elif due and seen.request is Policy.OVERTAKE:
@@ -109,7 +110,7 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
                 )
                 if reason is None and lane_change.rule != "paper":  # whose gaps are the conditions above
                     reason = rule_reason(_view(seen, option), lane_change)
-            answers.append(reason)
+            answers.append(() if reason is None else (reason,))
             if reason is None:
                 return Decision(Policy.OVERTAKE, option.target, option.side, answers=tuple(answers))
     return Decision(policy_on(seen.lane_turn), seen.next_cell, reason=reason, answers=tuple(answers))
@@ -124,13 +125,13 @@ def _view(seen: Observation, option: LaneOption) -> GapView:
     return gap_view(
         option, seen.driver or usual_driver(seen.desired_mps), time_s=seen.time_s,
         waited_s=max(0.0, seen.time_s - seen.trigger_s), speed_mps=seen.speed_mps, length_m=seen.length_m,
-        own=(seen.own_front, seen.own_rear),
+        own=(seen.own_front, seen.own_rear), vehicle_id=seen.vehicle_id,
     )  # fmt: skip
 
 
 def gap_view(
     option: LaneOption, driver: Driver, *, time_s: float, waited_s: float, speed_mps: float, length_m: float,
-    own: tuple[Gap, Gap],
+    own: tuple[Gap, Gap], vehicle_id: str = "",
 ) -> GapView:  # fmt: skip
     """What a rule is told of one adjacent lane. own: gaps ahead and behind on the lane that would be left."""
     return GapView(
@@ -138,4 +139,5 @@ def gap_view(
         length_m=length_m, tau_s=driver.tau_s, accel_mps2=driver.accel_mps2, decel_mps2=driver.decel_mps2,
         min_gap_m=driver.min_gap_m, cells_free=option.cells_free, front=option.front, rear=option.rear,
         own_front=own[0], own_rear=own[1], remaining_m=option.remaining_m, sumo=option.sumo,
+        vehicle_id=vehicle_id,
     )  # fmt: skip

@@ -1,6 +1,7 @@
 """Lane change: feasibility on the grid and in metres (paper, Lane Change)."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from hid2.params import LaneChange
@@ -26,27 +27,14 @@ def safe_gap_m(follower_mps: float, leader_mps: float, *, time_gap_s: float, par
     return max(params.min_gap_m, time_gap_s * follower_mps) + closing * closing / (2 * params.braking_mps2)
 
 
-def lane_change_reason(
-    *,
-    speed_mps: float,
-    cells_free: bool,
-    front: Gap,
-    rear: Gap,
-    remaining_m: float,
-    params: LaneChange,
-) -> Reason | None:
-    """Why the change to l' is not feasible now; None where it is.
+def gap_refusals(*, speed_mps: float, cells_free: bool, front: Gap, rear: Gap, params: LaneChange) -> Iterator[Reason]:
+    """Conditions of the paper that a gap on l' does not meet now; none where the change is feasible.
 
     cells_free: sigma = 0 in cells j-1, j, j+1 of l'. Gaps are to the new leader and follower in Frenet metres.
     """
-    if speed_mps < params.min_speed_mps:
-        return Reason.TOO_SLOW
-    if remaining_m < params.min_remaining_m:
-        return Reason.LANE_ENDS
     if not cells_free:
-        return Reason.CELLS_OCCUPIED
+        yield Reason.CELLS_OCCUPIED
     if front.distance_m < safe_gap_m(speed_mps, front.speed_mps, time_gap_s=params.time_gap_front_s, params=params):
-        return Reason.FRONT_GAP
+        yield Reason.FRONT_GAP
     if rear.distance_m < safe_gap_m(rear.speed_mps, speed_mps, time_gap_s=params.time_gap_rear_s, params=params):
-        return Reason.REAR_GAP
-    return None
+        yield Reason.REAR_GAP

@@ -8,12 +8,13 @@ import importlib
 import math
 import sys
 import traceback
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from hid2.drivers.driver import Driver
 from hid2.params import LaneChange
-from hid2.policy.lane_change import NOBODY, Gap, lane_change_reason
+from hid2.policy.lane_change import NOBODY, Gap, gap_refusals
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 
@@ -31,13 +32,18 @@ class SumoAnswer:
 FORESEEN = SumoAnswer(frozenset({"foreseen"}), blocked_ahead=False, blocked_behind=False)
 
 
+#: Names of conditions that the rule of a user's own may answer to one by one; others are its own.
+_CONDITIONS = {"lead": Reason.FRONT_GAP, "lag": Reason.REAR_GAP, "cells": Reason.CELLS_OCCUPIED}
+
+
 @dataclass(frozen=True, slots=True)
 class GapView:
     """One look at a gap: all that a rule is told. m, s, m/s, m/s2; Gap: bumper gap and speed, inf where nobody is.
 
     front, rear: new leader and new follower; own_front, own_rear: those on the lane that would be left; waited_s: since
     the trigger; cells_free: sigma = 0 in cells j-1, j, j+1 of l'; remaining_m: length of l' left; tau_s, accel_mps2,
-    decel_mps2, min_gap_m: the own driver's. sumo: what SUMO answers, only for the rule LC2013.
+    decel_mps2, min_gap_m: the own driver's. sumo: what SUMO answers, only for the rule LC2013;
+    vehicle_id: the same at every point of a study.
     """
 
     time_s: float
@@ -57,6 +63,7 @@ class GapView:
     own_rear: Gap
     remaining_m: float
     sumo: SumoAnswer | None = None
+    vehicle_id: str = ""
 
 
 #: What a user's rule is tried with before any scene is driven: a free road, and a gap between two vehicles.
@@ -68,25 +75,45 @@ _FREE = GapView(
 _BETWEEN = replace(_FREE, front=Gap(20.0, 9.0), rear=Gap(15.0, 11.0), own_front=Gap(12.0, 8.0), own_rear=Gap(9.0, 10.0))
 
 
-def rule_reason(view: GapView, params: LaneChange) -> Reason | None:
-    """Why the rule `lane_change.rule` does not take a gap; None where it does.
+def rule_refusals(view: GapView, params: LaneChange) -> tuple[Reason, ...]:
+    """Every condition of the rule `lane_change.rule` that a gap does not meet, in its order; empty where it takes it.
 
-    Errors: ConfigError for a user's rule that cannot be imported or does not answer True or False.
+    A rule of a user's own is asked only where the lane can be changed in. Errors: ConfigError for one that cannot be
+    imported, or answers otherwise than with True, False, or these by the names of its conditions.
     """
-    if params.rule == "paper":
-        return lane_change_reason(
-            speed_mps=view.speed_mps, cells_free=view.cells_free, front=view.front, rear=view.rear,
-            remaining_m=view.remaining_m, params=params,
-        )  # fmt: skip
+    found = []
     if view.speed_mps < params.min_speed_mps:
-        return Reason.TOO_SLOW
+        found.append(Reason.TOO_SLOW)
     if view.remaining_m < params.min_remaining_m:
-        return Reason.LANE_ENDS
-    if params.rule == "MOBIL":
-        return mobil_reason(view, params)
-    if params.rule == "LC2013":
-        return _lc2013_reason(view)
-    return None if _answer(params.rule, view) else Reason.RULE_REFUSES
+        found.append(Reason.LANE_ENDS)
+    if params.rule == "paper":
+        found += gap_refusals(
+            speed_mps=view.speed_mps, cells_free=view.cells_free, front=view.front, rear=view.rear, params=params
+        )
+    elif params.rule == "MOBIL":
+        found += mobil_refusals(view, params)
+    elif params.rule == "LC2013":
+        found += _lc2013_refusals(view)
+    elif not found:
+        found += _answer(params.rule, view, rule_arguments(params))
+    return tuple(found)
+
+
+def rule_reason(view: GapView, params: LaneChange) -> Reason | None:
+    """The first of `rule_refusals`; None where the rule takes the gap."""
+    return next(iter(rule_refusals(view, params)), None)
+
+
+def rule_arguments(params: LaneChange) -> dict[str, float]:
+    """`lane_change.rule_with` by name. Errors: ConfigError for a value that is no number."""
+    found = {}
+    for part in filter(None, params.rule_with.replace(" ", "").split(",")):
+        name, _, value = part.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise ConfigError(f"lane_change.rule_with: {part!r}, expected name=number") from None
+    return found
 
 
 def foreseen_reason(view: GapView, params: LaneChange) -> Reason | None:
@@ -120,35 +147,38 @@ def expected_reason(
     return foreseen_reason(view, params)
 
 
-def check_user_rule(name: str) -> str:
-    """Import the function that "module:function" names, try it, and return the file of its module.
+def check_user_rule(params: LaneChange) -> str:
+    """Import the function that `lane_change.rule` names, try it with its arguments, return the file of its module.
 
-    Errors: ConfigError with file and line where it cannot be imported, takes no `GapView`, raises, or answers otherwise
-    than True or False.
+    Errors: ConfigError with file and line where it cannot be imported, takes no `GapView` or not these arguments,
+    raises, or answers otherwise than `rule_refusals` expects.
     """
+    name = params.rule
     for view in (_FREE, _BETWEEN):
-        _answer(name, view)
+        _answer(name, view, rule_arguments(params))
     file = getattr(sys.modules[name.partition(":")[0]], "__file__", None)
     if file is None:
         raise ConfigError(f"lane_change.rule = {name!r}: its module has no file, expected one of your own")
     return str(file)
 
 
-def _answer(name: str, view: GapView) -> bool:
-    """What the user's rule "module:function" says to a gap. Errors: ConfigError with file and line."""
+def _answer(name: str, view: GapView, arguments: Mapping[str, float]) -> list[Reason]:
+    """What the user's rule "module:function" has against a gap. Errors: ConfigError with file and line."""
     module, _, function = name.partition(":")
     rule, wanted = None, "a module that Python finds here"
     try:
         rule = getattr(importlib.import_module(module), function)
-        wanted = "a function of a GapView that answers True or False"
-        answer = rule(view)
+        wanted = " and ".join(["a function of a GapView", *arguments]) + " that answers True or False"
+        answer = rule(view, **arguments)
         if isinstance(answer, bool):
-            return answer
+            return [] if answer else [Reason.RULE_REFUSES]
+        if isinstance(answer, dict) and answer and all(isinstance(one, bool) for one in answer.values()):
+            return [_CONDITIONS.get(condition, Reason.RULE_REFUSES) for condition, holds in answer.items() if not holds]
         said = f"{_place_of(None, rule)}it answered {answer!r:.100}"
     except (Exception, SystemExit) as error:  # whatever a user's code may raise
         said = f"{_place_of(error, rule)}{type(error).__name__}: {getattr(error, 'msg', error)!s:.200}"
         raise ConfigError(f"lane_change.rule = {name!r}: {said}; expected {wanted}") from error
-    raise ConfigError(f"lane_change.rule = {name!r}: {said}, expected True or False")
+    raise ConfigError(f"lane_change.rule = {name!r}: {said}, expected True or False, or these by condition")
 
 
 def _place_of(error: BaseException | None, rule: object) -> str:
@@ -181,17 +211,17 @@ def idm_mps2(speed_mps: float, ahead: Gap, view: GapView) -> float:
     return view.accel_mps2 * (free - (wanted / max(ahead.distance_m, 0.1)) ** 2)
 
 
-def mobil_reason(view: GapView, params: LaneChange) -> Reason | None:
+def mobil_refusals(view: GapView, params: LaneChange) -> Iterator[Reason]:
     """MOBIL (Kesting, Treiber and Helbing 2007): safety for the new follower, then the incentive with politeness p.
 
     a_c' - a_c + p (a_n' - a_n + a_o' - a_o) > threshold - bias, by the intelligent driver model.
     """
     if view.front.distance_m <= 0.0 or view.rear.distance_m <= 0.0:
-        return Reason.CELLS_OCCUPIED
+        yield Reason.CELLS_OCCUPIED
     own = Gap(view.rear.distance_m, view.speed_mps)
     follower_after = idm_mps2(view.rear.speed_mps, own, view)
     if math.isfinite(view.rear.distance_m) and follower_after < -params.mobil_safe_mps2:
-        return Reason.MOBIL_UNSAFE
+        yield Reason.MOBIL_UNSAFE
     advantage = idm_mps2(view.speed_mps, view.front, view) - idm_mps2(view.speed_mps, view.own_front, view)
     others = 0.0
     if math.isfinite(view.rear.distance_m):
@@ -202,13 +232,15 @@ def mobil_reason(view: GapView, params: LaneChange) -> Reason | None:
         behind = Gap(view.own_rear.distance_m, view.speed_mps)
         others += idm_mps2(view.own_rear.speed_mps, joined, view) - idm_mps2(view.own_rear.speed_mps, behind, view)
     gain = advantage + params.mobil_politeness * others
-    return None if gain > params.mobil_threshold_mps2 - params.mobil_bias_mps2 else Reason.MOBIL_NO_ADVANTAGE
+    if gain <= params.mobil_threshold_mps2 - params.mobil_bias_mps2:
+        yield Reason.MOBIL_NO_ADVANTAGE
 
 
-def _lc2013_reason(view: GapView) -> Reason | None:
+def _lc2013_refusals(view: GapView) -> Iterator[Reason]:
     """SUMO's own model: it wants the lane (strategic, cooperative, speed gain, keep right) and finds it free."""
     if view.sumo is None or not view.sumo.motives:
-        return Reason.LC2013_NO_MOTIVE
-    if view.sumo.blocked_behind:
-        return Reason.REAR_GAP
-    return Reason.FRONT_GAP if view.sumo.blocked_ahead else None
+        yield Reason.LC2013_NO_MOTIVE
+    if view.sumo is not None and view.sumo.blocked_behind:
+        yield Reason.REAR_GAP
+    if view.sumo is not None and view.sumo.blocked_ahead:
+        yield Reason.FRONT_GAP

@@ -30,7 +30,7 @@ def test_row_by_hand() -> None:
     """12 m behind a leader at 8 m/s with 10 m/s: 1.2 s, TTC 12 / 2 s. Follower at 15 m/s, 9 m: .6 s, TTC 9 / 5 s."""
     look = GapLook(
         step=20, side="left", target=Cell(7, 3), front=Gap(12.0, 8.0, "a"), rear=Gap(9.0, 15.0, "b"), own_mps=10.0,
-        remaining_m=80.0, cells_free=True, rule=None, guard=None, sumo=False,
+        remaining_m=80.0, cells_free=True, refusals=(), guard=None, sumo=False,
     )  # fmt: skip
     (row,) = gap_rows([(2, _vehicle(look))], {"v0_0": "gen_4"}, step_s=0.1)
     assert list(row) == list(GAP_COLUMNS)
@@ -42,14 +42,16 @@ def test_row_by_hand() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rule", "guard", "answers"),
+    ("refusals", "guard", "answers"),
     [
-        (Reason.REAR_GAP, None, ("rear_gap", None, None)),
-        (None, Reason.CONFLICT_PREDICTED, ("yes", "conflict_predicted", None)),
+        ((Reason.REAR_GAP,), None, ("rear_gap", None, None)),
+        ((), Reason.CONFLICT_PREDICTED, ("yes", "conflict_predicted", None)),
     ],
 )
-def test_who_is_not_asked_has_no_answer(rule: str | None, guard: str | None, answers: tuple[str | None, ...]) -> None:
-    look = GapLook(20, "right", Cell(7, 3), NOBODY, NOBODY, 10.0, 80.0, True, rule, guard)
+def test_what_is_not_asked_has_no_answer(
+    refusals: tuple[Reason, ...], guard: Reason | None, answers: tuple[str | None, ...]
+) -> None:
+    look = GapLook(20, "right", Cell(7, 3), NOBODY, NOBODY, 10.0, 80.0, True, refusals, guard)
     (row,) = gap_rows([(0, _vehicle(look))], {}, step_s=0.1)
     assert (row["rule"], row["guard"], row["sumo"]) == answers
     assert row["lead_gap_m"] is row["lead_id"] is row["lag_ttc_s"] is row["track_id"] is None

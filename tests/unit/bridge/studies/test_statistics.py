@@ -38,7 +38,7 @@ def _drivers(count: int, mean_s: float, sd_s: float, seed: int) -> pd.DataFrame:
             taken = gap > critical
             rows.append(
                 {**RUN, "seed": driver % 10, "vehicle": f"v{driver}", "accepted": taken, "lag_time_gap_s": gap,
-                 "lead_time_gap_s": 5.0, "answer": "yes" if taken else "rear_gap"}
+                 "lead_time_gap_s": 5.0, "accepted_s": 1.0 if taken else None, "lag_refused_s": None if taken else gap}
             )  # fmt: skip
     return pd.DataFrame(rows)
 
@@ -46,7 +46,7 @@ def _drivers(count: int, mean_s: float, sd_s: float, seed: int) -> pd.DataFrame:
 @pytest.mark.parametrize(("mean_s", "sd_s"), [(1.5, 0.4), (2.5, 0.5), (4.0, 1.0)])
 def test_critical_gaps_of_synthetic_drivers_are_found_again(mean_s: float, sd_s: float) -> None:
     """300 drivers of known critical gap: mean and SD lie within their intervals; Raff's is near."""
-    found = critical_gap(_drivers(300, mean_s, sd_s, seed=1))
+    found = critical_gap(_drivers(300, mean_s, sd_s, seed=1), "lag")
     assert found is not None
     assert found.drivers == 300
     assert found.inconsistent == 0
@@ -63,7 +63,7 @@ def test_intervals_of_critical_gaps_hold_what_they_say() -> None:
     """95 % intervals of 40 samples of 100 drivers: at least 34 hold the mean (binomial, p < .01 below)."""
     held = 0
     for seed in range(40):
-        rejected, accepted, _ = largest_rejected(_drivers(100, 2.0, 0.5, seed=100 + seed))
+        rejected, accepted, _ = largest_rejected(_drivers(100, 2.0, 0.5, seed=100 + seed), "lag")
         mean, _ = troutbeck(rejected, accepted)
         assert mean.low is not None
         assert mean.high is not None
@@ -73,12 +73,12 @@ def test_intervals_of_critical_gaps_hold_what_they_say() -> None:
 
 def test_driver_who_refused_a_larger_gap_is_left_out_and_counted() -> None:
     rows = [
-        {**RUN, "vehicle": "v0", "accepted": False, "lag_time_gap_s": 3.0, "answer": "rear_gap"},
-        {**RUN, "vehicle": "v0", "accepted": True, "lag_time_gap_s": 2.0, "answer": "yes"},
-        {**RUN, "vehicle": "v1", "accepted": False, "lag_time_gap_s": 9.0, "answer": "front_gap"},  # not for its lag
-        {**RUN, "vehicle": "v1", "accepted": True, "lag_time_gap_s": 2.0, "answer": "yes"},
+        {**RUN, "vehicle": "v0", "accepted": False, "lag_time_gap_s": 3.0, "lag_refused_s": 3.0},
+        {**RUN, "vehicle": "v0", "accepted": True, "lag_time_gap_s": 2.0, "accepted_s": 1.0},
+        {**RUN, "vehicle": "v1", "accepted": False, "lag_time_gap_s": 9.0, "lag_refused_s": None},  # not for its lag
+        {**RUN, "vehicle": "v1", "accepted": True, "lag_time_gap_s": 2.0, "accepted_s": 1.0},
     ]
-    rejected, accepted, inconsistent = largest_rejected(pd.DataFrame(rows))
+    rejected, accepted, inconsistent = largest_rejected(pd.DataFrame(rows), "lag")
     assert (rejected.tolist(), accepted.tolist(), inconsistent) == ([0.0], [2.0], 1)
 
 
@@ -115,11 +115,12 @@ def _look(vehicle: str, time_s: float, lag: str, gap_s: float, sumo: str | None,
     return {
         **RUN, "vehicle": vehicle, "side": "left", "time_s": time_s, "lead_id": None, "lag_id": lag,
         "lag_time_gap_s": gap_s, "lead_time_gap_s": np.nan, "lag_gap_m": 10 * gap_s, "lead_gap_m": np.nan,
-        "rule": rule, "sumo": sumo, "trigger_s": 1.0,
+        "rule": rule, "refusals": None if rule == "yes" else rule, "guard": "yes" if rule == "yes" else None,
+        "sumo": sumo, "trigger_s": 1.0,
     }  # fmt: skip
 
 
-def test_gap_is_one_row_with_its_largest_size_or_that_at_the_acceptance() -> None:
+def test_gap_is_one_row_with_its_largest_size_or_that_at_which_the_rule_took_it() -> None:
     looks = pd.DataFrame(
         [
             _look("v0", 1.0, "a", 0.5, None, "rear_gap"),
@@ -131,7 +132,15 @@ def test_gap_is_one_row_with_its_largest_size_or_that_at_the_acceptance() -> Non
     )
     first, second = gaps_of(looks, []).to_dict("records")
     assert (first["lag_id"], first["accepted"], first["lag_time_gap_s"], first["looks"]) == ("a", False, 0.9, 3)
-    assert (second["lag_id"], second["accepted"], second["lag_time_gap_s"], second["answer"]) == ("b", True, 2.0, "yes")
+    assert (first["became"], first["lag_refused_s"]) == ("rear_gap", 0.9)
+    assert (second["lag_id"], second["accepted"], second["accepted_s"], second["lag_time_gap_s"]) == (
+        "b",
+        True,
+        1.3,
+        3.0,
+    )
+    assert (second["became"], second["taken"]) == ("taken", True)
+    assert np.isnan(second["lag_refused_s"])
 
 
 def test_logistic_coefficients_are_found_again() -> None:
@@ -150,6 +159,14 @@ def test_logistic_coefficients_are_found_again() -> None:
     assert acceptance_curve(frame.head(5)) is None
 
 
+#: Of ten looks two found the cells taken; the rule refuses five of ten, the guard one of three, SUMO one of two.
+REFUSED = {
+    "asked_cells": 10, "refused_by_cells": 2, "asked_road": 10, "refused_by_road": 0, "asked_rule": 10,
+    "refused_by_rule": 5, "asked_guard": 3, "refused_by_guard": 1, "asked_sumo": 2, "refused_by_sumo": 1,
+    "overlaps": False, "lag_drac_mps2": 1.0, "lag_headway_s": 1.5,
+}  # fmt: skip
+
+
 def _requests(slope: float, *, runs: int = 12, each: int = 20) -> pd.DataFrame:
     """Requests of runs at three values of p; the share accepted goes with slope * p; the same vehicles at each."""
     rng = np.random.default_rng(3)
@@ -159,8 +176,8 @@ def _requests(slope: float, *, runs: int = 12, each: int = 20) -> pd.DataFrame:
         for point, p in enumerate((0.0, 0.5, 1.0)):
             rows += [
                 {**RUN, "point": point, "p": p, "seed": seed, "vehicle": f"v{k}", "counted": True,
-                 "accepted": luck[k] < 0.6 + slope * p, "waited_s": 5.0, "looks": 10, "refused_by_rule": 5,
-                 "refused_by_guard": 1, "refused_by_sumo": 2, "lateral_s": 4.0, "lag_time_gap_s": 2.0 + p,
+                 "accepted": luck[k] < 0.6 + slope * p, "waited_s": 5.0, "looks": 10, **REFUSED, "lateral_s": 4.0,
+                 "lag_time_gap_s": 2.0 + p,
                  "start_s": 3.0, "min_ttc_s": np.nan}
                 for k in range(each)
             ]  # fmt: skip
@@ -188,11 +205,12 @@ def test_parameter_with_which_nobody_gets_a_gap_is_drawn_too(tmp_path: Path) -> 
     assert share["estimate"].tolist() == [0.0] * 3
 
 
-def test_shares_of_looks_by_hand() -> None:
-    """2 of 10 looks refused by SUMO in every request."""
+def test_shares_of_what_each_was_asked_by_hand() -> None:
+    """SUMO was asked twice in every request and refused once, the guard once of three times."""
     dose = dose_response(_requests(0.0), pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
-    by_sumo = dose[dose["outcome"] == "looks_refused_by_sumo"]
-    assert by_sumo["estimate"].tolist() == pytest.approx([0.2] * 3)
+    for name, share in (("sumo", 0.5), ("guard", 1 / 3), ("rule", 0.5), ("cells", 0.2), ("road", 0.0)):
+        found = dose[dose["outcome"] == f"refused_by_{name}"]
+        assert found["estimate"].tolist() == pytest.approx([share] * 3)
 
 
 def test_standardised_coefficient_of_a_straight_line_is_one() -> None:

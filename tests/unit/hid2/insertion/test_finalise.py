@@ -165,6 +165,15 @@ def test_recorded_follower_may_not_close_in_critically(scene_of: Callable[..., S
     assert conflicting(scene, [found]) == [(0, Reason.TTC_RECORDED_FOLLOWER)]
 
 
+def test_recorded_follower_keeps_its_time_headway(scene_of: Callable[..., Scene]) -> None:
+    """7.5 m from front to front at 10 m/s are .75 s. The target of an event bears the gap that the event is about."""
+    scene = scene_of(recorded(32.5, 0.0, 10.0))
+    found = _alone(scene, np.full(110, 10.0))
+    assert isinstance(found, ExportedVehicle)
+    assert conflicting(scene, [found]) == [(0, Reason.FOLLOWER_HEADWAY)]
+    assert conflicting(scene, [found], target_id="r") == []
+
+
 @pytest.mark.parametrize(("at_s", "is_critical"), [(5.8, True), (6.1, True), (6.6, False)])
 def test_crossing_below_the_critical_pet_is_named(
     at_s: float, is_critical: bool, scene_of: Callable[..., Scene]

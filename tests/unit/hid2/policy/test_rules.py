@@ -14,8 +14,10 @@ from hid2.policy.rules import (
     check_user_rule,
     expected_reason,
     idm_mps2,
-    mobil_reason,
+    mobil_refusals,
+    rule_arguments,
     rule_reason,
+    rule_refusals,
 )
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
@@ -26,6 +28,12 @@ VIEW = GapView(
     decel_mps2=1.0, min_gap_m=2.0, cells_free=True, front=NOBODY, rear=NOBODY, own_front=NOBODY, own_rear=NOBODY,
     remaining_m=200.0,
 )  # fmt: skip
+
+
+def _mobil(view: GapView, params: LaneChange) -> Reason | None:
+    return next(mobil_refusals(view, params), None)
+
+
 MOBIL = LaneChange(rule="MOBIL", mobil_bias_mps2=0.0, mobil_threshold_mps2=0.1, mobil_safe_mps2=2.0)
 
 
@@ -44,32 +52,32 @@ def test_paper_is_the_default_and_asks_for_free_cells() -> None:
 
 def test_mobil_changes_for_an_advantage_only() -> None:
     """Behind a leader at 12 m the lane beside is worth 0 - (-1) = 1 m/s2; on a free road it is worth nothing."""
-    assert mobil_reason(replace(VIEW, own_front=Gap(12.0, 10.0)), MOBIL) is None
-    assert mobil_reason(VIEW, MOBIL) == Reason.MOBIL_NO_ADVANTAGE
+    assert _mobil(replace(VIEW, own_front=Gap(12.0, 10.0)), MOBIL) is None
+    assert _mobil(VIEW, MOBIL) == Reason.MOBIL_NO_ADVANTAGE
 
 
 def test_mobil_bias_takes_the_place_of_an_advantage() -> None:
-    assert mobil_reason(VIEW, MOBIL.model_copy(update={"mobil_bias_mps2": 0.2})) is None
+    assert _mobil(VIEW, MOBIL.model_copy(update={"mobil_bias_mps2": 0.2})) is None
 
 
 def test_mobil_keeps_the_new_follower_safe() -> None:
     """6 m behind at 10 m/s: s* = 12, so 0 - 4 = -4 m/s2, beyond the 2 allowed."""
     crowded = replace(VIEW, own_front=Gap(12.0, 10.0), rear=Gap(6.0, 10.0))
-    assert mobil_reason(crowded, MOBIL) == Reason.MOBIL_UNSAFE
+    assert _mobil(crowded, MOBIL) == Reason.MOBIL_UNSAFE
 
 
 def test_mobil_politeness_weighs_the_followers_loss() -> None:
     """Own advantage 1; the new follower, at 12 m now instead of nobody ahead, loses 1: worth it below p = 0.9."""
     view = replace(VIEW, own_front=Gap(12.0, 10.0), rear=Gap(12.0, 10.0))
     for politeness, reason in ((0.0, None), (0.85, None), (0.95, Reason.MOBIL_NO_ADVANTAGE)):
-        assert mobil_reason(view, MOBIL.model_copy(update={"mobil_politeness": politeness})) == reason
+        assert _mobil(view, MOBIL.model_copy(update={"mobil_politeness": politeness})) == reason
 
 
 def test_mobil_politeness_counts_what_the_old_follower_wins() -> None:
     """Nothing to win for itself; the old follower at 12 m loses its leader and wins 1: at p = 0.2 more than 0.1."""
     view = replace(VIEW, own_rear=Gap(12.0, 10.0))
-    assert mobil_reason(view, MOBIL.model_copy(update={"mobil_politeness": 0.0})) == Reason.MOBIL_NO_ADVANTAGE
-    assert mobil_reason(view, MOBIL.model_copy(update={"mobil_politeness": 0.2})) is None
+    assert _mobil(view, MOBIL.model_copy(update={"mobil_politeness": 0.0})) == Reason.MOBIL_NO_ADVANTAGE
+    assert _mobil(view, MOBIL.model_copy(update={"mobil_politeness": 0.2})) is None
 
 
 @pytest.mark.parametrize(
@@ -143,7 +151,7 @@ def test_unsound_rule_is_refused_with_file_and_line(monkeypatch: pytest.MonkeyPa
     (tmp_path / f"{module}.py").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(ConfigError) as caught:
-        check_user_rule(f"{module}:accept")
+        check_user_rule(LaneChange(rule=f"{module}:accept"))
     assert f"lane_change.rule = '{module}:accept': {tmp_path / module}.py:{line}: " in str(caught.value)
     assert said in str(caught.value)
     assert len(str(caught.value)) < 600
@@ -152,11 +160,36 @@ def test_unsound_rule_is_refused_with_file_and_line(monkeypatch: pytest.MonkeyPa
 def test_sound_rule_is_told_by_its_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "sound_rule.py").write_text("def accept(view):\n    return view.rear.distance_m > 10.0\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    assert check_user_rule("sound_rule:accept") == str(tmp_path / "sound_rule.py")
+    assert check_user_rule(LaneChange(rule="sound_rule:accept")) == str(tmp_path / "sound_rule.py")
     with pytest.raises(ConfigError, match="'builtins:bool': its module has no file"):
-        check_user_rule("builtins:bool")
+        check_user_rule(LaneChange(rule="builtins:bool"))
     with pytest.raises(ConfigError, match="'math:pi': TypeError: 'float' object is not callable; expected a function"):
-        check_user_rule("math:pi")
+        check_user_rule(LaneChange(rule="math:pi"))
+
+
+def test_every_condition_that_says_no_is_told() -> None:
+    """Cells taken, 1 m to either side at 10 m/s; MOBIL's follower would brake, and there is nothing to win."""
+    crowded = replace(VIEW, cells_free=False, front=Gap(1.0, 10.0), rear=Gap(1.0, 10.0))
+    assert rule_refusals(crowded, LaneChange()) == (Reason.CELLS_OCCUPIED, Reason.FRONT_GAP, Reason.REAR_GAP)
+    assert rule_refusals(crowded, MOBIL) == (Reason.MOBIL_UNSAFE, Reason.MOBIL_NO_ADVANTAGE)
+    assert rule_refusals(VIEW, LaneChange()) == ()
+
+
+def test_own_rule_takes_arguments_and_answers_by_condition(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "two_sided.py").write_text(
+        "def accept(view, lead=1.0, b=1.0):\n"
+        "    lag = view.rear\n"
+        "    return {'lead': view.front.distance_m >= lead, 'lag': lag.distance_m >= b * lag.speed_mps, 'mood': True}\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    params = LaneChange(rule="two_sided:accept", rule_with="b=1.5, lead=5")
+    assert rule_arguments(params) == {"b": 1.5, "lead": 5.0}
+    near = replace(VIEW, front=Gap(4.0, 10.0), rear=Gap(14.0, 10.0))  # 1.4 s
+    assert rule_refusals(near, params) == (Reason.FRONT_GAP, Reason.REAR_GAP)
+    assert rule_refusals(near, LaneChange(rule="two_sided:accept", rule_with="b=1.3")) == ()
+    unknown = LaneChange(rule="two_sided:accept", rule_with="gap=1.0")
+    with pytest.raises(ConfigError, match=r"unexpected keyword .*; expected a function of a GapView and gap"):
+        check_user_rule(unknown)
 
 
 def test_change_that_is_expected_depends_on_the_rule_that_is_set() -> None:

@@ -1,0 +1,96 @@
+"""The world that candidates are rolled out in: what a motion does to others, and what is known without one of them."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inserted import recorded, scene_on, start_on
+
+from hid2.agents import Policy, Track
+from hid2.conflicts.guard import Guard
+from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.rollout import Foreseen, Rollout, World
+from hid2.occupancy.traffic import Traffic
+from hid2.policy.roads import Roads
+from hid2.reasons import Reason
+from netconvert.lane_graph import LaneGraph
+
+
+@pytest.fixture
+def world_of(road: Callable[..., LaneGraph]) -> Callable[..., World]:
+    """world_of(*recorded) -> two lanes of 300 m with nothing inserted."""
+
+    def make(*tracks: Track) -> World:
+        scene = scene_on(road(length_m=300.0), *tracks)
+        nobody = Traffic.none(scene.future.num_steps)
+        return World(scene, Roads(scene), Guard(scene, nobody, StopLines(scene)))
+
+    return make
+
+
+def _steady(
+    world: World, s: float, mps: float, *, number: int = 0, lane: int = 1, policy: Policy = Policy.STRAIGHT
+) -> Foreseen:
+    """A vehicle that keeps its speed, m/s, from s m on."""
+    start = start_on(world.scene, (lane,), s, mps, number=number, policy=policy)
+    steps = np.arange(world.scene.num_steps)
+    part = Rollout(start.path, 0, s + 0.1 * mps * steps, np.full(steps.size, mps), np.zeros((steps.size, 0)))
+    return world.foreseen(start, (part,))
+
+
+@pytest.mark.parametrize(("ahead_m", "reason"), [(7.5, Reason.FOLLOWER_HEADWAY), (8.5, None)])
+def test_recorded_follower_keeps_its_time_headway(
+    world_of: Callable[..., World], ahead_m: float, reason: Reason | None
+) -> None:
+    """At 10 m/s 7.5 m from front to front are .75 s, 8.5 m .85 s; .8 s is the limit. An event's target bears it."""
+    world = world_of(recorded(20.0, 0.0, 10.0))
+    candidate = _steady(world, 20.0 + ahead_m, 10.0)
+    assert world.harries(candidate) is reason
+    world.target_id = "r"
+    assert world.harries(candidate) is None
+
+
+def test_follower_that_kept_as_little_in_the_recording_does_not_mind(world_of: Callable[..., World]) -> None:
+    """It follows a recorded one at .7 s for 3 s, which is gone then; afterwards an inserted one at .75 s."""
+    leader = recorded(27.0, 0.0, 10.0, name="b")
+    gone = replace(leader, **{
+        name: getattr(leader, name)[:30] for name in ("timesteps", "position", "heading", "velocity")
+    })  # fmt: skip
+    world = world_of(recorded(20.0, 0.0, 10.0, name="a"), gone)
+    start = start_on(world.scene, (1,), 57.5, 10.0, step=30)
+    steps = np.arange(world.scene.num_steps - 30)
+    part = Rollout(start.path, 30, 57.5 + 1.0 * steps, np.full(steps.size, 10.0), np.zeros((steps.size, 0)))
+    assert world.harries(world.foreseen(start, (part,))) is None
+
+
+def test_follower_that_closes_in_is_named(world_of: Callable[..., World]) -> None:
+    """10 m/s behind 5 m/s: the gap of 15.5 m lasts 3.1 s."""
+    world = world_of(recorded(20.0, 0.0, 10.0))
+    assert world.harries(_steady(world, 40.0, 5.0)) is Reason.TTC_RECORDED_FOLLOWER
+
+
+def test_vehicle_is_rolled_out_anew_without_itself(world_of: Callable[..., World]) -> None:
+    """What is known on the path is the others, as in a world that it was never chosen in."""
+    world, plain = world_of(recorded(200.0, 0.0, 8.0)), world_of(recorded(200.0, 0.0, 8.0))
+    first, second, third = (_steady(world, s, 8.0, number=n) for n, s in enumerate((20.0, 60.0, 100.0)))
+    world.choose(first)
+    world.choose(second)
+    around = world.joined_by(third, without="v1_0")
+    plain.choose(first, third)
+    path, box = first.start.path, first.start.box
+    seen, wanted = around.known_on(path, box), plain.known_on(path, box)
+    assert seen.low == pytest.approx(wanted.low)
+    assert around.guard.fixed.ids == ("v0_0", "v2_0")
+    assert world.guard.fixed.ids == ("v0_0", "v1_0")  # nothing is chosen by asking
+
+
+def test_only_what_comes_near_a_lane_change_makes_it_be_rolled_out_anew(world_of: Callable[..., World]) -> None:
+    """Beside 20 m behind it does; 100 m behind, or where it is never there at the same time, it does not."""
+    world = world_of()
+    changer = _steady(world, 150.0, 8.0, policy=Policy.LANE_CHANGE)
+    across = replace(changer, parts=(changer.parts[0].until(40), replace(changer.parts[0], step=41)))
+    world.choose(across)
+    near, far = _steady(world, 130.0, 8.0, number=1), _steady(world, 40.0, 8.0, number=2)
+    assert world.hindered(near) == [across]
+    assert world.hindered(far) == []
