@@ -49,7 +49,7 @@ NONE = -(2**31)
 #: What of a look at a gap is shown, of the columns of gaps_<id>.csv.gz.
 LOOK_COLUMNS = (
     "time_s", "side", "lane_id", "cell", "cells_free", "lead_id", "lead_gap_m", "lag_id", "lag_gap_m", "remaining_m",
-    "rule", "guard", "sumo",
+    "rule", "refusals", "guard", "sumo",
 )  # fmt: skip
 _NUMBERS = frozenset({"time_s", "lane_id", "cell", "lead_gap_m", "lag_gap_m", "remaining_m"})
 #: What of the sidecar a page holds.

@@ -86,7 +86,8 @@ def _panel(shown: dict[str, Any], agent: dict[str, Any], looks: list[dict[str, s
     if len(shown["looks"]) != len(looks) or agent["gaps"]["looked_at"] != len(looks):
         yield f"{name}: {len(shown['looks'])} looks, in the table {len(looks)}"
     for row, look in zip(shown["looks"], looks, strict=False):
-        answer = next((look[who] for who in ("rule", "guard") if look[who] != "yes"), None)
+        refusals = ", ".join(look["refusals"].split()) or look["rule"]
+        answer = refusals if look["rule"] != "yes" else look["guard"] if look["guard"] != "yes" else None
         answer = answer or {"no": "refused by SUMO", "yes": "taken", "": "SUMO not asked"}[look["sumo"]]
         gaps = [f"{float(look[gap]):.1f}" if look[gap] else "–" for gap in ("lead_gap_m", "lag_gap_m")]
         near = all(a == b or abs(float(a) - float(b)) < 0.11 for a, b in zip(row[2:4], gaps, strict=True))

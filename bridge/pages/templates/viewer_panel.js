@@ -118,7 +118,7 @@ function looks(scene, id, record) {
     const step = Math.round(look.time_s / scene.step_s), answer = answerOf(look);
     return html`<tr data-step="${step}" data-until="${step + 1}"><td class="n">${fixed(look.time_s)}</td>
 <td title="lane ${look.lane_id}, cell ${look.cell}">${look.side}</td>${gap(look.lead_gap_m, look.lead_id)}${gap(look.lag_gap_m, look.lag_id)}
-<td title="${why(answer)}" class="${answer === "taken" ? "good" : ""}">${words(answer)}</td></tr>`;
+<td title="${answer.split(", ").map(why).join(" ")}" class="${answer === "taken" ? "good" : ""}">${words(answer)}</td></tr>`;
   });
   return section("Looks at gaps", html`<p>${count(all, "look")}; ${rule} refused by rule or guard, ${sumo} by SUMO</p>
 ${rows.length ? html`<div class="looks">${table(["s", "side", "lead, m", "lag, m", "answer"], rows)}</div>`

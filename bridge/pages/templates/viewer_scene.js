@@ -119,8 +119,8 @@ function occupancyOf(scene, cell) { // which boxes cover a cell: [track, first s
   return found.sort((a, b) => a[1] - b[1]);
 }
 
-function answerOf(look) { // what came of a look at a gap: a refusal with its reason, or taken
-  if (look.rule !== "yes") return look.rule;
+function answerOf(look) { // what came of a look at a gap: a refusal with all that said no, or taken
+  if (look.rule !== "yes") return (look.refusals ?? look.rule).replaceAll(" ", ", ");
   if (look.guard !== "yes") return look.guard;
   return look.sumo === "no" ? "refused by SUMO" : look.sumo === "yes" ? "taken" : "SUMO not asked";
 }

@@ -147,7 +147,7 @@ def test_comparison_fails_where_the_viewer_has_something_else(opened: Page, gene
     name = opened.js("Object.keys(now.scene.looks)[0]")
     opened.js(f"now.scene.byId.get('{name}').x[20] += 0.002")
     opened.js(f"now.scene.record.get('{name}').limited = {{ turn: 0.5 }}")
-    opened.js(f"now.scene.looks['{name}'][0].rule = 'rear_gap'")
+    opened.js(f"now.scene.looks['{name}'][0].side = 'above'")
     found = " ".join(differences(opened, generated[1]))
     for part in (f"{name}: x is off by 0.002", f"{name}: limits", f"{name}: look"):
         assert part in found
