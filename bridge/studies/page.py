@@ -218,6 +218,11 @@ def _told(dose: pd.DataFrame) -> list[str]:
             low, high = (0.0 if abs(bound) <= _SAME else bound for bound in (low, high))
             sure = "which excludes no effect" if low > 0 or high < 0 else "which includes no effect"
             text += f"; difference {last['difference']:+.3g}, 95 % interval {low:+.3g} to {high:+.3g} ({unit}), {sure}"
+        if pd.notna(last.get("p_holm")):
+            text += (
+                f"; trend {last['trend']:+.3g} for one more ({last['trend_low']:+.3g} to {last['trend_high']:+.3g}), "
+                f"p {last['p_holm']:.2g} among all outcomes (Holm)"
+            )
         found.append(f"{text} [dose_response.estimate of {outcome}].")
     return found
 

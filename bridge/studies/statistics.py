@@ -190,13 +190,43 @@ def dose_response(
         ]
         for unit, columns in units(frame).items():
             whole, draws = resampled(frame, statistic, unit=columns)
+            if unit == next(iter(units(frame))) and pd.api.types.is_numeric_dtype(values):
+                trend = _trend(values.astype(np.float64), whole, draws)
+                for row in own:
+                    row |= trend
             for place, row in enumerate(own):
                 row["estimate"], *row_interval = interval(whole[place], draws[:, place])
                 row[f"low_{unit}"], row[f"high_{unit}"] = row_interval
                 row["difference"], *apart = interval(whole[place] - whole[0], draws[:, place] - draws[:, 0])
                 row[f"difference_low_{unit}"], row[f"difference_high_{unit}"] = apart
         rows += own
-    return pd.DataFrame(rows)
+    return _adjusted(pd.DataFrame(rows))
+
+
+def _trend(values: FloatArray, whole: FloatArray, draws: FloatArray) -> dict[str, Any]:
+    """Slope of an outcome over all values of a parameter (least squares), with its interval and two-sided p by draws."""
+    known = np.isfinite(whole)
+    if known.sum() < 2:
+        return {}
+    away = values[known] - values[known].mean()
+    slope, drawn = (y @ away / (away @ away) for y in (whole[known], draws[:, known]))
+    found = interval(float(slope), drawn)
+    if found.low is None:
+        return {"trend": found.value}
+    known_draws = drawn[np.isfinite(drawn)]
+    tails = [(1 + int((side * known_draws >= 0.0).sum())) / (1 + known_draws.size) for side in (-1.0, 1.0)]
+    return {"trend": found.value, "trend_low": found.low, "trend_high": found.high, "p": min(1.0, 2.0 * min(tails))}
+
+
+def _adjusted(table: pd.DataFrame) -> pd.DataFrame:
+    """The same with p adjusted for the family of all outcomes of the parameter (Holm)."""
+    from statsmodels.stats.multitest import multipletests
+
+    if "p" not in table or table["p"].isna().all():
+        return table
+    each = table.dropna(subset="p").drop_duplicates("outcome").set_index("outcome")["p"]
+    adjusted = dict(zip(each.index, multipletests(each, method="holm")[1], strict=True))
+    return table.assign(p_holm=table["outcome"].map(adjusted))
 
 
 # Acceptance and critical gaps -----------------------------------------------------------------------------------------

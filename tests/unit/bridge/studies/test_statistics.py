@@ -193,6 +193,17 @@ def test_paired_difference_excludes_no_effect_where_there_is_one_and_not_elsewhe
     assert last["difference"] == 0.0  # the same luck at every value: nothing differs at all
 
 
+def test_trend_is_the_slope_over_all_values_and_p_counts_the_family() -> None:
+    """2.0, 2.5, 3.0 s at 0, .5, 1: one s for one more. The share falls by .3; what never changes has no trend."""
+    dose = dose_response(_requests(-0.3), pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
+    first = dose.drop_duplicates("outcome").set_index("outcome")
+    assert first.loc["lag_time_gap_s", "trend"] == pytest.approx(1.0)
+    assert first.loc["share_accepted", "trend"] == pytest.approx(-0.3, abs=0.1)
+    assert first.loc["share_accepted", "p_holm"] < 0.05
+    assert first.loc["lateral_s", "p"] == 1.0
+    assert (first["p_holm"] >= first["p"]).all()
+
+
 def test_parameter_with_which_nobody_gets_a_gap_is_drawn_too(tmp_path: Path) -> None:
     """Nobody accepts at any value: all still wait at the end, there is no curve, and all the rest is empty."""
     requests = _requests(0.0).assign(accepted=False, lateral_s=np.nan, lag_time_gap_s=np.nan, start_s=np.nan)
