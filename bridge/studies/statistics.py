@@ -204,7 +204,7 @@ def dose_response(
 
 
 def _trend(values: FloatArray, whole: FloatArray, draws: FloatArray) -> dict[str, Any]:
-    """Slope of an outcome over all values of a parameter (least squares), with its interval and two-sided p by draws."""
+    """Slope of an outcome over all values of a parameter (least squares), with interval and two-sided p by draws."""
     known = np.isfinite(whole)
     if known.sum() < 2:
         return {}
