@@ -1,9 +1,16 @@
 """Cell grids as SUMO networks, written directly: one edge per row of facing cells, one lane per cell.
 
 The netconvert program of SUMO is not used: it trims lanes at junctions, while here every lane keeps its AV2 centreline.
+It keeps them, as netedit does, when it saves the net of a grid that is made for it (`CellGrid.saved_within_m`): each
+junction there is a line through the ends of its lanes, so that they are trimmed where they end anyhow:
+
+      ------------> P0 ----->
+      ------------> P1 ----->     shape of the junction: P0 P1 P2 P1, there and back, as the chord that closes P0 P1 P2
+         ---------> P2 ----->     would trim lanes too
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -22,6 +29,10 @@ _MAY_ALWAYS_CROSS = "emergency"
 NET_VERSION = "1.20"
 #: Vertices of a lane closer than this to a border of its cell are left out of the cell's shape.
 _MIN_STEP_M = 1e-3
+#: Points of a lane closer than this to one another netconvert may take for one, and lose the end of the lane.
+_DISTINCT_M = 0.11
+#: Length of a junction that is a line and touches one point, or no lane at all.
+TICK_M = 0.02
 _DIRECTION = {TurnType.STRAIGHT: "s", TurnType.LEFT: "l", TurnType.RIGHT: "r"}
 
 
@@ -36,6 +47,7 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
     links = _links(grid, rows, place)
     names = _junction_names(len(rows), [(from_edge, to_edge) for from_edge, _, to_edge, _, _ in links])
 
+    editable = grid.saved_within_m is not None
     text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', _location(grid, origin)]
     templates = {lane_id: _lane_attributes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
     shapes = {lane_id: _cell_shapes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
@@ -44,8 +56,11 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
     }
     for edge, (edge_id, row) in enumerate(zip(edge_ids, rows, strict=True)):
         ends = f'from="{names[2 * edge]}" to="{names[2 * edge + 1]}"'
-        # the spread is for netedit, which else moves lanes aside; SUMO drives on the shapes
-        text.append(f'  <edge id="{edge_id}" {ends} priority="0" spreadType="center">')
+        lengths = [
+            grid.length_m(cell) for cell in row
+        ]  # of the lanes, on which SUMO drives; netconvert has one an edge
+        length = f' length="{(min(lengths) + max(lengths)) / 2.0:.6f}"' if editable else ""
+        text.append(f'  <edge id="{edge_id}" {ends} priority="0"{length}>')
         for index, (lane_id, cell_index) in enumerate(row):
             crossing = f' changeRight="{_MAY_ALWAYS_CROSS}"' if index > 0 and lane_id in closed["right"] else ""
             if index + 1 < len(row) and lane_id in closed["left"]:
@@ -106,18 +121,54 @@ def _junctions(
 ) -> list[str]:
     """Each junction; it lies in the middle of the ends of its lanes."""
     borders = {lane_id: grid.borders(lane_id).tolist() for lane_id in grid.graph.lanes}
-    points: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
+    lanes: dict[str, list[tuple[list[float], list[float]]]] = {name: [] for name in names}
+    points: dict[str, list[list[float]]] = {name: [] for name in names}
     incoming: dict[str, list[str]] = {name: [] for name in names}
     for edge, row in enumerate(rows):
         for index, (lane_id, cell_index) in enumerate(row):
-            points[names[2 * edge]].append(borders[lane_id][cell_index])
-            points[names[2 * edge + 1]].append(borders[lane_id][cell_index + 1])
+            cell = (borders[lane_id][cell_index], borders[lane_id][cell_index + 1])
+            for name, point in zip(names[2 * edge : 2 * edge + 2], cell, strict=True):
+                lanes[name].append(cell)
+                points[name].append(point)
             incoming[names[2 * edge + 1]].append(f"{edge_ids[edge]}_{index}")
+    lines = {name: _across(points[name], lanes[name]) for name in points} if grid.saved_within_m is not None else {}
     return [
-        f'  <junction id="{name}" type="unregulated" x="{sum(x for x, _ in ends) / len(ends):.3f}"'
-        f' y="{sum(y for _, y in ends) / len(ends):.3f}" incLanes="{" ".join(incoming[name])}" intLanes=""/>'
+        junction_xml(
+            name,
+            (sum(x for x, _ in ends) / len(ends), sum(y for _, y in ends) / len(ends)),
+            incoming=incoming[name],
+            line=lines.get(name, ()),
+        )
         for name, ends in points.items()
     ]
+
+
+def _across(ends: Sequence[Sequence[float]], cells: Sequence[tuple[Sequence[float], Sequence[float]]]) -> FloatArray:
+    """Line through the ends of lanes from one side of the road to the other and back, (N, 2) m.
+
+    cells: first and last point of each lane. Where all end in one point a short line across the first of them, as
+    netconvert ignores the shape of a point.
+    """
+    along = np.subtract([last for _, last in cells], [first for first, _ in cells])
+    ahead_x, ahead_y = along.sum(axis=0).tolist()
+    line = sorted(
+        set(map(tuple, np.round(ends, 3).tolist())), key=lambda end: (end[0] * ahead_y - end[1] * ahead_x, end)
+    )
+    if len(line) == 1:
+        right = np.array([along[0, 1], -along[0, 0]]) / (np.hypot(*along[0]) or 1.0)
+        return np.stack([line[0] - TICK_M / 2 * right, line[0] + TICK_M / 2 * right])
+    return np.array([*line, *line[-2:0:-1]])
+
+
+def junction_xml(
+    name: str, place: Sequence[float], *, incoming: Sequence[str], line: Iterable[Sequence[float]] = ()
+) -> str:
+    """A junction at a place, m; incoming: lanes that end there; line: its shape, on which netconvert trims lanes."""
+    shape = " ".join(f"{x:.3f},{y:.3f}" for x, y in line)
+    return (
+        f'  <junction id="{name}" type="unregulated" x="{place[0]:.3f}" y="{place[1]:.3f}"'
+        f' incLanes="{" ".join(incoming)}" intLanes=""' + (f' shape="{shape}" customShape="1"/>' if shape else "/>")
+    )
 
 
 def _location(grid: CellGrid, origin: CityOrigin | None) -> str:
@@ -139,7 +190,8 @@ def _lane_attributes(grid: CellGrid, lane: LaneSegment) -> str:
     allowed = ALLOWED_CLASSES[lane.lane_type]
     classes = "" if allowed is None else f' allow="{allowed}"'
     length_m = lane.length_m / grid.count(lane.lane_id)
-    return f'{classes} speed="{SPEED_LIMIT_MPS:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"'
+    custom = "" if grid.saved_within_m is None else ' customShape="1"'
+    return f'{classes} speed="{SPEED_LIMIT_MPS:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"{custom}'
 
 
 def _cell_shapes(grid: CellGrid, lane: LaneSegment) -> list[str]:
@@ -150,7 +202,21 @@ def _cell_shapes(grid: CellGrid, lane: LaneSegment) -> list[str]:
     borders = _coordinates(grid.borders(lane.lane_id), digits)
     start = np.searchsorted(lane.path.s, edges_s[:-1] + _MIN_STEP_M, side="right").tolist()
     stop = np.searchsorted(lane.path.s, edges_s[1:] - _MIN_STEP_M, side="left").tolist()
-    return [" ".join([borders[k], *vertices[start[k] : stop[k]], borders[k + 1]]) for k in range(len(edges_s) - 1)]
+    texts = [[borders[k], *vertices[start[k] : stop[k]], borders[k + 1]] for k in range(len(edges_s) - 1)]
+    if grid.saved_within_m is not None:
+        points, ends = lane.path.points.tolist(), grid.borders(lane.lane_id).tolist()
+        lines = [[ends[k], *points[start[k] : stop[k]], ends[k + 1]] for k in range(len(texts))]
+        texts = [[text[k] for k in _distinct(line)] for text, line in zip(texts, lines, strict=True)]
+    return [" ".join(text) for text in texts]
+
+
+def _distinct(line: Sequence[Sequence[float]]) -> list[int]:
+    """Which points of a line, (N, 2) m, are left without those that are close to its ends or to the one before."""
+    kept = [0]
+    for k in range(1, len(line) - 1):
+        if math.dist(line[k], line[kept[-1]]) > _DISTINCT_M and math.dist(line[k], line[-1]) > _DISTINCT_M:
+            kept.append(k)
+    return [*kept, len(line) - 1]
 
 
 def _coordinates(points: FloatArray, digits: int) -> list[str]:
