@@ -1,18 +1,19 @@
 """Cell grids as SUMO networks, written directly: one edge per row of facing cells, one lane per cell.
 
 The netconvert program of SUMO is not used: it trims lanes at junctions, while here every lane keeps its AV2 centreline.
-It keeps them, as netedit does, when it saves the net of a grid that is made for it (`CellGrid.saved_within_m`): each
-junction there is a line through the ends of its lanes, so that they are trimmed where they end anyhow:
+It keeps them, as netedit does, when it saves the net of a grid that is made for it (`CellGrid.saved_within_m`): lanes
+have shapes of their own there, edges lengths, and each junction is a short line beside its lanes, because lanes are
+trimmed where they touch their junction:
 
-      ------------> P0 ----->
-      ------------> P1 ----->     shape of the junction: P0 P1 P2 P1, there and back, as the chord that closes P0 P1 P2
-         ---------> P2 ----->     would trim lanes too
+      ------------>x----->
+      ------------>x----->     x: where lanes end and begin
+                   |           |: the junction
 """
 
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
+import shapely
 
 from netconvert.cells import Cell, CellGrid
 from netconvert.geo import CityOrigin
@@ -29,10 +30,12 @@ _MAY_ALWAYS_CROSS = "emergency"
 NET_VERSION = "1.20"
 #: Vertices of a lane closer than this to a border of its cell are left out of the cell's shape.
 _MIN_STEP_M = 1e-3
-#: Points of a lane closer than this to one another netconvert may take for one, and lose the end of the lane.
-_DISTINCT_M = 0.11
-#: Length of a junction that is a line and touches one point, or no lane at all.
-TICK_M = 0.02
+#: The same in a net that may be saved by netconvert, which loses the ends of lanes that have points within 0.01 m.
+_MIN_SAVED_STEP_M = 0.015
+#: Such a net's junctions lie so far beside the end of a lane, in the freest of so many directions.
+_BESIDE_M, _DIRECTIONS = 0.3, 16
+#: How far netconvert extends lanes.
+_SEEN_M = 100.0
 _DIRECTION = {TurnType.STRAIGHT: "s", TurnType.LEFT: "l", TurnType.RIGHT: "r"}
 
 
@@ -121,53 +124,56 @@ def _junctions(
 ) -> list[str]:
     """Each junction; it lies in the middle of the ends of its lanes."""
     borders = {lane_id: grid.borders(lane_id).tolist() for lane_id in grid.graph.lanes}
-    lanes: dict[str, list[tuple[list[float], list[float]]]] = {name: [] for name in names}
     points: dict[str, list[list[float]]] = {name: [] for name in names}
+    cells: dict[str, list[Cell]] = {name: [] for name in names}
     incoming: dict[str, list[str]] = {name: [] for name in names}
     for edge, row in enumerate(rows):
-        for index, (lane_id, cell_index) in enumerate(row):
-            cell = (borders[lane_id][cell_index], borders[lane_id][cell_index + 1])
-            for name, point in zip(names[2 * edge : 2 * edge + 2], cell, strict=True):
-                lanes[name].append(cell)
-                points[name].append(point)
-            incoming[names[2 * edge + 1]].append(f"{edge_ids[edge]}_{index}")
-    lines = {name: _across(points[name], lanes[name]) for name in points} if grid.saved_within_m is not None else {}
+        start, end = names[2 * edge : 2 * edge + 2]
+        for index, cell in enumerate(row):
+            points[start].append(borders[cell.lane_id][cell.index])
+            points[end].append(borders[cell.lane_id][cell.index + 1])
+            cells[start].append(cell)
+            cells[end].append(cell)
+            incoming[end].append(f"{edge_ids[edge]}_{index}")
+    shapes: dict[str, FloatArray] = {}
+    if grid.saved_within_m is not None:
+        lines = {lane_id: _cell_lines(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
+        for name, ends in points.items():
+            shapes[name] = junction_beside(np.array(ends[0]), [lines[lane_id][k] for lane_id, k in cells[name]])
     return [
         junction_xml(
             name,
             (sum(x for x, _ in ends) / len(ends), sum(y for _, y in ends) / len(ends)),
             incoming=incoming[name],
-            line=lines.get(name, ()),
+            shape=shapes.get(name),
         )
         for name, ends in points.items()
     ]
 
 
-def _across(ends: Sequence[Sequence[float]], cells: Sequence[tuple[Sequence[float], Sequence[float]]]) -> FloatArray:
-    """Line through the ends of lanes from one side of the road to the other and back, (N, 2) m.
+def junction_beside(end: FloatArray, lanes: Sequence[FloatArray]) -> FloatArray:
+    """Shape of a junction that none of its lanes touches: a short line (2, 2) m beside the end of one of them.
 
-    cells: first and last point of each lane. Where all end in one point a short line across the first of them, as
-    netconvert ignores the shape of a point.
+    lanes: (N, 2) m, all that end or begin in the junction. netconvert looks for it on their straight extensions too.
     """
-    along = np.subtract([last for _, last in cells], [first for first, _ in cells])
-    ahead_x, ahead_y = along.sum(axis=0).tolist()
-    line = sorted(
-        set(map(tuple, np.round(ends, 3).tolist())), key=lambda end: (end[0] * ahead_y - end[1] * ahead_x, end)
-    )
-    if len(line) == 1:
-        right = np.array([along[0, 1], -along[0, 0]]) / (np.hypot(*along[0]) or 1.0)
-        return np.stack([line[0] - TICK_M / 2 * right, line[0] + TICK_M / 2 * right])
-    return np.array([*line, *line[-2:0:-1]])
+    seen = []
+    for lane in lanes:
+        first, last = lane[0] - lane[1], lane[-1] - lane[-2]
+        before = lane[0] + first * (_SEEN_M / max(np.hypot(*first), 1e-9))
+        after = lane[-1] + last * (_SEEN_M / max(np.hypot(*last), 1e-9))
+        seen.append(shapely.LineString(np.vstack([before, lane, after])))
+    angle = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS)
+    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    clear = shapely.distance(shapely.points(end + _BESIDE_M * way)[:, None], seen).min(axis=1)
+    return np.asarray(end + np.array([[_BESIDE_M], [_BESIDE_M + 0.02]]) * way[np.argmax(clear)])
 
 
-def junction_xml(
-    name: str, place: Sequence[float], *, incoming: Sequence[str], line: Iterable[Sequence[float]] = ()
-) -> str:
-    """A junction at a place, m; incoming: lanes that end there; line: its shape, on which netconvert trims lanes."""
-    shape = " ".join(f"{x:.3f},{y:.3f}" for x, y in line)
+def junction_xml(name: str, place: Sequence[float], *, incoming: Sequence[str], shape: FloatArray | None) -> str:
+    """A junction at a place, m; incoming: ids of the lanes that end there; shape: (N, 2) m."""
+    points = "" if shape is None else f' shape="{" ".join(_coordinates(shape, 3))}" customShape="1"'
     return (
         f'  <junction id="{name}" type="unregulated" x="{place[0]:.3f}" y="{place[1]:.3f}"'
-        f' incLanes="{" ".join(incoming)}" intLanes=""' + (f' shape="{shape}" customShape="1"/>' if shape else "/>")
+        f' incLanes="{" ".join(incoming)}" intLanes=""{points}/>'
     )
 
 
@@ -200,23 +206,25 @@ def _cell_shapes(grid: CellGrid, lane: LaneSegment) -> list[str]:
     digits = 3 if edges_s[1] > 0.05 else 6
     vertices = _coordinates(lane.path.points, digits)
     borders = _coordinates(grid.borders(lane.lane_id), digits)
-    start = np.searchsorted(lane.path.s, edges_s[:-1] + _MIN_STEP_M, side="right").tolist()
-    stop = np.searchsorted(lane.path.s, edges_s[1:] - _MIN_STEP_M, side="left").tolist()
-    texts = [[borders[k], *vertices[start[k] : stop[k]], borders[k + 1]] for k in range(len(edges_s) - 1)]
-    if grid.saved_within_m is not None:
-        points, ends = lane.path.points.tolist(), grid.borders(lane.lane_id).tolist()
-        lines = [[ends[k], *points[start[k] : stop[k]], ends[k + 1]] for k in range(len(texts))]
-        texts = [[text[k] for k in _distinct(line)] for text, line in zip(texts, lines, strict=True)]
-    return [" ".join(text) for text in texts]
+    return [
+        " ".join([borders[k], *vertices[start:stop], borders[k + 1]])
+        for k, (start, stop) in enumerate(_inner(grid, lane))
+    ]
 
 
-def _distinct(line: Sequence[Sequence[float]]) -> list[int]:
-    """Which points of a line, (N, 2) m, are left without those that are close to its ends or to the one before."""
-    kept = [0]
-    for k in range(1, len(line) - 1):
-        if math.dist(line[k], line[kept[-1]]) > _DISTINCT_M and math.dist(line[k], line[-1]) > _DISTINCT_M:
-            kept.append(k)
-    return [*kept, len(line) - 1]
+def _cell_lines(grid: CellGrid, lane: LaneSegment) -> list[FloatArray]:
+    """The centreline of each cell, (N, 2) m."""
+    borders, points = grid.borders(lane.lane_id), lane.path.points
+    inner = _inner(grid, lane)
+    return [np.vstack([borders[k], points[start:stop], borders[k + 1]]) for k, (start, stop) in enumerate(inner)]
+
+
+def _inner(grid: CellGrid, lane: LaneSegment) -> list[tuple[int, int]]:
+    """First vertex of a lane inside each cell, and the first behind."""
+    edges_s, step_m = grid.edges_s(lane.lane_id), _MIN_STEP_M if grid.saved_within_m is None else _MIN_SAVED_STEP_M
+    start = np.searchsorted(lane.path.s, edges_s[:-1] + step_m, side="right").tolist()
+    stop = np.searchsorted(lane.path.s, edges_s[1:] - step_m, side="left").tolist()
+    return list(zip(start, stop, strict=True))
 
 
 def _coordinates(points: FloatArray, digits: int) -> list[str]:

@@ -6,13 +6,12 @@ mean speed of that time as limit. `hid2 gui` (bridge.sumo.gui) shows the exact p
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import shapely
 from lxml import etree
 from lxml.builder import E
 
@@ -28,7 +27,7 @@ from netconvert.cells import CellGrid
 from netconvert.geo import CITY_ORIGINS
 from netconvert.geometry import arc_length
 from netconvert.gui_files import WINDOW_ASPECT, gui_files, shape, xml_bytes
-from netconvert.net_xml import TICK_M, junction_xml, net_bytes
+from netconvert.net_xml import junction_beside, junction_xml, net_bytes
 
 # No tunables: how a scene is drawn in sumo-gui; nothing that is generated depends on any of these.
 #: A lane of a trace covers at least this much time and way (the last one whatever is left).
@@ -45,9 +44,6 @@ _CREEP_M = 0.1
 SMOOTHED = 9
 #: The last lane of a trace, on which the vehicle leaves the scene within a step.
 _OUT_M, _OUT_MPS = 0.5, 80.0
-#: Junctions of traces are drawn so far from the ends of their lanes, in the freest of so many directions; lanes go on
-#: for so far in netconvert's eyes.
-_BESIDE_M, _DIRECTIONS, _SEEN_M = 0.3, 16, 100.0
 #: Lanes for this class of vehicle are transparent in the view settings (`gui_files`); no map has any.
 _UNSEEN = "ship"
 #: Vehicles keep to the limits of their lanes, however sudden.
@@ -298,30 +294,14 @@ def _with_traces(net: bytes, traces: list[_Trace]) -> bytes:
         for k in range(count + 1):
             incoming = [f"{trace.edge(k - 1)}_0"] if k else []
             end = trace.shapes[k][0] if k < count else points[-1]
-            line = _beside(end, trace.shapes[max(k - 1, 0) : k + 1])
-            junction = junction_xml(f"{trace.edge(k)}_j", end.tolist(), incoming=incoming, line=line.tolist())
+            line = junction_beside(end, trace.shapes[max(k - 1, 0) : k + 1])
+            junction = junction_xml(f"{trace.edge(k)}_j", end.tolist(), incoming=incoming, shape=line)
             added["junction"].append(etree.fromstring(junction))
     for tag, elements in added.items():
         before = root.findall(tag)
         place = root.index(before[-1]) + 1 if before else len(root)
         root[place:place] = elements
     return xml_bytes(root)
-
-
-def _beside(end: FloatArray, lanes: Sequence[FloatArray]) -> FloatArray:
-    """Shape of the junction at the end of a trace's lanes: a short line beside them that none touches, (2, 2) m.
-
-    netconvert trims lanes where they touch it, in straight extension too, and some traces turn back on themselves.
-    """
-    seen = []
-    for lane in lanes:
-        first, last = lane[0] - lane[1], lane[-1] - lane[-2]
-        far = [lane[0] + first * (_SEEN_M / np.hypot(*first)), lane[-1] + last * (_SEEN_M / np.hypot(*last))]
-        seen.append(shapely.LineString(np.vstack([far[0], lane, far[1]])))
-    angle = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS)
-    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    clear = shapely.distance(shapely.points(end + _BESIDE_M * way)[:, None], seen).min(axis=1)
-    return np.asarray(end + np.array([[_BESIDE_M], [_BESIDE_M + TICK_M]]) * way[np.argmax(clear)])
 
 
 def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
