@@ -59,9 +59,8 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
     }
     for edge, (edge_id, row) in enumerate(zip(edge_ids, rows, strict=True)):
         ends = f'from="{names[2 * edge]}" to="{names[2 * edge + 1]}"'
-        lengths = [
-            grid.length_m(cell) for cell in row
-        ]  # of the lanes, on which SUMO drives; netconvert has one an edge
+        # of the lanes, on which SUMO drives; netconvert has one for all of them
+        lengths = [grid.length_m(cell) for cell in row]
         length = f' length="{(min(lengths) + max(lengths)) / 2.0:.6f}"' if editable else ""
         text.append(f'  <edge id="{edge_id}" {ends} priority="0"{length}>')
         for index, (lane_id, cell_index) in enumerate(row):
