@@ -27,8 +27,8 @@ def _check_scene(scene: Path, folder: Path) -> None:
     assert min(on_lane_shares(read_source_map(map_path), [net, saved], folder)) >= 0.99
 
 
-def test_the_nets_of_a_synthetic_scene_survive(data_scene: Path, tmp_path: Path) -> None:
-    _check_scene(data_scene, tmp_path)
+def test_the_nets_of_a_synthetic_scene_survive(data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    _check_scene(data_scenes["intersection"], tmp_path)
 
 
 @pytest.mark.parametrize("start", ["0a0af725", "00a0ec58"])
