@@ -8,7 +8,7 @@ cells are one SUMO edge, each of them one lane of it:
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -19,7 +19,15 @@ import numpy.typing as npt
 import shapely
 
 from netconvert.geometry import FloatArray, arc_length
-from netconvert.lane_graph import DroppedLink, LaneGraph, LaneSegment, Side
+from netconvert.lane_graph import SIDES, DroppedLink, LaneGraph, LaneSegment, Side
+
+#: How far the length of a cell may be off in a net that an editor of SUMO's has saved, m.
+SAVED_WITHIN_M = 0.2
+#: Cells are not made shorter than this to be equally long, m.
+SHORTEST_EQUAL_M = 0.25
+
+REASON_LENGTHS = "the lanes differ too much in length for one edge"
+REASON_DEAD_END = "a lane of one cell ends and must not be left"
 
 
 class Cell(NamedTuple):
@@ -47,6 +55,8 @@ class CellGrid:
     """(C, 2) m, the middle of each cell's centreline, in the order of cells."""
     lost_links: tuple[DroppedLink, ...]
     """Links of the source map that the grid does not have."""
+    saved_within_m: float | None
+    """How far lengths of cells may be off once an editor of SUMO's has saved the net; None: it is not to be edited."""
     _edges_s: dict[int, FloatArray] = field(repr=False)
     _borders: dict[int, FloatArray] = field(repr=False)
     _rows: dict[int, tuple[tuple[int, ...], ...]] = field(repr=False)
@@ -142,10 +152,16 @@ class CellGrid:
         return polygons
 
 
-def build_cell_grid(graph: LaneGraph, *, cell_m: float = 4.0, max_skew_m: float = 6.0) -> CellGrid:
+def build_cell_grid(
+    graph: LaneGraph, *, cell_m: float = 4.0, max_skew_m: float = 6.0, saved_within_m: float | None = None
+) -> CellGrid:
     """Cut every lane into cells of at most cell_m: N_l = ceil(L_l / cell_m), the maximum over a row of neighbours.
 
     Facing cells whose middles lie more than max_skew_m apart along the road are not linked: the row is split there.
+
+    saved_within_m: for a net that netconvert or netedit may save. They give all lanes of an edge one length, so that
+    rows get as many cells as keep every length within saved_within_m; lanes too different for that are split apart.
+    They open a lane that ends and must not be left, so that its last cell is in no row.
     """
     rows: dict[int, tuple[tuple[int, ...], ...]] = {}
     edges_s: dict[int, FloatArray] = {}
@@ -154,7 +170,7 @@ def build_cell_grid(graph: LaneGraph, *, cell_m: float = 4.0, max_skew_m: float 
     lost = list(graph.dropped)
     for members in _lane_rows(graph):
         lanes = [graph.lanes[lane_id] for lane_id in members]
-        count = max(1, *(math.ceil(lane.length_m / cell_m - 1e-9) for lane in lanes))
+        count, apart_m = _cell_count(lanes, cell_m, saved_within_m)
         for lane in lanes:
             halves_s = np.arange(2 * count + 1, dtype=np.float64) * (lane.length_m / (2 * count))
             halves_s[-1] = lane.length_m
@@ -162,14 +178,21 @@ def build_cell_grid(graph: LaneGraph, *, cell_m: float = 4.0, max_skew_m: float 
             edges_s[lane.lane_id], borders[lane.lane_id] = halves_s[::2], halves[::2]
             centers[lane.lane_id] = halves[1::2]
         split = np.zeros((len(lanes), count), dtype=np.bool_)
+        reasons = [""] * len(lanes)
         for at in range(1, len(lanes)):
             right, left = lanes[at - 1], lanes[at]
             skew = _skew(right, centers[right.lane_id], centers[left.lane_id])
             split[at] = skew > max_skew_m
-            if split[at].all():
-                reason = f"facing cells are skewed by {skew.min():.1f} m or more, {max_skew_m} m is allowed"
-                lost.append(DroppedLink("left_neighbor", right.lane_id, left.lane_id, reason))
-                lost.append(DroppedLink("right_neighbor", left.lane_id, right.lane_id, reason))
+            reasons[at] = f"facing cells are skewed by {skew.min():.1f} m or more, {max_skew_m} m is allowed"
+            if apart_m is not None and abs(right.length_m - left.length_m) > count * apart_m:
+                split[at], reasons[at] = True, REASON_LENGTHS
+        if saved_within_m is not None:
+            reasons = [reasons[at] if split[at].all() else REASON_DEAD_END for at in range(len(lanes))]
+            _part_dead_ends(graph, members, split[:, -1])
+        for at in np.flatnonzero(split[1:].all(axis=1)).tolist():
+            right_id, left_id = members[at : at + 2]
+            lost.append(DroppedLink("left_neighbor", right_id, left_id, reasons[at + 1]))
+            lost.append(DroppedLink("right_neighbor", left_id, right_id, reasons[at + 1]))
         if not split.any():
             rows.update(dict.fromkeys(members, (members,) * count))
             continue
@@ -178,6 +201,7 @@ def build_cell_grid(graph: LaneGraph, *, cell_m: float = 4.0, max_skew_m: float 
             rows[lane_id] = tuple(next(part for part in parts if lane_id in part) for parts in by_index)
     return CellGrid(
         graph=graph,
+        saved_within_m=saved_within_m,
         cells=tuple(Cell(lane_id, index) for lane_id in graph.lanes for index in range(len(rows[lane_id]))),
         centers=np.concatenate([centers[lane_id] for lane_id in graph.lanes]),
         lost_links=tuple(lost),
@@ -185,6 +209,30 @@ def build_cell_grid(graph: LaneGraph, *, cell_m: float = 4.0, max_skew_m: float 
         _borders=borders,
         _rows={lane_id: rows[lane_id] for lane_id in graph.lanes},
     )
+
+
+def _cell_count(lanes: Sequence[LaneSegment], cell_m: float, saved_within_m: float | None) -> tuple[int, float | None]:
+    """Number of cells of a row; by how much neighbours may differ, m, where more cells do not make lanes equal."""
+    lengths = [lane.length_m for lane in lanes]
+    count = max(1, *(math.ceil(length / cell_m - 1e-9) for length in lengths))
+    if saved_within_m is None or len(lanes) == 1:
+        return count, None
+    range_m = 2.0 * saved_within_m - 0.01  # lengths are saved to the centimetre
+    equal = math.ceil((max(lengths) - min(lengths)) / range_m - 1e-9)
+    if equal > count and min(lengths) < equal * SHORTEST_EQUAL_M:
+        return count, range_m / (len(lanes) - 1)
+    return max(count, equal), None
+
+
+def _part_dead_ends(graph: LaneGraph, members: tuple[int, ...], split: npt.NDArray[np.bool_]) -> None:
+    """Split off, in the last cells of a row, each lane that ends and must not be left while others go on."""
+    for lane_id in members * len(members):  # the lane that is split off may have been the way out of another one
+        part = next(part for part in _split(members, split) if lane_id in part)
+        outer = zip(SIDES, (part[-1], part[0]), strict=True)
+        may_leave = any(lane_id != last and graph.may_change(lane_id, side) for side, last in outer)
+        if not may_leave and not graph.successors(lane_id) and any(graph.successors(other) for other in part):
+            at = members.index(lane_id)
+            split[at : at + 2] = True
 
 
 def _lane_rows(graph: LaneGraph) -> Iterator[tuple[int, ...]]:

@@ -1,11 +1,19 @@
 """Cell grids as SUMO networks, written directly: one edge per row of facing cells, one lane per cell.
 
 The netconvert program of SUMO is not used: it trims lanes at junctions, while here every lane keeps its AV2 centreline.
+It keeps them, as netedit does, when it saves the net of a grid that is made for it (`CellGrid.saved_within_m`): lanes
+have shapes of their own there, edges lengths, and each junction is a short line beside its lanes, because lanes are
+trimmed where they touch their junction:
+
+      ------------>x----->
+      ------------>x----->     x: where lanes end and begin
+                   |           |: the junction
 """
 
 from collections.abc import Sequence
 
 import numpy as np
+import shapely
 
 from netconvert.cells import Cell, CellGrid
 from netconvert.geo import CityOrigin
@@ -22,6 +30,12 @@ _MAY_ALWAYS_CROSS = "emergency"
 NET_VERSION = "1.20"
 #: Vertices of a lane closer than this to a border of its cell are left out of the cell's shape.
 _MIN_STEP_M = 1e-3
+#: The same in a net that may be saved by netconvert, which loses the ends of lanes that have points within 0.01 m.
+_MIN_SAVED_STEP_M = 0.015
+#: Such a net's junctions lie so far beside the end of a lane, in the freest of so many directions.
+_BESIDE_M, _DIRECTIONS = 0.3, 16
+#: How far netconvert extends lanes.
+_SEEN_M = 100.0
 _DIRECTION = {TurnType.STRAIGHT: "s", TurnType.LEFT: "l", TurnType.RIGHT: "r"}
 
 
@@ -36,6 +50,7 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
     links = _links(grid, rows, place)
     names = _junction_names(len(rows), [(from_edge, to_edge) for from_edge, _, to_edge, _, _ in links])
 
+    editable = grid.saved_within_m is not None
     text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', _location(grid, origin)]
     templates = {lane_id: _lane_attributes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
     shapes = {lane_id: _cell_shapes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
@@ -44,8 +59,10 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
     }
     for edge, (edge_id, row) in enumerate(zip(edge_ids, rows, strict=True)):
         ends = f'from="{names[2 * edge]}" to="{names[2 * edge + 1]}"'
-        # the spread is for netedit, which else moves lanes aside; SUMO drives on the shapes
-        text.append(f'  <edge id="{edge_id}" {ends} priority="0" spreadType="center">')
+        # of the lanes, on which SUMO drives; netconvert has one for all of them
+        lengths = [grid.length_m(cell) for cell in row]
+        length = f' length="{(min(lengths) + max(lengths)) / 2.0:.6f}"' if editable else ""
+        text.append(f'  <edge id="{edge_id}" {ends} priority="0"{length}>')
         for index, (lane_id, cell_index) in enumerate(row):
             crossing = f' changeRight="{_MAY_ALWAYS_CROSS}"' if index > 0 and lane_id in closed["right"] else ""
             if index + 1 < len(row) and lane_id in closed["left"]:
@@ -106,18 +123,57 @@ def _junctions(
 ) -> list[str]:
     """Each junction; it lies in the middle of the ends of its lanes."""
     borders = {lane_id: grid.borders(lane_id).tolist() for lane_id in grid.graph.lanes}
-    points: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
+    points: dict[str, list[list[float]]] = {name: [] for name in names}
+    cells: dict[str, list[Cell]] = {name: [] for name in names}
     incoming: dict[str, list[str]] = {name: [] for name in names}
     for edge, row in enumerate(rows):
-        for index, (lane_id, cell_index) in enumerate(row):
-            points[names[2 * edge]].append(borders[lane_id][cell_index])
-            points[names[2 * edge + 1]].append(borders[lane_id][cell_index + 1])
-            incoming[names[2 * edge + 1]].append(f"{edge_ids[edge]}_{index}")
+        start, end = names[2 * edge : 2 * edge + 2]
+        for index, cell in enumerate(row):
+            points[start].append(borders[cell.lane_id][cell.index])
+            points[end].append(borders[cell.lane_id][cell.index + 1])
+            cells[start].append(cell)
+            cells[end].append(cell)
+            incoming[end].append(f"{edge_ids[edge]}_{index}")
+    shapes: dict[str, FloatArray] = {}
+    if grid.saved_within_m is not None:
+        lines = {lane_id: _cell_lines(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
+        for name, ends in points.items():
+            shapes[name] = junction_beside(np.array(ends[0]), [lines[lane_id][k] for lane_id, k in cells[name]])
     return [
-        f'  <junction id="{name}" type="unregulated" x="{sum(x for x, _ in ends) / len(ends):.3f}"'
-        f' y="{sum(y for _, y in ends) / len(ends):.3f}" incLanes="{" ".join(incoming[name])}" intLanes=""/>'
+        junction_xml(
+            name,
+            (sum(x for x, _ in ends) / len(ends), sum(y for _, y in ends) / len(ends)),
+            incoming=incoming[name],
+            shape=shapes.get(name),
+        )
         for name, ends in points.items()
     ]
+
+
+def junction_beside(end: FloatArray, lanes: Sequence[FloatArray]) -> FloatArray:
+    """Shape of a junction that none of its lanes touches: a short line (2, 2) m beside the end of one of them.
+
+    lanes: (N, 2) m, all that end or begin in the junction. netconvert looks for it on their straight extensions too.
+    """
+    seen = []
+    for lane in lanes:
+        first, last = lane[0] - lane[1], lane[-1] - lane[-2]
+        before = lane[0] + first * (_SEEN_M / max(np.hypot(*first), 1e-9))
+        after = lane[-1] + last * (_SEEN_M / max(np.hypot(*last), 1e-9))
+        seen.append(shapely.LineString(np.vstack([before, lane, after])))
+    angle = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS)
+    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    clear = shapely.distance(shapely.points(end + _BESIDE_M * way)[:, None], seen).min(axis=1)
+    return np.asarray(end + np.array([[_BESIDE_M], [_BESIDE_M + 0.02]]) * way[np.argmax(clear)])
+
+
+def junction_xml(name: str, place: Sequence[float], *, incoming: Sequence[str], shape: FloatArray | None) -> str:
+    """A junction at a place, m; incoming: ids of the lanes that end there; shape: (N, 2) m."""
+    points = "" if shape is None else f' shape="{" ".join(_coordinates(shape, 3))}" customShape="1"'
+    return (
+        f'  <junction id="{name}" type="unregulated" x="{place[0]:.3f}" y="{place[1]:.3f}"'
+        f' incLanes="{" ".join(incoming)}" intLanes=""{points}/>'
+    )
 
 
 def _location(grid: CellGrid, origin: CityOrigin | None) -> str:
@@ -139,7 +195,8 @@ def _lane_attributes(grid: CellGrid, lane: LaneSegment) -> str:
     allowed = ALLOWED_CLASSES[lane.lane_type]
     classes = "" if allowed is None else f' allow="{allowed}"'
     length_m = lane.length_m / grid.count(lane.lane_id)
-    return f'{classes} speed="{SPEED_LIMIT_MPS:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"'
+    custom = "" if grid.saved_within_m is None else ' customShape="1"'
+    return f'{classes} speed="{SPEED_LIMIT_MPS:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"{custom}'
 
 
 def _cell_shapes(grid: CellGrid, lane: LaneSegment) -> list[str]:
@@ -148,9 +205,25 @@ def _cell_shapes(grid: CellGrid, lane: LaneSegment) -> list[str]:
     digits = 3 if edges_s[1] > 0.05 else 6
     vertices = _coordinates(lane.path.points, digits)
     borders = _coordinates(grid.borders(lane.lane_id), digits)
-    start = np.searchsorted(lane.path.s, edges_s[:-1] + _MIN_STEP_M, side="right").tolist()
-    stop = np.searchsorted(lane.path.s, edges_s[1:] - _MIN_STEP_M, side="left").tolist()
-    return [" ".join([borders[k], *vertices[start[k] : stop[k]], borders[k + 1]]) for k in range(len(edges_s) - 1)]
+    return [
+        " ".join([borders[k], *vertices[start:stop], borders[k + 1]])
+        for k, (start, stop) in enumerate(_inner(grid, lane))
+    ]
+
+
+def _cell_lines(grid: CellGrid, lane: LaneSegment) -> list[FloatArray]:
+    """The centreline of each cell, (N, 2) m."""
+    borders, points = grid.borders(lane.lane_id), lane.path.points
+    inner = _inner(grid, lane)
+    return [np.vstack([borders[k], points[start:stop], borders[k + 1]]) for k, (start, stop) in enumerate(inner)]
+
+
+def _inner(grid: CellGrid, lane: LaneSegment) -> list[tuple[int, int]]:
+    """First vertex of a lane inside each cell, and the first behind."""
+    edges_s, step_m = grid.edges_s(lane.lane_id), _MIN_STEP_M if grid.saved_within_m is None else _MIN_SAVED_STEP_M
+    start = np.searchsorted(lane.path.s, edges_s[:-1] + step_m, side="right").tolist()
+    stop = np.searchsorted(lane.path.s, edges_s[1:] - step_m, side="left").tolist()
+    return list(zip(start, stop, strict=True))
 
 
 def _coordinates(points: FloatArray, digits: int) -> list[str]:

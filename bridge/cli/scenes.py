@@ -105,7 +105,8 @@ def net(
 ) -> None:
     """Write the lane graph as a SUMO net of 4 m cells, with the scene in SUMO's formats, and a report.
 
-    The net is for simulating and looking at, not for editing: every cell ends in a junction, which netedit draws large.
+    netconvert and netedit can save it as it is: lanes, lengths, connections, permissions. Every cell ends in a
+    junction, which netedit draws large.
     """
     found = scene if scene.is_file() and scene.suffix == ".json" else one_scene(scene, window)
     check_out(out)

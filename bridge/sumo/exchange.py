@@ -32,7 +32,7 @@ from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray
 from hid2.measures.arrays import stack
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
-from netconvert.cells import Cell, CellGrid, build_cell_grid
+from netconvert.cells import SAVED_WITHIN_M, Cell, CellGrid, build_cell_grid
 from netconvert.fidelity import FidelityReport, measure_fidelity
 from netconvert.geo import CITY_ORIGINS
 from netconvert.gui_files import gui_files, xml_bytes
@@ -56,7 +56,7 @@ def write_sumo(address: Address, out_dir: Path) -> tuple[FidelityReport, Path]:
     All files or, after an error, none. Errors: ScenarioError, MapError, NetError.
     """
     scenario = read_recording(address)
-    grid = build_cell_grid(scenario.graph)
+    grid = build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
     files = sumo_files(scenario, sidecar_in(scenario.folder, scenario.scenario_id), grid)
     report = measure_fidelity(grid, files[f"{scenario.scenario_id}.net.xml"])
     playable = playable_files(scenario, grid)

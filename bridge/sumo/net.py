@@ -7,7 +7,7 @@ from bridge.interruption import hidden_folder
 from bridge.recordings.folders import MAP_PATTERN, only_file
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import STEP_S
-from netconvert.cells import build_cell_grid
+from netconvert.cells import SAVED_WITHIN_M, build_cell_grid
 from netconvert.errors import MapError, NetError, NoSceneError
 from netconvert.fidelity import FidelityReport, measure_fidelity
 from netconvert.gui_files import gui_files
@@ -22,7 +22,7 @@ def convert(scene: Path, out_dir: Path, *, cell_m: float = 4.0) -> FidelityRepor
     """
     path = _map_file(scene)
     name = path.stem.removeprefix("log_map_archive_")
-    grid = build_cell_grid(read_source_map(path), cell_m=cell_m)
+    grid = build_cell_grid(read_source_map(path), cell_m=cell_m, saved_within_m=SAVED_WITHIN_M)
     net = net_bytes(grid)
     report = measure_fidelity(grid, net)
     write_all(out_dir, {f"{name}.net.xml": net, **gui_files(grid, name, step_s=STEP_S)})

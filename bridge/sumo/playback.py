@@ -27,7 +27,7 @@ from netconvert.cells import CellGrid
 from netconvert.geo import CITY_ORIGINS
 from netconvert.geometry import arc_length
 from netconvert.gui_files import WINDOW_ASPECT, gui_files, shape, xml_bytes
-from netconvert.net_xml import net_bytes
+from netconvert.net_xml import junction_beside, junction_xml, net_bytes
 
 # No tunables: how a scene is drawn in sumo-gui; nothing that is generated depends on any of these.
 #: A lane of a trace covers at least this much time and way (the last one whatever is left).
@@ -282,18 +282,21 @@ def _with_traces(net: bytes, traces: list[_Trace]) -> bytes:
     for trace in traces:
         count = len(trace.shapes)
         for k, (points, limit) in enumerate(zip(trace.shapes, trace.limits, strict=True)):
-            ends = {"from": f"{trace.edge(k)}_j", "to": f"{trace.edge(k + 1)}_j"}
+            length = f"{arc_length(points)[-1]:.4f}"
+            edge = {"id": trace.edge(k), "from": f"{trace.edge(k)}_j", "to": f"{trace.edge(k + 1)}_j"}
+            edge |= {"priority": "0", "length": length}
             lane = {"id": f"{trace.edge(k)}_0", "index": "0", "speed": f"{limit:.4f}", "width": f"{_TRACE_WIDTH_M}"}
-            lane |= {"allow": _UNSEEN, "length": f"{arc_length(points)[-1]:.4f}", "shape": shape(points, digits=3)}
-            added["edge"].append(E.edge({"id": trace.edge(k), **ends, "priority": "0"}, E.lane(lane)))
+            lane |= {"allow": _UNSEEN, "length": length, "shape": shape(points, digits=3), "customShape": "1"}
+            added["edge"].append(E.edge(edge, E.lane(lane)))
             if k:
                 link = {"from": trace.edge(k - 1), "to": trace.edge(k), "fromLane": "0", "toLane": "0", "dir": "s"}
                 added["connection"].append(E.connection({**link, "state": "M"}))
         for k in range(count + 1):
-            x, y = trace.shapes[k][0] if k < count else trace.shapes[-1][-1]
-            known = {"id": f"{trace.edge(k)}_j", "type": "unregulated", "x": f"{x:.3f}", "y": f"{y:.3f}"}
-            incoming = f"{trace.edge(k - 1)}_0" if k else ""
-            added["junction"].append(E.junction({**known, "incLanes": incoming, "intLanes": ""}))
+            incoming = [f"{trace.edge(k - 1)}_0"] if k else []
+            end = trace.shapes[k][0] if k < count else points[-1]
+            line = junction_beside(end, trace.shapes[max(k - 1, 0) : k + 1])
+            junction = junction_xml(f"{trace.edge(k)}_j", end.tolist(), incoming=incoming, shape=line)
+            added["junction"].append(etree.fromstring(junction))
     for tag, elements in added.items():
         before = root.findall(tag)
         place = root.index(before[-1]) + 1 if before else len(root)

@@ -16,7 +16,7 @@ from lxml import etree
 
 from bridge.recordings.map_rules import read_source_map
 from bridge.sumo.net import convert
-from netconvert.cells import CellGrid, build_cell_grid
+from netconvert.cells import SAVED_WITHIN_M, CellGrid, build_cell_grid
 from netconvert.lane_graph import LaneGraph
 from netconvert.net_xml import net_bytes
 
@@ -95,7 +95,8 @@ def _check_scene(scene: Path, folder: Path) -> None:
     assert _messages("-n", str(net)) == ""
     assert _messages("-c", str(net).replace(".net.xml", ".sumocfg")) == ""
     (map_path,) = scene.glob("log_map_archive_*.json")
-    _check_libsumo_sees_the_grid(build_cell_grid(read_source_map(map_path)), _dump(net, folder))
+    grid = build_cell_grid(read_source_map(map_path), saved_within_m=SAVED_WITHIN_M)
+    _check_libsumo_sees_the_grid(grid, _dump(net, folder))
 
 
 def test_sumo_loads_the_net_of_a_real_scene_without_a_word(real_scene: Path, tmp_path: Path) -> None:

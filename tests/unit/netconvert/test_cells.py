@@ -127,6 +127,58 @@ def test_a_split_of_three_lanes_keeps_the_pair_that_is_not_skewed(lane: Lane, gr
     assert grid.sumo_lane_id(Cell(3, 0)) == "3#0_0"
 
 
+@pytest.mark.parametrize(("within_m", "count"), [(None, 4), (0.4, 4), (0.2, 7), (0.1, 14)])
+def test_facing_cells_get_lengths_that_one_length_can_stand_for(
+    lane: Lane, graph: Graph, within_m: float | None, count: int
+) -> None:
+    """12.5 and 10 m differ by 2.5 m: ceil(2.5 / 0.79) = 4, ceil(2.5 / 0.39) = 7, ceil(2.5 / 0.19) = 14."""
+    lanes = graph(lane(1, [(0, 0), (12.5, 0)], left=2), lane(2, [(0, 4), (10, 4)], right=1))
+    grid = build_cell_grid(lanes, saved_within_m=within_m)
+    assert grid.count(1) == grid.count(2) == count
+    assert grid.lateral(Cell(1, 0), "left") == LateralLink(Cell(2, 0), allowed=True)
+
+
+def test_lanes_are_split_apart_where_cells_would_be_tiny(lane: Lane, graph: Graph) -> None:
+    """1 m beside 6 m: 13 cells of 0.08 m would do. Lane 3 is as long as lane 2 and stays beside it."""
+    lanes = graph(
+        lane(1, [(0, 0), (1, 0)], left=2),
+        lane(2, [(0, 4), (6, 4)], left=3, right=1),
+        lane(3, [(0, 8), (6, 8)], right=2),
+    )
+    grid = build_cell_grid(lanes, saved_within_m=0.2)
+    assert grid.count(1) == 2
+    assert grid.lateral(Cell(1, 0), "left") is None
+    assert grid.lateral(Cell(2, 0), "left") == LateralLink(Cell(3, 0), allowed=True)
+    assert {link.reason for link in grid.lost_links} == {"the lanes differ too much in length for one edge"}
+
+
+def test_a_lane_that_ends_and_must_not_be_left_ends_alone(lane: Lane, graph: Graph) -> None:
+    """
+    lane 3  -------->  lane 4      goes on
+    lane 2  --------|              must not be left to the left; to the right it may, where lane 1 ends alone
+    lane 1  --------|              must not be left at all
+    """
+    lanes = graph(
+        lane(1, [(0, 0), (8, 0)], left=2, left_mark="SOLID_WHITE"),
+        lane(2, [(0, 4), (8, 4)], left=3, right=1, left_mark="SOLID_WHITE"),
+        lane(3, [(0, 8), (8, 8)], right=2, successors=(4,)),
+        lane(4, [(8, 8), (12, 8)]),
+    )
+    for within_m, last in ((None, [[1, 2, 3]]), (0.2, [[1], [2], [3]])):
+        rows = [[cell.lane_id for cell in row] for row in build_cell_grid(lanes, saved_within_m=within_m).rows()]
+        assert rows == [[1, 2, 3], *last, [4]]
+
+
+def test_a_link_that_a_dead_end_loses_has_its_reason(lane: Lane, graph: Graph) -> None:
+    lanes = graph(
+        lane(1, [(0, 0), (4, 0)], left=2, left_mark="SOLID_WHITE"),
+        lane(2, [(0, 4), (4, 4)], right=1, successors=(3,)),
+        lane(3, [(4, 4), (8, 4)]),
+    )
+    (reason,) = {link.reason for link in build_cell_grid(lanes, saved_within_m=0.2).lost_links}
+    assert reason == "a lane of one cell ends and must not be left"
+
+
 def test_links_that_the_graph_dropped_are_lost_in_the_grid(lane: Lane, graph: Graph) -> None:
     grid = build_cell_grid(graph(lane(1, [(0, 0), (10, 0)], successors=(7,))))
     assert grid.lost_links == (("successor", 1, 7, "the other lane is outside the map"),)

@@ -3,7 +3,7 @@ from collections.abc import Callable
 import pytest
 from lxml import etree
 
-from netconvert.cells import build_cell_grid
+from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.lane_graph import LaneGraph, LaneSegment
 from netconvert.net_xml import net_bytes
 
@@ -115,3 +115,29 @@ def test_the_net_has_a_version_and_no_offset(fork: LaneGraph) -> None:
 
 def test_equal_grids_give_equal_bytes(fork: LaneGraph) -> None:
     assert net_bytes(build_cell_grid(fork)) == net_bytes(build_cell_grid(LaneGraph(fork.lanes)))
+
+
+def test_a_net_to_be_saved_has_one_length_an_edge_and_junctions_beside_the_lanes(fork: LaneGraph) -> None:
+    """Edge 1#0 is 4 m on both lanes. The freest of 16 directions about (8, 0), 0.3 m away, is the one furthest from the
+    lanes that run east through it, of which lane 4 turns to the right after 2 m: straight up, or straight down.
+    """
+    net = etree.fromstring(net_bytes(build_cell_grid(fork, saved_within_m=0.2)))
+    assert {edge.get("id"): edge.get("length") for edge in net.iterfind("edge")}["1#0"] == "4.000000"
+    assert {lane.get("customShape") for lane in net.iter("lane")} == {"1"}
+    junctions = {junction.get("id"): junction for junction in net.iterfind("junction")}
+    (meeting,) = {edge.get("to") for edge in net.iterfind("edge") if edge.get("id") == "1#1"}
+    assert junctions[meeting].get("customShape") == "1"
+    points = [tuple(map(float, point.split(","))) for point in junctions[meeting].get("shape").split()]
+    assert [(x, abs(y)) for x, y in points] == [(8.0, 0.3), (8.0, 0.32)]
+
+
+def test_a_net_to_be_saved_has_no_vertices_within_a_centimetre_of_a_border(lane: Lane, graph: Graph) -> None:
+    lanes = graph(lane(1, [(0, 0), (0.01, 0), (1, 0), (3.98, 0), (4, 0)]))
+    shapes = [_only_shape(build_cell_grid(lanes, saved_within_m=within)) for within in (None, 0.2)]
+    assert shapes[0] == "0.000,0.000 0.010,0.000 1.000,0.000 3.980,0.000 4.000,0.000"
+    assert shapes[1] == "0.000,0.000 1.000,0.000 3.980,0.000 4.000,0.000"
+
+
+def _only_shape(grid: CellGrid) -> str:
+    (lane,) = etree.fromstring(net_bytes(grid)).iter("lane")
+    return lane.get("shape")
