@@ -22,6 +22,8 @@ from bridge.batch.isolation import (
     IsolatedProcess,
     StartFailedError,
     WorkFailedError,
+    describe_error,
+    resolve,
 )
 from bridge.files import one_line
 from bridge.interruption import tidied
@@ -140,7 +142,7 @@ def execute_here(
 
 
 def work_on_each(
-    work: Callable[[_Shared, Sequence[_Item]], Iterator[_Value | Failure]],
+    work: Callable[[_Shared, _Item], _Value],
     items: Sequence[_Item],
     *,
     shared: _Shared,
@@ -152,24 +154,42 @@ def work_on_each(
 ) -> Generator[tuple[_Item, _Value | Failure], None, None]:
     """Yield every item with what a piece of work makes of it, or its failure, in the order of the items.
 
-    work: a generator function of a module, which gets (shared, items) and yields one value an item; chunk: most items
-    that a process gets at a time, fewer where processes share few items; timeout_s: for each item. isolated: False for
-    work that needs no process of its own, where starting one takes as long as a whole chunk: one worker works here.
-    on_item(done, total) is called when the caller is done with an item.
+    work: a function of a module, which gets (shared, item); chunk: most items that a process gets at a time, fewer
+    where processes share few items; timeout_s: for each item. isolated: False for work that needs no process of its
+    own, where starting one takes as long as a whole chunk: one worker works here. on_item(done, total) is called when
+    the caller is done with an item.
     """
     size = max(1, min(chunk, len(items) // (4 * jobs))) if isolated else chunk
     chunks = [tuple(items[start : start + size]) for start in range(0, len(items), size)]
     jobs = min(jobs, len(chunks))
+    named = f"{work.__module__}:{work.__qualname__}", shared
     if jobs <= 1 and not isolated:
-        found: Iterable[tuple[_Item, _Value | Failure]] = zip(items, work(shared, items), strict=True)
+        found: Iterable[tuple[_Item, _Value | Failure]] = zip(items, attempt_each(named, items), strict=True)
     else:
-        name = f"{work.__module__}:{work.__qualname__}"
-        tasks = (Task(str(number), name, shared, part) for number, part in enumerate(chunks))
+        name = f"{__name__}:{attempt_each.__name__}"
+        tasks = (Task(str(number), name, named, part) for number, part in enumerate(chunks))
         found = _in_order(execute_here(tasks, jobs=jobs, settings=Settings(timeout_s=timeout_s)))
     for done, (item, value) in enumerate(found, 1):
         yield item, value
         if on_item is not None:
             on_item(done, len(items))
+
+
+def attempt_each(named: tuple[str, Any], items: Sequence[Any]) -> Iterator[Any]:
+    """What a function "module:name" makes of (shared, item) for each item, or its failure: one does not end the others.
+
+    It is imported before the first item, whose time starts after that.
+    """
+    work, shared = resolve(named[0]), named[1]
+
+    def attempts() -> Iterator[Any]:
+        for item in items:
+            try:
+                yield work(shared, item)
+            except Exception as error:  # noqa: BLE001  # listed with its reason by whoever asked
+                yield describe_error(error)
+
+    return attempts()
 
 
 def _in_order(results: Iterable[Result]) -> Iterator[tuple[Any, Any]]:

@@ -25,19 +25,16 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 from bridge.batch.start_up import spare_imports, spare_modules_of_kernels, spare_the_collector
 from bridge.files import disk_error
 from netconvert.errors import Hid2Error
-
-_Item = TypeVar("_Item")
-_Value = TypeVar("_Value")
 
 #: Seconds for a new process to import what the work needs, and to compile kernels that set-up has not compiled.
 START_TIMEOUT_S = 600.0
@@ -248,10 +245,10 @@ class IsolatedProcess:
         return os.pread(self._stderr.fileno(), _TAIL_BYTES, max(0, length - _TAIL_BYTES)).decode(errors="replace")
 
 
-def resolve(function: str) -> Callable[..., Iterator[Any]]:
+def resolve(function: str) -> Callable[..., Any]:
     """Return the function that "module:name" names."""
     module, _, name = function.partition(":")
-    found: Callable[..., Iterator[Any]] = getattr(importlib.import_module(module), name)
+    found: Callable[..., Any] = getattr(importlib.import_module(module), name)
     return found
 
 
@@ -342,15 +339,6 @@ def describe_error(error: Exception) -> Failure:
     if isinstance(error, Hid2Error):
         return Failure("error", str(error))
     return Failure("exception", f"{type(error).__name__}: {error}", details)
-
-
-def attempt_each(work: Callable[[_Item], _Value], items: Iterable[_Item]) -> Iterator[_Value | Failure]:
-    """What a piece of work makes of each item, and its failure where it raises: one item does not end the others."""
-    for item in items:
-        try:
-            yield work(item)
-        except Exception as error:  # noqa: BLE001  # listed with its reason by whoever asked
-            yield describe_error(error)
 
 
 def _reply(connection: "Connection[Any, Any]", kind: str, value: object) -> None:

@@ -2,11 +2,10 @@
 
 import logging
 import random
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, get_args
 
 from bridge.batch.engine import sorted_out, work_on_each
-from bridge.batch.isolation import Failure, attempt_each
 from bridge.recordings.folders import Address
 from bridge.recordings.plausibility import figures_of
 from bridge.recordings.recording import Recording
@@ -96,16 +95,11 @@ def facts_of(
     on_scene(done, total) is called as scenes are done.
     """
     return sorted_out(
-        work_on_each(scan_folders, folders, shared=Config(), jobs=jobs, chunk=_CHUNK, timeout_s=60, on_item=on_scene)
+        work_on_each(describe_scene, folders, shared=Config(), jobs=jobs, chunk=_CHUNK, timeout_s=60, on_item=on_scene)
     )
 
 
-def scan_folders(config: Config, folders: Sequence[Address]) -> Iterator[SceneFacts | Failure]:
-    """The work of a process: read and describe each scene."""
-    return attempt_each(lambda folder: describe_scene(folder, config), folders)
-
-
-def describe_scene(folder: Address, config: Config) -> SceneFacts:
+def describe_scene(config: Config, folder: Address) -> SceneFacts:
     """Read one scene and count. Errors: ScenarioError, MapError."""
     scenario = read_recording(folder)
     here = Surroundings(scene_of(scenario, config))

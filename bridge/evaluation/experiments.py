@@ -22,7 +22,7 @@ from bridge.recordings.sources import read_recording
 from hid2.agents import Track
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import ManeuverKind
-from hid2.params import Config, Limits, Request
+from hid2.params import Config, Request
 
 if TYPE_CHECKING:
     from bridge.generation.generate import GeneratedScene
@@ -146,7 +146,6 @@ def generate_and_measure(
                 lanes,
                 sidecar,
                 recording_record_of(scenario),
-                limits=Limits(),
                 num_steps=scenario.num_steps,
                 source=scenario.scenario_id,
             )

@@ -3,17 +3,19 @@
 from collections import Counter
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic_core import from_json
 
 from bridge.files import read_regular
 from bridge.recordings.export import recording_record_of
 from bridge.recordings.folders import Address, Source
 from bridge.recordings.judging import findings_of, states_of
 from bridge.recordings.limits import MAX_FILE_MB, check_ground
-from bridge.recordings.map_rules import read_source_map
+from bridge.recordings.map_rules import graph_of, read_source_map
 from bridge.recordings.scenario import (
     Rows,
     read_scenario,
@@ -41,12 +43,10 @@ from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.post_encroachment import Encroachment
 from hid2.measures.scene_end import contacts_after_last_step
 from hid2.params import Limits
-from netconvert.errors import ScenarioError
+from netconvert.errors import MapError, ScenarioError
 
 #: A manoeuvre seen belongs to a record of its kind whose crossing (or start) is at most this far away.
 SAME_MANEUVER_S = 2.0
-#: Maps kept while scenes are measured.
-_MOST_MAPS = 8
 
 PAIR_GROUPS = ("original_original", "generated_original", "generated_generated")
 PAIR_KINDS = ("pairs_vehicles", "pairs_all", "touching_all", "crossings", "pet_critical")
@@ -69,31 +69,26 @@ class SceneMeasures:
     sample_generated: BoolArray
 
 
-class Maps:
-    """The last maps read, by their content: scenes made from one share its map, and reading it takes longest."""
-
-    def __init__(self) -> None:
-        self._known: dict[bytes, FlatLanes] = {}
-
-    def read(self, path: Path) -> FlatLanes:
-        """The map in a file, which keeps the rules and limits of a source's. Errors: MapError."""
-        try:
-            content = read_regular(path, most_mb=MAX_FILE_MB)
-        except OSError:
-            content = b""  # what is wrong is said below
-        lanes = self._known.pop(content, None) or flatten_lanes(read_source_map(path))
-        self._known[content] = lanes  # the last one used comes last
-        while len(self._known) > _MOST_MAPS:
-            self._known.pop(next(iter(self._known)))
-        return lanes
+@lru_cache(maxsize=8)
+def _lanes_of(content: bytes) -> FlatLanes:
+    """The lanes of a map file; scenes made from one share its map, and reading it takes longest."""
+    return flatten_lanes(graph_of(from_json(content), name="the map"))
 
 
-def measure_folder(folder: Address, limits: Limits, maps: Maps, labelled: Labelled | None = None) -> SceneMeasures:
+def _read_lanes(path: Path) -> FlatLanes:
+    """The map in a file, which keeps the rules and limits of a source's. Errors: MapError."""
+    try:
+        return _lanes_of(read_regular(path, most_mb=MAX_FILE_MB))
+    except (OSError, ValueError, MapError):
+        return flatten_lanes(read_source_map(path))  # says what is wrong with which file
+
+
+def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMeasures:
     """Measure one recording or generated scene. Errors: ScenarioError, MapError.
 
     labelled: sizes of the recorded tracks of source scenes, for generated ones whose sidecar does not have them.
     """
-    rows, lanes, known = _read(folder, maps)
+    rows, lanes, known = _read(folder)
     sidecar = sidecar_in(folder, rows.scenario_id) if isinstance(folder, Path) else None
     if sidecar is not None and sidecar.replay.mode == "reactive":
         raise ScenarioError(f"{folder}: {REACTIVE}")
@@ -101,7 +96,7 @@ def measure_folder(folder: Address, limits: Limits, maps: Maps, labelled: Labell
     sizes = (labelled or {}).get(source, {}) if sidecar else {}
     measures = measure(
         [replace(t, size=sizes.get(t.track_id, t.size)) for t in rows.tracks] if sizes else rows.tracks, lanes,
-        sidecar, known, limits=limits, num_steps=rows.num_steps, source=source,
+        sidecar, known, num_steps=rows.num_steps, source=source,
     )  # fmt: skip
     name: Row = {"scenario_id": rows.scenario_id}
     place: Row = {"split": split_of(folder) or "", "city": rows.city, "folder": str(folder)}
@@ -114,7 +109,7 @@ def measure_folder(folder: Address, limits: Limits, maps: Maps, labelled: Labell
     )
 
 
-def _read(folder: Address, maps: Maps) -> tuple[Rows, FlatLanes, RecordingRecord]:
+def _read(folder: Address) -> tuple[Rows, FlatLanes, RecordingRecord]:
     """As read_recording, but the map of a folder that is known is not read again."""
     if isinstance(folder, Source):
         scenario = read_recording(folder)
@@ -131,7 +126,7 @@ def _read(folder: Address, maps: Maps) -> tuple[Rows, FlatLanes, RecordingRecord
     rows = split_rows(
         read_table(tables[0]), name=str(tables[0]), sizes=read_sizes(folder), observed_steps=known.observed_steps
     )
-    lanes = maps.read(files[0])
+    lanes = _read_lanes(files[0])
     check_ground(rows.tracks, lanes.graph, str(folder))
     return rows, lanes, known
 
@@ -142,11 +137,10 @@ def measure(
     sidecar: Sidecar | None,
     known: RecordingRecord,
     *,
-    limits: Limits,
     num_steps: int,
     source: str,
 ) -> SceneMeasures:
-    """Measure tracks on a map. known: what is known of the recording; `source`: id of the recorded scene."""
+    """Measure tracks on a map, by default limits. known: of the recording; `source`: id of the recorded scene."""
     generated_ids = {track.track_id for track in tracks if is_generated_id(track.track_id)}
     states = states_of(tracks, lanes, generated_ids, num_steps=num_steps, step_s=known.step_s)
     arrays = states.arrays
@@ -156,7 +150,7 @@ def measure(
     maneuvers = detect(arrays, safe.lanes, safe.matches)
     findings = findings_of(states, lanes.graph, sidecar)
     policy_of = policies(arrays, maneuvers)
-    groups = _groups(arrays, kinematics(arrays, moved), safe, beyond_limits(moved, limits))
+    groups = _groups(arrays, kinematics(arrays, moved), safe, beyond_limits(moved, Limits()))
     scene: Row = {
         "format": known.format,
         "provenance": known.provenance,

@@ -16,7 +16,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from bridge.batch.engine import sorted_out, work_on_each
-from bridge.batch.isolation import Failure, attempt_each
 from bridge.config import word_for_recorded
 from bridge.files import read_regular
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, only_file, source_id
@@ -76,7 +75,7 @@ def facts_of_scenes(
 ) -> tuple[list[SceneFacts], list[str]]:
     """Facts in the order of folders, and a line for each scene that cannot be read."""
     each = work_on_each(
-        describe_folders, folders, shared=Forecasting(), jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False,
+        describe, folders, shared=Forecasting(), jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False,
         on_item=on_scene,
     )  # fmt: skip
     facts, unread = sorted_out(each)
@@ -84,12 +83,7 @@ def facts_of_scenes(
     return [by_folder[folder] for folder in folders if folder in by_folder], [reason for _, reason in unread]
 
 
-def describe_folders(params: Forecasting, folders: Sequence[Path]) -> Iterator[SceneFacts | Failure]:
-    """The work of a process: facts of each scene."""
-    return attempt_each(lambda folder: describe(folder, params), folders)
-
-
-def describe(folder: Path, params: Forecasting) -> SceneFacts:
+def describe(params: Forecasting, folder: Path) -> SceneFacts:
     """Read what is needed of one scene. Errors: ScenarioError, MapError with file, value and what was expected."""
     parquet, map_path = only_file(folder, PARQUET_PATTERN, ScenarioError), only_file(folder, MAP_PATTERN, MapError)
     table = read_table(parquet)
