@@ -26,7 +26,6 @@ from bridge.recordings.scenario import (
     MAX_STEPS,
     OBSERVED_STEPS,
     Rows,
-    Scenario,
     find_scenarios,
     read_rows,
     source_id,
@@ -181,7 +180,7 @@ def write_forecasts(forecasts: Forecasts, path: Path) -> Path:
     return path
 
 
-def baseline(scene: Scenario | Rows, kind: Baseline) -> Forecast:
+def baseline(scene: Rows, kind: Baseline) -> Forecast:
     """Probabilities (6,) and modes (6, N, 2) m of the focal track, from what is observed of it.
 
     N: steps that are not observed, 60 in scenes of 110.
@@ -191,7 +190,7 @@ def baseline(scene: Scenario | Rows, kind: Baseline) -> Forecast:
     return np.array([probability for _, probability in _MODES]), {track.track_id: modes}
 
 
-def _forecast(track: Track, kind: Baseline, share: float, scene: Scenario | Rows) -> FloatArray:
+def _forecast(track: Track, kind: Baseline, share: float, scene: Rows) -> FloatArray:
     """(N, 2) m: on at the observed velocity, or at the observed speed and turn rate; `share` scales what is varied."""
     observed = np.flatnonzero(track.timesteps <= scene.last_observed)[-_HISTORY - 1 :]
     last = observed[-1]
@@ -211,7 +210,7 @@ def _forecast(track: Track, kind: Baseline, share: float, scene: Scenario | Rows
     return np.asarray(track.position[last] + speed / rate * along, dtype=np.float64)
 
 
-def _future_steps(scene: Scenario | Rows) -> int:
+def _future_steps(scene: Rows) -> int:
     """Steps that are forecast: what is not observed; of a scene without them those of the format."""
     return scene.num_steps - scene.observed_steps if scene.num_steps > scene.observed_steps else FUTURE_STEPS
 

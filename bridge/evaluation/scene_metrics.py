@@ -113,11 +113,7 @@ def _read(folder: Address) -> tuple[Rows, FlatLanes, RecordingRecord]:
     """As read_recording, but the map of a folder that is known is not read again."""
     if isinstance(folder, Source):
         scenario = read_recording(folder)
-        rows = Rows(
-            scenario.scenario_id, scenario.city, scenario.focal_track_id, scenario.num_steps, scenario.tracks,
-            scenario.observed_steps, scenario.step_s,
-        )  # fmt: skip
-        return rows, flatten_lanes(scenario.graph), recording_record_of(scenario)
+        return scenario, flatten_lanes(scenario.graph), recording_record_of(scenario)
     tables, files = list(folder.glob("scenario_*.parquet")), list(folder.glob("log_map_archive_*.json"))
     if len(tables) != 1 or len(files) != 1:
         read_scenario(folder)  # says what is wrong
