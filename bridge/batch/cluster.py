@@ -63,7 +63,7 @@ def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings
             if not running:
                 return
             done: Any = ()
-            with contextlib.suppress(TimeoutError):
+            with contextlib.suppress(TimeoutError), client.as_current():
                 done = wait(list(running), timeout=_WORKERS_S, return_when="FIRST_COMPLETED").done
             for future in done:
                 yield _result(future, running.pop(future), scheduler)

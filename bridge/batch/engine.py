@@ -174,7 +174,7 @@ def work_on_each(
     """
     size = max(1, min(chunk, len(items) // (4 * jobs))) if isolated else chunk
     chunks = [tuple(items[start : start + size]) for start in range(0, len(items), size)]
-    jobs = min(jobs, len(chunks))
+    jobs = max(1, min(jobs, len(chunks)))
     named = f"{work.__module__}:{work.__qualname__}", shared
     if jobs <= 1 and not isolated:
         found: Iterable[tuple[_Item, _Value | Failure]] = zip(items, attempt_each(named, items), strict=True)
