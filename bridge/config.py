@@ -24,7 +24,7 @@ CORRIDOR_PREFIX = "corridor-"
 #: Real: below 0.02, 4 deep, 3 parts.
 _MAX_TOML_MB, _MAX_DEPTH = 1, 20
 _MANY_DOTS = re.compile(r"(?:[^\s.,]{1,50}[ \t]*\.[ \t]*){20}")
-#: Ids of scenes in which recorded vehicles react: these are no scenes of Argoverse either, for nobody drove so.
+#: Ids of scenes in which recorded vehicles react: these are no scenes of Argoverse either: they were not driven so.
 REACTIVE_PREFIX = "reactive-"
 
 
@@ -204,7 +204,7 @@ def check_function(name: str, named: Collection[str], *, where: str) -> None:
 
 
 def check_no_flow(config: Config) -> None:
-    """Raise ConfigError where traffic is to enter at the map's edge: whoever does so is not exported, only studied."""
+    """Raise ConfigError where traffic is to enter at the map's edge: such vehicles are not exported, only studied."""
     if config.flow.veh_per_h_lane > 0.0:
         raise ConfigError(
             f"flow.veh_per_h_lane = {config.flow.veh_per_h_lane:g}: traffic enters in studies only (hid2 study), "

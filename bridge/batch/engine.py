@@ -199,7 +199,7 @@ def attempt_each(named: tuple[str, Any], items: Sequence[Any]) -> Iterator[Any]:
         for item in items:
             try:
                 yield work(shared, item)
-            except Exception as error:  # noqa: BLE001  # listed with its reason by whoever asked
+            except Exception as error:  # noqa: BLE001  # listed with its reason by the caller
                 yield describe_error(error)
 
     return attempts()

@@ -4,7 +4,7 @@ libsumo is native code and allows one simulation per process, so scenes run in s
 a hang costs the process and nothing else. The process is started once, serves many calls and is replaced after
 `recycle_after` of them, or when its memory has grown. What it may take is bounded (`memory_mb`), and what it leaves in
 its folder for temporary files goes with it. Caller and process talk over a pair of Unix sockets without a name: nothing
-listens, nobody else can connect.
+listens, no other process can connect.
 """
 
 import contextlib
@@ -186,7 +186,7 @@ class IsolatedProcess:
                     stderr=self._stderr,
                     pass_fds=[there.fileno()],
                     env=os.environ | _ONE_THREAD | _NO_PLUGINS | own,
-                    start_new_session=True,  # Ctrl-C is for the caller, who then closes this process
+                    start_new_session=True,  # Ctrl-C is for the caller, which then closes this process
                 )
         except OSError as error:
             raise StartFailedError(
@@ -228,7 +228,7 @@ class IsolatedProcess:
         code = process.wait()
         details = self._log_tail()
         self.close()
-        if code == 1 and _RAN_OUT.search(details):  # its clock began before that of a caller who was held up
+        if code == 1 and _RAN_OUT.search(details):  # its clock began before that of a caller that was held up
             ran_out_of_s = self._timeout_s
         if ran_out_of_s is not None:
             return Failure("timeout", f"no result after {ran_out_of_s:g} s: the process was ended", details)
@@ -310,7 +310,7 @@ def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequen
             faulthandler.cancel_dump_traceback_later()
             _reply(connection, "value", value)
             faulthandler.dump_traceback_later(timeout_s, exit=True)
-    except Exception as error:  # noqa: BLE001  # passed on to the caller, who decides
+    except Exception as error:  # noqa: BLE001  # passed on to the caller, which decides
         faulthandler.cancel_dump_traceback_later()
         _reply(connection, "raised", describe_error(error))
         return

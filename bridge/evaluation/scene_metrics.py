@@ -186,14 +186,14 @@ def _groups(
     arrays: SceneArrays, kinematic: Kinematics, safe: Safety, beyond: Mapping[str, BoolArray]
 ) -> dict[str, Group]:
     """Recorded agents, generated ones, and both."""
-    everybody = np.ones(arrays.num_agents, dtype=bool)
+    every = np.ones(arrays.num_agents, dtype=bool)
     met = encounters(arrays, safe.lanes, safe.matches, safe.leaders)
     groups = {}
-    # whom a group's vehicles may touch: what was added any road user, what was recorded what was recorded
+    # contacts that count: of added vehicles with any road user, of recorded ones with recorded ones
     for name, members, others in (
         ("original", ~arrays.generated, ~arrays.generated),
-        ("generated", arrays.generated, everybody),
-        ("combined", everybody, everybody),
+        ("generated", arrays.generated, every),
+        ("combined", every, every),
     ):
         groups[name] = Group(
             arrays=arrays,
@@ -230,7 +230,7 @@ def _group_row(group: Group, maneuvers: Sequence[Maneuver], policy_of: Mapping[s
 
 
 def _pair_row(safe: Safety, arrays: SceneArrays) -> Row:
-    """Colliding pairs (IoU above the threshold), pairs that touch at all, and PET, by who is involved."""
+    """Colliding pairs (IoU above the threshold), pairs that touch at all, and PET, by the groups of the two."""
     row: Row = {f"{kind}_{name}": 0 for kind in PAIR_KINDS for name in PAIR_GROUPS}
 
     def of(pair: Overlap | Encroachment) -> str:

@@ -12,7 +12,7 @@ from hid2.agents import BoxSize, FloatArray, Track
 from netconvert.errors import ScenarioError
 from netconvert.lane_graph import LaneGraph
 
-#: Who made the tracks: the recording vehicle's own tracker, or people who labelled boxes.
+#: How the tracks were made: by the recording vehicle's own tracker, or by people that labelled boxes.
 Provenance = Literal["tracker", "human"]
 #: Track id of the recording vehicle.
 AV_ID = "AV"

@@ -10,7 +10,7 @@ _RUN: Mapping[str, str] = {
     "city": "its city",
     "point": "number of the point of the design",
     "seed": "seed: the same vehicles, drivers, sites and traffic for every point",
-    "replay": "fixed: recorded vehicles drive as recorded; reactive: they yield, and nobody drove so",
+    "replay": "fixed: recorded vehicles drive as recorded; reactive: they yield, which was not recorded",
 }
 
 #: Table -> column -> what it says. Columns that vary in the study have the names of their parameters.
@@ -60,10 +60,10 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
     "looks": {**_RUN, **{name: says for name, says in GAP_COLUMNS.items() if name not in ("round", "track_id")}},
     "gaps": {
         **_RUN,
-        "vehicle": "who looked",
+        "vehicle": "the vehicle that looked",
         "side": "left or right",
-        "lead_id": "new leader; empty: nobody",
-        "lag_id": "new follower; empty: nobody",
+        "lead_id": "new leader; empty: none",
+        "lag_id": "new follower; empty: none",
         "accepted": "whether the gap was taken",
         "from_s": "first look at it",
         "to_s": "last look at it",
@@ -81,7 +81,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "flow_veh_per_h_lane": "distance driven over length and time (Edie), on the lanes where traffic enters",
         "density_veh_per_km_lane": "time spent over length and time",
         "speed_kmph": "flow over density",
-        "waiting_to_enter_s": "mean wait before the map of those who entered in the interval",
+        "waiting_to_enter_s": "mean wait before the map of the vehicles that entered in the interval",
     },
     "dose_response": {
         "parameter": "what varies",

@@ -20,7 +20,7 @@ _SCENES_LEAST, _UNITS_LEAST = 3, 3  # fewer scenes, or units at all, are not dra
 _FEWEST = 8  # gaps of each answer, drivers: below, no curve and no critical gap is fitted
 #: Coefficients beyond this say that a threshold parts the gaps without exception: no curve has an interval then.
 _SEPARATED = 50.0
-#: Longer time gaps count as this, s: behind whoever hardly moves they grow without end.
+#: Longer time gaps count as this, s: behind a leader that hardly moves they grow without end.
 _LONG_GAP_S = 10.0
 
 
@@ -69,7 +69,7 @@ def units(frame: pd.DataFrame) -> dict[str, list[str]]:
 
 
 def kaplan_meier(waited_s: FloatArray, accepted: FloatArray, weights: FloatArray | None = None) -> Any:  # noqa: ANN401
-    """Survival of the waiting time (statsmodels); who gave up, left, or was cut off by the end is censored."""
+    """Survival of the waiting time (statsmodels); given up, or cut off, is censored."""
     from statsmodels.duration.survfunc import SurvfuncRight
 
     # a change at the first look has waited for no time: a tenth of a step keeps it in
@@ -244,14 +244,14 @@ class CriticalGap:
 def largest_rejected(gaps: pd.DataFrame) -> tuple[FloatArray, FloatArray, int]:
     """Largest rejected and accepted lag time gap, s, of each driver that accepted one; how many were left out.
 
-    A driver who refused a larger lag gap than the one taken refused it for another reason, and is left out. A gap that
+    A driver that refused a larger lag gap than the one taken refused it for another reason, and is left out. A gap that
     the rule refused for anything but its lag gap is no refusal of its lag gap.
     """
     for_lag = gaps["accepted"] | gaps["answer"].isin(["yes", "rear_gap", "mobil_unsafe", "rule_refuses"])
     frame = gaps[for_lag & gaps["lag_time_gap_s"].notna()]
-    who = ["scene", "point", "seed", "vehicle"]
-    accepted = frame[frame["accepted"]].groupby(who)["lag_time_gap_s"].first()
-    rejected = frame[~frame["accepted"]].groupby(who)["lag_time_gap_s"].max().reindex(accepted.index).fillna(0.0)
+    driver = ["scene", "point", "seed", "vehicle"]
+    accepted = frame[frame["accepted"]].groupby(driver)["lag_time_gap_s"].first()
+    rejected = frame[~frame["accepted"]].groupby(driver)["lag_time_gap_s"].max().reindex(accepted.index).fillna(0.0)
     a, r = accepted.to_numpy(float), rejected.to_numpy(float)
     consistent = (a > r) & (a > 0.0)
     return r[consistent], a[consistent], int((~consistent).sum())
