@@ -8,24 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic_core import from_json
 
-from bridge.files import read_regular
-from bridge.recordings.export import recording_record_of
-from bridge.recordings.folders import Address, Source
+from bridge.recordings.folders import Address, split_of
 from bridge.recordings.judging import findings_of, states_of
-from bridge.recordings.limits import MAX_FILE_MB, check_ground
-from bridge.recordings.map_rules import graph_of, read_source_map
-from bridge.recordings.scenario import (
-    Rows,
-    read_scenario,
-    read_sizes,
-    read_table,
-    recording_record,
-    split_of,
-    split_rows,
-)
-from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, RecordingRecord, Sidecar, sidecar_in
+from bridge.recordings.recording import Recording
+from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar, sidecar_in
 from bridge.recordings.sources import read_recording
 from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
@@ -38,12 +25,12 @@ from hid2.evaluation.windows import windows
 from hid2.judge.findings import Finding
 from hid2.measures.arrays import BoolArray, SceneArrays, is_generated_id
 from hid2.measures.encounters import encounters
-from hid2.measures.lane_matching import FlatLanes, flatten_lanes
+from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.post_encroachment import Encroachment
 from hid2.measures.scene_end import contacts_after_last_step
 from hid2.params import Limits
-from netconvert.errors import MapError, ScenarioError
+from netconvert.errors import ScenarioError
 
 #: A manoeuvre seen belongs to a record of its kind whose crossing (or start) is at most this far away.
 SAME_MANEUVER_S = 2.0
@@ -69,18 +56,8 @@ class SceneMeasures:
     sample_generated: BoolArray
 
 
-@lru_cache(maxsize=8)
-def _lanes_of(content: bytes) -> FlatLanes:
-    """The lanes of a map file; scenes made from one share its map, and reading it takes longest."""
-    return flatten_lanes(graph_of(from_json(content), name="the map"))
-
-
-def _read_lanes(path: Path) -> FlatLanes:
-    """The map in a file, which keeps the rules and limits of a source's. Errors: MapError."""
-    try:
-        return _lanes_of(read_regular(path, most_mb=MAX_FILE_MB))
-    except (OSError, ValueError, MapError):
-        return flatten_lanes(read_source_map(path))  # says what is wrong with which file
+#: Of the last graphs: scenes with one map come one after the other.
+_flat = lru_cache(maxsize=2)(flatten_lanes)
 
 
 def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMeasures:
@@ -88,18 +65,15 @@ def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMe
 
     labelled: sizes of the recorded tracks of source scenes, for generated ones whose sidecar does not have them.
     """
-    rows, lanes, known = _read(folder)
-    sidecar = sidecar_in(folder, rows.scenario_id) if isinstance(folder, Path) else None
+    recording = read_recording(folder)
+    sidecar = sidecar_in(folder, recording.scenario_id) if isinstance(folder, Path) else None
     if sidecar is not None and sidecar.replay.mode == "reactive":
         raise ScenarioError(f"{folder}: {REACTIVE}")
-    source = sidecar.source_scenario_id if sidecar else rows.scenario_id
-    sizes = (labelled or {}).get(source, {}) if sidecar else {}
-    measures = measure(
-        [replace(t, size=sizes.get(t.track_id, t.size)) for t in rows.tracks] if sizes else rows.tracks, lanes,
-        sidecar, known, num_steps=rows.num_steps, source=source,
-    )  # fmt: skip
-    name: Row = {"scenario_id": rows.scenario_id}
-    place: Row = {"split": split_of(folder) or "", "city": rows.city, "folder": str(folder)}
+    sizes = (labelled or {}).get(sidecar.source_scenario_id, {}) if sidecar else {}
+    tracks = [replace(t, size=sizes.get(t.track_id, t.size)) for t in recording.tracks] if sizes else recording.tracks
+    measures = measure(recording, tracks, sidecar)
+    name: Row = {"scenario_id": recording.scenario_id}
+    place: Row = {"split": split_of(folder) or "", "city": recording.city, "folder": str(folder)}
     return replace(
         measures,
         scene=name | place | measures.scene,
@@ -109,38 +83,14 @@ def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMe
     )
 
 
-def _read(folder: Address) -> tuple[Rows, FlatLanes, RecordingRecord]:
-    """As read_recording, but the map of a folder that is known is not read again."""
-    if isinstance(folder, Source):
-        scenario = read_recording(folder)
-        return scenario, flatten_lanes(scenario.graph), recording_record_of(scenario)
-    tables, files = list(folder.glob("scenario_*.parquet")), list(folder.glob("log_map_archive_*.json"))
-    if len(tables) != 1 or len(files) != 1:
-        read_scenario(folder)  # says what is wrong
-        raise ScenarioError(f"{folder}: {len(tables)} scenarios and {len(files)} maps, expected one of each")
-    known = recording_record(folder)
-    rows = split_rows(
-        read_table(tables[0]), name=str(tables[0]), sizes=read_sizes(folder), observed_steps=known.observed_steps
-    )
-    lanes = _read_lanes(files[0])
-    check_ground(rows.tracks, lanes.graph, str(folder))
-    return rows, lanes, known
-
-
-def measure(
-    tracks: Sequence[Track],
-    lanes: FlatLanes,
-    sidecar: Sidecar | None,
-    known: RecordingRecord,
-    *,
-    num_steps: int,
-    source: str,
-) -> SceneMeasures:
-    """Measure tracks on a map, by default limits. known: of the recording; `source`: id of the recorded scene."""
+def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | None) -> SceneMeasures:
+    """Measure tracks on the map of a recording, with its steps and by default limits; sidecar: of a generated scene."""
+    lanes = _flat(recording.graph)
+    source = sidecar.source_scenario_id if sidecar else recording.scenario_id
     generated_ids = {track.track_id for track in tracks if is_generated_id(track.track_id)}
-    states = states_of(tracks, lanes, generated_ids, num_steps=num_steps, step_s=known.step_s)
+    states = states_of(tracks, lanes, generated_ids, num_steps=recording.num_steps, step_s=recording.step_s)
     arrays = states.arrays
-    last_observed = min(known.observed_steps, num_steps) - 1
+    last_observed = recording.last_observed
     moved = motion(arrays)
     safe = safety(arrays, lanes, states.matches)
     maneuvers = detect(arrays, safe.lanes, safe.matches)
@@ -148,8 +98,8 @@ def measure(
     policy_of = policies(arrays, maneuvers)
     groups = _groups(arrays, kinematics(arrays, moved), safe, beyond_limits(moved, Limits()))
     scene: Row = {
-        "format": known.format,
-        "provenance": known.provenance,
+        "format": recording.format,
+        "provenance": recording.provenance,
         "source": source,
         "steps": arrays.num_steps,
         "tracks": arrays.num_agents,
@@ -177,7 +127,7 @@ def measure(
         realism=count_scene(
             source, arrays, scene_values(arrays, safe, driving, durations), generated=generated, recorded=recorded
         ),
-        samples=pack(driving, halves, labelled=known.provenance == "human"),
+        samples=pack(driving, halves, labelled=recording.provenance == "human"),
         sample_generated=arrays.generated[driving.agent],
     )
 

@@ -15,13 +15,11 @@ from bridge.evaluation.evaluate import evaluate_folder
 from bridge.evaluation.report import write_report
 from bridge.evaluation.scene_metrics import measure, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
-from bridge.recordings.export import recording_record_of
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics
 from hid2.evaluation.critics import WIDTH
 from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric, Section
-from hid2.measures.lane_matching import flatten_lanes
 from netconvert.errors import ExportError, MapError, ScenarioError
 
 
@@ -273,14 +271,7 @@ def test_a_scene_in_which_nothing_moves_is_measured(made_scene):
         replace(track, position=np.repeat(track.position[:1], len(track.timesteps), axis=0))
         for track in scenario.tracks[:3]
     ]
-    measures = measure(
-        parked,
-        flatten_lanes(scenario.graph),
-        None,
-        recording_record_of(scenario),
-        num_steps=110,
-        source="parked",
-    )
+    measures = measure(scenario, parked, None)
     assert measures.samples.shape == (0, WIDTH)
     assert measures.scene["combined_moving"] == 0
 
