@@ -207,6 +207,7 @@ def _scores(critic: Critic, x: FloatArray, generated: BoolArray, weights: FloatA
     """Scores (K,) of new samples (K, F) by a classifier that is fitted to others (M, F)."""
     from sklearn.ensemble import HistGradientBoostingClassifier
     from sklearn.linear_model import LogisticRegression
+    from threadpoolctl import threadpool_limits
 
     found: Any = LogisticRegression(solver="newton-cholesky", tol=1e-6)
     if critic is Critic.TREES:
@@ -217,8 +218,9 @@ def _scores(critic: Critic, x: FloatArray, generated: BoolArray, weights: FloatA
     mean = np.average(x, axis=0, weights=weights)
     spread = np.sqrt(np.average((x - mean) ** 2, axis=0, weights=weights))
     spread = np.where(spread > 1e-9, spread, 1.0)
-    found.fit((x - mean) / spread, generated, sample_weight=weights)
-    return np.asarray(found.decision_function((new - mean) / spread), dtype=np.float64)
+    with threadpool_limits(1):  # of so few samples threads would wait for each other
+        found.fit((x - mean) / spread, generated, sample_weight=weights)
+        return np.asarray(found.decision_function((new - mean) / spread), dtype=np.float64)
 
 
 def temporal_features(rows: FloatArray) -> FloatArray:
