@@ -21,7 +21,7 @@ from bridge.forecasting.comparison import (
     HEAD,
     METRICS,
     Difference,
-    Estimate,
+    MeanEstimate,
     MetricKey,
     Runs,
     as_dicts,
@@ -240,7 +240,7 @@ def _table(
     source_of: Mapping[str, str], params: Forecasting,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """The paper's rows and ours, by label: every metric of each of a row's runs, by name, ready for JSON."""
-    rows = [(label, [Estimate(value) for value in values]) for label, values in paper.items()]
+    rows = [(label, [MeanEstimate(value) for value in values]) for label, values in paper.items()]
     rows += [
         (f"ours: {label}", [mean_of(one, source_of, metric, params) for one in runs for metric in _COLUMNS])
         for label, runs in ours.items()

@@ -32,7 +32,7 @@ _SLICE = "slice_id"
 _SIDE = 1 << 20
 
 
-class SceneFacts(NamedTuple):
+class SourceScene(NamedTuple):
     """What a composition needs to know of a scene.
 
     source_id: the recorded scenario that it was made from, its own where it was recorded; log: drive that it was cut
@@ -72,7 +72,7 @@ class Leak(NamedTuple):
 
 def facts_of_scenes(
     folders: Sequence[Path], *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
-) -> tuple[list[SceneFacts], list[str]]:
+) -> tuple[list[SourceScene], list[str]]:
     """Facts in the order of folders, and a line for each scene that cannot be read."""
     each = work_on_each(
         describe, folders, shared=Forecasting(), jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False,
@@ -83,7 +83,7 @@ def facts_of_scenes(
     return [by_folder[folder] for folder in folders if folder in by_folder], [reason for _, reason in unread]
 
 
-def describe(params: Forecasting, folder: Path) -> SceneFacts:
+def describe(params: Forecasting, folder: Path) -> SourceScene:
     """Read what is needed of one scene. Errors: ScenarioError, MapError with file, value and what was expected."""
     parquet, map_path = only_file(folder, PARQUET_PATTERN, ScenarioError), only_file(folder, MAP_PATTERN, MapError)
     table = read_table(parquet)
@@ -94,7 +94,7 @@ def describe(params: Forecasting, folder: Path) -> SceneFacts:
     at_end = track.filter(pc.equal(timestep, OBSERVED_STEPS - 1))
     cells, block = _ground(map_path, params)
     source = recorded_source(folder)
-    return SceneFacts(
+    return SourceScene(
         folder=folder,
         scenario_id=scenario_id,
         source_id=source or scenario_id,
@@ -142,7 +142,7 @@ def _points(document: Mapping[str, Any]) -> Iterator[tuple[float, float]]:
 # Groups and splits
 
 
-def groups_of(facts: Sequence[SceneFacts]) -> list[list[int]]:
+def groups_of(facts: Sequence[SourceScene]) -> list[list[int]]:
     """Rows of scenes that stay on one side: of one block of a city, one source, one log. In the order of first rows."""
     number: dict[tuple[object, ...], int] = {}
     links = []
@@ -159,13 +159,13 @@ def groups_of(facts: Sequence[SceneFacts]) -> list[list[int]]:
     return list(groups.values())
 
 
-def stratum(fact: SceneFacts, bounds: Sequence[int]) -> tuple[str, int]:
+def stratum(fact: SourceScene, bounds: Sequence[int]) -> tuple[str, int]:
     """City and band of density."""
     return fact.city, sum(fact.tracks > bound for bound in bounds)
 
 
 def split_by_place(
-    facts: Sequence[SceneFacts], shares: Mapping[str, float], *, seed: int, bounds: Sequence[int]
+    facts: Sequence[SourceScene], shares: Mapping[str, float], *, seed: int, bounds: Sequence[int]
 ) -> dict[str, list[int]]:
     """Rows of each split: groups go where they bring every city and density nearest to its share.
 
@@ -198,7 +198,7 @@ def split_by_place(
     return {split: sorted(rows) for split, rows in chosen.items()}
 
 
-def leaks_between(facts: Sequence[SceneFacts], training: Sequence[int], held_out: Sequence[int]) -> list[Leak]:
+def leaks_between(facts: Sequence[SourceScene], training: Sequence[int], held_out: Sequence[int]) -> list[Leak]:
     """Scenes for training that are, or come from, or lie where one of those held out does. Each is named once."""
     known: dict[tuple[object, ...], int] = {}
     for row in held_out:
@@ -212,7 +212,7 @@ def leaks_between(facts: Sequence[SceneFacts], training: Sequence[int], held_out
     return found
 
 
-def _signs(fact: SceneFacts) -> Iterator[tuple[tuple[object, ...], str]]:
+def _signs(fact: SourceScene) -> Iterator[tuple[tuple[object, ...], str]]:
     """By what a scene is known again, and what to say of another one with the same; the plainest first."""
     yield ("scene", fact.scenario_id), "the same scene as"
     yield ("source", fact.source_id), f"made of the same recorded scene {fact.source_id} as"

@@ -15,7 +15,7 @@ from recordings import make_argoverse1
 
 from bridge.evaluation.predictions import baseline, read_forecasts, score_predictions, write_forecasts
 from bridge.forecasting import experiment
-from bridge.forecasting.comparison import Difference, Estimate
+from bridge.forecasting.comparison import Difference, MeanEstimate
 from bridge.forecasting.compose import compose
 from bridge.forecasting.composition import composition_of
 from bridge.forecasting.experiment import PAPER_GAIN_M, PAPER_TABLE2, PAPER_TABLE3, SETS, Plan, run_prediction
@@ -197,7 +197,15 @@ def test_recordings_of_other_formats_are_refused(tmp_path, monkeypatch):
 def test_an_interval_is_taken_at_its_word_from_many_scenes_only(sources, says, not_says):
     """A difference of -0.5 m, -0.9 to -0.1 m."""
     one = Difference(
-        "hid2", "recorded", "all scenes", "min_fde_m", Estimate(-0.5, -0.9, -0.1, 0.2), sources, sources, (3, 3), 0.57
+        "hid2",
+        "recorded",
+        "all scenes",
+        "min_fde_m",
+        MeanEstimate(-0.5, -0.9, -0.1, 0.2),
+        sources,
+        sources,
+        (3, 3),
+        0.57,
     )
     text = " ".join(macro("forecasts.html.j2", "power", one, PAPER_GAIN_M).split())
     assert says in text
