@@ -24,7 +24,7 @@ CORRIDOR_PREFIX = "corridor-"
 #: Real: below 0.02, 4 deep, 3 parts.
 _MAX_TOML_MB, _MAX_DEPTH = 1, 20
 _MANY_DOTS = re.compile(r"(?:[^\s.,]{1,50}[ \t]*\.[ \t]*){20}")
-#: Ids of scenes in which recorded vehicles react: these are no scenes of Argoverse either, for nobody drove so.
+#: Ids of scenes in which recorded vehicles react: these are no scenes of Argoverse either: they were not driven so.
 REACTIVE_PREFIX = "reactive-"
 
 

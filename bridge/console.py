@@ -136,7 +136,7 @@ class Activity(ExitStack):
         self.show(done, total)
 
     def note(self, *messages: str) -> None:
-        """Messages that nobody needs: none when quiet."""
+        """Messages that can be missed: none when quiet."""
         for message in () if self._quiet else messages:
             say(message)
 

@@ -716,18 +716,4 @@ class Forecasting(_Section):
         8, "scenes", "scenes generated of each recorded one in `hid2 paper prediction`", ge=1, le=1000
     )
     val_share: float = _param(0.3, "share", "scenes kept for validation in `hid2 paper prediction`", gt=0, lt=1)
-
-    agents: int = _param(48, "-", "neighbours that the forecaster sees, the nearest", ge=1, le=256)
-    history_every: int = _param(5, "steps", "from one point of a history to the one before", ge=1, le=49)
-    lanes: int = _param(48, "-", "lane segments that it sees, the nearest", ge=1, le=512)
-    lane_points: int = _param(6, "-", "points of a lane segment", ge=2, le=50)
-    radius_m: float = _param(100.0, "m", "neighbours and lanes farther away are not seen", gt=1, le=500)
-    hidden: int = _param(64, "-", "width of the network; VectorNet has 64", ge=8, le=512)
-    layers: int = _param(2, "-", "layers of attention between polylines", ge=1, le=8)
-    heads: int = _param(4, "-", "heads of attention", ge=1, le=16)
-    modes: int = _param(6, "-", "futures of a forecast; av2's challenge has 6", ge=1, le=6)
-    batch: int = _param(32, "targets", "targets of an update", ge=1, le=1024)
     updates: int = _param(300, "-", "updates of a training, the same for every composition", ge=1)
-    learning_rate: float = _param(1e-3, "-", "AdamW, falling to 0 as a cosine", gt=0, le=1)
-    weight_decay: float = _param(1e-4, "-", "AdamW", ge=0, le=1)
-    checkpoint_every: int = _param(100, "updates", "updates from one checkpoint to the next", ge=1)

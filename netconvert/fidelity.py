@@ -34,7 +34,7 @@ class FidelityReport:
     successors_in: int
     successors_kept: int
     neighbors_in: int
-    """Links to neighbours that run the same way, or that are not in the map so that nobody knows."""
+    """Links to neighbours that run the same way, or that are not in the map, so that it is unknown."""
     neighbors_kept: int
     oncoming: int
     """Neighbour links to lanes that run the opposite way, which are none of the grid's."""

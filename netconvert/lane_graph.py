@@ -133,7 +133,7 @@ class LaneGraph:
     def straightest_successor(self, lane_id: int) -> int | None:
         """The successor whose chord turns least from the end of the lane, the lower id of equals; None without one.
 
-        Of a lane of MOTOR_TYPES only successors of these types count: nobody drives on into a bicycle lane.
+        Of a lane of MOTOR_TYPES only successors of these types count: motor vehicles do not go on into a bicycle lane.
         """
         return self._straightest[lane_id]
 

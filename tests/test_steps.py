@@ -21,8 +21,6 @@ OF_ARGOVERSE_2 = {
     "bridge/sumo/net.py": "a map of its own, without a recording",
     "bridge/evaluation/predictions.py": "its challenge's submissions",
     "bridge/forecasting/compose.py": "data sets of its shape",
-    "bridge/forecasting/features.py": "a forecaster of its shape, refuses other steps",
-    "bridge/forecasting/network.py": "a forecaster of its shape",
     "bridge/forecasting/places.py": "data sets of its shape",
 }
 #: Steps that are no time: samples that a derivative needs, steps that SUMO's own code takes, rounds of a display.

@@ -1,4 +1,4 @@
-"""Many scenes: what to do, what is done already, who does it, and what became of each.
+"""Many scenes: what to do, what is done already, where it is done, and what became of each.
 
 Every scene runs in an isolated process (see `engine`). A scene that has no result is quarantined: it leaves a
 bundle in OUT/quarantine that reproduces the failure, and the batch goes on.
@@ -361,7 +361,7 @@ def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options
     """The manifest's row about an outcome; a failure leaves its bundle."""
     run: Run = outcome.item
     failure = outcome.wrong
-    if failure is not None and failure.kind == "disk":  # nobody can write: the next scene would fail no less
+    if failure is not None and failure.kind == "disk":  # the next scene would fail no less
         raise DiskFullError(failure.message)
     row = base_row(place, run) if failure else outcome.value
     if row.version != code_version():

@@ -8,26 +8,23 @@ What goes to a scheduler and comes back are pickles: scheduler and workers are t
 import contextlib
 import itertools
 import logging
-import queue
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import CancelledError
 from typing import Any, cast
 
-from distributed import Client, KilledWorker, Security, Worker, get_worker
+from distributed import Client, KilledWorker, Security, Worker, get_worker, wait
 from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.registry import get_backend
 from distributed.diagnostics.plugin import WorkerPlugin
 
-from bridge.batch.engine import Outcome, Result, Settings, Task, new_process, run_task
-from bridge.batch.isolation import Failure, IsolatedProcess
+from bridge.batch.engine import Outcome, Processes, Result, Settings, Task
+from bridge.batch.isolation import Failure
 from netconvert.errors import BatchError, ConfigError, Hid2Error
 
 _PLUGIN = "hid2-scene-processes"
 #: Tasks handed to the scheduler per worker: one that runs and one that is ready when it ends.
 _AHEAD = 2
-#: Seconds after which the number of workers is looked up again.
-_LOOK_UP_S = 2.0
 #: Seconds to reach a scheduler.
 _CONNECT_S = 10
 #: Seconds for which a scheduler may have no workers at all.
@@ -49,42 +46,34 @@ def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings
 
     Errors: BatchError when the scheduler cannot be reached or is lost.
     """
-    waiting = iter(tasks)
-    number = itertools.count()
-    with _client(scheduler) as client:
+    waiting, number = iter(tasks), itertools.count()
+    with _client(scheduler) as client, _lost(scheduler):
         client.register_plugin(SceneProcesses(settings), name=_PLUGIN)
-        completed: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        running: dict[object, Task] = {}
-        room, looked_up, staffed = 0, -_LOOK_UP_S, time.monotonic()
+        if not client.nthreads():
+            _LOG.warning("scheduler %s has no workers yet: waiting for %g s", scheduler, _WORKERS_S)
+        running: dict[Any, Task] = {}
         while True:
-            now = time.monotonic()
-            if now - looked_up >= _LOOK_UP_S:
-                with _lost(scheduler):
-                    threads = sum(client.nthreads().values())
-                if not threads and now - staffed >= _WORKERS_S:
-                    raise BatchError(_NO_WORKERS.format(where=scheduler, seconds=_WORKERS_S))
-                if not threads and room == 0:
-                    _LOG.warning("scheduler %s has no workers yet: waiting for %g s", scheduler, _WORKERS_S)
-                staffed = now if threads else staffed
-                room, looked_up = _AHEAD * max(1, threads), now
-            while len(running) < room and (task := next(waiting, None)) is not None:
-                with _lost(scheduler):
-                    future = client.submit(_run_on_worker, task, key=f"{task.key}-{next(number)}-{time.time_ns()}")
-                running[future.key] = task
-                future.add_done_callback(completed.put)
+            with contextlib.suppress(TimeoutError):
+                client.wait_for_workers(1, timeout=_WORKERS_S)
+            if not (threads := sum(client.nthreads().values())):
+                raise BatchError(_NO_WORKERS.format(where=scheduler, seconds=_WORKERS_S))
+            for task in itertools.islice(waiting, max(0, _AHEAD * threads - len(running))):
+                key = f"{task.key}-{next(number)}-{time.time_ns()}"
+                running[client.submit(_run_on_worker, task, key=key)] = task
             if not running:
                 return
-            with contextlib.suppress(queue.Empty):
-                future = completed.get(timeout=_LOOK_UP_S)
-                yield _result(future, running.pop(future.key), scheduler)
+            done: Any = ()
+            with contextlib.suppress(TimeoutError), client.as_current():
+                done = wait(list(running), timeout=_WORKERS_S, return_when="FIRST_COMPLETED").done
+            for future in done:
+                yield _result(future, running.pop(future), scheduler)
                 future.release()
 
 
 def _result(future: Any, task: Task, where: str) -> Result:  # noqa: ANN401  # a Future, generic or not by release
     error = future.exception() if future.status == "error" else None
     if future.status == "finished":
-        with _lost(where):  # it may go away between the end of a task and its result
-            found: Result = future.result()
+        found: Result = future.result()
         return found
     if isinstance(error, KilledWorker):
         failure = Failure("killed", "its Dask worker died again and again", str(error))
@@ -105,37 +94,22 @@ def _lost(where: str) -> Iterator[None]:
 
 
 def _run_on_worker(task: Task) -> Result:
-    processes = cast(SceneProcesses, get_worker().plugins[_PLUGIN])
-    return processes.run(task)
+    return cast(SceneProcesses, get_worker().plugins[_PLUGIN]).processes.run(task)
 
 
 class SceneProcesses(WorkerPlugin):
-    """Keeps the isolated processes of a Dask worker, one for each of its threads that is at work."""
+    """The isolated processes of a Dask worker, which end with it."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._idle: queue.SimpleQueue[IsolatedProcess] = queue.SimpleQueue()
-        self._all: list[IsolatedProcess] = []
 
-    def __reduce__(self) -> tuple[Callable[..., "SceneProcesses"], tuple[Settings]]:
-        return SceneProcesses, (self._settings,)
+    def setup(self, worker: Worker) -> None:
+        """None are there before the first task."""
+        self.processes = Processes(self._settings)
 
     def teardown(self, worker: Worker) -> None:
         """End the processes with the worker."""
-        for process in self._all:
-            process.stop()
-
-    def run(self, task: Task) -> Result:
-        """Run a task in an idle process, or in a new one."""
-        try:
-            process = self._idle.get_nowait()
-        except queue.Empty:
-            process = new_process(self._settings)
-            self._all.append(process)
-        try:
-            return run_task(task, process, self._settings)
-        finally:
-            self._idle.put(process)
+        self.processes.stop()
 
 
 @contextlib.contextmanager

@@ -9,9 +9,9 @@ would fail no less.
 
 import itertools
 import queue
-import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -22,6 +22,8 @@ from bridge.batch.isolation import (
     IsolatedProcess,
     StartFailedError,
     WorkFailedError,
+    describe_error,
+    resolve,
 )
 from bridge.files import one_line
 from bridge.interruption import tidied
@@ -96,51 +98,64 @@ def execute_here(
     `tasks` is consumed as processes become free. When the caller goes away, by Ctrl-C or by closing the generator, the
     processes end with what they are at. Errors: BatchError when no process can begin its work.
     """
-    settings = settings or Settings()
-    processes = [new_process(settings) for _ in range(jobs)]
-    todo: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
-    done: queue.SimpleQueue[Result | BaseException] = queue.SimpleQueue()
-
-    def work(process: IsolatedProcess) -> None:
-        while (task := todo.get()) is not None:
-            try:
-                done.put(run_task(task, process, settings))
-            except BaseException as error:  # noqa: BLE001  # raised in the caller's thread
-                done.put(error)
-
-    threads = [threading.Thread(target=work, args=(process,), daemon=True) for process in processes]
-    waiting, running = iter(tasks), 0
-
-    def stop() -> None:
-        for process in processes:
-            process.stop()
-
+    processes = Processes(settings or Settings())
+    waiting, threads = iter(tasks), ThreadPoolExecutor(jobs)
+    running: set[Future[Result]] = set()
     try:
-        with tidied(stop):
-            for thread in threads:
-                thread.start()
+        with tidied(processes.stop):
             while True:
-                for task in itertools.islice(waiting, _AHEAD * jobs - running):
-                    todo.put(task)
-                    running += 1
+                running |= {
+                    threads.submit(processes.run, task)
+                    for task in itertools.islice(waiting, _AHEAD * jobs - len(running))
+                }
                 if not running:
                     return
-                result = done.get()
-                running -= 1
-                if isinstance(result, BaseException):
-                    raise result
-                yield result
+                done, running = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    yield future.result()
     finally:
-        for _ in threads:
-            todo.put(None)
-        for thread, process in zip(threads, processes, strict=True):
-            if thread.ident is not None:
-                thread.join()
+        threads.shutdown(cancel_futures=True)
+        processes.close()
+
+
+class Processes:
+    """Isolated processes for the tasks that threads bring: one for each thread that is at work."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._idle: queue.SimpleQueue[IsolatedProcess] = queue.SimpleQueue()
+        self._all: list[IsolatedProcess] = []
+        self._stopped = False
+
+    def run(self, task: Task) -> Result:
+        """Run a task in an idle process, or in a new one; see `run_task`."""
+        how = self._settings
+        try:
+            process = self._idle.get_nowait()
+        except queue.Empty:
+            process = IsolatedProcess(timeout_s=how.timeout_s, recycle_after=how.recycle_after, memory_mb=how.memory_mb)
+            self._all.append(process)
+        if self._stopped:
+            process.stop()
+        try:
+            return run_task(task, process, how)
+        finally:
+            self._idle.put(process)
+
+    def stop(self) -> None:
+        """End all processes for good, with what they are at."""
+        self._stopped = True
+        for process in self._all:
+            process.stop()
+
+    def close(self) -> None:
+        """Remove the processes' temporary files, once no thread runs a task."""
+        for process in self._all:
             process.close()
 
 
 def work_on_each(
-    work: Callable[[_Shared, Sequence[_Item]], Iterator[_Value | Failure]],
+    work: Callable[[_Shared, _Item], _Value],
     items: Sequence[_Item],
     *,
     shared: _Shared,
@@ -152,24 +167,42 @@ def work_on_each(
 ) -> Generator[tuple[_Item, _Value | Failure], None, None]:
     """Yield every item with what a piece of work makes of it, or its failure, in the order of the items.
 
-    work: a generator function of a module, which gets (shared, items) and yields one value an item; chunk: most items
-    that a process gets at a time, fewer where processes share few items; timeout_s: for each item. isolated: False for
-    work that needs no process of its own, where starting one takes as long as a whole chunk: one worker works here.
-    on_item(done, total) is called when the caller is done with an item.
+    work: a function of a module, which gets (shared, item); chunk: most items that a process gets at a time, fewer
+    where processes share few items; timeout_s: for each item. isolated: False for work that needs no process of its
+    own, where starting one takes as long as a whole chunk: one worker works here. on_item(done, total) is called when
+    the caller is done with an item.
     """
     size = max(1, min(chunk, len(items) // (4 * jobs))) if isolated else chunk
     chunks = [tuple(items[start : start + size]) for start in range(0, len(items), size)]
-    jobs = min(jobs, len(chunks))
+    jobs = max(1, min(jobs, len(chunks)))
+    named = f"{work.__module__}:{work.__qualname__}", shared
     if jobs <= 1 and not isolated:
-        found: Iterable[tuple[_Item, _Value | Failure]] = zip(items, work(shared, items), strict=True)
+        found: Iterable[tuple[_Item, _Value | Failure]] = zip(items, attempt_each(named, items), strict=True)
     else:
-        name = f"{work.__module__}:{work.__qualname__}"
-        tasks = (Task(str(number), name, shared, part) for number, part in enumerate(chunks))
+        name = f"{__name__}:{attempt_each.__name__}"
+        tasks = (Task(str(number), name, named, part) for number, part in enumerate(chunks))
         found = _in_order(execute_here(tasks, jobs=jobs, settings=Settings(timeout_s=timeout_s)))
     for done, (item, value) in enumerate(found, 1):
         yield item, value
         if on_item is not None:
             on_item(done, len(items))
+
+
+def attempt_each(named: tuple[str, Any], items: Sequence[Any]) -> Iterator[Any]:
+    """What a function "module:name" makes of (shared, item) for each item, or its failure: one does not end the others.
+
+    It is imported before the first item, whose time starts after that.
+    """
+    work, shared = resolve(named[0]), named[1]
+
+    def attempts() -> Iterator[Any]:
+        for item in items:
+            try:
+                yield work(shared, item)
+            except Exception as error:  # noqa: BLE001  # listed with its reason by the caller
+                yield describe_error(error)
+
+    return attempts()
 
 
 def _in_order(results: Iterable[Result]) -> Iterator[tuple[Any, Any]]:
@@ -196,13 +229,6 @@ def sorted_out(
         else:
             values.append(value)
     return values, failures
-
-
-def new_process(settings: Settings) -> IsolatedProcess:
-    """Return a process for run_task; it starts with its first task."""
-    return IsolatedProcess(
-        timeout_s=settings.timeout_s, recycle_after=settings.recycle_after, memory_mb=settings.memory_mb
-    )
 
 
 def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> Result:

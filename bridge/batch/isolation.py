@@ -4,7 +4,7 @@ libsumo is native code and allows one simulation per process, so scenes run in s
 a hang costs the process and nothing else. The process is started once, serves many calls and is replaced after
 `recycle_after` of them, or when its memory has grown. What it may take is bounded (`memory_mb`), and what it leaves in
 its folder for temporary files goes with it. Caller and process talk over a pair of Unix sockets without a name: nothing
-listens, nobody else can connect.
+listens, no other process can connect.
 """
 
 import contextlib
@@ -25,19 +25,16 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 from bridge.batch.start_up import spare_imports, spare_modules_of_kernels, spare_the_collector
 from bridge.files import disk_error
 from netconvert.errors import Hid2Error
-
-_Item = TypeVar("_Item")
-_Value = TypeVar("_Value")
 
 #: Seconds for a new process to import what the work needs, and to compile kernels that set-up has not compiled.
 START_TIMEOUT_S = 600.0
@@ -189,7 +186,7 @@ class IsolatedProcess:
                     stderr=self._stderr,
                     pass_fds=[there.fileno()],
                     env=os.environ | _ONE_THREAD | _NO_PLUGINS | own,
-                    start_new_session=True,  # Ctrl-C is for the caller, who then closes this process
+                    start_new_session=True,  # Ctrl-C is for the caller, which then closes this process
                 )
         except OSError as error:
             raise StartFailedError(
@@ -231,7 +228,7 @@ class IsolatedProcess:
         code = process.wait()
         details = self._log_tail()
         self.close()
-        if code == 1 and _RAN_OUT.search(details):  # its clock began before that of a caller who was held up
+        if code == 1 and _RAN_OUT.search(details):  # its clock began before that of a caller that was held up
             ran_out_of_s = self._timeout_s
         if ran_out_of_s is not None:
             return Failure("timeout", f"no result after {ran_out_of_s:g} s: the process was ended", details)
@@ -248,10 +245,10 @@ class IsolatedProcess:
         return os.pread(self._stderr.fileno(), _TAIL_BYTES, max(0, length - _TAIL_BYTES)).decode(errors="replace")
 
 
-def resolve(function: str) -> Callable[..., Iterator[Any]]:
+def resolve(function: str) -> Callable[..., Any]:
     """Return the function that "module:name" names."""
     module, _, name = function.partition(":")
-    found: Callable[..., Iterator[Any]] = getattr(importlib.import_module(module), name)
+    found: Callable[..., Any] = getattr(importlib.import_module(module), name)
     return found
 
 
@@ -313,7 +310,7 @@ def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequen
             faulthandler.cancel_dump_traceback_later()
             _reply(connection, "value", value)
             faulthandler.dump_traceback_later(timeout_s, exit=True)
-    except Exception as error:  # noqa: BLE001  # passed on to the caller, who decides
+    except Exception as error:  # noqa: BLE001  # passed on to the caller, which decides
         faulthandler.cancel_dump_traceback_later()
         _reply(connection, "raised", describe_error(error))
         return
@@ -342,15 +339,6 @@ def describe_error(error: Exception) -> Failure:
     if isinstance(error, Hid2Error):
         return Failure("error", str(error))
     return Failure("exception", f"{type(error).__name__}: {error}", details)
-
-
-def attempt_each(work: Callable[[_Item], _Value], items: Iterable[_Item]) -> Iterator[_Value | Failure]:
-    """What a piece of work makes of each item, and its failure where it raises: one item does not end the others."""
-    for item in items:
-        try:
-            yield work(item)
-        except Exception as error:  # noqa: BLE001  # listed with its reason by whoever asked
-            yield describe_error(error)
 
 
 def _reply(connection: "Connection[Any, Any]", kind: str, value: object) -> None:

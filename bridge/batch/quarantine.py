@@ -24,7 +24,7 @@ from bridge.recordings.sources import find_one, source_files
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, NoSceneError
 
-#: Functions that a bundle may ask for: any other has to be named by the person who runs it.
+#: Functions that a bundle may ask for: any other has to be named with `--function`.
 OWN_WORK = frozenset({"bridge.batch.scene_work:generate_runs", "bridge.studies.study_work:measure_runs"})
 #: Longest time a scene may be given, s.
 MAX_TIMEOUT_S = 86_400.0

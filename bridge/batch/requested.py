@@ -3,12 +3,12 @@
 import contextlib
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from bridge.batch.engine import work_on_each
-from bridge.batch.isolation import Failure, attempt_each
+from bridge.batch.isolation import Failure
 from bridge.batch.manifest import DONE, MANIFEST_NAME, ManifestRow, read_manifest
 from bridge.config import config_sha256, config_to_dict
 from bridge.files import one_line
@@ -45,7 +45,7 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
     never: dict[str, str] | None = None
     looked_at = 0
     first = folders[:_LOOKED_AT]
-    each = work_on_each(look_at_scenes, first, shared=(config, named), jobs=jobs, chunk=1, timeout_s=60.0)
+    each = work_on_each(look_at_scene, first, shared=(config, named), jobs=jobs, chunk=1, timeout_s=60.0)
     with contextlib.closing(each):
         for folder, found in each:
             if isinstance(found, Failure):
@@ -59,16 +59,14 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
         raise ConfigError(f"{asked}: can come about in none of the scenes looked at ({looked_at}); {why}")
 
 
-def look_at_scenes(
-    shared: tuple[Config, Collection[Policy]], folders: Sequence[Address]
-) -> Iterator[dict[str, str] | Failure]:
-    """The work of a process: what can never come about in each scene."""
+def look_at_scene(shared: tuple[Config, Collection[Policy]], folder: Address) -> dict[str, str]:
+    """What can never come about in a scene."""
     from bridge.batch.scan import scene_of
     from bridge.recordings.sources import read_recording
     from hid2.insertion.feasible import impossible
 
     config, named = shared
-    return attempt_each(lambda folder: impossible(scene_of(read_recording(folder), config), named), folders)
+    return impossible(scene_of(read_recording(folder), config), named)
 
 
 def check_same_request(out: Path, config: Config) -> None:

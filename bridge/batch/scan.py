@@ -2,11 +2,10 @@
 
 import logging
 import random
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, get_args
 
 from bridge.batch.engine import sorted_out, work_on_each
-from bridge.batch.isolation import Failure, attempt_each
 from bridge.recordings.folders import Address
 from bridge.recordings.plausibility import figures_of
 from bridge.recordings.recording import Recording
@@ -25,7 +24,7 @@ from netconvert.lane_graph import SIDES, LaneSegment, TurnType
 _LOG = logging.getLogger(__name__)
 #: Most scenes that a process gets at a time.
 _CHUNK = 16
-#: Whom events are looked for with.
+#: Targets that events are looked for with.
 EVENT_TARGETS = ("av", "focal")
 #: A track seen on a path longer than this is moving, m; for longer than this, s.
 _MOVING_M, _MOVING_S = 5.0, 1.0
@@ -38,7 +37,7 @@ class SceneFacts(NamedTuple):
     vehicles with a path over 5 m, seen for more than 1 s; same_direction: (lane, side) pairs of VEHICLE lanes.
     Room: lane_change_m and overtake_m are metres of VEHICLE lane from which a change, or an overtake, has the length it
     needs beside it (an overtake: out, past and back); left_turns and right_turns are turning lanes that can be entered
-    within the map. All that is room on the map, whoever drives there. events: those that
+    within the map. All that is room on the map, whatever the traffic. events: those that
     there is room for with the recording vehicle and the focal track, as `cut_in:av lead:focal`. shift_m: of
     `hid2/measures/plausibility.py`, by how much the tracks lie beside the lanes.
     """
@@ -96,16 +95,11 @@ def facts_of(
     on_scene(done, total) is called as scenes are done.
     """
     return sorted_out(
-        work_on_each(scan_folders, folders, shared=Config(), jobs=jobs, chunk=_CHUNK, timeout_s=60, on_item=on_scene)
+        work_on_each(describe_scene, folders, shared=Config(), jobs=jobs, chunk=_CHUNK, timeout_s=60, on_item=on_scene)
     )
 
 
-def scan_folders(config: Config, folders: Sequence[Address]) -> Iterator[SceneFacts | Failure]:
-    """The work of a process: read and describe each scene."""
-    return attempt_each(lambda folder: describe_scene(folder, config), folders)
-
-
-def describe_scene(folder: Address, config: Config) -> SceneFacts:
+def describe_scene(config: Config, folder: Address) -> SceneFacts:
     """Read one scene and count. Errors: ScenarioError, MapError."""
     scenario = read_recording(folder)
     here = Surroundings(scene_of(scenario, config))

@@ -32,7 +32,7 @@ def spare_the_collector() -> None:
 def spare_imports() -> None:
     """Leave out what pyarrow, SUMO's tools and numba would load beside what they are used for.
 
-    For a process that does nothing but its work: everybody else, such as a function of the user's, finds them all.
+    For a process that does nothing but its work: all other code, such as a function of the user's, finds them.
     """
     finder: Any = _DoneWithout()
     sys.meta_path.insert(0, finder)

@@ -1,12 +1,12 @@
 """`hid2 validate`: scenes are checked in the order of their folders, with several jobs in processes of their own."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from bridge.batch.engine import work_on_each
-from bridge.batch.isolation import Failure, attempt_each
+from bridge.batch.isolation import Failure
 from bridge.recordings.folders import find_scenarios
-from bridge.recordings.validate import Against, Finding, check_tree, held_against, validate_scene
+from bridge.recordings.validate import Finding, check_tree, held_against, validate_scene
 
 #: Scenes that a process gets at a time; no tunable: starting one takes as long as checking so many.
 _CHUNK = 50
@@ -32,13 +32,9 @@ def validate_folder(
     folders, against = find_scenarios(out), held_against(out, sources, map_path, inserted)
     findings = check_tree(out, folders)
     each = work_on_each(
-        check, folders, shared=against, jobs=jobs, chunk=_CHUNK, timeout_s=120, isolated=jobs > 1, on_item=on_scene
-    )
+        validate_scene, folders, shared=against, jobs=jobs, chunk=_CHUNK, timeout_s=120, isolated=jobs > 1,
+        on_item=on_scene,
+    )  # fmt: skip
     for folder, found in each:
         findings += [Finding(folder, "folder", found.message)] if isinstance(found, Failure) else found
     return findings
-
-
-def check(against: Against, folders: Sequence[Path]) -> Iterator[list[Finding] | Failure]:
-    """The work of a process: check each folder."""
-    return attempt_each(lambda folder: validate_scene(folder, against), folders)

@@ -1,7 +1,7 @@
 """The application that is made of the commands, its own options, and how its help looks."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib import import_module
 from typing import Annotated, Any, TypeVar
 
@@ -21,8 +21,9 @@ MODULES = {
 }
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-#: Those of the modules that are imported.
+#: Those of the modules that are imported, and the options that `--help` shows where not all are.
 _FUNCTIONS: dict[str, Callable[..., Any]] = {}
+_SHOWN: dict[str, frozenset[str]] = {}
 
 
 class _Group(TyperGroup):
@@ -34,11 +35,18 @@ class _Group(TyperGroup):
 
 
 class _Command(TyperCommand):
-    """A command whose help lists options in groups, and wraps values between words instead of cutting them."""
+    """A command whose help lists options in groups, and wraps values between words instead of cutting them.
+
+    shown: parameters that are listed, all where there are none; --help-all lists all.
+    """
+
+    shown: frozenset[str] = frozenset()
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         groups: dict[str, list[tuple[str, str]]] = {}
-        for parameter in self.get_params(ctx):
+        every = self.get_params(ctx)
+        listed = [one for one in every if not self.shown or one.name in self.shown]
+        for parameter in listed:
             record = parameter.get_help_record(ctx)
             if record is None:
                 continue
@@ -51,22 +59,27 @@ class _Command(TyperCommand):
         for group, records in {**groups, "Options": own}.items():
             with formatter.section(group):
                 formatter.write_dl(records, col_max=28)
+        if len(listed) < len(every):
+            formatter.write_text(
+                f"{len(every) - len(listed)} more with --help-all; every parameter: hid2 config, --set."
+            )
 
 
-def command(name: str | None = None) -> Callable[[_Function], _Function]:
-    """A function, which returns the exit code, is a command."""
+def command(name: str | None = None, *, shown: Iterable[str] = ()) -> Callable[[_Function], _Function]:
+    """A function, which returns the exit code, is a command. shown: parameters that `--help` lists, if not all."""
 
     def register(function: _Function) -> _Function:
         _FUNCTIONS[name or function.__name__] = function
+        _SHOWN[name or function.__name__] = frozenset(shown)
         return function
 
     return register
 
 
-def application(named: str = "") -> typer.Typer:
+def application(named: str = "", *, every_option: bool = True) -> typer.Typer:
     """The application with the command that is named and those of its module, which start sooner; else with all.
 
-    Commands of which only the first sentence is asked for have no options.
+    Commands of which only the first sentence is asked for have no options. every_option: in the help, else the usual.
     """
     of_one = [module for module, names in MODULES.items() if named in names]
     for module in [] if named == "--version" else of_one or MODULES:
@@ -86,7 +99,8 @@ def application(named: str = "") -> typer.Typer:
     for name in (name for names in MODULES.values() for name in names if name in _FUNCTIONS):
         function = _FUNCTIONS[name]
         made = (lambda: None) if named in {"-h", "--help"} else flattened(function)
-        app.command(name, cls=_Command, help=function.__doc__)(made)
+        kind = type("_Command", (_Command,), {"shown": frozenset() if every_option else _SHOWN[name]})
+        app.command(name, cls=kind, help=function.__doc__)(made)
     return app
 
 

@@ -25,7 +25,9 @@ def run() -> int:
     from typer.exceptions import TyperException
 
     try:
-        code = application(*sys.argv[1:2])(standalone_mode=False)
+        every_option = "--help-all" in sys.argv
+        arguments = ["--help" if one == "--help-all" else one for one in sys.argv[1:]]
+        code = application(*arguments[:1], every_option=every_option)(arguments, standalone_mode=False)
     except Hid2Error as error:
         code = _failed(str(error), USAGE if isinstance(error, ConfigError) else SOME_FAILED)
     except TyperException as error:  # a mistake in the command line

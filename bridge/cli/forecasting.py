@@ -115,29 +115,28 @@ def forecast(
     """
     check_scenes([root, *([scenes] if scenes else [])])
     check_out(out)
-    from bridge.forecasting.torch_extra import check_torch
+    from bridge.forecasting.small_forecaster import check_forecaster, small_forecaster
 
-    check_torch()
+    check_forecaster()
     with Activity(quiet=tell.quiet) as activity:
         from bridge.evaluation.predictions import write_forecasts
-        from bridge.forecasting.features import features_of
-        from bridge.forecasting.training import be_deterministic, train
-        from bridge.forecasting.training import forecast as predict
         from bridge.recordings.folders import find_scenarios
         from hid2.params import Forecasting
 
-        params = Forecasting() if updates is None else Forecasting(updates=updates)
+        features, network = small_forecaster()
+        updates = updates or Forecasting().updates
         targets = []
         for place in (root / "train", scenes or root / "val"):
             activity.doing(f"reading {place}")
-            found, left_out = features_of(find_scenarios(place), params, on_scene=activity.show)
+            found, left_out = features.features_of(find_scenarios(place), on_scene=activity.show)
             targets.append(found)
             for line in left_out:
                 say(f"hid2: warning: not used: {line}")
         activity.doing("training")
-        be_deterministic(1)
         if_interrupted("continue with --resume")
-        model = train(targets[0], out / "checkpoint.pt", params, seed=seed, resume=resume, on_update=activity.show)
+        model = network.train(
+            targets[0], out / "checkpoint.pt", updates=updates, seed=seed, resume=resume, on_update=activity.show
+        )
         activity.doing("forecasting")
-        path = write_forecasts(predict(model, targets[1], params), out / "predictions.parquet")
+        path = write_forecasts(network.forecast(model, targets[1]), out / "predictions.parquet")
     print(path)

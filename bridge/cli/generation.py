@@ -22,7 +22,12 @@ _HELP = "(see hid2 generate --help)"
 _TRIGGER_TIME = "When manoeuvres are triggered, in seconds: a time, a range to draw from, or a list to draw from."
 
 
-@command()
+@command(
+    shown=(
+        "scenes", "out", "agents", "near", "focal", "seed", "variants", "behaviours", "trigger_time", "event", "target",
+        "at", "drivers", "config", "settings", "jobs", "resume", "again", "source", "repro", "help",
+    )
+)  # fmt: skip
 def generate(  # noqa: PLR0913  # one for each option
     *,
     scenes: list[Path] | None = options.argument("SCENE", "Scenario folders, split folders or data-set roots.", None),
@@ -84,6 +89,14 @@ def generate(  # noqa: PLR0913  # one for each option
     tell: options.Tell,
 ) -> int:
     """Write denser scenes: insert vehicles with the behaviours asked for among the recorded ones.
+
+    The first time: hid2 generate av2/val -o out --agents 20 --jobs 4
+
+    Interrupted, or with more scenes: the same with --resume, which skips what is complete
+
+    One scene once more: hid2 generate --from out/val/ID/hid2_ID.json --source av2/val -o again
+
+    A failure once more: hid2 generate --repro out/quarantine/val/NAME.zip
 
     Exit code 1: a scene could not be done, or something asked for came about in no scene. 2: no scene can meet it.
     """

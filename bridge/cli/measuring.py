@@ -183,9 +183,9 @@ def paper(  # noqa: PLR0913  # one for each option
     check_scenes([*scenes, *([composed] if composed else [])])
     check_out(out)
     if experiment == "prediction" and predictions is None:
-        from bridge.forecasting.torch_extra import check_torch
+        from bridge.forecasting.small_forecaster import check_forecaster
 
-        check_torch()
+        check_forecaster()
     with Activity(quiet=tell.quiet) as activity:
         if experiment == "prediction":
             from bridge.forecasting.experiment import Plan, run_prediction

@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bridge.batch.engine import sorted_out, work_on_each
-from bridge.batch.isolation import Failure, attempt_each
 from bridge.evaluation.evaluate import write_table
 from bridge.files import explained, write_text
 from bridge.pages.parts import Section, macro, page
@@ -78,7 +77,7 @@ def calibrate_folder(
     if not folders:
         raise ConfigError(f"{root}: --without leaves no scene to calibrate with, expected at least one")
     scenes, failures = sorted_out(
-        work_on_each(observe, folders, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene)
+        work_on_each(observe_scene, folders, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene)
     )
     if not scenes:
         raise ScenarioError(f"{root}: no scene can be read; the first: {failures[0][0]}: {failures[0][1]}")
@@ -91,12 +90,7 @@ def calibrate_folder(
     return result
 
 
-def observe(_shared: None, folders: Sequence[Path]) -> Iterator[SceneDriving | Failure]:
-    """The work of a process: what each folder shows of driving."""
-    return attempt_each(observe_scene, folders)
-
-
-def observe_scene(folder: Path) -> SceneDriving:
+def observe_scene(_shared: None, folder: Path) -> SceneDriving:
     """What one recorded scene shows of driving: clean tracks of moving vehicles. Errors: ScenarioError, MapError."""
     scenario = read_scenario(folder)
     arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)

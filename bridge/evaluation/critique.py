@@ -1,5 +1,7 @@
 """What the critics say of an evaluation's windows, with their controls, as values for metrics.json and the report."""
 
+import logging
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ from hid2.evaluation.critics import (
     judge,
 )
 
+_LOG = logging.getLogger(__name__)
 #: Splits of the recorded tracks over which the negative control is averaged.
 _SPLITS = 3
 #: Recordings by how they were made, as `Packed.labelled` has them.
@@ -27,7 +30,11 @@ def critique(found: Packed, control: Packed | None = None) -> dict[str, Any]:
     """Verdicts of the critics by kind of recording, negative and positive controls, and what betrays most.
 
     control: recorded windows with those of other drivers, which the critics must tell, such as SUMO's default ones.
+    Without the extra `critics` there are none, which is logged.
     """
+    if find_spec("sklearn") is None:
+        _LOG.warning("no critics: they need the extra `critics` (scikit-learn), which `sh setup.sh` brings")
+        found, control = found.of(found.scene < 0), None
     verdicts = [
         {"recordings": kind, **verdict}
         for kind, number in _KINDS

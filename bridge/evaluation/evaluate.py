@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from bridge.batch.engine import work_on_each
-from bridge.batch.isolation import Failure, attempt_each
-from bridge.evaluation.scene_metrics import TABLES, Labelled, Maps, Row, SceneMeasures, measure_folder
+from bridge.batch.isolation import Failure
+from bridge.evaluation.scene_metrics import TABLES, Labelled, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
 from bridge.files import append_rows, explained, table_file, write_json
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Source, find_scenarios, source_id
@@ -23,7 +23,6 @@ from bridge.recordings.sidecar import sidecar_in
 from bridge.recordings.sources import find_recordings, read_recording, source_files
 from hid2.agents import BoxSize
 from hid2.measures.arrays import is_generated_id
-from hid2.params import Limits
 from netconvert.cells import build_cell_grid
 from netconvert.errors import Hid2Error, ScenarioError
 from netconvert.fidelity import measure_fidelity
@@ -124,21 +123,14 @@ def _measured(
     folders: Sequence[Address], labelled: Labelled, *, jobs: int, on_scene: Callable[[int, int], None] | None
 ) -> Iterator[tuple[Address, SceneMeasures | Failure]]:
     """Measures of each folder, in the order of the folders whatever the order in which they are done."""
-    shared = Limits(), labelled
-    each = work_on_each(measure, folders, shared=shared, jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene)
+    each = work_on_each(measure, folders, shared=labelled, jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene)
     for folder, packed in each:
         yield folder, packed if isinstance(packed, Failure) else pickle.loads(zlib.decompress(packed))  # noqa: S301  # our own child
 
 
-def measure(shared: tuple[Limits, Labelled], folders: Sequence[Address]) -> Iterator[bytes | Failure]:
-    """The work of a process: measure each folder. A scene is packed, to a tenth: many may wait for one before them."""
-    limits, labelled = shared
-    maps = Maps()
-
-    def packed(folder: Address) -> bytes:
-        return zlib.compress(pickle.dumps(measure_folder(folder, limits, maps, labelled)), 1)
-
-    return attempt_each(packed, folders)
+def measure(labelled: Labelled, folder: Address) -> bytes:
+    """Measures of a scene, packed to a tenth: many may wait for one before them."""
+    return zlib.compress(pickle.dumps(measure_folder(folder, labelled)), 1)
 
 
 def _map_size(folder: Address) -> int:

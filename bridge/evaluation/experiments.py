@@ -15,14 +15,12 @@ from scipy.signal import savgol_filter
 from bridge.batch.engine import Settings, Task, execute_here
 from bridge.batch.isolation import Failure, describe_error
 from bridge.evaluation.scene_metrics import Row, measure
-from bridge.recordings.export import recording_record_of
 from bridge.recordings.folders import Address, Source
 from bridge.recordings.sidecar import Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import Track
-from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import ManeuverKind
-from hid2.params import Config, Limits, Request
+from hid2.params import Config, Request
 
 if TYPE_CHECKING:
     from bridge.generation.generate import GeneratedScene
@@ -124,7 +122,6 @@ def generate_and_measure(
 
     folder, settings = shared
     scenario = read_recording(folder)
-    lanes = flatten_lanes(scenario.graph)
     prepared = prepare(scenario, next((s.config for s in settings if s.config), Config()))
     made: dict[tuple[int, int], GeneratedScene] = {}  # a scene that is measured twice is generated once
     for number, seed in items:
@@ -141,15 +138,7 @@ def generate_and_measure(
                     request = config.request.model_copy(update={"seed": seed})
                     made[key] = generate(prepared, config.model_copy(update={"request": request}))
                 tracks, sidecar = (*recorded, *made[key].generated), made[key].sidecar
-            measures = measure(
-                tracks,
-                lanes,
-                sidecar,
-                recording_record_of(scenario),
-                limits=Limits(),
-                num_steps=scenario.num_steps,
-                source=scenario.scenario_id,
-            )
+            measures = measure(scenario, tracks, sidecar)
         except Exception as error:  # noqa: BLE001  # listed with its reason
             yield describe_error(error)
         else:

@@ -27,7 +27,7 @@ PAPER_HID2_ARGOVERSE1 = {"lo": 1.378, "la": 0.976, "je": 11.031, "scr": 0.020, "
 
 
 class Line(NamedTuple):
-    """A line of a table: who, then value and interval (or the paper's figure) by metric key."""
+    """A line of a table: its label, then value and interval (or the paper's figure) by metric key."""
 
     label: str
     values: Mapping[str, Mapping[str, float | None]]

@@ -4,7 +4,7 @@ minADE, minFDE, miss rate and brier-minFDE, each of the mode that ends nearest, 
 is av2's challenge submission: 60 steps from timestep 50 for each mode of a track.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -19,14 +19,13 @@ from av2.datasets.motion_forecasting.eval.metrics import (
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
 from bridge.batch.engine import work_on_each
-from bridge.batch.isolation import Failure, attempt_each
+from bridge.batch.isolation import Failure
 from bridge.files import beside, explained, make_folder, write_json, write_rows, write_text
 from bridge.pages import parts as pages
 from bridge.recordings.scenario import (
     MAX_STEPS,
     OBSERVED_STEPS,
     Rows,
-    Scenario,
     find_scenarios,
     read_rows,
     source_id,
@@ -118,7 +117,7 @@ def score_predictions(
         make_folder(report_dir)
     items = [(folder, named or forecasts.get(source_id(folder))) for folder in folders]
     each = work_on_each(
-        score_folders, items, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False, on_item=on_scene
+        score_folder, items, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False, on_item=on_scene
     )
     scores: list[Score] = []
     left_out: list[str] = []
@@ -137,18 +136,11 @@ def score_predictions(
     return scored
 
 
-def score_folders(
-    _shared: None, items: Sequence[tuple[Path, Forecast | Baseline | None]]
-) -> Iterator[tuple[list[Score], list[str]] | Failure]:
-    """The work of a process: scores of each scene by its forecast, and what of it cannot be scored."""
-
-    def score(item: tuple[Path, Forecast | Baseline | None]) -> tuple[list[Score], list[str]]:
-        folder, forecast = item
-        rows = read_rows(folder)
-        own = baseline(rows, forecast) if isinstance(forecast, str) else forecast
-        return ([], [f"{rows.scenario_id}: no forecast"]) if own is None else _score_scene(rows, own)
-
-    return attempt_each(score, items)
+def score_folder(_shared: None, item: tuple[Path, Forecast | Baseline | None]) -> tuple[list[Score], list[str]]:
+    """Scores of a scene by its forecast, and what of it cannot be scored."""
+    rows, forecast = read_rows(item[0]), item[1]
+    own = baseline(rows, forecast) if isinstance(forecast, str) else forecast
+    return ([], [f"{rows.scenario_id}: no forecast"]) if own is None else _score_scene(rows, own)
 
 
 def read_forecasts(path: Path) -> Forecasts:
@@ -188,7 +180,7 @@ def write_forecasts(forecasts: Forecasts, path: Path) -> Path:
     return path
 
 
-def baseline(scene: Scenario | Rows, kind: Baseline) -> Forecast:
+def baseline(scene: Rows, kind: Baseline) -> Forecast:
     """Probabilities (6,) and modes (6, N, 2) m of the focal track, from what is observed of it.
 
     N: steps that are not observed, 60 in scenes of 110.
@@ -198,7 +190,7 @@ def baseline(scene: Scenario | Rows, kind: Baseline) -> Forecast:
     return np.array([probability for _, probability in _MODES]), {track.track_id: modes}
 
 
-def _forecast(track: Track, kind: Baseline, share: float, scene: Scenario | Rows) -> FloatArray:
+def _forecast(track: Track, kind: Baseline, share: float, scene: Rows) -> FloatArray:
     """(N, 2) m: on at the observed velocity, or at the observed speed and turn rate; `share` scales what is varied."""
     observed = np.flatnonzero(track.timesteps <= scene.last_observed)[-_HISTORY - 1 :]
     last = observed[-1]
@@ -218,7 +210,7 @@ def _forecast(track: Track, kind: Baseline, share: float, scene: Scenario | Rows
     return np.asarray(track.position[last] + speed / rate * along, dtype=np.float64)
 
 
-def _future_steps(scene: Scenario | Rows) -> int:
+def _future_steps(scene: Rows) -> int:
     """Steps that are forecast: what is not observed; of a scene without them those of the format."""
     return scene.num_steps - scene.observed_steps if scene.num_steps > scene.observed_steps else FUTURE_STEPS
 

@@ -1,6 +1,7 @@
 """Windows of driving for the critics: all of them, or a fair sample of fixed size where there are more."""
 
 import hashlib
+import heapq
 
 import numpy as np
 
@@ -10,8 +11,6 @@ from hid2.measures.arrays import BoolArray
 
 #: Most generated, and most recorded, windows that the critics look at.
 MOST_OF_A_KIND = 4000
-#: Windows that are collected before those that are too much are dropped.
-_BATCH = 1000
 
 
 class Samples:
@@ -23,54 +22,29 @@ class Samples:
 
     def __init__(self, *, most: int = MOST_OF_A_KIND) -> None:
         self._most = most
-        self._rows: FloatArray = np.empty((0, WIDTH))
-        self._generated: BoolArray = np.empty(0, dtype=bool)
-        self._hashes: FloatArray = np.empty(0)
-        self._sources: list[str] = []
-        self._waiting: list[tuple[FloatArray, BoolArray, FloatArray]] = []
-
-    def __len__(self) -> int:
-        return len(self._sources)
+        #: Of each kind, by whether it is generated: hash, source and row of each window.
+        self._kept: dict[bool, list[tuple[float, str, FloatArray]]] = {False: [], True: []}
 
     def add(self, rows: FloatArray, generated: BoolArray, *, scene: str, source: str) -> None:
         """Offer windows of a scene: rows (M, WIDTH), generated (M,). `source`: the scene that it was made from."""
         seed = hashlib.blake2b(scene.encode(), digest_size=8).digest()
-        hashes = np.random.default_rng(int.from_bytes(seed)).random(len(rows))
-        self._waiting.append((rows, generated, hashes))
-        self._sources += [source] * len(rows)
-        if len(self._sources) > len(self._rows) + _BATCH:
-            self._keep()
+        hashes = np.random.default_rng(int.from_bytes(seed)).random(len(rows)).tolist()
+        for number, row, kind in zip(hashes, rows, generated.tolist(), strict=True):
+            self._kept[kind].append((number, source, row.copy()))  # a part of `rows` would keep all of them
+        self._kept = {
+            kind: heapq.nsmallest(self._most, kept, key=lambda one: one[0]) for kind, kept in self._kept.items()
+        }
 
     def packed(self) -> Packed:
         """The windows kept; scenes are numbered in the order of their sources' names."""
-        self._keep()
-        # by source and content, so that the order in which scenes came does not matter
-        order = sorted(range(len(self._sources)), key=lambda k: (self._sources[k], self._hashes[k]))
-        number = {name: k for k, name in enumerate(sorted(set(self._sources)))}
-        scene = np.array([number[self._sources[k]] for k in order], dtype=np.int64)
-        return Packed(self._rows[order], self._generated[order], scene)
+        every = [(source, number, kind, row) for kind in (True, False) for number, source, row in self._kept[kind]]
+        every.sort(key=lambda one: one[:2])  # so that the order in which scenes came does not matter
+        scene = np.unique([one[0] for one in every], return_inverse=True)[1]
+        rows = np.array([one[3] for one in every]).reshape(-1, WIDTH)
+        return Packed(rows, np.array([one[2] for one in every], dtype=bool), scene.astype(np.int64))
 
     def joined(self, other: "Samples") -> Packed:
         """Recorded windows of this one with the generated ones of another: what a control is judged on."""
         both = Samples(most=self._most)
-        for samples, kind in ((self, False), (other, True)):
-            samples._keep()  # of the same class
-            chosen = np.flatnonzero(samples._generated == kind)
-            both._waiting.append((samples._rows[chosen], samples._generated[chosen], samples._hashes[chosen]))
-            both._sources += [samples._sources[k] for k in chosen]
+        both._kept = {False: self._kept[False], True: other._kept[True]}  # of the same class
         return both.packed()
-
-    def _keep(self) -> None:
-        """Join what came in, and drop what is too much."""
-        if not self._waiting:
-            return
-        rows = np.concatenate([self._rows, *(each[0] for each in self._waiting)])
-        generated = np.concatenate([self._generated, *(each[1] for each in self._waiting)])
-        hashes = np.concatenate([self._hashes, *(each[2] for each in self._waiting)])
-        kept = np.zeros(len(hashes), dtype=bool)
-        for kind in (True, False):
-            members = np.flatnonzero(generated == kind)
-            kept[members[np.argsort(hashes[members], kind="stable")[: self._most]]] = True
-        self._rows, self._generated, self._hashes = rows[kept], generated[kept], hashes[kept]
-        self._sources = [self._sources[k] for k in np.flatnonzero(kept)]
-        self._waiting = []

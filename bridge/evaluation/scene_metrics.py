@@ -3,27 +3,16 @@
 from collections import Counter
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bridge.files import read_regular
-from bridge.recordings.export import recording_record_of
-from bridge.recordings.folders import Address, Source
+from bridge.recordings.folders import Address, split_of
 from bridge.recordings.judging import findings_of, states_of
-from bridge.recordings.limits import MAX_FILE_MB, check_ground
-from bridge.recordings.map_rules import read_source_map
-from bridge.recordings.scenario import (
-    Rows,
-    read_scenario,
-    read_sizes,
-    read_table,
-    recording_record,
-    split_of,
-    split_rows,
-)
-from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, RecordingRecord, Sidecar, sidecar_in
+from bridge.recordings.recording import Recording
+from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar, sidecar_in
 from bridge.recordings.sources import read_recording
 from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
@@ -36,7 +25,7 @@ from hid2.evaluation.windows import windows
 from hid2.judge.findings import Finding
 from hid2.measures.arrays import BoolArray, SceneArrays, is_generated_id
 from hid2.measures.encounters import encounters
-from hid2.measures.lane_matching import FlatLanes, flatten_lanes
+from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.post_encroachment import Encroachment
 from hid2.measures.scene_end import contacts_after_last_step
@@ -45,8 +34,6 @@ from netconvert.errors import ScenarioError
 
 #: A manoeuvre seen belongs to a record of its kind whose crossing (or start) is at most this far away.
 SAME_MANEUVER_S = 2.0
-#: Maps kept while scenes are measured.
-_MOST_MAPS = 8
 
 PAIR_GROUPS = ("original_original", "generated_original", "generated_generated")
 PAIR_KINDS = ("pairs_vehicles", "pairs_all", "touching_all", "crossings", "pet_critical")
@@ -69,42 +56,24 @@ class SceneMeasures:
     sample_generated: BoolArray
 
 
-class Maps:
-    """The last maps read, by their content: scenes made from one share its map, and reading it takes longest."""
-
-    def __init__(self) -> None:
-        self._known: dict[bytes, FlatLanes] = {}
-
-    def read(self, path: Path) -> FlatLanes:
-        """The map in a file, which keeps the rules and limits of a source's. Errors: MapError."""
-        try:
-            content = read_regular(path, most_mb=MAX_FILE_MB)
-        except OSError:
-            content = b""  # what is wrong is said below
-        lanes = self._known.pop(content, None) or flatten_lanes(read_source_map(path))
-        self._known[content] = lanes  # the last one used comes last
-        while len(self._known) > _MOST_MAPS:
-            self._known.pop(next(iter(self._known)))
-        return lanes
+#: Of the last graphs: scenes with one map come one after the other.
+_flat = lru_cache(maxsize=2)(flatten_lanes)
 
 
-def measure_folder(folder: Address, limits: Limits, maps: Maps, labelled: Labelled | None = None) -> SceneMeasures:
+def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMeasures:
     """Measure one recording or generated scene. Errors: ScenarioError, MapError.
 
     labelled: sizes of the recorded tracks of source scenes, for generated ones whose sidecar does not have them.
     """
-    rows, lanes, known = _read(folder, maps)
-    sidecar = sidecar_in(folder, rows.scenario_id) if isinstance(folder, Path) else None
+    recording = read_recording(folder)
+    sidecar = sidecar_in(folder, recording.scenario_id) if isinstance(folder, Path) else None
     if sidecar is not None and sidecar.replay.mode == "reactive":
         raise ScenarioError(f"{folder}: {REACTIVE}")
-    source = sidecar.source_scenario_id if sidecar else rows.scenario_id
-    sizes = (labelled or {}).get(source, {}) if sidecar else {}
-    measures = measure(
-        [replace(t, size=sizes.get(t.track_id, t.size)) for t in rows.tracks] if sizes else rows.tracks, lanes,
-        sidecar, known, limits=limits, num_steps=rows.num_steps, source=source,
-    )  # fmt: skip
-    name: Row = {"scenario_id": rows.scenario_id}
-    place: Row = {"split": split_of(folder) or "", "city": rows.city, "folder": str(folder)}
+    sizes = (labelled or {}).get(sidecar.source_scenario_id, {}) if sidecar else {}
+    tracks = [replace(t, size=sizes.get(t.track_id, t.size)) for t in recording.tracks] if sizes else recording.tracks
+    measures = measure(recording, tracks, sidecar)
+    name: Row = {"scenario_id": recording.scenario_id}
+    place: Row = {"split": split_of(folder) or "", "city": recording.city, "folder": str(folder)}
     return replace(
         measures,
         scene=name | place | measures.scene,
@@ -114,52 +83,23 @@ def measure_folder(folder: Address, limits: Limits, maps: Maps, labelled: Labell
     )
 
 
-def _read(folder: Address, maps: Maps) -> tuple[Rows, FlatLanes, RecordingRecord]:
-    """As read_recording, but the map of a folder that is known is not read again."""
-    if isinstance(folder, Source):
-        scenario = read_recording(folder)
-        rows = Rows(
-            scenario.scenario_id, scenario.city, scenario.focal_track_id, scenario.num_steps, scenario.tracks,
-            scenario.observed_steps, scenario.step_s,
-        )  # fmt: skip
-        return rows, flatten_lanes(scenario.graph), recording_record_of(scenario)
-    tables, files = list(folder.glob("scenario_*.parquet")), list(folder.glob("log_map_archive_*.json"))
-    if len(tables) != 1 or len(files) != 1:
-        read_scenario(folder)  # says what is wrong
-        raise ScenarioError(f"{folder}: {len(tables)} scenarios and {len(files)} maps, expected one of each")
-    known = recording_record(folder)
-    rows = split_rows(
-        read_table(tables[0]), name=str(tables[0]), sizes=read_sizes(folder), observed_steps=known.observed_steps
-    )
-    lanes = maps.read(files[0])
-    check_ground(rows.tracks, lanes.graph, str(folder))
-    return rows, lanes, known
-
-
-def measure(
-    tracks: Sequence[Track],
-    lanes: FlatLanes,
-    sidecar: Sidecar | None,
-    known: RecordingRecord,
-    *,
-    limits: Limits,
-    num_steps: int,
-    source: str,
-) -> SceneMeasures:
-    """Measure tracks on a map. known: what is known of the recording; `source`: id of the recorded scene."""
+def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | None) -> SceneMeasures:
+    """Measure tracks on the map of a recording, with its steps and by default limits; sidecar: of a generated scene."""
+    lanes = _flat(recording.graph)
+    source = sidecar.source_scenario_id if sidecar else recording.scenario_id
     generated_ids = {track.track_id for track in tracks if is_generated_id(track.track_id)}
-    states = states_of(tracks, lanes, generated_ids, num_steps=num_steps, step_s=known.step_s)
+    states = states_of(tracks, lanes, generated_ids, num_steps=recording.num_steps, step_s=recording.step_s)
     arrays = states.arrays
-    last_observed = min(known.observed_steps, num_steps) - 1
+    last_observed = recording.last_observed
     moved = motion(arrays)
     safe = safety(arrays, lanes, states.matches)
     maneuvers = detect(arrays, safe.lanes, safe.matches)
     findings = findings_of(states, lanes.graph, sidecar)
     policy_of = policies(arrays, maneuvers)
-    groups = _groups(arrays, kinematics(arrays, moved), safe, beyond_limits(moved, limits))
+    groups = _groups(arrays, kinematics(arrays, moved), safe, beyond_limits(moved, Limits()))
     scene: Row = {
-        "format": known.format,
-        "provenance": known.provenance,
+        "format": recording.format,
+        "provenance": recording.provenance,
         "source": source,
         "steps": arrays.num_steps,
         "tracks": arrays.num_agents,
@@ -187,7 +127,7 @@ def measure(
         realism=count_scene(
             source, arrays, scene_values(arrays, safe, driving, durations), generated=generated, recorded=recorded
         ),
-        samples=pack(driving, halves, labelled=known.provenance == "human"),
+        samples=pack(driving, halves, labelled=recording.provenance == "human"),
         sample_generated=arrays.generated[driving.agent],
     )
 
@@ -196,14 +136,14 @@ def _groups(
     arrays: SceneArrays, kinematic: Kinematics, safe: Safety, beyond: Mapping[str, BoolArray]
 ) -> dict[str, Group]:
     """Recorded agents, generated ones, and both."""
-    everybody = np.ones(arrays.num_agents, dtype=bool)
+    every = np.ones(arrays.num_agents, dtype=bool)
     met = encounters(arrays, safe.lanes, safe.matches, safe.leaders)
     groups = {}
-    # whom a group's vehicles may touch: what was added any road user, what was recorded what was recorded
+    # contacts that count: of added vehicles with any road user, of recorded ones with recorded ones
     for name, members, others in (
         ("original", ~arrays.generated, ~arrays.generated),
-        ("generated", arrays.generated, everybody),
-        ("combined", everybody, everybody),
+        ("generated", arrays.generated, every),
+        ("combined", every, every),
     ):
         groups[name] = Group(
             arrays=arrays,
@@ -240,7 +180,7 @@ def _group_row(group: Group, maneuvers: Sequence[Maneuver], policy_of: Mapping[s
 
 
 def _pair_row(safe: Safety, arrays: SceneArrays) -> Row:
-    """Colliding pairs (IoU above the threshold), pairs that touch at all, and PET, by who is involved."""
+    """Colliding pairs (IoU above the threshold), pairs that touch at all, and PET, by the groups of the two."""
     row: Row = {f"{kind}_{name}": 0 for kind in PAIR_KINDS for name in PAIR_GROUPS}
 
     def of(pair: Overlap | Encroachment) -> str:

@@ -34,7 +34,7 @@ _Z_TEST, _Z_POWER = 1.959964, 0.841621
 Runs = Sequence[Sequence[Score]]
 
 
-class Estimate(NamedTuple):
+class MeanEstimate(NamedTuple):
     """A mean with its 95 % interval by bootstrap; None where there is nothing. se: standard error."""
 
     value: float | None
@@ -54,7 +54,7 @@ class Difference(NamedTuple):
     other: str
     band: str
     metric: MetricKey
-    estimate: Estimate
+    estimate: MeanEstimate
     tracks: int
     sources: int
     seeds: tuple[int, int]
@@ -67,7 +67,7 @@ class Difference(NamedTuple):
         return int(np.ceil(self.sources * (self.detectable / effect) ** 2))
 
 
-def mean_of(runs: Runs, source_of: Mapping[str, str], metric: MetricKey, params: Forecasting) -> Estimate:
+def mean_of(runs: Runs, source_of: Mapping[str, str], metric: MetricKey, params: Forecasting) -> MeanEstimate:
     """Mean of a metric of one model."""
     return _bootstrap(*_aligned([runs], source_of, metric), params)
 
@@ -115,16 +115,16 @@ def _aligned(
     return [np.array([[run[track] for track in tracks] for run in runs]) for runs in found], source
 
 
-def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasting) -> Estimate:
+def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasting) -> MeanEstimate:
     """Mean of the first values less that of the others: sources are drawn for all at once, seeds for each."""
     if not len(source):
-        return Estimate(None)
+        return MeanEstimate(None)
     signs = (1.0, *[-1.0] * (len(values) - 1))
     value = sum(sign * float(each.mean()) for sign, each in zip(signs, values, strict=True))
     counts = np.bincount(source).astype(np.float64)
     sources = len(counts)
     if sources < 2:
-        return Estimate(value)
+        return MeanEstimate(value)
     random = np.random.default_rng(0)
     sums = [np.array([np.bincount(source, weights=run) for run in each]) for each in values]
     drawn: list[FloatArray] = []
@@ -136,7 +136,7 @@ def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasti
             result += sign * np.take_along_axis(means, seeds, axis=1).mean(axis=1)
         drawn.append(result)
     every = np.concatenate(drawn)
-    return Estimate(*interval_of(value, every), float(every.std(ddof=1)))
+    return MeanEstimate(*interval_of(value, every), float(every.std(ddof=1)))
 
 
 def in_band(runs: Runs, belongs: Callable[[Score], bool]) -> Runs:

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 
 from bridge.files import explained, untabled, write_rows, write_text
 from bridge.forecasting.composition import Composition, Draw
-from bridge.forecasting.places import Leak, SceneFacts, facts_of_scenes, leaks_between, split_by_place, stratum
+from bridge.forecasting.places import Leak, SourceScene, facts_of_scenes, leaks_between, split_by_place, stratum
 from bridge.interruption import hidden_folder, remove_abandoned
 from bridge.recordings.export import parquet_bytes
 from bridge.recordings.folders import RAW, SPLITS, find_scenarios, split_of
@@ -69,7 +69,7 @@ class _Scene(NamedTuple):
     """A scene that is drawn; copy: 0, or which further copy of it."""
 
     source: str
-    facts: SceneFacts
+    facts: SourceScene
     copy: int = 0
 
     @property
@@ -152,7 +152,7 @@ class _Pool:
         self.left_out += unread
         source_of = dict(zip(folders, names, strict=True))
         usable = []
-        seen: dict[tuple[str, str], SceneFacts] = {}
+        seen: dict[tuple[str, str], SourceScene] = {}
         for fact in facts:
             name = source_of[fact.folder]
             other = seen.setdefault((name, fact.scenario_id), fact)
@@ -169,12 +169,12 @@ class _Pool:
         if not usable:
             raise NoSceneError(f"{', '.join(composition.sources)}: no scene that can be used")
         splits = self._split(usable, composition)
-        self._scenes: dict[tuple[str, str], list[SceneFacts]] = defaultdict(list)
+        self._scenes: dict[tuple[str, str], list[SourceScene]] = defaultdict(list)
         for split, rows in splits.items():
             for row in rows:
                 self._scenes[split, source_of[usable[row].folder]].append(usable[row])
 
-    def _split(self, facts: Sequence[SceneFacts], composition: Composition) -> dict[str, list[int]]:
+    def _split(self, facts: Sequence[SourceScene], composition: Composition) -> dict[str, list[int]]:
         by_place = composition.split.by == "place"
         if by_place:
             shares, bounds = composition.split.shares, self._params.density_bounds
@@ -244,15 +244,15 @@ class _Pool:
             raise ConfigError(f"{where}: scene {twice[0]} is in two of the sources; leave it out of one")
         return scenes
 
-    def _shuffled(self, facts: Sequence[SceneFacts], what: str) -> list[SceneFacts]:
+    def _shuffled(self, facts: Sequence[SourceScene], what: str) -> list[SourceScene]:
         ranked = sorted(facts, key=lambda fact: fact.scenario_id)
         return [ranked[index] for index in self._random(what).permutation(len(ranked))]
 
-    def _stratified(self, facts: Sequence[SceneFacts], number: int, what: str) -> list[SceneFacts]:
+    def _stratified(self, facts: Sequence[SourceScene], number: int, what: str) -> list[SourceScene]:
         """So many, of each city and density in proportion (largest remainders), in the order of `facts`."""
         if number == len(facts):
             return list(facts)
-        strata: dict[tuple[str, int], list[SceneFacts]] = defaultdict(list)
+        strata: dict[tuple[str, int], list[SourceScene]] = defaultdict(list)
         for fact in self._shuffled(facts, what):
             strata[stratum(fact, self._params.density_bounds)].append(fact)
         names = sorted(strata)
@@ -268,12 +268,12 @@ class _Pool:
         return np.random.default_rng([self._seed, *what.encode()])
 
 
-def _densest(facts: Iterable[SceneFacts], draw: Draw) -> list[SceneFacts]:
+def _densest(facts: Iterable[SourceScene], draw: Draw) -> list[SourceScene]:
     """The densest first."""
     return sorted(facts, key=lambda fact: (-_agents(fact, draw), fact.scenario_id))
 
 
-def _agents(fact: SceneFacts, draw: Draw) -> int:
+def _agents(fact: SourceScene, draw: Draw) -> int:
     return fact.tracks if draw.min_agents_in == "all" else fact.observed
 
 

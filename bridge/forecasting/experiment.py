@@ -21,7 +21,7 @@ from bridge.forecasting.comparison import (
     HEAD,
     METRICS,
     Difference,
-    Estimate,
+    MeanEstimate,
     MetricKey,
     Runs,
     as_dicts,
@@ -33,8 +33,9 @@ from bridge.forecasting.comparison import (
 )
 from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose, origins_of
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, Controls, Draw, Split
-from bridge.forecasting.torch_extra import check_torch
+from bridge.forecasting.small_forecaster import check_forecaster, small_forecaster
 from bridge.pages import parts as pages
+from bridge.recordings.folders import find_scenarios
 from bridge.recordings.sources import find_sources
 from hid2.params import Config, Forecasting, Request
 from netconvert.errors import BatchError, ConfigError, ScenarioError
@@ -94,7 +95,7 @@ def run_prediction(
     if predictions is not None and composed is None:
         raise ConfigError("--predictions DIR needs --composed ROOT, the data sets that they were made with")
     if predictions is None:
-        check_torch()
+        check_forecaster()
     make_folder(out)
     if composed is None:
         composed = _composed(scenes, out, plan, jobs=jobs, tell=tell)
@@ -166,7 +167,7 @@ def _train(composed: Path, models: Path, plan: Plan, *, jobs: int, tell: Progres
         Task(
             name,
             "bridge.forecasting.experiment:train_and_forecast",
-            (composed / name / "train", validation, models / name, plan.params),
+            (composed / name / "train", validation, models / name, plan.params.updates),
             tuple(range(plan.seeds)),
         )
         for name in SETS
@@ -182,31 +183,25 @@ def _train(composed: Path, models: Path, plan: Plan, *, jobs: int, tell: Progres
         tell("training", done, total)
 
 
-def train_and_forecast(
-    shared: tuple[Path, Mapping[str, Path], Path, Forecasting], seeds: Sequence[int]
-) -> Iterator[int]:
+def train_and_forecast(shared: tuple[Path, Mapping[str, Path], Path, int], seeds: Sequence[int]) -> Iterator[int]:
     """The work of a process: one training for each seed, and its forecasts. Yields the seeds."""
-    from bridge.forecasting.features import features_of
-    from bridge.forecasting.training import be_deterministic, forecast, train
-    from bridge.recordings.scenario import find_scenarios
-
-    training, validation, models, params = shared
-    be_deterministic(1)
-    targets, left_out = features_of(find_scenarios(training), params)
+    scenes, network = small_forecaster()
+    training, validation, models, updates = shared
+    targets, left_out = scenes.features_of(find_scenarios(training))
     held_out = {}
     for name, place in validation.items():
-        held_out[name], unread = features_of(find_scenarios(place), params)
+        held_out[name], unread = scenes.features_of(find_scenarios(place))
         left_out += unread
     if left_out:
         raise ScenarioError(f"{len(left_out)} scenes cannot be read, the first: {left_out[0]}")
     for seed in seeds:
         folder = models / str(seed)
         try:
-            model = train(targets, folder / "checkpoint.pt", params, seed=seed, resume=True)
-        except ConfigError:  # of other scenes or parameters
-            model = train(targets, folder / "checkpoint.pt", params, seed=seed)
+            model = network.train(targets, folder / "checkpoint.pt", updates=updates, seed=seed, resume=True)
+        except ConfigError:  # of other scenes or updates
+            model = network.train(targets, folder / "checkpoint.pt", updates=updates, seed=seed)
         for name, found in held_out.items():
-            write_forecasts(forecast(model, found, params), folder / f"{name}.parquet")
+            write_forecasts(network.forecast(model, found), folder / f"{name}.parquet")
         yield seed
 
 
@@ -245,7 +240,7 @@ def _table(
     source_of: Mapping[str, str], params: Forecasting,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """The paper's rows and ours, by label: every metric of each of a row's runs, by name, ready for JSON."""
-    rows = [(label, [Estimate(value) for value in values]) for label, values in paper.items()]
+    rows = [(label, [MeanEstimate(value) for value in values]) for label, values in paper.items()]
     rows += [
         (f"ours: {label}", [mean_of(one, source_of, metric, params) for one in runs for metric in _COLUMNS])
         for label, runs in ours.items()

@@ -16,7 +16,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from bridge.batch.engine import sorted_out, work_on_each
-from bridge.batch.isolation import Failure, attempt_each
 from bridge.config import word_for_recorded
 from bridge.files import read_regular
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, only_file, source_id
@@ -33,7 +32,7 @@ _SLICE = "slice_id"
 _SIDE = 1 << 20
 
 
-class SceneFacts(NamedTuple):
+class SourceScene(NamedTuple):
     """What a composition needs to know of a scene.
 
     source_id: the recorded scenario that it was made from, its own where it was recorded; log: drive that it was cut
@@ -73,10 +72,10 @@ class Leak(NamedTuple):
 
 def facts_of_scenes(
     folders: Sequence[Path], *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
-) -> tuple[list[SceneFacts], list[str]]:
+) -> tuple[list[SourceScene], list[str]]:
     """Facts in the order of folders, and a line for each scene that cannot be read."""
     each = work_on_each(
-        describe_folders, folders, shared=Forecasting(), jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False,
+        describe, folders, shared=Forecasting(), jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False,
         on_item=on_scene,
     )  # fmt: skip
     facts, unread = sorted_out(each)
@@ -84,12 +83,7 @@ def facts_of_scenes(
     return [by_folder[folder] for folder in folders if folder in by_folder], [reason for _, reason in unread]
 
 
-def describe_folders(params: Forecasting, folders: Sequence[Path]) -> Iterator[SceneFacts | Failure]:
-    """The work of a process: facts of each scene."""
-    return attempt_each(lambda folder: describe(folder, params), folders)
-
-
-def describe(folder: Path, params: Forecasting) -> SceneFacts:
+def describe(params: Forecasting, folder: Path) -> SourceScene:
     """Read what is needed of one scene. Errors: ScenarioError, MapError with file, value and what was expected."""
     parquet, map_path = only_file(folder, PARQUET_PATTERN, ScenarioError), only_file(folder, MAP_PATTERN, MapError)
     table = read_table(parquet)
@@ -100,7 +94,7 @@ def describe(folder: Path, params: Forecasting) -> SceneFacts:
     at_end = track.filter(pc.equal(timestep, OBSERVED_STEPS - 1))
     cells, block = _ground(map_path, params)
     source = recorded_source(folder)
-    return SceneFacts(
+    return SourceScene(
         folder=folder,
         scenario_id=scenario_id,
         source_id=source or scenario_id,
@@ -148,7 +142,7 @@ def _points(document: Mapping[str, Any]) -> Iterator[tuple[float, float]]:
 # Groups and splits
 
 
-def groups_of(facts: Sequence[SceneFacts]) -> list[list[int]]:
+def groups_of(facts: Sequence[SourceScene]) -> list[list[int]]:
     """Rows of scenes that stay on one side: of one block of a city, one source, one log. In the order of first rows."""
     number: dict[tuple[object, ...], int] = {}
     links = []
@@ -165,13 +159,13 @@ def groups_of(facts: Sequence[SceneFacts]) -> list[list[int]]:
     return list(groups.values())
 
 
-def stratum(fact: SceneFacts, bounds: Sequence[int]) -> tuple[str, int]:
+def stratum(fact: SourceScene, bounds: Sequence[int]) -> tuple[str, int]:
     """City and band of density."""
     return fact.city, sum(fact.tracks > bound for bound in bounds)
 
 
 def split_by_place(
-    facts: Sequence[SceneFacts], shares: Mapping[str, float], *, seed: int, bounds: Sequence[int]
+    facts: Sequence[SourceScene], shares: Mapping[str, float], *, seed: int, bounds: Sequence[int]
 ) -> dict[str, list[int]]:
     """Rows of each split: groups go where they bring every city and density nearest to its share.
 
@@ -204,7 +198,7 @@ def split_by_place(
     return {split: sorted(rows) for split, rows in chosen.items()}
 
 
-def leaks_between(facts: Sequence[SceneFacts], training: Sequence[int], held_out: Sequence[int]) -> list[Leak]:
+def leaks_between(facts: Sequence[SourceScene], training: Sequence[int], held_out: Sequence[int]) -> list[Leak]:
     """Scenes for training that are, or come from, or lie where one of those held out does. Each is named once."""
     known: dict[tuple[object, ...], int] = {}
     for row in held_out:
@@ -218,7 +212,7 @@ def leaks_between(facts: Sequence[SceneFacts], training: Sequence[int], held_out
     return found
 
 
-def _signs(fact: SceneFacts) -> Iterator[tuple[tuple[object, ...], str]]:
+def _signs(fact: SourceScene) -> Iterator[tuple[tuple[object, ...], str]]:
     """By what a scene is known again, and what to say of another one with the same; the plainest first."""
     yield ("scene", fact.scenario_id), "the same scene as"
     yield ("source", fact.source_id), f"made of the same recorded scene {fact.source_id} as"

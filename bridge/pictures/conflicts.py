@@ -1,4 +1,4 @@
-"""Who touches or comes close in a scene, as values, and as marks in a picture of your own."""
+"""Agents that touch or come close in a scene, as values, and as marks in a picture of your own."""
 
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
@@ -64,7 +64,7 @@ def find_conflicts(
 ) -> list[Conflict]:
     """Contacts, crossings with a PET below pet_s, and leaders closed in on with a TTC below ttc_s, in order of time.
 
-    Everybody with everybody, recorded or generated, one entry a pair and kind; boxes of any type may touch, crossings
+    All with all, recorded or generated, one entry a pair and kind; boxes of any type may touch, crossings
     and TTC are of moving vehicles. agent: only conflicts of this track.
     Errors: ConfigError for a track that the scene does not have.
     """

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from bridge.config import new_scenario_id as new_scenario_id
@@ -80,20 +81,16 @@ def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str,
     for name in ("scenario_id", "focal_track_id", *(["object_category"] if focal_changes else [])):
         row, field = source.column_names.index(name), source.schema.field(name)
         if name == "object_category":
-            import pyarrow.compute as pc  # takes longer than reading the scene
-
             former = pc.equal(source.column(name), FOCAL_CATEGORY)
             changed = pc.if_else(former, pa.scalar(_FORMER_FOCAL_CATEGORY, field.type), source.column(name))
         else:
-            changed = pa.repeat(_of_type(constants[name], field.type), source.num_rows)
+            changed = pa.repeat(constants[name].cast(field.type), source.num_rows)
         source = source.set_column(row, field, changed)
     return _with_rows(source, generated, constants, focal_track_id, scenario.observed_steps)
 
 
 def with_motion(scenario: Recording, driven: Sequence[Track]) -> Recording:
     """A recording of which some tracks were driven otherwise: their rows, behind all others, are new ones."""
-    import pyarrow.compute as pc  # takes longer than reading the scene
-
     by_id = {track.track_id: track for track in driven}
     apart = pc.is_in(scenario.table.column("track_id"), pa.array(list(by_id), pa.string()))
     table = _with_rows(
@@ -109,10 +106,6 @@ def _constants(table: pa.Table) -> dict[str, pa.Scalar]:
     return {name: table.column(name)[0] for name in table.column_names if name in names}
 
 
-def _of_type(values: pa.Scalar | pa.Array, wanted: pa.DataType) -> pa.Scalar | pa.Array:
-    return values if values.type == wanted else values.cast(wanted)  # casting imports pyarrow.compute
-
-
 def _with_rows(
     table: pa.Table, tracks: Sequence[Track], constants: Mapping[str, pa.Scalar], focal_track_id: str,
     observed_steps: int,
@@ -125,9 +118,9 @@ def _with_rows(
     for field in table.schema:
         name, recorded = field.name, table.column(field.name)
         if name in constants:
-            new = pa.repeat(_of_type(constants[name], field.type), count)
+            new = pa.repeat(constants[name].cast(field.type), count)
         elif name in added:
-            new = _of_type(added[name], field.type)
+            new = added[name].cast(field.type)
         else:  # a column of the source's own
             new = pa.nulls(count, field.type)
         chunks = recorded.chunks if isinstance(recorded, pa.ChunkedArray) else [recorded]

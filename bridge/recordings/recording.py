@@ -12,7 +12,7 @@ from hid2.agents import BoxSize, FloatArray, Track
 from netconvert.errors import ScenarioError
 from netconvert.lane_graph import LaneGraph
 
-#: Who made the tracks: the recording vehicle's own tracker, or people who labelled boxes.
+#: How the tracks were made: by the recording vehicle's own tracker, or by people that labelled boxes.
 Provenance = Literal["tracker", "human"]
 #: Track id of the recording vehicle.
 AV_ID = "AV"
@@ -20,16 +20,12 @@ AV_ID = "AV"
 SCORED_CATEGORY, FOCAL_CATEGORY = 2, 3
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Recording:
-    """One recorded scene.
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Rows:
+    """The rows of a scene, checked, and the tracks in them, in the order of their first row.
 
     num_steps: last timestep + 1; observed_steps: the first so many are what a forecast may see; step_s: seconds from
-    one timestep to the next; tracks in the order of their first row; table: the rows of the scene in the columns of
-    Argoverse 2, as the source has them where it has them; folder: the folder or file that was read; map_path: its map;
-    map_json: the map as Argoverse 2 has it, where map_path is none; sizes: boxes that were measured, by track id, all
-    others are by object type; start: first step of the source that is in it; sequence: the bytes of an Argoverse 1
-    file.
+    one timestep to the next.
     """
 
     scenario_id: str
@@ -37,24 +33,36 @@ class Recording:
     focal_track_id: str
     num_steps: int
     tracks: tuple[Track, ...]
+    observed_steps: int
+    step_s: float
+
+    @property
+    def last_observed(self) -> int:
+        """The last observed timestep: a track that is forecast is present here."""
+        return min(self.observed_steps, self.num_steps) - 1
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Recording(Rows):
+    """One recorded scene.
+
+    table: the rows of the scene in the columns of Argoverse 2, as the source has them where it has them; folder: the
+    folder or file that was read; map_path: its map; map_json: the map as Argoverse 2 has it, where map_path is none;
+    sizes: boxes that were measured, by track id, all others are by object type; start: first step of the source that
+    is in it; sequence: the bytes of an Argoverse 1 file.
+    """
+
     graph: LaneGraph
     table: pa.Table
     folder: Path
     map_path: Path
     split: str | None
-    observed_steps: int
-    step_s: float
     format: str = "argoverse2"
     provenance: Provenance = "tracker"
     sizes: Mapping[str, BoxSize] = field(default_factory=dict)
     map_json: bytes | None = None
     start: int = 0
     sequence: bytes | None = None
-
-    @property
-    def last_observed(self) -> int:
-        """The last observed timestep: a track that is forecast is present here."""
-        return min(self.observed_steps, self.num_steps) - 1
 
     def track(self, track_id: str) -> Track:
         """One track by id; ScenarioError where there is none."""

@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pyarrow._compute import call_function  # pyarrow.compute takes longer to import than a scene to read
 
 from bridge.config import is_corridor
 from bridge.files import one_line, read_received
@@ -25,6 +24,7 @@ from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.recording import AV_ID as AV_ID
 from bridge.recordings.recording import FOCAL_CATEGORY as FOCAL_CATEGORY
 from bridge.recordings.recording import Provenance, Recording
+from bridge.recordings.recording import Rows as Rows
 from bridge.recordings.sidecar import RecordingRecord, Sidecar, read_sidecar, sidecar_path
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Track
 from netconvert.errors import MapError, NoSceneError, ScenarioError
@@ -61,23 +61,6 @@ SCENARIO_COLUMNS = ("scenario_id", "start_timestamp", "end_timestamp", "num_time
 MOTION_COLUMNS = ("position_x", "position_y", "heading", "velocity_x", "velocity_y")
 
 
-class Rows(NamedTuple):
-    """The rows of a scenario, checked, and the tracks in them; observed_steps and step_s as in `Recording`."""
-
-    scenario_id: str
-    city: str
-    focal_track_id: str
-    num_steps: int
-    tracks: tuple[Track, ...]
-    observed_steps: int = OBSERVED_STEPS
-    step_s: float = STEP_S
-
-    @property
-    def last_observed(self) -> int:
-        """The last observed timestep."""
-        return min(self.observed_steps, self.num_steps) - 1
-
-
 def read_scenario(folder: Path) -> Scenario:
     """Read scenario_<id>.parquet, log_map_archive_<id>.json and the sizes that lie beside them.
 
@@ -110,7 +93,7 @@ def recording_of(
     limits.check_ground(rows.tracks, graph, str(source.path))
     assert source.map_path is not None
     return Recording(
-        **rows._asdict(),
+        **{one.name: getattr(rows, one.name) for one in fields(rows)},
         graph=graph,
         table=table,
         folder=source.path,
@@ -153,7 +136,7 @@ def _rows_in(folder: Path) -> tuple[pa.Table, Rows, RecordingRecord, dict[str, B
     path = only_file(folder, PARQUET_PATTERN, ScenarioError)
     table, known, sizes = read_table(path), recording_record(folder), read_sizes(folder)
     rows = split_rows(table, name=str(path), sizes=sizes, observed_steps=known.observed_steps)
-    return table, rows._replace(step_s=known.step_s), known, sizes
+    return table, replace(rows, step_s=known.step_s), known, sizes
 
 
 def table_of(tracks: Sequence[Track], same: Mapping[str, object], *, observed_steps: int) -> pa.Table:
@@ -232,6 +215,7 @@ def split_rows(
         num_steps=rows.num_steps,
         tracks=tracks_of(rows, sizes),
         observed_steps=observed_steps,
+        step_s=STEP_S,
     )
 
 
@@ -261,7 +245,7 @@ class RowArrays:
         """Those of a table that has the format's columns."""
 
         def encoded(column: str) -> tuple[list[str], IntArray]:
-            values = call_function("dictionary_encode", [table.column(column)]).combine_chunks()
+            values = table.column(column).dictionary_encode().combine_chunks()
             return values.dictionary.to_pylist(), values.indices.to_numpy(zero_copy_only=False).astype(np.int64)
 
         (ids, code), (kinds, kind) = encoded("track_id"), encoded("object_type")
@@ -278,7 +262,7 @@ class RowArrays:
             category=table.column("object_category").to_numpy()[order],
             observed=table.column("observed").to_numpy()[order],
             motion=np.column_stack([table.column(column).to_numpy()[order] for column in MOTION_COLUMNS]),
-            constants={name: call_function("unique", [table.column(name)]).to_pylist() for name in SCENARIO_COLUMNS},
+            constants={name: table.column(name).unique().to_pylist() for name in SCENARIO_COLUMNS},
             observed_steps=observed_steps,
             step_s=step_s,
         )

@@ -52,7 +52,7 @@ class RecordingRecord(_Record):
 
 
 class ReplayRecord(_Record):
-    """How the recorded agents were replayed, and how exactly. late_s: those who yielded, and how late that made them.
+    """How the recorded agents were replayed, and how exactly. late_s: agents that yielded, and how late that made them.
 
     reactive: recorded vehicles keep their recorded path but yield in time; they do not drive as recorded. checked: the
     pose in SUMO of every recorded agent at every step was measured, so many states; else none.
@@ -116,7 +116,7 @@ class ManeuverRecord(_Record):
 
 
 class DriverRecord(_Record):
-    """Who sat at the wheel: SUMO's car-following model with this vehicle's parameters, and its place in the lane."""
+    """The driver: SUMO's car-following model with this vehicle's parameters, and its place in the lane."""
 
     model: str
     parameters: Mapping[str, float]
@@ -207,13 +207,13 @@ class SelectionRecord(_Record):
 
 
 class EventRecord(_Record):
-    """One event that was asked for: with whom, what became of it, and what it was like for its target as recorded.
+    """One event that was asked for: its target, what became of it, and what it was like for its target as recorded.
 
     track_id: the vehicle that made it; gap_m bumper to bumper at at_s (cross: from the target's bumper to the conflict
     point); drac_mps2: what the target would have had to brake with; human_brakes: whether TTC came below the one before
     which drivers brake; brakes_mps2: hardest braking of the vehicle itself from then on; ahead: whether the vehicle is
     ahead of the target, or crosses first; tries: vehicles that were driven for it; tried: where none came about, what
-    each of them failed by or, where nobody was driven, each motion that was looked at.
+    each of them failed by or, where none was driven, each motion that was looked at.
     """
 
     kind: Literal["cut_in", "overtake", "lead", "follow", "merge", "cross"]

@@ -94,7 +94,7 @@ def held_against(
     return Against(out, known, frozenset(inserted) or None)
 
 
-def validate_scene(folder: Path, against: Against = Against()) -> list[Finding]:  # frozen
+def validate_scene(against: Against, folder: Path) -> list[Finding]:
     """Check one scenario folder, and its sequence of Argoverse 1 below out where there is one.
 
     A scene without sidecar in which no track is a generated one was recorded: it is held to the format alone.

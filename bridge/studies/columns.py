@@ -10,7 +10,7 @@ _RUN: Mapping[str, str] = {
     "city": "its city",
     "point": "number of the point of the design",
     "seed": "seed: the same vehicles, drivers, sites and traffic for every point",
-    "replay": "fixed: recorded vehicles drive as recorded; reactive: they yield, and nobody drove so",
+    "replay": "fixed: recorded vehicles drive as recorded; reactive: they yield, which was not recorded",
 }
 
 #: Table -> column -> what it says. Columns that vary in the study have the names of their parameters.
@@ -67,8 +67,8 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         **_RUN,
         "vehicle": "what looked",
         "side": "left or right",
-        "lead_id": "new leader; empty: nobody",
-        "lag_id": "new follower; empty: nobody",
+        "lead_id": "new leader; empty: none",
+        "lag_id": "new follower; empty: none",
         "accepted": "whether the rule took it at some look",
         "taken": "whether SUMO carried out the change",
         "became": "what came of it: taken, sumo_refuses, or the last reason of the guard or the rule",
@@ -90,7 +90,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "flow_veh_per_h_lane": "distance driven over length and time (Edie), on the lanes where traffic enters",
         "density_veh_per_km_lane": "time spent over length and time",
         "speed_kmph": "flow over density",
-        "waiting_to_enter_s": "mean wait before the map of those who entered in the interval",
+        "waiting_to_enter_s": "mean wait before the map of the vehicles that entered in the interval",
     },
     "dose_response": {
         "parameter": "what varies",

@@ -44,7 +44,7 @@ _INTERVAL_S = 30.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Drawn:
-    """Who takes part in a run, for every value of what varies: starts, arrivals, and requests without a site."""
+    """The vehicles of a run, for every value of what varies: starts, arrivals, and requests without a site."""
 
     scene: Scene
     starts: tuple[Start, ...]
@@ -64,7 +64,7 @@ class PairedRun:
 
 
 def drawing_config(config: Config) -> Config:
-    """The part of a configuration that decides who takes part; the rest has its defaults."""
+    """The part of a configuration that decides which vehicles take part; the rest has its defaults."""
     request = config.request.model_copy(
         update={"sites": "any", "trigger_min_s": 0.0, "trigger_max_s": 0.0, "trigger_list_s": ()}
     )
@@ -96,7 +96,7 @@ def draw(prepared: PreparedScene, config: Config) -> Drawn:
 
 
 def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedRun:
-    """Drive those who take part with a configuration, and measure. Errors: SimulationError, ConfigError."""
+    """Drive the vehicles with a configuration, and measure. Errors: SimulationError, ConfigError."""
     scene = replace(drawn.scene, config=config, _known={}, _leaders={})
     trigger_s, last_s = _triggers(config, drawn), scene.last_s
     starts = [
@@ -111,9 +111,9 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
         prepared.net, seed=sumo_seed(drawn.seed), step_s=scene.step_s, model=config.car_following.model,
         parameters=model_parameters(config), checks_gaps=config.lane_change.safety == "sumo",
     ) as simulation:  # fmt: skip
-        nobody = traffic_of_exported([], scene)
+        none = traffic_of_exported([], scene)
         driving = FlowDriving(
-            Fleet(scene, starts, nobody, Roads(scene), StopLines(scene), near_m=NEAR_M), simulation,
+            Fleet(scene, starts, none, Roads(scene), StopLines(scene), near_m=NEAR_M), simulation,
             checked=False, arrivals=comers,
             trigger_after_s=lambda arrival: trigger_after_s(arrival, config.request, drawn.seed, last_s),
         )  # fmt: skip
@@ -124,7 +124,7 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
 
 
 def _with_duration(driver: Driver, change: LaneChange) -> Driver:
-    """The same driver, who lays a lane change no shorter and no longer than the run allows."""
+    """The same driver, with a lane change no shorter and no longer than the run allows."""
     return replace(driver, lane_change_s=min(max(driver.lane_change_s, change.min_duration_s), change.max_duration_s))
 
 
@@ -144,7 +144,7 @@ def _measured(
     entered_at = {vehicle.vehicle_id: driving.entered.get(vehicle.vehicle_id, 0) for vehicle in vehicles}
     simulated = {one.vehicle_id: _as_simulated(scene, one, entered_at[one.vehicle_id]) for one in moved}
     exported = _exported(scene, [vehicle for vehicle in vehicles if vehicle.vehicle_id not in driving.entered])
-    everybody = [*_recorded(scene), *(one.track(vehicle_id, 1) for vehicle_id, one in simulated.items())]
+    tracks = [*_recorded(scene), *(one.track(vehicle_id, 1) for vehicle_id, one in simulated.items())]
     rows = []
     for vehicle in vehicles:
         if vehicle.policy is Policy.STRAIGHT:
@@ -160,7 +160,7 @@ def _measured(
             first = round(row["start_s"] / scene.step_s)
             last = round((row["end_s"] or (entered + len(vehicle.s) - 1) * scene.step_s) / scene.step_s)
             row["min_ttc_s"], row["min_pet_s"] = _conflicts(
-                everybody, vehicle.vehicle_id, first, last, step_s=scene.step_s
+                tracks, vehicle.vehicle_id, first, last, step_s=scene.step_s
             )
             row["overlaps"] = row["min_ttc_s"] == 0.0
             lag_id = next((look.rear.track_id for look in vehicle.gaps if look.sumo), None)
@@ -278,13 +278,13 @@ def _recorded(scene: Scene) -> list[Track]:
 
 
 def _conflicts(
-    everybody: Sequence[Track], own: str, first: int, last: int, *, step_s: float
+    tracks: Sequence[Track], own: str, first: int, last: int, *, step_s: float
 ) -> tuple[float | None, float | None]:
     """Smallest TTC to anything, and smallest PET at a crossing of paths, from step first to last; None above 5 s."""
-    me = next(track for track in everybody if track.track_id == own)
+    me = next(track for track in tracks if track.track_id == own)
     centre = me.position[np.clip((first + last) // 2 - me.timesteps[0], 0, len(me.timesteps) - 1)]
     near = []
-    for track in everybody:
+    for track in tracks:
         inside = (track.timesteps >= first) & (track.timesteps <= last)
         if inside.any() and np.abs(track.position[inside] - centre).max(axis=1).min() < _AROUND_M:
             near.append(

@@ -20,7 +20,7 @@ _SCENES_LEAST, _UNITS_LEAST = 3, 3  # fewer scenes, or units at all, are not dra
 _FEWEST = 8  # gaps of each answer, drivers: below, no curve and no critical gap is fitted
 #: Coefficients beyond this say that a threshold parts the gaps without exception: no curve has an interval then.
 _SEPARATED = 50.0
-#: Longer time gaps count as this, s: behind whoever hardly moves they grow without end.
+#: Longer time gaps count as this, s: behind a leader that hardly moves they grow without end.
 _LONG_GAP_S = 10.0
 
 
@@ -86,7 +86,7 @@ def units(frame: pd.DataFrame) -> dict[str, list[str]]:
 
 
 def kaplan_meier(waited_s: FloatArray, accepted: FloatArray, weights: FloatArray | None = None) -> Any:  # noqa: ANN401
-    """Survival of the waiting time (statsmodels); who gave up, left, or was cut off by the end is censored."""
+    """Survival of the waiting time (statsmodels); given up, or cut off, is censored."""
     from statsmodels.duration.survfunc import SurvfuncRight
 
     # a change at the first look has waited for no time: a tenth of a step keeps it in

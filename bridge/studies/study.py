@@ -64,7 +64,7 @@ class _File(BaseModel):
 class Study:
     """A study, resolved. points: what varies; configs[p][k]: configuration of point p with the k-th seed.
 
-    paired: nothing that varies changes who takes part.
+    paired: nothing that varies changes which vehicles take part.
     """
 
     name: str
@@ -78,7 +78,7 @@ class Study:
 
     @property
     def jobs(self) -> list[SceneJob]:
-        """The runs; those of one scene and seed, who share vehicles, in one job."""
+        """The runs; those of one scene and seed, which share vehicles, in one job."""
         return [
             SceneJob(folder, tuple(Run(configs[number]) for configs in self.configs))
             for folder in self.folders

@@ -28,10 +28,10 @@ def measure_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Fa
         try:
             if prepared is None:
                 prepared = prepare(read_recording(place.folder), run.config)
-            who = drawing_config(run.config)
-            key = config_sha256(who)
+            drawing = drawing_config(run.config)
+            key = config_sha256(drawing)
             if key not in drawn:
-                drawn = {key: draw(prepared, who)}  # the last one is enough: runs come seed by seed
+                drawn = {key: draw(prepared, drawing)}  # the last one is enough: runs come seed by seed
             found = paired_run(prepared, drawn[key], run.config)
             folder = _write(place.out, prepared.scenario, run.config, found)
             requests = [row for row in found.requests if row["status"] != "not_placed"]

@@ -1,6 +1,6 @@
 """How people drive, measured: the parameters of `params.Drivers` from windows of recorded driving.
 
-Each parameter is estimated from one value a driver (track), so that nobody counts more for having been seen longer,
+Each parameter is estimated from one value a driver (track), so that a longer track counts no more,
 with a bootstrap over drivers. The two wanderings are found by simulated moments: the law itself is run for many
 drivers, and the one whose windows vary as the recorded ones do is taken. What fewer than LEAST drivers tell keeps its
 documented prior and says so.
@@ -27,14 +27,14 @@ LEAST = 12
 # No tunables, here and below: they say which moments are measured and how finely, and calibrations with others differ.
 #: Steady following: closing slower, m/s, accelerating less, m/s2, faster than, m/s, nearer than, s and m.
 _STEADY_MPS, _STEADY_MPS2, _FOLLOWS_MPS, _FOLLOWS_S = 1.0, 0.5, 3.0, 3.0
-#: Who accelerates or brakes by more than this in some window shows how: m/s2.
+#: A driver that accelerates or brakes by more than this in some window shows how: m/s2.
 _SHOWS_MPS2 = 0.7
 #: Drivers simulated for a moment, half of a window, s, and intervals in it: finer ones change no fit.
 _SIMULATED, _HALF_S, _HALF = 250, 2.0, 20
 _EVERY_S = _HALF_S / _HALF
 #: Wandering at which the moments of the speed are simulated, m/s: so small that no bound matters.
 _UNIT_MPS = 0.3
-#: Who cruises drives this share of the usual speed at least and accelerates less, m/s2: no signal decides.
+#: Cruising: at least this share of the usual speed, and a smaller acceleration, m/s2: no signal decides.
 _CRUISES, _CRUISES_MPS2 = 0.7, 1.0
 #: What is tried for the time constants, s, and for the spread of the lateral wandering.
 _TIMES_S = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
@@ -94,9 +94,9 @@ def calibrate(seen: Windows, extra: Extra, *, prior: Drivers) -> list[Quantity]:
         *_normal("desired", "desired speed over the traffic's, logarithm", ratio, prior, sd_only=True),
         *_speed_wander(free.rows(cruising), prior),
         *_normal("tau", "time gap in steady following, s", gaps, prior, unit="s"),
-        *_normal("accel", "strongest acceleration of who accelerates, m/s2", strongest[strongest > _SHOWS_MPS2], prior,
+        *_normal("accel", "strongest acceleration of a driver, m/s2", strongest[strongest > _SHOWS_MPS2], prior,
                  unit="mps2"),
-        *_normal("decel", "hardest braking of who brakes, m/s2", hardest[hardest > _SHOWS_MPS2], prior, unit="mps2"),
+        *_normal("decel", "hardest braking of a driver, m/s2", hardest[hardest > _SHOWS_MPS2], prior, unit="mps2"),
         *_normal("min_gap", "gap to a standing leader, m", extra.standing_gap_m, prior, unit="m"),
         *_range_of_turns(turning, prior),
         *_normal("offset", "place in the lane, m, left positive", offsets, prior, unit="m"),
@@ -241,7 +241,7 @@ def speed_moments(time_s: float) -> _Moments:
 
 @cache
 def lateral_moments(time_s: float, spread: float) -> _Moments:
-    """Moments of drift and bend in windows of simulated drivers who wander by 1 m in the median, without a bound.
+    """Moments of drift and bend in windows of simulated drivers that wander by 1 m in the median, without a bound.
 
     The speed does not matter: the place in the lane changes with the way driven in a correlation time.
     """
@@ -264,7 +264,7 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
 
 
 def _speed_wander(free: Windows, prior: Drivers) -> list[Quantity]:
-    """SD and time of the wandering of the desired speed, from who drives freely."""
+    """SD and time of the wandering of the desired speed, from free driving."""
     what = "wandering of the desired speed: acceleration in windows, m/s2"
     names = ("wander_sd_mps", "wander_time_s")
     values, changes = _rms(free.agent, free.accel_mps2), _rms(free.agent, free.jerk_mps3)

@@ -1,7 +1,8 @@
 """Critics: classifiers that must tell generated from recorded driving, and the controls that they are held against.
 
-Three of them: logistic regression; gradient-boosted trees; and a temporal one, random convolutions of (v, a, yaw rate,
-d) with a logistic regression on top (Dempster, Petitjean and Webb 2020). They see windows of 4 s as fits, so that
+Three of them, of scikit-learn (the extra `critics`): ridge-penalised logistic regression; gradient-boosted trees; and a
+temporal one, random convolutions of (v, a, yaw rate, d) with a logistic regression on top (Dempster, Petitjean and Webb
+2020). They see windows of 4 s as fits, so that
 tracker noise does not decide. Generated and recorded windows weigh the same in each stratum of scene, speed band,
 turning and presence of a leader. A critic judges scenes that it was not trained on.
 
@@ -9,9 +10,9 @@ Controls say what a figure means. Negative: recorded against recorded, 0.5 withi
 windows at constant speed on the lane's middle, which a critic that is worth its name tells at 0.9 or more.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -159,15 +160,12 @@ def matched_weights(stratum: IntArray, generated: BoolArray) -> FloatArray:
 
 def weighted_auc(scores: FloatArray, labels: BoolArray, weights: FloatArray) -> float | None:
     """AUC of weighted samples: the chance that a positive scores above a negative, ties half; None with one class."""
-    order = np.argsort(scores, kind="stable")
-    ordered, positive = scores[order], np.where(labels, weights, 0.0)[order]
-    negative = np.where(labels, 0.0, weights)[order]
-    if positive.sum() <= 0 or negative.sum() <= 0:
+    from sklearn.metrics import roc_auc_score
+
+    there = weights > 0
+    if len(np.unique(labels[there])) < 2:
         return None
-    _, first = np.unique(ordered, return_index=True)
-    up, down = np.add.reduceat(positive, first), np.add.reduceat(negative, first)
-    below = np.cumsum(down) - down
-    return float((up * (below + 0.5 * down)).sum() / (positive.sum() * negative.sum()))
+    return float(roc_auc_score(labels[there], scores[there], sample_weight=weights[there]))
 
 
 def judge(found: Packed, critic: Critic, view: View) -> Verdict | None:
@@ -178,12 +176,11 @@ def judge(found: Packed, critic: Critic, view: View) -> Verdict | None:
     if len(scenes) < 2:
         return None
     x = temporal_features(found.rows) if critic is Critic.TEMPORAL else features(found.rows)[:, _COLUMNS[view]]
-    fit = _TRAINED[critic]
     fold = np.searchsorted(scenes, found.scene) % min(_FOLDS, len(scenes))
     scores = np.zeros(len(x))
     for k in range(int(fold.max()) + 1):
         test = fold == k
-        scores[test] = fit(x[~test], found.generated[~test], weights[~test])(x[test])
+        scores[test] = _scores(critic, x[~test], found.generated[~test], weights[~test], x[test])
     parts = [
         (weights[own].sum(), weighted_auc(scores[own], found.generated[own], weights[own]))
         for scene in scenes
@@ -206,97 +203,24 @@ def betrayals(found: Packed) -> list[tuple[str, float]]:
     return sorted(alone, key=lambda item: -abs(item[1] - 0.5))
 
 
-# Training. Each returns a function from samples (M, F) to scores (M,).
+def _scores(critic: Critic, x: FloatArray, generated: BoolArray, weights: FloatArray, new: FloatArray) -> FloatArray:
+    """Scores (K,) of new samples (K, F) by a classifier that is fitted to others (M, F)."""
+    from sklearn.ensemble import HistGradientBoostingClassifier
+    from sklearn.linear_model import LogisticRegression
+    from threadpoolctl import threadpool_limits
 
-_Scorer = Callable[[FloatArray], FloatArray]
-
-
-def _standardised(x: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    found: Any = LogisticRegression(solver="newton-cholesky", tol=1e-6)
+    if critic is Critic.TREES:
+        found = HistGradientBoostingClassifier(
+            learning_rate=0.1, max_iter=60, max_depth=3, max_bins=32, min_samples_leaf=3, l2_regularization=1.0,
+            early_stopping=False,
+        )  # fmt: skip
     mean = np.average(x, axis=0, weights=weights)
     spread = np.sqrt(np.average((x - mean) ** 2, axis=0, weights=weights))
-    return mean, np.where(spread > 1e-9, spread, 1.0)
-
-
-def _logistic(x: FloatArray, generated: BoolArray, weights: FloatArray) -> _Scorer:
-    mean, spread = _standardised(x, weights)
-    found = logistic_regression((x - mean) / spread, generated, weights)
-    return lambda new: np.asarray((new - mean) / spread @ found[:-1] + found[-1])
-
-
-def logistic_regression(x: FloatArray, y: BoolArray, weights: FloatArray) -> FloatArray:
-    """Coefficients (F + 1,), intercept last, of a ridge-penalised logistic regression by Newton's method.
-
-    x (M, F) standardised features; weights (M,).
-    """
-    design = np.column_stack([x, np.ones(len(x))])
-    target = y.astype(np.float64)
-    penalty = np.diag([1.0] * x.shape[1] + [1e-6])
-    found = np.zeros(design.shape[1])
-    for _ in range(25):
-        p = 1.0 / (1.0 + np.exp(-np.clip(design @ found, -500.0, 500.0)))
-        gradient = design.T @ (weights * (p - target)) + penalty @ found
-        hessian = (design * (weights * p * (1 - p))[:, None]).T @ design + penalty
-        step = np.linalg.solve(hessian, gradient)
-        found -= step
-        if np.abs(step).max() < 1e-6:
-            break
-    return found
-
-
-#: Boosted trees: rounds, depth, learning rate, bins of a feature, ridge on the leaves, least weight of a leaf.
-_ROUNDS, _DEPTH, _RATE, _BINS, _RIDGE, _LEAF = 60, 3, 0.1, 32, 1.0, 3.0
-
-
-def _trees(x: FloatArray, generated: BoolArray, weights: FloatArray) -> _Scorer:
-    """Gradient-boosted trees on binned features, Newton steps on the logistic loss (Chen and Guestrin 2016)."""
-    edges = [np.unique(np.quantile(column, np.linspace(0, 1, _BINS + 1)[1:-1])) for column in x.T]
-    binned = _binned(x, edges)
-    width = x.shape[1]
-    columns = binned + _BINS * np.arange(width)
-    score, target = np.zeros(len(x)), generated.astype(np.float64)
-    trees: list[tuple[IntArray, IntArray, FloatArray]] = []
-    for _ in range(_ROUNDS):
-        p = 1.0 / (1.0 + np.exp(-score))
-        gradient, curvature = weights * (p - target), weights * p * (1.0 - p)
-        node = np.zeros(len(x), dtype=np.int64)
-        split_on, split_at = np.zeros(2**_DEPTH, dtype=np.int64), np.full(2**_DEPTH, _BINS, dtype=np.int64)
-        for depth in range(_DEPTH):
-            count = 2**depth
-            place = ((node * width * _BINS)[:, None] + columns).ravel()
-            size = count * width * _BINS
-            g = np.bincount(place, np.repeat(gradient, width), size).reshape(count, width, _BINS).cumsum(axis=2)
-            h = np.bincount(place, np.repeat(curvature, width), size).reshape(count, width, _BINS).cumsum(axis=2)
-            all_g, all_h = g[:, :, -1:], h[:, :, -1:]
-            gain = g * g / (h + _RIDGE) + (all_g - g) ** 2 / (all_h - h + _RIDGE) - all_g**2 / (all_h + _RIDGE)
-            gain[(h < _LEAF * 0.25) | (all_h - h < _LEAF * 0.25)] = 0.0
-            best = gain.reshape(count, -1).argmax(axis=1)
-            useful = gain.reshape(count, -1).max(axis=1) > 1e-9
-            own = slice(count - 1, 2 * count - 1)
-            split_on[own] = best // _BINS
-            split_at[own] = np.where(useful, best % _BINS, _BINS)
-            node = 2 * node + (binned[np.arange(len(x)), split_on[own][node]] > split_at[own][node])
-        g, h = np.bincount(node, gradient, 2**_DEPTH), np.bincount(node, curvature, 2**_DEPTH)
-        leaf = -_RATE * g / (h + _RIDGE)
-        score = score + leaf[node]
-        trees.append((split_on, split_at, leaf))
-
-    def scores(new: FloatArray) -> FloatArray:
-        bins, out = _binned(new, edges), np.zeros(len(new))
-        rows = np.arange(len(new))
-        for split_on, split_at, leaf in trees:
-            node = np.zeros(len(new), dtype=np.int64)
-            for depth in range(_DEPTH):
-                at = 2**depth - 1 + node
-                node = 2 * node + (bins[rows, split_on[at]] > split_at[at])
-            out += leaf[node]
-        return out
-
-    return scores
-
-
-def _binned(x: FloatArray, edges: Sequence[FloatArray]) -> IntArray:
-    """(M, F) bin of each value, by edges of each feature."""
-    return np.column_stack([np.searchsorted(own, column, side="left") for own, column in zip(edges, x.T, strict=True)])
+    spread = np.where(spread > 1e-9, spread, 1.0)
+    with threadpool_limits(1):  # of so few samples threads would wait for each other
+        found.fit((x - mean) / spread, generated, sample_weight=weights)
+        return np.asarray(found.decision_function((new - mean) / spread), dtype=np.float64)
 
 
 def temporal_features(rows: FloatArray) -> FloatArray:
@@ -320,12 +244,6 @@ def temporal_features(rows: FloatArray) -> FloatArray:
         out += [response.max(axis=1), (response > 0).mean(axis=1)]
     return np.column_stack(out)
 
-
-_TRAINED: dict[Critic, Callable[[FloatArray, BoolArray, FloatArray], _Scorer]] = {
-    Critic.LOGISTIC: _logistic,
-    Critic.TREES: _trees,
-    Critic.TEMPORAL: _logistic,
-}
 
 #: What is judged, in the order of the report.
 JUDGED: Sequence[tuple[Critic, View]] = (

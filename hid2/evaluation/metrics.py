@@ -52,7 +52,7 @@ class Section(StrEnum):
 class Group:
     """One group of the agents of a scene, with what was measured of the whole scene.
 
-    members (A,); beyond: rows (N,) that exceed each limit of motion; partners (A,): whom a member may collide with;
+    members (A,); beyond: rows (N,) that exceed each limit of motion; partners (A,): what a member may collide with;
     end_contacts: first contacts of `ends`, by agent, after the last step; met: what each agent of the scene meets.
     """
 
@@ -87,7 +87,7 @@ class Group:
 
     @property
     def meeting(self) -> BoolArray:
-        """(A,) vehicles that may meet somebody: all inserted ones, recorded ones that move and are no fragments."""
+        """(A,) vehicles that may meet others: all inserted ones, recorded ones that move and are no fragments."""
         return np.asarray(self.vehicles & (self.arrays.generated | self.arrays.clean))
 
     @property
@@ -107,7 +107,7 @@ class Group:
 
     @property
     def critical_ends(self) -> int:
-        """Vehicles that come to touch somebody too soon after their last step."""
+        """Vehicles that come to touch another agent too soon after their last step."""
         return sum(contact.ttc_s < CRITICAL.end_ttc_min_s for contact in self.end_contacts.values())
 
 
@@ -259,7 +259,7 @@ METRICS: tuple[Metric, ...] = (
     ),
     Metric(
         "end_ttc_critical", f"share of vehicles, {_END_TTC} after the last step", "share", Section.SAFETY,
-        "Vehicles that touch anybody so soon after their last step if everybody keeps the velocity; recorded vehicles "
+        "Vehicles that touch another agent so soon after their last step if all keep the velocity; recorded vehicles "
         "that move, every inserted one.",
         Column("end_ttc_critical", lambda g: g.critical_ends), ENDS,
     ),

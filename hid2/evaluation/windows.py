@@ -1,6 +1,6 @@
 """Windows of 4 s of driving as the coefficients of fits: what critics, distributions and the calibration look at.
 
-A polynomial over 41 steps keeps how somebody drives and averages out how a tracker saw it; single steps do not. The
+A polynomial over 41 steps keeps the driving and averages out the noise of a tracker; single steps do not. The
 first and the last second of a track are left out, and so are windows in which the lane is changed: manoeuvres are
 compared by their own table.
 """

@@ -1,4 +1,4 @@
-"""Whom vehicles meet: recorded traffic nearby, leaders, braking for them, merging and crossing (evaluation.md)."""
+"""What vehicles meet: recorded traffic nearby, leaders, braking for them, merging and crossing (evaluation.md)."""
 
 import math
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class Partner(StrEnum):
     CYCLIST = "cyclist"
 
 
-#: Object types of pedestrians and of those who cycle; vehicles are told by who made them.
+#: Object types of pedestrians and cyclists; vehicles are told apart as recorded or inserted.
 _WALKS, _CYCLES = frozenset({"pedestrian"}), frozenset({"cyclist", "motorcyclist"})
 
 
@@ -114,7 +114,7 @@ def _acceleration(arrays: SceneArrays) -> FloatArray:
 
 
 def _lasts(arrays: SceneArrays, rows: BoolArray, steps: int) -> BoolArray:
-    """(A,) agents for whom some rows hold for so many steps in a row."""
+    """(A,) agents of which some rows hold for so many steps in a row."""
     out = np.zeros(arrays.num_agents, dtype=bool)
     count = max(1, steps)
     run = np.cumsum(rows)
@@ -143,8 +143,8 @@ def _distance_to_moving(arrays: SceneArrays, recorded: BoolArray) -> FloatArray:
 
 def _crosses(arrays: SceneArrays, masks: dict[Partner, BoolArray]) -> dict[Partner, BoolArray]:
     """(A,) vehicles whose swept path crosses that of a moving agent of a kind at a PET below WITHIN_S."""
-    anybody = np.logical_or.reduce(list(masks.values()))
-    agents = np.flatnonzero(arrays.moving & anybody)
+    met = np.logical_or.reduce(list(masks.values()))
+    agents = np.flatnonzero(arrays.moving & met)
     crossings = encroachments(arrays, cap_s=WITHIN_S, agents=agents, crossing_rad=CROSSING_RAD)
     out = {kind: np.zeros(arrays.num_agents, dtype=bool) for kind in Partner}
     for first, second, pet_s in crossings:
@@ -167,7 +167,7 @@ class _Entry:
 
 
 def _merges(arrays: SceneArrays, view: LaneView, masks: dict[Partner, BoolArray]) -> dict[Partner, BoolArray]:
-    """(A,) vehicles that come onto a lane within WITHIN_S before or behind somebody who came onto it from elsewhere."""
+    """(A,) vehicles that come onto a lane within WITHIN_S before or behind another that did so from elsewhere."""
     out = {kind: np.zeros(arrays.num_agents, dtype=bool) for kind in Partner}
     vehicles = np.flatnonzero(arrays.clean).tolist()
     runs = {agent: [run for run in runs_of(view, agent) if run.lane >= 0] for agent in vehicles}

@@ -1,4 +1,4 @@
-"""What follows a vehicle's last step if everybody keeps the velocity: the first contact of boxes (evaluation.md).
+"""What follows a vehicle's last step if all agents keep their velocity: the first contact of boxes (evaluation.md).
 
 Nothing is recorded beyond the last step, so nothing else would tell that a track ends a moment before a collision.
 """
@@ -39,7 +39,7 @@ class BoxesAtStep:
 
 
 def first_contact(own: int, boxes: BoxesAtStep, *, horizon_s: float) -> Contact | None:
-    """The other box that row `own` touches first within the horizon, everybody at constant velocity; None if none.
+    """The other box that row `own` touches first within the horizon, all at constant velocity; None if none.
 
     Two-dimensional: leaders, followers, oncoming and crossing ones alike. A TTC of 0 is an overlap at the step.
     """

@@ -36,12 +36,16 @@ BAD_NET = """<net>
 """
 
 
+def number(shared: str, item: object) -> tuple[str, object, int]:
+    """An item with the process id; a text names a fault."""
+    if isinstance(item, str):
+        fail(item, Path())
+    return shared, item, os.getpid()
+
+
 def numbers(shared: str, items: Sequence[object]) -> Iterator[tuple[str, object, int]]:
     """Yield each item with the process id; a text names a fault."""
-    for item in items:
-        if isinstance(item, str):
-            fail(item, Path())
-        yield shared, item, os.getpid()
+    return (number(shared, item) for item in items)
 
 
 def leaves_files(shared: str, items: Sequence[object]) -> Iterator[str]:

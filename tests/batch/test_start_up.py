@@ -51,7 +51,6 @@ def generated_with(folder: str, _items: Sequence[int]) -> Iterator[list[str]]:
                 "scipy.linalg",
                 "yaml",
                 "numba.np.arraymath",
-                "pyarrow.compute",
             )
             if name in sys.modules
         ]

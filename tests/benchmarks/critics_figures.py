@@ -146,7 +146,7 @@ def main() -> None:
     figures = Figures()
     placed = []
     folders = find_scenarios(options.root or shared / "av2")
-    seen = [observe_scene(folder) for folder in folders] if options.leave_one_out else []
+    seen = [observe_scene(None, folder) for folder in folders] if options.leave_one_out else []
     for number, folder in enumerate(folders):
         flags: dict[str, object] = {"request.seed": options.seed}
         if seen:

@@ -32,7 +32,7 @@ import psutil
 from bridge.batch.batch import Options, SceneJob, plan, run_batch
 from bridge.config import load_config
 from bridge.recordings.folders import find_scenarios
-from bridge.recordings.validate import validate_scene
+from bridge.recordings.validate import Against, validate_scene
 
 HID2 = Path(sys.executable).parent / "hid2"
 #: Scenes of a whole data set that the figures are extrapolated to.
@@ -186,7 +186,7 @@ def check(out: Path, scratch: Path, wanted: int, jobs: list[SceneJob], seen: See
     if extra or list(scratch.iterdir()):
         seen.wrong.append(f"left over: {[str(path) for path in extra[:5]]}, {[p.name for p in scratch.iterdir()][:5]}")
     step = max(1, len(made) // 200)
-    findings = [str(one) for folder in made[::step] for one in validate_scene(folder) if not one.is_note]
+    findings = [str(one) for folder in made[::step] for one in validate_scene(Against(), folder) if not one.is_note]
     print(f"validate: {len(made[::step])} scenes, {len(findings)} findings")
     seen.wrong += findings[:5]
     again = scratch.parent / "undisturbed"

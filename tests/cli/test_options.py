@@ -3,6 +3,7 @@
 import fcntl
 import os
 import pty
+import re
 import struct
 import subprocess
 import sys
@@ -67,6 +68,20 @@ def test_defaults_in_the_help_are_those_of_the_configuration() -> None:
     assert option("--trigger-time").show_default == f"{request['trigger_min_s']:g} to 36 % of the scene, 4 s at most"
     assert (Request().trigger_max_s, Request().trigger_usual_share, Request().trigger_usual_s) == (None, 0.36, 4.0)
     assert Request().spawn_leaders is True
+
+
+def test_the_help_of_generate_shows_the_usual_options_and_help_all_every_one(hid2: Run) -> None:
+    """Twenty of them; each way to begin, repeat and go on has its example."""
+    counts = {}
+    for asked in ("--help", "--help-all"):
+        text = hid2("generate", asked).stdout
+        counts[asked] = len(re.findall(r"^  (?:-\w, )?--\w", text, re.MULTILINE))
+        assert all(
+            words in text for words in ("-o out --agents 20", "--resume, which", "--from out/val", "--repro out/q")
+        )
+    assert counts["--help"] <= 20
+    assert counts["--help-all"] > 40
+    assert f"{counts['--help-all'] - counts['--help']} more with --help-all" in hid2("generate", "--help").stdout
 
 
 def test_version_is_that_of_the_distribution(hid2: Run) -> None:

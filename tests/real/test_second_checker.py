@@ -63,7 +63,7 @@ def misjudged(fault: PlantedFault) -> str | None:
     Its rule on headings and motion is of the format; faults of the heading alone break that inside their limits too.
     """
     against = Against(sources={fault.source.name: fault.source})
-    found = [one for one in validate_scene(fault.folder, against) if one.rule in list(Quantity)]
+    found = [one for one in validate_scene(against, fault.folder) if one.rule in list(Quantity)]
     if fault.strength == INSIDE:
         return f"{fault.name}: {found}" if found else None
     told = {one.rule for one in found if one.vehicle == fault.vehicle}

@@ -73,7 +73,7 @@ def test_scene_that_cannot_be_read_is_tried_with_those_selected() -> None:
 
 
 def test_synthetic_maps_offer_what_they_were_made_for(data_scenes: dict[str, Path]) -> None:
-    facts = {name: describe_scene(folder, Config()) for name, folder in data_scenes.items()}
+    facts = {name: describe_scene(Config(), folder) for name, folder in data_scenes.items()}
     assert facts["arterial"].lane_change_m > 500
     assert facts["arterial"].overtake_m > 500
     assert facts["intersection"].left_turns >= 4

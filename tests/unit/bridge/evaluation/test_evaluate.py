@@ -13,16 +13,13 @@ import pytest
 from bridge.evaluation.aggregate import SourceSums, estimate
 from bridge.evaluation.evaluate import evaluate_folder
 from bridge.evaluation.report import write_report
-from bridge.evaluation.scene_metrics import Maps, measure, measure_folder
+from bridge.evaluation.scene_metrics import measure, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
-from bridge.recordings.export import recording_record_of
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics
 from hid2.evaluation.critics import WIDTH
 from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric, Section
-from hid2.measures.lane_matching import flatten_lanes
-from hid2.params import Limits
 from netconvert.errors import ExportError, MapError, ScenarioError
 
 
@@ -101,9 +98,7 @@ def test_labelled_sizes_beside_the_source_are_those_of_recorded_vehicles(made_ro
     source = shutil.copytree(data_root, tmp_path / "source")
     for folder in find_scenarios(source):
         (folder / "agent_sizes.csv").write_text("track_id,length_m,width_m\nAV,45.0,9.5\n")
-    alone = {
-        f.name: measure_folder(f, Limits(), Maps()).scene["original_off_footprint"] for f in find_scenarios(source)
-    }
+    alone = {f.name: measure_folder(f).scene["original_off_footprint"] for f in find_scenarios(source)}
     evaluate_folder(made_root, report_dir=tmp_path / "report", source=source)
     rows, plain = read_csv(tmp_path / "report" / "scenes.csv"), read_csv(report[1] / "scenes.csv")
     assert [int(row["original_off_footprint"]) for row in rows] == [alone[row["source"]] for row in rows]
@@ -263,7 +258,7 @@ def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():
 
 def test_maneuvers_of_the_sidecar_are_found_again(made_scene):
     """What was done is seen in the positions: every done record has a manoeuvre seen beside it."""
-    rows = measure_folder(made_scene, Limits(), Maps()).maneuvers
+    rows = measure_folder(made_scene).maneuvers
     done = [row for row in rows if row["status"] == "done"]
     assert done
     assert all(row["seen"] is not None for row in done)
@@ -276,15 +271,7 @@ def test_a_scene_in_which_nothing_moves_is_measured(made_scene):
         replace(track, position=np.repeat(track.position[:1], len(track.timesteps), axis=0))
         for track in scenario.tracks[:3]
     ]
-    measures = measure(
-        parked,
-        flatten_lanes(scenario.graph),
-        None,
-        recording_record_of(scenario),
-        limits=Limits(),
-        num_steps=110,
-        source="parked",
-    )
+    measures = measure(scenario, parked, None)
     assert measures.samples.shape == (0, WIDTH)
     assert measures.scene["combined_moving"] == 0
 
@@ -312,9 +299,9 @@ def test_a_metric_that_is_added_is_measured_pooled_and_shown(made_root, tmp_path
         Column("left_half", lambda group: int((group.arrays.position[group.rows][:, 0] < 0).sum())), ROWS,
     )  # fmt: skip
     monkeypatch.setattr(metrics, "METRICS", (*METRICS, extra))
-    totals, maps, found, rows = Totals(), Maps(), 0, 0
+    totals, found, rows = Totals(), 0, 0
     for folder in find_scenarios(made_root):
-        totals.add(measure_folder(folder, Limits(), maps))
+        totals.add(measure_folder(folder))
         for track in read_scenario(folder).tracks:
             if track.object_type in VEHICLE_TYPES:
                 found, rows = found + int((track.position[:, 0] < 0).sum()), rows + len(track.timesteps)

@@ -96,3 +96,11 @@ def test_verdicts_are_given_by_kind_of_recording():
     assert min(entry["auc"] for entry in found["constant_speed_control"] if entry["view"] == "all") > 0.9
     assert found["drivers_control"]
     assert all(0.2 < entry["auc"] < 0.8 for entry in found["negative_control"])
+
+
+def test_without_the_extra_nothing_is_judged_and_it_is_said(monkeypatch, caplog):
+    rows = Packed(np.ones((40, WIDTH)), np.arange(40) % 2 == 0, np.arange(40) % 4 // 2)
+    monkeypatch.setattr("bridge.evaluation.critique.find_spec", lambda _: None)
+    found = critique(rows, rows)
+    assert (found["verdicts"], found["drivers_control"], found["betrays"]) == ([], [], [])
+    assert "need the extra `critics`" in caplog.text

@@ -11,13 +11,12 @@ import pytest
 from bridge.evaluation.aggregate import SourceSums
 from bridge.evaluation.diversity import Diversity
 from bridge.evaluation.samples import Samples
-from bridge.evaluation.scene_metrics import Maps, measure_folder
+from bridge.evaluation.scene_metrics import measure_folder
 from bridge.evaluation.totals import ManeuverCounts, Totals
 from bridge.pages.charts import diversity_figure
 from hid2.agents import Policy
 from hid2.evaluation.critics import WIDTH
 from hid2.measures.manoeuvres import ManeuverKind
-from hid2.params import Limits
 
 COLUMNS = ("hits", "rows")
 
@@ -36,7 +35,7 @@ def filled(rows, **options):
 
 @pytest.fixture(scope="module")
 def measured(made_scene):
-    return measure_folder(made_scene, Limits(), Maps())
+    return measure_folder(made_scene)
 
 
 def named(measures, number, *, sources):

@@ -20,7 +20,7 @@ from bridge.forecasting.composition import (
     composition_of_sources,
     read_composition,
 )
-from bridge.forecasting.places import SceneFacts, groups_of, leaks_between, split_by_place
+from bridge.forecasting.places import SourceScene, groups_of, leaks_between, split_by_place
 from bridge.recordings.export import write_scene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
@@ -224,7 +224,7 @@ def test_splits_by_folder_keep_the_official_ones(data_root, tmp_path):
 def fact(name, *, source=None, city="miami", tracks=20, cells=(1,), block=(0, 0), log=""):
     import numpy as np
 
-    return SceneFacts(
+    return SourceScene(
         Path(name), name, source or name, source is not None, city, 110, tracks, tracks, log,
         np.array(cells, dtype=np.int64).tobytes(), block,
     )  # fmt: skip

@@ -3,6 +3,7 @@
 import ast
 import csv
 import json
+import runpy
 import shutil
 import subprocess
 import sys
@@ -14,11 +15,11 @@ from recordings import make_argoverse1
 
 from bridge.evaluation.predictions import baseline, read_forecasts, score_predictions, write_forecasts
 from bridge.forecasting import experiment
-from bridge.forecasting.comparison import Difference, Estimate
+from bridge.forecasting.comparison import Difference, MeanEstimate
 from bridge.forecasting.compose import compose
 from bridge.forecasting.composition import composition_of
 from bridge.forecasting.experiment import PAPER_GAIN_M, PAPER_TABLE2, PAPER_TABLE3, SETS, Plan, run_prediction
-from bridge.forecasting.features import targets_of
+from bridge.forecasting.small_forecaster import small_forecaster
 from bridge.pages.parts import macro
 from bridge.recordings.export import write_scene
 from bridge.recordings.folders import find_scenarios
@@ -28,6 +29,7 @@ from hid2.params import Forecasting
 from netconvert.errors import ConfigError, ScenarioError
 
 ROOT = Path(__file__).parents[4]
+targets_of = runpy.run_path(str(ROOT / "data" / "examples" / "scene_features.py"))["targets_of"]
 
 
 @pytest.fixture
@@ -131,42 +133,43 @@ def test_without_the_extra_one_line_says_what_to_install(data_root, tmp_path, co
     assert list(tmp_path.iterdir()) == []
 
 
-def test_only_what_needs_the_extra_imports_torch():
-    """Two modules import it, and those are imported where they are used and nowhere at the top of a module."""
-    importing = {}
-    wanted = {"torch", "bridge.forecasting.network", "bridge.forecasting.training"}
-    for path in (ROOT / "bridge").rglob("*.py"):
-        top = ast.parse(path.read_text(encoding="utf-8")).body
-        names = [alias.name for node in top if isinstance(node, ast.Import) for alias in node.names]
-        names += [str(node.module) for node in top if isinstance(node, ast.ImportFrom)]
-        if wanted & set(names):
-            importing[path.relative_to(ROOT).as_posix()] = wanted & set(names)
-    assert importing == {
-        "bridge/forecasting/network.py": {"torch"},
-        "bridge/forecasting/training.py": {"torch", "bridge.forecasting.network"},
-    }
+def test_nothing_but_the_example_imports_torch():
+    importing = []
+    for path in (*(ROOT / "bridge").rglob("*.py"), *(ROOT / "data").rglob("*.py")):
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+        names += [str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)]
+        importing += [path.relative_to(ROOT).as_posix()] if "torch" in names else []
+    assert importing == ["data/examples/small_forecaster.py"]
+
+
+def test_a_checkout_without_the_example_is_named(monkeypatch, tmp_path):
+    """As an installed wheel is."""
+    monkeypatch.setattr("bridge.forecasting.small_forecaster._SCRIPT", tmp_path / "small_forecaster.py")
+    with pytest.raises(ConfigError, match=r"small_forecaster\.py: no such file, expected .* of a checkout"):
+        small_forecaster()
 
 
 def test_features_are_in_the_targets_own_frame(data_scenes):
     """The target is at the origin at the last observed step and looks along x; its future comes back to the city."""
     scenario = read_scenario(data_scenes["arterial"])
-    targets = targets_of(scenario, Forecasting())
+    targets = targets_of(scenario)
     assert [target.track_id for target in targets if target.focal] == [scenario.focal_track_id]
     for target in targets:
         track = scenario.track(target.track_id)
-        np.testing.assert_allclose(target.agents[0, -1, :4], [0, 0, 1, 0], atol=1e-6)
-        assert target.agent_kinds[0, 4] == 1
-        assert target.agent_kinds[1:, 4].sum() == 0
-        assert target.future is not None
-        np.testing.assert_allclose(target.to_city(target.future), track.position[track.timesteps > 49], atol=1e-3)
-        apart = np.hypot(*target.agents[:, -1, :2].T)[target.agent_kinds.sum(axis=1) > 0]
+        np.testing.assert_allclose(target.seen.agents[0, -1, :4], [0, 0, 1, 0], atol=1e-6)
+        assert target.seen.agent_kinds[0, 4] == 1
+        assert target.seen.agent_kinds[1:, 4].sum() == 0
+        assert target.seen.future is not None
+        np.testing.assert_allclose(target.to_city(target.seen.future), track.position[track.timesteps > 49], atol=1e-3)
+        apart = np.hypot(*target.seen.agents[:, -1, :2].T)[target.seen.agent_kinds.sum(axis=1) > 0]
         assert (np.diff(apart) >= -1e-6).all()
 
 
 def test_lanes_of_the_features_lie_beside_the_target(data_scenes):
     """On the arterial the target drives on a lane: a lane point within 2 m, directed as it is."""
-    target = next(t for t in targets_of(read_scenario(data_scenes["arterial"]), Forecasting()) if t.focal)
-    points = target.lanes[target.lane_kinds.sum(axis=1) > 0].reshape(-1, 4)
+    target = next(t for t in targets_of(read_scenario(data_scenes["arterial"])) if t.focal)
+    points = target.seen.lanes[target.seen.lane_kinds.sum(axis=1) > 0].reshape(-1, 4)
     across = np.abs(points[:, 1]) < 0.2
     assert across.any()
     assert points[across, 2].max() > 0.9
@@ -177,8 +180,8 @@ def test_recordings_of_other_formats_are_refused(tmp_path, monkeypatch):
     root = make_argoverse1(tmp_path / "recorded")
     (address,) = find_recordings([root / "train" / "data" / "1.csv"])
     with pytest.raises(ScenarioError, match=r"1\.csv: 20 observed steps, expected 50, Argoverse 2's"):
-        targets_of(read_recording(address), Forecasting())
-    monkeypatch.setattr(experiment, "check_torch", lambda: None)
+        targets_of(read_recording(address))
+    monkeypatch.setattr(experiment, "check_forecaster", lambda: None)
     with pytest.raises(ConfigError, match=r"1\.csv: argoverse1, expected Argoverse 2 scenes alone"):
         run_prediction([root / "train"], tmp_path / "out", Plan())
 
@@ -194,7 +197,15 @@ def test_recordings_of_other_formats_are_refused(tmp_path, monkeypatch):
 def test_an_interval_is_taken_at_its_word_from_many_scenes_only(sources, says, not_says):
     """A difference of -0.5 m, -0.9 to -0.1 m."""
     one = Difference(
-        "hid2", "recorded", "all scenes", "min_fde_m", Estimate(-0.5, -0.9, -0.1, 0.2), sources, sources, (3, 3), 0.57
+        "hid2",
+        "recorded",
+        "all scenes",
+        "min_fde_m",
+        MeanEstimate(-0.5, -0.9, -0.1, 0.2),
+        sources,
+        sources,
+        (3, 3),
+        0.57,
     )
     text = " ".join(macro("forecasts.html.j2", "power", one, PAPER_GAIN_M).split())
     assert says in text
@@ -206,14 +217,12 @@ def test_an_interval_is_taken_at_its_word_from_many_scenes_only(sources, says, n
 
 
 @pytest.mark.slow
-def test_the_small_forecaster_is_deterministic_and_resumes(data_root, tmp_path):
+def test_the_small_forecaster_is_deterministic_and_resumes(data_root, tmp_path, monkeypatch):
     torch = pytest.importorskip("torch", reason="the extra `forecast`: sh setup.sh forecast")
-    from bridge.forecasting.features import features_of
-    from bridge.forecasting.training import be_deterministic, forecast, train
-
-    be_deterministic(1)
-    params = Forecasting(updates=20, checkpoint_every=10)
-    targets, left_out = features_of(find_scenarios(data_root), params)
+    scenes, network = small_forecaster()
+    monkeypatch.setattr(network, "CHECKPOINT_EVERY", 10)
+    train, updates = network.train, 20
+    targets, left_out = scenes.features_of(find_scenarios(data_root))
     assert left_out == []
 
     class Stopped(Exception):  # noqa: N818
@@ -223,22 +232,22 @@ def test_the_small_forecaster_is_deterministic_and_resumes(data_root, tmp_path):
         if done == 12:
             raise Stopped
 
-    straight = train(targets, tmp_path / "a.pt", params, seed=1)
+    straight = train(targets, tmp_path / "a.pt", updates=updates, seed=1)
     with pytest.raises(Stopped):
-        train(targets, tmp_path / "b.pt", params, seed=1, on_update=stop)
-    resumed = train(targets, tmp_path / "b.pt", params, seed=1, resume=True)
-    other = train(targets, tmp_path / "c.pt", params, seed=2)
+        train(targets, tmp_path / "b.pt", updates=updates, seed=1, on_update=stop)
+    resumed = train(targets, tmp_path / "b.pt", updates=updates, seed=1, resume=True)
+    other = train(targets, tmp_path / "c.pt", updates=updates, seed=2)
     assert sum(values.numel() for values in straight.parameters()) < 1_000_000
     for one, two in zip(straight.state_dict().values(), resumed.state_dict().values(), strict=True):
         assert torch.equal(one, two)
-    first, again, another = (forecast(model, targets, params) for model in (straight, resumed, other))
+    first, again, another = (network.forecast(model, targets) for model in (straight, resumed, other))
     for name, (shares, by_track) in first.items():
         np.testing.assert_array_equal(shares, again[name][0])
         for track, modes in by_track.items():
             np.testing.assert_array_equal(modes, again[name][1][track])
             assert np.abs(modes - another[name][1][track]).max() > 0
     with pytest.raises(ConfigError, match="of another training"):
-        train(targets, tmp_path / "b.pt", params, seed=5, resume=True)
+        train(targets, tmp_path / "b.pt", updates=updates, seed=5, resume=True)
 
 
 @pytest.mark.slow
@@ -247,14 +256,10 @@ def test_the_small_forecaster_learns(data_root, tmp_path):
     pytest.importorskip("torch", reason="the extra `forecast`: sh setup.sh forecast")
     from av2.datasets.motion_forecasting.eval import metrics
 
-    from bridge.forecasting.features import features_of
-    from bridge.forecasting.training import be_deterministic, forecast, train
-
-    be_deterministic(1)
-    params = Forecasting(updates=150)
-    targets, _ = features_of(find_scenarios(data_root), params)
-    model = train(targets, tmp_path / "a.pt", params, seed=0)
-    path = write_forecasts(forecast(model, targets, params), tmp_path / "f.parquet")
+    scenes, network = small_forecaster()
+    targets, _ = scenes.features_of(find_scenarios(data_root))
+    model = network.train(targets, tmp_path / "a.pt", updates=150, seed=0)
+    path = write_forecasts(network.forecast(model, targets), tmp_path / "f.parquet")
     scores = [score for score in score_predictions(data_root, predictions=path).scores if score.k == 6]
     steady = [s for s in score_predictions(data_root, predictions="constant-velocity").scores if s.k == 6]
     assert np.mean([s.min_fde_m for s in scores]) < np.mean([s.min_fde_m for s in steady])

@@ -3,6 +3,7 @@
 import csv
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +121,7 @@ def test_the_files_number_is_that_of_the_scenes_id(tmp_path: Path) -> None:
 
 
 def test_what_is_no_sequence_is_not_written_as_one(scenario: Recording, tmp_path: Path) -> None:
-    lacking = Recording(**{name: getattr(scenario, name) for name in Recording.__slots__} | {"sequence": None})
+    lacking = replace(scenario, sequence=None)
     with pytest.raises(ExportError, match="no Argoverse 1 sequence"):
         write_sequence(lacking, [], tmp_path, new_id="0" * 36)
     assert list(tmp_path.iterdir()) == []

@@ -282,4 +282,4 @@ def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(
     assert first["vehicle"].tolist() == second["vehicle"].tolist()
     text = (out / "study.md").read_text()
     assert "recorded vehicles drive as recorded" in text
-    assert "nobody drove so [requests.replay]" in text
+    assert "which was not recorded [requests.replay]" in text

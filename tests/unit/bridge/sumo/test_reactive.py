@@ -12,7 +12,7 @@ from hand_drawn import draw_lane
 from inserted import nobody, recorded, scene_on, start_on
 
 from bridge.batch.validation import validate_folder
-from bridge.evaluation.scene_metrics import Maps, measure_folder
+from bridge.evaluation.scene_metrics import measure_folder
 from bridge.forecasting.places import recorded_source
 from bridge.generation.generate import generate, write
 from bridge.pictures.render import _panels
@@ -23,7 +23,7 @@ from bridge.sumo.playback import paints
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
 from hid2.conflicts.stop_lines import StopLines
-from hid2.params import Config, LaneChange, Limits, Request
+from hid2.params import Config, LaneChange, Request
 from hid2.params import Driving as DrivingParams
 from hid2.policy.roads import Roads
 from netconvert.errors import ConfigError, ScenarioError
@@ -134,7 +134,7 @@ def test_scene_in_which_recorded_vehicles_react_is_called_so_and_refused(reactiv
     (finding,) = validate_folder(reactive_scene)
     assert finding.rule == "replay"
     assert "do not drive as recorded" in finding.message
-    for refuses in (lambda: measure_folder(reactive_scene, Limits(), Maps()), lambda: recorded_source(reactive_scene)):
+    for refuses in (lambda: measure_folder(reactive_scene), lambda: recorded_source(reactive_scene)):
         with pytest.raises(ScenarioError, match=r"reactive-.*do not drive as recorded"):
             refuses()
 

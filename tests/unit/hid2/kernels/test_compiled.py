@@ -124,7 +124,7 @@ def test_kernels_run_where_nothing_can_be_written(room: Path) -> None:
 USES = """
 import json, sys
 from pathlib import Path
-from bridge.evaluation.scene_metrics import Maps, measure_folder
+from bridge.evaluation.scene_metrics import measure_folder
 from bridge.generation.generate import generate
 from bridge.recordings.scenario import read_scenario
 from hid2.kernels.compile import make_ready
@@ -133,7 +133,7 @@ from hid2.params import Config, Limits, Request
 make_ready()
 folder = Path(sys.argv[1])
 generate(read_scenario(folder), Config(request=Request(agents=5)))
-measure_folder(folder, Limits(), Maps())
+measure_folder(folder)
 missed = {one.__name__: [str(types) for types in one.stats.cache_misses] for one, _ in KERNELS}
 json.dump([missed, [bool(one.stats.cache_hits) for one, _ in KERNELS]], sys.stdout)
 """
