@@ -165,7 +165,7 @@ def _measured(
             row["overlaps"] = row["min_ttc_s"] == 0.0
             lag_id = next((look.rear.track_id for look in vehicle.gaps if look.sumo), None)
             row["lag_drac_mps2"], row["lag_headway_s"] = _lag_suffers(
-                everybody, vehicle.vehicle_id, lag_id, first, last
+                tracks, vehicle.vehicle_id, lag_id, first, last
             )
         if row["start_s"] is not None and row["end_s"] is not None:
             row["lateral_s"] = round(row["end_s"] - row["start_s"], 6)
@@ -301,13 +301,13 @@ def _conflicts(
 
 
 def _lag_suffers(
-    everybody: Sequence[Track], own: str, lag_id: str | None, first: int, last: int
+    tracks: Sequence[Track], own: str, lag_id: str | None, first: int, last: int
 ) -> tuple[float | None, float | None]:
     """Largest DRAC, m/s2, and least time headway, s, front to front, of the new follower from step first to last.
 
     By bumpers along its heading, as the judge's; None where there is none.
     """
-    pair = [next((track for track in everybody if track.track_id == name), None) for name in (own, lag_id)]
+    pair = [next((track for track in tracks if track.track_id == name), None) for name in (own, lag_id)]
     me, lag = pair
     if me is None or lag is None:
         return None, None
