@@ -164,9 +164,7 @@ def _measured(
             )
             row["overlaps"] = row["min_ttc_s"] == 0.0
             lag_id = next((look.rear.track_id for look in vehicle.gaps if look.sumo), None)
-            row["lag_drac_mps2"], row["lag_headway_s"] = _lag_suffers(
-                tracks, vehicle.vehicle_id, lag_id, first, last
-            )
+            row["lag_drac_mps2"], row["lag_headway_s"] = _lag_suffers(tracks, vehicle.vehicle_id, lag_id, first, last)
         if row["start_s"] is not None and row["end_s"] is not None:
             row["lateral_s"] = round(row["end_s"] - row["start_s"], 6)
         rows.append(row)
