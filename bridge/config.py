@@ -244,7 +244,7 @@ def describe_config() -> list[ParameterRow]:
         extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
         default = field.get_default(call_default_factory=True)
         values = sorted(default) if isinstance(default, frozenset) else default
-        text = ",".join(map(str, values)) or "none" if isinstance(values, list | tuple) else str(default)
+        text = ",".join(map(str, values)) or "none" if isinstance(values, list | tuple) else str(default) or "none"
         rows.append(ParameterRow(key, text, str(extra.get("unit", "-")), _range(field), str(extra.get("source", ""))))
     return rows
 

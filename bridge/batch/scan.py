@@ -24,8 +24,10 @@ from netconvert.lane_graph import SIDES, LaneSegment, TurnType
 _LOG = logging.getLogger(__name__)
 #: Most scenes that a process gets at a time.
 _CHUNK = 16
-#: Targets that events are looked for with.
-EVENT_TARGETS = ("av", "focal")
+#: Events that may be looked for, as `kind:target`: with the recording vehicle and the focal track.
+EVENTS = tuple(
+    f"{kind}:{target}" for kind in get_args(Event.model_fields["kind"].annotation) for target in ("av", "focal")
+)
 #: A track seen on a path longer than this is moving, m; for longer than this, s.
 _MOVING_M, _MOVING_S = 5.0, 1.0
 
@@ -37,9 +39,9 @@ class SceneFacts(NamedTuple):
     vehicles with a path over 5 m, seen for more than 1 s; same_direction: (lane, side) pairs of VEHICLE lanes.
     Room: lane_change_m and overtake_m are metres of VEHICLE lane from which a change, or an overtake, has the length it
     needs beside it (an overtake: out, past and back); left_turns and right_turns are turning lanes that can be entered
-    within the map. All that is room on the map, whatever the traffic. events: those that
-    there is room for with the recording vehicle and the focal track, as `cut_in:av lead:focal`. shift_m: of
-    `hid2/measures/plausibility.py`, by how much the tracks lie beside the lanes.
+    within the map. All that is room on the map, whatever the traffic. events: of those that were looked for what a
+    rolled-out candidate brings about, as `cut_in:av lead:focal`. shift_m: of `hid2/measures/plausibility.py`, by how
+    much the tracks lie beside the lanes.
     """
 
     folder: Address
@@ -88,20 +90,26 @@ class Selection(NamedTuple):
 
 
 def facts_of(
-    folders: Sequence[Address], *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
+    folders: Sequence[Address],
+    events: Sequence[str] = (),
+    *,
+    jobs: int = 1,
+    on_scene: Callable[[int, int], None] | None = None,
 ) -> tuple[list[SceneFacts], list[tuple[Address, str]]]:
     """Facts of scenes in the order of folders, and the scenes that cannot be read with the reason.
 
+    events: of `EVENTS`, which to look for: some tenths of a second each, to seconds where there is none.
     on_scene(done, total) is called as scenes are done.
     """
+    asked = tuple(name for name in EVENTS if name in events)
     return sorted_out(
-        work_on_each(describe_scene, folders, shared=Config(), jobs=jobs, chunk=_CHUNK, timeout_s=60, on_item=on_scene)
+        work_on_each(describe_scene, folders, shared=asked, jobs=jobs, chunk=_CHUNK, timeout_s=60, on_item=on_scene)
     )
 
 
-def describe_scene(config: Config, folder: Address) -> SceneFacts:
-    """Read one scene and count. Errors: ScenarioError, MapError."""
-    scenario = read_recording(folder)
+def describe_scene(events: Sequence[str], folder: Address) -> SceneFacts:
+    """Read one scene and count; events: of `EVENTS`, which to look for. Errors: ScenarioError, MapError."""
+    config, scenario = Config(), read_recording(folder)
     here = Surroundings(scene_of(scenario, config))
     graph, routes = scenario.graph, here.routes
     vehicles = [track for track in scenario.tracks if track.object_type in VEHICLE_TYPES]
@@ -127,7 +135,7 @@ def describe_scene(config: Config, folder: Address) -> SceneFacts:
         overtake_m=_room_to_pass(routes, lanes, needed_m=stretch_m(config)),
         left_turns=sum(lane.turn is TurnType.LEFT for lane in turns),
         right_turns=sum(lane.turn is TurnType.RIGHT for lane in turns),
-        events=" ".join(offered_events(here, EVENT_TARGETS)),
+        events=" ".join(offered_events(here, events)),
         shift_m=round(figures_of(scenario).shift_m, 1),
     )
 
@@ -144,8 +152,7 @@ def scene_of(scenario: Recording, config: Config) -> Scene:
 def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts]:
     """The scenes that are wanted, in their order. Errors: ConfigError for a manoeuvre that does not exist."""
     policies = [policy.value for policy in Policy]
-    kinds = get_args(Event.model_fields["kind"].annotation)
-    names = [*policies, *(f"{kind}:{target}" for kind in kinds for target in EVENT_TARGETS)]
+    names = [*policies, *EVENTS]
     for name in selection.can:
         if name not in names:
             raise ConfigError(f"--can {name!r}: expected one of {', '.join(names)}")

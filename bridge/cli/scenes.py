@@ -61,6 +61,7 @@ def scan(
     *,
     out: Path | None = options.output("Write a CSV file instead of a table.", None, "FILE.csv", "-o"),
     which: options.Which,
+    events: bool = options.selection("Look for every event, not only for those of --can: seconds a scene.", False),
     seed: int = options.selection("Seed of --sample.", 0, "N", min=0),
     windows: options.Windows,
     jobs: int = options.JOBS,
@@ -72,7 +73,7 @@ def scan(
     if out is not None:
         check_out_file(out)
     with Activity(quiet=tell.quiet) as activity:
-        from bridge.batch.scan import SceneFacts, select
+        from bridge.batch.scan import EVENTS, SceneFacts, select
         from bridge.files import make_folder, write_rows
         from bridge.recordings.sources import described, find_recordings
 
@@ -81,8 +82,9 @@ def scan(
         if out is not None:
             make_folder(out.parent)
         activity.doing("reading scenes")
-        facts, failures = read_facts(folders, activity, jobs=jobs)
-        chosen = select(facts, with_cities_of(facts, which.selection(seed)))
+        wanted = which.selection(seed)
+        facts, failures = read_facts(folders, activity, EVENTS if events else wanted.can, jobs=jobs)
+        chosen = select(facts, with_cities_of(facts, wanted))
     if out is not None:
         write_rows(out, SceneFacts._fields, chosen)
         print(out)

@@ -45,12 +45,12 @@ def tell_unread(failures: Sequence[tuple["Address", str]]) -> None:
 
 
 def read_facts(
-    folders: Sequence["Address"], activity: Activity, *, jobs: int
+    folders: Sequence["Address"], activity: Activity, events: Sequence[str], *, jobs: int
 ) -> tuple[list["SceneFacts"], list[tuple["Address", str]]]:
-    """Facts of scenes, and those that cannot be read with the reason, of which it warns."""
+    """Facts of scenes, and those that cannot be read with the reason, of which it warns; events: to look for."""
     from bridge.batch.scan import facts_of
 
-    facts, failures = facts_of(folders, jobs=jobs, on_scene=activity.show)
+    facts, failures = facts_of(folders, events, jobs=jobs, on_scene=activity.show)
     tell_unread(failures)
     return facts, failures
 
@@ -62,7 +62,7 @@ def select_scenes(
     from bridge.batch.scan import wanted
 
     activity.doing("reading scenes for the selection")
-    facts, failures = read_facts(folders, activity, jobs=jobs)
+    facts, failures = read_facts(folders, activity, selection.can, jobs=jobs)
     chosen = wanted(folders, facts, failures, with_cities_of(facts, selection))
     activity.note(f"{len(chosen)} of {len(folders)} scenes selected")
     return chosen

@@ -11,8 +11,6 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
-from typing import get_args
 
 import numpy as np
 
@@ -200,16 +198,17 @@ class EventSearch:
         return own or (vehicle, seen)
 
 
-def offered_events(here: Surroundings, targets: Sequence[str]) -> tuple[str, ...]:
-    """Which events a candidate brings about, as `kind:target`, by its rollout: nothing is driven.
+def offered_events(here: Surroundings, names: Sequence[str]) -> tuple[str, ...]:
+    """Which of some events, as `kind:target`, a candidate brings about by its rollout: nothing is driven.
 
     From second 1 on to 4 s before the end, an overtake to the end.
     """
     found, search = [], EventSearch(here, (0,))
-    for name, kind in product(targets, get_args(Event.model_fields["kind"].annotation)):
+    for name in names:
+        kind, _, target = name.partition(":")
         until_s = here.scene.last_s - (0.0 if kind == "overtake" else 4.0)
-        event = Event(kind=kind, target=name, at_s=(1.0, max(1.0, until_s)))
+        event = Event.model_validate({"kind": kind, "target": target, "at_s": (1.0, max(1.0, until_s))})
         objectives = search.objectives(event, np.random.default_rng(0))
         if objectives and next(search.likely(objectives, 0, Counter()), None) is not None:
-            found.append(f"{kind}:{name}")
+            found.append(name)
     return tuple(found)

@@ -16,7 +16,7 @@ from typing import Any, get_args
 import pytest
 from typer.main import get_command
 
-from bridge.batch.scan import EVENT_TARGETS
+from bridge.batch.scan import EVENTS
 from bridge.cli import options
 from bridge.cli.commands import application
 from bridge.cli.forecasting import compose
@@ -38,9 +38,8 @@ def option(name: str) -> Any:
 
 def test_choices_are_those_of_the_package() -> None:
     kinds = get_args(Event.model_fields["kind"].annotation)
-    events = [f"{kind}:{target}" for kind in kinds for target in EVENT_TARGETS]
     assert kinds == options.EVENTS
-    assert (*options.BEHAVIOURS, *events) == options.CAN
+    assert (*options.BEHAVIOURS, *EVENTS) == options.CAN
     assert get_args(options.ExperimentName) == (*EXPERIMENTS, "prediction")
     assert get_args(options.ReadingName) == get_args(Reading)
     hints = compose.__annotations__

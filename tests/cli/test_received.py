@@ -50,6 +50,7 @@ READERS: tuple[tuple[str, int | None, str], ...] = (
     ("calibrate . -o measured.toml", 2, "holds generated scenes only"),
     ("scan . -o facts.csv --map {received}", 0, ""),
     ("net {received} -o net --map {received}", 0, ""),
+    ("view {received} -o page.html --map {received}", 0, ""),
     ("render {received} -o scene.png --source {recorded} --map {received}", 0, ""),
     ("plot {received} -o agent.png --agent AV --map {received}", 0, ""),
     ("gui {received} --screenshot shot.png --map {received}", None, ""),

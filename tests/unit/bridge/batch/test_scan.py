@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 
 from bridge.batch.scan import SceneFacts, Selection, describe_scene, facts_of, select, wanted
-from hid2.params import Config
 from netconvert.errors import ConfigError
 
 
@@ -73,13 +72,19 @@ def test_scene_that_cannot_be_read_is_tried_with_those_selected() -> None:
 
 
 def test_synthetic_maps_offer_what_they_were_made_for(data_scenes: dict[str, Path]) -> None:
-    facts = {name: describe_scene(Config(), folder) for name, folder in data_scenes.items()}
+    facts = {name: describe_scene((), folder) for name, folder in data_scenes.items()}
     assert facts["arterial"].lane_change_m > 500
     assert facts["arterial"].overtake_m > 500
     assert facts["intersection"].left_turns >= 4
     assert facts["intersection"].right_turns >= 4
     assert facts["curve"].lane_change_m > 0
     assert all(found.at_49 <= found.tracks and found.moving <= found.vehicles for found in facts.values())
+
+
+def test_only_events_that_are_asked_for_are_looked_for(data_scenes: dict[str, Path]) -> None:
+    """On the arterial a vehicle can drive ahead of the focal track; what is not asked for is not told."""
+    ((alone,), _), ((asked,), _) = (facts_of([data_scenes["arterial"]], events) for events in ((), ("lead:focal",)))
+    assert (alone.events, asked.events) == ("", "lead:focal")
 
 
 def test_real_scenes_have_the_figures_of_their_list(real_scenes: list[Path], shared_data: Path) -> None:
