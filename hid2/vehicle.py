@@ -46,6 +46,11 @@ class Start:
     sides: tuple[Side, ...]
     step: int = 0
 
+    @property
+    def beyond_m(self) -> float:
+        """By how much what is kept clear is longer, ahead, than what is exported."""
+        return 0.5 * (self.box.length_m - self.size.length_m)
+
 
 @dataclass(frozen=True, slots=True)
 class Shift:

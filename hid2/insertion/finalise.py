@@ -234,7 +234,12 @@ def conflicting(
         return []
     states, first = together(scene, exported), scene.states.arrays.num_agents
     led = leaders(states.arrays, states.lanes, states.matches)
-    findings = [*of_lanes(states, led, bounds), *(one for one in headways(states, led) if one.other != target_id)]
+    beyond_m = np.zeros(states.arrays.num_agents)
+    beyond_m[first:] = [one.driven.start.beyond_m for one in exported]
+    findings = [
+        *of_lanes(states, led, bounds),
+        *(one for one in headways(states, led, beyond_m) if one.other != target_id),
+    ]
     rows = first + np.arange(len(exported))
     findings += of_followers(states, rows[since:], bounds)
     for row in rows.tolist():

@@ -151,7 +151,7 @@ class World:
             led = scene.states.led_by(row, own)
             if led.ttc_s.min(initial=math.inf) < critical_s:
                 return Reason.TTC_RECORDED_FOLLOWER
-            if led.rows.size and self._tailgates(row, led.gap_m[0] + own.length_m[0]):
+            if led.rows.size and self._tailgates(row, led.gap_m[0] + own.length_m[0] - candidate.start.beyond_m):
                 return Reason.FOLLOWER_HEADWAY
         return None
 

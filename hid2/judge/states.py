@@ -338,9 +338,14 @@ def of_crossings(states: AgentStates, bounds: Bounds, *, since: int) -> Iterator
             yield _finding(states, (second, first), step, Quantity.PET, pet_s, critical_s)
 
 
-def headways(states: AgentStates, led: Leaders) -> Iterator[Finding]:
-    """Recorded followers that inserted leaders leave less time headway than they kept to leaders in the recording."""
+def headways(states: AgentStates, led: Leaders, beyond_m: FloatArray | None = None) -> Iterator[Finding]:
+    """Recorded followers that inserted leaders leave less time headway than they kept to leaders in the recording.
+
+    beyond_m (A,): by how much the boxes of the states are longer, ahead, than those that are exported.
+    """
     arrays = states.arrays
+    if beyond_m is not None:
+        led = replace(led, gap_m=led.gap_m - beyond_m[np.maximum(led.agent, 0)])
     follower = ~arrays.generated[arrays.agent] & arrays.moving[arrays.agent]
     least = _sustained_headway(states, led, follower & arrays.generated[np.maximum(led.agent, 0)] & (led.agent >= 0))
     kept = kept_headways(states) if least else {}

@@ -9,7 +9,7 @@ import pytest
 from hand_drawn import draw_lane
 from inserted import CAR, driven, recorded, scene_on, start_on
 
-from hid2.agents import Track
+from hid2.agents import BoxSize, Track
 from hid2.drivers.driver import LaneOffset
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.motion.route import DrivenPath
@@ -172,6 +172,17 @@ def test_recorded_follower_keeps_its_time_headway(scene_of: Callable[..., Scene]
     assert isinstance(found, ExportedVehicle)
     assert conflicting(scene, [found]) == [(0, Reason.FOLLOWER_HEADWAY)]
     assert conflicting(scene, [found], target_id="r") == []
+
+
+@pytest.mark.parametrize(("length_m", "found"), [(3.9, [(0, Reason.FOLLOWER_HEADWAY)]), (4.5, [])])
+def test_headway_is_that_to_the_box_that_is_exported(
+    length_m: float, found: list[tuple[int, Reason]], scene_of: Callable[..., Scene]
+) -> None:
+    """8.1 m between the centres at 10 m/s; .3 m less to the front of a car of 3.9 m, whose clearance is 4.5 m long."""
+    scene = scene_of(recorded(31.9, 0.0, 10.0))
+    vehicle = _alone(scene, np.full(110, 10.0), size=BoxSize(length_m, 1.8))
+    assert isinstance(vehicle, ExportedVehicle)
+    assert conflicting(scene, [vehicle]) == found
 
 
 @pytest.mark.parametrize(("at_s", "is_critical"), [(5.8, True), (6.1, True), (6.6, False)])
