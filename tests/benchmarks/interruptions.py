@@ -59,6 +59,7 @@ def commands(base: Path, scene: Path) -> dict[str, list[object]]:
         "render png": ["render", generated, "-o", "out/a.png"],
         "render mp4": ["render", recorded, "-o", "out/a.mp4"],
         "render gif": ["render", recorded, "-o", "out/a.gif"],
+        "view": ["view", made, "-o", "out/a.html"],
         "plot": ["plot", generated, "-o", "out/a.png", "--agent", "gen_0"],
         "config": ["config"],
     }
