@@ -181,7 +181,8 @@ def _overtake(scene: SecondScene, track: SecondTrack, one: dict[str, Any]) -> tu
     if moments is None:
         return math.inf, start
     left, _, back = moments
-    off = [abs(left - one["crossing_s"])] if one["crossing_s"] is not None else [max(0.0, start - left)]
+    # the crossing by the ground of the lanes, as of any lane change: the leader's own line may lie beside their middle
+    off = [_lane_change(scene, track, one)[0]] if one["crossing_s"] is not None else [max(0.0, start - left)]
     if one["end_s"] is not None:
         off.append(max(0.0, back - float(one["end_s"])))
     return max(off), start
