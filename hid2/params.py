@@ -38,9 +38,9 @@ class Request(_Section):
     agents: Annotated[int, Field(ge=0, le=500)] | Literal["max"] = _option(
         10, "vehicles", "Vehicles to insert into each scene (paper, Diversity: 10); max: as many as it holds", "N|max"
     )
-    straight: float = _param(0.6, "share", "policy mix; shares are divided by their sum", ge=0, le=1)
-    left_turn: float = _param(0.1, "share", "policy mix", ge=0, le=1)
-    right_turn: float = _param(0.1, "share", "policy mix", ge=0, le=1)
+    straight: float = _param(0.73, "share", "policy mix; shares are divided by their sum", ge=0, le=1)
+    left_turn: float = _param(0.035, "share", "policy mix; turns as often as recorded: 0.07", ge=0, le=1)
+    right_turn: float = _param(0.035, "share", "policy mix", ge=0, le=1)
     lane_change: float = _param(0.15, "share", "policy mix", ge=0, le=1)
     overtake: float = _param(0.05, "share", "policy mix", ge=0, le=1)
     trigger_min_s: float = _param(0.5, "s", "t_trigger, uniform from here", ge=0, le=60)
@@ -278,8 +278,12 @@ class Drivers(_Section):
         le=1,
     )
     offset_sd_m: float = _param(
-        0.32, "m", "SD between drivers of the mean place in the lane; measured, robust: 0.29", ge=0, le=1
+        0.39, "m", "SD between vehicles of the mean place in the lane; measured, robust: 0.39", ge=0, le=1
     )
+    offset_lane_share: float = _param(
+        0.85, "share", "of its variance that is the lane's: where recorded vehicles drive, they tell it; measured: on "
+        "one lane 0.24 m, wandering included", ge=0, le=1,
+    )  # fmt: skip
     offset_max_m: float = _param(0.9, "m", "no driver is farther from the lane's middle", ge=0, le=1.5)
     lateral_wander_sd_m: float = _param(
         0.33,

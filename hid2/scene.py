@@ -3,10 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from statistics import median
 
 import numpy as np
 
-from hid2.agents import VEHICLE_TYPES, BoxSize, IntArray, Track
+from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Track
+from hid2.drivers.driver import place_of_lane
+from hid2.measures.driven_lanes import STRETCH_M, recorded_places
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.motion.route import DrivenPath, Route, path_along, route_beside
 from hid2.occupancy.agent_states import AgentStates, agent_states
@@ -67,6 +70,8 @@ class Scene:
     _routes_beside: dict[tuple[Route, int], Route] = field(default_factory=dict)
     _known: dict[tuple[DrivenPath, BoxSize], tuple[PathOccupancy, PathOccupancy]] = field(default_factory=dict)
     _leaders: dict[tuple[DrivenPath, BoxSize], PathOccupancy] = field(default_factory=dict)
+    _usual: dict[int, float] = field(default_factory=dict)
+    _places: dict[int, FloatArray] | None = None
 
     def path(self, route: Route) -> DrivenPath:
         """Path on the middle of a route's lanes; built once."""
@@ -142,15 +147,44 @@ class Scene:
         """By how much that place is smaller on both sides than one where somebody is, m."""
         return 0.5 * self.config.conflict.margin_front_m
 
+    def place_on(self, path: DrivenPath, s: FloatArray) -> FloatArray:
+        """Usual place in the lane, d m, of vehicles at arc lengths (N,) m of a path, left positive.
+
+        That of recorded vehicles within `STRETCH_M`; elsewhere one drawn for the lane, the same for all that drive it.
+        """
+        law, found = self.config.drivers, np.empty(s.size)
+        if self._places is None:
+            self._places = recorded_places(self.states.view, within_m=law.offset_max_m)
+        ends = [segment.end for segment in path.segments]
+        of = np.minimum(np.searchsorted(ends, s, side="right"), len(ends) - 1)
+        for number in np.unique(of).tolist():
+            segment, here = path.segments[number], of == number
+            found[here] = place_of_lane(law, segment.lane_id)
+            if (places := self._places.get(segment.lane_id)) is not None:
+                lane_s = np.array([segment.lane_s(one) for one in s[here].tolist()])
+                recorded = places[np.clip((lane_s / STRETCH_M).astype(np.int64), 0, places.size - 1)]
+                found[here] = np.where(np.isnan(recorded), found[here], recorded)
+        return found
+
     def cell_at(self, path: DrivenPath, s: float) -> Cell:
         """Cell of a path's lane at arc length s."""
         segment = path.segment_at(s)
         return self.grid.cell_at(segment.lane_id, segment.lane_s(s))
 
+    def _speeds_on(self, lane_id: int) -> list[float]:
+        """Speeds of a lane's traffic, m/s: of recorded moving traffic there, else of the scene, else the prior."""
+        return self.lane_speeds.get(lane_id) or self.scene_speeds or [self.config.spawn.prior_speed_mps]
+
+    def usual_speed(self, lane_id: int) -> float:
+        """Median speed of a lane's traffic, m/s."""
+        if lane_id not in self._usual:
+            self._usual[lane_id] = median(self._speeds_on(lane_id))
+        return self._usual[lane_id]
+
     def lane_speed(self, lane_id: int, rng: np.random.Generator) -> float:
-        """Speed of a lane's traffic, m/s: of recorded moving traffic there, else of the scene, else the prior."""
-        pool = self.lane_speeds.get(lane_id) or self.scene_speeds or [self.config.spawn.prior_speed_mps]
-        return pool[int(rng.integers(len(pool)))]
+        """Speed of a vehicle of a lane's traffic, m/s; no slower than the slowest leader that is added: none crawls."""
+        pool = self._speeds_on(lane_id)
+        return max(pool[int(rng.integers(len(pool)))], self.config.sites.slow_leader_min * self.usual_speed(lane_id))
 
 
 def build_scene(

@@ -1,6 +1,7 @@
 """A driver: the parameters of one inserted vehicle, drawn from the distributions of `params.Drivers`."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +15,8 @@ class Driver:
     """Who sits at the wheel.
 
     desired_mps m/s; tau_s s, time gap; accel_mps2, decel_mps2 m/s2, comfortable; min_gap_m m to a standing leader;
-    turn_lateral_mps2 m/s2, what the driver takes in turns; offset_m m, mean place in the lane, left positive;
-    lane_change_s s, duration of a lane change; wander_m m, SD of the wandering about the place in the lane.
+    turn_lateral_mps2 m/s2, what the driver takes in turns; offset_m m, mean place beside that of others on the lane,
+    left positive; lane_change_s s, duration of a lane change; wander_m m, SD of the wandering about the place.
     """
 
     desired_mps: float
@@ -34,6 +35,8 @@ class Driver:
         return self.tau_s, self.accel_mps2, self.decel_mps2, self.min_gap_m
 
 
+#: Places in whose mean a driver takes the usual one. No tunable: a sum in place of an integral.
+_AROUND = 9
 #: The distributions by default.
 _USUAL = Drivers()
 
@@ -72,7 +75,7 @@ def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: flo
         decel_mps2=_clipped(law.decel_mean_mps2 + law.decel_sd_mps2 * decel, 0.8, -config.limits.accel_min_mps2),
         min_gap_m=max(1.0, law.min_gap_mean_m + law.min_gap_sd_m * min_gap),
         turn_lateral_mps2=turn_lateral_mps2,
-        offset_m=law.offset_mean_m + law.offset_sd_m * offset,
+        offset_m=law.offset_sd_m * math.sqrt(1.0 - law.offset_lane_share) * offset,
         lane_change_s=_clipped(
             law.lane_change_mean_s + law.lane_change_sd_s * lane_change, change.min_duration_s, change.max_duration_s
         ),
@@ -152,8 +155,20 @@ class LaneOffset:
         )
 
 
-def lane_offset(driver: Driver, config: Config, rng: np.random.Generator, *, length_m: float) -> LaneOffset:
-    """The driver's place along a path of length_m: its mean with a wandering about it."""
+def place_of_lane(law: Drivers, lane_id: int) -> float:
+    """Place of vehicles in a lane that none is recorded on, d m, left positive: drawn for the lane, one for all."""
+    drawn = float(np.random.default_rng(abs(lane_id)).standard_normal())
+    return law.offset_mean_m + law.offset_sd_m * math.sqrt(law.offset_lane_share) * drawn
+
+
+def lane_offset(
+    driver: Driver, config: Config, rng: np.random.Generator, *, length_m: float,
+    usual: Callable[[FloatArray], FloatArray],
+) -> LaneOffset:  # fmt: skip
+    """The driver's place along a path of length_m: beside the usual one there, with a wandering about it.
+
+    usual: d m of the lanes' vehicles at arc lengths m; a driver goes from one to the next no quicker than it wanders.
+    """
     law = config.drivers
     spacing = max(law.offset_spacing_m, driver.desired_mps * law.lateral_wander_time_s)
     count = max(4, int(length_m / spacing) + 3)
@@ -162,7 +177,9 @@ def lane_offset(driver: Driver, config: Config, rng: np.random.Generator, *, len
     value, rest = rng.standard_normal(count).tolist(), math.sqrt(1.0 - kept * kept)
     for row in range(1, count):
         value[row] = kept * value[row - 1] + rest * value[row]
-    offset = driver.offset_m + driver.wander_m * np.clip(value, -law.truncated_at, law.truncated_at)
+    around = knots[:, None] + spacing * np.linspace(-1.0, 1.0, _AROUND)
+    offset = usual(around.ravel()).reshape(around.shape).mean(axis=1) + driver.offset_m
+    offset += driver.wander_m * np.clip(value, -law.truncated_at, law.truncated_at)
     offset = np.clip(offset, -law.offset_max_m, law.offset_max_m)
     return LaneOffset(
         np.asarray(knots, dtype=np.float64), offset, np.asarray(np.gradient(offset, knots), dtype=np.float64)

@@ -253,7 +253,7 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
     for number in range(_SIMULATED):
         # a hundredth, so that the bound on the offset does not matter
         wander = 0.01 * float(np.exp(spread * np.clip(rng.standard_normal(), -law.truncated_at, law.truncated_at)))
-        offset = lane_offset(replace(_DRIVER, wander_m=wander), config, rng, length_m=length_m)
+        offset = lane_offset(replace(_DRIVER, wander_m=wander), config, rng, length_m=length_m, usual=np.zeros_like)
         for begin in (0.0, _HALF_S, 2.0 * _HALF_S):
             d, _, _ = offset.at(5.0 + speed_mps * (begin + _HALF_S + time))
             fitted = parabola @ d

@@ -5,6 +5,7 @@ Each vehicle is drawn from a stream of its own, by its lane and number: the same
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -84,7 +85,9 @@ def arrivals(scene: Scene, routes: Routes, seed: Sequence[int]) -> list[Arrival]
                         driver, config, rng, num_steps=scene.num_steps, step_s=scene.step_s,
                         at_least_mps=driver.desired_mps,
                     ),
-                    offset=lane_offset(driver, config, rng, length_m=path.line.length_m), sides=sides,
+                    offset=lane_offset(
+                        driver, config, rng, length_m=path.line.length_m, usual=partial(scene.place_on, path)
+                    ), sides=sides,
                 )
             )  # fmt: skip
             number += 1

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, field
-from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -97,7 +96,6 @@ class Meetings:
     _pace_mps: FloatArray = field(init=False)
     _outlooks: dict[TurnType, Outlook] = field(default_factory=dict)
     _on_route: dict[tuple[int, int], Outlook] = field(default_factory=dict)
-    _usual: dict[int, float] = field(default_factory=dict)
     _middles: dict[int, tuple[IntArray, FloatArray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -154,13 +152,6 @@ class Meetings:
         times = np.concatenate([time_s for _, time_s in found])[np.argsort(cells, kind="stable")]
         return np.concatenate([[0], np.cumsum(count)]), times
 
-    def usual_speed(self, lane_id: int) -> float:
-        """Median speed of a lane's traffic, m/s."""
-        if lane_id not in self._usual:
-            pool = self.scene.lane_speeds.get(lane_id) or self.scene.scene_speeds
-            self._usual[lane_id] = median(pool) if pool else self.scene.config.spawn.prior_speed_mps
-        return self._usual[lane_id]
-
     def outlook(self, policy: Policy) -> Outlook:
         """Of all cells, for vehicles of a policy: in the mean over the routes that it would take."""
         turn = TURN_OF_POLICY.get(policy, TurnType.STRAIGHT)
@@ -186,7 +177,7 @@ class Meetings:
 
     def from_edge(self, lane_id: int, row: int, look: int) -> Outlook:
         """Of the first cell of a lane on one of its routes, for a vehicle that is there from a look on."""
-        return self._of_route(lane_id, self.routes.offers(lane_id)[row], self.usual_speed(lane_id), look, 1)
+        return self._of_route(lane_id, self.routes.offers(lane_id)[row], self.scene.usual_speed(lane_id), look, 1)
 
     def leader_of(self, cell: Cell, route: Route) -> int:
         """Whom a vehicle from a cell would follow on a route, a number of its own; -1 nobody."""
@@ -210,7 +201,7 @@ class Meetings:
     def _of_offer(self, lane_id: int, row: int) -> Outlook:
         if (lane_id, row) not in self._on_route:
             offer = self.routes.offers(lane_id)[row]
-            self._on_route[lane_id, row] = self._of_route(lane_id, offer, self.usual_speed(lane_id))
+            self._on_route[lane_id, row] = self._of_route(lane_id, offer, self.scene.usual_speed(lane_id))
         return self._on_route[lane_id, row]
 
     def _look(self, lane_id: int, turn: TurnType, found: Outlook, cells: slice) -> None:

@@ -206,7 +206,7 @@ class OvertakeStarts:
         """Behind leaders at some share of the lane's usual speed."""
         scene, sites, rng = self.here.scene, self.here.scene.config.sites, self.starts.rng
         share = rng.uniform(sites.slow_leader_min, sites.slow_leader_max, size=sites.overtake_draws)
-        slow_mps = np.maximum(sites.slow_leader_mps, share * self.here.meetings.usual_speed(way.lane_id))
+        slow_mps = np.maximum(sites.slow_leader_mps, share * self.here.scene.usual_speed(way.lane_id))
         slow_mps = slow_mps[slow_mps < driver.desired_mps - scene.config.overtake.speed_advantage_mps]
         gap_m = self._gap_m(driver, slow_mps)
         leader_m = (self._box.length_m + gap_m)[:, None] + slow_mps[:, None] * self._looks() * scene.step_s

@@ -18,6 +18,7 @@ from hid2.judge.findings import FOLLOWER_HEADWAY_S, last_word
 from hid2.judge.states import contacts_at_end, kept_headways, sustained_headway
 from hid2.kernels.polyline import frenet
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
+from hid2.measures.encounters import STANDS_FOR_S, STANDS_MPS
 from hid2.measures.scene_end import BoxesAtStep
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
@@ -349,7 +350,19 @@ class World:
             return Reason.MEETS_GENERATED
         if is_last and rollout.s[inside - 1] - start.start_s < scene.config.export.moves_m:
             return Reason.STANDS_THROUGHOUT
-        return None
+        return Reason.STOPS_IN_INTERSECTION if self._stops_in_intersection(rollout) else None
+
+    def _stops_in_intersection(self, rollout: Rollout) -> bool:
+        """Whether a vehicle stands inside an intersection, as `measures/encounters.py` has standing."""
+        at = np.flatnonzero(rollout.v < STANDS_MPS)
+        count = self.scene.steps_in(STANDS_FOR_S)
+        if at.size < count:
+            return False
+        lanes, along = self.scene.grid.graph.lanes, rollout.path.followed
+        link = np.searchsorted([one.end for one in along], rollout.s[at], side="right")
+        blocks = np.array([lanes[one.lane_id].is_intersection for one in along])[np.minimum(link, len(along) - 1)]
+        at = at[blocks]
+        return bool((at[count - 1 :] - at[: at.size - count + 1] == count - 1).any())
 
     def _inside(self, start: Start, rollout: Rollout) -> int:
         """Steps of a motion before it leaves the map."""

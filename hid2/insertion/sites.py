@@ -97,7 +97,7 @@ class InsertionSites:
         for row, lane_id, lane_s in self._places(request, turned_down):
             for offer in self._order(request, self.here.scene.grid.cell_at(lane_id, lane_s)):
                 s = offer.start_m + lane_s
-                usual_mps = self.here.meetings.usual_speed(lane_id)
+                usual_mps = self.here.scene.usual_speed(lane_id)
                 if self.starts.leaves_early(offer, s, 0.8 * usual_mps) or not promises(offer, s, usual_mps):
                     continue
                 start = self.starts.make(request, offer, lane_id, s)

@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -87,7 +88,7 @@ class Starts:
         half_m, run_on = box.length_m / 2, "topology" in config.without
         first_m = half_m + config.sites.from_edge_m
         if s is None:  # it has come over the edge since the step before
-            s = first_m + float(rng.random()) * self.meetings.usual_speed(lane_id) * scene.step_s
+            s = first_m + float(rng.random()) * self.scene.usual_speed(lane_id) * scene.step_s
         if s < first_m or (s + half_m > offer.length_m - 1.0 and not run_on):
             return Reason.NO_SITE
         path = scene.path(offer.route)
@@ -128,7 +129,9 @@ class Starts:
                 )  # fmt: skip
                 rolled = self._does(self.world, start)
                 if not isinstance(rolled, Reason):
-                    start = replace(start, offset=lane_offset(drawn, config, rng, length_m=path.line.length_m))
+                    usual = partial(scene.place_on, path)
+                    offset = lane_offset(drawn, config, rng, length_m=path.line.length_m, usual=usual)
+                    start = replace(start, offset=offset)
                     hinders = self._hinders(start, rolled)
                     if hinders is None:
                         return start

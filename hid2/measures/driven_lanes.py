@@ -14,6 +14,8 @@ from netconvert.geometry import Polyline
 # No tunables: what a manoeuvre is, to method and evaluation, whatever the configuration.
 #: Lane paths are laid out this far beyond the lane of a change.
 _PATH_AHEAD_M = 150.0
+#: Stretches of a lane, m, on which vehicles are compared with each other.
+STRETCH_M = 10.0
 #: Times off every lane shorter than this do not end a run on a lane.
 _SHORT_OFF_S = 1.0
 
@@ -46,6 +48,28 @@ def first_lane_path(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> 
         return None
     change = next((k for k, (a, b) in enumerate(pairwise(runs), 1) if lanes.link[a.lane, b.lane] != 0), len(runs))
     return source_path(view, runs, change)[0]
+
+
+def recorded_places(view: LaneView, *, within_m: float) -> dict[int, FloatArray]:
+    """Where recorded vehicles drive on lanes: by lane id d m of each `STRETCH_M`, left positive, NaN where none does.
+
+    The median over vehicles of the median of each. within_m: who is farther from the middle changes lanes.
+    """
+    arrays, matches, found = view.arrays, view.matches, dict[int, FloatArray]()
+    usual = (arrays.vehicle & arrays.moving & ~arrays.fragment & ~arrays.generated)[arrays.agent]
+    rows = np.flatnonzero(usual & (matches.lane >= 0) & (np.abs(matches.d) < within_m))
+    if not rows.size:
+        return found
+    key = np.column_stack([matches.lane[rows], matches.s[rows] // STRETCH_M, arrays.agent[rows]]).astype(np.int64)
+    each, of_each = np.unique(key, axis=0, return_inverse=True)
+    order = np.argsort(of_each.ravel(), kind="stable")
+    places = np.split(matches.d[rows][order], np.flatnonzero(np.diff(of_each.ravel()[order])) + 1)
+    median = np.array([np.median(one) for one in places])
+    for lane, stretch in np.unique(each[:, :2], axis=0).tolist():
+        lane_id, count = int(view.lanes.lane_ids[lane]), int(view.lanes.length_m[lane] // STRETCH_M) + 1
+        at = found.setdefault(lane_id, np.full(count, np.nan))
+        at[min(stretch, count - 1)] = np.median(median[(each[:, 0] == lane) & (each[:, 1] == stretch)])
+    return found
 
 
 def runs_of(view: LaneView, agent: int) -> list[Run]:

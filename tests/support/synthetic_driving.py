@@ -1,8 +1,10 @@
 """Windows of drivers whose parameters are known: what a calibration has to find again."""
 
+from functools import partial
+
 import numpy as np
 
-from hid2.drivers.driver import desired_speeds, draw_driver, lane_offset
+from hid2.drivers.driver import desired_speeds, draw_driver, lane_offset, place_of_lane
 from hid2.evaluation.calibration import Extra
 from hid2.evaluation.windows import Windows
 from hid2.params import Config, Drivers
@@ -27,7 +29,8 @@ def synthetic_driving(known: Drivers, *, drivers: int, seed: int) -> tuple[Windo
         v = desired_speeds(who, config, rng, num_steps=110, step_s=0.1, at_least_mps=0.0)
         v = 0.2 * (v - v.mean()) + v.mean() if led else v  # a platoon at an even pace
         s = np.concatenate([[0.0], np.cumsum(0.05 * (v[1:] + v[:-1]))])
-        d, _, _ = lane_offset(who, config, rng, length_m=s[-1] + 20.0).at(5.0 + s)
+        usual = partial(np.full_like, fill_value=place_of_lane(known, number))  # a lane of its own
+        d, _, _ = lane_offset(who, config, rng, length_m=s[-1] + 20.0, usual=usual).at(5.0 + s)
         for begin in range(10, 60, 5):
             part = slice(begin, begin + 41)
             along, across = cubic @ s[part], parabola @ d[part]

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from hid2.agents import BoxSize, Track
+from hid2.drivers.driver import place_of_lane
 from hid2.params import Config, Request, Spawn
 from hid2.scene import Scene, build_scene, clearance_box
 from netconvert.cells import Cell, build_cell_grid
@@ -77,6 +78,27 @@ def test_speed_of_a_lane_is_drawn_there_else_from_the_scene_else_it_is_the_prior
     scene = scene_of(_moving(track, 10.0, 0.0, 8.0))
     assert [scene.lane_speed(lane_id, rng) for lane_id in (1, 2)] == pytest.approx([8.0, 8.0])
     assert scene_of(spawn=Spawn(prior_speed_mps=9.0)).lane_speed(1, rng) == 9.0
+
+
+def test_no_vehicle_of_a_lane_crawls_where_its_traffic_drives(
+    scene_of: Callable[..., Scene], track: Callable[..., Track]
+) -> None:
+    """Two at 12 m/s and one at 2: half of the median, 6 m/s, is the least that is drawn."""
+    tracks = (_moving(track, 10.0, 0.0, 12.0, track_id="a"), _moving(track, 60.0, 0.0, 12.0, track_id="b"))
+    scene, rng = scene_of(*tracks, _moving(track, 150.0, 0.0, 2.0, track_id="c")), np.random.default_rng(0)
+    assert scene.usual_speed(1) == pytest.approx(12.0)
+    assert {round(scene.lane_speed(1, rng), 6) for _ in range(60)} == {6.0, 12.0}
+
+
+def test_place_on_a_lane_is_that_of_recorded_vehicles_within_10_m_else_one_of_the_lane(
+    scene_of: Callable[..., Scene], track: Callable[..., Track]
+) -> None:
+    """One at .4 m to the left from 50 to 150 m: there .4, elsewhere, and on the lane beside, what the lane is given."""
+    scene = scene_of(_moving(track, 50.0, 0.4, 100.0 / 5.9))
+    here, beside = (scene.place_on(scene.path((lane,)), np.array([20.0, 105.0, 190.0])) for lane in (1, 2))
+    law = scene.config.drivers
+    assert here == pytest.approx([place_of_lane(law, 1), 0.4, place_of_lane(law, 1)])
+    assert beside == pytest.approx(np.full(3, place_of_lane(law, 2)))
 
 
 def test_clearance_box_covers_both_and_is_rounded_up() -> None:

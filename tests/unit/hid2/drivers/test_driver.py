@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from inserted import DRIVER
 
-from hid2.drivers.driver import LaneOffset, desired_speeds, draw_driver, lane_offset
+from hid2.drivers.driver import LaneOffset, desired_speeds, draw_driver, lane_offset, place_of_lane
 from hid2.params import Config, Drivers, Limits, Spawn
 
 #: Every value that a number below is worked from; the defaults may be tuned.
@@ -97,7 +97,7 @@ def test_desired_speed_never_falls_below_half() -> None:
 
 def test_place_in_the_lane_does_not_move_while_standing() -> None:
     """D is a function of the way driven: at one s there is one d, whatever the time."""
-    offset = lane_offset(WEAVES, CONFIG, np.random.default_rng(1), length_m=200.0)
+    offset = lane_offset(WEAVES, CONFIG, np.random.default_rng(1), length_m=200.0, usual=np.zeros_like)
     d, slope, bend = offset.at(np.full(50, 70.0))
     assert np.ptp(d) == np.ptp(slope) == np.ptp(bend) == 0.0
     assert np.ptp(offset.at(np.linspace(0.0, 200.0, 50))[0]) > 0.05
@@ -106,13 +106,33 @@ def test_place_in_the_lane_does_not_move_while_standing() -> None:
 def test_place_in_the_lane_is_smooth_and_within_two_standard_deviations() -> None:
     """At most 2 SD = 0.3 m beside the driver's own place (here the middle), knots 30 m apart; d' is that of d."""
     for seed in range(30):
-        offset = lane_offset(WEAVES, CONFIG, np.random.default_rng(seed), length_m=200.0)
+        offset = lane_offset(WEAVES, CONFIG, np.random.default_rng(seed), length_m=200.0, usual=np.zeros_like)
         assert np.diff(offset.knots_m) == pytest.approx(np.full(offset.knots_m.size - 1, 30.0))
         assert np.abs(offset.offset_m).max() <= 0.3 + 1e-9
         s = np.arange(5.0, 195.0, 0.1)
         d, slope, _ = offset.at(s)
         assert np.gradient(d, 0.1)[1:-1] == pytest.approx(slope[1:-1], abs=2e-4)
         assert np.abs(slope).max() < 0.05
+
+
+def test_place_is_beside_the_usual_one_and_goes_over_to_another_no_quicker_than_it_wanders() -> None:
+    """Usual place 0 m, from 100 m on .5 m, the own .1 m beside it; over two of the 30 m between knots at the least."""
+    own = replace(DRIVER, offset_m=0.1, wander_m=0.0)
+    offset = lane_offset(
+        own, CONFIG, np.random.default_rng(0), length_m=200.0, usual=lambda s: np.where(s < 100.0, 0.0, 0.5)
+    )
+    assert offset.at(np.array([5.0, 195.0]))[0] == pytest.approx([0.1, 0.6], abs=2e-3)
+    assert 0.3 / 60.0 < np.abs(offset.at(np.arange(0.0, 200.0))[1]).max() < 0.5 / 30.0
+
+
+def test_lanes_differ_from_each_other_by_their_share() -> None:
+    """SD .39 m in all, .62 of its variance the lane's: .31 m between lanes, .24 m between vehicles on one."""
+    law = Drivers(offset_mean_m=0.1, offset_sd_m=0.39, offset_lane_share=0.62)
+    places = np.array([place_of_lane(law, lane_id) for lane_id in range(2000)])
+    assert [places.mean(), places.std()] == pytest.approx([0.1, 0.307], abs=0.02)
+    config = CONFIG.model_copy(update={"drivers": law})
+    drawn = [draw_driver(config, np.random.default_rng(seed), lane_speed_mps=9.0).offset_m for seed in range(2000)]
+    assert [np.mean(drawn), np.std(drawn)] == pytest.approx([0.0, 0.24], abs=0.02)
 
 
 def test_cubic_between_two_knots_by_hand() -> None:
@@ -139,7 +159,8 @@ def test_wandering_waits_over_a_lane_change() -> None:
 def test_nobody_is_farther_from_the_middle_than_the_bound() -> None:
     """Place 0.8 m to the left and a wandering of 0.4 m: cut off at 0.9 m."""
     wide = replace(DRIVER, offset_m=0.8, wander_m=0.4)
-    offsets = [lane_offset(wide, CONFIG, np.random.default_rng(seed), length_m=200.0).offset_m for seed in range(30)]
+    rngs = map(np.random.default_rng, range(30))
+    offsets = [lane_offset(wide, CONFIG, rng, length_m=200.0, usual=np.zeros_like).offset_m for rng in rngs]
     assert max(np.abs(one).max() for one in offsets) == pytest.approx(0.9)
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hand_drawn import draw_lane
 from inserted import recorded, scene_on, start_on
 
 from hid2.agents import Policy, Track
@@ -94,3 +95,24 @@ def test_only_what_comes_near_a_lane_change_makes_it_be_rolled_out_anew(world_of
     near, far = _steady(world, 130.0, 8.0, number=1), _steady(world, 40.0, 8.0, number=2)
     assert world.hindered(near) == [across]
     assert world.hindered(far) == []
+
+
+@pytest.mark.parametrize(("stops_m", "stands", "reason"), [
+    (112.0, 5, Reason.STOPS_IN_INTERSECTION), (112.0, 4, None), (95.0, 20, None), (140.0, 20, None),
+])  # fmt: skip
+def test_none_is_to_stop_in_an_intersection(stops_m: float, stands: int, reason: Reason | None) -> None:
+    """Lanes of 100 m, 25 m inside an intersection, and 175 m: standing for half a second counts inside alone."""
+    graph = LaneGraph({
+        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)),
+        2: draw_lane(2, [(100.0, 0.0), (125.0, 0.0)], successors=(3,), is_intersection=True),
+        3: draw_lane(3, [(125.0, 0.0), (300.0, 0.0)]),
+    }, drivable_areas=())  # fmt: skip
+    scene = scene_on(graph)
+    world = World(scene, Roads(scene), Guard(scene, Traffic.none(scene.future.num_steps), StopLines(scene)))
+    start = start_on(scene, (1, 2, 3), 60.0, 10.0)
+    v = np.full(scene.num_steps, 10.0)
+    stopped = int((stops_m - 60.0) / 1.0)
+    v[stopped : stopped + stands] = 0.0
+    s = 60.0 + np.concatenate([[0.0], np.cumsum(0.1 * v[:-1])])
+    part = Rollout(start.path, 0, s, v, np.zeros((v.size, 0)))
+    assert world.objection(start, (part,)) is reason
