@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,6 +34,21 @@ _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_HEADW
 _SPARE_S = 0.2
 #: Of candidates, whose place in the lane is drawn when they are chosen.
 _MIDDLE = LaneOffset(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2))
+
+
+class _Site(NamedTuple):
+    """Where a vehicle of a size may begin, for a request; s, start_s: along the route's lanes and on the path, m."""
+
+    request: VehicleRequest
+    offer: RouteOffer
+    object_type: str
+    size: BoxSize
+    box: BoxSize
+    path: DrivenPath
+    s: float
+    start_s: float
+    step: int
+    sides: tuple[Side, ...] | None
 
 
 @dataclass(slots=True)
@@ -105,41 +121,40 @@ class Starts:
                 ),
                 self._follower_mps(path, box, start_s, step),
             )
-        verdict: Reason = Reason.NO_SITE
+        site = _Site(request, offer, object_type, size, box, path, s, start_s, step, sides)
+        made: Start | Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else config.sites.drivers):
             # a driver goes with the flow of its leader and follower, or would not be there
             pace_mps = max(scene.lane_speed(lane_id, rng), flow_mps)
-            drawn = driver or draw_driver(config, rng, lane_speed_mps=pace_mps)
-            speed = speed_mps
-            if speed is None:
-                speed = drawn.desired_mps * (1.0 + config.spawn.speed_sd * min(max(rng.standard_normal(), -2.0), 2.0))
-            admitted = self._start_speed(offer, path, box, s, start_s, speed, drawn, step)
-            if isinstance(admitted, Reason):
-                verdict = admitted
-            else:
-                wished = desired_speeds(
-                    drawn, config, rng, num_steps=scene.num_steps - step, step_s=scene.step_s, at_least_mps=admitted
-                )
-                order: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
-                start = Start(
-                    vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=object_type,
-                    size=size, box=box, route=offer.route, path=path, start_s=start_s, start_mps=admitted,
-                    driver=drawn, desired=np.concatenate([np.full(step, wished[0]), wished]), offset=_MIDDLE,
-                    sides=sides or order, step=step,
-                )  # fmt: skip
-                rolled = self._does(self.world, start)
-                if not isinstance(rolled, Reason):
-                    usual = partial(scene.place_on, path)
-                    offset = lane_offset(drawn, config, rng, length_m=path.line.length_m, usual=usual)
-                    start = replace(start, offset=offset)
-                    hinders = self._hinders(start, rolled)
-                    if hinders is None:
-                        return start
-                    rolled = hinders
-                verdict = rolled
-            if verdict not in _ANOTHER_DRIVER:
+            made = self._begun(site, driver or draw_driver(config, rng, lane_speed_mps=pace_mps), speed_mps)
+            if made not in _ANOTHER_DRIVER:
                 break
-        return verdict
+        return made
+
+    def _begun(self, site: _Site, driver: Driver, speed_mps: float | None) -> Start | Reason:
+        """The start of a driver at a site, at about its desired speed unless told; or what speaks against it."""
+        scene, config, rng, request, path = self.scene, self.scene.config, self.rng, site.request, site.path
+        if speed_mps is None:
+            speed_mps = driver.desired_mps * (1.0 + config.spawn.speed_sd * min(max(rng.standard_normal(), -2.0), 2.0))
+        admitted = self._start_speed(site, speed_mps, driver)
+        if isinstance(admitted, Reason):
+            return admitted
+        wished = desired_speeds(
+            driver, config, rng, num_steps=scene.num_steps - site.step, step_s=scene.step_s, at_least_mps=admitted
+        )
+        order: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
+        start = Start(
+            vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=site.object_type,
+            size=site.size, box=site.box, route=site.offer.route, path=path, start_s=site.start_s, start_mps=admitted,
+            driver=driver, desired=np.concatenate([np.full(site.step, wished[0]), wished]), offset=_MIDDLE,
+            sides=site.sides or order, step=site.step,
+        )  # fmt: skip
+        rolled = self._does(self.world, start)
+        if isinstance(rolled, Reason):
+            return rolled
+        usual = partial(scene.place_on, path)
+        start = replace(start, offset=lane_offset(driver, config, rng, length_m=path.line.length_m, usual=usual))
+        return self._hinders(start, rolled) or start
 
     def _does(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:
         """The rollout of a vehicle that does what it is asked for, and meets nothing; or why it does not.
@@ -204,16 +219,11 @@ class Starts:
             return 0.0
         return float(known.along[row, step : self.scene.num_steps].max())
 
-    def _start_speed(
-        self, offer: RouteOffer, path: DrivenPath, box: BoxSize, s: float, start_s: float, speed: float,
-        driver: Driver, step: int,
-    ) -> float | Reason:  # fmt: skip
-        """Speed at which a driver who would like to drive at `speed` begins, m/s; or why it cannot begin there.
-
-        s, start_s: the site along the route's lanes and on the path, m.
-        """
+    def _start_speed(self, site: _Site, speed: float, driver: Driver) -> float | Reason:
+        """Speed at which a driver who would like to drive at `speed` begins, m/s; or why it cannot begin there."""
+        path, box, start_s, step = site.path, site.box, site.start_s, site.step
         limits, export = self.scene.config.limits, self.scene.config.export
-        if self.leaves_early(offer, s + box.length_m / 2, 0.95 * speed, step):
+        if self.leaves_early(site.offer, site.s + box.length_m / 2, 0.95 * speed, step):
             return Reason.LEAVES_TOO_EARLY
         reach = slice(int(start_s / TABLE_STEP_M), int((start_s + 12.0 * speed) / TABLE_STEP_M) + 2)
         if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > export.limit_share / limits.min_radius_m:
