@@ -355,14 +355,13 @@ class World:
     def _stops_in_intersection(self, rollout: Rollout) -> bool:
         """Whether a vehicle stands inside an intersection, as `measures/encounters.py` has standing."""
         at = np.flatnonzero(rollout.v < STANDS_MPS)
-        count = self.scene.steps_in(STANDS_FOR_S)
-        if at.size < count:
+        if not at.size:
             return False
         lanes, along = self.scene.grid.graph.lanes, rollout.path.followed
         link = np.searchsorted([one.end for one in along], rollout.s[at], side="right")
         blocks = np.array([lanes[one.lane_id].is_intersection for one in along])[np.minimum(link, len(along) - 1)]
-        at = at[blocks]
-        return bool((at[count - 1 :] - at[: at.size - count + 1] == count - 1).any())
+        runs = np.split(at[blocks], np.flatnonzero(np.diff(at[blocks]) > 1) + 1)
+        return max(run.size for run in runs) >= self.scene.steps_in(STANDS_FOR_S)
 
     def _inside(self, start: Start, rollout: Rollout) -> int:
         """Steps of a motion before it leaves the map."""

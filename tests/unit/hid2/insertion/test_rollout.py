@@ -101,7 +101,10 @@ def test_only_what_comes_near_a_lane_change_makes_it_be_rolled_out_anew(world_of
     (112.0, 5, Reason.STOPS_IN_INTERSECTION), (112.0, 4, None), (95.0, 20, None), (140.0, 20, None),
 ])  # fmt: skip
 def test_none_is_to_stop_in_an_intersection(stops_m: float, stands: int, reason: Reason | None) -> None:
-    """Lanes of 100 m, 25 m inside an intersection, and 175 m: standing for half a second counts inside alone."""
+    """Lanes of 100 m, 25 m inside an intersection, and 175 m: standing for half a second counts inside alone.
+
+    Before, it stood at the beginning for a step or two.
+    """
     graph = LaneGraph({
         1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)),
         2: draw_lane(2, [(100.0, 0.0), (125.0, 0.0)], successors=(3,), is_intersection=True),
@@ -113,6 +116,8 @@ def test_none_is_to_stop_in_an_intersection(stops_m: float, stands: int, reason:
     v = np.full(scene.num_steps, 10.0)
     stopped = int((stops_m - 60.0) / 1.0)
     v[stopped : stopped + stands] = 0.0
+    v[:2] = [0.0, 0.1]
+    v[2] = 29.9
     s = 60.0 + np.concatenate([[0.0], np.cumsum(0.1 * v[:-1])])
     part = Rollout(start.path, 0, s, v, np.zeros((v.size, 0)))
     assert world.objection(start, (part,)) is reason
