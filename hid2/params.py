@@ -142,6 +142,7 @@ class Spawn(_Section):
     leader_weight: float = _param(
         6.0, "ratio", "weight of sites from which a recorded vehicle would be followed", ge=1, le=100
     )
+    braking_weight: float = _param(3.0, "ratio", "weight of those of them whose leader brakes", ge=1, le=100)
     crossing_weight: float = _param(
         3.0, "ratio", "weight of sites from which recorded traffic would be crossed", ge=1, le=100
     )

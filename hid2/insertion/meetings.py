@@ -11,7 +11,7 @@ from hid2.conflicts.signals import InferredSignals
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.kernels.meetings import met_on_route
 from hid2.measures.arrays import is_moving
-from hid2.measures.encounters import CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S
+from hid2.measures.encounters import BRAKES_MPS2, CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S
 from hid2.motion.route import Route
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.behaviours import TURN_OF_POLICY
@@ -94,6 +94,7 @@ class Meetings:
     _crossed_from: IntArray = field(init=False)
     _crossed_s: FloatArray = field(init=False)
     _pace_mps: FloatArray = field(init=False)
+    _brakes: BoolArray = field(init=False)
     _outlooks: dict[TurnType, Outlook] = field(default_factory=dict)
     _on_route: dict[tuple[int, int], Outlook] = field(default_factory=dict)
     _middles: dict[int, tuple[IntArray, FloatArray]] = field(default_factory=dict)
@@ -115,6 +116,10 @@ class Meetings:
         self._number = self._number[rows]
         self._crossed_from, self._crossed_s = self._crossings(moving)
         self._pace_mps = np.array([_pace(traffic, row) for row in moving.tolist()], dtype=np.float64)
+        speed = np.hypot(*self.scene.traffic.velocity[moving][:, self._steps].transpose(2, 0, 1))
+        slows = np.diff(speed, axis=1) < BRAKES_MPS2 * np.diff(self._steps) * scene.step_s
+        slows &= self._there[:, 1:] & self._there[:, :-1]
+        self._brakes = np.append(slows.any(axis=1), False)  # the last for no leader, -1
 
     @property
     def looks(self) -> IntArray:
@@ -243,6 +248,7 @@ class Meetings:
             weight[is_run_into] *= spawn.run_into_weight
             weight[near] *= spawn.near_weight
             weight[leader >= 0] *= spawn.leader_weight
+            weight[self._brakes[leader]] *= spawn.braking_weight
             weight[crosses] *= spawn.crossing_weight
         leaves = middle[-1] - start < sites.leaves_share * speed_mps * scene.steps_to_stay(step) * scene.step_s
         if "topology" not in scene.config.without:
