@@ -153,7 +153,8 @@ def _conflict(arrays: SceneArrays, pair: tuple[int, int], span: PairCourse, cros
     speeds = np.hypot(*arrays.velocity[np.concatenate([span.rows, span.other])].T)
     return Conflict(
         first_id=arrays.track_ids[first], second_id=arrays.track_ids[second], kind=kind,
-        start_s=steps[0] * arrays.step_s, end_s=steps[1] * arrays.step_s, time_s=int(span.step[at]) * arrays.step_s,
+        start_s=round(steps[0] * arrays.step_s, 6), end_s=round(steps[1] * arrays.step_s, 6),
+        time_s=round(int(span.step[at]) * arrays.step_s, 6),
         ttc_s=float(span.ttc_s[at]) if math.isfinite(span.ttc_s[at]) else None, pet_s=pet_s,
         drac_mps2=float(course.drac_mps2.max()), max_s_mps=float(speeds.max()),
         delta_s_mps=float(np.hypot(*(arrays.velocity[one] - arrays.velocity[other]))), angle_deg=angle,
