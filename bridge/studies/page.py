@@ -196,10 +196,10 @@ def page_text(study: Study, tables: Tables, named: Mapping[str, pd.DataFrame], k
     )  # fmt: skip
 
 
-def _conflict_counts(found: pd.DataFrame) -> str:
-    """Conflicts by class, and how many have a TTC below SSAM's threshold."""
+def _conflict_counts(found: pd.DataFrame) -> str | None:
+    """Conflicts by class, and how many have a TTC below SSAM's threshold; None without any."""
     if found.empty:
-        return "none"
+        return None
     kinds = ", ".join(f"{kind} {count}" for kind, count in found["kind"].value_counts().items())
     return f"{kinds}; {int(found['ttc_s'].notna().sum())} with a TTC below {CONFLICT_TTC_S:g} s"
 

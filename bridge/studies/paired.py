@@ -272,11 +272,14 @@ def _outcome(
 
 
 def _as_simulated(scene: Scene, vehicle: DrivenVehicle, first: int) -> ExportedVehicle:
-    """A vehicle as SUMO moved it since a step, at its driver's place in the lane, unsmoothed and unchecked."""
+    """A vehicle as SUMO moved it since a step, unsmoothed, unchecked, and in the middle of its lane.
+
+    Its driver's wandering in the lane is unknown to SUMO: vehicles side by side would touch that have not met.
+    """
     vehicle = replace(vehicle, start=replace(vehicle.start, step=first))
     s, v = np.array(vehicle.s), np.array(vehicle.v)
     motion = Motion(s=s, v=v, a=np.gradient(v, scene.step_s), step_s=scene.step_s)
-    path = trajectory(vehicle.path.line, motion, vehicle.start.offset)
+    path = trajectory(vehicle.path.line, motion, vehicle.start.offset.scaled(0.0))
     return as_exported(scene, vehicle, motion, path, np.zeros(s.size))
 
 

@@ -168,25 +168,6 @@ def _contain(found: list[CriticalGap | None], mean_s: float) -> int:
     )
 
 
-def test_intervals_of_drawn_tables_contain_the_critical_gap_that_the_drivers_have() -> None:
-    """100 tables of 200 drivers: 95 % intervals contain the mean in 95, and in 89 or more with a chance of .99."""
-    found = []
-    rng = np.random.default_rng(0)
-    spread = np.sqrt(np.log(1.0 + 0.25**2))
-    for _ in range(100):
-        critical = rng.lognormal(-(spread**2) / 2, spread, size=200)
-        rows = []
-        for number, own in enumerate(critical):
-            offered = 0.3 + rng.exponential(0.8, size=40)
-            first = int(np.argmax(offered > own)) if (offered > own).any() else 40
-            for at, gap in enumerate(offered[: first + 1]):
-                refused = gap if gap <= own else np.nan
-                rows.append((number, at == first, gap, refused, at))
-        table = pd.DataFrame(rows, columns=["vehicle", "accepted", "lag_time_gap_s", "lag_refused_s", "accepted_s"])
-        found.append(critical_gap(table.assign(scene="a", point=0, seed=0), "lag"))
-    assert _contain(found, 1.0) >= 89
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_intervals_of_driven_repetitions_contain_the_critical_gap(corridor: Path, rules: str) -> None:

@@ -143,7 +143,8 @@ def test_flow_enters_beside_recorded_traffic(data_scenes: dict[str, Path]) -> No
     run = paired_run(prepared, drawn, config)
     assert {row["source"] for row in run.requests} == {"start", "flow"}
     assert len(run.driven) > len(drawn.starts)
-    assert len(run.flow) == 1
+    assert len(run.flow) == len({row["lane"] for row in run.flow}) > 1  # one interval, of the whole scene, by lane
+    assert {(row["from_s"], row["to_s"]) for row in run.flow} == {(0.0, 11.0)}
     assert all(row["min_ttc_s"] is None or row["min_ttc_s"] > 0.0 for row in run.requests)
 
 
@@ -237,7 +238,7 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
     again = run_study(study, out, Options(resume=True), on_row=lambda row, progress: seen.append(progress.skipped))
     assert seen[-1] == 6
     assert {path.name: path.read_bytes() for path in again.files} == first
-    for table in ("runs", "requests", "looks", "gaps", "flow", "dose_response"):
+    for table in ("runs", "requests", "looks", "gaps", "flow", "dose_response", "lane_changes"):
         frame = pd.read_csv(out / f"{table}.csv")
         assert len(pd.read_parquet(out / f"{table}.parquet")) == len(frame)
         said = {name.strip() for column in DICTIONARY[table] for name in column.split(",")}
