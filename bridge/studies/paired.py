@@ -200,7 +200,7 @@ def _measured(
     led = leaders(arrays, lanes, states.matches)
     changes = lane_changes(states.view, led, detect(arrays, lanes, states.matches))
     return PairedRun(
-        rows, _detectors(scene, driving, moved), _told(changes, since_s), _told(conflicts(arrays), since_s),
+        rows, _detectors(scene, driving, states), _told(changes, since_s), _told(conflicts(arrays), since_s),
         tuple(vehicles), count, states,
     )  # fmt: skip
 
@@ -333,45 +333,34 @@ def _conflicts(
     return (None if ttc >= CAP_S else _rounded(ttc)), (None if pet >= CAP_S else _rounded(pet))
 
 
-def _detectors(scene: Scene, driving: FlowDriving, vehicles: Sequence[DrivenVehicle]) -> list[dict[str, Any]]:
-    """Flow, density and speed of each entry lane by minute (Edie 1963), after the warm-up, where flows enter.
+def _detectors(scene: Scene, driving: FlowDriving, states: AgentStates) -> list[dict[str, Any]]:
+    """Flow, density and speed of driven vehicles by entry lane and minute (Edie 1963), after the warm-up.
 
-    A rest of half a minute or more is a row too, and a scene that is shorter is one.
+    A rest of half a minute or more is a row too, and so is a shorter scene. Nothing where no traffic enters.
     """
-    if not driving.arrivals:
-        return []
-    step_s, graph = scene.step_s, scene.grid.graph
+    arrays, step_s = states.arrays, scene.step_s
     first, whole = round(scene.config.flow.warm_up_s / step_s), round(_INTERVAL_S / step_s)
-    ends = [*range(first + whole, scene.num_steps + 1, whole)]
-    if 2 * (scene.num_steps - (ends[-1] if ends else first)) >= whole or not ends:
-        ends.append(scene.num_steps)
-    rows = []
+    cuts = [*range(first, scene.num_steps, whole)]
+    if len(cuts) < 2 or scene.num_steps - cuts[-1] >= whole / 2:
+        cuts.append(scene.num_steps)
+    driven = ~np.isin(arrays.track_ids, scene.traffic.ids)[arrays.agent]
+    on_lane = np.where(driven & (states.matches.lane >= 0), states.lanes.lane_ids[states.matches.lane], -1)
+    speed, rows = np.hypot(*arrays.velocity.T), []
     for lane in sorted({arrival.lane_id for arrival in driving.arrivals}):
-        driven, present = np.zeros(scene.num_steps), np.zeros(scene.num_steps)
-        for vehicle in vehicles:
-            since = driving.entered.get(vehicle.vehicle_id, 0)
-            s, v = np.array(vehicle.s), np.array(vehicle.v)
-            there = np.zeros(s.size, dtype=np.bool_)
-            for segment in vehicle.path.segments:
-                if segment.lane_id == lane:
-                    there |= (s >= segment.start) & (s < segment.end)
-            driven[since : since + s.size] += v * there * step_s
-            present[since : since + s.size] += there * step_s
-        arrived = {one.vehicle_id for one in driving.arrivals if one.lane_id == lane}
-        for begin, end in pairwise([first, *ends]):
-            area = graph.lanes[lane].length_m / 1000.0 * (end - begin) * step_s / 3600.0  # km h
-            if area <= 0.0:
-                continue
-            flow, density = driven[begin:end].sum() / 1000.0 / area, present[begin:end].sum() / 3600.0 / area
-            waits = [
-                driving.waiting_s[name] for name, step in driving.entered.items()
-                if begin <= step < end and name in arrived
-            ]  # fmt: skip
+        waits = {
+            driving.entered[one.vehicle_id]: driving.waiting_s[one.vehicle_id]
+            for one in driving.arrivals if one.lane_id == lane and one.vehicle_id in driving.entered
+        }  # fmt: skip
+        for begin, end in pairwise(cuts):
+            there = (on_lane == lane) & (arrays.step >= begin) & (arrays.step < end)
+            area = scene.grid.graph.lanes[lane].length_m / 1000.0 * (end - begin) * step_s / 3600.0  # km h
+            flow, density = speed[there].sum() * step_s / 1000.0 / area, there.sum() * step_s / 3600.0 / area
+            waited = [wait_s for step, wait_s in waits.items() if begin <= step < end]
             rows.append({
                 "lane": lane, "from_s": _rounded(begin * step_s), "to_s": _rounded(end * step_s),
                 "flow_veh_per_h_lane": _rounded(flow), "density_veh_per_km_lane": _rounded(density),
                 "speed_kmph": _rounded(flow / density) if density > 0 else None,
-                "waiting_to_enter_s": _rounded(float(np.mean(waits))) if waits else None,
+                "waiting_to_enter_s": _rounded(float(np.mean(waited))) if waited else None,
             })  # fmt: skip
     return rows
 
