@@ -43,6 +43,8 @@ def test_report_has_every_file_and_json_reads_back(report):
         "tracks.csv",
         "maneuvers.csv",
         "events.csv",
+        "lane_changes.csv",
+        "conflicts.csv",
         "realism.csv",
         "report.html",
     }
