@@ -25,7 +25,7 @@ from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety
 from hid2.evaluation.windows import windows
 from hid2.judge.findings import Finding
 from hid2.measures.arrays import BoolArray, SceneArrays, is_generated_id
-from hid2.measures.conflicts import Conflict, conflicts
+from hid2.measures.conflicts import TrafficConflict, conflicts
 from hid2.measures.encounters import encounters
 from hid2.measures.lane_changes import LaneChangeRow, lane_changes
 from hid2.measures.lane_matching import flatten_lanes
@@ -339,5 +339,5 @@ TABLES: Mapping[str, tuple[str, ...]] = {
     "maneuvers": ("scenario_id", "track_id", "group", "kind", "recorded", *_RECORD, *_SEEN),
     "events": ("scenario_id", "folder", *EventRecord.model_fields),
     "lane_changes": ("scenario_id", *(field.name for field in fields(LaneChangeRow))),
-    "conflicts": ("scenario_id", *(field.name for field in fields(Conflict))),
+    "conflicts": ("scenario_id", *(field.name for field in fields(TrafficConflict))),
 }

@@ -57,7 +57,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "end_s": "end of the lateral motion",
         "lateral_s": "end_s - start_s: its duration, which is no part of waited_s",
         "min_ttc_s": "smallest two-dimensional TTC to anything from start to end; empty: none below 5 s",
-        "min_pet_s": "smallest PET at a crossing of paths from start to end; empty: none below 5 s",
+        "min_pet_s": "smallest PET of its conflicts from start to end; empty: none below 5 s",
         "overlaps": "whether its box meets another one from start to end",
         "lag_drac_mps2": "largest DRAC of the new follower from start to end: closing speed over twice the boxes' TTC",
         "lag_headway_s": "its least time headway, front to front",

@@ -27,13 +27,11 @@ from hid2.insertion.flow import Arrival, arrivals, trigger_after_s
 from hid2.insertion.outcome import outcome_of
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.surroundings import Surroundings
-from hid2.measures.arrays import stack
-from hid2.measures.conflicts import Conflict, conflicts, pair_course
+from hid2.measures.conflicts import TrafficConflict, conflicts, pair_course
 from hid2.measures.following import leaders
 from hid2.measures.lane_changes import LaneChangeRow, lane_changes
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import detect
-from hid2.measures.post_encroachment import encroachments
 from hid2.measures.time_to_collision import CAP_S, ttc_to_anything
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.agent_states import AgentStates, agent_states
@@ -43,8 +41,6 @@ from hid2.reasons import Reason
 from hid2.scene import Scene, build_scene
 from hid2.vehicle import DrivenVehicle, Start
 
-#: Others within this of a manoeuvre are looked at for its TTC and PET, m.
-_AROUND_M = 80.0
 #: Detectors: length of the intervals, s.
 _INTERVAL_S = 60.0
 
@@ -161,6 +157,7 @@ def _measured(
     lanes = flatten_lanes(scene.grid.graph)
     states = agent_states(tracks, lanes, num_steps=scene.num_steps, step_s=scene.step_s)
     arrays = states.arrays
+    ttc_s, met = ttc_to_anything(arrays), conflicts(arrays)
     rows = []
     for vehicle in vehicles:
         if vehicle.policy is Policy.STRAIGHT:
@@ -175,13 +172,19 @@ def _measured(
         if row["start_s"] is not None:
             first = round(row["start_s"] / scene.step_s)
             last = round((row["end_s"] or (entered + len(vehicle.s) - 1) * scene.step_s) / scene.step_s)
-            row["min_ttc_s"], row["min_pet_s"] = _conflicts(
-                tracks, vehicle.vehicle_id, first, last, step_s=scene.step_s
-            )
+            own = arrays.row_of[arrays.track_ids.index(vehicle.vehicle_id)][first : last + 1]
+            ttc = float(ttc_s[own].min())
+            row["min_ttc_s"] = None if ttc >= CAP_S else _rounded(ttc)
+            pets = [
+                one.pet_s for one in met
+                if one.pet_s is not None and vehicle.vehicle_id in (one.first_id, one.second_id)
+                and one.start_s <= last * scene.step_s and one.end_s >= row["start_s"]
+            ]  # fmt: skip
+            row["min_pet_s"] = _rounded(min(pets, default=None))
             row["overlaps"] = row["min_ttc_s"] == 0.0
             lag_id = next((look.rear.track_id for look in vehicle.gaps if look.sumo), None)
-            if lag_id is not None:
-                pair = (arrays.track_ids.index(name) for name in (lag_id, vehicle.vehicle_id))
+            if lag_id in arrays.track_ids:
+                pair = (arrays.track_ids.index(str(name)) for name in (lag_id, vehicle.vehicle_id))
                 course = pair_course(arrays, *pair).during(first, last)
                 row["lag_drac_mps2"] = _rounded(course.drac_mps2.max(initial=0.0))
                 row["lag_headway_s"] = _rounded(course.headway_s.min(initial=np.inf))
@@ -200,12 +203,12 @@ def _measured(
     led = leaders(arrays, lanes, states.matches)
     changes = lane_changes(states.view, led, detect(arrays, lanes, states.matches))
     return PairedRun(
-        rows, _detectors(scene, driving, states), _told(changes, since_s), _told(conflicts(arrays), since_s),
+        rows, _detectors(scene, driving, states), _told(changes, since_s), _told(met, since_s),
         tuple(vehicles), count, states,
     )  # fmt: skip
 
 
-def _told(found: Iterable[LaneChangeRow | Conflict], since_s: float) -> list[dict[str, Any]]:
+def _told(found: Iterable[LaneChangeRow | TrafficConflict], since_s: float) -> list[dict[str, Any]]:
     """Rows of what begins after the warm-up."""
     rows = (asdict(one) for one in found if one.start_s >= since_s)
     return [{key: _rounded(value) if isinstance(value, float) else value for key, value in row.items()} for row in rows]
@@ -308,29 +311,6 @@ def _recorded(scene: Scene) -> list[Track]:
             )
         )  # fmt: skip
     return found
-
-
-def _conflicts(
-    tracks: Sequence[Track], own: str, first: int, last: int, *, step_s: float
-) -> tuple[float | None, float | None]:
-    """Smallest TTC to anything, and smallest PET at a crossing of paths, from step first to last; None above 5 s."""
-    me = next(track for track in tracks if track.track_id == own)
-    centre = me.position[np.clip((first + last) // 2 - me.timesteps[0], 0, len(me.timesteps) - 1)]
-    near = []
-    for track in tracks:
-        inside = (track.timesteps >= first) & (track.timesteps <= last)
-        if inside.any() and np.abs(track.position[inside] - centre).max(axis=1).min() < _AROUND_M:
-            near.append(
-                replace(
-                    track, timesteps=track.timesteps[inside] - first, position=track.position[inside],
-                    heading=track.heading[inside], velocity=track.velocity[inside],
-                )
-            )  # fmt: skip
-    arrays = stack(near, num_steps=last - first + 1, step_s=step_s)
-    number = arrays.track_ids.index(own)
-    ttc = float(ttc_to_anything(arrays)[arrays.first[number] : arrays.first[number + 1]].min())
-    pet = min((one.pet_s for one in encroachments(arrays) if number in (one.first, one.second)), default=CAP_S)
-    return (None if ttc >= CAP_S else _rounded(ttc)), (None if pet >= CAP_S else _rounded(pet))
 
 
 def _detectors(scene: Scene, driving: FlowDriving, states: AgentStates) -> list[dict[str, Any]]:

@@ -67,7 +67,7 @@ def pair_course(arrays: SceneArrays, follower: int, other: int, *, cap_s: float 
 
 
 @dataclass(frozen=True, slots=True)
-class Conflict:
+class TrafficConflict:
     """One conflict; the second vehicle is the one that comes to the place of conflict later.
 
     start_s, end_s: TTC below the threshold, or the crossing's two passages; time_s: of the least TTC; ttc_s, pet_s:
@@ -90,10 +90,10 @@ class Conflict:
     angle_deg: float
 
 
-def conflicts(arrays: SceneArrays) -> list[Conflict]:
+def conflicts(arrays: SceneArrays) -> list[TrafficConflict]:
     """Every conflict between two vehicles of which one moves, by start; a TTC above the threshold for 5 s ends one."""
     crossing = {(one.first, one.second): one.pet_s for one in encroachments(arrays, cap_s=CONFLICT_PET_S)}
-    found: list[Conflict] = []
+    found: list[TrafficConflict] = []
     for a, b in _near_pairs(arrays):
         course = pair_course(arrays, a, b, cap_s=CONFLICT_TTC_S)
         close, pet_s = course.step[np.isfinite(course.ttc_s)], crossing.get((a, b))
@@ -141,7 +141,9 @@ def _near_pairs(arrays: SceneArrays) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in np.argwhere(np.triu(meet, 1))]
 
 
-def _conflict(arrays: SceneArrays, pair: tuple[int, int], span: PairCourse, crossing_s: float | None) -> Conflict:
+def _conflict(
+    arrays: SceneArrays, pair: tuple[int, int], span: PairCourse, crossing_s: float | None
+) -> TrafficConflict:
     """The conflict of a pair, the first to be there first, over some steps. crossing_s: PET where their paths cross."""
     first, second = pair
     at, steps = int(np.argmin(span.ttc_s)), (int(span.step[0]), int(span.step[-1]))
@@ -151,7 +153,7 @@ def _conflict(arrays: SceneArrays, pair: tuple[int, int], span: PairCourse, cros
     angle = math.degrees(float(wrap_angle(arrays.heading[other] - arrays.heading[one])))
     kind = "rear_end" if abs(angle) < REAR_END_DEG else "crossing" if abs(angle) > CROSSING_DEG else "lane_change"
     speeds = np.hypot(*arrays.velocity[np.concatenate([span.rows, span.other])].T)
-    return Conflict(
+    return TrafficConflict(
         first_id=arrays.track_ids[first], second_id=arrays.track_ids[second], kind=kind,
         start_s=round(steps[0] * arrays.step_s, 6), end_s=round(steps[1] * arrays.step_s, 6),
         time_s=round(int(span.step[at]) * arrays.step_s, 6),

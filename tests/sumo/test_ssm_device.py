@@ -10,7 +10,7 @@ from lxml import etree
 
 from hid2.agents import BoxSize, Track
 from hid2.measures.arrays import stack
-from hid2.measures.conflicts import Conflict, conflicts
+from hid2.measures.conflicts import TrafficConflict, conflicts
 
 CAR = BoxSize(5.0, 1.8)
 NODES = '<nodes><node id="w" x="-200" y="0"/><node id="s" x="0" y="-200"/><node id="c" x="0" y="0" type="priority"/>'
@@ -63,7 +63,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def _ours(folder: Path) -> dict[frozenset[str], Conflict]:
+def _ours(folder: Path) -> dict[frozenset[str], TrafficConflict]:
     """Conflicts of the playback: x, y there are the front bumper's, angles clockwise from north."""
     rows: dict[str, list[tuple[float, ...]]] = {}
     for step in etree.parse(folder / "fcd.xml").getroot():
