@@ -179,10 +179,8 @@ def page_text(study: Study, tables: Tables, named: Mapping[str, pd.DataFrame], k
         replays=set(requests["replay"]),
         labels={key: label_of(key) for key in keys},
         told={key: _told(dose[dose["parameter"] == key]) for key in keys if key in set(dose.get("parameter", ()))},
-        seeds=[
-            line for key in keys if key in set(dose.get("parameter", ()))
-            if (line := _seeds_line(requests, key, dose[dose["parameter"] == key]))
-        ],
+        seeds=[line for key in keys if (line := _seeds_line(requests, key))],
+        clusters=_few_clusters(dose),
         critical=_records(named["critical_gaps"]),
         curves=_records(named["acceptance"]),
         effects=_effect_lines(effects_found, keys),
@@ -246,19 +244,27 @@ def _told(dose: pd.DataFrame) -> list[str]:
     return found
 
 
-def _seeds_line(requests: pd.DataFrame, key: str, dose: pd.DataFrame) -> str | None:
+def _seeds_line(requests: pd.DataFrame, key: str) -> str | None:
     """How many seeds differences of some sizes in the share accepted need, by the runs that there are."""
     found = difference_sd(requests, key)
     if found is None:
         return None
-    sd, runs = found
-    scenes, family = requests["scene"].nunique(), dose["outcome"].nunique()
+    (sd, runs), scenes = found, requests["scene"].nunique()
     needed = (f"{math.ceil(seeds_needed(sd, size) / scenes)} for {size:g}" for size in _SIZES_TOLD)
     return (
         f"{label_of(key)}: the difference of the share between first and last value has an SD of {sd:.3f} from run to "
-        f"run ({runs} runs). Seeds needed for a difference at power .8: {', '.join(needed)}. A trend can have p below "
-        f".05 of all {family} outcomes from {math.ceil(1 + math.log2(family / 0.05))} clusters on [requests.accepted]."
+        f"run ({runs} runs). Seeds needed for a difference at power .8: {', '.join(needed)} [requests.accepted]."
     )
+
+
+def _few_clusters(dose: pd.DataFrame) -> tuple[int, int] | None:
+    """How many clusters there are, and from how many a test by signs can be sure; None where there are enough."""
+    if "p_holm" not in dose:
+        return None
+    told = dose.dropna(subset="p_holm")
+    there, family = int(told["clusters"].min()), told.groupby("parameter")["outcome"].nunique().max()
+    least = math.ceil(1.0 + math.log2(family / 0.05))
+    return (there, least) if there < least else None
 
 
 #: Differences of shares for which the page says how many seeds they need.
