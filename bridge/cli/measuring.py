@@ -114,7 +114,9 @@ def study(
         None,
         "SHARE",
     ),
-    trj: bool = options.output("Beside each run its trajectories for SSAM, trajectories.trj.", False, None, "--trj"),
+    trj: bool = options.output(
+        "Beside each run driven now its trajectories for SSAM, trajectories.trj.", False, None, "--trj"
+    ),
     batch: options.Batch,
     tell: options.Tell,
 ) -> int:

@@ -4,6 +4,7 @@ Definitions and thresholds: Surrogate Safety Assessment Model (Gettman et al. 20
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,7 +95,7 @@ def conflicts(arrays: SceneArrays) -> list[TrafficConflict]:
     """Every conflict between two vehicles of which one moves, by start; a TTC above the threshold for 5 s ends one."""
     crossing = {(one.first, one.second): one.pet_s for one in encroachments(arrays, cap_s=CONFLICT_PET_S)}
     found: list[TrafficConflict] = []
-    for a, b in _near_pairs(arrays):
+    for a, b in sorted({*_near_pairs(arrays), *crossing}):
         course = pair_course(arrays, a, b, cap_s=CONFLICT_TTC_S)
         close, pet_s = course.step[np.isfinite(course.ttc_s)], crossing.get((a, b))
         passed = _passed(arrays, a, b) if pet_s is not None else (0, 0)
@@ -126,19 +127,21 @@ def _leads(arrays: SceneArrays, span: PairCourse) -> bool:
     return float((arrays.position[pair[0]] - arrays.position[pair[1]]) @ forward) >= 0.0
 
 
-def _near_pairs(arrays: SceneArrays) -> list[tuple[int, int]]:
-    """Pairs of vehicles, one of them moving, that may have a TTC below the threshold, or paths that cross."""
-    if not arrays.num_agents:
-        return []
-    starts, speed = arrays.first[:-1], np.hypot(*arrays.velocity.T)
-    reach = np.maximum.reduceat(speed, starts) * CONFLICT_TTC_S + 0.5 * np.hypot(arrays.length, arrays.width)
-    low, high = (ends.reduceat(arrays.position, starts, axis=0) for ends in (np.minimum, np.maximum))
-    low, high = low - reach[:, None], high + reach[:, None]
-    since, until = arrays.step[starts], arrays.step[arrays.first[1:] - 1]
-    meet = (low[:, None] <= high[None]).all(axis=2) & (low[None] <= high[:, None]).all(axis=2)
-    meet &= (since[:, None] <= until[None]) & (since[None] <= until[:, None])
-    meet &= arrays.vehicle[:, None] & arrays.vehicle & (arrays.moving[:, None] | arrays.moving)
-    return [(int(a), int(b)) for a, b in np.argwhere(np.triu(meet, 1))]
+def _near_pairs(arrays: SceneArrays) -> Iterator[tuple[int, int]]:
+    """Pairs of vehicles, one of them moving, that are near enough at some step for a TTC below the threshold."""
+    starts, stops = arrays.first[:-1], arrays.first[1:]
+    since, until = arrays.step[starts], arrays.step[stops - 1]
+    reach_m, counts = 0.5 * np.hypot(arrays.length, arrays.width), arrays.vehicle
+    for a in np.flatnonzero(counts).tolist():
+        later = counts & (since <= until[a]) & (until >= since[a]) & (arrays.moving | arrays.moving[a])
+        later[: a + 1] = False
+        own = np.arange(starts[a], stops[a])
+        rows = arrays.row_of[np.ix_(np.flatnonzero(later), arrays.step[own])]  # (K, steps of a)
+        apart = arrays.position[rows] - arrays.position[own]
+        closing = arrays.velocity[rows] - arrays.velocity[own]
+        reach = reach_m[later][:, None] + reach_m[a] + CONFLICT_TTC_S * np.hypot(*np.moveaxis(closing, -1, 0))
+        near = ((rows >= 0) & (np.hypot(*np.moveaxis(apart, -1, 0)) <= reach)).any(axis=1)
+        yield from ((a, b) for b in np.flatnonzero(later)[near].tolist())
 
 
 def _conflict(
