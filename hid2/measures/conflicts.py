@@ -93,7 +93,7 @@ class TrafficConflict:
 
 def conflicts(arrays: SceneArrays) -> list[TrafficConflict]:
     """Every conflict between two vehicles of which one moves, by start; a TTC above the threshold for 5 s ends one."""
-    crossing = {(one.first, one.second): one.pet_s for one in encroachments(arrays, cap_s=CONFLICT_PET_S)}
+    crossing = _crossings(arrays)
     found: list[TrafficConflict] = []
     for a, b in sorted({*_near_pairs(arrays), *crossing}):
         course = pair_course(arrays, a, b, cap_s=CONFLICT_TTC_S)
@@ -108,6 +108,18 @@ def conflicts(arrays: SceneArrays) -> list[TrafficConflict]:
             first = a if (passed[0] <= passed[1] if pet_s is not None else _leads(arrays, span)) else b
             found.append(_conflict(arrays, (first, a + b - first), span, pet_s))
     return sorted(found, key=lambda one: (one.start_s, one.first_id, one.second_id))
+
+
+def _crossings(arrays: SceneArrays) -> dict[tuple[int, int], float]:
+    """PET, s, of moving vehicles whose paths cross; asked of those that are there within so long of each other."""
+    since, until = arrays.step[arrays.first[:-1]], arrays.step[arrays.first[1:] - 1]
+    moving, apart = np.flatnonzero(arrays.vehicle & arrays.moving), CONFLICT_PET_S / arrays.step_s
+    found: dict[tuple[int, int], float] = {}
+    for own in moving.tolist():
+        met = (since[moving] <= until[own] + apart) & (until[moving] >= since[own] - apart) & (moving <= own)
+        pairs = encroachments(arrays, since=own, cap_s=CONFLICT_PET_S, agents=moving[met])
+        found |= {(one.first, one.second): one.pet_s for one in pairs}
+    return found
 
 
 def _passed(arrays: SceneArrays, a: int, b: int) -> tuple[int, int]:

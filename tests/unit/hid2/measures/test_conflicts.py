@@ -1,17 +1,19 @@
 """Conflicts in SSAM's terms and rows of lane changes, by hand. All cars are 4 m by 2 m, steps 0.1 s."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hid2.agents import BoxSize, FloatArray, Track
 from hid2.measures.arrays import stack
-from hid2.measures.conflicts import conflicts, pair_course
+from hid2.measures.conflicts import _crossings, conflicts, pair_course
 from hid2.measures.following import leaders
 from hid2.measures.lane_changes import lane_changes
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import detect
+from hid2.measures.post_encroachment import encroachments
 from hid2.occupancy.agent_states import agent_states
 from netconvert.lane_graph import LaneGraph
 
@@ -52,6 +54,19 @@ def test_crossing_conflict_by_hand() -> None:
     assert (found.start_s, found.end_s) == pytest.approx((2.0, 3.3), abs=0.11)
     assert found.pet_s == pytest.approx(0.6, abs=0.11)
     assert (found.angle_deg, found.delta_s_mps) == pytest.approx((-90.0, 10.0 * 2**0.5))
+
+
+def test_crossings_are_those_of_all_pairs_whenever_the_vehicles_are_there() -> None:
+    """Twelve from the south at random times, one from the west: as many PETs as pairs asked all at once have."""
+    rng = np.random.default_rng(0)
+    tracks = [_straight("w", (-60, 0), 10.0, 0, steps=120)]
+    for number, start in enumerate(rng.integers(0, 150, size=12).tolist()):
+        track = _straight(f"s{number}", (rng.uniform(-5, 5), -20), 8.0, 90)
+        tracks.append(replace(track, timesteps=track.timesteps + start))
+    arrays = stack(tracks, step_s=0.1)
+    asked = {(one.first, one.second): one.pet_s for one in encroachments(arrays, cap_s=5.0)}
+    assert 3 < len(asked) < 12
+    assert _crossings(arrays) == asked
 
 
 @pytest.mark.parametrize(("heading_deg", "kind"), [(20, "rear_end"), (50, "lane_change"), (85, "crossing")])
