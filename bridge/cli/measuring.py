@@ -13,7 +13,7 @@ from netconvert.errors import ConfigError
 
 
 @command()
-def evaluate(
+def evaluate(  # noqa: PLR0913  # one for each option
     out: Path = options.argument(
         "SCENES", "Scenes to measure, generated or recorded: a scenario folder, a split folder or a root."
     ),
@@ -32,6 +32,7 @@ def evaluate(
     bands: str = options.option(
         "With --predictions: bands of scenes with more agents than each N.", "50,70,90", "N,N,..."
     ),
+    trj: bool = options.output("Trajectories of each scene for SSAM too, trj/ID.trj.", False, None, "--trj"),
     windows: options.Windows,
     jobs: int = options.JOBS,
     as_json: bool = options.output("With --predictions: print the table as JSON.", False, None, "--json"),
@@ -55,7 +56,14 @@ def evaluate(
                 activity.doing("writing the report")
 
         evaluation = evaluate_folder(
-            out, report_dir=report, source=source, choices=windows.choices(), control=control, jobs=jobs, on_scene=show
+            out,
+            report_dir=report,
+            source=source,
+            choices=windows.choices(),
+            control=control,
+            trj=trj,
+            jobs=jobs,
+            on_scene=show,
         )
         tell_unread(evaluation.failures)
     if not tell.quiet:
@@ -101,6 +109,14 @@ def study(
     out: Path = options.OUT,
     *,
     scenes: list[Path] = options.option("Scenes instead of those in the file; repeatable.", [], "SCENE"),
+    plan: float | None = options.option(
+        "Run nothing, and say how many runs a difference of this size in the share that gets a gap needs.",
+        None,
+        "SHARE",
+    ),
+    trj: bool = options.output(
+        "Beside each run driven now its trajectories for SSAM, trajectories.trj.", False, None, "--trj"
+    ),
     batch: options.Batch,
     tell: options.Tell,
 ) -> int:
@@ -116,10 +132,17 @@ def study(
         how = Options(jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout, resume=True)
         activity.doing("reading the study and its scenes")
         found = read_study(file, scenes=scenes)
+        if plan is not None:
+            from bridge.studies.plan import plan_text
+
+            activity.doing("drawing the first run")
+            for line in plan_text(found, out, plan):
+                print(line)
+            return options.ALL_DONE
         notes = BatchNotes(activity, out, go_on="the same command continues", verbose=tell.verbose > 0)
         activity.doing("generating")
         activity.show(0, sum(len(job.runs) for job in found.jobs))
-        report = run_study(found, out, how, on_row=notes.note)
+        report = run_study(found, out, how, trj=trj, on_row=notes.note)
     if not tell.quiet:
         for path in report.files:
             print(path)

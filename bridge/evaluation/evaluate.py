@@ -13,9 +13,16 @@ from typing import Any
 
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
-from bridge.evaluation.scene_metrics import TABLES, Labelled, Row, SceneMeasures, measure_folder
+from bridge.evaluation.scene_metrics import (
+    TABLES,
+    Labelled,
+    Row,
+    SceneMeasures,
+    measure_folder,
+    trajectories_for_ssam,
+)
 from bridge.evaluation.totals import Evaluation, Totals
-from bridge.files import append_rows, explained, table_file, write_json
+from bridge.files import append_rows, beside, explained, table_file, write_json
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Source, find_scenarios, source_id
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import read_sizes
@@ -40,15 +47,16 @@ def evaluate_folder(
     source: Path | None = None,
     choices: Choices | None = None,
     control: Path | None = None,
+    trj: bool = False,
     jobs: int = 1,
     on_scene: Callable[[int, int], None] | None = None,
 ) -> Evaluation:
     """Measure every scene below `out`, recorded in any format or generated, and write the report into `report_dir`.
 
-    Writes metrics.json, scenes.csv, tracks.csv, maneuvers.csv, events.csv, realism.csv and report.html. "Before" is the
-    source scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded vehicles beside
-    them, else the recorded tracks of the first scene made from each. A scene that cannot be read is listed and left
-    out.
+    Writes metrics.json, report.html, realism.csv and the tables of TABLES; trj: each scene for SSAM too, in trj/.
+    "Before" is the source scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded
+    vehicles beside them, else the recorded tracks of the first scene made from each. A scene that cannot be read is
+    listed and left out.
     choices: for recordings of formats that leave something open.
     control: scenes made from the same sources with drivers that the critics must tell, such as SUMO's default ones.
     on_scene(done, total) is called as scenes are done.
@@ -77,10 +85,10 @@ def evaluate_folder(
                     totals.add_source(measures)
                 else:
                     totals.add(measures)
-                    for append, rows in zip(
-                        tables, ([measures.scene], measures.tracks, measures.maneuvers, measures.events), strict=True
-                    ):
-                        append(rows)
+                    append, *others = tables
+                    append([measures.scene])
+                    for name, append in zip([*TABLES][1:], others, strict=True):
+                        append(getattr(measures, name))
             if set(folders) <= {folder for folder, _ in evaluation.failures}:
                 (first, reason), many = evaluation.failures[0], len(folders)
                 raise ScenarioError(
@@ -90,6 +98,12 @@ def evaluate_folder(
         write_json(report_dir / "metrics.json", evaluation.metrics)
         write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
         write_report(evaluation, report_dir / "report.html")
+        unread = {folder for folder, _ in evaluation.failures}
+        for folder in (one for one in folders if trj and one not in unread):
+            name, content = trajectories_for_ssam(folder)
+            (report_dir / "trj").mkdir(exist_ok=True)
+            with beside(report_dir / "trj" / f"{name}.trj") as hidden:
+                hidden.write_bytes(content)
     return evaluation
 
 

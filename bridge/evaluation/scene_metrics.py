@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from bridge.recordings.judging import findings_of, states_of
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar, sidecar_in
 from bridge.recordings.sources import read_recording
+from bridge.recordings.ssam import trj_bytes
 from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
 from hid2.evaluation.critics import pack
@@ -24,11 +25,14 @@ from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety
 from hid2.evaluation.windows import windows
 from hid2.judge.findings import Finding
 from hid2.measures.arrays import BoolArray, SceneArrays, is_generated_id
+from hid2.measures.conflicts import TrafficConflict, conflicts
 from hid2.measures.encounters import encounters
+from hid2.measures.lane_changes import LaneChangeRow, lane_changes
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.post_encroachment import Encroachment
 from hid2.measures.scene_end import contacts_after_last_step
+from hid2.occupancy.agent_states import agent_states
 from hid2.params import Limits
 from netconvert.errors import ScenarioError
 
@@ -51,6 +55,8 @@ class SceneMeasures:
     tracks: list[Row]
     maneuvers: list[Row]
     events: list[Row]
+    lane_changes: list[Row]
+    conflicts: list[Row]
     realism: RealismCounts
     samples: FloatArray
     sample_generated: BoolArray
@@ -80,7 +86,18 @@ def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMe
         tracks=[name | row for row in measures.tracks],
         maneuvers=[name | row for row in measures.maneuvers],
         events=[name | {"folder": str(folder)} | row for row in measures.events],
+        lane_changes=[name | row for row in measures.lane_changes],
+        conflicts=[name | row for row in measures.conflicts],
     )
+
+
+def trajectories_for_ssam(folder: Address) -> tuple[str, bytes]:
+    """Id of a recording or generated scene, and its vehicles as a .trj file. Errors: ScenarioError, MapError."""
+    recording = read_recording(folder)
+    states = agent_states(
+        recording.tracks, _flat(recording.graph), num_steps=recording.num_steps, step_s=recording.step_s
+    )
+    return recording.scenario_id, trj_bytes(states.arrays, states.matches)
 
 
 def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | None) -> SceneMeasures:
@@ -124,6 +141,8 @@ def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | No
         tracks=_track_rows(groups, arrays.mean_per_agent(moved.speed_mps), findings, policy_of, sidecar),
         maneuvers=_maneuver_rows(maneuvers, generated_ids, sidecar),
         events=[event.model_dump(mode="json") for event in sidecar.events] if sidecar else [],
+        lane_changes=[asdict(row) for row in lane_changes(states.view, safe.leaders, maneuvers)],
+        conflicts=[asdict(row) for row in conflicts(arrays)],
         realism=count_scene(
             source, arrays, scene_values(arrays, safe, driving, durations), generated=generated, recorded=recorded
         ),
@@ -319,4 +338,6 @@ TABLES: Mapping[str, tuple[str, ...]] = {
     "tracks": (),
     "maneuvers": ("scenario_id", "track_id", "group", "kind", "recorded", *_RECORD, *_SEEN),
     "events": ("scenario_id", "folder", *EventRecord.model_fields),
+    "lane_changes": ("scenario_id", *(field.name for field in fields(LaneChangeRow))),
+    "conflicts": ("scenario_id", *(field.name for field in fields(TrafficConflict))),
 }

@@ -22,13 +22,16 @@ from bridge.studies.statistics import (
     CriticalGap,
     acceptance_curve,
     critical_gap,
+    difference_sd,
     dose_response,
     effects,
     gaps_of,
+    seeds_needed,
 )
 from bridge.studies.study import Study, Tables
 from bridge.studies.study_figures import CRITICAL, draw_fundamental, draw_parameter, label_of
 from hid2.agents import FloatArray
+from hid2.measures.conflicts import CONFLICT_TTC_S
 
 _SAYS = {outcome.name: outcome.says for outcome in OUTCOMES}
 #: Outcomes that the page speaks of, in this order.
@@ -58,7 +61,10 @@ def write_results(study: Study, tables: Tables, out_dir: Path) -> list[Path]:
         counted = requests.loc[requests["counted"], ["scene", "point", "seed", "vehicle"]]
         gaps = gaps.merge(counted, on=["scene", "point", "seed", "vehicle"])
     files: list[Path] = []
-    named = {"runs": tables.runs, "requests": requests, "looks": tables.looks, "gaps": gaps, "flow": tables.flow}
+    named = {
+        "runs": tables.runs, "requests": requests, "looks": tables.looks, "gaps": gaps, "flow": tables.flow,
+        "lane_changes": tables.lane_changes, "conflicts": tables.conflicts,
+    }  # fmt: skip
     doses, acceptance, critical = [], [], []
     any_counted = not requests.empty and bool(requests["counted"].any())
     for key in keys:
@@ -173,15 +179,27 @@ def page_text(study: Study, tables: Tables, named: Mapping[str, pd.DataFrame], k
         replays=set(requests["replay"]),
         labels={key: label_of(key) for key in keys},
         told={key: _told(dose[dose["parameter"] == key]) for key in keys if key in set(dose.get("parameter", ()))},
+        seeds=[line for key in keys if (line := _seeds_line(requests, key))],
+        clusters=_few_clusters(dose),
         critical=_records(named["critical_gaps"]),
         curves=_records(named["acceptance"]),
         effects=_effect_lines(effects_found, keys),
+        changes=tables.lane_changes,
+        conflicts=_conflict_counts(tables.conflicts),
         flow={} if flow.empty else {column: flow[column].mean() for column in _FLOW},
         reasons=[f"{reason} {count}" for reason, count in counted.loc[~accepted, "reason"].value_counts()[:6].items()],
         exported_share=None if exported.empty else float((exported == "yes").mean()),
         cut_share=float(cut_off.mean()) if len(counted) else 0.0,
         exp=math.exp,
     )  # fmt: skip
+
+
+def _conflict_counts(found: pd.DataFrame) -> str | None:
+    """Conflicts by class, and how many have a TTC below SSAM's threshold; None without any."""
+    if found.empty:
+        return None
+    kinds = ", ".join(f"{kind} {count}" for kind, count in found["kind"].value_counts().items())
+    return f"{kinds}; {int(found['ttc_s'].notna().sum())} with a TTC below {CONFLICT_TTC_S:g} s"
 
 
 def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
@@ -219,12 +237,38 @@ def _told(dose: pd.DataFrame) -> list[str]:
             sure = "which excludes no effect" if low > 0 or high < 0 else "which includes no effect"
             text += f"; difference {last['difference']:+.3g}, 95 % interval {low:+.3g} to {high:+.3g} ({unit}), {sure}"
         if pd.notna(last.get("p_holm")):
-            text += (
-                f"; trend {last['trend']:+.3g} for one more ({last['trend_low']:+.3g} to {last['trend_high']:+.3g}), "
-                f"p {last['p_holm']:.2g} among all outcomes (Holm)"
-            )
+            text += f"; trend {last['trend']:+.3g} for one more"
+            text += f" ({last['trend_low']:+.3g} to {last['trend_high']:+.3g})" if pd.notna(last["trend_low"]) else ""
+            text += f", p {last['p_holm']:.2g} by signs of {last['clusters']:.0f} {unit}, of all outcomes (Holm)"
         found.append(f"{text} [dose_response.estimate of {outcome}].")
     return found
+
+
+def _seeds_line(requests: pd.DataFrame, key: str) -> str | None:
+    """How many seeds differences of some sizes in the share accepted need, by the runs that there are."""
+    found = difference_sd(requests, key)
+    if found is None:
+        return None
+    (sd, runs), scenes = found, requests["scene"].nunique()
+    needed = (f"{math.ceil(seeds_needed(sd, size) / scenes)} for {size:g}" for size in _SIZES_TOLD)
+    return (
+        f"{label_of(key)}: the difference of the share between first and last value has an SD of {sd:.3f} from run to "
+        f"run ({runs} runs). Seeds needed for a difference at power .8: {', '.join(needed)} [requests.accepted]."
+    )
+
+
+def _few_clusters(dose: pd.DataFrame) -> tuple[int, int] | None:
+    """How many clusters there are, and from how many a test by signs can be sure; None where there are enough."""
+    if "p_holm" not in dose:
+        return None
+    told = dose.dropna(subset="p_holm")
+    there, family = int(told["clusters"].min()), told.groupby("parameter")["outcome"].nunique().max()
+    least = math.ceil(1.0 + math.log2(family / 0.05))
+    return (there, least) if there < least else None
+
+
+#: Differences of shares for which the page says how many seeds they need.
+_SIZES_TOLD = (0.02, 0.05, 0.1)
 
 
 def _course(steps: FloatArray) -> str:

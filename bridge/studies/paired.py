@@ -7,8 +7,9 @@ exported is a column.
 """
 
 import zlib
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -26,20 +27,22 @@ from hid2.insertion.flow import Arrival, arrivals, trigger_after_s
 from hid2.insertion.outcome import outcome_of
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.surroundings import Surroundings
-from hid2.measures.arrays import stack
-from hid2.measures.post_encroachment import encroachments
+from hid2.measures.conflicts import TrafficConflict, conflicts, pair_course
+from hid2.measures.following import leaders
+from hid2.measures.lane_changes import LaneChangeRow, lane_changes
+from hid2.measures.lane_matching import flatten_lanes
+from hid2.measures.manoeuvres import detect
 from hid2.measures.time_to_collision import CAP_S, ttc_to_anything
 from hid2.motion.smoothing import Motion, trajectory
+from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.params import Config, LaneChange
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene, build_scene
 from hid2.vehicle import DrivenVehicle, Start
 
-#: Others within this of a manoeuvre are looked at for its TTC and PET, m.
-_AROUND_M = 80.0
-#: Fundamental diagram: length of the intervals, s; of a shorter rest nothing is told.
-_INTERVAL_S = 30.0
+#: Detectors: length of the intervals, s.
+_INTERVAL_S = 60.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -55,12 +58,18 @@ class Drawn:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PairedRun:
-    """What was measured in one run. requests, flow: rows of the tables; driven: vehicles with their looks."""
+    """What was measured in one run: rows of the tables.
+
+    driven: vehicles with their looks; states: what moved, as simulated, recorded agents first.
+    """
 
     requests: list[dict[str, Any]]
     flow: list[dict[str, Any]]
+    lane_changes: list[dict[str, Any]]
+    conflicts: list[dict[str, Any]]
     driven: tuple[DrivenVehicle, ...]
     exported: int
+    states: AgentStates
 
 
 def drawing_config(config: Config) -> Config:
@@ -145,6 +154,10 @@ def _measured(
     simulated = {one.vehicle_id: _as_simulated(scene, one, entered_at[one.vehicle_id]) for one in moved}
     exported = _exported(scene, [vehicle for vehicle in vehicles if vehicle.vehicle_id not in driving.entered])
     tracks = [*_recorded(scene), *(one.track(vehicle_id, 1) for vehicle_id, one in simulated.items())]
+    lanes = flatten_lanes(scene.grid.graph)
+    states = agent_states(tracks, lanes, num_steps=scene.num_steps, step_s=scene.step_s)
+    arrays = states.arrays
+    ttc_s, met = ttc_to_anything(arrays), conflicts(arrays)
     rows = []
     for vehicle in vehicles:
         if vehicle.policy is Policy.STRAIGHT:
@@ -159,12 +172,22 @@ def _measured(
         if row["start_s"] is not None:
             first = round(row["start_s"] / scene.step_s)
             last = round((row["end_s"] or (entered + len(vehicle.s) - 1) * scene.step_s) / scene.step_s)
-            row["min_ttc_s"], row["min_pet_s"] = _conflicts(
-                tracks, vehicle.vehicle_id, first, last, step_s=scene.step_s
-            )
+            own = arrays.row_of[arrays.track_ids.index(vehicle.vehicle_id)][first : last + 1]
+            ttc = float(ttc_s[own].min())
+            row["min_ttc_s"] = None if ttc >= CAP_S else _rounded(ttc)
+            pets = [
+                one.pet_s for one in met
+                if one.pet_s is not None and vehicle.vehicle_id in (one.first_id, one.second_id)
+                and one.start_s <= last * scene.step_s and one.end_s >= row["start_s"]
+            ]  # fmt: skip
+            row["min_pet_s"] = _rounded(min(pets, default=None))
             row["overlaps"] = row["min_ttc_s"] == 0.0
             lag_id = next((look.rear.track_id for look in vehicle.gaps if look.sumo), None)
-            row["lag_drac_mps2"], row["lag_headway_s"] = _lag_suffers(tracks, vehicle.vehicle_id, lag_id, first, last)
+            if lag_id in arrays.track_ids:
+                pair = (arrays.track_ids.index(str(name)) for name in (lag_id, vehicle.vehicle_id))
+                course = pair_course(arrays, *pair).during(first, last)
+                row["lag_drac_mps2"] = _rounded(course.drac_mps2.max(initial=0.0))
+                row["lag_headway_s"] = _rounded(course.headway_s.min(initial=np.inf))
         if row["start_s"] is not None and row["end_s"] is not None:
             row["lateral_s"] = round(row["end_s"] - row["start_s"], 6)
         rows.append(row)
@@ -176,7 +199,19 @@ def _measured(
         for missed in drawn.unmet if missed.request.policy is not Policy.STRAIGHT
     ]  # fmt: skip
     count = sum(verdict == "yes" for verdict in exported.values())
-    return PairedRun(rows, _fundamental(scene, driving, moved), tuple(vehicles), count)
+    since_s = scene.config.flow.warm_up_s if driving.arrivals else 0.0
+    led = leaders(arrays, lanes, states.matches)
+    changes = lane_changes(states.view, led, detect(arrays, lanes, states.matches))
+    return PairedRun(
+        rows, _detectors(scene, driving, states), _told(changes, since_s), _told(met, since_s),
+        tuple(vehicles), count, states,
+    )  # fmt: skip
+
+
+def _told(found: Iterable[LaneChangeRow | TrafficConflict], since_s: float) -> list[dict[str, Any]]:
+    """Rows of what begins after the warm-up."""
+    rows = (asdict(one) for one in found if one.start_s >= since_s)
+    return [{key: _rounded(value) if isinstance(value, float) else value for key, value in row.items()} for row in rows]
 
 
 #: What may refuse a gap, as `GapLook.asked` names it.
@@ -240,11 +275,14 @@ def _outcome(
 
 
 def _as_simulated(scene: Scene, vehicle: DrivenVehicle, first: int) -> ExportedVehicle:
-    """A vehicle as SUMO moved it since a step, at its driver's place in the lane, unsmoothed and unchecked."""
+    """A vehicle as SUMO moved it since a step, unsmoothed, unchecked, and in the middle of its lane.
+
+    Its driver's wandering in the lane is unknown to SUMO: vehicles side by side would touch that have not met.
+    """
     vehicle = replace(vehicle, start=replace(vehicle.start, step=first))
     s, v = np.array(vehicle.s), np.array(vehicle.v)
     motion = Motion(s=s, v=v, a=np.gradient(v, scene.step_s), step_s=scene.step_s)
-    path = trajectory(vehicle.path.line, motion, vehicle.start.offset)
+    path = trajectory(vehicle.path.line, motion, vehicle.start.offset.scaled(0.0))
     return as_exported(scene, vehicle, motion, path, np.zeros(s.size))
 
 
@@ -275,97 +313,36 @@ def _recorded(scene: Scene) -> list[Track]:
     return found
 
 
-def _conflicts(
-    tracks: Sequence[Track], own: str, first: int, last: int, *, step_s: float
-) -> tuple[float | None, float | None]:
-    """Smallest TTC to anything, and smallest PET at a crossing of paths, from step first to last; None above 5 s."""
-    me = next(track for track in tracks if track.track_id == own)
-    centre = me.position[np.clip((first + last) // 2 - me.timesteps[0], 0, len(me.timesteps) - 1)]
-    near = []
-    for track in tracks:
-        inside = (track.timesteps >= first) & (track.timesteps <= last)
-        if inside.any() and np.abs(track.position[inside] - centre).max(axis=1).min() < _AROUND_M:
-            near.append(
-                replace(
-                    track, timesteps=track.timesteps[inside] - first, position=track.position[inside],
-                    heading=track.heading[inside], velocity=track.velocity[inside],
-                )
-            )  # fmt: skip
-    arrays = stack(near, num_steps=last - first + 1, step_s=step_s)
-    number = arrays.track_ids.index(own)
-    ttc = float(ttc_to_anything(arrays)[arrays.first[number] : arrays.first[number + 1]].min())
-    pet = min((one.pet_s for one in encroachments(arrays) if number in (one.first, one.second)), default=CAP_S)
-    return (None if ttc >= CAP_S else _rounded(ttc)), (None if pet >= CAP_S else _rounded(pet))
+def _detectors(scene: Scene, driving: FlowDriving, states: AgentStates) -> list[dict[str, Any]]:
+    """Flow, density and speed of driven vehicles by entry lane and minute (Edie 1963), after the warm-up.
 
-
-def _lag_suffers(
-    tracks: Sequence[Track], own: str, lag_id: str | None, first: int, last: int
-) -> tuple[float | None, float | None]:
-    """Largest DRAC, m/s2, and least time headway, s, front to front, of the new follower from step first to last.
-
-    By bumpers along its heading, as the judge's; None where there is none.
+    A rest of half a minute or more is a row too, and so is a shorter scene. Nothing where no traffic enters.
     """
-    pair = [next((track for track in tracks if track.track_id == name), None) for name in (own, lag_id)]
-    me, lag = pair
-    if me is None or lag is None:
-        return None, None
-    _, mine, its = np.intersect1d(me.timesteps, lag.timesteps, assume_unique=True, return_indices=True)
-    during = (me.timesteps[mine] >= first) & (me.timesteps[mine] <= last)
-    mine, its = mine[during], its[during]
-    if not mine.size:
-        return None, None
-    forward = np.stack([np.cos(lag.heading[its]), np.sin(lag.heading[its])], axis=1)
-    ahead = ((me.position[mine] - lag.position[its]) * forward).sum(axis=1)
-    gap = np.maximum(ahead - 0.5 * (me.size.length_m + lag.size.length_m), 1e-3)
-    speed = (lag.velocity[its] * forward).sum(axis=1)
-    closing = np.maximum(speed - (me.velocity[mine] * forward).sum(axis=1), 0.0)
-    front = ahead + 0.5 * (me.size.length_m - lag.size.length_m)
-    headway = front / np.maximum(speed, 0.1)
-    return _rounded(float((closing**2 / (2.0 * gap)).max())), _rounded(float(headway.min()))
-
-
-def _fundamental(scene: Scene, driving: FlowDriving, vehicles: Sequence[DrivenVehicle]) -> list[dict[str, Any]]:
-    """Flow, density and speed on the entry lanes, all together, by interval (Edie 1963), where flows enter."""
-    if not driving.arrivals:
-        return []
-    warm_up_s = scene.config.flow.warm_up_s
-    lanes = sorted({arrival.lane_id for arrival in driving.arrivals})
-    length_m = sum(scene.grid.graph.lanes[lane].length_m for lane in lanes)
-    step_s, first_step = scene.step_s, round(warm_up_s / scene.step_s)
-    steps = min(round(_INTERVAL_S / step_s), scene.num_steps - first_step)
-    begins = range(first_step, scene.num_steps - steps + 1, steps) if steps > 0 else range(0)
-    distance = dict.fromkeys(begins, 0.0)
-    present = dict.fromkeys(begins, 0)
-    for vehicle in vehicles:
-        first = driving.entered.get(vehicle.vehicle_id, 0)
-        s, v = np.array(vehicle.s), np.array(vehicle.v)
-        there = np.zeros(s.size, dtype=np.bool_)
-        for segment in vehicle.path.segments:
-            if segment.lane_id in lanes:
-                there |= (s >= segment.start) & (s < segment.end)
-        for begin in begins:
-            span = slice(max(0, begin - first), max(0, begin + steps - first))
-            distance[begin] += float(v[span][there[span]].sum()) * step_s
-            present[begin] += int(there[span].sum())
-    area = length_m / 1000.0 * steps * step_s / 3600.0  # km h
-    rows = []
-    for begin in begins:
-        flow = distance[begin] / 1000.0 / area
-        density = present[begin] * step_s / 3600.0 / area
-        rows.append(
-            {
-                "from_s": _rounded(begin * step_s), "flow_veh_per_h_lane": _rounded(flow),
-                "density_veh_per_km_lane": _rounded(density),
+    arrays, step_s = states.arrays, scene.step_s
+    first, whole = round(scene.config.flow.warm_up_s / step_s), round(_INTERVAL_S / step_s)
+    cuts = [*range(first, scene.num_steps, whole)]
+    if len(cuts) < 2 or scene.num_steps - cuts[-1] >= whole / 2:
+        cuts.append(scene.num_steps)
+    driven = ~np.isin(arrays.track_ids, scene.traffic.ids)[arrays.agent]
+    on_lane = np.where(driven & (states.matches.lane >= 0), states.lanes.lane_ids[states.matches.lane], -1)
+    speed, rows = np.hypot(*arrays.velocity.T), []
+    for lane in sorted({arrival.lane_id for arrival in driving.arrivals}):
+        waits = {
+            driving.entered[one.vehicle_id]: driving.waiting_s[one.vehicle_id]
+            for one in driving.arrivals if one.lane_id == lane and one.vehicle_id in driving.entered
+        }  # fmt: skip
+        for begin, end in pairwise(cuts):
+            there = (on_lane == lane) & (arrays.step >= begin) & (arrays.step < end)
+            area = scene.grid.graph.lanes[lane].length_m / 1000.0 * (end - begin) * step_s / 3600.0  # km h
+            flow, density = speed[there].sum() * step_s / 1000.0 / area, there.sum() * step_s / 3600.0 / area
+            waited = [wait_s for step, wait_s in waits.items() if begin <= step < end]
+            rows.append({
+                "lane": lane, "from_s": _rounded(begin * step_s), "to_s": _rounded(end * step_s),
+                "flow_veh_per_h_lane": _rounded(flow), "density_veh_per_km_lane": _rounded(density),
                 "speed_kmph": _rounded(flow / density) if density > 0 else None,
-                "waiting_to_enter_s": _rounded(_mean_wait(driving, begin, steps)),
-            }
-        )  # fmt: skip
+                "waiting_to_enter_s": _rounded(float(np.mean(waited))) if waited else None,
+            })  # fmt: skip
     return rows
-
-
-def _mean_wait(driving: FlowDriving, begin: int, steps: int) -> float | None:
-    waits = [driving.waiting_s[name] for name, step in driving.entered.items() if begin <= step < begin + steps]
-    return float(np.mean(waits)) if waits else None
 
 
 def _rounded(value: float | None) -> float | None:

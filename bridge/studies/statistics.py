@@ -1,7 +1,8 @@
 """What the tables of a study say: rates, waiting times, acceptance curves, critical gaps, effects, with intervals.
 
 Intervals are bootstrap intervals: runs (scene and seed) are drawn again, and scenes where there are at least three. The
-same draw serves all values of what varies, because the same vehicles took part: differences are paired.
+same draw serves all values of what varies, because the same vehicles took part: differences are paired. Tests change
+the signs of what each cluster says alone, which holds for few of them too (Canay, Romano and Shaikh 2017).
 """
 
 import math
@@ -20,6 +21,7 @@ _SCENES_LEAST, _UNITS_LEAST = 3, 3  # fewer scenes, or units at all, are not dra
 _FEWEST = 8  # gaps of each answer, drivers: below, no curve and no critical gap is fitted
 #: Coefficients beyond this say that a threshold parts the gaps without exception: no curve has an interval then.
 _SEPARATED = 50.0
+_SAME = 1e-9  # values that differ by less of themselves differ by rounding
 #: Longer time gaps count as this, s: behind a leader that hardly moves they grow without end.
 _LONG_GAP_S = 10.0
 
@@ -188,10 +190,12 @@ def dose_response(
             {"parameter": key, "value": value, "outcome": outcome.name, "rows": int((code == place).sum())}
             for place, value in enumerate(values.tolist())
         ]
+        clusters = pd.factorize(pd.MultiIndex.from_frame(frame[[*units(frame).values()][-1]]))[0]
+        alone = np.array([statistic((clusters == one).astype(np.float64)) for one in range(clusters.max() + 1)])
         for unit, columns in units(frame).items():
             whole, draws = resampled(frame, statistic, unit=columns)
-            if unit == next(iter(units(frame))) and pd.api.types.is_numeric_dtype(values):
-                trend = _trend(values.astype(np.float64), whole, draws)
+            if unit == "runs" and pd.api.types.is_numeric_dtype(values):
+                trend = _trend(values.astype(np.float64), whole, draws, alone)
                 for row in own:
                     row |= trend
             for place, row in enumerate(own):
@@ -203,19 +207,64 @@ def dose_response(
     return _adjusted(pd.DataFrame(rows))
 
 
-def _trend(values: FloatArray, whole: FloatArray, draws: FloatArray) -> dict[str, Any]:
-    """Slope of an outcome over all values of a parameter (least squares), with interval and two-sided p by draws."""
-    known = np.isfinite(whole)
-    if known.sum() < 2:
+def _slopes(values: FloatArray, outcomes: FloatArray) -> FloatArray:
+    """Slope (N,) of outcomes (N, K) over the K values, least squares, of those that are known; NaN below two."""
+    y = np.ma.masked_invalid(outcomes)
+    x = np.ma.array(np.broadcast_to(values, outcomes.shape), mask=np.ma.getmaskarray(y))
+    away = x - x.mean(axis=1)[:, None]
+    return np.ma.filled((away * y).sum(axis=1) / (away * away).sum(axis=1), np.nan)
+
+
+def _trend(values: FloatArray, whole: FloatArray, draws: FloatArray, alone: FloatArray) -> dict[str, Any]:
+    """Slope of an outcome over all values of a parameter, with interval by draws and p by clusters alone (C, K)."""
+    slope, slopes = float(_slopes(values, whole[None])[0]), _slopes(values, alone)
+    found = interval(slope, _slopes(values, draws))
+    if found.value is None:
         return {}
-    away = values[known] - values[known].mean()
-    slope, drawn = (y @ away / (away @ away) for y in (whole[known], draws[:, known]))
-    found = interval(float(slope), drawn)
-    if found.low is None:
-        return {"trend": found.value}
-    known_draws = drawn[np.isfinite(drawn)]
-    tails = [(1 + int((side * known_draws >= 0.0).sum())) / (1 + known_draws.size) for side in (-1.0, 1.0)]
-    return {"trend": found.value, "trend_low": found.low, "trend_high": found.high, "p": min(1.0, 2.0 * min(tails))}
+    told = {"trend": found.value, "trend_low": found.low, "trend_high": found.high}
+    return told | {"p": few_clusters_p(slopes), "clusters": int(np.isfinite(slopes).sum())}
+
+
+def few_clusters_p(effects: FloatArray) -> float | None:
+    """Two-sided p of no effect, from the effects of independent clusters: exact by changing signs, up to 9,999 draws.
+
+    No assumption but that without an effect each cluster's is as likely of either sign: k clusters give 2 / 2^k at
+    least. None of fewer than two.
+    """
+    from scipy.stats import permutation_test
+
+    known = effects[np.isfinite(effects)]
+    if known.size < _UNITS_LEAST - 1:
+        return None
+    if (np.abs(known) <= _SAME).all():
+        return 1.0
+    found = permutation_test(
+        (known,), lambda x, axis: x.mean(axis=axis), permutation_type="samples", vectorized=True, n_resamples=9999,
+        rng=np.random.default_rng(0),
+    )  # fmt: skip
+    return float(found.pvalue)
+
+
+def seeds_needed(sd: float, difference: float) -> int:
+    """Runs at each value that tell a difference, by a t test of paired differences of runs with this SD.
+
+    Two-sided level .05, power .8 (statsmodels).
+    """
+    from statsmodels.stats.power import TTestPower
+
+    if sd <= _SAME:
+        return 2
+    if difference > 5.0 * sd:  # beyond what the solver can tell: the fewest runs that have a spread
+        return 3
+    return math.ceil(float(TTestPower().solve_power(effect_size=difference / sd, alpha=0.05, power=0.8)))
+
+
+def difference_sd(requests: pd.DataFrame, key: str) -> tuple[float, int] | None:
+    """SD over runs of a run's difference in the share accepted between a parameter's ends, and the runs; or None."""
+    counted = requests[requests["counted"]]
+    by_run = counted.groupby(["scene", "seed", key])["accepted"].mean().unstack(key)
+    apart = (by_run.iloc[:, -1] - by_run.iloc[:, 0]).dropna() if by_run.shape[1] > 1 else pd.Series(dtype=float)
+    return (float(apart.std()), len(apart)) if len(apart) >= _UNITS_LEAST else None
 
 
 def _adjusted(table: pd.DataFrame) -> pd.DataFrame:
@@ -413,9 +462,6 @@ def effects(requests: pd.DataFrame, keys: Sequence[str], *, give_up_s: float) ->
                     }
                 )  # fmt: skip
     return pd.DataFrame(rows)
-
-
-_SAME = 1e-9  # values that differ by less of themselves differ by rounding
 
 
 def _standardised(x: FloatArray, y: FloatArray) -> Callable[[FloatArray], FloatArray]:

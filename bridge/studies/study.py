@@ -31,6 +31,8 @@ TRIGGER = "trigger_s"
 _RULE = "rule."
 #: Of each run, in a folder of its own below OUT/runs: what was measured, and every look at a gap.
 RUN_FILE, LOOKS_FILE = "run.json.gz", "looks.csv.gz"
+#: Tables in RUN_FILE.
+RUN_TABLES = ("requests", "flow", "lane_changes", "conflicts")
 _REQUEST_KEYS = frozenset({"kind", "accepted", "waited_s", "source", "trigger_s"})
 #: What decides in a run, and leaves vehicles, drivers, sites and traffic as they are.
 _DECIDES = ("lane_change", "overtake", "conflict", "signals", "crossings", "car_following", "driving")
@@ -144,12 +146,14 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
 
 @dataclass(frozen=True, slots=True)
 class Tables:
-    """What was measured, tidy: one row for each run, request, look at a gap, and interval of flow."""
+    """What was measured, tidy: a row for each run, request, look at a gap, lane and minute, lane change, conflict."""
 
     runs: "pd.DataFrame"
     requests: "pd.DataFrame"
     looks: "pd.DataFrame"
     flow: "pd.DataFrame"
+    lane_changes: "pd.DataFrame"
+    conflicts: "pd.DataFrame"
 
 
 def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
@@ -164,7 +168,7 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
     warm_up_s = study.configs[0][0].flow.warm_up_s
     runs: list[dict[str, Any]] = []
     requests: list[dict[str, Any]] = []
-    flow: list[dict[str, Any]] = []
+    others: dict[str, list[dict[str, Any]]] = {table: [] for table in RUN_TABLES[1:]}
     looks: list[pd.DataFrame] = []
     for row in rows:
         number, point = points[row.config_sha256]
@@ -172,7 +176,7 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
         own = {("trigger_after_s" if key == TRIGGER else key): value for key, value in point.items()}
         name = {"scene": row.scenario, "city": row.city, "point": number, **own, "seed": row.seed}
         name |= {"replay": study.configs[number][0].driving.replay}
-        found: dict[str, list[dict[str, Any]]] = {"requests": [], "flow": []}
+        found: dict[str, list[dict[str, Any]]] = {table: [] for table in RUN_TABLES}
         if row.status == DONE:
             found, own_looks = _written(out_dir / row.folder)
             for column in ("lead_id", "lag_id"):
@@ -184,7 +188,8 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
             {**name, **request, "accepted": bool(request["accepted"]), "counted": _counts(request, warm_up_s)}
             for request in mine
         ]
-        flow += [{**name, **interval} for interval in found["flow"]]
+        for table, told in others.items():
+            told += [{**name, **one} for one in found[table]]
         runs.append(
             {
                 **name, "status": row.status, "reason": row.reason, "vehicles": row.placed, "requests": len(mine),
@@ -192,7 +197,8 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
             }
         )  # fmt: skip
     seen = pd.concat(looks) if looks else pd.DataFrame()
-    return Tables(pd.DataFrame(runs), _numeric(pd.DataFrame(requests)), _numeric(seen), pd.DataFrame(flow))
+    rest = (_numeric(pd.DataFrame(told)) for told in others.values())
+    return Tables(pd.DataFrame(runs), _numeric(pd.DataFrame(requests)), _numeric(seen), *rest)
 
 
 def _written(folder: Path) -> tuple[dict[str, list[dict[str, Any]]], "pd.DataFrame"]:
@@ -206,6 +212,8 @@ def _written(folder: Path) -> tuple[dict[str, list[dict[str, Any]]], "pd.DataFra
         found = json.loads(read_packed(folder / RUN_FILE, most_mb=MAX_FILE_MB))
         if lacking := {key for row in found["requests"] for key in _REQUEST_KEYS - row.keys()}:
             raise ValueError(f"requests without {', '.join(sorted(lacking))}")
+        if lacking := set(RUN_TABLES) - found.keys():
+            raise ValueError(f"without {', '.join(sorted(lacking))}")
         looks = io.BytesIO(read_packed(folder / LOOKS_FILE, most_mb=MAX_FILE_MB))
         return found, pd.read_csv(looks, dtype={"lead_id": str, "lag_id": str, "vehicle": str})
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
@@ -216,7 +224,7 @@ def _written(folder: Path) -> tuple[dict[str, list[dict[str, Any]]], "pd.DataFra
 
 
 #: Endings of the columns that are numbers, also where all of a run's are missing.
-_NUMBERS = ("_s", "_m", "_mps")
+_NUMBERS = ("_s", "_m", "_mps", "_mps2")
 
 
 def _numeric(table: "pd.DataFrame") -> "pd.DataFrame":

@@ -38,7 +38,7 @@ _REFUSALS = {
 
 def label_of(key: str) -> str:
     """A parameter as a reader would say it."""
-    return LABELS.get(key, key)
+    return LABELS.get(key, f"argument {key[5:]} of the rule" if key.startswith("rule.") else key)
 
 
 def draw_parameter(

@@ -15,12 +15,18 @@ from bridge.generation.generate import PreparedScene, prepare
 from bridge.recordings.export import new_scenario_id, write_folder
 from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
+from bridge.recordings.ssam import trj_bytes
 from bridge.studies.paired import Drawn, PairedRun, draw, drawing_config, paired_run
-from bridge.studies.study import LOOKS_FILE, RUN_FILE
+from bridge.studies.study import LOOKS_FILE, RUN_FILE, RUN_TABLES
 from hid2.params import Config
 
 
-def measure_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+def measure_runs_for_ssam(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+    """The same with the trajectories of each run for SSAM beside what was measured."""
+    return measure_runs(place, runs, trj=True)
+
+
+def measure_runs(place: Place, runs: Sequence[Run], *, trj: bool = False) -> Iterator[ManifestRow | Failure]:
     """Drive and measure each run; what the runs share is made once."""
     prepared: PreparedScene | None = None
     drawn: dict[str, Drawn] = {}
@@ -33,7 +39,7 @@ def measure_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Fa
             if key not in drawn:
                 drawn = {key: draw(prepared, drawing)}  # the last one is enough: runs come seed by seed
             found = paired_run(prepared, drawn[key], run.config)
-            folder = _write(place.out, prepared.scenario, run.config, found)
+            folder = _write(place.out, prepared.scenario, run.config, found, trj=trj)
             requests = [row for row in found.requests if row["status"] != "not_placed"]
             yield base_row(place, run)._replace(
                 city=prepared.scenario.city,
@@ -48,10 +54,14 @@ def measure_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Fa
             yield describe_error(error)
 
 
-def _write(out_dir: Path, source: Recording, config: Config, found: PairedRun) -> Path:
+def _write(out_dir: Path, source: Recording, config: Config, found: PairedRun, *, trj: bool) -> Path:
     folder = out_dir / RUNS / new_scenario_id(source.scenario_id, config, config.request.seed, 0)
-    text = json.dumps({"requests": found.requests, "flow": found.flow}, indent=1, allow_nan=False) + "\n"
+    told = {name: getattr(found, name) for name in RUN_TABLES}
+    text = json.dumps(told, indent=1, allow_nan=False) + "\n"
     looks = gaps_bytes([(0, vehicle) for vehicle in found.driven], {}, step_s=source.step_s)
     with explained(folder):
-        write_folder(folder, {RUN_FILE: gzip.compress(text.encode(), mtime=0), LOOKS_FILE: looks})
+        files = {RUN_FILE: gzip.compress(text.encode(), mtime=0), LOOKS_FILE: looks}
+        if trj:
+            files["trajectories.trj"] = trj_bytes(found.states.arrays, found.states.matches)
+        write_folder(folder, files)
     return folder

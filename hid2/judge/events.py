@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hid2.agents import BoxSize
+from hid2.measures.conflicts import pair_course
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.measures.post_encroachment import encroachments
-from hid2.measures.time_to_collision import ttc_to_anything
 from hid2.occupancy.agent_states import AgentStates
 from hid2.occupancy.gaps import gaps_from_pose
 
@@ -15,8 +15,6 @@ from hid2.occupancy.gaps import gaps_from_pose
 CAP_S = 10.0
 #: Drivers brake before this TTC, s: 90 % of the followers of lane changes (see method.md).
 HUMAN_BRAKES_S = 4.7
-#: Slower than this a target has no closing speed, m/s. No tunable, against rounding.
-_CLOSES_MPS = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +51,13 @@ def measure_event(states: AgentStates, own: int, target: int, *, at_step: int, s
     forward = np.array([np.cos(arrays.heading[there]), np.sin(arrays.heading[there])])
     box, here = BoxSize(arrays.length[target], arrays.width[target]), states.traffic.rows([own]).at(at_step)
     seen, speed = gaps_from_pose(arrays.position[there], forward, box, here), np.hypot(*arrays.velocity.T)
-    later, (min_ttc_s, drac) = speed[row : states.row_span(own).stop], _closing(states, own, target, since_step)
+    later, course = speed[row : states.row_span(own).stop], pair_course(arrays, target, own, cap_s=CAP_S)
+    course = course.during(since_step, arrays.num_steps)
+    min_ttc_s = float(course.ttc_s.min(initial=np.inf))
     return EventMeasures(
-        gap_m=float(seen.gap_m[0]), speed_difference_mps=float(speed[row] - speed[there]), min_ttc_s=min_ttc_s,
-        pet_s=post_encroachment_of(states, own, target), drac_mps2=drac,
+        gap_m=float(seen.gap_m[0]), speed_difference_mps=float(speed[row] - speed[there]),
+        min_ttc_s=min_ttc_s if min_ttc_s < CAP_S else None, pet_s=post_encroachment_of(states, own, target),
+        drac_mps2=float(course.drac_mps2.max(initial=0.0)),
         brakes_mps2=float(np.max(-np.gradient(later, arrays.step_s), initial=0.0)) if later.size > 1 else 0.0,
     )  # fmt: skip
 
@@ -66,23 +67,6 @@ def post_encroachment_of(states: AgentStates, own: int, target: int) -> float | 
     pair = np.sort(np.array([own, target]))
     found = encroachments(states.arrays, cap_s=CAP_S, agents=pair, crossing_rad=CROSSING_RAD)
     return found[0].pet_s if found else None
-
-
-def _closing(states: AgentStates, own: int, target: int, since_step: int) -> tuple[float | None, float]:
-    """Smallest TTC of the target to any of the states, s, and its largest DRAC, m/s2, from a step on."""
-    arrays = states.arrays
-    ttc_s = ttc_to_anything(arrays, cap_s=CAP_S)
-    both = (arrays.agent == target) & (arrays.row_of[own, arrays.step] >= 0)
-    rows = np.flatnonzero(both & (arrays.step >= since_step))
-    if not rows.size or ttc_s[rows].min() >= CAP_S:
-        return None, 0.0
-    other = arrays.velocity[arrays.row_of[own, arrays.step[rows]]]
-    forward = np.stack([np.cos(arrays.heading[rows]), np.sin(arrays.heading[rows])], axis=1)
-    closing = np.sum((arrays.velocity[rows] - other) * forward, axis=1)
-    # at a closing speed w the gap is w TTC, and the deceleration that takes it away w^2 / (2 gap)
-    counts = (closing > _CLOSES_MPS) & (ttc_s[rows] < CAP_S)
-    drac = closing[counts] / (2.0 * np.maximum(ttc_s[rows][counts], 1e-3))
-    return float(ttc_s[rows].min()), float(drac.max(initial=0.0))
 
 
 def _row(states: AgentStates, agent: int, step: int) -> int:

@@ -12,7 +12,7 @@ from bridge.generation.generate import prepare
 from bridge.recordings.corridor import write_corridor
 from bridge.recordings.scenario import read_scenario
 from bridge.studies.paired import Drawn, PairedRun, draw, drawing_config, paired_run
-from bridge.studies.statistics import critical_gap, gaps_of
+from bridge.studies.statistics import CriticalGap, critical_gap, gaps_of
 from hid2.agents import Policy
 from hid2.insertion.flow import trigger_after_s
 from hid2.params import CarFollowing, Config, Drivers, Flow, LaneChange, Request, Spawn
@@ -158,3 +158,21 @@ def test_lognormal_critical_gaps_are_found_again(corridor: Path, rules: str) -> 
     assert found.drivers >= 200
     assert found.mean.value == pytest.approx(1.0, rel=0.05)
     assert found.sd.value == pytest.approx(0.25, rel=0.2)
+
+
+def _contain(found: list[CriticalGap | None], mean_s: float) -> int:
+    """How many intervals of the mean contain a value."""
+    return sum(
+        one is not None and one.mean.low is not None and one.mean.low <= mean_s <= (one.mean.high or 0.0)
+        for one in found
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_intervals_of_driven_repetitions_contain_the_critical_gap(corridor: Path, rules: str) -> None:
+    """20 times 200 drivers or more of mean 1.0 s: 19 expected, 17 or more with a chance of .98."""
+    change = _known(rules, "lognormal", "mean=1.0, sd=0.25")
+    found = [critical_gap(_gaps(corridor, change, range(5 * k, 5 * k + 5)), "lag") for k in range(100, 120)]
+    assert all(one is not None and one.drivers >= 200 for one in found)
+    assert _contain(found, 1.0) >= 17

@@ -143,7 +143,8 @@ def test_flow_enters_beside_recorded_traffic(data_scenes: dict[str, Path]) -> No
     run = paired_run(prepared, drawn, config)
     assert {row["source"] for row in run.requests} == {"start", "flow"}
     assert len(run.driven) > len(drawn.starts)
-    assert len(run.flow) == 1
+    assert len(run.flow) == len({row["lane"] for row in run.flow}) > 1  # one interval, of the whole scene, by lane
+    assert {(row["from_s"], row["to_s"]) for row in run.flow} == {(0.0, 11.0)}
     assert all(row["min_ttc_s"] is None or row["min_ttc_s"] > 0.0 for row in run.requests)
 
 
@@ -237,7 +238,7 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
     again = run_study(study, out, Options(resume=True), on_row=lambda row, progress: seen.append(progress.skipped))
     assert seen[-1] == 6
     assert {path.name: path.read_bytes() for path in again.files} == first
-    for table in ("runs", "requests", "looks", "gaps", "flow", "dose_response"):
+    for table in ("runs", "requests", "looks", "gaps", "flow", "dose_response", "lane_changes"):
         frame = pd.read_csv(out / f"{table}.csv")
         assert len(pd.read_parquet(out / f"{table}.parquet")) == len(frame)
         said = {name.strip() for column in DICTIONARY[table] for name in column.split(",")}
@@ -249,6 +250,35 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
     assert "smallest time gap to the new follower" in text
     _check_references(text, out)
     assert "cut off [requests.counted]" in text
+    assert "- Trends as sure as their intervals look: 3 clusters are fewer than the " in text
+    assert re.search(r"Seeds needed for a difference at power \.8: \d+ for 0\.02, \d+ for 0\.05", text)
+
+
+def test_plan_says_how_many_runs_a_difference_needs_before_and_after_a_pilot(tmp_path: Path) -> None:
+    """By chance alone the SD of a difference is sqrt(.5 / n) for n requests a run; then by that of three pilot runs."""
+    import pandas as pd
+
+    from bridge.studies.plan import plan_text
+    from bridge.studies.statistics import seeds_needed
+
+    study = _study(tmp_path, write_corridor(tmp_path / "roads", length_m=200.0, lanes=2, seconds=20.0))
+    runs, each, _, by_chance = plan_text(study, tmp_path / "out", 0.1)
+    assert runs == "6 runs: points 2, seeds 3, scenes 1"
+    count = int(each.split()[0])
+    assert 0 < count < 15
+    assert int(by_chance.split()[0]) == seeds_needed((0.5 / count) ** 0.5, 0.1)
+    pilot = pd.DataFrame(
+        [("a", seed, gap, True, k < taken) for seed, taken in enumerate((2, 4, 6)) for gap in (0.4, 2.0)
+         for k in range(10)],
+        columns=["scene", "seed", "lane_change.time_gap_rear_s", "counted", "accepted"],
+    )  # fmt: skip
+    pilot.loc[pilot["lane_change.time_gap_rear_s"] == 0.4, "accepted"] = True
+    (tmp_path / "out").mkdir()
+    pilot.to_parquet(tmp_path / "out" / "requests.parquet")
+    *_, by_pilot = plan_text(study, tmp_path / "out", 0.1)  # differences -.8, -.6, -.4: SD .2
+    assert f"{seeds_needed(0.2, 0.1)} by the 3 seeds" in by_pilot
+    with pytest.raises(ConfigError, match="--plan 5: expected a difference of shares between 0 and 1"):
+        list(plan_text(study, tmp_path / "out", 5.0))
 
 
 def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(

@@ -11,13 +11,16 @@ from bridge.studies.page import _effect_lines, _told
 from bridge.studies.statistics import (
     acceptance_curve,
     critical_gap,
+    difference_sd,
     dose_response,
     effects,
+    few_clusters_p,
     gaps_of,
     kaplan_meier,
     largest_rejected,
     mean_wait,
     raff,
+    seeds_needed,
     troutbeck,
 )
 from bridge.studies.study_figures import draw_parameter
@@ -60,15 +63,39 @@ def test_critical_gaps_of_synthetic_drivers_are_found_again(mean_s: float, sd_s:
 
 
 def test_intervals_of_critical_gaps_hold_what_they_say() -> None:
-    """95 % intervals of 40 samples of 100 drivers: at least 34 hold the mean (binomial, p < .01 below)."""
+    """95 % intervals of 100 tables of 100 drivers: at least 89 hold the mean (binomial, p < .01 below)."""
     held = 0
-    for seed in range(40):
+    for seed in range(100):
         rejected, accepted, _ = largest_rejected(_drivers(100, 2.0, 0.5, seed=100 + seed), "lag")
         mean, _ = troutbeck(rejected, accepted)
         assert mean.low is not None
         assert mean.high is not None
         held += mean.low < 2.0 < mean.high
-    assert held >= 34
+    assert held >= 89
+
+
+def test_few_clusters_cannot_be_surer_than_their_signs_allow() -> None:
+    """All six the same way: of 2^6 signs two are as far, p = 2 / 64. One of three the other way, and none moves."""
+    assert few_clusters_p(np.array([1.0, 2.0, 1.5, 0.5, 1.2, 3.0])) == pytest.approx(2 / 64)
+    assert few_clusters_p(np.array([1.0, -1.0, 1.0])) == 1.0
+    assert few_clusters_p(np.zeros(5)) == 1.0
+    assert few_clusters_p(np.array([1.0, np.nan])) is None
+
+
+def test_few_clusters_reject_no_effect_as_often_as_they_say() -> None:
+    """Six clusters of unequal spread without an effect: p below .05 in 2 of 64 cases, below 30 of 500 by chance."""
+    rng = np.random.default_rng(4)
+    samples = rng.normal(size=(500, 6)) * np.array([0.2, 0.5, 1.0, 1.0, 3.0, 9.0])
+    assert sum((few_clusters_p(sample) or 1.0) < 0.05 for sample in samples) < 30
+
+
+def test_seeds_needed_are_those_of_the_paired_t_test() -> None:
+    """A difference of one SD: 10 pairs; of half of one: 34 (Cohen 1988, table 2.4.1, for paired differences)."""
+    assert [seeds_needed(1.0, 1.0), seeds_needed(1.0, 0.5), seeds_needed(0.0, 0.1)] == [10, 34, 2]
+    found = difference_sd(_requests(-0.3), "p")
+    assert found is not None
+    assert found[1] == 12
+    assert difference_sd(_requests(-0.3, runs=2), "p") is None
 
 
 def test_driver_who_refused_a_larger_gap_is_left_out_and_counted() -> None:
@@ -201,6 +228,8 @@ def test_trend_is_the_slope_over_all_values_and_p_counts_the_family() -> None:
     assert first.loc["share_accepted", "trend"] == pytest.approx(-0.3, abs=0.1)
     assert first.loc["share_accepted", "p_holm"] < 0.05
     assert first.loc["lateral_s", "p"] == 1.0
+    assert first.loc["lag_time_gap_s", "p"] == pytest.approx(2 / 2**12)  # each of twelve runs says the same
+    assert (first["clusters"] == 12).all()
     assert (first["p_holm"] >= first["p"]).all()
 
 

@@ -32,6 +32,7 @@ def study_file(tmp_path: Path, text: str, scenes: Path) -> Path:
         (gzip.compress(b"[" * 5_000, mtime=0), "run of a study"),
         (gzip.compress(b'{"requests": [{"kind": "lane_change"}], "flow": []}', mtime=0), "requests without accepted"),
         (gzip.compress(b"[]", mtime=0), "run of a study"),
+        (gzip.compress(b'{"requests": []}', mtime=0), "without conflicts, flow, lane_changes"),
     ],
 )
 def test_run_in_a_folder_that_is_continued_is_read_up_to_its_limits(
