@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import imageio.v2
 import imageio_ffmpeg
-import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 from matplotlib.artist import Artist
@@ -24,10 +23,8 @@ from PIL import Image
 from bridge.config import word_for_recorded
 from bridge.files import beside, explained
 from bridge.pictures import figures
-from bridge.recordings.folders import Address
-from bridge.recordings.scenario import FOCAL_CATEGORY, Scenario
-from bridge.recordings.sidecar import ManeuverRecord, sidecar_in
-from bridge.recordings.sources import read_recording
+from bridge.recordings.recording import FOCAL_CATEGORY, Recording
+from bridge.recordings.sidecar import ManeuverRecord
 from hid2.agents import FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
 from hid2.measures.manoeuvres import ManeuverKind
@@ -67,36 +64,34 @@ class _Panel:
     """What one half of the picture shows."""
 
     title: str
-    scenario: Scenario
+    scenario: Recording
     tracks: tuple[Track, ...]
     looks: Mapping[str, _Look]
     maneuvers: _Done
 
 
 def render_scene(
-    folder: Address,
+    scenario: Recording,
     out_file: Path,
     *,
-    source: Address | None = None,
+    source: Recording | None = None,
     agent: str | None = None,
     cells: bool = False,
     step: int | None = None,
     on_frame: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Draw a scene folder from above into a picture (.png, .jpg, .pdf, .svg) or a film (.gif, .mp4).
+    """Draw a scene from above into a picture (.png, .jpg, .pdf, .svg) or a film (.gif, .mp4).
 
-    A generated scene is shown before | after; before is the scene at `source` where given, whose sizes its recorded
+    A generated scene is shown before | after; before is the scene `source` where given, whose sizes its recorded
     tracks then have on both sides, else its own recorded tracks. `agent` is highlighted and its surroundings shown.
     `step`: the timestep of a picture (default: the last observed one); a film shows all. on_frame(done, total) is
     called as the frames of a film are drawn.
-    Errors: ScenarioError, MapError; ConfigError for an unknown ending, step or track; ExportError where the file cannot
-    be written.
+    Errors: ConfigError for an unknown ending, step or track; ExportError where the file cannot be written.
     """
     suffix = out_file.suffix.lower()
     figures.check_ending(out_file, PICTURES + ANIMATIONS)
     if step is not None and suffix in ANIMATIONS:
         raise ConfigError(f"{out_file}: a film shows every timestep; for one give a picture, {', '.join(PICTURES)}")
-    scenario = read_recording(folder)
     shown = figures.check_step(scenario, step)
     drawing = _Drawing(scenario, source, agent=agent, cells=cells, whole_paths=suffix in PICTURES)
     with explained(out_file):
@@ -107,23 +102,21 @@ def render_scene(
             with beside(out_file) as hidden:
                 frames = drawing.frames(range(scenario.num_steps), on_frame)
                 _write_animation(frames, hidden, step_s=scenario.step_s)
-            plt.close(drawing.figure)
     return out_file
 
 
-def scene_figure(folder: Address, *, source: Address | None = None, agent: str | None = None) -> Figure:
-    """A scene folder, or the surroundings of one track in it, at its last observed step, before | after, as a figure.
-
-    Errors: ScenarioError, MapError.
-    """
-    scenario = read_recording(folder)
-    drawing = _Drawing(scenario, source, agent=agent, cells=False, whole_paths=True)
-    drawing.show(scenario.last_observed)
+def scene_figure(
+    scenario: Recording, *, source: Recording | None = None, agent: str | None = None, cells: bool = False,
+    step: int | None = None,
+) -> Figure:  # fmt: skip
+    """A picture as `render_scene` draws it, as a figure. Errors: ConfigError for an unknown step or track."""
+    drawing = _Drawing(scenario, source, agent=agent, cells=cells, whole_paths=True)
+    drawing.show(figures.check_step(scenario, step))
     return drawing.figure
 
 
 def draw_scene(
-    axes: Axes, scenario: Scenario, *, step: int | None = None, agent: str | None = None, cells: bool = False
+    axes: Axes, scenario: Recording, *, step: int | None = None, agent: str | None = None, cells: bool = False
 ) -> None:
     """Draw a scene, recorded or generated, into axes of your own: map, vehicles in the colours of their policies, ids.
 
@@ -141,17 +134,16 @@ def draw_scene(
     figures.frame(axes, low, high, origin=origin, aspect=room.width / room.height)
 
 
-def _panels(scenario: Scenario, source: Address | None) -> list[_Panel]:
+def _panels(scenario: Recording, source: Recording | None) -> list[_Panel]:
     """What is shown: one half for a recorded scene, before | after for a generated one."""
-    sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
-    agents = sidecar.agents if sidecar else ()
+    agents = scenario.sidecar.agents if scenario.sidecar else ()
     policies = {record.track_id: record.policy for record in agents}
     maneuvers = tuple((record.track_id, maneuver) for record in agents for maneuver in record.maneuvers)
     recorded = tuple(track for track in scenario.tracks if not is_generated_id(track.track_id))
     generated = len(scenario.tracks) - len(recorded)
     name, word = scenario.scenario_id[:8], word_for_recorded(scenario.scenario_id)
 
-    def panel(title: str, shown: Scenario, tracks: tuple[Track, ...], done: _Done = ()) -> _Panel:
+    def panel(title: str, shown: Recording, tracks: tuple[Track, ...], done: _Done = ()) -> _Panel:
         own = policies if shown is scenario else {}
         looks = {track.track_id: _look(track, own.get(track.track_id)) for track in tracks}
         return _Panel(title, shown, tracks, looks, done)
@@ -160,8 +152,7 @@ def _panels(scenario: Scenario, source: Address | None) -> list[_Panel]:
         return [panel(f"{name}: {len(recorded)} recorded agents", scenario, scenario.tracks)]
     before, tracks, origin = scenario, recorded, "the recorded tracks of this scene, sizes by object type"
     if source is not None:
-        before = read_recording(source)
-        tracks = before.tracks
+        before, tracks = source, source.tracks
         origin = f"source scene {before.scenario_id[:8]}, with the sizes labelled there"
     known = {track.track_id: track.size for track in tracks}  # labelled sizes lie beside the source only
     resized = (
@@ -182,7 +173,7 @@ def _look(track: Track, policy: Policy | None) -> _Look:
     return _Look(figures.FACES[kind], edge, width, _ORDER.get(kind, 6))
 
 
-def _window(scenario: Scenario, agent: str | None) -> tuple[FloatArray, FloatArray]:
+def _window(scenario: Recording, agent: str | None) -> tuple[FloatArray, FloatArray]:
     """Ground to show, low and high corner, m: around one agent's path, else around what moves and the focal one."""
     if agent is not None:
         tracks, margin = [figures.find_track(scenario, agent)], AGENT_MARGIN_M
@@ -276,7 +267,7 @@ class _Drawing:
     """
 
     def __init__(
-        self, scenario: Scenario, source: Address | None, *, agent: str | None, cells: bool, whole_paths: bool
+        self, scenario: Recording, source: Recording | None, *, agent: str | None, cells: bool, whole_paths: bool
     ) -> None:
         self.whole_paths, self.agent = whole_paths, agent
         panels = _panels(scenario, source)
@@ -286,9 +277,8 @@ class _Drawing:
         aspect = float(np.clip(span[0] / span[1], 0.6, 2.2))
         width = 7.0 if len(panels) > 1 else 9.0
         height = float(np.clip(width / aspect, 4.0, 9.0))
-        self.figure, axes = plt.subplots(
-            1, len(panels), figsize=(width * len(panels), height + 1.3), squeeze=False, layout="constrained"
-        )
+        self.figure = Figure(figsize=(width * len(panels), height + 1.3), layout="constrained")
+        axes = self.figure.subplots(1, len(panels), squeeze=False)
         self.canvas: Any = FigureCanvasAgg(self.figure)
         self.panels = list(zip(panels, axes[0], strict=True))
         for panel, ax in self.panels:

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from bridge.config import load_config
-from bridge.generation.generate import GeneratedScene, generate, prepare
+from bridge.generation.generate import generate, prepare
+from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from hid2.evaluation.safety import Safety, safety
@@ -57,8 +58,8 @@ class Figures:
         self.met["recorded"].append(found[members])
         self.met[f"recorded, {name}"].append(found[members])
 
-    def add(self, name: str, scene: GeneratedScene, lanes: FlatLanes, target: str | None, within_m: float) -> None:
-        recording = scene.scenario
+    def add(self, name: str, scene: TrafficScene, lanes: FlatLanes, target: str | None, within_m: float) -> None:
+        recording = scene.source
         arrays = stack([*recording.tracks, *scene.generated], num_steps=recording.num_steps, step_s=recording.step_s)
         safe = safety(arrays, lanes)
         found = met_of(_met(arrays, safe))

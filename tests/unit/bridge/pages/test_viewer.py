@@ -14,7 +14,7 @@ from PIL import Image
 from viewed import differences
 
 from bridge.config import load_config
-from bridge.generation.generate import generate, write
+from bridge.generation.generate import generate
 from bridge.pages.viewer import NONE, coded, facts_of, pack, scene_document, view_scenes
 from bridge.pictures import figures
 from bridge.recordings.export import write_scene
@@ -46,7 +46,7 @@ def generated(tmp_path_factory: pytest.TempPathFactory, data_scenes: dict[str, P
     cut_in = load_config(None, ["request.agents=6"], {"event": [{"kind": "cut_in", "target": "focal"}]})
     configs = {"intersection": load_config(None, mix), "arterial": cut_in}
     made = [generate(read_scenario(data_scenes[name]), config) for name, config in configs.items()]
-    return [write(scene, out, record=("gaps",)) for scene in made]
+    return [scene.write(out, record=("gaps",)) for scene in made]
 
 
 @pytest.fixture(scope="module")
