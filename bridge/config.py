@@ -284,7 +284,7 @@ def _range(field: FieldInfo) -> str:
             return f"tables of {', '.join(name for table in tables for name in table.model_fields)}"
         least = " and not empty" if any(getattr(entry, "min_length", 0) for entry in field.metadata) else ""
         return f"list of numbers {_bounds(inner)}{least}"
-    if str in leaves:
+    if str in leaves and not choices:
         return "text"
     if int not in leaves and float not in leaves:
         return f"{choices}, or module:function" if str in leaves else choices  # the one text that is free

@@ -178,7 +178,7 @@ def find_track(scenario: Scenario, track_id: str) -> Track:
         ordered = sorted(known, key=lambda name: (not is_generated_id(name), name))
         alike = get_close_matches(track_id, known, 5, 0.4) or ordered[:5]
         raise ConfigError(
-            f"{scenario.folder}: no track {track_id!r} among {len(known)}; there are {', '.join(alike)}, ..."
+            f"{scenario.folder}: no track {track_id!r} among {len(known)}; expected one of {', '.join(alike)}, ..."
         )
     return scenario.track(track_id)
 

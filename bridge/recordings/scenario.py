@@ -195,7 +195,9 @@ def read_arrow(path: Path, read: Callable[[io.BytesIO], pa.Table], *, kind: str,
     except MemoryError:
         raise
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path}: not a {kind} file ({one_line(_first_line(error), most=200)})") from error
+        raise ScenarioError(
+            f"{path}: not a {kind} file ({one_line(_first_line(error), most=200)}), expected {wanted}"
+        ) from error
     return table
 
 
