@@ -129,7 +129,7 @@ def scene_document(recording: Recording, looks: bytes | None = None) -> dict[str
     lanes, word = flatten_lanes(recording.graph), word_for_recorded(recording.scenario_id)
     states = states_of(recording.tracks, lanes, ids, num_steps=recording.num_steps, step_s=recording.step_s)
     policies = {} if sidecar is None else {agent.track_id: agent.policy for agent in sidecar.agents}
-    origin, found = figures.origin_of(recording.graph), findings_of(states, recording.graph, sidecar)
+    origin, found = _origin(recording.graph), findings_of(states, recording.graph, sidecar)
     return {
         "id": recording.scenario_id, "city": recording.city, "split": recording.split, "origin": origin.tolist(),
         "step_s": recording.step_s, "steps": recording.num_steps, "observed": recording.observed_steps,
@@ -151,6 +151,13 @@ def coded(values: npt.ArrayLike, *, quantum: float = 1.0, order: int = 1) -> lis
     for _ in range(order):
         found = np.diff(found, prepend=0)
     return list(found.tolist())
+
+
+def _origin(graph: LaneGraph) -> FloatArray:
+    """(2,) m, a round place south-west of a map, from which the page counts: small numbers."""
+    points = [*graph.drivable_areas, *(lane.centerline for lane in graph.lanes.values())]
+    low: FloatArray = np.min([line[:, :2].min(axis=0) for line in points], axis=0)
+    return np.floor(low / 100) * 100
 
 
 def _line(points: FloatArray, origin: FloatArray) -> list[list[int]]:

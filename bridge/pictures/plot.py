@@ -147,8 +147,7 @@ def _plan(ax: Axes, scenario: Recording, position: FloatArray, moments: list[_Mo
             ax.plot(*position[row], "D", color=figures.BLUE, markeredgecolor="black", markersize=7, zorder=8)
     low, high = position.min(axis=0) - 10.0, position.max(axis=0) + 10.0
     wide, high_m = high - low
-    origin = figures.origin_of(scenario.graph)
-    figures.frame(ax, low, high, origin=origin, aspect=0.45 if high_m > wide else 2.6)
+    figures.frame(ax, low, high, aspect=0.45 if high_m > wide else 2.6)
     ax.set_title("position every second; diamond: crossing between lanes", fontsize=9)
 
 

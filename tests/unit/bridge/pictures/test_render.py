@@ -8,11 +8,22 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 from PIL import Image
 
 from bridge.pictures import figures
 from bridge.pictures.plot import _levels, agent_figure, plot_agent
-from bridge.pictures.render import ANIMATIONS, PICTURES, draw_scene, render_scene, scene_figure
+from bridge.pictures.render import (
+    ANIMATIONS,
+    CAR_PIXELS,
+    GIF_WIDTH,
+    MOST_GROUND_M,
+    PICTURES,
+    _Drawing,
+    draw_scene,
+    render_scene,
+    scene_figure,
+)
 from bridge.recordings.scenario import read_scenario
 from netconvert.errors import ConfigError, ExportError
 
@@ -196,6 +207,59 @@ def test_policies_differ_for_colour_blind_readers():
         seen = np.clip(linear @ np.array(matrix).T, 0, 1) ** (1 / 2.4)
         apart = [np.linalg.norm(a - b) for k, a in enumerate(seen) for b in seen[k + 1 :]]
         assert min(apart) > 0.15, name
+
+
+def boxes_of(figure, texts):
+    figure.draw_without_rendering()
+    return [text.get_window_extent() for text in texts if text.get_text()]
+
+
+@pytest.mark.parametrize("count", [2, 12, 40])
+def test_labels_of_vehicles_that_stand_close_do_not_overlap(count: int) -> None:
+    """A queue at 3 m, at 5 px/m: labels of 35 px would cover each other."""
+    axes = Figure(figsize=(8, 4), dpi=100).add_axes((0, 0, 1, 1))
+    axes.set(xlim=(0, 160), ylim=(0, 80))
+    points = np.column_stack([20 + 3.0 * np.arange(count), np.full(count, 40.0)])
+    names = [f"gen_{k}" for k in range(count)]
+    offsets = figures.label_offsets(axes, points, names, size=6.5)
+    texts = [
+        axes.annotate(name, at, xytext=offset, textcoords="offset points", fontsize=6.5)
+        for name, at, offset in zip(names, points, offsets, strict=True)
+    ]
+    boxes = boxes_of(axes.figure, texts)
+    assert [k for k, one in enumerate(boxes) if any(one.overlaps(other) for other in boxes[:k])] == []
+    assert offsets[0] == (4.0, 4.0)
+
+
+def test_no_label_of_a_picture_overlaps_another(made_scene):
+    for agent in (None, "gen_0"):
+        figure = scene_figure(read_scenario(made_scene), agent=agent)
+        for axes in figure.axes:
+            boxes = boxes_of(figure, axes.texts)
+            assert [one for k, one in enumerate(boxes) if any(one.overlaps(other) for other in boxes[:k])] == []
+        assert len(figure.axes[-1].texts) > 4
+
+
+@pytest.mark.parametrize("longest", [None, GIF_WIDTH])
+def test_cars_of_a_film_are_never_below_fourteen_pixels(made_scene, data_scenes, longest) -> None:
+    """Whatever the ground: of 300 m a film of 1100 px would show cars of 8 px."""
+    for folder in (made_scene, *data_scenes.values()):
+        drawing = _Drawing(read_scenario(folder), None, agent=None, cells=False, whole_paths=False)
+        drawing.scale(longest=longest)
+        axes = drawing.panels[0][1]
+        assert 4.5 * axes.get_window_extent().width / np.ptp(axes.get_xlim()) > CAR_PIXELS - 0.1
+        assert max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())) < 2 * MOST_GROUND_M
+        frame = next(drawing.frames([60], None))
+        assert max(frame.shape) >= (longest or 0) - 2
+
+
+def test_legend_names_only_what_is_shown(made_scene):
+    figure = scene_figure(read_scenario(made_scene))
+    said = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "generated vehicle" not in said  # the policy of each is known
+    assert sum(text.startswith("generated: ") for text in said) == len(
+        {agent.policy for agent in read_scenario(made_scene).sidecar.agents}
+    )
 
 
 def test_plot_shows_every_quantity_with_its_unit(made_scene):
