@@ -28,25 +28,6 @@ _FORMER_FOCAL_CATEGORY = SCORED_CATEGORY
 _CENTERLINE = re.compile(rb'"centerline":\s*\[\s*\{')
 
 
-def write_scene(
-    scenario: Recording,
-    generated: Sequence[Track],
-    sidecar: Sidecar,
-    out_dir: Path,
-    *,
-    new_id: str,
-    focal_track_id: str,
-    extra: Mapping[str, bytes] | None = None,
-) -> Path:
-    """Write OUT/[split/]new_id/ with parquet, map and sidecar; returns the folder. extra: more files, by name.
-
-    Everything is written to a hidden folder beside and then renamed; a folder that is there already is replaced.
-    Errors: ExportError.
-    """
-    made = with_generated(scenario, generated, sidecar, new_id=new_id, focal_track_id=focal_track_id)
-    return write_recording(made, out_dir, extra=extra)
-
-
 def with_generated(
     scenario: Recording, generated: Sequence[Track], sidecar: Sidecar, *, new_id: str, focal_track_id: str
 ) -> Recording:
@@ -65,7 +46,11 @@ def with_generated(
 
 
 def write_recording(made: Recording, out_dir: Path, *, extra: Mapping[str, bytes] | None = None) -> Path:
-    """Write a generated scene as `write_scene` does; one that was recorded is refused. Errors: ExportError."""
+    """Write OUT/[split/]id/ with parquet, map and sidecar; returns the folder. extra: more files, by name.
+
+    Everything is written to a hidden folder beside and then renamed; a folder that is there already is replaced.
+    Errors: ExportError, also for a scene that was recorded.
+    """
     check_step(made)
     if made.sidecar is None:
         raise ExportError(f"{made.folder}: was recorded, nothing is inserted; expected a scene of `generate`")

@@ -13,12 +13,12 @@ from browser import Page
 from matplotlib.figure import Figure
 from PIL import Image
 from viewed import differences
+from written import write_scene
 
 from bridge.config import load_config
 from bridge.generation.generate import generate
 from bridge.pages.viewer import NONE, coded, facts_of, pack, scene_document, view_scenes
 from bridge.pictures import figures
-from bridge.recordings.export import write_scene
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sources import read_recording
 from hid2.measures.lane_matching import flatten_lanes
