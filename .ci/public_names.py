@@ -1,4 +1,4 @@
-"""Writes bridge/PYTHON.md from the docstrings of the public names: python .ci/public_names.py. A test compares them."""
+"""Writes the tables of bridge/PYTHON.md from the docstrings of the public names: python .ci/public_names.py."""
 
 import inspect
 import re
@@ -7,27 +7,30 @@ from pathlib import Path
 import bridge
 
 PAGE = Path(__file__).parents[1] / "bridge" / "PYTHON.md"
-INTRODUCTION = """\
-# From Python
-
-The public interface, `from bridge import ...`. `python .ci/public_names.py` makes this page of the docstrings, and a
-test compares them; `help(name)` has shapes, units and errors. It follows semantic versioning from 1.0 on: until then a
-minor version may change it, and [CHANGELOG.md](../CHANGELOG.md) says so. All other names may change with any version.
-The packages carry types, which mypy and editors follow in an editable install too.
-
-Lengths are in metres, times in seconds, headings in radians counter-clockwise from east; positions are box centres in
-city coordinates. One process runs one simulation at a time: to use several cores, use `run_batch`.
-
-| name | what it is |
-|---|---|
-"""
+#: The generated part begins here; what is above is written by hand.
+_MARK = "## All names\n"
 
 
 def page() -> str:
     """The text of the page: each name with its arguments and the first sentence of its docstring."""
-    return INTRODUCTION + "".join(
-        f"| `{_call(name)}` | {_sentence(name)} |\n" for name in sorted(bridge.__all__, key=str.lower)
-    )
+    members = [
+        f"| `.{name}{_arguments(found)}` | {_sentence(found)} |"
+        for name, found in vars(bridge.TrafficScene).items()
+        if not name.startswith("_") and (isinstance(found, property) or inspect.isfunction(found))
+    ]
+    names = [
+        f"| `{_call(name)}` | {_sentence(getattr(bridge, name))} |" for name in sorted(bridge.__all__, key=str.lower)
+    ]
+    table = [
+        "| name | what it is |",
+        "|---|---|",
+        *names,
+        "",
+        "| of a `TrafficScene` | what it is |",
+        "|---|---|",
+        *members,
+    ]
+    return "\n".join([PAGE.read_text(encoding="utf-8").partition(_MARK)[0] + _MARK, *table, ""])
 
 
 def _call(name: str) -> str:
@@ -35,8 +38,13 @@ def _call(name: str) -> str:
     return name if inspect.isclass(found) else f"{name}({', '.join(inspect.signature(found).parameters)})"
 
 
-def _sentence(name: str) -> str:
-    text = " ".join((inspect.getdoc(getattr(bridge, name)) or "").split("\n\n")[0].split())
+def _arguments(found: object) -> str:
+    names = list(inspect.signature(found).parameters)[1:] if callable(found) else []
+    return f"({', '.join(names)})" if callable(found) else ""
+
+
+def _sentence(found: object) -> str:
+    text = " ".join((inspect.getdoc(found) or "").split("\n\n")[0].split())
     return (re.match(r".*?[.](?=\s|$)", text) or re.match(".*", text))[0].replace("|", "\\|")  # type: ignore[index]
 
 

@@ -16,19 +16,14 @@ if TYPE_CHECKING:
     from bridge.config import load_config as load_config
     from bridge.config import parse_behaviours as parse_behaviours
     from bridge.evaluation.evaluate import evaluate_folder as evaluate_folder
+    from bridge.evaluation.scene_metrics import evaluate_scene as evaluate_scene
     from bridge.generation.generate import generate as generate
     from bridge.generation.generate import prepare as prepare
-    from bridge.generation.generate import write as write
+    from bridge.generation.scene import TrafficScene as TrafficScene
+    from bridge.generation.scene import read_scene as read_scene
     from bridge.pictures.conflicts import Conflict as Conflict
     from bridge.pictures.conflicts import draw_conflicts as draw_conflicts
-    from bridge.pictures.conflicts import find_conflicts as find_conflicts
-    from bridge.pictures.plot import plot_agent as plot_agent
-    from bridge.pictures.render import draw_scene as draw_scene
-    from bridge.pictures.render import render_scene as render_scene
     from bridge.recordings.folders import find_scenarios as find_scenarios
-    from bridge.recordings.scenario import Scenario as Scenario
-    from bridge.recordings.scenario import read_scenario as read_scenario
-    from bridge.recordings.sidecar import sidecar_in as sidecar_in
     from bridge.studies.run import run_study as run_study
     from bridge.studies.study import read_study as read_study
     from hid2.params import Config as Config
@@ -40,13 +35,11 @@ _NAMES = {
     "bridge.batch.batch": "Options plan run_batch",
     "bridge.config": "load_config parse_behaviours",
     "bridge.evaluation.evaluate": "evaluate_folder",
-    "bridge.generation.generate": "generate prepare write",
-    "bridge.pictures.conflicts": "Conflict draw_conflicts find_conflicts",
-    "bridge.pictures.plot": "plot_agent",
-    "bridge.pictures.render": "draw_scene render_scene",
+    "bridge.evaluation.scene_metrics": "evaluate_scene",
+    "bridge.generation.scene": "TrafficScene read_scene",
+    "bridge.generation.generate": "generate prepare",
+    "bridge.pictures.conflicts": "Conflict draw_conflicts",
     "bridge.recordings.folders": "find_scenarios",
-    "bridge.recordings.scenario": "Scenario read_scenario",
-    "bridge.recordings.sidecar": "sidecar_in",
     "bridge.batch.validation": "validate_folder",
     "bridge.studies.run": "run_study",
     "bridge.studies.study": "read_study",

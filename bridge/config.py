@@ -46,18 +46,27 @@ def load_config(
     """Resolve a configuration.
 
     toml_path: sections as tables; flags: values of the command's options by "section.key"; overrides: texts
-    "section.key=value", which come last.
+    "section.key=value", which come last. A function of your own as lane_change.rule is tried at once.
     Errors: ConfigError with key, value and range.
     """
     data = read_toml(toml_path, "a configuration") if toml_path is not None else {}
     source = str(toml_path) if toml_path is not None else "configuration"
-    config = _validated(data, source)
+    config, functions = _validated(data, source), False
     for key, value in (flags or {}).items():
+        if callable(value) and key == "lane_change.rule":
+            from hid2.policy.rules import name_of_rule
+
+            value, functions = name_of_rule(value), True
         _put(data, key, value)
     for text in overrides:
         key, value = _parse_override(text)
         _put(data, key, value)
-    return _validated(data, "configuration") if flags or overrides else config
+    config = _validated(data, "configuration") if flags or overrides else config
+    if functions:
+        from hid2.policy.rules import try_rule
+
+        try_rule(config.lane_change)
+    return config
 
 
 def read_drivers(path: Path) -> dict[str, object]:
@@ -275,7 +284,7 @@ def _range(field: FieldInfo) -> str:
             return f"tables of {', '.join(name for table in tables for name in table.model_fields)}"
         least = " and not empty" if any(getattr(entry, "min_length", 0) for entry in field.metadata) else ""
         return f"list of numbers {_bounds(inner)}{least}"
-    if str in leaves:
+    if str in leaves and not choices:
         return "text"
     if int not in leaves and float not in leaves:
         return f"{choices}, or module:function" if str in leaves else choices  # the one text that is free

@@ -10,7 +10,7 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Self
 
@@ -18,11 +18,13 @@ from bridge.files import one_line
 from bridge.interruption import tidied
 from bridge.tables import table_lines
 
-#: Seconds between two looks at what is done; off a terminal to the first line, and to the next, early and later.
-_LOOK_S, _FIRST_S, _PLAIN_EVERY_S, _LATER_EVERY_S = 0.2, 2.0, 4.0, 30.0
-_LATER_S = 180.0
-#: Of a message.
-_MOST_CHARACTERS = 2000
+#: Seconds between two looks at what is done.
+_LOOK_S = 0.2
+#: Off a terminal: to the first line, so that it is heard soon that something runs, and to each later one, so that the
+#: log of a night is a thousand lines. No tunables.
+FIRST_S, EVERY_S = 2.0, 30.0
+#: Of a message, behind the command's name.
+_MOST_CHARACTERS = 1990
 #: Nothing is said of a rate before.
 _RATED_S = 1.0
 #: To the beginning of a terminal's line, and clear it.
@@ -31,7 +33,7 @@ _CLEAR = "\r\x1b[K"
 
 def say(message: str) -> None:
     """A message for the person, on stderr: in the place of the progress, which comes again below."""
-    _write(f"{fitted(message)}\n")
+    _write(f"{fitted(f'hid2: {message}')}\n")
 
 
 def _write(text: str) -> None:
@@ -59,12 +61,12 @@ def fitted(message: str) -> str:
 
 def warn(message: str) -> None:
     """What went wrong, or may have, while the command goes on: a line."""
-    say(one_line(f"hid2: warning: {message}", most=_MOST_CHARACTERS))
+    say(one_line(f"warning: {message}", most=_MOST_CHARACTERS))
 
 
 def fail(message: str) -> None:
     """What ended the command: a line, whatever came with it from a file or the command line."""
-    say(one_line(f"hid2: error: {message}", most=_MOST_CHARACTERS))
+    say(one_line(f"error: {message}", most=_MOST_CHARACTERS))
 
 
 def counted(number: int, noun: str) -> str:
@@ -91,16 +93,16 @@ def print_json(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None
 
 
 class Activity(ExitStack):
-    """What is being done, from the start: one line on a terminal, a line every few seconds elsewhere, none when quiet.
+    """What is being done, from the start: one line on a terminal, a line now and then elsewhere, none when quiet.
 
-    `doing` names the next piece of work, `show` counts within it.
+    `doing` names the next piece of work, `show` counts within it. clock: seconds, from any moment on.
     """
 
-    def __init__(self, what: str = "starting", *, quiet: bool) -> None:
+    def __init__(self, what: str = "starting", *, quiet: bool, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
-        self._what, self._quiet = what, quiet
-        self._began = self._named = time.monotonic()
-        self._next_line = self._began + _FIRST_S
+        self._what, self._quiet, self._clock = what, quiet, clock
+        self._named = clock()
+        self._next_line = self._named + FIRST_S
         self._counted = ""
         self._over = threading.Event()
         self._ticker = threading.Thread(target=self._tick, daemon=True)
@@ -119,11 +121,11 @@ class Activity(ExitStack):
 
     def doing(self, what: str) -> None:
         """Name the work that begins now, which nothing is counted of yet."""
-        self._what, self._counted, self._named = what, "", time.monotonic()
+        self._what, self._counted, self._named = what, "", self._clock()
 
     def show(self, done: int, total: int, rate: float | None = None, details: str = "") -> None:
         """Take note of what is done so far; rate: items a second, by the count if not given."""
-        elapsed_s = time.monotonic() - self._named
+        elapsed_s = self._clock() - self._named
         rate = (done / elapsed_s if elapsed_s > _RATED_S else 0.0) if rate is None else rate
         left = f", {duration((total - done) / rate)} left" if rate > 0 and done < total else ""
         speed = f"{_rate(rate)}{left}" if rate > 0 else ""
@@ -142,14 +144,18 @@ class Activity(ExitStack):
 
     def _tick(self) -> None:
         while not self._over.wait(_LOOK_S):
-            now = time.monotonic()
-            if _is_live():
-                _write(f"{self._what}{self._so_far(now)}"[: shutil.get_terminal_size().columns - 1])
-            elif now > self._next_line:
-                self._next_line = now + (_PLAIN_EVERY_S if now - self._began < _LATER_S else _LATER_EVERY_S)
-                say(f"{self._what}{self._so_far(now)}")
+            self.look()
         if _is_live():
             _write("")
+
+    def look(self) -> None:
+        """Say how far it is: on a terminal always, elsewhere where a line is due."""
+        now = self._clock()
+        if _is_live():
+            _write(f"{self._what}{self._so_far(now)}"[: shutil.get_terminal_size().columns - 1])
+        elif now >= self._next_line:
+            self._next_line = now + EVERY_S
+            say(f"{self._what}{self._so_far(now)}")
 
     def _so_far(self, now: float) -> str:
         return self._counted or f", {duration(now - self._named)} so far"

@@ -6,7 +6,6 @@ it in some scene, the event whose vehicle is nearest to its target is shown. Pic
 
 import io
 import sys
-import tempfile
 from pathlib import Path
 from typing import get_args
 
@@ -14,7 +13,7 @@ import numpy as np
 from make_pictures import write_small  # beside this file
 from matplotlib.figure import Figure
 
-from bridge import draw_scene, find_scenarios, generate, prepare, read_scenario, write
+from bridge import TrafficScene, find_scenarios, generate, read_scene
 from bridge.pictures import figures
 from bridge.recordings.sidecar import EventRecord
 from hid2.agents import Track
@@ -49,25 +48,25 @@ This page and its pictures are made by `python data/make_gallery.py`.
 """
 
 
-def best_of(kind: str, out: Path) -> tuple[Path, Path, EventRecord, int]:
-    """Source, generated folder, record and seed of an event: of the first seed that has any, the nearest."""
+def best_of(kind: str) -> tuple[Path, TrafficScene, EventRecord, int]:
+    """Source, generated scene, record and seed of an event: of the first seed that has any, the nearest."""
     asked = Event.model_validate({"kind": kind, "target": "any", "at_s": AT_S[kind]})
     for seed in range(SEEDS):
         config = Config(request=Request(agents=0, seed=seed), event=(asked,))
         found = []
         for folder in find_scenarios(DATA / "av2"):
-            scene = generate(prepare(read_scenario(folder), config), config)
+            scene = generate(read_scene(folder), config)
             (event,) = scene.sidecar.events
             if event.status == "done":
-                found.append((folder, write(scene, out), event, seed))
+                found.append((folder, scene, event, seed))
         if found:
             return min(found, key=lambda one: one[2].gap_m or 0.0)
     raise SystemExit(f"{kind}: none of the scenes has one with seeds 0 to {SEEDS - 1}")
 
 
-def picture(folder: Path, event: EventRecord) -> Figure:
+def picture(scene: TrafficScene, event: EventRecord) -> Figure:
     """Three moments of an event."""
-    scenario = read_scenario(folder)
+    scenario = scene.recording
     tracks = {track.track_id: track for track in scenario.tracks}
     own, target = tracks[str(event.track_id)], tracks[str(event.target_track_id)]
     figure = Figure(figsize=(15.0, 5.2), layout="constrained")
@@ -75,7 +74,7 @@ def picture(folder: Path, event: EventRecord) -> Figure:
     moments = [max(0.0, event.at_s - AROUND_S), event.at_s, event.at_s + AROUND_S]
     for axes, at_s in zip(figure.subplots(1, 3), moments, strict=True):
         step = min(round(at_s / scenario.step_s), scenario.num_steps - 1)
-        draw_scene(axes, scenario, step=step, agent=own.track_id)
+        scene.draw(axes, step=step, agent=own.track_id)
         row, here = _row(target, step), _row(own, step)
         if here is not None:
             x, y = own.position[here].tolist()
@@ -120,19 +119,18 @@ def main() -> None:
     figures.style()
     PICTURES.mkdir(exist_ok=True)
     lines = [_HEAD.format(around=AROUND_S)]
-    with tempfile.TemporaryDirectory() as scratch:
-        for kind in KINDS:
-            source, folder, event, seed = best_of(kind, Path(scratch) / kind)
-            drawn = io.BytesIO()
-            picture(folder, event).savefig(drawn, dpi=100)
-            write_small(drawn, PICTURES / f"{kind}.png")
-            lines += [
-                f"## {kind}\n",
-                f"The vehicle {SEEN[kind]}, track {event.target_track_id}: {told(event)}.\n",
-                f"![{kind}: the vehicle {SEEN[kind]}](events/{kind}.png)\n",
-                f"    {command_of(source, kind, seed)}\n",
-            ]
-            print(kind, source.name, told(event), file=sys.stderr)
+    for kind in KINDS:
+        source, scene, event, seed = best_of(kind)
+        drawn = io.BytesIO()
+        picture(scene, event).savefig(drawn, dpi=100)
+        write_small(drawn, PICTURES / f"{kind}.png")
+        lines += [
+            f"## {kind}\n",
+            f"The vehicle {SEEN[kind]}, track {event.target_track_id}: {told(event)}.\n",
+            f"![{kind}: the vehicle {SEEN[kind]}](events/{kind}.png)\n",
+            f"    {command_of(source, kind, seed)}\n",
+        ]
+        print(kind, source.name, told(event), file=sys.stderr)
     PAGE.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
 
 

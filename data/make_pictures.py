@@ -14,10 +14,7 @@ from bridge import (
     find_scenarios,
     generate,
     load_config,
-    plot_agent,
-    read_scenario,
-    render_scene,
-    write,
+    read_scene,
 )
 from bridge.pages.charts import distribution_figure
 from bridge.pictures import figures
@@ -36,13 +33,14 @@ def main() -> None:
         out = Path(scratch)
         settings = ["request.agents=12", "request.straight=0.4", "request.lane_change=0.4", "request.overtake=0.2"]
         folders = find_scenarios(ROOT / "av2")
-        scenes = [generate(read_scenario(folder), load_config(overrides=settings)) for folder in folders]
-        written = [write(scene, out / "scenes") for scene in scenes]
+        scenes = [generate(read_scene(folder), load_config(overrides=settings)) for folder in folders]
+        for scene in scenes:
+            scene.write(out / "scenes")
         # the scene in which most is done, and in it a vehicle that changes lanes
         best = max(range(len(scenes)), key=lambda k: len(_done(scenes[k].sidecar.agents)))
         agent = _done(scenes[best].sidecar.agents)[0]
-        render_scene(written[best], out / "scene.png")
-        plot_agent(written[best], agent, out / "plot.png")
+        scenes[best].render(out / "scene.png")
+        figures.save(scenes[best].plot(agent), out / "plot.png")
         evaluation = evaluate_folder(out / "scenes", report_dir=out / "report", source=ROOT / "av2")
         figures.save(distribution_figure(evaluation.totals.realism), out / "report.png")
         for name in ("scene", "plot", "report"):

@@ -59,9 +59,11 @@ def _outputs(source: str, names: dict[str, Any], number: int) -> list[dict[str, 
     if lines := printed.getvalue().splitlines(keepends=True):
         outputs.append({"name": "stdout", "output_type": "stream", "text": lines})
     if value is not None:
-        data = {"text/plain": repr(value).splitlines(keepends=True)}
-        if hasattr(value, "_repr_html_"):
-            data["text/html"] = value._repr_html_().splitlines(keepends=True)
+        data: dict[str, Any] = {"text/plain": repr(value).splitlines(keepends=True)}
+        if hasattr(value, "savefig"):
+            data["image/png"] = _picture(value)
+        if html := getattr(value, "_repr_html_", lambda: None)():
+            data["text/html"] = html.splitlines(keepends=True)
         outputs.append({"data": data, "execution_count": number, "metadata": {}, "output_type": "execute_result"})
     return outputs + _figures()
 
@@ -69,17 +71,22 @@ def _outputs(source: str, names: dict[str, Any], number: int) -> list[dict[str, 
 def _figures() -> list[dict[str, Any]]:
     """Open figures as pictures, as Jupyter shows them; they are closed."""
     import matplotlib.pyplot as plt
-    from make_pictures import write_small  # beside this file
 
     outputs: list[dict[str, Any]] = []
     for figure in map(plt.figure, plt.get_fignums()):
-        drawn, small = io.BytesIO(), io.BytesIO()
-        figure.savefig(drawn, dpi=80, bbox_inches="tight")
-        write_small(drawn, small, colors=_COLORS)
-        data = {"image/png": base64.b64encode(small.getvalue()).decode(), "text/plain": [repr(figure)]}
+        data = {"image/png": _picture(figure), "text/plain": [repr(figure)]}
         outputs.append({"data": data, "metadata": {}, "output_type": "display_data"})
     plt.close("all")
     return outputs
+
+
+def _picture(figure: Any) -> str:  # noqa: ANN401  # matplotlib is not imported here
+    from make_pictures import write_small  # beside this file
+
+    drawn, small = io.BytesIO(), io.BytesIO()
+    figure.savefig(drawn, dpi=80, bbox_inches="tight")
+    write_small(drawn, small, colors=_COLORS)
+    return base64.b64encode(small.getvalue()).decode()
 
 
 def main() -> None:

@@ -54,7 +54,7 @@ DEFAULT_SIZES: Mapping[str, BoxSize] = {
 VEHICLE_TYPES = frozenset({"vehicle", "bus"})
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True, repr=False)
 class Track:
     """One agent over time, recorded or generated.
 
@@ -70,6 +70,11 @@ class Track:
     heading: FloatArray
     velocity: FloatArray
     size: BoxSize
+
+    def __repr__(self) -> str:
+        """Id, type, and when it is there."""
+        there = f"timesteps {self.timesteps[0]} to {self.timesteps[-1]}" if len(self.timesteps) else "never there"
+        return f"Track({self.track_id}, {self.object_type}, {there})"
 
     @property
     def speed(self) -> FloatArray:

@@ -116,7 +116,7 @@ def describe_scene(events: Sequence[str], folder: Address) -> SceneFacts:
     lanes = [lane for lane in graph.lanes.values() if lane.lane_type == "VEHICLE"]
     own = {lane.lane_id for lane in lanes}
     turns = [lane for lane in lanes if lane.turn is not TurnType.STRAIGHT and graph.predecessors(lane.lane_id)]
-    short = round(_MOVING_S / scenario.step_s)
+    short, room = round(_MOVING_S / scenario.step_s), rooms(routes)
     return SceneFacts(
         folder=folder,
         scenario=scenario.scenario_id,
@@ -131,13 +131,23 @@ def describe_scene(events: Sequence[str], folder: Address) -> SceneFacts:
         vehicle_lanes=len(lanes),
         same_direction=sum(graph.neighbor(lane.lane_id, side) in own for lane in lanes for side in SIDES),
         straight_m=round(sum(lane.length_m for lane in lanes), 1),
-        lane_change_m=_room_beside(routes, lanes, needed_m=config.lane_change.min_remaining_m),
-        overtake_m=_room_to_pass(routes, lanes, needed_m=stretch_m(config)),
+        lane_change_m=room[Policy.LANE_CHANGE],
+        overtake_m=room[Policy.OVERTAKE],
         left_turns=sum(lane.turn is TurnType.LEFT for lane in turns),
         right_turns=sum(lane.turn is TurnType.RIGHT for lane in turns),
         events=" ".join(offered_events(here, events)),
         shift_m=round(figures_of(scenario).shift_m, 1),
     )
+
+
+def rooms(routes: Routes) -> dict[Policy, float]:
+    """Metres of lane from which a change, or an overtake, has the length that the configuration of the scene asks."""
+    config = routes.scene.config
+    lanes = [lane for lane in routes.scene.grid.graph.lanes.values() if lane.lane_type == "VEHICLE"]
+    return {
+        Policy.LANE_CHANGE: _room_beside(routes, lanes, needed_m=config.lane_change.min_remaining_m),
+        Policy.OVERTAKE: _room_to_pass(routes, lanes, needed_m=stretch_m(config)),
+    }
 
 
 def scene_of(scenario: Recording, config: Config) -> Scene:

@@ -9,7 +9,8 @@ from typing import Any
 from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
-from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare, write
+from bridge.generation.generate import PreparedScene, generate, prepare
+from bridge.generation.scene import TrafficScene
 from bridge.recordings.export import check_step
 from bridge.recordings.folders import sumo_folder
 from bridge.recordings.sidecar import DrivesRecord, Sidecar
@@ -28,22 +29,23 @@ def _check_libsumo() -> None:
 _check_libsumo()
 
 
-def write_all(scene: GeneratedScene, place: Place) -> Path:
+def write_all(scene: TrafficScene, place: Place) -> Path:
     """Write a scene, with what was asked for beside; returns its folder. Errors: ExportError."""
     if place.argoverse1:
         from bridge.recordings.sequence import write_sequence
 
-        write_sequence(scene.scenario, scene.generated, place.out, new_id=scene.new_id)
-    folder = write(scene, place.out, record=("gaps",) if place.gaps else ())
+        assert scene.source is not None
+        write_sequence(scene.source, scene.generated, place.out, new_id=scene.recording.scenario_id)
+    folder = scene.write(place.out, record=("gaps",) if place.gaps else ())
     if place.sumo is not None:
         from bridge.sumo.exchange import write_sumo  # with matplotlib, twice as slow as all else
 
-        write_sumo(folder, sumo_folder(place.sumo, scene.scenario.split, scene.new_id))
+        write_sumo(folder, sumo_folder(place.sumo, scene.recording.split, scene.recording.scenario_id))
     return folder
 
 
 def generate_runs(
-    place: Place, runs: Sequence[Run], finish: Callable[[GeneratedScene, Place], Path] = write_all
+    place: Place, runs: Sequence[Run], finish: Callable[[TrafficScene, Place], Path] = write_all
 ) -> Iterator[ManifestRow | Failure]:
     """Read the scene and build its net once, generate each run, let `finish` write it to a folder."""
     scenario, unreadable = None, None
@@ -65,6 +67,7 @@ def generate_runs(
                 prepared[grid] = prepare(scenario, run.config)
             scene = generate(prepared[grid], run.config, variant=run.variant)
             folder = finish(scene, place)
+            assert scene.sidecar is not None
             yield summarise(scene.sidecar, base_row(place, run))._replace(
                 city=scenario.city,
                 recorded=len(scenario.tracks),

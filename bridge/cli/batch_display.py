@@ -25,7 +25,7 @@ class BatchNotes:
         if_interrupted(f"finished scenes are in {self._out / MANIFEST_NAME}; {self._go_on}")
         if row.status != DONE:
             say(
-                f"hid2: warning: {row.scenario} variant {row.variant}: {row.failure}: {row.reason}\n"
+                f"warning: {row.scenario} variant {row.variant}: {row.failure}: {row.reason}\n"
                 f"  to see it again: hid2 generate --repro {self._out / row.bundle}"
             )
         elif self._verbose:

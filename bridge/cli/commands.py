@@ -8,11 +8,12 @@ import gc
 import os
 import re
 import sys
+from itertools import pairwise
 
 from bridge.batch.start_up import COLLECT
-from bridge.cli.app import application
+from bridge.cli.app import MODULES, application
 from bridge.cli.options import SOME_FAILED, USAGE
-from bridge.console import fail, say
+from bridge.console import fail
 from netconvert.errors import ConfigError, Hid2Error
 
 __all__ = ["application", "run"]
@@ -40,12 +41,14 @@ def run() -> int:
     return code or 0
 
 
+COMMANDS = frozenset(name for names in MODULES.values() for name in names)
 #: What the parser of options says, and what is said instead.
 _PHRASES = {
     "Value error, ": "",
     "Input should be greater than or equal to": "expected at least",
     "Input should be less than or equal to": "expected at most",
     "Input should be a valid (\\w+)(, unable to parse .*)?": r"expected \1",
+    "path '(.*)' is not readable": r"\1 cannot be read (permission denied), expected one that you may read",
 }
 
 
@@ -57,10 +60,17 @@ def _failed(message: str, code: int) -> int:
 def _mistake(error: Exception) -> int:
     context = getattr(error, "ctx", None)
     if type(error).__name__ == "NoArgsIsHelpError":  # `hid2` alone
-        say(error.format_message())  # type: ignore[attr-defined]
+        print(error.format_message(), file=sys.stderr)  # type: ignore[attr-defined]
         return USAGE
-    command = context.command_path if context is not None else "hid2"
+    named = [one for one in sys.argv[1:2] if one in COMMANDS]
+    command = context.command_path if context is not None else " ".join(["hid2", *named])
     message = error.format_message()  # type: ignore[attr-defined]
+    for name in getattr(getattr(error, "param", None), "opts", ()):  # the parser says the option, not what was given
+        given = [b for a, b in pairwise(sys.argv) if a == name] + [
+            one for one in sys.argv if one.startswith(f"{name}=")
+        ]
+        if given and given[0] not in message:
+            message = message.replace("Invalid value for ", f"Invalid value {given[0]!r} for ", 1)
     for theirs, ours in _PHRASES.items():
         message = re.sub(theirs, ours, message)
     return _failed(f"{message[:1].lower()}{message[1:].rstrip('.')} (see {command} --help)", USAGE)

@@ -68,9 +68,9 @@ def compose(  # noqa: PLR0913  # one for each option
 
         made = make(found, out, jobs=jobs, on_scene=activity.step)
         for line in made.left_out[: None if tell.verbose else _SHOWN]:
-            say(f"hid2: warning: left out: {line}")
+            say(f"warning: left out: {line}")
         if len(made.left_out) > _SHOWN and not tell.verbose:
-            say(f"hid2: warning: left out: {len(made.left_out) - _SHOWN} more (-v lists them)")
+            say(f"warning: left out: {len(made.left_out) - _SHOWN} more (-v lists them)")
     head = ("data set", "train", "val", "test")
     if as_json:
         print_json(head, made.rows())
@@ -131,7 +131,7 @@ def forecast(
             found, left_out = features.features_of(find_scenarios(place), on_scene=activity.show)
             targets.append(found)
             for line in left_out:
-                say(f"hid2: warning: not used: {line}")
+                say(f"warning: not used: {line}")
         activity.doing("training")
         if_interrupted("continue with --resume")
         model = network.train(

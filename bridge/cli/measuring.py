@@ -273,7 +273,7 @@ def _score(out: Path, files: list[str], bands: str, report: Path, *, jobs: int, 
             left_out, title, head = scored.left_out, f"{len(scored.scores)} scores", TABLE_HEAD
             rows, page = scored.rows(), "predictions.html"
         for reason in left_out:
-            say(f"hid2: warning: not scored: {reason}")
+            say(f"warning: not scored: {reason}")
     if as_json:
         print_json(head, rows)
     elif not quiet:

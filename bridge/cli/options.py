@@ -17,6 +17,7 @@ import typer
 from bridge.cli.session import set_up
 from bridge.recordings.folders import SPLITS, Choices
 from hid2.policies import Policy
+from netconvert.errors import ConfigError
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -145,6 +146,9 @@ def flattened(function: Callable[..., Any]) -> Callable[..., Any]:
     def called(**values: Any) -> object:
         values = {name: _plain(value) for name, value in values.items()}
         set_up(verbose=values.get("verbose", 0), quiet=values.get("quiet", False))
+        for text in values.get("settings") or ():  # before what is behind it is taken for a scene
+            if "=" not in text:
+                raise ConfigError(f"--set {text!r}: expected section.key=value")
         made = {
             name: kind(**{key: values.pop(one) for key, one in keys.items()}) for name, (kind, keys) in groups.items()
         }

@@ -59,10 +59,16 @@ def render(
     before = None if source is None else one_scene(source, window)
     check_out_file(out)
     with Activity(quiet=tell.quiet) as activity:
-        from bridge.pictures.render import render_scene
+        from bridge.pictures.figures import check_ending
+        from bridge.pictures.render import ANIMATIONS, PICTURES, render_scene
+        from bridge.recordings.sources import read_recording
 
+        check_ending(out, PICTURES + ANIMATIONS)
         activity.doing("drawing")
-        written = render_scene(found, out, source=before, agent=agent, cells=cells, step=step, on_frame=activity.show)
+        written = render_scene(
+            read_recording(found), out, source=None if before is None else read_recording(before), agent=agent,
+            cells=cells, step=step, on_frame=activity.show,
+        )  # fmt: skip
     if not tell.quiet:
         print(written)
 
@@ -80,9 +86,12 @@ def plot(
     found = one_scene(scene, window)
     check_out_file(out)
     with Activity("drawing", quiet=tell.quiet):
+        from bridge.pictures.figures import check_ending
         from bridge.pictures.plot import plot_agent
+        from bridge.recordings.sources import read_recording
 
-        written = plot_agent(found, agent, out)
+        check_ending(out)
+        written = plot_agent(read_recording(found), agent, out)
     if not tell.quiet:
         print(written)
 

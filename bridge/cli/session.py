@@ -19,7 +19,7 @@ class _Handler(logging.Handler):
     """Messages of the packages look as those of the command, and appear beside a bar, not in it."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        say(f"hid2: {record.levelname.lower()}: {record.getMessage()}")
+        say(f"{record.levelname.lower()}: {record.getMessage()}")
 
 
 def set_up(*, verbose: int = 0, quiet: bool = False) -> None:
@@ -41,7 +41,7 @@ def tell_unread(failures: Sequence[tuple["Address", str]]) -> None:
     """Warn of scenes that cannot be read; most reasons name the file themselves."""
     for folder, reason in failures:
         said = reason if reason.startswith(str(folder)) else f"{folder}: {reason}"
-        say(f"hid2: warning: {said}")
+        say(f"warning: {said}")
 
 
 def read_facts(
@@ -77,6 +77,6 @@ def with_cities_of(facts: Sequence["SceneFacts"], selection: "Selection") -> "Se
     for city in selection.cities:
         if facts and city.casefold() not in known:
             raise ConfigError(
-                f"--city {city!r}: no scene is there; the scenes are in {', '.join(sorted(known.values()))}"
+                f"--city {city!r}: no scene is there, expected one of {', '.join(sorted(known.values()))}"
             )
     return selection._replace(cities=tuple(known.get(city.casefold(), city) for city in selection.cities))

@@ -23,7 +23,7 @@ from hid2.measures.manoeuvres import ManeuverKind
 from hid2.params import Config, Request
 
 if TYPE_CHECKING:
-    from bridge.generation.generate import GeneratedScene
+    from bridge.generation.scene import TrafficScene
 
 Experiment = Literal["table1", "ablation", "density", "diversity"]
 EXPERIMENTS: tuple[Experiment, ...] = ("table1", "ablation", "density", "diversity")
@@ -123,7 +123,7 @@ def generate_and_measure(
     folder, settings = shared
     scenario = read_recording(folder)
     prepared = prepare(scenario, next((s.config for s in settings if s.config), Config()))
-    made: dict[tuple[int, int], GeneratedScene] = {}  # a scene that is measured twice is generated once
+    made: dict[tuple[int, int], TrafficScene] = {}  # a scene that is measured twice is generated once
     for number, seed in items:
         config, recorded = settings[number].config, scenario.tracks
         if settings[number].smoothed:

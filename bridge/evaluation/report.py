@@ -12,7 +12,8 @@ from bridge.pages.charts import distribution_figure, diversity_figure
 from bridge.pages.parts import Section, macro, number, page
 from bridge.pictures import figures
 from bridge.pictures.render import scene_figure
-from bridge.recordings.sidecar import AgentRecord, sidecar_in
+from bridge.recordings.sidecar import AgentRecord
+from bridge.recordings.sources import read_recording
 from hid2.evaluation.critics import FEATURE_NAMES
 from hid2.evaluation.realism import FEATURES
 from hid2.reasons import Reason
@@ -66,17 +67,16 @@ def _example(evaluation: Evaluation) -> dict[str, Any] | None:
     example = evaluation.totals.example
     if example is None:
         return None
-    folder = Path(example.folder)
-    sidecar = sidecar_in(folder, example.scenario_id)
-    agents = sidecar.agents if sidecar is not None else ()
+    scenario = read_recording(Path(example.folder))
+    agents = scenario.sidecar.agents if scenario.sidecar is not None else ()
     found = {
         "scenario_id": example.scenario_id,
         "agents": len(agents),
-        "picture": figures.data_uri(scene_figure(folder)),
+        "picture": figures.data_uri(scene_figure(scenario)),
     }
     agent = max(agents, key=lambda one: [kind in _done(one) for kind in ("overtake", "lane_change")], default=None)
     if agent is not None:
-        close = figures.data_uri(scene_figure(folder, agent=agent.track_id))
+        close = figures.data_uri(scene_figure(scenario, agent=agent.track_id))
         found |= {"track_id": agent.track_id, "done": _done(agent), "close": close}
     return found
 
@@ -90,4 +90,4 @@ def _event_picture(row: Row, number: int) -> str:
     """A small picture of an event at its last observed step, for the first of them; "" where there is none."""
     if row["track_id"] is None or number >= _EVENT_PICTURES:
         return ""
-    return figures.data_uri(scene_figure(Path(row["folder"]), agent=row["track_id"]))
+    return figures.data_uri(scene_figure(read_recording(Path(row["folder"])), agent=row["track_id"]))

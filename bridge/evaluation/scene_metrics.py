@@ -1,25 +1,25 @@
 """Every measure of one scene folder: a row for the scene, one per track, one per manoeuvre, and histograms."""
 
 from collections import Counter
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import Address, split_of
 from bridge.recordings.judging import findings_of, states_of
 from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar, sidecar_in
+from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar
 from bridge.recordings.sources import read_recording
 from bridge.recordings.ssam import trj_bytes
 from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
 from hid2.evaluation.critics import pack
 from hid2.evaluation.kinematics import Kinematics, beyond_limits, kinematics, motion
-from hid2.evaluation.metrics import CRITICAL, Group, last_step_counts, measure_group
+from hid2.evaluation.metrics import CRITICAL, METRICS, Group, last_step_counts, measure_group
 from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
 from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety
 from hid2.evaluation.windows import windows
@@ -34,7 +34,11 @@ from hid2.measures.post_encroachment import Encroachment
 from hid2.measures.scene_end import contacts_after_last_step
 from hid2.occupancy.agent_states import agent_states
 from hid2.params import Limits
-from netconvert.errors import ScenarioError
+from hid2.policy.rules import place_in
+from netconvert.errors import ConfigError, ScenarioError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: A manoeuvre seen belongs to a record of its kind whose crossing (or start) is at most this far away.
 SAME_MANEUVER_S = 2.0
@@ -72,7 +76,7 @@ def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMe
     labelled: sizes of the recorded tracks of source scenes, for generated ones whose sidecar does not have them.
     """
     recording = read_recording(folder)
-    sidecar = sidecar_in(folder, recording.scenario_id) if isinstance(folder, Path) else None
+    sidecar = recording.sidecar
     if sidecar is not None and sidecar.replay.mode == "reactive":
         raise ScenarioError(f"{folder}: {REACTIVE}")
     sizes = (labelled or {}).get(sidecar.source_scenario_id, {}) if sidecar else {}
@@ -149,6 +153,40 @@ def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | No
         samples=pack(driving, halves, labelled=recording.provenance == "human"),
         sample_generated=arrays.generated[driving.agent],
     )
+
+
+def evaluate_scene(scene: TrafficScene, *own: Callable[[Group], float]) -> "pd.DataFrame":
+    """The report's metrics over one scene, and functions of your own of a `Group`: a row each, a column a group.
+
+    Errors: ConfigError with file and line where a function of your own takes no Group, raises, or gives no number.
+    """
+    import pandas as pd
+
+    recording, ids = scene.recording, {track.track_id for track in scene.generated}
+    states = states_of(
+        recording.tracks, _flat(recording.graph), ids, num_steps=recording.num_steps, step_s=recording.step_s
+    )
+    arrays, moved = states.arrays, motion(states.arrays)
+    safe = safety(arrays, states.lanes, states.matches)
+    groups = _groups(arrays, kinematics(arrays, moved), safe, beyond_limits(moved, Limits()))
+    found: dict[str, list[object]] = {}
+    for metric in METRICS:
+        each = [(metric.numerator.of(group), metric.denominator.of(group)) for group in groups.values()]
+        found[metric.key] = [metric.label, metric.unit, *(a / b if b else None for a, b in each)]
+    for one in own:
+        name = getattr(one, "__name__", repr(one))
+        found[name] = [name.replace("_", " "), "", *(_number_of(one, name, group) for group in groups.values())]
+    return pd.DataFrame.from_dict(found, orient="index", columns=["label", "unit", *groups])
+
+
+def _number_of(own: Callable[[Group], float], name: str, group: Group) -> float:
+    """What a function of a user's own makes of a group. Errors: ConfigError."""
+    try:
+        value = own(group)
+        return float(value)
+    except (Exception, SystemExit) as error:  # whatever a user's code may raise
+        said = f"{place_in(error, own, __file__)}{type(error).__name__}: {error!s:.200}"
+        raise ConfigError(f"metric {name!r}: {said}; expected a function of a Group that gives a number") from error
 
 
 def _groups(

@@ -3,15 +3,13 @@
 import logging
 import zlib
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from pathlib import Path
 
 import numpy as np
 
 from bridge.config import check_exportable, check_reactive, config_sha256
-from bridge.generation.gaps import gaps_bytes
 from bridge.generation.program import code_sha256, libraries
 from bridge.generation.records import (
     agent_record,
@@ -21,7 +19,8 @@ from bridge.generation.records import (
     selection_record,
     with_unmet,
 )
-from bridge.recordings.export import new_scenario_id, recording_record_of, with_motion, write_scene
+from bridge.generation.scene import TrafficScene
+from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, with_motion
 from bridge.recordings.plausibility import check_plausible
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import (
@@ -52,28 +51,11 @@ from netconvert.net_xml import net_bytes
 _LOG = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class GeneratedScene:
-    """A recorded scene with generated vehicles in it, before it is written.
-
-    generated: tracks gen_0, gen_1, ...; vehicles: their paths and motion, in the same order; driven: round and vehicle
-    of all that were tried.
-    """
-
-    scenario: Recording
-    generated: tuple[Track, ...]
-    sidecar: Sidecar
-    focal_track_id: str
-    new_id: str
-    vehicles: tuple[ExportedVehicle, ...]
-    driven: tuple[tuple[int, DrivenVehicle], ...]
-
-
 #: No tunable, bounds memory: what vehicles find is kept for so many variants, 20 MB more from each with 20 vehicles.
 _VARIANTS_KEPT = 8
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False, slots=True, repr=False)
 class PreparedScene:
     """What the variants of one scene share: grid, net, and what vehicles find there."""
 
@@ -97,15 +79,16 @@ class PreparedScene:
         return self._surroundings
 
 
-def prepare(scenario: Recording, config: Config) -> PreparedScene:
-    """Grid and net of a scenario. Errors: MapError, NetError, ScenarioError where it is not plausible."""
+def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
+    """Grid and net of a scene. Errors: MapError, NetError, ScenarioError where it is not plausible."""
+    scenario = source.recording if isinstance(source, TrafficScene) else source
     if config.source.plausible:
         check_plausible(scenario)
     grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m, max_skew_m=config.grid.max_skew_m)
     return PreparedScene(scenario=scenario, grid=grid, net=net_bytes(grid))
 
 
-def generate(source: Recording | PreparedScene, config: Config, *, variant: int = 0) -> GeneratedScene:
+def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *, variant: int = 0) -> TrafficScene:
     """Insert vehicles into a recorded scene as `config` asks; nothing is written.
 
     Same scenario, configuration and variant: the same result. Errors: MapError, NetError, SimulationError, ConfigError,
@@ -144,10 +127,8 @@ def generate(source: Recording | PreparedScene, config: Config, *, variant: int 
         focal = _focal(scenario, vehicles, tracks, filling)
         tracks = [replace(t, category=3) if t.track_id == focal else t for t in tracks]
     sidecar = _sidecar(prepared, scene, filling, vehicles, rounds, variant=variant, sumo_version=sumo_version)
-    return GeneratedScene(
-        scenario=scenario, generated=tuple(tracks), sidecar=sidecar, focal_track_id=focal, new_id=new_id,
-        vehicles=tuple(vehicles), driven=tuple(rounds.driven),
-    )  # fmt: skip
+    made = with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=focal)
+    return TrafficScene(made, scenario, tuple(vehicles), tuple(rounds.driven))
 
 
 def sumo_seed(seed: Sequence[int]) -> int:
@@ -226,23 +207,6 @@ def as_driven(scene: Scene, scenario: Recording, tracks: Sequence[Track]) -> Sce
         scene.grid, tracks, config=scene.config, num_steps=scenario.num_steps,
         last_observed_step=scenario.last_observed, step_s=scenario.step_s,
     )  # fmt: skip
-
-
-def write(scene: GeneratedScene, out_dir: Path, *, record: Collection[str] = ()) -> Path:
-    """Write a generated scene; returns its folder. record: `gaps`, beside it. Errors: ExportError."""
-    extra: dict[str, bytes] = {}
-    if "gaps" in record:
-        names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(scene.vehicles)}
-        extra[f"gaps_{scene.new_id}.csv.gz"] = gaps_bytes(scene.driven, names, step_s=scene.scenario.step_s)
-    return write_scene(
-        scene.scenario,
-        scene.generated,
-        scene.sidecar,
-        out_dir,
-        new_id=scene.new_id,
-        focal_track_id=scene.focal_track_id,
-        extra=extra,
-    )
 
 
 def _focal(scenario: Recording, vehicles: Sequence[ExportedVehicle], tracks: Sequence[Track], filling: Filling) -> str:

@@ -11,7 +11,7 @@ import io
 import json
 import math
 import zlib
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ from bridge.pictures import figures
 from bridge.recordings.folders import Address
 from bridge.recordings.judging import findings_of, states_of
 from bridge.recordings.recording import FOCAL_CATEGORY, Recording
-from bridge.recordings.sidecar import sidecar_in
 from bridge.recordings.sources import read_recording
 from hid2.agents import FloatArray, Policy, Track
 from hid2.evaluation.kinematics import motion
@@ -63,15 +62,22 @@ def view_scenes(
 
     on_scene(done, total) is called after each. Errors: ScenarioError, MapError; ExportError where it cannot be written.
     """
-    facts, packed = [], []
-    for number, address in enumerate(addresses, 1):
-        document = scene_document(read_recording(address))
-        facts.append(facts_of(document))
-        packed.append(pack(document))
-        if on_scene is not None:
-            on_scene(number, len(addresses))
-    write_text(out_file, text("viewer.html.j2", shared=_shared(), facts=facts, packed=packed))
+
+    def documents() -> Iterator[dict[str, Any]]:
+        for number, address in enumerate(addresses, 1):
+            yield scene_document(read_recording(address))
+            if on_scene is not None:
+                on_scene(number, len(addresses))
+
+    write_text(out_file, page_of(documents()))
     return out_file
+
+
+def page_of(documents: Iterable[Mapping[str, Any]]) -> str:
+    """The page of scenes, each as `scene_document` has it."""
+    each = [(facts_of(document), pack(document)) for document in documents]
+    facts, packed = ([one[k] for one in each] for k in (0, 1))
+    return text("viewer.html.j2", shared=_shared(), facts=facts, packed=packed)
 
 
 def pack(document: Mapping[str, Any]) -> str:
@@ -112,21 +118,24 @@ def facts_of(document: Mapping[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def scene_document(recording: Recording) -> dict[str, Any]:
-    """All that a page holds of a scene. Errors: ScenarioError for a sidecar or a table of looks that is none."""
-    sidecar = sidecar_in(recording.folder, recording.scenario_id)
+def scene_document(recording: Recording, looks: bytes | None = None) -> dict[str, Any]:
+    """All that a page holds of a scene. Errors: ScenarioError for a table of looks that is none.
+
+    looks: the table of looks of a scene that is not written; else what lies beside it.
+    """
+    sidecar, beside = recording.sidecar, recording.folder / f"gaps_{recording.scenario_id}.csv.gz"
     said = {} if sidecar is None else sidecar.model_dump(mode="json", include=SAID)
     ids = {track.track_id for track in recording.tracks if is_generated_id(track.track_id)}
     lanes, word = flatten_lanes(recording.graph), word_for_recorded(recording.scenario_id)
     states = states_of(recording.tracks, lanes, ids, num_steps=recording.num_steps, step_s=recording.step_s)
     policies = {} if sidecar is None else {agent.track_id: agent.policy for agent in sidecar.agents}
-    origin, found = figures.origin_of(recording.graph), findings_of(states, recording.graph, sidecar)
+    origin, found = _origin(recording.graph), findings_of(states, recording.graph, sidecar)
     return {
         "id": recording.scenario_id, "city": recording.city, "split": recording.split, "origin": origin.tolist(),
         "step_s": recording.step_s, "steps": recording.num_steps, "observed": recording.observed_steps,
         "word": word, "kinds": figures.kinds_in_words(word), "map": _map(recording.graph, origin),
         "tracks": _tracks(recording, states, policies, origin), "occupied": _occupied(recording.graph, states),
-        "said": said, "looks": _looks(recording.folder / f"gaps_{recording.scenario_id}.csv.gz", set(policies)),
+        "said": said, "looks": _looks(beside, looks, set(policies)),
         "findings": [
             [one.track_id, one.step, one.quantity.value, _rounded(one.value), _rounded(one.limit), one.other]
             for one in found
@@ -142,6 +151,13 @@ def coded(values: npt.ArrayLike, *, quantum: float = 1.0, order: int = 1) -> lis
     for _ in range(order):
         found = np.diff(found, prepend=0)
     return list(found.tolist())
+
+
+def _origin(graph: LaneGraph) -> FloatArray:
+    """(2,) m, a round place south-west of a map, from which the page counts: small numbers."""
+    points = [*graph.drivable_areas, *(lane.centerline for lane in graph.lanes.values())]
+    low: FloatArray = np.min([line[:, :2].min(axis=0) for line in points], axis=0)
+    return np.floor(low / 100) * 100
 
 
 def _line(points: FloatArray, origin: FloatArray) -> list[list[int]]:
@@ -226,13 +242,14 @@ def _occupied(graph: LaneGraph, states: AgentStates) -> list[list[int]]:
     return [coded(column) for column in every.T]
 
 
-def _looks(path: Path, exported: Collection[str]) -> dict[str, list[list[Any]]]:
-    """Each look at a gap of the exported vehicles, by LOOK_COLUMNS, of the table that is beside a scene; or none."""
+def _looks(path: Path, table: bytes | None, exported: Collection[str]) -> dict[str, list[list[Any]]]:
+    """Each look at a gap of the exported vehicles, by LOOK_COLUMNS, of a table, else of that at a path, or none."""
     found: dict[str, list[list[Any]]] = {}
-    if not path.is_file():
+    if table is None and not path.is_file():
         return found
     try:
-        rows = list(csv.DictReader(io.StringIO(read_packed(path, most_mb=MAX_FILE_MB).decode())))
+        content = read_packed(path, most_mb=MAX_FILE_MB) if table is None else table
+        rows = list(csv.DictReader(io.StringIO(content.decode())))
         names = {row["vehicle"]: row["track_id"] for row in rows if row["track_id"] in exported}
         for row in rows:
             if row["track_id"] in exported:  # the others' ids in the simulation become those of exported tracks

@@ -78,14 +78,16 @@ def find_conflicts(
 
 def draw_conflicts(axes: Axes, conflicts: Sequence[Conflict]) -> None:
     """Mark conflicts where they are, each with its text, in axes that `draw_scene` has drawn into."""
-    for conflict in conflicts:
+    points = np.array([conflict.position for conflict in conflicts]).reshape(-1, 2)
+    offsets = figures.label_offsets(axes, points, [conflict.text for conflict in conflicts], size=7.5)
+    for conflict, offset in zip(conflicts, offsets, strict=True):
         x, y = conflict.position.tolist()
         axes.plot(
             [x], [y], marker=_MARKS[conflict.kind], markersize=12, color=figures.HIGHLIGHT, markeredgecolor="black",
             linestyle="none", zorder=11,
         )  # fmt: skip
         axes.annotate(
-            conflict.text, (x, y), xytext=(8, -10), textcoords="offset points", fontsize=7.5, zorder=12, clip_on=True,
+            conflict.text, (x, y), xytext=offset, textcoords="offset points", fontsize=7.5, zorder=12, clip_on=True,
             annotation_clip=True, path_effects=[withStroke(linewidth=2.0, foreground="white")],
         )  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -82,13 +82,6 @@ def kinds_in_words(word: str) -> dict[str, str]:
     }  # fmt: skip
 
 
-def origin_of(graph: LaneGraph) -> FloatArray:
-    """(2,) m, where the coordinates of every picture of a map begin: a round place south-west of it, city frame."""
-    points = [*graph.drivable_areas, *(lane.centerline for lane in graph.lanes.values())]
-    low: FloatArray = np.min([line[:, :2].min(axis=0) for line in points], axis=0)
-    return np.floor(low / 100) * 100
-
-
 def style() -> None:
     """Settings of every figure."""
     plt.rcParams.update(
@@ -133,8 +126,8 @@ def draw_map(axes: Axes, graph: LaneGraph, *, cells: bool = False) -> None:
         axes.add_collection(LineCollection(outlines, colors=MAP_COLORS["cell"], linewidths=0.35, zorder=2))
 
 
-def frame(axes: Axes, low: FloatArray, high: FloatArray, *, origin: FloatArray, aspect: float) -> None:
-    """Show the ground from `low` to `high` at the same scale both ways; ticks in m from the origin (`origin_of`).
+def frame(axes: Axes, low: FloatArray, high: FloatArray, *, aspect: float) -> None:
+    """Show the ground from `low` to `high` at the same scale both ways; city coordinates, m.
 
     aspect: width over height that the shown ground is widened to.
     """
@@ -145,10 +138,31 @@ def frame(axes: Axes, low: FloatArray, high: FloatArray, *, origin: FloatArray, 
     axes.set_aspect("equal")
     for axis in (axes.xaxis, axes.yaxis):  # whole metres: the labels are rounded to them
         axis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value - origin[0]:.0f}")
-    axes.yaxis.set_major_formatter(lambda value, _: f"{value - origin[1]:.0f}")
+        axis.set_major_formatter("{x:.0f}")
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
+
+
+def label_offsets(axes: Axes, points: FloatArray, texts: Sequence[str], *, size: float) -> list[tuple[float, float]]:
+    """Where the lower left corner of each text is from its point (N, 2), in points, so that none overlaps another.
+
+    Beside the point, each corner in turn, then farther away. Axes must have been laid out; size: of the font.
+    """
+    taken, found = np.zeros((0, 4)), []
+    for (x, y), text in zip(axes.transData.transform(points) * 72.0 / axes.figure.dpi, texts, strict=True):
+        wide, high = 0.62 * size * max(map(len, text.split("\n"))), 1.25 * size * (text.count("\n") + 1)
+        beside = [
+            (dx, dy)
+            for far in np.arange(4.0, 200.0, 4.0)
+            for dx, dy in ((far, far), (far, -far - high), (-far - wide, far), (-far - wide, -far - high))
+        ]
+        for dx, dy in beside:
+            box = np.array([x + dx, y + dy, x + dx + wide, y + dy + high])
+            if not ((box[:2] < taken[:, 2:]) & (taken[:, :2] < box[2:])).all(axis=1).any():
+                break
+        taken = np.vstack([taken, box])
+        found.append((dx, dy))
+    return found
 
 
 def check_ending(path: Path, endings: Iterable[str] = PICTURES) -> None:
@@ -178,7 +192,7 @@ def find_track(scenario: Scenario, track_id: str) -> Track:
         ordered = sorted(known, key=lambda name: (not is_generated_id(name), name))
         alike = get_close_matches(track_id, known, 5, 0.4) or ordered[:5]
         raise ConfigError(
-            f"{scenario.folder}: no track {track_id!r} among {len(known)}; there are {', '.join(alike)}, ..."
+            f"{scenario.folder}: no track {track_id!r} among {len(known)}; expected one of {', '.join(alike)}, ..."
         )
     return scenario.track(track_id)
 

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
@@ -12,10 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bridge.pictures import figures
-from bridge.recordings.folders import Address
-from bridge.recordings.scenario import Scenario
-from bridge.recordings.sidecar import sidecar_in
-from bridge.recordings.sources import read_recording
+from bridge.recordings.recording import Recording
 from hid2.agents import FloatArray
 from hid2.evaluation.kinematics import motion
 from hid2.measures.arrays import SceneArrays, stack
@@ -41,15 +37,22 @@ _STYLES: Mapping[str, Literal["dotted", "dashed", "solid", "dashdot"]] = {
 }  # fmt: skip
 
 
-def plot_agent(folder: Address, agent_id: str, out_file: Path) -> Path:
-    """Draw one track of a scene folder over time into a picture: .png, .jpg, .pdf or .svg.
+def plot_agent(scenario: Recording, agent_id: str, out_file: Path) -> Path:
+    """Draw one track over time, as `agent_figure` does, into a picture: .png, .jpg, .pdf or .svg.
 
-    Vertical lines are the trigger, start, crossing and end of its manoeuvres: the sidecar's for generated vehicles, the
-    detector's for recorded ones. Errors: ScenarioError; ConfigError for an unknown track or ending; ExportError where
-    the picture cannot be written.
+    Errors: ConfigError for an unknown track or ending; ExportError where the picture cannot be written.
     """
     figures.check_ending(out_file)
-    scenario = read_recording(folder)
+    figures.save(agent_figure(scenario, agent_id), out_file)
+    return out_file
+
+
+def agent_figure(scenario: Recording, agent_id: str) -> Figure:
+    """One track over time: where, how fast, how smoothly, in which lane and cell.
+
+    Vertical lines are the trigger, start, crossing and end of its manoeuvres: the sidecar's for generated vehicles, the
+    detector's for recorded ones. Errors: ConfigError for an unknown track.
+    """
     track = figures.find_track(scenario, agent_id)
     arrays = stack([track], step_s=scenario.step_s)
     lanes = flatten_lanes(scenario.graph)
@@ -90,27 +93,28 @@ def plot_agent(folder: Address, agent_id: str, out_file: Path) -> Path:
         f"{track.size.width_m:.1f} m){note}",
         fontsize=11,
     )
-    figures.save(figure, out_file)
-    return out_file
+    return figure
 
 
 def _axes(position: FloatArray) -> tuple[Figure, list[Axes]]:
     """The plan, then five axes over time: below the plan, or beside it where the path runs north or south."""
     names = ["speed", "acceleration", "jerk", "offset", "cells"]
     wide, high = np.ptp(position, axis=0)
-    shape: dict[str, Any] = {"figsize": (9.5, 11.5), "height_ratios": [2.2, 1, 1, 1, 1, 1]}
+    size: tuple[float, float] = (9.5, 11.5)
+    ratios: dict[str, Any] = {"height_ratios": [2.2, 1, 1, 1, 1, 1]}
     layout: Any = [[name] for name in ["plan", *names]]
     if high > wide:
-        shape = {"figsize": (12.5, 9.5), "width_ratios": [1, 2]}
+        size, ratios = (12.5, 9.5), {"width_ratios": [1, 2]}
         layout = [["plan", name] for name in names]
-    figure, found = plt.subplot_mosaic(layout, layout="constrained", **shape)
+    figure = Figure(figsize=size, layout="constrained")
+    found = figure.subplot_mosaic(layout, **ratios)
     return figure, [found[name] for name in ["plan", *names]]
 
 
-def _moments(scenario: Scenario, agent_id: str, seen: list[Maneuver]) -> tuple[list[_Moment], str]:
+def _moments(scenario: Recording, agent_id: str, seen: list[Maneuver]) -> tuple[list[_Moment], str]:
     """Moments to mark, and what the title says of the manoeuvres."""
-    sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
-    record = next((agent for agent in sidecar.agents if agent.track_id == agent_id), None) if sidecar else None
+    agents = scenario.sidecar.agents if scenario.sidecar else ()
+    record = next((agent for agent in agents if agent.track_id == agent_id), None)
     times = [
         (getattr(maneuver, f"{what}_s", None), what)  # what is seen has no trigger
         for maneuver in (seen if record is None else record.maneuvers)
@@ -128,7 +132,7 @@ def _moments(scenario: Scenario, agent_id: str, seen: list[Maneuver]) -> tuple[l
     return moments, f"\npolicy {record.policy.value.replace('_', ' ')}" + (f": {named}" if named else "")
 
 
-def _plan(ax: Axes, scenario: Scenario, position: FloatArray, moments: list[_Moment], time: FloatArray) -> None:
+def _plan(ax: Axes, scenario: Recording, position: FloatArray, moments: list[_Moment], time: FloatArray) -> None:
     figures.draw_map(ax, scenario.graph, cells=True)
     ax.plot(position[:, 0], position[:, 1], color=figures.GENERATED, linewidth=1.6, zorder=5)
     seconds = np.flatnonzero(np.isclose(time % 1.0, 0.0, atol=1e-6) | np.isclose(time % 1.0, 1.0, atol=1e-6))
@@ -143,8 +147,7 @@ def _plan(ax: Axes, scenario: Scenario, position: FloatArray, moments: list[_Mom
             ax.plot(*position[row], "D", color=figures.BLUE, markeredgecolor="black", markersize=7, zorder=8)
     low, high = position.min(axis=0) - 10.0, position.max(axis=0) + 10.0
     wide, high_m = high - low
-    origin = figures.origin_of(scenario.graph)
-    figures.frame(ax, low, high, origin=origin, aspect=0.45 if high_m > wide else 2.6)
+    figures.frame(ax, low, high, aspect=0.45 if high_m > wide else 2.6)
     ax.set_title("position every second; diamond: crossing between lanes", fontsize=9)
 
 
@@ -199,7 +202,7 @@ def _offset(ax: Axes, time: FloatArray, arrays: SceneArrays, lanes: FlatLanes, m
     ax.set_ylim(low, high + 0.25 * (high - low))
 
 
-def _cells(ax: Axes, time: FloatArray, scenario: Scenario, lanes: FlatLanes, matches: Matches) -> None:
+def _cells(ax: Axes, time: FloatArray, scenario: Recording, lanes: FlatLanes, matches: Matches) -> None:
     """Cell index within its lane; a new colour and a label where the lane changes."""
     grid = build_cell_grid(scenario.graph)
     palette = [figures.BLUE, figures.VERMILION, figures.GREEN, figures.PURPLE, figures.SKY, figures.ORANGE]

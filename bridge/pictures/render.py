@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import imageio.v2
 import imageio_ffmpeg
-import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import Collection, LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
@@ -24,11 +24,9 @@ from PIL import Image
 from bridge.config import word_for_recorded
 from bridge.files import beside, explained
 from bridge.pictures import figures
-from bridge.recordings.folders import Address
-from bridge.recordings.scenario import FOCAL_CATEGORY, Scenario
-from bridge.recordings.sidecar import ManeuverRecord, sidecar_in
-from bridge.recordings.sources import read_recording
-from hid2.agents import FloatArray, Policy, Track
+from bridge.recordings.recording import FOCAL_CATEGORY, Recording
+from bridge.recordings.sidecar import ManeuverRecord
+from hid2.agents import DEFAULT_SIZES, FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.policy.behaviours import behaviour_seen
@@ -39,9 +37,13 @@ PICTURES = tuple(figures.PICTURES)
 ANIMATIONS = (".gif", ".mp4")
 #: Length of the trail behind each vehicle.
 TRAIL_S = 2.0
-#: Longest side of a GIF, pixels.
+#: Longest side of a GIF, pixels, where cars are large enough then.
 GIF_WIDTH = 1100
 _GIF_COLORS = 128
+#: Length of a car in a film, pixels, at least; so much ground that a frame stays below 30 MB.
+CAR_PIXELS = 14
+MOST_GROUND_M = 400.0
+_LABEL_SIZE = 6.5
 #: Ground shown around what moves.
 MARGIN_M = 15.0
 #: Ground shown around one agent's path.
@@ -56,6 +58,7 @@ _ORDER = {"other": 3, "recorded": 4, "focal": 4, "av": 5}
 
 
 class _Look(NamedTuple):
+    kind: str
     face: str
     edge: str
     line_width: float
@@ -67,36 +70,34 @@ class _Panel:
     """What one half of the picture shows."""
 
     title: str
-    scenario: Scenario
+    scenario: Recording
     tracks: tuple[Track, ...]
     looks: Mapping[str, _Look]
     maneuvers: _Done
 
 
 def render_scene(
-    folder: Address,
+    scenario: Recording,
     out_file: Path,
     *,
-    source: Address | None = None,
+    source: Recording | None = None,
     agent: str | None = None,
     cells: bool = False,
     step: int | None = None,
     on_frame: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Draw a scene folder from above into a picture (.png, .jpg, .pdf, .svg) or a film (.gif, .mp4).
+    """Draw a scene from above into a picture (.png, .jpg, .pdf, .svg) or a film (.gif, .mp4).
 
-    A generated scene is shown before | after; before is the scene at `source` where given, whose sizes its recorded
+    A generated scene is shown before | after; before is the scene `source` where given, whose sizes its recorded
     tracks then have on both sides, else its own recorded tracks. `agent` is highlighted and its surroundings shown.
     `step`: the timestep of a picture (default: the last observed one); a film shows all. on_frame(done, total) is
     called as the frames of a film are drawn.
-    Errors: ScenarioError, MapError; ConfigError for an unknown ending, step or track; ExportError where the file cannot
-    be written.
+    Errors: ConfigError for an unknown ending, step or track; ExportError where the file cannot be written.
     """
     suffix = out_file.suffix.lower()
     figures.check_ending(out_file, PICTURES + ANIMATIONS)
     if step is not None and suffix in ANIMATIONS:
         raise ConfigError(f"{out_file}: a film shows every timestep; for one give a picture, {', '.join(PICTURES)}")
-    scenario = read_recording(folder)
     shown = figures.check_step(scenario, step)
     drawing = _Drawing(scenario, source, agent=agent, cells=cells, whole_paths=suffix in PICTURES)
     with explained(out_file):
@@ -105,53 +106,50 @@ def render_scene(
             figures.save(drawing.figure, out_file)
         else:
             with beside(out_file) as hidden:
+                drawing.scale(longest=GIF_WIDTH if suffix == ".gif" else None)
                 frames = drawing.frames(range(scenario.num_steps), on_frame)
                 _write_animation(frames, hidden, step_s=scenario.step_s)
-            plt.close(drawing.figure)
     return out_file
 
 
-def scene_figure(folder: Address, *, source: Address | None = None, agent: str | None = None) -> Figure:
-    """A scene folder, or the surroundings of one track in it, at its last observed step, before | after, as a figure.
-
-    Errors: ScenarioError, MapError.
-    """
-    scenario = read_recording(folder)
-    drawing = _Drawing(scenario, source, agent=agent, cells=False, whole_paths=True)
-    drawing.show(scenario.last_observed)
+def scene_figure(
+    scenario: Recording, *, source: Recording | None = None, agent: str | None = None, cells: bool = False,
+    step: int | None = None,
+) -> Figure:  # fmt: skip
+    """A picture as `render_scene` draws it, as a figure. Errors: ConfigError for an unknown step or track."""
+    drawing = _Drawing(scenario, source, agent=agent, cells=cells, whole_paths=True)
+    drawing.show(figures.check_step(scenario, step))
     return drawing.figure
 
 
 def draw_scene(
-    axes: Axes, scenario: Scenario, *, step: int | None = None, agent: str | None = None, cells: bool = False
+    axes: Axes, scenario: Recording, *, step: int | None = None, agent: str | None = None, cells: bool = False
 ) -> None:
     """Draw a scene, recorded or generated, into axes of your own: map, vehicles in the colours of their policies, ids.
 
     step: a timestep (default: the last observed one). agent: a track to highlight, whose surroundings are shown. Axes
-    are in metres from `figures.origin_of` the map, at the same scale both ways; more ground is shown where the axes are
-    wider or higher than the scene. Errors: ConfigError for an unknown step or track.
+    are in city coordinates, m, at the same scale both ways; more ground is shown where axes are wider or higher than
+    the scene. Errors: ConfigError for an unknown step or track.
     """
     shown = figures.check_step(scenario, step)
     panel = _panels(scenario, None)[-1]
     low, high = _window(scenario, agent)
     figures.draw_map(axes, scenario.graph, cells=cells)
-    _put(panel, axes, shown, agent=agent, whole_paths=True)
     room = axes.get_window_extent()
-    origin = figures.origin_of(scenario.graph)
-    figures.frame(axes, low, high, origin=origin, aspect=room.width / room.height)
+    figures.frame(axes, low, high, aspect=room.width / room.height)
+    _put(panel, axes, shown, agent=agent, whole_paths=True)
 
 
-def _panels(scenario: Scenario, source: Address | None) -> list[_Panel]:
+def _panels(scenario: Recording, source: Recording | None) -> list[_Panel]:
     """What is shown: one half for a recorded scene, before | after for a generated one."""
-    sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
-    agents = sidecar.agents if sidecar else ()
+    agents = scenario.sidecar.agents if scenario.sidecar else ()
     policies = {record.track_id: record.policy for record in agents}
     maneuvers = tuple((record.track_id, maneuver) for record in agents for maneuver in record.maneuvers)
     recorded = tuple(track for track in scenario.tracks if not is_generated_id(track.track_id))
     generated = len(scenario.tracks) - len(recorded)
     name, word = scenario.scenario_id[:8], word_for_recorded(scenario.scenario_id)
 
-    def panel(title: str, shown: Scenario, tracks: tuple[Track, ...], done: _Done = ()) -> _Panel:
+    def panel(title: str, shown: Recording, tracks: tuple[Track, ...], done: _Done = ()) -> _Panel:
         own = policies if shown is scenario else {}
         looks = {track.track_id: _look(track, own.get(track.track_id)) for track in tracks}
         return _Panel(title, shown, tracks, looks, done)
@@ -160,8 +158,7 @@ def _panels(scenario: Scenario, source: Address | None) -> list[_Panel]:
         return [panel(f"{name}: {len(recorded)} recorded agents", scenario, scenario.tracks)]
     before, tracks, origin = scenario, recorded, "the recorded tracks of this scene, sizes by object type"
     if source is not None:
-        before = read_recording(source)
-        tracks = before.tracks
+        before, tracks = source, source.tracks
         origin = f"source scene {before.scenario_id[:8]}, with the sizes labelled there"
     known = {track.track_id: track.size for track in tracks}  # labelled sizes lie beside the source only
     resized = (
@@ -179,10 +176,10 @@ def _look(track: Track, policy: Policy | None) -> _Look:
     focal = track.category == FOCAL_CATEGORY
     edge, width = (figures.BLACK, 1.6) if focal else ("#333333", 0.4)
     kind = figures.kind_of(track, policy)
-    return _Look(figures.FACES[kind], edge, width, _ORDER.get(kind, 6))
+    return _Look(kind, figures.FACES[kind], edge, width, _ORDER.get(kind, 6))
 
 
-def _window(scenario: Scenario, agent: str | None) -> tuple[FloatArray, FloatArray]:
+def _window(scenario: Recording, agent: str | None) -> tuple[FloatArray, FloatArray]:
     """Ground to show, low and high corner, m: around one agent's path, else around what moves and the focal one."""
     if agent is not None:
         tracks, margin = [figures.find_track(scenario, agent)], AGENT_MARGIN_M
@@ -222,28 +219,38 @@ def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: 
         artists.insert(0, whole)
     for artist in artists:
         ax.add_collection(artist, autolim=False)
-    labels = [part for track, row in present for part in _label(ax, track, row, agent)]
-    return [*artists, *labels, *_marks(panel, ax, None if whole_paths else step * panel.scenario.step_s)]
+    return [
+        *artists,
+        *_labels(ax, present, agent),
+        *_marks(panel, ax, None if whole_paths else step * panel.scenario.step_s),
+    ]
 
 
-def _label(ax: Axes, track: Track, row: int, agent: str | None) -> list[Artist]:
-    """The id beside a generated or focal vehicle, or beside any where one is highlighted; a ring round that one."""
+def _labels(ax: Axes, present: Sequence[tuple[Track, int]], agent: str | None) -> list[Artist]:
+    """The id beside each generated and focal vehicle, and each in sight of one that is highlighted; a ring round it."""
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    named = [
+        (track, track.position[row])
+        for track, row in present
+        if (agent or is_generated_id(track.track_id) or track.category == FOCAL_CATEGORY)
+        and left <= track.position[row, 0] <= right
+        and low <= track.position[row, 1] <= high
+    ]
+    named.sort(key=lambda one: one[0].track_id != agent)  # which is labelled first, next to it
+    ids, points = [track.track_id for track, _ in named], np.array([at for _, at in named]).reshape(-1, 2)
     artists: list[Artist] = []
-    chosen = track.track_id == agent
-    if chosen:
-        ring = Circle(
-            (track.position[row, 0], track.position[row, 1]), 0.75 * track.size.length_m + 1.0,
-            fill=False, edgecolor=figures.HIGHLIGHT, linewidth=1.8, zorder=9,
-        )  # fmt: skip
-        artists.append(ax.add_patch(ring))
-    if not (agent or is_generated_id(track.track_id) or track.category == FOCAL_CATEGORY):
-        return artists
-    text = ax.annotate(
-        track.track_id, tuple(track.position[row]), xytext=(4, 4), textcoords="offset points", fontsize=6.5,
-        fontweight="bold" if chosen else "normal", annotation_clip=True, clip_on=True, zorder=10,
-        path_effects=[withStroke(linewidth=1.6, foreground="white")],
-    )  # fmt: skip
-    return [*artists, text]
+    for (track, (x, y)), offset in zip(named, figures.label_offsets(ax, points, ids, size=_LABEL_SIZE), strict=True):
+        chosen = track.track_id == agent
+        if chosen:
+            ring = {"edgecolor": figures.HIGHLIGHT, "linewidth": 1.8, "zorder": 9, "fill": False}
+            artists.append(ax.add_patch(Circle((x, y), 0.75 * track.size.length_m + 1.0, **ring)))
+        line = {"arrowstyle": "-", "lw": 0.4, "shrinkA": 0, "shrinkB": 0} if abs(offset[1]) > 4 * _LABEL_SIZE else None
+        artists.append(ax.annotate(
+            track.track_id, (x, y), xytext=offset, textcoords="offset points", fontsize=_LABEL_SIZE, arrowprops=line,
+            fontweight="bold" if chosen else "normal", annotation_clip=True, clip_on=True, zorder=10,
+            path_effects=[withStroke(linewidth=1.6, foreground="white")],
+        ))  # fmt: skip
+    return artists
 
 
 def _marks(panel: _Panel, ax: Axes, until_s: float | None) -> list[Artist]:
@@ -276,39 +283,42 @@ class _Drawing:
     """
 
     def __init__(
-        self, scenario: Scenario, source: Address | None, *, agent: str | None, cells: bool, whole_paths: bool
+        self, scenario: Recording, source: Recording | None, *, agent: str | None, cells: bool, whole_paths: bool
     ) -> None:
         self.whole_paths, self.agent = whole_paths, agent
         panels = _panels(scenario, source)
         low, high = _window(scenario, agent)
+        if not whole_paths:  # a film
+            middle = np.clip(scenario.track(agent or scenario.focal_track_id).position.mean(axis=0), low, high)
+            low = np.clip(middle - MOST_GROUND_M / 2, low, np.maximum(low, high - MOST_GROUND_M))
+            high = np.minimum(high, low + MOST_GROUND_M)
         figures.style()
         span = high - low
         aspect = float(np.clip(span[0] / span[1], 0.6, 2.2))
         width = 7.0 if len(panels) > 1 else 9.0
         height = float(np.clip(width / aspect, 4.0, 9.0))
-        self.figure, axes = plt.subplots(
-            1, len(panels), figsize=(width * len(panels), height + 1.3), squeeze=False, layout="constrained"
-        )
+        self.figure = Figure(figsize=(width * len(panels), height + 1.3), layout="constrained")
+        axes = self.figure.subplots(1, len(panels), squeeze=False)
         self.canvas: Any = FigureCanvasAgg(self.figure)
         self.panels = list(zip(panels, axes[0], strict=True))
         for panel, ax in self.panels:
             figures.draw_map(ax, panel.scenario.graph, cells=cells)
-            figures.frame(ax, low, high, origin=figures.origin_of(panel.scenario.graph), aspect=aspect)
+            figures.frame(ax, low, high, aspect=aspect)
             ax.set_title(panel.title)
         self.legend()
         self.clock = self.figure.suptitle("0.0 s", x=0.01, ha="left", fontsize=11, fontweight="bold")
+        self.figure.draw_without_rendering()  # lays it out: where labels come depends on it
         self.moving: list[tuple[Axes, Artist]] = []
 
     def legend(self) -> None:
         """What the colours and marks mean, for those that appear."""
         panel = self.panels[-1][0]
-        faces = {look.face for look in panel.looks.values()}
+        kinds = {look.kind for look in panel.looks.values()}
         word = word_for_recorded(panel.scenario.scenario_id)
-        names = [(says, figures.FACES[kind]) for kind, says in figures.kinds_in_words(word).items()]
         handles: list[Patch | Line2D] = [
-            Patch(facecolor=color, edgecolor="#333333", linewidth=0.4, label=name)
-            for name, color in names
-            if color in faces
+            Patch(facecolor=figures.FACES[kind], edgecolor="#333333", linewidth=0.4, label=says)
+            for kind, says in figures.kinds_in_words(word).items()
+            if kind in kinds
         ]
         handles.append(Patch(facecolor="none", edgecolor="black", linewidth=1.6, label="focal track: black edge"))
 
@@ -342,13 +352,17 @@ class _Drawing:
         when = "observed" if step <= scenario.last_observed else "future"
         self.clock.set_text(f"{step * scenario.step_s:.1f} s  ({when})")
 
+    def scale(self, *, longest: int | None) -> None:
+        """Size of the frames: the longest side of so many pixels, or as drawn, but cars of CAR_PIXELS at least."""
+        ax, dpi = self.panels[0][1], self.figure.dpi
+        car = DEFAULT_SIZES["vehicle"].length_m * ax.get_window_extent().width / np.ptp(ax.get_xlim())
+        usual = dpi if longest is None else longest / self.figure.get_size_inches().max()
+        self.figure.set_dpi(max(usual, dpi * CAR_PIXELS / car))
+
     def frames(
         self, steps: Sequence[int], on_frame: Callable[[int, int], None] | None
     ) -> Iterator[npt.NDArray[np.uint8]]:
         """(H, W, 3) pictures, H and W even; the map is drawn once and kept."""
-        self.show(steps[0])
-        for _, artist in self.moving:
-            artist.set_visible(False)
         self.clock.set_visible(False)
         self.canvas.draw()
         self.figure.set_layout_engine("none")
@@ -385,12 +399,11 @@ def _write_animation(frames: Iterator[npt.NDArray[np.uint8]], path: Path, *, ste
 
 
 def _write_gif(frames: Iterator[npt.NDArray[np.uint8]], path: Path, *, step_s: float) -> None:
-    """All frames share the palette of the first, at a reduced size: a tenth of the bytes of one palette a frame."""
+    """All frames share the palette of the first: a tenth of the bytes of one palette a frame."""
     pictures: list[Image.Image] = []
     palette: Image.Image | None = None
     for picture in frames:
         image = Image.fromarray(picture)
-        image.thumbnail((GIF_WIDTH, GIF_WIDTH), Image.Resampling.LANCZOS)
         palette = palette or palette_of(image, _GIF_COLORS)
         pictures.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
     pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=round(1000 * step_s), loop=0, disposal=1)
@@ -401,8 +414,10 @@ def palette_of(picture: Image.Image, colors: int) -> Image.Image:
 
     Vehicles cover too little ground for theirs to be kept.
     """
-    kept = [*dict.fromkeys(figures.FACES.values()), figures.HIGHLIGHT]
-    own = [int(color[k : k + 2], 16) for color in kept for k in (1, 3, 5)]
+    faces = [*dict.fromkeys(figures.FACES.values())]
+    own = np.array([to_rgb(color) for color in (*faces, figures.HIGHLIGHT, *faces)])
+    own[-len(faces) :] = (own[-len(faces) :] + to_rgb(figures.MAP_COLORS["ground"])) / 2  # trails on the ground
+    kept = np.rint(255 * own).astype(int)
     palette = Image.new("P", (1, 1))
-    palette.putpalette((picture.quantize(colors - len(kept)).getpalette() or []) + own)
+    palette.putpalette((picture.quantize(colors - len(kept)).getpalette() or []) + kept.ravel().tolist())
     return palette

@@ -28,31 +28,39 @@ _FORMER_FOCAL_CATEGORY = SCORED_CATEGORY
 _CENTERLINE = re.compile(rb'"centerline":\s*\[\s*\{')
 
 
-def write_scene(
-    scenario: Recording,
-    generated: Sequence[Track],
-    sidecar: Sidecar,
-    out_dir: Path,
-    *,
-    new_id: str,
-    focal_track_id: str,
-    extra: Mapping[str, bytes] | None = None,
-) -> Path:
-    """Write OUT/[split/]new_id/ with parquet, map and sidecar; returns the folder. extra: more files, by name.
+def with_generated(
+    scenario: Recording, generated: Sequence[Track], sidecar: Sidecar, *, new_id: str, focal_track_id: str
+) -> Recording:
+    """The scene that a recording becomes with generated tracks, as a reader has it. Errors: ExportError."""
+    table = scene_table(scenario, generated, new_id=new_id, focal_track_id=focal_track_id)
+    recorded = scenario.tracks
+    if focal_track_id != scenario.focal_track_id:
+        recorded = tuple(
+            replace(t, category=_FORMER_FOCAL_CATEGORY) if t.category == FOCAL_CATEGORY else t for t in recorded
+        )
+    ours = (replace(t, category=FOCAL_CATEGORY) if t.track_id == focal_track_id else t for t in generated)
+    return replace(
+        scenario, scenario_id=new_id, focal_track_id=focal_track_id, tracks=(*recorded, *ours), table=table,
+        sizes=sidecar.boxes, sidecar=sidecar,
+    )  # fmt: skip
+
+
+def write_recording(made: Recording, out_dir: Path, *, extra: Mapping[str, bytes] | None = None) -> Path:
+    """Write OUT/[split/]id/ with parquet, map and sidecar; returns the folder. extra: more files, by name.
 
     Everything is written to a hidden folder beside and then renamed; a folder that is there already is replaced.
-    Errors: ExportError.
+    Errors: ExportError, also for a scene that was recorded.
     """
-    check_step(scenario)
+    check_step(made)
+    if made.sidecar is None:
+        raise ExportError(f"{made.folder}: was recorded, nothing is inserted; expected a scene of `generate`")
     files = {
-        f"scenario_{new_id}.parquet": parquet_bytes(
-            scene_table(scenario, generated, new_id=new_id, focal_track_id=focal_track_id)
-        ),
-        f"log_map_archive_{new_id}.json": map_bytes(scenario),
-        sidecar_path(Path(), new_id).name: sidecar_bytes(sidecar),
+        f"scenario_{made.scenario_id}.parquet": parquet_bytes(made.table),
+        f"log_map_archive_{made.scenario_id}.json": map_bytes(made),
+        sidecar_path(Path(), made.scenario_id).name: sidecar_bytes(made.sidecar),
         **(extra or {}),
     }
-    folder = (out_dir / scenario.split if scenario.split else out_dir) / new_id
+    folder = (out_dir / made.split if made.split else out_dir) / made.scenario_id
     write_folder(folder, files)
     return folder
 

@@ -114,8 +114,9 @@ class Reader:
     is_folder: bool = True
 
 
-def find_scenarios(path: Path, depth: int = DEPTH) -> list[Path]:
+def find_scenarios(path: Path | str, depth: int = DEPTH) -> list[Path]:
     """Scenario folders at a path: itself, or those up to `depth` folders below, sorted. Errors: NoSceneError."""
+    path = Path(path)
     names = frozenset(names_in(path)) if path.is_dir() else frozenset()
     found = [path] if has_scenario(names) else []
     for folder in subfolders(path, names) if depth and not found else []:

@@ -71,4 +71,4 @@ def _decoded(path: Path) -> Any:  # noqa: ANN401  # whatever JSON holds
     try:
         return from_json(read_received(path, MapError, wanted="an Argoverse 2 map"))
     except ValueError as error:
-        raise MapError(f"{path}: not JSON: {error}") from error
+        raise MapError(f"{path}: not JSON ({error}), expected an Argoverse 2 map") from error

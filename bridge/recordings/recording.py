@@ -3,17 +3,16 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pyarrow as pa
 
+from bridge.recordings.sidecar import Provenance as Provenance
+from bridge.recordings.sidecar import Sidecar
 from hid2.agents import BoxSize, FloatArray, Track
 from netconvert.errors import ScenarioError
 from netconvert.lane_graph import LaneGraph
 
-#: How the tracks were made: by the recording vehicle's own tracker, or by people that labelled boxes.
-Provenance = Literal["tracker", "human"]
 #: Track id of the recording vehicle.
 AV_ID = "AV"
 #: Categories of the tracks that forecasts are scored on, and of the one among them that matters most.
@@ -42,14 +41,15 @@ class Rows:
         return min(self.observed_steps, self.num_steps) - 1
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class Recording(Rows):
-    """One recorded scene.
+    """One scene: recorded, or with vehicles that were inserted.
 
     table: the rows of the scene in the columns of Argoverse 2, as the source has them where it has them; folder: the
     folder or file that was read; map_path: its map; map_json: the map as Argoverse 2 has it, where map_path is none;
     sizes: boxes that were measured, by track id, all others are by object type; start: first step of the source that
-    is in it; sequence: the bytes of an Argoverse 1 file.
+    is in it; sequence: the bytes of an Argoverse 1 file; sidecar: what is known of inserted vehicles, None: it was
+    recorded.
     """
 
     graph: LaneGraph
@@ -63,6 +63,12 @@ class Recording(Rows):
     map_json: bytes | None = None
     start: int = 0
     sequence: bytes | None = None
+    sidecar: Sidecar | None = None
+
+    def __repr__(self) -> str:
+        """Id, city, and how much is in it."""
+        size = f"{len(self.tracks)} tracks, {self.num_steps} steps of {self.step_s:g} s"
+        return f"Recording({self.scenario_id}, {self.city}: {size})"
 
     def track(self, track_id: str) -> Track:
         """One track by id; ScenarioError where there is none."""

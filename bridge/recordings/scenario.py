@@ -69,13 +69,14 @@ def read_scenario(folder: Path) -> Scenario:
     breaks what readers of the format demand: nothing recorded is repaired.
     Errors: ScenarioError or MapError with file, id, value and what was expected.
     """
-    table, rows, known, sizes = _rows_in(folder)
+    table, rows, known, sizes, sidecar = _rows_in(folder)
     path = only_file(folder, PARQUET_PATTERN, ScenarioError)
     if rows.scenario_id != source_id(folder):
         raise ScenarioError(f"{path}: scenario_id {rows.scenario_id!r}, expected the id in the file's name")
     map_path = only_file(folder, MAP_PATTERN, MapError)
     source = Source(folder, known.format, rows.scenario_id, split_of(folder), known.first_step, map_path)
-    return recording_of(source, table, rows, read_source_map(map_path), provenance=known.provenance, sizes=sizes)
+    graph = read_source_map(map_path)
+    return recording_of(source, table, rows, graph, provenance=known.provenance, sizes=sizes, sidecar=sidecar)
 
 
 def recording_of(
@@ -88,6 +89,7 @@ def recording_of(
     sizes: Mapping[str, BoxSize],
     map_json: bytes | None = None,
     sequence: bytes | None = None,
+    sidecar: Sidecar | None = None,
 ) -> Recording:
     """A recording of rows that were checked and a map that they have to lie on. Errors: ScenarioError."""
     limits.check_ground(rows.tracks, graph, str(source.path))
@@ -105,23 +107,24 @@ def recording_of(
         map_json=map_json,
         start=source.start,
         sequence=sequence,
+        sidecar=sidecar,
     )
 
 
-def recording_record(folder: Path) -> RecordingRecord:
+def _recording_record(folder: Path, sidecar: Sidecar | None) -> RecordingRecord:
     """What is known of the recording in a scenario folder: by the sidecar of a generated scene, else by the format.
 
-    A recorded scene with sizes beside it was labelled by people, any other one tracked. Errors: ScenarioError.
+    A recorded scene with sizes beside it was labelled by people, any other one tracked.
     """
-    known = next((sidecar.recording for sidecar in _sidecars(folder)), None)
-    if known is not None:
-        return known
+    if sidecar is not None and sidecar.recording is not None:
+        return sidecar.recording
     provenance: Provenance = "human" if (folder / SIZES_FILE).exists() else "tracker"
     return RecordingRecord(format="argoverse2", provenance=provenance, step_s=STEP_S, observed_steps=OBSERVED_STEPS)
 
 
-def _sidecars(folder: Path) -> list[Sidecar]:
-    return [read_sidecar(path) for path in sorted(folder.glob(sidecar_path(folder, "*").name))]
+def _sidecar(folder: Path) -> Sidecar | None:
+    path = next(iter(sorted(folder.glob(sidecar_path(folder, "*").name))), None)
+    return None if path is None else read_sidecar(path)
 
 
 def read_rows(folder: Path) -> Rows:
@@ -129,14 +132,15 @@ def read_rows(folder: Path) -> Rows:
     return _rows_in(folder)[1]
 
 
-def _rows_in(folder: Path) -> tuple[pa.Table, Rows, RecordingRecord, dict[str, BoxSize]]:
-    """The table of a scenario folder, its rows, what is known of the recording, and the sizes beside it."""
+def _rows_in(folder: Path) -> tuple[pa.Table, Rows, RecordingRecord, dict[str, BoxSize], Sidecar | None]:
+    """The table of a scenario folder, its rows, what is known of the recording, the sizes beside it, the sidecar."""
     if not folder.is_dir():
         raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
     path = only_file(folder, PARQUET_PATTERN, ScenarioError)
-    table, known, sizes = read_table(path), recording_record(folder), read_sizes(folder)
+    table, sidecar = read_table(path), _sidecar(folder)
+    known, sizes = _recording_record(folder, sidecar), _sizes(folder, sidecar)
     rows = split_rows(table, name=str(path), sizes=sizes, observed_steps=known.observed_steps)
-    return table, replace(rows, step_s=known.step_s), known, sizes
+    return table, replace(rows, step_s=known.step_s), known, sizes, sidecar
 
 
 def table_of(tracks: Sequence[Track], same: Mapping[str, object], *, observed_steps: int) -> pa.Table:
@@ -191,7 +195,9 @@ def read_arrow(path: Path, read: Callable[[io.BytesIO], pa.Table], *, kind: str,
     except MemoryError:
         raise
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path}: not a {kind} file ({one_line(_first_line(error), most=200)})") from error
+        raise ScenarioError(
+            f"{path}: not a {kind} file ({one_line(_first_line(error), most=200)}), expected {wanted}"
+        ) from error
     return table
 
 
@@ -399,6 +405,10 @@ def read_sizes(folder: Path) -> dict[str, BoxSize]:
 
     Errors: ScenarioError.
     """
+    return _sizes(folder, _sidecar(folder))
+
+
+def _sizes(folder: Path, sidecar: Sidecar | None) -> dict[str, BoxSize]:
     sizes: dict[str, BoxSize] = {}
     path = folder / SIZES_FILE
     if path.exists():
@@ -410,9 +420,7 @@ def read_sizes(folder: Path) -> dict[str, BoxSize]:
             raise ScenarioError(
                 f"{path}: expected columns track_id, length_m, width_m ({_first_line(error)})"
             ) from error
-    for sidecar in _sidecars(folder):
-        sizes.update(sidecar.boxes)
-    return sizes
+    return sizes if sidecar is None else sizes | sidecar.boxes
 
 
 def _size(row: Mapping[str, str], where: str) -> BoxSize:

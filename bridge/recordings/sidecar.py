@@ -8,10 +8,11 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError
 
 from bridge.files import read_received
 from bridge.recordings.limits import MAX_SIDECAR_MB
-from bridge.recordings.recording import Provenance
 from hid2.agents import BoxSize, Policy
 from netconvert.errors import ScenarioError
 
+#: How the tracks were made: by the recording vehicle's own tracker, or by people that labelled boxes.
+Provenance = Literal["tracker", "human"]
 ManeuverKind = Literal["lane_change", "overtake", "left_turn", "right_turn"]
 ManeuverStatus = Literal["done", "aborted", "not_feasible", "not_triggered"]
 Seconds = Annotated[float, Field(ge=0)]
@@ -255,6 +256,12 @@ class Sidecar(_Record):
     rejected: Listed[RejectedRecord] = ()
     replaced: Listed[ReplacedRecord] = ()
     selection: SelectionRecord | None = None
+
+    def __repr__(self) -> str:
+        """Of what it was made, how much of what was asked for is in it."""
+        return f"Sidecar(of {self.source_scenario_id}: {self.placed.agents} of {self.requested.agents} vehicles)"
+
+    __str__ = __repr__
 
     @property
     def program(self) -> dict[str, str]:

@@ -61,7 +61,7 @@ def find_one(path: Path, choices: Choices | None = None) -> Address:
     """The one recording or generated scene at a path. Errors: ConfigError for several; NoSceneError for none."""
     found = list(islice(_walk(path, choices or Choices(), DEPTH), 2))
     if len(found) > 1:
-        raise ConfigError(f"{path}: holds several scenes, this command takes one; for example {found[0]}")
+        raise ConfigError(f"{path}: holds several scenes, expected one of them, such as {found[0]}")
     if not found:
         raise nothing_at(path)
     return found[0]

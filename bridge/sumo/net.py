@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from bridge.files import unwritten
 from bridge.interruption import hidden_folder
 from bridge.recordings.folders import MAP_PATTERN, only_file
 from bridge.recordings.map_rules import read_source_map
@@ -47,4 +48,4 @@ def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
             for name in files:
                 (beside / name).replace(folder / name)
     except OSError as error:
-        raise NetError(f"{folder}: cannot write the net: {error.strerror}") from error
+        raise NetError(f"{folder}: the net {unwritten(error)}") from error

@@ -8,7 +8,7 @@ import importlib
 import math
 import sys
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -147,15 +147,29 @@ def expected_reason(
     return foreseen_reason(view, params)
 
 
-def check_user_rule(params: LaneChange) -> str:
-    """Import the function that `lane_change.rule` names, try it with its arguments, return the file of its module.
+def try_rule(params: LaneChange) -> None:
+    """Import the function that `lane_change.rule` names and try it with its arguments.
 
     Errors: ConfigError with file and line where it cannot be imported, takes no `GapView` or not these arguments,
     raises, or answers otherwise than `rule_refusals` expects.
     """
-    name = params.rule
     for view in (_FREE, _BETWEEN):
-        _answer(name, view, rule_arguments(params))
+        _answer(params.rule, view, rule_arguments(params))
+
+
+def name_of_rule(rule: Callable[..., object]) -> str:
+    """What `lane_change.rule` calls a function. Errors: ConfigError for one that cannot be found by a name."""
+    module, name = getattr(rule, "__module__", ""), getattr(rule, "__qualname__", "")
+    if getattr(sys.modules.get(module), name, None) is not rule:
+        said = f"{place_in(None, rule)}{name or repr(rule)} is not found by its name in {module or 'any module'}"
+        raise ConfigError(f"lane_change.rule: {said}; expected a function at the top of a module or notebook")
+    return f"{module}:{name}"
+
+
+def check_user_rule(params: LaneChange) -> str:
+    """As `try_rule`; returns the file of the function's module. Errors: ConfigError, also where there is none."""
+    try_rule(params)
+    name = params.rule
     file = getattr(sys.modules[name.partition(":")[0]], "__file__", None)
     if file is None:
         raise ConfigError(f"lane_change.rule = {name!r}: its module has no file, expected one of your own")
@@ -174,21 +188,24 @@ def _answer(name: str, view: GapView, arguments: Mapping[str, float]) -> list[Re
             return [] if answer else [Reason.RULE_REFUSES]
         if isinstance(answer, dict) and answer and all(isinstance(one, bool) for one in answer.values()):
             return [_CONDITIONS.get(condition, Reason.RULE_REFUSES) for condition, holds in answer.items() if not holds]
-        said = f"{_place_of(None, rule)}it answered {answer!r:.100}"
+        said = f"{place_in(None, rule)}it answered {answer!r:.100}"
     except (Exception, SystemExit) as error:  # whatever a user's code may raise
-        said = f"{_place_of(error, rule)}{type(error).__name__}: {getattr(error, 'msg', error)!s:.200}"
+        said = f"{place_in(error, rule)}{type(error).__name__}: {getattr(error, 'msg', error)!s:.200}"
         raise ConfigError(f"lane_change.rule = {name!r}: {said}; expected {wanted}") from error
     raise ConfigError(f"lane_change.rule = {name!r}: {said}, expected True or False, or these by condition")
 
 
-def _place_of(error: BaseException | None, rule: object) -> str:
-    """File and line in the user's code that an error comes from, else of the function; nothing where there is none."""
+def place_in(error: BaseException | None, function: object, caller: str = __file__) -> str:
+    """File and line in a user's code that an error comes from, else of the function; nothing where there is none.
+
+    caller: the file that calls the function, which is not the user's.
+    """
     if isinstance(error, SyntaxError):
         return f"{error.filename}:{error.lineno}: "
-    passed_on = (__file__, importlib.__file__)
+    passed_on = (caller, importlib.__file__)
     frames = traceback.extract_tb(error.__traceback__) if error is not None else []
     own = [one for one in frames if one.filename not in passed_on and not one.filename.startswith("<frozen")]
-    code = getattr(rule, "__code__", None)
+    code = getattr(function, "__code__", None)
     if own:
         last = next(one for one in reversed(own) if one.filename == own[0].filename)
         return f"{last.filename}:{last.lineno}: "

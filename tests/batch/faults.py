@@ -17,7 +17,7 @@ from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.config import config_sha256, config_to_dict
-from bridge.recordings.export import new_scenario_id, write_scene
+from bridge.recordings.export import new_scenario_id, with_generated, write_recording
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 
@@ -76,8 +76,8 @@ def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]
                 placed=PlacedRecord(agents=0, behaviours={}),
             )
             new_id = new_scenario_id(scenario.scenario_id, run.config, request.seed, run.variant)
-            focal = scenario.focal_track_id
-            folder = write_scene(scenario, [], sidecar, place.out, new_id=new_id, focal_track_id=focal)
+            made = with_generated(scenario, [], sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id)
+            folder = write_recording(made, place.out)
             if place.folder.name >= os.environ.get("FAULTS_SLEEP_FROM", ""):
                 time.sleep(float(os.environ.get("FAULTS_SLEEP_S", "0")))
             yield base_row(place, run)._replace(

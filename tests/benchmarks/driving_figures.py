@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bridge.generation.generate import GeneratedScene, generate, prepare
+from bridge.generation.generate import generate, prepare
+from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from hid2.params import Config, Driving, Request
@@ -45,7 +46,7 @@ class Figures:
         self.replayed = 0
         self.replayed_off_m = 0.0
 
-    def add(self, scene: GeneratedScene) -> None:
+    def add(self, scene: TrafficScene) -> None:
         self.replayed += scene.sidecar.replay.states
         self.replayed_off_m = max(self.replayed_off_m, scene.sidecar.replay.max_position_error_m)
         for record in scene.sidecar.replaced:

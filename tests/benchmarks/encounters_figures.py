@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from bridge.config import load_config
-from bridge.generation.generate import GeneratedScene, generate, prepare
+from bridge.generation.generate import generate, prepare
+from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from hid2.evaluation.safety import Safety, safety
@@ -25,6 +26,8 @@ from hid2.measures.manoeuvres import ManeuverKind, detect
 #: Vehicles of two variants are twins where they start and are 5 s later this near to each other, m.
 TWIN_START_M, TWIN_LATER_M, LATER_S = 3.0, 5.0, 5.0
 STRETCH_M = 10.0
+#: So near to the focal track or the recording vehicle a lane change is an encounter, m.
+FOCAL_M = 50.0
 MEASURES = (
     f"never within {NEAR_M:g} m of moving recorded traffic", "recorded leader within 3 s for 1 s",
     "braking for a recorded leader", "crossing a recorded one with PET < 3 s", "merging with a recorded one", "stands",
@@ -49,6 +52,7 @@ class Figures:
         self.places: dict[str, set[tuple[int, int]]] = defaultdict(set)
         self.offered: dict[str, int] = {}
         self.near: dict[str, list[int]] = defaultdict(list)
+        self.changes: list[float] = []
 
     def add_recorded(self, name: str, tracks, lanes: FlatLanes, *, num_steps: int, step_s: float) -> None:
         arrays = stack(tracks, num_steps=num_steps, step_s=step_s)
@@ -57,8 +61,8 @@ class Figures:
         self.met["recorded"].append(found[members])
         self.met[f"recorded, {name}"].append(found[members])
 
-    def add(self, name: str, scene: GeneratedScene, lanes: FlatLanes, target: str | None, within_m: float) -> None:
-        recording = scene.scenario
+    def add(self, name: str, scene: TrafficScene, lanes: FlatLanes, target: str | None, within_m: float) -> None:
+        recording = scene.source
         arrays = stack([*recording.tracks, *scene.generated], num_steps=recording.num_steps, step_s=recording.step_s)
         safe = safety(arrays, lanes)
         found = met_of(_met(arrays, safe))
@@ -74,6 +78,7 @@ class Figures:
                 row = arrays.row_of[agent, min(round(one.crossing_s / arrays.step_s), arrays.num_steps - 1)]
                 if row >= 0:
                     self.places[name].add((int(safe.matches.lane[row]), int(safe.matches.s[row] // STRETCH_M)))
+        self.changes += changes_near(scene)
         if target is not None:
             self.near[name].append(_near(arrays, target, within_m, recording))
 
@@ -89,6 +94,8 @@ class Figures:
         for kind in sorted(set(self.met) - set(kinds)):
             found = np.concatenate(self.met[kind])
             out.append(f"{kind:40s} {' '.join(f'{share:.2f}' for share in found.mean(axis=0))} of {len(found)}")
+        near = np.array(self.changes) <= FOCAL_M
+        out.append(f"{near.size} lane changes done, {near.sum()} within {FOCAL_M:g} m of the focal track or the AV")
         for name, variants in self.starts.items():
             pairs = [_twins(one, other) for one, other in itertools.permutations(variants, 2)]
             near = self.near.get(name)
@@ -99,6 +106,21 @@ class Figures:
                 + (f"; near {np.median(near):g} (median), {min(near)} .. {max(near)}" if near else "")
             )
         return out
+
+
+def changes_near(scene: TrafficScene) -> list[float]:
+    """Of each lane change that was done, m from the focal track or the recording vehicle as it crosses."""
+    tracks = {track.track_id: track for track in scene.recording.tracks}
+    found, done = [], scene.maneuvers.query("kind == 'lane_change' and status == 'done'")
+    for track_id, crossing_s in zip(done["track_id"], done["crossing_s"], strict=True):
+        step = round(crossing_s / scene.recording.step_s)
+        own, *others = (
+            tracks[one].position[tracks[one].timesteps == step]
+            for one in (track_id, scene.recording.focal_track_id, "AV")
+        )
+        apart = [float(np.hypot(*(other - own)[0])) for other in others if len(other) and len(own)]
+        found.append(min(apart, default=np.inf))
+    return found
 
 
 def _met(arrays: SceneArrays, safe: Safety) -> Encounters:

@@ -24,7 +24,8 @@ from typing import get_args
 import numpy as np
 from test_time_over_limit import simulate_unsteered
 
-from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare
+from bridge.generation.generate import PreparedScene, generate, prepare
+from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import EventRecord
@@ -283,7 +284,7 @@ def measure(folder: Path, kinds: Sequence[str], targets: Sequence[str], ttc_s: o
         if target is None or event.at_s[0] > scene.last_s - BEFORE_END_S or not target.present[at]:
             continue
         said.last, begun = "", time.process_time()
-        made: GeneratedScene = generate(prepared, plain.model_copy(update={"event": (event,)}))
+        made: TrafficScene = generate(prepared, plain.model_copy(update={"event": (event,)}))
         taken = time.process_time() - begun - base_s
         (record,) = made.sidecar.events
         missing, measures = "", ""

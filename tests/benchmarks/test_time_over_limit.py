@@ -28,7 +28,8 @@ import numpy as np
 import pytest
 
 from bridge.batch.start_up import spare_the_collector
-from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare, write
+from bridge.generation.generate import PreparedScene, generate, prepare
+from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.poses import front_arc_m, sumo_poses
@@ -85,7 +86,7 @@ class Timing:
         return self.driven / max(1, self.placed)
 
 
-def starts_of(made: GeneratedScene, scene: Scene) -> list[Start]:
+def starts_of(made: TrafficScene, scene: Scene) -> list[Start]:
     """Where the vehicles of a generated result began, as SUMO takes it."""
     starts = []
     for vehicle in made.vehicles:
@@ -135,7 +136,7 @@ def simulate_unsteered(
     libsumo.close()
 
 
-def _limit_s(folder: Path, made: GeneratedScene, config: Config, beside: Path) -> float:
+def _limit_s(folder: Path, made: TrafficScene, config: Config, beside: Path) -> float:
     """Processor time of what every way of making a scene would need, s."""
     prepared: PreparedScene = prepare(read_scenario(folder), config)
     recorded = prepared.surroundings(config).scene
@@ -145,7 +146,7 @@ def _limit_s(folder: Path, made: GeneratedScene, config: Config, beside: Path) -
     net = beside / "scene.net.xml"
     net.write_bytes(prepare(read_scenario(folder), config).net)
     simulate_unsteered(net, traffic, front, angle, starts)
-    write(made, beside / "limit")
+    made.write(beside / "limit")
     return time.process_time() - began
 
 
@@ -155,7 +156,7 @@ def measure(folder: Path, agents: str, seed: int) -> Timing:
     with tempfile.TemporaryDirectory() as beside:
         began = time.process_time()
         made = generate(read_scenario(folder), config)
-        write(made, Path(beside) / "out")
+        made.write(Path(beside) / "out")
         scene_s = time.process_time() - began
         limit_s = _limit_s(folder, made, config, Path(beside))
     asked = [record for agent in made.sidecar.agents for record in agent.maneuvers]

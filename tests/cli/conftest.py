@@ -40,12 +40,15 @@ for arguments in json.load(sys.stdin):
 
 
 @pytest.fixture(scope="session")
-def hid2_each() -> Callable[[Sequence[Sequence[str]], Path], list[tuple[int, str, str]]]:
-    """hid2_each(commands, cwd): run commands in one process; exit code, stdout and stderr of each."""
+def hid2_each() -> Callable[..., list[tuple[int, str, str]]]:
+    """hid2_each(commands, cwd, prefix=()): run commands in one process; exit code, stdout and stderr of each.
 
-    def run(commands: Sequence[Sequence[str]], cwd: Path) -> list[tuple[int, str, str]]:
+    prefix: the command that starts the process, and its arguments.
+    """
+
+    def run(commands: Sequence[Sequence[str]], cwd: Path, prefix: Sequence[str] = ()) -> list[tuple[int, str, str]]:
         done = subprocess.run(
-            [sys.executable, "-c", _EACH], input=json.dumps(commands), capture_output=True, text=True, cwd=cwd,
+            [*prefix, sys.executable, "-c", _EACH], input=json.dumps(commands), capture_output=True, text=True, cwd=cwd,
             timeout=300, check=False,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr

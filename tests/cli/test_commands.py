@@ -1,6 +1,7 @@
 """The other commands, each once, and what all of them share."""
 
 import csv
+import re
 import resource
 import subprocess
 import sys
@@ -19,7 +20,7 @@ COMMANDS = (
 
 def last_message(result: Any) -> str:
     """The only message on stderr; progress, which a slow machine shows, is none."""
-    (line,) = [line for line in result.stderr.splitlines() if line.startswith("hid2: ")]
+    (line,) = [line for line in result.stderr.splitlines() if re.match("hid2: (error|warning): ", line)]
     return str(line)
 
 

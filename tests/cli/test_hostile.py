@@ -23,7 +23,7 @@ from hid2.params import Config
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 #: What a command that takes longer says of its progress every few seconds.
-PROGRESS = re.compile(r"[a-z ]+(, \d+ s so far|: \d+ of \d+.*)")
+PROGRESS = re.compile(r"hid2: [a-z ]+(, \d+ s so far|: \d+ of \d+.*)")
 
 
 def tree(folder: Path) -> list[str]:

@@ -149,8 +149,7 @@ def test_data_set_for_a_command_of_one_scene_is_refused_with_an_example(
     result = hid2(*arguments, data_root)
     assert result.returncode == 2
     assert (
-        f"hid2: error: {data_root}: holds several scenes, this command takes one; for example {data_root}/"
-        in result.stderr
+        f"hid2: error: {data_root}: holds several scenes, expected one of them, such as {data_root}/" in result.stderr
     )
     assert list(tmp_path.iterdir()) == []
 
@@ -160,7 +159,7 @@ def test_folder_of_sequences_for_a_command_of_one_scene_is_refused_with_an_examp
     for number in (7, 8):
         (tmp_path / "data" / f"{number}.csv").touch()
     (tmp_path / "map.json").touch()
-    with pytest.raises(ConfigError, match=r"holds several scenes, this command takes one; for example .*data/7\.csv"):
+    with pytest.raises(ConfigError, match=r"holds several scenes, expected one of them, such as .*data/7\.csv"):
         one_scene(tmp_path, (tmp_path / "map.json", 0))
 
 

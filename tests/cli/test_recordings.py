@@ -120,7 +120,7 @@ def test_single_scene_commands_take_a_sequence_and_a_window(hid2: Run, mixed: Pa
     [
         (["--format", "argoverse1"], "is no Argoverse 1 sequence, expected these alone"),
         (["--map", "nowhere"], "--map nowhere: no such file or folder, expected one Argoverse 2 map"),
-        (["--stride", "0"], "invalid value for '--stride'"),
+        (["--stride", "0"], "invalid value '0' for '--stride'"),
     ],
     ids=["format", "map", "stride"],
 )

@@ -11,13 +11,14 @@ from pathlib import Path
 import pytest
 from fuzz import damaged
 from mutations import mutate_bytes, mutate_scene
+from written import write_scene
 
 from bridge.batch.isolation import Failure
 from bridge.batch.manifest import QUARANTINED, Manifest, ManifestRow, read_manifest
 from bridge.batch.quarantine import Bundle, read_bundle, write_bundle
 from bridge.batch.validation import validate_folder
 from bridge.config import config_sha256, config_to_dict
-from bridge.recordings.export import new_scenario_id, write_scene
+from bridge.recordings.export import new_scenario_id
 from bridge.recordings.scenario import Scenario, read_scenario
 from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 from hid2.params import Config

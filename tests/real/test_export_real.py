@@ -11,8 +11,8 @@ import pytest
 from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
 from av2.map.map_api import ArgoverseStaticMap
 from breaches import breaches
+from written import write_scene
 
-from bridge.recordings.export import write_scene
 from bridge.recordings.scenario import read_scenario
 
 

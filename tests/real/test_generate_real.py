@@ -16,15 +16,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from maneuver_detector import seen
-from scene_checker import check_scene
+from scene_checker import check_scene, with_tracks
 
-from bridge.generation.generate import GeneratedScene, generate, prepare
+from bridge.generation.generate import generate, prepare
+from bridge.generation.scene import TrafficScene
 from bridge.recordings.scenario import Scenario, read_scenario
 from hid2.agents import VEHICLE_TYPES, Policy, Track
 from hid2.params import Config, Driving, Request
 from hid2.reasons import Reason
 
-Make = Callable[[Path, int, int], GeneratedScene]
+Make = Callable[[Path, int, int], TrafficScene]
 
 #: Reasons that a record, a rejection or a replacement may name: `hid2.reasons` and nothing else.
 REASONS = {reason.value for reason in Reason}
@@ -34,9 +35,9 @@ REASONS = {reason.value for reason in Reason}
 def make() -> Make:
     """make(folder, agents, seed): generated once for all tests of this file."""
     scenarios: dict[Path, Scenario] = {}
-    scenes: dict[tuple[Path, int, int], GeneratedScene] = {}
+    scenes: dict[tuple[Path, int, int], TrafficScene] = {}
 
-    def once(folder: Path, agents: int, seed: int) -> GeneratedScene:
+    def once(folder: Path, agents: int, seed: int) -> TrafficScene:
         key = (folder, agents, seed)
         if key not in scenes:
             if folder not in scenarios:
@@ -48,13 +49,13 @@ def make() -> Make:
     return once
 
 
-def manoeuvres_seen(scene: GeneratedScene) -> dict[str, set[str]]:
+def manoeuvres_seen(scene: TrafficScene) -> dict[str, set[str]]:
     """Kinds that the tests' detector sees, by track id of the generated vehicles."""
-    vehicles = [track for track in (*scene.scenario.tracks, *scene.generated) if track.object_type in VEHICLE_TYPES]
-    return {track.track_id: seen(scene.scenario.graph, track, vehicles) for track in scene.generated}
+    vehicles = [track for track in (*scene.source.tracks, *scene.generated) if track.object_type in VEHICLE_TYPES]
+    return {track.track_id: seen(scene.source.graph, track, vehicles) for track in scene.generated}
 
 
-def disagreements(scene: GeneratedScene) -> list[str]:
+def disagreements(scene: TrafficScene) -> list[str]:
     """Records of manoeuvres that say done where the detector sees none, or the other way round."""
     found = []
     kinds_of = manoeuvres_seen(scene)
@@ -217,10 +218,10 @@ def _digests(out: Path) -> Iterator[tuple[str, str]]:
 _WRITE = """
 import sys
 from pathlib import Path
-from bridge.generation.generate import generate, write
+from bridge.generation.generate import generate
 from bridge.recordings.scenario import read_scenario
 from hid2.params import Config, Request
-write(generate(read_scenario(Path(sys.argv[1])), Config(request=Request(agents=10, seed=3))), Path(sys.argv[2]))
+generate(read_scenario(Path(sys.argv[1])), Config(request=Request(agents=10, seed=3))).write(Path(sys.argv[2]))
 """
 
 
@@ -244,7 +245,7 @@ def test_second_scene_of_a_process_is_that_of_a_process_of_its_own(real_scenes: 
     first = make(real_scenes[1], 10, 0)
     generate(read_scenario(real_scenes[5]), Config(request=Request(agents=3)))
     config = Config(request=Request(agents=10, seed=0), driving=Driving(check_replay=True))
-    again = generate(first.scenario, config)
+    again = generate(first.source, config)
     assert again.sidecar == first.sidecar
     for one, other in zip(first.generated, again.generated, strict=True):
         assert np.array_equal(one.position, other.position)
@@ -257,11 +258,11 @@ def test_checker_finds_what_is_wrong(data_scenes: dict[str, Path], make: Make) -
     aside = tuple(replace(t, position=t.position + 12.0 * n) for t, n in zip(scene.generated, left, strict=True))
     leap = tuple(replace(t, position=t.position + 0.5 * (t.timesteps[:, None] > 20)) for t in scene.generated)
     back = tuple(replace(t, heading=t.heading + math.pi) for t in scene.generated)
-    assert any("off road" in sentence for sentence in check_scene(replace(scene, generated=aside)))
-    assert any("limit" in sentence for sentence in check_scene(replace(scene, generated=leap)))
-    assert any("against the lane" in sentence for sentence in check_scene(replace(scene, generated=back)))
+    assert any("off road" in sentence for sentence in check_scene(with_tracks(scene, aside)))
+    assert any("limit" in sentence for sentence in check_scene(with_tracks(scene, leap)))
+    assert any("against the lane" in sentence for sentence in check_scene(with_tracks(scene, back)))
     twice = replace(scene.generated[0], track_id="gen_1")
-    double = replace(scene, generated=(scene.generated[0], twice, *scene.generated[2:]))
+    double = with_tracks(scene, (scene.generated[0], twice, *scene.generated[2:]))
     assert any("overlap" in sentence for sentence in check_scene(double))
 
 
@@ -273,7 +274,7 @@ def test_checker_finds_a_late_start_inside_the_map(data_scenes: dict[str, Path],
         "gen_0", own.object_type, 1, own.timesteps[20:], own.position[20:], own.heading[20:], own.velocity[20:],
         own.size,
     )  # fmt: skip
-    found = check_scene(replace(scene, generated=(late, *scene.generated[1:])))
+    found = check_scene(with_tracks(scene, (late, *scene.generated[1:])))
     assert [sentence for sentence in found if sentence.startswith("gen_0 begins at timestep 20 by its record at 0")]
     assert [sentence for sentence in found if sentence.endswith("m from where lanes begin")]
 
@@ -298,10 +299,11 @@ def test_checker_finds_a_contact_behind_the_last_step(data_scenes: dict[str, Pat
     assert speed > 6.0
     length = own.size.length_m
     sizes = [a.model_copy(update={"length_m": length, "width_m": 1.9}) for a in scene.sidecar.agents[:2]]
-    two = replace(scene, sidecar=scene.sidecar.model_copy(update={"agents": tuple(sizes)}))
+    sidecar = scene.sidecar.model_copy(update={"agents": tuple(sizes)})
+    two = replace(scene, recording=replace(scene.recording, sidecar=sidecar))
     for ahead_mps, is_found in ((0.0, True), (speed, False)):
         other = _ahead_by(own, length + 5.0, ahead_mps)
-        found = check_scene(replace(two, generated=(own, other)))
+        found = check_scene(with_tracks(two, (own, other)))
         assert any(sentence.startswith("after the end gen_0 meets vehicle gen_1") for sentence in found) is is_found
 
 
@@ -324,7 +326,7 @@ def test_checker_looks_at_the_sides_of_a_footprint(data_scenes: dict[str, Path],
 def test_recorded_vehicles_are_among_the_checked_ones(real_scenes: list[Path], make: Make) -> None:
     """A generated vehicle put onto a recorded one is an overlap: recorded boxes are not left out by mistake."""
     scene = make(real_scenes[1], 10, 0)
-    victim = next(t for t in scene.scenario.tracks if t.object_type in VEHICLE_TYPES and len(t.timesteps) == 110)
+    victim = next(t for t in scene.source.tracks if t.object_type in VEHICLE_TYPES and len(t.timesteps) == 110)
     fake = replace(victim, track_id="gen_0")
-    found = check_scene(replace(scene, generated=(fake, *scene.generated[1:])))
+    found = check_scene(with_tracks(scene, (fake, *scene.generated[1:])))
     assert any(sentence.startswith(f"overlap gen_0 {victim.track_id}") for sentence in found)

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bridge import find_scenarios, generate, prepare, read_scenario
-from bridge.generation.generate import GeneratedScene
+from bridge import find_scenarios, generate, prepare, read_scene
+from bridge.generation.scene import TrafficScene
 from hid2.params import Config, Event, Request
 from netconvert.geometry import Polyline
 
@@ -16,11 +16,11 @@ ARTERIAL = "c58d7c2e"
 SLOW = "310114"
 
 
-def made(data_root: Path, **asked: object) -> GeneratedScene:
+def made(data_root: Path, **asked: object) -> TrafficScene:
     """The scene of the wide road with one event before the recording vehicle, and nothing else."""
     folder = next(one for one in find_scenarios(data_root) if one.name.startswith(ARTERIAL))
     config = Config(request=Request(agents=0), event=(Event.model_validate({"kind": "cut_in", **asked}),))
-    return generate(prepare(read_scenario(folder), config), config)
+    return generate(prepare(read_scene(folder), config), config)
 
 
 def test_cut_in_comes_over_before_the_target_at_the_time_asked_for(data_root: Path) -> None:
@@ -30,7 +30,7 @@ def test_cut_in_comes_over_before_the_target_at_the_time_asked_for(data_root: Pa
     assert event.status == "done", event.reason
     assert event.at_s == pytest.approx(4.0, abs=0.5)
     own = scene.generated[0]
-    target = next(track for track in scene.scenario.tracks if track.track_id == event.target_track_id)
+    target = next(track for track in scene.source.tracks if track.track_id == event.target_track_id)
     way = Polyline(target.position)
     at = round(event.at_s * 10)
     rows = [at - 17, at, at + 17]
@@ -57,7 +57,7 @@ def test_overtake_passes_the_target_and_comes_back_before_it(data_root: Path) ->
     assert event.ahead
     assert 3.5 <= event.at_s <= 10.5  # the usual time of an overtake, within half a second
     own = scene.generated[0]
-    target = next(track for track in scene.scenario.tracks if track.track_id == event.target_track_id)
+    target = next(track for track in scene.source.tracks if track.track_id == event.target_track_id)
     way = Polyline(np.concatenate([target.position, own.position[-1:]]))
     (own_s, own_d), (target_s, _) = way.frenet(own.position), way.frenet(target.position)
     at, lengths_m = round(event.at_s * 10), 0.5 * (own.size.length_m + target.size.length_m)
@@ -88,7 +88,7 @@ def test_what_the_tries_failed_by_is_told_for_each_event(data_root: Path) -> Non
         Event(kind="overtake", target="av", at_s=(2.0, 2.0)),
         Event(kind="cut_in", target="nobody"),
     )
-    scene = generate(prepare(read_scenario(folder), Config()), Config(request=Request(agents=0), event=asked))
+    scene = generate(prepare(read_scene(folder), Config()), Config(request=Request(agents=0), event=asked))
     first, second = scene.sidecar.events
     assert first.reason == "event_no_place"
     assert first.tried

@@ -11,17 +11,17 @@ from bridge.batch.batch import Place, Run
 from bridge.batch.isolation import Failure
 from bridge.batch.manifest import ManifestRow
 from bridge.batch.scene_work import generate_runs
-from bridge.generation.generate import GeneratedScene, write
+from bridge.generation.scene import TrafficScene
 
 
 def checked(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
     """Generate and write each run; what the checker finds is put into a file beside."""
 
-    def finish(scene: GeneratedScene, place: Place) -> Path:
+    def finish(scene: TrafficScene, place: Place) -> Path:
         found = check_scene(scene)
         if found:
             (place.out / FOUND).mkdir(exist_ok=True)
             (place.out / FOUND / f"{place.folder.name}.json").write_text(json.dumps(found, indent=1))
-        return write(scene, place.out)
+        return scene.write(place.out)
 
     yield from generate_runs(place, runs, finish)

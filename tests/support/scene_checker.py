@@ -6,14 +6,15 @@ step, and the replay's own figures.
 """
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 import shapely
 import shapely.affinity
 
-from bridge.generation.generate import GeneratedScene
+from bridge.generation.scene import TrafficScene
 from hid2.agents import DEFAULT_SIZES, Track
 from netconvert.geometry import Polyline
 from netconvert.lane_graph import LaneGraph
@@ -117,14 +118,12 @@ def check_drivable(boxes: Moving, drivable: shapely.Geometry, verdict: Verdict) 
             verdict.note("off road", boxes.track_id, "by", round(worst, 3), "m at timestep", k / 2)
 
 
-def check_after_end(
-    scene: GeneratedScene, track: Track, sizes: dict[str, tuple[float, float]], verdict: Verdict
-) -> None:
+def check_after_end(scene: TrafficScene, track: Track, sizes: dict[str, tuple[float, float]], verdict: Verdict) -> None:
     """Nobody is touched within 1 s after the track's last step, all who are there at the velocity stated for it."""
     last = int(track.timesteps[-1])
     own = _at_step(track, last)
     assert own is not None
-    for other in (*scene.scenario.tracks, *scene.generated):
+    for other in (*scene.source.tracks, *scene.generated):
         theirs = None if other.track_id == track.track_id else _at_step(other, last)
         if theirs is None:
             continue
@@ -238,9 +237,9 @@ def way_on(graph: LaneGraph, track: Track) -> Floats:
     return np.vstack([reached, (reached[-1] if len(reached) else end) + max(left_m, 5.0) * ahead])
 
 
-def check_times(scene: GeneratedScene, track: Track, verdict: Verdict) -> None:
+def check_times(scene: TrafficScene, track: Track, verdict: Verdict) -> None:
     """No gaps. Who is not there from step 0 enters while it is observed, where the map has nothing before a lane."""
-    first, scenario = int(track.timesteps[0]), scene.scenario
+    first, scenario = int(track.timesteps[0]), scene.source
     if not np.array_equal(track.timesteps, first + np.arange(len(track.timesteps))):
         verdict.note("gaps in", track.track_id)
     if first == 0:
@@ -258,17 +257,17 @@ def check_times(scene: GeneratedScene, track: Track, verdict: Verdict) -> None:
         verdict.note(track.track_id, "begins at timestep", first, "by its record at", agent.spawn.timestep)
 
 
-def check_leaders(scene: GeneratedScene, track: Track, sizes: dict[str, tuple[float, float]], verdict: Verdict) -> None:
+def check_leaders(scene: TrafficScene, track: Track, sizes: dict[str, tuple[float, float]], verdict: Verdict) -> None:
     """TTC to who is ahead on the path driven: aligned, overlapping the swept width, closing by positions.
 
     A recorded vehicle that rolls backwards against its heading is noise of the tracker, not a leader to be closed on.
     """
     moved = np.append(True, np.hypot(*np.diff(track.position, axis=0).T) > 1e-3)
-    path = Polyline(np.vstack([track.position[moved], way_on(scene.scenario.graph, track)]))
+    path = Polyline(np.vstack([track.position[moved], way_on(scene.source.graph, track)]))
     own_s, _ = path.frenet(track.position)
     own_v = np.hypot(*track.velocity.T)
     length, width = sizes[track.track_id]
-    for other in (*scene.scenario.tracks, *scene.generated):
+    for other in (*scene.source.tracks, *scene.generated):
         if other.track_id == track.track_id or len(other.timesteps) < 2:
             continue
         steps, at, own = np.intersect1d(other.timesteps, track.timesteps, assume_unique=True, return_indices=True)
@@ -323,9 +322,15 @@ def assumed(track: Track, sizes: dict[str, tuple[float, float]]) -> tuple[float,
     return max(sizes[track.track_id][0], default.length_m), max(sizes[track.track_id][1], default.width_m)
 
 
-def check_scene(scene: GeneratedScene) -> list[str]:
+def with_tracks(scene: TrafficScene, generated: Sequence[Track]) -> TrafficScene:
+    """A scene with other inserted tracks."""
+    assert scene.source is not None
+    return replace(scene, recording=replace(scene.recording, tracks=(*scene.source.tracks, *generated)))
+
+
+def check_scene(scene: TrafficScene) -> list[str]:
     """Everything issue-worthy about an exported scene."""
-    scenario, verdict = scene.scenario, Verdict()
+    scenario, verdict = scene.source, Verdict()
     sizes = {track.track_id: (track.size.length_m, track.size.width_m) for track in scenario.tracks}
     sizes |= {agent.track_id: (agent.length_m, agent.width_m) for agent in scene.sidecar.agents}
     recorded = [moving_boxes(t, *assumed(t, sizes), scenario.num_steps) for t in scenario.tracks]

@@ -87,7 +87,7 @@ def test_trigger_times_are_uniform(generated, folder):
 
 def test_insertion_is_spread_over_the_lanes(generated, folder):
     """sites = any: each lane's share of the vehicles is near its share of the length; none takes over half."""
-    graph = generated[0].scenario.graph
+    graph = generated[0].source.graph
     count = Counter(a.spawn.lane_segment_id for s in generated for a in s.sidecar.agents)
     total, length = sum(count.values()), sum(graph.lanes[lane].length_m for lane in count)
     expected = np.array([graph.lanes[lane].length_m / length for lane in count])

@@ -141,7 +141,7 @@ function listen(pane) {
   };
   front.onpointermove = ({ pointerId, offsetX: px, offsetY: py }) => {
     const [x, y] = pane.place(px, py), { origin, city } = pane.scene, was = held.get(pointerId);
-    $("cursor").textContent = `${city} ${fixed(x + origin[0])}, ${fixed(y + origin[1])} m (in pictures ${fixed(x)}, ${fixed(y)})`;
+    $("cursor").textContent = `${city} ${fixed(x + origin[0])}, ${fixed(y + origin[1])} m`;
     if (!was) return;
     const [, other] = [...held].find(([id]) => id !== pointerId) ?? [], apart = (one) => Math.hypot(one[0] - other[0], one[1] - other[1]);
     if (other) zoom(apart([px, py]) / (apart(was) || 1), pane, ...other);

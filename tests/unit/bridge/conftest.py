@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bridge.config import load_config
-from bridge.generation.generate import generate, write
+from bridge.generation.generate import generate
 from bridge.recordings.scenario import read_scenario
 
 
@@ -20,7 +20,7 @@ def made_root(tmp_path_factory: pytest.TempPathFactory, data_scenes: dict[str, P
     settings = ["request.agents=8", "request.straight=0.3", "request.lane_change=0.5", "request.trigger_max_s=3"]
     config = load_config(None, settings)
     for name in ("arterial", "intersection"):
-        write(generate(read_scenario(data_scenes[name]), config), out)
+        generate(read_scenario(data_scenes[name]), config).write(out)
     return out
 
 

@@ -8,36 +8,47 @@ from bridge import console
 from bridge.console import Activity, duration, fail, print_json, say, warn
 
 
-@pytest.fixture
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(console, "_FIRST_S", 0.3)
-    monkeypatch.setattr(console, "_PLAIN_EVERY_S", 0.3)
+class Clock:
+    """Seconds that pass when a test says so."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def __call__(self) -> float:
+        return self.now_s
 
 
-def test_long_work_says_what_it_does_before_anything_is_counted(
-    impatient: None, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with Activity("starting", quiet=False) as activity:
-        activity.doing("reading scenes")
-        time.sleep(1.2)
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) >= 2
-    assert all(line.startswith("reading scenes, ") and line.endswith(" s so far") for line in lines)
+def looked_at(activity: Activity, clock: Clock, seconds: float) -> None:
+    """So many seconds, with a look at each tenth."""
+    end_s = clock.now_s + seconds
+    while clock.now_s < end_s - 1e-6:
+        clock.now_s += 0.1
+        activity.look()
 
 
-def test_whoever_waits_hears_something_within_five_seconds() -> None:
-    """Two lines lie 0.2 s further apart than asked for at most; starting the command takes up to 2 s before them."""
-    assert console._FIRST_S + 2.0 + 0.2 < 5.0
-    assert console._PLAIN_EVERY_S + 0.2 < 5.0
+def test_in_a_pipe_a_first_line_comes_soon_and_then_one_every_half_minute(capsys: pytest.CaptureFixture[str]) -> None:
+    """Two minutes of work: lines after 2, 32, 62 and 92 s; the command needs up to 2 s before it has a clock."""
+    clock = Clock()
+    activity = Activity("starting", quiet=False, clock=clock)
+    activity.doing("reading scenes")
+    looked_at(activity, clock, 120.0)
+    said = capsys.readouterr().err.splitlines()
+    assert said == [f"hid2: reading scenes, {text} so far" for text in ("2 s", "32 s", "1 min 02 s", "1 min 32 s")]
+    assert console.FIRST_S + 2.0 + 0.2 < 5.0
 
 
-def test_counted_work_says_how_much_is_done_and_left(impatient: None, capsys: pytest.CaptureFixture[str]) -> None:
-    """3 of 12 at half a scene a second: 18 s left."""
-    with Activity(quiet=False) as activity:
-        activity.doing("generating")
-        activity.show(3, 12, 0.5, " (1 quarantined)")
-        time.sleep(0.7)
-    assert capsys.readouterr().err.splitlines()[0] == "generating: 3 of 12 (1 quarantined), 30.0/min, 18 s left"
+def test_counted_work_says_how_much_is_done_and_left(capsys: pytest.CaptureFixture[str]) -> None:
+    """3 of 12 at half a scene a second: 18 s left; counted in 6 s, the same."""
+    clock = Clock()
+    activity = Activity(quiet=False, clock=clock)
+    activity.doing("generating")
+    activity.show(3, 12, 0.5, " (1 quarantined)")
+    looked_at(activity, clock, 6.0)
+    activity.show(3, 12)
+    looked_at(activity, clock, 30.0)
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == "hid2: generating: 3 of 12 (1 quarantined), 30.0/min, 18 s left"
+    assert second == "hid2: generating: 3 of 12, 30.0/min, 18 s left"
 
 
 def test_terminal_has_one_line_that_is_written_anew_and_cleared_for_messages_and_in_the_end(
@@ -52,15 +63,16 @@ def test_terminal_has_one_line_that_is_written_anew_and_cleared_for_messages_and
         time.sleep(0.5)
         say("a message")
     *lines, end = capsys.readouterr().err.split("\r\x1b[K")
-    assert set(lines) == {"", "generating: 1 of 2 ", "a message\n"}
+    assert set(lines) == {"", "generating: 1 of 2 ", "hid2: a message\n"}
     assert end == ""
 
 
-def test_nothing_done_yet_has_no_rate(impatient: None, capsys: pytest.CaptureFixture[str]) -> None:
-    with Activity("generating", quiet=False) as activity:
-        activity.show(0, 3)
-        time.sleep(0.7)
-    assert capsys.readouterr().err.splitlines()[0] == "generating: 0 of 3"
+def test_nothing_done_yet_has_no_rate(capsys: pytest.CaptureFixture[str]) -> None:
+    clock = Clock()
+    activity = Activity("generating", quiet=False, clock=clock)
+    activity.show(0, 3)
+    looked_at(activity, clock, 3.0)
+    assert capsys.readouterr().err == "hid2: generating: 0 of 3\n"
 
 
 def test_warnings_wrap_between_words_on_a_terminal_and_commands_to_copy_stay_whole(
@@ -77,13 +89,13 @@ def test_warnings_wrap_between_words_on_a_terminal_and_commands_to_copy_stay_who
     assert command == f"  to see it again: {'x ' * 20}"
 
 
-def test_quiet_says_messages_only(impatient: None, capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_says_messages_only(capsys: pytest.CaptureFixture[str]) -> None:
     with Activity("starting", quiet=True) as activity:
         activity.show(1, 2)
         activity.note("not needed")
         say("needed")
-        time.sleep(0.7)
-    assert capsys.readouterr().err == "needed\n"
+        time.sleep(0.3)
+    assert capsys.readouterr().err == "hid2: needed\n"
 
 
 @pytest.mark.parametrize("tell", [fail, warn])

@@ -38,8 +38,8 @@ def test_unknown_name_is_an_attribute_error() -> None:
 def test_types_are_seen_outside_the_checkout(tmp_path: Path) -> None:
     """A type checker follows the editable install: it reveals the type of a position and finds a mistake."""
     (tmp_path / "use.py").write_text(
-        "from pathlib import Path\nfrom bridge import load_config, read_scenario\n"
-        "reveal_type(read_scenario(Path()).tracks[0].position)\nload_config().request.seed + 'a'\n"
+        "from pathlib import Path\nfrom bridge import load_config, read_scene\n"
+        "reveal_type(read_scene(Path()).recording.tracks[0].position)\nload_config().request.seed + 'a'\n"
     )
     command = [Path(sys.executable).parent / "mypy", "--config-file=", "--strict", "--cache-dir", "cache", "use.py"]
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=500, check=False)

@@ -31,7 +31,7 @@ def test_notebook_runs_and_is_kept_with_its_outputs(name, tmp_path):
     made = TOOLS["run"](notebook, TOOLS["lay_out"](tmp_path))
     assert kinds(kept) == kinds(made), "write them anew: .venv/bin/python data/run_notebooks.py"
     assert TOOLS["text_of"](kept) == notebook.read_text(encoding="utf-8")
-    assert notebook.stat().st_size < 200_000
+    assert notebook.stat().st_size < 250_000  # a scene that shows itself has 100,000
 
 
 def test_failing_cell_is_told(tmp_path):

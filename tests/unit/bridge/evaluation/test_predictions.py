@@ -20,7 +20,7 @@ from bridge.evaluation.predictions import (
     score_predictions,
     write_forecasts,
 )
-from bridge.generation.generate import generate, write
+from bridge.generation.generate import generate
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from bridge.recordings.sources import find_recordings, read_recording
 from hid2.params import Config
@@ -219,7 +219,7 @@ def test_a_baseline_forecasts_what_is_not_observed_of_a_scene_made_from_argovers
     """20 of 50 steps are observed: the 30 others are forecast, in steps of 0.1 s, from step 19 on."""
     root = make_argoverse1(tmp_path / "recorded")
     (address,) = find_recordings([root / "train" / "data" / "1.csv"])
-    folder = write(generate(read_recording(address), Config()), tmp_path / "out")
+    folder = generate(read_recording(address), Config()).write(tmp_path / "out")
     scenario = read_scenario(folder)
     _, modes = baseline(scenario, "constant-velocity")
     track = scenario.track(scenario.focal_track_id)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from breaches import breaches
+from written import write_scene
 
 from bridge.forecasting.compose import check_leaks, compose
 from bridge.forecasting.composition import (
@@ -21,7 +22,6 @@ from bridge.forecasting.composition import (
     read_composition,
 )
 from bridge.forecasting.places import SourceScene, groups_of, leaks_between, split_by_place
-from bridge.recordings.export import write_scene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from netconvert.errors import ConfigError, NoSceneError

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recordings import make_argoverse1
+from written import write_scene
 
 from bridge.evaluation.predictions import baseline, read_forecasts, score_predictions, write_forecasts
 from bridge.forecasting import experiment
@@ -21,7 +22,6 @@ from bridge.forecasting.composition import composition_of
 from bridge.forecasting.experiment import PAPER_GAIN_M, PAPER_TABLE2, PAPER_TABLE3, SETS, Plan, run_prediction
 from bridge.forecasting.small_forecaster import small_forecaster
 from bridge.pages.parts import macro
-from bridge.recordings.export import write_scene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_rows, read_scenario
 from bridge.recordings.sources import find_recordings, read_recording

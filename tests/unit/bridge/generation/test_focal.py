@@ -22,7 +22,7 @@ def scenes(data_scenes: dict[str, Path]):
 
 def neighbours(scene, track, radius_m):
     at = np.array(
-        [t.position[t.timesteps == 49][0] for t in (*scene.scenario.tracks, *scene.generated) if 49 in t.timesteps]
+        [t.position[t.timesteps == 49][0] for t in (*scene.source.tracks, *scene.generated) if 49 in t.timesteps]
     )
     return int((np.hypot(*(at - track.position[49]).T) <= radius_m).sum())
 
@@ -34,13 +34,13 @@ def test_the_focal_track_does_its_manoeuvre_and_has_the_most_neighbours(scenes, 
     done = {
         agent.track_id for agent in scene.sidecar.agents if any(m.status == "done" for m in agent.maneuvers)
     }  # fmt: skip
-    assert scene.focal_track_id in done
+    assert scene.recording.focal_track_id in done
     whole = {track.track_id: track for track in scene.generated if len(track.timesteps) == 110}
     counts = {name: neighbours(scene, track, radius) for name, track in whole.items() if name in done}
-    assert counts[scene.focal_track_id] == max(counts.values())
+    assert counts[scene.recording.focal_track_id] == max(counts.values())
     assert len(counts) > 1
 
 
 def test_one_track_is_focal(scenes):
     tracks = scenes[50].generated
-    assert [track.track_id for track in tracks if track.category == 3] == [scenes[50].focal_track_id]
+    assert [track.track_id for track in tracks if track.category == 3] == [scenes[50].recording.focal_track_id]

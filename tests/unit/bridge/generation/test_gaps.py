@@ -9,7 +9,7 @@ from hand_drawn import draw_lane
 from inserted import scene_on, start_on
 
 from bridge.generation.gaps import GAP_COLUMNS, gap_rows, gaps_bytes
-from bridge.generation.generate import generate, write
+from bridge.generation.generate import generate
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import Policy
 from hid2.params import Config, Request, Spawn
@@ -63,7 +63,7 @@ def test_file_is_beside_the_scene_and_agrees_with_the_sidecar(data_scenes: dict[
         spawn=Spawn(rounds=1),
     )
     scene = generate(read_scenario(data_scenes["arterial"]), config)
-    folder = write(scene, tmp_path, record=("gaps",))
+    folder = scene.write(tmp_path, record=("gaps",))
     (path,) = folder.glob("gaps_*.csv.gz")
     with gzip.open(path, "rt", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -73,4 +73,4 @@ def test_file_is_beside_the_scene_and_agrees_with_the_sidecar(data_scenes: dict[
         assert sum(row["sumo"] == "no" for row in mine) == agent.gaps.refused_by_sumo
     assert any(row["sumo"] == "yes" for row in rows)
     assert gaps_bytes(scene.driven, {}, step_s=0.1) == gaps_bytes(scene.driven, {}, step_s=0.1)
-    assert not list(write(scene, tmp_path).glob("gaps_*"))
+    assert not list(scene.write(tmp_path).glob("gaps_*"))

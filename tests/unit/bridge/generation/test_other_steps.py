@@ -10,7 +10,8 @@ from separating_axes import boxes_overlap
 from bridge.batch.batch import Place, plan
 from bridge.batch.isolation import Failure
 from bridge.batch.scene_work import generate_runs
-from bridge.generation.generate import GeneratedScene, generate, write
+from bridge.generation.generate import generate
+from bridge.generation.scene import TrafficScene
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.exchange import sumo_files
@@ -55,18 +56,18 @@ def recording(data_scenes) -> Recording:
     return read_scenario(data_scenes["arterial"])
 
 
-def made_at(recording: Recording, step_s: float, seed: int = 3) -> GeneratedScene:
+def made_at(recording: Recording, step_s: float, seed: int = 3) -> TrafficScene:
     config = Config.model_validate({"request": {"agents": AGENTS, "seed": seed}})
     return generate(resampled(recording, step_s), config)
 
 
 @pytest.fixture(scope="module")
-def usual(recording) -> GeneratedScene:
+def usual(recording) -> TrafficScene:
     return made_at(recording, 0.1)
 
 
 @pytest.fixture(scope="module", params=[0.2, 0.05])
-def made(request, recording) -> GeneratedScene:
+def made(request, recording) -> TrafficScene:
     return made_at(recording, request.param)
 
 
@@ -76,7 +77,7 @@ def test_vehicles_are_placed_and_drive_as_far_as_their_speeds_say(made):
     A step's way differs a little: SUMO's lanes are not as long as the map's, and what it jumps at a lane change
     is given back at 5 % of the speed at most.
     """
-    step_s = made.scenario.step_s
+    step_s = made.source.step_s
     assert len(made.generated) == AGENTS
     for vehicle, track in zip(made.vehicles, made.generated, strict=True):
         s, v = np.array(vehicle.driven.s), np.array(vehicle.driven.v)
@@ -88,7 +89,7 @@ def test_vehicles_are_placed_and_drive_as_far_as_their_speeds_say(made):
 
 def test_nobody_exceeds_a_limit_of_motion_by_the_positions(made):
     """Speeds, accelerations and turn rates by differences over the recording's own step."""
-    step_s = made.scenario.step_s
+    step_s = made.source.step_s
     for track in made.generated:
         velocity = np.gradient(track.position, step_s, axis=0)
         speed = np.hypot(*velocity.T)
@@ -102,7 +103,7 @@ def test_nobody_exceeds_a_limit_of_motion_by_the_positions(made):
 
 def test_no_two_boxes_touch(made):
     """Generated with everybody, at every step."""
-    everybody = [*made.scenario.tracks, *made.generated]
+    everybody = [*made.source.tracks, *made.generated]
     for track in made.generated:
         for row, step in enumerate(track.timesteps.tolist()):
             for other in everybody:
@@ -121,13 +122,13 @@ def _corners(track, row):
 
 def test_times_in_the_sidecar_are_seconds_of_the_recording(made):
     """Triggers are drawn in seconds, and a manoeuvre is asked for at its trigger or later, within the scene."""
-    last_s = (made.scenario.num_steps - 1) * made.scenario.step_s
+    last_s = (made.source.num_steps - 1) * made.source.step_s
     asked = [one for agent in made.sidecar.agents for one in agent.maneuvers if one.requested_s is not None]
     assert asked
     for one in asked:
         assert one.requested_s <= last_s
         assert one.kind in ("left_turn", "right_turn") or one.requested_s >= one.trigger_s - 1e-9
-    assert made.sidecar.recording.step_s == made.scenario.step_s
+    assert made.sidecar.recording.step_s == made.source.step_s
 
 
 def test_speeds_do_not_depend_on_the_step(recording, usual, made):
@@ -137,7 +138,7 @@ def test_speeds_do_not_depend_on_the_step(recording, usual, made):
     """
 
     def speed_mps(first):
-        others = [made_at(recording, first.scenario.step_s, seed) for seed in range(4, 11)]
+        others = [made_at(recording, first.source.step_s, seed) for seed in range(4, 11)]
         return np.mean([np.median([np.median(t.speed) for t in scene.generated]) for scene in (first, *others)])
 
     assert speed_mps(made) == pytest.approx(speed_mps(usual), rel=0.2)
@@ -145,7 +146,7 @@ def test_speeds_do_not_depend_on_the_step(recording, usual, made):
 
 def test_files_for_sumo_have_the_step(made):
     """FCD output, the simulation that sumo-gui runs, and the playback: all by the recording's own step."""
-    step_s, scenario = made.scenario.step_s, made.scenario
+    step_s, scenario = made.source.step_s, made.source
     whole = replace(scenario, tracks=(*scenario.tracks, *made.generated))
     grid = build_cell_grid(whole.graph)
     name = whole.scenario_id
@@ -161,10 +162,10 @@ def test_files_for_sumo_have_the_step(made):
 def test_argoverse_2_scene_is_refused_in_one_line(made, tmp_path):
     """Its readers take every step for 0.1 s: nothing is written, and the line says what to do."""
     with pytest.raises(ExportError) as refused:
-        write(made, tmp_path / "out")
+        made.write(tmp_path / "out")
     said = str(refused.value)
     assert "\n" not in said
-    assert f"steps of {made.scenario.step_s:g} s" in said
+    assert f"steps of {made.source.step_s:g} s" in said
     assert "every 0.1 s" in said
     assert not (tmp_path / "out").exists()
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bridge.generation.generate import GeneratedScene, generate, prepare
+from bridge.generation.generate import generate, prepare
+from bridge.generation.scene import TrafficScene
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import Policy, Track
 from hid2.params import Config, Driving, Request, Spawn
@@ -19,11 +20,11 @@ def arterial(data_scenes):
 
 
 @pytest.fixture(scope="module")
-def with_overtakes(arterial) -> list[GeneratedScene]:
+def with_overtakes(arterial) -> list[TrafficScene]:
     return [generate(arterial, Config(request=Request(agents=10, seed=seed, **OVERTAKES))) for seed in range(3)]
 
 
-def _records(scenes: list[GeneratedScene], kind: str):
+def _records(scenes: list[TrafficScene], kind: str):
     return [
         (scene, agent, record)
         for scene in scenes
@@ -33,13 +34,13 @@ def _records(scenes: list[GeneratedScene], kind: str):
     ]
 
 
-def _track(scene: GeneratedScene, track_id: str) -> Track:
-    return next(track for track in (*scene.scenario.tracks, *scene.generated) if track.track_id == track_id)
+def _track(scene: TrafficScene, track_id: str) -> Track:
+    return next(track for track in (*scene.source.tracks, *scene.generated) if track.track_id == track_id)
 
 
-def _lane_path(scene: GeneratedScene, lane_id: int) -> Polyline:
+def _lane_path(scene: TrafficScene, lane_id: int) -> Polyline:
     """The middle of a lane and of those that follow it."""
-    graph = scene.scenario.graph
+    graph = scene.source.graph
     points = [graph.lanes[lane_id].centerline]
     while graph.successors(lane_id):
         lane_id = graph.successors(lane_id)[0]
@@ -109,7 +110,7 @@ def test_replay_of_every_recorded_agent_is_measured_where_that_is_asked_for(arte
     without, measured = (scene.sidecar.replay for scene in scenes)
     assert (without.checked, without.states) == (False, 0)
     assert measured.checked
-    assert measured.states == sum(track.timesteps.size for track in scenes[1].scenario.tracks)
+    assert measured.states == sum(track.timesteps.size for track in scenes[1].source.tracks)
     assert measured.max_position_error_m <= 0.001
     assert measured.max_heading_error_rad <= 0.001
     for one, other in zip(*(scene.generated for scene in scenes), strict=True):

@@ -8,13 +8,23 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 from PIL import Image
 
 from bridge.pictures import figures
-from bridge.pictures.plot import _levels, plot_agent
-from bridge.pictures.render import ANIMATIONS, PICTURES, draw_scene, render_scene, scene_figure
+from bridge.pictures.plot import _levels, agent_figure, plot_agent
+from bridge.pictures.render import (
+    ANIMATIONS,
+    CAR_PIXELS,
+    GIF_WIDTH,
+    MOST_GROUND_M,
+    PICTURES,
+    _Drawing,
+    draw_scene,
+    render_scene,
+    scene_figure,
+)
 from bridge.recordings.scenario import read_scenario
-from bridge.recordings.sidecar import sidecar_in
 from netconvert.errors import ConfigError, ExportError
 
 
@@ -34,7 +44,7 @@ def longest_side(box):
 
 
 def test_picture_of_a_generated_scene_shows_before_and_after(made_scene):
-    figure = scene_figure(made_scene)
+    figure = scene_figure(read_scenario(made_scene))
     titles = [ax.get_title() for ax in figure.axes]
     scenario = read_scenario(made_scene)
     count = sum(track.track_id.startswith("gen_") for track in scenario.tracks)
@@ -48,24 +58,23 @@ def test_picture_of_a_generated_scene_shows_before_and_after(made_scene):
 
 
 def test_generated_vehicles_are_drawn_in_the_colour_of_their_policy(made_scene, tmp_path):
-    path = render_scene(made_scene, tmp_path / "scene.png")
-    scenario = read_scenario(made_scene)
-    sidecar = sidecar_in(made_scene, scenario.scenario_id)
+    path = render_scene(read_scenario(made_scene), tmp_path / "scene.png")
+    sidecar = read_scenario(made_scene).sidecar
     for policy in {agent.policy for agent in sidecar.agents}:
         assert pixels(path, figures.POLICY_COLORS[policy]) > 30, policy
 
 
 def test_recorded_scene_is_one_panel_without_generated_colours(data_scenes, tmp_path):
-    figure = scene_figure(data_scenes["arterial"])
+    figure = scene_figure(read_scenario(data_scenes["arterial"]))
     assert len(figure.axes) == 1
     assert "generated" not in words(figure)
     plt.close(figure)
-    path = render_scene(data_scenes["arterial"], tmp_path / "scene.png")
+    path = render_scene(read_scenario(data_scenes["arterial"]), tmp_path / "scene.png")
     assert pixels(path, figures.VERMILION) == 0
 
 
 def test_source_is_shown_before(made_scene, data_scenes, tmp_path):
-    figure = scene_figure(made_scene, source=data_scenes["curve"])
+    figure = scene_figure(read_scenario(made_scene), source=read_scenario(data_scenes["curve"]))
     recorded = len(read_scenario(data_scenes["curve"]).tracks)
     name = data_scenes["curve"].name[:8]
     title = f"before: {recorded} recorded agents\n(source scene {name}, with the sizes labelled there)"
@@ -77,7 +86,7 @@ def test_labelled_sizes_beside_the_source_are_drawn_before_and_after(made_scene,
     """A truck of 9.5 x 3.0 m is one in both halves: its size lies beside the source, not beside the generated scene."""
     source = shutil.copytree(data_scenes["arterial"], tmp_path / data_scenes["arterial"].name)
     (source / "agent_sizes.csv").write_text("track_id,length_m,width_m\nAV,9.5,3.0\n")
-    figure = scene_figure(made_scene, source=source)
+    figure = scene_figure(read_scenario(made_scene), source=read_scenario(source))
     for ax in figure.axes:
         boxes = [path.vertices for made in ax.findobj(PolyCollection) if made.zorder == 5 for path in made.get_paths()]
         assert [round(length, 2) for length in (longest_side(box) for box in boxes) if 9 < length < 10] == [9.5]
@@ -86,24 +95,24 @@ def test_labelled_sizes_beside_the_source_are_drawn_before_and_after(made_scene,
 
 def test_thin_whole_paths_of_a_picture_are_explained(made_scene, data_scenes):
     for folder, explained in ((made_scene, True), (data_scenes["arterial"], False)):
-        figure = scene_figure(folder)
+        figure = scene_figure(read_scenario(folder))
         assert ("whole path, generated" in words(figure)) is explained
         plt.close(figure)
 
 
 def test_cells_are_drawn_on_request(data_scenes, tmp_path):
-    without = render_scene(data_scenes["curve"], tmp_path / "a.png")
-    cells = render_scene(data_scenes["curve"], tmp_path / "b.png", cells=True)
+    without = render_scene(read_scenario(data_scenes["curve"]), tmp_path / "a.png")
+    cells = render_scene(read_scenario(data_scenes["curve"]), tmp_path / "b.png", cells=True)
     assert pixels(cells, "#A8C4D6") > pixels(without, "#A8C4D6") + 200
 
 
 def test_an_agent_is_shown_close_up(made_scene, tmp_path):
     """One car covers more pixels close up than the cars of its colour do on average in the whole scene."""
-    agents = sidecar_in(made_scene, made_scene.name).agents
+    agents = read_scenario(made_scene).sidecar.agents
     agent = agents[0]
     alike = sum(other.policy is agent.policy for other in agents)
-    whole = render_scene(made_scene, tmp_path / "a.png")
-    close = render_scene(made_scene, tmp_path / "b.png", agent=agent.track_id)
+    whole = render_scene(read_scenario(made_scene), tmp_path / "a.png")
+    close = render_scene(read_scenario(made_scene), tmp_path / "b.png", agent=agent.track_id)
     color = figures.POLICY_COLORS[agent.policy]
     assert pixels(close, color) > pixels(whole, color) / alike
 
@@ -111,7 +120,7 @@ def test_an_agent_is_shown_close_up(made_scene, tmp_path):
 @pytest.mark.parametrize("suffix", [".gif", ".mp4"])
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio leaves ffmpeg's pipes open
 def test_animation_has_a_frame_for_every_step_and_moves(made_scene, tmp_path, suffix):
-    path = render_scene(made_scene, tmp_path / f"scene{suffix}")
+    path = render_scene(read_scenario(made_scene), tmp_path / f"scene{suffix}")
     frames = iio.imread(path)
     assert len(frames) == read_scenario(made_scene).num_steps
     assert (frames[0] != frames[60]).any()
@@ -121,7 +130,7 @@ def test_animation_has_a_frame_for_every_step_and_moves(made_scene, tmp_path, su
 
 
 def test_inserted_and_focal_vehicles_carry_their_ids(made_scene):
-    figure = scene_figure(made_scene)
+    figure = scene_figure(read_scenario(made_scene))
     scenario = read_scenario(made_scene)
     shown = [text.get_text() for text in figure.axes[1].texts]
     there = [t.track_id for t in scenario.tracks if 49 in t.timesteps]
@@ -130,25 +139,27 @@ def test_inserted_and_focal_vehicles_carry_their_ids(made_scene):
 
 
 def test_vehicle_that_is_asked_for_is_ringed_and_named(made_scene, tmp_path):
-    agent = sidecar_in(made_scene, made_scene.name).agents[0].track_id
-    figure = scene_figure(made_scene, agent=agent)
+    agent = read_scenario(made_scene).sidecar.agents[0].track_id
+    figure = scene_figure(read_scenario(made_scene), agent=agent)
     assert f"track {agent}" in words(figure)
     rings = [patch for ax in figure.axes for patch in ax.patches]
     assert len(rings) == 1
     plt.close(figure)
-    assert pixels(render_scene(made_scene, tmp_path / "a.png", agent=agent), figures.HIGHLIGHT) > 100
-    assert pixels(render_scene(made_scene, tmp_path / "b.png"), figures.HIGHLIGHT) == 0
+    assert pixels(render_scene(read_scenario(made_scene), tmp_path / "a.png", agent=agent), figures.HIGHLIGHT) > 100
+    assert pixels(render_scene(read_scenario(made_scene), tmp_path / "b.png"), figures.HIGHLIGHT) == 0
 
 
 @pytest.mark.parametrize("suffix", PICTURES)
 def test_same_scene_gives_the_same_picture(made_scene, tmp_path, suffix):
-    paths = [render_scene(made_scene, tmp_path / f"{name}{suffix}") for name in ("a", "b")]
+    paths = [render_scene(read_scenario(made_scene), tmp_path / f"{name}{suffix}") for name in ("a", "b")]
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
 def test_progress_of_a_film_is_told(data_scenes, tmp_path):
     told = []
-    render_scene(data_scenes["curve"], tmp_path / "a.gif", on_frame=lambda done, total: told.append((done, total)))
+    render_scene(
+        read_scenario(data_scenes["curve"]), tmp_path / "a.gif", on_frame=lambda done, total: told.append((done, total))
+    )
     assert told == [(number, 110) for number in range(1, 111)]
 
 
@@ -160,17 +171,17 @@ def test_labels_of_lanes_do_not_overlap():
 def test_unknown_ending_step_or_agent_is_explained(data_scenes, tmp_path):
     scene = data_scenes["arterial"]
     with pytest.raises(ConfigError, match=r"ending '\.tif' is not supported; expected one of \.png, \.jpg, .*\.mp4"):
-        render_scene(scene, tmp_path / "scene.tif")
+        render_scene(read_scenario(scene), tmp_path / "scene.tif")
     with pytest.raises(ConfigError, match=r"timestep 110 is out of range \(0-109\)"):
-        render_scene(scene, tmp_path / "scene.png", step=110)
-    with pytest.raises(ConfigError, match="no track 'AW' among 26; there are AV, "):
-        render_scene(scene, tmp_path / "scene.png", agent="AW")
+        render_scene(read_scenario(scene), tmp_path / "scene.png", step=110)
+    with pytest.raises(ConfigError, match="no track 'AW' among 26; expected one of AV, "):
+        render_scene(read_scenario(scene), tmp_path / "scene.png", agent="AW")
     with pytest.raises(ConfigError, match="a film shows every timestep"):
-        render_scene(scene, tmp_path / "scene.gif", step=3)
+        render_scene(read_scenario(scene), tmp_path / "scene.gif", step=3)
     (tmp_path / "file").write_text("")
     for suffix in PICTURES + ANIMATIONS:
         with pytest.raises(ExportError, match=rf"scene{suffix}: cannot be written \(File exists\)"):
-            render_scene(scene, tmp_path / "file" / f"scene{suffix}")
+            render_scene(read_scenario(scene), tmp_path / "file" / f"scene{suffix}")
 
 
 def test_film_that_fails_half_way_leaves_nothing(data_scenes, tmp_path, monkeypatch):
@@ -180,7 +191,7 @@ def test_film_that_fails_half_way_leaves_nothing(data_scenes, tmp_path, monkeypa
 
     monkeypatch.setattr("bridge.pictures.render._Drawing.frames", fail)
     with pytest.raises(ExportError, match="no more memory"):
-        render_scene(data_scenes["arterial"], tmp_path / "scene.mp4")
+        render_scene(read_scenario(data_scenes["arterial"]), tmp_path / "scene.mp4")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -198,12 +209,63 @@ def test_policies_differ_for_colour_blind_readers():
         assert min(apart) > 0.15, name
 
 
-def test_plot_shows_every_quantity_with_its_unit(made_scene, tmp_path, monkeypatch):
-    kept = []
-    monkeypatch.setattr(figures, "save", lambda figure, path: kept.append(figure))
-    agent = next(a for a in sidecar_in(made_scene, made_scene.name).agents if a.maneuvers)
-    plot_agent(made_scene, agent.track_id, tmp_path / "agent.png")
-    text = words(kept[0])
+def boxes_of(figure, texts):
+    figure.draw_without_rendering()
+    return [text.get_window_extent() for text in texts if text.get_text()]
+
+
+@pytest.mark.parametrize("count", [2, 12, 40])
+def test_labels_of_vehicles_that_stand_close_do_not_overlap(count: int) -> None:
+    """A queue at 3 m, at 5 px/m: labels of 35 px would cover each other."""
+    axes = Figure(figsize=(8, 4), dpi=100).add_axes((0, 0, 1, 1))
+    axes.set(xlim=(0, 160), ylim=(0, 80))
+    points = np.column_stack([20 + 3.0 * np.arange(count), np.full(count, 40.0)])
+    names = [f"gen_{k}" for k in range(count)]
+    offsets = figures.label_offsets(axes, points, names, size=6.5)
+    texts = [
+        axes.annotate(name, at, xytext=offset, textcoords="offset points", fontsize=6.5)
+        for name, at, offset in zip(names, points, offsets, strict=True)
+    ]
+    boxes = boxes_of(axes.figure, texts)
+    assert [k for k, one in enumerate(boxes) if any(one.overlaps(other) for other in boxes[:k])] == []
+    assert offsets[0] == (4.0, 4.0)
+
+
+def test_no_label_of_a_picture_overlaps_another(made_scene):
+    for agent in (None, "gen_0"):
+        figure = scene_figure(read_scenario(made_scene), agent=agent)
+        for axes in figure.axes:
+            boxes = boxes_of(figure, axes.texts)
+            assert [one for k, one in enumerate(boxes) if any(one.overlaps(other) for other in boxes[:k])] == []
+        assert len(figure.axes[-1].texts) > 4
+
+
+@pytest.mark.parametrize("longest", [None, GIF_WIDTH])
+def test_cars_of_a_film_are_never_below_fourteen_pixels(made_scene, data_scenes, longest) -> None:
+    """Whatever the ground: of 300 m a film of 1100 px would show cars of 8 px."""
+    for folder in (made_scene, *data_scenes.values()):
+        drawing = _Drawing(read_scenario(folder), None, agent=None, cells=False, whole_paths=False)
+        drawing.scale(longest=longest)
+        axes = drawing.panels[0][1]
+        assert 4.5 * axes.get_window_extent().width / np.ptp(axes.get_xlim()) > CAR_PIXELS - 0.1
+        assert max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())) < 2 * MOST_GROUND_M
+        frame = next(drawing.frames([60], None))
+        assert max(frame.shape) >= (longest or 0) - 2
+
+
+def test_legend_names_only_what_is_shown(made_scene):
+    figure = scene_figure(read_scenario(made_scene))
+    said = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "generated vehicle" not in said  # the policy of each is known
+    assert sum(text.startswith("generated: ") for text in said) == len(
+        {agent.policy for agent in read_scenario(made_scene).sidecar.agents}
+    )
+
+
+def test_plot_shows_every_quantity_with_its_unit(made_scene):
+    agent = next(a for a in read_scenario(made_scene).sidecar.agents if a.maneuvers)
+    figure = agent_figure(read_scenario(made_scene), agent.track_id)
+    text = words(figure)
     for label in (
         "speed, m/s",
         "acceleration,\nm/s²",
@@ -214,18 +276,14 @@ def test_plot_shows_every_quantity_with_its_unit(made_scene, tmp_path, monkeypat
         "crossing",
     ):
         assert label in text
-    plt.close(kept[0])
 
 
-def test_plot_marks_the_moments_of_the_sidecar(made_scene, tmp_path, monkeypatch):
-    kept = []
-    monkeypatch.setattr(figures, "save", lambda figure, path: kept.append(figure))
-    agent = next(a for a in sidecar_in(made_scene, made_scene.name).agents if any(m.crossing_s for m in a.maneuvers))
-    plot_agent(made_scene, agent.track_id, tmp_path / "agent.png")
-    lines = {round(float(line.get_xdata()[0]), 6) for line in kept[0].axes[1].lines if len(set(line.get_xdata())) == 1}
+def test_plot_marks_the_moments_of_the_sidecar(made_scene):
+    agent = next(a for a in read_scenario(made_scene).sidecar.agents if any(m.crossing_s for m in a.maneuvers))
+    figure = agent_figure(read_scenario(made_scene), agent.track_id)
+    lines = {round(float(line.get_xdata()[0]), 6) for line in figure.axes[1].lines if len(set(line.get_xdata())) == 1}
     maneuver = next(m for m in agent.maneuvers if m.crossing_s)
     assert {round(t, 6) for t in (maneuver.trigger_s, maneuver.start_s, maneuver.crossing_s) if t is not None} <= lines
-    plt.close(kept[0])
 
 
 def test_film_without_ffmpeg_is_an_error_that_says_where_to_look(data_scenes, tmp_path, monkeypatch):
@@ -234,12 +292,12 @@ def test_film_without_ffmpeg_is_an_error_that_says_where_to_look(data_scenes, tm
     with pytest.raises(
         ExportError, match=r"found no program ffmpeg, which writes \.mp4: see INSTALL\.md, or ask for \.gif"
     ):
-        render_scene(data_scenes["arterial"], tmp_path / "scene.mp4")
+        render_scene(read_scenario(data_scenes["arterial"]), tmp_path / "scene.mp4")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_plot_of_a_recorded_track_is_written(data_scenes, tmp_path):
-    path = plot_agent(data_scenes["arterial"], "AV", tmp_path / "deep" / "av.png")
+    path = plot_agent(read_scenario(data_scenes["arterial"]), "AV", tmp_path / "deep" / "av.png")
     assert iio.imread(path).shape[0] > 500
 
 

@@ -17,10 +17,11 @@ from av2.datasets.motion_forecasting.scenario_serialization import (
     serialize_argoverse_scenario_parquet,
 )
 from av2.map.map_api import ArgoverseStaticMap
+from written import write_scene
 
 from bridge.config import load_config
 from bridge.recordings import export
-from bridge.recordings.export import new_scenario_id, parquet_bytes, scene_table, write_scene
+from bridge.recordings.export import new_scenario_id, parquet_bytes, scene_table
 from bridge.recordings.scenario import Scenario, read_scenario
 from netconvert.errors import ExportError
 

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recordings import make_argoverse1
+from written import write_scene
 
 from bridge.batch.validation import validate_folder
 from bridge.config import config_sha256, config_to_dict
-from bridge.recordings.export import new_scenario_id, recording_record_of, write_scene
+from bridge.recordings.export import new_scenario_id, recording_record_of
 from bridge.recordings.folders import sequence_path
 from bridge.recordings.recording import Recording
 from bridge.recordings.sequence import inserted_id, sequence_bytes, write_sequence

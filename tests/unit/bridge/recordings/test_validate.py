@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from breaches import breaches
+from written import write_scene
 
 from bridge.batch.validation import validate_folder
-from bridge.recordings.export import write_scene
 from bridge.recordings.scenario import read_scenario
 from hid2.judge.findings import Quantity
 from netconvert.errors import ScenarioError

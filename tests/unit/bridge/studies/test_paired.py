@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bridge.generation.generate import generate, prepare, write
+from bridge.generation.generate import generate, prepare
 from bridge.recordings.corridor import write_corridor
 from bridge.recordings.scenario import read_scenario
 from bridge.studies.paired import draw, drawing_config, paired_run
@@ -156,7 +156,7 @@ def test_flow_is_refused_where_scenes_are_written(data_scenes: dict[str, Path]) 
 def test_what_comes_of_a_corridor_says_so(corridor: Path, tmp_path: Path) -> None:
     """A generated scene of 400 steps: its id begins with corridor-, and it can be read again."""
     scene = generate(read_scenario(corridor), Config(request=CHANGES.model_copy(update={"agents": 2})))
-    folder = write(scene, tmp_path)
+    folder = scene.write(tmp_path)
     assert folder.name.startswith("corridor-")
     assert read_scenario(folder).num_steps == 400
 

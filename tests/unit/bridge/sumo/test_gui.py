@@ -238,7 +238,7 @@ def test_gui_ends_without_a_word_when_its_window_is_closed_or_when_it_is_interru
     command = [BIN / "hid2", "gui", made_scene]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=screen, start_new_session=True) as it:
         try:
-            waits = next(line for line in it.stderr if line.startswith("sumo-gui waits"))
+            waits = next(line for line in it.stderr if line.startswith("hid2: sumo-gui waits"))
             if closes == "the command":
                 os.killpg(it.pid, signal.SIGINT)
             else:

@@ -14,7 +14,7 @@ from inserted import nobody, recorded, scene_on, start_on
 from bridge.batch.validation import validate_folder
 from bridge.evaluation.scene_metrics import measure_folder
 from bridge.forecasting.places import recorded_source
-from bridge.generation.generate import generate, write
+from bridge.generation.generate import generate
 from bridge.pictures.render import _panels
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.driving import Driving
@@ -96,7 +96,7 @@ CHANGES = Request(agents=8, straight=0.3, left_turn=0.0, right_turn=0.0, lane_ch
 @pytest.fixture(scope="module")
 def reactive_scene(data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = generate(read_scenario(data_scenes["arterial"]), Config(request=CHANGES, driving=REACTIVE))
-    return write(scene, tmp_path_factory.mktemp("out"))
+    return scene.write(tmp_path_factory.mktemp("out"))
 
 
 def test_late_tracks_keep_their_path_and_all_others_their_rows(
