@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from bridge.config import load_config as load_config
     from bridge.config import parse_behaviours as parse_behaviours
     from bridge.evaluation.evaluate import evaluate_folder as evaluate_folder
+    from bridge.exports.export import export_scene as export_scene
     from bridge.generation.generate import generate as generate
     from bridge.generation.generate import prepare as prepare
     from bridge.generation.generate import write as write
@@ -40,6 +41,7 @@ _NAMES = {
     "bridge.batch.batch": "Options plan run_batch",
     "bridge.config": "load_config parse_behaviours",
     "bridge.evaluation.evaluate": "evaluate_folder",
+    "bridge.exports.export": "export_scene",
     "bridge.generation.generate": "generate prepare write",
     "bridge.pictures.conflicts": "Conflict draw_conflicts find_conflicts",
     "bridge.pictures.plot": "plot_agent",

@@ -11,7 +11,6 @@ from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.generation.generate import GeneratedScene, PreparedScene, generate, prepare, write
 from bridge.recordings.export import check_step
-from bridge.recordings.folders import sumo_folder
 from bridge.recordings.sidecar import DrivesRecord, Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import Policy
@@ -34,12 +33,7 @@ def write_all(scene: GeneratedScene, place: Place) -> Path:
         from bridge.recordings.sequence import write_sequence
 
         write_sequence(scene.scenario, scene.generated, place.out, new_id=scene.new_id)
-    folder = write(scene, place.out, record=("gaps",) if place.gaps else ())
-    if place.sumo is not None:
-        from bridge.sumo.exchange import write_sumo  # with matplotlib, twice as slow as all else
-
-        write_sumo(folder, sumo_folder(place.sumo, scene.scenario.split, scene.new_id))
-    return folder
+    return write(scene, place.out, record=("gaps",) if place.gaps else ())
 
 
 def generate_runs(
