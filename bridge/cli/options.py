@@ -31,6 +31,7 @@ BEHAVIOURS = tuple(policy.value for policy in Policy)
 CAN = (*BEHAVIOURS, *(f"{event}:{target}" for event in EVENTS for target in ("av", "focal")))
 COMPONENTS = ("topology", "collision", "smoothing")
 ExperimentName = Literal["table1", "ablation", "density", "diversity", "prediction"]
+LanesName = Literal["cells", "whole"]
 FormatName = Literal["openscenario", "opendrive", "sumo", "fcd"]
 ReadingName = Literal["recorded", "generated", "both"]
 
