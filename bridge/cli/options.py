@@ -32,7 +32,7 @@ CAN = (*BEHAVIOURS, *(f"{event}:{target}" for event in EVENTS for target in ("av
 COMPONENTS = ("topology", "collision", "smoothing")
 ExperimentName = Literal["table1", "ablation", "density", "diversity", "prediction"]
 LanesName = Literal["cells", "whole"]
-FormatName = Literal["openscenario", "opendrive", "sumo", "fcd"]
+FormatName = Literal["openscenario", "opendrive", "commonroad", "sumo", "fcd"]
 ReadingName = Literal["recorded", "generated", "both"]
 
 

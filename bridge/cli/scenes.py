@@ -143,7 +143,7 @@ def export(
     windows: options.Windows,
     tell: options.Tell,
 ) -> None:
-    """Write scenes in the formats of others: OpenSCENARIO, OpenDRIVE, SUMO's.
+    """Write scenes in the formats of others: OpenSCENARIO, OpenDRIVE, CommonRoad, SUMO's.
 
     Files have the scenes' ids as names and lie side by side; OpenSCENARIO brings the OpenDRIVE map that it
     refers to, FCD output the net.

@@ -14,6 +14,7 @@ from netconvert.geo import CITY_ORIGINS
 WRITERS: Mapping[str, str] = {
     "openscenario": "bridge.exports.openscenario.openscenario_files",
     "opendrive": "bridge.exports.export.opendrive_files",
+    "commonroad": "bridge.exports.commonroad.commonroad_files",
     "sumo": "bridge.sumo.exchange.sumo_files",
     "fcd": "bridge.sumo.exchange.fcd_files",
 }
